@@ -45,11 +45,6 @@ def kernel(function: Callable[..., Any]) -> Any:
     return njit(cache=False, fastmath=False, nogil=True)(function)
 
 
-def inline_kernel(function: Callable[..., Any]) -> Any:
-    """Compile a small helper that its callers inline; never called from Python, so never cached alone."""
-    return njit(cache=False, fastmath=False, nogil=True, inline="always")(function)
-
-
 def _extend_cache_stamp(dispatcher: Any) -> None:
     if not hasattr(dispatcher, "_cache"):
         return  # NUMBA_DISABLE_JIT: the function itself
