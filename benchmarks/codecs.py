@@ -57,9 +57,7 @@ class ListCommand(click.Command):
 
 
 @click.command(cls=ListCommand)
-@click.argument(
-    "places", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path)
-)
+@click.argument("places", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
 @click.option(
     "--max-error",
     "max_errors",
@@ -83,9 +81,7 @@ class ListCommand(click.Command):
     default=("cdf97", "store"),
     help="terrainwave's methods.",
 )
-@click.option(
-    "--crop", type=click.IntRange(min=1), help="Use the upper left N × N samples."
-)
+@click.option("--crop", type=click.IntRange(min=1), help="Use the upper left N × N samples.")
 @click.option(
     "--runs",
     type=click.IntRange(min=1),
@@ -126,11 +122,7 @@ def main(places, max_errors, names, methods, crop, runs, patience, out) -> None:
                 print_rows(console, found)
             rows += found
     print_summary(console, rows)
-    failed = [
-        row
-        for row in rows
-        if row.problem and not row.problem.startswith("not possible")
-    ]
+    failed = [row for row in rows if row.problem and not row.problem.startswith("not possible")]
     for row in failed:
         line = f"{row.raster} at {row.max_error:g}, {row.codec}: {row.problem}"
         console.print(line, style="red", markup=False)
@@ -145,9 +137,7 @@ def load_codecs(console: Console, names, methods, folder: Path) -> list[Codec]:
         try:
             codecs += make_codecs(name, list(methods), folder)
         except ImportError as error:
-            console.print(
-                f"{name}: not installed ({error})", style="yellow", markup=False
-            )
+            console.print(f"{name}: not installed ({error})", style="yellow", markup=False)
     if not codecs:
         raise click.UsageError("none of the codecs is installed")
     return codecs
@@ -164,9 +154,7 @@ def measure_raster(raster: Raster, codecs, max_errors, timing: Timing, sink: Csv
             yield row
 
 
-def measure_or_explain(
-    codec: Codec, raster: Raster, max_error: float, timing: Timing
-) -> Row:
+def measure_or_explain(codec: Codec, raster: Raster, max_error: float, timing: Timing) -> Row:
     """Measure; a codec that raises becomes a row that says so."""
     try:
         return measure(codec, raster, max_error, timing)

@@ -146,16 +146,12 @@ def _try(codec, raster, fill, max_error, margin, extra) -> Trial:
     return Trial(filled, name, margin, stored, stored_size(stored) + extra, errors)
 
 
-def compare(
-    raster: Raster, decoded: np.ndarray, max_error: float, *, check_voids: bool
-) -> Errors:
+def compare(raster: Raster, decoded: np.ndarray, max_error: float, *, check_voids: bool) -> Errors:
     """Compare every valid sample, in float64; with `check_voids` the mask, too."""
     if decoded.shape != raster.heights.shape or decoded.dtype != raster.heights.dtype:
         found = f"{decoded.dtype} {decoded.shape}"
         return Errors(math.inf, math.inf, f"decoded to {found}")
-    difference = raster.valid.astype(np.float64) - decoded[raster.mask].astype(
-        np.float64
-    )
+    difference = raster.valid.astype(np.float64) - decoded[raster.mask].astype(np.float64)
     measured_error = float(np.abs(difference).max(initial=0.0))
     rmse = math.sqrt(float(np.mean(difference**2))) if difference.size else 0.0
     problem = ""

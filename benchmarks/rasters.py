@@ -176,9 +176,7 @@ def _smooth_fill(raster: Raster, nearest: np.ndarray) -> np.ndarray:
     for sigma in (1, 2, 4, 8, 16, 32, 64, 128):
         weight = ndimage.gaussian_filter(known, sigma)
         is_new = (weight > 0.05) & ~is_done
-        smooth[is_new] = (
-            ndimage.gaussian_filter(heights, sigma)[is_new] / weight[is_new]
-        )
+        smooth[is_new] = ndimage.gaussian_filter(heights, sigma)[is_new] / weight[is_new]
         is_done |= is_new
     if raster.quantum:
         smooth = np.rint(smooth / raster.quantum) * raster.quantum

@@ -103,9 +103,7 @@ def print_summary(console: Console, rows: list[Row]) -> None:
     table = Table(title="size / best peer of each case", title_justify="left")
     for heading in ("codec", "geometric mean", "worst", "cases"):
         table.add_column(heading, justify="left" if heading == "codec" else "right")
-    for codec, values in sorted(
-        ratios.items(), key=lambda item: _geometric_mean(item[1])
-    ):
+    for codec, values in sorted(ratios.items(), key=lambda item: _geometric_mean(item[1])):
         mean = _geometric_mean(values)
         table.add_row(codec, f"{mean:.3f}", f"{max(values):.3f}", str(len(values)))
     console.print(table)
@@ -117,9 +115,7 @@ def _geometric_mean(values: list[float]) -> float:
 
 def _cells(row: Row, reference: Row | None) -> list[str]:
     """Format one row."""
-    note = escape(
-        row.problem or (row.fill if row.fill not in ("none", "own mask") else "")
-    )
+    note = escape(row.problem or (row.fill if row.fill not in ("none", "own mask") else ""))
     style = "[bold]{}[/bold]" if row.codec.startswith("terrainwave") else "{}"
     cells = [f"{row.max_error:g}", style.format(row.codec)]
     if row.n_bytes is None:

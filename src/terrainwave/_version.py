@@ -1,3 +1,3 @@
-"""The version of the package; the format of the files has its own (docs/FORMAT.md)."""
+"""The version of the package."""
 
 __version__ = "0.1.0"

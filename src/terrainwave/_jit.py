@@ -1,0 +1,52 @@
+"""The one place that configures numba."""
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+
+# Numba does not notice edits in a callee's file; switch caching off while editing.
+_CACHE = os.environ.get("TERRAINWAVE_NUMBA_CACHE", "1") != "0"
+
+_KERNEL_PACKAGES = ("coding", "codec", "tri")
+
+
+def _kernel_source_hash() -> str:
+    """Return a digest of every source file that may hold a kernel or a constant of one."""
+    root = Path(__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted([*root.glob("*.py"), *(p for d in _KERNEL_PACKAGES for p in root.glob(f"{d}/*.py"))]):
+        digest.update(path.name.encode("utf-8"))
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+_SOURCE_HASH = _kernel_source_hash() if _CACHE else ""
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile `function` with the project's options; plain Python under NUMBA_DISABLE_JIT.
+
+    A stale compiled kernel is a broken bound, and numba's cache key holds only the kernel's own
+    file. The stamp of each cache entry is therefore extended by a digest of all kernel sources.
+    """
+    if _CACHE:
+        try:
+            dispatcher = njit(cache=True, fastmath=False, nogil=True)(function)
+            _extend_cache_stamp(dispatcher)
+            return dispatcher
+        except (RuntimeError, AttributeError):
+            # No writable place for the cache (read-only home), or a numba that stores its stamp
+            # elsewhere: compile in every process rather than risk a stale kernel.
+            pass
+    return njit(cache=False, fastmath=False, nogil=True)(function)
+
+
+def _extend_cache_stamp(dispatcher: Any) -> None:
+    if not hasattr(dispatcher, "_cache"):
+        return  # NUMBA_DISABLE_JIT: the function itself
+    cache_file = dispatcher._cache._cache_file
+    cache_file._source_stamp = (cache_file._source_stamp, _SOURCE_HASH)

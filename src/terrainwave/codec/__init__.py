@@ -1,0 +1,1 @@
+"""Refiners: how one group of heights becomes a payload and comes back."""

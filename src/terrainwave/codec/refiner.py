@@ -1,0 +1,89 @@
+"""The refiner interface: how one coded unit of heights becomes a payload and comes back.
+
+A coded unit is a root block or a group (the four children of one block). A refiner sees its
+`GroupSpec`, the decoded heights of the parent block, and nothing else: no file, no global, no
+neighbour. That is what makes every group decodable from its ancestors alone, in any order.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.quadtree import Region
+
+Heights = NDArray[np.int32]
+Mask = NDArray[np.bool_]
+Labels = NDArray[np.uint8]
+
+
+class Sides(NamedTuple):
+    """Which sides of a coded unit have a neighbour on the same level."""
+
+    top: bool
+    left: bool
+    bottom: bool
+    right: bool
+
+
+@dataclass(frozen=True)
+class GroupSpec:
+    """Everything a refiner may know about a coded unit besides its parent's heights.
+
+    Regions are in sample indices of their own level; sample (r, c) of the parent's level lies on
+    sample (2r, 2c) of this one. `core` is the group itself; `region` adds the apron, the one more
+    ring of samples towards each neighbour that `rings` = 3 codes (equal to `core` with `rings` = 1).
+    A root block has no parent and `parent_region` is None.
+    """
+
+    level: int
+    core: Region
+    region: Region
+    parent_region: Region | None
+    shared: Sides
+    step: int
+    z_min: int
+    z_max: int
+    forbidden: tuple[int, int]
+    rings: int
+    effort: int
+
+    @property
+    def half(self) -> int:
+        """Return the largest error of a decoded sample, in quanta: ``(step - 1) / 2``."""
+        return self.step >> 1
+
+
+class Decoded(NamedTuple):
+    """Heights (int32 quanta) and validity of a unit's region, with its zero-tree labels if any."""
+
+    heights: Heights
+    mask: Mask
+    labels: Labels | None
+
+
+class Refiner(Protocol):
+    """What a method implements; `codec.group` adds masks, clamping and exceptions around it.
+
+    `pyramid` names the heights it approximates on coarse levels: ``"lowpass"`` (CDF 9/7 analysis)
+    or ``"nested"`` (the full grid's samples themselves).
+    """
+
+    name: str
+    pyramid: str
+
+    def encode(
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
+    ) -> tuple[bytes, Heights, Labels | None]:
+        """Return the payload and exactly what `decode` makes of it.
+
+        Every sample with ``mask`` set must come back within ``spec.half`` of `target`.
+        """
+        ...
+
+    def decode(
+        self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
+    ) -> tuple[Heights, Labels | None]:
+        """Rebuild the heights of ``spec.region``; raise `CorruptStreamError` for bad bytes."""
+        ...

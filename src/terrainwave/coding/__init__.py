@@ -1,0 +1,1 @@
+"""Entropy coder and filters shared by the codec and the triangulation."""

@@ -1,0 +1,43 @@
+"""Exceptions raised at the public boundary.
+
+TerrainwaveError
+├── InvalidHeightsError       (also ValueError) input that cannot be encoded as asked
+├── CorruptStreamError        the bytes contradict docs/FORMAT.md
+│   └── TruncatedStreamError  the bytes stop too early
+├── BoundViolationError       a decoded sample is further from the original than promised
+├── LimitExceededError        legal, but larger than the caller allowed
+├── UnsupportedVersionError   the bytes need a newer terrainwave
+└── StorageError              (also OSError) a file cannot be read or written
+"""
+
+
+class TerrainwaveError(Exception):
+    """Base class of every error this package raises on purpose."""
+
+
+class InvalidHeightsError(TerrainwaveError, ValueError):
+    """The input or an option cannot be encoded as asked."""
+
+
+class CorruptStreamError(TerrainwaveError):
+    """The stream contradicts docs/FORMAT.md."""
+
+
+class TruncatedStreamError(CorruptStreamError):
+    """The stream ends before the data it announces."""
+
+
+class BoundViolationError(TerrainwaveError):
+    """A decoded sample is further from the original than promised."""
+
+
+class LimitExceededError(TerrainwaveError):
+    """The request is legal but larger than the caller allowed."""
+
+
+class UnsupportedVersionError(TerrainwaveError):
+    """The file needs a newer version of terrainwave."""
+
+
+class StorageError(TerrainwaveError, OSError):
+    """A file, directory or URL cannot be read or written; the target is untouched."""
