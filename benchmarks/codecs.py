@@ -12,48 +12,12 @@ import click
 from rasterio.errors import NotGeoreferencedWarning
 from rich.console import Console
 
+from benchmarks.lists import ListCommand, ListOption
 from benchmarks.machine import pin_to_one_core
 from benchmarks.measure import Row, Timing, measure, row_head
 from benchmarks.peers import NAMES, Codec, make_codecs
 from benchmarks.rasters import Raster, find_rasters, load_raster
 from benchmarks.report import CsvSink, make_console, print_rows, print_summary
-
-
-class ListOption(click.Option):
-    """An option that takes every value up to the next option: ``--max-error 0 1 3``."""
-
-    def __init__(self, *args, **kwargs) -> None:
-        """Make it a repeatable option."""
-        super().__init__(*args, multiple=True, **kwargs)
-
-
-class ListCommand(click.Command):
-    """A command whose `ListOption` values need not repeat the option's name."""
-
-    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """Write ``--x 1 2`` as ``--x 1 --x 2`` before click sees it.
-
-        A list ends at the next option or at ``--``.
-        """
-        options = [param for param in self.params if isinstance(param, ListOption)]
-        lists = {name for option in options for name in option.opts}
-        repeated: list[str] = []
-        current, is_first = "", False
-        for arg in args:
-            if arg in lists:
-                current, is_first = arg, True
-                continue
-            if arg.startswith("--"):
-                current = ""
-                if arg == "--":
-                    continue
-            if current:
-                repeated.append(current)
-                is_first = False
-            repeated.append(arg)
-        if is_first:
-            repeated.append(current)  # without a value: click says so
-        return super().parse_args(ctx, repeated)
 
 
 @click.command(cls=ListCommand)
@@ -122,7 +86,7 @@ def main(places, max_errors, names, methods, crop, runs, patience, out) -> None:
                 print_rows(console, found)
             rows += found
     print_summary(console, rows)
-    failed = [row for row in rows if row.problem and not row.problem.startswith("not possible")]
+    failed = [row for row in rows if row.failed]
     for row in failed:
         line = f"{row.raster} at {row.max_error:g}, {row.codec}: {row.problem}"
         console.print(line, style="red", markup=False)
@@ -160,7 +124,12 @@ def measure_or_explain(codec: Codec, raster: Raster, max_error: float, timing: T
         return measure(codec, raster, max_error, timing)
     except Exception as error:  # noqa: BLE001 - one codec's fault must not end the others'
         row = Row(**row_head(raster, codec.name, max_error))
-        return replace(row, problem=f"FAILED: {type(error).__name__}: {error}")
+        return replace(row, problem=explain(error))
+
+
+def explain(error: Exception) -> str:
+    """Return what a row says about a codec that raised."""
+    return f"FAILED: {type(error).__name__}: {error}"
 
 
 if __name__ == "__main__":

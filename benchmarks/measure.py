@@ -11,6 +11,8 @@ import numpy as np
 from benchmarks.peers import Codec, Stored, stored_size
 from benchmarks.rasters import Raster, mask_bytes, void_fills
 
+NOT_POSSIBLE = "not possible"
+
 
 @dataclass(frozen=True)
 class Row:
@@ -39,6 +41,11 @@ class Row:
     fill: str = ""
     margin: float | None = None
     problem: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """True if something is wrong; a case a codec is not made for is not."""
+        return bool(self.problem) and not self.problem.startswith(NOT_POSSIBLE)
 
 
 @dataclass(frozen=True)
@@ -90,7 +97,7 @@ def measure(codec: Codec, raster: Raster, max_error: float, timing: Timing) -> R
     head = row_head(raster, codec.name, max_error)
     reason = codec.refuses(raster, max_error)
     if reason:
-        return Row(**head, problem=f"not possible: {reason}")
+        return Row(**head, problem=f"{NOT_POSSIBLE}: {reason}")
     best = best_trial(codec, raster, max_error)
     codec.prepare(best.raster)
 
