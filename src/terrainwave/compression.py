@@ -32,7 +32,7 @@ from terrainwave.container.writer import assemble
 from terrainwave.encoder import Stats, TreeEncoder
 from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
 from terrainwave.measure import BlockStats, decode_error, decode_range, encode_error, encode_range
-from terrainwave.progress import Progress, ProgressCallback, Reporter
+from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.pyramid import Pyramid, SourceWindows
 from terrainwave.quadtree import Block, Grid, Region
 from terrainwave.quantum import HeightScan, Quantizer, as_fraction
@@ -130,7 +130,7 @@ def compress(
     block: int = 256,
     effort: str = "default",
     nodata: float | None = None,
-    band: int | None = None,
+    band: int = 1,
     border_rings: int = 1,
     mesh: str | None = None,
     temp_dir: str | os.PathLike[str] | None = None,
