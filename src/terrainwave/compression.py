@@ -440,7 +440,7 @@ def _parameters(job: _Job) -> CodecParameters:
         step=quantizer.step,
         z_min=quantizer.z_min,
         z_max=quantizer.z_max,
-        forbidden=quantizer.quanta_of_value(job.info.void_value),
+        forbidden=quantizer.quanta_of_value(job.info.nodata),
         rings=job.options.border_rings,
         effort=job.options.effort,
     )

@@ -97,19 +97,18 @@ class Quantizer:
         )
 
     def quanta_of_value(self, value: float | int | None) -> tuple[int, int]:
-        """Return the closed interval of quanta that dequantise to `value`; (0, -1) if there is none."""
+        """Return the closed interval of quanta that give `value`; (0, -1) if there is none."""
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return 0, -1
-        # Outside int32 quanta nothing is ever decoded, so the interval is empty there.
+        # Decoded heights are clamped to the originals' range, so only quanta in it can collide; and
+        # beyond the range of an integer type every quantum would give its last value.
         centre = round(as_fraction(float(value)) * self.denominator / self.numerator) - self.base
-        if abs(centre) >= MAX_QUANTA:
+        if not self.z_min <= centre <= self.z_max or not self._gives(centre, value):
             return 0, -1
         low, high = centre, centre
-        if not self._gives(centre, value):
-            return 0, -1
-        while self._gives(low - 1, value):
+        while low > self.z_min and self._gives(low - 1, value):
             low -= 1
-        while self._gives(high + 1, value):
+        while high < self.z_max and self._gives(high + 1, value):
             high += 1
         return low, high
 

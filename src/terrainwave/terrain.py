@@ -131,7 +131,7 @@ class Terrain:
             step=header.step,
             z_min=header.z_min,
             z_max=header.z_max,
-            forbidden=self._quantizer.quanta_of_value(self._raster.void_value),
+            forbidden=self._quantizer.quanta_of_value(self._raster.nodata),
             rings=header.border_rings,
             effort=header.effort,
         )
