@@ -123,7 +123,8 @@ class Cdf97:
             If the payload contradicts FORMAT.md; `TruncatedStreamError` if it is too short.
         """
         coding, start = _read_header(payload)
-        data = np.frombuffer(payload, dtype=np.uint8)[start:]
+        # Writable, so that encoder and decoder share one compiled border kernel.
+        data = np.frombuffer(payload, dtype=np.uint8)[start:].copy()
         state = np.zeros(STATE_SIZE, dtype=np.int64)
         start_decoder(state, data)
         models = new_models(N_BORDER_MODELS)
