@@ -22,11 +22,14 @@ from terrainwave.codec.residual import (
 from terrainwave.codec.zerotree import (
     FRAME_COLS,
     FRAME_ROWS,
+    JZTC,
+    JZTR,
     N_TREE_MODELS,
     decode_tree,
     dequantize,
     encode_tree,
     mark_labels,
+    measure_roughness,
     node_offsets,
 )
 from terrainwave.coding.filters import (
@@ -81,7 +84,9 @@ class Workspace(NamedTuple):
     mags: NDArray[np.uint8]
     spread: NDArray[np.int64]
     activity: NDArray[np.int64]
+    rough: NDArray[np.int64]
     residual_mags: NDArray[np.int64]
+    residual_signs: NDArray[np.int64]
 
 
 def _workspace(shape: tuple[int, int]) -> Workspace:
@@ -96,6 +101,8 @@ def _workspace(shape: tuple[int, int]) -> Workspace:
         np.zeros((2, 3, rows + FRAME_ROWS, cols + FRAME_COLS), dtype=np.uint8),
         np.zeros((3, rows, cols), dtype=np.int64),
         np.zeros((rows, cols), dtype=np.int64),
+        np.zeros((rows, cols), dtype=np.int64),
+        np.zeros((2, shape[1] + 2), dtype=np.int64),
         np.zeros((2, shape[1] + 2), dtype=np.int64),
     )
 
@@ -140,19 +147,21 @@ class Cdf97:
             )
         else:
             work = _workspace(inner.shape)
+            _measure_parent(spec, parent, work)
             n_levels = n_transforms(*inner.shape)
-            labels = np.zeros(work.offsets[n_levels], dtype=np.uint8)
+            labels = np.full(work.offsets[n_levels], JZTC, dtype=np.uint8)
+            labels[0] = JZTR
             if coding.flags & _HAS_COEFFS:
                 steps, limits = _band_steps(spec.step, coding, n_levels)
                 decode_tree(
-                    work.field, steps, limits, coding.offset, work.offsets, labels,
+                    work.field, steps, limits, coding.offset, work.rough, work.offsets, labels,
                     work.mags, work.spread, work.activity, state, data, new_models(N_TREE_MODELS),
                 )  # fmt: skip
                 inverse_transform(work.field, work.low, work.high)
                 _add_detail(work.field, is_known[core], inner)
             if coding.flags & _HAS_RESIDUALS:
                 decode_residuals(
-                    inner, coded, work.activity, spec.step, work.residual_mags, state, data,
+                    inner, coded, work.activity, spec.step, work.residual_mags, work.residual_signs, state, data,
                     new_models(N_RESIDUAL_MODELS),
                 )  # fmt: skip
         raise_for_status(*finish_decoder(state, data))
@@ -186,17 +195,19 @@ class _Encoder:
         self.prediction = np.ascontiguousarray(prediction[core])
         self.start = np.ascontiguousarray(self.heights[core])
         self.work = _workspace(self.target.shape)
+        _measure_parent(spec, parent, self.work)
         self.n_levels = n_transforms(*self.target.shape)
         self.detail = np.subtract(self.target, self.prediction, dtype=np.int64) << FRACTION_BITS
         forward_transform(self.detail, self.work.low, self.work.high)
         self.quants = np.zeros(self.target.shape, dtype=np.int32)
         self.residuals = np.zeros(self.target.shape, dtype=np.int32)
-        self.best: tuple[bytes, Heights, Labels] | None = None
+        self.best: tuple[bytes, Heights, Labels | None] | None = None
 
     def run(self) -> tuple[bytes, Heights, Labels | None]:
         """Try the candidate steps and return the smallest result."""
         for step_code in _candidates(self.spec.effort):
             self.attempt(Coding(0, step_code, 4, 0))
+        self.attempt_raw()
         assert self.best is not None
         payload, inner, labels = self.best
         heights = self.heights
@@ -214,11 +225,11 @@ class _Encoder:
         _quantize(self.detail, steps, limits, coding.offset, self.quants, work.field)
         n_significant = mark_labels(self.quants, work.offsets, labels)
         flags = 0
-        work.activity[:] = 0
+        work.activity[:] = work.rough
         if n_significant or self.quants[0, 0]:
             flags |= _HAS_COEFFS
             encode_tree(
-                self.quants, work.offsets, labels, work.mags, work.spread, work.activity,
+                self.quants, work.rough, work.offsets, labels, work.mags, work.spread, work.activity,
                 state, self.out, new_models(N_TREE_MODELS),
             )  # fmt: skip
             inverse_transform(work.field, work.low, work.high)
@@ -226,10 +237,10 @@ class _Encoder:
         if compute_residuals(self.target, inner, self.coded, spec.step, self.residuals):
             flags |= _HAS_RESIDUALS
             encode_residuals(
-                self.residuals, self.coded, work.activity, work.residual_mags, state, self.out,
+                self.residuals, self.coded, work.activity, work.residual_mags, work.residual_signs, state, self.out,
                 new_models(N_RESIDUAL_MODELS),
             )  # fmt: skip
-            inner += self.residuals * np.int32(spec.step)
+            _add_residuals(self.residuals, spec.step, inner)
         n_bytes = finish_encoder(state, self.out)
         header = _write_header(coding._replace(flags=flags))
         size = n_bytes + len(header)
@@ -238,8 +249,28 @@ class _Encoder:
         return size
 
 
+    def attempt_raw(self) -> None:
+        """Encode the samples in plain bits, keep the result if it is the smallest."""
+        spec = self.spec
+        valid = self.target[self.coded]
+        base = int(valid.min()) if valid.size else 0
+        width = ((int(valid.max()) - base + spec.half) // spec.step).bit_length() if valid.size else 0
+        assert self.best is not None
+        if len(self.best[0]) < (width * valid.size) >> 3:
+            return
+        self.state[:] = self.border_state
+        inner = self.start.copy()
+        _encode_raw_heights(
+            base, width, spec.step, self.coded, self.state, self.out, self.target, inner
+        )
+        n_bytes = finish_encoder(self.state, self.out)
+        header = _write_header(Coding(_IS_RAW, raw_width=width, raw_base=base))
+        if n_bytes + len(header) < len(self.best[0]):
+            self.best = (header + self.out[:n_bytes].tobytes(), inner, None)
+
+
 def _candidates(effort: int) -> list[int]:
-    return [[32], [28, 36], [24, 28, 32, 36, 40, 48, 56]][effort]
+    return [[36], [36, 128], [28, 32, 36, 40, 48, 64, 96, 128]][effort]
 
 
 def _predict(spec: GroupSpec, parent: Heights | None) -> tuple[Heights, NDArray[np.bool_]]:
@@ -256,6 +287,20 @@ def _predict(spec: GroupSpec, parent: Heights | None) -> tuple[Heights, NDArray[
             heights,
         )
     return heights, np.zeros(heights.shape, dtype=np.bool_)
+
+
+def _measure_parent(spec: GroupSpec, parent: Heights | None, work: Workspace) -> None:
+    """Fill `work.rough` and start `work.activity` with it; zeros in a root block."""
+    if parent is not None:
+        assert spec.parent_region is not None
+        measure_roughness(
+            np.ascontiguousarray(parent),
+            (spec.core.row >> 1) - spec.parent_region.row,
+            (spec.core.col >> 1) - spec.parent_region.col,
+            spec.step,
+            work.rough,
+        )
+    work.activity[:] = work.rough
 
 
 def _band_steps(
@@ -381,6 +426,15 @@ def _add_detail(field, is_known, heights):
             if not is_known[row, col]:
                 height = heights[row, col] + ((field[row, col] + half) >> FRACTION_BITS)
                 heights[row, col] = min(max(height, -MAX_HEIGHT), MAX_HEIGHT)
+
+
+@kernel
+def _add_residuals(residuals, step, heights):
+    """Add the residuals to `heights` in place, as `decode_residuals` does."""
+    for row in range(heights.shape[0]):
+        for col in range(heights.shape[1]):
+            height = np.int64(heights[row, col]) + np.int64(residuals[row, col]) * step
+            heights[row, col] = min(max(height, -MAX_HEIGHT), MAX_HEIGHT)
 
 
 @kernel

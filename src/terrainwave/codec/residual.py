@@ -23,14 +23,13 @@ from terrainwave.coding.rangecoder import (
     N_PREFIX,
     N_UNARY,
     RANGE,
-    decode_raw,
     decode_step,
-    encode_raw,
     encode_step,
 )
 
 _N_PHASES = 4
-_MAG_MODELS = _N_PHASES * N_BINS
+_SIGN_MODELS = _N_PHASES * N_BINS
+_MAG_MODELS = _SIGN_MODELS + 25
 _PREFIX_MODELS = _MAG_MODELS + N_BINS * N_UNARY
 N_RESIDUAL_MODELS = _PREFIX_MODELS + N_PREFIX
 
@@ -49,6 +48,16 @@ def _context_sum(here, above, col, activity):
         + _W_NE * np.int64(above[col + 2])
         + (np.int64(activity) >> _ACTIVITY_SHIFT)
     )
+
+
+@kernel
+def _sign_context(signs, above_signs, col):
+    """Return the model of a sign from those of W, NW and N, NE."""
+    west = 2 * signs[col] + above_signs[col]
+    north = 2 * above_signs[col + 1] + above_signs[col + 2]
+    west = (2 if west > 0 else 0) + (1 if west == 0 else 0)
+    north = min(max(north, -2), 2) + 2
+    return _SIGN_MODELS + west * 5 + north
 
 
 @kernel
@@ -74,19 +83,22 @@ def compute_residuals(target, base, coded, step, residuals):
 
 
 @kernel
-def encode_residuals(residuals, coded, activity, mags, state, out, models):
+def encode_residuals(residuals, coded, activity, mags, signs, state, out, models):
     """Encode the residuals of the samples with `coded` set, row by row.
 
-    `mags` (2, n_cols + 2) is scratch: magnitudes of this row and of the one above, framed.
+    `mags` and `signs` (2, n_cols + 2) are scratch: this row and the one above, framed.
     """
     n_rows, n_cols = residuals.shape
     mags[:] = 0
+    signs[:] = 0
     span, low = state[RANGE], state[LOW]
     for row in range(n_rows):
         here, above = mags[row & 1], mags[(row + 1) & 1]
+        here_signs, above_signs = signs[row & 1], signs[(row + 1) & 1]
         for col in range(n_cols):
             if not coded[row, col]:
                 here[col + 1] = 0
+                here_signs[col + 1] = 0
                 continue
             bin_ = np.int64(
                 BIN_OF_SUM[
@@ -99,30 +111,35 @@ def encode_residuals(residuals, coded, activity, mags, state, out, models):
                 span, low, state, out, models, index, 1 if residual != 0 else 0
             )
             here[col + 1] = min(abs(residual), MAX_MAG)
+            here_signs[col + 1] = 0
             if residual != 0:
                 first = _MAG_MODELS + bin_ * N_UNARY
                 span, low = encode_magnitude_at(
                     span, low, state, out, models, first, _PREFIX_MODELS, 0, abs(residual) - 1
                 )
-                state[RANGE], state[LOW] = span, low
-                encode_raw(state, out, 1 if residual < 0 else 0, 1)
-                span, low = state[RANGE], state[LOW]
+                index = _sign_context(here_signs, above_signs, col)
+                is_negative = 1 if residual < 0 else 0
+                span, low = encode_step(span, low, state, out, models, index, is_negative)
+                here_signs[col + 1] = 1 - 2 * is_negative
     state[RANGE], state[LOW] = span, low
 
 
 @kernel
-def decode_residuals(heights, coded, activity, step, mags, state, data, models):
+def decode_residuals(heights, coded, activity, step, mags, signs, state, data, models):
     """Decode what `encode_residuals` wrote and add it, times `step`, to `heights` in place."""
     n_rows, n_cols = heights.shape
     mags[:] = 0
+    signs[:] = 0
     # More than this would leave the range of heights from anywhere in it.
     most = 2 * MAX_HEIGHT // step + 1
     span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
     for row in range(n_rows):
         here, above = mags[row & 1], mags[(row + 1) & 1]
+        here_signs, above_signs = signs[row & 1], signs[(row + 1) & 1]
         for col in range(n_cols):
             if not coded[row, col]:
                 here[col + 1] = 0
+                here_signs[col + 1] = 0
                 continue
             bin_ = np.int64(
                 BIN_OF_SUM[
@@ -132,15 +149,17 @@ def decode_residuals(heights, coded, activity, step, mags, state, data, models):
             index = ((row & 1) * 2 + (col & 1)) * N_BINS + bin_
             bit, span, code, pos = decode_step(span, code, pos, data, models, index)
             here[col + 1] = 0
+            here_signs[col + 1] = 0
             if bit:
                 state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
                 first = _MAG_MODELS + bin_ * N_UNARY
                 mag = decode_magnitude_at(state, data, models, first, _PREFIX_MODELS, 0) + 1
                 here[col + 1] = min(mag, MAX_MAG)
-                change = min(mag, most) * step
-                if decode_raw(state, data, 1):
-                    change = -change
-                height = np.int64(heights[row, col]) + change
-                heights[row, col] = min(max(height, -MAX_HEIGHT), MAX_HEIGHT)
                 span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
+                index = _sign_context(here_signs, above_signs, col)
+                is_negative, span, code, pos = decode_step(span, code, pos, data, models, index)
+                sign = 1 - 2 * is_negative
+                here_signs[col + 1] = sign
+                height = np.int64(heights[row, col]) + sign * min(mag, most) * step
+                heights[row, col] = min(max(height, -MAX_HEIGHT), MAX_HEIGHT)
     state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos

@@ -64,6 +64,8 @@ N_TREE_MODELS = _LL_MODELS + 32
 _W_W, _W_N, _W_NW, _W_NE, _W_WW, _W_NN = 3, 3, 1, 1, 1, 1
 _W_PARENT, _W_RING = 2, 1
 _W_SIBLING = 2
+_ROUGH_GAIN = 2
+ROUGH_LIMIT = 512
 
 
 @kernel
@@ -214,11 +216,11 @@ def decode_magnitude_at(state, data, models, first, prefix, shift):
 
 
 @kernel
-def encode_tree(quants, offsets, labels, mags, spread, activity, state, out, models):
+def encode_tree(quants, rough, offsets, labels, mags, spread, activity, state, out, models):
     """Encode labels and coefficients, coarse to fine, row by row, HL, LH, HH at each node.
 
-    `mags` (2, 3, rows + 3, cols + 4) and `spread` (3, rows, cols) are scratch for the finest node
-    grid; `activity` gets the finest grid's magnitudes for the residual's contexts.
+    `rough` (rows, cols) is what the parent says about the finest nodes. `mags` (2, 3, rows + 3,
+    cols + 4) and `spread` (3, rows, cols) are scratch for the finest node grid; `activity` gets the finest grid's magnitudes for the residual's contexts.
     """
     n_rows, n_cols = quants.shape
     count = n_transforms(n_rows, n_cols)
@@ -251,6 +253,11 @@ def encode_tree(quants, offsets, labels, mags, spread, activity, state, out, mod
                 sum_3 = spread[2, i >> 1, j >> 1] + _causal_sum(
                     plane[2, i + 2], plane[2, i + 1], plane[2, i], j
                 )
+                if t == 0:
+                    hint = rough[i, j]
+                    sum_1 += hint
+                    sum_2 += hint
+                    sum_3 += hint >> 1
                 west = labels[node - 1] if j > 0 else JZTR
                 north = labels[node - cols] if i > 0 else JZTR
                 index = _label_context(sum_1 + sum_2 + sum_3, west, north, min(t, 4))
@@ -278,7 +285,7 @@ def encode_tree(quants, offsets, labels, mags, spread, activity, state, out, mod
                         )
                         plane[2, i + 2, j + 2] = min(abs(quant), MAX_MAG)
     state[RANGE], state[LOW] = span, low
-    _keep_activity(mags[(count - 1) & 1], activity)
+    _add_activity(mags[(count - 1) & 1], activity)
 
 
 @kernel
@@ -336,7 +343,7 @@ def _decode_signed(state, data, models):
 
 @kernel
 def decode_tree(
-    field, steps, limits, offset, offsets, labels, mags, spread, activity, state, data, models
+    field, steps, limits, offset, rough, offsets, labels, mags, spread, activity, state, data, models
 ):
     """Decode what `encode_tree` wrote into `labels` and, dequantised, into `field` (int64, zeros).
 
@@ -377,6 +384,11 @@ def decode_tree(
                 sum_3 = spread[2, i >> 1, j >> 1] + _causal_sum(
                     plane[2, i + 2], plane[2, i + 1], plane[2, i], j
                 )
+                if t == 0:
+                    hint = rough[i, j]
+                    sum_1 += hint
+                    sum_2 += hint
+                    sum_3 += hint >> 1
                 west = labels[node - 1] if j > 0 else JZTR
                 north = labels[node - cols] if i > 0 else JZTR
                 index = _label_context(sum_1 + sum_2 + sum_3, west, north, min(t, 4))
@@ -414,7 +426,7 @@ def decode_tree(
                             )
                             plane[2, i + 2, j + 2] = min(abs(value), MAX_MAG)
     state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
-    _keep_activity(mags[(count - 1) & 1], activity)
+    _add_activity(mags[(count - 1) & 1], activity)
 
 
 @kernel
@@ -445,8 +457,8 @@ def dequantize(quant, step, limit, offset):
 
 
 @kernel
-def _keep_activity(plane, activity):
-    """Fill `activity` with a weighted sum of the finest magnitudes around each node."""
+def _add_activity(plane, activity):
+    """Add a weighted sum of the finest magnitudes around each node to `activity`."""
     rows, cols = activity.shape
     for i in range(rows):
         for j in range(cols):
@@ -455,4 +467,25 @@ def _keep_activity(plane, activity):
                 ring = np.int64(plane[band, i + 1, j + 2]) + plane[band, i + 3, j + 2]
                 ring += np.int64(plane[band, i + 2, j + 1]) + plane[band, i + 2, j + 3]
                 total += 3 * np.int64(plane[band, i + 2, j + 2]) + ring
-            activity[i, j] = min(total, SUM_LIMIT)
+            activity[i, j] += min(total, SUM_LIMIT)
+
+
+@kernel
+def measure_roughness(parent, first_row, first_col, step, rough):
+    """Fill `rough` with second differences of the parent around each node, in 1/8 of `step`.
+
+    Node (0, 0) lies on ``parent[first_row, first_col]``. Differences reach past the array's edge by
+    repeating it.
+    """
+    n_rows, n_cols = parent.shape
+    for i in range(rough.shape[0]):
+        row = min(first_row + i, n_rows - 1)
+        above, here, below = parent[max(row - 1, 0)], parent[row], parent[min(row + 1, n_rows - 1)]
+        for j in range(rough.shape[1]):
+            col = min(first_col + j, n_cols - 1)
+            twice = 2 * np.int64(here[col])
+            bend = abs(np.int64(above[col]) + np.int64(below[col]) - twice)
+            bend += abs(
+                np.int64(here[max(col - 1, 0)]) + np.int64(here[min(col + 1, n_cols - 1)]) - twice
+            )
+            rough[i, j] = min(_ROUGH_GAIN * bend // step, ROUGH_LIMIT)
