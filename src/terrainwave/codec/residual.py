@@ -107,9 +107,7 @@ def encode_residuals(residuals, coded, activity, mags, signs, state, out, models
             )
             residual = np.int64(residuals[row, col])
             index = ((row & 1) * 2 + (col & 1)) * N_BINS + bin_
-            span, low = encode_step(
-                span, low, state, out, models, index, 1 if residual != 0 else 0
-            )
+            span, low = encode_step(span, low, state, out, models, index, 1 if residual != 0 else 0)
             here[col + 1] = min(abs(residual), MAX_MAG)
             here_signs[col + 1] = 0
             if residual != 0:

@@ -343,7 +343,19 @@ def _decode_signed(state, data, models):
 
 @kernel
 def decode_tree(
-    field, steps, limits, offset, rough, offsets, labels, mags, spread, activity, state, data, models
+    field,
+    steps,
+    limits,
+    offset,
+    rough,
+    offsets,
+    labels,
+    mags,
+    spread,
+    activity,
+    state,
+    data,
+    models,
 ):
     """Decode what `encode_tree` wrote into `labels` and, dequantised, into `field` (int64, zeros).
 
