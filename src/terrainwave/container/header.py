@@ -1,0 +1,306 @@
+"""The fixed header at the start of a file: fields, limits, bytes (FORMAT.md §4.1)."""
+
+import math
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from fractions import Fraction
+
+from terrainwave.errors import (
+    CorruptStreamError,
+    InvalidHeightsError,
+    TruncatedStreamError,
+    UnsupportedVersionError,
+)
+from terrainwave.quadtree import Grid
+
+MAGIC = b"\x89TWZ\r\n\x1a\n"  # as PNG's: a text-mode or 7-bit copy damages it visibly
+FORMAT_VERSION = 0
+HEADER_SIZE = 128
+
+METHODS = ("store", "cdf97", "predictive", "cdf53")
+# Codes 2 (int8) and 5 (uint32) are reserved.
+DTYPE_CODES = {"uint8": 1, "uint16": 3, "int16": 4, "int32": 6, "float32": 7, "float64": 8}
+KNOWN_FEATURES = 0
+
+MAX_SIDE = 2**31
+MAX_SAMPLES = 2**50
+MIN_BLOCK_LOG2, MAX_BLOCK_LOG2 = 5, 10
+MAX_EFFORT = 9
+MAX_QUANTUM_PART = 2**63 - 1
+MAX_Z = 2**30  # so that z ± a step's half and differences of two heights fit int32
+MAX_STEP = 2**31 - 1
+MAX_METADATA = 2**20  # both deflated and inflated
+MAX_PARAMETERS = 2**16
+MAX_PAGE = 2**15  # an inflated page has at most 23.7 kB (FORMAT.md §10)
+
+_LAYOUT = struct.Struct("<8s B B H I Q I I B B B B B 3s Q Q q I i i I d d d I I I I I")
+_CRC = struct.Struct("<I")
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a file says about its raster as a whole (FORMAT.md §4.1).
+
+    The raw height of quantum number k is ``(base + k) * quantum``, in the units of the source's
+    stored values (before scale and offset).
+
+    Parameters
+    ----------
+    n_rows, n_cols : int
+        Size of the raster; 1 ... 2^31 each, at most 2^50 samples.
+    block : int
+        Cells per side of a block; a power of two, 32 ... 1024.
+    border_rings : int
+        1 or 3 (DESIGN §3.3).
+    method : str
+        One of `METHODS`.
+    dtype : str
+        Data type of the source and of `read`, one of `DTYPE_CODES`.
+    effort : int
+        What the encoder was asked to spend, 0 ... 9.
+    quantum : Fraction
+        Height of one quantum, raw units; > 0.
+    base : int
+        Added to every quantum number. ``(abs(base) + 2**31) * quantum.numerator < 2**63``.
+    step : int
+        Quantizer width in quanta; odd.
+    z_min, z_max : int
+        Smallest and largest valid height of the originals, in quanta, within ±2^30; 0 and -1 if
+        there is no valid sample.
+    max_error, effective_bound, rho : float
+        The bound asked for, the bound that holds, the share of it lost to rounding; raw units.
+    features : int
+        Must-understand mask; no bit has a meaning yet.
+    metadata : dict
+        The JSON metadata (`container.metadata`).
+    parameters : bytes
+        Parameters of the method that hold for the whole file; opaque here, at most 64 KiB.
+    """
+
+    n_rows: int
+    n_cols: int
+    block: int
+    border_rings: int
+    method: str
+    dtype: str
+    effort: int
+    quantum: Fraction
+    base: int
+    step: int
+    z_min: int
+    z_max: int
+    max_error: float
+    effective_bound: float
+    rho: float
+    features: int = 0
+    metadata: dict[str, object] = field(default_factory=dict, hash=False)
+    parameters: bytes = b""
+
+    @property
+    def grid(self) -> Grid:
+        """Return the quadtree over the raster."""
+        return Grid(self.n_rows, self.n_cols, self.block)
+
+
+@dataclass(frozen=True)
+class Extents:
+    """Sizes and checksums that only the writer of the whole file knows (FORMAT.md §4.1)."""
+
+    file_size: int
+    metadata_length: int
+    metadata_crc: int
+    parameters_length: int
+    parameters_crc: int
+    top_page_length: int
+
+    @property
+    def parameters_start(self) -> int:
+        """Return the offset of the method's parameters."""
+        return HEADER_SIZE + self.metadata_length
+
+    @property
+    def top_start(self) -> int:
+        """Return the offset of the top segment."""
+        return self.parameters_start + self.parameters_length
+
+
+def pack_header(header: Header, extents: Extents) -> bytes:
+    """Return the 128 bytes of the header (FORMAT.md §4.1).
+
+    Raises
+    ------
+    InvalidHeightsError
+        If a field is outside the limits of the format.
+    """
+    if header.block.bit_count() != 1 or header.block < 1:
+        raise InvalidHeightsError(f"block is {header.block}, not a power of two")
+    if header.method not in METHODS:
+        raise InvalidHeightsError(f"unknown method {header.method!r}; known: {', '.join(METHODS)}")
+    if header.dtype not in DTYPE_CODES:
+        raise InvalidHeightsError(f"data type {header.dtype} cannot be stored")
+    for problem in _violations(header, extents):
+        raise InvalidHeightsError(problem.text)
+    body = _LAYOUT.pack(
+        MAGIC,
+        FORMAT_VERSION,
+        0,
+        HEADER_SIZE,
+        header.features,
+        extents.file_size,
+        header.n_rows,
+        header.n_cols,
+        header.block.bit_length() - 1,
+        header.border_rings,
+        METHODS.index(header.method),
+        DTYPE_CODES[header.dtype],
+        header.effort,
+        bytes(3),
+        header.quantum.numerator,
+        header.quantum.denominator,
+        header.base,
+        header.step,
+        header.z_min,
+        header.z_max,
+        extents.metadata_length,
+        header.max_error,
+        header.effective_bound,
+        header.rho,
+        extents.metadata_crc,
+        extents.parameters_length,
+        extents.parameters_crc,
+        extents.top_page_length,
+        0,
+    )
+    return body + _CRC.pack(zlib.crc32(body))
+
+
+def unpack_header(data: bytes) -> tuple[Header, Extents]:
+    """Read and check the header at the start of `data` (FORMAT.md §4.1).
+
+    `metadata` and `parameters` of the result are empty: they lie outside these bytes.
+
+    Raises
+    ------
+    TruncatedStreamError
+        If `data` is shorter than the header.
+    CorruptStreamError
+        If the magic, the checksum or a field contradicts the format.
+    UnsupportedVersionError
+        If a version, feature, method, data type or reserved field is not known.
+    """
+    if data[: len(MAGIC)] != MAGIC[: len(data)]:
+        raise CorruptStreamError("not a .twz file: it does not begin with the magic bytes")
+    if len(data) < HEADER_SIZE:
+        raise TruncatedStreamError(f"the file ends in its header, at byte {len(data)}")
+    version = data[8]
+    if version != FORMAT_VERSION:
+        raise UnsupportedVersionError(
+            f"format version {version}; this terrainwave reads version {FORMAT_VERSION}: "
+            "install a newer one"
+        )
+    body = data[: _LAYOUT.size]
+    fields = _LAYOUT.unpack(body)
+    (_, _, reserved, size, features, file_size, n_rows, n_cols, block_log2, rings) = fields[:10]
+    (method, dtype, effort, padding, numerator, denominator, base) = fields[10:17]
+    (step, z_min, z_max, metadata_length, max_error, effective_bound, rho) = fields[17:24]
+    (metadata_crc, parameters_length, parameters_crc, top_page_length, tail) = fields[24:]
+    if size != HEADER_SIZE:
+        raise CorruptStreamError(f"header size {size} instead of {HEADER_SIZE} (byte 10)")
+    (stored,) = _CRC.unpack_from(data, _LAYOUT.size)
+    if stored != zlib.crc32(body):
+        raise CorruptStreamError("checksum of the header does not match")
+    if reserved or tail or padding != bytes(3):
+        raise UnsupportedVersionError("a reserved field of the header is not 0")
+    if not MIN_BLOCK_LOG2 <= block_log2 <= MAX_BLOCK_LOG2:
+        raise CorruptStreamError(f"log2 of the block size is {block_log2}, not 5 ... 10 (byte 32)")
+    if method >= len(METHODS):
+        raise UnsupportedVersionError(f"unknown method {method} (byte 34)")
+    names = {code: name for name, code in DTYPE_CODES.items()}
+    if dtype not in names:
+        raise UnsupportedVersionError(f"unknown data type {dtype} (byte 35)")
+    if not 0 < numerator <= MAX_QUANTUM_PART or not 0 < denominator <= MAX_QUANTUM_PART:
+        raise CorruptStreamError(f"quantum {numerator}/{denominator} is not positive and < 2^63")
+    if math.gcd(numerator, denominator) != 1:
+        raise CorruptStreamError(f"quantum {numerator}/{denominator} is not in lowest terms")
+    header = Header(
+        n_rows=n_rows,
+        n_cols=n_cols,
+        block=1 << block_log2,
+        border_rings=rings,
+        method=METHODS[method],
+        dtype=names[dtype],
+        effort=effort,
+        quantum=Fraction(numerator, denominator),
+        base=base,
+        step=step,
+        z_min=z_min,
+        z_max=z_max,
+        max_error=max_error,
+        effective_bound=effective_bound,
+        rho=rho,
+        features=features,
+    )
+    extents = Extents(
+        file_size,
+        metadata_length,
+        metadata_crc,
+        parameters_length,
+        parameters_crc,
+        top_page_length,
+    )
+    for problem in _violations(header, extents):
+        raise problem.error(problem.text)
+    return header, extents
+
+
+@dataclass(frozen=True)
+class _Violation:
+    text: str
+    error: type[CorruptStreamError | UnsupportedVersionError] = CorruptStreamError
+
+
+def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
+    """Yield what is outside the limits of FORMAT.md §4.1 and §10, in the order of the fields."""
+    if header.features & ~KNOWN_FEATURES:
+        yield _Violation(f"unknown features {header.features:#x}", UnsupportedVersionError)
+    for name, side in (("n_rows", header.n_rows), ("n_cols", header.n_cols)):
+        if not 1 <= side <= MAX_SIDE:
+            yield _Violation(f"{name} is {side}, not 1 ... 2^31")
+    if header.n_rows * header.n_cols > MAX_SAMPLES:
+        yield _Violation(f"{header.n_rows} x {header.n_cols} samples are more than 2^50")
+    if not MIN_BLOCK_LOG2 <= header.block.bit_length() - 1 <= MAX_BLOCK_LOG2:
+        yield _Violation(f"block is {header.block}, not 32 ... 1024")
+    if header.border_rings not in (1, 3):
+        yield _Violation(f"border_rings is {header.border_rings}, not 1 or 3")
+    if not 0 <= header.effort <= MAX_EFFORT:
+        yield _Violation(f"effort is {header.effort}, not 0 ... 9", UnsupportedVersionError)
+    numerator = header.quantum.numerator
+    if not 0 < numerator <= MAX_QUANTUM_PART or header.quantum.denominator > MAX_QUANTUM_PART:
+        yield _Violation(f"quantum {header.quantum} is not positive and of parts < 2^63")
+    # Keeps (base + k) * numerator inside int64 for every int32 k.
+    if (abs(header.base) + 2**31) * numerator > 2**63 - 1:
+        yield _Violation(f"base {header.base} and quantum {header.quantum} overflow 64 bits")
+    if not (1 <= header.step <= MAX_STEP and header.step & 1):
+        yield _Violation(f"step is {header.step}, not an odd number below 2^31")
+    if (header.z_min, header.z_max) != (0, -1) and not (
+        -MAX_Z <= header.z_min <= header.z_max <= MAX_Z and header.z_max - header.z_min < MAX_Z
+    ):
+        yield _Violation(f"heights {header.z_min} ... {header.z_max} quanta are out of range")
+    errors = (header.max_error, header.effective_bound, header.rho)
+    if not all(math.isfinite(error) and error >= 0 for error in errors):
+        yield _Violation("an error bound is negative or not finite")
+    if header.effective_bound > header.max_error:
+        yield _Violation(f"effective bound {header.effective_bound} exceeds {header.max_error}")
+    if header.rho > header.max_error:
+        yield _Violation(f"rounding loss {header.rho} exceeds max_error {header.max_error}")
+    if not 1 <= extents.metadata_length <= MAX_METADATA:
+        yield _Violation(f"metadata of {extents.metadata_length} bytes, not 1 ... 2^20")
+    if not 0 <= extents.parameters_length <= MAX_PARAMETERS:
+        yield _Violation(f"method parameters of {extents.parameters_length} bytes, more than 2^16")
+    if not 1 <= extents.top_page_length <= MAX_PAGE:
+        yield _Violation(f"top page of {extents.top_page_length} bytes, not 1 ... 2^15")
+    end = extents.top_start + extents.top_page_length
+    if not end <= extents.file_size < 2**63:
+        yield _Violation(f"file size {extents.file_size} does not hold the first {end} bytes")

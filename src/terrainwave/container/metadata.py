@@ -1,0 +1,136 @@
+"""The JSON metadata of a file (FORMAT.md §4.2)."""
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from typing import NoReturn
+
+from terrainwave.container.deflate import deflate, inflate
+from terrainwave.container.header import MAX_METADATA
+from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
+
+MAX_NESTING = 16
+
+_STRINGS = ("crs", "mask", "units", "description", "software")
+_NUMBERS = ("scale", "offset")
+# A string, or one bracket outside of strings.
+_TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
+
+
+def pack_metadata(metadata: dict[str, object]) -> bytes:
+    """Return the deflated bytes of `metadata`: sorted keys, so equal metadata give equal bytes.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If it cannot be stored: not JSON, a known key with a wrong value, more than 1 MiB.
+    """
+    try:
+        text = json.dumps(
+            metadata, sort_keys=True, ensure_ascii=False, allow_nan=False, separators=(",", ":")
+        ).encode()
+    except (TypeError, ValueError, RecursionError) as error:
+        raise InvalidHeightsError(f"metadata cannot be stored: {error}") from None
+    if len(text) > MAX_METADATA:
+        raise InvalidHeightsError(f"metadata of {len(text)} bytes, more than 1 MiB")
+    packed = deflate(text)
+    if len(packed) > MAX_METADATA:
+        raise InvalidHeightsError("metadata is more than 1 MiB")
+    try:
+        unpack_metadata(packed)
+    except TerrainwaveError as error:
+        raise InvalidHeightsError(f"metadata cannot be stored: {error}") from None
+    return packed
+
+
+def unpack_metadata(packed: bytes) -> dict[str, object]:
+    """Return the metadata in `packed`; unknown keys are kept as they are.
+
+    Raises
+    ------
+    CorruptStreamError
+        If it is not one JSON object as FORMAT.md §4.2 wants it.
+    """
+    data = inflate(packed, MAX_METADATA, "metadata")
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise CorruptStreamError(f"metadata is not UTF-8: {error}") from None
+    # Before json sees it: its parser recurses, and where it gives up depends on the Python.
+    if _nesting(text) > MAX_NESTING:
+        raise CorruptStreamError(f"metadata is nested deeper than {MAX_NESTING}")
+    try:
+        metadata = json.loads(
+            text,
+            object_pairs_hook=_unique_keys,
+            parse_float=_finite,
+            parse_constant=_no_constant,
+        )
+        # A lone surrogate escape is legal JSON but no text: it would fail when printed.
+        json.dumps(metadata, ensure_ascii=False).encode("utf-8")
+    except ValueError as error:
+        raise CorruptStreamError(f"metadata is not the JSON expected: {error}") from None
+    if not isinstance(metadata, dict):
+        raise CorruptStreamError("metadata is not a JSON object")
+    for problem in _wrong_values(metadata):
+        raise CorruptStreamError(f"metadata: {problem}")
+    return metadata
+
+
+def _nesting(text: str) -> int:
+    """Return how deeply brackets nest outside of strings."""
+    depth = deepest = 0
+    for match in _TOKEN.finditer(text):
+        if match[0] in "[{":
+            depth += 1
+            deepest = max(deepest, depth)
+        elif match[0] in "]}":
+            depth -= 1
+    return deepest
+
+
+def _unique_keys(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    result = dict(pairs)
+    if len(result) < len(pairs):
+        raise ValueError("a key occurs twice")
+    return result
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"number {text[:20]} is too large")
+    return value
+
+
+def _no_constant(text: str) -> NoReturn:
+    raise ValueError(f"{text} is not a JSON number")
+
+
+def _wrong_values(metadata: dict[str, object]) -> Iterator[str]:
+    for key in _STRINGS:
+        if not isinstance(metadata.get(key), str | None):
+            yield f"{key} is not a string"
+    for key in _NUMBERS:
+        if metadata.get(key) is not None and not _is_number(metadata[key]):
+            yield f"{key} is not a number"
+    if metadata.get("scale") == 0:
+        yield "scale is 0"
+    transform = metadata.get("transform")
+    if transform is not None and not (
+        isinstance(transform, list) and len(transform) == 6 and all(map(_is_number, transform))
+    ):
+        yield "transform is not a list of six numbers"
+    nodata = metadata.get("nodata")
+    if nodata not in (None, "nan", "inf", "-inf") and not _is_number(nodata):
+        yield 'nodata is neither a number nor null, "nan", "inf" or "-inf"'
+    if metadata.get("area_or_point") not in (None, "Area", "Point"):
+        yield "area_or_point is neither Area nor Point"
+
+
+def _is_number(value: object) -> bool:
+    # 2^64: whatever a reader does with it, an int this small becomes a float without overflow.
+    if isinstance(value, bool):
+        return False
+    return isinstance(value, float) or (isinstance(value, int) and abs(value) <= 2**64)

@@ -1,0 +1,252 @@
+"""Index pages: where the payloads of one segment lie, and its child segments (FORMAT.md §3.3)."""
+
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from terrainwave.container.deflate import deflate, inflate
+from terrainwave.container.header import MAX_PAGE
+from terrainwave.errors import CorruptStreamError
+from terrainwave.quadtree import Block, Grid
+
+ROOT_LEVEL = -1
+N_CODES = 4
+MAX_PAYLOAD = 2**31 - 1
+
+_PREFIX = struct.Struct("<I Q")
+_MIN_PAGE = _PREFIX.size + 1
+
+
+def root_key(root: Block) -> Block:
+    """Return the key of the payload of root block `root`: its position on level -1.
+
+    The other keys are the parents of groups.
+    """
+    return Block(ROOT_LEVEL, root.row, root.col)
+
+
+def key_blocks(grid: Grid, key: Block) -> list[Block]:
+    """Return the blocks that the payload of `key` makes, in Morton order."""
+    if key.level == ROOT_LEVEL:
+        return [Block(0, key.row, key.col)]
+    return grid.children(key)
+
+
+class PageLayout(NamedTuple):
+    """What the page of a segment lists, in file order; it follows from the grid alone."""
+
+    keys: list[Block]
+    blocks: list[Block]
+    children: list[Block]
+
+
+def page_layout(grid: Grid, head: Block | None) -> PageLayout:
+    """Return what the page of the segment of `head` lists (FORMAT.md §3.3).
+
+    At most 352 keys, 1360 blocks and 1024 children, whatever the size of the grid.
+    """
+    keys = grid.segment_groups(head)
+    if head is None:
+        keys = [root_key(root) for root in grid.blocks(0)] + keys
+    blocks = [block for key in keys for block in key_blocks(grid, key)]
+    return PageLayout(keys, blocks, grid.segment_children(head))
+
+
+@dataclass(frozen=True)
+class Page:
+    """The columns of an index page; rows in the order of its `PageLayout`.
+
+    Parameters
+    ----------
+    payload_lengths, payload_crcs, mesh_lengths, mesh_crcs : ndarray of uint32, shape (n_keys,)
+    flags : ndarray of uint8, shape (n_keys,)
+    codes : ndarray of uint8, shape (n_blocks, 4)
+        z_min, z_max, error and mesh error of each block, opaque here.
+    child_page_lengths : ndarray of uint32, shape (n_children,)
+    child_lengths : ndarray of uint64, shape (n_children,)
+        Whole segment: page, payloads, meshes. 0 if the segment is absent.
+    first_child : int
+        File offset at which the child segments begin; they follow each other without gaps. 0
+        if the layout has no children.
+    """
+
+    payload_lengths: NDArray[np.uint32]
+    payload_crcs: NDArray[np.uint32]
+    mesh_lengths: NDArray[np.uint32]
+    mesh_crcs: NDArray[np.uint32]
+    flags: NDArray[np.uint8]
+    codes: NDArray[np.uint8]
+    child_page_lengths: NDArray[np.uint32]
+    child_lengths: NDArray[np.uint64]
+    first_child: int = 0
+
+    @property
+    def body_length(self) -> int:
+        """Return the number of bytes of all payloads and meshes."""
+        return int(self.payload_lengths.sum(dtype=np.int64) + self.mesh_lengths.sum(dtype=np.int64))
+
+    @property
+    def children_end(self) -> int:
+        """Return the file offset after the last child segment."""
+        # Not numpy's sum: untrusted uint64 could wrap.
+        return self.first_child + sum(self.child_lengths.tolist())
+
+    @property
+    def is_empty(self) -> bool:
+        """Say whether nothing is lost if the segment is left out (FORMAT.md §3.4)."""
+        return not (
+            self.body_length or self.flags.any() or self.codes.any() or self.child_lengths.any()
+        )
+
+
+def empty_page(layout: PageLayout) -> Page:
+    """Return the page of an absent segment: zeros everywhere (FORMAT.md §3.4)."""
+    n_keys, n_blocks, n_children = map(len, layout)
+    return Page(
+        *(np.zeros(n_keys, dtype=np.uint32) for _ in range(4)),
+        flags=np.zeros(n_keys, dtype=np.uint8),
+        codes=np.zeros((n_blocks, N_CODES), dtype=np.uint8),
+        child_page_lengths=np.zeros(n_children, dtype=np.uint32),
+        child_lengths=np.zeros(n_children, dtype=np.uint64),
+    )
+
+
+def pack_columns(page: Page) -> bytes:
+    """Return the deflated columns of `page`, all but `first_child` (FORMAT.md §3.3)."""
+    columns = (
+        _pack_planes(page.payload_lengths, "<u4"),
+        _pack_planes(page.mesh_lengths, "<u4"),
+        page.flags.tobytes(),
+        page.codes.T.tobytes(),
+        _pack_planes(page.child_page_lengths, "<u4"),
+        _pack_planes(page.child_lengths, "<u8"),
+        _pack_planes(page.payload_crcs, "<u4"),
+        _pack_planes(page.mesh_crcs, "<u4"),
+    )
+    return deflate(b"".join(columns))
+
+
+def page_length(columns: bytes) -> int:
+    """Return the length of the page with these packed columns."""
+    return _PREFIX.size + len(columns)
+
+
+def pack_page(columns: bytes, first_child: int) -> bytes:
+    """Return the bytes of a page from its packed columns (FORMAT.md §3.3).
+
+    `first_child` stays outside the deflated part: offsets depend on the lengths of pages, which
+    therefore must not depend on offsets.
+    """
+    body = _PREFIX.pack(0, first_child)[4:] + columns
+    return zlib.crc32(body).to_bytes(4, "little") + body
+
+
+def unpack_page(data: bytes, layout: PageLayout, name: str) -> Page:
+    """Read a page; the inverse of `pack_page` and `pack_columns` (FORMAT.md §3.3).
+
+    Only what the page says by itself is checked, not where its segments lie in the file.
+
+    Raises
+    ------
+    CorruptStreamError
+        If the checksum, the number of bytes or a field contradicts the format.
+    """
+    if len(data) < _MIN_PAGE:
+        raise CorruptStreamError(f"{name} has only {len(data)} bytes")
+    crc, first_child = _PREFIX.unpack_from(data)
+    if crc != zlib.crc32(data[4:]):
+        raise CorruptStreamError(f"checksum of {name} does not match")
+    n_keys, n_blocks, n_children = map(len, layout)
+    expected = 17 * n_keys + N_CODES * n_blocks + 12 * n_children
+    content = inflate(data[_PREFIX.size :], expected, name)
+    if len(content) != expected:
+        raise CorruptStreamError(f"{name} inflates to {len(content)} bytes, not {expected}")
+    cursor = _Cursor(content)
+    payload_lengths = cursor.planes("<u4", n_keys)
+    mesh_lengths = cursor.planes("<u4", n_keys)
+    flags = cursor.planes("u1", n_keys)
+    codes = cursor.planes("u1", N_CODES * n_blocks).reshape(N_CODES, n_blocks).T
+    child_page_lengths = cursor.planes("<u4", n_children)
+    child_lengths = cursor.planes("<u8", n_children)
+    page = Page(
+        payload_lengths=payload_lengths,
+        payload_crcs=cursor.planes("<u4", n_keys),
+        mesh_lengths=mesh_lengths,
+        mesh_crcs=cursor.planes("<u4", n_keys),
+        flags=flags,
+        codes=np.ascontiguousarray(codes),
+        child_page_lengths=child_page_lengths,
+        child_lengths=child_lengths,
+        first_child=first_child,
+    )
+    _check(page, name)
+    return page
+
+
+def _check(page: Page, name: str) -> None:
+    for kind, lengths, crcs in (
+        ("payload", page.payload_lengths, page.payload_crcs),
+        ("mesh", page.mesh_lengths, page.mesh_crcs),
+    ):
+        if (lengths > MAX_PAYLOAD).any():
+            raise CorruptStreamError(f"{name} lists a {kind} of more than 2^31 - 1 bytes")
+        if crcs[lengths == 0].any():
+            raise CorruptStreamError(f"{name} lists an empty {kind} with a checksum")
+    absent = page.child_lengths == 0
+    if (absent != (page.child_page_lengths == 0)).any():
+        raise CorruptStreamError(f"{name} lists a segment without page or a page without segment")
+    present = page.child_page_lengths[~absent]
+    if ((present < _MIN_PAGE) | (present > MAX_PAGE)).any():
+        raise CorruptStreamError(f"{name} lists a page that is not {_MIN_PAGE} ... 2^15 bytes")
+    if (page.child_lengths < page.child_page_lengths).any():
+        raise CorruptStreamError(f"{name} lists a segment shorter than its page")
+    if page.first_child and not len(absent):
+        raise CorruptStreamError(f"{name} points at segments below the finest level")
+
+
+def _pack_planes(column: NDArray[np.generic], dtype: str) -> bytes:
+    """Return all lowest bytes, then all second ones, ...: like bytes together deflate better."""
+    data = np.ascontiguousarray(column.astype(dtype))
+    return data.view(np.uint8).reshape(len(column), -1).T.tobytes() if len(column) else b""
+
+
+class _Cursor:
+    """Takes columns off the front of a page's content."""
+
+    def __init__(self, content: bytes) -> None:
+        self._content = np.frombuffer(content, dtype=np.uint8)
+        self._byte_pos = 0
+
+    def planes(self, dtype: DTypeLike, count: int) -> NDArray:
+        """Return the next column of `count` numbers, native byte order; the inverse of above."""
+        width = np.dtype(dtype).itemsize
+        end = self._byte_pos + width * count
+        planes = self._content[self._byte_pos : end].reshape(width, count)
+        self._byte_pos = end
+        column = np.ascontiguousarray(planes.T).view(dtype).reshape(count)
+        return column.astype(np.dtype(dtype).newbyteorder("="))
+
+
+def describe_head(head: Block | None) -> str:
+    """Return the name of a segment for messages."""
+    if head is None:
+        return "the top segment"
+    return f"the segment of block (level {head.level}, row {head.row}, col {head.col})"
+
+
+def describe_key(key: Block) -> str:
+    """Return the name of a payload's owner for messages."""
+    if key.level == ROOT_LEVEL:
+        return f"root block (level 0, row {key.row}, col {key.col})"
+    return f"group (level {key.level}, row {key.row}, col {key.col})"
+
+
+def payload_starts(page: Page, body_start: int) -> Sequence[int]:
+    """Return the file offset of each key's payload; its mesh follows it (FORMAT.md §3.2)."""
+    lengths = page.payload_lengths.astype(np.int64) + page.mesh_lengths
+    return (body_start + np.concatenate(([0], np.cumsum(lengths[:-1])))).tolist()

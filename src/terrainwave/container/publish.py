@@ -1,0 +1,217 @@
+"""Atomic publication: a file appears whole under its name, or not at all."""
+
+import os
+import re
+import secrets
+import stat
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import BinaryIO
+
+from terrainwave.container.spool import storage_errors
+from terrainwave.errors import StorageError
+
+try:
+    import fcntl
+except ImportError:
+    fcntl = None  # type: ignore[assignment]
+try:
+    import msvcrt
+except ImportError:
+    msvcrt = None  # type: ignore[assignment]
+
+SUFFIX = ".twz-part"
+
+_RETRIES = 10
+_FIRST_DELAY = 0.05  # seconds; doubles. Virus scanners hold a new file for a moment on Windows
+_LOCKED_BYTE = 2**40  # msvcrt locks forbid reading what they cover: far behind any content
+_RANDOM_PART = re.compile("[0-9a-f]{16}")
+
+
+@dataclass(frozen=True)
+class Part:
+    """The unfinished file: write to `file`, read it back by `path` after a flush."""
+
+    path: Path
+    file: BinaryIO
+
+
+@contextmanager
+def publish(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator[Part]:
+    """Give a file to write that takes the name `target` when the block ends without exception.
+
+    On any exception the unfinished file is removed and the target is as it was before. Parts that
+    killed runs have left beside the target are removed, if no living process holds their lock.
+
+    Parameters
+    ----------
+    target : path
+        A symbolic link is followed.
+    overwrite : bool
+        Whether an existing file may be replaced; it keeps its permissions.
+
+    Yields
+    ------
+    part : Part
+
+    Raises
+    ------
+    StorageError
+        Before the block: if the target exists and `overwrite` is false, is no regular file, or
+        its directory is missing or not writable. After it: if the disk is full or the target
+        cannot be replaced.
+    """
+    final = Path(os.path.realpath(target))
+    _check_target(final, overwrite)
+    remove_stale_parts(final)
+    part = _create_part(final)
+    is_published = False
+    try:
+        yield part
+        with storage_errors(f"cannot write {target}"):
+            part.file.flush()
+            os.fsync(part.file.fileno())
+            _copy_permissions(final, part.path)
+        _check_target(final, overwrite)
+        if fcntl is None:
+            part.file.close()  # Windows does not rename an open file
+        _replace(part.path, final)
+        is_published = True
+        _sync_directory(final.parent)
+    finally:
+        if not is_published:
+            # Before the lock goes with the closed file, so that nobody else can take the name;
+            # where an open file cannot be removed, after it.
+            with suppress(OSError):
+                os.unlink(part.path)
+        with suppress(OSError):
+            part.file.close()
+        if not is_published:
+            with suppress(OSError):
+                os.unlink(part.path)
+
+
+def _check_target(final: Path, overwrite: bool) -> None:
+    with storage_errors(f"cannot write {final}"):
+        try:
+            mode = os.stat(final).st_mode
+        except FileNotFoundError:
+            if not final.parent.is_dir():
+                raise StorageError(
+                    f"cannot write {final}: there is no directory {final.parent}"
+                ) from None
+            return
+    if not stat.S_ISREG(mode):
+        raise StorageError(f"cannot write {final}: it is not a regular file")
+    if not overwrite:
+        raise StorageError(f"{final} already exists; it is left as it is")
+
+
+def remove_stale_parts(final: Path) -> list[Path]:
+    """Remove what killed runs left beside `final`; return the removed paths.
+
+    A part whose lock is held, or cannot be tried on this system, stays.
+    """
+    removed = []
+    prefix = f".{final.name}."
+    try:
+        names = os.listdir(final.parent)
+    except OSError:
+        return removed
+    for name in sorted(names):
+        middle = name[len(prefix) : -len(SUFFIX)]
+        if not (name.startswith(prefix) and name.endswith(SUFFIX)):
+            continue
+        if not _RANDOM_PART.fullmatch(middle):
+            continue
+        path = final.parent / name
+        with suppress(OSError), open(path, "r+b") as file:
+            if _try_lock(file) is _Lock.TAKEN:
+                if fcntl is None:
+                    file.close()
+                os.unlink(path)
+                removed.append(path)
+    return removed
+
+
+def _create_part(final: Path) -> Part:
+    """Create and lock a new file beside `final`, as mkstemp does but with the umask's mode."""
+    flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
+    flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
+    for _ in range(_RETRIES):
+        path = final.parent / f".{final.name}.{secrets.token_hex(8)}{SUFFIX}"
+        with storage_errors(f"cannot write {final}"):
+            file = os.fdopen(os.open(path, flags, 0o666), "w+b")
+        # Another run may have taken it for a left-over before it was locked.
+        if _try_lock(file) is not _Lock.HELD_BY_OTHER and _is_still_there(path, file):
+            return Part(path, file)
+        file.close()
+        with suppress(OSError):
+            os.unlink(path)
+    raise StorageError(f"cannot write {final}: its unfinished file cannot be locked")
+
+
+def _is_still_there(path: Path, file: BinaryIO) -> bool:
+    try:
+        return os.path.samestat(os.stat(path), os.fstat(file.fileno()))
+    except FileNotFoundError:
+        return False
+
+
+class _Lock(Enum):
+    TAKEN = 0
+    HELD_BY_OTHER = 1
+    NOT_POSSIBLE = 2  # no such call, or a file system without locks
+
+
+def _try_lock(file: BinaryIO) -> _Lock:
+    """Try to take the lock on `file` without waiting."""
+    try:
+        if fcntl is not None:
+            fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return _Lock.TAKEN
+        if msvcrt is not None:
+            file.seek(_LOCKED_BYTE)
+            try:
+                msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+            finally:
+                file.seek(0)
+            return _Lock.TAKEN
+    except (BlockingIOError, PermissionError):
+        return _Lock.HELD_BY_OTHER
+    except OSError:
+        pass
+    return _Lock.NOT_POSSIBLE
+
+
+def _copy_permissions(final: Path, part: Path) -> None:
+    with suppress(FileNotFoundError):
+        os.chmod(part, stat.S_IMODE(os.stat(final).st_mode))
+
+
+def _replace(part: Path, final: Path) -> None:
+    delay = _FIRST_DELAY
+    with storage_errors(f"cannot write {final}"):
+        for _ in range(_RETRIES - 1):
+            try:
+                return os.replace(part, final)
+            except PermissionError:
+                if os.name != "nt":
+                    raise
+                time.sleep(delay)
+                delay = min(2 * delay, 1.0)
+        os.replace(part, final)
+
+
+def _sync_directory(directory: Path) -> None:
+    """Make the new name itself survive a power cut, where directories can be opened."""
+    with suppress(OSError):
+        handle = os.open(directory, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)

@@ -1,0 +1,373 @@
+"""Random access to the payloads of a file; nothing is read before it is asked for.
+
+Untrusted bytes are believed in this order: magic, version, header and its checksum, limits, file
+size, metadata, index pages and where their segments lie, checksums of payloads (FORMAT.md §3.5).
+"""
+
+import threading
+import zlib
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from terrainwave.container.header import Extents, Header, unpack_header
+from terrainwave.container.metadata import unpack_metadata
+from terrainwave.container.page import (
+    ROOT_LEVEL,
+    Page,
+    PageLayout,
+    describe_head,
+    describe_key,
+    empty_page,
+    page_layout,
+    payload_starts,
+    unpack_page,
+)
+from terrainwave.container.source import ByteRange, ByteSource, open_source
+from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError
+from terrainwave.quadtree import Block, Grid
+
+FIRST_READ = 16 * 1024
+_CHECK_BATCH = 4 * 1024 * 1024
+
+
+@dataclass(frozen=True)
+class Segment:
+    """An index page with the place of its segment in the file."""
+
+    head: Block | None
+    layout: PageLayout
+    page: Page
+    start: int
+    end: int
+    payload_starts: Sequence[int]
+    key_rows: dict[Block, int]
+    block_rows: dict[Block, int]
+    child_rows: dict[Block, int]
+    child_starts: Sequence[int]
+
+    def payload_range(self, row: int) -> ByteRange:
+        """Return where the payload in `row` of the page lies."""
+        return ByteRange(self.payload_starts[row], int(self.page.payload_lengths[row]))
+
+    def mesh_range(self, row: int) -> ByteRange:
+        """Return where the mesh in `row` of the page lies."""
+        return ByteRange(self.payload_range(row).end, int(self.page.mesh_lengths[row]))
+
+    def child_range(self, child: Block) -> ByteRange:
+        """Return where the segment of `child` lies; of length 0 if it is absent."""
+        row = self.child_rows[child]
+        return ByteRange(self.child_starts[row], int(self.page.child_lengths[row]))
+
+
+class Container:
+    """An open .twz file: bytes by key, no heights.
+
+    A key is the parent block of a group, or ``root_key(root block)``: a root's position on level
+    -1. Keys and blocks that the grid does not have raise `KeyError`. Thread-safe; can be pickled
+    if its source can; a context manager.
+
+    Parameters
+    ----------
+    source : ByteSource
+        Closed by `close`.
+    cached_segments : int
+        How many index pages to keep (about 50 kB each).
+
+    Raises
+    ------
+    TerrainwaveError
+        If the header, the metadata or the top page is not a readable one.
+
+    Notes
+    -----
+    Opening reads the first 16 KiB and, if the top page ends later, once more: 64 KiB at most for
+    metadata up to 30 kB. Memory does not depend on the size of the raster.
+    """
+
+    def __init__(self, source: ByteSource, cached_segments: int = 256) -> None:
+        self.source = source
+        self._cached_segments = cached_segments
+        self._lock = threading.Lock()
+        self._segments: OrderedDict[Block, Segment] = OrderedDict()
+        start = source.read(0, min(FIRST_READ, source.size))
+        header, extents = unpack_header(start)
+        if source.size < extents.file_size:
+            raise TruncatedStreamError(
+                f"the file has {source.size} of its {extents.file_size} bytes"
+            )
+        if source.size > extents.file_size:
+            left_over = source.size - extents.file_size
+            raise CorruptStreamError(f"{left_over} bytes left over after the last section")
+        end = extents.top_start + extents.top_page_length
+        if end > len(start):
+            start += source.read(len(start), end - len(start))
+        self.extents: Extents = extents
+        self.header: Header = _with_sections(header, extents, start)
+        self.grid: Grid = self.header.grid
+        self._top = self._unpack_top(start[extents.top_start : end])
+
+    def _unpack_top(self, data: bytes) -> Segment:
+        start = self.extents.top_start
+        layout = page_layout(self.grid, None)
+        page = unpack_page(data, layout, f"the page of {describe_head(None)}")
+        end = start + len(data) + page.body_length
+        if end > self.extents.file_size:
+            raise CorruptStreamError("the top segment reaches beyond the end of the file")
+        last = page.children_end if layout.children else end
+        if layout.children and page.first_child != end:
+            raise CorruptStreamError("the first segment does not follow the top segment")
+        if last != self.extents.file_size and self.grid.k_max <= self._child_level(None) + 4:
+            raise CorruptStreamError("the segments do not fill the file")
+        if last > self.extents.file_size:
+            raise CorruptStreamError("a segment reaches beyond the end of the file")
+        return _segment(None, layout, page, start, len(data), end)
+
+    def _child_level(self, head: Block | None) -> int:
+        return self.grid.top_levels if head is None else head.level + 4
+
+    # Index
+
+    def segment(self, head: Block | None) -> Segment:
+        """Return the index of the segment of `head`; None is the top one."""
+        return self.segments([head])[head]
+
+    def segments(self, heads: Sequence[Block | None]) -> dict[Block | None, Segment]:
+        """Return the indices of several segments; missing pages of a level in one `read_many`."""
+        found: dict[Block | None, Segment] = {}
+        missing: list[Block] = []
+        with self._lock:
+            for head in heads:
+                if head is None:
+                    found[None] = self._top
+                elif head in self._segments:
+                    self._segments.move_to_end(head)
+                    found[head] = self._segments[head]
+                else:
+                    missing.append(head)
+        if missing:
+            found.update(self._load(list(dict.fromkeys(missing))))
+        return found
+
+    def _load(self, heads: Sequence[Block]) -> dict[Block | None, Segment]:
+        parent_heads = [self._parent_head(head) for head in heads]
+        parents = self.segments(list(dict.fromkeys(parent_heads)))
+        ranges = []
+        for head, parent_head in zip(heads, parent_heads, strict=True):
+            parent = parents[parent_head]
+            row = parent.child_rows[head]
+            ranges.append(
+                ByteRange(parent.child_starts[row], int(parent.page.child_page_lengths[row]))
+            )
+        loaded: dict[Block | None, Segment] = {}
+        for head, parent_head, data in zip(
+            heads, parent_heads, self.source.read_many(ranges), strict=True
+        ):
+            loaded[head] = self._unpack_segment(head, parents[parent_head], data)
+        with self._lock:
+            for head in heads:
+                self._segments[head] = loaded[head]
+            while len(self._segments) > self._cached_segments:
+                self._segments.popitem(last=False)
+        return loaded
+
+    def _parent_head(self, head: Block) -> Block | None:
+        if not self.grid.contains(head) or head.level not in self.grid.segment_levels():
+            raise KeyError(f"no segment begins at {head}")
+        # A root block's own segment hangs below the top one as well.
+        return None if head.level == 0 else self.grid.segment_head(head.parent)
+
+    def _unpack_segment(self, head: Block, parent: Segment, data: bytes) -> Segment:
+        """Check a page against its parent's and return its segment (FORMAT.md §3.5)."""
+        layout = page_layout(self.grid, head)
+        start, length = parent.child_range(head)
+        if not length:
+            return _segment(head, layout, empty_page(layout), start, 0, start)
+        name = describe_head(head)
+        page = unpack_page(data, layout, f"the page of {name}")
+        if len(data) + page.body_length != length:
+            raise CorruptStreamError(
+                f"{name} has {len(data) + page.body_length} bytes, its parent says {length}"
+            )
+        # Strictly onward, so that no chain of pages ever comes back to a byte.
+        if layout.children and page.first_child < parent.page.children_end:
+            raise CorruptStreamError(f"the child segments of {name} overlap others")
+        if layout.children and page.children_end > self.extents.file_size:
+            raise CorruptStreamError(f"a child of {name} reaches beyond the end of the file")
+        return _segment(head, layout, page, start, len(data), start + length)
+
+    def _head_of(self, key: Block) -> Block | None:
+        if key.level == ROOT_LEVEL:
+            if self.grid.contains(Block(0, key.row, key.col)):
+                return None
+        elif key.level < self.grid.k_max and self.grid.contains(key):
+            return self.grid.segment_head(key)
+        raise KeyError(f"the grid has no {describe_key(key)}")
+
+    # Payloads
+
+    def payload(self, key: Block) -> bytes:
+        """Return the payload of `key`.
+
+        Raises
+        ------
+        CorruptStreamError
+            If its checksum or an index page on the way to it is wrong.
+        """
+        return self.payloads([key])[0]
+
+    def payloads(self, keys: Sequence[Block]) -> list[bytes]:
+        """Return the payloads of `keys` in this order; near ones are read in one request."""
+        rows = self._rows(keys)
+        data = self.source.read_many([segment.payload_range(row) for segment, row in rows])
+        for key, (segment, row), payload in zip(keys, rows, data, strict=True):
+            _check_crc(payload, segment.page.payload_crcs[row], "payload", key)
+        return data
+
+    def mesh(self, key: Block) -> bytes:
+        """Return the mesh section of `key`; empty if it has none."""
+        ((segment, row),) = self._rows([key])
+        data = self.source.read(*segment.mesh_range(row))
+        _check_crc(data, segment.page.mesh_crcs[row], "mesh", key)
+        return data
+
+    def flags(self, key: Block) -> int:
+        """Return the flags of `key`."""
+        ((segment, row),) = self._rows([key])
+        return int(segment.page.flags[row])
+
+    def codes(self, block: Block) -> tuple[int, int, int, int]:
+        """Return the codes of `block`: z_min, z_max, error, mesh error."""
+        if not self.grid.contains(block):
+            raise KeyError(f"the grid has no {block}")
+        head = None if block.level == 0 else self.grid.segment_head(block.parent)
+        segment = self.segment(head)
+        z_min, z_max, error, mesh_error = segment.page.codes[segment.block_rows[block]].tolist()
+        return z_min, z_max, error, mesh_error
+
+    def _rows(self, keys: Sequence[Block]) -> list[tuple[Segment, int]]:
+        heads = [self._head_of(key) for key in keys]
+        segments = self.segments(heads)
+        return [
+            (segments[head], segments[head].key_rows[key])
+            for key, head in zip(keys, heads, strict=True)
+        ]
+
+    # Check of the whole file
+
+    def check(self) -> Iterator[str]:
+        """Read every byte and yield what is wrong, one line each; nothing if the file is sound.
+
+        Notes
+        -----
+        One sequential pass. Below a page that cannot be read nothing is checked. Memory: the
+        index pages of one level.
+        """
+        byte_pos = self._top.start
+        layer: list[Segment] = [self._top]
+        while layer:
+            children: list[tuple[Segment, Block]] = []
+            for segment in layer:
+                yield from self._check_payloads(segment)
+                children += [(segment, child) for child in segment.layout.children]
+            byte_pos = max([byte_pos, *(segment.end for segment in layer)])
+            layer = []
+            for parent, child in children:
+                start, length = parent.child_range(child)
+                if not length:
+                    continue
+                # Also keeps the walk finite: each byte is visited at most once.
+                if start != byte_pos:
+                    yield f"{describe_head(child)} begins at byte {start}, not {byte_pos}"
+                    if start < byte_pos:
+                        continue
+                byte_pos = start + length
+                try:
+                    layer.append(self._load([child])[child])
+                except TerrainwaveError as error:
+                    yield str(error)
+        if byte_pos != self.extents.file_size:
+            yield f"the segments end at byte {byte_pos} of {self.extents.file_size}"
+
+    def _check_payloads(self, segment: Segment) -> Iterator[str]:
+        batch: list[int] = []
+        size = 0
+        for row in range(len(segment.layout.keys)):
+            batch.append(row)
+            size += segment.payload_range(row).length + segment.mesh_range(row).length
+            if size > _CHECK_BATCH or row + 1 == len(segment.layout.keys):
+                yield from self._check_rows(segment, batch)
+                batch, size = [], 0
+
+    def _check_rows(self, segment: Segment, rows: Sequence[int]) -> Iterator[str]:
+        for kind, ranges, crcs in (
+            ("payload", map(segment.payload_range, rows), segment.page.payload_crcs),
+            ("mesh", map(segment.mesh_range, rows), segment.page.mesh_crcs),
+        ):
+            for row, data in zip(rows, self.source.read_many(list(ranges)), strict=True):
+                try:
+                    _check_crc(data, crcs[row], kind, segment.layout.keys[row])
+                except CorruptStreamError as error:
+                    yield str(error)
+
+    # Life
+
+    def close(self) -> None:
+        """Close the source."""
+        self.source.close()
+
+    def __enter__(self) -> "Container":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __reduce__(self) -> tuple[type["Container"], tuple[ByteSource, int]]:
+        return Container, (self.source, self._cached_segments)
+
+
+def open_container(source: object) -> Container:
+    """Return a `Container` of a path, URL, bytes or binary file object (see `open_source`)."""
+    opened = open_source(source)
+    try:
+        return Container(opened)
+    except BaseException:
+        opened.close()
+        raise
+
+
+def _with_sections(header: Header, extents: Extents, start: bytes) -> Header:
+    """Return `header` with the metadata and the method's parameters, both checked."""
+    metadata = start[extents.parameters_start - extents.metadata_length : extents.parameters_start]
+    if zlib.crc32(metadata) != extents.metadata_crc:
+        raise CorruptStreamError("checksum of the metadata does not match")
+    parameters = start[extents.parameters_start : extents.top_start]
+    if zlib.crc32(parameters) != extents.parameters_crc:
+        raise CorruptStreamError("checksum of the method's parameters does not match")
+    return replace(header, metadata=unpack_metadata(metadata), parameters=parameters)
+
+
+def _segment(
+    head: Block | None, layout: PageLayout, page: Page, start: int, page_length: int, end: int
+) -> Segment:
+    child_starts, child_start = [], page.first_child
+    for length in page.child_lengths.tolist():
+        child_starts.append(child_start)
+        child_start += length
+    return Segment(
+        head=head,
+        layout=layout,
+        page=page,
+        start=start,
+        end=end,
+        payload_starts=payload_starts(page, start + page_length),
+        key_rows={key: row for row, key in enumerate(layout.keys)},
+        block_rows={block: row for row, block in enumerate(layout.blocks)},
+        child_rows={child: row for row, child in enumerate(layout.children)},
+        child_starts=child_starts,
+    )
+
+
+def _check_crc(data: bytes, crc: int, kind: str, key: Block) -> None:
+    if zlib.crc32(data) != crc:
+        raise CorruptStreamError(f"checksum of the {kind} of {describe_key(key)} does not match")

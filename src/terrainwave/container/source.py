@@ -1,0 +1,226 @@
+"""Byte sources: ranges of a file, of memory or of a URL, from any number of threads."""
+
+import io
+import os
+import threading
+from collections.abc import Sequence
+from typing import BinaryIO, NamedTuple, Protocol
+
+from terrainwave.errors import StorageError, TruncatedStreamError
+
+MAX_GAP = 64 * 1024
+MAX_REQUEST = 16 * 1024 * 1024
+
+
+class ByteRange(NamedTuple):
+    """`length` bytes from `offset`."""
+
+    offset: int
+    length: int
+
+    @property
+    def end(self) -> int:
+        """Return the offset after the last byte."""
+        return self.offset + self.length
+
+
+class ByteSource(Protocol):
+    """Random access to bytes whose number is known; thread-safe.
+
+    A source of a path or URL can be pickled; it is opened again where it is loaded.
+    """
+
+    @property
+    def size(self) -> int:
+        """Return the number of bytes."""
+        ...
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return exactly these bytes; raise `TruncatedStreamError` if there are fewer."""
+        ...
+
+    def read_many(self, ranges: Sequence[ByteRange]) -> list[bytes]:
+        """Return the bytes of each range, in the order asked; near ones in one request."""
+        ...
+
+    def close(self) -> None:
+        """Let go of files and connections; reading afterwards raises `StorageError`."""
+        ...
+
+
+class Merged(NamedTuple):
+    """A range to request, and the numbers of the wanted ranges inside it."""
+
+    span: ByteRange
+    members: list[int]
+
+
+def merge_ranges(ranges: Sequence[ByteRange]) -> list[Merged]:
+    """Return requests that cover `ranges`: gaps up to 64 KiB are bridged, up to 16 MiB in one."""
+    merged: list[Merged] = []
+    for member in sorted(range(len(ranges)), key=lambda number: ranges[number]):
+        wanted = ranges[member]
+        if merged:
+            span, members = merged[-1]
+            end = max(span.end, wanted.end)
+            if wanted.offset - span.end <= MAX_GAP and end - span.offset <= MAX_REQUEST:
+                members.append(member)
+                merged[-1] = Merged(ByteRange(span.offset, end - span.offset), members)
+                continue
+        merged.append(Merged(wanted, [member]))
+    return merged
+
+
+def split_merged(
+    ranges: Sequence[ByteRange], merged: Sequence[Merged], spans: Sequence[bytes]
+) -> list[bytes]:
+    """Return the bytes of each of `ranges` out of the bytes of the requests that cover them."""
+    result = [b""] * len(ranges)
+    for (span, members), data in zip(merged, spans, strict=True):
+        for member in members:
+            first = ranges[member].offset - span.offset
+            result[member] = data[first : first + ranges[member].length]
+    return result
+
+
+class _MergingSource:
+    """The parts that all sources share."""
+
+    name: str
+    size: int
+
+    def read(self, offset: int, length: int) -> bytes:
+        """Return exactly `length` bytes from `offset`."""
+        if offset < 0 or length < 0 or offset + length > self.size:
+            raise TruncatedStreamError(
+                f"{self.name} has {self.size} bytes; {length} were expected at byte {offset}"
+            )
+        data = self._read(offset, length) if length else b""
+        if len(data) != length:
+            raise TruncatedStreamError(
+                f"{self.name} ends at byte {offset + len(data)}; {length} bytes were expected "
+                f"at byte {offset}"
+            )
+        return data
+
+    def read_many(self, ranges: Sequence[ByteRange]) -> list[bytes]:
+        """Return the bytes of each range, in the order asked."""
+        merged = merge_ranges(ranges)
+        return split_merged(ranges, merged, self._read_spans([span for span, _ in merged]))
+
+    def _read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
+        return [self.read(*span) for span in spans]
+
+    def _read(self, offset: int, length: int) -> bytes:
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Let go of what the source holds."""
+
+
+class FileSource(_MergingSource):
+    """A local file."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.name = os.fspath(path)
+        self._lock = threading.Lock()
+        try:
+            self._file: BinaryIO | None = open(self.name, "rb", buffering=0)  # noqa: SIM115
+            self.size = self._file.seek(0, os.SEEK_END)
+        except OSError as error:
+            raise StorageError(f"cannot read {self.name}: {error.strerror or error}") from error
+
+    def _read(self, offset: int, length: int) -> bytes:
+        file = self._file
+        if file is None:
+            raise StorageError(f"{self.name} is closed")
+        try:
+            if hasattr(os, "pread"):
+                return _read_fully(lambda at, n: os.pread(file.fileno(), n, at), offset, length)
+            with self._lock:
+                return _read_fully(lambda at, n: _seek_read(file, at, n), offset, length)
+        except (OSError, ValueError) as error:  # ValueError: closed by another thread
+            raise StorageError(f"cannot read {self.name}: {error}") from error
+
+    def close(self) -> None:
+        """Close the file."""
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
+
+    def __reduce__(self) -> tuple[type["FileSource"], tuple[str]]:
+        return FileSource, (os.path.abspath(self.name),)
+
+
+class BufferSource(_MergingSource):
+    """Bytes in memory, or a seekable binary file object, which stays the caller's to close."""
+
+    def __init__(self, buffer: bytes | BinaryIO) -> None:
+        self.name = getattr(buffer, "name", None) or "the buffer"
+        self._lock = threading.Lock()
+        self._bytes = bytes(buffer) if isinstance(buffer, bytes | bytearray | memoryview) else None
+        self._file = io.BytesIO(self._bytes) if self._bytes is not None else buffer
+        self._is_closed = False
+        try:
+            self.size = self._file.seek(0, os.SEEK_END)
+        except (OSError, ValueError) as error:
+            raise StorageError(f"cannot seek in {self.name}: {error}") from error
+
+    def _read(self, offset: int, length: int) -> bytes:
+        if self._is_closed:
+            raise StorageError(f"{self.name} is closed")
+        try:
+            with self._lock:
+                return _read_fully(lambda at, n: _seek_read(self._file, at, n), offset, length)
+        except (OSError, ValueError) as error:
+            raise StorageError(f"cannot read {self.name}: {error}") from error
+
+    def close(self) -> None:
+        """Forget the buffer; a file object given by the caller is not closed."""
+        self._is_closed = True
+
+    def __reduce__(self) -> tuple[type["BufferSource"], tuple[bytes]]:
+        if self._bytes is None:
+            raise TypeError(f"{self.name}: a file object cannot be pickled; open it by its path")
+        return BufferSource, (self._bytes,)
+
+
+def _seek_read(file: BinaryIO, offset: int, length: int) -> bytes:
+    file.seek(offset)
+    return file.read(length)
+
+
+def _read_fully(read_at, offset: int, length: int) -> bytes:
+    """Call ``read_at(offset, length)`` until all bytes are there or the file ends."""
+    parts = []
+    while length:
+        part = read_at(offset, length)
+        if not part:
+            break
+        parts.append(part)
+        offset += len(part)
+        length -= len(part)
+    return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+def open_source(source: "str | os.PathLike[str] | bytes | BinaryIO | ByteSource") -> ByteSource:
+    """Return a byte source for a path, a URL, bytes or a binary file object.
+
+    Raises
+    ------
+    StorageError
+        If it cannot be opened or does not serve byte ranges.
+    """
+    if isinstance(source, bytes | bytearray | memoryview):
+        return BufferSource(bytes(source))
+    if isinstance(source, str) and "://" in source:
+        from terrainwave.container.url import open_url
+
+        return open_url(source)
+    if isinstance(source, str | os.PathLike):
+        return FileSource(source)
+    if hasattr(source, "read_many"):
+        return source
+    if hasattr(source, "read") and hasattr(source, "seek"):
+        return BufferSource(source)
+    raise StorageError(f"cannot read bytes from a {type(source).__name__}")

@@ -1,0 +1,180 @@
+"""Temporary store of one segment's payloads until their order in the file is known."""
+
+import errno
+import os
+import tempfile
+import threading
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+from terrainwave.container.page import MAX_PAYLOAD, N_CODES, ROOT_LEVEL
+from terrainwave.errors import StorageError, TerrainwaveError
+from terrainwave.quadtree import Block
+
+_BUFFER = 256 * 1024  # while payloads arrive
+_KEPT = 4 * 1024  # after `finish`: many segments wait at the same time
+
+
+@contextmanager
+def storage_errors(action: str) -> Iterator[None]:
+    """Turn an `OSError` into a `StorageError` of one clear line that begins with `action`."""
+    try:
+        yield
+    except OSError as error:
+        if isinstance(error, TerrainwaveError):
+            raise
+        if error.errno in _DISK_FULL:
+            raise StorageError(f"{action}: the disk is full") from error
+        raise StorageError(f"{action}: {error.strerror or error}") from error
+
+
+_DISK_FULL = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
+
+
+class Entry(NamedTuple):
+    """Where the spool holds a payload and its mesh, and what the page says of them."""
+
+    offset: int
+    payload_length: int
+    payload_crc: int
+    mesh_length: int
+    mesh_crc: int
+    flags: int
+
+
+class SegmentSpool:
+    """Takes the payloads of one segment in any order; `assemble` writes them in page order.
+
+    Payloads stay in memory up to 256 KiB (4 KiB after `finish`), the rest goes to a temporary
+    file in `directory`. No file stays open between calls, so thousands of spools can wait, and a
+    spool can be pickled to a process that sees the same directory. Methods may be called from
+    several threads.
+    """
+
+    def __init__(self, directory: str | os.PathLike[str]) -> None:
+        self._directory = os.fspath(directory)
+        self._path: str | None = None
+        self._spilled = 0
+        self._buffer = bytearray()
+        self._entries: dict[Block, Entry] = {}
+        self._codes: dict[Block, bytes] = {}
+        self._lock = threading.Lock()
+
+    def add(
+        self,
+        key: Block,
+        payload: bytes,
+        flags: int = 0,
+        codes: bytes | None = None,
+        mesh: bytes = b"",
+    ) -> None:
+        """Take the payload of `key`: the parent of a group, or ``root_key(root block)``.
+
+        `codes` are four bytes for each block that the payload makes, in Morton order; they may
+        come later by `set_codes`.
+        """
+        if max(len(payload), len(mesh)) > MAX_PAYLOAD:
+            raise ValueError(f"payload of {len(payload)} and mesh of {len(mesh)} bytes: too long")
+        if not 0 <= flags <= 255:
+            raise ValueError(f"flags {flags} do not fit a byte")
+        with self._lock:
+            if key in self._entries:
+                raise ValueError(f"{key} has already been added")
+            offset = self._spilled + len(self._buffer)
+            self._buffer += payload
+            self._buffer += mesh
+            self._entries[key] = Entry(
+                offset, len(payload), zlib.crc32(payload), len(mesh), zlib.crc32(mesh), flags
+            )
+            if len(self._buffer) > _BUFFER:
+                self._spill()
+        if codes is not None:
+            self.set_codes(key, codes)
+
+    def set_codes(self, key: Block, codes: bytes) -> None:
+        """Set or replace the codes of the blocks that the payload of `key` makes."""
+        limit = N_CODES if key.level == ROOT_LEVEL else 4 * N_CODES
+        if len(codes) % N_CODES or len(codes) > limit:
+            raise ValueError(f"{len(codes)} bytes of codes for {key}")
+        self._codes[key] = bytes(codes)
+
+    def finish(self) -> None:
+        """Say that no payload will come soon, so that memory is given back."""
+        with self._lock:
+            if len(self._buffer) > _KEPT:
+                self._spill()
+
+    def close(self) -> None:
+        """Delete the temporary file."""
+        with self._lock:
+            if self._path is not None:
+                with storage_errors(f"cannot remove {self._path}"):
+                    os.unlink(self._path)
+            self._path, self._buffer, self._entries = None, bytearray(), {}
+
+    def keys(self) -> list[Block]:
+        """Return what has been added."""
+        return list(self._entries)
+
+    def entry(self, key: Block) -> Entry:
+        """Return the row of `key`; `KeyError` if it was not added."""
+        return self._entries[key]
+
+    def codes(self, key: Block) -> bytes:
+        """Return the codes of `key`; `KeyError` if they were not set."""
+        return self._codes[key]
+
+    def chunks(self, keys: list[Block]) -> Iterator[bytes]:
+        """Yield the payload, then the mesh, of each of `keys`; one payload in memory at a time.
+
+        Raises
+        ------
+        StorageError
+            If the temporary file is gone or damaged.
+        """
+        with storage_errors(f"cannot read the temporary file {self._path}"):
+            file = open(self._path, "rb") if self._path is not None else None  # noqa: SIM115
+            try:
+                for key in keys:
+                    yield from self._sections(file, self._entries[key])
+            finally:
+                if file is not None:
+                    file.close()
+
+    def _sections(self, file, entry: Entry) -> Iterator[bytes]:
+        offset = entry.offset
+        for length, crc in (
+            (entry.payload_length, entry.payload_crc),
+            (entry.mesh_length, entry.mesh_crc),
+        ):
+            if offset >= self._spilled:
+                first = offset - self._spilled
+                data = bytes(self._buffer[first : first + length])
+            else:
+                file.seek(offset)
+                data = file.read(length)
+            if len(data) != length or zlib.crc32(data) != crc:
+                raise StorageError(f"the temporary file {self._path} is damaged")
+            offset += length
+            yield data
+
+    def _spill(self) -> None:
+        with storage_errors(f"cannot write a temporary file in {self._directory}"):
+            if self._path is None:
+                handle, self._path = tempfile.mkstemp(".twz-spool", "segment-", self._directory)
+                os.close(handle)
+            # Not "ab": after a failed write, the next one begins where the good bytes end.
+            with open(self._path, "r+b") as file:
+                file.seek(self._spilled)
+                file.write(self._buffer)
+        self._spilled += len(self._buffer)
+        self._buffer = bytearray()
+
+    def __getstate__(self) -> dict[str, object]:
+        return {name: value for name, value in self.__dict__.items() if name != "_lock"}
+
+    def __setstate__(self, state: dict[str, object]) -> None:
+        self.__dict__.update(state)
+        self._lock = threading.Lock()

@@ -1,0 +1,155 @@
+"""Put a file together from its segments (FORMAT.md §3.2)."""
+
+import os
+import zlib
+from collections.abc import Mapping
+from typing import BinaryIO, NamedTuple
+
+import numpy as np
+
+from terrainwave.container.header import HEADER_SIZE, Extents, Header, pack_header
+from terrainwave.container.metadata import pack_metadata
+from terrainwave.container.page import (
+    MAX_PAGE,
+    N_CODES,
+    Page,
+    PageLayout,
+    describe_head,
+    describe_key,
+    key_blocks,
+    pack_columns,
+    pack_page,
+    page_layout,
+    page_length,
+)
+from terrainwave.container.publish import publish
+from terrainwave.container.spool import SegmentSpool, storage_errors
+from terrainwave.quadtree import Block, Grid
+
+Spools = Mapping[Block | None, SegmentSpool]
+
+
+class _Part(NamedTuple):
+    """What must be known of a segment before any byte is written; an absent one is all zero."""
+
+    columns: bytes
+    page_length: int
+    length: int
+
+
+_ABSENT = _Part(b"", 0, 0)
+
+
+def assemble(out_file: BinaryIO, header: Header, spools: Spools) -> Extents:
+    """Write a whole file to `out_file`, from its current position.
+
+    Parameters
+    ----------
+    out_file : binary file object
+        Only written to, in order.
+    header : Header
+        With its metadata and parameters.
+    spools : mapping of Block or None to SegmentSpool
+        One for each of ``header.grid.segment_heads()``, complete.
+
+    Raises
+    ------
+    ValueError
+        If a segment, payload or code is missing or too much.
+    InvalidHeightsError
+        If the header or its metadata is outside the limits of the format.
+    StorageError
+        If a temporary file cannot be read or the disk is full.
+
+    Notes
+    -----
+    The same header and payloads give the same bytes, in whatever order they arrived. Memory: the
+    index pages, about 2 kB per segment, and one payload.
+    """
+    grid = header.grid
+    levels = [[None], *(grid.blocks(level) for level in grid.segment_levels())]
+    parts: dict[Block | None, _Part] = {}
+    for heads in reversed(levels):
+        for head in heads:
+            parts[head] = _prepare(grid, head, spools, parts)
+    metadata = pack_metadata(header.metadata)
+    top_start = HEADER_SIZE + len(metadata) + len(header.parameters)
+    extents = Extents(
+        file_size=top_start + sum(part.length for part in parts.values()),
+        metadata_length=len(metadata),
+        metadata_crc=zlib.crc32(metadata),
+        parameters_length=len(header.parameters),
+        parameters_crc=zlib.crc32(header.parameters),
+        top_page_length=parts[None].page_length,
+    )
+    first = pack_header(header, extents)
+    with storage_errors(f"cannot write {getattr(out_file, 'name', 'the file')}"):
+        out_file.write(first + metadata + header.parameters)
+        child_start = top_start
+        for heads in levels:
+            # The children of this level's segments follow its last one.
+            child_start += sum(parts[head].length for head in heads)
+            cursor = child_start
+            for head in heads:
+                layout = page_layout(grid, head)
+                if parts[head].length:
+                    first_child = cursor if layout.children else 0
+                    out_file.write(pack_page(parts[head].columns, first_child))
+                    for chunk in spools[head].chunks(layout.keys):
+                        out_file.write(chunk)
+                cursor += sum(parts[child].length for child in layout.children)
+        out_file.flush()
+    return extents
+
+
+def _prepare(
+    grid: Grid, head: Block | None, spools: Spools, parts: Mapping[Block | None, _Part]
+) -> _Part:
+    if head not in spools:
+        raise ValueError(f"{describe_head(head)} is missing")
+    layout = page_layout(grid, head)
+    page = _page(grid, layout, spools[head], [parts[child] for child in layout.children])
+    if head is not None and page.is_empty:
+        return _ABSENT
+    columns = pack_columns(page)
+    length = page_length(columns)
+    if length > MAX_PAGE:
+        raise AssertionError(f"page of {length} bytes")
+    return _Part(columns, length, length + page.body_length)
+
+
+def _page(grid: Grid, layout: PageLayout, spool: SegmentSpool, children: list[_Part]) -> Page:
+    extra = set(spool.keys()) - set(layout.keys)
+    if extra:
+        raise ValueError(f"{describe_key(min(extra))} does not belong to this segment")
+    rows, codes = [], []
+    for key in layout.keys:
+        try:
+            rows.append(spool.entry(key))
+            codes.append(spool.codes(key))
+        except KeyError:
+            raise ValueError(f"{describe_key(key)} has no payload or no codes") from None
+        if len(codes[-1]) != N_CODES * len(key_blocks(grid, key)):
+            raise ValueError(f"{describe_key(key)} has {len(codes[-1])} bytes of codes")
+    columns = list(zip(*rows, strict=True))
+    return Page(
+        payload_lengths=np.array(columns[1], dtype=np.uint32),
+        payload_crcs=np.array(columns[2], dtype=np.uint32),
+        mesh_lengths=np.array(columns[3], dtype=np.uint32),
+        mesh_crcs=np.array(columns[4], dtype=np.uint32),
+        flags=np.array(columns[5], dtype=np.uint8),
+        codes=np.frombuffer(b"".join(codes), dtype=np.uint8).reshape(-1, N_CODES),
+        child_page_lengths=np.array([part.page_length for part in children], dtype=np.uint32),
+        child_lengths=np.array([part.length for part in children], dtype=np.uint64),
+    )
+
+
+def write_file(
+    target: str | os.PathLike[str], header: Header, spools: Spools, overwrite: bool = False
+) -> Extents:
+    """Write a whole file to the path `target`, which appears complete or not at all.
+
+    For a proof before it appears, use `publish` and `assemble` themselves.
+    """
+    with publish(target, overwrite) as part:
+        return assemble(part.file, header, spools)
