@@ -103,7 +103,7 @@ class Terrainwave(Codec):
 
     def decode(self, stored: Stored, raster: Raster, max_error: float) -> np.ndarray:
         """Read the whole raster."""
-        with self._package.open(stored) as terrain:
+        with self._package.open(stored, threads=1) as terrain:
             return terrain.read()
 
 
