@@ -43,6 +43,7 @@ class Info:
     max_error: float
     effective_error: float
     quantum: float
+    rounding_error: float
     units: str | None
     method: str
     effort: str
@@ -276,6 +277,7 @@ class Terrain:
             max_error=self.max_error,
             effective_error=self.effective_error,
             quantum=self._quantizer.quantum * abs(raster.scale),
+            rounding_error=self._quantizer.rho * abs(raster.scale),
             units=raster.units,
             method=header.method,
             effort=EFFORTS[min(header.effort, len(EFFORTS) - 1)],
