@@ -4,7 +4,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -94,7 +94,7 @@ class Page:
     def children_end(self) -> int:
         """Return the file offset after the last child segment."""
         # Not numpy's sum: untrusted uint64 could wrap.
-        return self.first_child + sum(self.child_lengths.tolist())
+        return self.first_child + sum(int(length) for length in self.child_lengths)
 
     @property
     def is_empty(self) -> bool:
@@ -108,7 +108,10 @@ def empty_page(layout: PageLayout) -> Page:
     """Return the page of an absent segment: zeros everywhere (FORMAT.md §3.4)."""
     n_keys, n_blocks, n_children = map(len, layout)
     return Page(
-        *(np.zeros(n_keys, dtype=np.uint32) for _ in range(4)),
+        payload_lengths=np.zeros(n_keys, dtype=np.uint32),
+        payload_crcs=np.zeros(n_keys, dtype=np.uint32),
+        mesh_lengths=np.zeros(n_keys, dtype=np.uint32),
+        mesh_crcs=np.zeros(n_keys, dtype=np.uint32),
         flags=np.zeros(n_keys, dtype=np.uint8),
         codes=np.zeros((n_blocks, N_CODES), dtype=np.uint8),
         child_page_lengths=np.zeros(n_children, dtype=np.uint32),
@@ -222,7 +225,7 @@ class _Cursor:
         self._content = np.frombuffer(content, dtype=np.uint8)
         self._byte_pos = 0
 
-    def planes(self, dtype: DTypeLike, count: int) -> NDArray:
+    def planes(self, dtype: DTypeLike, count: int) -> NDArray[Any]:
         """Return the next column of `count` numbers, native byte order; the inverse of above."""
         width = np.dtype(dtype).itemsize
         end = self._byte_pos + width * count
@@ -249,4 +252,5 @@ def describe_key(key: Block) -> str:
 def payload_starts(page: Page, body_start: int) -> Sequence[int]:
     """Return the file offset of each key's payload; its mesh follows it (FORMAT.md §3.2)."""
     lengths = page.payload_lengths.astype(np.int64) + page.mesh_lengths
-    return (body_start + np.concatenate(([0], np.cumsum(lengths[:-1])))).tolist()
+    starts: list[int] = (body_start + np.cumsum(lengths) - lengths).tolist()
+    return starts

@@ -116,7 +116,7 @@ def remove_stale_parts(final: Path) -> list[Path]:
 
     A part whose lock is held, or cannot be tried on this system, stays.
     """
-    removed = []
+    removed: list[Path] = []
     prefix = f".{final.name}."
     try:
         names = os.listdir(final.parent)
@@ -177,7 +177,7 @@ def _try_lock(file: BinaryIO) -> _Lock:
         if msvcrt is not None:
             file.seek(_LOCKED_BYTE)
             try:
-                msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
+                msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
             finally:
                 file.seek(0)
             return _Lock.TAKEN

@@ -23,7 +23,7 @@ from terrainwave.container.page import (
     payload_starts,
     unpack_page,
 )
-from terrainwave.container.source import ByteRange, ByteSource, open_source
+from terrainwave.container.source import ByteRange, ByteSource, SourceLike, open_source
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError
 from terrainwave.quadtree import Block, Grid
 
@@ -326,7 +326,7 @@ class Container:
         return Container, (self.source, self._cached_segments)
 
 
-def open_container(source: object) -> Container:
+def open_container(source: SourceLike) -> Container:
     """Return a `Container` of a path, URL, bytes or binary file object (see `open_source`)."""
     opened = open_source(source)
     try:

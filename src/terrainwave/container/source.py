@@ -3,8 +3,8 @@
 import io
 import os
 import threading
-from collections.abc import Sequence
-from typing import BinaryIO, NamedTuple, Protocol
+from collections.abc import Callable, Sequence
+from typing import BinaryIO, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from terrainwave.errors import StorageError, TruncatedStreamError
 
@@ -24,6 +24,7 @@ class ByteRange(NamedTuple):
         return self.offset + self.length
 
 
+@runtime_checkable
 class ByteSource(Protocol):
     """Random access to bytes whose number is known; thread-safe.
 
@@ -46,6 +47,9 @@ class ByteSource(Protocol):
     def close(self) -> None:
         """Let go of files and connections; reading afterwards raises `StorageError`."""
         ...
+
+
+SourceLike: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO | ByteSource
 
 
 class Merged(NamedTuple):
@@ -83,30 +87,38 @@ def split_merged(
     return result
 
 
-class _MergingSource:
-    """The parts that all sources share."""
+class MergingSource:
+    """The parts that all sources share; `_read` may return less only where the source ends."""
 
     name: str
     size: int
 
     def read(self, offset: int, length: int) -> bytes:
         """Return exactly `length` bytes from `offset`."""
-        if offset < 0 or length < 0 or offset + length > self.size:
-            raise TruncatedStreamError(
-                f"{self.name} has {self.size} bytes; {length} were expected at byte {offset}"
-            )
+        self._check_range(offset, length)
         data = self._read(offset, length) if length else b""
-        if len(data) != length:
-            raise TruncatedStreamError(
-                f"{self.name} ends at byte {offset + len(data)}; {length} bytes were expected "
-                f"at byte {offset}"
-            )
+        self._check_length(ByteRange(offset, length), data)
         return data
 
     def read_many(self, ranges: Sequence[ByteRange]) -> list[bytes]:
         """Return the bytes of each range, in the order asked."""
+        for wanted in ranges:
+            self._check_range(*wanted)
         merged = merge_ranges(ranges)
         return split_merged(ranges, merged, self._read_spans([span for span, _ in merged]))
+
+    def _check_range(self, offset: int, length: int) -> None:
+        if offset < 0 or length < 0 or offset + length > self.size:
+            raise TruncatedStreamError(
+                f"{self.name} has {self.size} bytes; {length} were expected at byte {offset}"
+            )
+
+    def _check_length(self, wanted: ByteRange, data: bytes) -> None:
+        if len(data) != wanted.length:
+            raise TruncatedStreamError(
+                f"{self.name} ends at byte {wanted.offset + len(data)}; {wanted.length} bytes "
+                f"were expected at byte {wanted.offset}"
+            )
 
     def _read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
         return [self.read(*span) for span in spans]
@@ -118,7 +130,7 @@ class _MergingSource:
         """Let go of what the source holds."""
 
 
-class FileSource(_MergingSource):
+class FileSource(MergingSource):
     """A local file."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -152,14 +164,18 @@ class FileSource(_MergingSource):
         return FileSource, (os.path.abspath(self.name),)
 
 
-class BufferSource(_MergingSource):
+class BufferSource(MergingSource):
     """Bytes in memory, or a seekable binary file object, which stays the caller's to close."""
 
     def __init__(self, buffer: bytes | BinaryIO) -> None:
         self.name = getattr(buffer, "name", None) or "the buffer"
         self._lock = threading.Lock()
-        self._bytes = bytes(buffer) if isinstance(buffer, bytes | bytearray | memoryview) else None
-        self._file = io.BytesIO(self._bytes) if self._bytes is not None else buffer
+        self._bytes: bytes | None = None
+        if isinstance(buffer, bytes | bytearray | memoryview):
+            self._bytes = bytes(buffer)
+            self._file: BinaryIO = io.BytesIO(self._bytes)
+        else:
+            self._file = buffer
         self._is_closed = False
         try:
             self.size = self._file.seek(0, os.SEEK_END)
@@ -190,7 +206,7 @@ def _seek_read(file: BinaryIO, offset: int, length: int) -> bytes:
     return file.read(length)
 
 
-def _read_fully(read_at, offset: int, length: int) -> bytes:
+def _read_fully(read_at: Callable[[int, int], bytes], offset: int, length: int) -> bytes:
     """Call ``read_at(offset, length)`` until all bytes are there or the file ends."""
     parts = []
     while length:
@@ -203,7 +219,7 @@ def _read_fully(read_at, offset: int, length: int) -> bytes:
     return parts[0] if len(parts) == 1 else b"".join(parts)
 
 
-def open_source(source: "str | os.PathLike[str] | bytes | BinaryIO | ByteSource") -> ByteSource:
+def open_source(source: SourceLike) -> ByteSource:
     """Return a byte source for a path, a URL, bytes or a binary file object.
 
     Raises
@@ -219,7 +235,7 @@ def open_source(source: "str | os.PathLike[str] | bytes | BinaryIO | ByteSource"
         return open_url(source)
     if isinstance(source, str | os.PathLike):
         return FileSource(source)
-    if hasattr(source, "read_many"):
+    if isinstance(source, ByteSource):
         return source
     if hasattr(source, "read") and hasattr(source, "seek"):
         return BufferSource(source)

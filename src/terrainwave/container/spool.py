@@ -7,7 +7,7 @@ import threading
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from terrainwave.container.page import MAX_PAYLOAD, N_CODES, ROOT_LEVEL
 from terrainwave.errors import StorageError, TerrainwaveError
@@ -143,13 +143,13 @@ class SegmentSpool:
                 if file is not None:
                     file.close()
 
-    def _sections(self, file, entry: Entry) -> Iterator[bytes]:
+    def _sections(self, file: BinaryIO | None, entry: Entry) -> Iterator[bytes]:
         offset = entry.offset
         for length, crc in (
             (entry.payload_length, entry.payload_crc),
             (entry.mesh_length, entry.mesh_crc),
         ):
-            if offset >= self._spilled:
+            if file is None or offset >= self._spilled:
                 first = offset - self._spilled
                 data = bytes(self._buffer[first : first + length])
             else:

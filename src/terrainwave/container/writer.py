@@ -2,15 +2,14 @@
 
 import os
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from terrainwave.container.header import HEADER_SIZE, Extents, Header, pack_header
+from terrainwave.container.header import HEADER_SIZE, MAX_PAGE, Extents, Header, pack_header
 from terrainwave.container.metadata import pack_metadata
 from terrainwave.container.page import (
-    MAX_PAGE,
     N_CODES,
     Page,
     PageLayout,
@@ -67,7 +66,8 @@ def assemble(out_file: BinaryIO, header: Header, spools: Spools) -> Extents:
     index pages, about 2 kB per segment, and one payload.
     """
     grid = header.grid
-    levels = [[None], *(grid.blocks(level) for level in grid.segment_levels())]
+    levels: list[Sequence[Block | None]] = [[None]]
+    levels += [grid.blocks(level) for level in grid.segment_levels()]
     parts: dict[Block | None, _Part] = {}
     for heads in reversed(levels):
         for head in heads:

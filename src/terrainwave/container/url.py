@@ -1,0 +1,298 @@
+"""Byte sources behind a URL: http(s) by the standard library, everything else by fsspec.
+
+http does without fsspec because one request must answer three questions: the size, whether the
+server serves ranges at all, and what the first 16 KiB are. fsspec would need two more requests,
+and downloads the whole file where ranges are ignored.
+"""
+
+import base64
+import http.client
+import re
+import ssl
+import threading
+import time
+import urllib.request
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+from urllib.parse import SplitResult, unquote, urljoin, urlsplit
+
+from terrainwave.container.source import (
+    ByteRange,
+    ByteSource,
+    FileSource,
+    MergingSource,
+)
+from terrainwave.errors import StorageError, TerrainwaveError
+
+FIRST_REQUEST = 16 * 1024
+TIMEOUT = 30.0  # seconds without a byte
+N_CONNECTIONS = 8
+
+_REDIRECTS = {301, 302, 303, 307, 308}
+_MAX_REDIRECTS = 5
+_BUSY = {429, 500, 502, 503, 504}
+_DELAYS = (0.2, 1.0)  # seconds before a busy server is asked again
+_CONTENT_RANGE = re.compile(r"bytes (?:(\d{1,18})-(\d{1,18})|\*)/(\d{1,18})")
+
+
+def open_url(url: str) -> ByteSource:
+    """Return the source of a URL; raise `StorageError` if it cannot be read by ranges."""
+    scheme = urlsplit(url).scheme.lower()
+    if scheme in ("http", "https"):
+        return HttpSource(url)
+    if scheme == "file":
+        return FileSource(urllib.request.url2pathname(urlsplit(url).path))
+    return FsspecSource(url)
+
+
+class _Reply(NamedTuple):
+    status: int
+    location: str | None
+    content_range: str | None
+    body: bytes
+
+
+class HttpSource(MergingSource):
+    """A file on a web server that serves byte ranges.
+
+    Opening is one request, for the first 16 KiB. Connections are kept and reused, up to eight at
+    a time. Redirects, `http_proxy` and friends and ``user:password@`` in the URL work.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        self.name = _display_name(url)
+        self._lock = threading.Lock()
+        self._idle: list[tuple[tuple[str, str], http.client.HTTPConnection]] = []
+        self._is_closed = False
+        self._resolved = url
+        self.size = -1
+        self._start = self._request(ByteRange(0, FIRST_REQUEST))
+
+    def _read(self, offset: int, length: int) -> bytes:
+        if self._is_closed:
+            raise StorageError(f"{self.name} is closed")
+        if offset + length <= len(self._start):
+            return self._start[offset : offset + length]
+        return self._request(ByteRange(offset, length))
+
+    def _read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
+        if len(spans) < 2:
+            return super()._read_spans(spans)
+        with ThreadPoolExecutor(min(len(spans), N_CONNECTIONS)) as pool:
+            return list(pool.map(lambda span: self.read(*span), spans))
+
+    def _request(self, wanted: ByteRange) -> bytes:
+        """Return the bytes of `wanted` that exist; sets `size` the first time."""
+        reply = self._ask(wanted)
+        match = _CONTENT_RANGE.fullmatch((reply.content_range or "").strip())
+        if reply.status == 416 and match and int(match[3]) == 0:
+            self.size = 0
+            return b""
+        if reply.status == 200:
+            raise StorageError(
+                f"{self.name}: the server does not serve byte ranges; download the file and open "
+                "it locally, or host it where ranges work (nginx, Apache, S3, ...)"
+            )
+        if reply.status != 206:
+            reason = http.client.responses.get(reply.status, "")
+            raise StorageError(f"cannot read {self.name}: {reply.status} {reason}".rstrip())
+        if not match or match[1] is None:
+            raise StorageError(f"{self.name}: no usable Content-Range in the server's reply")
+        size = int(match[3])
+        if self.size not in (-1, size):
+            raise StorageError(f"{self.name} has changed while it was open")
+        expected = ByteRange(wanted.offset, min(wanted.end, size) - wanted.offset)
+        if (int(match[1]), int(match[2]) + 1) != (expected.offset, expected.end):
+            raise StorageError(f"{self.name}: the server sent {match[0]} for {expected}")
+        self.size = size
+        return reply.body
+
+    def _ask(self, wanted: ByteRange) -> _Reply:
+        """Return the first reply that is no redirect and no sign of a busy server."""
+        for delay in (*_DELAYS, None):
+            reply = self._follow(self._resolved, wanted)
+            # What a redirect pointed at may have been signed for a few minutes only.
+            if reply.status in (401, 403, 404, 410) and self._resolved != self._url:
+                reply = self._follow(self._url, wanted)
+            if reply.status not in _BUSY or delay is None:
+                break
+            time.sleep(delay)
+        return reply
+
+    def _follow(self, url: str, wanted: ByteRange) -> _Reply:
+        for _ in range(_MAX_REDIRECTS + 1):
+            reply = self._exchange(url, wanted)
+            if reply.status not in _REDIRECTS or reply.location is None:
+                self._resolved = url
+                return reply
+            target = urljoin(url, reply.location)
+            if urlsplit(target).scheme not in ("https", urlsplit(url).scheme):
+                raise StorageError(f"{self.name} redirects to {_display_name(target)}")
+            url = target
+        raise StorageError(f"{self.name} redirects more than {_MAX_REDIRECTS} times")
+
+    def _exchange(self, url: str, wanted: ByteRange) -> _Reply:
+        """Ask once, on a kept connection if there is one; once more if that had gone stale."""
+        parts = urlsplit(url)
+        key = (parts.scheme, parts.netloc)
+        while True:
+            connection = self._take_idle(key)
+            is_fresh = connection is None
+            if connection is None:
+                connection = self._connect(parts)
+            is_reusable = False
+            try:
+                connection.request("GET", _target(parts), headers=self._headers(parts, wanted))
+                response = connection.getresponse()
+                reply = _read_reply(response, wanted.length)
+                is_reusable = response.isclosed() and not response.will_close
+                return reply
+            except (OSError, http.client.HTTPException) as error:
+                if is_fresh:
+                    problem = str(error) or type(error).__name__
+                    raise StorageError(f"cannot read {self.name}: {problem}") from error
+            finally:
+                self._give_back(key, connection, is_reusable)
+
+    def _headers(self, parts: SplitResult, wanted: ByteRange) -> dict[str, str]:
+        headers = {
+            "Range": f"bytes={wanted.offset}-{wanted.end - 1}",
+            "Accept-Encoding": "identity",  # ranges of a compressed reply would be useless
+            "User-Agent": "terrainwave",
+        }
+        # Only to the server the user named, not to one it redirects to.
+        if parts.username is not None and parts.netloc == urlsplit(self._url).netloc:
+            login = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
+            headers["Authorization"] = "Basic " + base64.b64encode(login.encode()).decode()
+        return headers
+
+    def _connect(self, parts: SplitResult) -> http.client.HTTPConnection:
+        try:
+            host, port = parts.hostname or "", parts.port
+        except ValueError as error:
+            raise StorageError(f"{self.name}: {error}") from None
+        if not host:
+            raise StorageError(f"{self.name}: no host in the URL")
+        proxy = _proxy(parts)
+        at_host, at_port = (proxy.hostname or "", proxy.port) if proxy else (host, port)
+        if parts.scheme == "http":
+            return http.client.HTTPConnection(at_host, at_port, timeout=TIMEOUT)
+        context = ssl.create_default_context()
+        connection = http.client.HTTPSConnection(at_host, at_port, timeout=TIMEOUT, context=context)
+        if proxy:
+            connection.set_tunnel(host, port)
+        return connection
+
+    def _take_idle(self, key: tuple[str, str]) -> http.client.HTTPConnection | None:
+        with self._lock:
+            for number, (idle_key, connection) in enumerate(self._idle):
+                if idle_key == key:
+                    del self._idle[number]
+                    return connection
+        return None
+
+    def _give_back(
+        self, key: tuple[str, str], connection: http.client.HTTPConnection, is_reusable: bool
+    ) -> None:
+        with self._lock:
+            if is_reusable and not self._is_closed and len(self._idle) < N_CONNECTIONS:
+                self._idle.append((key, connection))
+                return
+        connection.close()
+
+    def close(self) -> None:
+        """Close all connections."""
+        with self._lock:
+            self._is_closed = True
+            idle, self._idle = self._idle, []
+        for _, connection in idle:
+            connection.close()
+
+    def __reduce__(self) -> tuple[type["HttpSource"], tuple[str]]:
+        return HttpSource, (self._url,)
+
+
+def _read_reply(response: http.client.HTTPResponse, length: int) -> _Reply:
+    """Read what there is of a partial reply, `length` bytes at most, and nothing of others."""
+    body = b""
+    if response.status == 206:
+        body = response.read(length)
+        response.read(1)  # lets http.client notice the end, so that the connection can be reused
+    elif response.getheader("Content-Length", "") == "0":
+        response.read()
+    location, content_range = response.getheader("Location"), response.getheader("Content-Range")
+    return _Reply(response.status, location, content_range, body)
+
+
+def _target(parts: SplitResult) -> str:
+    target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+    if parts.scheme == "http" and _proxy(parts):
+        netloc = parts.netloc.rpartition("@")[2]
+        return f"http://{netloc}{target}"
+    return target
+
+
+def _proxy(parts: SplitResult) -> SplitResult | None:
+    proxy = urllib.request.getproxies().get(parts.scheme)
+    if not proxy or urllib.request.proxy_bypass(parts.hostname or ""):
+        return None
+    return urlsplit(proxy if "://" in proxy else f"http://{proxy}")
+
+
+def _display_name(url: str) -> str:
+    """Return the URL for messages: without password, query and fragment, where secrets live."""
+    parts = urlsplit(url)
+    return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
+
+
+class FsspecSource(MergingSource):
+    """A file on anything fsspec knows: ``s3://``, ``gs://``, ``memory://``, ..."""
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        self.name = _display_name(url)
+        try:
+            import fsspec  # type: ignore[import-untyped]
+        except ImportError:
+            raise StorageError(f"reading {self.name} needs fsspec: pip install fsspec") from None
+        self._fs, self._path = self._call(fsspec.core.url_to_fs, url)
+        size = self._call(self._fs.size, self._path)
+        if size is None:
+            raise StorageError(f"{self.name}: its size is not known; download it first")
+        self.size = int(size)
+
+    def _call(self, function: Any, *args: Any, **options: Any) -> Any:
+        # File systems raise what their libraries raise; few of those are OSErrors.
+        try:
+            return function(*args, **options)
+        except TerrainwaveError:
+            raise
+        except FileNotFoundError as error:
+            raise StorageError(f"cannot read {self.name}: no such file") from error
+        except Exception as error:
+            problem = str(error).split("\n")[0] or type(error).__name__
+            raise StorageError(f"cannot read {self.name}: {problem}") from error
+
+    def _read(self, offset: int, length: int) -> bytes:
+        return self._read_spans([ByteRange(offset, length)])[0]
+
+    def _read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
+        asked = [span for span in spans if span.length]
+        replies = self._call(
+            self._fs.cat_ranges,
+            [self._path] * len(asked),
+            [span.offset for span in asked],
+            [span.end for span in asked],
+            on_error="raise",
+        )
+        found = dict(zip(asked, replies, strict=True))
+        for span, data in found.items():
+            if len(data) > span.length:
+                raise StorageError(f"{self.name} does not serve byte ranges; download it first")
+            self._check_length(span, data)
+        return [found.get(span, b"") for span in spans]
+
+    def __reduce__(self) -> tuple[type["FsspecSource"], tuple[str]]:
+        return FsspecSource, (self._url,)
