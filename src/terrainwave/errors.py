@@ -8,6 +8,8 @@ TerrainwaveError
 ├── LimitExceededError        legal, but larger than the caller allowed
 ├── UnsupportedVersionError   the bytes need a newer terrainwave
 └── StorageError              (also OSError) a file cannot be read or written
+
+TerrainwaveWarning            (a UserWarning) something of the input is left out, and what
 """
 
 
@@ -41,3 +43,7 @@ class UnsupportedVersionError(TerrainwaveError):
 
 class StorageError(TerrainwaveError, OSError):
     """A file, directory or URL cannot be read or written; the target is untouched."""
+
+
+class TerrainwaveWarning(UserWarning):
+    """Something of the input is ignored or dropped; the heights are not affected."""

@@ -1,0 +1,78 @@
+# make demo | make test | make bench | make clean
+# All targets set up their own virtual environment in .venv; see CONTRIBUTING.md.
+
+PYTHON ?= python3
+VENV ?= .venv
+WORKERS ?= 2
+DATA ?=
+
+BIN := $(VENV)/bin
+# Absolute: tests change their directory.
+PYTEST := $(BIN)/python -m pytest -n $(WORKERS)
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint test-compiled test-bounds test-python coverage bench clean
+
+help:
+	@echo "make demo            compress, check, mesh and draw a terrain into demo/"
+	@echo "make test            everything CI does: format, lint, types, the tests three ways"
+	@echo "make coverage        the tests as plain Python, with the lines they miss"
+	@echo "make bench DATA=DIR  compare with other codecs on the rasters in DIR"
+	@echo "make clean           remove what these made"
+
+# --- environments: one stamp per set of extras, renewed when pyproject.toml changes ---
+
+$(VENV)/.created: tools/make_venv.sh
+	@sh tools/make_venv.sh "$(PYTHON)" "$(VENV)"
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.created pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	@touch $@
+
+$(VENV)/.installed-dev: $(VENV)/.created pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[dev]"
+	@touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-bench: $(VENV)/.created pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[bench]"
+	@touch $@
+
+# --- what people run ---
+
+demo: $(VENV)/.installed
+	$(BIN)/terrainwave demo demo
+
+test: lint test-compiled test-bounds test-python
+
+lint: $(VENV)/.installed-dev
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+# Numba's cache does not notice edits in a callee's file: each run gets its own, empty one.
+test-compiled: $(VENV)/.installed-dev
+	@cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && \
+	NUMBA_CACHE_DIR="$$cache" $(PYTEST)
+
+test-bounds: $(VENV)/.installed-dev
+	@cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && \
+	NUMBA_CACHE_DIR="$$cache" NUMBA_BOUNDSCHECK=1 $(PYTEST)
+
+test-python: $(VENV)/.installed-dev
+	NUMBA_DISABLE_JIT=1 $(PYTEST) -m "not large"
+
+coverage: $(VENV)/.installed-dev
+	$(BIN)/coverage erase
+	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest -n $(WORKERS) -m "not large"
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage report
+
+bench: $(VENV)/.installed-bench
+	@test -n "$(DATA)" || { echo "make bench DATA=a-directory-with-GeoTIFFs" >&2; exit 2; }
+	$(BIN)/python -m benchmarks.codecs "$(DATA)" --max-error 0 1 3 10
+
+clean:
+	rm -rf $(VENV) demo build dist .pytest_cache .hypothesis .mypy_cache .ruff_cache
+	rm -f .coverage .coverage.*
+	find src tests benchmarks examples -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true

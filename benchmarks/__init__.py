@@ -1,0 +1,1 @@
+"""Benchmarks: other codecs at equal bounds, a matrix of cases, memory."""

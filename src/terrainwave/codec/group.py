@@ -1,0 +1,155 @@
+"""Code one unit: its mask, its heights by a refiner, its exceptions (FORMAT.md §5).
+
+Payload: one byte of flags, then the mask section and the exception section where the flags say
+so (each a varint length and its bytes), then the refiner's bytes to the end.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.codec.maskcoder import decode_mask, encode_mask
+from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
+from terrainwave.codec.varint import decode_varint, encode_varint
+from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+
+MASK_ALL_VALID, MASK_ALL_VOID, MASK_CODED = 0, 1, 2
+_MASK_BITS = 0b011
+_HAS_EXCEPTIONS = 0b100
+
+
+def encode_unit(
+    refiner: Refiner, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
+) -> tuple[bytes, Decoded]:
+    """Return the payload of a unit and what `decode_unit` makes of it.
+
+    Parameters
+    ----------
+    target : ndarray of int32, shape ``spec.region.shape``
+        Heights to approximate, in quanta; void samples hold their fill.
+    mask : ndarray of bool, same shape
+        Which samples are valid. Must be False wherever the parent implies a void.
+    """
+    implied = implied_voids(spec, parent)
+    if not mask.any():
+        return bytes([MASK_ALL_VOID]), _all_void(spec)
+    flags, sections = MASK_ALL_VALID, b""
+    if not np.array_equal(mask, ~implied):
+        flags = MASK_CODED
+        coded_mask = encode_mask(mask, implied)
+        sections += encode_varint(len(coded_mask)) + coded_mask
+    parent_heights = None if parent is None else parent.heights
+    body, heights, labels = refiner.encode(spec, parent_heights, target, mask)
+    np.clip(heights, spec.z_min, spec.z_max, out=heights)
+    collides = _collisions(spec, heights, mask)
+    if collides.any():
+        goes_down = target[collides] < spec.forbidden[0]
+        if goes_down.any():
+            flags |= _HAS_EXCEPTIONS
+            exceptions = np.packbits(goes_down).tobytes()
+            sections += encode_varint(len(exceptions)) + exceptions
+        _resolve_collisions(spec, heights, collides, goes_down)
+    return bytes([flags]) + sections + body, Decoded(heights, mask, labels)
+
+
+def decode_unit(refiner: Refiner, spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Decoded:
+    """Undo `encode_unit`.
+
+    Raises
+    ------
+    CorruptStreamError
+        If the payload contradicts the format; nothing is read outside of it.
+    """
+    if not payload:
+        raise TruncatedStreamError("a unit's payload is empty")
+    flags = payload[0]
+    mask_mode = flags & _MASK_BITS
+    if flags & ~(_MASK_BITS | _HAS_EXCEPTIONS) or mask_mode > MASK_CODED:
+        raise CorruptStreamError(f"a unit's flags are {flags:#04x}; reserved bits must be 0")
+    if mask_mode == MASK_ALL_VOID:
+        if len(payload) > 1:
+            raise CorruptStreamError(f"{len(payload) - 1} bytes are left over after a void unit")
+        return _all_void(spec)
+    byte_pos = 1
+    mask = ~implied_voids(spec, parent)
+    if mask_mode == MASK_CODED:
+        section, byte_pos = _read_section(payload, byte_pos)
+        mask = decode_mask(section, ~mask)
+    exceptions = b""
+    if flags & _HAS_EXCEPTIONS:
+        exceptions, byte_pos = _read_section(payload, byte_pos)
+    parent_heights = None if parent is None else parent.heights
+    heights, labels = refiner.decode(spec, parent_heights, mask, payload[byte_pos:])
+    np.clip(heights, spec.z_min, spec.z_max, out=heights)
+    collides = _collisions(spec, heights, mask)
+    goes_down = _decode_exceptions(exceptions, int(np.count_nonzero(collides)))
+    _resolve_collisions(spec, heights, collides, goes_down)
+    return Decoded(heights, mask, labels)
+
+
+def implied_voids(spec: GroupSpec, parent: Decoded | None) -> Mask:
+    """Return which samples of the unit are void because a parent sample touching them is.
+
+    A coarse sample is valid iff any full-grid sample of the cells touching it is, so below a void
+    sample everything within one sample of this level is void as well.
+    """
+    region, outer = spec.region, spec.parent_region
+    if parent is None or outer is None:
+        return np.zeros(region.shape, dtype=np.bool_)
+    if parent.mask.all():
+        return np.zeros(region.shape, dtype=np.bool_)
+    void = ~parent.mask
+    rows = void[_touching(region.row, region.n_rows, outer.row, outer.n_rows, 0)]
+    rows |= void[_touching(region.row, region.n_rows, outer.row, outer.n_rows, 1)]
+    implied: Mask = rows[:, _touching(region.col, region.n_cols, outer.col, outer.n_cols, 0)]
+    implied |= rows[:, _touching(region.col, region.n_cols, outer.col, outer.n_cols, 1)]
+    return implied
+
+
+def _touching(first: int, n: int, outer_first: int, outer_n: int, upper: int) -> NDArray[np.intp]:
+    """Return, for each sample of an axis, the index of the parent's sample below or above it."""
+    places = np.arange(first, first + n) + upper >> 1
+    return np.clip(places - outer_first, 0, outer_n - 1)
+
+
+def _all_void(spec: GroupSpec) -> Decoded:
+    return Decoded(
+        np.zeros(spec.region.shape, dtype=np.int32), np.zeros(spec.region.shape, dtype=np.bool_), None
+    )
+
+
+def _collisions(spec: GroupSpec, heights: Heights, mask: Mask) -> Mask:
+    """Return the valid samples whose height would read as the nodata value."""
+    low, high = spec.forbidden
+    if low > high:
+        return np.zeros(heights.shape, dtype=np.bool_)
+    collides: Mask = mask & (heights >= low) & (heights <= high)
+    return collides
+
+
+def _resolve_collisions(
+    spec: GroupSpec, heights: Heights, collides: Mask, goes_down: NDArray[np.bool_]
+) -> None:
+    """Move colliding heights to the next value on the original's side, in place."""
+    low, high = spec.forbidden
+    heights[collides] = np.where(goes_down, low - 1, high + 1)
+
+
+def _decode_exceptions(section: bytes, n_collisions: int) -> NDArray[np.bool_]:
+    if not section:
+        return np.zeros(n_collisions, dtype=np.bool_)
+    if len(section) != (n_collisions + 7) // 8:
+        raise CorruptStreamError(
+            f"{n_collisions} heights equal nodata, but {len(section)} bytes of exceptions are present"
+        )
+    bits = np.unpackbits(np.frombuffer(section, dtype=np.uint8))
+    return bits[:n_collisions].astype(np.bool_)
+
+
+def _read_section(payload: bytes, byte_pos: int) -> tuple[bytes, int]:
+    length, byte_pos = decode_varint(payload, byte_pos)
+    if length == 0:
+        raise CorruptStreamError(f"a section is empty (byte {byte_pos})")
+    if byte_pos + length > len(payload):
+        raise TruncatedStreamError(f"a section of {length} bytes is cut short (byte {byte_pos})")
+    return payload[byte_pos : byte_pos + length], byte_pos + length
+

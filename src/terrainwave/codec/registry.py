@@ -1,0 +1,43 @@
+"""The refiners by name; each is imported when it is asked for."""
+
+from terrainwave.codec.refiner import Refiner
+from terrainwave.errors import InvalidHeightsError, UnsupportedVersionError
+
+METHODS = ("cdf97", "store")
+DEFAULT_METHOD = "cdf97"
+
+
+def refiner_by_name(name: str) -> Refiner:
+    """Return the refiner of a file's method.
+
+    Raises
+    ------
+    UnsupportedVersionError
+        If this version has no such method.
+    """
+    if name == "store":
+        from terrainwave.codec.store import Store
+
+        return Store()
+    if name == "cdf97":
+        from terrainwave.codec.cdf97 import Cdf97
+
+        return Cdf97()
+    raise UnsupportedVersionError(
+        f"the file uses method {name!r}; this terrainwave has {', '.join(METHODS)}: install a newer one"
+    )
+
+
+def check_method(name: str) -> str:
+    """Return `name` if it can be encoded with; ``"auto"`` becomes the default.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If there is no such method.
+    """
+    if name == "auto":
+        return DEFAULT_METHOD
+    if name not in METHODS:
+        raise InvalidHeightsError(f"found method {name!r}, expected auto, {', '.join(METHODS)}")
+    return name

@@ -1,0 +1,81 @@
+"""The coded units of a file: their keys and what their refiner is told (FORMAT.md §2.4).
+
+A group is keyed by its parent block. A root block is a unit of its own; its key is the same
+block position on level -1, as if it had a parent.
+"""
+
+from dataclasses import dataclass
+
+from terrainwave.codec.refiner import Decoded, GroupSpec, Sides
+from terrainwave.quadtree import Block, Grid, Region
+
+
+@dataclass(frozen=True)
+class CodecParameters:
+    """What all units of a file have in common; fields as in `GroupSpec`."""
+
+    step: int
+    z_min: int
+    z_max: int
+    forbidden: tuple[int, int]
+    rings: int
+    effort: int
+
+
+def root_keys(grid: Grid) -> list[Block]:
+    """Return the keys of the root units in Morton order."""
+    return [Block(-1, block.row, block.col) for block in grid.blocks(0)]
+
+
+def unit_blocks(grid: Grid, key: Block) -> list[Block]:
+    """Return the blocks whose heights the unit holds, in Morton order."""
+    if key.level < 0:
+        return [Block(0, key.row, key.col)]
+    return grid.children(key)
+
+
+def unit_core(grid: Grid, key: Block) -> Region:
+    """Return the samples of the unit without its apron, on the level it codes."""
+    if key.level < 0:
+        return grid.block_region(Block(0, key.row, key.col))
+    return grid.group_region(key)
+
+
+def unit_spec(grid: Grid, parameters: CodecParameters, key: Block) -> GroupSpec:
+    """Return what the refiner of the unit is told."""
+    apron = 1 if parameters.rings == 3 else 0
+    blocks_per_unit = 1 if key.level < 0 else 2
+    level = key.level + 1
+    if key.level < 0:
+        region = grid.block_region(Block(0, key.row, key.col), apron)
+        parent_region = None
+    else:
+        region = grid.group_region(key, apron)
+        parent_region = grid.block_region(key, apron)
+    n_rows, n_cols = grid.level_blocks(level)
+    shared = Sides(
+        top=key.row > 0,
+        left=key.col > 0,
+        bottom=(key.row + 1) * blocks_per_unit < n_rows,
+        right=(key.col + 1) * blocks_per_unit < n_cols,
+    )
+    return GroupSpec(
+        level=level,
+        core=unit_core(grid, key),
+        region=region,
+        parent_region=parent_region,
+        shared=shared,
+        step=parameters.step,
+        z_min=parameters.z_min,
+        z_max=parameters.z_max,
+        forbidden=parameters.forbidden,
+        rings=parameters.rings,
+        effort=parameters.effort,
+    )
+
+
+def block_of_unit(grid: Grid, spec: GroupSpec, decoded: Decoded, block: Block) -> Decoded:
+    """Return the part of a decoded unit that is `block`, with its apron if there is one. A view."""
+    apron = 1 if spec.rings == 3 else 0
+    at = grid.block_region(block, apron).slices_in(spec.region)
+    return Decoded(decoded.heights[at], decoded.mask[at], None)

@@ -1,0 +1,155 @@
+"""Decode units on demand, each from its ancestors alone, through a bounded cache."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+
+from terrainwave.codec.group import decode_unit
+from terrainwave.codec.refiner import Decoded, Refiner
+from terrainwave.codec.units import CodecParameters, block_of_unit, unit_spec
+from terrainwave.errors import CorruptStreamError
+from terrainwave.quadtree import Block, Grid
+
+
+# Payloads held between being fetched and being decoded.
+_MAX_FETCHED = 1024
+
+
+class UnitCache:
+    """Least recently used decoded units, up to a number of bytes; thread-safe."""
+
+    def __init__(self, max_bytes: int) -> None:
+        self._max_bytes = max_bytes
+        self._n_bytes = 0
+        self._units: OrderedDict[Block, Decoded] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, key: Block) -> Decoded | None:
+        """Return the unit if it is here."""
+        with self._lock:
+            unit = self._units.get(key)
+            if unit is not None:
+                self._units.move_to_end(key)
+            return unit
+
+    def put(self, key: Block, unit: Decoded) -> None:
+        """Keep the unit, dropping the least recently used ones beyond the limit."""
+        with self._lock:
+            if key in self._units:
+                return
+            self._units[key] = unit
+            self._n_bytes += _n_bytes(unit)
+            while self._n_bytes > self._max_bytes and len(self._units) > 1:
+                _, dropped = self._units.popitem(last=False)
+                self._n_bytes -= _n_bytes(dropped)
+
+
+def _n_bytes(unit: Decoded) -> int:
+    return unit.heights.nbytes + unit.mask.nbytes + (0 if unit.labels is None else unit.labels.nbytes)
+
+
+class TreeDecoder:
+    """Decoded units of a file, by key.
+
+    Parameters
+    ----------
+    payloads : callable
+        Returns the checked payloads of several units, near ones in one request.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        refiner: Refiner,
+        parameters: CodecParameters,
+        payloads: Callable[[Sequence[Block]], list[bytes]],
+        cache_bytes: int,
+    ) -> None:
+        self._grid = grid
+        self._refiner = refiner
+        self._parameters = parameters
+        self._payloads = payloads
+        self._cache = UnitCache(cache_bytes)
+        self._fetched: dict[Block, bytes] = {}
+        self._in_flight: dict[Block, threading.Event] = {}
+        self._lock = threading.Lock()
+
+    def prefetch(self, keys: Sequence[Block]) -> None:
+        """Fetch the payloads that decoding `keys` will need, in one call.
+
+        A damaged payload is left for `unit` to report, so that it costs no other unit.
+        """
+        needed: dict[Block, None] = {}
+        for key in keys:
+            while key not in needed and self._cache.get(key) is None:
+                needed[key] = None
+                if key.level < 0:
+                    break
+                key = unit_key(key)
+        if len(needed) < 2:
+            return
+        try:
+            payloads = self._payloads(list(needed))
+        except CorruptStreamError:
+            return
+        with self._lock:
+            if len(self._fetched) > _MAX_FETCHED:  # left over where another thread was quicker
+                self._fetched.clear()
+            self._fetched.update(zip(needed, payloads, strict=True))
+
+    def unit(self, key: Block) -> Decoded:
+        """Return the decoded unit `key`; its ancestors are decoded as needed.
+
+        Raises
+        ------
+        CorruptStreamError
+            If its payload or one above it is damaged; the message names the unit.
+        """
+        while True:
+            found = self._cache.get(key)
+            if found is not None:
+                return found
+            with self._lock:
+                other = self._in_flight.get(key)
+                if other is None:
+                    mine = self._in_flight[key] = threading.Event()
+                    break
+            other.wait()  # another thread decodes it; ancestors never wait for descendants
+        try:
+            unit = self._decode(key)
+            self._cache.put(key, unit)
+            return unit
+        finally:
+            with self._lock:
+                del self._in_flight[key]
+            mine.set()
+
+    def _decode(self, key: Block) -> Decoded:
+        parent = None if key.level < 0 else self.block(key)
+        spec = unit_spec(self._grid, self._parameters, key)
+        with self._lock:
+            payload = self._fetched.pop(key, None)
+        if payload is None:
+            payload = self._payloads([key])[0]
+        try:
+            return decode_unit(self._refiner, spec, parent, payload)
+        except CorruptStreamError as exc:
+            raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
+
+    def block(self, block: Block) -> Decoded:
+        """Return the decoded heights of a block, with its apron if the file has one."""
+        key = unit_key(block)
+        spec = unit_spec(self._grid, self._parameters, key)
+        return block_of_unit(self._grid, spec, self.unit(key), block)
+
+
+def unit_key(block: Block) -> Block:
+    """Return the key of the unit that holds `block`."""
+    return Block(-1, block.row, block.col) if block.level == 0 else block.parent
+
+
+def unit_name(key: Block) -> str:
+    """Return what messages call the unit."""
+    if key.level < 0:
+        return f"root block (row {key.row}, column {key.col})"
+    return f"the group below block (level {key.level}, row {key.row}, column {key.col})"

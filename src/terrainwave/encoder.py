@@ -1,0 +1,148 @@
+"""Pass B: code the units top down in a closed loop, depth first (DESIGN §3.10).
+
+A unit needs its parent's decoded block and nothing else, so the tree is walked with only the chain
+of decoded ancestors in memory, and subtrees run side by side. Nothing here depends on the order.
+"""
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Executor
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from terrainwave.codec.group import encode_unit
+from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
+from terrainwave.codec.units import CodecParameters, block_of_unit, root_keys, unit_blocks, unit_spec
+from terrainwave.measure import BlockStats, measure_block
+from terrainwave.pyramid import Pyramid
+from terrainwave.quadtree import Block, Grid, Region
+
+# The first levels are walked breadth first until there are this many subtrees to share out.
+_MIN_SUBTREES = 8
+
+Stats = dict[Block, BlockStats]
+
+
+class PayloadSink(Protocol):
+    """Where finished payloads go; called from several threads, in any order."""
+
+    def __call__(self, key: Block, payload: bytes) -> None:
+        """Take the payload of the unit `key`."""
+        ...
+
+
+class _Ancestor(NamedTuple):
+    block: Block
+    region: Region
+    heights: Heights
+
+
+class TreeEncoder:
+    """Encode all units of a raster.
+
+    Parameters
+    ----------
+    on_samples : callable
+        Called with the number of full-grid samples whose unit is finished, from any thread.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        refiner: Refiner,
+        parameters: CodecParameters,
+        pyramid: Pyramid,
+        sink: PayloadSink,
+        on_samples: Callable[[int], None],
+    ) -> None:
+        self._grid = grid
+        self._refiner = refiner
+        self._parameters = parameters
+        self._pyramid = pyramid
+        self._sink = sink
+        self._on_samples = on_samples
+        self._stats: Stats = {}
+        self._lock = threading.Lock()
+
+    def run(self, executor: Executor) -> Stats:
+        """Encode everything; return range and measured error of every block."""
+        starts: list[tuple[Block, Decoded | None, list[_Ancestor]]]
+        starts = [(key, None, []) for key in root_keys(self._grid)]
+        while starts and len(starts) < _MIN_SUBTREES and starts[0][0].level < self._grid.k_max:
+            following = executor.map(lambda start: self._encode_unit(*start), starts)
+            starts = [start for children in following for start in children]
+        for _ in executor.map(lambda start: self._encode_subtree(*start), starts):
+            pass
+        return self._stats
+
+    def _encode_subtree(self, key: Block, parent: Decoded | None, chain: list[_Ancestor]) -> None:
+        for start in self._encode_unit(key, parent, chain):
+            self._encode_subtree(*start)
+
+    def _encode_unit(
+        self, key: Block, parent: Decoded | None, chain: list[_Ancestor]
+    ) -> list[tuple[Block, Decoded, list[_Ancestor]]]:
+        """Encode one unit; return what is to be encoded below it."""
+        grid = self._grid
+        spec = unit_spec(grid, self._parameters, key)
+        target = self._pyramid.heights(spec.level, spec.region)
+        mask = self._pyramid.mask(spec.level, spec.region)
+        payload, decoded = encode_unit(self._refiner, spec, parent, target, mask)
+        self._sink(key, payload)
+        blocks = unit_blocks(grid, key)
+        parts = [block_of_unit(grid, spec, decoded, block) for block in blocks]
+        if spec.level == grid.k_max:
+            core = spec.core.slices_in(spec.region)
+            self._measure(spec, blocks, chain, target[core], mask[core], decoded)
+            self._on_samples(spec.core.n_rows * spec.core.n_cols)
+            return []
+        below = []
+        for block, part in zip(blocks, parts, strict=True):
+            core_part = part.heights[grid.block_region(block).slices_in(_with_apron(grid, spec, block))]
+            below.append((block, part, [*chain, _Ancestor(block, grid.block_region(block), core_part)]))
+        return below
+
+    def _measure(
+        self,
+        spec: GroupSpec,
+        blocks: list[Block],
+        chain: list[_Ancestor],
+        originals: Heights,
+        mask: Mask,
+        decoded: Decoded,
+    ) -> None:
+        """Update the statistics of the finest blocks of a unit and of all their ancestors."""
+        grid = self._grid
+        found: Stats = {}
+        for block in blocks:
+            region = grid.block_region(block)
+            at = region.slices_in(spec.core)
+            stats = _range_of(originals[at], mask[at])
+            heights = decoded.heights[region.slices_in(spec.region)]
+            errors = np.abs(heights.astype(np.int64) - originals[at])[mask[at]]
+            stats.error = int(errors.max(initial=0))
+            found[block] = stats
+        whole = _range_of(originals, mask)
+        for ancestor in chain:
+            stride = grid.stride(ancestor.block.level)
+            row = spec.core.row - ancestor.region.row * stride
+            col = spec.core.col - ancestor.region.col * stride
+            error = 0
+            if not whole.is_empty:
+                error = measure_block(ancestor.heights, stride, originals, mask, row, col)
+            found[ancestor.block] = BlockStats(whole.z_low, whole.z_high, error)
+        with self._lock:
+            for block, stats in found.items():
+                self._stats.setdefault(block, BlockStats()).merge(stats)
+
+
+def _with_apron(grid: Grid, spec: GroupSpec, block: Block) -> Region:
+    return grid.block_region(block, 1 if spec.rings == 3 else 0)
+
+
+def _range_of(originals: Heights, mask: Mask) -> BlockStats:
+    if not mask.any():
+        return BlockStats()
+    heights = originals[mask]
+    return BlockStats(int(heights.min()), int(heights.max()), 0)

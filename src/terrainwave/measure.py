@@ -1,0 +1,138 @@
+"""Measured errors and boxes of blocks, and the eight-bit codes that store them (FORMAT.md §4.4)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from terrainwave._jit import kernel
+from terrainwave.codec.refiner import Heights, Mask
+
+
+@dataclass
+class BlockStats:
+    """What is known of the originals under a block: their range, and the error of its heights.
+
+    In quanta; an empty block (all void) has ``z_low > z_high``.
+    """
+
+    z_low: int = 1 << 31
+    z_high: int = -(1 << 31)
+    error: int = 0
+
+    @property
+    def is_empty(self) -> bool:
+        """Say whether no valid sample lies under the block."""
+        return self.z_low > self.z_high
+
+    def merge(self, other: "BlockStats") -> None:
+        """Take in what was measured on another part of the block."""
+        self.z_low = min(self.z_low, other.z_low)
+        self.z_high = max(self.z_high, other.z_high)
+        self.error = max(self.error, other.error)
+
+
+def with_outside(heights: Heights, n_rows: int, n_cols: int) -> Heights:
+    """Extend `heights` to (n_rows, n_cols) by linear extrapolation of its last two rows and columns.
+
+    A coarse level's last row or column may lie past the raster's edge; it is never coded.
+    """
+    if heights.shape == (n_rows, n_cols):
+        return heights
+    wide = np.empty((n_rows, n_cols), dtype=np.int32)
+    rows, cols = heights.shape
+    wide[:rows, :cols] = heights
+    for col in range(cols, n_cols):
+        wide[:rows, col] = 2 * wide[:rows, col - 1] - wide[:rows, max(col - 2, 0)]
+    for row in range(rows, n_rows):
+        wide[row] = 2 * wide[row - 1] - wide[max(row - 2, 0)]
+    return wide
+
+
+def measure_block(heights: Heights, stride: int, originals: Heights, mask: Mask, row: int, col: int) -> int:
+    """Return the largest distance of valid originals from the block's bilinear surface.
+
+    Parameters
+    ----------
+    heights : ndarray of int32
+        The block's samples in quanta; its first one lies on full-grid sample (0, 0).
+    stride : int
+        Full-grid samples per cell of the block.
+    originals, mask : ndarray, shape (n_rows, n_cols)
+        Full-grid quanta and validity of a window whose first sample is (`row`, `col`).
+
+    Returns
+    -------
+    int
+        Error in quanta, rounded up.
+    """
+    last_row, last_col = row + originals.shape[0] - 1, col + originals.shape[1] - 1
+    needed = (max(-(-last_row // stride) + 1, heights.shape[0]), max(-(-last_col // stride) + 1, heights.shape[1]))
+    scaled = _largest_deviation(
+        with_outside(heights, *needed), stride, originals, mask, row, col, np.empty(needed[1], dtype=np.int64)
+    )
+    return int(-(-scaled // (stride * stride)))
+
+
+@kernel
+def _largest_deviation(heights, stride, originals, mask, first_row, first_col, line):
+    """Return the largest deviation times stride^2; `line` is int64 scratch, one per block column.
+
+    |heights| < 2^31 and stride <= 2^15 keep every product below 2^62.
+    """
+    n_rows, n_cols = originals.shape
+    largest = np.int64(0)
+    for row in range(n_rows):
+        place = first_row + row
+        above = place // stride
+        part = place - above * stride
+        below = above + 1 if part else above
+        first_cell = first_col // stride
+        last_cell = (first_col + n_cols - 1) // stride
+        last_line = min(last_cell + 1, heights.shape[1] - 1)
+        for cell in range(first_cell, last_line + 1):
+            line[cell] = np.int64(heights[above, cell]) * (stride - part) + np.int64(heights[below, cell]) * part
+        for cell in range(first_cell, last_cell + 1):
+            start = max(cell * stride, first_col)
+            stop = min((cell + 1) * stride, first_col + n_cols)
+            slope = line[cell + 1] - line[cell] if cell < last_line else np.int64(0)
+            value = line[cell] * stride + slope * (start - cell * stride)
+            for col in range(start - first_col, stop - first_col):
+                deviation = abs(value - np.int64(originals[row, col]) * stride * stride)
+                if not mask[row, col]:
+                    deviation = 0
+                largest = max(largest, deviation)
+                value += slope
+    return largest
+
+
+# An error code c stands for (8 + c % 8) * 2^(c // 8) / 8, rounded down: eight steps an octave.
+def encode_error(error: int) -> int:
+    """Return the smallest code that stands for at least `error` quanta (0 … 2^31)."""
+    if error <= 0:
+        return 0
+    exponent = max(error.bit_length() - 1, 0)
+    for code in range(8 * exponent, 8 * exponent + 9):
+        if code and decode_error(code) >= error:
+            return min(code, 255)
+    return 255
+
+
+def decode_error(code: int) -> int:
+    """Return the error in quanta that `code` (0 … 255) stands for."""
+    return 0 if code == 0 else ((8 + code % 8) << code // 8) >> 3
+
+
+def encode_range(low: int, high: int, outer_low: int, outer_high: int) -> tuple[int, int]:
+    """Return the codes of a block's box inside its parent's, rounded outward."""
+    span = outer_high - outer_low
+    if span <= 0 or low > high:
+        return 0, 0
+    below = (low - outer_low) * 255 // span
+    above = (outer_high - high) * 255 // span
+    return min(max(below, 0), 255), min(max(above, 0), 255)
+
+
+def decode_range(below: int, above: int, outer_low: int, outer_high: int) -> tuple[int, int]:
+    """Return a box that contains the one that was encoded."""
+    span = outer_high - outer_low
+    return outer_low + below * span // 255, outer_high - above * span // 255

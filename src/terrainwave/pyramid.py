@@ -1,0 +1,305 @@
+"""Target heights and masks of every level, made in one pass over the source (pass A).
+
+Levels are counted here by `shift`: 0 is the full grid, shift j has every 2^j-th sample. All values
+are int32 quanta and pure functions of the raster: neither window sizes nor threads change them.
+
+* Low-pass pyramid: Yusov & Turlapov 2010, §2.1: normalised CDF 9/7 analysis, symmetric at the
+  raster's edge, rounded to quanta on every level.
+* Nested pyramid: the full grid's own samples.
+* Voids are filled by push-pull: coarse levels average what is valid, fine ones interpolate it.
+"""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._jit import kernel
+from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.quadtree import Grid, Region
+from terrainwave.quantum import Quantizer
+from terrainwave.spool import Spool
+
+TILE = 512  # samples per side of the windows in which levels are made
+_PUSH_HALO, _LOWPASS_HALO = 1, 4
+
+
+class SourceWindows(Protocol):
+    """What the pyramid needs of a raster."""
+
+    def read(
+        self, row: int, col: int, n_rows: int, n_cols: int
+    ) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
+        """Return raw heights and validity of a window."""
+        ...
+
+
+class Pyramid:
+    """Targets of all levels of a raster; the finest is read from the source when asked for.
+
+    Parameters
+    ----------
+    kind : str
+        ``"lowpass"`` or ``"nested"``.
+    has_voids : bool
+        Whether any sample of the raster is void; without voids no masks and fills are kept.
+    directory : Path
+        Where levels too large for memory are spooled.
+    executor : Executor
+        Makes the windows of a level side by side.
+    """
+
+    def __init__(
+        self,
+        source: SourceWindows,
+        quantizer: Quantizer,
+        grid: Grid,
+        *,
+        kind: str,
+        has_voids: bool,
+        directory: Path,
+        executor: Executor,
+    ) -> None:
+        self._source = source
+        self._quantizer = quantizer
+        self._grid = grid
+        self._kind = kind
+        self._has_voids = has_voids
+        self._directory = directory
+        self._executor = executor
+        self._heights: dict[int, Spool] = {}
+        self._masks: dict[int, Spool] = {}
+        self._fills: dict[int, Spool] = {}
+
+    def build(self, report: Callable[[int, int], None]) -> None:
+        """Make every level below the full grid; `report` gets (samples done, samples in all)."""
+        total = sum(self._shape(shift)[0] * self._shape(shift)[1] for shift in self._level_shifts())
+        done = 0
+        if self._has_voids:
+            self._build_masks()
+            self._build_fills()
+        for shift in self._level_shifts():
+            spool = self._heights[shift] = Spool(self._shape(shift), np.int32, self._directory)
+            make = self._lowpass_window if self._kind == "lowpass" else self._nested_window
+            self._for_each_window(spool, lambda region, shift=shift, make=make: make(shift, region))
+            done += spool.shape[0] * spool.shape[1]
+            report(done, total)
+
+    def close(self) -> None:
+        """Delete the spools."""
+        for spool in [*self._heights.values(), *self._masks.values(), *self._fills.values()]:
+            spool.close()
+
+    def heights(self, level: int, region: Region) -> Heights:
+        """Return the target heights of a region of a level; voids hold their fill."""
+        return self._read_heights(self._grid.k_max - level, region)
+
+    def mask(self, level: int, region: Region) -> Mask:
+        """Return which samples of a region of a level are valid.
+
+        A coarse sample is valid iff any full-grid sample of the cells touching it is.
+        """
+        shift = self._grid.k_max - level
+        if not self._has_voids:
+            return np.ones(region.shape, dtype=np.bool_)
+        if shift == 0:
+            return self.originals(region)[1]
+        return self._masks[shift].read(region)
+
+    def originals(self, region: Region) -> tuple[Heights, Mask]:
+        """Return quanta and validity of the full grid, 0 in voids."""
+        raw, valid = self._source.read(*region)
+        return self._quantizer.quantize(raw, valid), valid
+
+    def _level_shifts(self) -> range:
+        return range(1, self._grid.k_max + 1)
+
+    def _shape(self, shift: int) -> tuple[int, int]:
+        return (self._grid.n_rows - 1 >> shift) + 1, (self._grid.n_cols - 1 >> shift) + 1
+
+    def _read_heights(self, shift: int, region: Region) -> Heights:
+        if shift:
+            return self._heights[shift].read(region)
+        quanta, valid = self.originals(region)
+        if self._has_voids and not valid.all():
+            fill = self._pulled(0, region)
+            quanta[~valid] = fill[~valid]
+        return quanta
+
+    def _lowpass_window(self, shift: int, region: Region) -> Heights:
+        fine = self._gather(
+            lambda window: self._read_heights(shift - 1, window), shift - 1, region, _LOWPASS_HALO, _reflect
+        )
+        heights = np.empty(region.shape, dtype=np.int32)
+        lowpass_decimate(fine, np.empty((fine.shape[0], region.n_cols), dtype=np.int64), heights)
+        # Filtering may overshoot; decoded heights are clamped to the range, so targets are too.
+        return np.clip(heights, self._quantizer.z_min, self._quantizer.z_max, out=heights)
+
+    def _nested_window(self, shift: int, region: Region) -> Heights:
+        fine = Region(2 * region.row, 2 * region.col, 2 * region.n_rows - 1, 2 * region.n_cols - 1)
+        return self._read_heights(shift - 1, fine)[::2, ::2]
+
+    def _build_masks(self) -> None:
+        for shift in self._level_shifts():
+            spool = self._masks[shift] = Spool(self._shape(shift), np.bool_, self._directory)
+            # The first step reaches two samples far: a cell of shift 1 spans two full-grid cells.
+            reach = 2 if shift == 1 else 1
+            self._for_each_window(
+                spool, lambda region, shift=shift, reach=reach: self._mask_window(shift, region, reach)
+            )
+
+    def _mask_window(self, shift: int, region: Region, reach: int) -> Mask:
+        level = self._grid.k_max - (shift - 1)
+        fine = self._gather(lambda window: self.mask(level, window), shift - 1, region, reach, _clamp)
+        touched = np.zeros(region.shape, dtype=np.bool_)
+        for row in range(2 * reach + 1):
+            for col in range(2 * reach + 1):
+                touched |= fine[row : row + 2 * region.n_rows : 2, col : col + 2 * region.n_cols : 2][
+                    : region.n_rows, : region.n_cols
+                ]
+        return touched
+
+    def _build_fills(self) -> None:
+        """Push valid heights up to one sample, then pull them down into the voids."""
+        weights: dict[int, Spool] = {}
+        shift = 0
+        while max(self._shape(shift)) > 1:
+            shift += 1
+            self._fills[shift] = Spool(self._shape(shift), np.int32, self._directory)
+            weights[shift] = Spool(self._shape(shift), np.bool_, self._directory)
+            for region in _windows(self._shape(shift)):
+                values, known = self._pushed(shift, region, weights)
+                self._fills[shift].write(region, values)
+                weights[shift].write(region, known)
+        for shift in range(shift - 1, 0, -1):
+            for region in _windows(self._shape(shift)):
+                known = weights[shift].read(region)
+                if not known.all():
+                    values = self._fills[shift].read(region)
+                    values[~known] = self._pulled(shift, region)[~known]
+                    self._fills[shift].write(region, values)
+        for spool in weights.values():
+            spool.close()
+
+    def _pushed(self, shift: int, region: Region, weights: dict[int, Spool]) -> tuple[Heights, Mask]:
+        def read(window: Region) -> NDArray[np.int64]:
+            values, known = (
+                self.originals(window)
+                if shift == 1
+                else (self._fills[shift - 1].read(window), weights[shift - 1].read(window))
+            )
+            return np.stack([values.astype(np.int64) * known, known.astype(np.int64)], axis=-1)
+
+        fine = self._gather(read, shift - 1, region, _PUSH_HALO, _clamp)
+        sums = np.zeros((*region.shape, 2), dtype=np.int64)
+        for row, row_weight in enumerate((1, 2, 1)):
+            for col, col_weight in enumerate((1, 2, 1)):
+                part = fine[row : row + 2 * region.n_rows : 2, col : col + 2 * region.n_cols : 2]
+                sums += row_weight * col_weight * part[: region.n_rows, : region.n_cols]
+        known = sums[..., 1] > 0
+        values = np.where(known, sums[..., 0] // np.maximum(sums[..., 1], 1), 0)
+        return values.astype(np.int32), known
+
+    def _pulled(self, shift: int, region: Region) -> Heights:
+        """Interpolate the filled level above at the places of `region`."""
+        if shift + 1 not in self._fills:  # a raster of one sample has no level above
+            return np.zeros(region.shape, dtype=np.int32)
+        coarse = self._fills[shift + 1]
+        rows = np.arange(region.row, region.row + region.n_rows)
+        cols = np.arange(region.col, region.col + region.n_cols)
+        last_row, last_col = coarse.shape[0] - 1, coarse.shape[1] - 1
+        row_end, col_end = min(int(rows[-1] + 1 >> 1), last_row), min(int(cols[-1] + 1 >> 1), last_col)
+        outer = Region(region.row >> 1, region.col >> 1, 0, 0)
+        outer = Region(outer.row, outer.col, row_end - outer.row + 1, col_end - outer.col + 1)
+        known = coarse.read(outer).astype(np.int64)
+        above, below = (rows >> 1) - outer.row, np.minimum(rows + 1 >> 1, last_row) - outer.row
+        left, right = (cols >> 1) - outer.col, np.minimum(cols + 1 >> 1, last_col) - outer.col
+        pairs = known[above] + known[below]
+        return (pairs[:, left] + pairs[:, right] + 2 >> 2).astype(np.int32)
+
+    def _gather(
+        self,
+        read: Callable[[Region], NDArray[np.generic]],
+        shift: int,
+        coarse: Region,
+        halo: int,
+        edge: Callable[[NDArray[np.intp], int], NDArray[np.intp]],
+    ) -> NDArray[np.generic]:
+        """Return level `shift` around the samples of the region `coarse` of the level above.
+
+        Row 2 i + halo of the result lies on row ``coarse.row + i``; places past the raster's edge
+        are taken where `edge` sends them.
+        """
+        n_rows, n_cols = self._shape(shift)
+        rows = edge(_halo_places(coarse.row, coarse.n_rows, halo), n_rows)
+        cols = edge(_halo_places(coarse.col, coarse.n_cols, halo), n_cols)
+        window = Region(
+            int(rows.min()), int(cols.min()), int(np.ptp(rows)) + 1, int(np.ptp(cols)) + 1
+        )
+        values = read(window)
+        if rows.size == window.n_rows and cols.size == window.n_cols:
+            return values
+        return values[rows - window.row][:, cols - window.col]
+
+    def _for_each_window(self, spool: Spool, make: Callable[[Region], NDArray[np.generic]]) -> None:
+        for _ in self._executor.map(lambda region: spool.write(region, make(region)), _windows(spool.shape)):
+            pass
+
+
+def _windows(shape: tuple[int, int]) -> Iterator[Region]:
+    for row in range(0, shape[0], TILE):
+        for col in range(0, shape[1], TILE):
+            yield Region(row, col, min(TILE, shape[0] - row), min(TILE, shape[1] - col))
+
+
+def _halo_places(first: int, n: int, halo: int) -> NDArray[np.intp]:
+    return np.arange(2 * first - halo, 2 * (first + n - 1) + halo + 1)
+
+
+def _reflect(places: NDArray[np.intp], n: int) -> NDArray[np.intp]:
+    """Send places outside 0 … n - 1 back by whole-sample symmetry, as often as needed."""
+    if n == 1:
+        return np.zeros_like(places)
+    folded = np.abs(places) % (2 * n - 2)
+    return np.minimum(folded, 2 * n - 2 - folded)
+
+
+def _clamp(places: NDArray[np.intp], n: int) -> NDArray[np.intp]:
+    return np.clip(places, 0, n - 1)
+
+
+# CDF 9/7 analysis low-pass, DC gain 1, in 1/65536: the centre tap and the four at each side. They
+# sum to 65536 exactly, so constants are kept. Antonini et al. 1992, table I, divided by sqrt(2).
+LOWPASS_TAPS = np.array([39514, 17489, -5126, -1105, 1753], dtype=np.int64)
+_FRACTION_BITS = 8  # kept between the two directions
+
+
+@kernel
+def lowpass_decimate(fine, scratch, coarse):
+    """Filter and decimate by two in both directions, with one rounding to integers at the end.
+
+    `fine` has shape (2 n_rows + 7, 2 n_cols + 7), its sample (4, 4) under the first of `coarse`;
+    `scratch` is int64, shape (2 n_rows + 7, n_cols). |fine| < 2^30 keeps every sum below 2^57.
+    """
+    c0, c1, c2, c3, c4 = LOWPASS_TAPS[0], LOWPASS_TAPS[1], LOWPASS_TAPS[2], LOWPASS_TAPS[3], LOWPASS_TAPS[4]
+    half = 1 << (15 - _FRACTION_BITS)
+    for row in range(fine.shape[0]):
+        for col in range(coarse.shape[1]):
+            at = 2 * col + 4
+            total = c0 * fine[row, at] + c1 * (np.int64(fine[row, at - 1]) + fine[row, at + 1])
+            total += c2 * (np.int64(fine[row, at - 2]) + fine[row, at + 2])
+            total += c3 * (np.int64(fine[row, at - 3]) + fine[row, at + 3])
+            total += c4 * (np.int64(fine[row, at - 4]) + fine[row, at + 4])
+            scratch[row, col] = (total + half) >> (16 - _FRACTION_BITS)
+    shift = 16 + _FRACTION_BITS
+    for row in range(coarse.shape[0]):
+        at = 2 * row + 4
+        for col in range(coarse.shape[1]):
+            total = c0 * scratch[at, col] + c1 * (scratch[at - 1, col] + scratch[at + 1, col])
+            total += c2 * (scratch[at - 2, col] + scratch[at + 2, col])
+            total += c3 * (scratch[at - 3, col] + scratch[at + 3, col])
+            total += c4 * (scratch[at - 4, col] + scratch[at + 4, col])
+            coarse[row, col] = (total + (1 << (shift - 1))) >> shift

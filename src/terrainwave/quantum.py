@@ -1,0 +1,275 @@
+"""The vertical quantum p, the odd step n, and the way between raw heights and quanta (FORMAT.md §2.3).
+
+A raw height (as stored in the raster, before scale and offset) is ``(base + k) * p`` with an int32
+number of quanta ``k``. On a *true grid* every sample is such a multiple exactly; otherwise p is a
+power of two well below the bound and rounding to it is charged to the bound as `rho`.
+"""
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import InvalidHeightsError
+
+MAX_QUANTA = 1 << 30
+# An exact quotient needs numerators below 2^53 (the float64 significand).
+_MAX_NUMERATOR = 1 << 53
+# Rounding to p = 2^-FINE_BITS * bound costs less than 0.01 bit per sample; COARSE_BITS is the least.
+_FINE_BITS, _COARSE_BITS = 9, 5
+
+_FOOT = Fraction(3048, 10000)
+GRID_CANDIDATES = tuple(
+    sorted(
+        {Fraction(1, 10**d) for d in range(7)}
+        | {Fraction(1, 2**m) for m in range(1, 11)}
+        | {_FOOT / 10**d for d in range(4)},
+        reverse=True,
+    )
+)
+
+
+def as_fraction(value: float) -> Fraction:
+    """Return the decimal number a person would read in `value`: 0.1 gives 1/10."""
+    return Fraction(repr(float(value)))
+
+
+@dataclass(frozen=True)
+class Quantizer:
+    """Raw heights to quanta and back.
+
+    Attributes
+    ----------
+    dtype : str
+        Type of the raw heights.
+    numerator, denominator : int
+        The quantum p in raw units.
+    base : int
+        Raw height of quantum 0, in quanta.
+    step : int
+        Odd quantiser width n, in quanta; decoded heights lie within ``(step - 1) / 2`` quanta.
+    rho : float
+        What rounding to the grid and to `dtype` may add, in raw units; 0 on a true grid.
+    z_min, z_max : int
+        Smallest and largest quantum of the valid samples.
+    """
+
+    dtype: str
+    numerator: int
+    denominator: int
+    base: int
+    step: int
+    rho: float
+    z_min: int
+    z_max: int
+
+    @property
+    def quantum(self) -> float:
+        """Return p in raw units."""
+        return self.numerator / self.denominator
+
+    @property
+    def effective_error(self) -> float:
+        """Return the bound that holds, in raw units: ``(step - 1) / 2 * p + rho``."""
+        return float((self.step >> 1) * Fraction(self.numerator, self.denominator)) + self.rho
+
+    def quantize(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[np.int32]:
+        """Return the quanta of `raw`, shape as given; 0 where not `valid`. Copies."""
+        if np.dtype(self.dtype).kind in "iu":
+            wide = np.where(valid, raw, 0).astype(np.int64)
+            quanta = wide // self.numerator - self.base if self.denominator == 1 else _round_to_grid(
+                wide.astype(np.float64), self.numerator, self.denominator
+            ) - self.base
+        else:
+            wide = np.where(valid, raw, 0).astype(np.float64)
+            quanta = _round_to_grid(wide, self.numerator, self.denominator) - self.base
+        return np.where(valid, quanta, 0).astype(np.int32)
+
+    def dequantize(self, quanta: NDArray[np.int32]) -> NDArray[np.generic]:
+        """Return the raw heights of `quanta` in `dtype`; clipped to its range. Copies."""
+        return grid_values(quanta.astype(np.int64) + self.base, self.numerator, self.denominator, self.dtype)
+
+    def quanta_of_value(self, value: float | int | None) -> tuple[int, int]:
+        """Return the closed interval of quanta that dequantise to `value`; (0, -1) if there is none."""
+        if value is None or (isinstance(value, float) and not math.isfinite(value)):
+            return 0, -1
+        # Outside int32 quanta nothing is ever decoded, so the interval is empty there.
+        centre = round(as_fraction(float(value)) * self.denominator / self.numerator) - self.base
+        if abs(centre) >= MAX_QUANTA:
+            return 0, -1
+        low, high = centre, centre
+        if not self._gives(centre, value):
+            return 0, -1
+        while self._gives(low - 1, value):
+            low -= 1
+        while self._gives(high + 1, value):
+            high += 1
+        return low, high
+
+    def _gives(self, quantum: int, value: float | int) -> bool:
+        decoded = grid_values(np.array([quantum + self.base]), self.numerator, self.denominator, self.dtype)
+        return bool(decoded[0] == value)
+
+
+def grid_values(
+    multiples: NDArray[np.int64], numerator: int, denominator: int, dtype: str
+) -> NDArray[np.generic]:
+    """Return ``multiples * numerator / denominator`` in `dtype`.
+
+    Integers are exact; floats are the correctly rounded float64 quotient, cast. Both are the same
+    on every machine.
+    """
+    target = np.dtype(dtype)
+    products = multiples * np.int64(numerator)
+    if target.kind in "iu" and denominator == 1:
+        limits = np.iinfo(target)
+        return np.clip(products, limits.min, limits.max).astype(target)
+    values = products.astype(np.float64) / np.float64(denominator)
+    if target.kind in "iu":
+        limits = np.iinfo(target)
+        return np.clip(np.rint(values), limits.min, limits.max).astype(target)
+    return values.astype(target)
+
+
+def _round_to_grid(values: NDArray[np.float64], numerator: int, denominator: int) -> NDArray[np.int64]:
+    return np.rint(values * np.float64(denominator) / np.float64(numerator)).astype(np.int64)
+
+
+class HeightScan:
+    """Range, validity and vertical quantum of a raster, gathered window by window.
+
+    Call `update` with every window once, then `quantizer`.
+    """
+
+    def __init__(self, dtype: str) -> None:
+        self.dtype = dtype
+        self.n_valid = 0
+        self.n_samples = 0
+        self.minimum: float | int = math.inf
+        self.maximum: float | int = -math.inf
+        self._gcd = 0
+        self._candidates = list(GRID_CANDIDATES)
+
+    @property
+    def has_voids(self) -> bool:
+        """Say whether any sample seen so far is not valid."""
+        return self.n_valid < self.n_samples
+
+    def update(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> None:
+        """Take one window into account."""
+        self.n_samples += raw.size
+        heights = raw[valid]
+        self.n_valid += heights.size
+        if heights.size == 0:
+            return
+        self.minimum = min(self.minimum, heights.min().item())
+        self.maximum = max(self.maximum, heights.max().item())
+        if heights.dtype.kind in "iu":
+            if self._gcd != 1:
+                self._gcd = int(np.gcd(self._gcd, np.gcd.reduce(heights.astype(np.int64))))
+        else:
+            self._narrow_candidates(heights)
+
+    def _narrow_candidates(self, heights: NDArray[np.generic]) -> None:
+        wide = heights.astype(np.float64)
+        passed: list[Fraction] = []
+        for p in self._candidates:
+            # A multiple of p that holds implies p: both name the same rational numbers.
+            if any((q / p).denominator == 1 for q in passed) or _on_grid(heights, wide, p):
+                passed.append(p)
+        self._candidates = passed
+
+    def true_quantum(self) -> Fraction | None:
+        """Return p if every valid sample is a multiple of it exactly, else None."""
+        if self.n_valid == 0:
+            return Fraction(1)
+        if np.dtype(self.dtype).kind in "iu":
+            return Fraction(max(self._gcd, 1))
+        if not self._candidates:
+            return None
+        p = self._candidates[0]
+        is_binary = p.denominator & (p.denominator - 1) == 0
+        # Below twice the spacing of the floats themselves every float is "on" a decimal grid.
+        if not is_binary and p < 2 * as_fraction(self._output_ulp()):
+            return None
+        return p
+
+    def _output_ulp(self) -> float:
+        """Return the spacing of `dtype` at the largest absolute height; 0 for integers."""
+        if np.dtype(self.dtype).kind != "f":
+            return 0.0
+        largest = max(abs(self.minimum), abs(self.maximum))
+        return float(np.spacing(np.dtype(self.dtype).type(largest)))
+
+    def quantizer(self, max_error: Fraction) -> Quantizer:
+        """Choose p, base and step for a bound in raw units.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If the bound cannot be kept: 0 without a true grid, or below what the range of the
+            heights leaves to 30 bits. The message names the smallest possible bound.
+        """
+        if self.n_valid == 0:
+            return Quantizer(self.dtype, 1, 1, 0, 1, 0.0, 0, 0)
+        span = as_fraction(self.maximum) - as_fraction(self.minimum)
+        p = self.true_quantum()
+        if p is not None and span / p < MAX_QUANTA and self._fits(p):
+            return self._with_quantum(p, max_error, Fraction(0))
+        return self._continuous(span, max_error)
+
+    def _fits(self, p: Fraction) -> bool:
+        largest = max(abs(as_fraction(self.minimum)), abs(as_fraction(self.maximum)))
+        return largest / p * p.numerator < _MAX_NUMERATOR
+
+    def _continuous(self, span: Fraction, max_error: Fraction) -> Quantizer:
+        half_ulp = as_fraction(self._output_ulp()) / 2
+        smallest = max(_power_of_two_above(span / MAX_QUANTA) * (1 << _COARSE_BITS), 4 * half_ulp)
+        if max_error < smallest or max_error == 0:
+            if smallest == 0:  # a constant raster of one float that is on no grid
+                smallest = Fraction(1, 1 << 30)
+            raise InvalidHeightsError(
+                "these heights lie on no common vertical grid, so they cannot be stored losslessly"
+                f" or this exactly: found max_error {float(max_error):g}, expected at least"
+                f" {float(smallest):g} (raw units); give a larger --max-error"
+            )
+        p = _power_of_two_above(max_error) / (1 << _FINE_BITS)
+        while span / p >= MAX_QUANTA or not self._fits(p):
+            p *= 2
+        return self._with_quantum(p, max_error, p / 2 + half_ulp)
+
+    def _with_quantum(self, p: Fraction, max_error: Fraction, rho: Fraction) -> Quantizer:
+        low = round(as_fraction(self.minimum) / p)
+        high = round(as_fraction(self.maximum) / p)
+        base = low + (high - low) // 2
+        # A bound beyond the range buys nothing; the cap keeps the step within its field.
+        half = min(math.floor((max_error - rho) / p), high - low)
+        return Quantizer(
+            self.dtype, p.numerator, p.denominator, base, 2 * half + 1, float(rho), low - base, high - base
+        )
+
+
+def _on_grid(heights: NDArray[np.generic], wide: NDArray[np.float64], p: Fraction) -> bool:
+    # A cheap look at a few samples first: most grids fail at once.
+    for part, part_wide in ((heights[:64], wide[:64]), (heights, wide)):
+        multiples = part_wide * p.denominator / p.numerator
+        if not (np.abs(multiples) < _MAX_NUMERATOR / max(p.numerator, 1)).all():
+            return False
+        values = grid_values(np.rint(multiples).astype(np.int64), p.numerator, p.denominator, heights.dtype.str)
+        if not np.array_equal(values, part):
+            return False
+    return True
+
+
+def _power_of_two_above(value: Fraction) -> Fraction:
+    """Return the smallest power of two >= value (0 for 0)."""
+    if value <= 0:
+        return Fraction(0)
+    power = Fraction(1)
+    while power < value:
+        power *= 2
+    while power / 2 >= value:
+        power /= 2
+    return power

@@ -1,0 +1,572 @@
+"""`Terrain`: an open .twz file. Reading starts here."""
+
+import os
+import threading
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.codec.registry import refiner_by_name
+from terrainwave.codec.units import CodecParameters, root_keys, unit_spec
+from terrainwave.container.reader import Container
+from terrainwave.container.source import open_source
+from terrainwave.decoder import TreeDecoder, unit_key, unit_name
+from terrainwave.errors import CorruptStreamError, InvalidHeightsError, LimitExceededError
+from terrainwave.measure import decode_error
+from terrainwave.quadtree import Block, Grid, Region, morton
+from terrainwave.quantum import Quantizer
+from terrainwave.raster_io import RasterInfo
+from terrainwave.resample import RESAMPLING, resample
+
+Window = tuple[int, int, int, int]
+DEFAULT_CACHE_BYTES = 256 << 20
+DEFAULT_MAX_BYTES = 4 << 30
+# Payloads fetched ahead of decoding, in one coalesced request.
+_BATCH = 64
+
+
+@dataclass(frozen=True)
+class Info:
+    """What a .twz file says about itself; errors are in physical units."""
+
+    path: str
+    n_bytes: int
+    n_rows: int
+    n_cols: int
+    dtype: str
+    bits_per_sample: float
+    ratio: float
+    max_error: float
+    effective_error: float
+    quantum: float
+    units: str | None
+    method: str
+    effort: str
+    block: int
+    border_rings: int
+    n_levels: int
+    level_shapes: tuple[tuple[int, int], ...]
+    crs: str | None
+    transform: tuple[float, ...]
+    bounds: tuple[float, float, float, float]
+    nodata: float | int | None
+    scale: float
+    offset: float
+    area_or_point: str | None
+    description: str | None
+    minimum: float | None
+    maximum: float | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values; what JSON cannot say becomes a string."""
+        fields = asdict(self)
+        if isinstance(self.nodata, float) and not np.isfinite(self.nodata):
+            fields["nodata"] = str(self.nodata)
+        return fields
+
+
+EFFORTS = ("fast", "default", "best")
+
+
+class Terrain:
+    """An open .twz file: windows of heights at any level, decoded on demand.
+
+    Parameters
+    ----------
+    source : path, URL, bytes or binary file object
+        What to read. Opening reads the header and the first index page only.
+    cache_bytes : int
+        Decoded heights kept in memory, least recently used dropped first.
+    threads : int, optional
+        Threads that decode; the number of processors by default.
+
+    Raises
+    ------
+    CorruptStreamError, UnsupportedVersionError
+        If the bytes are not a .twz file this version reads.
+    StorageError
+        If the file or URL cannot be read.
+
+    Notes
+    -----
+    Thread-safe. Picklable if opened by path or URL. A context manager.
+    """
+
+    def __init__(
+        self, source: Any, *, cache_bytes: int = DEFAULT_CACHE_BYTES, threads: int | None = None
+    ) -> None:
+        self._arguments = (source, cache_bytes, threads)
+        self._source = open_source(source)
+        try:
+            self._container = Container(self._source)
+            header = self._container.header
+            self._raster = RasterInfo.from_metadata(
+                {**header.metadata, "n_rows": header.n_rows, "n_cols": header.n_cols, "dtype": header.dtype}
+            )
+        except BaseException:
+            self._source.close()
+            raise
+        self.name = source if isinstance(source, str | os.PathLike) else "<bytes>"
+        self._grid = header.grid
+        self._quantizer = Quantizer(
+            dtype=header.dtype,
+            numerator=header.quantum.numerator,
+            denominator=header.quantum.denominator,
+            base=header.base,
+            step=header.step,
+            rho=header.rho,
+            z_min=header.z_min,
+            z_max=header.z_max,
+        )
+        self._parameters = CodecParameters(
+            step=header.step,
+            z_min=header.z_min,
+            z_max=header.z_max,
+            forbidden=self._quantizer.quanta_of_value(self._raster.void_value),
+            rings=header.border_rings,
+            effort=header.effort,
+        )
+        self._decoder = TreeDecoder(
+            self._grid,
+            refiner_by_name(header.method),
+            self._parameters,
+            self._container.payloads,
+            cache_bytes,
+        )
+        self._n_threads = threads or os.cpu_count() or 1
+        self._executor: ThreadPoolExecutor | None = None
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        source, cache_bytes, threads = self._arguments
+        if not isinstance(source, str | os.PathLike):
+            raise TypeError("only a Terrain opened by path or URL can be pickled")
+        return _reopen, (source, cache_bytes, threads)
+
+    def close(self) -> None:
+        """Close the file and stop the threads."""
+        if self._executor is not None:
+            self._executor.shutdown()
+        self._source.close()
+
+    # What the file says.
+
+    @property
+    def grid(self) -> Grid:
+        """Return the quadtree of levels and blocks."""
+        return self._grid
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Return the numbers of rows and columns of the full grid."""
+        return self._grid.n_rows, self._grid.n_cols
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Return the type of the heights as stored in the source raster."""
+        return np.dtype(self._raster.dtype)
+
+    @property
+    def raster_info(self) -> RasterInfo:
+        """Return what the source raster said about itself."""
+        return self._raster
+
+    @property
+    def nodata(self) -> int | float | None:
+        """Return the source's nodata value, if it declared one."""
+        return self._raster.nodata
+
+    @property
+    def crs(self) -> str | None:
+        """Return the coordinate reference system as ``AUTH:CODE`` or WKT2."""
+        return self._raster.crs
+
+    @property
+    def n_levels(self) -> int:
+        """Return the number of resolution levels; level 0 is the coarsest, -1 the full grid."""
+        return self._grid.k_max + 1
+
+    @property
+    def max_error(self) -> float:
+        """Return the bound that was asked for, in physical units (after scale and offset)."""
+        return self._container.header.max_error * abs(self._raster.scale)
+
+    @property
+    def effective_error(self) -> float:
+        """Return the bound that holds, in physical units; at most `max_error`."""
+        return self._container.header.effective_bound * abs(self._raster.scale)
+
+    def level_index(self, level: int) -> int:
+        """Return `level` counted from 0; negative levels count from the full grid, as Python does.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If there is no such level.
+        """
+        index = level + self.n_levels if level < 0 else level
+        if not 0 <= index < self.n_levels:
+            raise InvalidHeightsError(
+                f"found level {level}, expected 0 … {self.n_levels - 1} or -1 (full) … -{self.n_levels}"
+            )
+        return index
+
+    def level_shape(self, level: int = -1) -> tuple[int, int]:
+        """Return the numbers of rows and columns of a level."""
+        return self._grid.level_shape(self.level_index(level))
+
+    def transform(self, level: int = -1, window: Window | None = None) -> tuple[float, ...]:
+        """Return the affine transform (a, b, c, d, e, f) of a level or of a window of it.
+
+        Levels are samples at positions: the centre of the first pixel is the same on every level,
+        the pixel grows by 2^j. x = a * col + b * row + c at pixel corners, as rasterio counts.
+        """
+        a, b, c, d, e, f = self._raster.transform
+        stride = self._grid.stride(self.level_index(level))
+        shift = (1 - stride) / 2  # from the corner of the full grid's first pixel to the level's
+        row, col = (0, 0) if window is None else window[:2]
+        corner_col, corner_row = shift + col * stride, shift + row * stride
+        return (
+            a * stride, b * stride, c + a * corner_col + b * corner_row,
+            d * stride, e * stride, f + d * corner_col + e * corner_row,
+        )  # fmt: skip
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Return (left, bottom, right, top) of the raster's pixels in its CRS."""
+        a, b, c, d, e, f = self._raster.transform
+        n_rows, n_cols = self.shape
+        xs = [c + a * col + b * row for row in (0, n_rows) for col in (0, n_cols)]
+        ys = [f + d * col + e * row for row in (0, n_rows) for col in (0, n_cols)]
+        return min(xs), min(ys), max(xs), max(ys)
+
+    def info(self) -> Info:
+        """Return a summary of the file, from its header alone."""
+        header, raster = self._container.header, self._raster
+        n_samples = header.n_rows * header.n_cols
+        has_heights = header.z_min <= header.z_max
+        extremes = self._quantizer.dequantize(np.array([header.z_min, header.z_max], dtype=np.int32))
+        physical = extremes.astype(np.float64) * raster.scale + raster.offset
+        return Info(
+            path=str(self.name),
+            n_bytes=self._source.size,
+            n_rows=header.n_rows,
+            n_cols=header.n_cols,
+            dtype=header.dtype,
+            bits_per_sample=8 * self._source.size / n_samples,
+            ratio=n_samples * self.dtype.itemsize / self._source.size,
+            max_error=self.max_error,
+            effective_error=self.effective_error,
+            quantum=self._quantizer.quantum * abs(raster.scale),
+            units=raster.units,
+            method=header.method,
+            effort=EFFORTS[min(header.effort, len(EFFORTS) - 1)],
+            block=header.block,
+            border_rings=header.border_rings,
+            n_levels=self.n_levels,
+            level_shapes=tuple(self._grid.level_shape(level) for level in range(self.n_levels)),
+            crs=raster.crs,
+            transform=tuple(raster.transform),
+            bounds=self.bounds,
+            nodata=raster.nodata,
+            scale=raster.scale,
+            offset=raster.offset,
+            area_or_point=raster.area_or_point,
+            description=raster.description,
+            minimum=float(physical.min()) if has_heights else None,
+            maximum=float(physical.max()) if has_heights else None,
+        )
+
+    def block_error(self, block: Block) -> float:
+        """Return the stored measured error of a block's bilinear surface, in physical units.
+
+        No valid original under the block is further from the bilinear interpolation of its
+        decoded samples (DESIGN §3.9).
+        """
+        code = self._container.codes(block)[2]
+        return decode_error(code) * self._quantizer.quantum * abs(self._raster.scale)
+
+    # Heights.
+
+    def read(
+        self,
+        window: Any = None,
+        *,
+        bounds: Sequence[float] | None = None,
+        level: int = -1,
+        out_shape: tuple[int, int] | None = None,
+        resampling: str = "nearest",
+        masked: bool = False,
+        on_error: str = "raise",
+        max_bytes: int = DEFAULT_MAX_BYTES,
+    ) -> NDArray[Any]:
+        """Read heights in the file's dtype, the void value in voids.
+
+        Parameters
+        ----------
+        window : tuple (row, col, n_rows, n_cols) or rasterio Window, optional
+            Part of the level to read, in samples of that level; clipped to it.
+        bounds : (left, bottom, right, top), optional
+            Instead of `window`: the pixels that touch this rectangle, in the CRS.
+        level : int
+            Resolution level: -1 the full grid, -2 half, …; 0 the coarsest.
+        out_shape : tuple of int, optional
+            Resample the window to this shape.
+        resampling : str
+            ``"nearest"``, ``"bilinear"`` or ``"average"``; used with `out_shape`.
+        masked : bool
+            Return a masked array, as rasterio does.
+        on_error : str
+            ``"raise"``, or ``"mask"``: a damaged block reads as void and the rest is returned.
+        max_bytes : int
+            Refuse a larger result.
+
+        Returns
+        -------
+        heights : ndarray, shape (n_rows, n_cols)
+            A copy. On the full grid every valid sample is within `effective_error` of the original.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If an argument is out of range or the window misses the level.
+        LimitExceededError
+            If the result would be larger than `max_bytes`.
+        CorruptStreamError
+            If a block is damaged and `on_error` is ``"raise"``; the message names it.
+        """
+        if on_error not in ("raise", "mask"):
+            raise InvalidHeightsError(f"found on_error {on_error!r}, expected 'raise' or 'mask'")
+        if resampling not in RESAMPLING:
+            raise InvalidHeightsError(f"found resampling {resampling!r}, expected one of {', '.join(RESAMPLING)}")
+        index = self.level_index(level)
+        region = self._requested_region(window, bounds, index)
+        self._check_size(out_shape or region.shape, max_bytes)
+        if out_shape is None:
+            quanta, mask = self._read_quanta(index, region, on_error)
+            heights, valid = self._quantizer.dequantize(quanta), mask
+        else:
+            heights, valid = resample(
+                lambda shift, part: self._read_raw(index - shift, part, on_error), region, out_shape,
+                resampling, index, self._grid, max_bytes,
+            )  # fmt: skip
+        heights[~valid] = self._raster.void_value
+        if masked:
+            fill = None if self._raster.nodata is None else self.dtype.type(self._raster.nodata)
+            return np.ma.MaskedArray(heights, mask=~valid, fill_value=fill)
+        return heights
+
+    def read_valid(self, window: Any = None, *, level: int = -1, on_error: str = "raise") -> NDArray[np.bool_]:
+        """Return which samples of a window of a level are valid; arguments as in `read`."""
+        index = self.level_index(level)
+        return self._read_quanta(index, self._requested_region(window, None, index), on_error)[1]
+
+    def sample(self, points: Iterable[tuple[float, float]], *, level: int = -1) -> NDArray[np.float64]:
+        """Return bilinear heights at world coordinates, in physical units.
+
+        Parameters
+        ----------
+        points : sequence of (x, y)
+            Places in the file's CRS.
+
+        Returns
+        -------
+        heights : ndarray of float64, shape (n_points,)
+            NaN outside the outermost samples and where a sample needed is void. The error bound
+            holds at samples, not between them.
+        """
+        places = np.asarray(list(points), dtype=np.float64).reshape(-1, 2)
+        index = self.level_index(level)
+        rows, cols = self._to_samples(places, index)
+        n_rows, n_cols = self._grid.level_shape(index)
+        inside = (rows >= 0) & (rows <= n_rows - 1) & (cols >= 0) & (cols <= n_cols - 1)
+        heights = np.full(len(places), np.nan)
+        if inside.any():
+            heights[inside] = self._bilinear(index, rows[inside], cols[inside])
+        return heights
+
+    def check(self) -> Iterator[str]:
+        """Check all checksums and decode every unit; yield what is wrong, in plain words."""
+        yield from self._container.check()
+        for key in root_keys(self._grid):
+            yield from self._check_below(key)
+
+    def _check_below(self, key: Block) -> Iterator[str]:
+        try:
+            self._decoder.unit(key)
+        except CorruptStreamError as exc:
+            yield str(exc)
+            return  # what lies below cannot be decoded either
+        blocks = [Block(0, key.row, key.col)] if key.level < 0 else self._grid.children(key)
+        for block in blocks:
+            if block.level < self._grid.k_max:
+                yield from self._check_below(block)
+
+    def _requested_region(self, window: Any, bounds: Sequence[float] | None, level: int) -> Region:
+        n_rows, n_cols = self._grid.level_shape(level)
+        whole = Region(0, 0, n_rows, n_cols)
+        if bounds is not None:
+            if window is not None:
+                raise InvalidHeightsError("found both window and bounds, expected one of them")
+            asked = self._bounds_region(bounds, level)
+        elif window is None:
+            asked = whole
+        else:
+            asked = _region_of_window(window)
+        region = asked.intersect(whole)
+        if region.n_rows <= 0 or region.n_cols <= 0:
+            raise InvalidHeightsError(
+                f"the window (row {asked.row}, column {asked.col}, {asked.n_rows} x {asked.n_cols})"
+                f" does not meet the level's {n_rows} x {n_cols} samples"
+            )
+        return region
+
+    def _bounds_region(self, bounds: Sequence[float], level: int) -> Region:
+        left, bottom, right, top = (float(value) for value in bounds)
+        if not (left < right and bottom < top):
+            raise InvalidHeightsError(f"found bounds {tuple(bounds)}, expected left < right and bottom < top")
+        corners = np.array([(x, y) for x in (left, right) for y in (bottom, top)])
+        rows, cols = self._to_samples(corners, level)
+        # Samples are pixel centres: half a pixel away begins the next pixel. A thousandth of a
+        # pixel forgives the rounding of coordinates that name pixel edges.
+        first_row, last_row = round_half_up(rows.min() + 0.001), round_half_up(rows.max() - 0.001)
+        first_col, last_col = round_half_up(cols.min() + 0.001), round_half_up(cols.max() - 0.001)
+        return Region(first_row, first_col, last_row - first_row + 1, last_col - first_col + 1)
+
+    def _to_samples(self, places: NDArray[np.float64], level: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return fractional (rows, cols) of world coordinates on a level; integers are centres."""
+        a, b, c, d, e, f = self.transform(level)
+        determinant = a * e - b * d
+        if determinant == 0:
+            raise InvalidHeightsError("the affine transform cannot be inverted; read by window instead")
+        x, y = places[:, 0] - c, places[:, 1] - f
+        return (a * y - d * x) / determinant - 0.5, (e * x - b * y) / determinant - 0.5
+
+    def _check_size(self, shape: tuple[int, int], max_bytes: int) -> None:
+        n_bytes = int(shape[0]) * int(shape[1]) * self.dtype.itemsize
+        if n_bytes > max_bytes:
+            raise LimitExceededError(
+                f"the window holds {shape[0]} x {shape[1]} samples, {n_bytes:,} bytes; more than"
+                f" max_bytes = {max_bytes:,}: read a smaller window or a coarser level"
+            )
+
+    def _read_raw(self, level: int, region: Region, on_error: str) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        quanta, mask = self._read_quanta(level, region, on_error)
+        return self._quantizer.dequantize(quanta), mask
+
+    def _read_quanta(
+        self, level: int, region: Region, on_error: str
+    ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+        quanta = np.zeros(region.shape, dtype=np.int32)
+        mask = np.zeros(region.shape, dtype=np.bool_)
+        keys = self._units_of(level, region)
+
+        def fill(key: Block) -> None:
+            spec = unit_spec(self._grid, self._parameters, key)
+            part = spec.core.intersect(region)
+            try:
+                unit = self._decoder.unit(key)
+            except CorruptStreamError:
+                if on_error == "raise":
+                    raise
+                return
+            there, here = part.slices_in(region), part.slices_in(spec.region)
+            quanta[there] = unit.heights[here]
+            mask[there] = unit.mask[here]
+
+        for first in range(0, len(keys), _BATCH):
+            batch = keys[first : first + _BATCH]
+            self._decoder.prefetch(batch)
+            if len(batch) == 1 or self._n_threads == 1:
+                for key in batch:
+                    fill(key)
+            else:
+                for _ in self._pool().map(fill, batch):
+                    pass
+        return quanta, mask
+
+    def _units_of(self, level: int, region: Region) -> list[Block]:
+        """Return the keys of the units that hold a region of a level, in Morton order."""
+        side = self._grid.block if level == 0 else 2 * self._grid.block
+        n_rows, n_cols = self._grid.level_blocks(max(level - 1, 0))
+        # The last sample of the last unit lies on a border without a unit beyond it.
+        rows = range(
+            min(region.row // side, n_rows - 1), min((region.row + region.n_rows - 1) // side, n_rows - 1) + 1
+        )
+        cols = range(
+            min(region.col // side, n_cols - 1), min((region.col + region.n_cols - 1) // side, n_cols - 1) + 1
+        )
+        keys = [Block(level - 1, row, col) for row in rows for col in cols]
+        return sorted(keys, key=lambda key: morton(key.row, key.col))
+
+    def _bilinear(
+        self, level: int, rows: NDArray[np.float64], cols: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        n_rows, n_cols = self._grid.level_shape(level)
+        top, left = np.floor(rows).astype(np.int64), np.floor(cols).astype(np.int64)
+        down, right = rows - top, cols - left
+        total, is_void = np.zeros(rows.size), np.zeros(rows.size, dtype=np.bool_)
+        for row, row_weight in ((top, 1 - down), (np.minimum(top + 1, n_rows - 1), down)):
+            for col, col_weight in ((left, 1 - right), (np.minimum(left + 1, n_cols - 1), right)):
+                heights, valid = self._gather(level, row, col)
+                weight = row_weight * col_weight
+                total += np.where(valid, heights, 0.0) * weight
+                is_void |= ~valid & (weight > 0)
+        total = total * self._raster.scale + self._raster.offset
+        total[is_void] = np.nan
+        return total
+
+    def _gather(
+        self, level: int, rows: NDArray[np.int64], cols: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        side = self._grid.block if level == 0 else 2 * self._grid.block
+        n_rows, n_cols = self._grid.level_blocks(max(level - 1, 0))
+        unit_rows, unit_cols = np.minimum(rows // side, n_rows - 1), np.minimum(cols // side, n_cols - 1)
+        quanta, valid = np.zeros(rows.size, dtype=np.int32), np.zeros(rows.size, dtype=np.bool_)
+        for row, col in sorted(set(zip(unit_rows.tolist(), unit_cols.tolist(), strict=True))):
+            key = Block(level - 1, row, col)
+            spec, unit = unit_spec(self._grid, self._parameters, key), self._decoder.unit(key)
+            here = (unit_rows == row) & (unit_cols == col)
+            at = rows[here] - spec.region.row, cols[here] - spec.region.col
+            quanta[here], valid[here] = unit.heights[at], unit.mask[at]
+        return self._quantizer.dequantize(quanta).astype(np.float64), valid
+
+    def _pool(self) -> ThreadPoolExecutor:
+        with self._lock:
+            if self._executor is None:
+                self._executor = ThreadPoolExecutor(self._n_threads, thread_name_prefix="terrainwave")
+            return self._executor
+
+
+def _reopen(source: Any, cache_bytes: int, threads: int | None) -> Terrain:
+    return Terrain(source, cache_bytes=cache_bytes, threads=threads)
+
+
+def round_half_up(value: float) -> int:
+    """Return the nearest integer, the upper of two."""
+    return int(np.floor(value + 0.5))
+
+
+def _region_of_window(window: Any) -> Region:
+    if hasattr(window, "row_off"):  # rasterio.windows.Window
+        numbers = (window.row_off, window.col_off, window.height, window.width)
+    else:
+        try:
+            numbers = tuple(window)
+        except TypeError:
+            numbers = ()
+    if len(numbers) != 4 or any(int(number) != number for number in numbers):
+        raise InvalidHeightsError(
+            f"found window {window!r}, expected (row, col, n_rows, n_cols) in whole samples"
+        )
+    return Region(*(int(number) for number in numbers))
