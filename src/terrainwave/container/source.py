@@ -137,7 +137,7 @@ class FileSource(MergingSource):
         self.name = os.fspath(path)
         self._lock = threading.Lock()
         try:
-            self._file: BinaryIO | None = open(self.name, "rb", buffering=0)  # noqa: SIM115
+            self._file: BinaryIO | None = open(self.name, "rb", buffering=0)
             self.size = self._file.seek(0, os.SEEK_END)
         except OSError as error:
             raise StorageError(f"cannot read {self.name}: {error.strerror or error}") from error

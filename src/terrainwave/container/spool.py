@@ -135,7 +135,7 @@ class SegmentSpool:
             If the temporary file is gone or damaged.
         """
         with storage_errors(f"cannot read the temporary file {self._path}"):
-            file = open(self._path, "rb") if self._path is not None else None  # noqa: SIM115
+            file = open(self._path, "rb") if self._path is not None else None
             try:
                 for key in keys:
                     yield from self._sections(file, self._entries[key])
