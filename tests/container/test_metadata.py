@@ -115,7 +115,7 @@ def test_other_json_is_corrupt(text, message):
 @pytest.mark.parametrize("pair", ["[]", "{}"])
 def test_deep_nesting_is_corrupt_and_does_not_recurse(depth, pair):
     opening = '{"a":' if pair == "{}" else "["
-    with pytest.raises(CorruptStreamError, match="nested deeper|more than"):
+    with pytest.raises(CorruptStreamError, match=r"nested deeper|more than"):
         unpack_metadata(deflated('{"a":' + opening * depth + "0" + pair[1] * depth + "}"))
 
 
