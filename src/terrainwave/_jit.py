@@ -18,7 +18,9 @@ def _kernel_source_hash() -> str:
     """Return a digest of every source file that may hold a kernel or a constant of one."""
     root = Path(__file__).parent
     digest = hashlib.sha256()
-    for path in sorted([*root.glob("*.py"), *(p for d in _KERNEL_PACKAGES for p in root.glob(f"{d}/*.py"))]):
+    for path in sorted(
+        [*root.glob("*.py"), *(p for d in _KERNEL_PACKAGES for p in root.glob(f"{d}/*.py"))]
+    ):
         digest.update(path.name.encode("utf-8"))
         digest.update(path.read_bytes())
     return digest.hexdigest()

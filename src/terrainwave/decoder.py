@@ -10,7 +10,6 @@ from terrainwave.codec.units import CodecParameters, block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.quadtree import Block, Grid
 
-
 # Payloads held between being fetched and being decoded.
 _MAX_FETCHED = 1024
 
@@ -45,7 +44,9 @@ class UnitCache:
 
 
 def _n_bytes(unit: Decoded) -> int:
-    return unit.heights.nbytes + unit.mask.nbytes + (0 if unit.labels is None else unit.labels.nbytes)
+    return (
+        unit.heights.nbytes + unit.mask.nbytes + (0 if unit.labels is None else unit.labels.nbytes)
+    )
 
 
 class TreeDecoder:

@@ -13,7 +13,13 @@ import numpy as np
 
 from terrainwave.codec.group import encode_unit
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
-from terrainwave.codec.units import CodecParameters, block_of_unit, root_keys, unit_blocks, unit_spec
+from terrainwave.codec.units import (
+    CodecParameters,
+    block_of_unit,
+    root_keys,
+    unit_blocks,
+    unit_spec,
+)
 from terrainwave.measure import BlockStats, measure_block
 from terrainwave.pyramid import Pyramid
 from terrainwave.quadtree import Block, Grid, Region
@@ -99,8 +105,12 @@ class TreeEncoder:
             return []
         below = []
         for block, part in zip(blocks, parts, strict=True):
-            core_part = part.heights[grid.block_region(block).slices_in(_with_apron(grid, spec, block))]
-            below.append((block, part, [*chain, _Ancestor(block, grid.block_region(block), core_part)]))
+            core_part = part.heights[
+                grid.block_region(block).slices_in(_with_apron(grid, spec, block))
+            ]
+            below.append(
+                (block, part, [*chain, _Ancestor(block, grid.block_region(block), core_part)])
+            )
         return below
 
     def _measure(

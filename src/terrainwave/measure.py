@@ -48,7 +48,9 @@ def with_outside(heights: Heights, n_rows: int, n_cols: int) -> Heights:
     return wide
 
 
-def measure_block(heights: Heights, stride: int, originals: Heights, mask: Mask, row: int, col: int) -> int:
+def measure_block(
+    heights: Heights, stride: int, originals: Heights, mask: Mask, row: int, col: int
+) -> int:
     """Return the largest distance of valid originals from the block's bilinear surface.
 
     Parameters
@@ -66,9 +68,18 @@ def measure_block(heights: Heights, stride: int, originals: Heights, mask: Mask,
         Error in quanta, rounded up.
     """
     last_row, last_col = row + originals.shape[0] - 1, col + originals.shape[1] - 1
-    needed = (max(-(-last_row // stride) + 1, heights.shape[0]), max(-(-last_col // stride) + 1, heights.shape[1]))
+    needed = (
+        max(-(-last_row // stride) + 1, heights.shape[0]),
+        max(-(-last_col // stride) + 1, heights.shape[1]),
+    )
     scaled = _largest_deviation(
-        with_outside(heights, *needed), stride, originals, mask, row, col, np.empty(needed[1], dtype=np.int64)
+        with_outside(heights, *needed),
+        stride,
+        originals,
+        mask,
+        row,
+        col,
+        np.empty(needed[1], dtype=np.int64),
     )
     return int(-(-scaled // (stride * stride)))
 
@@ -90,7 +101,10 @@ def _largest_deviation(heights, stride, originals, mask, first_row, first_col, l
         last_cell = (first_col + n_cols - 1) // stride
         last_line = min(last_cell + 1, heights.shape[1] - 1)
         for cell in range(first_cell, last_line + 1):
-            line[cell] = np.int64(heights[above, cell]) * (stride - part) + np.int64(heights[below, cell]) * part
+            line[cell] = (
+                np.int64(heights[above, cell]) * (stride - part)
+                + np.int64(heights[below, cell]) * part
+            )
         for cell in range(first_cell, last_cell + 1):
             start = max(cell * stride, first_col)
             stop = min((cell + 1) * stride, first_col + n_cols)

@@ -17,8 +17,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
 from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.quadtree import Grid, Region
 from terrainwave.quantum import Quantizer
 from terrainwave.spool import Spool
@@ -130,11 +130,21 @@ class Pyramid:
         return quanta
 
     def _lowpass_window(self, shift: int, region: Region) -> Heights:
-        fine = self._gather(
-            lambda window: self._read_heights(shift - 1, window), shift - 1, region, _LOWPASS_HALO, _reflect
+        shape = self._shape(shift - 1)
+        halo = _LOWPASS_HALO
+        fine = Region(
+            2 * region.row - halo,
+            2 * region.col - halo,
+            2 * region.n_rows + 2 * halo,
+            2 * region.n_cols + 2 * halo,
+        ).intersect(Region(0, 0, *shape))
+        heights = lowpass_analysis(
+            self._read_heights(shift - 1, fine),
+            (fine.row, fine.col),
+            shape,
+            (region.row, region.col),
+            region.shape,
         )
-        heights = np.empty(region.shape, dtype=np.int32)
-        lowpass_decimate(fine, np.empty((fine.shape[0], region.n_cols), dtype=np.int64), heights)
         # Filtering may overshoot; decoded heights are clamped to the range, so targets are too.
         return np.clip(heights, self._quantizer.z_min, self._quantizer.z_max, out=heights)
 
@@ -148,18 +158,19 @@ class Pyramid:
             # The first step reaches two samples far: a cell of shift 1 spans two full-grid cells.
             reach = 2 if shift == 1 else 1
             self._for_each_window(
-                spool, lambda region, shift=shift, reach=reach: self._mask_window(shift, region, reach)
+                spool,
+                lambda region, shift=shift, reach=reach: self._mask_window(shift, region, reach),
             )
 
     def _mask_window(self, shift: int, region: Region, reach: int) -> Mask:
         level = self._grid.k_max - (shift - 1)
-        fine = self._gather(lambda window: self.mask(level, window), shift - 1, region, reach, _clamp)
+        fine = self._gather(lambda window: self.mask(level, window), shift - 1, region, reach)
         touched = np.zeros(region.shape, dtype=np.bool_)
         for row in range(2 * reach + 1):
             for col in range(2 * reach + 1):
-                touched |= fine[row : row + 2 * region.n_rows : 2, col : col + 2 * region.n_cols : 2][
-                    : region.n_rows, : region.n_cols
-                ]
+                touched |= fine[
+                    row : row + 2 * region.n_rows : 2, col : col + 2 * region.n_cols : 2
+                ][: region.n_rows, : region.n_cols]
         return touched
 
     def _build_fills(self) -> None:
@@ -184,7 +195,9 @@ class Pyramid:
         for spool in weights.values():
             spool.close()
 
-    def _pushed(self, shift: int, region: Region, weights: dict[int, Spool]) -> tuple[Heights, Mask]:
+    def _pushed(
+        self, shift: int, region: Region, weights: dict[int, Spool]
+    ) -> tuple[Heights, Mask]:
         def read(window: Region) -> NDArray[np.int64]:
             values, known = (
                 self.originals(window)
@@ -193,7 +206,7 @@ class Pyramid:
             )
             return np.stack([values.astype(np.int64) * known, known.astype(np.int64)], axis=-1)
 
-        fine = self._gather(read, shift - 1, region, _PUSH_HALO, _clamp)
+        fine = self._gather(read, shift - 1, region, _PUSH_HALO)
         sums = np.zeros((*region.shape, 2), dtype=np.int64)
         for row, row_weight in enumerate((1, 2, 1)):
             for col, col_weight in enumerate((1, 2, 1)):
@@ -211,7 +224,10 @@ class Pyramid:
         rows = np.arange(region.row, region.row + region.n_rows)
         cols = np.arange(region.col, region.col + region.n_cols)
         last_row, last_col = coarse.shape[0] - 1, coarse.shape[1] - 1
-        row_end, col_end = min(int(rows[-1] + 1 >> 1), last_row), min(int(cols[-1] + 1 >> 1), last_col)
+        row_end, col_end = (
+            min(int(rows[-1] + 1 >> 1), last_row),
+            min(int(cols[-1] + 1 >> 1), last_col),
+        )
         outer = Region(region.row >> 1, region.col >> 1, 0, 0)
         outer = Region(outer.row, outer.col, row_end - outer.row + 1, col_end - outer.col + 1)
         known = coarse.read(outer).astype(np.int64)
@@ -226,16 +242,15 @@ class Pyramid:
         shift: int,
         coarse: Region,
         halo: int,
-        edge: Callable[[NDArray[np.intp], int], NDArray[np.intp]],
     ) -> NDArray[np.generic]:
         """Return level `shift` around the samples of the region `coarse` of the level above.
 
         Row 2 i + halo of the result lies on row ``coarse.row + i``; places past the raster's edge
-        are taken where `edge` sends them.
+        repeat its border.
         """
         n_rows, n_cols = self._shape(shift)
-        rows = edge(_halo_places(coarse.row, coarse.n_rows, halo), n_rows)
-        cols = edge(_halo_places(coarse.col, coarse.n_cols, halo), n_cols)
+        rows = np.clip(_halo_places(coarse.row, coarse.n_rows, halo), 0, n_rows - 1)
+        cols = np.clip(_halo_places(coarse.col, coarse.n_cols, halo), 0, n_cols - 1)
         window = Region(
             int(rows.min()), int(cols.min()), int(np.ptp(rows)) + 1, int(np.ptp(cols)) + 1
         )
@@ -245,7 +260,9 @@ class Pyramid:
         return values[rows - window.row][:, cols - window.col]
 
     def _for_each_window(self, spool: Spool, make: Callable[[Region], NDArray[np.generic]]) -> None:
-        for _ in self._executor.map(lambda region: spool.write(region, make(region)), _windows(spool.shape)):
+        for _ in self._executor.map(
+            lambda region: spool.write(region, make(region)), _windows(spool.shape)
+        ):
             pass
 
 
@@ -257,49 +274,3 @@ def _windows(shape: tuple[int, int]) -> Iterator[Region]:
 
 def _halo_places(first: int, n: int, halo: int) -> NDArray[np.intp]:
     return np.arange(2 * first - halo, 2 * (first + n - 1) + halo + 1)
-
-
-def _reflect(places: NDArray[np.intp], n: int) -> NDArray[np.intp]:
-    """Send places outside 0 … n - 1 back by whole-sample symmetry, as often as needed."""
-    if n == 1:
-        return np.zeros_like(places)
-    folded = np.abs(places) % (2 * n - 2)
-    return np.minimum(folded, 2 * n - 2 - folded)
-
-
-def _clamp(places: NDArray[np.intp], n: int) -> NDArray[np.intp]:
-    return np.clip(places, 0, n - 1)
-
-
-# CDF 9/7 analysis low-pass, DC gain 1, in 1/65536: the centre tap and the four at each side. They
-# sum to 65536 exactly, so constants are kept. Antonini et al. 1992, table I, divided by sqrt(2).
-LOWPASS_TAPS = np.array([39514, 17489, -5126, -1105, 1753], dtype=np.int64)
-_FRACTION_BITS = 8  # kept between the two directions
-
-
-@kernel
-def lowpass_decimate(fine, scratch, coarse):
-    """Filter and decimate by two in both directions, with one rounding to integers at the end.
-
-    `fine` has shape (2 n_rows + 7, 2 n_cols + 7), its sample (4, 4) under the first of `coarse`;
-    `scratch` is int64, shape (2 n_rows + 7, n_cols). |fine| < 2^30 keeps every sum below 2^57.
-    """
-    c0, c1, c2, c3, c4 = LOWPASS_TAPS[0], LOWPASS_TAPS[1], LOWPASS_TAPS[2], LOWPASS_TAPS[3], LOWPASS_TAPS[4]
-    half = 1 << (15 - _FRACTION_BITS)
-    for row in range(fine.shape[0]):
-        for col in range(coarse.shape[1]):
-            at = 2 * col + 4
-            total = c0 * fine[row, at] + c1 * (np.int64(fine[row, at - 1]) + fine[row, at + 1])
-            total += c2 * (np.int64(fine[row, at - 2]) + fine[row, at + 2])
-            total += c3 * (np.int64(fine[row, at - 3]) + fine[row, at + 3])
-            total += c4 * (np.int64(fine[row, at - 4]) + fine[row, at + 4])
-            scratch[row, col] = (total + half) >> (16 - _FRACTION_BITS)
-    shift = 16 + _FRACTION_BITS
-    for row in range(coarse.shape[0]):
-        at = 2 * row + 4
-        for col in range(coarse.shape[1]):
-            total = c0 * scratch[at, col] + c1 * (scratch[at - 1, col] + scratch[at + 1, col])
-            total += c2 * (scratch[at - 2, col] + scratch[at + 2, col])
-            total += c3 * (scratch[at - 3, col] + scratch[at + 3, col])
-            total += c4 * (scratch[at - 4, col] + scratch[at + 4, col])
-            coarse[row, col] = (total + (1 << (shift - 1))) >> shift

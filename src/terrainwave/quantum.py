@@ -79,9 +79,12 @@ class Quantizer:
         """Return the quanta of `raw`, shape as given; 0 where not `valid`. Copies."""
         if np.dtype(self.dtype).kind in "iu":
             wide = np.where(valid, raw, 0).astype(np.int64)
-            quanta = wide // self.numerator - self.base if self.denominator == 1 else _round_to_grid(
-                wide.astype(np.float64), self.numerator, self.denominator
-            ) - self.base
+            quanta = (
+                wide // self.numerator - self.base
+                if self.denominator == 1
+                else _round_to_grid(wide.astype(np.float64), self.numerator, self.denominator)
+                - self.base
+            )
         else:
             wide = np.where(valid, raw, 0).astype(np.float64)
             quanta = _round_to_grid(wide, self.numerator, self.denominator) - self.base
@@ -89,7 +92,9 @@ class Quantizer:
 
     def dequantize(self, quanta: NDArray[np.int32]) -> NDArray[np.generic]:
         """Return the raw heights of `quanta` in `dtype`; clipped to its range. Copies."""
-        return grid_values(quanta.astype(np.int64) + self.base, self.numerator, self.denominator, self.dtype)
+        return grid_values(
+            quanta.astype(np.int64) + self.base, self.numerator, self.denominator, self.dtype
+        )
 
     def quanta_of_value(self, value: float | int | None) -> tuple[int, int]:
         """Return the closed interval of quanta that dequantise to `value`; (0, -1) if there is none."""
@@ -109,7 +114,9 @@ class Quantizer:
         return low, high
 
     def _gives(self, quantum: int, value: float | int) -> bool:
-        decoded = grid_values(np.array([quantum + self.base]), self.numerator, self.denominator, self.dtype)
+        decoded = grid_values(
+            np.array([quantum + self.base]), self.numerator, self.denominator, self.dtype
+        )
         return bool(decoded[0] == value)
 
 
@@ -133,7 +140,9 @@ def grid_values(
     return values.astype(target)
 
 
-def _round_to_grid(values: NDArray[np.float64], numerator: int, denominator: int) -> NDArray[np.int64]:
+def _round_to_grid(
+    values: NDArray[np.float64], numerator: int, denominator: int
+) -> NDArray[np.int64]:
     return np.rint(values * np.float64(denominator) / np.float64(numerator)).astype(np.int64)
 
 
@@ -247,7 +256,14 @@ class HeightScan:
         # A bound beyond the range buys nothing; the cap keeps the step within its field.
         half = min(math.floor((max_error - rho) / p), high - low)
         return Quantizer(
-            self.dtype, p.numerator, p.denominator, base, 2 * half + 1, float(rho), low - base, high - base
+            self.dtype,
+            p.numerator,
+            p.denominator,
+            base,
+            2 * half + 1,
+            float(rho),
+            low - base,
+            high - base,
         )
 
 
@@ -257,7 +273,9 @@ def _on_grid(heights: NDArray[np.generic], wide: NDArray[np.float64], p: Fractio
         multiples = part_wide * p.denominator / p.numerator
         if not (np.abs(multiples) < _MAX_NUMERATOR / max(p.numerator, 1)).all():
             return False
-        values = grid_values(np.rint(multiples).astype(np.int64), p.numerator, p.denominator, heights.dtype.str)
+        values = grid_values(
+            np.rint(multiples).astype(np.int64), p.numerator, p.denominator, heights.dtype.str
+        )
         if not np.array_equal(values, part):
             return False
     return True

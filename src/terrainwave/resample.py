@@ -48,12 +48,19 @@ def resample(
 
 def _window(rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Region:
     return Region(
-        int(rows.min()), int(cols.min()), int(rows.max() - rows.min()) + 1, int(cols.max() - cols.min()) + 1
+        int(rows.min()),
+        int(cols.min()),
+        int(rows.max() - rows.min()) + 1,
+        int(cols.max() - cols.min()) + 1,
     )
 
 
 def _nearest(
-    read: ReadLevel, shift: int, rows: NDArray[np.float64], cols: NDArray[np.float64], shape: tuple[int, int]
+    read: ReadLevel,
+    shift: int,
+    rows: NDArray[np.float64],
+    cols: NDArray[np.float64],
+    shape: tuple[int, int],
 ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     at_rows = np.clip(np.floor(rows + 0.5), 0, shape[0] - 1).astype(np.int64)
     at_cols = np.clip(np.floor(cols + 0.5), 0, shape[1] - 1).astype(np.int64)
@@ -64,7 +71,11 @@ def _nearest(
 
 
 def _bilinear(
-    read: ReadLevel, shift: int, rows: NDArray[np.float64], cols: NDArray[np.float64], shape: tuple[int, int]
+    read: ReadLevel,
+    shift: int,
+    rows: NDArray[np.float64],
+    cols: NDArray[np.float64],
+    shape: tuple[int, int],
 ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     rows, cols = np.clip(rows, 0, shape[0] - 1), np.clip(cols, 0, shape[1] - 1)
     top, left = np.floor(rows).astype(np.int64), np.floor(cols).astype(np.int64)
@@ -92,7 +103,9 @@ def _average(
     parts = []
     rows_per_band = max(1, int((4 << 20) / region.n_cols / max(region.n_rows / n_rows, 1)))
     if region.n_cols * 8 > max_bytes:
-        raise LimitExceededError(f"one row of {region.n_cols:,} samples is more than max_bytes = {max_bytes:,}")
+        raise LimitExceededError(
+            f"one row of {region.n_cols:,} samples is more than max_bytes = {max_bytes:,}"
+        )
     for first in range(0, n_rows, rows_per_band):
         edges = row_edges[first : min(first + rows_per_band, n_rows) + 1]
         start, stop = math.floor(edges[0]), min(math.ceil(edges[-1]), region.n_rows)

@@ -67,7 +67,9 @@ class Spool:
             part = tile.intersect(region)
             whole = part.shape == tile.intersect(self.region).shape
             with self._lock:
-                content = np.zeros((TILE, TILE), self.dtype) if whole else self._read_tile_locked(number)
+                content = (
+                    np.zeros((TILE, TILE), self.dtype) if whole else self._read_tile_locked(number)
+                )
                 content[part.slices_in(tile)] = values[part.slices_in(region)]
                 self._write_tile_locked(number, content)
 
@@ -81,7 +83,11 @@ class Spool:
     def _tiles(self, region: Region) -> list[tuple[Region, int]]:
         rows = range(region.row // TILE, (region.row + region.n_rows - 1) // TILE + 1)
         cols = range(region.col // TILE, (region.col + region.n_cols - 1) // TILE + 1)
-        return [(Region(r * TILE, c * TILE, TILE, TILE), r * self._tile_cols + c) for r in rows for c in cols]
+        return [
+            (Region(r * TILE, c * TILE, TILE, TILE), r * self._tile_cols + c)
+            for r in rows
+            for c in cols
+        ]
 
     def _read_tile(self, number: int) -> NDArray[Any]:
         size = TILE * TILE * self.dtype.itemsize

@@ -14,7 +14,7 @@ from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import CodecParameters, root_keys, unit_spec
 from terrainwave.container.reader import Container
 from terrainwave.container.source import open_source
-from terrainwave.decoder import TreeDecoder, unit_key, unit_name
+from terrainwave.decoder import TreeDecoder
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, LimitExceededError
 from terrainwave.measure import decode_error
 from terrainwave.quadtree import Block, Grid, Region, morton
@@ -105,7 +105,12 @@ class Terrain:
             self._container = Container(self._source)
             header = self._container.header
             self._raster = RasterInfo.from_metadata(
-                {**header.metadata, "n_rows": header.n_rows, "n_cols": header.n_cols, "dtype": header.dtype}
+                {
+                    **header.metadata,
+                    "n_rows": header.n_rows,
+                    "n_cols": header.n_cols,
+                    "dtype": header.dtype,
+                }
             )
         except BaseException:
             self._source.close()
@@ -217,7 +222,8 @@ class Terrain:
         index = level + self.n_levels if level < 0 else level
         if not 0 <= index < self.n_levels:
             raise InvalidHeightsError(
-                f"found level {level}, expected 0 … {self.n_levels - 1} or -1 (full) … -{self.n_levels}"
+                f"found level {level}, expected 0 … {self.n_levels - 1}"
+                f" or -1 (full) … -{self.n_levels}"
             )
         return index
 
@@ -255,7 +261,9 @@ class Terrain:
         header, raster = self._container.header, self._raster
         n_samples = header.n_rows * header.n_cols
         has_heights = header.z_min <= header.z_max
-        extremes = self._quantizer.dequantize(np.array([header.z_min, header.z_max], dtype=np.int32))
+        extremes = self._quantizer.dequantize(
+            np.array([header.z_min, header.z_max], dtype=np.int32)
+        )
         physical = extremes.astype(np.float64) * raster.scale + raster.offset
         return Info(
             path=str(self.name),
@@ -348,13 +356,14 @@ class Terrain:
         if on_error not in ("raise", "mask"):
             raise InvalidHeightsError(f"found on_error {on_error!r}, expected 'raise' or 'mask'")
         if resampling not in RESAMPLING:
-            raise InvalidHeightsError(f"found resampling {resampling!r}, expected one of {', '.join(RESAMPLING)}")
+            raise InvalidHeightsError(
+                f"found resampling {resampling!r}, expected one of {', '.join(RESAMPLING)}"
+            )
         index = self.level_index(level)
-        region = self._requested_region(window, bounds, index)
+        region = self.region(window, bounds=bounds, level=level)
         self._check_size(out_shape or region.shape, max_bytes)
         if out_shape is None:
-            quanta, mask = self._read_quanta(index, region, on_error)
-            heights, valid = self._quantizer.dequantize(quanta), mask
+            heights, valid = self._read_raw(index, region, on_error)
         else:
             heights, valid = resample(
                 lambda shift, part: self._read_raw(index - shift, part, on_error), region, out_shape,
@@ -366,12 +375,50 @@ class Terrain:
             return np.ma.MaskedArray(heights, mask=~valid, fill_value=fill)
         return heights
 
-    def read_valid(self, window: Any = None, *, level: int = -1, on_error: str = "raise") -> NDArray[np.bool_]:
-        """Return which samples of a window of a level are valid; arguments as in `read`."""
-        index = self.level_index(level)
-        return self._read_quanta(index, self._requested_region(window, None, index), on_error)[1]
+    def read_with_mask(
+        self, window: Any = None, *, level: int = -1, on_error: str = "raise"
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return heights and validity of a window of a level; arguments as in `read`.
 
-    def sample(self, points: Iterable[tuple[float, float]], *, level: int = -1) -> NDArray[np.float64]:
+        What `read` cannot tell: a raster with a mask of its own may hold any value in its voids.
+        """
+        region = self.region(window, level=level)
+        heights, valid = self._read_raw(self.level_index(level), region, on_error)
+        heights[~valid] = self._raster.void_value
+        return heights, valid
+
+    def region(
+        self, window: Any = None, *, bounds: Sequence[float] | None = None, level: int = -1
+    ) -> Region:
+        """Return the part of a level that a window or bounds name, clipped to the level.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If both are given, one is malformed, or they miss the level.
+        """
+        index = self.level_index(level)
+        n_rows, n_cols = self._grid.level_shape(index)
+        whole = Region(0, 0, n_rows, n_cols)
+        if bounds is not None:
+            if window is not None:
+                raise InvalidHeightsError("found both window and bounds, expected one of them")
+            asked = self._bounds_region(bounds, index)
+        elif window is None:
+            asked = whole
+        else:
+            asked = _region_of_window(window)
+        region = asked.intersect(whole)
+        if region.n_rows <= 0 or region.n_cols <= 0:
+            raise InvalidHeightsError(
+                f"the window (row {asked.row}, column {asked.col}, {asked.n_rows} x {asked.n_cols})"
+                f" does not meet the level's {n_rows} x {n_cols} samples"
+            )
+        return region
+
+    def sample(
+        self, points: Iterable[tuple[float, float]], *, level: int = -1
+    ) -> NDArray[np.float64]:
         """Return bilinear heights at world coordinates, in physical units.
 
         Parameters
@@ -412,29 +459,12 @@ class Terrain:
             if block.level < self._grid.k_max:
                 yield from self._check_below(block)
 
-    def _requested_region(self, window: Any, bounds: Sequence[float] | None, level: int) -> Region:
-        n_rows, n_cols = self._grid.level_shape(level)
-        whole = Region(0, 0, n_rows, n_cols)
-        if bounds is not None:
-            if window is not None:
-                raise InvalidHeightsError("found both window and bounds, expected one of them")
-            asked = self._bounds_region(bounds, level)
-        elif window is None:
-            asked = whole
-        else:
-            asked = _region_of_window(window)
-        region = asked.intersect(whole)
-        if region.n_rows <= 0 or region.n_cols <= 0:
-            raise InvalidHeightsError(
-                f"the window (row {asked.row}, column {asked.col}, {asked.n_rows} x {asked.n_cols})"
-                f" does not meet the level's {n_rows} x {n_cols} samples"
-            )
-        return region
-
     def _bounds_region(self, bounds: Sequence[float], level: int) -> Region:
         left, bottom, right, top = (float(value) for value in bounds)
         if not (left < right and bottom < top):
-            raise InvalidHeightsError(f"found bounds {tuple(bounds)}, expected left < right and bottom < top")
+            raise InvalidHeightsError(
+                f"found bounds {tuple(bounds)}, expected left < right and bottom < top"
+            )
         corners = np.array([(x, y) for x in (left, right) for y in (bottom, top)])
         rows, cols = self._to_samples(corners, level)
         # Samples are pixel centres: half a pixel away begins the next pixel. A thousandth of a
@@ -443,12 +473,16 @@ class Terrain:
         first_col, last_col = round_half_up(cols.min() + 0.001), round_half_up(cols.max() - 0.001)
         return Region(first_row, first_col, last_row - first_row + 1, last_col - first_col + 1)
 
-    def _to_samples(self, places: NDArray[np.float64], level: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _to_samples(
+        self, places: NDArray[np.float64], level: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return fractional (rows, cols) of world coordinates on a level; integers are centres."""
         a, b, c, d, e, f = self.transform(level)
         determinant = a * e - b * d
         if determinant == 0:
-            raise InvalidHeightsError("the affine transform cannot be inverted; read by window instead")
+            raise InvalidHeightsError(
+                "the affine transform cannot be inverted; read by window instead"
+            )
         x, y = places[:, 0] - c, places[:, 1] - f
         return (a * y - d * x) / determinant - 0.5, (e * x - b * y) / determinant - 0.5
 
@@ -460,7 +494,9 @@ class Terrain:
                 f" max_bytes = {max_bytes:,}: read a smaller window or a coarser level"
             )
 
-    def _read_raw(self, level: int, region: Region, on_error: str) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    def _read_raw(
+        self, level: int, region: Region, on_error: str
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         quanta, mask = self._read_quanta(level, region, on_error)
         return self._quantizer.dequantize(quanta), mask
 
@@ -501,10 +537,12 @@ class Terrain:
         n_rows, n_cols = self._grid.level_blocks(max(level - 1, 0))
         # The last sample of the last unit lies on a border without a unit beyond it.
         rows = range(
-            min(region.row // side, n_rows - 1), min((region.row + region.n_rows - 1) // side, n_rows - 1) + 1
+            min(region.row // side, n_rows - 1),
+            min((region.row + region.n_rows - 1) // side, n_rows - 1) + 1,
         )
         cols = range(
-            min(region.col // side, n_cols - 1), min((region.col + region.n_cols - 1) // side, n_cols - 1) + 1
+            min(region.col // side, n_cols - 1),
+            min((region.col + region.n_cols - 1) // side, n_cols - 1) + 1,
         )
         keys = [Block(level - 1, row, col) for row in rows for col in cols]
         return sorted(keys, key=lambda key: morton(key.row, key.col))
@@ -531,7 +569,10 @@ class Terrain:
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         side = self._grid.block if level == 0 else 2 * self._grid.block
         n_rows, n_cols = self._grid.level_blocks(max(level - 1, 0))
-        unit_rows, unit_cols = np.minimum(rows // side, n_rows - 1), np.minimum(cols // side, n_cols - 1)
+        unit_rows, unit_cols = (
+            np.minimum(rows // side, n_rows - 1),
+            np.minimum(cols // side, n_cols - 1),
+        )
         quanta, valid = np.zeros(rows.size, dtype=np.int32), np.zeros(rows.size, dtype=np.bool_)
         for row, col in sorted(set(zip(unit_rows.tolist(), unit_cols.tolist(), strict=True))):
             key = Block(level - 1, row, col)
@@ -544,7 +585,9 @@ class Terrain:
     def _pool(self) -> ThreadPoolExecutor:
         with self._lock:
             if self._executor is None:
-                self._executor = ThreadPoolExecutor(self._n_threads, thread_name_prefix="terrainwave")
+                self._executor = ThreadPoolExecutor(
+                    self._n_threads, thread_name_prefix="terrainwave"
+                )
             return self._executor
 
 

@@ -51,7 +51,9 @@ def encode_unit(
     return bytes([flags]) + sections + body, Decoded(heights, mask, labels)
 
 
-def decode_unit(refiner: Refiner, spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Decoded:
+def decode_unit(
+    refiner: Refiner, spec: GroupSpec, parent: Decoded | None, payload: bytes
+) -> Decoded:
     """Undo `encode_unit`.
 
     Raises
@@ -113,7 +115,9 @@ def _touching(first: int, n: int, outer_first: int, outer_n: int, upper: int) ->
 
 def _all_void(spec: GroupSpec) -> Decoded:
     return Decoded(
-        np.zeros(spec.region.shape, dtype=np.int32), np.zeros(spec.region.shape, dtype=np.bool_), None
+        np.zeros(spec.region.shape, dtype=np.int32),
+        np.zeros(spec.region.shape, dtype=np.bool_),
+        None,
     )
 
 
@@ -152,4 +156,3 @@ def _read_section(payload: bytes, byte_pos: int) -> tuple[bytes, int]:
     if byte_pos + length > len(payload):
         raise TruncatedStreamError(f"a section of {length} bytes is cut short (byte {byte_pos})")
     return payload[byte_pos : byte_pos + length], byte_pos + length
-

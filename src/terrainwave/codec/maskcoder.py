@@ -86,7 +86,13 @@ def _encode_mask(mask, implied, state, out, models):
     for row in range(mask.shape[0]):
         for col in range(mask.shape[1]):
             if not implied[row, col]:
-                encode_bit(state, out, models, _mask_context(mask, implied, row, col), np.int64(mask[row, col]))
+                encode_bit(
+                    state,
+                    out,
+                    models,
+                    _mask_context(mask, implied, row, col),
+                    np.int64(mask[row, col]),
+                )
     return finish_encoder(state, out)
 
 

@@ -39,10 +39,14 @@ class Store:
     ) -> tuple[Heights, Labels | None]:
         """Rebuild the heights (`Refiner.decode`)."""
         if len(payload) < _HEAD.size:
-            raise TruncatedStreamError(f"a stored unit needs {_HEAD.size} bytes, found {len(payload)}")
+            raise TruncatedStreamError(
+                f"a stored unit needs {_HEAD.size} bytes, found {len(payload)}"
+            )
         low, n_bits = _HEAD.unpack_from(payload)
         if n_bits > _MAX_BITS:
-            raise CorruptStreamError(f"a stored unit has {n_bits} bits per sample, at most {_MAX_BITS} are legal")
+            raise CorruptStreamError(
+                f"a stored unit has {n_bits} bits per sample, at most {_MAX_BITS} are legal"
+            )
         stored = _stored(spec, parent, mask)
         indices = _unpack_bits(payload[_HEAD.size :], int(np.count_nonzero(stored)), n_bits) + low
         heights = _inherited(spec, parent)
@@ -75,7 +79,10 @@ def _even_positions(spec: GroupSpec) -> tuple[slice, slice, tuple[slice, slice]]
     row, col = region.row + (region.row & 1), region.col + (region.col & 1)
     rows = slice(row - region.row, region.n_rows, 2)
     cols = slice(col - region.col, region.n_cols, 2)
-    n_rows, n_cols = len(range(*rows.indices(region.n_rows))), len(range(*cols.indices(region.n_cols)))
+    n_rows, n_cols = (
+        len(range(*rows.indices(region.n_rows))),
+        len(range(*cols.indices(region.n_cols))),
+    )
     first_row, first_col = (row >> 1) - outer.row, (col >> 1) - outer.col
     return rows, cols, (slice(first_row, first_row + n_rows), slice(first_col, first_col + n_cols))
 
@@ -92,7 +99,9 @@ def _unpack_bits(data: bytes, n_values: int, n_bits: int) -> NDArray[np.int64]:
     if len(data) < n_bytes:
         raise TruncatedStreamError(f"stored heights need {n_bytes} bytes, found {len(data)}")
     if len(data) > n_bytes:
-        raise CorruptStreamError(f"{len(data) - n_bytes} bytes are left over after the stored heights")
+        raise CorruptStreamError(
+            f"{len(data) - n_bytes} bytes are left over after the stored heights"
+        )
     bits = np.unpackbits(np.frombuffer(data, dtype=np.uint8), count=n_values * n_bits)
     weights = np.int64(1) << np.arange(n_bits - 1, -1, -1, dtype=np.int64)
     values: NDArray[np.int64] = bits.reshape(n_values, n_bits).astype(np.int64) @ weights

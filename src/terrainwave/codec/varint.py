@@ -33,6 +33,8 @@ def decode_varint(data: bytes, byte_pos: int) -> tuple[int, int]:
         value |= (byte & 0x7F) << 7 * n_bytes
         if byte < 0x80:
             if byte == 0 and n_bytes:
-                raise CorruptStreamError(f"a number is longer than it needs to be (byte {byte_pos})")
+                raise CorruptStreamError(
+                    f"a number is longer than it needs to be (byte {byte_pos})"
+                )
             return value, byte_pos + n_bytes + 1
     raise CorruptStreamError(f"a number is longer than {_MAX_BYTES} bytes (byte {byte_pos})")

@@ -91,9 +91,7 @@ def lowpass_analysis(
 
 
 @kernel
-def _analyse(
-    heights, first_row, first_col, n_rows, n_cols, out_row, out_col, padded, scratch, out
-):
+def _analyse(heights, first_row, first_col, n_rows, n_cols, out_row, out_col, padded, scratch, out):
     """Low-pass rows into `scratch`, then columns into `out`.
 
     Taps sum to less than 1.6 * 2**14 in magnitude, so 2**30 grows to less than 2**60.

@@ -1,0 +1,81 @@
+"""Compress digital elevation models with a proved bound on the error of every sample.
+
+>>> import terrainwave as tw
+>>> tw.compress("dem.tif", "dem.twz", max_error=0.5)          # doctest: +SKIP
+>>> terrain = tw.open("dem.twz")                              # doctest: +SKIP
+>>> heights = terrain.read()                                  # doctest: +SKIP
+"""
+
+from typing import TYPE_CHECKING, Any
+
+from terrainwave._version import __version__
+from terrainwave.errors import (
+    BoundViolationError,
+    CorruptStreamError,
+    InvalidHeightsError,
+    LimitExceededError,
+    StorageError,
+    TerrainwaveError,
+    TerrainwaveWarning,
+    TruncatedStreamError,
+    UnsupportedVersionError,
+)
+
+if TYPE_CHECKING:
+    from terrainwave.compression import CompressResult, compress
+    from terrainwave.decompression import decompress
+    from terrainwave.progress import Progress
+    from terrainwave.terrain import Info, Terrain
+    from terrainwave.verification import VerifyReport, verify
+
+__all__ = [
+    "BoundViolationError",
+    "CompressResult",
+    "CorruptStreamError",
+    "Info",
+    "InvalidHeightsError",
+    "LimitExceededError",
+    "Progress",
+    "StorageError",
+    "Terrain",
+    "TerrainwaveError",
+    "TerrainwaveWarning",
+    "TruncatedStreamError",
+    "UnsupportedVersionError",
+    "VerifyReport",
+    "__version__",
+    "compress",
+    "decompress",
+    "open",
+    "verify",
+]
+
+# Numba and rasterio are imported with the first of these that is used: `terrainwave --help` and
+# `import terrainwave` need neither.
+_LAZY = {
+    "CompressResult": "compression",
+    "compress": "compression",
+    "decompress": "decompression",
+    "Progress": "progress",
+    "Info": "terrain",
+    "Terrain": "terrain",
+    "VerifyReport": "verification",
+    "verify": "verification",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _LAZY:
+        raise AttributeError(f"module 'terrainwave' has no attribute {name!r}")
+    from importlib import import_module
+
+    value = getattr(import_module(f"terrainwave.{_LAZY[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def open(source: Any, **options: Any) -> "Terrain":
+    """Open a .twz file by path, URL, bytes or file object; see `Terrain` for the options."""
+    from terrainwave.terrain import Terrain
+
+    return Terrain(source, **options)

@@ -1,0 +1,565 @@
+"""The encoder: raster in, .twz file out. Start reading at `compress`.
+
+Three passes over the source, windows at a time (DESIGN §3.10): A scans it and makes the pyramid of
+target heights, B codes the quadtree top down in a closed loop, C decodes the finished file from
+disk with the ordinary decoder and compares every sample. Memory stays flat in all of them.
+"""
+
+import os
+import shutil
+import tempfile
+import threading
+from collections import defaultdict
+from collections.abc import Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._version import __version__
+from terrainwave.codec.refiner import Refiner
+from terrainwave.codec.registry import check_method, refiner_by_name
+from terrainwave.codec.units import CodecParameters, unit_blocks
+from terrainwave.container.header import Header
+from terrainwave.container.publish import publish
+from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.writer import assemble
+from terrainwave.encoder import Stats, TreeEncoder
+from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
+from terrainwave.measure import BlockStats, decode_error, decode_range, encode_error, encode_range
+from terrainwave.progress import ProgressCallback, Reporter
+from terrainwave.pyramid import Pyramid, SourceWindows
+from terrainwave.quadtree import Block, Grid, Region
+from terrainwave.quantum import HeightScan, Quantizer, as_fraction
+from terrainwave.raster_io import RasterInfo, RasterSource
+from terrainwave.spool import Spool
+from terrainwave.terrain import EFFORTS, Terrain
+
+DEFAULT_MAX_ERROR = 0.01
+BLOCKS = (32, 64, 128, 256, 512, 1024)
+MESHES = ("none",)
+# Samples per side of the windows the proof compares, where groups are smaller than that.
+_PROOF_SIDE = 512
+
+
+@dataclass(frozen=True)
+class Options:
+    """Checked options of `compress`; errors are raised where they are made."""
+
+    max_error: float | None
+    method: str
+    block: int
+    effort: int
+    border_rings: int
+    verify: bool
+    n_threads: int
+
+    @classmethod
+    def checked(
+        cls,
+        max_error: float | None,
+        method: str,
+        block: int,
+        effort: str,
+        border_rings: int,
+        mesh: str | None,
+        verify: bool,
+        threads: int | None,
+    ) -> "Options":
+        """Return the options, or raise `InvalidHeightsError` naming what was found and expected."""
+        if max_error is not None and not (np.isfinite(max_error) and max_error >= 0):
+            raise InvalidHeightsError(f"found max_error {max_error}, expected a finite number >= 0")
+        if block not in BLOCKS:
+            raise InvalidHeightsError(
+                f"found block {block}, expected one of {', '.join(map(str, BLOCKS))}"
+            )
+        if effort not in EFFORTS:
+            raise InvalidHeightsError(
+                f"found effort {effort!r}, expected one of {', '.join(EFFORTS)}"
+            )
+        if border_rings not in (1, 3):
+            raise InvalidHeightsError(f"found border_rings {border_rings}, expected 1 or 3")
+        if (mesh or "none") not in MESHES:
+            raise InvalidHeightsError(
+                f"found mesh {mesh!r}; this version stores heights only: use none"
+            )
+        if threads is not None and threads < 1:
+            raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
+        return cls(
+            max_error=None if max_error is None else float(max_error),
+            method=check_method(method),
+            block=block,
+            effort=EFFORTS.index(effort),
+            border_rings=border_rings,
+            verify=verify,
+            n_threads=threads or os.cpu_count() or 1,
+        )
+
+
+@dataclass(frozen=True)
+class CompressResult:
+    """What `compress` made; errors in physical units.
+
+    `measured_error` is None where the proof was skipped; `notes` say what a user should know.
+    """
+
+    path: str
+    n_bytes: int
+    n_samples: int
+    bits_per_sample: float
+    ratio: float
+    max_error: float
+    effective_error: float
+    measured_error: float | None
+    units: str | None
+    method: str
+    notes: list[str] = field(default_factory=list)
+
+
+def compress(
+    src: Any,
+    dst: str | os.PathLike[str],
+    *,
+    max_error: float | None = None,
+    method: str = "auto",
+    block: int = 256,
+    effort: str = "default",
+    nodata: float | None = None,
+    band: int = 1,
+    border_rings: int = 1,
+    mesh: str | None = None,
+    temp_dir: str | os.PathLike[str] | None = None,
+    verify: bool = True,
+    threads: int | None = None,
+    overwrite: bool = False,
+    progress: ProgressCallback | None = None,
+) -> CompressResult:
+    """Compress a raster to a .twz file in which every valid sample is within `max_error`.
+
+    Parameters
+    ----------
+    src : path, rasterio dataset, ndarray or xarray DataArray
+        One band of heights: uint8, int16, uint16, int32, float32 or float64.
+    dst : path
+        The file to make. It appears complete or not at all.
+    max_error : float, optional
+        Largest allowed error in physical units (after scale and offset); >= 0, closed. By default
+        0 (lossless) where the heights have a vertical quantum and 0.01 where they don't.
+    method : str
+        ``"cdf97"``, ``"store"`` or ``"auto"``.
+    block : int
+        Cells per side of a block: 32, 64, … 1024.
+    effort : str
+        ``"fast"``, ``"default"`` or ``"best"``.
+    nodata : float, optional
+        Replaces the raster's own nodata value.
+    band : int, optional
+        Band to take, from 1.
+    border_rings : int
+        1, or 3 to share one more ring on both sides of every border (Yusov & Turlapov 2010, §2.3).
+    mesh : str, optional
+        Accepted for the future: only ``"none"``.
+    temp_dir : path, optional
+        Where large temporary data go; by default beside `dst`.
+    verify : bool
+        Decode the file and compare every sample before it replaces `dst`.
+    threads : int, optional
+        Threads that encode; the number of processors by default. The bytes don't depend on it.
+    overwrite : bool
+        Replace an existing `dst`.
+    progress : callable, optional
+        Called with a `Progress` now and then, from one thread at a time.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If the heights or an option cannot be used, or the bound cannot be kept.
+    BoundViolationError
+        If the proof fails; `dst` is untouched.
+    StorageError
+        If something cannot be read or written; `dst` is untouched.
+
+    Notes
+    -----
+    O(n_rows * n_cols) time; memory O(threads * block^2 * levels), whatever the size of the raster.
+    """
+    options = Options.checked(max_error, method, block, effort, border_rings, mesh, verify, threads)
+    reporter = Reporter(progress)
+    with (
+        publish(dst, overwrite=overwrite) as part,
+        RasterSource(src, band=band, nodata=nodata) as source,
+        _work_directory(temp_dir, Path(dst)) as directory,
+        ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor,
+    ):
+        windows, scan = _scan(source, directory, reporter)
+        bound, notes = _choose_bound(options.max_error, scan, source.info)
+        quantizer = scan.quantizer(bound / _scale_of(source.info))
+        grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
+        job = _Job(source.info, windows, scan, quantizer, grid, options, bound, directory)
+        coded = _encode(job, refiner_by_name(options.method), executor, reporter)
+        if coded.n_bytes > source.info.n_bytes and options.method != "store":
+            coded = _smaller(coded, _encode(job, refiner_by_name("store"), executor, reporter))
+            if coded.method == "store":
+                notes.append("the heights do not compress: stored as they are")
+        assemble(part.file, _header(job, coded.method), coded.spools)
+        measured = None
+        if options.verify:
+            measured = _prove(part.path, job, executor, reporter)
+        n_bytes = os.path.getsize(part.path)
+        coded.close()
+        windows.close()
+    n_samples = source.info.n_rows * source.info.n_cols
+    scale = abs(source.info.scale)
+    return CompressResult(
+        path=os.fspath(dst),
+        n_bytes=n_bytes,
+        n_samples=n_samples,
+        bits_per_sample=8 * n_bytes / n_samples,
+        ratio=source.info.n_bytes / n_bytes,
+        max_error=float(bound),
+        effective_error=min(quantizer.effective_error * scale, float(bound)),
+        measured_error=None if measured is None else measured * scale,
+        units=source.info.units,
+        method=coded.method,
+        notes=[*source.notes, *notes],
+    )
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What all passes share."""
+
+    info: RasterInfo
+    source: "_Windows"
+    scan: HeightScan
+    quantizer: Quantizer
+    grid: Grid
+    options: Options
+    bound: Fraction
+    directory: Path
+
+    @property
+    def raw_bound(self) -> float:
+        """Return the bound asked for, in raw units."""
+        return float(self.bound / _scale_of(self.info))
+
+
+def _scale_of(info: RasterInfo) -> Fraction:
+    scale = abs(as_fraction(info.scale))
+    if scale == 0:
+        raise InvalidHeightsError(
+            "the raster's scale is 0: all heights would be equal; correct its metadata"
+        )
+    return scale
+
+
+@contextmanager
+def _work_directory(temp_dir: str | os.PathLike[str] | None, dst: Path) -> Iterator[Path]:
+    parent = Path(temp_dir) if temp_dir is not None else dst.absolute().parent
+    try:
+        with tempfile.TemporaryDirectory(prefix=".terrainwave-", dir=parent) as directory:
+            yield Path(directory)
+    except (FileNotFoundError, PermissionError, NotADirectoryError) as exc:
+        raise StorageError(
+            f"cannot make temporary files in {parent}: {exc.strerror}; choose --temp-dir"
+        ) from exc
+
+
+# Pass A
+
+
+class _Windows(SourceWindows):
+    """The source's windows; those of striped sources are spooled in tiles during the scan.
+
+    A narrow window of a striped raster decodes whole strips, once for every window beside it.
+    """
+
+    def __init__(self, source: RasterSource, directory: Path) -> None:
+        self._source = source
+        self._shape = source.info.n_rows, source.info.n_cols
+        self._directory = directory
+        self._heights: Spool | None = None
+        self._voids: Spool | None = None
+        if source.is_striped:
+            self._heights = Spool(self._shape, source.info.dtype, directory)
+
+    def scan(self) -> Iterator[tuple[Region, NDArray[Any], NDArray[np.bool_]]]:
+        """Yield (window, heights, validity), once over the whole raster in the source's order."""
+        for region in self._source.blocks():
+            heights, valid = self._source.read(*region)
+            if self._heights is not None:
+                self._heights.write(region, heights)
+                if self._voids is None and not valid.all():
+                    self._voids = Spool(self._shape, np.bool_, self._directory)
+                if self._voids is not None:
+                    self._voids.write(region, ~valid)
+            yield region, heights, valid
+
+    def read(
+        self, row: int, col: int, n_rows: int, n_cols: int
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return raw heights and validity of a window."""
+        if self._heights is None:
+            return self._source.read(row, col, n_rows, n_cols)
+        region = Region(row, col, n_rows, n_cols)
+        if self._voids is None:
+            return self._heights.read(region), np.ones(region.shape, dtype=np.bool_)
+        return self._heights.read(region), ~self._voids.read(region)
+
+    def close(self) -> None:
+        """Delete the spools."""
+        for spool in (self._heights, self._voids):
+            if spool is not None:
+                spool.close()
+
+
+def _scan(source: RasterSource, directory: Path, reporter: Reporter) -> tuple[_Windows, HeightScan]:
+    """Read the source once: range, validity and vertical quantum of every sample."""
+    info = source.info
+    _check_free_space(info, directory, source.is_striped)
+    scan = HeightScan(info.dtype)
+    windows = _Windows(source, directory)
+    total = info.n_rows * info.n_cols
+    for region, heights, valid in windows.scan():
+        scan.update(heights, valid)
+        reporter.report(
+            "scanning", scan.n_samples, total, scan.n_samples * np.dtype(info.dtype).itemsize
+        )
+        del region
+    return windows, scan
+
+
+def _check_free_space(info: RasterInfo, directory: Path, is_striped: bool) -> None:
+    """Refuse to begin what the temporary directory cannot hold."""
+    n_samples = info.n_rows * info.n_cols
+    needed = n_samples * 4 // 3 + (info.n_bytes if is_striped else 0)
+    free = shutil.disk_usage(directory).free
+    if needed > free:
+        raise StorageError(
+            f"temporary data need about {needed / 1e9:.1f} GB, {directory.parent} has {free / 1e9:.1f} GB"
+            " free: name another directory with --temp-dir"
+        )
+
+
+def _choose_bound(
+    max_error: float | None, scan: HeightScan, info: RasterInfo
+) -> tuple[Fraction, list[str]]:
+    if max_error is not None:
+        return as_fraction(max_error), []
+    p = scan.true_quantum()
+    unit = info.units or "(unit unknown)"
+    if p is not None:
+        physical = float(p * _scale_of(info))
+        return Fraction(0), [
+            f"no --max-error given: lossless, as all heights are multiples of {physical:g} {unit};"
+            " --max-error E makes the file smaller"
+        ]
+    return as_fraction(DEFAULT_MAX_ERROR), [
+        f"no --max-error given: {DEFAULT_MAX_ERROR} {unit}, as the heights lie on no vertical grid;"
+        " choose with --max-error E"
+    ]
+
+
+# Pass B
+
+
+@dataclass
+class _Coded:
+    method: str
+    spools: dict[Block | None, SegmentSpool]
+    n_bytes: int
+
+    def close(self) -> None:
+        for spool in self.spools.values():
+            spool.close()
+
+
+def _smaller(first: _Coded, second: _Coded) -> _Coded:
+    kept, dropped = (first, second) if first.n_bytes <= second.n_bytes else (second, first)
+    dropped.close()
+    return kept
+
+
+def _encode(job: _Job, refiner: Refiner, executor: Executor, reporter: Reporter) -> _Coded:
+    """Code all units into one spool per segment."""
+    pyramid = Pyramid(
+        job.source,
+        job.quantizer,
+        job.grid,
+        kind=refiner.pyramid,
+        has_voids=job.scan.has_voids,
+        directory=job.directory,
+        executor=executor,
+    )
+    try:
+        pyramid.build(lambda done, total: reporter.report("making levels", done, total))
+        sink = _SpoolSink(job.grid, job.directory)
+        itemsize = np.dtype(job.info.dtype).itemsize
+        total = job.grid.n_rows * job.grid.n_cols
+        done = 0
+        lock = threading.Lock()
+
+        def on_samples(n_samples: int) -> None:
+            nonlocal done
+            with lock:
+                done = min(done + n_samples, total)
+                reporter.report("encoding", done, total, done * itemsize, sink.n_bytes)
+
+        encoder = TreeEncoder(job.grid, refiner, _parameters(job), pyramid, sink, on_samples)
+        stats = encoder.run(executor)
+    finally:
+        pyramid.close()
+    _set_codes(job, sink.spools, stats)
+    return _Coded(refiner.name, sink.spools, sink.n_bytes)
+
+
+class _SpoolSink:
+    """Sorts payloads into the spools of their segments."""
+
+    def __init__(self, grid: Grid, directory: Path) -> None:
+        self._grid = grid
+        self.spools = {head: SegmentSpool(directory) for head in grid.segment_heads()}
+        self.n_bytes = 0
+        self._lock = threading.Lock()
+
+    def __call__(self, key: Block, payload: bytes) -> None:
+        head = None if key.level < 0 else self._grid.segment_head(key)
+        self.spools[head].add(key, payload)
+        with self._lock:
+            self.n_bytes += len(payload)
+
+
+def _parameters(job: _Job) -> CodecParameters:
+    quantizer = job.quantizer
+    return CodecParameters(
+        step=quantizer.step,
+        z_min=quantizer.z_min,
+        z_max=quantizer.z_max,
+        forbidden=quantizer.quanta_of_value(job.info.void_value),
+        rings=job.options.border_rings,
+        effort=job.options.effort,
+    )
+
+
+def _set_codes(job: _Job, spools: dict[Block | None, SegmentSpool], stats: Stats) -> None:
+    """Give every block its box and error, each box relative to its parent's in the segment."""
+    grid, quantizer = job.grid, job.quantizer
+    lost = -(-Fraction(quantizer.rho) * quantizer.denominator // quantizer.numerator)
+    whole = quantizer.z_min, quantizer.z_max
+    for spool in spools.values():
+        boxes: dict[Block, tuple[int, int]] = defaultdict(lambda: whole)
+        for key in sorted(spool.keys()):
+            codes = bytearray()
+            for block in unit_blocks(grid, key):
+                found = stats.get(block, BlockStats())
+                if found.is_empty:
+                    codes += bytes(4)
+                    continue
+                error = encode_error(found.error + lost)
+                # Decoded heights are clamped to the originals' range, so boxes are as well.
+                low = max(found.z_low - decode_error(error), whole[0])
+                high = min(found.z_high + decode_error(error), whole[1])
+                below, above = encode_range(low, high, *boxes[key])
+                boxes[block] = decode_range(below, above, *boxes[key])
+                codes += bytes([below, above, error, 0])
+            spool.set_codes(key, bytes(codes))
+
+
+def _header(job: _Job, method: str) -> Header:
+    quantizer, info = job.quantizer, job.info
+    metadata = info.to_metadata()
+    for name in ("n_rows", "n_cols", "dtype"):
+        del metadata[name]
+    has_heights = job.scan.n_valid > 0
+    return Header(
+        n_rows=info.n_rows,
+        n_cols=info.n_cols,
+        block=job.options.block,
+        border_rings=job.options.border_rings,
+        method=method,
+        dtype=info.dtype,
+        effort=job.options.effort,
+        quantum=Fraction(quantizer.numerator, quantizer.denominator),
+        base=quantizer.base,
+        step=quantizer.step,
+        z_min=quantizer.z_min if has_heights else 0,
+        z_max=quantizer.z_max if has_heights else -1,
+        max_error=job.raw_bound,
+        effective_bound=min(quantizer.effective_error, job.raw_bound),
+        rho=quantizer.rho,
+        metadata={**metadata, "software": f"terrainwave {__version__}"},
+    )
+
+
+# Pass C
+
+
+def _prove(
+    path: str | os.PathLike[str], job: _Job, executor: Executor, reporter: Reporter
+) -> float:
+    """Decode the file from disk and compare every sample and the mask; return the largest error.
+
+    Raises
+    ------
+    BoundViolationError
+        If a sample is further than the bound from the original, or valid where that is void.
+    """
+    grid = job.grid
+    side = max(2 * grid.block, _PROOF_SIDE)
+    regions = [
+        Region(row, col, min(side, grid.n_rows - row), min(side, grid.n_cols - col))
+        for row in range(0, grid.n_rows, side)
+        for col in range(0, grid.n_cols, side)
+    ]
+    allowed = allowed_error(job.quantizer, job.raw_bound)
+    largest = 0.0
+    with Terrain(path, threads=1) as terrain:
+
+        def compare(region: Region) -> float:
+            return _compare_window(terrain, job, region, allowed)
+
+        done = 0
+        for region, error in zip(regions, executor.map(compare, regions), strict=True):
+            largest = max(largest, error)
+            done += region.n_rows * region.n_cols
+            reporter.report("proving", done, grid.n_rows * grid.n_cols)
+    return largest
+
+
+def allowed_error(quantizer: Quantizer, raw_bound: float) -> float:
+    """Return the largest difference of stored values that keeps the bound.
+
+    On a true grid the bound holds for the numbers k * p; the floats nearest to two of them may
+    differ by one spacing more than the numbers do.
+    """
+    if np.dtype(quantizer.dtype).kind != "f" or quantizer.rho > 0:
+        return raw_bound
+    extremes = quantizer.dequantize(np.array([quantizer.z_min, quantizer.z_max], dtype=np.int32))
+    return raw_bound + float(np.spacing(np.abs(extremes)).max())
+
+
+def _compare_window(terrain: Terrain, job: _Job, region: Region, allowed: float) -> float:
+    raw, valid = job.source.read(*region)
+    decoded, decoded_valid = terrain.read_with_mask(region)
+    if not np.array_equal(valid, decoded_valid):
+        row, col = np.argwhere(valid != decoded_valid)[0] + (region.row, region.col)
+        raise BoundViolationError(
+            f"the decoded mask differs from the source's at row {row}, column {col}; this is a fault of"
+            " terrainwave: please report it with the file. Nothing was written"
+        )
+    if not valid.any():
+        return 0.0
+    errors = np.abs(decoded[valid].astype(np.float64) - raw[valid].astype(np.float64))
+    largest = float(errors.max())
+    if largest > allowed:
+        at = np.argwhere(valid)[int(errors.argmax())] + (region.row, region.col)
+        raise BoundViolationError(
+            f"the decoded height at row {at[0]}, column {at[1]} is {largest:g} off, more than {allowed:g};"
+            " this is a fault of terrainwave: please report it with the file. Nothing was written"
+        )
+    return largest

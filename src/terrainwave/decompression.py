@@ -1,0 +1,81 @@
+"""Write a .twz file back to a GeoTIFF or COG, in bounded memory."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from terrainwave.progress import ProgressCallback, Reporter
+from terrainwave.quadtree import Region
+from terrainwave.raster_io import RasterSink
+from terrainwave.terrain import Terrain
+
+# Samples of one window: whole rows of groups where they fit, 32 MiB of float64.
+_WINDOW_SAMPLES = 4 << 20
+
+
+def decompress(
+    src: Any,
+    dst: str | os.PathLike[str],
+    *,
+    window: Any = None,
+    bounds: Sequence[float] | None = None,
+    level: int = -1,
+    cog: bool = False,
+    threads: int | None = None,
+    overwrite: bool = False,
+    progress: ProgressCallback | None = None,
+) -> str:
+    """Write heights of a .twz file as a GeoTIFF; return its path.
+
+    Parameters
+    ----------
+    src : path, URL, bytes or binary file object
+        The .twz file.
+    dst : path
+        The GeoTIFF to make. It appears complete or not at all.
+    window, bounds, level
+        Part and resolution to write, as in `Terrain.read`. A level is samples at positions.
+    cog : bool
+        Make a cloud-optimised GeoTIFF; its overviews are averages of the decoded grid.
+    threads : int, optional
+        Threads that decode; the number of processors by default.
+    overwrite : bool
+        Replace an existing `dst`.
+
+    Raises
+    ------
+    CorruptStreamError
+        If a block is damaged; `dst` is untouched.
+    StorageError
+        If `dst` cannot be written; it is untouched.
+    """
+    reporter = Reporter(progress)
+    with Terrain(src, threads=threads) as terrain:
+        region = terrain.region(window, bounds=bounds, level=level)
+        info = replace(
+            terrain.raster_info,
+            n_rows=region.n_rows,
+            n_cols=region.n_cols,
+            transform=terrain.transform(level, region),
+        )
+        total = region.n_rows * region.n_cols
+        done = 0
+        with RasterSink(dst, info, cog=cog, overwrite=overwrite, n_threads=threads or 1) as sink:
+            for part in _windows(region, 2 * terrain.grid.block):
+                heights, valid = terrain.read_with_mask(part, level=level)
+                sink.write(part.row - region.row, part.col - region.col, heights, valid)
+                done += part.n_rows * part.n_cols
+                reporter.report("decoding", done, total, 0, done * heights.dtype.itemsize)
+    return os.fspath(dst)
+
+
+def _windows(region: Region, side: int) -> list[Region]:
+    """Cut a region along the borders of groups, so that each group is decoded once."""
+    n_rows = max(side, _WINDOW_SAMPLES // max(region.n_cols, 1) // side * side)
+    n_cols = max(side, _WINDOW_SAMPLES // n_rows // side * side)
+    return [
+        Region(row, col, n_rows, n_cols).intersect(region)
+        for row in range(region.row // n_rows * n_rows, region.row + region.n_rows, n_rows)
+        for col in range(region.col // n_cols * n_cols, region.col + region.n_cols, n_cols)
+    ]

@@ -1,0 +1,45 @@
+"""What long work tells its caller."""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+# Calls closer together than this are dropped, except the last of a stage.
+_INTERVAL = 0.1
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a stage has come: samples done of all, and bytes read and made so far."""
+
+    stage: str
+    done: int
+    total: int
+    n_bytes_in: int = 0
+    n_bytes_out: int = 0
+
+
+ProgressCallback = Callable[[Progress], None]
+
+
+class Reporter:
+    """Calls a callback at most ten times a second, from one thread at a time."""
+
+    def __init__(self, callback: ProgressCallback | None) -> None:
+        self._callback = callback
+        self._lock = threading.Lock()
+        self._last = 0.0
+
+    def report(
+        self, stage: str, done: int, total: int, n_bytes_in: int = 0, n_bytes_out: int = 0
+    ) -> None:
+        """Tell the callback, unless it was told just now."""
+        if self._callback is None:
+            return
+        with self._lock:
+            now = time.monotonic()
+            if now - self._last < _INTERVAL and done < total:
+                return
+            self._last = now
+            self._callback(Progress(stage, done, total, n_bytes_in, n_bytes_out))

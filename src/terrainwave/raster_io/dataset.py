@@ -1,0 +1,149 @@
+"""A band of anything that rasterio opens."""
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+import rasterio.shutil
+from rasterio.enums import MaskFlags
+from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
+from rasterio.windows import Window
+
+from terrainwave.errors import (
+    InvalidHeightsError,
+    StorageError,
+)
+from terrainwave.raster_io.gdal import (
+    GDAL_ERRORS,
+    bounded_env,
+    one_line,
+)
+from terrainwave.raster_io.info import (
+    format_crs,
+)
+
+# What to convert an unsupported type to; the narrowest of ours that holds all of its values, or
+
+
+def open_dataset(path: str) -> Any:
+    """Open `path` by rasterio; translate each failure into one line that says what to do."""
+    local = Path(path)
+    is_local = "://" not in path and not path.startswith("/vsi")
+    if is_local and _is_twz(local):
+        raise InvalidHeightsError(
+            f"{path} is already a terrainwave file; expected a raster such as a GeoTIFF"
+            " (terrainwave decompress makes one of it)"
+        )
+    try:
+        with bounded_env(), warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            dataset = rasterio.open(path)
+    except RasterioIOError as error:
+        if is_local and local.is_dir():
+            raise StorageError(f"{path} is a directory; expected a raster file") from error
+        if is_local and ":" not in path and not local.exists():
+            raise StorageError(f"{path}: no such file") from error
+        raise StorageError(
+            f"{path} is not a raster that GDAL can read: {one_line(error)}"
+        ) from error
+    if dataset.count == 0:
+        parts = ", ".join(dataset.subdatasets[:4])
+        dataset.close()
+        advice = f"; it holds several rasters, name one of them: {parts}" if parts else ""
+        raise InvalidHeightsError(f"{path} has no raster band{advice}")
+    return dataset
+
+
+def _is_twz(path: Path) -> bool:
+    """Tell a terrainwave file by its first bytes; by its name if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return b"TWZ" in file.read(8).upper()
+    except OSError:
+        return False
+
+
+class DatasetBackend:
+    """A band of a rasterio dataset."""
+
+    is_file = True
+
+    def __init__(self, dataset: Any, band: int, *, owned: bool) -> None:
+        self._owned = owned
+        self._dataset = dataset
+        self._band = band
+        try:
+            self._check()
+        except BaseException:
+            self.close()
+            raise
+
+    def _check(self) -> None:
+        dataset, band = self._dataset, self._band
+        if dataset.closed:
+            raise InvalidHeightsError("the rasterio dataset is closed; expected an open one")
+        self.name = str(dataset.name)
+        if not 1 <= band <= dataset.count:
+            bands = "1 band" if dataset.count == 1 else f"{dataset.count} bands"
+            raise InvalidHeightsError(
+                f"{self.name}: band {band} does not exist, the file has {bands}"
+            )
+        self.n_rows, self.n_cols = int(dataset.height), int(dataset.width)
+        self.dtype = np.dtype(dataset.dtypes[band - 1])
+        self.nodata = dataset.nodatavals[band - 1]
+        self.block_shape: tuple[int, int] = dataset.block_shapes[band - 1]
+        self.transform = tuple(float(value) for value in dataset.transform[:6])
+        flags = dataset.mask_flag_enums[band - 1]
+        # Neither flag: a mask band of this band alone.
+        is_plain = MaskFlags.all_valid in flags or flags == [MaskFlags.nodata]
+        self.has_mask = not is_plain
+
+    def notes(self) -> Iterator[str]:
+        """Yield what is left out or was chosen, one sentence each."""
+        dataset = self._dataset
+        n_bands = sum(1 for color in dataset.colorinterp if color.name != "alpha")
+        if n_bands > 1 and self._band == 1:
+            yield f"{self.name} has {n_bands} bands; using band 1 (choose with --band)"
+        dropped = [
+            name
+            for name, found in (("GCPs", dataset.gcps[0]), ("RPCs", getattr(dataset, "rpcs", None)))
+            if found
+        ]
+        if dropped:
+            what = " and ".join(dropped)
+            yield f"{self.name}: {what} are dropped, a .twz file does not hold them"
+
+    def tags(self) -> dict[str, Any]:
+        """Return the fields of RasterInfo that do not bear on the heights."""
+        dataset, index = self._dataset, self._band - 1
+        return {
+            "crs": format_crs(dataset.crs),
+            "units": dataset.units[index] or None,
+            "scale": float(dataset.scales[index]),
+            "offset": float(dataset.offsets[index]),
+            "area_or_point": dataset.tags().get("AREA_OR_POINT"),
+            "description": dataset.descriptions[index] or None,
+        }
+
+    def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return heights (a copy) and False where a mask says void."""
+        window = Window(col, row, n_cols, n_rows)
+        try:
+            with bounded_env():
+                heights = self._dataset.read(self._band, window=window)
+                if not self.has_mask:
+                    return heights, np.ones(heights.shape, dtype=bool)
+                return heights, self._dataset.read_masks(self._band, window=window) != 0
+        except GDAL_ERRORS as error:
+            raise StorageError(
+                f"{self.name}: rows {row} to {row + n_rows - 1}, columns {col} to"
+                f" {col + n_cols - 1} cannot be read: {one_line(error)}"
+            ) from error
+
+    def close(self) -> None:
+        """Close what was opened here."""
+        if self._owned:
+            self._dataset.close()

@@ -1,0 +1,49 @@
+"""How GDAL is used here: its memory, its errors, the order of its blocks."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import rasterio
+import rasterio.shutil
+from rasterio._err import CPLE_BaseError
+from rasterio.errors import RasterioError
+
+from terrainwave.quadtree import Region
+
+# GDAL's default block cache is 5 % of the machine's memory, which alone can break a memory limit.
+GDAL_CACHE_BYTES = 64 * 2**20
+
+# Samples per window of a sequential scan: 32 MB of float64, large against GDAL's overhead per call.
+SCAN_SAMPLES = 4 * 2**20
+
+# What rasterio raises when GDAL fails; a failed copy gives the last two.
+GDAL_ERRORS = (RasterioError, OSError, CPLE_BaseError, SystemError)
+
+
+def bounded_env(**options: Any) -> Any:
+    """Return the GDAL environment all work here is done in."""
+    return rasterio.Env(GDAL_CACHEMAX=GDAL_CACHE_BYTES, **options)
+
+
+def one_line(error: BaseException) -> str:
+    """Return GDAL's own reason, which rasterio hides behind "See previous exception"."""
+    reason = error
+    while reason.__cause__ is not None:
+        reason = reason.__cause__
+    return " ".join(str(reason).split())
+
+
+def scan_windows(
+    n_rows: int, n_cols: int, block_rows: int, block_cols: int, max_samples: int
+) -> Iterator[Region]:
+    """Yield windows in block order: block rows from the top, in each from the left."""
+    rows = min(block_rows, n_rows, max_samples)
+    cols = min(n_cols, max(max_samples // rows, 1))
+    if cols < n_cols and cols > block_cols:
+        cols -= cols % block_cols
+    elif cols == n_cols:
+        rows = min(n_rows, max(max_samples // (rows * n_cols), 1) * rows)
+    # One row of blocks at a time, also where the rows of a huge block are taken in several parts.
+    for row in range(0, n_rows, rows):
+        for col in range(0, n_cols, cols):
+            yield Region(row, col, min(rows, n_rows - row), min(cols, n_cols - col))

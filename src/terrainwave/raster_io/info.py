@@ -1,0 +1,250 @@
+"""All of a raster but its heights: size, type, nodata, place, units; as plain metadata."""
+
+import contextlib
+import math
+import re
+import warnings
+from dataclasses import asdict, dataclass
+from typing import Any, Self
+
+import numpy as np
+import rasterio
+import rasterio.shutil
+from rasterio.crs import CRS
+from rasterio.errors import CRSError
+
+from terrainwave.errors import (
+    CorruptStreamError,
+    TerrainwaveWarning,
+)
+
+SUPPORTED_DTYPES = ("uint8", "int16", "uint16", "int32", "float32", "float64")
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class RasterInfo:
+    """All of a raster but its heights.
+
+    Attributes
+    ----------
+    n_rows, n_cols : int
+        Size of the grid; >= 1.
+    dtype : str
+        numpy's name of the sample type, one of `SUPPORTED_DTYPES`.
+    nodata : int, float or None
+        The declared nodata value: int for integer types, float (NaN and infinities allowed) for
+        float types, None if there is none.
+    crs : str or None
+        ``"AUTH:CODE"`` where that code's definition equals the raster's, else WKT2.
+    transform : tuple of 6 float
+        Affine map from (col, row) to (x, y): ``x = a*col + b*row + c``, ``y = d*col + e*row + f``.
+    units : str or None
+        Unit of the stored heights as the band names it.
+    scale, offset : float
+        Physical height = ``scale * stored + offset``.
+    area_or_point : str or None
+        ``"Area"`` or ``"Point"`` where the file says so.
+    description : str or None
+        Description of the band.
+    mask_kind : str
+        How voids are told from heights: ``"none"`` (there are none), ``"nodata"`` (a number),
+        ``"nan"``, or ``"mask"`` (a mask band or alpha, perhaps beside a nodata value).
+    """
+
+    n_rows: int
+    n_cols: int
+    dtype: str
+    nodata: int | float | None = None
+    crs: str | None = None
+    transform: tuple[float, ...] = IDENTITY
+    units: str | None = None
+    scale: float = 1.0
+    offset: float = 0.0
+    area_or_point: str | None = None
+    description: str | None = None
+    mask_kind: str = "none"
+
+    @property
+    def void_value(self) -> int | float:
+        """What a void sample holds in an array or file of this raster."""
+        if self.nodata is not None:
+            return self.nodata
+        return math.nan if np.dtype(self.dtype).kind == "f" else 0
+
+    @property
+    def n_bytes(self) -> int:
+        """Size of the uncompressed samples."""
+        return self.n_rows * self.n_cols * np.dtype(self.dtype).itemsize
+
+    def rasterio_crs(self) -> CRS | None:
+        """Return the CRS as rasterio's object; None, with a warning, if it cannot be understood."""
+        return parse_crs(self.crs)
+
+    def to_metadata(self) -> dict[str, Any]:
+        """Return plain values for JSON; numbers that JSON lacks become "nan", "inf", "-inf"."""
+        fields = asdict(self)
+        fields["nodata"] = _number_to_plain(self.nodata)
+        fields["transform"] = list(self.transform)
+        return fields
+
+    @classmethod
+    def from_metadata(cls, fields: dict[str, Any]) -> Self:
+        """Rebuild the info from `to_metadata`'s values; unknown keys are ignored.
+
+        The values may come from an untrusted file. A CRS that PROJ does not understand is kept as
+        the string it is: it must not prevent reading the heights, and whoever asks for it through
+        `rasterio_crs` gets a warning.
+
+        Raises
+        ------
+        CorruptStreamError
+            If a key is missing where it is needed or a value has the wrong type or range.
+        """
+        try:
+            return cls._from_plain(fields)
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise CorruptStreamError(f"the raster's metadata are damaged: {error!r}") from error
+
+    @classmethod
+    def _from_plain(cls, fields: dict[str, Any]) -> Self:
+        dtype = fields["dtype"]
+        if dtype not in SUPPORTED_DTYPES:
+            raise ValueError(f"dtype is {str(dtype)[:40]!r}")
+        mask_kind = fields.get("mask_kind", "none")
+        if mask_kind not in ("none", "nodata", "nan", "mask"):
+            raise ValueError(f"mask_kind is {str(mask_kind)[:40]!r}")
+        transform = tuple(_finite(value) for value in fields.get("transform", IDENTITY))
+        if len(transform) != 6:
+            raise ValueError(f"transform has {len(transform)} numbers, expected 6")
+        nodata = _number_from_plain(fields.get("nodata"))
+        if nodata is not None:
+            nodata, problem = fit_nodata(nodata, np.dtype(dtype))
+            if problem:
+                raise ValueError(problem)
+        return cls(
+            n_rows=_positive(fields["n_rows"]),
+            n_cols=_positive(fields["n_cols"]),
+            dtype=dtype,
+            nodata=nodata,
+            crs=_optional_text(fields.get("crs")),
+            transform=transform,
+            units=_optional_text(fields.get("units")),
+            scale=_finite(fields.get("scale", 1.0)),
+            offset=_finite(fields.get("offset", 0.0)),
+            area_or_point=_optional_text(fields.get("area_or_point")),
+            description=_optional_text(fields.get("description")),
+            mask_kind=mask_kind,
+        )
+
+
+def _number_to_plain(value: int | float | None) -> int | float | str | None:
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)  # "nan", "inf" or "-inf"
+    return value
+
+
+def _number_from_plain(value: Any) -> int | float | None:
+    if value is None:
+        return None
+    if isinstance(value, str):
+        if value not in ("nan", "inf", "-inf"):
+            raise ValueError(f"nodata is {value[:40]!r}")
+        return float(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"nodata is a {type(value).__name__}")
+    return value
+
+
+def _finite(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"expected a finite number, found {str(value)[:40]!r}")
+    return float(value)
+
+
+def _positive(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+        raise ValueError(f"expected a whole number >= 1, found {str(value)[:40]!r}")
+    return value
+
+
+def _optional_text(value: Any) -> str | None:
+    if value is not None and not isinstance(value, str):
+        raise TypeError(f"expected text, found a {type(value).__name__}")
+    return value
+
+
+_AUTHORITY_CODE = re.compile(r"([A-Za-z][A-Za-z0-9_]*):([A-Za-z0-9_.]+)")
+_WKT_START = re.compile(r"\s*[A-Z][A-Z0-9_]*\s*[\[(]")
+
+
+def parse_crs(text: str | None) -> CRS | None:
+    """Return the CRS that ``"AUTH:CODE"`` or WKT stands for; warn and return None if none does.
+
+    Nothing else is understood, as the text may come from an untrusted file: given a URL or a path
+    instead, GDAL would fetch it.
+    """
+    if text is None:
+        return None
+    code = _AUTHORITY_CODE.fullmatch(text)
+    try:
+        with rasterio.Env():
+            if code:
+                return CRS.from_authority(*code.groups())
+            if _WKT_START.match(text):
+                return CRS.from_wkt(text)
+            raise CRSError("it is neither AUTHORITY:CODE nor WKT")
+    except (CRSError, ValueError) as error:
+        warnings.warn(
+            f"the coordinate reference system is ignored, PROJ does not understand it: {error}",
+            TerrainwaveWarning,
+            stacklevel=2,
+        )
+        return None
+
+
+def format_crs(crs: CRS | None) -> str | None:
+    """Return ``"AUTH:CODE"`` where that code means exactly `crs`, else its WKT2; None for none.
+
+    Equal means: the same WKT. Looser comparisons (PROJ's, rasterio's ``==``) call two systems the
+    same whose ellipsoids differ in the ninth digit. The WKT compared is rasterio's default, as
+    GeoTIFF keys don't carry the areas and ensembles that the registry's WKT2 has.
+    """
+    if not crs:
+        return None
+    authority = crs.to_authority()
+    if authority is not None:
+        with contextlib.suppress(CRSError):
+            if CRS.from_authority(*authority).to_wkt() == crs.to_wkt():
+                return ":".join(authority)
+    try:
+        return str(crs.to_wkt(version="WKT2_2019"))
+    except CRSError:
+        return str(crs.to_wkt())
+
+
+def fit_nodata(nodata: int | float, dtype: np.dtype[Any]) -> tuple[int | float | None, str | None]:
+    """Return `nodata` as a value that `dtype` can hold, or None and the reason why it can't."""
+    if dtype.kind == "f":
+        value = float(nodata)
+        limit = float(np.finfo(dtype).max)
+        # Half an ulp above the limit still rounds to it: files write float32's with few digits.
+        if math.isfinite(value) and abs(value) > limit * (1 + 2.0**-24):
+            return None, f"nodata {nodata!r} is outside {dtype.name}"
+        return value, None
+    limits = np.iinfo(dtype)
+    if not math.isfinite(nodata) or nodata != int(nodata):
+        return None, f"nodata {nodata!r} is not a whole number, the heights are {dtype.name}"
+    if not limits.min <= nodata <= limits.max:
+        return None, f"nodata {nodata!r} is outside {dtype.name} ({limits.min} to {limits.max})"
+    return int(nodata), None
+
+
+def stored_nodata(nodata: int | float, dtype: np.dtype[Any]) -> Any:
+    """Return the sample value that means `nodata`."""
+    with np.errstate(over="ignore", under="ignore"):
+        value = np.float64(nodata).astype(dtype) if dtype.kind == "f" else dtype.type(nodata)
+    if dtype.kind == "f" and math.isfinite(nodata) and not np.isfinite(value):
+        return np.copysign(np.finfo(dtype).max, value)
+    return value

@@ -1,0 +1,309 @@
+"""A GeoTIFF or COG, written window by window and renamed into place at the end."""
+
+import contextlib
+import os
+import secrets
+import shutil
+import threading
+import time
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import rasterio
+import rasterio.shutil
+from rasterio.errors import NotGeoreferencedWarning
+from rasterio.transform import Affine
+from rasterio.windows import Window
+
+from terrainwave.errors import (
+    CorruptStreamError,
+    StorageError,
+)
+from terrainwave.quadtree import Region
+from terrainwave.raster_io.gdal import (
+    GDAL_ERRORS,
+    SCAN_SAMPLES,
+    bounded_env,
+    one_line,
+    scan_windows,
+)
+from terrainwave.raster_io.info import (
+    IDENTITY,
+    RasterInfo,
+    stored_nodata,
+)
+
+_TILE = 512
+
+# Compressed output may be far smaller than its raw size; below this share it cannot fit.
+_SMALLEST_SHARE = 0.05
+
+
+class RasterSink:
+    """A GeoTIFF written window by window, which appears at its place complete or not at all.
+
+    Parameters
+    ----------
+    path : path
+        The target; an existing one is refused without `overwrite`.
+    info : RasterInfo
+        Size, type and all else that the file shall carry.
+    cog : bool
+        Make a cloud-optimised GeoTIFF: overviews are averages of the grid written here.
+    overwrite : bool
+        Replace an existing file.
+    n_threads : int
+        Threads that GDAL compresses with.
+
+    Raises
+    ------
+    StorageError
+        If the target exists, its directory cannot be written, or the disk cannot hold it.
+
+    Notes
+    -----
+    Used as a context manager: leaving it normally publishes the file, leaving it by an exception
+    removes what was written. Windows may come in any order; those of `blocks` waste nothing.
+    Memory: one window and GDAL's cache. A COG needs room for the file twice while it is made.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        info: RasterInfo,
+        *,
+        cog: bool = False,
+        overwrite: bool = False,
+        n_threads: int = 1,
+    ) -> None:
+        self.info = info
+        self.path = Path(os.path.realpath(path))
+        self._shown_path = os.fspath(path)
+        self._overwrite = overwrite
+        self._cog = cog
+        self._n_threads = n_threads
+        self._dtype = np.dtype(info.dtype)
+        self._lock = threading.Lock()
+        self._check_target()
+        self._part = self._new_part()
+        try:
+            self._dataset = self._create()
+        except BaseException as error:
+            self._remove_parts()
+            if isinstance(error, GDAL_ERRORS):
+                raise self._cannot_write(error) from error
+            raise
+
+    def _check_target(self) -> None:
+        shown, folder = self._shown_path, self.path.parent
+        if self.path.is_dir():
+            raise StorageError(f"{shown} is a directory; expected the name of a file to write")
+        if not folder.is_dir():
+            raise StorageError(f"{shown} cannot be written: {folder} is not a directory")
+        if self.path.exists() and not self._overwrite:
+            raise StorageError(
+                f"{shown} exists already; choose another name or overwrite it (--overwrite)"
+            )
+        free = shutil.disk_usage(folder).free
+        if free < self.info.n_bytes * _SMALLEST_SHARE:
+            raise StorageError(
+                f"{shown} cannot be written: {free:,} bytes are free in {folder}, the raster is"
+                f" {self.info.n_bytes:,} bytes uncompressed"
+            )
+
+    def _new_part(self) -> Path:
+        """Create an empty file beside the target, with the permissions a new file has."""
+        for _ in range(100):
+            part = self.path.with_name(f".{self.path.name}.{secrets.token_hex(4)}.part.tif")
+            try:
+                os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+            except FileExistsError:
+                continue
+            except OSError as error:
+                raise self._cannot_write(error) from error
+            return part
+        raise StorageError(f"{self._shown_path} cannot be written: no free temporary name")
+
+    def _create(self) -> Any:
+        info = self.info
+        profile: dict[str, Any] = {
+            "driver": "GTiff",
+            "height": info.n_rows,
+            "width": info.n_cols,
+            "count": 1,
+            "dtype": info.dtype,
+            "nodata": info.nodata,
+            "crs": info.rasterio_crs(),
+            "tiled": True,
+            "blockxsize": _TILE,
+            "blockysize": _TILE,
+            "compress": "DEFLATE",
+            "predictor": 3 if self._dtype.kind == "f" else 2,
+            "bigtiff": "IF_SAFER",
+            "num_threads": self._n_threads,
+        }
+        if info.transform != IDENTITY:
+            profile["transform"] = Affine(*info.transform)
+        with bounded_env(), warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            dataset = rasterio.open(self._part, "w", **profile)
+            self._write_tags(dataset)
+        return dataset
+
+    def _write_tags(self, dataset: Any) -> None:
+        info = self.info
+        if info.area_or_point is not None:
+            dataset.update_tags(AREA_OR_POINT=info.area_or_point)
+        if info.units is not None:
+            dataset.units = (info.units,)
+        if (info.scale, info.offset) != (1.0, 0.0):
+            dataset.scales = (info.scale,)
+            dataset.offsets = (info.offset,)
+        if info.description is not None:
+            dataset.descriptions = (info.description,)
+
+    def blocks(self, max_samples: int = SCAN_SAMPLES) -> Iterator[Region]:
+        """Yield windows of whole tiles that cover the grid once, in file order."""
+        info = self.info
+        yield from scan_windows(info.n_rows, info.n_cols, _TILE, _TILE, max_samples)
+
+    def write(self, row: int, col: int, heights: np.ndarray, valid: np.ndarray) -> None:
+        """Write the window at (row, col); void samples get nodata, `heights` is not changed.
+
+        Raises
+        ------
+        CorruptStreamError
+            If a sample is void although the raster has no way to mark voids.
+        StorageError
+            If the disk is full or fails.
+        """
+        info = self.info
+        if not valid.all():
+            if info.mask_kind == "none":
+                raise CorruptStreamError(
+                    "there are void samples, but the metadata say there are none"
+                )
+            void = info.void_value
+            heights = np.where(valid, heights, stored_nodata(void, self._dtype))
+        n_rows, n_cols = heights.shape
+        window = Window(col, row, n_cols, n_rows)
+        try:
+            # A mask in the file itself: a .msk beside it would not be renamed with it.
+            with self._lock, bounded_env(GDAL_TIFF_INTERNAL_MASK=True):
+                self._dataset.write(heights.astype(self._dtype, copy=False), 1, window=window)
+                if info.mask_kind == "mask":
+                    self._dataset.write_mask(valid, window=window)
+        except GDAL_ERRORS as error:
+            raise self._cannot_write(error) from error
+
+    def close(self) -> None:
+        """Finish the file and move it to its place."""
+        try:
+            with bounded_env(GDAL_TIFF_INTERNAL_MASK=True):
+                self._dataset.close()
+            self._check_complete(self._part)
+            if self._cog:
+                self._translate_to_cog()
+            _flush_to_disk(self._part)
+            if self.path.exists() and not self._overwrite:
+                raise StorageError(f"{self._shown_path} exists already; it was made meanwhile")
+            _replace(self._part, self.path)
+        except GDAL_ERRORS as error:
+            self._remove_parts()
+            if isinstance(error, StorageError):
+                raise
+            raise self._cannot_write(error) from error
+        except BaseException:
+            self._remove_parts()
+            raise
+
+    def abort(self) -> None:
+        """Remove what was written; the target stays as it was."""
+        with contextlib.suppress(*GDAL_ERRORS):
+            self._dataset.close()
+        self._remove_parts()
+
+    def _translate_to_cog(self) -> None:
+        plain = self._part
+        self._part = self._new_part()
+        try:
+            with bounded_env(GDAL_TIFF_INTERNAL_MASK=True), warnings.catch_warnings():
+                warnings.simplefilter("ignore", NotGeoreferencedWarning)
+                rasterio.shutil.copy(
+                    plain,
+                    self._part,
+                    driver="COG",
+                    compress="DEFLATE",
+                    predictor="YES",
+                    blocksize=_TILE,
+                    overview_resampling="AVERAGE",
+                    bigtiff="IF_SAFER",
+                    num_threads=self._n_threads,
+                )
+            self._check_complete(self._part)
+        finally:
+            plain.unlink(missing_ok=True)
+
+    def _check_complete(self, part: Path) -> None:
+        """Raise StorageError unless every tile lies inside the file.
+
+        GDAL writes the last tiles when the dataset is closed, and rasterio ignores the result: on
+        a full disk `close` succeeds.
+        """
+        with bounded_env(), warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            size = part.stat().st_size
+            with rasterio.open(part) as dataset:
+                for (row, col), _ in dataset.block_windows(1):
+                    offset = dataset.get_tag_item(f"BLOCK_OFFSET_{col}_{row}", "TIFF", 1)
+                    n_bytes = dataset.get_tag_item(f"BLOCK_SIZE_{col}_{row}", "TIFF", 1)
+                    if offset is None or int(offset) + int(n_bytes) > size:
+                        raise StorageError(
+                            f"{self._shown_path} could not be written completely; is the disk full?"
+                        )
+
+    def _cannot_write(self, error: BaseException) -> StorageError:
+        return StorageError(f"{self._shown_path} cannot be written: {one_line(error)}")
+
+    def _remove_parts(self) -> None:
+        """Remove the temporary file and those that GDAL makes beside it for overviews."""
+        for path in self._part.parent.glob(f"{self._part.name}*"):
+            with contextlib.suppress(OSError):
+                path.unlink()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.abort()
+
+
+def _flush_to_disk(path: Path) -> None:
+    """Make sure that the rename cannot survive a power failure without the contents."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
+def _replace(part: Path, target: Path) -> None:
+    """Rename `part` to `target`; try again for a second, as scanners on Windows hold new files."""
+    for pause in (0.05, 0.1, 0.2, 0.4, 0.4, None):
+        try:
+            os.replace(part, target)
+        except PermissionError:
+            if pause is None:
+                raise
+            time.sleep(pause)
+        else:
+            return

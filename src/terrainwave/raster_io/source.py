@@ -1,0 +1,244 @@
+"""One band of a raster, read window by window."""
+
+import math
+import os
+import threading
+import warnings
+from collections.abc import Iterator
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from terrainwave.errors import (
+    InvalidHeightsError,
+    TerrainwaveWarning,
+)
+from terrainwave.quadtree import Region
+from terrainwave.raster_io.arrays import ArrayBackend, open_data_array
+from terrainwave.raster_io.dataset import DatasetBackend, open_dataset
+from terrainwave.raster_io.gdal import (
+    SCAN_SAMPLES,
+    scan_windows,
+)
+from terrainwave.raster_io.info import (
+    IDENTITY,
+    SUPPORTED_DTYPES,
+    RasterInfo,
+    fit_nodata,
+    stored_nodata,
+)
+
+# What to convert an unsupported type to; the narrowest of ours that holds all of its values, or
+# the one that holds elevations in practice.
+_CONVERT_TO = {
+    "int8": "int16",
+    "uint32": "int32 (or float64 above 2147483647)",
+    "int64": "int32",
+    "uint64": "int32",
+    "float16": "float32",
+    "bool": "uint8",
+}
+_GDAL_NAMES = {
+    "uint8": "Byte",
+    "int16": "Int16",
+    "uint16": "UInt16",
+    "int32": "Int32",
+    "float32": "Float32",
+    "float64": "Float64",
+}
+
+
+# A window narrower than this fraction of the width decodes mostly samples it does not want.
+_NARROW_COLS = 1024
+
+
+class RasterSource:
+    """One band of a raster, read window by window.
+
+    Parameters
+    ----------
+    source : path, rasterio dataset, ndarray, masked array or xarray DataArray
+        What to read. A dataset is not closed; a DataArray may be lazy.
+    band : int
+        Number of the band, from 1. Band 1 of several is noted, as it may not be a choice.
+    nodata : int or float, optional
+        Replaces the declared nodata value.
+
+    Attributes
+    ----------
+    info : RasterInfo
+        Everything but the heights.
+    name : str
+        How messages call the source.
+    notes : tuple of str
+        What the source left out or chose, one sentence each; also issued as `TerrainwaveWarning`.
+    is_striped : bool
+        True if a narrow window makes the source decode much wider ones: a scan in the order of
+        `blocks` is then many times cheaper than small windows.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If the band is missing, its type is unsupported, the array is not 2-D or empty, or
+        `nodata` does not fit the type; or if a .twz file is given.
+    StorageError
+        If the file is missing or no raster.
+
+    Notes
+    -----
+    Thread-safe: reads are serialised by a lock, as a GDAL dataset serves one thread at a time. A
+    dataset that the caller passed must not be used elsewhere meanwhile.
+    """
+
+    def __init__(self, source: Any, *, band: int = 1, nodata: int | float | None = None) -> None:
+        self._lock = threading.Lock()
+        self._backend = _open_backend(source, band)
+        self.name: str = self._backend.name
+        try:
+            notes = list(self._backend.notes())
+            self.info = self._complete_info(nodata, notes)
+        except BaseException:
+            self.close()
+            raise
+        self.notes = tuple(notes)
+        for note in notes:
+            warnings.warn(note, TerrainwaveWarning, stacklevel=2)
+        self._dtype = np.dtype(self.info.dtype)
+
+    def _complete_info(self, override: int | float | None, notes: list[str]) -> RasterInfo:
+        """Check the band's type and settle nodata; appends to `notes`."""
+        backend = self._backend
+        dtype = backend.dtype
+        _check_dtype(dtype, self.name)
+        if override is not None:
+            nodata, problem = fit_nodata(override, dtype)
+            if problem:
+                raise InvalidHeightsError(f"{problem}: choose another --nodata")
+        elif backend.nodata is not None:
+            nodata, problem = fit_nodata(backend.nodata, dtype)
+            if problem:
+                notes.append(f"{problem}, so no sample can equal it: ignored")
+        else:
+            nodata = None
+        transform = backend.transform
+        if not all(math.isfinite(value) for value in transform):
+            notes.append("the affine transform is not finite: ignored")
+            transform = IDENTITY
+        if backend.has_mask:
+            mask_kind = "mask"
+        elif dtype.kind == "f" and (nodata is None or math.isnan(nodata)):
+            mask_kind = "nan"
+        else:
+            mask_kind = "none" if nodata is None else "nodata"
+        return RasterInfo(
+            n_rows=backend.n_rows,
+            n_cols=backend.n_cols,
+            dtype=dtype.name,
+            nodata=nodata,
+            transform=transform,
+            mask_kind=mask_kind,
+            **backend.tags(),
+        )
+
+    @property
+    def is_striped(self) -> bool:
+        """Tell whether a narrow window makes the source decode whole rows of blocks."""
+        block_cols = self._backend.block_shape[1]
+        return block_cols >= self.info.n_cols > _NARROW_COLS and self._backend.is_file
+
+    def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """Read the window of `n_rows` x `n_cols` samples at (row, col), which lies inside the grid.
+
+        Returns
+        -------
+        heights : ndarray of the source's dtype, shape (n_rows, n_cols)
+            A copy, writable; void samples hold whatever the source has there.
+        valid : ndarray of bool, shape (n_rows, n_cols)
+            False where the sample is void.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If a valid sample is infinite.
+        StorageError
+            If the source cannot be read there.
+        """
+        info = self.info
+        if row < 0 or col < 0 or row + n_rows > info.n_rows or col + n_cols > info.n_cols:
+            raise ValueError(f"window ({row}, {col}, {n_rows}, {n_cols}) is not inside the raster")
+        with self._lock:
+            heights, valid = self._backend.read(row, col, n_rows, n_cols)
+        if info.nodata is not None and not math.isnan(info.nodata):
+            valid &= heights != stored_nodata(info.nodata, self._dtype)
+        if self._dtype.kind == "f":
+            valid &= ~np.isnan(heights)
+            self._check_finite(heights, valid, row, col)
+        return heights, valid
+
+    def _check_finite(self, heights: np.ndarray, valid: np.ndarray, row: int, col: int) -> None:
+        infinite = np.isinf(heights) & valid
+        if infinite.any():
+            at_row, at_col = np.unravel_index(int(np.argmax(infinite)), infinite.shape)
+            value = heights[at_row, at_col]
+            raise InvalidHeightsError(
+                f"{self.name}: the height at row {row + at_row}, column {col + at_col} is {value};"
+                f" expected finite heights (if it marks a void, use --nodata {value})"
+            )
+
+    def blocks(self, max_samples: int = SCAN_SAMPLES) -> Iterator[Region]:
+        """Yield windows that cover the grid once, in the order the source stores its blocks.
+
+        Each holds at most `max_samples` samples: full-width strips where they fit, else rows of
+        whole blocks cut in width.
+        """
+        info = self.info
+        block_rows, block_cols = self._backend.block_shape
+        yield from scan_windows(info.n_rows, info.n_cols, block_rows, block_cols, max_samples)
+
+    def close(self) -> None:
+        """Close what the source opened itself."""
+        self._backend.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def _check_dtype(dtype: np.dtype[Any], name: str) -> None:
+    if dtype.name in SUPPORTED_DTYPES:
+        return
+    supported = ", ".join(SUPPORTED_DTYPES)
+    target = _CONVERT_TO.get(dtype.name)
+    advice = ""
+    if target is not None:
+        plain = target.split()[0]
+        advice = f"; convert to {target}, for example gdal_translate -ot {_GDAL_NAMES[plain]}"
+        advice += f" or heights.astype(np.{plain})"
+    raise InvalidHeightsError(
+        f"{name}: heights are {dtype.name}, which is not supported (one of {supported}){advice}"
+    )
+
+
+def _open_backend(source: Any, band: int) -> "DatasetBackend | ArrayBackend":
+    if isinstance(source, str | os.PathLike):
+        return DatasetBackend(open_dataset(os.fspath(source)), band, owned=True)
+    if hasattr(source, "read_masks") and hasattr(source, "block_shapes"):
+        return DatasetBackend(source, band, owned=False)
+    if isinstance(source, np.ndarray):
+        return ArrayBackend(source)
+    if hasattr(source, "dims") and hasattr(source, "values"):
+        return open_data_array(source, band)
+    if isinstance(source, list | tuple):
+        return ArrayBackend(np.asarray(source))
+    raise InvalidHeightsError(
+        f"found a {type(source).__name__}; expected a path, a rasterio dataset, a 2-D array or an "
+        "xarray DataArray"
+    )
