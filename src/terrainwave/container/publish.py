@@ -26,6 +26,7 @@ except ImportError:
 
 SUFFIX = ".twz-part"
 
+_ON_WINDOWS = os.name == "nt"
 _RETRIES = 10
 _FIRST_DELAY = 0.05  # seconds; doubles. Virus scanners hold a new file for a moment on Windows
 _LOCKED_BYTE = 2**40  # msvcrt locks forbid reading what they cover: far behind any content
@@ -200,7 +201,7 @@ def _replace(part: Path, final: Path) -> None:
             try:
                 return os.replace(part, final)
             except PermissionError:
-                if os.name != "nt":
+                if not _ON_WINDOWS:
                     raise
                 time.sleep(delay)
                 delay = min(2 * delay, 1.0)
