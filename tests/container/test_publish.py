@@ -12,7 +12,7 @@ import pytest
 from container.toys import toy_header, toy_spools
 
 from terrainwave.container import publish as publish_module
-from terrainwave.container.publish import publish, remove_stale_parts
+from terrainwave.container.publish import publish, remove_stale_parts, scratch_directory
 from terrainwave.container.reader import open_container
 from terrainwave.container.writer import assemble, write_file
 from terrainwave.errors import StorageError
@@ -257,19 +257,29 @@ def test_windows_locks_lie_far_behind_the_content(target, monkeypatch):
     assert others(target) == []
 
 
-def start_writer(target):
-    """Start a process that publishes `target` and waits in the middle; return it."""
-    script = """
-        import sys, time
-        from terrainwave.container.publish import publish
-        with publish(sys.argv[1], overwrite=True) as part:
-            part.file.write(b"half")
-            part.file.flush()
-            print("ready", flush=True)
-            time.sleep(600)
-    """
+PUBLISH = """
+    import sys, time
+    from terrainwave.container.publish import publish
+    with publish(sys.argv[1], overwrite=True) as part:
+        part.file.write(b"half")
+        part.file.flush()
+        print("ready", flush=True)
+        time.sleep(600)
+"""
+SCRATCH = """
+    import sys, time
+    from terrainwave.container.publish import scratch_directory
+    with scratch_directory(sys.argv[1], "a.twz") as path:
+        (path / "big").write_bytes(b"spool")
+        print("ready", flush=True)
+        time.sleep(600)
+"""
+
+
+def start(script, argument):
+    """Start a process that waits in the middle of `script`; return it."""
     process = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(script), str(target)],
+        [sys.executable, "-c", textwrap.dedent(script), str(argument)],
         stdout=subprocess.PIPE,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
     )
@@ -280,7 +290,7 @@ def start_writer(target):
 @pytest.mark.parametrize("how", ["kill", "terminate"])
 def test_what_a_killed_run_leaves_is_removed_by_the_next(target, how):
     before = state(target)
-    process = start_writer(target)
+    process = start(PUBLISH, target)
     try:
         (left_over,) = others(target)
         assert left_over.startswith(".a.twz.")
@@ -347,3 +357,39 @@ def test_write_file_publishes_a_sound_file(target, tmp_path):
     assert Path(target).stat().st_size == extents.file_size
     with open_container(target) as container:
         assert list(container.check()) == []
+
+
+def test_a_scratch_directory_is_removed_at_the_end(tmp_path):
+    with scratch_directory(tmp_path, "a.twz") as path:
+        assert path.parent == tmp_path
+        (path / "b").mkdir()
+        (path / "b" / "c").write_bytes(b"x")
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(ValueError, match="stop"), scratch_directory(tmp_path, "a.twz"):
+        raise ValueError("stop")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_killed_runs_scratch_directory_is_removed_by_the_next(tmp_path):
+    process = start(SCRATCH, tmp_path)
+    try:
+        (left_over,) = tmp_path.iterdir()
+        with scratch_directory(tmp_path, "a.twz"), scratch_directory(tmp_path, "b.twz"):
+            assert len(list(tmp_path.iterdir())) == 3
+        assert (left_over / "big").exists()
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+    with scratch_directory(tmp_path, "b.twz"):
+        assert left_over.exists()
+    with scratch_directory(tmp_path, "a.twz") as path:
+        assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_scratch_directory_in_a_missing_place_is_a_storage_error(tmp_path):
+    with (
+        pytest.raises(StorageError, match="temporary directory"),
+        scratch_directory(tmp_path / "missing", "a.twz"),
+    ):
+        pytest.fail("the block must not run")
