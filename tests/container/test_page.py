@@ -87,6 +87,18 @@ def test_keys_and_blocks_of_the_top_page_begin_with_the_roots():
     assert layout.blocks[: len(roots)] == Grid(300, 200, 32).blocks(0)
 
 
+@pytest.mark.parametrize("side", [1, 129, 300, 1000, 2000, 2100, 5000])
+def test_keys_and_children_are_the_segments_of_the_quadtree(side):
+    grid = Grid(side, (side + 2) // 3, 32)
+    heads = [None]
+    for head in grid.segment_heads():
+        layout = page_layout(grid, head)
+        assert [key for key in layout.keys if key.level >= 0] == grid.segment_groups(head)
+        assert layout.children == grid.segment_children(head)
+        heads += layout.children
+    assert heads == list(grid.segment_heads())
+
+
 def test_blocks_are_those_of_the_keys_in_their_order():
     grid = Grid(5000, 3000, 32)
     for head in grid.segment_heads():

@@ -260,7 +260,7 @@ class FsspecSource(MergingSource):
         self._url = url
         self.name = _display_name(url)
         try:
-            import fsspec  # type: ignore[import-untyped]
+            import fsspec
         except ImportError:
             raise StorageError(f"reading {self.name} needs fsspec: pip install fsspec") from None
         self._fs, self._path = self._call(fsspec.core.url_to_fs, url)
