@@ -120,7 +120,6 @@ def code_border(
     if spec.parent_region is not None:
         row_offset = spec.region.row - 2 * spec.parent_region.row
         col_offset = spec.region.col - 2 * spec.parent_region.col
-    symbol = np.zeros(1, dtype=np.int64)
     for row, col in plan.corners:
         if parent is None:
             prediction = 0
@@ -135,8 +134,9 @@ def code_border(
             state, stream, models,
         )  # fmt: skip
         is_known[row, col] = True
-    del symbol
     for line in plan.lines:
+        if line.first >= line.stop:
+            continue
         at = slice(line.start, line.start + line.n)
         index = (at, line.place) if line.is_column else (line.place, at)
         decoded = heights[index].astype(np.int64)
@@ -156,9 +156,9 @@ def code_border(
             encoding, predicted, np.ascontiguousarray(source[index]), np.ascontiguousarray(mask[index]),
             parent is None, spec.step, line.first, line.stop, decoded, state, stream, models,
         )  # fmt: skip
-        coded = slice(line.start + line.first, line.start + max(line.first, line.stop))
+        coded = slice(line.start + line.first, line.start + line.stop)
         index = (coded, line.place) if line.is_column else (line.place, coded)
-        heights[index] = decoded[line.first : max(line.first, line.stop)]
+        heights[index] = decoded[line.first : line.stop]
         is_known[index] = True
 
 
