@@ -258,14 +258,13 @@ class _Encoder:
             self.best = (header + self.out[:n_bytes].tobytes(), inner, labels)
         return size
 
+
     def attempt_raw(self) -> None:
         """Encode the samples in plain bits, keep the result if it is the smallest."""
         spec = self.spec
         valid = self.target[self.coded]
         base = int(valid.min()) if valid.size else 0
-        width = (
-            ((int(valid.max()) - base + spec.half) // spec.step).bit_length() if valid.size else 0
-        )
+        width = ((int(valid.max()) - base + spec.half) // spec.step).bit_length() if valid.size else 0
         assert self.best is not None
         if len(self.best[0]) < (width * valid.size) >> 3:
             return

@@ -137,17 +137,11 @@ def encode_residuals(residuals, coded, smooth, hints, mags, signs, state, out, m
             bin_ = _context_bin(here, above, above2, hints, col)
             residual = np.int64(residuals[row, col])
             index = ((row & 1) * 2 + (col & 1)) * N_BINS + bin_
-<<<<<<< HEAD
-            span, low = encode_step(span, low, state, out, models, index, 1 if residual != 0 else 0)
-            here[col + 1] = min(abs(residual), MAX_MAG)
-            here_signs[col + 1] = 0
-=======
             span, low = encode_step(
                 span, low, state, out, models, index, 1 if residual != 0 else 0
             )
             here[col + 2] = min(abs(residual), MAX_MAG)
             here_signs[col + 2] = 0
->>>>>>> codec
             if residual != 0:
                 first = _MAG_MODELS + bin_ * N_UNARY
                 span, low = encode_magnitude_at(

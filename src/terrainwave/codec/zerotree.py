@@ -352,23 +352,7 @@ def _decode_signed(state, data, models):
 
 @kernel
 def decode_tree(
-<<<<<<< HEAD
-    field,
-    steps,
-    limits,
-    offset,
-    rough,
-    offsets,
-    labels,
-    mags,
-    spread,
-    activity,
-    state,
-    data,
-    models,
-=======
     field, steps, limits, offset, along, rough, offsets, labels, mags, spread, activity, state, data, models
->>>>>>> codec
 ):
     """Decode what `encode_tree` wrote into `labels` and, dequantised, into `field` (int64, zeros).
 
