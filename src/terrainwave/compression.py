@@ -440,7 +440,7 @@ def _parameters(job: _Job) -> CodecParameters:
         step=quantizer.step,
         z_min=quantizer.z_min,
         z_max=quantizer.z_max,
-        forbidden=quantizer.quanta_of_value(job.info.void_value),
+        forbidden=quantizer.quanta_of_value(job.info.nodata),
         rings=job.options.border_rings,
         effort=job.options.effort,
     )
@@ -539,7 +539,7 @@ def allowed_error(quantizer: Quantizer, raw_bound: float) -> float:
     """
     if np.dtype(quantizer.dtype).kind != "f" or quantizer.rho > 0:
         return raw_bound
-    extremes = quantizer.dequantize(np.array([quantizer.z_min, quantizer.z_max], dtype=np.int32))
+    extremes = quantizer.dequantize(np.array([[quantizer.z_min, quantizer.z_max]], dtype=np.int32))
     return raw_bound + float(np.spacing(np.abs(extremes)).max())
 
 
