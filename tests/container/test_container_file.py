@@ -141,6 +141,20 @@ def test_an_evicted_page_is_read_again():
     assert container.payloads(keys) == [toy_payload(key) for key in keys]
 
 
+def test_the_page_used_last_stays_in_the_cache():
+    header = toy_header(2000, 1999)
+    source = Recording(toy_file(header))
+    container = Container(source, cached_segments=2)
+    heads = header.grid.blocks(0)
+    for head in (*heads[:2], heads[0], heads[2]):
+        container.segment(head)
+    source.reads.clear()
+    container.segments([heads[0], heads[2]])
+    assert source.reads == []
+    container.segment(heads[1])
+    assert len(source.reads) == 1
+
+
 @pytest.mark.parametrize(
     "key",
     [

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from terrainwave.container.deflate import deflate
 from terrainwave.container.header import MAGIC
 from terrainwave.container.page import empty_page, pack_columns, pack_page, page_layout
-from terrainwave.container.reader import Container, open_container
-from terrainwave.container.source import BufferSource
+from terrainwave.container.reader import open_container
 from terrainwave.errors import (
     CorruptStreamError,
     TerrainwaveError,
@@ -148,48 +147,87 @@ def test_a_payload_beyond_the_end_of_the_file_is_corrupt():
         open_container(forge(HEADER, page))
 
 
-def deep_forgery(first_child):
-    """Return a file of k_max = 8 whose segment on level 0 points at `first_child`."""
-    header = toy_header(4 * 32 * 256 + 1, 2)
-    assert header.grid.k_max == 8
-    top = page_layout(header.grid, None)
-    below = page_layout(header.grid, top.children[0])
-    size = len(forge(header, empty_page(top)))
+DEEP = toy_header(4 * 32 * 256 + 1, 2)  # k_max = 8: segments on levels 0 and 4
+DEEP_TOP = page_layout(DEEP.grid, None)
 
-    def build(end_of_top):
-        child = replace(
-            empty_page(below),
-            child_lengths=np.full(len(below.children), 100, np.uint64),
-            child_page_lengths=np.full(len(below.children), 100, np.uint32),
-        )
-        child_page = pack_page(pack_columns(child), first_child(end_of_top))
-        lengths = np.array([len(child_page)] + [0] * (len(top.children) - 1))
-        page = replace(
-            empty_page(top),
-            child_lengths=lengths.astype(np.uint64),
-            child_page_lengths=lengths.astype(np.uint32),
-        )
-        return forge(header, page, rest=child_page + bytes(100 * len(below.children)))
 
-    # Once to learn how long the top page is.
-    container = Container(BufferSource(build(size)))
-    return Container(BufferSource(build(container.segment(None).end))), top.children[0]
+def deep_top(lengths):
+    """Return a top page whose child segments are pages without anything else."""
+    lengths = np.array(lengths + [0] * (len(DEEP_TOP.children) - len(lengths)))
+    return replace(
+        empty_page(DEEP_TOP),
+        child_lengths=lengths.astype(np.uint64),
+        child_page_lengths=lengths.astype(np.uint32),
+    )
+
+
+def deep_forgery(*first_children, n_bytes=None):
+    """Return a file whose segments on level 0 each point at sixteen of 100 zeros.
+
+    `first_children` map the end of the top segment and the end of level 0 to where.
+    """
+    below = page_layout(DEEP.grid, DEEP_TOP.children[0])
+    assert len(below.children) == 16
+    child = replace(
+        empty_page(below),
+        child_lengths=np.full(16, 100, np.uint64),
+        child_page_lengths=np.full(16, 100, np.uint32),
+    )
+    columns = pack_columns(child)
+    page = deep_top([len(pack_page(columns, 0))] * len(first_children))
+    n_bytes = 1600 * len(first_children) if n_bytes is None else n_bytes
+    end_of_top = len(forge(DEEP, page))
+    end_of_level = end_of_top + page.child_lengths.sum().item()
+    pages = [pack_page(columns, place(end_of_top, end_of_level)) for place in first_children]
+    return forge(DEEP, page, rest=b"".join(pages) + bytes(n_bytes))
+
+
+def test_all_faults_of_a_forgery_are_found_and_none_twice():
+    data = deep_forgery(lambda top, level: level, lambda top, level: level + 1600)
+    assert DEEP.grid.k_max == 8
+    assert len(problems(data)) == 32
+    assert all("has only" in problem or "checksum" in problem for problem in problems(data))
+
+
+def test_segments_on_the_same_bytes_are_found_and_visited_once():
+    data = deep_forgery(lambda top, level: level, lambda top, level: level, n_bytes=1600)
+    found = problems(data)
+    assert sum("checksum" in problem for problem in found) == 16
+    assert sum("begins at byte" in problem for problem in found) == 16
+    assert len(found) == 32
+
+
+def test_a_gap_between_segments_is_found():
+    data = deep_forgery(lambda top, level: level + 5, n_bytes=1605)
+    assert sum("begins at byte" in problem for problem in problems(data)) == 1
+
+
+def test_bytes_after_the_last_segment_are_found():
+    data = forge(DEEP, empty_page(DEEP_TOP), rest=bytes(7))
+    (problem,) = problems(data)
+    assert problem == f"the segments end at byte {len(data) - 7} of {len(data)}"
+
+
+def test_a_child_of_the_top_segment_beyond_the_end_of_the_file_is_corrupt():
+    with pytest.raises(CorruptStreamError, match="beyond the end"):
+        open_container(forge(DEEP, deep_top([50, 50]), rest=bytes(99)))
 
 
 @pytest.mark.parametrize(
-    ("first_child", "message"),
+    ("place", "message"),
     [
-        (lambda end: end, "overlap"),  # itself
-        (lambda end: 0, "overlap"),
-        (lambda end: 2**63, "beyond the end"),
-        (lambda end: end + 100_000, "beyond the end"),
+        (lambda top, level: top, "overlap"),  # itself
+        (lambda top, level: level - 1, "overlap"),
+        (lambda top, level: 0, "overlap"),
+        (lambda top, level: 2**63, "beyond the end"),
+        (lambda top, level: level + 1, "beyond the end"),
     ],
 )
-def test_children_are_neither_ancestors_nor_outside_the_file(first_child, message):
-    container, head = deep_forgery(first_child)
+def test_children_are_neither_ancestors_nor_outside_the_file(place, message):
+    container = open_container(deep_forgery(place))
     with pytest.raises(CorruptStreamError, match=message):
-        container.segment(head)
-    assert any(message.split()[0] in problem for problem in container.check())
+        container.segment(DEEP_TOP.children[0])
+    assert any(message in problem for problem in container.check())
 
 
 def test_a_segment_whose_page_disagrees_with_its_parent_is_corrupt():

@@ -117,10 +117,8 @@ class Container:
         last = page.children_end if layout.children else end
         if layout.children and page.first_child != end:
             raise CorruptStreamError("the first segment does not follow the top segment")
-        if (
-            last != self.extents.file_size
-            and self.grid.k_max <= self.grid.top_levels + SEGMENT_LEVELS
-        ):
+        n_levels_below = self.grid.k_max - self.grid.top_levels
+        if last != self.extents.file_size and n_levels_below <= SEGMENT_LEVELS:
             raise CorruptStreamError("the segments do not fill the file")
         if last > self.extents.file_size:
             raise CorruptStreamError("a segment reaches beyond the end of the file")
