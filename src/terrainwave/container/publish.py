@@ -103,6 +103,24 @@ def publish(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator
 
 
 @contextmanager
+def scratch(target: str | os.PathLike[str]) -> Iterator[Part]:
+    """Give a file beside `target` for an intermediate result; it is removed when the block ends.
+
+    Killed runs' files are removed as those of `publish` are.
+    """
+    part = _create_part(Path(os.path.realpath(target)))
+    try:
+        yield part
+    finally:
+        if fcntl is None:
+            part.file.close()
+        with suppress(OSError):
+            os.unlink(part.path)
+        with suppress(OSError):
+            part.file.close()
+
+
+@contextmanager
 def scratch_directory(parent: str | os.PathLike[str], name: str) -> Iterator[Path]:
     """Give a directory for temporary files that is removed when the block ends.
 

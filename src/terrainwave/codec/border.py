@@ -1,0 +1,268 @@
+"""Lines that neighbouring groups share, coded from the line alone (FORMAT.md: borders).
+
+D. Yusov, V. Turlapov 2010, §2.3 codes contours around each group for the same end. Here each line
+is predicted in one dimension from the parent's decoded samples on it, which both neighbours hold
+identically, so both decode the same bits without seeing each other (DESIGN.md §3.3).
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._jit import kernel
+from terrainwave.codec.refiner import GroupSpec
+from terrainwave.codec.zerotree import (
+    BIN_OF_SUM,
+    N_BINS,
+    SUM_LIMIT,
+    decode_magnitude_at,
+    encode_magnitude_at,
+)
+from terrainwave.coding.filters import MAX_HEIGHT, extend_line, synthesise_line
+from terrainwave.coding.rangecoder import (
+    LOW,
+    N_PREFIX,
+    N_UNARY,
+    RANGE,
+    decode_bit,
+    decode_raw,
+    encode_bit,
+    encode_raw,
+)
+
+# Models: a zero flag and unary steps for each (pass, context bin); passes are even, odd, root.
+_N_PASSES = 3
+_MAG_MODELS = _N_PASSES * N_BINS
+_PREFIX_MODELS = _MAG_MODELS + _N_PASSES * N_BINS * N_UNARY
+N_BORDER_MODELS = _PREFIX_MODELS + _N_PASSES * N_PREFIX
+_EVEN, _ODD, _ROOT = 0, 1, 2
+
+_SYNTHESIS_BITS = 14
+
+
+class Line(NamedTuple):
+    """One line to code: its place in the region, and the place of the parent's lines under it.
+
+    Samples run along rows (`is_column` False: a row) or columns; `place` is the fixed index.
+    ``first`` … ``stop`` - 1 are coded, the samples before and after are corner patches; `start` is
+    the region index of the segment's sample 0 and `n` its length.
+    """
+
+    is_column: bool
+    place: int
+    start: int
+    n: int
+    first: int
+    stop: int
+
+
+class Plan(NamedTuple):
+    """What is shared in a region: corner samples, then lines, in coding order."""
+
+    corners: list[tuple[int, int]]
+    lines: list[Line]
+
+
+def plan_border(spec: GroupSpec) -> Plan:
+    """Return the corner samples and the lines of `spec`, in indices of its region."""
+    n_rows, n_cols = spec.region.shape
+    top, left = spec.core.row - spec.region.row, spec.core.col - spec.region.col
+    bottom, right = top + spec.core.n_rows - 1, left + spec.core.n_cols - 1
+    reach = spec.rings >> 1
+    shared = spec.shared
+    rows = [row for row, is_shared in ((top, shared.top), (bottom, shared.bottom)) if is_shared]
+    cols = [col for col, is_shared in ((left, shared.left), (right, shared.right)) if is_shared]
+
+    def around(place: int, size: int) -> Iterator[int]:
+        return (p for p in range(place - reach, place + reach + 1) if 0 <= p < size)
+
+    # A dictionary keeps order and drops what small regions meet twice.
+    corners = dict.fromkeys(
+        (r, c) for row in rows for col in cols for r in around(row, n_rows) for c in around(col, n_cols)
+    )
+    lines: dict[Line, None] = {}
+    for is_column, places, size, start, n, before, after in (
+        (False, rows, n_rows, left, spec.core.n_cols, shared.left, shared.right),
+        (True, cols, n_cols, top, spec.core.n_rows, shared.top, shared.bottom),
+    ):
+        first = reach + 1 if before else 0
+        stop = n - reach - 1 if after else n
+        for place in places:
+            for p in around(place, size):
+                lines[Line(is_column, p, start, n, first, stop)] = None
+    return Plan(list(corners), list(lines))
+
+
+def code_border(
+    spec: GroupSpec,
+    parent: NDArray[np.int32] | None,
+    target: NDArray[np.int32] | None,
+    mask: NDArray[np.bool_],
+    heights: NDArray[np.int32],
+    is_known: NDArray[np.bool_],
+    state: NDArray[np.int64],
+    stream: NDArray[np.uint8],
+    models: NDArray[np.uint32],
+) -> None:
+    """Encode the shared samples of `target`, or decode them where it is None.
+
+    Fills `heights` and sets `is_known` at the shared samples, in place.
+    """
+    plan = plan_border(spec)
+    encoding = target is not None
+    source = heights if target is None else target
+    if spec.parent_region is not None:
+        row_offset = spec.region.row - 2 * spec.parent_region.row
+        col_offset = spec.region.col - 2 * spec.parent_region.col
+    for row, col in plan.corners:
+        if parent is None:
+            prediction = 0
+        else:
+            r, c = row + row_offset, col + col_offset
+            r0, r1 = min(r >> 1, parent.shape[0] - 1), min((r + 1) >> 1, parent.shape[0] - 1)
+            c0, c1 = min(c >> 1, parent.shape[1] - 1), min((c + 1) >> 1, parent.shape[1] - 1)
+            total = int(parent[r0, c0]) + int(parent[r0, c1]) + int(parent[r1, c0])
+            prediction = total + int(parent[r1, c1]) + 2 >> 2
+        heights[row, col] = _code_corner(
+            encoding, prediction, source[row, col], mask[row, col], parent is None, spec.step,
+            state, stream, models,
+        )  # fmt: skip
+        is_known[row, col] = True
+    for line in plan.lines:
+        if line.first >= line.stop:
+            continue
+        at = slice(line.start, line.start + line.n)
+        index = (at, line.place) if line.is_column else (line.place, at)
+        decoded = heights[index].astype(np.int64)
+        predicted = np.zeros(line.n, dtype=np.int64)
+        if parent is not None:
+            n_parent = (line.n + 1) >> 1
+            along, across = (row_offset, col_offset) if line.is_column else (col_offset, row_offset)
+            begin = (line.start + along) >> 1
+            parents = parent.T if line.is_column else parent
+            p = line.place + across
+            low, high = min(p >> 1, parents.shape[0] - 1), min((p + 1) >> 1, parents.shape[0] - 1)
+            extended = np.zeros(n_parent + 4, dtype=np.int64)
+            extended[2:-2] = parents[low, begin : begin + n_parent]
+            extended[2:-2] += parents[high, begin : begin + n_parent]
+            _predict_line(extended, n_parent, predicted)
+        _code_line(
+            encoding, predicted, np.ascontiguousarray(source[index]), np.ascontiguousarray(mask[index]),
+            parent is None, spec.step, line.first, line.stop, decoded, state, stream, models,
+        )  # fmt: skip
+        coded = slice(line.start + line.first, line.start + line.stop)
+        index = (coded, line.place) if line.is_column else (line.place, coded)
+        heights[index] = decoded[line.first : line.stop]
+        is_known[index] = True
+
+
+@kernel
+def _predict_line(extended, n_parent, predicted):
+    """Fill `predicted` from the sum of two parent lines: synthesis, rounded half up."""
+    extend_line(extended, n_parent)
+    synthesise_line(extended, 0, predicted)
+    for i in range(predicted.shape[0]):
+        predicted[i] = (predicted[i] + (1 << _SYNTHESIS_BITS)) >> (_SYNTHESIS_BITS + 1)
+
+
+@kernel
+def _code_symbol(encoding, value, pass_, sums, state, stream, models):
+    """Encode or decode a signed value: zero flag, magnitude, sign; return it."""
+    bin_ = np.int64(BIN_OF_SUM[min(sums, SUM_LIMIT)])
+    zero = pass_ * N_BINS + bin_
+    first = _MAG_MODELS + zero * N_UNARY
+    prefix = _PREFIX_MODELS + pass_ * N_PREFIX
+    if encoding:
+        encode_bit(state, stream, models, zero, 1 if value != 0 else 0)
+        if value != 0:
+            state[RANGE], state[LOW] = encode_magnitude_at(
+                state[RANGE], state[LOW], state, stream, models, first, prefix, 0, abs(value) - 1
+            )
+            encode_raw(state, stream, 1 if value < 0 else 0, 1)
+        return value
+    if not decode_bit(state, stream, models, zero):
+        return np.int64(0)
+    value = decode_magnitude_at(state, stream, models, first, prefix, 0) + 1
+    if decode_raw(state, stream, 1):
+        return -value
+    return value
+
+
+@kernel
+def _quantum_index(error, step):
+    """Return `error` / `step` rounded to the nearest; `step` is odd, so there are no ties."""
+    index = (abs(error) + (step >> 1)) // step
+    return index if error >= 0 else -index
+
+
+@kernel
+def _rebuild(prediction, index, step):
+    """Return ``prediction + index * step``, clamped to the range of heights without overflow."""
+    most = 4 * MAX_HEIGHT // step + 1
+    height = prediction + min(max(index, -most), most) * step
+    return min(max(height, -MAX_HEIGHT), MAX_HEIGHT)
+
+
+@kernel
+def _code_corner(encoding, prediction, target, is_valid, is_root, step, state, stream, models):
+    """Encode or decode one corner sample; return its decoded height."""
+    index = np.int64(0)
+    if is_valid:
+        if encoding:
+            index = np.int64(target) // step if is_root else _quantum_index(target - prediction, step)
+        index = _code_symbol(encoding, index, _ROOT if is_root else _EVEN, 16, state, stream, models)
+    if is_root:
+        return _rebuild(np.int64(step >> 1), index, step)
+    return _rebuild(np.int64(prediction), index, step)
+
+
+@kernel
+def _code_line(
+    encoding, predicted, target, mask, is_root, step, first, stop, decoded, state, stream, models
+):
+    """Encode or decode samples `first` to `stop` - 1 of a line into `decoded` (int64).
+
+    With a parent: even samples first, then odd ones, each corrected by what its neighbours' errors
+    of prediction turned out to be. Without: indices on the fixed grid, as differences.
+    """
+    n = decoded.shape[0]
+    if is_root:
+        index = decoded[first - 1] // step if first > 0 else np.int64(0)
+        last = 0
+        for i in range(first, stop):
+            if mask[i]:
+                change = np.int64(0)
+                if encoding:
+                    change = np.int64(target[i]) // step - index
+                change = _code_symbol(encoding, change, _ROOT, 8 * last, state, stream, models)
+                last = (last + 2 * min(abs(change), 255)) >> 1
+                most = 4 * MAX_HEIGHT // step + 1
+                index = min(max(index + min(max(change, -most), most), -most), most)
+            decoded[i] = _rebuild(np.int64(step >> 1), index, step)
+        return
+    last = before_last = 0
+    for phase in range(2):
+        last = before_last = 0
+        for i in range(first + ((first + phase) & 1), stop, 2):
+            correction = np.int64(0)
+            near = last + before_last
+            if phase == 1:
+                after = i + 1 if i + 1 < n else i - 1
+                left, right = decoded[i - 1] - predicted[i - 1], decoded[after] - predicted[after]
+                correction = (left + right) >> 1
+                near = (2 * abs(left - correction) + 2 * abs(right - correction)) // step + last
+            prediction = predicted[i] + correction
+            index = np.int64(0)
+            if mask[i]:
+                bend = np.int64(0)
+                if 0 < i < n - 1:
+                    bend = abs(predicted[i - 1] - 2 * predicted[i] + predicted[i + 1])
+                sums = 4 * near + min(8 * bend // step, 1024)
+                if encoding:
+                    index = _quantum_index(target[i] - prediction, step)
+                index = _code_symbol(encoding, index, phase, min(sums, SUM_LIMIT), state, stream, models)
+            decoded[i] = _rebuild(prediction, index, step)
+            before_last = last
+            last = min(abs(index), 255)

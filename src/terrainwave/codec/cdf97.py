@@ -1,0 +1,470 @@
+"""The `cdf97` method: wavelet coefficients in joint zero trees plus residuals (FORMAT.md: cdf97).
+
+D. Yusov, V. Turlapov 2010, §2: difference layers between the levels of a low-pass 9/7 pyramid, each
+transformed inside its group, quantised, and followed by a residual that keeps the bound.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._jit import kernel
+from terrainwave._status import raise_for_status
+from terrainwave.codec.border import N_BORDER_MODELS, code_border
+from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
+from terrainwave.codec.residual import (
+    N_RESIDUAL_MODELS,
+    compute_residuals,
+    decode_residuals,
+    encode_residuals,
+    smooth_activity,
+)
+from terrainwave.codec.zerotree import (
+    FRAME_COLS,
+    FRAME_ROWS,
+    JZTC,
+    JZTR,
+    N_TREE_MODELS,
+    choose_along,
+    decode_tree,
+    dequantize,
+    encode_tree,
+    mark_labels,
+    measure_roughness,
+    node_offsets,
+)
+from terrainwave.coding.filters import (
+    BAND_GAINS,
+    MAX_HEIGHT,
+    forward_transform,
+    inverse_transform,
+    n_transforms,
+    synthesise,
+)
+from terrainwave.coding.rangecoder import (
+    STATE_SIZE,
+    decode_raw,
+    encode_raw,
+    finish_decoder,
+    finish_encoder,
+    new_models,
+    start_decoder,
+    start_encoder,
+)
+from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+
+# Fraction bits of wavelet coefficients, and the largest one used (see tests/codec/test_bounds.py).
+FRACTION_BITS = 6
+MAX_COEFF = 1 << 46
+MAX_INDEX = 1 << 30
+
+_HAS_COEFFS, _HAS_RESIDUALS, _IS_RAW = 1, 2, 4
+# Base step in 1/16 of n/2.
+_STEP_UNIT = 16
+_MAX_STEP_CODE = 1 << 40
+
+
+class Coding(NamedTuple):
+    """The parameters in a payload's header."""
+
+    flags: int
+    step_code: int = 0
+    offset: int = 0
+    along: int = 0
+    raw_width: int = 0
+    raw_base: int = 0
+
+
+class Workspace(NamedTuple):
+    """Scratch arrays for one region."""
+
+    field: NDArray[np.int64]
+    low: NDArray[np.int64]
+    high: NDArray[np.int64]
+    offsets: NDArray[np.int64]
+    mags: NDArray[np.uint8]
+    spread: NDArray[np.int64]
+    activity: NDArray[np.int64]
+    rough: NDArray[np.int64]
+    smooth: NDArray[np.int64]
+    hints: NDArray[np.int64]
+    residual_mags: NDArray[np.int64]
+    residual_signs: NDArray[np.int64]
+
+
+def _workspace(shape: tuple[int, int]) -> Workspace:
+    rows, cols = (shape[0] + 1) >> 1, (shape[1] + 1) >> 1
+    offsets = np.zeros(32, dtype=np.int64)
+    node_offsets(*shape, offsets)
+    return Workspace(
+        np.zeros(shape, dtype=np.int64),
+        np.zeros(cols + 3, dtype=np.int64),
+        np.zeros(cols + 3, dtype=np.int64),
+        offsets,
+        np.zeros((2, 3, rows + FRAME_ROWS, cols + FRAME_COLS), dtype=np.uint8),
+        np.zeros((3, rows, cols), dtype=np.int64),
+        np.zeros((rows, cols), dtype=np.int64),
+        np.zeros((rows, cols), dtype=np.int64),
+        np.zeros((rows, cols), dtype=np.int64),
+        np.zeros(2 * cols, dtype=np.int64),
+        np.zeros((3, shape[1] + 3), dtype=np.int64),
+        np.zeros((2, shape[1] + 3), dtype=np.int64),
+    )
+
+
+class Cdf97:
+    """Wavelet refiner; see `Refiner`."""
+
+    name = "cdf97"
+    pyramid = "lowpass"
+
+    def encode(
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
+    ) -> tuple[bytes, Heights, Labels | None]:
+        """Return the payload, the heights `decode` makes of it, and the labels of the core."""
+        return _Encoder(spec, parent, target, mask).run()
+
+    def decode(
+        self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
+    ) -> tuple[Heights, Labels | None]:
+        """Rebuild the heights of ``spec.region`` and the labels of its core.
+
+        Raises
+        ------
+        CorruptStreamError
+            If the payload contradicts FORMAT.md; `TruncatedStreamError` if it is too short.
+        """
+        coding, start = _read_header(payload)
+        # Writable, so that encoder and decoder share one compiled border kernel.
+        data = np.frombuffer(payload, dtype=np.uint8)[start:].copy()
+        state = np.zeros(STATE_SIZE, dtype=np.int64)
+        start_decoder(state, data)
+        models = new_models(N_BORDER_MODELS)
+        heights, is_known = _predict(spec, parent)
+        code_border(spec, parent, None, mask, heights, is_known, state, data, models)
+        core = spec.core.slices_in(spec.region)
+        inner = np.ascontiguousarray(heights[core])
+        coded = mask[core] & ~is_known[core]
+        labels = None
+        if coding.flags & _IS_RAW:
+            _decode_raw_heights(
+                coding.raw_base, coding.raw_width, spec.step, coded, state, data, inner
+            )
+        else:
+            work = _workspace(inner.shape)
+            _measure_parent(spec, parent, work)
+            n_levels = n_transforms(*inner.shape)
+            labels = np.full(work.offsets[n_levels], JZTC, dtype=np.uint8)
+            labels[0] = JZTR
+            if coding.flags & _HAS_COEFFS:
+                steps, limits = _band_steps(spec.step, coding, n_levels)
+                decode_tree(
+                    work.field, steps, limits, coding.offset, coding.along, work.rough, work.offsets, labels,
+                    work.mags, work.spread, work.activity, state, data, new_models(N_TREE_MODELS),
+                )  # fmt: skip
+                inverse_transform(work.field, work.low, work.high)
+                _add_detail(work.field, is_known[core], inner)
+            if coding.flags & _HAS_RESIDUALS:
+                smooth_activity(work.activity, work.smooth)
+                decode_residuals(
+                    inner, coded, work.smooth, spec.step, work.hints, work.residual_mags,
+                    work.residual_signs, state, data,
+                    new_models(N_RESIDUAL_MODELS),
+                )  # fmt: skip
+        raise_for_status(*finish_decoder(state, data))
+        heights[core] = inner
+        return heights, labels
+
+
+class _Encoder:
+    """One encoding: what all candidates share, and the best of them so far."""
+
+    def __init__(
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
+    ) -> None:
+        self.spec = spec
+        self.heights, is_known = _predict(spec, parent)
+        self.out = np.empty(5 * target.size + 1024, dtype=np.uint8)
+        self.state = start_encoder()
+        code_border(
+            spec, parent, target, mask, self.heights, is_known, self.state, self.out,
+            new_models(N_BORDER_MODELS),
+        )  # fmt: skip
+        self.border_state = self.state.copy()
+        core = spec.core.slices_in(spec.region)
+        self.core = core
+        self.is_known = np.ascontiguousarray(is_known[core])
+        self.coded = mask[core] & ~self.is_known
+        # Where the heights are known already, or void, this is what the coefficients should reach.
+        self.target = np.ascontiguousarray(target[core])
+        self.target[self.is_known] = self.heights[core][self.is_known]
+        prediction, _ = _predict(spec, parent)
+        self.prediction = np.ascontiguousarray(prediction[core])
+        self.start = np.ascontiguousarray(self.heights[core])
+        self.work = _workspace(self.target.shape)
+        _measure_parent(spec, parent, self.work)
+        self.n_levels = n_transforms(*self.target.shape)
+        self.detail = np.subtract(self.target, self.prediction, dtype=np.int64) << FRACTION_BITS
+        forward_transform(self.detail, self.work.low, self.work.high)
+        self.quants = np.zeros(self.target.shape, dtype=np.int32)
+        self.residuals = np.zeros(self.target.shape, dtype=np.int32)
+        self.best: tuple[bytes, Heights, Labels | None] | None = None
+
+    def run(self) -> tuple[bytes, Heights, Labels | None]:
+        """Try the candidate steps and return the smallest result."""
+        for step_code in _candidates(self.spec.effort):
+            self.attempt(Coding(0, step_code, 0))
+        self.attempt_raw()
+        assert self.best is not None
+        payload, inner, labels = self.best
+        heights = self.heights
+        heights[self.core] = inner
+        return payload, heights, labels
+
+    def attempt(self, coding: Coding) -> int:
+        """Encode with these parameters, keep the result if it is the smallest; return its size."""
+        spec, work = self.spec, self.work
+        state = self.state
+        state[:] = self.border_state
+        steps, limits = _band_steps(spec.step, coding, self.n_levels)
+        labels = np.zeros(work.offsets[self.n_levels], dtype=np.uint8)
+        inner = self.start.copy()
+        _quantize(self.detail, steps, limits, coding.offset, self.quants, work.field)
+        n_significant = mark_labels(self.quants, work.offsets, labels)
+        flags = 0
+        work.activity[:] = work.rough
+        if n_significant or self.quants[0, 0]:
+            flags |= _HAS_COEFFS
+            coding = coding._replace(along=choose_along(self.quants))
+            encode_tree(
+                self.quants, coding.along, work.rough, work.offsets, labels, work.mags, work.spread, work.activity,
+                state, self.out, new_models(N_TREE_MODELS),
+            )  # fmt: skip
+            inverse_transform(work.field, work.low, work.high)
+            _add_detail(work.field, self.is_known, inner)
+        if compute_residuals(self.target, inner, self.coded, spec.step, self.residuals):
+            flags |= _HAS_RESIDUALS
+            smooth_activity(work.activity, work.smooth)
+            encode_residuals(
+                self.residuals, self.coded, work.smooth, work.hints, work.residual_mags, work.residual_signs, state, self.out,
+                new_models(N_RESIDUAL_MODELS),
+            )  # fmt: skip
+            _add_residuals(self.residuals, spec.step, inner)
+        n_bytes = finish_encoder(state, self.out)
+        header = _write_header(coding._replace(flags=flags))
+        size = n_bytes + len(header)
+        if self.best is None or size < len(self.best[0]):
+            self.best = (header + self.out[:n_bytes].tobytes(), inner, labels)
+        return size
+
+
+    def attempt_raw(self) -> None:
+        """Encode the samples in plain bits, keep the result if it is the smallest."""
+        spec = self.spec
+        valid = self.target[self.coded]
+        base = int(valid.min()) if valid.size else 0
+        width = ((int(valid.max()) - base + spec.half) // spec.step).bit_length() if valid.size else 0
+        assert self.best is not None
+        if len(self.best[0]) < (width * valid.size) >> 3:
+            return
+        self.state[:] = self.border_state
+        inner = self.start.copy()
+        _encode_raw_heights(
+            base, width, spec.step, self.coded, self.state, self.out, self.target, inner
+        )
+        n_bytes = finish_encoder(self.state, self.out)
+        header = _write_header(Coding(_IS_RAW, raw_width=width, raw_base=base))
+        if n_bytes + len(header) < len(self.best[0]):
+            self.best = (header + self.out[:n_bytes].tobytes(), inner, None)
+
+
+def _candidates(effort: int) -> list[int]:
+    return [[36], [36, 128], [28, 32, 36, 40, 48, 64, 96, 128]][effort]
+
+
+def _predict(spec: GroupSpec, parent: Heights | None) -> tuple[Heights, NDArray[np.bool_]]:
+    """Return the prediction of the region from its parent, and a fresh map of known samples."""
+    heights = np.zeros(spec.region.shape, dtype=np.int32)
+    if parent is not None:
+        assert spec.parent_region is not None
+        synthesise(
+            np.ascontiguousarray(parent),
+            spec.region.row - 2 * spec.parent_region.row,
+            spec.region.col - 2 * spec.parent_region.col,
+            np.zeros(parent.shape[1] + 4, dtype=np.int64),
+            np.zeros((parent.shape[0] + 4, heights.shape[1]), dtype=np.int64),
+            heights,
+        )
+    return heights, np.zeros(heights.shape, dtype=np.bool_)
+
+
+def _measure_parent(spec: GroupSpec, parent: Heights | None, work: Workspace) -> None:
+    """Fill `work.rough` and start `work.activity` with it; zeros in a root block."""
+    if parent is not None:
+        assert spec.parent_region is not None
+        measure_roughness(
+            np.ascontiguousarray(parent),
+            (spec.core.row >> 1) - spec.parent_region.row,
+            (spec.core.col >> 1) - spec.parent_region.col,
+            spec.step,
+            work.rough,
+        )
+    work.activity[:] = work.rough
+
+
+def _band_steps(
+    step: int, coding: Coding, n_levels: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the quantiser step and the largest useful index of each (transform, band)."""
+    steps = np.empty((n_levels, 4), dtype=np.int64)
+    limits = np.empty((n_levels, 4), dtype=np.int64)
+    for t in range(n_levels):
+        for band in range(4):
+            base = coding.step_code * step
+            value = (base << FRACTION_BITS) * int(BAND_GAINS[t, band]) // (_STEP_UNIT * 2 * 4096)
+            steps[t, band] = min(max(value, 1), MAX_COEFF)
+            limits[t, band] = MAX_COEFF // int(steps[t, band]) + 1
+    return steps, limits
+
+
+def _write_header(coding: Coding) -> bytes:
+    out = bytearray([coding.flags])
+    if coding.flags & _IS_RAW:
+        out.append(coding.raw_width)
+        out += _varint(coding.raw_base << 1 if coding.raw_base >= 0 else ~(coding.raw_base << 1))
+    elif coding.flags & _HAS_COEFFS:
+        out += _varint(coding.step_code)
+        out.append(coding.offset | coding.along << 4)
+    return bytes(out)
+
+
+def _read_header(payload: bytes) -> tuple[Coding, int]:
+    if not payload:
+        raise TruncatedStreamError("the payload is empty")
+    flags = payload[0]
+    if flags >= 8 or (flags & _IS_RAW and flags != _IS_RAW):
+        raise CorruptStreamError(f"payload flags {flags:#x} are not defined")
+    if flags & _IS_RAW:
+        if len(payload) < 2:
+            raise TruncatedStreamError("the payload ends inside its header")
+        code, pos = _read_varint(payload, 2)
+        base = code >> 1 if not code & 1 else ~(code >> 1)
+        if payload[1] > 32 or abs(base) > MAX_HEIGHT:
+            raise CorruptStreamError("raw heights outside the range of heights")
+        return Coding(flags, raw_width=payload[1], raw_base=base), pos
+    if not flags & _HAS_COEFFS:
+        return Coding(flags), 1
+    step_code, pos = _read_varint(payload, 1)
+    if pos >= len(payload):
+        raise TruncatedStreamError("the payload ends inside its header")
+    if not 1 <= step_code <= _MAX_STEP_CODE:
+        raise CorruptStreamError(f"step code {step_code} is outside 1 to {_MAX_STEP_CODE}")
+    if payload[pos] >> 6:
+        raise CorruptStreamError("reserved bits of the payload's header are not 0")
+    return Coding(flags, step_code, payload[pos] & 15, payload[pos] >> 4), pos + 1
+
+
+def _varint(value: int) -> bytes:
+    out = bytearray()
+    while value >= 128:
+        out.append(value & 127 | 128)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def _read_varint(payload: bytes, pos: int) -> tuple[int, int]:
+    value = 0
+    for shift in range(0, 42, 7):
+        if pos >= len(payload):
+            raise TruncatedStreamError("the payload ends inside its header")
+        value |= (payload[pos] & 127) << shift
+        pos += 1
+        if payload[pos - 1] < 128:
+            return value, pos
+    raise CorruptStreamError("a number in the payload's header is too long")
+
+
+@kernel
+def _quantize(detail, steps, limits, offset, quants, recon):
+    """Fill `quants` with indices of `detail` (rounding offset 0.42), `recon` with their values."""
+    n_rows, n_cols = detail.shape
+    count = steps.shape[0]
+    for row in range(n_rows):
+        # Transform whose high-pass rows this row belongs to; count if it is the root's row.
+        t_row = 0
+        while t_row < count and (row >> t_row) & 1 == 0:
+            t_row += 1
+        for t in range(count - 1, -1, -1):
+            # Columns cols_low … cols - 1 are high in x at transform t, and below are low at t.
+            if t > t_row:
+                continue
+            cols = ((n_cols - 1) >> t) + 1
+            cols_low = ((n_cols - 1) >> (t + 1)) + 1
+            if t == t_row or (t == count - 1 and t_row == count):
+                # High in y: LH left of cols_low; the root's LL in a row that is never high.
+                band = 2 if t == t_row else 0
+                _quantize_run(
+                    detail[row, :cols_low], steps[t, band], limits[t, band], offset if band else 0,
+                    quants[row, :cols_low], recon[row, :cols_low],
+                )  # fmt: skip
+            band = 3 if t == t_row else 1
+            _quantize_run(
+                detail[row, cols_low:cols], steps[t, band], limits[t, band], offset,
+                quants[row, cols_low:cols], recon[row, cols_low:cols],
+            )  # fmt: skip
+
+
+@kernel
+def _quantize_run(detail, step, limit, offset, quants, recon):
+    """Quantise part of a row that belongs to one band."""
+    bias = (step * 27) >> 6
+    for i in range(detail.shape[0]):
+        value = detail[i]
+        index = (abs(value) + bias) // step
+        if value < 0:
+            index = -index
+        quants[i] = index
+        recon[i] = dequantize(index, step, limit, offset)
+
+
+@kernel
+def _add_detail(field, is_known, heights):
+    """Add the rounded detail to the predicted `heights` where nothing is known, in place."""
+    half = 1 << (FRACTION_BITS - 1)
+    for row in range(field.shape[0]):
+        for col in range(field.shape[1]):
+            if not is_known[row, col]:
+                height = heights[row, col] + ((field[row, col] + half) >> FRACTION_BITS)
+                heights[row, col] = min(max(height, -MAX_HEIGHT), MAX_HEIGHT)
+
+
+@kernel
+def _add_residuals(residuals, step, heights):
+    """Add the residuals to `heights` in place, as `decode_residuals` does."""
+    for row in range(heights.shape[0]):
+        for col in range(heights.shape[1]):
+            height = np.int64(heights[row, col]) + np.int64(residuals[row, col]) * step
+            heights[row, col] = min(max(height, -MAX_HEIGHT), MAX_HEIGHT)
+
+
+@kernel
+def _encode_raw_heights(base, width, step, coded, state, out, target, heights):
+    """Write round((target - base) / step) in `width` bits each; fill `heights`."""
+    for row in range(target.shape[0]):
+        for col in range(target.shape[1]):
+            if coded[row, col]:
+                index = (np.int64(target[row, col]) - base + (step >> 1)) // step
+                encode_raw(state, out, index, width)
+                heights[row, col] = min(base + index * step, MAX_HEIGHT)
+
+
+@kernel
+def _decode_raw_heights(base, width, step, coded, state, data, heights):
+    """Undo `_encode_raw_heights`."""
+    for row in range(heights.shape[0]):
+        for col in range(heights.shape[1]):
+            if coded[row, col]:
+                index = min(decode_raw(state, data, width), 2 * MAX_HEIGHT // step + 1)
+                heights[row, col] = min(base + index * step, MAX_HEIGHT)

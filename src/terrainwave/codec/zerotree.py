@@ -1,0 +1,527 @@
+"""Joint zero trees of quantised wavelet coefficients (FORMAT.md: zero trees).
+
+D. Yusov, V. Turlapov 2010, §2.4 ("triple tree"): one tree for the three bands. Contexts are ours
+(DESIGN.md §3.5): the paper's reference for its models could not be had.
+
+Node grids halve, rounding up, from the finest (half the region) to 1 x 1. A node of the grid of
+transform t holds HL, LH and HH at its place; the root also LL.
+"""
+
+import numpy as np
+
+from terrainwave._jit import kernel
+from terrainwave.coding.filters import n_transforms
+from terrainwave.coding.rangecoder import (
+    BYTE_POS,
+    CODE,
+    LOW,
+    N_PREFIX,
+    N_UNARY,
+    RANGE,
+    decode_raw,
+    decode_step,
+    encode_raw,
+    encode_step,
+)
+
+JZTR, JS, JZTC = 0, 1, 2
+
+# Coefficients sit at the front of each row's halves and at rows of their own stride, as
+# `filters.forward_transform` leaves them; magnitudes are kept, clamped to 255, in planes of nodes
+# with a frame of zeros: two above and to the left, two to the right, one below.
+MARGIN = 2
+FRAME_ROWS, FRAME_COLS = 3, 4
+MAX_MAG = 255
+
+# Weighted sums of magnitudes are in 1/16 of the expected magnitude and fall into third-octave bins.
+SUM_LIMIT = 4095
+
+
+def _third_octave_bins() -> np.ndarray:
+    sums = np.arange(SUM_LIMIT + 1)
+    # Thresholds 2**p, 2**p * 1.26 and 2**p * 1.59, in integers.
+    edges = sorted(
+        {max(1, (1 << power) * third >> 6) for power in range(12) for third in (64, 81, 102)}
+    )
+    return np.searchsorted(edges, sums, side="right").astype(np.uint8)
+
+
+BIN_OF_SUM = _third_octave_bins()
+N_BINS = 36
+# Magnitudes are coded without their lowest bits where large ones are expected: mean >= 8 * 2**k.
+SHIFT_OF_BIN = np.array([max(0, b // 3 - 6) for b in range(N_BINS)], dtype=np.int64)
+
+_N_LABEL_CLASSES = 5
+_N_ZERO_CLASSES = 4
+_N_MAG_CLASSES = 2
+_ZERO_MODELS = _N_LABEL_CLASSES * 3 * N_BINS
+_MAG_MODELS = _ZERO_MODELS + _N_ZERO_CLASSES * 3 * N_BINS
+_PREFIX_MODELS = _MAG_MODELS + _N_MAG_CLASSES * 3 * N_BINS * N_UNARY
+_LL_MODELS = _PREFIX_MODELS + 3 * N_PREFIX
+N_TREE_MODELS = _LL_MODELS + 32
+
+# Weights of the context sums, in 1/32: W, N, NW, NE, WW, NN. A band whose magnitudes run along its
+# edges (HL down, LH across) is coded with the second row of its kind; the header says so.
+_BALANCED = (6, 6, 0, 2, 1, 1)
+_HL_ALONG = (1, 13, 0, 0, 0, 2)
+_LH_ALONG = (13, 1, 0, 0, 2, 0)
+_DIAGONAL = (6, 5, 1, 2, 1, 1)
+WEIGHTS = np.array([_BALANCED, _BALANCED, _DIAGONAL, _HL_ALONG, _LH_ALONG], dtype=np.int64)
+_W_SIBLING = 1
+_ROUGH_GAIN = 4
+ROUGH_LIMIT = 1024
+
+
+@kernel
+def node_offsets(n_rows, n_cols, offsets):
+    """Fill `offsets` with the start of each node grid in a flat array, coarsest first; return the
+    number of grids. ``offsets[count]`` is the number of nodes. 32 entries are enough.
+    """
+    count = n_transforms(n_rows, n_cols)
+    offsets[0] = 0
+    for level in range(count):
+        t = count - 1 - level
+        rows, cols = ((n_rows - 1) >> (t + 1)) + 1, ((n_cols - 1) >> (t + 1)) + 1
+        offsets[level + 1] = offsets[level] + rows * cols
+    return count
+
+
+@kernel
+def mark_labels(quants, offsets, labels):
+    """Label every node of `quants` (int32, layout of the transform); return the number of JS."""
+    n_rows, n_cols = quants.shape
+    count = n_transforms(n_rows, n_cols)
+    for level in range(count - 1, -1, -1):
+        t = count - 1 - level
+        rows, cols = ((n_rows - 1) >> (t + 1)) + 1, ((n_cols - 1) >> (t + 1)) + 1
+        high_rows, high_cols = (((n_rows - 1) >> t) + 1) >> 1, (((n_cols - 1) >> t) + 1) >> 1
+        child_rows, child_cols = ((n_rows - 1) >> t) + 1, ((n_cols - 1) >> t) + 1
+        for i in range(rows):
+            low_row = quants[(2 * i) << t]
+            for j in range(cols):
+                found = j < high_cols and low_row[cols + j] != 0
+                if i < high_rows and not found:
+                    high_row = quants[(2 * i + 1) << t]
+                    found = high_row[j] != 0 or (j < high_cols and high_row[cols + j] != 0)
+                if level < count - 1 and not found:
+                    for ci in range(2 * i, min(2 * i + 2, child_rows)):
+                        for cj in range(2 * j, min(2 * j + 2, child_cols)):
+                            child = offsets[level + 1] + ci * child_cols + cj
+                            found = found or labels[child] == JS
+                labels[offsets[level] + i * cols + j] = JS if found else JZTR
+    n_significant = 0
+    for level in range(count):
+        t = count - 1 - level
+        rows, cols = ((n_rows - 1) >> (t + 1)) + 1, ((n_cols - 1) >> (t + 1)) + 1
+        parent_cols = ((n_cols - 1) >> (t + 2)) + 1
+        for i in range(rows):
+            for j in range(cols):
+                node = offsets[level] + i * cols + j
+                if labels[node] == JS:
+                    n_significant += 1
+                elif level > 0:
+                    parent = offsets[level - 1] + (i >> 1) * parent_cols + (j >> 1)
+                    labels[node] = JZTR if labels[parent] == JS else JZTC
+    return n_significant
+
+
+@kernel
+def clear_planes(mags, rows, cols):
+    """Zero the part of the planes that a grid of rows x cols nodes uses, frame included."""
+    for band in range(3):
+        for i in range(rows + FRAME_ROWS):
+            for j in range(cols + FRAME_COLS):
+                mags[band, i, j] = 0
+
+
+@kernel
+def spread_parents(mags, rows, cols, spread):
+    """Fill ``spread[band, i, j]`` with the weighted magnitudes of node (i, j) and its ring."""
+    for band in range(3):
+        for i in range(rows):
+            above, here, below = mags[band, i + 1], mags[band, i + 2], mags[band, i + 3]
+            for j in range(cols):
+                ring = np.int64(above[j + 2]) + here[j + 1] + here[j + 3]
+                # The frame has one row below only for the last row; it is zero.
+                ring += np.int64(below[j + 2])
+                spread[band, i, j] = (2 * np.int64(here[j + 2]) + ring) >> 2
+
+
+@kernel
+def _causal_sum(here, above, above2, j, weights):
+    """Return the weighted sum of the magnitudes coded before place `j` in a row of a plane."""
+    return (
+        weights[0] * here[j + 1]
+        + weights[1] * above[j + 2]
+        + weights[2] * above[j + 1]
+        + weights[3] * above[j + 3]
+        + weights[4] * here[j]
+        + weights[5] * above2[j + 2]
+    )
+
+
+@kernel
+def _label_context(sums, west, north, level_class):
+    """Return the model of a label: sum of the three bands' context sums, labels W and N."""
+    bin_ = np.int64(BIN_OF_SUM[min(sums, SUM_LIMIT)])
+    n_significant = (1 if west == JS else 0) + (1 if north == JS else 0)
+    return (level_class * 3 + n_significant) * N_BINS + bin_
+
+
+@kernel
+def encode_magnitude_at(span, low, state, out, models, first, prefix, shift, value):
+    """Encode `value` >= 0: its upper bits unary then Exp-Golomb, `shift` lower bits raw."""
+    upper = value >> shift
+    n_ones = min(upper, N_UNARY)
+    for index in range(n_ones):
+        span, low = encode_step(span, low, state, out, models, first + index, 1)
+    if n_ones < N_UNARY:
+        span, low = encode_step(span, low, state, out, models, first + n_ones, 0)
+    else:
+        rest = upper - N_UNARY + 1
+        n_bits = 0
+        while rest >> (n_bits + 1):
+            n_bits += 1
+        for index in range(n_bits):
+            span, low = encode_step(span, low, state, out, models, prefix + index, 1)
+        if n_bits < N_PREFIX - 1:
+            span, low = encode_step(span, low, state, out, models, prefix + n_bits, 0)
+        value = (rest << shift) | (value & ((1 << shift) - 1))
+        shift += n_bits
+    state[RANGE] = span
+    state[LOW] = low
+    encode_raw(state, out, value, shift)
+    return state[RANGE], state[LOW]
+
+
+@kernel
+def decode_magnitude_at(state, data, models, first, prefix, shift):
+    """Decode a value written by `encode_magnitude_at`; any bytes give less than 2**(33 + shift).
+
+    Takes and leaves the coder in `state`.
+    """
+    span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
+    upper = 0
+    bit = 1
+    while upper < N_UNARY and bit:
+        bit, span, code, pos = decode_step(span, code, pos, data, models, first + upper)
+        upper += bit
+    n_bits = 0
+    if upper == N_UNARY and bit:
+        while n_bits < N_PREFIX - 1 and bit:
+            bit, span, code, pos = decode_step(span, code, pos, data, models, prefix + n_bits)
+            n_bits += bit
+    state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
+    raw = decode_raw(state, data, n_bits + shift)
+    if upper < N_UNARY:
+        return (upper << shift) | raw
+    rest = ((np.int64(1) << (n_bits + shift)) | raw) - (np.int64(1) << shift)
+    return (np.int64(N_UNARY) << shift) + rest
+
+
+@kernel
+def encode_tree(
+    quants, along, rough, offsets, labels, mags, spread, activity, state, out, models
+):
+    """Encode labels and coefficients, coarse to fine, row by row, HL, LH, HH at each node.
+
+    `rough` (rows, cols) is what the parent says about the finest nodes. `mags` (2, 3, rows + 3,
+    cols + 4) and `spread` (3, rows, cols) are scratch for the finest node grid; `activity` gets the finest grid's magnitudes for the residual's contexts.
+    """
+    n_rows, n_cols = quants.shape
+    count = n_transforms(n_rows, n_cols)
+    span, low = state[RANGE], state[LOW]
+    span, low = _encode_signed(span, low, state, out, models, quants[0, 0])
+    clear_planes(mags[0], 1, 1)
+    clear_planes(mags[1], 1, 1)
+    for level in range(count):
+        t = count - 1 - level
+        rows, cols = ((n_rows - 1) >> (t + 1)) + 1, ((n_cols - 1) >> (t + 1)) + 1
+        high_rows, high_cols = (((n_rows - 1) >> t) + 1) >> 1, (((n_cols - 1) >> t) + 1) >> 1
+        parent_rows, parent_cols = ((n_rows - 1) >> (t + 2)) + 1, ((n_cols - 1) >> (t + 2)) + 1
+        spread_parents(mags[(level + 1) & 1], parent_rows, parent_cols, spread)
+        plane = mags[level & 1]
+        clear_planes(plane, rows, cols)
+        weights_1 = WEIGHTS[3 if along & 1 and t == 0 else 0]
+        weights_2 = WEIGHTS[4 if along & 2 and t == 0 else 1]
+        weights_3 = WEIGHTS[2]
+        for i in range(rows):
+            low_row = quants[(2 * i) << t]
+            high_row = quants[min((2 * i + 1) << t, n_rows - 1)]
+            for j in range(cols):
+                node = offsets[level] + i * cols + j
+                label = labels[node]
+                if label == JZTC:
+                    continue
+                sum_1 = spread[0, i >> 1, j >> 1] + _causal_sum(
+                    plane[0, i + 2], plane[0, i + 1], plane[0, i], j, weights_1
+                )
+                sum_2 = spread[1, i >> 1, j >> 1] + _causal_sum(
+                    plane[1, i + 2], plane[1, i + 1], plane[1, i], j, weights_2
+                )
+                sum_3 = spread[2, i >> 1, j >> 1] + _causal_sum(
+                    plane[2, i + 2], plane[2, i + 1], plane[2, i], j, weights_3
+                )
+                if t == 0:
+                    hint = rough[i, j]
+                    sum_1 += hint
+                    sum_2 += hint
+                    sum_3 += hint >> 1
+                west = labels[node - 1] if j > 0 else JZTR
+                north = labels[node - cols] if i > 0 else JZTR
+                index = _label_context((sum_1 + sum_2 + sum_3) >> 1, west, north, min(t, 4))
+                span, low = encode_step(span, low, state, out, models, index, label)
+                if label != JS:
+                    continue
+                mag_1 = mag_2 = 0
+                if j < high_cols:
+                    quant = low_row[cols + j]
+                    span, low = _encode_coeff(span, low, state, out, models, 0, t, sum_1, quant, 1)
+                    mag_1 = min(abs(quant), MAX_MAG)
+                    plane[0, i + 2, j + 2] = mag_1
+                if i < high_rows:
+                    quant = high_row[j]
+                    sum_2 += _W_SIBLING * mag_1
+                    span, low = _encode_coeff(span, low, state, out, models, 1, t, sum_2, quant, 1)
+                    mag_2 = min(abs(quant), MAX_MAG)
+                    plane[1, i + 2, j + 2] = mag_2
+                    if j < high_cols:
+                        quant = high_row[cols + j]
+                        sum_3 += _W_SIBLING * (mag_1 + mag_2)
+                        open_ = 1 if t > 0 or mag_1 + mag_2 > 0 else 0
+                        span, low = _encode_coeff(
+                            span, low, state, out, models, 2, t, sum_3, quant, open_
+                        )
+                        plane[2, i + 2, j + 2] = min(abs(quant), MAX_MAG)
+    state[RANGE], state[LOW] = span, low
+    _add_activity(mags[(count - 1) & 1], activity)
+
+
+@kernel
+def _encode_coeff(span, low, state, out, models, band, t, sums, quant, is_open):
+    """Encode one coefficient; one that must be non-zero (`is_open` 0) has no zero flag."""
+    bin_ = np.int64(BIN_OF_SUM[min(sums >> 1, SUM_LIMIT)])
+    if is_open:
+        index = _ZERO_MODELS + (min(t, 3) * 3 + band) * N_BINS + bin_
+        span, low = encode_step(span, low, state, out, models, index, 1 if quant != 0 else 0)
+        if quant == 0:
+            return span, low
+    first = _MAG_MODELS + ((min(t, 1) * 3 + band) * N_BINS + bin_) * N_UNARY
+    mag = np.int64(abs(quant)) - 1
+    prefix = _PREFIX_MODELS + band * N_PREFIX
+    span, low = encode_magnitude_at(
+        span, low, state, out, models, first, prefix, SHIFT_OF_BIN[bin_], mag
+    )
+    state[RANGE], state[LOW] = span, low
+    encode_raw(state, out, 1 if quant < 0 else 0, 1)
+    return state[RANGE], state[LOW]
+
+
+@kernel
+def _encode_signed(span, low, state, out, models, value):
+    """Encode the root's LL: Exp-Golomb of the magnitude + 1 with an adaptive prefix, then a sign."""
+    rest = np.int64(abs(value)) + 1
+    n_bits = 0
+    while rest >> (n_bits + 1):
+        n_bits += 1
+    for index in range(n_bits):
+        span, low = encode_step(span, low, state, out, models, _LL_MODELS + index, 1)
+    if n_bits < 31:
+        span, low = encode_step(span, low, state, out, models, _LL_MODELS + n_bits, 0)
+    state[RANGE], state[LOW] = span, low
+    encode_raw(state, out, rest, n_bits)
+    if value != 0:
+        encode_raw(state, out, 1 if value < 0 else 0, 1)
+    return state[RANGE], state[LOW]
+
+
+@kernel
+def _decode_signed(state, data, models):
+    """Decode a value written by `_encode_signed`: less than 2**32 in magnitude."""
+    span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
+    n_bits, bit = 0, 1
+    while n_bits < 31 and bit:
+        bit, span, code, pos = decode_step(span, code, pos, data, models, _LL_MODELS + n_bits)
+        n_bits += bit
+    state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
+    value = ((np.int64(1) << n_bits) | decode_raw(state, data, n_bits)) - 1
+    if value != 0 and decode_raw(state, data, 1):
+        return -value
+    return value
+
+
+@kernel
+def decode_tree(
+    field, steps, limits, offset, along, rough, offsets, labels, mags, spread, activity, state, data, models
+):
+    """Decode what `encode_tree` wrote into `labels` and, dequantised, into `field` (int64, zeros).
+
+    ``steps[t, band]`` and ``limits[t, band]``: quantiser step and largest index used; `offset`
+    pulls a magnitude towards zero, in 1/64 of a step.
+    """
+    n_rows, n_cols = field.shape
+    count = n_transforms(n_rows, n_cols)
+    value = _decode_signed(state, data, models)
+    field[0, 0] = dequantize(value, steps[count - 1, 0], limits[count - 1, 0], 0)
+    clear_planes(mags[0], 1, 1)
+    clear_planes(mags[1], 1, 1)
+    span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
+    for level in range(count):
+        t = count - 1 - level
+        rows, cols = ((n_rows - 1) >> (t + 1)) + 1, ((n_cols - 1) >> (t + 1)) + 1
+        high_rows, high_cols = (((n_rows - 1) >> t) + 1) >> 1, (((n_cols - 1) >> t) + 1) >> 1
+        parent_rows, parent_cols = ((n_rows - 1) >> (t + 2)) + 1, ((n_cols - 1) >> (t + 2)) + 1
+        spread_parents(mags[(level + 1) & 1], parent_rows, parent_cols, spread)
+        plane = mags[level & 1]
+        clear_planes(plane, rows, cols)
+        weights_1 = WEIGHTS[3 if along & 1 and t == 0 else 0]
+        weights_2 = WEIGHTS[4 if along & 2 and t == 0 else 1]
+        weights_3 = WEIGHTS[2]
+        for i in range(rows):
+            low_row = field[(2 * i) << t]
+            high_row = field[min((2 * i + 1) << t, n_rows - 1)]
+            for j in range(cols):
+                node = offsets[level] + i * cols + j
+                if level > 0:
+                    parent = offsets[level - 1] + (i >> 1) * parent_cols + (j >> 1)
+                    if labels[parent] != JS:
+                        labels[node] = JZTC
+                        continue
+                sum_1 = spread[0, i >> 1, j >> 1] + _causal_sum(
+                    plane[0, i + 2], plane[0, i + 1], plane[0, i], j, weights_1
+                )
+                sum_2 = spread[1, i >> 1, j >> 1] + _causal_sum(
+                    plane[1, i + 2], plane[1, i + 1], plane[1, i], j, weights_2
+                )
+                sum_3 = spread[2, i >> 1, j >> 1] + _causal_sum(
+                    plane[2, i + 2], plane[2, i + 1], plane[2, i], j, weights_3
+                )
+                if t == 0:
+                    hint = rough[i, j]
+                    sum_1 += hint
+                    sum_2 += hint
+                    sum_3 += hint >> 1
+                west = labels[node - 1] if j > 0 else JZTR
+                north = labels[node - cols] if i > 0 else JZTR
+                index = _label_context((sum_1 + sum_2 + sum_3) >> 1, west, north, min(t, 4))
+                label, span, code, pos = decode_step(span, code, pos, data, models, index)
+                labels[node] = label
+                if label != JS:
+                    continue
+                mag_1 = mag_2 = 0
+                if j < high_cols:
+                    value, span, code, pos = _decode_coeff(
+                        span, code, pos, state, data, models, 0, t, sum_1, 1
+                    )
+                    if value:
+                        low_row[cols + j] = dequantize(value, steps[t, 1], limits[t, 1], offset)
+                        mag_1 = min(abs(value), MAX_MAG)
+                        plane[0, i + 2, j + 2] = mag_1
+                if i < high_rows:
+                    sum_2 += _W_SIBLING * mag_1
+                    value, span, code, pos = _decode_coeff(
+                        span, code, pos, state, data, models, 1, t, sum_2, 1
+                    )
+                    if value:
+                        high_row[j] = dequantize(value, steps[t, 2], limits[t, 2], offset)
+                        mag_2 = min(abs(value), MAX_MAG)
+                        plane[1, i + 2, j + 2] = mag_2
+                    if j < high_cols:
+                        sum_3 += _W_SIBLING * (mag_1 + mag_2)
+                        open_ = 1 if t > 0 or mag_1 + mag_2 > 0 else 0
+                        value, span, code, pos = _decode_coeff(
+                            span, code, pos, state, data, models, 2, t, sum_3, open_
+                        )
+                        if value:
+                            high_row[cols + j] = dequantize(
+                                value, steps[t, 3], limits[t, 3], offset
+                            )
+                            plane[2, i + 2, j + 2] = min(abs(value), MAX_MAG)
+    state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
+    _add_activity(mags[(count - 1) & 1], activity)
+
+
+@kernel
+def _decode_coeff(span, code, pos, state, data, models, band, t, sums, is_open):
+    """Decode one coefficient's index."""
+    bin_ = np.int64(BIN_OF_SUM[min(sums >> 1, SUM_LIMIT)])
+    if is_open:
+        index = _ZERO_MODELS + (min(t, 3) * 3 + band) * N_BINS + bin_
+        bit, span, code, pos = decode_step(span, code, pos, data, models, index)
+        if not bit:
+            return np.int64(0), span, code, pos
+    first = _MAG_MODELS + ((min(t, 1) * 3 + band) * N_BINS + bin_) * N_UNARY
+    state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
+    prefix = _PREFIX_MODELS + band * N_PREFIX
+    value = decode_magnitude_at(state, data, models, first, prefix, SHIFT_OF_BIN[bin_]) + 1
+    if decode_raw(state, data, 1):
+        value = -value
+    return value, state[RANGE], state[CODE], state[BYTE_POS]
+
+
+@kernel
+def dequantize(quant, step, limit, offset):
+    """Return the coefficient of index `quant`: |quant| - offset / 64 steps, at most `limit`."""
+    if quant == 0:
+        return np.int64(0)
+    value = (((min(abs(quant), limit) << 6) - offset) * step) >> 6
+    return value if quant > 0 else -value
+
+
+@kernel
+def _add_activity(plane, activity):
+    """Add a weighted sum of the finest magnitudes around each node to `activity`."""
+    rows, cols = activity.shape
+    for i in range(rows):
+        for j in range(cols):
+            total = np.int64(0)
+            for band in range(3):
+                ring = np.int64(plane[band, i + 1, j + 2]) + plane[band, i + 3, j + 2]
+                ring += np.int64(plane[band, i + 2, j + 1]) + plane[band, i + 2, j + 3]
+                total += 3 * np.int64(plane[band, i + 2, j + 2]) + ring
+            activity[i, j] += min(total, SUM_LIMIT)
+
+
+@kernel
+def measure_roughness(parent, first_row, first_col, step, rough):
+    """Fill `rough` with second differences of the parent around each node, in 1/8 of `step`.
+
+    Node (0, 0) lies on ``parent[first_row, first_col]``. Differences reach past the array's edge by
+    repeating it.
+    """
+    n_rows, n_cols = parent.shape
+    for i in range(rough.shape[0]):
+        row = min(first_row + i, n_rows - 1)
+        above, here, below = parent[max(row - 1, 0)], parent[row], parent[min(row + 1, n_rows - 1)]
+        for j in range(rough.shape[1]):
+            col = min(first_col + j, n_cols - 1)
+            twice = 2 * np.int64(here[col])
+            bend = abs(np.int64(above[col]) + np.int64(below[col]) - twice)
+            bend += abs(
+                np.int64(here[max(col - 1, 0)]) + np.int64(here[min(col + 1, n_cols - 1)]) - twice
+            )
+            rough[i, j] = min(_ROUGH_GAIN * bend // step, ROUGH_LIMIT)
+
+
+@kernel
+def choose_along(quants):
+    """Return 1 for HL running down its columns plus 2 for LH running along its rows, finest level.
+
+    Decided by how much neighbouring magnitudes differ along and across.
+    """
+    n_rows, n_cols = quants.shape
+    rows, cols = (n_rows + 1) >> 1, (n_cols + 1) >> 1
+    down = across = np.int64(0)
+    for i in range(1, rows):
+        for j in range(cols + 1, n_cols):
+            mag = min(abs(np.int64(quants[2 * i, j])), MAX_MAG)
+            down += abs(mag - min(abs(np.int64(quants[2 * i - 2, j])), MAX_MAG))
+            across += abs(mag - min(abs(np.int64(quants[2 * i, j - 1])), MAX_MAG))
+    along = 1 if 4 * down < 3 * across else 0
+    down = across = np.int64(0)
+    for i in range(1, n_rows - rows):
+        for j in range(1, cols):
+            mag = min(abs(np.int64(quants[2 * i + 1, j])), MAX_MAG)
+            down += abs(mag - min(abs(np.int64(quants[2 * i - 1, j])), MAX_MAG))
+            across += abs(mag - min(abs(np.int64(quants[2 * i + 1, j - 1])), MAX_MAG))
+    return along + (2 if 4 * across < 3 * down else 0)
