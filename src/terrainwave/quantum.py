@@ -1,4 +1,4 @@
-"""The vertical quantum p, the odd step n, and the way between raw heights and quanta (FORMAT.md §2.3).
+"""The vertical quantum p, the odd step n, raw heights to quanta and back (FORMAT.md §2.3).
 
 A raw height (as stored in the raster, before scale and offset) is ``(base + k) * p`` with an int32
 number of quanta ``k``. On a *true grid* every sample is such a multiple exactly; otherwise p is a
@@ -18,7 +18,8 @@ from terrainwave.errors import InvalidHeightsError
 MAX_QUANTA = 1 << 30
 # An exact quotient needs numerators below 2^53 (the float64 significand).
 _MAX_NUMERATOR = 1 << 53
-# Rounding to p = 2^-FINE_BITS * bound costs less than 0.01 bit per sample; COARSE_BITS is the least.
+# Rounding to p = 2^-FINE_BITS * bound costs less than 0.01 bit per sample; COARSE_BITS is the
+# least that is accepted.
 _FINE_BITS, _COARSE_BITS = 9, 5
 
 _FOOT = Fraction(3048, 10000)
@@ -96,7 +97,7 @@ class Quantizer:
         if out is None:
             out = np.empty(quanta.shape, dtype=self.dtype)
         if out.dtype.kind in "iu":
-            limits = np.iinfo(out.dtype)
+            limits = np.iinfo(np.dtype(self.dtype))
             _dequantize_integers(
                 quanta, self.numerator, self.denominator, self.base, limits.min, limits.max, out
             )

@@ -368,9 +368,14 @@ class Terrain:
             heights, valid = self._read_raw(index, region, on_error)
         else:
             heights, valid = resample(
-                lambda shift, part: self._read_raw(index - shift, part, on_error), region, out_shape,
-                resampling, index, self._grid, max_bytes,
-            )  # fmt: skip
+                lambda shift, part: self._read_raw(index - shift, part, on_error),
+                region,
+                out_shape,
+                resampling,
+                index,
+                self._grid,
+                max_bytes,
+            )
         heights[~valid] = self._raster.void_value
         if masked:
             fill = None if self._raster.nodata is None else self.dtype.type(self._raster.nodata)
@@ -600,12 +605,17 @@ def round_half_up(value: float) -> int:
 
 def _region_of_window(window: Any) -> Region:
     if hasattr(window, "row_off"):  # rasterio.windows.Window
-        numbers = (window.row_off, window.col_off, window.height, window.width)
+        numbers: tuple[Any, ...] = (
+            window.row_off,
+            window.col_off,
+            window.height,
+            window.width,
+        )
     else:
         try:
             numbers = tuple(window)
         except TypeError:
-            numbers = ()
+            numbers = (None,)
     if len(numbers) != 4 or any(int(number) != number for number in numbers):
         raise InvalidHeightsError(
             f"found window {window!r}, expected (row, col, n_rows, n_cols) in whole samples"

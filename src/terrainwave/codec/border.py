@@ -80,11 +80,7 @@ def plan_border(spec: GroupSpec) -> Plan:
 
     # A dictionary keeps order and drops what small regions meet twice.
     corners = dict.fromkeys(
-        (r, c)
-        for row in rows
-        for col in cols
-        for r in around(row, n_rows)
-        for c in around(col, n_cols)
+        (r, c) for row in rows for col in cols for r in around(row, n_rows) for c in around(col, n_cols)
     )
     lines: dict[Line, None] = {}
     for is_column, places, size, start, n, before, after in (
@@ -120,7 +116,6 @@ def code_border(
     if spec.parent_region is not None:
         row_offset = spec.region.row - 2 * spec.parent_region.row
         col_offset = spec.region.col - 2 * spec.parent_region.col
-    symbol = np.zeros(1, dtype=np.int64)
     for row, col in plan.corners:
         if parent is None:
             prediction = 0
@@ -135,8 +130,9 @@ def code_border(
             state, stream, models,
         )  # fmt: skip
         is_known[row, col] = True
-    del symbol
     for line in plan.lines:
+        if line.first >= line.stop:
+            continue
         at = slice(line.start, line.start + line.n)
         index = (at, line.place) if line.is_column else (line.place, at)
         decoded = heights[index].astype(np.int64)
@@ -156,9 +152,9 @@ def code_border(
             encoding, predicted, np.ascontiguousarray(source[index]), np.ascontiguousarray(mask[index]),
             parent is None, spec.step, line.first, line.stop, decoded, state, stream, models,
         )  # fmt: skip
-        coded = slice(line.start + line.first, line.start + max(line.first, line.stop))
+        coded = slice(line.start + line.first, line.start + line.stop)
         index = (coded, line.place) if line.is_column else (line.place, coded)
-        heights[index] = decoded[line.first : max(line.first, line.stop)]
+        heights[index] = decoded[line.first : line.stop]
         is_known[index] = True
 
 
@@ -215,12 +211,8 @@ def _code_corner(encoding, prediction, target, is_valid, is_root, step, state, s
     index = np.int64(0)
     if is_valid:
         if encoding:
-            index = (
-                np.int64(target) // step if is_root else _quantum_index(target - prediction, step)
-            )
-        index = _code_symbol(
-            encoding, index, _ROOT if is_root else _EVEN, 16, state, stream, models
-        )
+            index = np.int64(target) // step if is_root else _quantum_index(target - prediction, step)
+        index = _code_symbol(encoding, index, _ROOT if is_root else _EVEN, 16, state, stream, models)
     if is_root:
         return _rebuild(np.int64(step >> 1), index, step)
     return _rebuild(np.int64(prediction), index, step)
@@ -270,9 +262,7 @@ def _code_line(
                 sums = 4 * near + min(8 * bend // step, 1024)
                 if encoding:
                     index = _quantum_index(target[i] - prediction, step)
-                index = _code_symbol(
-                    encoding, index, phase, min(sums, SUM_LIMIT), state, stream, models
-                )
+                index = _code_symbol(encoding, index, phase, min(sums, SUM_LIMIT), state, stream, models)
             decoded[i] = _rebuild(prediction, index, step)
             before_last = last
             last = min(abs(index), 255)

@@ -18,6 +18,7 @@ from terrainwave.codec.residual import (
     compute_residuals,
     decode_residuals,
     encode_residuals,
+    smooth_activity,
 )
 from terrainwave.codec.zerotree import (
     FRAME_COLS,
@@ -25,6 +26,7 @@ from terrainwave.codec.zerotree import (
     JZTC,
     JZTR,
     N_TREE_MODELS,
+    choose_along,
     decode_tree,
     dequantize,
     encode_tree,
@@ -69,7 +71,7 @@ class Coding(NamedTuple):
     flags: int
     step_code: int = 0
     offset: int = 0
-    coarse: int = 0
+    along: int = 0
     raw_width: int = 0
     raw_base: int = 0
 
@@ -85,6 +87,8 @@ class Workspace(NamedTuple):
     spread: NDArray[np.int64]
     activity: NDArray[np.int64]
     rough: NDArray[np.int64]
+    smooth: NDArray[np.int64]
+    hints: NDArray[np.int64]
     residual_mags: NDArray[np.int64]
     residual_signs: NDArray[np.int64]
 
@@ -102,8 +106,10 @@ def _workspace(shape: tuple[int, int]) -> Workspace:
         np.zeros((3, rows, cols), dtype=np.int64),
         np.zeros((rows, cols), dtype=np.int64),
         np.zeros((rows, cols), dtype=np.int64),
-        np.zeros((2, shape[1] + 2), dtype=np.int64),
-        np.zeros((2, shape[1] + 2), dtype=np.int64),
+        np.zeros((rows, cols), dtype=np.int64),
+        np.zeros(2 * cols, dtype=np.int64),
+        np.zeros((3, shape[1] + 3), dtype=np.int64),
+        np.zeros((2, shape[1] + 3), dtype=np.int64),
     )
 
 
@@ -154,14 +160,16 @@ class Cdf97:
             if coding.flags & _HAS_COEFFS:
                 steps, limits = _band_steps(spec.step, coding, n_levels)
                 decode_tree(
-                    work.field, steps, limits, coding.offset, work.rough, work.offsets, labels,
+                    work.field, steps, limits, coding.offset, coding.along, work.rough, work.offsets, labels,
                     work.mags, work.spread, work.activity, state, data, new_models(N_TREE_MODELS),
                 )  # fmt: skip
                 inverse_transform(work.field, work.low, work.high)
                 _add_detail(work.field, is_known[core], inner)
             if coding.flags & _HAS_RESIDUALS:
+                smooth_activity(work.activity, work.smooth)
                 decode_residuals(
-                    inner, coded, work.activity, spec.step, work.residual_mags, work.residual_signs, state, data,
+                    inner, coded, work.smooth, spec.step, work.hints, work.residual_mags,
+                    work.residual_signs, state, data,
                     new_models(N_RESIDUAL_MODELS),
                 )  # fmt: skip
         raise_for_status(*finish_decoder(state, data))
@@ -206,7 +214,7 @@ class _Encoder:
     def run(self) -> tuple[bytes, Heights, Labels | None]:
         """Try the candidate steps and return the smallest result."""
         for step_code in _candidates(self.spec.effort):
-            self.attempt(Coding(0, step_code, 4, 0))
+            self.attempt(Coding(0, step_code, 0))
         self.attempt_raw()
         assert self.best is not None
         payload, inner, labels = self.best
@@ -228,16 +236,18 @@ class _Encoder:
         work.activity[:] = work.rough
         if n_significant or self.quants[0, 0]:
             flags |= _HAS_COEFFS
+            coding = coding._replace(along=choose_along(self.quants))
             encode_tree(
-                self.quants, work.rough, work.offsets, labels, work.mags, work.spread, work.activity,
+                self.quants, coding.along, work.rough, work.offsets, labels, work.mags, work.spread, work.activity,
                 state, self.out, new_models(N_TREE_MODELS),
             )  # fmt: skip
             inverse_transform(work.field, work.low, work.high)
             _add_detail(work.field, self.is_known, inner)
         if compute_residuals(self.target, inner, self.coded, spec.step, self.residuals):
             flags |= _HAS_RESIDUALS
+            smooth_activity(work.activity, work.smooth)
             encode_residuals(
-                self.residuals, self.coded, work.activity, work.residual_mags, work.residual_signs, state, self.out,
+                self.residuals, self.coded, work.smooth, work.hints, work.residual_mags, work.residual_signs, state, self.out,
                 new_models(N_RESIDUAL_MODELS),
             )  # fmt: skip
             _add_residuals(self.residuals, spec.step, inner)
@@ -248,14 +258,13 @@ class _Encoder:
             self.best = (header + self.out[:n_bytes].tobytes(), inner, labels)
         return size
 
+
     def attempt_raw(self) -> None:
         """Encode the samples in plain bits, keep the result if it is the smallest."""
         spec = self.spec
         valid = self.target[self.coded]
         base = int(valid.min()) if valid.size else 0
-        width = (
-            ((int(valid.max()) - base + spec.half) // spec.step).bit_length() if valid.size else 0
-        )
+        width = ((int(valid.max()) - base + spec.half) // spec.step).bit_length() if valid.size else 0
         assert self.best is not None
         if len(self.best[0]) < (width * valid.size) >> 3:
             return
@@ -312,7 +321,7 @@ def _band_steps(
     limits = np.empty((n_levels, 4), dtype=np.int64)
     for t in range(n_levels):
         for band in range(4):
-            base = coding.step_code * step * (4 + (coding.coarse if t > 0 else 0)) // 4
+            base = coding.step_code * step
             value = (base << FRACTION_BITS) * int(BAND_GAINS[t, band]) // (_STEP_UNIT * 2 * 4096)
             steps[t, band] = min(max(value, 1), MAX_COEFF)
             limits[t, band] = MAX_COEFF // int(steps[t, band]) + 1
@@ -326,7 +335,7 @@ def _write_header(coding: Coding) -> bytes:
         out += _varint(coding.raw_base << 1 if coding.raw_base >= 0 else ~(coding.raw_base << 1))
     elif coding.flags & _HAS_COEFFS:
         out += _varint(coding.step_code)
-        out.append(coding.offset | coding.coarse << 4)
+        out.append(coding.offset | coding.along << 4)
     return bytes(out)
 
 
@@ -351,6 +360,8 @@ def _read_header(payload: bytes) -> tuple[Coding, int]:
         raise TruncatedStreamError("the payload ends inside its header")
     if not 1 <= step_code <= _MAX_STEP_CODE:
         raise CorruptStreamError(f"step code {step_code} is outside 1 to {_MAX_STEP_CODE}")
+    if payload[pos] >> 6:
+        raise CorruptStreamError("reserved bits of the payload's header are not 0")
     return Coding(flags, step_code, payload[pos] & 15, payload[pos] >> 4), pos + 1
 
 

@@ -33,23 +33,23 @@ MARGIN = 2
 FRAME_ROWS, FRAME_COLS = 3, 4
 MAX_MAG = 255
 
-# Weighted sums of magnitudes are in 1/16 of the expected magnitude and fall into half-octave bins.
+# Weighted sums of magnitudes are in 1/16 of the expected magnitude and fall into third-octave bins.
 SUM_LIMIT = 4095
 
 
-def _half_octave_bins() -> np.ndarray:
+def _third_octave_bins() -> np.ndarray:
     sums = np.arange(SUM_LIMIT + 1)
-    bins = np.minimum(sums, 3)
-    for power in range(2, 12):
-        bins[sums >= 1 << power] = 2 * power
-        bins[sums >= 3 << power - 1] = 2 * power + 1
-    return bins.astype(np.uint8)
+    # Thresholds 2**p, 2**p * 1.26 and 2**p * 1.59, in integers.
+    edges = sorted(
+        {max(1, (1 << power) * third >> 6) for power in range(12) for third in (64, 81, 102)}
+    )
+    return np.searchsorted(edges, sums, side="right").astype(np.uint8)
 
 
-BIN_OF_SUM = _half_octave_bins()
-N_BINS = 24
+BIN_OF_SUM = _third_octave_bins()
+N_BINS = 36
 # Magnitudes are coded without their lowest bits where large ones are expected: mean >= 8 * 2**k.
-SHIFT_OF_BIN = np.array([max(0, (b >> 1) - 6) for b in range(N_BINS)], dtype=np.int64)
+SHIFT_OF_BIN = np.array([max(0, b // 3 - 6) for b in range(N_BINS)], dtype=np.int64)
 
 _N_LABEL_CLASSES = 5
 _N_ZERO_CLASSES = 4
@@ -60,12 +60,16 @@ _PREFIX_MODELS = _MAG_MODELS + _N_MAG_CLASSES * 3 * N_BINS * N_UNARY
 _LL_MODELS = _PREFIX_MODELS + 3 * N_PREFIX
 N_TREE_MODELS = _LL_MODELS + 32
 
-# Weights of the context sums, in 1/16.
-_W_W, _W_N, _W_NW, _W_NE, _W_WW, _W_NN = 3, 3, 1, 1, 1, 1
-_W_PARENT, _W_RING = 2, 1
-_W_SIBLING = 2
-_ROUGH_GAIN = 2
-ROUGH_LIMIT = 512
+# Weights of the context sums, in 1/32: W, N, NW, NE, WW, NN. A band whose magnitudes run along its
+# edges (HL down, LH across) is coded with the second row of its kind; the header says so.
+_BALANCED = (6, 6, 0, 2, 1, 1)
+_HL_ALONG = (1, 13, 0, 0, 0, 2)
+_LH_ALONG = (13, 1, 0, 0, 2, 0)
+_DIAGONAL = (6, 5, 1, 2, 1, 1)
+WEIGHTS = np.array([_BALANCED, _BALANCED, _DIAGONAL, _HL_ALONG, _LH_ALONG], dtype=np.int64)
+_W_SIBLING = 1
+_ROUGH_GAIN = 4
+ROUGH_LIMIT = 1024
 
 
 @kernel
@@ -140,19 +144,19 @@ def spread_parents(mags, rows, cols, spread):
                 ring = np.int64(above[j + 2]) + here[j + 1] + here[j + 3]
                 # The frame has one row below only for the last row; it is zero.
                 ring += np.int64(below[j + 2])
-                spread[band, i, j] = _W_PARENT * np.int64(here[j + 2]) + ((_W_RING * ring) >> 1)
+                spread[band, i, j] = (2 * np.int64(here[j + 2]) + ring) >> 2
 
 
 @kernel
-def _causal_sum(here, above, above2, j):
+def _causal_sum(here, above, above2, j, weights):
     """Return the weighted sum of the magnitudes coded before place `j` in a row of a plane."""
     return (
-        _W_W * np.int64(here[j + 1])
-        + _W_N * np.int64(above[j + 2])
-        + _W_NW * np.int64(above[j + 1])
-        + _W_NE * np.int64(above[j + 3])
-        + _W_WW * np.int64(here[j])
-        + _W_NN * np.int64(above2[j + 2])
+        weights[0] * here[j + 1]
+        + weights[1] * above[j + 2]
+        + weights[2] * above[j + 1]
+        + weights[3] * above[j + 3]
+        + weights[4] * here[j]
+        + weights[5] * above2[j + 2]
     )
 
 
@@ -216,7 +220,9 @@ def decode_magnitude_at(state, data, models, first, prefix, shift):
 
 
 @kernel
-def encode_tree(quants, rough, offsets, labels, mags, spread, activity, state, out, models):
+def encode_tree(
+    quants, along, rough, offsets, labels, mags, spread, activity, state, out, models
+):
     """Encode labels and coefficients, coarse to fine, row by row, HL, LH, HH at each node.
 
     `rough` (rows, cols) is what the parent says about the finest nodes. `mags` (2, 3, rows + 3,
@@ -236,6 +242,9 @@ def encode_tree(quants, rough, offsets, labels, mags, spread, activity, state, o
         spread_parents(mags[(level + 1) & 1], parent_rows, parent_cols, spread)
         plane = mags[level & 1]
         clear_planes(plane, rows, cols)
+        weights_1 = WEIGHTS[3 if along & 1 and t == 0 else 0]
+        weights_2 = WEIGHTS[4 if along & 2 and t == 0 else 1]
+        weights_3 = WEIGHTS[2]
         for i in range(rows):
             low_row = quants[(2 * i) << t]
             high_row = quants[min((2 * i + 1) << t, n_rows - 1)]
@@ -245,13 +254,13 @@ def encode_tree(quants, rough, offsets, labels, mags, spread, activity, state, o
                 if label == JZTC:
                     continue
                 sum_1 = spread[0, i >> 1, j >> 1] + _causal_sum(
-                    plane[0, i + 2], plane[0, i + 1], plane[0, i], j
+                    plane[0, i + 2], plane[0, i + 1], plane[0, i], j, weights_1
                 )
                 sum_2 = spread[1, i >> 1, j >> 1] + _causal_sum(
-                    plane[1, i + 2], plane[1, i + 1], plane[1, i], j
+                    plane[1, i + 2], plane[1, i + 1], plane[1, i], j, weights_2
                 )
                 sum_3 = spread[2, i >> 1, j >> 1] + _causal_sum(
-                    plane[2, i + 2], plane[2, i + 1], plane[2, i], j
+                    plane[2, i + 2], plane[2, i + 1], plane[2, i], j, weights_3
                 )
                 if t == 0:
                     hint = rough[i, j]
@@ -260,7 +269,7 @@ def encode_tree(quants, rough, offsets, labels, mags, spread, activity, state, o
                     sum_3 += hint >> 1
                 west = labels[node - 1] if j > 0 else JZTR
                 north = labels[node - cols] if i > 0 else JZTR
-                index = _label_context(sum_1 + sum_2 + sum_3, west, north, min(t, 4))
+                index = _label_context((sum_1 + sum_2 + sum_3) >> 1, west, north, min(t, 4))
                 span, low = encode_step(span, low, state, out, models, index, label)
                 if label != JS:
                     continue
@@ -291,7 +300,7 @@ def encode_tree(quants, rough, offsets, labels, mags, spread, activity, state, o
 @kernel
 def _encode_coeff(span, low, state, out, models, band, t, sums, quant, is_open):
     """Encode one coefficient; one that must be non-zero (`is_open` 0) has no zero flag."""
-    bin_ = np.int64(BIN_OF_SUM[min(sums, SUM_LIMIT)])
+    bin_ = np.int64(BIN_OF_SUM[min(sums >> 1, SUM_LIMIT)])
     if is_open:
         index = _ZERO_MODELS + (min(t, 3) * 3 + band) * N_BINS + bin_
         span, low = encode_step(span, low, state, out, models, index, 1 if quant != 0 else 0)
@@ -343,19 +352,7 @@ def _decode_signed(state, data, models):
 
 @kernel
 def decode_tree(
-    field,
-    steps,
-    limits,
-    offset,
-    rough,
-    offsets,
-    labels,
-    mags,
-    spread,
-    activity,
-    state,
-    data,
-    models,
+    field, steps, limits, offset, along, rough, offsets, labels, mags, spread, activity, state, data, models
 ):
     """Decode what `encode_tree` wrote into `labels` and, dequantised, into `field` (int64, zeros).
 
@@ -377,6 +374,9 @@ def decode_tree(
         spread_parents(mags[(level + 1) & 1], parent_rows, parent_cols, spread)
         plane = mags[level & 1]
         clear_planes(plane, rows, cols)
+        weights_1 = WEIGHTS[3 if along & 1 and t == 0 else 0]
+        weights_2 = WEIGHTS[4 if along & 2 and t == 0 else 1]
+        weights_3 = WEIGHTS[2]
         for i in range(rows):
             low_row = field[(2 * i) << t]
             high_row = field[min((2 * i + 1) << t, n_rows - 1)]
@@ -388,13 +388,13 @@ def decode_tree(
                         labels[node] = JZTC
                         continue
                 sum_1 = spread[0, i >> 1, j >> 1] + _causal_sum(
-                    plane[0, i + 2], plane[0, i + 1], plane[0, i], j
+                    plane[0, i + 2], plane[0, i + 1], plane[0, i], j, weights_1
                 )
                 sum_2 = spread[1, i >> 1, j >> 1] + _causal_sum(
-                    plane[1, i + 2], plane[1, i + 1], plane[1, i], j
+                    plane[1, i + 2], plane[1, i + 1], plane[1, i], j, weights_2
                 )
                 sum_3 = spread[2, i >> 1, j >> 1] + _causal_sum(
-                    plane[2, i + 2], plane[2, i + 1], plane[2, i], j
+                    plane[2, i + 2], plane[2, i + 1], plane[2, i], j, weights_3
                 )
                 if t == 0:
                     hint = rough[i, j]
@@ -403,7 +403,7 @@ def decode_tree(
                     sum_3 += hint >> 1
                 west = labels[node - 1] if j > 0 else JZTR
                 north = labels[node - cols] if i > 0 else JZTR
-                index = _label_context(sum_1 + sum_2 + sum_3, west, north, min(t, 4))
+                index = _label_context((sum_1 + sum_2 + sum_3) >> 1, west, north, min(t, 4))
                 label, span, code, pos = decode_step(span, code, pos, data, models, index)
                 labels[node] = label
                 if label != JS:
@@ -444,7 +444,7 @@ def decode_tree(
 @kernel
 def _decode_coeff(span, code, pos, state, data, models, band, t, sums, is_open):
     """Decode one coefficient's index."""
-    bin_ = np.int64(BIN_OF_SUM[min(sums, SUM_LIMIT)])
+    bin_ = np.int64(BIN_OF_SUM[min(sums >> 1, SUM_LIMIT)])
     if is_open:
         index = _ZERO_MODELS + (min(t, 3) * 3 + band) * N_BINS + bin_
         bit, span, code, pos = decode_step(span, code, pos, data, models, index)
@@ -501,3 +501,27 @@ def measure_roughness(parent, first_row, first_col, step, rough):
                 np.int64(here[max(col - 1, 0)]) + np.int64(here[min(col + 1, n_cols - 1)]) - twice
             )
             rough[i, j] = min(_ROUGH_GAIN * bend // step, ROUGH_LIMIT)
+
+
+@kernel
+def choose_along(quants):
+    """Return 1 for HL running down its columns plus 2 for LH running along its rows, finest level.
+
+    Decided by how much neighbouring magnitudes differ along and across.
+    """
+    n_rows, n_cols = quants.shape
+    rows, cols = (n_rows + 1) >> 1, (n_cols + 1) >> 1
+    down = across = np.int64(0)
+    for i in range(1, rows):
+        for j in range(cols + 1, n_cols):
+            mag = min(abs(np.int64(quants[2 * i, j])), MAX_MAG)
+            down += abs(mag - min(abs(np.int64(quants[2 * i - 2, j])), MAX_MAG))
+            across += abs(mag - min(abs(np.int64(quants[2 * i, j - 1])), MAX_MAG))
+    along = 1 if 4 * down < 3 * across else 0
+    down = across = np.int64(0)
+    for i in range(1, n_rows - rows):
+        for j in range(1, cols):
+            mag = min(abs(np.int64(quants[2 * i + 1, j])), MAX_MAG)
+            down += abs(mag - min(abs(np.int64(quants[2 * i - 1, j])), MAX_MAG))
+            across += abs(mag - min(abs(np.int64(quants[2 * i + 1, j - 1])), MAX_MAG))
+    return along + (2 if 4 * across < 3 * down else 0)
