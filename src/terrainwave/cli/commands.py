@@ -17,6 +17,7 @@ from terrainwave.cli.output import (
     announce_compiling,
     plain,
     print_grid,
+    print_note,
     print_table,
     reading,
 )
@@ -104,7 +105,7 @@ def _print_result(result: Any) -> None:
         f" measured {measured} {_unit(result.units)}"
     )
     for note in result.notes:
-        click.echo(f"note: {plain(note)}")
+        print_note(note)
 
 
 @main.command()
