@@ -24,6 +24,7 @@ from terrainwave.codec.refiner import Refiner
 from terrainwave.codec.registry import check_method, refiner_by_name
 from terrainwave.codec.units import CodecParameters, unit_blocks
 from terrainwave.container.header import Header
+from terrainwave.container.page import page_layout
 from terrainwave.container.publish import publish, scratch_directory
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
@@ -410,6 +411,7 @@ class _SpoolSink:
         self._grid = grid
         self.spools = {head: SegmentSpool(directory) for head in grid.segment_heads()}
         self.n_bytes = 0
+        self._n_missing: dict[Block | None, int] = {}
         self._lock = threading.Lock()
 
     def __call__(self, key: Block, payload: bytes) -> None:
@@ -417,6 +419,12 @@ class _SpoolSink:
         self.spools[head].add(key, payload)
         with self._lock:
             self.n_bytes += len(payload)
+            if head not in self._n_missing:
+                self._n_missing[head] = len(page_layout(self._grid, head).keys)
+            self._n_missing[head] -= 1
+            is_complete = self._n_missing[head] == 0
+        if is_complete:
+            self.spools[head].finish()
 
 
 def _parameters(job: _Job) -> CodecParameters:
