@@ -253,6 +253,20 @@ def test_verify_prints_json(dem, twz):
     assert (done.exit_code, json.loads(done.stdout)["ok"]) == (1, False)
 
 
+def test_infinite_numbers_are_strings_in_json(tmp_path):
+    heights = terrain_like(40, 40, "float32")
+    heights[0, 0] = np.inf
+    path = write_geotiff(tmp_path / "a.tif", heights)
+    target = tmp_path / "a.twz"
+    options = ["--nodata", "inf", "--max-error", 1, "--method", "store"]
+    assert run("compress", path, target, *options).exit_code == 0
+    assert json.loads(run("info", target, "--json").stdout)["nodata"] == "inf"
+    done = run("verify", target, path, "--json")  # --nodata is not given: valid and infinite
+    assert done.exit_code == 1
+    assert json.loads(done.stdout)["ok"] is False
+    assert run("verify", target, path, "--nodata", "inf").exit_code == 0
+
+
 def test_verify_without_an_original_finds_a_damaged_block(twz):
     assert run("verify", twz).exit_code == 0
     data = bytearray(twz.read_bytes())

@@ -201,6 +201,15 @@ def test_code_is_refused_for_a_crs_whose_ellipsoid_differs_in_the_ninth_digit():
     assert "298.257222101004" in format_crs(nearly)
 
 
+def test_codes_of_inner_parts_of_a_custom_crs_are_kept():
+    wkt = (
+        CRS.from_epsg(32611).to_wkt().replace('"central_meridian",-117', '"central_meridian",-118')
+    )
+    custom = CRS.from_wkt(wkt)
+    assert 'AUTHORITY["EPSG","7030"]' in custom.to_wkt()  # the ellipsoid's
+    assert parse_crs(format_crs(custom)).to_wkt() == custom.to_wkt()
+
+
 @pytest.mark.parametrize("layout", [{}, {"tiled": True, "blockxsize": 64, "blockysize": 128}])
 def test_striped_and_tiled_sources_are_read_alike(tmp_path, layout):
     heights = terrain_like(300, 1100)

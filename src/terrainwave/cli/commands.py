@@ -1,6 +1,7 @@
 """The commands. Each is short: parse, call, print."""
 
 import json
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import asdict
@@ -260,4 +261,15 @@ def demo(directory: str, quiet: bool) -> None:
 
 
 def _print_json(fields: dict[str, Any]) -> None:
-    click.echo(json.dumps(fields, indent=2, allow_nan=False, default=str))
+    click.echo(json.dumps(_json_value(fields), indent=2, allow_nan=False))
+
+
+def _json_value(value: Any) -> Any:
+    """Return `value` with the numbers that JSON lacks as strings."""
+    if isinstance(value, dict):
+        return {name: _json_value(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_json_value(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value
