@@ -41,7 +41,7 @@ $(VENV)/.installed-bench: $(VENV)/.created pyproject.toml
 # --- what people run ---
 
 demo: $(VENV)/.installed
-	$(BIN)/terrainwave demo demo
+	$(BIN)/terrainwave demo
 
 test: lint test-compiled test-bounds test-python
 

@@ -1,6 +1,6 @@
 """Code whole DEMs with `Cdf97` over the quadtree, check the promises, print sizes and speeds.
 
-    python benchmarks/cdf97_lab.py DEM.tif … --max-error 1 3 10 --peers
+python benchmarks/cdf97_lab.py DEM.tif … --max-error 1 3 10 --peers
 """
 
 import argparse
@@ -136,7 +136,11 @@ def peer_bytes(heights, max_error):
 
     sizes = {}
     for name, encode, decode in (
-        ("sperr", lambda: imagecodecs.sperr_encode(data, level=tol, mode="pwe"), imagecodecs.sperr_decode),
+        (
+            "sperr",
+            lambda: imagecodecs.sperr_encode(data, level=tol, mode="pwe"),
+            imagecodecs.sperr_decode,
+        ),
         ("sz3", lambda: imagecodecs.sz3_encode(data, mode="abs", abs=tol), decode_sz3),
     ):
         payload = encode()
@@ -178,7 +182,9 @@ def main() -> None:
             if args.detail:
                 alone = code_pyramid(levels, masks, grid, step, args.rings, args.effort, False, 1)
                 line += f" finest from perfect parent {8 * alone['bytes'][-1] / n:.4f}"
-                line += f" border {100 * border_bytes(levels, masks, grid, step, args) / total:.2f}%"
+                line += (
+                    f" border {100 * border_bytes(levels, masks, grid, step, args) / total:.2f}%"
+                )
             if args.peers:
                 peers = peer_bytes(heights, max_error)
                 ratios.append(total / min(peers.values()))
@@ -206,9 +212,7 @@ def border_bytes(levels, masks, grid, step, args):
             parent_region=parent,
         )
 
-    whole = sum(
-        code_pyramid(levels, masks, grid, step, args.rings, args.effort, False)["bytes"]
-    )
+    whole = sum(code_pyramid(levels, masks, grid, step, args.rings, args.effort, False)["bytes"])
     globals()["unit_spec"] = without
     try:
         alone = sum(_sizes_without_checks(levels, masks, grid, step, args))

@@ -16,7 +16,7 @@ from benchmarks.lists import ListCommand, ListOption
 from benchmarks.machine import pin_to_one_core
 from benchmarks.measure import Row, Timing, measure, row_head
 from benchmarks.peers import NAMES, Codec, make_codecs
-from benchmarks.rasters import Raster, find_rasters, load_raster
+from benchmarks.rasters import Forms, Raster, find_rasters, load_raster, make_forms
 from benchmarks.report import CsvSink, make_console, print_rows, print_summary
 
 
@@ -109,21 +109,29 @@ def load_codecs(console: Console, names, methods, folder: Path) -> list[Codec]:
 
 def measure_raster(raster: Raster, codecs, max_errors, timing: Timing, sink: CsvSink):
     """Yield the rows of one raster, writing each to `sink` as it comes."""
+    forms = make_forms(raster)
     for max_error in max_errors:
-        if max_error == 0 and not raster.quantum:
+        if not is_worth_trying(raster, max_error, max_errors):
             continue
         for codec in codecs:
-            row = measure_or_explain(codec, raster, max_error, timing)
+            row = measure_or_explain(codec, forms, max_error, timing)
             sink.write(row)
             yield row
 
 
-def measure_or_explain(codec: Codec, raster: Raster, max_error: float, timing: Timing) -> Row:
+def is_worth_trying(raster: Raster, max_error: float, max_errors) -> bool:
+    """Return False for 0 on no grid, and for 0.1 on integers where 0 is tried anyway."""
+    if max_error == 0:
+        return raster.quantum > 0
+    return not (raster.is_integer and max_error < 1 and 0 in max_errors)
+
+
+def measure_or_explain(codec: Codec, forms: Forms, max_error: float, timing: Timing) -> Row:
     """Measure; a codec that raises becomes a row that says so."""
     try:
-        return measure(codec, raster, max_error, timing)
+        return measure(codec, forms, max_error, timing)
     except Exception as error:  # noqa: BLE001 - one codec's fault must not end the others'
-        row = Row(**row_head(raster, codec.name, max_error))
+        row = Row(**row_head(forms.raster, codec.name, max_error))
         return replace(row, problem=explain(error))
 
 

@@ -168,7 +168,7 @@ def format_row(row: Row) -> str:
 @click.command(cls=ListCommand)
 @click.argument("places", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
 @click.option("--block", "blocks", cls=ListOption, type=int, default=(64, 256))
-@click.option("--method", "methods", cls=ListOption, default=("cdf97",))
+@click.option("--method", "methods", cls=ListOption, default=("auto",))
 @click.option("--crop", type=click.IntRange(min=1), help="Use the upper left N × N samples.")
 @click.option("--geotiff", "with_geotiff", is_flag=True, help="Also decompress and compare.")
 @click.option("--strict", is_flag=True, help="No ulp of allowance on decimal grids of floats.")

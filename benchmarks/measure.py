@@ -3,15 +3,18 @@
 import math
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from benchmarks.peers import Codec, Stored, stored_size
-from benchmarks.rasters import Raster, mask_bytes, void_fills
+from benchmarks.rasters import Forms, Raster, with_nan, without_nan
 
 NOT_POSSIBLE = "not possible"
+OWN_MASK = "own mask"
+NAN = "NaN"
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ class Timing:
     patience: float = 60.0
 
 
-def row_head(raster: Raster, codec: str, max_error: float) -> dict[str, object]:
+def row_head(raster: Raster, codec: str, max_error: float) -> dict[str, Any]:
     """Return the fields of a `Row` that say which case it is."""
     n_rows, n_cols = raster.heights.shape
     return {
@@ -92,13 +95,14 @@ def row_head(raster: Raster, codec: str, max_error: float) -> dict[str, object]:
     }
 
 
-def measure(codec: Codec, raster: Raster, max_error: float, timing: Timing) -> Row:
+def measure(codec: Codec, forms: Forms, max_error: float, timing: Timing) -> Row:
     """Return the row of one case. The bound is checked by decoding, always."""
+    raster = forms.raster
     head = row_head(raster, codec.name, max_error)
     reason = codec.refuses(raster, max_error)
     if reason:
         return Row(**head, problem=f"{NOT_POSSIBLE}: {reason}")
-    best = best_trial(codec, raster, max_error)
+    best = best_trial(codec, forms, max_error)
     codec.prepare(best.raster)
 
     def encode() -> Stored:
@@ -125,32 +129,47 @@ def measure(codec: Codec, raster: Raster, max_error: float, timing: Timing) -> R
     )
 
 
-def best_trial(codec: Codec, raster: Raster, max_error: float) -> Trial:
+def best_trial(codec: Codec, forms: Forms, max_error: float) -> Trial:
     """Return the smallest trial that keeps the bound; the last one if none does.
 
     These runs also warm the codec up: they compile and load what it needs.
     """
-    fills = [("own mask", raster)] if codec.knows_voids else void_fills(raster)
-    extra = 0 if codec.knows_voids else mask_bytes(raster.mask)
     trials = []
-    for fill, filled in fills:
+    for fill, filled, extra in _forms_for(codec, forms):
         codec.prepare(filled)
         for margin in codec.margins:
-            trial = _try(codec, raster, (fill, filled), max_error, margin, extra)
-            trials.append(trial)
-            if not trial.errors.problem:
+            stored = codec.encode(filled, max_error, margin)
+            decoded = codec.decode(stored, filled, max_error)
+            errors = _errors_of(codec, forms.raster, fill, decoded, max_error)
+            n_bytes = stored_size(stored) + extra
+            trials.append(Trial(filled, fill, margin, stored, n_bytes, errors))
+            if not errors.problem:
                 break
     kept = [trial for trial in trials if not trial.errors.problem]
     return min(kept, key=lambda trial: trial.n_bytes) if kept else trials[-1]
 
 
-def _try(codec, raster, fill, max_error, margin, extra) -> Trial:
-    """Encode and decode once, and compare with the unfilled raster."""
-    name, filled = fill
-    stored = codec.encode(filled, max_error, margin)
-    decoded = codec.decode(stored, filled, max_error)
-    errors = compare(raster, decoded, max_error, check_voids=codec.knows_voids)
-    return Trial(filled, name, margin, stored, stored_size(stored) + extra, errors)
+def _forms_for(codec: Codec, forms: Forms) -> Iterator[tuple[str, Raster, int]]:
+    """Yield the forms a codec may be given: name, raster, bytes charged for the mask."""
+    if codec.knows_voids:
+        yield OWN_MASK, forms.raster, 0
+        return
+    for name, filled in forms.fills:
+        yield name, filled, forms.mask_bytes
+    if codec.takes_nan and not forms.raster.mask.all():
+        yield NAN, with_nan(forms.raster), 0
+
+
+def _errors_of(
+    codec: Codec, raster: Raster, fill: str, decoded: np.ndarray, max_error: float
+) -> Errors:
+    """Compare with the raster as it was before it was filled."""
+    if fill != NAN:
+        return compare(raster, decoded, max_error, check_voids=codec.knows_voids)
+    valid = without_nan(decoded, raster)
+    if valid is None:
+        return Errors(math.inf, math.inf, "MASK DIFFERS")
+    return compare(raster, valid, max_error, check_voids=False)
 
 
 def compare(raster: Raster, decoded: np.ndarray, max_error: float, *, check_voids: bool) -> Errors:

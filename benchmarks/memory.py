@@ -145,7 +145,7 @@ def parse_options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--size", type=int, default=16384, help="rows and columns (16384)")
     parser.add_argument("--layout", choices=("tiled", "striped"), default="tiled")
     parser.add_argument("--max-error", type=float, default=1.0)
-    parser.add_argument("--method", default="cdf97")
+    parser.add_argument("--method", default="auto")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--no-verify", dest="verify", action="store_false")
     parser.add_argument("--limit-mib", type=float, help="fail above this peak")

@@ -40,12 +40,15 @@ class Codec(ABC):
         As in tables and on the command line.
     knows_voids : bool
         True if the codec stores the mask itself; decoded voids then hold nodata.
+    takes_nan : bool
+        True if float32 heights may hold NaN where the raster has voids, and come back so.
     margins : tuple of float
         Factors on the bound it is run with, tried in this order until the bound holds.
     """
 
     name: str
     knows_voids = False
+    takes_nan = False
     margins: tuple[float, ...] = (1.0,)
 
     def refuses(self, raster: Raster, max_error: float) -> str:
@@ -103,7 +106,7 @@ class Terrainwave(Codec):
 
     def decode(self, stored: Stored, raster: Raster, max_error: float) -> np.ndarray:
         """Read the whole raster."""
-        with self._package.open(stored) as terrain:
+        with self._package.open(stored, threads=1) as terrain:
             return terrain.read()
 
 
@@ -380,6 +383,7 @@ class CogLerc(FloatCodec):
     folder: Path
     has_overviews: bool
     name: str = field(init=False)
+    takes_nan = True
 
     def __post_init__(self) -> None:
         """Name it."""
@@ -390,6 +394,8 @@ class CogLerc(FloatCodec):
         target = self.folder / f"{self.name}.tif"
         n_rows, n_cols = heights.shape
         profile = {"count": 1, "height": n_rows, "width": n_cols, "dtype": "float32"}
+        if np.isnan(heights).any():
+            profile["nodata"] = np.nan
         with rasterio.MemoryFile() as memory:
             with memory.open(driver="GTiff", **profile) as sink:
                 sink.write(heights, 1)

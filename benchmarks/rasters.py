@@ -155,6 +155,32 @@ def void_fills(raster: Raster) -> Iterator[tuple[str, Raster]]:
         yield name, replace(raster, heights=filled)
 
 
+@dataclass(frozen=True)
+class Forms:
+    """A raster with what codecs without masks need; made once, since smooth fills are slow."""
+
+    raster: Raster
+    fills: tuple[tuple[str, Raster], ...]
+    mask_bytes: int
+
+
+def make_forms(raster: Raster) -> Forms:
+    """Return the raster with its voids filled in several ways, and the price of its mask."""
+    return Forms(raster, tuple(void_fills(raster)), mask_bytes(raster.mask))
+
+
+def with_nan(raster: Raster) -> Raster:
+    """Return the raster as float32 with NaN in its voids."""
+    return replace(raster, heights=np.where(raster.mask, raster.heights, np.nan).astype(np.float32))
+
+
+def without_nan(decoded: np.ndarray, raster: Raster) -> np.ndarray | None:
+    """Undo `with_nan`: the raster's dtype, 0 in voids; None if the mask differs."""
+    if not np.array_equal(np.isnan(decoded), ~raster.mask):
+        return None
+    return np.where(raster.mask, decoded, 0).astype(raster.heights.dtype)
+
+
 def _nearest_fill(raster: Raster) -> np.ndarray:
     """Return the heights with each void sample given its nearest valid height."""
     nearest = ndimage.distance_transform_edt(

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from benchmarks.machine import describe_machine
-from benchmarks.measure import Row
+from benchmarks.measure import OWN_MASK, Row
 
 
 class CsvSink:
@@ -115,7 +115,7 @@ def _geometric_mean(values: list[float]) -> float:
 
 def _cells(row: Row, reference: Row | None) -> list[str]:
     """Format one row."""
-    note = escape(row.problem or (row.fill if row.fill not in ("none", "own mask") else ""))
+    note = escape(row.problem or (row.fill if row.fill not in ("none", OWN_MASK) else ""))
     style = "[bold]{}[/bold]" if row.codec.startswith("terrainwave") else "{}"
     cells = [f"{row.max_error:g}", style.format(row.codec)]
     if row.n_bytes is None:

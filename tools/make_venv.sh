@@ -40,4 +40,5 @@ if ! is_new_enough "$python"; then
 fi
 
 has_venv "$python" || install_venv "$python"
+has_venv "$python" || fail "'$python' has no venv module; say another: make PYTHON=python3.12 ..."
 "$python" -m venv --clear "$venv" || fail "'$python -m venv $venv' failed; the lines above say why"

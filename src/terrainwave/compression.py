@@ -7,12 +7,10 @@ disk with the ordinary decoder and compares every sample. Memory stays flat in a
 
 import os
 import shutil
-import tempfile
 import threading
 from collections import defaultdict
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -26,7 +24,7 @@ from terrainwave.codec.refiner import Refiner
 from terrainwave.codec.registry import check_method, refiner_by_name
 from terrainwave.codec.units import CodecParameters, unit_blocks
 from terrainwave.container.header import Header
-from terrainwave.container.publish import publish
+from terrainwave.container.publish import publish, scratch_directory
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
 from terrainwave.encoder import Stats, TreeEncoder
@@ -43,6 +41,7 @@ from terrainwave.terrain import EFFORTS, Terrain
 DEFAULT_MAX_ERROR = 0.01
 BLOCKS = (32, 64, 128, 256, 512, 1024)
 MESHES = ("none",)
+_OUR_FAULT = "this is a fault of terrainwave: please report it with the raster. Nothing was written"
 # Samples per side of the windows the proof compares, where groups are smaller than that.
 _PROOF_SIDE = 512
 
@@ -193,7 +192,7 @@ def compress(
     with (
         publish(dst, overwrite=overwrite) as part,
         RasterSource(src, band=band, nodata=nodata) as source,
-        _work_directory(temp_dir, Path(dst)) as directory,
+        scratch_directory(temp_dir or Path(dst).absolute().parent, Path(dst).name) as directory,
         ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor,
     ):
         windows, scan = _scan(source, directory, reporter)
@@ -258,18 +257,6 @@ def _scale_of(info: RasterInfo) -> Fraction:
     return scale
 
 
-@contextmanager
-def _work_directory(temp_dir: str | os.PathLike[str] | None, dst: Path) -> Iterator[Path]:
-    parent = Path(temp_dir) if temp_dir is not None else dst.absolute().parent
-    try:
-        with tempfile.TemporaryDirectory(prefix=".terrainwave-", dir=parent) as directory:
-            yield Path(directory)
-    except (FileNotFoundError, PermissionError, NotADirectoryError) as exc:
-        raise StorageError(
-            f"cannot make temporary files in {parent}: {exc.strerror}; choose --temp-dir"
-        ) from exc
-
-
 # Pass A
 
 
@@ -288,8 +275,8 @@ class _Windows(SourceWindows):
         if source.is_striped:
             self._heights = Spool(self._shape, source.info.dtype, directory)
 
-    def scan(self) -> Iterator[tuple[Region, NDArray[Any], NDArray[np.bool_]]]:
-        """Yield (window, heights, validity), once over the whole raster in the source's order."""
+    def scan(self) -> Iterator[tuple[NDArray[Any], NDArray[np.bool_]]]:
+        """Yield (heights, validity), once over the whole raster in the source's order."""
         for region in self._source.blocks():
             heights, valid = self._source.read(*region)
             if self._heights is not None:
@@ -298,7 +285,7 @@ class _Windows(SourceWindows):
                     self._voids = Spool(self._shape, np.bool_, self._directory)
                 if self._voids is not None:
                     self._voids.write(region, ~valid)
-            yield region, heights, valid
+            yield heights, valid
 
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
@@ -325,12 +312,10 @@ def _scan(source: RasterSource, directory: Path, reporter: Reporter) -> tuple[_W
     scan = HeightScan(info.dtype)
     windows = _Windows(source, directory)
     total = info.n_rows * info.n_cols
-    for region, heights, valid in windows.scan():
+    for heights, valid in windows.scan():
         scan.update(heights, valid)
-        reporter.report(
-            "scanning", scan.n_samples, total, scan.n_samples * np.dtype(info.dtype).itemsize
-        )
-        del region
+        n_bytes = scan.n_samples * np.dtype(info.dtype).itemsize
+        reporter.report("scanning", scan.n_samples, total, n_bytes)
     return windows, scan
 
 
@@ -341,8 +326,8 @@ def _check_free_space(info: RasterInfo, directory: Path, is_striped: bool) -> No
     free = shutil.disk_usage(directory).free
     if needed > free:
         raise StorageError(
-            f"temporary data need about {needed / 1e9:.1f} GB, {directory.parent} has {free / 1e9:.1f} GB"
-            " free: name another directory with --temp-dir"
+            f"temporary data need about {needed / 1e9:.1f} GB, {directory.parent} has"
+            f" {free / 1e9:.1f} GB free: name another directory with --temp-dir"
         )
 
 
@@ -440,7 +425,7 @@ def _parameters(job: _Job) -> CodecParameters:
         step=quantizer.step,
         z_min=quantizer.z_min,
         z_max=quantizer.z_max,
-        forbidden=quantizer.quanta_of_value(job.info.void_value),
+        forbidden=quantizer.quanta_of_value(job.info.nodata),
         rings=job.options.border_rings,
         effort=job.options.effort,
     )
@@ -539,7 +524,7 @@ def allowed_error(quantizer: Quantizer, raw_bound: float) -> float:
     """
     if np.dtype(quantizer.dtype).kind != "f" or quantizer.rho > 0:
         return raw_bound
-    extremes = quantizer.dequantize(np.array([quantizer.z_min, quantizer.z_max], dtype=np.int32))
+    extremes = quantizer.dequantize(np.array([[quantizer.z_min, quantizer.z_max]], dtype=np.int32))
     return raw_bound + float(np.spacing(np.abs(extremes)).max())
 
 
@@ -549,8 +534,7 @@ def _compare_window(terrain: Terrain, job: _Job, region: Region, allowed: float)
     if not np.array_equal(valid, decoded_valid):
         row, col = np.argwhere(valid != decoded_valid)[0] + (region.row, region.col)
         raise BoundViolationError(
-            f"the decoded mask differs from the source's at row {row}, column {col}; this is a fault of"
-            " terrainwave: please report it with the file. Nothing was written"
+            f"the decoded mask differs from the source's at row {row}, column {col}; {_OUR_FAULT}"
         )
     if not valid.any():
         return 0.0
@@ -559,7 +543,7 @@ def _compare_window(terrain: Terrain, job: _Job, region: Region, allowed: float)
     if largest > allowed:
         at = np.argwhere(valid)[int(errors.argmax())] + (region.row, region.col)
         raise BoundViolationError(
-            f"the decoded height at row {at[0]}, column {at[1]} is {largest:g} off, more than {allowed:g};"
-            " this is a fault of terrainwave: please report it with the file. Nothing was written"
+            f"the decoded height at row {at[0]}, column {at[1]} is {largest:g} off, more than"
+            f" {allowed:g}; {_OUR_FAULT}"
         )
     return largest

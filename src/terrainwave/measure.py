@@ -32,7 +32,7 @@ class BlockStats:
 
 
 def with_outside(heights: Heights, n_rows: int, n_cols: int) -> Heights:
-    """Extend `heights` to (n_rows, n_cols) by linear extrapolation of its last two rows and columns.
+    """Extend `heights` to (n_rows, n_cols), linearly from the last two rows and columns.
 
     A coarse level's last row or column may lie past the raster's edge; it is never coded.
     """

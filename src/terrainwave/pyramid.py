@@ -11,8 +11,9 @@ are int32 quanta and pure functions of the raster: neither window sizes nor thre
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +85,7 @@ class Pyramid:
         for shift in self._level_shifts():
             spool = self._heights[shift] = Spool(self._shape(shift), np.int32, self._directory)
             make = self._lowpass_window if self._kind == "lowpass" else self._nested_window
-            self._for_each_window(spool, lambda region, shift=shift, make=make: make(shift, region))
+            self._for_each_window(spool, partial(make, shift))
             done += spool.shape[0] * spool.shape[1]
             report(done, total)
 
@@ -157,12 +158,9 @@ class Pyramid:
             spool = self._masks[shift] = Spool(self._shape(shift), np.bool_, self._directory)
             # The first step reaches two samples far: a cell of shift 1 spans two full-grid cells.
             reach = 2 if shift == 1 else 1
-            self._for_each_window(
-                spool,
-                lambda region, shift=shift, reach=reach: self._mask_window(shift, region, reach),
-            )
+            self._for_each_window(spool, partial(self._mask_window, shift, reach))
 
-    def _mask_window(self, shift: int, region: Region, reach: int) -> Mask:
+    def _mask_window(self, shift: int, reach: int, region: Region) -> Mask:
         level = self._grid.k_max - (shift - 1)
         fine = self._gather(lambda window: self.mask(level, window), shift - 1, region, reach)
         touched = np.zeros(region.shape, dtype=np.bool_)
@@ -185,13 +183,13 @@ class Pyramid:
                 values, known = self._pushed(shift, region, weights)
                 self._fills[shift].write(region, values)
                 weights[shift].write(region, known)
-        for shift in range(shift - 1, 0, -1):
-            for region in _windows(self._shape(shift)):
-                known = weights[shift].read(region)
+        for finer in range(shift - 1, 0, -1):
+            for region in _windows(self._shape(finer)):
+                known = weights[finer].read(region)
                 if not known.all():
-                    values = self._fills[shift].read(region)
-                    values[~known] = self._pulled(shift, region)[~known]
-                    self._fills[shift].write(region, values)
+                    values = self._fills[finer].read(region)
+                    values[~known] = self._pulled(finer, region)[~known]
+                    self._fills[finer].write(region, values)
         for spool in weights.values():
             spool.close()
 
@@ -238,11 +236,11 @@ class Pyramid:
 
     def _gather(
         self,
-        read: Callable[[Region], NDArray[np.generic]],
+        read: Callable[[Region], NDArray[Any]],
         shift: int,
         coarse: Region,
         halo: int,
-    ) -> NDArray[np.generic]:
+    ) -> NDArray[Any]:
         """Return level `shift` around the samples of the region `coarse` of the level above.
 
         Row 2 i + halo of the result lies on row ``coarse.row + i``; places past the raster's edge

@@ -159,7 +159,7 @@ class Grid:
         return list(range(self.top_levels, self.k_max, SEGMENT_LEVELS))
 
     def segment_head(self, group: Block) -> Block | None:
-        """Return the block whose segment holds the group of parent `group`; None for the top one."""
+        """Return the block whose segment holds the group below `group`; None for the top one."""
         if group.level < self.top_levels:
             return None
         depth = (group.level - self.top_levels) % SEGMENT_LEVELS

@@ -1,4 +1,4 @@
-"""The vertical quantum p, the odd step n, and the way between raw heights and quanta (FORMAT.md §2.3).
+"""The vertical quantum p, the odd step n, raw heights to quanta and back (FORMAT.md §2.3).
 
 A raw height (as stored in the raster, before scale and offset) is ``(base + k) * p`` with an int32
 number of quanta ``k``. On a *true grid* every sample is such a multiple exactly; otherwise p is a
@@ -12,12 +12,14 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave._jit import kernel
 from terrainwave.errors import InvalidHeightsError
 
 MAX_QUANTA = 1 << 30
 # An exact quotient needs numerators below 2^53 (the float64 significand).
 _MAX_NUMERATOR = 1 << 53
-# Rounding to p = 2^-FINE_BITS * bound costs less than 0.01 bit per sample; COARSE_BITS is the least.
+# Rounding to p = 2^-FINE_BITS * bound costs less than 0.01 bit per sample; COARSE_BITS is the
+# least that is accepted.
 _FINE_BITS, _COARSE_BITS = 9, 5
 
 _FOOT = Fraction(3048, 10000)
@@ -77,73 +79,98 @@ class Quantizer:
 
     def quantize(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return the quanta of `raw`, shape as given; 0 where not `valid`. Copies."""
-        if np.dtype(self.dtype).kind in "iu":
-            wide = np.where(valid, raw, 0).astype(np.int64)
-            quanta = (
-                wide // self.numerator - self.base
-                if self.denominator == 1
-                else _round_to_grid(wide.astype(np.float64), self.numerator, self.denominator)
-                - self.base
+        quanta = np.empty(raw.shape, dtype=np.int32)
+        if np.dtype(self.dtype).kind in "iu" and self.denominator == 1:
+            _quantize_integers(raw, valid, self.numerator, self.base, quanta)
+        else:
+            _quantize_floats(raw, valid, self.numerator, self.denominator, self.base, quanta)
+        return quanta
+
+    def dequantize(
+        self, quanta: NDArray[np.int32], out: NDArray[np.generic] | None = None
+    ) -> NDArray[np.generic]:
+        """Return the raw heights of `quanta` in `dtype`, clipped to its range; in `out` if given.
+
+        Integers are exact; floats are the correctly rounded float64 quotient, cast. Both are the
+        same on every machine.
+        """
+        if out is None:
+            out = np.empty(quanta.shape, dtype=self.dtype)
+        if out.dtype.kind in "iu":
+            limits = np.iinfo(np.dtype(self.dtype))
+            _dequantize_integers(
+                quanta, self.numerator, self.denominator, self.base, limits.min, limits.max, out
             )
         else:
-            wide = np.where(valid, raw, 0).astype(np.float64)
-            quanta = _round_to_grid(wide, self.numerator, self.denominator) - self.base
-        return np.where(valid, quanta, 0).astype(np.int32)
-
-    def dequantize(self, quanta: NDArray[np.int32]) -> NDArray[np.generic]:
-        """Return the raw heights of `quanta` in `dtype`; clipped to its range. Copies."""
-        return grid_values(
-            quanta.astype(np.int64) + self.base, self.numerator, self.denominator, self.dtype
-        )
+            _dequantize_floats(quanta, self.numerator, self.denominator, self.base, out)
+        return out
 
     def quanta_of_value(self, value: float | int | None) -> tuple[int, int]:
-        """Return the closed interval of quanta that dequantise to `value`; (0, -1) if there is none."""
+        """Return the closed interval of quanta that give `value`; (0, -1) if there is none."""
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return 0, -1
-        # Outside int32 quanta nothing is ever decoded, so the interval is empty there.
+        # Decoded heights are clamped to the originals' range, so only quanta in it can collide; and
+        # beyond the range of an integer type every quantum would give its last value.
         centre = round(as_fraction(float(value)) * self.denominator / self.numerator) - self.base
-        if abs(centre) >= MAX_QUANTA:
+        if not self.z_min <= centre <= self.z_max or not self._gives(centre, value):
             return 0, -1
         low, high = centre, centre
-        if not self._gives(centre, value):
-            return 0, -1
-        while self._gives(low - 1, value):
+        while low > self.z_min and self._gives(low - 1, value):
             low -= 1
-        while self._gives(high + 1, value):
+        while high < self.z_max and self._gives(high + 1, value):
             high += 1
         return low, high
 
     def _gives(self, quantum: int, value: float | int) -> bool:
-        decoded = grid_values(
-            np.array([quantum + self.base]), self.numerator, self.denominator, self.dtype
-        )
-        return bool(decoded[0] == value)
+        return bool(self.dequantize(np.array([[quantum]], dtype=np.int32))[0, 0] == value)
 
 
-def grid_values(
-    multiples: NDArray[np.int64], numerator: int, denominator: int, dtype: str
-) -> NDArray[np.generic]:
-    """Return ``multiples * numerator / denominator`` in `dtype`.
+@kernel
+def _quantize_integers(raw, valid, numerator, base, quanta):
+    """Divide multiples of `numerator`; 2-D arrays."""
+    for row in range(raw.shape[0]):
+        for col in range(raw.shape[1]):
+            if valid[row, col]:
+                quanta[row, col] = np.int64(raw[row, col]) // numerator - base
+            else:
+                quanta[row, col] = 0
 
-    Integers are exact; floats are the correctly rounded float64 quotient, cast. Both are the same
-    on every machine.
+
+@kernel
+def _quantize_floats(raw, valid, numerator, denominator, base, quanta):
+    """Round to the grid, ties to even; 2-D arrays."""
+    for row in range(raw.shape[0]):
+        for col in range(raw.shape[1]):
+            if valid[row, col]:
+                multiple = (
+                    np.float64(raw[row, col]) * np.float64(denominator) / np.float64(numerator)
+                )
+                quanta[row, col] = np.int64(np.rint(multiple)) - base
+            else:
+                quanta[row, col] = 0
+
+
+@kernel
+def _dequantize_integers(quanta, numerator, denominator, base, low, high, out):
+    """Fill `out` with whole heights; ties of a fractional quantum go to even. 2-D arrays.
+
+    The header's limits keep (base + k) * numerator below 2^63.
     """
-    target = np.dtype(dtype)
-    products = multiples * np.int64(numerator)
-    if target.kind in "iu" and denominator == 1:
-        limits = np.iinfo(target)
-        return np.clip(products, limits.min, limits.max).astype(target)
-    values = products.astype(np.float64) / np.float64(denominator)
-    if target.kind in "iu":
-        limits = np.iinfo(target)
-        return np.clip(np.rint(values), limits.min, limits.max).astype(target)
-    return values.astype(target)
+    for row in range(quanta.shape[0]):
+        for col in range(quanta.shape[1]):
+            height = (np.int64(quanta[row, col]) + base) * numerator
+            if denominator != 1:
+                height = np.int64(np.rint(np.float64(height) / np.float64(denominator)))
+            out[row, col] = min(max(height, low), high)
 
 
-def _round_to_grid(
-    values: NDArray[np.float64], numerator: int, denominator: int
-) -> NDArray[np.int64]:
-    return np.rint(values * np.float64(denominator) / np.float64(numerator)).astype(np.int64)
+@kernel
+def _dequantize_floats(quanta, numerator, denominator, base, out):
+    """Fill `out` with the quotients, rounded to float64 and then to its own type. 2-D arrays."""
+    for row in range(quanta.shape[0]):
+        for col in range(quanta.shape[1]):
+            product = (np.int64(quanta[row, col]) + base) * numerator
+            out[row, col] = np.float64(product) / np.float64(denominator)
 
 
 class HeightScan:
@@ -273,9 +300,8 @@ def _on_grid(heights: NDArray[np.generic], wide: NDArray[np.float64], p: Fractio
         multiples = part_wide * p.denominator / p.numerator
         if not (np.abs(multiples) < _MAX_NUMERATOR / max(p.numerator, 1)).all():
             return False
-        values = grid_values(
-            np.rint(multiples).astype(np.int64), p.numerator, p.denominator, heights.dtype.str
-        )
+        products = np.rint(multiples) * p.numerator  # exact: below 2^53
+        values = (products / p.denominator).astype(heights.dtype)
         if not np.array_equal(values, part):
             return False
     return True

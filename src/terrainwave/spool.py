@@ -105,7 +105,7 @@ class Spool:
     def _write_tile_locked(self, number: int, content: NDArray[Any]) -> None:
         try:
             self._file.seek(number * content.nbytes)
-            if self._file.write(memoryview(content.reshape(-1)).cast("B")) != content.nbytes:
+            if self._file.write(content.tobytes()) != content.nbytes:
                 raise OSError("short write")
         except OSError as exc:
             raise StorageError(

@@ -43,6 +43,7 @@ class Info:
     max_error: float
     effective_error: float
     quantum: float
+    rounding_error: float
     units: str | None
     method: str
     effort: str
@@ -131,7 +132,7 @@ class Terrain:
             step=header.step,
             z_min=header.z_min,
             z_max=header.z_max,
-            forbidden=self._quantizer.quanta_of_value(self._raster.void_value),
+            forbidden=self._quantizer.quanta_of_value(self._raster.nodata),
             rings=header.border_rings,
             effort=header.effort,
         )
@@ -262,7 +263,7 @@ class Terrain:
         n_samples = header.n_rows * header.n_cols
         has_heights = header.z_min <= header.z_max
         extremes = self._quantizer.dequantize(
-            np.array([header.z_min, header.z_max], dtype=np.int32)
+            np.array([[header.z_min, header.z_max]], dtype=np.int32)
         )
         physical = extremes.astype(np.float64) * raster.scale + raster.offset
         return Info(
@@ -276,6 +277,7 @@ class Terrain:
             max_error=self.max_error,
             effective_error=self.effective_error,
             quantum=self._quantizer.quantum * abs(raster.scale),
+            rounding_error=self._quantizer.rho * abs(raster.scale),
             units=raster.units,
             method=header.method,
             effort=EFFORTS[min(header.effort, len(EFFORTS) - 1)],
@@ -366,9 +368,14 @@ class Terrain:
             heights, valid = self._read_raw(index, region, on_error)
         else:
             heights, valid = resample(
-                lambda shift, part: self._read_raw(index - shift, part, on_error), region, out_shape,
-                resampling, index, self._grid, max_bytes,
-            )  # fmt: skip
+                lambda shift, part: self._read_raw(index - shift, part, on_error),
+                region,
+                out_shape,
+                resampling,
+                index,
+                self._grid,
+                max_bytes,
+            )
         heights[~valid] = self._raster.void_value
         if masked:
             fill = None if self._raster.nodata is None else self.dtype.type(self._raster.nodata)
@@ -497,15 +504,9 @@ class Terrain:
     def _read_raw(
         self, level: int, region: Region, on_error: str
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        quanta, mask = self._read_quanta(level, region, on_error)
-        return self._quantizer.dequantize(quanta), mask
-
-    def _read_quanta(
-        self, level: int, region: Region, on_error: str
-    ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-        quanta = np.zeros(region.shape, dtype=np.int32)
+        """Return raw heights and validity of a region of a level, unit by unit."""
+        heights = np.zeros(region.shape, dtype=self.dtype)
         mask = np.zeros(region.shape, dtype=np.bool_)
-        keys = self._units_of(level, region)
 
         def fill(key: Block) -> None:
             spec = unit_spec(self._grid, self._parameters, key)
@@ -517,9 +518,10 @@ class Terrain:
                     raise
                 return
             there, here = part.slices_in(region), part.slices_in(spec.region)
-            quanta[there] = unit.heights[here]
+            self._quantizer.dequantize(unit.heights[here], heights[there])
             mask[there] = unit.mask[here]
 
+        keys = self._units_of(level, region)
         for first in range(0, len(keys), _BATCH):
             batch = keys[first : first + _BATCH]
             self._decoder.prefetch(batch)
@@ -529,7 +531,7 @@ class Terrain:
             else:
                 for _ in self._pool().map(fill, batch):
                     pass
-        return quanta, mask
+        return heights, mask
 
     def _units_of(self, level: int, region: Region) -> list[Block]:
         """Return the keys of the units that hold a region of a level, in Morton order."""
@@ -580,7 +582,8 @@ class Terrain:
             here = (unit_rows == row) & (unit_cols == col)
             at = rows[here] - spec.region.row, cols[here] - spec.region.col
             quanta[here], valid[here] = unit.heights[at], unit.mask[at]
-        return self._quantizer.dequantize(quanta).astype(np.float64), valid
+        heights = self._quantizer.dequantize(quanta[None, :])[0]
+        return heights.astype(np.float64), valid
 
     def _pool(self) -> ThreadPoolExecutor:
         with self._lock:
@@ -602,12 +605,17 @@ def round_half_up(value: float) -> int:
 
 def _region_of_window(window: Any) -> Region:
     if hasattr(window, "row_off"):  # rasterio.windows.Window
-        numbers = (window.row_off, window.col_off, window.height, window.width)
+        numbers: tuple[Any, ...] = (
+            window.row_off,
+            window.col_off,
+            window.height,
+            window.width,
+        )
     else:
         try:
             numbers = tuple(window)
         except TypeError:
-            numbers = ()
+            numbers = (None,)
     if len(numbers) != 4 or any(int(number) != number for number in numbers):
         raise InvalidHeightsError(
             f"found window {window!r}, expected (row, col, n_rows, n_cols) in whole samples"

@@ -143,7 +143,8 @@ def _decode_exceptions(section: bytes, n_collisions: int) -> NDArray[np.bool_]:
         return np.zeros(n_collisions, dtype=np.bool_)
     if len(section) != (n_collisions + 7) // 8:
         raise CorruptStreamError(
-            f"{n_collisions} heights equal nodata, but {len(section)} bytes of exceptions are present"
+            f"{n_collisions} heights equal nodata, but {len(section)} bytes of exceptions are"
+            " present"
         )
     bits = np.unpackbits(np.frombuffer(section, dtype=np.uint8))
     return bits[:n_collisions].astype(np.bool_)

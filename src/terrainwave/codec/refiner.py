@@ -33,7 +33,7 @@ class GroupSpec:
 
     Regions are in sample indices of their own level; sample (r, c) of the parent's level lies on
     sample (2r, 2c) of this one. `core` is the group itself; `region` adds the apron, the one more
-    ring of samples towards each neighbour that `rings` = 3 codes (equal to `core` with `rings` = 1).
+    ring of samples towards each neighbour that `rings` = 3 codes (without, it equals `core`).
     A root block has no parent and `parent_region` is None.
     """
 

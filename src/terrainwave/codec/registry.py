@@ -24,7 +24,8 @@ def refiner_by_name(name: str) -> Refiner:
 
         return Cdf97()
     raise UnsupportedVersionError(
-        f"the file uses method {name!r}; this terrainwave has {', '.join(METHODS)}: install a newer one"
+        f"the file uses method {name!r}; this terrainwave has {', '.join(METHODS)}:"
+        " install a newer one"
     )
 
 

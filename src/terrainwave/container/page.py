@@ -4,6 +4,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import DTypeLike, NDArray
 from terrainwave.container.deflate import deflate, inflate
 from terrainwave.container.header import MAX_PAGE
 from terrainwave.errors import CorruptStreamError
-from terrainwave.quadtree import Block, Grid
+from terrainwave.quadtree import SEGMENT_LEVELS, Block, Grid
 
 ROOT_LEVEL = -1
 N_CODES = 4
@@ -50,11 +51,20 @@ def page_layout(grid: Grid, head: Block | None) -> PageLayout:
 
     At most 352 keys, 1360 blocks and 1024 children, whatever the size of the grid.
     """
-    keys = grid.segment_groups(head)
+    # In one walk, since a key's blocks are the next layer's keys (and the last one's the children).
     if head is None:
-        keys = [root_key(root) for root in grid.blocks(0)] + keys
-    blocks = [block for key in keys for block in key_blocks(grid, key)]
-    return PageLayout(keys, blocks, grid.segment_children(head))
+        layers = [grid.blocks(level) for level in range(grid.top_levels + 1)]
+        keys = [root_key(root) for root in layers[0]]
+        blocks = list(layers[0])
+    else:
+        layers, keys, blocks = [[head]], [], []
+        for _ in range(SEGMENT_LEVELS):
+            layers.append([child for block in layers[-1] for child in grid.children(block)])
+    for layer, next_layer in pairwise(layers):
+        keys += layer
+        blocks += next_layer
+    children = layers[-1] if layers[-1][0].level < grid.k_max else []
+    return PageLayout(keys, blocks, children)
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,12 @@
-"""Atomic publication: a file appears whole under its name, or not at all."""
+"""Atomic publication: a file appears whole under its name, or not at all.
+
+What a killed run leaves behind is removed by the next one, once its lock is free.
+"""
 
 import os
 import re
 import secrets
+import shutil
 import stat
 import time
 from collections.abc import Iterator
@@ -25,10 +29,13 @@ except ImportError:
     msvcrt = None  # type: ignore[assignment]
 
 SUFFIX = ".twz-part"
+SCRATCH_SUFFIX = ".twz-scratch"
 
+_ON_WINDOWS = os.name == "nt"
 _RETRIES = 10
 _FIRST_DELAY = 0.05  # seconds; doubles. Virus scanners hold a new file for a moment on Windows
 _LOCKED_BYTE = 2**40  # msvcrt locks forbid reading what they cover: far behind any content
+_LOCK_NAME = "lock"
 _RANDOM_PART = re.compile("[0-9a-f]{16}")
 
 
@@ -95,6 +102,72 @@ def publish(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator
                 os.unlink(part.path)
 
 
+@contextmanager
+def scratch(target: str | os.PathLike[str]) -> Iterator[Part]:
+    """Give a file beside `target` for an intermediate result; it is removed when the block ends.
+
+    Killed runs' files are removed as those of `publish` are.
+    """
+    part = _create_part(Path(os.path.realpath(target)))
+    try:
+        yield part
+    finally:
+        if fcntl is None:
+            part.file.close()
+        with suppress(OSError):
+            os.unlink(part.path)
+        with suppress(OSError):
+            part.file.close()
+
+
+@contextmanager
+def scratch_directory(parent: str | os.PathLike[str], name: str) -> Iterator[Path]:
+    """Give a directory for temporary files that is removed when the block ends.
+
+    It is called ``.name.random.twz-scratch`` and holds a locked file. What killed runs with the
+    same `name` have left in `parent` is removed first, if no living process holds its lock.
+
+    Raises
+    ------
+    StorageError
+        If `parent` is missing or not writable.
+    """
+    parent = Path(parent)
+    for stale in _leftovers(parent, name, SCRATCH_SUFFIX):
+        with suppress(OSError), open(stale / _LOCK_NAME, "r+b") as file:
+            if _try_lock(file) is _Lock.TAKEN:
+                if fcntl is None:
+                    file.close()
+                shutil.rmtree(stale, ignore_errors=True)
+    path = parent / f".{name}.{secrets.token_hex(8)}{SCRATCH_SUFFIX}"
+    with storage_errors(f"cannot make a temporary directory in {parent}"):
+        path.mkdir(mode=0o700)
+        # From here to the lock another run may at worst take the directory for a left-over; the
+        # first file written into it then fails with a clear line.
+        lock = open(path / _LOCK_NAME, "w+b")
+    try:
+        _try_lock(lock)
+        yield path
+    finally:
+        if fcntl is None:
+            lock.close()
+        shutil.rmtree(path, ignore_errors=True)
+        lock.close()
+
+
+def _leftovers(directory: Path, name: str, suffix: str) -> Iterator[Path]:
+    """Yield the paths in `directory` that look like ``.name.random`` and the suffix."""
+    prefix = f".{name}."
+    try:
+        found = sorted(os.listdir(directory))
+    except OSError:
+        return
+    for entry in found:
+        if entry.startswith(prefix) and entry.endswith(suffix):
+            if _RANDOM_PART.fullmatch(entry[len(prefix) : -len(suffix)]):
+                yield directory / entry
+
+
 def _check_target(final: Path, overwrite: bool) -> None:
     with storage_errors(f"cannot write {final}"):
         try:
@@ -117,18 +190,7 @@ def remove_stale_parts(final: Path) -> list[Path]:
     A part whose lock is held, or cannot be tried on this system, stays.
     """
     removed: list[Path] = []
-    prefix = f".{final.name}."
-    try:
-        names = os.listdir(final.parent)
-    except OSError:
-        return removed
-    for name in sorted(names):
-        middle = name[len(prefix) : -len(SUFFIX)]
-        if not (name.startswith(prefix) and name.endswith(SUFFIX)):
-            continue
-        if not _RANDOM_PART.fullmatch(middle):
-            continue
-        path = final.parent / name
+    for path in _leftovers(final.parent, final.name, SUFFIX):
         with suppress(OSError), open(path, "r+b") as file:
             if _try_lock(file) is _Lock.TAKEN:
                 if fcntl is None:
@@ -200,7 +262,7 @@ def _replace(part: Path, final: Path) -> None:
             try:
                 return os.replace(part, final)
             except PermissionError:
-                if os.name != "nt":
+                if not _ON_WINDOWS:
                     raise
                 time.sleep(delay)
                 delay = min(2 * delay, 1.0)

@@ -25,7 +25,7 @@ from terrainwave.container.page import (
 )
 from terrainwave.container.source import ByteRange, ByteSource, SourceLike, open_source
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError
-from terrainwave.quadtree import Block, Grid
+from terrainwave.quadtree import SEGMENT_LEVELS, Block, Grid
 
 FIRST_READ = 16 * 1024
 _CHECK_BATCH = 4 * 1024 * 1024
@@ -117,14 +117,12 @@ class Container:
         last = page.children_end if layout.children else end
         if layout.children and page.first_child != end:
             raise CorruptStreamError("the first segment does not follow the top segment")
-        if last != self.extents.file_size and self.grid.k_max <= self._child_level(None) + 4:
+        n_levels_below = self.grid.k_max - self.grid.top_levels
+        if last != self.extents.file_size and n_levels_below <= SEGMENT_LEVELS:
             raise CorruptStreamError("the segments do not fill the file")
         if last > self.extents.file_size:
             raise CorruptStreamError("a segment reaches beyond the end of the file")
         return _segment(None, layout, page, start, len(data), end)
-
-    def _child_level(self, head: Block | None) -> int:
-        return self.grid.top_levels if head is None else head.level + 4
 
     # Index
 

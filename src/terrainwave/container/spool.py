@@ -13,7 +13,7 @@ from terrainwave.container.page import MAX_PAYLOAD, N_CODES, ROOT_LEVEL
 from terrainwave.errors import StorageError, TerrainwaveError
 from terrainwave.quadtree import Block
 
-_BUFFER = 256 * 1024  # while payloads arrive
+_BUFFER = 64 * 1024  # while payloads arrive
 _KEPT = 4 * 1024  # after `finish`: many segments wait at the same time
 
 
@@ -47,7 +47,7 @@ class Entry(NamedTuple):
 class SegmentSpool:
     """Takes the payloads of one segment in any order; `assemble` writes them in page order.
 
-    Payloads stay in memory up to 256 KiB (4 KiB after `finish`), the rest goes to a temporary
+    Payloads stay in memory up to 64 KiB (4 KiB after `finish`), the rest goes to a temporary
     file in `directory`. No file stays open between calls, so thousands of spools can wait, and a
     spool can be pickled to a process that sees the same directory. Methods may be called from
     several threads.

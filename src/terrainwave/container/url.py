@@ -68,7 +68,11 @@ class HttpSource(MergingSource):
         self._is_closed = False
         self._resolved = url
         self.size = -1
-        self._start = self._request(ByteRange(0, FIRST_REQUEST))
+        try:
+            self._start = self._request(ByteRange(0, FIRST_REQUEST))
+        except BaseException:
+            self.close()
+            raise
 
     def _read(self, offset: int, length: int) -> bytes:
         if self._is_closed:
@@ -219,6 +223,8 @@ def _read_reply(response: http.client.HTTPResponse, length: int) -> _Reply:
     body = b""
     if response.status == 206:
         body = response.read(length)
+        if response.length and len(body) < length:  # hung up: http.client says nothing
+            raise http.client.IncompleteRead(body, response.length)
         response.read(1)  # lets http.client notice the end, so that the connection can be reused
     elif response.getheader("Content-Length", "") == "0":
         response.read()
@@ -254,7 +260,7 @@ class FsspecSource(MergingSource):
         self._url = url
         self.name = _display_name(url)
         try:
-            import fsspec  # type: ignore[import-untyped]
+            import fsspec
         except ImportError:
             raise StorageError(f"reading {self.name} needs fsspec: pip install fsspec") from None
         self._fs, self._path = self._call(fsspec.core.url_to_fs, url)

@@ -2,12 +2,11 @@
 
 import contextlib
 import os
-import secrets
 import shutil
 import threading
-import time
 import warnings
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -19,6 +18,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from terrainwave.container.publish import publish, scratch
 from terrainwave.errors import (
     CorruptStreamError,
     StorageError,
@@ -81,52 +81,30 @@ class RasterSink:
         n_threads: int = 1,
     ) -> None:
         self.info = info
-        self.path = Path(os.path.realpath(path))
-        self._shown_path = os.fspath(path)
-        self._overwrite = overwrite
+        self._path = os.fspath(path)
         self._cog = cog
         self._n_threads = n_threads
         self._dtype = np.dtype(info.dtype)
         self._lock = threading.Lock()
-        self._check_target()
-        self._part = self._new_part()
-        try:
-            self._dataset = self._create()
-        except BaseException as error:
-            self._remove_parts()
-            if isinstance(error, GDAL_ERRORS):
+        with ExitStack() as files:
+            self._target = files.enter_context(publish(path, overwrite)).path
+            self._check_free_space()
+            # A COG is a translation of a finished file.
+            self._part = files.enter_context(scratch(path)).path if cog else self._target
+            try:
+                self._dataset = self._create()
+            except GDAL_ERRORS as error:
                 raise self._cannot_write(error) from error
-            raise
+            self._files = files.pop_all()
 
-    def _check_target(self) -> None:
-        shown, folder = self._shown_path, self.path.parent
-        if self.path.is_dir():
-            raise StorageError(f"{shown} is a directory; expected the name of a file to write")
-        if not folder.is_dir():
-            raise StorageError(f"{shown} cannot be written: {folder} is not a directory")
-        if self.path.exists() and not self._overwrite:
-            raise StorageError(
-                f"{shown} exists already; choose another name or overwrite it (--overwrite)"
-            )
+    def _check_free_space(self) -> None:
+        folder = self._target.parent
         free = shutil.disk_usage(folder).free
         if free < self.info.n_bytes * _SMALLEST_SHARE:
             raise StorageError(
-                f"{shown} cannot be written: {free:,} bytes are free in {folder}, the raster is"
+                f"cannot write {self._path}: {free:,} bytes are free in {folder}, the raster is"
                 f" {self.info.n_bytes:,} bytes uncompressed"
             )
-
-    def _new_part(self) -> Path:
-        """Create an empty file beside the target, with the permissions a new file has."""
-        for _ in range(100):
-            part = self.path.with_name(f".{self.path.name}.{secrets.token_hex(4)}.part.tif")
-            try:
-                os.close(os.open(part, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-            except FileExistsError:
-                continue
-            except OSError as error:
-                raise self._cannot_write(error) from error
-            return part
-        raise StorageError(f"{self._shown_path} cannot be written: no free temporary name")
 
     def _create(self) -> Any:
         info = self.info
@@ -202,51 +180,41 @@ class RasterSink:
 
     def close(self) -> None:
         """Finish the file and move it to its place."""
-        try:
-            with bounded_env(GDAL_TIFF_INTERNAL_MASK=True):
-                self._dataset.close()
-            self._check_complete(self._part)
-            if self._cog:
-                self._translate_to_cog()
-            _flush_to_disk(self._part)
-            if self.path.exists() and not self._overwrite:
-                raise StorageError(f"{self._shown_path} exists already; it was made meanwhile")
-            _replace(self._part, self.path)
-        except GDAL_ERRORS as error:
-            self._remove_parts()
-            if isinstance(error, StorageError):
-                raise
-            raise self._cannot_write(error) from error
-        except BaseException:
-            self._remove_parts()
-            raise
+        with self._files:
+            try:
+                with bounded_env(GDAL_TIFF_INTERNAL_MASK=True):
+                    self._dataset.close()
+                self._check_complete(self._part)
+                if self._cog:
+                    self._translate_to_cog()
+                    self._check_complete(self._target)
+            except GDAL_ERRORS as error:
+                self._remove_overviews()
+                if isinstance(error, StorageError):
+                    raise
+                raise self._cannot_write(error) from error
 
     def abort(self) -> None:
         """Remove what was written; the target stays as it was."""
         with contextlib.suppress(*GDAL_ERRORS):
             self._dataset.close()
-        self._remove_parts()
+        with contextlib.suppress(_Aborted), self._files:
+            raise _Aborted
 
     def _translate_to_cog(self) -> None:
-        plain = self._part
-        self._part = self._new_part()
-        try:
-            with bounded_env(GDAL_TIFF_INTERNAL_MASK=True), warnings.catch_warnings():
-                warnings.simplefilter("ignore", NotGeoreferencedWarning)
-                rasterio.shutil.copy(
-                    plain,
-                    self._part,
-                    driver="COG",
-                    compress="DEFLATE",
-                    predictor="YES",
-                    blocksize=_TILE,
-                    overview_resampling="AVERAGE",
-                    bigtiff="IF_SAFER",
-                    num_threads=self._n_threads,
-                )
-            self._check_complete(self._part)
-        finally:
-            plain.unlink(missing_ok=True)
+        with bounded_env(GDAL_TIFF_INTERNAL_MASK=True), warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            rasterio.shutil.copy(
+                self._part,
+                self._target,
+                driver="COG",
+                compress="DEFLATE",
+                predictor="YES",
+                blocksize=_TILE,
+                overview_resampling="AVERAGE",
+                bigtiff="IF_SAFER",
+                num_threads=self._n_threads,
+            )
 
     def _check_complete(self, part: Path) -> None:
         """Raise StorageError unless every tile lies inside the file.
@@ -263,15 +231,15 @@ class RasterSink:
                     n_bytes = dataset.get_tag_item(f"BLOCK_SIZE_{col}_{row}", "TIFF", 1)
                     if offset is None or int(offset) + int(n_bytes) > size:
                         raise StorageError(
-                            f"{self._shown_path} could not be written completely; is the disk full?"
+                            f"cannot write {self._path}: it is incomplete; is the disk full?"
                         )
 
     def _cannot_write(self, error: BaseException) -> StorageError:
-        return StorageError(f"{self._shown_path} cannot be written: {one_line(error)}")
+        return StorageError(f"cannot write {self._path}: {one_line(error)}")
 
-    def _remove_parts(self) -> None:
-        """Remove the temporary file and those that GDAL makes beside it for overviews."""
-        for path in self._part.parent.glob(f"{self._part.name}*"):
+    def _remove_overviews(self) -> None:
+        """Remove what GDAL makes beside a COG while it computes overviews."""
+        for path in self._target.parent.glob(f"{self._target.name}.*"):
             with contextlib.suppress(OSError):
                 path.unlink()
 
@@ -290,20 +258,5 @@ class RasterSink:
             self.abort()
 
 
-def _flush_to_disk(path: Path) -> None:
-    """Make sure that the rename cannot survive a power failure without the contents."""
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())
-
-
-def _replace(part: Path, target: Path) -> None:
-    """Rename `part` to `target`; try again for a second, as scanners on Windows hold new files."""
-    for pause in (0.05, 0.1, 0.2, 0.4, 0.4, None):
-        try:
-            os.replace(part, target)
-        except PermissionError:
-            if pause is None:
-                raise
-            time.sleep(pause)
-        else:
-            return
+class _Aborted(Exception):
+    """Leaves `publish` as a failure does."""

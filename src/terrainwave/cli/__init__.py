@@ -1,0 +1,9 @@
+"""The command line: each command parses, calls the library and prints.
+
+Exit status: 0 good; 1 any failure, one line on stderr; 2 wrong usage; 130 interrupted. Numba and
+rasterio are imported inside the commands, so that --help answers at once.
+"""
+
+from terrainwave.cli.commands import main
+
+__all__ = ["main"]

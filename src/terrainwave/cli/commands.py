@@ -1,0 +1,262 @@
+"""The commands. Each is short: parse, call, print."""
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from terrainwave._version import __version__
+from terrainwave.cli.options import BlockSide, Bound, Mesh, Nodata, Numbers
+from terrainwave.cli.output import (
+    Bar,
+    Commands,
+    announce_compiling,
+    plain,
+    print_grid,
+    print_table,
+    reading,
+)
+
+THREADS = click.IntRange(min=1)
+METHODS = click.Choice(["auto", "cdf97", "store"])
+EFFORTS = ["fast", "default", "best"]
+
+
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="terrainwave")
+def main() -> None:
+    """Compress elevation rasters to small .twz files, each height within a bound you choose."""
+
+
+def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of commands that write a file."""
+    for option in (
+        click.option("--threads", type=THREADS, help="Threads; all processors by default."),
+        click.option("--overwrite", is_flag=True, help="Replace an existing file."),
+        click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes."),
+    ):
+        command = option(command)
+    return command
+
+
+@main.command()
+@click.argument("source")
+@click.argument("target", type=click.Path())
+@click.option(
+    "--max-error",
+    type=Bound(),
+    help="Largest allowed error, in the raster's vertical unit; 0 is lossless."
+    " Default: lossless where the heights have a vertical step, else 0.01.",
+)
+@click.option("--method", type=METHODS, default="auto", show_default=True)
+@click.option("--block", type=BlockSide(), default=256, show_default=True, help="Cells per side.")
+@click.option("--effort", type=click.Choice(EFFORTS), default="default", show_default=True)
+@click.option("--nodata", type=Nodata(), help="Replaces the raster's own nodata value.")
+@click.option("--band", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--border-rings", type=click.Choice(["1", "3"]), default="1", show_default=True)
+@click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
+@click.option("--no-verify", is_flag=True, help="Skip decoding and comparing every sample.")
+@click.option("--mesh", type=Mesh(), default="none", help="Reserved: heights only for now.")
+@click.option("--no-mesh", is_flag=True, help="Same as --mesh none.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@_writing
+def compress(
+    source: str,
+    target: str,
+    border_rings: str,
+    no_verify: bool,
+    no_mesh: bool,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Compress the raster SOURCE to the file TARGET (.twz)."""
+    import terrainwave
+
+    announce_compiling(quiet=quiet)
+    with Bar(quiet=quiet) as bar:
+        result = terrainwave.compress(
+            source,
+            target,
+            border_rings=int(border_rings),
+            verify=not no_verify,
+            progress=bar,
+            **options,
+        )
+    if as_json:
+        _print_json(asdict(result))
+    elif not quiet:
+        _print_result(result)
+
+
+def _print_result(result: Any) -> None:
+    measured = "not checked" if result.measured_error is None else f"{result.measured_error:.6g}"
+    click.echo(
+        f"{plain(result.path)}: {result.n_bytes:,} bytes, {result.bits_per_sample:.4g} bits/sample,"
+        f" {result.ratio:.4g} times smaller than raw"
+    )
+    click.echo(
+        f"max error asked {result.max_error:.6g}, guaranteed {result.effective_error:.6g},"
+        f" measured {measured} {_unit(result.units)}"
+    )
+    for note in result.notes:
+        click.echo(f"note: {plain(note)}")
+
+
+@main.command()
+@click.argument("source")
+@click.argument("target", type=click.Path())
+@click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part to write.")
+@click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
+@click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
+@click.option("--cog", is_flag=True, help="Make a cloud-optimised GeoTIFF.")
+@_writing
+def decompress(source: str, target: str, quiet: bool, **options: Any) -> None:
+    """Write the file SOURCE (.twz) to the GeoTIFF TARGET."""
+    import terrainwave
+
+    if options["window"] and options["bounds"]:
+        raise click.UsageError("found both --window and --bounds, expected one of them")
+    announce_compiling(quiet=quiet)
+    with reading(source), Bar(quiet=quiet) as bar:
+        path = terrainwave.decompress(source, target, progress=bar, **options)
+    if not quiet:
+        click.echo(f"{plain(path)}: {Path(path).stat().st_size:,} bytes")
+
+
+@main.command()
+@click.argument("file")
+@click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
+@click.option(
+    "--errors",
+    type=click.Choice(["measured", "recursive"]),
+    help="List each level's largest error: as stored, or the upper bound computed from decoded"
+    " heights (slow).",
+)
+def info(file: str, as_json: bool, errors: str | None) -> None:
+    """Show what the file FILE (.twz) holds."""
+    import terrainwave
+    from terrainwave.level_errors import level_errors
+
+    with reading(file), terrainwave.open(file) as terrain:
+        summary = terrain.info()
+        found = None if errors is None else level_errors(terrain, errors)
+    if as_json:
+        _print_json(summary.to_dict() | ({} if found is None else {"level_errors": found}))
+    else:
+        print_table(_info_rows(summary))
+        if found is not None:
+            _print_level_errors(summary.level_shapes, found)
+
+
+def _print_level_errors(shapes: Any, errors: list[float]) -> None:
+    rows = [
+        [str(level), *map(str, shape), f"{error:.6g}"]
+        for level, (shape, error) in enumerate(zip(shapes, errors, strict=True))
+    ]
+    print_grid(["level", "rows", "columns", "largest error"], rows)
+
+
+def _info_rows(info: Any) -> list[tuple[str, object]]:
+    unit = _unit(info.units)
+    crs = info.crs or "none"
+    if len(crs) > 40:  # WKT: its name is the first quoted string
+        crs = f"{crs.split(chr(34))[1] if chr(34) in crs else crs[:40]} (WKT; --json shows all)"
+    levels = ", ".join(f"{rows} x {cols}" for rows, cols in info.level_shapes)
+    extent = "none" if info.minimum is None else f"{info.minimum:.6g} to {info.maximum:.6g} {unit}"
+    scale = f"{info.scale:g}, offset {info.offset:g}"
+    rows = [
+        ("file", f"{info.path}, {info.n_bytes:,} bytes"),
+        ("size", f"{info.n_rows} rows x {info.n_cols} columns, {info.dtype}"),
+        ("bits/sample", f"{info.bits_per_sample:.4g}, {info.ratio:.4g} times smaller than raw"),
+        ("max error", f"asked {info.max_error:.6g}, holds {info.effective_error:.6g} {unit}"),
+        ("quantum", f"{info.quantum:.6g} {unit}"),
+        ("heights", extent),
+        ("method", f"{info.method}, effort {info.effort}, border rings {info.border_rings}"),
+        ("block", f"{info.block} x {info.block} cells"),
+        ("levels", f"{info.n_levels}: {levels}"),
+        ("nodata", "none" if info.nodata is None else info.nodata),
+        ("CRS", crs),
+        ("bounds", ", ".join(f"{value:.10g}" for value in info.bounds)),
+        ("pixel", f"{info.transform[0]:.10g}, {info.transform[4]:.10g}"),
+        ("scale", scale if (info.scale, info.offset) != (1, 0) else ""),
+        ("description", info.description or ""),
+    ]
+    return [(name, value) for name, value in rows if value != ""]
+
+
+def _unit(units: str | None) -> str:
+    return plain(units) if units else "(unit unknown)"
+
+
+@main.command()
+@click.argument("file")
+@click.argument("original", required=False)
+@click.option("--max-error", type=Bound(), help="Hold the file to this bound instead of its own.")
+@click.option("--band", type=click.IntRange(min=1), default=1, help="Band of ORIGINAL.")
+@click.option("--nodata", type=Nodata(), help="The nodata value that was given to compress.")
+@click.option("--threads", type=THREADS, help="Threads; all processors by default.")
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing; the exit status tells.")
+@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
+def verify(file: str, original: str | None, quiet: bool, as_json: bool, **options: Any) -> None:
+    """Compare FILE (.twz) with its ORIGINAL raster; without that, check all of FILE."""
+    import terrainwave
+
+    announce_compiling(quiet=quiet)
+    with reading(file), Bar(quiet=quiet) as bar:
+        report = terrainwave.verify(file, original, progress=bar, **options)
+    if as_json:
+        _print_json(report.to_dict())
+    elif not quiet:
+        _print_report(report)
+    if not report.ok:
+        sys.exit(1)
+
+
+def _print_report(report: Any) -> None:
+    for problem in report.problems:
+        click.echo(f"problem: {plain(problem)}")
+    if report.errors is not None:
+        errors = report.errors
+        click.echo(
+            f"{errors.n_valid:,} heights compared: max error {errors.max_error:.6g}"
+            f" (bound {report.bound:.6g}), RMSE {errors.rmse:.6g}"
+        )
+    click.echo("ok" if report.ok else "not ok")
+
+
+@main.command()
+def warmup() -> None:
+    """Compile all kernels now, so that no later run has to (for container images)."""
+    from terrainwave.demo import compile_kernels
+
+    announce_compiling()
+    compile_kernels()
+
+
+@main.command()
+@click.argument("directory", type=click.Path(file_okay=False), default="terrainwave-demo")
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
+def demo(directory: str, quiet: bool) -> None:
+    """Compress a real elevation model at four bounds, check each, draw a picture; in DIRECTORY."""
+    from terrainwave.demo import BOUNDS, run_demo
+
+    announce_compiling(quiet=quiet)
+    with Bar(quiet=quiet) as bar:
+        result = run_demo(directory, progress=bar)
+    if quiet:
+        return
+    click.echo(
+        f"{result.n_rows} x {result.n_cols} heights, GeoTIFF (DEFLATE): {result.n_bytes:,} bytes"
+    )
+    header = ["bound", "bytes", "bits/sample", "GeoTIFF/twz", "max error", "RMSE"]
+    print_grid(header, [result.row(bound) for bound in BOUNDS])
+    click.echo(f"checked each; picture: {plain(result.picture)}")
+
+
+def _print_json(fields: dict[str, Any]) -> None:
+    click.echo(json.dumps(fields, indent=2, allow_nan=False, default=str))

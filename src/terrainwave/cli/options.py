@@ -1,0 +1,90 @@
+"""Types of option values; a wrong value is one line: what was found, what was expected."""
+
+import math
+from typing import Any
+
+import click
+
+BLOCKS = (32, 64, 128, 256, 512, 1024)
+
+
+class Bound(click.ParamType):
+    """A finite number >= 0."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """Return the number."""
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not (math.isfinite(number) and number >= 0):
+            self.fail(f"found {value}, expected a finite number >= 0", param, ctx)
+        return number
+
+
+class Nodata(click.ParamType):
+    """A number, nan, inf or -inf; whole numbers stay whole."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> int | float:
+        """Return an int where the text is one, else a float."""
+        for kind in (int, float):
+            try:
+                return kind(value)
+            except ValueError:
+                continue
+        self.fail(f"found {value}, expected a number or nan", param, ctx)
+
+
+class BlockSide(click.ParamType):
+    """A power of two from 32 to 1024."""
+
+    name = "32…1024"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> int:
+        """Return the side."""
+        if str(value) not in map(str, BLOCKS):
+            expected = ", ".join(map(str, BLOCKS))
+            self.fail(f"found {value}, expected one of {expected}", param, ctx)
+        return int(value)
+
+
+class Numbers(click.ParamType):
+    """Four numbers with commas between them."""
+
+    def __init__(self, names: str, kind: type[int] | type[float]) -> None:
+        self.name = names
+        self._kind = kind
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int | float, ...]:
+        """Return the four numbers."""
+        if isinstance(value, tuple):
+            return value
+        try:
+            numbers = tuple(self._kind(part) for part in value.split(","))
+        except ValueError:
+            numbers = ()
+        if len(numbers) != 4 or not all(math.isfinite(number) for number in numbers):
+            kind = "whole numbers" if self._kind is int else "numbers"
+            self.fail(f"found {value}, expected four {kind}: {self.name}", param, ctx)
+        return numbers
+
+
+class Mesh(click.ParamType):
+    """The kind of mesh; only none for now."""
+
+    name = "none"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """Return ``"none"``."""
+        if value != "none":
+            self.fail(
+                f"found {value}, expected none: this version stores heights only, meshes come"
+                " later",
+                param,
+                ctx,
+            )
+        return str(value)

@@ -1,0 +1,199 @@
+"""What people see: one-line errors, notes, the progress bar, tables.
+
+Strings may come from untrusted files. `plain` takes the control characters out of whatever is
+printed, and tables hold rich's `Text`, in which markup means nothing.
+"""
+
+import sys
+import unicodedata
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import click
+
+from terrainwave.errors import CorruptStreamError, TerrainwaveError, TerrainwaveWarning
+
+if TYPE_CHECKING:
+    from terrainwave.progress import Progress
+
+
+def plain(text: object) -> str:
+    """Return `text` on one line, without control, format (bidi) and unassigned characters."""
+    words = " ".join(str(text).split())
+    return "".join(char for char in words if not unicodedata.category(char).startswith("C"))
+
+
+def print_error(message: object) -> None:
+    """Print one line on stderr."""
+    click.echo(f"terrainwave: {plain(message)}", err=True)
+
+
+@contextmanager
+def reading(path: str) -> Iterator[None]:
+    """Name the file in the message of whatever is wrong with it, and say so if it is no .twz."""
+    try:
+        yield
+    except CorruptStreamError as error:
+        with suppress(OSError), Path(path).open("rb") as file:
+            start = file.read(4)
+            if start != b"\x89TWZ":
+                found = "a TIFF" if start[:2] in (b"II", b"MM") else "something else"
+                raise CorruptStreamError(
+                    f"{path}: found {found}, expected a .twz file; terrainwave compress makes one"
+                    " of a raster"
+                ) from error
+        raise type(error)(f"{path}: {error}") from error
+
+
+@contextmanager
+def warnings_as_notes() -> Iterator[None]:
+    """Print our own warnings as one line each, without file names and line numbers."""
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        if issubclass(category, TerrainwaveWarning):
+            click.echo(f"note: {plain(message)}", err=True)
+        else:
+            usual(message, category, *place, **more)
+
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+        warnings.simplefilter("always", TerrainwaveWarning)
+        warnings.showwarning = show
+        yield
+
+
+class Commands(click.Group):
+    """A click group whose errors are one line each and which sets the exit status."""
+
+    def main(self, *args: Any, standalone_mode: bool = True, **kwargs: Any) -> Any:
+        """Run a command; never returns in standalone mode."""
+        run: Any = super().main
+        if not standalone_mode:
+            return run(*args, standalone_mode=False, **kwargs)
+        try:
+            with warnings_as_notes():
+                status = run(*args, standalone_mode=False, **kwargs)
+            sys.exit(status if isinstance(status, int) else 0)
+        except click.exceptions.NoArgsIsHelpError as error:
+            error.show()
+            sys.exit(2)
+        except click.UsageError as error:
+            command = error.ctx.command_path if error.ctx else "terrainwave"
+            click.echo(
+                f"{command}: {plain(error.format_message())} (see {command} --help)", err=True
+            )
+            sys.exit(2)
+        except click.Abort:
+            # click turns Ctrl-C into Abort.
+            print_error("interrupted; the target is untouched")
+            sys.exit(130)
+        except TerrainwaveError as error:
+            print_error(error)
+            sys.exit(1)
+        except MemoryError:
+            print_error("out of memory; try --threads 1, a smaller --block or a smaller --window")
+            sys.exit(1)
+
+
+class Bar:
+    """A progress bar on a terminal, nothing elsewhere; call it with a `Progress`."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._bar: Any = None
+        self._task: Any = None
+        self._stage = ""
+        if not quiet and sys.stderr.isatty():
+            self._bar = _rich_bar()
+
+    def __call__(self, progress: "Progress") -> None:
+        """Show how far the work is."""
+        if self._bar is None:
+            return
+        if progress.stage != self._stage:
+            self._stage = progress.stage
+            if self._task is not None:
+                self._bar.remove_task(self._task)
+            self._task = self._bar.add_task(progress.stage, total=progress.total, ratio="")
+        ratio = ""
+        if progress.n_bytes_in and progress.n_bytes_out:
+            ratio = f"{progress.n_bytes_in / progress.n_bytes_out:.1f}:1"
+        self._bar.update(self._task, completed=progress.done, ratio=ratio)
+
+    def __enter__(self) -> Self:
+        if self._bar is not None:
+            self._bar.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+
+def _rich_bar() -> Any:
+    from rich.console import Console
+    from rich.progress import BarColumn, ProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.progress import Progress as RichProgress
+    from rich.text import Text
+
+    class Speed(ProgressColumn):
+        """Samples per second."""
+
+        def render(self, task: Any) -> Text:
+            return Text(f"{task.speed / 1e6:.1f} Msamples/s" if task.speed else "")
+
+    return RichProgress(
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TextColumn("{task.percentage:3.0f} %"),
+        Speed(),
+        TextColumn("{task.fields[ratio]}", markup=False),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+
+
+def announce_compiling(*, quiet: bool = False) -> None:
+    """Say why the first run on a machine takes seconds, if this is one."""
+    from terrainwave import _jit
+
+    cache_is_cold = getattr(_jit, "cache_is_cold", None)
+    if not quiet and cache_is_cold is not None and cache_is_cold():
+        click.echo("compiling kernels for this machine, once: this takes some seconds", err=True)
+
+
+def print_table(rows: list[tuple[str, object]]) -> None:
+    """Print names and values in two columns."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, value in rows:
+        table.add_row(Text(name, style="bold"), Text(plain(value)))
+    Console(highlight=False).print(table)
+
+
+def print_grid(header: list[str], rows: list[list[str]]) -> None:
+    """Print a table of numbers, right-aligned, with a header."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for name in header:
+        table.add_column(Text(name), justify="right", no_wrap=True)
+    for row in rows:
+        table.add_row(*(Text(plain(cell)) for cell in row))
+    Console(highlight=False).print(table)

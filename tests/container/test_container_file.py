@@ -1,0 +1,310 @@
+"""Whole files: what is written comes back, the same bytes for any order, random access."""
+
+import io
+import pickle
+import threading
+
+import numpy as np
+import pytest
+from container.toys import (
+    everything_expected,
+    read_everything,
+    toy_codes,
+    toy_file,
+    toy_flags,
+    toy_header,
+    toy_payload,
+    toy_spools,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from terrainwave.container.header import HEADER_SIZE
+from terrainwave.container.page import page_layout, root_key
+from terrainwave.container.reader import Container, open_container
+from terrainwave.container.source import BufferSource, ByteRange
+from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.writer import assemble, write_file
+from terrainwave.errors import StorageError
+from terrainwave.quadtree import Block, Grid
+
+sides = st.integers(1, 700) | st.sampled_from([1, 2, 32, 33, 128, 129, 130, 1025, 2049])
+
+
+@settings(max_examples=40)
+@given(n_rows=sides, n_cols=sides, block=st.sampled_from([32, 64]))
+def test_everything_written_comes_back(n_rows, n_cols, block):
+    header = toy_header(n_rows, n_cols, block)
+    data = toy_file(header)
+    with open_container(data) as container:
+        assert container.header == header
+        assert list(container.check()) == []
+    assert read_everything(data) == everything_expected(header.grid)
+
+
+@pytest.mark.parametrize(
+    ("n_rows", "n_cols", "k_max"),
+    [(1, 1, 0), (1, 20_000, 8), (40_000, 2, 9), (17_000, 40, 8), (129, 129, 0), (130, 1, 1)],
+)
+def test_strips_and_deep_trees_come_back(n_rows, n_cols, k_max):
+    header = toy_header(n_rows, n_cols, 32)
+    assert header.grid.k_max == k_max
+    data = toy_file(header)
+    assert read_everything(data) == everything_expected(header.grid)
+    assert list(open_container(data).check()) == []
+
+
+def test_the_order_in_which_payloads_arrive_does_not_change_a_byte():
+    header = toy_header(1500, 900)
+    rng = np.random.default_rng(2)
+
+    def shuffled(keys):
+        return [keys[i] for i in rng.permutation(len(keys))]
+
+    assert toy_file(header, shuffled) == toy_file(header) == toy_file(header, lambda k: k[::-1])
+
+
+def test_segments_lie_in_the_file_by_level_then_morton():
+    header = toy_header(5000, 3000)
+    data = toy_file(header)
+    with open_container(data) as container:
+        starts = [container.segment(head).start for head in header.grid.segment_heads()]
+        ends = [container.segment(head).end for head in header.grid.segment_heads()]
+    assert starts[1:] == ends[:-1]
+    assert starts[0] == container.extents.top_start
+    assert ends[-1] == len(data)
+
+
+def test_the_top_segment_is_page_then_roots_then_groups():
+    header = toy_header(200, 100)
+    data = toy_file(header)
+    extents = open_container(data).extents
+    body = data[extents.top_start + extents.top_page_length :]
+    layout = page_layout(header.grid, None)
+    assert layout.keys[0] == root_key(Block(0, 0, 0)) == Block(-1, 0, 0)
+    assert body.startswith(toy_payload(Block(-1, 0, 0)))
+    assert data[HEADER_SIZE + extents.metadata_length :].startswith(b"par")
+
+
+class Recording(BufferSource):
+    """Remembers what was read."""
+
+    def __init__(self, data):
+        super().__init__(data)
+        self.reads = []
+
+    def read(self, offset, length):
+        self.reads.append(ByteRange(offset, length))
+        return super().read(offset, length)
+
+
+def test_opening_reads_the_first_16_kib_only():
+    data = toy_file(toy_header(5000, 5000))
+    assert len(data) > 100_000
+    source = Recording(data)
+    Container(source)
+    assert source.reads == [ByteRange(0, 16384)]
+
+
+def test_a_deep_payload_costs_one_read_per_page_on_its_path_and_one_for_itself():
+    header = toy_header(17_000, 40)
+    key = Block(7, 250, 0)
+    source = Recording(toy_file(header))
+    container = Container(source)
+    source.reads.clear()
+    assert container.payload(key) == toy_payload(key)
+    assert len(source.reads) == 3  # pages headed on levels 0 and 4, payload
+    source.reads.clear()
+    assert container.payload(Block(7, 252, 0))
+    assert len(source.reads) == 1
+
+
+def test_payloads_near_each_other_are_read_together():
+    header = toy_header(2000, 1999)
+    source = Recording(toy_file(header))
+    container = Container(source)
+    keys = header.grid.blocks(3)
+    container.payloads(keys)
+    source.reads.clear()
+    assert container.payloads(keys) == [toy_payload(key) for key in keys]
+    assert len(source.reads) == 1
+
+
+def test_an_evicted_page_is_read_again():
+    header = toy_header(2000, 1999)
+    source = BufferSource(toy_file(header))
+    container = Container(source, cached_segments=1)
+    for _ in range(2):
+        for row in (0, 1, 3):
+            assert container.codes(Block(2, 4 * row, 0)) == toy_codes(Block(2, 4 * row, 0))
+    keys = header.grid.blocks(3)
+    assert container.payloads(keys) == [toy_payload(key) for key in keys]
+
+
+def test_the_page_used_last_stays_in_the_cache():
+    header = toy_header(2000, 1999)
+    source = Recording(toy_file(header))
+    container = Container(source, cached_segments=2)
+    heads = header.grid.blocks(0)
+    for head in (*heads[:2], heads[0], heads[2]):
+        container.segment(head)
+    source.reads.clear()
+    container.segments([heads[0], heads[2]])
+    assert source.reads == []
+    container.segment(heads[1])
+    assert len(source.reads) == 1
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        Block(-1, 4, 0), Block(-1, -1, 0), Block(-2, 0, 0), Block(4, 0, 0), Block(5, 0, 0),
+        Block(0, 4, 0), Block(2, -1, 0), Block(3, 0, 32),
+    ],
+)  # fmt: skip
+def test_a_key_outside_the_grid_is_a_key_error(key):
+    container = open_container(toy_file(toy_header(2000, 1999)))
+    for method in (container.payload, container.flags, container.mesh):
+        with pytest.raises(KeyError):
+            method(key)
+
+
+def test_codes_of_a_block_outside_the_grid_are_a_key_error():
+    container = open_container(toy_file(toy_header(2000, 1999)))
+    for block in (Block(-1, 0, 0), Block(5, 0, 0), Block(0, 0, 4)):
+        with pytest.raises(KeyError):
+            container.codes(block)
+    with pytest.raises(KeyError):
+        container.segment(Block(1, 0, 0))
+
+
+def test_eight_threads_read_what_one_reads():
+    header = toy_header(2000, 1999)
+    container = Container(BufferSource(toy_file(header)), cached_segments=3)
+    keys = [key for level in range(4) for key in header.grid.blocks(level)]
+    wrong = []
+
+    def work(seed):
+        for i in np.random.default_rng(seed).permutation(len(keys))[:300]:
+            if container.payload(keys[i]) != toy_payload(keys[i]):
+                wrong.append(keys[i])
+
+    threads = [threading.Thread(target=work, args=(seed,)) for seed in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+def test_a_container_of_a_path_can_be_pickled(tmp_path):
+    header = toy_header(300, 300)
+    path = tmp_path / "a.twz"
+    write_file(path, header, toy_spools(header.grid, tmp_path))
+    with (
+        open_container(path) as container,
+        pickle.loads(pickle.dumps(container)) as copy,
+    ):
+        assert copy.header == header
+        assert copy.payload(Block(-1, 0, 0)) == toy_payload(Block(-1, 0, 0))
+
+
+def test_a_closed_container_says_so(tmp_path):
+    header = toy_header()
+    path = tmp_path / "a.twz"
+    write_file(path, header, toy_spools(header.grid, tmp_path))
+    container = open_container(path)
+    container.close()
+    container.close()
+    with pytest.raises(StorageError, match="closed"):
+        container.payload(Block(-1, 0, 0))
+
+
+# Absent segments (FORMAT.md §3.4)
+
+
+def silent_spools(grid, directory, loud=()):
+    spools = {}
+    for head in grid.segment_heads():
+        spools[head] = SegmentSpool(directory)
+        layout = page_layout(grid, head)
+        for key in layout.keys:
+            n_blocks = 1 if key.level < 0 else len(grid.children(key))
+            payload = b"loud" if key in loud else b""
+            spools[head].add(key, payload, 0, bytes(4 * n_blocks))
+    return spools
+
+
+def assembled(header, spools):
+    out = io.BytesIO()
+    assemble(out, header, spools)
+    return out.getvalue()
+
+
+def test_segments_without_any_content_take_no_bytes(tmp_path):
+    header = toy_header(2000, 1999)
+    data = assembled(header, silent_spools(header.grid, tmp_path))
+    assert len(data) < 500
+    with open_container(data) as container:
+        assert list(container.check()) == []
+        assert container.payload(Block(3, 9, 9)) == b""
+        assert container.codes(Block(4, 9, 9)) == (0, 0, 0, 0)
+        assert container.flags(Block(3, 9, 9)) == 0
+
+
+def test_an_empty_segment_above_one_with_content_is_present(tmp_path):
+    header = toy_header(17_000, 40)
+    loud = Block(7, 200, 0)
+    data = assembled(header, silent_spools(header.grid, tmp_path, {loud}))
+    with open_container(data) as container:
+        assert list(container.check()) == []
+        assert container.payload(loud) == b"loud"
+        assert container.payload(Block(7, 0, 0)) == b""
+        assert container.segment(Block(4, 0, 0)).page.is_empty
+
+
+# What the writer refuses
+
+
+def test_a_missing_segment_is_refused(tmp_path):
+    header = toy_header(2000, 1999)
+    spools = toy_spools(header.grid, tmp_path)
+    del spools[Block(0, 1, 1)]
+    with pytest.raises(ValueError, match=r"level 0, row 1, col 1\) is missing"):
+        assembled(header, spools)
+
+
+def test_a_missing_payload_is_refused(tmp_path):
+    header = toy_header()
+    with pytest.raises(ValueError, match="no payload or no codes"):
+        assembled(header, {None: SegmentSpool(tmp_path)})
+
+
+def test_missing_codes_are_refused(tmp_path):
+    spool = SegmentSpool(tmp_path)
+    spool.add(Block(-1, 0, 0), b"x")
+    with pytest.raises(ValueError, match="no payload or no codes"):
+        assembled(toy_header(), {None: spool})
+    spool.set_codes(Block(-1, 0, 0), b"")
+    with pytest.raises(ValueError, match="0 bytes of codes"):
+        assembled(toy_header(), {None: spool})
+
+
+def test_a_payload_of_another_segment_is_refused(tmp_path):
+    header = toy_header(2000, 1999)
+    spools = toy_spools(header.grid, tmp_path)
+    spools[None].add(Block(3, 0, 0), b"x", 0, bytes(16))
+    with pytest.raises(ValueError, match="does not belong"):
+        assembled(header, spools)
+
+
+def test_flags_come_back_for_every_value():
+    header = toy_header(2000, 1999)
+    container = open_container(toy_file(header))
+    keys = header.grid.blocks(3)
+    assert {container.flags(key) for key in keys} >= set(range(1, 60))
+    assert all(container.flags(key) == toy_flags(key) for key in keys)
+
+
+def test_grid_of_the_container_is_that_of_the_header():
+    assert open_container(toy_file()).grid == Grid(5, 5, 32)

@@ -1,0 +1,212 @@
+"""The fixed header: round trip, and every rule of FORMAT.md §4.1 with a valid checksum."""
+
+import struct
+import zlib
+from dataclasses import replace
+from fractions import Fraction
+
+import pytest
+from container.toys import toy_header
+from hypothesis import given
+from hypothesis import strategies as st
+
+from terrainwave.container.header import (
+    DTYPE_CODES,
+    HEADER_SIZE,
+    METHODS,
+    Extents,
+    Header,
+    pack_header,
+    unpack_header,
+)
+from terrainwave.errors import (
+    CorruptStreamError,
+    InvalidHeightsError,
+    TerrainwaveError,
+    TruncatedStreamError,
+    UnsupportedVersionError,
+)
+
+EXTENTS = Extents(5000, 100, 0xDEADBEEF, 20, 7, 300)
+
+
+def packed(**changes):
+    return pack_header(toy_header(**changes), EXTENTS)
+
+
+def patched(offset, layout, *values):
+    """Return a header with other bytes at `offset` and the checksum that belongs to them."""
+    data = bytearray(packed())
+    struct.pack_into("<" + layout, data, offset, *values)
+    return bytes(data[:124]) + struct.pack("<I", zlib.crc32(data[:124]))
+
+
+bounds = st.floats(0, 1e6)
+headers = st.builds(
+    Header,
+    n_rows=st.integers(1, 2**25),
+    n_cols=st.integers(1, 2**25),
+    block=st.sampled_from([32, 64, 128, 256, 512, 1024]),
+    border_rings=st.sampled_from([1, 3]),
+    method=st.sampled_from(METHODS),
+    dtype=st.sampled_from(sorted(DTYPE_CODES)),
+    effort=st.integers(0, 9),
+    quantum=st.builds(Fraction, st.integers(1, 2**20), st.integers(1, 2**62)),
+    base=st.integers(-(2**42), 2**42),
+    step=st.integers(0, 2**30 - 1).map(lambda half: 2 * half + 1),
+    z_min=st.integers(-(2**29), 0),
+    z_max=st.integers(0, 2**29 - 1),
+    max_error=st.just(1e6),
+    effective_bound=bounds,
+    rho=bounds,
+)
+
+
+@given(header=headers)
+def test_header_comes_back_from_its_bytes(header):
+    data = pack_header(header, EXTENTS)
+    assert len(data) == HEADER_SIZE
+    assert unpack_header(data) == (header, EXTENTS)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"n_rows": 2**31, "n_cols": 2**19},
+        {"z_min": 0, "z_max": -1},
+        {"z_min": -(2**30), "z_max": -1},
+        {"step": 2**31 - 1},
+        {"quantum": Fraction(1, 2**63 - 1), "base": 2**62},
+        {"base": 2**63 - 1 - 2**31, "quantum": Fraction(1)},
+    ],
+)
+def test_extreme_but_legal_values_come_back(changes):
+    header = toy_header(metadata={}, parameters=b"", **changes)
+    assert unpack_header(pack_header(header, EXTENTS))[0] == header
+
+
+@pytest.mark.parametrize("length", [8, 9, 64, 127])
+def test_a_short_header_is_truncated(length):
+    with pytest.raises(TruncatedStreamError, match=f"byte {length}"):
+        unpack_header(packed()[:length])
+
+
+def test_text_mode_damage_shows_in_the_magic():
+    with pytest.raises(CorruptStreamError, match=r"not a \.twz file"):
+        unpack_header(packed().replace(b"\r\n", b"\n"))
+
+
+@pytest.mark.parametrize("byte_pos", range(HEADER_SIZE))
+def test_every_changed_byte_of_the_header_is_noticed(byte_pos):
+    data = bytearray(packed())
+    data[byte_pos] ^= 0x10
+    with pytest.raises((CorruptStreamError, UnsupportedVersionError)):
+        unpack_header(bytes(data))
+
+
+UNSUPPORTED = [
+    (8, "B", 1, "format version 1"),
+    (9, "B", 1, "reserved"),
+    (12, "I", 1, "unknown features 0x1"),
+    (12, "I", 2**31, "unknown features"),
+    (34, "B", 4, "unknown method 4"),
+    (35, "B", 0, "unknown data type 0"),
+    (35, "B", 2, "unknown data type 2"),
+    (35, "B", 9, "unknown data type 9"),
+    (36, "B", 10, "effort is 10"),
+    (37, "B", 1, "reserved"),
+    (39, "B", 128, "reserved"),
+    (120, "I", 1, "reserved"),
+]
+
+
+@pytest.mark.parametrize(("offset", "layout", "value", "message"), UNSUPPORTED)
+def test_what_a_newer_version_may_write_is_unsupported(offset, layout, value, message):
+    with pytest.raises(UnsupportedVersionError, match=message):
+        unpack_header(patched(offset, layout, value))
+
+
+CORRUPT = [
+    (10, "H", 127, "header size 127"),
+    (16, "Q", 547, "does not hold"),
+    (16, "Q", 2**63, "does not hold"),
+    (24, "I", 0, "n_rows is 0"),
+    (24, "I", 2**31 + 1, "n_rows"),
+    (28, "I", 0, "n_cols is 0"),
+    (28, "I", 2**32 - 1, "n_cols"),
+    (24, "II", (2**31, 2**20), "more than 2"),
+    (32, "B", 4, "block size is 4"),
+    (32, "B", 11, "block size is 11"),
+    (33, "B", 0, "border_rings is 0"),
+    (33, "B", 2, "border_rings is 2"),
+    (40, "Q", 0, "not positive"),
+    (40, "Q", 2**63, "not positive"),
+    (48, "Q", 0, "not positive"),
+    (48, "Q", 2**63, "not positive"),
+    (40, "QQ", (2, 10), "lowest terms"),
+    (40, "Q", 2**40 + 1, "overflow 64 bits"),
+    (56, "q", -(2**63), "overflow 64 bits"),
+    (64, "I", 0, "step is 0"),
+    (64, "I", 2, "step is 2"),
+    (64, "I", 2**31 + 1, "step is"),
+    (68, "ii", (5, 4), "heights 5 ... 4"),
+    (68, "ii", (1, 0), "heights 1 ... 0"),
+    (68, "i", -(2**30) - 1, "out of range"),
+    (72, "i", 2**30 + 1, "out of range"),
+    (68, "ii", (-1, 2**30 - 1), "out of range"),
+    (76, "I", 0, "metadata of 0 bytes"),
+    (76, "I", 2**20 + 1, "metadata of 1048577"),
+    (80, "d", -0.5, "negative or not finite"),
+    (80, "d", float("nan"), "negative or not finite"),
+    (80, "d", float("inf"), "negative or not finite"),
+    (88, "d", float("nan"), "negative or not finite"),
+    (88, "d", 0.2, "exceeds"),
+    (96, "d", -1.0, "negative or not finite"),
+    (96, "d", 0.2, "exceeds"),
+    (108, "I", 2**16 + 1, "parameters of 65537"),
+    (116, "I", 0, "top page of 0"),
+    (116, "I", 2**15 + 1, "top page of 32769"),
+]
+
+
+@pytest.mark.parametrize(("offset", "layout", "value", "message"), CORRUPT)
+def test_a_field_out_of_range_is_corrupt_though_the_checksum_is_right(
+    offset, layout, value, message
+):
+    values = value if isinstance(value, tuple) else (value,)
+    with pytest.raises(CorruptStreamError, match=message):
+        unpack_header(patched(offset, layout, *values))
+
+
+@given(fields=st.binary(min_size=112, max_size=112))
+def test_any_fields_with_a_right_checksum_give_a_header_or_our_own_error(fields):
+    data = packed()[:12] + fields
+    data += struct.pack("<I", zlib.crc32(data))
+    try:
+        header, _ = unpack_header(data)
+    except TerrainwaveError:
+        return
+    assert header.n_rows * header.n_cols <= 2**50
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"block": 48},
+        {"block": 0},
+        {"method": "jpeg"},
+        {"dtype": "int8"},
+        {"step": 2},
+        {"max_error": float("nan")},
+        {"quantum": Fraction(0)},
+        {"n_rows": 0},
+    ],
+)
+def test_a_header_outside_the_limits_is_not_written(changes):
+    with pytest.raises(InvalidHeightsError):
+        pack_header(toy_header(**changes), EXTENTS)
+
+
+def test_headers_can_be_compared_and_hashed():
+    assert hash(toy_header()) == hash(toy_header())
+    assert toy_header() != replace(toy_header(), metadata={})

@@ -1,0 +1,396 @@
+"""URLs: a local web server counts requests and bytes and misbehaves on demand."""
+
+import pickle
+import re
+import sys
+import threading
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import numpy as np
+import pytest
+from container.toys import forge, toy_file, toy_header, toy_payload
+
+from terrainwave.container.page import empty_page, page_layout
+from terrainwave.container.reader import open_container
+from terrainwave.container.source import ByteRange, open_source
+from terrainwave.errors import StorageError, TruncatedStreamError
+from terrainwave.quadtree import Block
+
+BIG = 64 * 2**20
+
+
+class Handler(BaseHTTPRequestHandler):
+    """Serves ``server.files`` by ranges; ``server.faults`` says what goes wrong where."""
+
+    protocol_version = "HTTP/1.1"
+    disable_nagle_algorithm = True
+
+    def do_GET(self):
+        server, path = self.server, self.path.partition("?")[0]
+        fault = server.faults.get(path)
+        server.requests.append((path, self.headers.get("Range"), self.client_address))
+        server.logins.append(self.headers.get("Authorization"))
+        if isinstance(fault, int) and fault >= 300:
+            return self.reply(fault, b"no")
+        if fault == "busy once":
+            server.faults.pop(path)
+            return self.reply(503, b"later")
+        if isinstance(fault, str) and fault.startswith("->"):
+            return self.reply(302, b"", Location=fault[2:])
+        data = server.files.get(path)
+        if data is None:
+            return self.reply(404, b"not here")
+        if fault == "no ranges":
+            return self.reply(200, data)
+        first, last = map(int, re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers["Range"]).groups())
+        if first >= len(data):
+            return self.reply(416, b"", **{"Content-Range": f"bytes */{len(data)}"})
+        body = data[first : last + 1]
+        place = f"bytes {first}-{first + len(body) - 1}/{len(data)}"
+        if fault == "other range":
+            place = f"bytes {first + 1}-{first + len(body)}/{len(data)}"
+        if fault == "no place":
+            return self.reply(206, body)
+        if fault == "short":
+            body = body[:-1]
+        if fault == "cut" and first:
+            self.reply(206, body[:5], length=len(body), **{"Content-Range": place})
+            self.close_connection = True
+            return None
+        self.reply(206, body, **{"Content-Range": place})
+        if fault == "closes silently":
+            self.close_connection = True
+        return None
+
+    def reply(self, status, body, length=None, **headers):
+        self.send_response(status)
+        self.send_header("Content-Length", str(len(body) if length is None else length))
+        for name, value in headers.items():
+            self.send_header(name, value)
+        self.end_headers()
+        for start in range(0, len(body), 65536):
+            self.wfile.write(body[start : start + 65536])
+            self.server.n_bytes += len(body[start : start + 65536])
+
+    def log_message(self, *_):
+        pass
+
+
+class Server(ThreadingHTTPServer):
+    """Quiet about clients that hang up."""
+
+    daemon_threads = True
+
+    def __init__(self):
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.files, self.faults, self.requests, self.logins = {}, {}, [], []
+        self.n_bytes = 0
+
+    def handle_error(self, *_):
+        pass
+
+    def url(self, path):
+        return f"http://127.0.0.1:{self.server_port}{path}"
+
+
+@pytest.fixture
+def server(monkeypatch):
+    for name in ("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"):
+        monkeypatch.delenv(name, raising=False)
+    with running_server() as running:
+        yield running
+
+
+@contextmanager
+def running_server():
+    running = Server()
+    thread = threading.Thread(target=running.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    yield running
+    running.shutdown()
+    thread.join()
+    running.server_close()
+
+
+def test_a_large_file_opens_with_one_request_of_16_kib(server):
+    header = toy_header(5000, 5000)
+    server.files["/a.twz"] = toy_file(header)
+    with open_container(server.url("/a.twz")) as container:
+        assert container.header == header
+    assert [wanted for _, wanted, _ in server.requests] == ["bytes=0-16383"]
+    assert server.n_bytes == 16384
+
+
+def test_the_largest_top_page_opens_with_two_requests_and_64_kib(server):
+    header = toy_header(16_000, 16_000)
+    layout = page_layout(header.grid, None)
+    assert (len(layout.keys), len(layout.blocks), len(layout.children)) == (352, 1360, 1024)
+    page = empty_page(layout)
+    rng = np.random.default_rng(1)
+    page.flags[:] = rng.integers(0, 256, 352)
+    page.codes[:] = rng.integers(0, 256, (1360, 4))
+    page.payload_lengths[:] = 1
+    page.payload_crcs[:] = rng.integers(0, 2**32, 352)
+    page.child_page_lengths[:] = 13
+    page.child_lengths[:] = rng.integers(13, 2**16, 1024)
+    rest = bytes(int(page.child_lengths.sum()))
+    metadata = {"crs": "".join(chr(code) for code in rng.integers(32, 126, 20_000))}
+    server.files["/a.twz"] = forge(
+        toy_header(16_000, 16_000, metadata=metadata), page, bytes(352), rest
+    )
+    with open_container(server.url("/a.twz")) as container:
+        assert len(container.segment(None).layout.children) == 1024
+    assert len(server.requests) == 2
+    assert 16384 < server.n_bytes <= 65536
+
+
+def test_payloads_over_http_are_those_of_the_file(server):
+    header = toy_header(2000, 1999)
+    server.files["/a.twz"] = toy_file(header)
+    keys = header.grid.blocks(3)
+    with open_container(server.url("/a.twz")) as container:
+        assert container.payloads(keys) == [toy_payload(key) for key in keys]
+        n_requests = len(server.requests)
+        assert list(container.check()) == []
+    assert n_requests <= 3  # open, sixteen pages in one, payloads in one
+
+
+def test_connections_are_reused(server):
+    server.files["/a"] = bytes(BIG // 16)
+    source = open_source(server.url("/a"))
+    for offset in range(1_000_000, 2_000_000, 100_000):
+        source.read(offset, 10)
+    source.close()
+    assert len({address for _, _, address in server.requests}) == 1
+
+
+def test_far_ranges_are_read_side_by_side_and_in_order(server):
+    data = np.random.default_rng(1).bytes(3_000_000)
+    server.files["/a"] = data
+    source = open_source(server.url("/a"))
+    ranges = [ByteRange(offset, 1000) for offset in range(2_900_000, 0, -200_000)]
+    assert source.read_many(ranges) == [data[r.offset : r.end] for r in ranges]
+    assert len(server.requests) == 1 + len(ranges)
+    source.close()
+
+
+def test_a_server_without_ranges_is_one_clear_error_and_no_download(server):
+    server.files["/a.twz"] = bytes(BIG)
+    server.faults["/a.twz"] = "no ranges"
+    with pytest.raises(StorageError, match="does not serve byte ranges; download") as caught:
+        open_container(server.url("/a.twz"))
+    assert "\n" not in str(caught.value)
+    assert len(server.requests) == 1
+    assert server.n_bytes < BIG // 4  # what fits the sockets' buffers
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        (404, "404 Not Found"),
+        (403, "403 Forbidden"),
+        ("other range", "the server sent bytes 1-"),
+        ("no place", "no usable Content-Range"),
+    ],
+)
+def test_a_bad_reply_is_a_storage_error(server, fault, message):
+    server.files["/a"] = bytes(100_000)
+    server.faults["/a"] = fault
+    with pytest.raises(StorageError, match=message):
+        open_source(server.url("/a"))
+
+
+def test_a_reply_cut_short_is_noticed(server):
+    server.files["/a"] = bytes(100_000)
+    source = open_source(server.url("/a"))
+    server.faults["/a"] = "cut"
+    with pytest.raises(StorageError, match="cannot read"):
+        source.read(50_000, 100)
+    source.close()
+
+
+def test_a_reply_shorter_than_it_says_is_truncated(server):
+    server.files["/a"] = bytes(100_000)
+    source = open_source(server.url("/a"))
+    server.faults["/a"] = "short"
+    with pytest.raises(TruncatedStreamError, match="ends at byte 50099"):
+        source.read(50_000, 100)
+    source.close()
+
+
+def test_a_busy_server_is_asked_again(server):
+    server.files["/a"] = b"abc"
+    server.faults["/a"] = "busy once"
+    source = open_source(server.url("/a"))
+    assert source.read(0, 3) == b"abc"
+    source.close()
+
+
+def test_a_server_that_stays_busy_is_a_storage_error(server, monkeypatch):
+    monkeypatch.setattr("terrainwave.container.url._DELAYS", (0.0, 0.0))
+    server.faults["/a"] = 503
+    with pytest.raises(StorageError, match="503"):
+        open_source(server.url("/a"))
+    assert len(server.requests) == 3
+
+
+def test_a_kept_connection_that_went_stale_is_replaced(server):
+    server.files["/a"] = bytes(100_000)
+    server.faults["/a"] = "closes silently"
+    source = open_source(server.url("/a"))
+    assert source.read(50_000, 10) == bytes(10)
+    assert source.read(60_000, 10) == bytes(10)
+    source.close()
+
+
+def test_redirects_are_followed_and_remembered(server):
+    server.files["/b"] = bytes(100_000)
+    server.faults["/a"] = "->/b?token=1"
+    source = open_source(server.url("/a"))
+    source.read(50_000, 10)
+    assert [path for path, _, _ in server.requests] == ["/a", "/b", "/b"]
+    source.close()
+
+
+def test_an_expired_redirect_is_asked_for_again(server):
+    server.files["/b"] = server.files["/c"] = bytes(100_000)
+    server.faults["/a"] = "->/b"
+    source = open_source(server.url("/a"))
+    server.faults |= {"/a": "->/c", "/b": 403}
+    assert source.read(50_000, 10) == bytes(10)
+    source.close()
+
+
+@pytest.mark.parametrize("place", ["/a", "file:///etc/passwd", "ftp://127.0.0.1/a"])
+def test_endless_and_foreign_redirects_are_refused(server, place):
+    server.faults["/a"] = "->" + place
+    with pytest.raises(StorageError, match="redirects"):
+        open_source(server.url("/a"))
+
+
+def test_a_login_goes_to_the_named_server_and_not_into_messages(server):
+    server.files["/a"] = b"abc"
+    url = server.url("/a").replace("//", "//me:se%40cret@")
+    with running_server() as other:
+        other.files["/b"] = b"abc"
+        open_source(url).close()
+        server.faults["/a"] = "->" + other.url("/b")
+        open_source(url).close()
+        assert other.logins == [None]
+    assert server.logins[0] == "Basic bWU6c2VAY3JldA=="
+    server.faults["/a"] = 404
+    with pytest.raises(StorageError) as caught:
+        open_source(url + "?token=hidden")
+    assert "cret" not in str(caught.value)
+    assert "hidden" not in str(caught.value)
+
+
+def test_a_file_replaced_while_open_is_noticed(server):
+    server.files["/a"] = bytes(100_000)
+    source = open_source(server.url("/a"))
+    server.files["/a"] = bytes(100_001)
+    with pytest.raises(StorageError, match="changed"):
+        source.read(50_000, 10)
+    source.close()
+
+
+def test_an_empty_file_is_truncated(server):
+    server.files["/a"] = b""
+    with pytest.raises(TruncatedStreamError):
+        open_container(server.url("/a"))
+
+
+def test_a_proxy_is_used(server, monkeypatch):
+    monkeypatch.setenv("http_proxy", f"127.0.0.1:{server.server_port}")
+    server.files["http://example.invalid/a"] = b"abc"
+    source = open_source("http://example.invalid/a")
+    assert source.read(0, 3) == b"abc"
+    source.close()
+
+
+def test_a_server_that_is_not_there_is_a_storage_error(server):
+    url = server.url("/a").replace(str(server.server_port), "1")
+    with pytest.raises(StorageError, match="cannot read http"):
+        open_source(url)
+
+
+@pytest.mark.parametrize("url", ["http://", "http:///a", "http://127.0.0.1:99999/a"])
+def test_a_url_without_host_or_with_a_bad_port_is_a_storage_error(server, url):
+    with pytest.raises(StorageError):
+        open_source(url)
+
+
+def test_a_closed_url_says_so(server):
+    server.files["/a"] = b"abc"
+    source = open_source(server.url("/a"))
+    source.close()
+    with pytest.raises(StorageError, match="closed"):
+        source.read(0, 1)
+
+
+def test_a_pickled_url_is_opened_again(server):
+    server.files["/a.twz"] = toy_file()
+    with open_container(server.url("/a.twz")) as container:
+        copy = pickle.loads(pickle.dumps(container))
+    assert copy.payload(Block(-1, 0, 0)) == toy_payload(Block(-1, 0, 0))
+    copy.close()
+
+
+# fsspec
+
+
+@pytest.fixture
+def memory():
+    import fsspec
+
+    files = fsspec.filesystem("memory")
+    yield files
+    files.store.clear()
+
+
+def test_fsspec_reads_exact_ranges(memory):
+    header = toy_header(300, 300)
+    memory.pipe("/a.twz", toy_file(header))
+    with open_container("memory://a.twz") as container:
+        copy = pickle.loads(pickle.dumps(container))
+        assert copy.header == container.header == header
+        keys = header.grid.blocks(1)
+        assert container.payloads(keys) == [toy_payload(key) for key in keys]
+        assert list(copy.check()) == []
+
+
+def test_a_file_missing_in_fsspec_is_a_storage_error(memory):
+    with pytest.raises(StorageError, match="no such file"):
+        open_source("memory://missing")
+
+
+def test_an_unknown_protocol_is_a_storage_error():
+    with pytest.raises(StorageError, match="nonsense"):
+        open_source("nonsense://a")
+
+
+def test_a_file_system_that_ignores_ranges_is_noticed(memory, monkeypatch):
+    memory.pipe("/a", bytes(1000))
+    source = open_source("memory://a")
+    monkeypatch.setattr(type(memory), "cat_file", lambda *_, **__: bytes(1000))
+    with pytest.raises(StorageError, match="byte ranges"):
+        source.read(5, 10)
+
+
+def test_any_failure_of_a_file_system_is_a_storage_error(memory, monkeypatch):
+    memory.pipe("/a", bytes(1000))
+    source = open_source("memory://a")
+
+    def fail(*_, **__):
+        raise RuntimeError("no credentials\nlong story")
+
+    monkeypatch.setattr(type(memory), "cat_file", fail)
+    with pytest.raises(StorageError, match=r"no credentials$"):
+        source.read(5, 10)
+
+
+def test_without_fsspec_the_message_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "fsspec", None)
+    with pytest.raises(StorageError, match="pip install fsspec"):
+        open_source("s3://bucket/a.twz")

@@ -1,0 +1,81 @@
+"""Are the import rules of ARCHITECTURE.md kept?"""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parent.parent / "src" / "terrainwave"
+
+# Each group may import itself and the groups before it; `codec` and `tri` are siblings.
+LAYERS = [
+    {"errors", "_version", "_jit", "_status", "quadtree", "quantum", "coding", "progress"},
+    {"codec", "tri", "container", "raster_io", "metrics"},
+    {"spool", "measure", "pyramid", "encoder", "decoder", "resample"},
+    {"terrain", "compression", "decompression", "verification"},
+    {"render", "ext"},
+    {"demo", "cli"},
+]
+SIBLINGS = [{"codec", "tri"}, {"codec", "container"}, {"codec", "raster_io"}]
+MAY_OPEN_FILES = {"raster_io", "container", "cli", "demo", "spool", "verification", "_jit"}
+
+
+def modules():
+    return sorted(PACKAGE.rglob("*.py"))
+
+
+def group_of(path):
+    relative = path.relative_to(PACKAGE)
+    return relative.parts[0].removesuffix(".py")
+
+
+def imported_groups(path):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("terrainwave"):
+            parts = node.module.split(".")
+            yield from [parts[1]] if len(parts) > 1 else [alias.name for alias in node.names]
+        elif isinstance(node, ast.Import):
+            yield from (
+                alias.name.split(".")[1]
+                for alias in node.names
+                if alias.name.startswith("terrainwave.")
+            )
+
+
+def layer_of(group):
+    return next((index for index, groups in enumerate(LAYERS) if group in groups), None)
+
+
+def test_every_module_has_a_layer():
+    groups = {group_of(path) for path in modules()} - {"__init__", "__pycache__"}
+    assert {group for group in groups if layer_of(group) is None} == set()
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_module_imports_only_its_layer_and_those_below(path):
+    group = group_of(path)
+    if group == "__init__":
+        return
+    for other in imported_groups(path):
+        if other == "__version__":
+            continue
+        assert layer_of(other) is not None, f"{path.name} imports unknown {other}"
+        assert layer_of(other) <= layer_of(group), f"{group} must not import {other}"
+        assert not any({group, other} == pair for pair in SIBLINGS), f"{group} imports {other}"
+
+
+def test_files_are_opened_only_at_the_edge():
+    for path in modules():
+        if group_of(path) in MAY_OPEN_FILES:
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            is_open = isinstance(node, ast.Call) and getattr(node.func, "id", "") == "open"
+            assert not is_open, f"{path.name}:{node.lineno} opens a file"
+
+
+@pytest.mark.parametrize("library", ["moderngl", "fsspec", "xarray", "numba", "rasterio"])
+def test_importing_terrainwave_needs_no_heavy_library(library):
+    code = f"import sys, terrainwave; sys.exit({library!r} in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
