@@ -48,6 +48,8 @@ class GroupSpec:
     forbidden: tuple[int, int]
     rings: int
     effort: int
+    # For the choices of encoders alone: no decoder may look at it.
+    is_finest: bool = True
 
     @property
     def half(self) -> int:
