@@ -80,7 +80,8 @@ class Quantizer:
     def quantize(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return the quanta of `raw`, shape as given; 0 where not `valid`. Copies."""
         quanta = np.empty(raw.shape, dtype=np.int32)
-        if np.dtype(self.dtype).kind in "iu" and self.denominator == 1:
+        # Integers too far apart for their own grid are rounded to a coarser one, as floats are.
+        if np.dtype(self.dtype).kind in "iu" and self.rho == 0:
             _quantize_integers(raw, valid, self.numerator, self.base, quanta)
         else:
             _quantize_floats(raw, valid, self.numerator, self.denominator, self.base, quanta)
