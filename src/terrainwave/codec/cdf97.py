@@ -197,7 +197,7 @@ class _Encoder:
         self.is_known = np.ascontiguousarray(is_known[core])
         self.coded = mask[core] & ~self.is_known
         # Where the heights are known already, or void, this is what the coefficients should reach.
-        self.target = np.ascontiguousarray(target[core])
+        self.target = target[core].copy()
         self.target[self.is_known] = self.heights[core][self.is_known]
         prediction, _ = _predict(spec, parent)
         self.prediction = np.ascontiguousarray(prediction[core])

@@ -78,7 +78,8 @@ class Refiner(Protocol):
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and exactly what `decode` makes of it.
 
-        Every sample with ``mask`` set must come back within ``spec.half`` of `target`.
+        Every sample with ``mask`` set must come back within ``spec.half`` of `target`, which stays
+        as it is: the caller still needs it.
         """
         ...
 
