@@ -40,7 +40,11 @@ $(VENV)/.installed-bench: $(VENV)/.created pyproject.toml
 
 # --- what people run ---
 
-demo: $(VENV)/.installed
+$(VENV)/.installed-demo: $(VENV)/.created pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[demo]"
+	@touch $@
+
+demo: $(VENV)/.installed-demo
 	$(BIN)/terrainwave demo
 
 test: lint test-compiled test-bounds test-python

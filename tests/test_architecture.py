@@ -11,12 +11,23 @@ PACKAGE = Path(__file__).parent.parent / "src" / "terrainwave"
 
 # Each group may import itself and the groups before it; `codec` and `tri` are siblings.
 LAYERS = [
-    {"errors", "_version", "_jit", "_status", "quadtree", "quantum", "coding", "progress"},
+    {
+        "errors",
+        "_version",
+        "_jit",
+        "_status",
+        "quadtree",
+        "quantum",
+        "convert",
+        "codes",
+        "coding",
+        "progress",
+    },
     {"codec", "tri", "container", "raster_io", "metrics"},
     {"spool", "measure", "pyramid", "encoder", "decoder", "resample", "level_errors"},
     {"terrain", "compression", "decompression", "verification"},
     {"render", "ext"},
-    {"demo", "cli"},
+    {"demo", "cli", "__main__"},
 ]
 SIBLINGS = [{"codec", "tri"}, {"codec", "container"}, {"codec", "raster_io"}]
 MAY_OPEN_FILES = {"raster_io", "container", "cli", "demo", "spool", "verification", "_jit"}

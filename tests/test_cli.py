@@ -483,11 +483,18 @@ def test_progress_bar_is_drawn_on_a_terminal_only(monkeypatch):
     bar._bar.console.file.close()
 
 
-def test_cold_cache_is_announced(tmp_path, dem, monkeypatch):
-    monkeypatch.setattr("terrainwave._jit.cache_is_cold", lambda: True, raising=False)
-    done = run("compress", dem, tmp_path / "a.twz", "--method", "store")
-    assert "compiling kernels for this machine, once" in done.stderr
-    assert "compiling" not in done.stdout
+@pytest.mark.large  # plain Python compiles nothing
+def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path, dem):
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    command = [sys.executable, "-m", "terrainwave", "compress", str(dem), "--method", "store"]
+    told = []
+    for name in ("a.twz", "b.twz"):
+        done = subprocess.run(
+            [*command, str(tmp_path / name)], env=env, capture_output=True, text=True, check=True
+        )
+        told.append(done.stderr.count("compiling kernels for this machine, once"))
+        assert "compiling" not in done.stdout
+    assert told == [1, 0]
 
 
 # --- starting quickly --------------------------------------------------------------------------

@@ -34,7 +34,10 @@ from terrainwave.errors import (
     StorageError,
     TerrainwaveWarning,
 )
-from terrainwave.raster_io import RasterInfo, RasterSink, RasterSource, format_crs, parse_crs
+from terrainwave.raster_io.crs import format_crs, parse_crs
+from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.sink import RasterSink
+from terrainwave.raster_io.source import RasterSource
 
 MOON = (
     'GEOGCRS["Moon (2015) - Sphere",DATUM["Moon (2015) - Sphere",ELLIPSOID["Moon",1737400,0]],'
@@ -694,7 +697,8 @@ def test_target_that_cannot_fit_is_refused_at_once(tmp_path):
 FULL_DISK = """
 import resource, sys, numpy as np
 from terrainwave.errors import StorageError
-from terrainwave.raster_io import RasterInfo, RasterSink
+from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.sink import RasterSink
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), -1))
 heights = np.random.default_rng(0).integers(-9999, 9999, (1024, 1024)).astype("int16")
 try:
@@ -792,7 +796,9 @@ def test_cog_keeps_an_internal_mask(tmp_path):
 
 MEMORY = """
 import resource, sys, numpy as np
-from terrainwave.raster_io import RasterInfo, RasterSink, RasterSource
+from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.sink import RasterSink
+from terrainwave.raster_io.source import RasterSource
 start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 info = RasterInfo(8192, 16384, "int16", nodata=-1, mask_kind="nodata")
 with RasterSink(sys.argv[1], info) as sink:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from numba import njit
+from numba.core import event
 
 # Numba does not notice edits in a callee's file; switch caching off while editing.
 _CACHE = os.environ.get("TERRAINWAVE_NUMBA_CACHE", "1") != "0"
@@ -52,3 +53,23 @@ def _extend_cache_stamp(dispatcher: Any) -> None:
         return  # NUMBA_DISABLE_JIT: the function itself
     cache_file = dispatcher._cache._cache_file
     cache_file._source_stamp = (cache_file._source_stamp, _SOURCE_HASH)
+
+
+class _FirstCompilation(event.Listener):
+    """Calls back once, when numba compiles rather than takes a kernel from its cache."""
+
+    def __init__(self, callback: Callable[[], None]) -> None:
+        self._callback: Callable[[], None] | None = callback
+
+    def on_start(self, event: Any) -> None:
+        callback, self._callback = self._callback, None
+        if callback is not None:
+            callback()
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+def on_first_compilation(callback: Callable[[], None]) -> None:
+    """Call `callback` once, if and when a kernel is compiled in this process."""
+    event.register("numba:compile", _FirstCompilation(callback))

@@ -23,6 +23,7 @@ from terrainwave._version import __version__
 from terrainwave.codec.refiner import Refiner
 from terrainwave.codec.registry import check_method, refiner_by_name
 from terrainwave.codec.units import CodecParameters, unit_blocks
+from terrainwave.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.header import Header
 from terrainwave.container.page import page_layout
 from terrainwave.container.publish import publish, scratch_directory
@@ -30,12 +31,12 @@ from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
 from terrainwave.encoder import Stats, TreeEncoder
 from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
-from terrainwave.measure import decode_error, decode_range, encode_error, encode_range
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.pyramid import Pyramid, SourceWindows
 from terrainwave.quadtree import Block, Grid, Region
 from terrainwave.quantum import HeightScan, Quantizer, as_fraction
-from terrainwave.raster_io import RasterInfo, RasterSource
+from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.source import RasterSource
 from terrainwave.spool import Spool
 from terrainwave.terrain import EFFORTS, Terrain
 

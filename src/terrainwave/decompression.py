@@ -7,7 +7,7 @@ from typing import Any
 
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.quadtree import Region
-from terrainwave.raster_io import RasterSink
+from terrainwave.raster_io.sink import RasterSink
 from terrainwave.terrain import Terrain
 
 # Samples of one window: whole rows of groups where they fit, 32 MiB of float64.

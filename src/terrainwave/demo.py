@@ -12,7 +12,8 @@ import terrainwave
 from terrainwave.errors import BoundViolationError, StorageError, TerrainwaveError
 from terrainwave.metrics import ErrorReport
 from terrainwave.progress import ProgressCallback
-from terrainwave.raster_io import RasterInfo, RasterSink
+from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.sink import RasterSink
 
 # Metres.
 BOUNDS = (0.0, 1.0, 3.0, 10.0)

@@ -1,4 +1,4 @@
-"""Measured errors and boxes of blocks, and the eight-bit codes that store them (FORMAT.md §4.4)."""
+"""Measured errors and ranges of blocks (DESIGN §3.9)."""
 
 from dataclasses import dataclass
 
@@ -117,36 +117,3 @@ def _largest_deviation(heights, stride, originals, mask, first_row, first_col, l
                 largest = max(largest, deviation)
                 value += slope
     return largest
-
-
-# An error code c stands for (8 + c % 8) * 2^(c // 8) / 8, rounded down: eight steps an octave.
-def encode_error(error: int) -> int:
-    """Return the smallest code that stands for at least `error` quanta (0 … 2^31)."""
-    if error <= 0:
-        return 0
-    exponent = max(error.bit_length() - 1, 0)
-    for code in range(8 * exponent, 8 * exponent + 9):
-        if code and decode_error(code) >= error:
-            return min(code, 255)
-    return 255
-
-
-def decode_error(code: int) -> int:
-    """Return the error in quanta that `code` (0 … 255) stands for."""
-    return 0 if code == 0 else ((8 + code % 8) << code // 8) >> 3
-
-
-def encode_range(low: int, high: int, outer_low: int, outer_high: int) -> tuple[int, int]:
-    """Return the codes of a block's box inside its parent's, rounded outward."""
-    span = outer_high - outer_low
-    if span <= 0 or low > high:
-        return 0, 0
-    below = (low - outer_low) * 255 // span
-    above = (outer_high - high) * 255 // span
-    return min(max(below, 0), 255), min(max(above, 0), 255)
-
-
-def decode_range(below: int, above: int, outer_low: int, outer_high: int) -> tuple[int, int]:
-    """Return a box that contains the one that was encoded."""
-    span = outer_high - outer_low
-    return outer_low + below * span // 255, outer_high - above * span // 255

@@ -12,7 +12,6 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
 from terrainwave.errors import InvalidHeightsError
 
 MAX_QUANTA = 1 << 30
@@ -79,12 +78,14 @@ class Quantizer:
 
     def quantize(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return the quanta of `raw`, shape as given; 0 where not `valid`. Copies."""
+        from terrainwave import convert
+
         quanta = np.empty(raw.shape, dtype=np.int32)
         # Integers too far apart for their own grid are rounded to a coarser one, as floats are.
         if np.dtype(self.dtype).kind in "iu" and self.rho == 0:
-            _quantize_integers(raw, valid, self.numerator, self.base, quanta)
+            convert.quantize_integers(raw, valid, self.numerator, self.base, quanta)
         else:
-            _quantize_floats(raw, valid, self.numerator, self.denominator, self.base, quanta)
+            convert.quantize_floats(raw, valid, self.numerator, self.denominator, self.base, quanta)
         return quanta
 
     def dequantize(
@@ -95,15 +96,18 @@ class Quantizer:
         Integers are exact; floats are the correctly rounded float64 quotient, cast. Both are the
         same on every machine.
         """
+        # Imported here: what reads only a header needs no numba.
+        from terrainwave import convert
+
         if out is None:
             out = np.empty(quanta.shape, dtype=self.dtype)
         if out.dtype.kind in "iu":
             limits = np.iinfo(np.dtype(self.dtype))
-            _dequantize_integers(
+            convert.dequantize_integers(
                 quanta, self.numerator, self.denominator, self.base, limits.min, limits.max, out
             )
         else:
-            _dequantize_floats(quanta, self.numerator, self.denominator, self.base, out)
+            convert.dequantize_floats(quanta, self.numerator, self.denominator, self.base, out)
         return out
 
     def quanta_of_value(self, value: float | int | None) -> tuple[int, int]:
@@ -123,55 +127,18 @@ class Quantizer:
         return low, high
 
     def _gives(self, quantum: int, value: float | int) -> bool:
-        return bool(self.dequantize(np.array([[quantum]], dtype=np.int32))[0, 0] == value)
+        return bool(self.height_of(quantum) == value)
 
-
-@kernel
-def _quantize_integers(raw, valid, numerator, base, quanta):
-    """Divide multiples of `numerator`; 2-D arrays."""
-    for row in range(raw.shape[0]):
-        for col in range(raw.shape[1]):
-            if valid[row, col]:
-                quanta[row, col] = np.int64(raw[row, col]) // numerator - base
-            else:
-                quanta[row, col] = 0
-
-
-@kernel
-def _quantize_floats(raw, valid, numerator, denominator, base, quanta):
-    """Round to the grid, ties to even; 2-D arrays."""
-    for row in range(raw.shape[0]):
-        for col in range(raw.shape[1]):
-            if valid[row, col]:
-                multiple = (
-                    np.float64(raw[row, col]) * np.float64(denominator) / np.float64(numerator)
-                )
-                quanta[row, col] = np.int64(np.rint(multiple)) - base
-            else:
-                quanta[row, col] = 0
-
-
-@kernel
-def _dequantize_integers(quanta, numerator, denominator, base, low, high, out):
-    """Fill `out` with whole heights; ties of a fractional quantum go to even. 2-D arrays.
-
-    The header's limits keep (base + k) * numerator below 2^63.
-    """
-    for row in range(quanta.shape[0]):
-        for col in range(quanta.shape[1]):
-            height = (np.int64(quanta[row, col]) + base) * numerator
-            if denominator != 1:
-                height = np.int64(np.rint(np.float64(height) / np.float64(denominator)))
-            out[row, col] = min(max(height, low), high)
-
-
-@kernel
-def _dequantize_floats(quanta, numerator, denominator, base, out):
-    """Fill `out` with the quotients, rounded to float64 and then to its own type. 2-D arrays."""
-    for row in range(quanta.shape[0]):
-        for col in range(quanta.shape[1]):
-            product = (np.int64(quanta[row, col]) + base) * numerator
-            out[row, col] = np.float64(product) / np.float64(denominator)
+    def height_of(self, quantum: int) -> float | int:
+        """Return the raw height of one quantum, as `dequantize` does."""
+        product = (quantum + self.base) * self.numerator
+        if np.dtype(self.dtype).kind == "f":
+            height = np.float64(product) / np.float64(self.denominator)
+            return float(np.dtype(self.dtype).type(height))
+        if self.denominator != 1:
+            product = int(np.rint(np.float64(product) / np.float64(self.denominator)))
+        limits = np.iinfo(np.dtype(self.dtype))
+        return min(max(product, int(limits.min)), int(limits.max))
 
 
 class HeightScan:

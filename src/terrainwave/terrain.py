@@ -5,22 +5,24 @@ import threading
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from typing import Any, Self
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import CodecParameters, root_keys, unit_spec
+from terrainwave.codes import decode_error
 from terrainwave.container.reader import Container
 from terrainwave.container.source import open_source
-from terrainwave.decoder import TreeDecoder
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, LimitExceededError
-from terrainwave.measure import decode_error
 from terrainwave.quadtree import Block, Grid, Region, morton
 from terrainwave.quantum import Quantizer
-from terrainwave.raster_io import RasterInfo
+from terrainwave.raster_io.info import RasterInfo
 from terrainwave.resample import RESAMPLING, resample
+
+if TYPE_CHECKING:
+    from terrainwave.decoder import TreeDecoder
 
 Window = tuple[int, int, int, int]
 DEFAULT_CACHE_BYTES = 256 << 20
@@ -128,21 +130,7 @@ class Terrain:
             z_min=header.z_min,
             z_max=header.z_max,
         )
-        self._parameters = CodecParameters(
-            step=header.step,
-            z_min=header.z_min,
-            z_max=header.z_max,
-            forbidden=self._quantizer.quanta_of_value(self._raster.nodata),
-            rings=header.border_rings,
-            effort=header.effort,
-        )
-        self._decoder = TreeDecoder(
-            self._grid,
-            refiner_by_name(header.method),
-            self._parameters,
-            self._container.payloads,
-            cache_bytes,
-        )
+        self._cache_bytes = cache_bytes
         self._n_threads = threads or os.cpu_count() or 1
         self._executor: ThreadPoolExecutor | None = None
         self._lock = threading.Lock()
@@ -164,6 +152,32 @@ class Terrain:
         if self._executor is not None:
             self._executor.shutdown()
         self._source.close()
+
+    @cached_property
+    def _parameters(self) -> CodecParameters:
+        header = self._container.header
+        return CodecParameters(
+            step=header.step,
+            z_min=header.z_min,
+            z_max=header.z_max,
+            forbidden=self._quantizer.quanta_of_value(self._raster.nodata),
+            rings=header.border_rings,
+            effort=header.effort,
+        )
+
+    @cached_property
+    def _decoder(self) -> "TreeDecoder":
+        # Imported when heights are first read: opening a file and `info` need no numba.
+        from terrainwave.codec.registry import refiner_by_name
+        from terrainwave.decoder import TreeDecoder
+
+        return TreeDecoder(
+            self._grid,
+            refiner_by_name(self._container.header.method),
+            self._parameters,
+            self._container.payloads,
+            self._cache_bytes,
+        )
 
     # What the file says.
 
@@ -262,10 +276,10 @@ class Terrain:
         header, raster = self._container.header, self._raster
         n_samples = header.n_rows * header.n_cols
         has_heights = header.z_min <= header.z_max
-        extremes = self._quantizer.dequantize(
-            np.array([[header.z_min, header.z_max]], dtype=np.int32)
-        )
-        physical = extremes.astype(np.float64) * raster.scale + raster.offset
+        physical = [
+            self._quantizer.height_of(quantum) * raster.scale + raster.offset
+            for quantum in (header.z_min, header.z_max)
+        ]
         return Info(
             path=str(self.name),
             n_bytes=self._source.size,
@@ -293,8 +307,8 @@ class Terrain:
             offset=raster.offset,
             area_or_point=raster.area_or_point,
             description=raster.description,
-            minimum=float(physical.min()) if has_heights else None,
-            maximum=float(physical.max()) if has_heights else None,
+            minimum=min(physical) if has_heights else None,
+            maximum=max(physical) if has_heights else None,
         )
 
     def block_error(self, block: Block) -> float:

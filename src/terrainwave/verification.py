@@ -23,7 +23,7 @@ from rasterio.windows import Window
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
 from terrainwave.metrics import ErrorReport, ErrorSum
 from terrainwave.progress import Progress, ProgressCallback
-from terrainwave.raster_io import parse_crs
+from terrainwave.raster_io.crs import parse_crs
 
 # Samples per window, and its height where the original is striped: windows of few rows would make
 # the decoder run the same blocks again and again.

@@ -175,12 +175,14 @@ def _rich_bar() -> Any:
 
 
 def announce_compiling(*, quiet: bool = False) -> None:
-    """Say why the first run on a machine takes seconds, if this is one."""
+    """Say why the first run on a machine takes seconds, as soon as something is compiled."""
     from terrainwave import _jit
 
-    cache_is_cold = getattr(_jit, "cache_is_cold", None)
-    if not quiet and cache_is_cold is not None and cache_is_cold():
+    def announce() -> None:
         click.echo("compiling kernels for this machine, once: this takes some seconds", err=True)
+
+    if not quiet:
+        _jit.on_first_compilation(announce)
 
 
 def print_table(rows: list[tuple[str, object]]) -> None:

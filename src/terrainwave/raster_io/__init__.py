@@ -7,17 +7,6 @@ ever holds the raster: GDAL's block cache, whose default is 5 % of the machine's
 
 Which samples are valid is decided here and nowhere else in the encoder: a sample is void if it
 equals nodata, is NaN, or is masked by the dataset (mask band, alpha). Both can apply at once.
+
+Import from the submodules: `info` needs no rasterio, which costs time at start.
 """
-
-from terrainwave.raster_io.info import SUPPORTED_DTYPES, RasterInfo, format_crs, parse_crs
-from terrainwave.raster_io.sink import RasterSink
-from terrainwave.raster_io.source import RasterSource
-
-__all__ = [
-    "SUPPORTED_DTYPES",
-    "RasterInfo",
-    "RasterSink",
-    "RasterSource",
-    "format_crs",
-    "parse_crs",
-]

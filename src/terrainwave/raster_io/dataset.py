@@ -16,13 +16,11 @@ from terrainwave.errors import (
     InvalidHeightsError,
     StorageError,
 )
+from terrainwave.raster_io.crs import format_crs
 from terrainwave.raster_io.gdal import (
     GDAL_ERRORS,
     bounded_env,
     one_line,
-)
-from terrainwave.raster_io.info import (
-    format_crs,
 )
 
 # What to convert an unsupported type to; the narrowest of ours that holds all of its values, or

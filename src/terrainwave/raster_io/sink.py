@@ -31,11 +31,7 @@ from terrainwave.raster_io.gdal import (
     one_line,
     scan_windows,
 )
-from terrainwave.raster_io.info import (
-    IDENTITY,
-    RasterInfo,
-    stored_nodata,
-)
+from terrainwave.raster_io.info import IDENTITY, RasterInfo, stored_nodata
 
 _TILE = 512
 
