@@ -203,9 +203,9 @@ class _Encoder:
         self.core = core
         self.is_known = np.ascontiguousarray(is_known[core])
         self.coded = mask[core] & ~self.is_known
-        # Where the heights are known already, or void, this is what the coefficients should reach.
+        # The coefficients aim at the originals on the shared lines too: the decoded lines carry noise
+        # of up to half a step, which would cost coefficients, and the decoder ignores them there.
         self.target = np.ascontiguousarray(target[core])
-        self.target[self.is_known] = self.heights[core][self.is_known]
         prediction, _ = _predict(spec, parent)
         self.prediction = np.ascontiguousarray(prediction[core])
         self.start = np.ascontiguousarray(self.heights[core])
