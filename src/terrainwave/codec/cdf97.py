@@ -55,9 +55,10 @@ from terrainwave.coding.rangecoder import (
 )
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 
-# Fraction bits of wavelet coefficients, and the largest one used (see tests/codec/test_bounds.py).
+# Fraction bits of wavelet coefficients, and the largest one used: with it no stream can overflow the
+# inverse transform (proof: tests/coding/test_filters.py). Larger ones are cut, and residuals mend it.
 FRACTION_BITS = 6
-MAX_COEFF = 1 << 46
+MAX_COEFF = 1 << 40
 MAX_INDEX = 1 << 30
 
 _HAS_COEFFS, _HAS_RESIDUALS, _IS_RAW = 1, 2, 4
