@@ -288,7 +288,8 @@ def _code_root_line(
             left, right = i - stride, i + stride
             near = 2 * mags[left]
             if right < n:
-                near = mags[left] + mags[right]
+                # Two equal neighbours on a staircase make the sample between them all but certain.
+                near = mags[left] + mags[right] + 6 * (abs(decoded[right] - decoded[left]) // step)
                 prediction = (decoded[left] + decoded[right]) >> 1
                 if left >= 2 * stride and right + 2 * stride < n:
                     far = decoded[left - 2 * stride] + decoded[right + 2 * stride]
@@ -298,7 +299,7 @@ def _code_root_line(
             else:
                 prediction = decoded[left]
             _code_root_sample(
-                encoding, prediction, i, np.int64(pass_), min(4 * near, SUM_LIMIT), target, mask,
+                encoding, prediction, i, np.int64(pass_), min(near, SUM_LIMIT), target, mask,
                 step, mags, decoded, state, stream, models,
             )  # fmt: skip
         stride >>= 1

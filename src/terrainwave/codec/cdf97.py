@@ -55,9 +55,10 @@ from terrainwave.coding.rangecoder import (
 )
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 
-# Fraction bits of wavelet coefficients, and the largest one used (see tests/codec/test_bounds.py).
+# Fraction bits of wavelet coefficients, and the largest one used: with it no stream can overflow the
+# inverse transform (proof: tests/coding/test_filters.py). Larger ones are cut, and residuals mend it.
 FRACTION_BITS = 6
-MAX_COEFF = 1 << 46
+MAX_COEFF = 1 << 40
 MAX_INDEX = 1 << 30
 
 _HAS_COEFFS, _HAS_RESIDUALS, _IS_RAW = 1, 2, 4
@@ -203,9 +204,9 @@ class _Encoder:
         self.core = core
         self.is_known = np.ascontiguousarray(is_known[core])
         self.coded = mask[core] & ~self.is_known
-        # Where the heights are known already, or void, this is what the coefficients should reach.
-        self.target = target[core].copy()
-        self.target[self.is_known] = self.heights[core][self.is_known]
+        # The coefficients aim at the originals on the shared lines too: the decoded lines carry noise
+        # of up to half a step, which would cost coefficients, and the decoder ignores them there.
+        self.target = np.ascontiguousarray(target[core])
         prediction, _ = _predict(spec, parent)
         self.prediction = np.ascontiguousarray(prediction[core])
         self.start = np.ascontiguousarray(self.heights[core])
