@@ -10,6 +10,7 @@ import time
 import numpy as np
 import rasterio
 
+from terrainwave.codec import units
 from terrainwave.codec.cdf97 import Cdf97
 from terrainwave.codec.refiner import GroupSpec, Sides
 from terrainwave.coding.filters import lowpass_analysis
@@ -29,22 +30,10 @@ def unit_spec(
     grid: Grid, parent: Block | None, block: Block | None, step: int, rings: int, effort: int
 ) -> GroupSpec:
     """Return the spec of the group below `parent`, or of the root block `block`."""
-    apron = rings >> 1
-    if parent is None:
-        level, row, col = block.level, block.row, block.col
-        core, region = grid.block_region(block), grid.block_region(block, apron)
-        parent_region, side = None, grid.block
-    else:
-        level, row, col = parent.level + 1, parent.row, parent.col
-        core, region = grid.group_region(parent), grid.group_region(parent, apron)
-        parent_region, side = grid.block_region(parent, apron), 2 * grid.block
-    n_blocks = grid.level_blocks(level if parent is None else parent.level)
-    shared = Sides(row > 0, col > 0, row + 1 < n_blocks[0], col + 1 < n_blocks[1])
-    del side
     big = 1 << 30
-    return GroupSpec(
-        level, core, region, parent_region, shared, step, -big, big, (1, 0), rings, effort
-    )
+    parameters = units.CodecParameters(step, -big, big, (1, 0), rings, effort)
+    key = Block(-1, block.row, block.col) if parent is None else parent
+    return units.unit_spec(grid, parameters, key)
 
 
 def code_pyramid(levels, masks, grid, step, rings, effort, check=True, only_level=None):

@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parent.parent / "src" / "terrainwave"
 LAYERS = [
     {"errors", "_version", "_jit", "_status", "quadtree", "quantum", "coding", "progress"},
     {"codec", "tri", "container", "raster_io", "metrics"},
-    {"spool", "measure", "pyramid", "encoder", "decoder", "resample"},
+    {"spool", "measure", "pyramid", "encoder", "decoder", "resample", "level_errors"},
     {"terrain", "compression", "decompression", "verification"},
     {"render", "ext"},
     {"demo", "cli"},

@@ -201,6 +201,15 @@ def test_code_is_refused_for_a_crs_whose_ellipsoid_differs_in_the_ninth_digit():
     assert "298.257222101004" in format_crs(nearly)
 
 
+def test_codes_of_inner_parts_of_a_custom_crs_are_kept():
+    wkt = (
+        CRS.from_epsg(32611).to_wkt().replace('"central_meridian",-117', '"central_meridian",-118')
+    )
+    custom = CRS.from_wkt(wkt)
+    assert 'AUTHORITY["EPSG","7030"]' in custom.to_wkt()  # the ellipsoid's
+    assert parse_crs(format_crs(custom)).to_wkt() == custom.to_wkt()
+
+
 @pytest.mark.parametrize("layout", [{}, {"tiled": True, "blockxsize": 64, "blockysize": 128}])
 def test_striped_and_tiled_sources_are_read_alike(tmp_path, layout):
     heights = terrain_like(300, 1100)
@@ -700,11 +709,19 @@ except StorageError as error:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit on file sizes to set")
 @pytest.mark.parametrize(
-    ("limit", "kind"), [(1000, "tif"), (500_000, "tif"), (1_700_000, "tif"), (2_060_000, "cog")]
+    ("missing", "kind"),
+    # The whole file, its second half, some of the last tile, the directory after it; of a COG the
+    # overviews.
+    [(2_000_000, "tif"), (1_000_000, "tif"), (5000, "tif"), (80, "tif"), (-10_000, "cog")],
 )
-def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, limit, kind):
+def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, missing, kind):
+    heights = np.random.default_rng(0).integers(-9999, 9999, (1024, 1024)).astype("int16")
+    path = tmp_path / "a.tif"
+    write_all(path, RasterInfo(1024, 1024, "int16"), heights, heights == heights)
+    limit = path.stat().st_size - missing
+    path.unlink()
     run = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, str(tmp_path / "a.tif"), str(limit), kind],
+        [sys.executable, "-c", FULL_DISK, str(path), str(limit), kind],
         capture_output=True,
         text=True,
         check=False,

@@ -105,6 +105,13 @@ def test_effective_error_is_the_bound(compare):
     assert "81 samples are further from the original than 0" in report.problems[0]
 
 
+def test_effective_error_that_lost_a_digit_still_allows_its_whole_steps(compare):
+    heights = terrain_like(9, 9)
+    stated = 0.29999999999999993  # three steps of 0.1, rounded down somewhere
+    terrain = FakeTerrain(heights + np.int16(3), max_error=0.3, effective_error=stated, scale=0.1)
+    assert compare(heights, terrain, bands={"scales": 0.1}).ok
+
+
 def test_effective_error_above_the_asked_one_is_a_problem(compare):
     heights = terrain_like(9, 9)
     report = compare(heights, FakeTerrain(heights, max_error=1.0, effective_error=2.0))

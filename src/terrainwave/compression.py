@@ -24,12 +24,13 @@ from terrainwave.codec.refiner import Refiner
 from terrainwave.codec.registry import check_method, refiner_by_name
 from terrainwave.codec.units import CodecParameters, unit_blocks
 from terrainwave.container.header import Header
+from terrainwave.container.page import page_layout
 from terrainwave.container.publish import publish, scratch_directory
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
 from terrainwave.encoder import Stats, TreeEncoder
 from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
-from terrainwave.measure import BlockStats, decode_error, decode_range, encode_error, encode_range
+from terrainwave.measure import decode_error, decode_range, encode_error, encode_range
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.pyramid import Pyramid, SourceWindows
 from terrainwave.quadtree import Block, Grid, Region
@@ -410,6 +411,7 @@ class _SpoolSink:
         self._grid = grid
         self.spools = {head: SegmentSpool(directory) for head in grid.segment_heads()}
         self.n_bytes = 0
+        self._n_missing: dict[Block | None, int] = {}
         self._lock = threading.Lock()
 
     def __call__(self, key: Block, payload: bytes) -> None:
@@ -417,6 +419,12 @@ class _SpoolSink:
         self.spools[head].add(key, payload)
         with self._lock:
             self.n_bytes += len(payload)
+            if head not in self._n_missing:
+                self._n_missing[head] = len(page_layout(self._grid, head).keys)
+            self._n_missing[head] -= 1
+            is_complete = self._n_missing[head] == 0
+        if is_complete:
+            self.spools[head].finish()
 
 
 def _parameters(job: _Job) -> CodecParameters:
@@ -433,26 +441,44 @@ def _parameters(job: _Job) -> CodecParameters:
 
 def _set_codes(job: _Job, spools: dict[Block | None, SegmentSpool], stats: Stats) -> None:
     """Give every block its box and error, each box relative to its parent's in the segment."""
-    grid, quantizer = job.grid, job.quantizer
-    lost = -(-Fraction(quantizer.rho) * quantizer.denominator // quantizer.numerator)
+    quantizer = job.quantizer
     whole = quantizer.z_min, quantizer.z_max
+    lost = -(-Fraction(quantizer.rho) * quantizer.denominator // quantizer.numerator)
+    errors = {block: encode_error(found.error + lost) for block, found in stats.items()}
+    boxes = _enclosing_boxes(stats, errors, whole)
     for spool in spools.values():
-        boxes: dict[Block, tuple[int, int]] = defaultdict(lambda: whole)
+        decoded: dict[Block, tuple[int, int]] = defaultdict(lambda: whole)
         for key in sorted(spool.keys()):
             codes = bytearray()
-            for block in unit_blocks(grid, key):
-                found = stats.get(block, BlockStats())
-                if found.is_empty:
+            for block in unit_blocks(job.grid, key):
+                if block not in boxes:  # no valid sample
                     codes += bytes(4)
                     continue
-                error = encode_error(found.error + lost)
-                # Decoded heights are clamped to the originals' range, so boxes are as well.
-                low = max(found.z_low - decode_error(error), whole[0])
-                high = min(found.z_high + decode_error(error), whole[1])
-                below, above = encode_range(low, high, *boxes[key])
-                boxes[block] = decode_range(below, above, *boxes[key])
-                codes += bytes([below, above, error, 0])
+                below, above = encode_range(*boxes[block], *decoded[key])
+                decoded[block] = decode_range(below, above, *decoded[key])
+                codes += bytes([below, above, errors[block], 0])
             spool.set_codes(key, bytes(codes))
+
+
+def _enclosing_boxes(
+    stats: Stats, errors: dict[Block, int], whole: tuple[int, int]
+) -> dict[Block, tuple[int, int]]:
+    """Return the range of originals and surfaces of each block and of all below it."""
+    boxes: dict[Block, tuple[int, int]] = {}
+    for block in sorted(stats, reverse=True):  # the finest level first
+        found = stats[block]
+        if found.is_empty:
+            continue
+        # Decoded heights are clamped to the originals' range, so boxes are as well.
+        error = decode_error(errors[block])
+        low, high = max(found.z_low - error, whole[0]), min(found.z_high + error, whole[1])
+        if block in boxes:
+            low, high = min(low, boxes[block][0]), max(high, boxes[block][1])
+        boxes[block] = low, high
+        if block.level > 0:
+            above = boxes.get(block.parent, (low, high))
+            boxes[block.parent] = min(low, above[0]), max(high, above[1])
+    return boxes
 
 
 def _header(job: _Job, method: str) -> Header:

@@ -131,7 +131,7 @@ def _draw(heights: np.ndarray, decoded: np.ndarray, info: RasterInfo, picture: P
     dy = abs(info.transform[4]) * 111_200
     dx = info.transform[0] * 111_200 * np.cos(np.radians(info.transform[5]))
     light = LightSource(azdeg=315, altdeg=45)
-    figure = Figure(figsize=(15, 5.2), layout="constrained", dpi=110)
+    figure = Figure(figsize=(15, 4.4), layout="constrained", dpi=110)
     axes = figure.subplots(1, 3)
     limits: dict[str, Any] = {"vmin": heights.min(), "vmax": heights.max()}
     bound = f"{_DRAWN_BOUND:g} m"

@@ -6,14 +6,14 @@ grid, and above it the largest Err of B's children + the largest distance of the
 from B's bilinear surface. It is an upper bound of the measured error.
 """
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from terrainwave.quadtree import Block, Region
 
 
-def level_errors(terrain: Any, kind: Literal["measured", "recursive"]) -> list[float]:
+def level_errors(terrain: Any, kind: str) -> list[float]:
     """Return the largest error of each level in physical units, the coarsest level first.
 
     ``"measured"`` reads the index; ``"recursive"`` decodes all levels, windows at a time.

@@ -351,6 +351,8 @@ class _Worst:
         self._difference = 0.0
 
     def add(self, row: int, col: int, differences: np.ndarray, allowed: Any) -> None:
+        if np.ndim(allowed) == 0 and differences.max() <= allowed:
+            return
         excess = differences - allowed
         self._count += int(np.count_nonzero(excess > 0))
         at = int(np.argmax(excess))

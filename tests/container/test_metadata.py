@@ -18,7 +18,7 @@ FULL = {
     "crs": "EPSG:25832",
     "transform": [30.0, 0.0, 500000.0, 0.0, -30.0, 4e6],
     "nodata": -9999,
-    "mask": "nodata",
+    "mask_kind": "nodata",
     "units": "metre",
     "scale": 0.1,
     "offset": -5,

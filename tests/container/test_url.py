@@ -31,6 +31,7 @@ class Handler(BaseHTTPRequestHandler):
         fault = server.faults.get(path)
         server.requests.append((path, self.headers.get("Range"), self.client_address))
         server.logins.append(self.headers.get("Authorization"))
+        server.encodings.add(self.headers.get("Accept-Encoding"))
         if isinstance(fault, int) and fault >= 300:
             return self.reply(fault, b"no")
         if fault == "busy once":
@@ -70,8 +71,9 @@ class Handler(BaseHTTPRequestHandler):
             self.send_header(name, value)
         self.end_headers()
         for start in range(0, len(body), 65536):
-            self.wfile.write(body[start : start + 65536])
+            # Counted first: the client may look before this thread goes on.
             self.server.n_bytes += len(body[start : start + 65536])
+            self.wfile.write(body[start : start + 65536])
 
     def log_message(self, *_):
         pass
@@ -86,6 +88,7 @@ class Server(ThreadingHTTPServer):
         super().__init__(("127.0.0.1", 0), Handler)
         self.files, self.faults, self.requests, self.logins = {}, {}, [], []
         self.n_bytes = 0
+        self.encodings = set()
 
     def handle_error(self, *_):
         pass
@@ -154,6 +157,14 @@ def test_payloads_over_http_are_those_of_the_file(server):
         n_requests = len(server.requests)
         assert list(container.check()) == []
     assert n_requests <= 3  # open, sixteen pages in one, payloads in one
+
+
+def test_compressed_replies_are_not_asked_for(server):
+    server.files["/a"] = bytes(100_000)
+    source = open_source(server.url("/a"))
+    source.read(50_000, 10)
+    source.close()
+    assert server.encodings == {"identity"}
 
 
 def test_connections_are_reused(server):

@@ -1,6 +1,7 @@
 """The commands. Each is short: parse, call, print."""
 
 import json
+import math
 import sys
 from collections.abc import Callable
 from dataclasses import asdict
@@ -17,6 +18,7 @@ from terrainwave.cli.output import (
     announce_compiling,
     plain,
     print_grid,
+    print_note,
     print_table,
     reading,
 )
@@ -104,7 +106,7 @@ def _print_result(result: Any) -> None:
         f" measured {measured} {_unit(result.units)}"
     )
     for note in result.notes:
-        click.echo(f"note: {plain(note)}")
+        print_note(note)
 
 
 @main.command()
@@ -259,4 +261,15 @@ def demo(directory: str, quiet: bool) -> None:
 
 
 def _print_json(fields: dict[str, Any]) -> None:
-    click.echo(json.dumps(fields, indent=2, allow_nan=False, default=str))
+    click.echo(json.dumps(_json_value(fields), indent=2, allow_nan=False))
+
+
+def _json_value(value: Any) -> Any:
+    """Return `value` with the numbers that JSON lacks as strings."""
+    if isinstance(value, dict):
+        return {name: _json_value(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_json_value(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    return value

@@ -32,6 +32,17 @@ def print_error(message: object) -> None:
     click.echo(f"terrainwave: {plain(message)}", err=True)
 
 
+_printed_notes: set[str] = set()
+
+
+def print_note(message: object) -> None:
+    """Print a note on stderr, unless this command has printed it already."""
+    text = plain(message)
+    if text not in _printed_notes:
+        _printed_notes.add(text)
+        click.echo(f"note: {text}", err=True)
+
+
 @contextmanager
 def reading(path: str) -> Iterator[None]:
     """Name the file in the message of whatever is wrong with it, and say so if it is no .twz."""
@@ -55,10 +66,11 @@ def warnings_as_notes() -> Iterator[None]:
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         if issubclass(category, TerrainwaveWarning):
-            click.echo(f"note: {plain(message)}", err=True)
+            print_note(message)
         else:
             usual(message, category, *place, **more)
 
+    _printed_notes.clear()
     with warnings.catch_warnings():
         usual = warnings.showwarning
         warnings.simplefilter("always", TerrainwaveWarning)

@@ -32,8 +32,9 @@ from terrainwave.coding.rangecoder import (
     encode_raw,
 )
 
-# Models: a zero flag and unary steps for each (pass, context bin); passes are even, odd, root.
-_N_PASSES = 3
+# Models: a zero flag and unary steps for each (pass, context bin). Passes: even and odd samples, and
+# in a root block strides of 4 or more, 2 and 1.
+_N_PASSES = 5
 _MAG_MODELS = _N_PASSES * N_BINS
 _PREFIX_MODELS = _MAG_MODELS + _N_PASSES * N_BINS * N_UNARY
 N_BORDER_MODELS = _PREFIX_MODELS + _N_PASSES * N_PREFIX
@@ -162,7 +163,7 @@ def code_border(
 def _predict_line(extended, n_parent, predicted):
     """Fill `predicted` from the sum of two parent lines: synthesis, rounded half up."""
     extend_line(extended, n_parent)
-    synthesise_line(extended, 0, predicted)
+    synthesise_line(extended, np.int64(0), predicted)
     for i in range(predicted.shape[0]):
         predicted[i] = (predicted[i] + (1 << _SYNTHESIS_BITS)) >> (_SYNTHESIS_BITS + 1)
 
@@ -178,14 +179,15 @@ def _code_symbol(encoding, value, pass_, sums, state, stream, models):
         encode_bit(state, stream, models, zero, 1 if value != 0 else 0)
         if value != 0:
             state[RANGE], state[LOW] = encode_magnitude_at(
-                state[RANGE], state[LOW], state, stream, models, first, prefix, 0, abs(value) - 1
+                state[RANGE], state[LOW], state, stream, models, first, prefix, np.int64(0),
+                abs(value) - 1,
             )
-            encode_raw(state, stream, 1 if value < 0 else 0, 1)
+            encode_raw(state, stream, 1 if value < 0 else 0, np.int64(1))
         return value
     if not decode_bit(state, stream, models, zero):
         return np.int64(0)
-    value = decode_magnitude_at(state, stream, models, first, prefix, 0) + 1
-    if decode_raw(state, stream, 1):
+    value = decode_magnitude_at(state, stream, models, first, prefix, np.int64(0)) + 1
+    if decode_raw(state, stream, np.int64(1)):
         return -value
     return value
 
@@ -212,7 +214,8 @@ def _code_corner(encoding, prediction, target, is_valid, is_root, step, state, s
     if is_valid:
         if encoding:
             index = np.int64(target) // step if is_root else _quantum_index(target - prediction, step)
-        index = _code_symbol(encoding, index, _ROOT if is_root else _EVEN, 16, state, stream, models)
+        pass_ = _ROOT if is_root else _EVEN
+        index = _code_symbol(encoding, index, pass_, np.int64(16), state, stream, models)
     if is_root:
         return _rebuild(np.int64(step >> 1), index, step)
     return _rebuild(np.int64(prediction), index, step)
@@ -224,23 +227,12 @@ def _code_line(
 ):
     """Encode or decode samples `first` to `stop` - 1 of a line into `decoded` (int64).
 
-    With a parent: even samples first, then odd ones, each corrected by what its neighbours' errors
-    of prediction turned out to be. Without: indices on the fixed grid, as differences.
+    Even samples first, then odd ones, each corrected by what its neighbours' errors of prediction
+    turned out to be.
     """
     n = decoded.shape[0]
     if is_root:
-        index = decoded[first - 1] // step if first > 0 else np.int64(0)
-        last = 0
-        for i in range(first, stop):
-            if mask[i]:
-                change = np.int64(0)
-                if encoding:
-                    change = np.int64(target[i]) // step - index
-                change = _code_symbol(encoding, change, _ROOT, 8 * last, state, stream, models)
-                last = (last + 2 * min(abs(change), 255)) >> 1
-                most = 4 * MAX_HEIGHT // step + 1
-                index = min(max(index + min(max(change, -most), most), -most), most)
-            decoded[i] = _rebuild(np.int64(step >> 1), index, step)
+        _code_root_line(encoding, target, mask, step, first, stop, decoded, state, stream, models)
         return
     last = before_last = 0
     for phase in range(2):
@@ -266,3 +258,64 @@ def _code_line(
             decoded[i] = _rebuild(prediction, index, step)
             before_last = last
             last = min(abs(index), 255)
+
+
+@kernel
+def _code_root_line(
+    encoding, target, mask, step, first, stop, decoded, state, stream, models
+):
+    """Encode or decode a line without a parent: indices on the fixed grid, coarse to fine.
+
+    Sample 0 comes first, then odd multiples of each stride from the largest down, predicted between
+    (past the end: beside) the samples of twice the stride.
+    """
+    n = decoded.shape[0]
+    mags = np.zeros(n, dtype=np.int64)
+    top = 1
+    while 2 * top < n:
+        top *= 2
+    if first == 0:
+        _code_root_sample(
+            encoding, np.int64(0), 0, np.int64(_ROOT), np.int64(16), target, mask, step, mags, decoded,
+            state, stream, models,
+        )  # fmt: skip
+    stride = top
+    while stride > 0:
+        pass_ = _ROOT + (0 if stride > 2 else 3 - stride)
+        for i in range(stride, n, 2 * stride):
+            if i < first or i >= stop:
+                continue
+            left, right = i - stride, i + stride
+            near = 2 * mags[left]
+            if right < n:
+                near = mags[left] + mags[right]
+                prediction = (decoded[left] + decoded[right]) >> 1
+                if left >= 2 * stride and right + 2 * stride < n:
+                    far = decoded[left - 2 * stride] + decoded[right + 2 * stride]
+                    prediction = (9 * (decoded[left] + decoded[right]) - far) >> 4
+            elif left >= 2 * stride:
+                prediction = decoded[left] + ((decoded[left] - decoded[left - 2 * stride]) >> 1)
+            else:
+                prediction = decoded[left]
+            _code_root_sample(
+                encoding, prediction, i, np.int64(pass_), min(4 * near, SUM_LIMIT), target, mask,
+                step, mags, decoded, state, stream, models,
+            )  # fmt: skip
+        stride >>= 1
+
+
+@kernel
+def _code_root_sample(
+    encoding, prediction, i, pass_, sums, target, mask, step, mags, decoded, state, stream, models
+):
+    """Encode or decode the difference of sample `i`'s index from that of `prediction`."""
+    index = prediction // step
+    if mask[i]:
+        change = np.int64(0)
+        if encoding:
+            change = np.int64(target[i]) // step - index
+        change = _code_symbol(encoding, change, pass_, sums, state, stream, models)
+        mags[i] = min(abs(change), 255)
+        most = 4 * MAX_HEIGHT // step + 1
+        index += min(max(change, -most), most)
+    decoded[i] = _rebuild(np.int64(step >> 1), index, step)

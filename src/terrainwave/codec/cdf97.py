@@ -20,6 +20,7 @@ from terrainwave.codec.residual import (
     encode_residuals,
     smooth_activity,
 )
+from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.codec.zerotree import (
     FRAME_COLS,
     FRAME_ROWS,
@@ -62,7 +63,13 @@ MAX_INDEX = 1 << 30
 _HAS_COEFFS, _HAS_RESIDUALS, _IS_RAW = 1, 2, 4
 # Base step in 1/16 of n/2.
 _STEP_UNIT = 16
-_MAX_STEP_CODE = 1 << 40
+_MAX_STEP_CODE = 1 << 32
+
+
+# Steps tried on the finest level by effort, and on coarser ones by rate in bits per sample.
+_FINEST_STEPS = ((128,), (40, 128), (28, 36, 48, 64, 128, 256))
+_PARENT_STEP = 20
+_PARENT_STEPS_BY_RATE = ((3.0, 20), (1.7, 17), (1.0, 20), (0.0, 27))
 
 
 class Coding(NamedTuple):
@@ -197,7 +204,7 @@ class _Encoder:
         self.is_known = np.ascontiguousarray(is_known[core])
         self.coded = mask[core] & ~self.is_known
         # Where the heights are known already, or void, this is what the coefficients should reach.
-        self.target = np.ascontiguousarray(target[core])
+        self.target = target[core].copy()
         self.target[self.is_known] = self.heights[core][self.is_known]
         prediction, _ = _predict(spec, parent)
         self.prediction = np.ascontiguousarray(prediction[core])
@@ -212,25 +219,55 @@ class _Encoder:
         self.best: tuple[bytes, Heights, Labels | None] | None = None
 
     def run(self) -> tuple[bytes, Heights, Labels | None]:
-        """Try the candidate steps and return the smallest result."""
-        for step_code in _candidates(self.spec.effort):
-            self.attempt(Coding(0, step_code, 0))
+        """Try some steps and return the smallest result, or the one that serves finer levels best."""
+        if self.spec.is_finest:
+            for step_code in _FINEST_STEPS[self.spec.effort]:
+                self.attempt(step_code)
+        else:
+            self._attempt_for_children()
+        step_code = 2 * max(_FINEST_STEPS[0])
+        while self.best is None:
+            # Coefficients so large that their indices don't fit: only at extreme heights.
+            self.attempt(step_code)
+            step_code *= 8
         self.attempt_raw()
-        assert self.best is not None
         payload, inner, labels = self.best
         heights = self.heights
         heights[self.core] = inner
         return payload, heights, labels
 
-    def attempt(self, coding: Coding) -> int:
-        """Encode with these parameters, keep the result if it is the smallest; return its size."""
+    def _attempt_for_children(self) -> None:
+        """Encode with a step that leaves the next level little to repair.
+
+        The smallest payload is not the goal here: noise in a parent costs four children each. Steps
+        by rate, found on whole files (benchmarks/cdf97_lab.py).
+        """
+        size = self.attempt(_PARENT_STEP)
+        rate = 8 * size / self.target.size
+        if self.spec.effort == 0 or self.best is None:
+            return
+        for least, step_code in _PARENT_STEPS_BY_RATE:
+            if rate >= least:
+                if step_code != _PARENT_STEP:
+                    previous, self.best = self.best, None
+                    self.attempt(step_code)
+                    self.best = self.best or previous
+                return
+
+    def attempt(self, step_code: int) -> int:
+        """Encode with this step, keep the result if it is the smallest; return its size.
+
+        Nothing is kept, and 0 returned, if an index would be larger than MAX_INDEX.
+        """
+        coding = Coding(0, step_code)
         spec, work = self.spec, self.work
         state = self.state
         state[:] = self.border_state
         steps, limits = _band_steps(spec.step, coding, self.n_levels)
         labels = np.zeros(work.offsets[self.n_levels], dtype=np.uint8)
         inner = self.start.copy()
-        _quantize(self.detail, steps, limits, coding.offset, self.quants, work.field)
+        if _quantize(self.detail, steps, limits, coding.offset, self.quants, work.field) > MAX_INDEX:
+            return 0
         n_significant = mark_labels(self.quants, work.offsets, labels)
         flags = 0
         work.activity[:] = work.rough
@@ -277,10 +314,6 @@ class _Encoder:
         header = _write_header(Coding(_IS_RAW, raw_width=width, raw_base=base))
         if n_bytes + len(header) < len(self.best[0]):
             self.best = (header + self.out[:n_bytes].tobytes(), inner, None)
-
-
-def _candidates(effort: int) -> list[int]:
-    return [[36], [36, 128], [28, 32, 36, 40, 48, 64, 96, 128]][effort]
 
 
 def _predict(spec: GroupSpec, parent: Heights | None) -> tuple[Heights, NDArray[np.bool_]]:
@@ -332,9 +365,9 @@ def _write_header(coding: Coding) -> bytes:
     out = bytearray([coding.flags])
     if coding.flags & _IS_RAW:
         out.append(coding.raw_width)
-        out += _varint(coding.raw_base << 1 if coding.raw_base >= 0 else ~(coding.raw_base << 1))
+        out += encode_varint(coding.raw_base << 1 if coding.raw_base >= 0 else ~(coding.raw_base << 1))
     elif coding.flags & _HAS_COEFFS:
-        out += _varint(coding.step_code)
+        out += encode_varint(coding.step_code)
         out.append(coding.offset | coding.along << 4)
     return bytes(out)
 
@@ -348,14 +381,14 @@ def _read_header(payload: bytes) -> tuple[Coding, int]:
     if flags & _IS_RAW:
         if len(payload) < 2:
             raise TruncatedStreamError("the payload ends inside its header")
-        code, pos = _read_varint(payload, 2)
+        code, pos = decode_varint(payload, 2)
         base = code >> 1 if not code & 1 else ~(code >> 1)
         if payload[1] > 32 or abs(base) > MAX_HEIGHT:
             raise CorruptStreamError("raw heights outside the range of heights")
         return Coding(flags, raw_width=payload[1], raw_base=base), pos
     if not flags & _HAS_COEFFS:
         return Coding(flags), 1
-    step_code, pos = _read_varint(payload, 1)
+    step_code, pos = decode_varint(payload, 1)
     if pos >= len(payload):
         raise TruncatedStreamError("the payload ends inside its header")
     if not 1 <= step_code <= _MAX_STEP_CODE:
@@ -365,30 +398,13 @@ def _read_header(payload: bytes) -> tuple[Coding, int]:
     return Coding(flags, step_code, payload[pos] & 15, payload[pos] >> 4), pos + 1
 
 
-def _varint(value: int) -> bytes:
-    out = bytearray()
-    while value >= 128:
-        out.append(value & 127 | 128)
-        value >>= 7
-    out.append(value)
-    return bytes(out)
-
-
-def _read_varint(payload: bytes, pos: int) -> tuple[int, int]:
-    value = 0
-    for shift in range(0, 42, 7):
-        if pos >= len(payload):
-            raise TruncatedStreamError("the payload ends inside its header")
-        value |= (payload[pos] & 127) << shift
-        pos += 1
-        if payload[pos - 1] < 128:
-            return value, pos
-    raise CorruptStreamError("a number in the payload's header is too long")
-
-
 @kernel
 def _quantize(detail, steps, limits, offset, quants, recon):
-    """Fill `quants` with indices of `detail` (rounding offset 0.42), `recon` with their values."""
+    """Fill `quants` with indices of `detail`, `recon` with their values; return the largest index.
+
+    An index rounds up from 0.58 on: 2-5 % smaller than from 0.5 (DESIGN.md §3.1).
+    """
+    largest = np.int64(0)
     n_rows, n_cols = detail.shape
     count = steps.shape[0]
     for row in range(n_rows):
@@ -405,28 +421,34 @@ def _quantize(detail, steps, limits, offset, quants, recon):
             if t == t_row or (t == count - 1 and t_row == count):
                 # High in y: LH left of cols_low; the root's LL in a row that is never high.
                 band = 2 if t == t_row else 0
-                _quantize_run(
+                found = _quantize_run(
                     detail[row, :cols_low], steps[t, band], limits[t, band], offset if band else 0,
                     quants[row, :cols_low], recon[row, :cols_low],
                 )  # fmt: skip
+                largest = max(largest, found)
             band = 3 if t == t_row else 1
-            _quantize_run(
+            found = _quantize_run(
                 detail[row, cols_low:cols], steps[t, band], limits[t, band], offset,
                 quants[row, cols_low:cols], recon[row, cols_low:cols],
             )  # fmt: skip
+            largest = max(largest, found)
+    return largest
 
 
 @kernel
 def _quantize_run(detail, step, limit, offset, quants, recon):
-    """Quantise part of a row that belongs to one band."""
+    """Quantise part of a row that belongs to one band; return the largest index."""
     bias = (step * 27) >> 6
+    largest = np.int64(0)
     for i in range(detail.shape[0]):
         value = detail[i]
         index = (abs(value) + bias) // step
+        largest = max(largest, index)
         if value < 0:
             index = -index
-        quants[i] = index
+        quants[i] = min(max(index, -MAX_INDEX), MAX_INDEX)
         recon[i] = dequantize(index, step, limit, offset)
+    return largest
 
 
 @kernel

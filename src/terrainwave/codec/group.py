@@ -1,7 +1,8 @@
 """Code one unit: its mask, its heights by a refiner, its exceptions (FORMAT.md §5).
 
 Payload: one byte of flags, then the mask section and the exception section where the flags say
-so (each a varint length and its bytes), then the refiner's bytes to the end.
+so (each a varint length and its bytes), then the refiner's bytes to the end. An empty payload is a
+unit without a valid sample.
 """
 
 import numpy as np
@@ -12,9 +13,8 @@ from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 
-MASK_ALL_VALID, MASK_ALL_VOID, MASK_CODED = 0, 1, 2
-_MASK_BITS = 0b011
-_HAS_EXCEPTIONS = 0b100
+MASK_ALL_VALID, MASK_CODED = 0, 1
+_HAS_EXCEPTIONS = 0b10
 
 
 def encode_unit(
@@ -31,7 +31,7 @@ def encode_unit(
     """
     implied = implied_voids(spec, parent)
     if not mask.any():
-        return bytes([MASK_ALL_VOID]), _all_void(spec)
+        return b"", _all_void(spec)
     flags, sections = MASK_ALL_VALID, b""
     if not np.array_equal(mask, ~implied):
         flags = MASK_CODED
@@ -62,18 +62,13 @@ def decode_unit(
         If the payload contradicts the format; nothing is read outside of it.
     """
     if not payload:
-        raise TruncatedStreamError("a unit's payload is empty")
-    flags = payload[0]
-    mask_mode = flags & _MASK_BITS
-    if flags & ~(_MASK_BITS | _HAS_EXCEPTIONS) or mask_mode > MASK_CODED:
-        raise CorruptStreamError(f"a unit's flags are {flags:#04x}; reserved bits must be 0")
-    if mask_mode == MASK_ALL_VOID:
-        if len(payload) > 1:
-            raise CorruptStreamError(f"{len(payload) - 1} bytes are left over after a void unit")
         return _all_void(spec)
+    flags = payload[0]
+    if flags & ~(MASK_CODED | _HAS_EXCEPTIONS):
+        raise CorruptStreamError(f"a unit's flags are {flags:#04x}; reserved bits must be 0")
     byte_pos = 1
     mask = ~implied_voids(spec, parent)
-    if mask_mode == MASK_CODED:
+    if flags & MASK_CODED:
         section, byte_pos = _read_section(payload, byte_pos)
         mask = decode_mask(section, ~mask)
     exceptions = b""

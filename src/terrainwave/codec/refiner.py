@@ -48,6 +48,8 @@ class GroupSpec:
     forbidden: tuple[int, int]
     rings: int
     effort: int
+    # For the choices of encoders alone: no decoder may look at it.
+    is_finest: bool = True
 
     @property
     def half(self) -> int:
@@ -78,7 +80,8 @@ class Refiner(Protocol):
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and exactly what `decode` makes of it.
 
-        Every sample with ``mask`` set must come back within ``spec.half`` of `target`.
+        Every sample with ``mask`` set must come back within ``spec.half`` of `target`, which stays
+        as it is: the caller still needs it.
         """
         ...
 

@@ -31,7 +31,7 @@ _N_PHASES = 4
 _SIGN_MODELS = _N_PHASES * N_BINS
 _MAG_MODELS = _SIGN_MODELS + 25
 _PREFIX_MODELS = _MAG_MODELS + N_BINS * N_UNARY
-_HINT_SHIFT = 5
+_HINT_SHIFT = 6
 N_RESIDUAL_MODELS = _PREFIX_MODELS + N_PREFIX
 
 # Weights of the context sum, in 1/64: W and N, NE, WW and NN.
@@ -145,7 +145,8 @@ def encode_residuals(residuals, coded, smooth, hints, mags, signs, state, out, m
             if residual != 0:
                 first = _MAG_MODELS + bin_ * N_UNARY
                 span, low = encode_magnitude_at(
-                    span, low, state, out, models, first, _PREFIX_MODELS, 0, abs(residual) - 1
+                    span, low, state, out, models, first, np.int64(_PREFIX_MODELS), np.int64(0),
+                    abs(residual) - 1,
                 )
                 index = _sign_context(here_signs, above_signs, col)
                 is_negative = 1 if residual < 0 else 0
@@ -180,7 +181,8 @@ def decode_residuals(heights, coded, smooth, step, hints, mags, signs, state, da
             if bit:
                 state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
                 first = _MAG_MODELS + bin_ * N_UNARY
-                mag = decode_magnitude_at(state, data, models, first, _PREFIX_MODELS, 0) + 1
+                prefix = np.int64(_PREFIX_MODELS)
+                mag = decode_magnitude_at(state, data, models, first, prefix, np.int64(0)) + 1
                 here[col + 2] = min(mag, MAX_MAG)
                 span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
                 index = _sign_context(here_signs, above_signs, col)

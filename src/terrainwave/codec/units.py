@@ -71,6 +71,7 @@ def unit_spec(grid: Grid, parameters: CodecParameters, key: Block) -> GroupSpec:
         forbidden=parameters.forbidden,
         rings=parameters.rings,
         effort=parameters.effort,
+        is_finest=level == grid.k_max,
     )
 
 

@@ -26,10 +26,12 @@ from terrainwave.coding.rangecoder import (
 
 JZTR, JS, JZTC = 0, 1, 2
 
+# Here and below, np.int64(0) and the like are arguments of kernels because numba compiles a kernel
+# anew for every literal it is called with.
+
 # Coefficients sit at the front of each row's halves and at rows of their own stride, as
 # `filters.forward_transform` leaves them; magnitudes are kept, clamped to 255, in planes of nodes
 # with a frame of zeros: two above and to the left, two to the right, one below.
-MARGIN = 2
 FRAME_ROWS, FRAME_COLS = 3, 4
 MAX_MAG = 255
 
@@ -174,18 +176,18 @@ def encode_magnitude_at(span, low, state, out, models, first, prefix, shift, val
     upper = value >> shift
     n_ones = min(upper, N_UNARY)
     for index in range(n_ones):
-        span, low = encode_step(span, low, state, out, models, first + index, 1)
+        span, low = encode_step(span, low, state, out, models, first + index, np.int64(1))
     if n_ones < N_UNARY:
-        span, low = encode_step(span, low, state, out, models, first + n_ones, 0)
+        span, low = encode_step(span, low, state, out, models, first + n_ones, np.int64(0))
     else:
         rest = upper - N_UNARY + 1
         n_bits = 0
         while rest >> (n_bits + 1):
             n_bits += 1
         for index in range(n_bits):
-            span, low = encode_step(span, low, state, out, models, prefix + index, 1)
+            span, low = encode_step(span, low, state, out, models, prefix + index, np.int64(1))
         if n_bits < N_PREFIX - 1:
-            span, low = encode_step(span, low, state, out, models, prefix + n_bits, 0)
+            span, low = encode_step(span, low, state, out, models, prefix + n_bits, np.int64(0))
         value = (rest << shift) | (value & ((1 << shift) - 1))
         shift += n_bits
     state[RANGE] = span
@@ -232,8 +234,8 @@ def encode_tree(
     count = n_transforms(n_rows, n_cols)
     span, low = state[RANGE], state[LOW]
     span, low = _encode_signed(span, low, state, out, models, quants[0, 0])
-    clear_planes(mags[0], 1, 1)
-    clear_planes(mags[1], 1, 1)
+    clear_planes(mags[0], np.int64(1), np.int64(1))
+    clear_planes(mags[1], np.int64(1), np.int64(1))
     for level in range(count):
         t = count - 1 - level
         rows, cols = ((n_rows - 1) >> (t + 1)) + 1, ((n_cols - 1) >> (t + 1)) + 1
@@ -276,13 +278,17 @@ def encode_tree(
                 mag_1 = mag_2 = 0
                 if j < high_cols:
                     quant = low_row[cols + j]
-                    span, low = _encode_coeff(span, low, state, out, models, 0, t, sum_1, quant, 1)
+                    span, low = _encode_coeff(
+                        span, low, state, out, models, np.int64(0), t, sum_1, quant, np.int64(1)
+                    )
                     mag_1 = min(abs(quant), MAX_MAG)
                     plane[0, i + 2, j + 2] = mag_1
                 if i < high_rows:
                     quant = high_row[j]
                     sum_2 += _W_SIBLING * mag_1
-                    span, low = _encode_coeff(span, low, state, out, models, 1, t, sum_2, quant, 1)
+                    span, low = _encode_coeff(
+                        span, low, state, out, models, np.int64(1), t, sum_2, quant, np.int64(1)
+                    )
                     mag_2 = min(abs(quant), MAX_MAG)
                     plane[1, i + 2, j + 2] = mag_2
                     if j < high_cols:
@@ -290,7 +296,7 @@ def encode_tree(
                         sum_3 += _W_SIBLING * (mag_1 + mag_2)
                         open_ = 1 if t > 0 or mag_1 + mag_2 > 0 else 0
                         span, low = _encode_coeff(
-                            span, low, state, out, models, 2, t, sum_3, quant, open_
+                            span, low, state, out, models, np.int64(2), t, sum_3, quant, open_
                         )
                         plane[2, i + 2, j + 2] = min(abs(quant), MAX_MAG)
     state[RANGE], state[LOW] = span, low
@@ -313,7 +319,7 @@ def _encode_coeff(span, low, state, out, models, band, t, sums, quant, is_open):
         span, low, state, out, models, first, prefix, SHIFT_OF_BIN[bin_], mag
     )
     state[RANGE], state[LOW] = span, low
-    encode_raw(state, out, 1 if quant < 0 else 0, 1)
+    encode_raw(state, out, 1 if quant < 0 else 0, np.int64(1))
     return state[RANGE], state[LOW]
 
 
@@ -325,13 +331,13 @@ def _encode_signed(span, low, state, out, models, value):
     while rest >> (n_bits + 1):
         n_bits += 1
     for index in range(n_bits):
-        span, low = encode_step(span, low, state, out, models, _LL_MODELS + index, 1)
+        span, low = encode_step(span, low, state, out, models, _LL_MODELS + index, np.int64(1))
     if n_bits < 31:
-        span, low = encode_step(span, low, state, out, models, _LL_MODELS + n_bits, 0)
+        span, low = encode_step(span, low, state, out, models, _LL_MODELS + n_bits, np.int64(0))
     state[RANGE], state[LOW] = span, low
     encode_raw(state, out, rest, n_bits)
     if value != 0:
-        encode_raw(state, out, 1 if value < 0 else 0, 1)
+        encode_raw(state, out, 1 if value < 0 else 0, np.int64(1))
     return state[RANGE], state[LOW]
 
 
@@ -345,7 +351,7 @@ def _decode_signed(state, data, models):
         n_bits += bit
     state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
     value = ((np.int64(1) << n_bits) | decode_raw(state, data, n_bits)) - 1
-    if value != 0 and decode_raw(state, data, 1):
+    if value != 0 and decode_raw(state, data, np.int64(1)):
         return -value
     return value
 
@@ -362,9 +368,9 @@ def decode_tree(
     n_rows, n_cols = field.shape
     count = n_transforms(n_rows, n_cols)
     value = _decode_signed(state, data, models)
-    field[0, 0] = dequantize(value, steps[count - 1, 0], limits[count - 1, 0], 0)
-    clear_planes(mags[0], 1, 1)
-    clear_planes(mags[1], 1, 1)
+    field[0, 0] = dequantize(value, steps[count - 1, 0], limits[count - 1, 0], np.int64(0))
+    clear_planes(mags[0], np.int64(1), np.int64(1))
+    clear_planes(mags[1], np.int64(1), np.int64(1))
     span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
     for level in range(count):
         t = count - 1 - level
@@ -411,7 +417,7 @@ def decode_tree(
                 mag_1 = mag_2 = 0
                 if j < high_cols:
                     value, span, code, pos = _decode_coeff(
-                        span, code, pos, state, data, models, 0, t, sum_1, 1
+                        span, code, pos, state, data, models, np.int64(0), t, sum_1, np.int64(1)
                     )
                     if value:
                         low_row[cols + j] = dequantize(value, steps[t, 1], limits[t, 1], offset)
@@ -420,7 +426,7 @@ def decode_tree(
                 if i < high_rows:
                     sum_2 += _W_SIBLING * mag_1
                     value, span, code, pos = _decode_coeff(
-                        span, code, pos, state, data, models, 1, t, sum_2, 1
+                        span, code, pos, state, data, models, np.int64(1), t, sum_2, np.int64(1)
                     )
                     if value:
                         high_row[j] = dequantize(value, steps[t, 2], limits[t, 2], offset)
@@ -430,7 +436,7 @@ def decode_tree(
                         sum_3 += _W_SIBLING * (mag_1 + mag_2)
                         open_ = 1 if t > 0 or mag_1 + mag_2 > 0 else 0
                         value, span, code, pos = _decode_coeff(
-                            span, code, pos, state, data, models, 2, t, sum_3, open_
+                            span, code, pos, state, data, models, np.int64(2), t, sum_3, open_
                         )
                         if value:
                             high_row[cols + j] = dequantize(
@@ -454,7 +460,7 @@ def _decode_coeff(span, code, pos, state, data, models, band, t, sums, is_open):
     state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
     prefix = _PREFIX_MODELS + band * N_PREFIX
     value = decode_magnitude_at(state, data, models, first, prefix, SHIFT_OF_BIN[bin_]) + 1
-    if decode_raw(state, data, 1):
+    if decode_raw(state, data, np.int64(1)):
         value = -value
     return value, state[RANGE], state[CODE], state[BYTE_POS]
 

@@ -2,7 +2,7 @@
 
 The range coder of LZMA (I. Pavlov; after G. N. N. Martin, 1979) with a 32-bit range, renormalised
 by bytes with carry propagation in the encoder. Departures: the constant first byte is not written,
-only one of the last four bytes is, and probabilities adapt at 1/(n + 3/2) down to 1/128 instead of
+only one of the last four bytes is, and probabilities adapt at 1/(n + 3/2) down to 1/256 instead of
 a fixed 1/32 (DESIGN.md §3.5: 0.7 % over entropy instead of 2.5 %).
 
 All quantities are non-negative and below 2**63 (range < 2**32, low < 2**33, products < 2**48), so
@@ -26,8 +26,8 @@ _TOP = 1 << 24
 _MASK32 = (1 << 32) - 1
 _COUNT_BITS = 10
 _PROB_BITS = 22
-_COUNT_LIMIT = 126
-# Weight of a new bit after `count` earlier ones, in 1/65536: 1/(count + 3/2), at least 1/128.
+_COUNT_LIMIT = 254
+# Weight of a new bit after `count` earlier ones, in 1/65536: 1/(count + 3/2), at least 1/255.5.
 RATES = np.array([131072 // (2 * n + 3) for n in range(_COUNT_LIMIT + 1)], dtype=np.int64)
 
 MODEL_START = np.uint32(1 << 31)  # probability 1/2, nothing seen

@@ -12,7 +12,7 @@ from terrainwave.errors import CorruptStreamError, InvalidHeightsError, Terrainw
 
 MAX_NESTING = 16
 
-_STRINGS = ("crs", "mask", "units", "description", "software")
+_STRINGS = ("crs", "mask_kind", "units", "description", "software")
 _NUMBERS = ("scale", "offset")
 # A string, or one bracket outside of strings.
 _TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)

@@ -37,7 +37,8 @@ class RasterInfo:
         The declared nodata value: int for integer types, float (NaN and infinities allowed) for
         float types, None if there is none.
     crs : str or None
-        ``"AUTH:CODE"`` where that code's definition equals the raster's, else WKT2.
+        ``"AUTH:CODE"`` where that code's definition equals the raster's, else WKT (2, where that
+        gives the same system back, or 1).
     transform : tuple of 6 float
         Affine map from (col, row) to (x, y): ``x = a*col + b*row + c``, ``y = d*col + e*row + f``.
     units : str or None
@@ -205,7 +206,7 @@ def parse_crs(text: str | None) -> CRS | None:
 
 
 def format_crs(crs: CRS | None) -> str | None:
-    """Return ``"AUTH:CODE"`` where that code means exactly `crs`, else its WKT2; None for none.
+    """Return ``"AUTH:CODE"`` where that code means exactly `crs`, else its WKT; None for none.
 
     Equal means: the same WKT. Looser comparisons (PROJ's, rasterio's ``==``) call two systems the
     same whose ellipsoids differ in the ninth digit. The WKT compared is rasterio's default, as
@@ -218,10 +219,15 @@ def format_crs(crs: CRS | None) -> str | None:
         with contextlib.suppress(CRSError):
             if CRS.from_authority(*authority).to_wkt() == crs.to_wkt():
                 return ":".join(authority)
-    try:
-        return str(crs.to_wkt(version="WKT2_2019"))
-    except CRSError:
-        return str(crs.to_wkt())
+    # WKT2 as GDAL writes it drops the codes of inner parts that WKT1 keeps, and WKT1 cannot say
+    # everything: take the first that gives the same system back.
+    candidates = []
+    for version in ("WKT2_2019", "WKT1_GDAL"):
+        with contextlib.suppress(CRSError):
+            candidates.append(str(crs.to_wkt(version=version)))
+            if CRS.from_wkt(candidates[-1]).to_wkt() == crs.to_wkt():
+                return candidates[-1]
+    return candidates[0] if candidates else str(crs.to_wkt())
 
 
 def fit_nodata(nodata: int | float, dtype: np.dtype[Any]) -> tuple[int | float | None, str | None]:

@@ -224,15 +224,12 @@ class RasterSink:
         """
         with bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            size = part.stat().st_size
-            with rasterio.open(part) as dataset:
-                for (row, col), _ in dataset.block_windows(1):
-                    offset = dataset.get_tag_item(f"BLOCK_OFFSET_{col}_{row}", "TIFF", 1)
-                    n_bytes = dataset.get_tag_item(f"BLOCK_SIZE_{col}_{row}", "TIFF", 1)
-                    if offset is None or int(offset) + int(n_bytes) > size:
-                        raise StorageError(
-                            f"cannot write {self._path}: it is incomplete; is the disk full?"
-                        )
+            try:
+                is_complete = _holds_all_tiles(part)
+            except GDAL_ERRORS:
+                is_complete = False
+        if not is_complete:
+            raise StorageError(f"cannot write {self._path}: it is incomplete; is the disk full?")
 
     def _cannot_write(self, error: BaseException) -> StorageError:
         return StorageError(f"cannot write {self._path}: {one_line(error)}")
@@ -256,6 +253,17 @@ class RasterSink:
             self.close()
         else:
             self.abort()
+
+
+def _holds_all_tiles(path: Path) -> bool:
+    size = path.stat().st_size
+    with rasterio.open(path) as dataset:
+        for (row, col), _ in dataset.block_windows(1):
+            offset = dataset.get_tag_item(f"BLOCK_OFFSET_{col}_{row}", "TIFF", 1)
+            n_bytes = dataset.get_tag_item(f"BLOCK_SIZE_{col}_{row}", "TIFF", 1)
+            if offset is None or int(offset) + int(n_bytes) > size:
+                return False
+    return True
 
 
 class _Aborted(Exception):
