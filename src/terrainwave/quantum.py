@@ -7,6 +7,7 @@ power of two well below the bound and rounding to it is charged to the bound as 
 
 import math
 from dataclasses import dataclass
+from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
 
 import numpy as np
@@ -237,7 +238,7 @@ class HeightScan:
             raise InvalidHeightsError(
                 "these heights lie on no common vertical grid, so they cannot be stored losslessly"
                 f" or this exactly: found max_error {float(max_error):g}, expected at least"
-                f" {float(smallest):g} (raw units); give a larger --max-error"
+                f" {_rounded_up(smallest)} (raw units); give a larger --max-error"
             )
         p = _power_of_two_above(max_error) / (1 << _FINE_BITS)
         while span / p >= MAX_QUANTA or not self._fits(p):
@@ -273,6 +274,12 @@ def _on_grid(heights: NDArray[np.generic], wide: NDArray[np.float64], p: Fractio
         if not np.array_equal(values, part):
             return False
     return True
+
+
+def _rounded_up(value: Fraction) -> str:
+    """Return a decimal number of six digits that is not below `value`: a bound to type in."""
+    upward = Context(prec=6, rounding=ROUND_CEILING)
+    return f"{float(upward.divide(Decimal(value.numerator), Decimal(value.denominator))):g}"
 
 
 def _power_of_two_above(value: Fraction) -> Fraction:
