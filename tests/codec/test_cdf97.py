@@ -1,6 +1,7 @@
 """The `cdf97` refiner: the bound, the borders, damage."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -52,7 +53,9 @@ def terrain(shape, seed=0, relief=400):
     heights = np.zeros(shape)
     for wave in (3.0, 7.0, 19.0, 53.0):
         a, b, c = rng.uniform(0, 6.28, 3)
-        heights += relief * wave / 53 * np.sin(rows / wave + a) * np.cos(cols / wave * np.sin(c) + b)
+        heights += (
+            relief * wave / 53 * np.sin(rows / wave + a) * np.cos(cols / wave * np.sin(c) + b)
+        )
     return np.rint(heights + rng.normal(0, 1, shape)).astype(np.int32)
 
 
@@ -131,11 +134,9 @@ def test_labels_are_trees():
     offsets = np.zeros(32, dtype=np.int64)
     count = node_offsets(*target.shape, offsets)
     sizes = [(((33 - 1) >> t) + 1, ((29 - 1) >> t) + 1) for t in range(count, 0, -1)]
-    grids = [
-        labels[offsets[k] : offsets[k + 1]].reshape(sizes[k]) for k in range(count)
-    ]
+    grids = [labels[offsets[k] : offsets[k + 1]].reshape(sizes[k]) for k in range(count)]
     assert offsets[count] == labels.size
-    for parents, children in zip(grids, grids[1:], strict=False):
+    for parents, children in itertools.pairwise(grids):
         above = parents.repeat(2, 0).repeat(2, 1)[: children.shape[0], : children.shape[1]]
         assert ((children == JZTC) == (above != JS)).all()
 
@@ -156,9 +157,7 @@ def arrangement(n_rows, n_cols, block, rings, step):
     levels = [terrain((n_rows, n_cols), seed=7)]
     for level in range(grid.k_max - 1, -1, -1):
         fine = levels[-1]
-        levels.append(
-            lowpass_analysis(fine, (0, 0), fine.shape, (0, 0), grid.level_shape(level))
-        )
+        levels.append(lowpass_analysis(fine, (0, 0), fine.shape, (0, 0), grid.level_shape(level)))
     levels.reverse()
 
     def spec_of(level, block_):
@@ -170,9 +169,7 @@ def arrangement(n_rows, n_cols, block, rings, step):
             core, region = grid.group_region(block_), grid.group_region(block_, apron)
             above = grid.block_region(block_, apron)
         rows, cols = grid.level_blocks(block_.level)
-        shared = Sides(
-            block_.row > 0, block_.col > 0, block_.row + 1 < rows, block_.col + 1 < cols
-        )
+        shared = Sides(block_.row > 0, block_.col > 0, block_.row + 1 < rows, block_.col + 1 < cols)
         big = 1 << 30
         return GroupSpec(level, core, region, above, shared, step, -big, big, (1, 0), rings, 0)
 

@@ -113,7 +113,7 @@ def test_synthesis_survives_extremes():
     assert child[3, 0] == -MAX_HEIGHT
 
 
-# Growth --------------------------------------------------------------------------------------------
+# Growth -----------------------------------------------------------------------------------
 
 
 def lifted(line):
@@ -182,9 +182,9 @@ def synthesis_growth(n, count):
 
 @pytest.mark.large
 def test_no_stream_can_overflow_the_inverse_transform():
-    # Coefficients are at most 2**40 (cdf97.MAX_COEFF) plus a step of at most as much. A lifting step
-    # multiplies a sum of two values by at most 6497; a group of 2049 samples a side (the largest,
-    # block 1024) has 12 transforms, whose growth has settled after a few.
+    # Coefficients are at most 2**40 (cdf97.MAX_COEFF) plus a step of at most as much. A lifting
+    # step multiplies a sum of two values by at most 6497; a group of 2049 samples a side (the
+    # largest, block 1024) has 12 transforms, whose growth has settled after a few.
     growth = np.array(synthesis_growth(257, 8))
     low, high = growth.max(axis=0)
     # LH, HL, HH of each transform and the root's LL, at their worst in any stage of either pass.

@@ -32,7 +32,7 @@ from terrainwave.coding.rangecoder import (
     encode_raw,
 )
 
-# Models: a zero flag and unary steps for each (pass, context bin). Passes: even and odd samples, and
+# Models: a zero flag and unary steps for each (pass, context bin). Passes: even and odd samples;
 # in a root block strides of 4 or more, 2 and 1.
 _N_PASSES = 5
 _MAG_MODELS = _N_PASSES * N_BINS
@@ -81,7 +81,11 @@ def plan_border(spec: GroupSpec) -> Plan:
 
     # A dictionary keeps order and drops what small regions meet twice.
     corners = dict.fromkeys(
-        (r, c) for row in rows for col in cols for r in around(row, n_rows) for c in around(col, n_cols)
+        (r, c)
+        for row in rows
+        for col in cols
+        for r in around(row, n_rows)
+        for c in around(col, n_cols)
     )
     lines: dict[Line, None] = {}
     for is_column, places, size, start, n, before, after in (
@@ -150,7 +154,8 @@ def code_border(
             extended[2:-2] += parents[high, begin : begin + n_parent]
             _predict_line(extended, n_parent, predicted)
         _code_line(
-            encoding, predicted, np.ascontiguousarray(source[index]), np.ascontiguousarray(mask[index]),
+            encoding, predicted, np.ascontiguousarray(source[index]),
+            np.ascontiguousarray(mask[index]),
             parent is None, spec.step, line.first, line.stop, decoded, state, stream, models,
         )  # fmt: skip
         coded = slice(line.start + line.first, line.start + line.stop)
@@ -179,7 +184,14 @@ def _code_symbol(encoding, value, pass_, sums, state, stream, models):
         encode_bit(state, stream, models, zero, 1 if value != 0 else 0)
         if value != 0:
             state[RANGE], state[LOW] = encode_magnitude_at(
-                state[RANGE], state[LOW], state, stream, models, first, prefix, np.int64(0),
+                state[RANGE],
+                state[LOW],
+                state,
+                stream,
+                models,
+                first,
+                prefix,
+                np.int64(0),
                 abs(value) - 1,
             )
             encode_raw(state, stream, 1 if value < 0 else 0, np.int64(1))
@@ -213,7 +225,9 @@ def _code_corner(encoding, prediction, target, is_valid, is_root, step, state, s
     index = np.int64(0)
     if is_valid:
         if encoding:
-            index = np.int64(target) // step if is_root else _quantum_index(target - prediction, step)
+            index = (
+                np.int64(target) // step if is_root else _quantum_index(target - prediction, step)
+            )
         pass_ = _ROOT if is_root else _EVEN
         index = _code_symbol(encoding, index, pass_, np.int64(16), state, stream, models)
     if is_root:
@@ -254,16 +268,16 @@ def _code_line(
                 sums = 4 * near + min(8 * bend // step, 1024)
                 if encoding:
                     index = _quantum_index(target[i] - prediction, step)
-                index = _code_symbol(encoding, index, phase, min(sums, SUM_LIMIT), state, stream, models)
+                index = _code_symbol(
+                    encoding, index, phase, min(sums, SUM_LIMIT), state, stream, models
+                )
             decoded[i] = _rebuild(prediction, index, step)
             before_last = last
-            last = min(abs(index), 255)
+            last = min(abs(int(index)), 255)
 
 
 @kernel
-def _code_root_line(
-    encoding, target, mask, step, first, stop, decoded, state, stream, models
-):
+def _code_root_line(encoding, target, mask, step, first, stop, decoded, state, stream, models):
     """Encode or decode a line without a parent: indices on the fixed grid, coarse to fine.
 
     Sample 0 comes first, then odd multiples of each stride from the largest down, predicted between
@@ -276,8 +290,8 @@ def _code_root_line(
         top *= 2
     if first == 0:
         _code_root_sample(
-            encoding, np.int64(0), 0, np.int64(_ROOT), np.int64(16), target, mask, step, mags, decoded,
-            state, stream, models,
+            encoding, np.int64(0), np.int64(0), np.int64(_ROOT), np.int64(16), target, mask, step,
+            mags, decoded, state, stream, models,
         )  # fmt: skip
     stride = top
     while stride > 0:

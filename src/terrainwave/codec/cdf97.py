@@ -55,8 +55,9 @@ from terrainwave.coding.rangecoder import (
 )
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 
-# Fraction bits of wavelet coefficients, and the largest one used: with it no stream can overflow the
-# inverse transform (proof: tests/coding/test_filters.py). Larger ones are cut, and residuals mend it.
+# Fraction bits of wavelet coefficients, and the largest one used: with it no stream can overflow
+# the inverse transform (proof: tests/coding/test_filters.py). Larger ones are cut, and residuals
+# mend that.
 FRACTION_BITS = 6
 MAX_COEFF = 1 << 40
 MAX_INDEX = 1 << 30
@@ -168,8 +169,9 @@ class Cdf97:
             if coding.flags & _HAS_COEFFS:
                 steps, limits = _band_steps(spec.step, coding, n_levels)
                 decode_tree(
-                    work.field, steps, limits, coding.offset, coding.along, work.rough, work.offsets, labels,
-                    work.mags, work.spread, work.activity, state, data, new_models(N_TREE_MODELS),
+                    work.field, steps, limits, coding.offset, coding.along, work.rough,
+                    work.offsets, labels, work.mags, work.spread, work.activity, state, data,
+                    new_models(N_TREE_MODELS),
                 )  # fmt: skip
                 inverse_transform(work.field, work.low, work.high)
                 _add_detail(work.field, is_known[core], inner)
@@ -204,8 +206,8 @@ class _Encoder:
         self.core = core
         self.is_known = np.ascontiguousarray(is_known[core])
         self.coded = mask[core] & ~self.is_known
-        # The coefficients aim at the originals on the shared lines too: the decoded lines carry noise
-        # of up to half a step, which would cost coefficients, and the decoder ignores them there.
+        # The coefficients aim at the originals on the shared lines too: the decoded lines carry
+        # noise of up to half a step, which would cost coefficients for nothing.
         self.target = np.ascontiguousarray(target[core])
         prediction, _ = _predict(spec, parent)
         self.prediction = np.ascontiguousarray(prediction[core])
@@ -220,7 +222,7 @@ class _Encoder:
         self.best: tuple[bytes, Heights, Labels | None] | None = None
 
     def run(self) -> tuple[bytes, Heights, Labels | None]:
-        """Try some steps and return the smallest result, or the one that serves finer levels best."""
+        """Try some steps; return the smallest result, or the one that serves finer levels best."""
         if self.spec.is_finest:
             for step_code in _FINEST_STEPS[self.spec.effort]:
                 self.attempt(step_code)
@@ -267,7 +269,10 @@ class _Encoder:
         steps, limits = _band_steps(spec.step, coding, self.n_levels)
         labels = np.zeros(work.offsets[self.n_levels], dtype=np.uint8)
         inner = self.start.copy()
-        if _quantize(self.detail, steps, limits, coding.offset, self.quants, work.field) > MAX_INDEX:
+        if (
+            _quantize(self.detail, steps, limits, coding.offset, self.quants, work.field)
+            > MAX_INDEX
+        ):
             return 0
         n_significant = mark_labels(self.quants, work.offsets, labels)
         flags = 0
@@ -276,7 +281,8 @@ class _Encoder:
             flags |= _HAS_COEFFS
             coding = coding._replace(along=choose_along(self.quants))
             encode_tree(
-                self.quants, coding.along, work.rough, work.offsets, labels, work.mags, work.spread, work.activity,
+                self.quants, coding.along, work.rough, work.offsets, labels, work.mags, work.spread,
+                work.activity,
                 state, self.out, new_models(N_TREE_MODELS),
             )  # fmt: skip
             inverse_transform(work.field, work.low, work.high)
@@ -285,7 +291,8 @@ class _Encoder:
             flags |= _HAS_RESIDUALS
             smooth_activity(work.activity, work.smooth)
             encode_residuals(
-                self.residuals, self.coded, work.smooth, work.hints, work.residual_mags, work.residual_signs, state, self.out,
+                self.residuals, self.coded, work.smooth, work.hints, work.residual_mags,
+                work.residual_signs, state, self.out,
                 new_models(N_RESIDUAL_MODELS),
             )  # fmt: skip
             _add_residuals(self.residuals, spec.step, inner)
@@ -296,13 +303,14 @@ class _Encoder:
             self.best = (header + self.out[:n_bytes].tobytes(), inner, labels)
         return size
 
-
     def attempt_raw(self) -> None:
         """Encode the samples in plain bits, keep the result if it is the smallest."""
         spec = self.spec
         valid = self.target[self.coded]
         base = int(valid.min()) if valid.size else 0
-        width = ((int(valid.max()) - base + spec.half) // spec.step).bit_length() if valid.size else 0
+        width = (
+            ((int(valid.max()) - base + spec.half) // spec.step).bit_length() if valid.size else 0
+        )
         assert self.best is not None
         if len(self.best[0]) < (width * valid.size) >> 3:
             return
@@ -366,7 +374,9 @@ def _write_header(coding: Coding) -> bytes:
     out = bytearray([coding.flags])
     if coding.flags & _IS_RAW:
         out.append(coding.raw_width)
-        out += encode_varint(coding.raw_base << 1 if coding.raw_base >= 0 else ~(coding.raw_base << 1))
+        out += encode_varint(
+            coding.raw_base << 1 if coding.raw_base >= 0 else ~(coding.raw_base << 1)
+        )
     elif coding.flags & _HAS_COEFFS:
         out += encode_varint(coding.step_code)
         out.append(coding.offset | coding.along << 4)

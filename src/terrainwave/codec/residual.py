@@ -137,15 +137,20 @@ def encode_residuals(residuals, coded, smooth, hints, mags, signs, state, out, m
             bin_ = _context_bin(here, above, above2, hints, col)
             residual = np.int64(residuals[row, col])
             index = ((row & 1) * 2 + (col & 1)) * N_BINS + bin_
-            span, low = encode_step(
-                span, low, state, out, models, index, 1 if residual != 0 else 0
-            )
+            span, low = encode_step(span, low, state, out, models, index, 1 if residual != 0 else 0)
             here[col + 2] = min(abs(residual), MAX_MAG)
             here_signs[col + 2] = 0
             if residual != 0:
                 first = _MAG_MODELS + bin_ * N_UNARY
                 span, low = encode_magnitude_at(
-                    span, low, state, out, models, first, np.int64(_PREFIX_MODELS), np.int64(0),
+                    span,
+                    low,
+                    state,
+                    out,
+                    models,
+                    first,
+                    np.int64(_PREFIX_MODELS),
+                    np.int64(0),
                     abs(residual) - 1,
                 )
                 index = _sign_context(here_signs, above_signs, col)

@@ -76,8 +76,9 @@ ROUGH_LIMIT = 1024
 
 @kernel
 def node_offsets(n_rows, n_cols, offsets):
-    """Fill `offsets` with the start of each node grid in a flat array, coarsest first; return the
-    number of grids. ``offsets[count]`` is the number of nodes. 32 entries are enough.
+    """Fill `offsets` with the start of each node grid in a flat array; return their number.
+
+    Coarsest first; ``offsets[count]`` is the number of nodes. 32 entries are enough.
     """
     count = n_transforms(n_rows, n_cols)
     offsets[0] = 0
@@ -222,13 +223,12 @@ def decode_magnitude_at(state, data, models, first, prefix, shift):
 
 
 @kernel
-def encode_tree(
-    quants, along, rough, offsets, labels, mags, spread, activity, state, out, models
-):
+def encode_tree(quants, along, rough, offsets, labels, mags, spread, activity, state, out, models):
     """Encode labels and coefficients, coarse to fine, row by row, HL, LH, HH at each node.
 
     `rough` (rows, cols) is what the parent says about the finest nodes. `mags` (2, 3, rows + 3,
-    cols + 4) and `spread` (3, rows, cols) are scratch for the finest node grid; `activity` gets the finest grid's magnitudes for the residual's contexts.
+    cols + 4) and `spread` (3, rows, cols) are scratch for the finest node grid; `activity` is
+    increased by the finest magnitudes, for the residual's contexts.
     """
     n_rows, n_cols = quants.shape
     count = n_transforms(n_rows, n_cols)
@@ -325,7 +325,7 @@ def _encode_coeff(span, low, state, out, models, band, t, sums, quant, is_open):
 
 @kernel
 def _encode_signed(span, low, state, out, models, value):
-    """Encode the root's LL: Exp-Golomb of the magnitude + 1 with an adaptive prefix, then a sign."""
+    """Encode the root's LL: Exp-Golomb of |value| + 1 with an adaptive prefix, then a sign."""
     rest = np.int64(abs(value)) + 1
     n_bits = 0
     while rest >> (n_bits + 1):
@@ -358,7 +358,20 @@ def _decode_signed(state, data, models):
 
 @kernel
 def decode_tree(
-    field, steps, limits, offset, along, rough, offsets, labels, mags, spread, activity, state, data, models
+    field,
+    steps,
+    limits,
+    offset,
+    along,
+    rough,
+    offsets,
+    labels,
+    mags,
+    spread,
+    activity,
+    state,
+    data,
+    models,
 ):
     """Decode what `encode_tree` wrote into `labels` and, dequantised, into `field` (int64, zeros).
 
@@ -517,17 +530,17 @@ def choose_along(quants):
     """
     n_rows, n_cols = quants.shape
     rows, cols = (n_rows + 1) >> 1, (n_cols + 1) >> 1
-    down = across = np.int64(0)
+    down = across = 0
     for i in range(1, rows):
         for j in range(cols + 1, n_cols):
-            mag = min(abs(np.int64(quants[2 * i, j])), MAX_MAG)
-            down += abs(mag - min(abs(np.int64(quants[2 * i - 2, j])), MAX_MAG))
-            across += abs(mag - min(abs(np.int64(quants[2 * i, j - 1])), MAX_MAG))
+            mag = min(abs(int(quants[2 * i, j])), MAX_MAG)
+            down += abs(mag - min(abs(int(quants[2 * i - 2, j])), MAX_MAG))
+            across += abs(mag - min(abs(int(quants[2 * i, j - 1])), MAX_MAG))
     along = 1 if 4 * down < 3 * across else 0
-    down = across = np.int64(0)
+    down = across = 0
     for i in range(1, n_rows - rows):
         for j in range(1, cols):
-            mag = min(abs(np.int64(quants[2 * i + 1, j])), MAX_MAG)
-            down += abs(mag - min(abs(np.int64(quants[2 * i - 1, j])), MAX_MAG))
-            across += abs(mag - min(abs(np.int64(quants[2 * i + 1, j - 1])), MAX_MAG))
+            mag = min(abs(int(quants[2 * i + 1, j])), MAX_MAG)
+            down += abs(mag - min(abs(int(quants[2 * i - 1, j])), MAX_MAG))
+            across += abs(mag - min(abs(int(quants[2 * i + 1, j - 1])), MAX_MAG))
     return along + (2 if 4 * across < 3 * down else 0)

@@ -349,8 +349,9 @@ def _inverse_rows(field, n_rows, n_cols, stride):
 def forward_transform(field, low, high):
     """Transform `field` (int64) in place down to one sample.
 
-    Rows stay where they are: after transform t, rows at odd multiples of 2**t are high in y. Columns
-    move: the low-pass half of a row to its front. `low` and `high` hold half a row and 3 more.
+    Rows stay where they are: after transform t, rows at odd multiples of 2**t are high in y.
+    Columns move: the low-pass half of a row to its front. `low` and `high` hold half a row
+    and 3 more.
     """
     n_rows, n_cols = field.shape
     stride = 1
