@@ -1,0 +1,274 @@
+"""One coded unit: masks exact, voids implied, nodata never met by accident, damage survived."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from reference import level_mask
+from strategies import valid_masks
+
+from terrainwave.codec.group import decode_unit, encode_unit, implied_voids
+from terrainwave.codec.refiner import Decoded
+from terrainwave.codec.registry import refiner_by_name
+from terrainwave.codec.units import CodecParameters, block_of_unit, root_keys, unit_spec
+from terrainwave.errors import CorruptStreamError
+from terrainwave.quadtree import Block, Grid, Region
+
+STORE = refiner_by_name("store")
+BIG = 1 << 29
+
+
+def parameters(step=1, z_min=-BIG, z_max=BIG, forbidden=(0, -1), rings=1):
+    return CodecParameters(step, z_min, z_max, forbidden, rings, 0)
+
+
+def root_spec(n_rows, n_cols, **options):
+    """Return the spec of the only unit of a small raster."""
+    return unit_spec(Grid(n_rows, n_cols, 32), parameters(**options), Block(-1, 0, 0))
+
+
+def round_trip(spec, target, mask, parent=None, refiner=STORE):
+    """Encode and decode; return the payload and the decoded unit."""
+    target = np.asarray(target, dtype=np.int32)
+    payload, encoded = encode_unit(refiner, spec, parent, target, mask)
+    decoded = decode_unit(refiner, spec, parent, payload)
+    np.testing.assert_array_equal(decoded.heights, encoded.heights)
+    np.testing.assert_array_equal(decoded.mask, encoded.mask)
+    return payload, decoded
+
+
+def valid_everywhere(spec):
+    return np.ones(spec.region.shape, dtype=bool)
+
+
+# Masks
+
+
+@given(st.data(), st.integers(1, 9), st.integers(1, 9))
+def test_masks_come_back_exactly(data, n_rows, n_cols):
+    mask = data.draw(valid_masks((n_rows, n_cols)))
+    _, decoded = round_trip(root_spec(n_rows, n_cols), np.zeros((n_rows, n_cols)), mask)
+    np.testing.assert_array_equal(decoded.mask, mask)
+
+
+def test_an_all_void_unit_has_no_payload():
+    spec = root_spec(9, 9)
+    payload, _ = round_trip(spec, np.zeros((9, 9)), ~valid_everywhere(spec))
+    assert payload == b""
+
+
+def test_an_all_valid_unit_has_no_mask_section():
+    spec = root_spec(9, 9)
+    payload, _ = round_trip(spec, np.zeros((9, 9)), valid_everywhere(spec))
+    assert len(payload) == 1 + 5  # flags and the store's head, no bits for a constant
+
+
+def pyramid_of_masks(valid, grid):
+    return [level_mask(valid, grid.k_max - level) for level in range(grid.k_max + 1)]
+
+
+def decode_all_masks(grid, valid, rings):
+    """Code every unit of a raster from the root down; return {key: (spec, payload, decoded)}."""
+    masks = pyramid_of_masks(valid, grid)
+    found = {}
+    keys = root_keys(grid)
+    for key in keys:
+        spec = unit_spec(grid, parameters(rings=rings), key)
+        parent = None
+        if key.level >= 0:
+            above = Block(-1, *key[1:]) if key.level == 0 else key.parent
+            above_spec, _, above_decoded = found[above]
+            parent = block_of_unit(grid, above_spec, above_decoded, key)
+        mask = masks[spec.level][spec.region.slices_in(Region(0, 0, *masks[spec.level].shape))]
+        payload, decoded = round_trip(spec, np.zeros(mask.shape), mask, parent)
+        found[key] = spec, payload, decoded
+        blocks = [Block(0, *key[1:])] if key.level < 0 else grid.children(key)
+        keys += [block for block in blocks if block.level < grid.k_max]
+    return found, masks
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("rings", [1, 3])
+@pytest.mark.parametrize("share", [0.0001, 0.01, 0.5, 0.99])
+def test_masks_of_all_levels_come_back_exactly(share, rings):
+    grid = Grid(150, 141, 32)
+    valid = np.random.default_rng(1).random((150, 141)) < share
+    found, masks = decode_all_masks(grid, valid, rings)
+    for spec, _, decoded in found.values():
+        whole = Region(0, 0, *masks[spec.level].shape)
+        np.testing.assert_array_equal(decoded.mask, masks[spec.level][spec.region.slices_in(whole)])
+
+
+@pytest.mark.parametrize("rings", [1, 3])
+@pytest.mark.parametrize("shape", [(130, 5), (141, 7), (2, 150)])
+def test_implied_voids_are_void(shape, rings):
+    # A coarse sample is void only if nothing valid lies in the cells touching it (DESIGN §3.4).
+    grid = Grid(*shape, 32)
+    valid = np.random.default_rng(2).random(shape) < 0.01
+    masks = pyramid_of_masks(valid, grid)
+    for key in grid.blocks(0):
+        spec = unit_spec(grid, parameters(rings=rings), key)
+        above = masks[0][spec.parent_region.slices_in(Region(0, 0, *masks[0].shape))]
+        parent = Decoded(np.zeros(above.shape, dtype=np.int32), above, None)
+        implied = implied_voids(spec, parent)
+        mask = masks[1][spec.region.slices_in(Region(0, 0, *masks[1].shape))]
+        assert not (mask & implied).any()
+
+
+def test_below_a_void_sample_everything_it_touches_is_implied():
+    grid = Grid(2 * 32 + 67, 3, 32)  # one level above the full grid
+    spec = unit_spec(grid, parameters(), Block(0, 0, 0))
+    above = np.ones(spec.parent_region.shape, dtype=bool)
+    above[5, 0] = False
+    implied = implied_voids(spec, Decoded(np.zeros(above.shape, dtype=np.int32), above, None))
+    assert np.argwhere(implied).tolist() == [[r, c] for r in (9, 10, 11) for c in (0, 1)]
+
+
+def test_implied_voids_cost_no_mask():
+    grid = Grid(131, 3, 32)
+    spec = unit_spec(grid, parameters(), Block(0, 0, 0))
+    above = np.ones(spec.parent_region.shape, dtype=bool)
+    above[5:9] = False
+    parent = Decoded(np.zeros(above.shape, dtype=np.int32), above, None)
+    mask = ~implied_voids(spec, parent)
+    payload, _ = round_trip(spec, np.zeros(mask.shape), mask, parent)
+    assert len(payload) == 1 + 5
+
+
+# Heights that would read as nodata
+
+
+@pytest.mark.parametrize("method", ["store", "cdf97"])
+@pytest.mark.parametrize("step", [3, 9, 101])
+@pytest.mark.parametrize("forbidden", [(7, 7), (-2, 5), (-20, -20)])
+def test_no_valid_sample_takes_a_forbidden_height(method, step, forbidden):
+    rng = np.random.default_rng(3)
+    spec = root_spec(6, 7, step=step, z_min=-40, z_max=40, forbidden=forbidden)
+    target = rng.integers(-40, 41, (6, 7))
+    target[(target >= forbidden[0]) & (target <= forbidden[1])] = 30
+    mask = rng.random((6, 7)) < 0.8
+    _, decoded = round_trip(spec, target, mask, refiner=refiner_by_name(method))
+    heights = decoded.heights[mask]
+    assert not ((heights >= forbidden[0]) & (heights <= forbidden[1])).any()
+
+
+@pytest.mark.parametrize("method", ["store", "cdf97"])
+@pytest.mark.parametrize("step", [3, 9, 101])
+@pytest.mark.parametrize("forbidden", [(7, 7), (-2, 5), (-20, -20)])
+def test_evading_forbidden_heights_keeps_the_bound(method, step, forbidden):
+    rng = np.random.default_rng(4)
+    spec = root_spec(6, 7, step=step, z_min=-40, z_max=40, forbidden=forbidden)
+    target = rng.integers(-40, 41, (6, 7))
+    target[(target >= forbidden[0]) & (target <= forbidden[1])] = 30
+    mask = np.ones((6, 7), dtype=bool)
+    _, decoded = round_trip(spec, target, mask, refiner=refiner_by_name(method))
+    assert np.abs(decoded.heights - target).max() <= spec.half
+
+
+def test_a_height_just_below_nodata_stays_below_it():
+    # Step 3 from z_min = 0: 3, 4 and 5 become 4. With 4 forbidden, 3 stays 3 and 5 becomes 5.
+    spec = root_spec(1, 4, step=3, z_min=0, z_max=8, forbidden=(4, 4))
+    _, decoded = round_trip(spec, [[0, 3, 5, 8]], np.ones((1, 4), dtype=bool))
+    assert decoded.heights.tolist() == [[1, 3, 5, 7]]
+
+
+def test_heights_are_clamped_to_the_range_of_the_originals():
+    spec = root_spec(1, 2, step=101, z_min=-3, z_max=3)
+    _, decoded = round_trip(spec, [[-3, 3]], np.ones((1, 2), dtype=bool))
+    assert np.abs(decoded.heights).max() <= 3
+
+
+# Damage
+
+
+def small_unit(method, has_exceptions=True):
+    rng = np.random.default_rng(5)
+    forbidden = (2, 2) if has_exceptions else (0, -1)  # the store's heights are -48, -43 … 2 …
+    spec = root_spec(7, 9, step=5, z_min=-50, z_max=50, forbidden=forbidden)
+    target = rng.integers(-50, 51, (7, 9))
+    target[target == 2] = 1
+    mask = rng.random((7, 9)) < 0.7
+    payload, _ = round_trip(spec, target, mask, refiner=refiner_by_name(method))
+    return spec, payload
+
+
+def outcome(method, spec, payload):
+    try:
+        decoded = decode_unit(refiner_by_name(method), spec, None, payload)
+    except CorruptStreamError as error:
+        return error
+    heights = decoded.heights[decoded.mask]
+    assert decoded.heights.shape == decoded.mask.shape == spec.region.shape
+    assert heights.min(initial=0) >= spec.z_min
+    assert heights.max(initial=0) <= spec.z_max
+    return decoded
+
+
+methods = pytest.mark.parametrize("method", ["store", "cdf97"])
+
+
+def test_the_damaged_units_have_a_mask_and_exceptions():
+    assert small_unit("store")[1][0] == 0b11
+
+
+@methods
+def test_every_prefix_is_rejected(method):
+    spec, payload = small_unit(method)
+    for length in range(1, len(payload)):  # an empty one is a unit without valid samples
+        assert isinstance(outcome(method, spec, payload[:length]), CorruptStreamError), length
+
+
+@methods
+def test_an_extra_byte_is_rejected(method):
+    spec, payload = small_unit(method)
+    assert isinstance(outcome(method, spec, payload + b"\0"), CorruptStreamError)
+
+
+@methods
+def test_every_flipped_bit_gives_heights_in_range_or_our_own_error(method):
+    spec, payload = small_unit(method)
+    for bit in range(8 * len(payload)):
+        broken = bytearray(payload)
+        broken[bit // 8] ^= 1 << bit % 8
+        outcome(method, spec, bytes(broken))
+
+
+@methods
+@given(payload=st.binary(max_size=60), step=st.sampled_from([1, 5, (1 << 30) + 1]))
+def test_any_bytes_give_heights_in_range_or_our_own_error(method, payload, step):
+    outcome(method, root_spec(7, 9, step=step, z_min=-50, z_max=50, forbidden=(3, 3)), payload)
+
+
+@methods
+@given(rest=st.binary(max_size=60), flags=st.sampled_from([0, 1, 2, 3]))
+def test_any_bytes_below_a_parent_with_voids_do_too(method, rest, flags):
+    grid = Grid(131, 3, 32)
+    spec = unit_spec(grid, parameters(step=3, z_min=-50, z_max=50), Block(0, 1, 0))
+    rng = np.random.default_rng(6)
+    shape = spec.parent_region.shape
+    heights = rng.integers(-50, 51, shape).astype(np.int32)
+    parent = Decoded(heights, rng.random(shape) < 0.6, None)
+    try:
+        decoded = decode_unit(refiner_by_name(method), spec, parent, bytes([flags]) + rest)
+    except CorruptStreamError:
+        return
+    assert not (decoded.mask & implied_voids(spec, parent)).any()
+
+
+@pytest.mark.parametrize("flags", [4, 7, 8, 16, 0x80, 0xFF])
+def test_reserved_flags_are_rejected(flags):
+    spec, payload = small_unit("store", has_exceptions=False)
+    error = outcome("store", spec, bytes([flags]) + payload[1:])
+    assert "reserved bits" in str(error)
+
+
+def test_an_empty_section_is_rejected():
+    assert "section is empty" in str(outcome("store", root_spec(2, 2), b"\x01\x00"))
+
+
+def test_exceptions_without_collisions_are_rejected():
+    spec, payload = small_unit("store")
+    lenient = dataclasses.replace(spec, forbidden=(0, -1))
+    assert "0 heights equal nodata" in str(outcome("store", lenient, payload))
