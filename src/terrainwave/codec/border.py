@@ -334,3 +334,90 @@ def _code_root_sample(
         most = 4 * MAX_HEIGHT // step + 1
         index += min(max(change, -most), most)
     decoded[i] = _rebuild(np.int64(step >> 1), index, step)
+
+
+def code_nested_border(
+    spec: GroupSpec,
+    parent: NDArray[np.int32],
+    target: NDArray[np.int32] | None,
+    mask: NDArray[np.bool_],
+    heights: NDArray[np.int32],
+    is_known: NDArray[np.bool_],
+    state: NDArray[np.int64],
+    stream: NDArray[np.uint8],
+    models: NDArray[np.uint32],
+) -> None:
+    """Encode or decode the shared samples of a group whose even samples are the parent's.
+
+    As `code_border`; samples of even row and column are inherited, not coded.
+    """
+    assert spec.parent_region is not None
+    plan = plan_border(spec)
+    encoding = target is not None
+    source = heights if target is None else target
+    row_offset = spec.region.row - 2 * spec.parent_region.row
+    col_offset = spec.region.col - 2 * spec.parent_region.col
+    last_row, last_col = parent.shape[0] - 1, parent.shape[1] - 1
+    for row, col in plan.corners:
+        r, c = row + row_offset, col + col_offset
+        r0, r1 = min(r >> 1, last_row), min((r + 1) >> 1, last_row)
+        c0, c1 = min(c >> 1, last_col), min((c + 1) >> 1, last_col)
+        total = int(parent[r0, c0]) + int(parent[r0, c1]) + int(parent[r1, c0])
+        prediction = total + int(parent[r1, c1]) + 2 >> 2
+        is_coded = bool(mask[row, col]) and bool(r & 1 or c & 1)
+        heights[row, col] = _code_corner(
+            encoding, prediction, source[row, col], is_coded, False, spec.step, state, stream,
+            models,
+        )  # fmt: skip
+        is_known[row, col] = True
+    for line in plan.lines:
+        if line.first >= line.stop:
+            continue
+        at = slice(line.start, line.start + line.n)
+        index = (at, line.place) if line.is_column else (line.place, at)
+        along, across = (row_offset, col_offset) if line.is_column else (col_offset, row_offset)
+        begin = (line.start + along) >> 1
+        n_parent = (line.n + 1) >> 1
+        parents = parent.T if line.is_column else parent
+        p = line.place + across
+        low, high = min(p >> 1, parents.shape[0] - 1), min((p + 1) >> 1, parents.shape[0] - 1)
+        pairs = parents[low, begin : begin + n_parent].astype(np.int64)
+        pairs += parents[high, begin : begin + n_parent]
+        predicted = np.zeros(line.n, dtype=np.int64)
+        _interpolate_line(pairs, predicted)
+        coded = mask[index].copy()
+        if not p & 1:
+            coded[::2] = False
+        decoded = np.zeros(line.n, dtype=np.int64)
+        for i in (line.first - 1, line.stop):
+            if 0 <= i < line.n:
+                decoded[i] = heights[index][i]
+        _code_line(
+            encoding, predicted, np.ascontiguousarray(source[index]), coded, False, spec.step,
+            line.first, line.stop, decoded, state, stream, models,
+        )  # fmt: skip
+        inner = slice(line.start + line.first, line.start + line.stop)
+        index = (inner, line.place) if line.is_column else (line.place, inner)
+        heights[index] = decoded[line.first : line.stop]
+        is_known[index] = True
+
+
+@kernel
+def _interpolate_line(pairs, predicted):
+    """Fill `predicted` from `pairs`, twice the values at even places, rounding half up.
+
+    Between four samples (-1, 9, 9, -1) / 16; at an end the missing one is mirrored about the end.
+    """
+    n_pairs = pairs.shape[0]
+    for i in range(predicted.shape[0]):
+        k = i >> 1
+        if i & 1 == 0:
+            predicted[i] = (pairs[k] + 1) >> 1
+        elif k + 1 >= n_pairs:
+            # Past the last even sample: go on as before.
+            before = pairs[max(k - 1, 0)]
+            predicted[i] = (3 * pairs[k] - before + 2) >> 2
+        else:
+            left = pairs[k - 1] if k > 0 else pairs[k + 1]
+            right = pairs[k + 2] if k + 2 < n_pairs else pairs[k]
+            predicted[i] = (9 * (pairs[k] + pairs[k + 1]) - left - right + 16) >> 5

@@ -3,7 +3,7 @@
 from terrainwave.codec.refiner import Refiner
 from terrainwave.errors import InvalidHeightsError, UnsupportedVersionError
 
-METHODS = ("cdf97", "store")
+METHODS = ("cdf97", "predictive", "store")
 DEFAULT_METHOD = "cdf97"
 
 
@@ -23,6 +23,10 @@ def refiner_by_name(name: str) -> Refiner:
         from terrainwave.codec.cdf97 import Cdf97
 
         return Cdf97()
+    if name == "predictive":
+        from terrainwave.codec.predictive import Predictive
+
+        return Predictive()
     raise UnsupportedVersionError(
         f"the file uses method {name!r}; this terrainwave has {', '.join(METHODS)}:"
         " install a newer one"

@@ -273,3 +273,55 @@ def decode_magnitude(state, data, models, first):
         n_bits += 1
     rest = (np.int64(1) << n_bits) | decode_raw(state, data, n_bits)
     return value + rest - 1
+
+
+@kernel
+def encode_mean_step(span, low, state, out, models, first, second, bit):
+    """Encode `bit` with the mean of two models' probabilities, adapt both; as `encode_step`."""
+    model, other = np.int64(models[first]), np.int64(models[second])
+    count, other_count = model & ((1 << _COUNT_BITS) - 1), other & ((1 << _COUNT_BITS) - 1)
+    prob, other_prob = model >> _COUNT_BITS, other >> _COUNT_BITS
+    bound = (span >> 16) * (((prob + other_prob) >> 7) | 1)
+    if bit:
+        span = bound
+        prob += (((1 << _PROB_BITS) - prob) * RATES[count]) >> 16
+        other_prob += (((1 << _PROB_BITS) - other_prob) * RATES[other_count]) >> 16
+    else:
+        low += bound
+        span -= bound
+        prob -= (prob * RATES[count]) >> 16
+        other_prob -= (other_prob * RATES[other_count]) >> 16
+    models[first] = (prob << _COUNT_BITS) | min(count + 1, _COUNT_LIMIT)
+    models[second] = (other_prob << _COUNT_BITS) | min(other_count + 1, _COUNT_LIMIT)
+    while span < _TOP:
+        span <<= 8
+        low = _shift_low(low, state, out)
+    return span, low
+
+
+@kernel
+def decode_mean_step(span, code, pos, data, models, first, second):
+    """Decode one bit written by `encode_mean_step`; as `decode_step`."""
+    model, other = np.int64(models[first]), np.int64(models[second])
+    count, other_count = model & ((1 << _COUNT_BITS) - 1), other & ((1 << _COUNT_BITS) - 1)
+    prob, other_prob = model >> _COUNT_BITS, other >> _COUNT_BITS
+    bound = (span >> 16) * (((prob + other_prob) >> 7) | 1)
+    if code < bound:
+        bit = 1
+        span = bound
+        prob += (((1 << _PROB_BITS) - prob) * RATES[count]) >> 16
+        other_prob += (((1 << _PROB_BITS) - other_prob) * RATES[other_count]) >> 16
+    else:
+        bit = 0
+        code -= bound
+        span -= bound
+        prob -= (prob * RATES[count]) >> 16
+        other_prob -= (other_prob * RATES[other_count]) >> 16
+    models[first] = (prob << _COUNT_BITS) | min(count + 1, _COUNT_LIMIT)
+    models[second] = (other_prob << _COUNT_BITS) | min(other_count + 1, _COUNT_LIMIT)
+    while span < _TOP:
+        byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
+        code = (code << 8) | byte
+        span <<= 8
+        pos += 1
+    return bit, span, code, pos

@@ -1,0 +1,222 @@
+"""Details in quantiser steps: expected magnitude, contexts, symbols (FORMAT.md: predictive).
+
+One number, the expected magnitude E of a detail, drives everything; where the known neighbours lie
+relative to the prediction is the second opinion (DESIGN.md §3.2).
+"""
+
+import numpy as np
+
+from terrainwave._jit import kernel
+from terrainwave.coding.rangecoder import (
+    BYTE_POS,
+    CODE,
+    LOW,
+    N_PREFIX,
+    N_UNARY,
+    RANGE,
+    decode_mean_step,
+    decode_raw,
+    decode_step,
+    encode_mean_step,
+    encode_raw,
+    encode_step,
+)
+
+# Expected magnitudes are in 1/256 step; their logarithm counts eighths of an octave.
+E_BITS = 8
+MAX_E = (1 << 28) - 1
+_LOG_TABLE_BITS = 12
+
+
+def _eighth_octaves() -> np.ndarray:
+    """Return floor(8 log2 v) for v below 4096 in exact integers; 0 for v = 0."""
+    table = np.zeros(1 << _LOG_TABLE_BITS, dtype=np.int64)
+    for value in range(1, 1 << _LOG_TABLE_BITS):
+        # 2**(k/8) <= v  <=>  2**k <= v**8
+        table[value] = (value**8).bit_length() - 1
+    return table
+
+
+LOG8 = _eighth_octaves()
+_FIRST_LOG = 24
+N_E_BINS = 44
+N_RANGE_BINS = 8
+_N_FRAC_BINS = 4
+_N_BALANCE = 7 * 4
+_N_BEYOND = 6 * 3
+# Low bits of magnitudes that are not coded, by E bin: magnitudes of about a quarter of E.
+SHIFT_OF_E = np.array(
+    [0] + [max(0, ((_FIRST_LOG + 4 * (b - 1)) >> 3) - E_BITS - 1) for b in range(1, N_E_BINS)],
+    dtype=np.int64,
+)
+SIGN_E_OF_BIN = np.array(
+    [sum(_FIRST_LOG + 4 * b > edge for edge in (50, 61, 72, 84)) for b in range(N_E_BINS)],
+    dtype=np.int64,
+)
+
+_N_MIDDLE = 9
+ZERO_B = 0
+ZERO_H = ZERO_B + N_E_BINS * N_RANGE_BINS * _N_FRAC_BINS
+SIGN_B = ZERO_H + N_E_BINS * _N_BALANCE
+SIGN_H = SIGN_B + 5 * 7 * _N_MIDDLE * _N_MIDDLE
+UNARY_B = SIGN_H + 11 * 64
+UNARY_H = UNARY_B + N_E_BINS * N_RANGE_BINS * N_UNARY
+LOW_BITS = UNARY_H + N_E_BINS * N_UNARY * _N_BEYOND
+PREFIX = LOW_BITS + N_E_BINS * 16
+N_DETAIL_MODELS = PREFIX + N_PREFIX
+
+# Largest magnitude any stream can give.
+MAX_DETAIL = 1 << 33
+
+
+@kernel
+def log8(value):
+    """Return floor(8 log2(value)) with 12 bits of `value`; 0 for 0 or less."""
+    if value < 4096:
+        return LOG8[max(value, 0)]
+    if value < 1 << 20:
+        return LOG8[value >> 8] + 64
+    if value < 1 << 28:
+        return LOG8[value >> 16] + 128
+    return LOG8[min(value >> 24, 4095)] + 192
+
+
+@kernel
+def e_bin_of(log):
+    """Return the bin of an expected magnitude from its `log8`."""
+    return min(max(((log - _FIRST_LOG) >> 2) + 1, 0), N_E_BINS - 1)
+
+
+@kernel
+def middle_bin(distance, e_floor, log_floor):
+    """Return 0 … 8: how far, in expected magnitudes, the prediction lies from a middle value."""
+    size = min((log8(2 * abs(distance) + e_floor) - log_floor) >> 2, 4)
+    return 4 + size if distance > 0 else 4 - size
+
+
+@kernel
+def encode_detail(
+    span, low, state, out, models, mixed, e_bin, sign_b, sign_h, far_b, far_a, spots, detail
+):
+    """Encode a detail known not to be 0; return the new (span, low).
+
+    `far_b` and `far_a` are the range bins of the distance to the highest and the lowest core value;
+    `spots` the indices of the known neighbours.
+    """
+    positive = 1 if detail > 0 else 0
+    if mixed:
+        span, low = encode_mean_step(span, low, state, out, models, sign_b, sign_h, positive)
+    else:
+        span, low = encode_step(span, low, state, out, models, sign_b, positive)
+    shift = SHIFT_OF_E[e_bin]
+    value = np.int64(abs(detail)) - 1
+    upper = value >> shift
+    range_bin = far_b if positive else far_a
+    first_b = UNARY_B + (e_bin * N_RANGE_BINS + range_bin) * N_UNARY
+    first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
+    n_ones = min(upper, N_UNARY)
+    for i in range(min(n_ones + 1, N_UNARY)):
+        bit = 1 if i < n_ones else 0
+        if mixed:
+            index_h = first_h + i * _N_BEYOND + beyond_context(spots, positive, shift, i)
+            span, low = encode_mean_step(span, low, state, out, models, first_b + i, index_h, bit)
+        else:
+            span, low = encode_step(span, low, state, out, models, first_b + i, bit)
+    if upper >= N_UNARY:
+        rest = upper - N_UNARY + 1
+        n_bits = 0
+        while rest >> (n_bits + 1):
+            n_bits += 1
+        for i in range(n_bits):
+            span, low = encode_step(span, low, state, out, models, PREFIX + i, 1)
+        if n_bits < N_PREFIX - 1:
+            span, low = encode_step(span, low, state, out, models, PREFIX + n_bits, 0)
+        state[RANGE], state[LOW] = span, low
+        encode_raw(state, out, rest, n_bits)
+        span, low = state[RANGE], state[LOW]
+    for place in range(shift - 1, -1, -1):
+        bit = (value >> place) & 1
+        depth = shift - 1 - place
+        if depth < 2:
+            index = LOW_BITS + e_bin * 16 + min(n_ones, 3) * 4
+            if depth == 1:
+                index += 1 + ((value >> (place + 1)) & 1)
+            span, low = encode_step(span, low, state, out, models, index, bit)
+        else:
+            state[RANGE], state[LOW] = span, low
+            encode_raw(state, out, value & ((1 << (place + 1)) - 1), place + 1)
+            return state[RANGE], state[LOW]
+    return span, low
+
+
+@kernel
+def decode_detail(
+    span, code, pos, state, data, models, mixed, e_bin, sign_b, sign_h, far_b, far_a, spots
+):
+    """Decode what `encode_detail` wrote ; return (detail, span, code, pos)."""
+    if mixed:
+        positive, span, code, pos = decode_mean_step(span, code, pos, data, models, sign_b, sign_h)
+    else:
+        positive, span, code, pos = decode_step(span, code, pos, data, models, sign_b)
+    shift = SHIFT_OF_E[e_bin]
+    range_bin = far_b if positive else far_a
+    first_b = UNARY_B + (e_bin * N_RANGE_BINS + range_bin) * N_UNARY
+    first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
+    upper = np.int64(0)
+    while upper < N_UNARY:
+        if mixed:
+            index_h = first_h + upper * _N_BEYOND + beyond_context(spots, positive, shift, upper)
+            bit, span, code, pos = decode_mean_step(
+                span, code, pos, data, models, first_b + upper, index_h
+            )
+        else:
+            bit, span, code, pos = decode_step(span, code, pos, data, models, first_b + upper)
+        if bit == 0:
+            break
+        upper += 1
+    n_ones = upper
+    if upper == N_UNARY:
+        n_bits = np.int64(0)
+        while n_bits < N_PREFIX - 1:
+            bit, span, code, pos = decode_step(span, code, pos, data, models, PREFIX + n_bits)
+            if bit == 0:
+                break
+            n_bits += 1
+        state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
+        rest = (np.int64(1) << n_bits) | decode_raw(state, data, n_bits)
+        span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
+        upper += rest - 1
+    value = upper
+    for place in range(shift - 1, -1, -1):
+        depth = shift - 1 - place
+        if depth < 2:
+            index = LOW_BITS + e_bin * 16 + min(n_ones, 3) * 4
+            if depth == 1:
+                index += 1 + (value & 1)
+            bit, span, code, pos = decode_step(span, code, pos, data, models, index)
+            value = (value << 1) | bit
+        else:
+            state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
+            value = (value << (place + 1)) | decode_raw(state, data, place + 1)
+            span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
+            break
+    value = min(value, MAX_DETAIL) + 1
+    return value if positive else -value, span, code, pos
+
+
+@kernel
+def beyond_context(spots, positive, shift, i):
+    """Return the context of unary bit `i` from the indices of the known neighbours.
+
+    How many lie beyond the cell in question, and how many in it.
+    """
+    beyond = here = 0
+    for k in range(spots.shape[0]):
+        spot = spots[k] if positive else -spots[k]
+        if spot > 0:
+            spot = (spot - 1) >> shift
+            if spot > i:
+                beyond += 1
+            elif spot == i:
+                here += 1
+    return min(beyond, 5) * 3 + min(here, 2)

@@ -1,0 +1,184 @@
+"""Four interleaved planes of a nested lattice, and stencils over them (FORMAT.md: predictive).
+
+The samples of a unit on every s-th row and column form a lattice. Its even rows and columns are the
+coarse samples (plane A); the others are coded in three passes, HH (odd row, odd column), HL (even
+row, odd column) and LH (odd row, even column), each from everything before it. Split into four
+planes, every tap of a stencil is a shifted row, so that a pass works on whole rows.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._jit import kernel
+
+PAD = 2  # samples around each plane: what the taps reach past its edge
+A, HH, HL, LH = 0, 1, 2, 3
+WEIGHT_BITS = 12
+
+# Taps (row, column) in lattice steps from the sample; the first is its western neighbour of the
+# same pass, the next three are the row above in the same pass, the rest are known before the pass.
+_OWN = ((0, -2), (-2, 0), (-2, -2), (-2, 2))
+_HH_TAPS = _OWN + tuple((row, col) for row in (-3, -1, 1, 3) for col in (-3, -1, 1, 3))
+_HL_KNOWN = (
+    *((0, -1), (0, 1), (0, -3), (0, 3), (-1, 0), (1, 0), (-1, -2), (-1, 2), (1, -2), (1, 2)),
+    *((-2, -1), (-2, 1), (2, -1), (2, 1), (-3, 0), (3, 0)),
+)
+_HL_TAPS = _OWN + _HL_KNOWN
+_LH_TAPS = (
+    *_OWN,
+    *((col, row) for row, col in _HL_KNOWN),
+    *((-1, -1), (-1, 1), (1, -1), (1, 1)),
+)
+_PASS_PARITY = {A: (0, 0), HH: (1, 1), HL: (0, 1), LH: (1, 0)}
+_N_OWN = 4
+MAX_TAPS = 24
+
+
+def _resolve(pass_: int, offsets: tuple[tuple[int, int], ...]) -> NDArray[np.int64]:
+    """Return (plane, row offset, column offset) of lattice offsets seen from a pass's sample."""
+    row_parity, col_parity = _PASS_PARITY[pass_]
+    planes = {parity: plane for plane, parity in _PASS_PARITY.items()}
+    found = []
+    for row, col in offsets:
+        row, col = row + row_parity, col + col_parity
+        found.append((planes[row & 1, col & 1], row >> 1, col >> 1))
+    return np.array(found, dtype=np.int64)
+
+
+TAPS = {HH: _resolve(HH, _HH_TAPS), HL: _resolve(HL, _HL_TAPS), LH: _resolve(LH, _LH_TAPS)}
+_DIAGONAL = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+_ALONG_ROW, _ALONG_COL = ((0, -1), (0, 1), (-1, 0), (1, 0)), ((-1, 0), (1, 0), (0, -1), (0, 1))
+# The four nearest known samples.
+CORES = {HH: _resolve(HH, _DIAGONAL), HL: _resolve(HL, _ALONG_ROW), LH: _resolve(LH, _ALONG_COL)}
+# Samples of the same lattice whose errors of prediction are known: near ones, then far ones.
+NEAR = {
+    HH: np.zeros((0, 3), dtype=np.int64),
+    HL: _resolve(HL, ((-1, 0), (1, 0))),
+    LH: _resolve(LH, ((0, -1), (0, 1), *_DIAGONAL)),
+}
+FAR = {
+    HH: np.zeros((0, 3), dtype=np.int64),
+    HL: _resolve(HL, ((-1, -2), (-1, 2), (1, -2), (1, 2))),
+    LH: _resolve(LH, ((-2, -1), (2, -1), (-2, 1), (2, 1))),
+}
+# Coarse samples whose curvature is looked at.
+BENDS = {
+    HH: _resolve(HH, _DIAGONAL),
+    HL: _resolve(HL, ((0, -1), (0, 1))),
+    LH: _resolve(LH, ((-1, 0), (1, 0))),
+}
+# Four samples in a row; the feature is |first - second - third + fourth|.
+LINES = {
+    HH: _resolve(
+        HH,
+        (
+            *((-1, -3), (-1, -1), (-1, 1), (-1, 3), (1, -3), (1, -1), (1, 1), (1, 3)),
+            *((-3, -1), (-1, -1), (1, -1), (3, -1), (-3, 1), (-1, 1), (1, 1), (3, 1)),
+        ),
+    ),
+    HL: _resolve(HL, tuple((0, i) for i in (-3, -1, 1, 3)) + tuple((i, 0) for i in (-3, -1, 1, 3))),
+    LH: _resolve(LH, tuple((i, 0) for i in (-3, -1, 1, 3)) + tuple((0, i) for i in (-3, -1, 1, 3))),
+}
+
+
+class Pass(NamedTuple):
+    """The geometry of one pass, for kernels; each an int64 array of (plane, row, column)."""
+
+    plane: int
+    taps: NDArray[np.int64]
+    core: NDArray[np.int64]
+    near: NDArray[np.int64]
+    far: NDArray[np.int64]
+    bends: NDArray[np.int64]
+    lines: NDArray[np.int64]
+
+
+PASSES = tuple(Pass(p, TAPS[p], CORES[p], NEAR[p], FAR[p], BENDS[p], LINES[p]) for p in (HH, HL, LH))
+
+
+def plane_sizes(shape: tuple[int, int]) -> list[tuple[int, int]]:
+    """Return (n_rows, n_cols) of the planes of a lattice, without padding."""
+    even, odd = [(n + 1) >> 1 for n in shape], [n >> 1 for n in shape]
+    return [(even[0], even[1]), (odd[0], odd[1]), (even[0], odd[1]), (odd[0], even[1])]
+
+
+def split(lattice: NDArray[np.generic], planes: NDArray[np.generic], which: tuple[int, ...]) -> None:
+    """Copy samples of `lattice` into the named planes."""
+    for plane, (n_rows, n_cols) in enumerate(plane_sizes(lattice.shape)):
+        if plane in which:
+            row, col = _PASS_PARITY[plane]
+            planes[plane, PAD : PAD + n_rows, PAD : PAD + n_cols] = lattice[row::2, col::2]
+
+
+def merge(planes: NDArray[np.generic], lattice: NDArray[np.generic]) -> None:
+    """Copy the three coded planes into `lattice`."""
+    for plane, (n_rows, n_cols) in enumerate(plane_sizes(lattice.shape)):
+        if plane != A:
+            row, col = _PASS_PARITY[plane]
+            lattice[row::2, col::2] = planes[plane, PAD : PAD + n_rows, PAD : PAD + n_cols]
+
+
+@kernel
+def reflect(place, n):
+    """Return the place inside 0 … n - 1 that whole-sample symmetry puts at `place`; n >= 1."""
+    if n == 1:
+        return np.int64(0)
+    while place < 0 or place >= n:
+        place = -place if place < 0 else 2 * (n - 1) - place
+    return np.int64(place)
+
+
+@kernel
+def fill_frame(plane, row_parity, col_parity, n_lattice_rows, n_lattice_cols):
+    """Fill the padding of a padded plane by symmetry about the lattice's first and last samples."""
+    n_rows = (n_lattice_rows + 1 - row_parity) >> 1
+    n_cols = (n_lattice_cols + 1 - col_parity) >> 1
+    if n_rows == 0 or n_cols == 0:
+        return
+    for i in range(n_rows):
+        line = plane[PAD + i]
+        for k in range(PAD):
+            left = reflect(np.int64(2 * (-1 - k) + col_parity), n_lattice_cols)
+            right = reflect(np.int64(2 * (n_cols + k) + col_parity), n_lattice_cols)
+            line[PAD - 1 - k] = line[PAD + (left >> 1)]
+            line[PAD + n_cols + k] = line[PAD + (right >> 1)]
+    for k in range(PAD):
+        above = reflect(np.int64(2 * (-1 - k) + row_parity), n_lattice_rows) >> 1
+        below = reflect(np.int64(2 * (n_rows + k) + row_parity), n_lattice_rows) >> 1
+        for j in range(n_cols + 2 * PAD):
+            plane[PAD - 1 - k, j] = plane[PAD + above, j]
+            plane[PAD + n_rows + k, j] = plane[PAD + below, j]
+
+
+@kernel
+def fill_between(planes):
+    """Fill all of HH, HL and LH with means of the coarse samples around.
+
+    For lattices of a single row or column, where taps reach samples that don't exist.
+    """
+    coarse = planes[0]
+    n_rows, n_cols = coarse.shape
+    for i in range(n_rows):
+        below = min(i + 1, n_rows - 1)
+        for j in range(n_cols):
+            right = min(j + 1, n_cols - 1)
+            here, east = np.int64(coarse[i, j]), np.int64(coarse[i, right])
+            south, south_east = np.int64(coarse[below, j]), np.int64(coarse[below, right])
+            planes[1, i, j] = (here + east + south + south_east + 2) >> 2
+            planes[2, i, j] = (here + east + 1) >> 1
+            planes[3, i, j] = (here + south + 1) >> 1
+
+
+@kernel
+def fill_bends(coarse, bends):
+    """Fill `bends` with the curvature of each coarse sample, padding included but its rim."""
+    n_rows, n_cols = coarse.shape
+    for i in range(1, n_rows - 1):
+        above, here, below, out = coarse[i - 1], coarse[i], coarse[i + 1], bends[i]
+        for j in range(1, n_cols - 1):
+            twice = 2 * np.int64(here[j])
+            across = np.int64(here[j - 1]) + np.int64(here[j + 1]) - twice
+            along = np.int64(above[j]) + np.int64(below[j]) - twice
+            out[j] = abs(across) + abs(along)

@@ -1,0 +1,245 @@
+"""The `predictive` method: nested grids, fitted stencils, closed-loop quantising (FORMAT.md).
+
+Each sample is predicted from everything decoded so far and its error quantised around zero, so that
+it comes back within the bound on every level, without a second stage.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._status import raise_for_status
+from terrainwave.codec import tables
+from terrainwave.codec.border import (
+    N_BORDER_MODELS,
+    _code_corner,
+    code_border,
+    code_nested_border,
+)
+from terrainwave.codec.detail import N_DETAIL_MODELS
+from terrainwave.codec.lattice import (
+    PAD,
+    PASSES,
+    A,
+    fill_bends,
+    fill_between,
+    fill_frame,
+    merge,
+    plane_sizes,
+    split,
+)
+from terrainwave.codec.nested import (
+    CODED,
+    KNOWN,
+    N_ROW_BUFFERS,
+    code_pass,
+    fill_noisy,
+    open_loop_cost,
+)
+from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
+from terrainwave.coding.rangecoder import (
+    STATE_SIZE,
+    decode_raw,
+    encode_raw,
+    finish_decoder,
+    finish_encoder,
+    new_models,
+    start_decoder,
+    start_encoder,
+)
+from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+
+_MIXED, _CLAMP = 1, 2
+# Lattices of fewer samples take the first stencil set; others name theirs.
+_MIN_CHOICE = 4096
+_SET_BITS = 6
+
+
+class Coder(NamedTuple):
+    """The state of one payload being written (`encoding`) or read."""
+
+    encoding: bool
+    state: NDArray[np.int64]
+    stream: NDArray[np.uint8]
+    models: NDArray[np.uint32]
+    border_models: NDArray[np.uint32]
+    flags: int
+
+
+class Predictive:
+    """The nested refiner; see `Refiner`."""
+
+    name = "predictive"
+    pyramid = "nested"
+
+    def encode(
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
+    ) -> tuple[bytes, Heights, Labels | None]:
+        """Return the payload and the heights `decode` makes of it."""
+        flags = _CLAMP | (_MIXED if spec.effort else 0)
+        out = np.empty(6 * target.size + 1024, dtype=np.uint8)
+        coder = _new_coder(True, start_encoder(), out, flags)
+        heights = _code_unit(spec, parent, target, mask, coder)
+        n_bytes = finish_encoder(coder.state, out)
+        return bytes([flags]) + out[:n_bytes].tobytes(), heights, None
+
+    def decode(
+        self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
+    ) -> tuple[Heights, Labels | None]:
+        """Rebuild the heights of ``spec.region``.
+
+        Raises
+        ------
+        CorruptStreamError
+            If the payload contradicts FORMAT.md; `TruncatedStreamError` if it is too short.
+        """
+        if not payload:
+            raise TruncatedStreamError("the payload is empty")
+        if payload[0] & ~(_MIXED | _CLAMP):
+            raise CorruptStreamError(f"payload flags {payload[0]:#x} are not defined")
+        # Writable, so that encoder and decoder share compiled kernels.
+        data = np.frombuffer(payload, dtype=np.uint8)[1:].copy()
+        state = np.zeros(STATE_SIZE, dtype=np.int64)
+        start_decoder(state, data)
+        coder = _new_coder(False, state, data, payload[0])
+        heights = _code_unit(spec, parent, None, mask, coder)
+        raise_for_status(*finish_decoder(state, data))
+        return heights, None
+
+
+def _new_coder(
+    encoding: bool, state: NDArray[np.int64], stream: NDArray[np.uint8], flags: int
+) -> Coder:
+    return Coder(
+        encoding, state, stream, tables.start_models(N_DETAIL_MODELS), new_models(N_BORDER_MODELS),
+        flags,
+    )  # fmt: skip
+
+
+def _code_unit(
+    spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask, coder: Coder
+) -> Heights:
+    """Encode `target`, or decode where it is None; return the decoded heights of the region."""
+    heights = np.zeros(spec.region.shape, dtype=np.int32)
+    is_known = np.zeros(spec.region.shape, dtype=np.bool_)
+    streams = coder.state, coder.stream, coder.border_models
+    core = spec.core.slices_in(spec.region)
+    if parent is None:
+        code_border(spec, None, target, mask, heights, is_known, *streams)
+    else:
+        code_nested_border(spec, parent, target, mask, heights, is_known, *streams)
+    inner = np.ascontiguousarray(heights[core])
+    kinds = np.where(is_known[core], KNOWN, np.where(mask[core], CODED, 0)).astype(np.uint8)
+    goal = None if target is None else np.ascontiguousarray(target[core])
+    if parent is None:
+        stride = 1
+        while stride < max(inner.shape) - 1:
+            stride *= 2
+        _code_corners(inner, kinds, goal, stride, spec.step, coder)
+        while stride > 1:
+            stride >>= 1
+            at = slice(None, None, stride)
+            goal_part = None if goal is None else goal[at, at]
+            _code_lattice(inner[at, at], kinds[at, at], goal_part, spec, coder)
+    else:
+        assert spec.parent_region is not None
+        row = (spec.core.row >> 1) - spec.parent_region.row
+        col = (spec.core.col >> 1) - spec.parent_region.col
+        n_rows, n_cols = plane_sizes(inner.shape)[A]
+        inner[::2, ::2] = parent[row : row + n_rows, col : col + n_cols]
+        _code_lattice(inner, kinds, goal, spec, coder)
+    heights[core] = inner
+    return heights
+
+
+def _code_corners(
+    inner: Heights,
+    kinds: NDArray[np.uint8],
+    goal: Heights | None,
+    stride: int,
+    step: int,
+    coder: Coder,
+) -> None:
+    """Code the samples no pass reaches, those on multiples of `stride`, on the fixed grid."""
+    for row in range(0, inner.shape[0], stride):
+        for col in range(0, inner.shape[1], stride):
+            if kinds[row, col] != KNOWN:
+                value = 0 if goal is None else goal[row, col]
+                inner[row, col] = _code_corner(
+                    coder.encoding, 0, value, kinds[row, col] == CODED, True, step, coder.state,
+                    coder.stream, coder.border_models,
+                )  # fmt: skip
+
+
+def _code_lattice(
+    heights: Heights,
+    kinds: NDArray[np.uint8],
+    goal: Heights | None,
+    spec: GroupSpec,
+    coder: Coder,
+) -> None:
+    """Code the three passes of a lattice; `heights` holds the coarse and the known samples."""
+    shape = heights.shape
+    sizes = plane_sizes(shape)
+    padded = (4, sizes[A][0] + 2 * PAD, sizes[A][1] + 2 * PAD)
+    planes = np.zeros(padded, dtype=np.int32)
+    errors = np.zeros(padded, dtype=np.int32)
+    bends = np.zeros(padded[1:], dtype=np.int64)
+    rows = np.zeros((N_ROW_BUFFERS, sizes[A][1]), dtype=np.int64)
+    spots = np.zeros(6, dtype=np.int64)
+    split(heights, planes, (A,))
+    fill_frame(planes[A], 0, 0, *shape)
+    if min(shape) == 1:
+        fill_between(planes)
+    split(heights, planes, (1, 2, 3))
+    fill_bends(planes[A], bends)
+    for geometry in PASSES:
+        own = geometry.plane
+        if 0 in sizes[own]:
+            continue
+        row_parity, col_parity = own & 1 if own != 2 else 0, int(own != 3)
+        stencils = tables.STENCILS[own]
+        own_kinds = np.ascontiguousarray(kinds[row_parity::2, col_parity::2])
+        own_goal = None
+        which = 0
+        if goal is not None:
+            own_goal = np.ascontiguousarray(goal[row_parity::2, col_parity::2])
+        if shape[0] * shape[1] >= _MIN_CHOICE:
+            if own_goal is not None:
+                which = _choose_set(own_goal, planes, geometry, stencils, spec.step, rows)
+                encode_raw(coder.state, coder.stream, which, _SET_BITS)
+            else:
+                which = decode_raw(coder.state, coder.stream, _SET_BITS)
+                if which >= len(stencils):
+                    raise CorruptStreamError(f"stencil set {which} does not exist")
+        code_pass(
+            own_goal, own_kinds, planes, errors, bends, own, geometry, stencils[which],
+            tables.E_WEIGHTS[own], bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP),
+            spec.step, spec.z_min, spec.z_max, rows, spots, coder.state, coder.stream,
+            coder.models,
+        )  # fmt: skip
+        fill_frame(planes[own], row_parity, col_parity, *shape)
+        fill_frame(errors[own], row_parity, col_parity, *shape)
+    merge(planes, heights)
+
+
+def _choose_set(
+    goal: Heights,
+    planes: NDArray[np.int32],
+    geometry: object,
+    stencils: NDArray[np.int64],
+    step: int,
+    rows: NDArray[np.int64],
+) -> int:
+    """Return the stencil set with the smallest errors on some rows of the pass."""
+    if len(stencils) == 1:
+        return 0
+    own = geometry.plane
+    saved = planes[own].copy()
+    fill_noisy(goal, planes[own], step)
+    costs = [
+        open_loop_cost(goal, planes, own, geometry, weights, step, 8, rows) for weights in stencils
+    ]
+    planes[own] = saved
+    return int(np.argmin(costs))
