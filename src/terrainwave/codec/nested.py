@@ -44,13 +44,14 @@ MAX_ERROR = (1 << 15) - 1
 _MAX_DISTANCE = 1 << 40
 _INVERSE_BITS = 22
 
-# Features of the expected magnitude, weights in 1/64. Errors of prediction in steps: western
+# Features of the expected magnitude, weights in 1/512. Errors of prediction in steps: western
 # neighbours; the row above; sums over near and far known ones of this lattice. Distances in quanta,
 # taken in steps: curvature of the coarse samples, range of the core, its median's and mid-range's
-# distance to the prediction, second and third differences, the mean's distance. A constant, 1/2048.
+# distance to the prediction, second and third differences, the mean's distance. A constant, 1/16384.
 (F_W, F_WW, F_N, F_NW, F_NE, F_NN, F_NEAR, F_FAR) = range(8)
 (F_BEND, F_RANGE, F_MEDIAN, F_MIDDLE, F_TWIST, F_LINES, F_MEAN, F_CONST) = range(8, 16)
 N_FEATURES = 16
+E_WEIGHT_BITS = 9
 
 # Rows of the row buffer.
 _ACC, _LOWEST, _LOWER, _UPPER, _HIGHEST, _ERRORS, _SPREAD = range(7)
@@ -227,14 +228,14 @@ def code_pass(
                 + w_middle * abs(from_middle)
                 + w_mean * from_mean
             )
-            # In 1/2048 step.
+            # In 1/16384 step.
             expected = (
                 sums[j]
                 + w_e_west * here_errors[j + PAD - 1]
                 + w_e_west2 * here_errors[j + PAD - 2]
-                + in_steps(distances, scale_shift, inverse, 11 - 6 - P_BITS)
+                + in_steps(distances, scale_shift, inverse, 5 - P_BITS)
             )
-            expected = min(expected >> 3, MAX_E)
+            expected = min(expected >> 6, MAX_E)
             e_bin = e_bin_of(log8(expected))
             e_range = expected + 77
             log_range = log8(e_range)
