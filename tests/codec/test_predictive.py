@@ -1,0 +1,374 @@
+"""The `predictive` refiner: the bound, the borders, voids, damage."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from terrainwave.codec.detail import (
+    LOG8,
+    MAX_DETAIL,
+    N_DETAIL_MODELS,
+    N_E_BINS,
+    decode_detail,
+    encode_detail,
+    log8,
+)
+from terrainwave.codec.lattice import PAD, TAPS, fill_frame, merge, plane_sizes, split
+from terrainwave.codec.predictive import Predictive
+from terrainwave.codec.refiner import GroupSpec, Sides
+from terrainwave.codec.tables import STENCILS, start_models
+from terrainwave.coding.rangecoder import (
+    BYTE_POS,
+    CODE,
+    LOW,
+    RANGE,
+    finish_decoder,
+    finish_encoder,
+    start_decoder,
+    start_encoder,
+)
+from terrainwave.errors import CorruptStreamError
+from terrainwave.quadtree import Grid, Region
+
+NOT_SHARED = Sides(False, False, False, False)
+ALL_SHARED = Sides(True, True, True, True)
+BIG = 1 << 30
+
+
+def lone_spec(shape, step=3, effort=1, shared=NOT_SHARED, parent=True):
+    core = Region(0, 0, *shape)
+    above = Region(0, 0, (shape[0] + 1) // 2, (shape[1] + 1) // 2) if parent else None
+    return GroupSpec(1, core, core, above, shared, step, -BIG, BIG, (1, 0), 1, effort)
+
+
+def coarse_of(target, step):
+    """Return parent heights within the bound of the target's even samples."""
+    rng = np.random.default_rng(2)
+    coarse = target[::2, ::2].astype(np.int64)
+    half = step >> 1
+    return np.clip(coarse + rng.integers(-half, half + 1, coarse.shape), -BIG, BIG).astype(np.int32)
+
+
+def check(spec, parent, target, mask=None):
+    """Encode, decode, check everything promised; return the payload and the heights."""
+    mask = np.ones(target.shape, dtype=bool) if mask is None else mask
+    before = mask.copy()
+    refiner = Predictive()
+    payload, heights, labels = refiner.encode(spec, parent, target, mask)
+    np.testing.assert_array_equal(mask, before)
+    back, back_labels = refiner.decode(spec, parent, mask, payload)
+    assert labels is None
+    assert back_labels is None
+    assert back.dtype == np.int32
+    np.testing.assert_array_equal(back, heights)
+    error = np.abs(back.astype(np.int64) - target)[mask]
+    assert error.max(initial=0) <= spec.half
+    return payload, heights
+
+
+def terrain(shape, seed=0, relief=400):
+    """Return smooth random heights with some noise, the same for every machine."""
+    rng = np.random.default_rng(seed)
+    rows, cols = np.mgrid[: shape[0], : shape[1]]
+    heights = np.zeros(shape)
+    for wave in (3.0, 7.0, 19.0, 53.0):
+        a, b, c = rng.uniform(0, 6.28, 3)
+        heights += (
+            relief * wave / 53 * np.sin(rows / wave + a) * np.cos(cols / wave * np.sin(c) + b)
+        )
+    return np.rint(heights + rng.normal(0, 1, shape)).astype(np.int32)
+
+
+def hard_rasters(shape):
+    rng = np.random.default_rng(3)
+    spike = np.zeros(shape, dtype=np.int32)
+    spike[shape[0] // 2, shape[1] // 3] = 1 << 29
+    rows, cols = np.mgrid[: shape[0], : shape[1]]
+    return {
+        "constant": np.full(shape, 1234, dtype=np.int32),
+        "lowest": np.full(shape, -BIG, dtype=np.int32),
+        "spike": spike,
+        "checkerboard": np.where((rows + cols) & 1, BIG, -BIG).astype(np.int32),
+        "stripes": np.where(rows & 1, BIG, -BIG).astype(np.int32),
+        "noise": rng.integers(-BIG, BIG, shape, dtype=np.int32),
+        "mild noise": rng.integers(-9, 9, shape, dtype=np.int32),
+        "ramp": (17 * rows - 5 * cols).astype(np.int32),
+        "terrain": terrain(shape),
+    }
+
+
+@pytest.mark.parametrize("name", list(hard_rasters((2, 2))))
+@pytest.mark.parametrize("step", [1, 3, 21, (1 << 28) + 1])
+@pytest.mark.parametrize("effort", [0, 1])
+def test_bound_holds_on(name, step, effort):
+    target = hard_rasters((17, 16))[name]
+    for shared in (NOT_SHARED, Sides(True, False, True, True)):
+        check(lone_spec(target.shape, step, effort, shared), coarse_of(target, step), target)
+        check(lone_spec(target.shape, step, effort, shared, parent=False), None, target)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [(1, 1), (1, 2), (2, 1), (1, 9), (8, 1), (2, 2), (3, 3), (5, 2), (1, 33), (33, 3), (12, 40)],
+)
+@pytest.mark.parametrize("shared", [NOT_SHARED, ALL_SHARED])
+@pytest.mark.parametrize("has_parent", [False, True])
+def test_tiny_regions_work(shape, shared, has_parent):
+    if shared.top and min(shape) < 2:
+        shared = Sides(True, True, False, False)
+    target = terrain(shape)
+    spec = lone_spec(shape, 3, 1, shared, has_parent)
+    check(spec, coarse_of(target, 3) if has_parent else None, target)
+
+
+@pytest.mark.parametrize("has_parent", [False, True])
+def test_void_samples_promise_nothing(has_parent):
+    target = terrain((33, 33))
+    mask = np.random.default_rng(1).random(target.shape) < 0.5
+    spec = lone_spec(target.shape, 3, 1, ALL_SHARED, has_parent)
+    parent = coarse_of(target, 3) if has_parent else None
+    payload, _ = check(spec, parent, target, mask)
+    other, _ = check(spec, parent, np.where(mask, target, 77_777).astype(np.int32), mask)
+    assert payload == other
+    check(spec, parent, target, np.zeros_like(mask))
+
+
+def test_even_samples_are_the_parents():
+    target = terrain((33, 29))
+    parent = coarse_of(target, 9)
+    _, heights = check(lone_spec(target.shape, 9, 1, ALL_SHARED), parent, target)
+    np.testing.assert_array_equal(heights[::2, ::2], parent)
+
+
+def test_wrong_parent_still_gives_the_bound_elsewhere():
+    target = terrain((33, 33))
+    spec = lone_spec(target.shape, 5)
+    parent = -coarse_of(target, 5) - 100_000
+    mask = np.ones(target.shape, dtype=bool)
+    _, heights, _ = Predictive().encode(spec, parent, target, mask)
+    error = np.abs(heights.astype(np.int64) - target)
+    error[::2, ::2] = 0
+    assert error.max() <= 2
+
+
+def test_a_plane_costs_next_to_nothing():
+    rows, cols = np.mgrid[:129, :129]
+    plane = (6 * rows - 4 * cols).astype(np.int32)
+    payload, _ = check(lone_spec(plane.shape, 3), np.ascontiguousarray(plane[::2, ::2]), plane)
+    assert len(payload) <= 60
+
+
+@pytest.mark.parametrize("step", [1, 3])
+def test_noise_costs_little_more_than_plain_bits(step):
+    rng = np.random.default_rng(5)
+    target = rng.integers(0, step << 13, (65, 65), dtype=np.int32)
+    payload, _ = check(lone_spec(target.shape, step, parent=False), None, target)
+    assert len(payload) <= 1.07 * 13 * target.size / 8 + 8
+
+
+# Parts -----------------------------------------------------------------------------------------
+
+
+def test_stencils_keep_a_constant():
+    for plane, sets in STENCILS.items():
+        assert sets.shape[1] == TAPS[plane].shape[0]
+        assert (sets.sum(1) == 4096).all()
+        assert np.abs(sets).max() < 1 << 15
+        assert 1 <= len(sets) <= 64
+
+
+def test_log8_is_the_logarithm_rounded_down():
+    values = np.arange(1, 4096)
+    # Exact integers: 2**k <= v**8 < 2**(k + 1).
+    for value in values:
+        k = int(LOG8[value])
+        assert 2**k <= int(value) ** 8 < 2 ** (k + 1)
+    assert [log8(np.int64(v)) for v in (0, 1, 2, 4096, 1 << 20, 1 << 30)] == [0, 0, 8, 96, 160, 240]
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (4, 1), (2, 2), (3, 2), (9, 8), (16, 17)])
+def test_padding_is_numpys_reflection(shape):
+    rng = np.random.default_rng(4)
+    lattice = rng.integers(-99, 99, shape).astype(np.int32)
+    sizes = plane_sizes(shape)
+    planes = np.zeros((4, sizes[0][0] + 2 * PAD, sizes[0][1] + 2 * PAD), dtype=np.int32)
+    split(lattice, planes, (0, 1, 2, 3))
+    back = lattice.copy()
+    merge(planes, back)
+    np.testing.assert_array_equal(back, lattice)
+    padded = np.pad(lattice, 2 * PAD, mode="reflect")
+    for plane, (row, col) in enumerate(((0, 0), (1, 1), (0, 1), (1, 0))):
+        if 0 in sizes[plane]:
+            continue
+        fill_frame(planes[plane], row, col, *shape)
+        n_rows, n_cols = sizes[plane]
+        expected = padded[row::2, col::2][: n_rows + 2 * PAD, : n_cols + 2 * PAD]
+        got = planes[plane, : n_rows + 2 * PAD, : n_cols + 2 * PAD]
+        np.testing.assert_array_equal(got[: expected.shape[0], : expected.shape[1]], expected)
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_details_of_any_size_survive(mixed):
+    rng = np.random.default_rng(6)
+    sizes = [1, 2, 5, 14, 15, 100, 10**4, 10**6, (1 << 31) - 1]
+    details = [s * sign for s in sizes for sign in (1, -1)]
+    contexts = [
+        (int(e), int(rng.integers(0, 8)), int(rng.integers(0, 8)), rng.integers(-9, 9, 6))
+        for e in rng.integers(0, N_E_BINS, len(details))
+    ]
+    state, out = start_encoder(), np.zeros(10_000, dtype=np.uint8)
+    models = start_models(N_DETAIL_MODELS)
+    span, low = state[RANGE], state[LOW]
+    for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
+        span, low = encode_detail(
+            span, low, state, out, models, mixed, e_bin, 1300, 1301, up, down, spots, detail
+        )
+    state[RANGE], state[LOW] = span, low
+    data = out[: finish_encoder(state, out)].copy()
+    state = np.zeros_like(state)
+    start_decoder(state, data)
+    models = start_models(N_DETAIL_MODELS)
+    span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
+    for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
+        found, span, code, pos = decode_detail(
+            span, code, pos, state, data, models, mixed, e_bin, 1300, 1301, up, down, spots
+        )
+        assert found == detail
+        assert abs(found) <= MAX_DETAIL + 1
+    state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
+    assert finish_decoder(state, data)[0] == 0
+
+
+# Groups next to each other ---------------------------------------------------------------------
+
+
+def arrangement(n_rows, n_cols, block, rings, step):
+    """Return the grid, its pyramid and a maker of specs for all units."""
+    grid = Grid(n_rows, n_cols, block)
+    levels = [terrain((n_rows, n_cols), seed=7)]
+    for _ in range(grid.k_max):
+        levels.append(np.ascontiguousarray(levels[-1][::2, ::2]))
+    levels.reverse()
+
+    def spec_of(level, block_):
+        apron = rings >> 1
+        if level == 0:
+            core, region = grid.block_region(block_), grid.block_region(block_, apron)
+            above = None
+        else:
+            core, region = grid.group_region(block_), grid.group_region(block_, apron)
+            above = grid.block_region(block_, apron)
+        rows, cols = grid.level_blocks(block_.level)
+        shared = Sides(block_.row > 0, block_.col > 0, block_.row + 1 < rows, block_.col + 1 < cols)
+        return GroupSpec(level, core, region, above, shared, step, -BIG, BIG, (1, 0), rings, 1)
+
+    return grid, levels, spec_of
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("rings", [1, 3])
+@pytest.mark.parametrize("has_voids", [False, True])
+@pytest.mark.parametrize(
+    "size", [(33, 33), (49, 65), (34, 50), (18, 41), (65, 66), (3, 70), (1, 40), (131, 131)]
+)
+def test_neighbours_decode_the_same_bits_in_any_order(size, rings, has_voids):
+    grid, levels, spec_of = arrangement(*size, 8, rings, 5)
+    rng = np.random.default_rng(11)
+    above = None
+    for level in range(grid.k_max + 1):
+        target = levels[level]
+        mask = rng.random(target.shape) < 0.7 if has_voids else np.ones(target.shape, dtype=bool)
+        if has_voids and above is not None:
+            mask[::2, ::2] &= above_mask  # a sample valid here was valid there
+        whole = Region(0, 0, *target.shape)
+        decoded = np.zeros(target.shape, dtype=np.int32)
+        writers = np.zeros(target.shape, dtype=np.int64)
+        units = grid.blocks(max(level - 1, 0))
+        for index in rng.permutation(len(units)):
+            spec = spec_of(level, units[index])
+            at = spec.region.slices_in(whole)
+            parent = None
+            if level > 0:
+                parent = above[spec.parent_region.slices_in(Region(0, 0, *above.shape))]
+            refiner = Predictive()
+            payload, heights, _ = refiner.encode(spec, parent, target[at], mask[at])
+            back, _ = refiner.decode(spec, parent, mask[at], payload)
+            np.testing.assert_array_equal(back, heights)
+            seen = writers[at] > 0
+            np.testing.assert_array_equal(decoded[at][seen], heights[seen])
+            decoded[at] = heights
+            writers[at] += 1
+        assert (writers > 0).all()
+        if len(units) > 1:
+            assert (writers > 1).any()
+        assert np.abs(decoded.astype(np.int64) - target)[mask].max(initial=0) <= 2
+        above, above_mask = decoded, mask
+
+
+# Damage ----------------------------------------------------------------------------------------
+
+
+def damaged(spec, parent, mask, payload):
+    try:
+        heights, _ = Predictive().decode(spec, parent, mask, payload)
+    except CorruptStreamError:
+        return
+    assert heights.shape == spec.region.shape
+    assert np.abs(heights.astype(np.int64)).max() <= BIG
+
+
+def small_payload():
+    target = terrain((21, 18))
+    spec = lone_spec(target.shape, 5, 1, Sides(True, False, False, True))
+    parent, mask = coarse_of(target, 5), np.ones(target.shape, dtype=bool)
+    payload, _, _ = Predictive().encode(spec, parent, target, mask)
+    return spec, parent, mask, payload
+
+
+def test_every_prefix_is_rejected():
+    spec, parent, mask, payload = small_payload()
+    for length in range(len(payload)):
+        with pytest.raises(CorruptStreamError):
+            Predictive().decode(spec, parent, mask, payload[:length])
+
+
+def test_an_extra_byte_is_rejected():
+    spec, parent, mask, payload = small_payload()
+    with pytest.raises(CorruptStreamError):
+        Predictive().decode(spec, parent, mask, payload + b"\0")
+
+
+def test_every_flipped_byte_gives_heights_or_our_own_error():
+    spec, parent, mask, payload = small_payload()
+    for pos in range(len(payload)):
+        for change in (1, 128, 255):
+            broken = bytearray(payload)
+            broken[pos] ^= change
+            damaged(spec, parent, mask, bytes(broken))
+
+
+@pytest.mark.large
+def test_flipped_bytes_in_a_large_unit_give_heights_or_our_own_error():
+    target = terrain((97, 80))
+    spec = lone_spec(target.shape, 3)
+    parent, mask = coarse_of(target, 3), np.ones(target.shape, dtype=bool)
+    payload, _, _ = Predictive().encode(spec, parent, target, mask)
+    for pos in range(0, len(payload), 7):
+        broken = bytearray(payload)
+        broken[pos] ^= 255
+        damaged(spec, parent, mask, bytes(broken))
+
+
+@given(st.binary(max_size=80), st.booleans(), st.sampled_from([1, 3, 1001, (1 << 29) + 1]))
+def test_any_bytes_give_heights_or_our_own_error(payload, has_parent, step):
+    spec, parent, mask, _ = SMALL
+    spec = dataclasses.replace(spec, step=step)
+    if not has_parent:
+        spec, parent = dataclasses.replace(spec, parent_region=None), None
+    damaged(spec, parent, mask, payload)
+
+
+SMALL = small_payload()
