@@ -20,11 +20,13 @@ import rasterio
 from scipy.optimize import nnls
 
 from terrainwave.codec import lattice, nested, predictive, tables
+from terrainwave.codec.border import N_BORDER_MODELS
 from terrainwave.codec.detail import N_DETAIL_MODELS
 from terrainwave.codec.lattice import CORES, TAPS
 from terrainwave.codec.units import CodecParameters, root_keys, unit_spec
 from terrainwave.codec.units import block_of_unit, unit_blocks
 from terrainwave.codec.refiner import Decoded
+from terrainwave.coding.rangecoder import new_models
 from terrainwave.quadtree import Grid, Region
 
 SIDE = 1025
@@ -174,15 +176,15 @@ class Recorder:
 
     def code_pass(self, *args):
         """Stand in for `nested.code_pass`."""
-        target, kinds, planes, errors, bends, own, geometry, weights = args[:8]
+        target, kinds, planes, errors, activity, bends, own, geometry, weights = args[:9]
         _REAL_PASS(*args)
         if self.keep_passes and kinds.size > 256:
-            self.passes.append((own, geometry, *features_of(args), args[11]))
+            self.passes.append((own, geometry, *features_of(args), args[12]))
 
     def new_coder(self, *args):
         """Stand in for `predictive._new_coder`."""
         coder = _REAL_CODER(*args)
-        self.models.append(coder.models)
+        self.models.append((coder.models, coder.border_models))
         return coder
 
     def run(self, heights, mask, step, effort=1):
@@ -214,8 +216,8 @@ class Recorder:
 
 def features_of(args):
     """Return (features, |detail|) of the coded samples of a pass, in steps."""
-    target, kinds, planes, errors, bends, own, geometry, weights = args[:8]
-    clamp, step = args[10], args[11]
+    target, kinds, planes, errors, activity, bends, own, geometry, weights = args[:9]
+    clamp, step = args[11], args[12]
     n_rows, n_cols = kinds.shape
     pad = lattice.PAD
 
@@ -250,6 +252,9 @@ def features_of(args):
     for k in range(0, len(geometry.lines), 4):
         e, f, g, h = (shifted(planes[p], r, q) for p, r, q in geometry.lines[k : k + 4])
         features[nested.F_LINES] += np.abs(e - f - g + h) / step
+    features[nested.F_ACTIVITY] = shifted(activity[own], -1, 0) / 32
+    for other in range(1, own):
+        features[nested.F_OTHERS] += shifted(activity[other], int(other == 2), 0) / 32
     features[nested.F_CONST] = 1 / 32  # its weight then is in 1/16384
     height = shifted(planes[own], 0, 0)
     inside = np.s_[2:-2, 2:-2]
@@ -293,15 +298,19 @@ def train_expectation(rasters, rng):
 def train_models(rasters):
     """Return the mean states of the models: probability (22 bits), spread, weight."""
     recorder = Recorder()
+    tables.start_models = tables.start_border_models = new_models  # nothing from older tables
     predictive._new_coder = recorder.new_coder
-    sums = np.zeros((4, N_DETAIL_MODELS))
+    starts = np.concatenate(
+        [tables.start_models(N_DETAIL_MODELS), tables.start_border_models(N_BORDER_MODELS)]
+    )
+    sums = np.zeros((4, starts.size))
     for _, heights, mask, quantum in rasters:
         for step in steps_of(quantum):
             recorder.models.clear()
             recorder.run(heights, mask, step)
-            for models in recorder.models:
+            for models in map(np.concatenate, recorder.models):
                 count = (models & 1023).astype(np.float64)
-                count -= (tables.start_models(N_DETAIL_MODELS) & 1023) * 1.0
+                count -= (starts & 1023) * 1.0
                 count = np.clip(count, 0, 60)
                 probability = (models >> 10) / float(1 << 22)
                 sums[0] += count
@@ -360,8 +369,12 @@ _MODELS = ((_VALUES >> 4) << 20 | (_VALUES & 15) * 2).astype(np.uint32)
 
 def start_models(n_models: int) -> NDArray[np.uint32]:
     """Return fresh models with the trained start values."""
-    assert n_models == _MODELS.size
-    return _MODELS.copy()
+    return _MODELS[:n_models].copy()
+
+
+def start_border_models(n_models: int) -> NDArray[np.uint32]:
+    """Return fresh models of shared lines; they follow the others."""
+    return _MODELS[-n_models:].copy()
 '''
 MAX_START = 24
 

@@ -421,3 +421,107 @@ def _interpolate_line(pairs, predicted):
             left = pairs[k - 1] if k > 0 else pairs[k + 1]
             right = pairs[k + 2] if k + 2 < n_pairs else pairs[k]
             predicted[i] = (9 * (pairs[k] + pairs[k + 1]) - left - right + 16) >> 5
+
+
+def code_root_border(
+    spec: GroupSpec,
+    target: NDArray[np.int32] | None,
+    mask: NDArray[np.bool_],
+    heights: NDArray[np.int32],
+    is_known: NDArray[np.bool_],
+    state: NDArray[np.int64],
+    stream: NDArray[np.uint8],
+    models: NDArray[np.uint32],
+) -> None:
+    """Encode or decode the shared samples of a root block in a closed loop along each line.
+
+    As `code_border` without a parent, but only corner samples lie on the fixed grid; the others are
+    quantised around their prediction from the line.
+    """
+    plan = plan_border(spec)
+    encoding = target is not None
+    source = heights if target is None else target
+    for row, col in plan.corners:
+        heights[row, col] = _code_corner(
+            encoding, 0, source[row, col], mask[row, col], True, spec.step, state, stream, models
+        )
+        is_known[row, col] = True
+    for line in plan.lines:
+        if line.first >= line.stop:
+            continue
+        at = slice(line.start, line.start + line.n)
+        index = (at, line.place) if line.is_column else (line.place, at)
+        decoded = np.zeros(line.n, dtype=np.int64)
+        # The corner samples of both ends; nothing else may be looked at.
+        known = np.zeros(line.n, dtype=np.bool_)
+        for i in (*range(line.first), *range(line.stop, line.n)):
+            decoded[i], known[i] = heights[index][i], True
+        _code_closed_line(
+            encoding, np.ascontiguousarray(source[index]), np.ascontiguousarray(mask[index]),
+            known, spec.step, decoded, state, stream, models,
+        )  # fmt: skip
+        inner = slice(line.start + line.first, line.start + line.stop)
+        index = (inner, line.place) if line.is_column else (line.place, inner)
+        heights[index] = decoded[line.first : line.stop]
+        is_known[index] = True
+
+
+@kernel
+def _code_closed_line(encoding, target, mask, known, step, decoded, state, stream, models):
+    """Encode or decode the unknown samples of a line into `decoded`, coarse to fine.
+
+    Samples 0 and the last multiple of the largest stride that are not known lie on the fixed grid.
+    """
+    n = decoded.shape[0]
+    mags = np.zeros(n, dtype=np.int64)
+    top = 1
+    while top < n - 1:
+        top *= 2
+    for i in range(0, n, top):
+        if not known[i]:
+            decoded[i] = _code_corner(
+                encoding, np.int64(0), target[i], mask[i], True, step, state, stream, models
+            )
+    stride = top >> 1
+    while stride > 0:
+        pass_ = _ROOT + (0 if stride > 2 else 3 - stride)
+        for i in range(stride, n, 2 * stride):
+            if known[i]:
+                continue
+            left, right = i - stride, i + stride
+            near = 2 * mags[left]
+            bend = np.int64(0)
+            prediction = decoded[left]
+            before = left - 2 * stride
+            if right < n:
+                prediction = (decoded[left] + decoded[right] + 1) >> 1
+                near = mags[left] + mags[right]
+                after = right + 2 * stride
+                if before >= 0 and after < n:
+                    outer = decoded[before] + decoded[after]
+                    inner = decoded[left] + decoded[right]
+                    prediction = (9 * inner - outer + 8) >> 4
+                    bend = abs(outer - inner)
+                elif before >= 0 or after < n:
+                    third = decoded[before] if before >= 0 else decoded[after]
+                    near_one = decoded[left] if before >= 0 else decoded[right]
+                    far_one = decoded[right] if before >= 0 else decoded[left]
+                    bend = 2 * abs(third - 2 * near_one + far_one)
+                    prediction = (3 * far_one + 6 * near_one - third + 4) >> 3
+                else:
+                    bend = abs(decoded[left] - decoded[right])
+            elif before >= 0:
+                prediction += (decoded[left] - decoded[before]) >> 1
+                bend = abs(decoded[left] - decoded[before])
+            last = mags[i - 2 * stride] if i >= 2 * stride else near
+            index = np.int64(0)
+            if mask[i]:
+                sums = 2 * near + 2 * last + min(2 * bend // step, 1024)
+                if encoding:
+                    index = _quantum_index(target[i] - prediction, step)
+                index = _code_symbol(
+                    encoding, index, pass_, min(sums, SUM_LIMIT), state, stream, models
+                )
+            decoded[i] = _rebuild(prediction, index, step)
+            mags[i] = min(abs(index), 255)
+        stride >>= 1

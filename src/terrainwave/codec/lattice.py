@@ -173,12 +173,21 @@ def fill_between(planes):
 
 @kernel
 def fill_bends(coarse, bends):
-    """Fill `bends` with the curvature of each coarse sample, padding included but its rim."""
+    """Fill `bends` with fourth differences of the coarse plane along its row plus its column.
+
+    Places nearer than two samples to the rim of the padded plane take their neighbour's.
+    """
     n_rows, n_cols = coarse.shape
-    for i in range(1, n_rows - 1):
-        above, here, below, out = coarse[i - 1], coarse[i], coarse[i + 1], bends[i]
-        for j in range(1, n_cols - 1):
-            twice = 2 * np.int64(here[j])
-            across = np.int64(here[j - 1]) + np.int64(here[j + 1]) - twice
-            along = np.int64(above[j]) + np.int64(below[j]) - twice
+    for i in range(2, n_rows - 2):
+        row_0, row_1, row_2 = coarse[i - 2], coarse[i - 1], coarse[i]
+        row_3, row_4, out = coarse[i + 1], coarse[i + 2], bends[i]
+        for j in range(2, n_cols - 2):
+            middle = 6 * np.int64(row_2[j])
+            across = np.int64(row_2[j - 1]) + np.int64(row_2[j + 1])
+            across = np.int64(row_2[j - 2]) + np.int64(row_2[j + 2]) - 4 * across + middle
+            along = np.int64(row_1[j]) + np.int64(row_3[j])
+            along = np.int64(row_0[j]) + np.int64(row_4[j]) - 4 * along + middle
             out[j] = abs(across) + abs(along)
+        out[1], out[n_cols - 2] = out[2], out[n_cols - 3]
+    for j in range(n_cols):
+        bends[1, j], bends[n_rows - 2, j] = bends[2, j], bends[n_rows - 3, j]

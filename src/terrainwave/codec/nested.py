@@ -50,7 +50,8 @@ _INVERSE_BITS = 22
 # distance to the prediction, second and third differences, the mean's distance. A constant, 1/16384.
 (F_W, F_WW, F_N, F_NW, F_NE, F_NN, F_NEAR, F_FAR) = range(8)
 (F_BEND, F_RANGE, F_MEDIAN, F_MIDDLE, F_TWIST, F_LINES, F_MEAN, F_CONST) = range(8, 16)
-N_FEATURES = 16
+F_ACTIVITY, F_OTHERS = 16, 17
+N_FEATURES = 18
 E_WEIGHT_BITS = 9
 
 # Rows of the row buffer.
@@ -96,7 +97,7 @@ def _frame_own(plane, core, planes, row, n_cols):
 
 
 @kernel
-def _prepare_row(row, n_cols, planes, errors, bends, own, taps, weights, core, near, far, bent, lines, is_diagonal, e_weights, rows):
+def _prepare_row(row, n_cols, planes, errors, activity, bends, own, taps, weights, core, near, far, bent, lines, is_diagonal, e_weights, rows):
     """Fill the row buffers with all that is known before the row is coded."""
     acc, lowest, lower = rows[_ACC], rows[_LOWEST], rows[_LOWER]
     upper, highest = rows[_UPPER], rows[_HIGHEST]
@@ -148,6 +149,15 @@ def _prepare_row(row, n_cols, planes, errors, bends, own, taps, weights, core, n
             + w_nn * above2[j + PAD]
             + e_weights[F_CONST]
         )
+    w_activity, active = e_weights[F_ACTIVITY], activity[own, row - 1 + PAD]
+    for j in range(n_cols):
+        sums[j] += w_activity * active[j + PAD]
+    w_others = e_weights[F_OTHERS]
+    for other in range(1, own):
+        # HH beside HL and LH, HL beside LH: the next row where there is one.
+        active = activity[other, row + (1 if other == 2 else 0) + PAD]
+        for j in range(n_cols):
+            sums[j] += w_others * active[j + PAD]
     weight = e_weights[F_NEAR]
     for k in range(near.shape[0]):
         error = errors[near[k, 0], row + near[k, 1] + PAD, near[k, 2] + PAD :]
@@ -161,14 +171,25 @@ def _prepare_row(row, n_cols, planes, errors, bends, own, taps, weights, core, n
 
 
 @kernel
+def _update_activity(errors, before, n_cols, after):
+    """Fill a row of activity: its errors, smoothed, and what remains of the row before."""
+    for j in range(PAD, n_cols + PAD):
+        fresh = np.int64(errors[j - 1]) + 2 * errors[j] + errors[j + 1]
+        old = np.int64(before[j - 1]) + 2 * before[j] + before[j + 1]
+        after[j] = fresh + ((3 * old) >> 4)
+    after[PAD - 1] = after[PAD]
+    after[PAD + n_cols] = after[PAD + n_cols - 1]
+
+
+@kernel
 def code_pass(
-    target, kinds, planes, errors, bends, own, geometry, weights, e_weights, mixed, clamp, step,
+    target, kinds, planes, errors, activity, bends, own, geometry, weights, e_weights, mixed, clamp, step,
     z_min, z_max, rows, spots, state, stream, models,
 ):  # fmt: skip
     """Encode a plane of `target`, or decode it where that is None, into ``planes[own]``.
 
     `kinds` (VOID, CODED, KNOWN) and `target` have the plane's size without padding; known samples
-    are in place. Fills ``errors[own]`` as well, whose padding must be 0.
+    are in place. Fills ``errors[own]`` and ``activity[own]`` as well, whose padding must be 0.
     """
     n_rows, n_cols = kinds.shape
     plane, own_errors = planes[own], errors[own]
@@ -193,7 +214,7 @@ def code_pass(
         own_errors[row + PAD, PAD - 1] = own_errors[row + PAD - 1, PAD]
         own_errors[row + PAD, PAD - 2] = own_errors[row + PAD - 1, PAD]
         _prepare_row(
-            row, n_cols, planes, errors, bends, own, taps, weights, core, geometry.near,
+            row, n_cols, planes, errors, activity, bends, own, taps, weights, core, geometry.near,
             geometry.far, geometry.bends, geometry.lines, is_diagonal, e_weights, rows,
         )  # fmt: skip
         here, here_errors = plane[row + PAD], own_errors[row + PAD]
@@ -335,6 +356,7 @@ def code_pass(
                 in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR
             )
         own_errors[row + PAD, PAD + n_cols] = own_errors[row + PAD, PAD + n_cols - 1]
+        _update_activity(here_errors, activity[own, row + PAD - 1], n_cols, activity[own, row + PAD])
     state[RANGE], state[LOW] = span, low
     if target is None:
         state[BYTE_POS] = pos

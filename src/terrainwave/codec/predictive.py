@@ -14,8 +14,8 @@ from terrainwave.codec import tables
 from terrainwave.codec.border import (
     N_BORDER_MODELS,
     _code_corner,
-    code_border,
     code_nested_border,
+    code_root_border,
 )
 from terrainwave.codec.detail import N_DETAIL_MODELS
 from terrainwave.codec.lattice import (
@@ -44,7 +44,6 @@ from terrainwave.coding.rangecoder import (
     encode_raw,
     finish_decoder,
     finish_encoder,
-    new_models,
     start_decoder,
     start_encoder,
 )
@@ -52,7 +51,7 @@ from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 
 _MIXED, _CLAMP = 1, 2
 # Lattices of fewer samples take the first stencil set; others name theirs.
-_MIN_CHOICE = 4096
+_MIN_CHOICE = 1024
 _SET_BITS = 6
 
 
@@ -112,8 +111,8 @@ def _new_coder(
     encoding: bool, state: NDArray[np.int64], stream: NDArray[np.uint8], flags: int
 ) -> Coder:
     return Coder(
-        encoding, state, stream, tables.start_models(N_DETAIL_MODELS), new_models(N_BORDER_MODELS),
-        flags,
+        encoding, state, stream, tables.start_models(N_DETAIL_MODELS),
+        tables.start_border_models(N_BORDER_MODELS), flags,
     )  # fmt: skip
 
 
@@ -126,7 +125,7 @@ def _code_unit(
     streams = coder.state, coder.stream, coder.border_models
     core = spec.core.slices_in(spec.region)
     if parent is None:
-        code_border(spec, None, target, mask, heights, is_known, *streams)
+        code_root_border(spec, target, mask, heights, is_known, *streams)
     else:
         code_nested_border(spec, parent, target, mask, heights, is_known, *streams)
     inner = np.ascontiguousarray(heights[core])
@@ -185,6 +184,7 @@ def _code_lattice(
     padded = (4, sizes[A][0] + 2 * PAD, sizes[A][1] + 2 * PAD)
     planes = np.zeros(padded, dtype=np.int32)
     errors = np.zeros(padded, dtype=np.int32)
+    activity = np.zeros(padded, dtype=np.int32)
     bends = np.zeros(padded[1:], dtype=np.int64)
     rows = np.zeros((N_ROW_BUFFERS, sizes[A][1]), dtype=np.int64)
     spots = np.zeros(6, dtype=np.int64)
@@ -214,13 +214,14 @@ def _code_lattice(
                 if which >= len(stencils):
                     raise CorruptStreamError(f"stencil set {which} does not exist")
         code_pass(
-            own_goal, own_kinds, planes, errors, bends, own, geometry, stencils[which],
+            own_goal, own_kinds, planes, errors, activity, bends, own, geometry, stencils[which],
             tables.E_WEIGHTS[own], bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP),
             spec.step, spec.z_min, spec.z_max, rows, spots, coder.state, coder.stream,
             coder.models,
         )  # fmt: skip
         fill_frame(planes[own], row_parity, col_parity, *shape)
         fill_frame(errors[own], row_parity, col_parity, *shape)
+        fill_frame(activity[own], row_parity, col_parity, *shape)
     merge(planes, heights)
 
 
