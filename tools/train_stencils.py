@@ -271,27 +271,31 @@ def train_expectation(rasters, rng):
     recorder = Recorder()
     recorder.keep_passes = True
     predictive.code_pass = recorder.code_pass
-    rows, values, weights = {1: [], 2: [], 3: []}, {1: [], 2: [], 3: []}, {1: [], 2: [], 3: []}
+    keys = [(own, k) for own in (1, 2, 3) for k in range(3)]
+    rows, values = {key: [] for key in keys}, {key: [] for key in keys}
     for _, heights, mask, quantum in rasters:
         for step in steps_of(quantum):
             recorder.passes.clear()
             recorder.run(heights, mask, step)
             for own, _, features, details, _ in recorder.passes:
-                keep = rng.random(details.size) < 0.02
-                rows[own].append(features[keep])
-                values[own].append(details[keep])
+                keep = rng.random(details.size) < 0.04
+                mean = 256 * float(details.mean()) if details.size else 0
+                key = own, sum(mean >= limit for limit in predictive.CLASS_LIMITS)
+                rows[key].append(features[keep])
+                values[key].append(details[keep])
     predictive.code_pass = _REAL_PASS
-    result = {}
-    for own in (1, 2, 3):
-        features = np.concatenate(rows[own]).astype(np.float64)
-        details = np.concatenate(values[own]).astype(np.float64)
+    result = {own: np.zeros((3, nested.N_FEATURES), dtype=np.int64) for own in (1, 2, 3)}
+    for own, k in keys:
+        features = np.concatenate(rows[own, k]).astype(np.float64)
+        details = np.concatenate(values[own, k]).astype(np.float64)
         influence = np.ones(details.size)
         for _ in range(4):
             solution, _ = nnls(features * influence[:, None], details * influence)
-            influence = 1 / (features @ solution + 0.15)
-        result[own] = np.maximum(np.rint(solution * (1 << nested.E_WEIGHT_BITS)), 0).astype(np.int64)
-        result[own][nested.F_CONST] = max(1, result[own][nested.F_CONST])
-        print("expectation", own, result[own])
+            influence = 1 / (features @ solution + 0.1)
+        scaled = np.rint(solution * (1 << nested.E_WEIGHT_BITS))
+        result[own][k] = np.clip(scaled, 0, 1 << 14).astype(np.int64)
+        result[own][k, nested.F_CONST] = max(1, result[own][k, nested.F_CONST])
+        print("expectation", own, k, details.mean(), result[own][k])
     return result
 
 
@@ -394,6 +398,8 @@ def main():
     print([r[0] for r in rasters], file=sys.stderr)
     stencils = train_stencils(rasters, rng)
     tables.STENCILS = stencils
+    if tables.E_WEIGHTS[1].ndim == 1:
+        tables.E_WEIGHTS = {p: np.stack([w] * 3) for p, w in tables.E_WEIGHTS.items()}
     expectation = train_expectation(rasters, rng)
     tables.E_WEIGHTS = expectation
     models = train_models(rasters)

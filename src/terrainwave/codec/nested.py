@@ -364,7 +364,9 @@ def code_pass(
 
 @kernel
 def open_loop_cost(target, planes, own, geometry, weights, step, every, rows):
-    """Return how well a stencil predicts every `every`-th row of `target`: log8 of the errors.
+    """Return how well a stencil predicts every `every`-th row of `target`, and the mean detail.
+
+    The first is a sum of log8 of errors, the second in 1/256.
 
     Own-pass taps see the targets with noise like that of quantising: ``planes[own]`` holds them.
     """
@@ -372,7 +374,7 @@ def open_loop_cost(target, planes, own, geometry, weights, step, every, rows):
     taps = geometry.taps
     scale_shift, inverse = step_scale(step)
     acc = rows[0]
-    total = np.int64(0)
+    total = magnitudes = n_seen = np.int64(0)
     for row in range(every >> 1, n_rows, every):
         for j in range(n_cols):
             acc[j] = 1 << (WEIGHT_BITS - 1)
@@ -383,8 +385,11 @@ def open_loop_cost(target, planes, own, geometry, weights, step, every, rows):
                 acc[j] += weight * source[j]
         for j in range(n_cols):
             error = abs((acc[j] >> WEIGHT_BITS) - target[row, j])
-            total += log8(in_steps(error, scale_shift, inverse, E_BITS) + 64)
-    return total
+            error = in_steps(error, scale_shift, inverse, E_BITS)
+            total += log8(error + 64)
+            magnitudes += min((error + 128) >> 8, 1 << 20)
+        n_seen += n_cols
+    return total, (magnitudes << 8) // max(n_seen, 1)
 
 
 @kernel

@@ -22,6 +22,7 @@ from terrainwave.codec.lattice import (
     PAD,
     PASSES,
     A,
+    Pass,
     fill_bends,
     fill_between,
     fill_frame,
@@ -52,7 +53,10 @@ from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 _MIXED, _CLAMP = 1, 2
 # Lattices of fewer samples take the first stencil set; others name theirs.
 _MIN_CHOICE = 1024
-_SET_BITS = 6
+_SET_BITS = 4
+# Classes of context weights: mean details below 0.12 and 0.7 (in 1/256), and above.
+CLASS_LIMITS = (31, 179)
+_N_CLASSES = 3
 
 
 class Coder(NamedTuple):
@@ -202,20 +206,21 @@ def _code_lattice(
         stencils = tables.STENCILS[own]
         own_kinds = np.ascontiguousarray(kinds[row_parity::2, col_parity::2])
         own_goal = None
-        which = 0
+        which, e_class = 0, _N_CLASSES - 1
         if goal is not None:
             own_goal = np.ascontiguousarray(goal[row_parity::2, col_parity::2])
         if shape[0] * shape[1] >= _MIN_CHOICE:
             if own_goal is not None:
-                which = _choose_set(own_goal, planes, geometry, stencils, spec.step, rows)
-                encode_raw(coder.state, coder.stream, which, _SET_BITS)
+                which, e_class = _choose(own_goal, planes, geometry, stencils, spec.step, rows)
+                encode_raw(coder.state, coder.stream, which * 4 + e_class, _SET_BITS + 2)
             else:
-                which = decode_raw(coder.state, coder.stream, _SET_BITS)
-                if which >= len(stencils):
-                    raise CorruptStreamError(f"stencil set {which} does not exist")
+                code = int(decode_raw(coder.state, coder.stream, _SET_BITS + 2))
+                which, e_class = code >> 2, code & 3
+                if which >= len(stencils) or e_class >= _N_CLASSES:
+                    raise CorruptStreamError(f"no stencil set {which} with contexts {e_class}")
         code_pass(
             own_goal, own_kinds, planes, errors, activity, bends, own, geometry, stencils[which],
-            tables.E_WEIGHTS[own], bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP),
+            tables.E_WEIGHTS[own][e_class], bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP),
             spec.step, spec.z_min, spec.z_max, rows, spots, coder.state, coder.stream,
             coder.models,
         )  # fmt: skip
@@ -225,22 +230,23 @@ def _code_lattice(
     merge(planes, heights)
 
 
-def _choose_set(
+def _choose(
     goal: Heights,
     planes: NDArray[np.int32],
-    geometry: object,
+    geometry: Pass,
     stencils: NDArray[np.int64],
     step: int,
     rows: NDArray[np.int64],
-) -> int:
-    """Return the stencil set with the smallest errors on some rows of the pass."""
-    if len(stencils) == 1:
-        return 0
+) -> tuple[int, int]:
+    """Return the stencil set with the smallest errors on some rows, and the class of contexts."""
     own = geometry.plane
     saved = planes[own].copy()
     fill_noisy(goal, planes[own], step)
-    costs = [
-        open_loop_cost(goal, planes, own, geometry, weights, step, 8, rows) for weights in stencils
+    every = 8 if goal.size > 16384 else 2
+    found = [
+        open_loop_cost(goal, planes, own, geometry, weights, step, every, rows)
+        for weights in stencils
     ]
     planes[own] = saved
-    return int(np.argmin(costs))
+    which = min(range(len(found)), key=lambda k: found[k][0])
+    return which, sum(found[which][1] >= limit for limit in CLASS_LIMITS)
