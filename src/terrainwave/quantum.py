@@ -128,7 +128,8 @@ class Quantizer:
         return low, high
 
     def _gives(self, quantum: int, value: float | int) -> bool:
-        return bool(self.height_of(quantum) == value)
+        # The value as the raster stores it: 0.1 declared for float32 is float32's 0.1.
+        return bool(self.height_of(quantum) == np.dtype(self.dtype).type(value))
 
     def height_of(self, quantum: int) -> float | int:
         """Return the raw height of one quantum, as `dequantize` does."""
