@@ -128,7 +128,10 @@ class Quantizer:
         return low, high
 
     def _gives(self, quantum: int, value: float | int) -> bool:
-        return bool(self.height_of(quantum) == value)
+        if np.dtype(self.dtype).kind == "f":  # nodata 0.1 of float32's means the one nearest to it
+            with np.errstate(over="ignore", under="ignore"):
+                value = float(np.dtype(self.dtype).type(value))
+        return self.height_of(quantum) == value
 
     def height_of(self, quantum: int) -> float | int:
         """Return the raw height of one quantum, as `dequantize` does."""
