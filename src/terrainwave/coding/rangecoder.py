@@ -1,4 +1,4 @@
-"""Adaptive binary range coder (FORMAT.md: range coder).
+"""Adaptive binary range coder (FORMAT.md §6).
 
 The range coder of LZMA (I. Pavlov; after G. N. N. Martin, 1979) with a 32-bit range, renormalised
 by bytes with carry propagation in the encoder. Departures: the constant first byte is not written,
