@@ -294,7 +294,7 @@ def test_the_bound_named_is_the_smallest(name):
 # Extremes
 
 
-@pytest.mark.parametrize("max_error", [128, 130, 131.5, 1000, 12345])
+@pytest.mark.parametrize("max_error", [256, 259.5, 260, 1000, 12345])
 def test_int32_extremes_keep_the_effective_bound(max_error):
     low = np.arange(-(2**31), -(2**31) + 40, dtype="int64")
     heights = np.concatenate([low, low + 2**31, 2**31 - 40 + np.arange(40)])
@@ -306,9 +306,45 @@ def test_int32_extremes_keep_the_effective_bound(max_error):
         assert np.abs(back.astype("int64") - heights).max() <= quantizer.effective_error
 
 
+def test_the_widest_range_fits_thirty_bits():
+    heights = np.array([[-(2**31), 2**31 - 1]], dtype="int32")
+    quantizer = quantizer_of(heights, advised_bound(heights))
+    assert quantizer.z_max - quantizer.z_min < 2**30  # FORMAT.md §4.1
+
+
+WIDE = np.array([[1e17, 0.0, 3.3e16, -5e15 - 1]])
+SMALL = np.array([[3.3e-20, 0.0, 1e-21]])
+
+
+@pytest.mark.parametrize(
+    ("heights", "max_error"),
+    [(WIDE, 1e10), (WIDE, 1e300), (SMALL, 1e-9), (OFF_GRID["float64"], 1e300), (SMALL, 1e300)],
+)
+def test_floats_of_any_size_keep_the_bound(heights, max_error):
+    quantizer = quantizer_of(heights, max_error)
+    half = quantizer.step >> 1
+    errors = exact_errors(there_and_back(quantizer, heights, half), heights)
+    assert max(errors) <= Fraction(quantizer.effective_error) <= as_fraction(max_error)
+
+
+@pytest.mark.parametrize("heights", [WIDE, SMALL, OFF_GRID["float64"]])
+@pytest.mark.parametrize("max_error", [1e-9, 1e10, 1e300])
+def test_the_quantum_is_within_the_limits_of_the_header(heights, max_error):
+    max_error = max(max_error, advised_bound(heights))
+    quantizer = quantizer_of(heights, max_error)
+    assert max(quantizer.numerator, quantizer.denominator) < 2**63  # FORMAT.md §4.1
+    assert (abs(quantizer.base) + 2**31) * quantizer.numerator < 2**63
+
+
+def test_heights_that_can_only_be_nodata_are_refused_with_that_advice():
+    heights = np.array([[-3.4028234663852886e38, 812.4]], dtype="float32")
+    with pytest.raises(InvalidHeightsError, match="--nodata"):
+        quantizer_of(heights, 1)
+
+
 def test_dequantized_heights_stay_in_the_type():
     heights = np.array([[-(2**31), 2**31 - 1]], dtype="int32")
-    quantizer = quantizer_of(heights, 200)
+    quantizer = quantizer_of(heights, 300)
     beyond = np.array([[quantizer.z_min - 50, quantizer.z_max + 50]], dtype=np.int32)
     assert quantizer.dequantize(beyond).tolist() == heights.tolist()
 
