@@ -43,7 +43,8 @@ def cases(rows: Rows) -> dict[tuple[str, str], dict[str, dict[str, str]]]:
 def sizes_table() -> str:
     """Return bits per sample of each codec and the ratios that the project aims at."""
     lines = [
-        "| raster | bound, m | terrainwave | best of SPERR, SZ3 | COG LERC_ZSTD, overviews | largest error, m |",
+        "| raster | bound, m | terrainwave | best of SPERR, SZ3 | COG LERC_ZSTD, overviews |"
+        " largest error, m |",
         "|---|---|---|---|---|---|",
     ]
     to_peer, to_cog = [], []
@@ -57,7 +58,8 @@ def sizes_table() -> str:
         to_peer.append(bits[0] / bits[1])
         to_cog.append(bits[0] / bits[2])
         lines.append(
-            f"| {raster} | {float(bound):g} | **{bits[0]:.3f}** | {bits[1]:.3f} ({best}) | {bits[2]:.3f} |"
+            f"| {raster} | {float(bound):g} | **{bits[0]:.3f}** | {bits[1]:.3f} ({best}) |"
+            f" {bits[2]:.3f} |"
             f" {float(ours['measured_error']):g} |"
         )
     lines.append(
@@ -70,7 +72,8 @@ def sizes_table() -> str:
 def speeds_table() -> str:
     """Return one-thread speeds of terrainwave beside those of the same run's peers."""
     lines = [
-        "| raster | bound, m | encode, Msamples/s | SPERR | SZ3 | decode, Msamples/s | SPERR | SZ3 |",
+        "| raster | bound, m | encode, Msamples/s | SPERR | SZ3 | decode, Msamples/s | SPERR |"
+        " SZ3 |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for (raster, bound), by_codec in cases(read_rows("cdf97")).items():

@@ -484,9 +484,9 @@ def _enclosing_boxes(
 
 def _header(job: _Job, method: str) -> Header:
     quantizer, info = job.quantizer, job.info
-    metadata = info.to_metadata()
-    for name in ("n_rows", "n_cols", "dtype"):
-        del metadata[name]
+    plain = RasterInfo(info.n_rows, info.n_cols, info.dtype).to_metadata()
+    # Only what is not as it would be anyway; size and type are in the header itself.
+    metadata = {name: value for name, value in info.to_metadata().items() if value != plain[name]}
     has_heights = job.scan.n_valid > 0
     return Header(
         n_rows=info.n_rows,
