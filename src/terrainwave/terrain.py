@@ -618,20 +618,15 @@ def round_half_up(value: float) -> int:
 
 
 def _region_of_window(window: Any) -> Region:
-    if hasattr(window, "row_off"):  # rasterio.windows.Window
-        numbers: tuple[Any, ...] = (
-            window.row_off,
-            window.col_off,
-            window.height,
-            window.width,
-        )
-    else:
-        try:
-            numbers = tuple(window)
-        except TypeError:
-            numbers = (None,)
-    if len(numbers) != 4 or any(int(number) != number for number in numbers):
+    try:
+        if hasattr(window, "row_off"):  # rasterio.windows.Window
+            window = (window.row_off, window.col_off, window.height, window.width)
+        row, col, n_rows, n_cols = (int(number) for number in window)
+        is_whole = (row, col, n_rows, n_cols) == tuple(window)
+    except (TypeError, ValueError, OverflowError):  # no numbers, not four, NaN, infinite
+        is_whole = False
+    if not is_whole:
         raise InvalidHeightsError(
             f"found window {window!r}, expected (row, col, n_rows, n_cols) in whole samples"
         )
-    return Region(*(int(number) for number in numbers))
+    return Region(row, col, n_rows, n_cols)
