@@ -17,7 +17,8 @@ with tempfile.TemporaryDirectory() as directory:
     source, file, back = (Path(directory) / name for name in ("dem.tif", "dem.twz", "back.tif"))
     profile = {
         "driver": "GTiff", "height": 200, "width": 300, "count": 1, "dtype": "float32",
-        "crs": "EPSG:32633", "transform": Affine(10, 0, 500_000, 0, -10, 5_200_000), "nodata": -9999,
+        "crs": "EPSG:32633", "nodata": -9999,
+        "transform": Affine(10, 0, 500_000, 0, -10, 5_200_000),
     }  # fmt: skip
     with rasterio.open(source, "w", **profile) as dataset:
         dataset.write(heights, 1)
