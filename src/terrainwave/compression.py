@@ -384,10 +384,13 @@ def _encode(job: _Job, refiner: Refiner, executor: Executor, reporter: Reporter)
         executor=executor,
     )
     try:
-        pyramid.build(lambda done, total: reporter.report("making levels", done, total))
-        sink = _SpoolSink(job.grid, job.directory)
         itemsize = np.dtype(job.info.dtype).itemsize
+        pyramid.build(
+            lambda done, total: reporter.report("making levels", done, total, done * itemsize)
+        )
+        sink = _SpoolSink(job.grid, job.directory)
         total = job.grid.n_rows * job.grid.n_cols
+        n_units = job.grid.n_units()
         done = 0
         lock = threading.Lock()
 
@@ -395,7 +398,16 @@ def _encode(job: _Job, refiner: Refiner, executor: Executor, reporter: Reporter)
             nonlocal done
             with lock:
                 done = min(done + n_samples, total)
-                reporter.report("encoding", done, total, done * itemsize, sink.n_bytes)
+                reporter.report(
+                    "encoding",
+                    done,
+                    total,
+                    done * itemsize,
+                    n_bytes_out=sink.n_bytes,
+                    n_units=sink.n_units,
+                    n_units_total=n_units,
+                    n_levels=job.grid.k_max + 1,
+                )
 
         encoder = TreeEncoder(job.grid, refiner, _parameters(job), pyramid, sink, on_samples)
         stats = encoder.run(executor)
@@ -412,6 +424,7 @@ class _SpoolSink:
         self._grid = grid
         self.spools = {head: SegmentSpool(directory) for head in grid.segment_heads()}
         self.n_bytes = 0
+        self.n_units = 0
         self._n_missing: dict[Block | None, int] = {}
         self._lock = threading.Lock()
 
@@ -420,6 +433,7 @@ class _SpoolSink:
         self.spools[head].add(key, payload)
         with self._lock:
             self.n_bytes += len(payload)
+            self.n_units += 1
             if head not in self._n_missing:
                 self._n_missing[head] = len(page_layout(self._grid, head).keys)
             self._n_missing[head] -= 1
@@ -539,7 +553,8 @@ def _prove(
         for region, error in zip(regions, executor.map(compare, regions), strict=True):
             largest = max(largest, error)
             done += region.n_rows * region.n_cols
-            reporter.report("proving", done, grid.n_rows * grid.n_cols)
+            n_bytes = done * np.dtype(job.info.dtype).itemsize
+            reporter.report("proving", done, grid.n_rows * grid.n_cols, n_bytes)
     return largest
 
 

@@ -66,7 +66,7 @@ def decompress(
                 heights, valid = terrain.read_with_mask(part, level=level)
                 sink.write(part.row - region.row, part.col - region.col, heights, valid)
                 done += part.n_rows * part.n_cols
-                reporter.report("decoding", done, total, 0, done * heights.dtype.itemsize)
+                reporter.report("decoding", done, total, done * heights.dtype.itemsize)
     return os.fspath(dst)
 
 
