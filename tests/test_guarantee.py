@@ -192,6 +192,16 @@ def test_nodata_on_a_decimal_grid_is_never_decoded(method):
     check(Case(heights, valid, 0.1), data, 0.2)
 
 
+@pytest.mark.parametrize("method", ["cdf97", "store"])
+@pytest.mark.parametrize("max_error", [256, 300, 400, 500, 600])
+def test_nodata_at_the_end_of_int32_is_never_decoded(method, max_error):
+    # p is 8 here: 2^31 - 1 and 2^31 - 2 round to the same quantum.
+    top = 2**31 - 1
+    heights = np.array([[top, top - 1, top - 2], [-top, top - 5, top - 3]], dtype="int32")
+    data = twz_bytes(heights, max_error=max_error, nodata=top, method=method)
+    check(case_of(heights, top), data, max_error)
+
+
 @pytest.mark.parametrize("max_error", [256, 260, 1000])
 def test_all_of_int32_keeps_the_bound(max_error):
     rng = np.random.default_rng(0)

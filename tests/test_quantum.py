@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from strategies import heights_arrays
 
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.quantum import HeightScan, as_fraction
+from terrainwave.quantum import HeightScan, Quantizer, as_fraction
 
 TENTH = Fraction(1, 10)
 WHOLE = np.array([[-3, 0, 7, 11]])
@@ -402,3 +402,14 @@ def test_nodata_that_is_not_a_float32_is_found_as_the_float32_it_becomes():
     quantizer = quantizer_of(heights, 0.1)
     nearest = float(np.float32(0.1))
     assert interval(quantizer, 0.1)[1:3] == [nearest, nearest]
+
+
+def test_a_header_that_gives_one_height_to_all_quanta_is_no_trap():
+    quantizer = Quantizer("int16", 1, 2**40, 0, 1, 0.0, -(2**29), 2**29)
+    assert quantizer.quanta_of_value(0) == (-(2**29), 2**29)
+
+
+def test_quanta_beyond_the_range_of_the_type_give_its_last_value():
+    heights = np.array([[-(2**31), 2**31 - 1]], dtype="int32")
+    quantizer = quantizer_of(heights, 1000)  # p is 8, and the last quantum 2^31: it is clipped
+    assert quantizer.quanta_of_value(2**31 - 1) == (quantizer.z_max, quantizer.z_max)

@@ -6,6 +6,7 @@ power of two well below the bound and rounding to it is charged to the bound as 
 """
 
 import math
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
@@ -116,25 +117,17 @@ class Quantizer:
 
     def quanta_of_value(self, value: float | int | None) -> tuple[int, int]:
         """Return the closed interval of quanta that give `value`; (0, -1) if there is none."""
-        if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        if value is None or not math.isfinite(value):
             return 0, -1
-        # Decoded heights are clamped to the originals' range, so only quanta in it can collide; and
-        # beyond the range of an integer type every quantum would give its last value.
-        centre = round(as_fraction(float(value)) * self.denominator / self.numerator) - self.base
-        if not self.z_min <= centre <= self.z_max or not self._gives(centre, value):
-            return 0, -1
-        low, high = centre, centre
-        while low > self.z_min and self._gives(low - 1, value):
-            low -= 1
-        while high < self.z_max and self._gives(high + 1, value):
-            high += 1
-        return low, high
-
-    def _gives(self, quantum: int, value: float | int) -> bool:
         if np.dtype(self.dtype).kind == "f":  # nodata 0.1 of float32's means the one nearest to it
             with np.errstate(over="ignore", under="ignore"):
                 value = float(np.dtype(self.dtype).type(value))
-        return self.height_of(quantum) == value
+        # Heights grow with quanta. A search, as an untrusted header may make all of 2^30 quanta
+        # give one value.
+        quanta = range(self.z_min, self.z_max + 1)
+        first = bisect_left(quanta, value, key=self.height_of)
+        end = bisect_right(quanta, value, lo=first, key=self.height_of)
+        return (quanta[first], quanta[end - 1]) if first < end else (0, -1)
 
     def height_of(self, quantum: int) -> float | int:
         """Return the raw height of one quantum, as `dequantize` does."""
