@@ -188,7 +188,9 @@ def _check_target(final: Path, overwrite: bool) -> None:
     if not stat.S_ISREG(mode):
         raise StorageError(f"cannot write {final}: it is not a regular file")
     if not overwrite:
-        raise StorageError(f"{final} already exists; it is left as it is")
+        raise StorageError(
+            f"{final} already exists; it is left as it is (--overwrite or overwrite=True replaces it)"
+        )
 
 
 def remove_stale_parts(final: Path) -> list[Path]:
