@@ -189,7 +189,8 @@ def _check_target(final: Path, overwrite: bool) -> None:
         raise StorageError(f"cannot write {final}: it is not a regular file")
     if not overwrite:
         raise StorageError(
-            f"{final} already exists; it is left as it is (--overwrite or overwrite=True replaces it)"
+            f"{final} already exists and is left as it is;"
+            " --overwrite or overwrite=True replaces it"
         )
 
 
