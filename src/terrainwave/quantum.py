@@ -6,6 +6,7 @@ power of two well below the bound and rounding to it is charged to the bound as 
 """
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
@@ -123,12 +124,13 @@ class Quantizer:
         centre = round(as_fraction(float(value)) * self.denominator / self.numerator) - self.base
         if not self.z_min <= centre <= self.z_max or not self._gives(centre, value):
             return 0, -1
-        low, high = centre, centre
-        while low > self.z_min and self._gives(low - 1, value):
-            low -= 1
-        while high < self.z_max and self._gives(high + 1, value):
-            high += 1
-        return low, high
+        # Heights do not fall as quanta rise, so both ends are found by halving: the fields of a
+        # file may make a billion quanta give one value.
+        quanta = range(self.z_min, centre + 1)
+        low = quanta[bisect_left(quanta, True, key=lambda quantum: self._gives(quantum, value))]
+        quanta = range(centre, self.z_max + 1)
+        n_giving = bisect_left(quanta, True, key=lambda quantum: not self._gives(quantum, value))
+        return low, centre + n_giving - 1
 
     def _gives(self, quantum: int, value: float | int) -> bool:
         if np.dtype(self.dtype).kind == "f":  # nodata 0.1 of float32's means the one nearest to it
