@@ -3,6 +3,7 @@
 import io
 import pickle
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -211,6 +212,17 @@ def test_bounds_on_a_coarser_level_count_its_pixels(tmp_path):
 def test_bounds_in_the_wrong_order_are_refused(terrain, bounds):
     with pytest.raises(InvalidHeightsError, match="left < right"):
         terrain.read(bounds=bounds)
+
+
+@pytest.mark.parametrize("bounds", [(-np.inf, -np.inf, np.inf, np.inf), (0, 0, 1e308, 1e308)])
+@pytest.mark.parametrize("transform", [(1, 0, 0, 0, -1, 0), (1e-200, 1e200, 1e308, 3, 1e-5, -1e308)])
+def test_bounds_that_cannot_be_placed_are_refused(bounds, transform):
+    data = twz_bytes(HEIGHTS, max_error=0, method="store")
+    with Terrain(data) as terrain:
+        terrain._raster = replace(terrain._raster, transform=tuple(map(float, transform)))
+        with pytest.raises(InvalidHeightsError):
+            terrain.read(bounds=bounds)
+        assert np.isnan(terrain.sample([(np.inf, 1e308)])).all()
 
 
 def test_window_and_bounds_together_are_refused(terrain):

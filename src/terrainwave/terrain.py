@@ -488,6 +488,11 @@ class Terrain:
             )
         corners = np.array([(x, y) for x in (left, right) for y in (bottom, top)])
         rows, cols = self._to_samples(corners, level)
+        if not (np.isfinite(rows).all() and np.isfinite(cols).all()):
+            raise InvalidHeightsError(
+                f"found bounds {tuple(bounds)}, expected finite ones that the affine transform"
+                f" {self._raster.transform} can place; read by window instead"
+            )
         # Samples are pixel centres: half a pixel away begins the next pixel. A thousandth of a
         # pixel forgives the rounding of coordinates that name pixel edges.
         first_row, last_row = round_half_up(rows.min() + 0.001), round_half_up(rows.max() - 0.001)
@@ -504,8 +509,10 @@ class Terrain:
             raise InvalidHeightsError(
                 "the affine transform cannot be inverted; read by window instead"
             )
-        x, y = places[:, 0] - c, places[:, 1] - f
-        return (a * y - d * x) / determinant - 0.5, (e * x - b * y) / determinant - 0.5
+        # Extreme numbers of a file or a caller become NaN or infinite: no place in the raster.
+        with np.errstate(all="ignore"):
+            x, y = places[:, 0] - c, places[:, 1] - f
+            return (a * y - d * x) / determinant - 0.5, (e * x - b * y) / determinant - 0.5
 
     def _check_size(self, shape: tuple[int, int], max_bytes: int) -> None:
         n_bytes = int(shape[0]) * int(shape[1]) * self.dtype.itemsize
