@@ -168,7 +168,7 @@ def read_header(data):
     require(h.n_rows * h.n_cols <= 2**50, "n_rows * n_cols")
     require(5 <= h.block_log2 <= 10, "block_log2")
     require(h.border_rings in (1, 3), "border_rings")
-    require(h.method in METHODS, "method", UnsupportedError)
+    require(METHODS.get(h.method) in ("store", "cdf97"), "method", UnsupportedError)
     require(h.dtype in DTYPES, "dtype", UnsupportedError)
     require(h.effort <= 9, "effort", UnsupportedError)
     require(1 <= h.quantum_num < 2**63 and 1 <= h.quantum_den < 2**63, "quantum")
@@ -189,7 +189,50 @@ def read_header(data):
     return h
 
 
-def read_metadata(section, crc):
+def is_number(value):
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return isfinite(value) and (isinstance(value, float) or abs(value) <= 2**64)
+
+
+def is_nodata(value, dtype):
+    """Say whether a value of `nodata` is allowed in a dtype."""
+    dtype = np.dtype(dtype)
+    if value in ("nan", "inf", "-inf"):
+        return dtype.kind == "f"
+    if not is_number(value):
+        return False
+    if dtype.kind == "f":
+        with np.errstate(over="ignore", under="ignore"):
+            return bool(np.isfinite(dtype.type(value)))
+    return value == int(value) and np.iinfo(dtype).min <= value <= np.iinfo(dtype).max
+
+
+def is_transform(value):
+    return isinstance(value, list) and len(value) == 6 and all(map(is_number, value))
+
+
+KINDS = {
+    "transform": is_transform,
+    "scale": lambda value: is_number(value) and value != 0,
+    "offset": is_number,
+    "mask_kind": lambda value: value in ("none", "nodata", "nan", "mask"),
+    "area_or_point": lambda value: value in ("Area", "Point"),
+    **dict.fromkeys(
+        ("crs", "units", "description", "software"), lambda value: isinstance(value, str)
+    ),
+}
+
+
+def depth(value):
+    """Nesting of brackets; the outermost object counts as 1."""
+    if not isinstance(value, dict | list):
+        return 0
+    inner = value.values() if isinstance(value, dict) else value
+    return 1 + max(map(depth, inner), default=0)
+
+
+def read_metadata(section, crc, dtype):
     require(zlib.crc32(section) == crc, "metadata_crc")
 
     def unique(pairs):
@@ -202,9 +245,15 @@ def read_metadata(section, crc):
     try:
         text = inflate(section, 2**20).decode("utf-8")
         metadata = json.loads(text, object_pairs_hook=unique, parse_constant=refuse)
-    except ValueError as error:
+        json.dumps(metadata, ensure_ascii=False).encode()  # fails on a lone surrogate
+    except (ValueError, RecursionError) as error:
         raise CorruptError(str(error)) from None
     require(isinstance(metadata, dict), "metadata is not an object")
+    require(depth(metadata) <= 16, "metadata is nested too deep")
+    metadata = {key: value for key, value in metadata.items() if value is not None}
+    for key, is_right in KINDS.items():
+        require(key not in metadata or is_right(metadata[key]), key)
+    require("nodata" not in metadata or is_nodata(metadata["nodata"], dtype), "nodata")
     return metadata
 
 
@@ -267,11 +316,11 @@ def read_file(data):
     data = bytes(data)
     h = read_header(data)
     at = 128
-    metadata = read_metadata(data[at : at + h.metadata_length], h.metadata_crc)
+    metadata = read_metadata(data[at : at + h.metadata_length], h.metadata_crc, DTYPES[h.dtype])
     at += h.metadata_length
     parameters = data[at : at + h.parameters_length]
     require(zlib.crc32(parameters) == h.parameters_crc, "parameters_crc")
-    require(not parameters, "store and cdf97 have no parameters")
+    require(not parameters, "store and cdf97 have no parameters", UnsupportedError)
     at += h.parameters_length
 
     grid = Grid(h.n_rows, h.n_cols, 2**h.block_log2, h.border_rings)
@@ -594,14 +643,10 @@ def raw_height(h, k):
 def nodata_in_dtype(file):
     """Return the nodata value as a number of the file's dtype; None if there is none."""
     nodata = file.metadata.get("nodata")
-    dtype = np.dtype(DTYPES[file.header.dtype])
     if nodata is None:
         return None
-    if isinstance(nodata, str):
-        nodata = float(nodata)
-    if dtype.kind == "f":
-        return dtype.type(nodata)
-    return dtype.type(nodata) if nodata == nodata and int(nodata) == nodata else None
+    with np.errstate(under="ignore"):
+        return np.dtype(DTYPES[file.header.dtype]).type(float(nodata))
 
 
 def quanta_of_nodata(file):
