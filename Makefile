@@ -14,7 +14,7 @@ PYTEST := $(BIN)/python -m pytest -n $(WORKERS)
 .PHONY: help demo test lint test-compiled test-bounds test-python coverage bench clean
 
 help:
-	@echo "make demo            compress, check, mesh and draw a terrain into demo/"
+	@echo "make demo            compress a real terrain, check and draw it, into demo/"
 	@echo "make test            everything CI does: format, lint, types, the tests three ways"
 	@echo "make coverage        the tests as plain Python, with the lines they miss"
 	@echo "make bench DATA=DIR  compare with other codecs on the rasters in DIR"
@@ -45,7 +45,7 @@ $(VENV)/.installed-demo: $(VENV)/.created pyproject.toml
 	@touch $@
 
 demo: $(VENV)/.installed-demo
-	$(BIN)/terrainwave demo
+	$(BIN)/terrainwave demo demo
 
 test: lint test-compiled test-bounds test-python
 

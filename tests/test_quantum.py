@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from strategies import heights_arrays
 
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.quantum import HeightScan, as_fraction
+from terrainwave.quantum import HeightScan, Quantizer, as_fraction
 
 TENTH = Fraction(1, 10)
 WHOLE = np.array([[-3, 0, 7, 11]])
@@ -294,7 +294,7 @@ def test_the_bound_named_is_the_smallest(name):
 # Extremes
 
 
-@pytest.mark.parametrize("max_error", [128, 130, 131.5, 1000, 12345])
+@pytest.mark.parametrize("max_error", [256, 259.5, 260, 1000, 12345])
 def test_int32_extremes_keep_the_effective_bound(max_error):
     low = np.arange(-(2**31), -(2**31) + 40, dtype="int64")
     heights = np.concatenate([low, low + 2**31, 2**31 - 40 + np.arange(40)])
@@ -306,9 +306,45 @@ def test_int32_extremes_keep_the_effective_bound(max_error):
         assert np.abs(back.astype("int64") - heights).max() <= quantizer.effective_error
 
 
+def test_the_widest_range_fits_thirty_bits():
+    heights = np.array([[-(2**31), 2**31 - 1]], dtype="int32")
+    quantizer = quantizer_of(heights, advised_bound(heights))
+    assert quantizer.z_max - quantizer.z_min < 2**30  # FORMAT.md §4.1
+
+
+WIDE = np.array([[1e17, 0.0, 3.3e16, -5e15 - 1]])
+SMALL = np.array([[3.3e-20, 0.0, 1e-21]])
+
+
+@pytest.mark.parametrize(
+    ("heights", "max_error"),
+    [(WIDE, 1e10), (WIDE, 1e300), (SMALL, 1e-9), (OFF_GRID["float64"], 1e300), (SMALL, 1e300)],
+)
+def test_floats_of_any_size_keep_the_bound(heights, max_error):
+    quantizer = quantizer_of(heights, max_error)
+    half = quantizer.step >> 1
+    errors = exact_errors(there_and_back(quantizer, heights, half), heights)
+    assert max(errors) <= Fraction(quantizer.effective_error) <= as_fraction(max_error)
+
+
+@pytest.mark.parametrize("heights", [WIDE, SMALL, OFF_GRID["float64"]])
+@pytest.mark.parametrize("max_error", [1e-9, 1e10, 1e300])
+def test_the_quantum_is_within_the_limits_of_the_header(heights, max_error):
+    max_error = max(max_error, advised_bound(heights))
+    quantizer = quantizer_of(heights, max_error)
+    assert max(quantizer.numerator, quantizer.denominator) < 2**63  # FORMAT.md §4.1
+    assert (abs(quantizer.base) + 2**31) * quantizer.numerator < 2**63
+
+
+def test_heights_that_can_only_be_nodata_are_refused_with_that_advice():
+    heights = np.array([[-3.4028234663852886e38, 812.4]], dtype="float32")
+    with pytest.raises(InvalidHeightsError, match="--nodata"):
+        quantizer_of(heights, 1)
+
+
 def test_dequantized_heights_stay_in_the_type():
     heights = np.array([[-(2**31), 2**31 - 1]], dtype="int32")
-    quantizer = quantizer_of(heights, 200)
+    quantizer = quantizer_of(heights, 300)
     beyond = np.array([[quantizer.z_min - 50, quantizer.z_max + 50]], dtype=np.int32)
     assert quantizer.dequantize(beyond).tolist() == heights.tolist()
 
@@ -366,3 +402,41 @@ def test_nodata_that_is_not_a_float32_is_found_as_the_float32_it_becomes():
     quantizer = quantizer_of(heights, 0.1)
     nearest = float(np.float32(0.1))
     assert interval(quantizer, 0.1)[1:3] == [nearest, nearest]
+
+
+def test_a_header_that_gives_one_height_to_all_quanta_is_no_trap():
+    quantizer = Quantizer("int16", 1, 2**40, 0, 1, 0.0, -(2**29), 2**29)
+    assert quantizer.quanta_of_value(0) == (-(2**29), 2**29)
+
+
+def test_quanta_beyond_the_range_of_the_type_give_its_last_value():
+    heights = np.array([[-(2**31), 2**31 - 1]], dtype="int32")
+    quantizer = quantizer_of(heights, 1000)  # p is 8, and the last quantum 2^31: it is clipped
+    assert quantizer.quanta_of_value(2**31 - 1) == (quantizer.z_max, quantizer.z_max)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "denominator", "base", "value", "expected"),
+    [
+        ("uint8", 1, 0, 255, (255, 2**30 - 1)),  # beyond the type every quantum gives its last
+        ("float32", 1, 2**61, 2.0**61, (-(2**29), 2**30 - 1)),  # floats there are 2^37, 2^38 apart
+        ("int16", 2**62, 0, 0, (-(2**29), 2**30 - 1)),  # all round to 0
+    ],
+)
+def test_a_billion_quanta_that_give_the_nodata_value_are_not_counted_one_by_one(
+    monkeypatch, dtype, denominator, base, value, expected
+):
+    # Legal fields of a hostile header: one by one this takes hours.
+    quantizer = Quantizer(dtype, 1, denominator, base, 1, 0.0, -(2**29), 2**30 - 1)
+    n_calls = 0
+    height_of = Quantizer.height_of
+
+    def counted(self, quantum):
+        nonlocal n_calls
+        n_calls += 1
+        if n_calls > 200:
+            raise AssertionError("more than 200 quanta were tried")
+        return height_of(self, quantum)
+
+    monkeypatch.setattr(Quantizer, "height_of", counted)
+    assert quantizer.quanta_of_value(value) == expected

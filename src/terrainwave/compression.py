@@ -26,7 +26,7 @@ from terrainwave.codec.units import CodecParameters, unit_blocks
 from terrainwave.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.header import Header
 from terrainwave.container.page import page_layout
-from terrainwave.container.publish import publish, scratch_directory
+from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
 from terrainwave.encoder import Stats, TreeEncoder
@@ -183,7 +183,7 @@ def compress(
     BoundViolationError
         If the proof fails; `dst` is untouched.
     StorageError
-        If something cannot be read or written; `dst` is untouched.
+        If something cannot be read or written, or `dst` is `src`; `dst` is untouched.
 
     Notes
     -----
@@ -191,6 +191,7 @@ def compress(
     """
     options = Options.checked(max_error, method, block, effort, border_rings, mesh, verify, threads)
     reporter = Reporter(progress)
+    refuse_own_source(src, dst)
     with (
         publish(dst, overwrite=overwrite) as part,
         RasterSource(src, band=band, nodata=nodata) as source,
@@ -384,10 +385,13 @@ def _encode(job: _Job, refiner: Refiner, executor: Executor, reporter: Reporter)
         executor=executor,
     )
     try:
-        pyramid.build(lambda done, total: reporter.report("making levels", done, total))
-        sink = _SpoolSink(job.grid, job.directory)
         itemsize = np.dtype(job.info.dtype).itemsize
+        pyramid.build(
+            lambda done, total: reporter.report("making levels", done, total, done * itemsize)
+        )
+        sink = _SpoolSink(job.grid, job.directory)
         total = job.grid.n_rows * job.grid.n_cols
+        n_units = job.grid.n_units()
         done = 0
         lock = threading.Lock()
 
@@ -395,7 +399,16 @@ def _encode(job: _Job, refiner: Refiner, executor: Executor, reporter: Reporter)
             nonlocal done
             with lock:
                 done = min(done + n_samples, total)
-                reporter.report("encoding", done, total, done * itemsize, sink.n_bytes)
+                reporter.report(
+                    "encoding",
+                    done,
+                    total,
+                    done * itemsize,
+                    n_bytes_out=sink.n_bytes,
+                    n_units=sink.n_units,
+                    n_units_total=n_units,
+                    n_levels=job.grid.k_max + 1,
+                )
 
         encoder = TreeEncoder(job.grid, refiner, _parameters(job), pyramid, sink, on_samples)
         stats = encoder.run(executor)
@@ -412,6 +425,7 @@ class _SpoolSink:
         self._grid = grid
         self.spools = {head: SegmentSpool(directory) for head in grid.segment_heads()}
         self.n_bytes = 0
+        self.n_units = 0
         self._n_missing: dict[Block | None, int] = {}
         self._lock = threading.Lock()
 
@@ -420,6 +434,7 @@ class _SpoolSink:
         self.spools[head].add(key, payload)
         with self._lock:
             self.n_bytes += len(payload)
+            self.n_units += 1
             if head not in self._n_missing:
                 self._n_missing[head] = len(page_layout(self._grid, head).keys)
             self._n_missing[head] -= 1
@@ -484,9 +499,9 @@ def _enclosing_boxes(
 
 def _header(job: _Job, method: str) -> Header:
     quantizer, info = job.quantizer, job.info
-    metadata = info.to_metadata()
-    for name in ("n_rows", "n_cols", "dtype"):
-        del metadata[name]
+    plain = RasterInfo(info.n_rows, info.n_cols, info.dtype).to_metadata()
+    # Only what is not as it would be anyway; size and type are in the header itself.
+    metadata = {name: value for name, value in info.to_metadata().items() if value != plain[name]}
     has_heights = job.scan.n_valid > 0
     return Header(
         n_rows=info.n_rows,
@@ -539,7 +554,8 @@ def _prove(
         for region, error in zip(regions, executor.map(compare, regions), strict=True):
             largest = max(largest, error)
             done += region.n_rows * region.n_cols
-            reporter.report("proving", done, grid.n_rows * grid.n_cols)
+            n_bytes = done * np.dtype(job.info.dtype).itemsize
+            reporter.report("proving", done, grid.n_rows * grid.n_cols, n_bytes)
     return largest
 
 

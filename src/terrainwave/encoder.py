@@ -70,21 +70,28 @@ class TreeEncoder:
         self._on_samples = on_samples
         self._stats: Stats = {}
         self._lock = threading.Lock()
+        self._is_stopped = False
 
     def run(self, executor: Executor) -> Stats:
         """Encode everything; return range and measured error of every block."""
         starts: list[tuple[Block, Decoded | None, list[_Ancestor]]]
         starts = [(key, None, []) for key in root_keys(self._grid)]
-        while starts and len(starts) < _MIN_SUBTREES and starts[0][0].level < self._grid.k_max:
-            following = executor.map(lambda start: self._encode_unit(*start), starts)
-            starts = [start for children in following for start in children]
-        for _ in executor.map(lambda start: self._encode_subtree(*start), starts):
-            pass
+        try:
+            while starts and len(starts) < _MIN_SUBTREES and starts[0][0].level < self._grid.k_max:
+                following = executor.map(lambda start: self._encode_unit(*start), starts)
+                starts = [start for children in following for start in children]
+            for _ in executor.map(lambda start: self._encode_subtree(*start), starts):
+                pass
+        except BaseException:
+            # Ctrl-C, a full disk: subtrees that run in other threads end at their next unit.
+            self._is_stopped = True
+            raise
         return self._stats
 
     def _encode_subtree(self, key: Block, parent: Decoded | None, chain: list[_Ancestor]) -> None:
         for start in self._encode_unit(key, parent, chain):
-            self._encode_subtree(*start)
+            if not self._is_stopped:
+                self._encode_subtree(*start)
 
     def _encode_unit(
         self, key: Block, parent: Decoded | None, chain: list[_Ancestor]

@@ -11,13 +11,20 @@ _INTERVAL = 0.1
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a stage has come: samples done of all, and bytes read and made so far."""
+    """How far a stage has come: samples done of all, bytes of heights and of the file so far.
+
+    `n_units` coded units (groups and root blocks) of `n_units_total`, on `n_levels` levels, are
+    given where units are coded.
+    """
 
     stage: str
     done: int
     total: int
     n_bytes_in: int = 0
     n_bytes_out: int = 0
+    n_units: int = 0
+    n_units_total: int = 0
+    n_levels: int = 0
 
 
 ProgressCallback = Callable[[Progress], None]
@@ -31,10 +38,8 @@ class Reporter:
         self._lock = threading.Lock()
         self._last = 0.0
 
-    def report(
-        self, stage: str, done: int, total: int, n_bytes_in: int = 0, n_bytes_out: int = 0
-    ) -> None:
-        """Tell the callback, unless it was told just now."""
+    def report(self, stage: str, done: int, total: int, n_bytes_in: int = 0, **more: int) -> None:
+        """Tell the callback, unless it was told just now; `more` are fields of `Progress`."""
         if self._callback is None:
             return
         with self._lock:
@@ -42,4 +47,4 @@ class Reporter:
             if now - self._last < _INTERVAL and done < total:
                 return
             self._last = now
-            self._callback(Progress(stage, done, total, n_bytes_in, n_bytes_out))
+            self._callback(Progress(stage, done, total, n_bytes_in, **more))

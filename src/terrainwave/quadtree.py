@@ -115,6 +115,12 @@ class Grid:
         found = [Block(level, row, col) for row in range(rows) for col in range(cols)]
         return sorted(found, key=lambda b: morton(b.row, b.col))
 
+    def n_units(self) -> int:
+        """Return the number of coded units: root blocks, and a group below each inner block."""
+        sizes = [self.level_blocks(level) for level in range(self.k_max)]
+        roots = self.level_blocks(0)
+        return roots[0] * roots[1] + sum(rows * cols for rows, cols in sizes)
+
     def children(self, block: Block) -> list[Block]:
         """Return the blocks one level finer inside `block`, in Morton order; none at `k_max`."""
         if block.level == self.k_max:

@@ -6,6 +6,7 @@ power of two well below the bound and rounding to it is charged to the bound as 
 """
 
 import math
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
@@ -21,6 +22,9 @@ _MAX_NUMERATOR = 1 << 53
 # Rounding to p = 2^-FINE_BITS * bound costs less than 0.01 bit per sample; COARSE_BITS is the
 # least that is accepted.
 _FINE_BITS, _COARSE_BITS = 9, 5
+# Keep (|base| + 2^31) * p below 2^63, and both parts of p in their fields (FORMAT.md §4.1).
+_MAX_HEIGHT = 1 << 59
+_FINEST_QUANTUM, _COARSEST_QUANTUM = Fraction(1, 1 << 62), Fraction(1 << 31)
 
 _FOOT = Fraction(3048, 10000)
 GRID_CANDIDATES = tuple(
@@ -113,22 +117,17 @@ class Quantizer:
 
     def quanta_of_value(self, value: float | int | None) -> tuple[int, int]:
         """Return the closed interval of quanta that give `value`; (0, -1) if there is none."""
-        if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        if value is None or not math.isfinite(value):
             return 0, -1
-        # Decoded heights are clamped to the originals' range, so only quanta in it can collide; and
-        # beyond the range of an integer type every quantum would give its last value.
-        centre = round(as_fraction(float(value)) * self.denominator / self.numerator) - self.base
-        if not self.z_min <= centre <= self.z_max or not self._gives(centre, value):
-            return 0, -1
-        low, high = centre, centre
-        while low > self.z_min and self._gives(low - 1, value):
-            low -= 1
-        while high < self.z_max and self._gives(high + 1, value):
-            high += 1
-        return low, high
-
-    def _gives(self, quantum: int, value: float | int) -> bool:
-        return bool(self.height_of(quantum) == value)
+        if np.dtype(self.dtype).kind == "f":  # nodata 0.1 of float32's means the one nearest to it
+            with np.errstate(over="ignore", under="ignore"):
+                value = float(np.dtype(self.dtype).type(value))
+        # Heights grow with quanta. A search, as an untrusted header may make all of 2^30 quanta
+        # give one value.
+        quanta = range(self.z_min, self.z_max + 1)
+        first = bisect_left(quanta, value, key=self.height_of)
+        end = bisect_right(quanta, value, lo=first, key=self.height_of)
+        return (quanta[first], quanta[end - 1]) if first < end else (0, -1)
 
     def height_of(self, quantum: int) -> float | int:
         """Return the raw height of one quantum, as `dequantize` does."""
@@ -226,23 +225,33 @@ class HeightScan:
         return self._continuous(span, max_error)
 
     def _fits(self, p: Fraction) -> bool:
-        largest = max(abs(as_fraction(self.minimum)), abs(as_fraction(self.maximum)))
-        return largest / p * p.numerator < _MAX_NUMERATOR
+        return self._largest() / p * p.numerator < _MAX_NUMERATOR
+
+    def _largest(self) -> Fraction:
+        """Return the largest absolute height."""
+        return max(abs(as_fraction(self.minimum)), abs(as_fraction(self.maximum)))
 
     def _continuous(self, span: Fraction, max_error: Fraction) -> Quantizer:
+        largest = self._largest()
+        if largest > _MAX_HEIGHT:
+            raise InvalidHeightsError(
+                f"found a height of {float(largest):g} in magnitude, expected at most"
+                f" {float(_MAX_HEIGHT):g}; if it marks voids, declare it with --nodata"
+            )
         half_ulp = as_fraction(self._output_ulp()) / 2
-        smallest = max(_power_of_two_above(span / MAX_QUANTA) * (1 << _COARSE_BITS), 4 * half_ulp)
-        if max_error < smallest or max_error == 0:
-            if smallest == 0:  # a constant raster of one float that is on no grid
-                smallest = Fraction(1, 1 << 30)
+        # The finest p whose numbers of quanta fit 30 bits; both ends are rounded.
+        finest = max(_power_of_two_above(span / (MAX_QUANTA - 2)), _FINEST_QUANTUM)
+        smallest = max(finest * (1 << _COARSE_BITS), 4 * half_ulp)
+        if max_error < smallest:
             raise InvalidHeightsError(
                 "these heights lie on no common vertical grid, so they cannot be stored losslessly"
                 f" or this exactly: found max_error {float(max_error):g}, expected at least"
                 f" {_rounded_up(smallest)} (raw units); give a larger --max-error"
             )
-        p = _power_of_two_above(max_error) / (1 << _FINE_BITS)
-        while span / p >= MAX_QUANTA or not self._fits(p):
-            p *= 2
+        # A bound beyond the range buys nothing, and heights must be exact in float64 before they
+        # are rounded to the output's type.
+        p = _power_of_two_above(min(max_error, max(span, smallest))) / (1 << _FINE_BITS)
+        p = max(min(p, _COARSEST_QUANTUM), finest, _power_of_two_above(largest / _MAX_NUMERATOR))
         return self._with_quantum(p, max_error, p / 2 + half_ulp)
 
     def _with_quantum(self, p: Fraction, max_error: Fraction, rho: Fraction) -> Quantizer:

@@ -174,6 +174,14 @@ def test_a_height_just_below_nodata_stays_below_it():
     assert decoded.heights.tolist() == [[1, 3, 5, 7]]
 
 
+def test_a_height_that_is_itself_forbidden_moves_within_the_range():
+    # Where quanta are coarser than heights, a valid height may round to nodata's quantum.
+    # The store's heights are 2 and 7 here.
+    spec = root_spec(1, 3, step=5, z_min=0, z_max=7, forbidden=(7, 7))
+    _, decoded = round_trip(spec, [[7, 7, 0]], np.ones((1, 3), dtype=bool))
+    assert decoded.heights.tolist() == [[6, 6, 2]]
+
+
 def test_heights_are_clamped_to_the_range_of_the_originals():
     spec = root_spec(1, 2, step=101, z_min=-3, z_max=3)
     _, decoded = round_trip(spec, [[-3, 3]], np.ones((1, 2), dtype=bool))

@@ -80,6 +80,21 @@ def test_bits_come_back(pairs):
     assert decoded(encoded(bits, contexts, 4), contexts, 4).tolist() == bits.tolist()
 
 
+def test_the_example_of_the_format():
+    # docs/format-cdf97.md R.4
+    bits = np.array([1, 0, 0, 1, 0] * 8, dtype=np.uint8)
+    contexts = np.zeros(40, dtype=np.int64)
+    assert encoded(bits[:5], contexts, 1).tobytes() == bytes.fromhex("78")
+    assert encoded(bits, contexts, 1).tobytes() == bytes.fromhex("77d8aa57dadc")
+
+
+def test_four_bytes_of_255_are_no_trouble():
+    # Code equals range from the start: no encoder makes that.
+    contexts = np.arange(400) % 3
+    with pytest.raises(CorruptStreamError):
+        decoded(np.full(4000, 255, dtype=np.uint8), contexts, 3)
+
+
 def test_size_is_within_one_percent_of_the_adaptive_code_length():
     bits, contexts = skewed_bits(1, 8000)
     assert len(encoded(bits, contexts, 8)) <= 1.01 * ideal_bytes(bits, contexts, 8) + 1

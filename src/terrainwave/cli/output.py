@@ -129,11 +129,23 @@ class Bar:
             self._stage = progress.stage
             if self._task is not None:
                 self._bar.remove_task(self._task)
-            self._task = self._bar.add_task(progress.stage, total=progress.total, ratio="")
-        ratio = ""
+            self._task = self._bar.add_task(
+                progress.stage, total=progress.total, ratio="", units="", sample_bytes=0.0
+            )
+        ratio = units = ""
         if progress.n_bytes_in and progress.n_bytes_out:
             ratio = f"{progress.n_bytes_in / progress.n_bytes_out:.1f}:1"
-        self._bar.update(self._task, completed=progress.done, ratio=ratio)
+        if progress.n_units_total:
+            units = (
+                f"{progress.n_units}/{progress.n_units_total} groups, {progress.n_levels} levels"
+            )
+        self._bar.update(
+            self._task,
+            completed=progress.done,
+            ratio=ratio,
+            units=units,
+            sample_bytes=progress.n_bytes_in / progress.done if progress.done else 0.0,
+        )
 
     def __enter__(self) -> Self:
         if self._bar is not None:
@@ -157,16 +169,18 @@ def _rich_bar() -> Any:
     from rich.text import Text
 
     class Speed(ProgressColumn):
-        """Samples per second."""
+        """Megabytes of heights per second."""
 
         def render(self, task: Any) -> Text:
-            return Text(f"{task.speed / 1e6:.1f} Msamples/s" if task.speed else "")
+            speed = (task.speed or 0) * task.fields["sample_bytes"]
+            return Text(f"{speed / 1e6:.1f} MB/s" if speed else "")
 
     return RichProgress(
         TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("{task.percentage:3.0f} %"),
         Speed(),
+        TextColumn("{task.fields[units]}", markup=False),
         TextColumn("{task.fields[ratio]}", markup=False),
         TimeRemainingColumn(),
         console=Console(stderr=True),

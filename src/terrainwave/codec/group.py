@@ -42,7 +42,8 @@ def encode_unit(
     np.clip(heights, spec.z_min, spec.z_max, out=heights)
     collides = _collisions(spec, heights, mask)
     if collides.any():
-        goes_down = target[collides] < spec.forbidden[0]
+        # A height that is forbidden itself (rounding made it so) goes up where there is room.
+        goes_down = (target[collides] < spec.forbidden[0]) | (spec.forbidden[1] >= spec.z_max)
         if goes_down.any():
             flags |= _HAS_EXCEPTIONS
             exceptions = np.packbits(goes_down).tobytes()

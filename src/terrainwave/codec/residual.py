@@ -1,4 +1,4 @@
-"""Residuals in quantiser steps: what makes the bound hold (FORMAT.md: residuals).
+"""Residuals in quantiser steps: what makes the bound hold (FORMAT.md §7.7).
 
 D. Yusov, V. Turlapov 2010, §2.2: r = round(error / n), coded in the sample domain after the
 wavelet stage, with the same bound on every level.

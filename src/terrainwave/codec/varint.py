@@ -1,4 +1,4 @@
-"""Unsigned integers of variable length, seven bits a byte, the lowest first (FORMAT.md §5.1)."""
+"""Unsigned integers of variable length, seven bits a byte, the lowest first (FORMAT.md §1.4)."""
 
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 

@@ -1,4 +1,4 @@
-"""Joint zero trees of quantised wavelet coefficients (FORMAT.md: zero trees).
+"""Joint zero trees of quantised wavelet coefficients (FORMAT.md §7.5).
 
 D. Yusov, V. Turlapov 2010, §2.4 ("triple tree"): one tree for the three bands. Contexts are ours
 (DESIGN.md §3.5): the paper's reference for its models could not be had.

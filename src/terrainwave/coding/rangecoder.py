@@ -1,4 +1,4 @@
-"""Adaptive binary range coder (FORMAT.md: range coder).
+"""Adaptive binary range coder (FORMAT.md §6).
 
 The range coder of LZMA (I. Pavlov; after G. N. N. Martin, 1979) with a 32-bit range, renormalised
 by bytes with carry propagation in the encoder. Departures: the constant first byte is not written,
@@ -184,7 +184,7 @@ def decode_step(span, code, pos, data, models, index):
     models[index] = (prob << _COUNT_BITS) | count
     while span < _TOP:
         byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
-        code = (code << 8) | byte
+        code = ((code << 8) | byte) & _MASK32
         span <<= 8
         pos += 1
     return bit, span, code, pos
@@ -213,7 +213,7 @@ def decode_raw(state, data, n_bits):
         while span < _TOP:
             pos = state[BYTE_POS]
             byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
-            code = (code << 8) | byte
+            code = ((code << 8) | byte) & _MASK32
             span <<= 8
             state[BYTE_POS] = pos + 1
         state[RANGE] = span

@@ -75,9 +75,11 @@ def publish(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator
     final = Path(os.path.realpath(target))
     _check_target(final, overwrite)
     remove_stale_parts(final)
-    part = _create_part(final)
+    created: list[Path] = []
+    part = None
     is_published = False
     try:
+        part = _create_part(final, created)
         yield part
         with storage_errors(f"cannot write {target}"):
             part.file.flush()
@@ -90,16 +92,45 @@ def publish(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator
         is_published = True
         _sync_directory(final.parent)
     finally:
-        if not is_published:
-            # Before the lock goes with the closed file, so that nobody else can take the name;
-            # where an open file cannot be removed, after it.
-            with suppress(OSError):
-                os.unlink(part.path)
+        _dispose(part, [] if is_published else created)
+
+
+def _dispose(part: Part | None, paths: list[Path]) -> None:
+    """Close the part and remove the files of `paths`."""
+    # Before the lock goes with the closed file, so that nobody else can take the name; where an
+    # open file cannot be removed, after it.
+    for path in paths:
+        with suppress(OSError):
+            os.unlink(path)
+    if part is not None:
         with suppress(OSError):
             part.file.close()
-        if not is_published:
-            with suppress(OSError):
-                os.unlink(part.path)
+    for path in paths:
+        with suppress(OSError):
+            os.unlink(path)
+
+
+def refuse_own_source(source: object, target: str | os.PathLike[str]) -> None:
+    """Raise `StorageError` if `target` is the file that `source` is, or is read from.
+
+    Replacing it would leave the user without the original.
+
+    Parameters
+    ----------
+    source : object
+        A path, or something opened whose `name` is one; what is no path is no file's.
+    """
+    path = source if isinstance(source, str | os.PathLike) else getattr(source, "name", None)
+    if not isinstance(path, str | os.PathLike):
+        return
+    try:
+        is_same = os.path.samefile(path, target)
+    except (OSError, ValueError):  # one of them is missing, or no path at all
+        return
+    if is_same:
+        raise StorageError(
+            f"{os.fspath(target)} is the file to be read; expected another name for the result"
+        )
 
 
 @contextmanager
@@ -108,16 +139,13 @@ def scratch(target: str | os.PathLike[str]) -> Iterator[Part]:
 
     Killed runs' files are removed as those of `publish` are.
     """
-    part = _create_part(Path(os.path.realpath(target)))
+    created: list[Path] = []
+    part = None
     try:
+        part = _create_part(Path(os.path.realpath(target)), created)
         yield part
     finally:
-        if fcntl is None:
-            part.file.close()
-        with suppress(OSError):
-            os.unlink(part.path)
-        with suppress(OSError):
-            part.file.close()
+        _dispose(part, created)
 
 
 @contextmanager
@@ -140,19 +168,21 @@ def scratch_directory(parent: str | os.PathLike[str], name: str) -> Iterator[Pat
                     file.close()
                 shutil.rmtree(stale, ignore_errors=True)
     path = parent / f".{name}.{secrets.token_hex(8)}{SCRATCH_SUFFIX}"
-    with storage_errors(f"cannot make a temporary directory in {parent}"):
-        path.mkdir(mode=0o700)
-        # From here to the lock another run may at worst take the directory for a left-over; the
-        # first file written into it then fails with a clear line.
-        lock = open(path / _LOCK_NAME, "w+b")
+    lock = None
     try:
+        with storage_errors(f"cannot make a temporary directory in {parent}"):
+            path.mkdir(mode=0o700)
+            # From here to the lock another run may at worst take the directory for a left-over;
+            # the first file written into it then fails with a clear line.
+            lock = open(path / _LOCK_NAME, "w+b")
         _try_lock(lock)
         yield path
     finally:
-        if fcntl is None:
+        if lock is not None and fcntl is None:
             lock.close()
         shutil.rmtree(path, ignore_errors=True)
-        lock.close()
+        if lock is not None:
+            lock.close()
 
 
 def _leftovers(directory: Path, name: str, suffix: str) -> Iterator[Path]:
@@ -181,7 +211,10 @@ def _check_target(final: Path, overwrite: bool) -> None:
     if not stat.S_ISREG(mode):
         raise StorageError(f"cannot write {final}: it is not a regular file")
     if not overwrite:
-        raise StorageError(f"{final} already exists; it is left as it is")
+        raise StorageError(
+            f"{final} already exists and is left as it is;"
+            " --overwrite or overwrite=True replaces it"
+        )
 
 
 def remove_stale_parts(final: Path) -> list[Path]:
@@ -200,17 +233,25 @@ def remove_stale_parts(final: Path) -> list[Path]:
     return removed
 
 
-def _create_part(final: Path) -> Part:
-    """Create and lock a new file beside `final`, as mkstemp does but with the umask's mode."""
+def _create_part(final: Path, created: list[Path]) -> Part:
+    """Create and lock a new file beside `final`, as mkstemp does but with the umask's mode.
+
+    Its name is in `created` before the file exists: an interruption at any moment leaves nothing.
+    """
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
     flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
     for _ in range(_RETRIES):
         path = final.parent / f".{final.name}.{secrets.token_hex(8)}{SUFFIX}"
+        created.append(path)
         with storage_errors(f"cannot write {final}"):
             file = os.fdopen(os.open(path, flags, 0o666), "w+b")
-        # Another run may have taken it for a left-over before it was locked.
-        if _try_lock(file) is not _Lock.HELD_BY_OTHER and _is_still_there(path, file):
-            return Part(path, file)
+        try:
+            # Another run may have taken it for a left-over before it was locked.
+            if _try_lock(file) is not _Lock.HELD_BY_OTHER and _is_still_there(path, file):
+                return Part(path, file)
+        except BaseException:
+            file.close()
+            raise
         file.close()
         with suppress(OSError):
             os.unlink(path)

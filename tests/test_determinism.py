@@ -1,0 +1,141 @@
+"""The same raster gives the same bytes: threads, order, runs, kinds of sources (DESIGN §3.8)."""
+
+import hashlib
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from strategies import terrain_like, write_geotiff
+from twz import twz_bytes
+
+from terrainwave import compression, pyramid
+from terrainwave.container.page import page_layout
+from terrainwave.container.reader import open_container
+
+HEIGHTS = terrain_like(261, 70, seed=3)
+HEIGHTS[40:90, 20:60] = -32768
+OPTIONS = {"max_error": 2, "nodata": -32768, "border_rings": 3}
+
+
+@pytest.fixture(scope="module", params=["cdf97", "store"])
+def method(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def expected(method):
+    """Return the bytes made by one thread."""
+    return twz_bytes(HEIGHTS, method=method, **OPTIONS)
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("threads", [1, 2, 7])
+def test_the_number_of_threads_does_not_matter(method, expected, threads):
+    assert twz_bytes(HEIGHTS, method=method, threads=threads, **OPTIONS) == expected
+
+
+class ShuffledExecutor(ThreadPoolExecutor):
+    """Runs what is mapped in a random order, results in the right one."""
+
+    seed = 0
+
+    def map(self, function, *iterables):
+        items = list(zip(*iterables))
+        results = {}
+        for index in np.random.default_rng(self.seed).permutation(len(items)):
+            results[index] = function(*items[index])
+        return iter([results[index] for index in range(len(items))])
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_order_of_units_and_windows_does_not_matter(monkeypatch, method, expected, seed):
+    monkeypatch.setattr(ShuffledExecutor, "seed", seed)
+    monkeypatch.setattr(compression, "ThreadPoolExecutor", ShuffledExecutor)
+    monkeypatch.setattr(pyramid, "TILE", 32)
+    assert twz_bytes(HEIGHTS, method=method, **OPTIONS) == expected
+
+
+@pytest.mark.large
+def test_spooling_to_disk_does_not_matter(monkeypatch, method, expected):
+    monkeypatch.setattr("terrainwave.spool.MEMORY_LIMIT", 0)
+    monkeypatch.setattr("terrainwave.container.spool._BUFFER", 100)
+    monkeypatch.setattr("terrainwave.container.spool._KEPT", 100)
+    assert twz_bytes(HEIGHTS, method=method, **OPTIONS) == expected
+
+
+@pytest.mark.large
+@pytest.mark.parametrize(
+    "same",
+    [
+        pytest.param(np.asfortranarray(HEIGHTS), id="by columns"),
+        pytest.param(HEIGHTS.astype(">i2"), id="big-endian"),
+        pytest.param(np.repeat(HEIGHTS, 2, axis=1)[:, ::2], id="strided"),
+    ],
+)
+def test_the_layout_of_an_array_does_not_matter(method, expected, same):
+    assert twz_bytes(same, method=method, **OPTIONS) == expected
+
+
+def test_a_second_run_gives_the_same_bytes():
+    heights = HEIGHTS[:9, :8]
+    first = twz_bytes(heights, **OPTIONS)
+    assert twz_bytes(heights, **OPTIONS) == first
+
+
+@pytest.mark.large
+def test_other_processes_and_hash_seeds_give_the_same_bytes(tmp_path, expected, method):
+    np.save(tmp_path / "heights.npy", HEIGHTS)
+    code = (
+        "import sys, numpy as np, terrainwave as tw;"
+        "tw.compress(np.load(sys.argv[1]), sys.argv[2], method=sys.argv[3], block=32,"
+        " max_error=2, nodata=-32768, border_rings=3, threads=2)"
+    )
+    target = tmp_path / "there.twz"
+    arguments = [sys.executable, "-c", code, tmp_path / "heights.npy", target, method]
+    subprocess.run(arguments, env={**os.environ, "PYTHONHASHSEED": "77"}, check=True)
+    assert hashlib.sha256(target.read_bytes()).digest() == hashlib.sha256(expected).digest()
+
+
+# More columns than a strip may have: striped sources of that width are spooled in tiles first.
+WIDE = terrain_like(70, 1100, seed=4)
+PROFILES = {
+    "strips of one row": {"blockysize": 1},
+    "strips of sixteen": {"blockysize": 16, "compress": "deflate"},
+    "tiles": {"tiled": True, "blockxsize": 64, "blockysize": 32},
+    "one strip": {"blockysize": 70},
+}
+
+
+@pytest.fixture(scope="module")
+def wide_files(tmp_path_factory):
+    """Return the file made from each kind of GeoTIFF of one raster."""
+    folder = tmp_path_factory.mktemp("wide")
+    found = {}
+    for name, profile in PROFILES.items():
+        path = write_geotiff(folder / f"{name}.tif", WIDE, **profile)
+        found[name] = twz_bytes(path, max_error=2)
+    return found
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("name", [name for name in PROFILES if name != "tiles"])
+def test_the_blocks_of_a_geotiff_do_not_matter(wide_files, name):
+    assert wide_files[name] == wide_files["tiles"]
+
+
+def contents(data):
+    """Return all payloads and codes of a file."""
+    with open_container(data) as container:
+        layouts = [page_layout(container.grid, head) for head in container.grid.segment_heads()]
+        payloads = [container.payloads(layout.keys) for layout in layouts]
+        return payloads, [container.codes(block) for layout in layouts for block in layout.blocks]
+
+
+@pytest.mark.large
+def test_an_array_gives_the_payloads_of_a_geotiff(wide_files):
+    # Their metadata differ: a GeoTIFF says what its pixels stand for.
+    assert contents(twz_bytes(WIDE, max_error=2)) == contents(wide_files["tiles"])
