@@ -32,7 +32,7 @@ from terrainwave.quadtree import Grid, Region
 SIDE = 1025
 BOUNDS = (0, 1, 3, 10)
 N_SETS = 8
-N_SAMPLES = 1500
+N_SAMPLES = 4000
 N_ROUNDS = 6
 
 
@@ -109,9 +109,10 @@ def fit(items, weights, start=None):
 
 
 def cost(item, solution):
-    """Return the mean logarithm of errors, about bits per sample."""
+    """Return about the mean bits of a detail, as `nested.open_loop_cost`."""
     taps, target = item
-    return float(np.mean(np.log2(np.abs(target - taps @ solution.astype(np.float32)) + 0.35)))
+    errors = np.abs(target - taps @ solution.astype(np.float32))
+    return float(np.mean(np.log2(1 + (2 * np.minimum(errors, 64)) ** 2)))
 
 
 def train_stencils(rasters, rng):

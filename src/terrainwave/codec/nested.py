@@ -366,7 +366,7 @@ def code_pass(
 def open_loop_cost(target, planes, own, geometry, weights, step, every, rows):
     """Return how well a stencil predicts every `every`-th row of `target`, and the mean detail.
 
-    The first is a sum of log8 of errors, the second in 1/256.
+    The first in about 1/16 bit, the second in 1/256.
 
     Own-pass taps see the targets with noise like that of quantising: ``planes[own]`` holds them.
     """
@@ -386,7 +386,8 @@ def open_loop_cost(target, planes, own, geometry, weights, step, every, rows):
         for j in range(n_cols):
             error = abs((acc[j] >> WEIGHT_BITS) - target[row, j])
             error = in_steps(error, scale_shift, inverse, E_BITS)
-            total += log8(error + 64)
+            # About the bits of a detail: next to nothing below half a step, then its logarithm.
+            total += log8(256 + ((min(error, 1 << 14) ** 2) >> 6))
             magnitudes += min((error + 128) >> 8, 1 << 20)
         n_seen += n_cols
     return total, (magnitudes << 8) // max(n_seen, 1)
