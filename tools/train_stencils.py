@@ -23,8 +23,13 @@ from terrainwave.codec import lattice, nested, predictive, tables
 from terrainwave.codec.border import N_BORDER_MODELS
 from terrainwave.codec.detail import N_DETAIL_MODELS
 from terrainwave.codec.lattice import CORES, TAPS
-from terrainwave.codec.units import CodecParameters, root_keys, unit_spec
-from terrainwave.codec.units import block_of_unit, unit_blocks
+from terrainwave.codec.units import (
+    CodecParameters,
+    block_of_unit,
+    root_keys,
+    unit_blocks,
+    unit_spec,
+)
 from terrainwave.codec.refiner import Decoded
 from terrainwave.coding.rangecoder import new_models
 from terrainwave.quadtree import Grid, Region
@@ -32,7 +37,7 @@ from terrainwave.quadtree import Grid, Region
 SIDE = 1025
 BOUNDS = (0, 1, 3, 10)
 N_SETS = 8
-N_SAMPLES = 1500
+N_SAMPLES = 4000
 N_ROUNDS = 6
 
 
@@ -109,9 +114,10 @@ def fit(items, weights, start=None):
 
 
 def cost(item, solution):
-    """Return the mean logarithm of errors, about bits per sample."""
+    """Return about the mean bits of a detail, as `nested.open_loop_cost`."""
     taps, target = item
-    return float(np.mean(np.log2(np.abs(target - taps @ solution.astype(np.float32)) + 0.35)))
+    errors = np.abs(target - taps @ solution.astype(np.float32))
+    return float(np.mean(np.log2(1 + (2 * np.minimum(errors, 64)) ** 2)))
 
 
 def train_stencils(rasters, rng):
@@ -143,7 +149,12 @@ def train_stencils(rasters, rng):
             found = np.average(costs.min(1), weights=weights)
             if best is None or found < best[0]:
                 best = found, list(solutions), costs
-            print(pass_, turn, np.average(costs.min(1), weights=weights), np.bincount(group, minlength=N_SETS))
+            print(
+                pass_,
+                turn,
+                np.average(costs.min(1), weights=weights),
+                np.bincount(group, minlength=N_SETS),
+            )
         # The first set serves small lattices: the best single one.
         _, solutions, costs = best
         order = np.argsort(np.average(costs, axis=0, weights=weights))
@@ -222,11 +233,17 @@ def features_of(args):
     pad = lattice.PAD
 
     def shifted(array, row, col):
-        return array[pad + row : pad + row + n_rows, pad + col : pad + col + n_cols].astype(np.float64)
+        return array[pad + row : pad + row + n_rows, pad + col : pad + col + n_cols].astype(
+            np.float64
+        )
 
-    value = sum(
-        w * shifted(planes[p], r, c) for w, (p, r, c) in zip(weights, geometry.taps, strict=True)
-    ) / 4096
+    value = (
+        sum(
+            w * shifted(planes[p], r, c)
+            for w, (p, r, c) in zip(weights, geometry.taps, strict=True)
+        )
+        / 4096
+    )
     core = np.sort(np.stack([shifted(planes[p], r, c) for p, r, c in geometry.core]), 0)
     a, b, c, d = (shifted(planes[p], r, q) for p, r, q in geometry.core)
     mean = core.mean(0)
@@ -261,7 +278,9 @@ def features_of(args):
     use = (kinds == nested.CODED)[inside].ravel()
     details = np.abs(np.rint((height - np.rint(value)) / step))
     return (
-        features[(slice(None), *inside)].reshape(nested.N_FEATURES, -1)[:, use].T.astype(np.float32),
+        features[(slice(None), *inside)]
+        .reshape(nested.N_FEATURES, -1)[:, use]
+        .T.astype(np.float32),
         details[inside].ravel()[use].astype(np.float32),
     )
 
@@ -344,7 +363,9 @@ def module_text(stencils, expectation, starts):
     for name, table in (("STENCILS", stencils), ("E_WEIGHTS", expectation)):
         text.append(f"{name} = {{")
         for plane in (1, 2, 3):
-            text.append(f"    {plane}: np.array({json.dumps(table[plane].tolist())}, dtype=np.int64),")
+            text.append(
+                f"    {plane}: np.array({json.dumps(table[plane].tolist())}, dtype=np.int64),"
+            )
         text.append("}\n")
     packed = base64.b85encode(zlib.compress(starts.tobytes(), 9)).decode("ascii")
     text.append("_STARTS = (")

@@ -95,7 +95,9 @@ class Pass(NamedTuple):
     lines: NDArray[np.int64]
 
 
-PASSES = tuple(Pass(p, TAPS[p], CORES[p], NEAR[p], FAR[p], BENDS[p], LINES[p]) for p in (HH, HL, LH))
+PASSES = tuple(
+    Pass(p, TAPS[p], CORES[p], NEAR[p], FAR[p], BENDS[p], LINES[p]) for p in (HH, HL, LH)
+)
 
 
 def plane_sizes(shape: tuple[int, int]) -> list[tuple[int, int]]:
@@ -104,7 +106,9 @@ def plane_sizes(shape: tuple[int, int]) -> list[tuple[int, int]]:
     return [(even[0], even[1]), (odd[0], odd[1]), (even[0], odd[1]), (odd[0], even[1])]
 
 
-def split(lattice: NDArray[np.generic], planes: NDArray[np.generic], which: tuple[int, ...]) -> None:
+def split(
+    lattice: NDArray[np.generic], planes: NDArray[np.generic], which: tuple[int, ...]
+) -> None:
     """Copy samples of `lattice` into the named planes."""
     for plane, (n_rows, n_cols) in enumerate(plane_sizes(lattice.shape)):
         if plane in which:

@@ -97,7 +97,25 @@ def _frame_own(plane, core, planes, row, n_cols):
 
 
 @kernel
-def _prepare_row(row, n_cols, planes, errors, activity, bends, own, taps, weights, core, near, far, bent, lines, is_diagonal, e_weights, rows):
+def _prepare_row(
+    row,
+    n_cols,
+    planes,
+    errors,
+    activity,
+    bends,
+    own,
+    taps,
+    weights,
+    core,
+    near,
+    far,
+    bent,
+    lines,
+    is_diagonal,
+    e_weights,
+    rows,
+):
     """Fill the row buffers with all that is known before the row is coded."""
     acc, lowest, lower = rows[_ACC], rows[_LOWEST], rows[_LOWER]
     upper, highest = rows[_UPPER], rows[_HIGHEST]
@@ -313,9 +331,7 @@ def code_pass(
                 e_floor = max(expected, 128)
                 log_floor = log8(e_floor)
                 size = in_steps(abs(from_median), scale_shift, inverse, E_BITS - P_BITS)
-                median_bin = middle_bin(
-                    size if from_median > 0 else -size, e_floor, log_floor
-                )
+                median_bin = middle_bin(size if from_median > 0 else -size, e_floor, log_floor)
                 size = in_steps(abs(from_middle), scale_shift, inverse, E_BITS - P_BITS)
                 middle = middle_bin(size if from_middle > 0 else -size, e_floor, log_floor)
                 sixth = in_steps(6 * abs(fraction), scale_shift, inverse, 1 - P_BITS)
@@ -332,7 +348,11 @@ def code_pass(
                 )
                 far_a = min((log8(reach + e_range) - log_range) >> 2, N_RANGE_BINS - 1)
                 if mixed:
-                    spots[0], spots[1], spots[2] = bottom - whole, lower[j] - whole, upper[j] - whole
+                    spots[0], spots[1], spots[2] = (
+                        bottom - whole,
+                        lower[j] - whole,
+                        upper[j] - whole,
+                    )
                     spots[3], spots[4] = top - whole, here[j + PAD - 1] - whole
                     spots[5] = above[j + PAD] - whole
                     for k in range(6):
@@ -356,17 +376,19 @@ def code_pass(
                 in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR
             )
         own_errors[row + PAD, PAD + n_cols] = own_errors[row + PAD, PAD + n_cols - 1]
-        _update_activity(here_errors, activity[own, row + PAD - 1], n_cols, activity[own, row + PAD])
+        _update_activity(
+            here_errors, activity[own, row + PAD - 1], n_cols, activity[own, row + PAD]
+        )
     state[RANGE], state[LOW] = span, low
     if target is None:
         state[BYTE_POS] = pos
 
 
 @kernel
-def open_loop_cost(target, planes, own, geometry, weights, step, every, rows):
-    """Return how well a stencil predicts every `every`-th row of `target`, and the mean detail.
+def open_loop_cost(target, kinds, planes, own, geometry, weights, step, every, rows):
+    """Return how well a stencil predicts every `every`-th row of `target`, the mean detail, how many.
 
-    The first is a sum of log8 of errors, the second in 1/256.
+    The first in about 1/16 bit, the second in 1/256.
 
     Own-pass taps see the targets with noise like that of quantising: ``planes[own]`` holds them.
     """
@@ -384,12 +406,15 @@ def open_loop_cost(target, planes, own, geometry, weights, step, every, rows):
             for j in range(n_cols):
                 acc[j] += weight * source[j]
         for j in range(n_cols):
+            if kinds[row, j] != CODED:
+                continue
             error = abs((acc[j] >> WEIGHT_BITS) - target[row, j])
             error = in_steps(error, scale_shift, inverse, E_BITS)
-            total += log8(error + 64)
+            # About the bits of a detail: next to nothing below half a step, then its logarithm.
+            total += log8(256 + ((min(error, 1 << 14) ** 2) >> 6))
             magnitudes += min((error + 128) >> 8, 1 << 20)
-        n_seen += n_cols
-    return total, (magnitudes << 8) // max(n_seen, 1)
+            n_seen += 1
+    return total, (magnitudes << 8) // max(n_seen, 1), n_seen
 
 
 @kernel

@@ -40,6 +40,9 @@ from terrainwave.codec.nested import (
 )
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
 from terrainwave.coding.rangecoder import (
+    BYTE_POS,
+    PENDING,
+    RANGE,
     STATE_SIZE,
     decode_raw,
     encode_raw,
@@ -57,6 +60,9 @@ _SET_BITS = 4
 # Classes of context weights: mean details below 0.12 and 0.7 (in 1/256), and above.
 CLASS_LIMITS = (31, 179)
 _N_CLASSES = 3
+# By effort: how many stencil sets are tried, and how close in cost (in %) to the seeming best.
+_N_TRIALS = (1, 2, 8)
+_CLOSE = (100, 106, 140)
 
 
 class Coder(NamedTuple):
@@ -68,6 +74,24 @@ class Coder(NamedTuple):
     models: NDArray[np.uint32]
     border_models: NDArray[np.uint32]
     flags: int
+
+
+class Choice(NamedTuple):
+    """What a plane is coded with: a set of `tables.STENCILS`, a class of `tables.E_WEIGHTS`."""
+
+    stencil_set: int
+    e_class: int
+
+
+class _Scratch(NamedTuple):
+    """The arrays of a lattice."""
+
+    planes: NDArray[np.int32]
+    errors: NDArray[np.int32]
+    activity: NDArray[np.int32]
+    bends: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    spots: NDArray[np.int64]
 
 
 class Predictive:
@@ -206,47 +230,86 @@ def _code_lattice(
         stencils = tables.STENCILS[own]
         own_kinds = np.ascontiguousarray(kinds[row_parity::2, col_parity::2])
         own_goal = None
-        which, e_class = 0, _N_CLASSES - 1
         if goal is not None:
             own_goal = np.ascontiguousarray(goal[row_parity::2, col_parity::2])
+        scratch = _Scratch(planes, errors, activity, bends, rows, spots)
+        choice = Choice(0, _N_CLASSES - 1)
         if shape[0] * shape[1] >= _MIN_CHOICE:
             if own_goal is not None:
-                which, e_class = _choose(own_goal, planes, geometry, stencils, spec.step, rows)
-                encode_raw(coder.state, coder.stream, which * 4 + e_class, _SET_BITS + 2)
+                choice = _choose(own_goal, own_kinds, geometry, spec, scratch, coder)
+                code = choice.stencil_set * 4 + choice.e_class
+                encode_raw(coder.state, coder.stream, code, _SET_BITS + 2)
             else:
                 code = int(decode_raw(coder.state, coder.stream, _SET_BITS + 2))
-                which, e_class = code >> 2, code & 3
-                if which >= len(stencils) or e_class >= _N_CLASSES:
-                    raise CorruptStreamError(f"no stencil set {which} with contexts {e_class}")
-        code_pass(
-            own_goal, own_kinds, planes, errors, activity, bends, own, geometry, stencils[which],
-            tables.E_WEIGHTS[own][e_class], bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP),
-            spec.step, spec.z_min, spec.z_max, rows, spots, coder.state, coder.stream,
-            coder.models,
-        )  # fmt: skip
+                choice = Choice(code >> 2, code & 3)
+                if choice.stencil_set >= len(stencils) or choice.e_class >= _N_CLASSES:
+                    raise CorruptStreamError(f"stencil set and contexts {code} do not exist")
+        _run_pass(own_goal, own_kinds, geometry, choice, spec, scratch, coder)
         fill_frame(planes[own], row_parity, col_parity, *shape)
         fill_frame(errors[own], row_parity, col_parity, *shape)
         fill_frame(activity[own], row_parity, col_parity, *shape)
     merge(planes, heights)
 
 
+def _run_pass(
+    goal: Heights | None,
+    kinds: NDArray[np.uint8],
+    geometry: Pass,
+    choice: Choice,
+    spec: GroupSpec,
+    scratch: _Scratch,
+    coder: Coder,
+) -> None:
+    """Encode or decode one plane with the tables chosen."""
+    own = geometry.plane
+    code_pass(
+        goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
+        tables.STENCILS[own][choice.stencil_set], tables.E_WEIGHTS[own][choice.e_class],
+        bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
+        scratch.rows, scratch.spots, coder.state, coder.stream, coder.models,
+    )  # fmt: skip
+
+
 def _choose(
     goal: Heights,
-    planes: NDArray[np.int32],
+    kinds: NDArray[np.uint8],
     geometry: Pass,
-    stencils: NDArray[np.int64],
-    step: int,
-    rows: NDArray[np.int64],
-) -> tuple[int, int]:
-    """Return the stencil set with the smallest errors on some rows, and the class of contexts."""
-    own = geometry.plane
+    spec: GroupSpec,
+    scratch: _Scratch,
+    coder: Coder,
+) -> Choice:
+    """Return the stencil set and the class of contexts to code a plane with.
+
+    Sets are ranked by their errors on some rows; the best few, if close, are tried.
+    """
+    own, planes = geometry.plane, scratch.planes
     saved = planes[own].copy()
-    fill_noisy(goal, planes[own], step)
+    fill_noisy(goal, planes[own], spec.step)
     every = 8 if goal.size > 16384 else 2
     found = [
-        open_loop_cost(goal, planes, own, geometry, weights, step, every, rows)
-        for weights in stencils
+        open_loop_cost(goal, kinds, planes, own, geometry, weights, spec.step, every, scratch.rows)
+        for weights in tables.STENCILS[own]
     ]
     planes[own] = saved
-    which = min(range(len(found)), key=lambda k: found[k][0])
-    return which, sum(found[which][1] >= limit for limit in CLASS_LIMITS)
+    ranking = sorted(range(len(found)), key=lambda k: found[k][0])
+    # Costs hold 64, log8(256), for each sample, whatever its error.
+    base = 64 * found[0][2]
+    limit = base + (found[ranking[0]][0] - base) * _CLOSE[spec.effort] // 100
+    ranking = [k for k in ranking[: _N_TRIALS[spec.effort]] if found[k][0] <= limit]
+    choices = [Choice(k, sum(found[k][1] >= edge for edge in CLASS_LIMITS)) for k in ranking] or [
+        Choice(0, _N_CLASSES - 1)
+    ]
+    if len(choices) == 1:
+        return choices[0]
+    best, smallest = choices[0], 1 << 62
+    state, models = coder.state.copy(), coder.models.copy()
+    for choice in choices:
+        # Bytes already in the stream are final, so the state alone can be put back.
+        _run_pass(goal, kinds, geometry, choice, spec, scratch, coder)
+        n_bits = 8 * int(coder.state[BYTE_POS] + coder.state[PENDING])
+        n_bits -= int(coder.state[RANGE]).bit_length()
+        if n_bits < smallest:
+            best, smallest = choice, n_bits
+        coder.state[:], coder.models[:] = state, models
+        planes[own] = saved
+    return best
