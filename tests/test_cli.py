@@ -18,7 +18,7 @@ import terrainwave
 from terrainwave.cli import main
 from terrainwave.cli import output as cli_output
 from terrainwave.cli.output import Bar, plain
-from terrainwave.errors import CorruptStreamError
+from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.level_errors import level_errors
 from terrainwave.progress import Progress
 
@@ -313,10 +313,32 @@ def test_text_given_to_compress_is_one_line(tmp_path):
 
 def test_existing_target_is_refused(dem, twz):
     before = twz.read_bytes()
-    assert "already exists" in one_line(run("compress", dem, twz, "--method", "store"), 1)
+    line = one_line(run("compress", dem, twz, "--method", "store"), 1)
+    assert "already exists" in line
+    assert "--overwrite" in line
     assert twz.read_bytes() == before
     assert run("compress", dem, twz, "--method", "store", "--overwrite", "-q").exit_code == 0
     assert twz.read_bytes() != before
+
+
+@pytest.mark.parametrize("command", ["compress", "decompress"])
+@pytest.mark.parametrize("by_link", [False, True])
+def test_a_target_that_is_the_source_is_refused(tmp_path, dem, twz, command, by_link):
+    source = dem if command == "compress" else twz
+    before = source.read_bytes()
+    target = source
+    if by_link:
+        target = tmp_path / "link"
+        os.link(source, target)
+    assert "expected another name" in one_line(run(command, source, target, "--overwrite"), 1)
+    assert source.read_bytes() == before
+
+
+def test_an_open_dataset_is_not_replaced_by_its_compressed_self(dem):
+    before = dem.read_bytes()
+    with rasterio.open(dem) as dataset, pytest.raises(StorageError, match="another name"):
+        terrainwave.compress(dataset, dem, max_error=5, overwrite=True)
+    assert dem.read_bytes() == before
 
 
 @pytest.mark.parametrize("command", ["compress", "decompress"])

@@ -413,3 +413,30 @@ def test_quanta_beyond_the_range_of_the_type_give_its_last_value():
     heights = np.array([[-(2**31), 2**31 - 1]], dtype="int32")
     quantizer = quantizer_of(heights, 1000)  # p is 8, and the last quantum 2^31: it is clipped
     assert quantizer.quanta_of_value(2**31 - 1) == (quantizer.z_max, quantizer.z_max)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "denominator", "base", "value", "expected"),
+    [
+        ("uint8", 1, 0, 255, (255, 2**30 - 1)),  # beyond the type every quantum gives its last
+        ("float32", 1, 2**61, 2.0**61, (-(2**29), 2**30 - 1)),  # floats there are 2^37, 2^38 apart
+        ("int16", 2**62, 0, 0, (-(2**29), 2**30 - 1)),  # all round to 0
+    ],
+)
+def test_a_billion_quanta_that_give_the_nodata_value_are_not_counted_one_by_one(
+    monkeypatch, dtype, denominator, base, value, expected
+):
+    # Legal fields of a hostile header: one by one this takes hours.
+    quantizer = Quantizer(dtype, 1, denominator, base, 1, 0.0, -(2**29), 2**30 - 1)
+    n_calls = 0
+    height_of = Quantizer.height_of
+
+    def counted(self, quantum):
+        nonlocal n_calls
+        n_calls += 1
+        if n_calls > 200:
+            raise AssertionError("more than 200 quanta were tried")
+        return height_of(self, quantum)
+
+    monkeypatch.setattr(Quantizer, "height_of", counted)
+    assert quantizer.quanta_of_value(value) == expected

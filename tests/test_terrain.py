@@ -1,8 +1,12 @@
 """`Terrain`: windows, levels, places, damage, threads. Expected values by hand or from numpy."""
 
 import io
+import os
 import pickle
+import signal
+import warnings
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +18,12 @@ from twz import twz_bytes
 from terrainwave.codec.units import root_keys, unit_spec
 from terrainwave.compression import compress
 from terrainwave.container.reader import open_container
-from terrainwave.errors import CorruptStreamError, InvalidHeightsError, LimitExceededError
+from terrainwave.errors import (
+    CorruptStreamError,
+    InvalidHeightsError,
+    LimitExceededError,
+    StorageError,
+)
 from terrainwave.quadtree import Block, Region
 from terrainwave.terrain import Terrain
 
@@ -211,6 +220,19 @@ def test_bounds_on_a_coarser_level_count_its_pixels(tmp_path):
 def test_bounds_in_the_wrong_order_are_refused(terrain, bounds):
     with pytest.raises(InvalidHeightsError, match="left < right"):
         terrain.read(bounds=bounds)
+
+
+@pytest.mark.parametrize("bounds", [(-np.inf, -np.inf, np.inf, np.inf), (0, 0, 1e308, 1e308)])
+@pytest.mark.parametrize(
+    "transform", [(1, 0, 0, 0, -1, 0), (1e-200, 1e200, 1e308, 3, 1e-5, -1e308)]
+)
+def test_bounds_that_cannot_be_placed_are_refused(bounds, transform):
+    data = twz_bytes(HEIGHTS, max_error=0, method="store")
+    with Terrain(data) as terrain:
+        terrain._raster = replace(terrain._raster, transform=tuple(map(float, transform)))
+        with pytest.raises(InvalidHeightsError):
+            terrain.read(bounds=bounds)
+        assert np.isnan(terrain.sample([(np.inf, 1e308)])).all()
 
 
 def test_window_and_bounds_together_are_refused(terrain):
@@ -582,6 +604,28 @@ def test_leaving_the_context_closes_the_file(tmp_path, store_data):
         terrain.read()
     with pytest.raises((OSError, ValueError)):
         terrain._source.read(0, 1)
+
+
+def test_reading_after_close_says_that_the_file_is_closed(tmp_path, store_data):
+    path = tmp_path / "dem.twz"
+    path.write_bytes(store_data)
+    with Terrain(path, threads=2) as terrain:
+        terrain.read()
+    with pytest.raises(StorageError, match="is closed"):
+        terrain.read()
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_a_fork_reads_with_threads_of_its_own(store_data):
+    with Terrain(store_data, cache_bytes=0, threads=2) as terrain:
+        terrain.read()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of forking beside threads
+            child = os.fork()
+        if child == 0:
+            signal.alarm(20)  # the threads of the parent are not here: it would wait for ever
+            os._exit(0 if np.array_equal(terrain.read(), HEIGHTS) else 1)
+        assert os.waitpid(child, 0)[1] == 0
 
 
 # What the file says

@@ -26,7 +26,7 @@ from terrainwave.codec.units import CodecParameters, unit_blocks
 from terrainwave.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.header import Header
 from terrainwave.container.page import page_layout
-from terrainwave.container.publish import publish, scratch_directory
+from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
 from terrainwave.encoder import Stats, TreeEncoder
@@ -183,7 +183,7 @@ def compress(
     BoundViolationError
         If the proof fails; `dst` is untouched.
     StorageError
-        If something cannot be read or written; `dst` is untouched.
+        If something cannot be read or written, or `dst` is `src`; `dst` is untouched.
 
     Notes
     -----
@@ -191,6 +191,7 @@ def compress(
     """
     options = Options.checked(max_error, method, block, effort, border_rings, mesh, verify, threads)
     reporter = Reporter(progress)
+    refuse_own_source(src, dst)
     with (
         publish(dst, overwrite=overwrite) as part,
         RasterSource(src, band=band, nodata=nodata) as source,

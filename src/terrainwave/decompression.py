@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from terrainwave.container.publish import refuse_own_source
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.quadtree import Region
 from terrainwave.raster_io.sink import RasterSink
@@ -48,9 +49,10 @@ def decompress(
     CorruptStreamError
         If a block is damaged; `dst` is untouched.
     StorageError
-        If `dst` cannot be written; it is untouched.
+        If `dst` cannot be written or is `src`; it is untouched.
     """
     reporter = Reporter(progress)
+    refuse_own_source(src, dst)
     with Terrain(src, threads=threads) as terrain:
         region = terrain.region(window, bounds=bounds, level=level)
         info = replace(

@@ -2,7 +2,7 @@
 
 import os
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -15,7 +15,12 @@ from terrainwave.codec.units import CodecParameters, root_keys, unit_spec
 from terrainwave.codes import decode_error
 from terrainwave.container.reader import Container
 from terrainwave.container.source import open_source
-from terrainwave.errors import CorruptStreamError, InvalidHeightsError, LimitExceededError
+from terrainwave.errors import (
+    CorruptStreamError,
+    InvalidHeightsError,
+    LimitExceededError,
+    StorageError,
+)
 from terrainwave.quadtree import Block, Grid, Region, morton
 from terrainwave.quantum import Quantizer
 from terrainwave.raster_io.info import RasterInfo
@@ -133,6 +138,7 @@ class Terrain:
         self._cache_bytes = cache_bytes
         self._n_threads = threads or os.cpu_count() or 1
         self._executor: ThreadPoolExecutor | None = None
+        self._executor_pid = 0
         self._lock = threading.Lock()
 
     def __enter__(self) -> Self:
@@ -488,6 +494,11 @@ class Terrain:
             )
         corners = np.array([(x, y) for x in (left, right) for y in (bottom, top)])
         rows, cols = self._to_samples(corners, level)
+        if not (np.isfinite(rows).all() and np.isfinite(cols).all()):
+            raise InvalidHeightsError(
+                f"found bounds {tuple(bounds)}, expected finite ones that the affine transform"
+                f" {self._raster.transform} can place; read by window instead"
+            )
         # Samples are pixel centres: half a pixel away begins the next pixel. A thousandth of a
         # pixel forgives the rounding of coordinates that name pixel edges.
         first_row, last_row = round_half_up(rows.min() + 0.001), round_half_up(rows.max() - 0.001)
@@ -504,8 +515,10 @@ class Terrain:
             raise InvalidHeightsError(
                 "the affine transform cannot be inverted; read by window instead"
             )
-        x, y = places[:, 0] - c, places[:, 1] - f
-        return (a * y - d * x) / determinant - 0.5, (e * x - b * y) / determinant - 0.5
+        # Extreme numbers of a file or a caller become NaN or infinite: no place in the raster.
+        with np.errstate(all="ignore"):
+            x, y = places[:, 0] - c, places[:, 1] - f
+            return (a * y - d * x) / determinant - 0.5, (e * x - b * y) / determinant - 0.5
 
     def _check_size(self, shape: tuple[int, int], max_bytes: int) -> None:
         n_bytes = int(shape[0]) * int(shape[1]) * self.dtype.itemsize
@@ -543,7 +556,7 @@ class Terrain:
                 for key in batch:
                     fill(key)
             else:
-                for _ in self._pool().map(fill, batch):
+                for _ in self._submit(fill, batch):
                     pass
         return heights, mask
 
@@ -599,13 +612,18 @@ class Terrain:
         heights = self._quantizer.dequantize(quanta[None, :])[0]
         return heights.astype(np.float64), valid
 
-    def _pool(self) -> ThreadPoolExecutor:
+    def _submit(self, fill: Callable[[Block], None], keys: list[Block]) -> Iterator[None]:
         with self._lock:
-            if self._executor is None:
+            # A fork takes no threads along: its first read starts some.
+            if self._executor is None or self._executor_pid != os.getpid():
                 self._executor = ThreadPoolExecutor(
                     self._n_threads, thread_name_prefix="terrainwave"
                 )
-            return self._executor
+                self._executor_pid = os.getpid()
+        try:
+            return self._executor.map(fill, keys)
+        except RuntimeError as error:  # its threads have been stopped
+            raise StorageError(f"{self.name} is closed") from error
 
 
 def _reopen(source: Any, cache_bytes: int, threads: int | None) -> Terrain:

@@ -263,8 +263,11 @@ def _forward_line(line, low, high):
         high[0] = high[1]
         high[n_high + 1] = high[n_high]
         lift(low[:n_low], high, high[1:], second)
-    line[:n_low] = low[:n_low]
-    line[n_low:] = inner
+    # Loops: numba takes two seconds to compile an assignment of slices.
+    for i in range(n_low):
+        line[i] = low[i]
+    for i in range(n_high):
+        line[n_low + i] = inner[i]
 
 
 @kernel
@@ -275,8 +278,10 @@ def _inverse_line(line, low, high):
     if n_high == 0:
         return
     inner = high[1 : n_high + 1]
-    low[:n_low] = line[:n_low]
-    inner[:] = line[n_low:]
+    for i in range(n_low):
+        low[i] = line[i]
+    for i in range(n_high):
+        inner[i] = line[n_low + i]
     for first, second in ((_GAMMA, _DELTA), (_ALPHA, _BETA)):
         high[0] = high[1]
         high[n_high + 1] = high[n_high]

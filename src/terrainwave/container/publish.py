@@ -110,6 +110,29 @@ def _dispose(part: Part | None, paths: list[Path]) -> None:
             os.unlink(path)
 
 
+def refuse_own_source(source: object, target: str | os.PathLike[str]) -> None:
+    """Raise `StorageError` if `target` is the file that `source` is, or is read from.
+
+    Replacing it would leave the user without the original.
+
+    Parameters
+    ----------
+    source : object
+        A path, or something opened whose `name` is one; what is no path is no file's.
+    """
+    path = source if isinstance(source, str | os.PathLike) else getattr(source, "name", None)
+    if not isinstance(path, str | os.PathLike):
+        return
+    try:
+        is_same = os.path.samefile(path, target)
+    except (OSError, ValueError):  # one of them is missing, or no path at all
+        return
+    if is_same:
+        raise StorageError(
+            f"{os.fspath(target)} is the file to be read; expected another name for the result"
+        )
+
+
 @contextmanager
 def scratch(target: str | os.PathLike[str]) -> Iterator[Part]:
     """Give a file beside `target` for an intermediate result; it is removed when the block ends.
@@ -188,7 +211,10 @@ def _check_target(final: Path, overwrite: bool) -> None:
     if not stat.S_ISREG(mode):
         raise StorageError(f"cannot write {final}: it is not a regular file")
     if not overwrite:
-        raise StorageError(f"{final} already exists; it is left as it is")
+        raise StorageError(
+            f"{final} already exists and is left as it is;"
+            " --overwrite or overwrite=True replaces it"
+        )
 
 
 def remove_stale_parts(final: Path) -> list[Path]:
@@ -219,9 +245,13 @@ def _create_part(final: Path, created: list[Path]) -> Part:
         created.append(path)
         with storage_errors(f"cannot write {final}"):
             file = os.fdopen(os.open(path, flags, 0o666), "w+b")
-        # Another run may have taken it for a left-over before it was locked.
-        if _try_lock(file) is not _Lock.HELD_BY_OTHER and _is_still_there(path, file):
-            return Part(path, file)
+        try:
+            # Another run may have taken it for a left-over before it was locked.
+            if _try_lock(file) is not _Lock.HELD_BY_OTHER and _is_still_there(path, file):
+                return Part(path, file)
+        except BaseException:
+            file.close()
+            raise
         file.close()
         with suppress(OSError):
             os.unlink(path)
