@@ -72,6 +72,16 @@ def test_an_exception_leaves_the_target_and_removes_the_part(target, error):
     assert others(target) == []
 
 
+def test_ctrl_c_while_the_part_is_locked_leaves_nothing(tmp_path, monkeypatch):
+    def interrupted(file):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("terrainwave.container.publish._try_lock", interrupted)
+    with pytest.raises(KeyboardInterrupt), publish(tmp_path / "a.twz"):
+        pytest.fail("the block must not run")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_existing_target_is_refused_before_the_block(tmp_path):
     target = tmp_path / "a.twz"
     target.write_bytes(OLD)

@@ -234,9 +234,15 @@ def _create_part(final: Path) -> Part:
         path = final.parent / f".{final.name}.{secrets.token_hex(8)}{SUFFIX}"
         with storage_errors(f"cannot write {final}"):
             file = os.fdopen(os.open(path, flags, 0o666), "w+b")
-        # Another run may have taken it for a left-over before it was locked.
-        if _try_lock(file) is not _Lock.HELD_BY_OTHER and _is_still_there(path, file):
-            return Part(path, file)
+        try:
+            # Another run may have taken it for a left-over before it was locked.
+            if _try_lock(file) is not _Lock.HELD_BY_OTHER and _is_still_there(path, file):
+                return Part(path, file)
+        except BaseException:  # Ctrl-C, before the caller knows of the file
+            with suppress(OSError):
+                os.unlink(path)
+            file.close()
+            raise
         file.close()
         with suppress(OSError):
             os.unlink(path)
