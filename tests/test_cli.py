@@ -293,6 +293,24 @@ def test_directory_is_one_line(tmp_path, command):
     assert str(tmp_path) in one_line(run(command, tmp_path, *target), 1)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems refuse such names themselves")
+def test_a_name_that_is_no_text_is_one_line(tmp_path, dem, twz):
+    name = tmp_path / os.fsdecode(b"a\xff.tif")
+    name.write_bytes(dem.read_bytes())
+    for command, source, target in (
+        ("compress", name, tmp_path / "b.twz"),
+        ("verify", twz, name),
+        ("decompress", twz, tmp_path / os.fsdecode(b"b\xff.tif")),
+    ):
+        assert "UTF-8" in one_line(run(command, source, target), 1)
+    assert sorted(os.listdir(tmp_path)) == sorted(["dem.tif", "dem.twz", name.name])
+
+
+@pytest.mark.parametrize("url", ["http://[bad/x.twz", "http://host:port/x.twz", "http://h:99999/x"])
+def test_a_malformed_url_is_one_line(url):
+    assert "is not a URL" in one_line(run("info", url), 1)
+
+
 def test_tif_given_to_info_is_one_line(dem):
     line = one_line(run("info", dem), 1)
     assert "found a TIFF, expected a .twz file" in line
@@ -386,6 +404,12 @@ def test_wrong_window_is_wrong_usage(tmp_path, twz, option, value):
 def test_part_that_is_not_there_is_one_line(tmp_path, twz, option, value):
     one_line(run("decompress", twz, tmp_path / "a.tif", option, value), 1)
     assert not (tmp_path / "a.tif").exists()
+
+
+def test_a_nodata_value_of_400_digits_is_one_line(tmp_path, dem):
+    line = one_line(run("compress", dem, tmp_path / "b.twz", "--nodata", "9" * 400), 1)
+    assert "outside int16" in line
+    assert len(line) < 200
 
 
 def test_band_that_is_not_there_is_one_line(tmp_path, dem):
