@@ -427,6 +427,36 @@ def test_no_command_shows_the_commands():
     assert "compress" in done.stderr
 
 
+# --- output that nobody takes
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes there break differently")
+@pytest.mark.parametrize("option", [(), ("--json",)])
+def test_a_closed_pipe_ends_quietly(twz, option):
+    process = start("info", twz, *option)
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    assert process.wait(60) == 1
+    process.stderr.close()
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+@pytest.mark.parametrize("option", [(), ("--json",)])
+def test_a_full_disk_under_stdout_is_one_line(twz, option):
+    program = "import sys; from terrainwave.cli import main; main(prog_name='terrainwave')"
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", program, "info", twz, *option],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+            timeout=60,
+        )
+    assert done.stderr == "terrainwave: No space left on device\n"
+    assert done.returncode == 1
+
+
 # --- interruption ------------------------------------------------------------------------------
 
 
