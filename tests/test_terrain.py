@@ -577,6 +577,12 @@ def test_eight_threads_read_what_one_does(store_data, cache_bytes):
             np.testing.assert_array_equal(heights, HEIGHTS[row : row + 70, col : col + 70])
 
 
+@pytest.mark.parametrize("threads", [0, -1])
+def test_fewer_threads_than_one_are_refused(store_data, threads):
+    with pytest.raises(InvalidHeightsError, match="expected at least 1"):
+        Terrain(store_data, threads=threads)
+
+
 def test_a_terrain_opened_by_path_can_be_pickled(tmp_path, store_data):
     path = tmp_path / "dem.twz"
     path.write_bytes(store_data)

@@ -5,6 +5,7 @@ target heights, B codes the quadtree top down in a closed loop, C decodes the fi
 disk with the ordinary decoder and compares every sample. Memory stays flat in all of them.
 """
 
+import math
 import os
 import shutil
 import threading
@@ -73,7 +74,11 @@ class Options:
         threads: int | None,
     ) -> "Options":
         """Return the options, or raise `InvalidHeightsError` naming what was found and expected."""
-        if max_error is not None and not (np.isfinite(max_error) and max_error >= 0):
+        try:
+            bound = None if max_error is None else float(max_error)
+        except (TypeError, ValueError, OverflowError):  # text, no number, or an int too large
+            bound = math.nan
+        if bound is not None and not (math.isfinite(bound) and bound >= 0):
             raise InvalidHeightsError(f"found max_error {max_error}, expected a finite number >= 0")
         if block not in BLOCKS:
             raise InvalidHeightsError(
@@ -92,7 +97,7 @@ class Options:
         if threads is not None and threads < 1:
             raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
         return cls(
-            max_error=None if max_error is None else float(max_error),
+            max_error=bound,
             method=check_method(method),
             block=block,
             effort=EFFORTS.index(effort),
