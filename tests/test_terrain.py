@@ -224,7 +224,9 @@ def test_bounds_in_the_wrong_order_are_refused(terrain, bounds):
 
 
 @pytest.mark.parametrize("bounds", [(-np.inf, -np.inf, np.inf, np.inf), (0, 0, 1e308, 1e308)])
-@pytest.mark.parametrize("transform", [(1, 0, 0, 0, -1, 0), (1e-200, 1e200, 1e308, 3, 1e-5, -1e308)])
+@pytest.mark.parametrize(
+    "transform", [(1, 0, 0, 0, -1, 0), (1e-200, 1e200, 1e308, 3, 1e-5, -1e308)]
+)
 def test_bounds_that_cannot_be_placed_are_refused(bounds, transform):
     data = twz_bytes(HEIGHTS, max_error=0, method="store")
     with Terrain(data) as terrain:

@@ -111,7 +111,9 @@ def _average(
     total, weights = np.zeros(out_shape), np.zeros(out_shape)
     for start in range(0, region.n_rows, rows_per_band):
         stop = min(start + rows_per_band, region.n_rows)
-        heights, valid = read(0, Region(region.row + start, region.col, stop - start, region.n_cols))
+        heights, valid = read(
+            0, Region(region.row + start, region.col, stop - start, region.n_cols)
+        )
         # The output rows that the band meets, each with its part of the band.
         first = int(np.searchsorted(row_edges, start, side="right")) - 1
         last = int(np.searchsorted(row_edges, stop, side="left"))
