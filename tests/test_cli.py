@@ -412,6 +412,14 @@ def test_a_nodata_value_of_400_digits_is_one_line(tmp_path, dem):
     assert len(line) < 200
 
 
+@pytest.mark.parametrize("scale", [np.nan, np.inf, 0.0, 1e-305])
+def test_a_scale_that_gives_no_heights_is_one_line(tmp_path, scale):
+    source = write_geotiff(tmp_path / "a.tif", terrain_like(9, 9), bands={"scales": scale})
+    line = one_line(run("compress", source, tmp_path / "a.twz", "--max-error", "1e9"), 1)
+    assert "scale is" in line
+    assert os.listdir(tmp_path) == ["a.tif"]
+
+
 def test_band_that_is_not_there_is_one_line(tmp_path, dem):
     line = one_line(run("compress", dem, tmp_path / "a.twz", "--band", 4), 1)
     assert "band 4 does not exist, the file has 1 band" in line
