@@ -94,6 +94,8 @@ class Terrain:
 
     Raises
     ------
+    InvalidHeightsError
+        If `threads` is below 1.
     CorruptStreamError, UnsupportedVersionError
         If the bytes are not a .twz file this version reads.
     StorageError
@@ -107,6 +109,8 @@ class Terrain:
     def __init__(
         self, source: Any, *, cache_bytes: int = DEFAULT_CACHE_BYTES, threads: int | None = None
     ) -> None:
+        if threads is not None and threads < 1:
+            raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
         self._arguments = (source, cache_bytes, threads)
         self._source = open_source(source)
         try:
