@@ -20,6 +20,7 @@ from terrainwave.errors import (
     InvalidHeightsError,
     LimitExceededError,
     StorageError,
+    UnsupportedVersionError,
 )
 from terrainwave.quadtree import Block, Grid, Region, morton
 from terrainwave.quantum import Quantizer
@@ -116,14 +117,15 @@ class Terrain:
         try:
             self._container = Container(self._source)
             header = self._container.header
-            self._raster = RasterInfo.from_metadata(
-                {
-                    **header.metadata,
-                    "n_rows": header.n_rows,
-                    "n_cols": header.n_cols,
-                    "dtype": header.dtype,
-                }
-            )
+            if header.parameters:
+                raise UnsupportedVersionError(
+                    f"the file has parameters for method {header.method}, which this terrainwave does"
+                    " not know: install a newer one"
+                )
+            # Null means the same as a key that is missing (FORMAT.md §4.2).
+            known = {name: value for name, value in header.metadata.items() if value is not None}
+            known |= {"n_rows": header.n_rows, "n_cols": header.n_cols, "dtype": header.dtype}
+            self._raster = RasterInfo.from_metadata(known)
         except BaseException:
             self._source.close()
             raise

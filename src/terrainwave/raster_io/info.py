@@ -178,7 +178,7 @@ def fit_nodata(nodata: int | float, dtype: np.dtype[Any]) -> tuple[int | float |
     if dtype.kind == "f":
         limit = float(np.finfo(dtype).max)
         # Half an ulp above the limit still rounds to it: files write float32's with few digits.
-        if math.isfinite(value) and abs(value) > limit * (1 + 2.0**-24):
+        if math.isfinite(value) and abs(value) > limit * (1 + 2.0**-25):
             return None, f"nodata {nodata!r} is outside {dtype.name}"
         return value, None
     limits = np.iinfo(dtype)
