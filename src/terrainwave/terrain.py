@@ -119,8 +119,8 @@ class Terrain:
             header = self._container.header
             if header.parameters:
                 raise UnsupportedVersionError(
-                    f"the file has parameters for method {header.method}, which this terrainwave does"
-                    " not know: install a newer one"
+                    f"the file has parameters for method {header.method}, which this terrainwave"
+                    " does not know: install a newer one"
                 )
             # Null means the same as a key that is missing (FORMAT.md §4.2).
             known = {name: value for name, value in header.metadata.items() if value is not None}
@@ -332,6 +332,15 @@ class Terrain:
         code = self._container.codes(block)[2]
         return decode_error(code) * self._quantizer.quantum * abs(self._raster.scale)
 
+    def level_errors(self) -> list[float]:
+        """Return the largest stored error of the blocks of each level, the coarsest level first."""
+        codes = [0] * self.n_levels
+        for segment in self._container.present_segments():
+            for block, row in segment.block_rows.items():
+                codes[block.level] = max(codes[block.level], int(segment.page.codes[row, 2]))
+        unit = self._quantizer.quantum * abs(self._raster.scale)
+        return [decode_error(code) * unit for code in codes]
+
     # Heights.
 
     def read(
@@ -370,7 +379,9 @@ class Terrain:
         Returns
         -------
         heights : ndarray, shape (n_rows, n_cols)
-            A copy. On the full grid every valid sample is within `effective_error` of the original.
+            A copy. On the full grid every valid sample is within `effective_error` of the original;
+            of floats on a decimal grid (0.1, 0.01 …) this holds for the decimal numbers, and the
+            floats nearest to two of them may differ by one float spacing more.
 
         Raises
         ------
