@@ -293,6 +293,24 @@ def test_directory_is_one_line(tmp_path, command):
     assert str(tmp_path) in one_line(run(command, tmp_path, *target), 1)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems refuse such names themselves")
+def test_a_name_that_is_no_text_is_one_line(tmp_path, dem, twz):
+    name = tmp_path / os.fsdecode(b"a\xff.tif")
+    name.write_bytes(dem.read_bytes())
+    for command, source, target in (
+        ("compress", name, tmp_path / "b.twz"),
+        ("verify", twz, name),
+        ("decompress", twz, tmp_path / os.fsdecode(b"b\xff.tif")),
+    ):
+        assert "UTF-8" in one_line(run(command, source, target), 1)
+    assert sorted(os.listdir(tmp_path)) == sorted(["dem.tif", "dem.twz", name.name])
+
+
+@pytest.mark.parametrize("url", ["http://[bad/x.twz", "http://host:port/x.twz", "http://h:99999/x"])
+def test_a_malformed_url_is_one_line(url):
+    assert "is not a URL" in one_line(run("info", url), 1)
+
+
 def test_tif_given_to_info_is_one_line(dem):
     line = one_line(run("info", dem), 1)
     assert "found a TIFF, expected a .twz file" in line
@@ -388,6 +406,20 @@ def test_part_that_is_not_there_is_one_line(tmp_path, twz, option, value):
     assert not (tmp_path / "a.tif").exists()
 
 
+def test_a_nodata_value_of_400_digits_is_one_line(tmp_path, dem):
+    line = one_line(run("compress", dem, tmp_path / "b.twz", "--nodata", "9" * 400), 1)
+    assert "outside int16" in line
+    assert len(line) < 200
+
+
+@pytest.mark.parametrize("scale", [np.nan, np.inf, 0.0, 1e-305])
+def test_a_scale_that_gives_no_heights_is_one_line(tmp_path, scale):
+    source = write_geotiff(tmp_path / "a.tif", terrain_like(9, 9), bands={"scales": scale})
+    line = one_line(run("compress", source, tmp_path / "a.twz", "--max-error", "1e9"), 1)
+    assert "scale is" in line
+    assert os.listdir(tmp_path) == ["a.tif"]
+
+
 def test_band_that_is_not_there_is_one_line(tmp_path, dem):
     line = one_line(run("compress", dem, tmp_path / "a.twz", "--band", 4), 1)
     assert "band 4 does not exist, the file has 1 band" in line
@@ -401,6 +433,36 @@ def test_no_command_shows_the_commands():
     done = run()
     assert done.exit_code == 2
     assert "compress" in done.stderr
+
+
+# --- output that nobody takes
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes there break differently")
+@pytest.mark.parametrize("option", [(), ("--json",)])
+def test_a_closed_pipe_ends_quietly(twz, option):
+    process = start("info", twz, *option)
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    assert process.wait(60) == 1
+    process.stderr.close()
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+@pytest.mark.parametrize("option", [(), ("--json",)])
+def test_a_full_disk_under_stdout_is_one_line(twz, option):
+    program = "import sys; from terrainwave.cli import main; main(prog_name='terrainwave')"
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", program, "info", twz, *option],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+            timeout=60,
+        )
+    assert done.stderr == "terrainwave: No space left on device\n"
+    assert done.returncode == 1
 
 
 # --- interruption ------------------------------------------------------------------------------

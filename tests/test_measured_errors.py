@@ -94,6 +94,12 @@ def test_a_decoded_box_is_hardly_larger(box):
     assert found[1] - high <= allowed
 
 
+def test_boxes_are_rounded_as_the_format_says():
+    # (100 - 0) * 255 / 1000 = 25.5 and (1000 - 900) * 255 / 1000 = 25.5; 25 * 1000 / 255 = 98.04
+    assert encode_range(100, 900, 0, 1000) == (25, 25)
+    assert decode_range(25, 25, 0, 1000) == (98, 902)
+
+
 # In files
 
 

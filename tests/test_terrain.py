@@ -24,7 +24,8 @@ from terrainwave.errors import (
     LimitExceededError,
     StorageError,
 )
-from terrainwave.quadtree import Block, Region
+from terrainwave.quadtree import Block, Grid, Region
+from terrainwave.resample import resample
 from terrainwave.terrain import Terrain
 
 R, C = 261, 140  # three levels of blocks of 32
@@ -304,6 +305,22 @@ def test_bilinear_resampling_leaves_voids_out():
 
 
 @pytest.mark.large
+def test_averaging_to_one_sample_does_not_hold_the_window():
+    sizes = []
+
+    def read(shift, region):
+        sizes.append(region.n_rows * region.n_cols)
+        assert sizes[-1] <= 5 << 20
+        rows = np.arange(region.row, region.row + region.n_rows, dtype="int32")
+        heights = np.repeat(rows[:, None], region.n_cols, axis=1)
+        return heights, heights % 2 == 0
+
+    grid, region = Grid(16_000, 1000, 32), Region(0, 0, 16_000, 1000)
+    heights, _ = resample(read, region, (2, 1), "average", grid.k_max, grid, 1 << 30)
+    assert heights.tolist() == [[3999], [11999]]  # means of 0, 2, … 7998 and 8000, … 15998
+    assert sum(sizes) == 16_000 * 1000
+
+
 def test_averages_of_many_samples_are_numpys(terrain):
     found = terrain.read((0, 0, 260, 140), out_shape=(26, 14), resampling="average")
     means = HEIGHTS[:260].reshape(26, 10, 14, 10).mean(axis=(1, 3))
@@ -577,6 +594,12 @@ def test_eight_threads_read_what_one_does(store_data, cache_bytes):
         for window, heights in zip(windows, executor.map(terrain.read, windows)):
             row, col = window[:2]
             np.testing.assert_array_equal(heights, HEIGHTS[row : row + 70, col : col + 70])
+
+
+@pytest.mark.parametrize("threads", [0, -1])
+def test_fewer_threads_than_one_are_refused(store_data, threads):
+    with pytest.raises(InvalidHeightsError, match="expected at least 1"):
+        Terrain(store_data, threads=threads)
 
 
 def test_a_terrain_opened_by_path_can_be_pickled(tmp_path, store_data):

@@ -5,8 +5,10 @@ target heights, B codes the quadtree top down in a closed loop, C decodes the fi
 disk with the ordinary decoder and compares every sample. Memory stays flat in all of them.
 """
 
+import math
 import os
 import shutil
+import sys
 import threading
 from collections import defaultdict
 from collections.abc import Iterator
@@ -43,7 +45,10 @@ from terrainwave.terrain import EFFORTS, Terrain
 DEFAULT_MAX_ERROR = 0.01
 BLOCKS = (32, 64, 128, 256, 512, 1024)
 MESHES = ("none",)
-_OUR_FAULT = "this is a fault of terrainwave: please report it with the raster. Nothing was written"
+_OUR_FAULT = (
+    "unless the raster changed while it was read, this is a fault of terrainwave: please report it"
+    " with the raster. Nothing was written"
+)
 # Samples per side of the windows the proof compares, where groups are smaller than that.
 _PROOF_SIDE = 512
 
@@ -73,7 +78,11 @@ class Options:
         threads: int | None,
     ) -> "Options":
         """Return the options, or raise `InvalidHeightsError` naming what was found and expected."""
-        if max_error is not None and not (np.isfinite(max_error) and max_error >= 0):
+        try:
+            bound = None if max_error is None else float(max_error)
+        except (TypeError, ValueError, OverflowError):  # text, no number, or an int too large
+            bound = math.nan
+        if bound is not None and not (math.isfinite(bound) and bound >= 0):
             raise InvalidHeightsError(f"found max_error {max_error}, expected a finite number >= 0")
         if block not in BLOCKS:
             raise InvalidHeightsError(
@@ -92,7 +101,7 @@ class Options:
         if threads is not None and threads < 1:
             raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
         return cls(
-            max_error=None if max_error is None else float(max_error),
+            max_error=bound,
             method=check_method(method),
             block=block,
             effort=EFFORTS.index(effort),
@@ -200,7 +209,14 @@ def compress(
     ):
         windows, scan = _scan(source, directory, reporter)
         bound, notes = _choose_bound(options.max_error, scan, source.info)
-        quantizer = scan.quantizer(bound / _scale_of(source.info))
+        raw_bound = bound / _scale_of(source.info)
+        if raw_bound > sys.float_info.max:
+            raise InvalidHeightsError(
+                f"found max_error {float(bound):g} and a raster whose scale is"
+                f" {source.info.scale:g}, expected a max_error that is a finite number of its"
+                " stored units"
+            )
+        quantizer = scan.quantizer(raw_bound)
         grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
         job = _Job(source.info, windows, scan, quantizer, grid, options, bound, directory)
         coded = _encode(job, refiner_by_name(options.method), executor, reporter)
@@ -252,12 +268,12 @@ class _Job:
 
 
 def _scale_of(info: RasterInfo) -> Fraction:
-    scale = abs(as_fraction(info.scale))
-    if scale == 0:
+    if info.scale == 0 or not math.isfinite(info.scale):
         raise InvalidHeightsError(
-            "the raster's scale is 0: all heights would be equal; correct its metadata"
+            f"the raster's scale is {info.scale:g}, expected a finite number that is not 0: correct"
+            " its metadata"
         )
-    return scale
+    return abs(as_fraction(info.scale))
 
 
 # Pass A
@@ -556,6 +572,10 @@ def _prove(
             done += region.n_rows * region.n_cols
             n_bytes = done * np.dtype(job.info.dtype).itemsize
             reporter.report("proving", done, grid.n_rows * grid.n_cols, n_bytes)
+    if allowed > job.raw_bound:
+        # On a decimal grid the heights are multiples of p; floats name them with a spacing's error.
+        p = job.quantizer.quantum
+        largest = round(largest / p) * p
     return largest
 
 
@@ -583,7 +603,7 @@ def _compare_window(terrain: Terrain, job: _Job, region: Region, allowed: float)
         return 0.0
     errors = np.abs(decoded[valid].astype(np.float64) - raw[valid].astype(np.float64))
     largest = float(errors.max())
-    if largest > allowed:
+    if not largest <= allowed:  # a NaN is no height within the bound
         at = np.argwhere(valid)[int(errors.argmax())] + (region.row, region.col)
         raise BoundViolationError(
             f"the decoded height at row {at[0]}, column {at[1]} is {largest:g} off, more than"

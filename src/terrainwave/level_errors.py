@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from terrainwave.quadtree import Block, Region
+from terrainwave.quadtree import Region
 
 
 def level_errors(terrain: Any, kind: str) -> list[float]:
@@ -18,16 +18,7 @@ def level_errors(terrain: Any, kind: str) -> list[float]:
 
     ``"measured"`` reads the index; ``"recursive"`` decodes all levels, windows at a time.
     """
-    return _measured(terrain) if kind == "measured" else _recursive(terrain)
-
-
-def _measured(terrain: Any) -> list[float]:
-    largest = []
-    for level in range(terrain.n_levels):
-        n_rows, n_cols = terrain.grid.level_blocks(level)
-        blocks = (Block(level, row, col) for row in range(n_rows) for col in range(n_cols))
-        largest.append(max(terrain.block_error(block) for block in blocks))
-    return largest
+    return terrain.level_errors() if kind == "measured" else _recursive(terrain)
 
 
 def _recursive(terrain: Any) -> list[float]:

@@ -12,6 +12,9 @@ from terrainwave.quadtree import Grid, Region
 
 RESAMPLING = ("nearest", "bilinear", "average")
 
+# Samples that averaging holds at a time: 32 MiB of float64, several times over.
+_BAND_SAMPLES = 4 << 20
+
 # Returns heights and validity of a region of the level `shift` steps coarser than the one asked.
 ReadLevel = Callable[[int, Region], tuple[NDArray[Any], NDArray[np.bool_]]]
 
@@ -96,26 +99,30 @@ def _bilinear(
 def _average(
     read: ReadLevel, region: Region, out_shape: tuple[int, int], max_bytes: int
 ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Average in bands of output rows, so that the window is never held whole."""
+    """Average in bands of input rows, so that the window is never held whole."""
     n_rows, n_cols = out_shape
     row_edges = np.linspace(0, region.n_rows, n_rows + 1)
     col_edges = np.linspace(0, region.n_cols, n_cols + 1)
-    parts = []
-    rows_per_band = max(1, int((4 << 20) / region.n_cols / max(region.n_rows / n_rows, 1)))
     if region.n_cols * 8 > max_bytes:
         raise LimitExceededError(
             f"one row of {region.n_cols:,} samples is more than max_bytes = {max_bytes:,}"
         )
-    for first in range(0, n_rows, rows_per_band):
-        edges = row_edges[first : min(first + rows_per_band, n_rows) + 1]
-        start, stop = math.floor(edges[0]), min(math.ceil(edges[-1]), region.n_rows)
-        band = Region(region.row + start, region.col, stop - start, region.n_cols)
-        heights, valid = read(0, band)
+    rows_per_band = max(1, _BAND_SAMPLES // max(region.n_cols, n_cols))
+    total, weights = np.zeros(out_shape), np.zeros(out_shape)
+    for start in range(0, region.n_rows, rows_per_band):
+        stop = min(start + rows_per_band, region.n_rows)
+        heights, valid = read(
+            0, Region(region.row + start, region.col, stop - start, region.n_cols)
+        )
+        # The output rows that the band meets, each with its part of the band.
+        first = int(np.searchsorted(row_edges, start, side="right")) - 1
+        last = int(np.searchsorted(row_edges, stop, side="left"))
+        edges = np.clip(row_edges[first : last + 1], start, stop) - start
         known = np.where(valid, heights, 0).astype(np.float64)
-        total = _integrate(edges - start, _integrate(col_edges, known.T).T)
-        weights = _integrate(edges - start, _integrate(col_edges, valid.T.astype(np.float64)).T)
-        parts.append(_weighted(total, weights, heights.dtype))
-    return np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts])
+        total[first:last] += _integrate(edges, _integrate(col_edges, known.T).T)
+        known = valid.astype(np.float64)
+        weights[first:last] += _integrate(edges, _integrate(col_edges, known.T).T)
+    return _weighted(total, weights, heights.dtype)
 
 
 def _integrate(edges: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:

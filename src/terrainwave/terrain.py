@@ -20,6 +20,7 @@ from terrainwave.errors import (
     InvalidHeightsError,
     LimitExceededError,
     StorageError,
+    UnsupportedVersionError,
 )
 from terrainwave.quadtree import Block, Grid, Region, morton
 from terrainwave.quantum import Quantizer
@@ -94,6 +95,8 @@ class Terrain:
 
     Raises
     ------
+    InvalidHeightsError
+        If `threads` is below 1.
     CorruptStreamError, UnsupportedVersionError
         If the bytes are not a .twz file this version reads.
     StorageError
@@ -107,19 +110,22 @@ class Terrain:
     def __init__(
         self, source: Any, *, cache_bytes: int = DEFAULT_CACHE_BYTES, threads: int | None = None
     ) -> None:
+        if threads is not None and threads < 1:
+            raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
         self._arguments = (source, cache_bytes, threads)
         self._source = open_source(source)
         try:
             self._container = Container(self._source)
             header = self._container.header
-            self._raster = RasterInfo.from_metadata(
-                {
-                    **header.metadata,
-                    "n_rows": header.n_rows,
-                    "n_cols": header.n_cols,
-                    "dtype": header.dtype,
-                }
-            )
+            if header.parameters:
+                raise UnsupportedVersionError(
+                    f"the file has parameters for method {header.method}, which this terrainwave"
+                    " does not know: install a newer one"
+                )
+            # Null means the same as a key that is missing (FORMAT.md §4.2).
+            known = {name: value for name, value in header.metadata.items() if value is not None}
+            known |= {"n_rows": header.n_rows, "n_cols": header.n_cols, "dtype": header.dtype}
+            self._raster = RasterInfo.from_metadata(known)
         except BaseException:
             self._source.close()
             raise
@@ -326,6 +332,15 @@ class Terrain:
         code = self._container.codes(block)[2]
         return decode_error(code) * self._quantizer.quantum * abs(self._raster.scale)
 
+    def level_errors(self) -> list[float]:
+        """Return the largest stored error of the blocks of each level, the coarsest level first."""
+        codes = [0] * self.n_levels
+        for segment in self._container.present_segments():
+            for block, row in segment.block_rows.items():
+                codes[block.level] = max(codes[block.level], int(segment.page.codes[row, 2]))
+        unit = self._quantizer.quantum * abs(self._raster.scale)
+        return [decode_error(code) * unit for code in codes]
+
     # Heights.
 
     def read(
@@ -364,7 +379,9 @@ class Terrain:
         Returns
         -------
         heights : ndarray, shape (n_rows, n_cols)
-            A copy. On the full grid every valid sample is within `effective_error` of the original.
+            A copy. On the full grid every valid sample is within `effective_error` of the original;
+            of floats on a decimal grid (0.1, 0.01 …) this holds for the decimal numbers, and the
+            floats nearest to two of them may differ by one float spacing more.
 
         Raises
         ------
@@ -483,8 +500,20 @@ class Terrain:
             return  # what lies below cannot be decoded either
         blocks = [Block(0, key.row, key.col)] if key.level < 0 else self._grid.children(key)
         for block in blocks:
-            if block.level < self._grid.k_max:
+            if block.level < self._grid.k_max and not self._is_absent(block):
                 yield from self._check_below(block)
+
+    def _is_absent(self, block: Block) -> bool:
+        """Say whether `block` heads a segment that is left out: all below it is void.
+
+        A file of a few hundred bytes may claim 2^50 void samples.
+        """
+        if self._grid.segment_head(block) != block:
+            return False
+        try:
+            return self._container.segment(block).page.is_empty
+        except CorruptStreamError:
+            return False  # its units will say so
 
     def _bounds_region(self, bounds: Sequence[float], level: int) -> Region:
         left, bottom, right, top = (float(value) for value in bounds)

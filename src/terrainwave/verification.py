@@ -175,6 +175,10 @@ def _open_original(path: str | os.PathLike[str]) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             return rasterio.open(path)
+    except UnicodeEncodeError as error:
+        raise StorageError(
+            f"{path}: the name is not UTF-8, which GDAL expects; rename the file"
+        ) from error
     except RasterioIOError as error:
         if "://" not in os.fspath(path) and not os.path.exists(path):
             raise StorageError(f"{path}: no such file") from error

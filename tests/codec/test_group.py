@@ -280,3 +280,27 @@ def test_exceptions_without_collisions_are_rejected():
     spec, payload = small_unit("store")
     lenient = dataclasses.replace(spec, forbidden=(0, -1))
     assert "0 heights equal nodata" in str(outcome("store", lenient, payload))
+
+
+# What an encoder never writes
+
+
+def test_a_payload_for_a_unit_without_valid_samples_is_corrupt():
+    from terrainwave.codec.maskcoder import encode_mask
+    from terrainwave.codec.varint import encode_varint
+
+    spec = root_spec(2, 2)
+    nothing = np.zeros((2, 2), dtype=bool)
+    section = encode_mask(nothing, nothing)
+    payload = bytes([1]) + encode_varint(len(section)) + section
+    with pytest.raises(CorruptStreamError, match="without a valid sample"):
+        decode_unit(STORE, spec, None, payload)
+
+
+def test_a_one_in_the_filling_of_the_exceptions_is_corrupt():
+    # Step 3 on heights 1 … 5: index 1 decodes to 5 = nodata, once; the original 4 lies below.
+    spec = root_spec(1, 2, step=3, z_min=1, z_max=6, forbidden=(5, 5))
+    payload, _ = round_trip(spec, [[4, 2]], valid_everywhere(spec))
+    assert payload[:3] == bytes([2, 1, 0x80])  # one exception section of one bit
+    with pytest.raises(CorruptStreamError, match="not filled with 0"):
+        decode_unit(STORE, spec, None, payload[:2] + b"\x81" + payload[3:])

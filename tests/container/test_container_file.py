@@ -11,7 +11,6 @@ from container.toys import (
     read_everything,
     toy_codes,
     toy_file,
-    toy_flags,
     toy_header,
     toy_payload,
     toy_spools,
@@ -296,14 +295,6 @@ def test_a_payload_of_another_segment_is_refused(tmp_path):
     spools[None].add(Block(3, 0, 0), b"x", 0, bytes(16))
     with pytest.raises(ValueError, match="does not belong"):
         assembled(header, spools)
-
-
-def test_flags_come_back_for_every_value():
-    header = toy_header(2000, 1999)
-    container = open_container(toy_file(header))
-    keys = header.grid.blocks(3)
-    assert {container.flags(key) for key in keys} >= set(range(1, 60))
-    assert all(container.flags(key) == toy_flags(key) for key in keys)
 
 
 def test_grid_of_the_container_is_that_of_the_header():

@@ -16,7 +16,7 @@ from terrainwave.container.page import (
     root_key,
     unpack_page,
 )
-from terrainwave.errors import CorruptStreamError, TerrainwaveError
+from terrainwave.errors import CorruptStreamError, TerrainwaveError, UnsupportedVersionError
 from terrainwave.quadtree import Block, Grid
 
 GRID = Grid(2000, 1999, 32)  # k_max = 4: sixteen roots, each the head of a segment
@@ -41,7 +41,6 @@ def filled_page(layout, seed=1):
         payload_crcs=crcs(lengths),
         mesh_lengths=meshes.astype(np.uint32),
         mesh_crcs=crcs(meshes),
-        flags=rng.integers(0, 256, n_keys, dtype=np.uint8),
         codes=rng.integers(0, 256, (n_blocks, 4), dtype=np.uint8),
         child_page_lengths=page_lengths.astype(np.uint32),
         child_lengths=(page_lengths + rng.integers(0, 2**40, n_children)).astype(np.uint64),
@@ -206,3 +205,10 @@ def test_any_columns_under_a_right_checksum_give_a_page_or_our_own_error():
         except TerrainwaveError:
             continue
         assert len(page.flags) == len(TOP.keys)
+
+
+def test_flags_are_for_a_later_version():
+    layout = page_layout(Grid(100, 100, 32), None)
+    page = replace(filled_page(layout), flags=np.full(len(layout.keys), 1, dtype=np.uint8))
+    with pytest.raises(UnsupportedVersionError, match="flags"):
+        unpack_page(packed(page), layout, "the page")

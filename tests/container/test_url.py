@@ -131,7 +131,6 @@ def test_the_largest_top_page_opens_with_two_requests_and_64_kib(server):
     assert (len(layout.keys), len(layout.blocks), len(layout.children)) == (352, 1360, 1024)
     page = empty_page(layout)
     rng = np.random.default_rng(1)
-    page.flags[:] = rng.integers(0, 256, 352)
     page.codes[:] = rng.integers(0, 256, (1360, 4))
     page.payload_lengths[:] = 1
     page.payload_crcs[:] = rng.integers(0, 2**32, 352)

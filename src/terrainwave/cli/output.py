@@ -4,6 +4,7 @@ Strings may come from untrusted files. `plain` takes the control characters out 
 printed, and tables hold rich's `Text`, in which markup means nothing.
 """
 
+import os
 import sys
 import unicodedata
 import warnings
@@ -106,9 +107,22 @@ class Commands(click.Group):
         except TerrainwaveError as error:
             print_error(error)
             sys.exit(1)
+        except OSError as error:  # of stdout: the library's are TerrainwaveErrors
+            _discard_stdout()
+            if not isinstance(error, BrokenPipeError):  # head has seen enough
+                print_error(error.strerror or error)
+            sys.exit(1)
         except MemoryError:
             print_error("out of memory; try --threads 1, a smaller --block or a smaller --window")
             sys.exit(1)
+
+
+def _discard_stdout() -> None:
+    """Send what stdout still holds nowhere: Python would try to write it again at its end."""
+    with suppress(OSError, ValueError):
+        handle = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(handle, sys.stdout.fileno())
+        os.close(handle)
 
 
 class Bar:

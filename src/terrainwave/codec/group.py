@@ -72,6 +72,8 @@ def decode_unit(
     if flags & MASK_CODED:
         section, byte_pos = _read_section(payload, byte_pos)
         mask = decode_mask(section, ~mask)
+    if not mask.any():
+        raise CorruptStreamError("a unit without a valid sample has a payload")
     exceptions = b""
     if flags & _HAS_EXCEPTIONS:
         exceptions, byte_pos = _read_section(payload, byte_pos)
@@ -143,6 +145,8 @@ def _decode_exceptions(section: bytes, n_collisions: int) -> NDArray[np.bool_]:
             " present"
         )
     bits = np.unpackbits(np.frombuffer(section, dtype=np.uint8))
+    if bits[n_collisions:].any():
+        raise CorruptStreamError("the last byte of the exceptions is not filled with 0")
     return bits[:n_collisions].astype(np.bool_)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from terrainwave.container.deflate import deflate, inflate
 from terrainwave.container.header import MAX_PAGE
-from terrainwave.errors import CorruptStreamError
+from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 from terrainwave.quadtree import SEGMENT_LEVELS, Block, Grid
 
 ROOT_LEVEL = -1
@@ -202,6 +202,8 @@ def unpack_page(data: bytes, layout: PageLayout, name: str) -> Page:
 
 
 def _check(page: Page, name: str) -> None:
+    if page.flags.any():
+        raise UnsupportedVersionError(f"{name} has flags that this version does not know")
     for kind, lengths, crcs in (
         ("payload", page.payload_lengths, page.payload_crcs),
         ("mesh", page.mesh_lengths, page.mesh_crcs),

@@ -202,6 +202,18 @@ class Container:
             return self.grid.segment_head(key)
         raise KeyError(f"the grid has no {describe_key(key)}")
 
+    def present_segments(self) -> Iterator[Segment]:
+        """Yield the index of every segment that takes bytes, parents first.
+
+        A file of some hundred bytes may claim 2^50 void samples: walk this, not the grid.
+        """
+        waiting: list[Block | None] = [None]
+        while waiting:
+            segment = self.segment(waiting.pop())
+            yield segment
+            children = segment.layout.children
+            waiting += [child for child in children if segment.child_range(child).length]
+
     # Payloads
 
     def payload(self, key: Block) -> bytes:

@@ -38,11 +38,16 @@ _CONTENT_RANGE = re.compile(r"bytes (?:(\d{1,18})-(\d{1,18})|\*)/(\d{1,18})")
 
 def open_url(url: str) -> ByteSource:
     """Return the source of a URL; raise `StorageError` if it cannot be read by ranges."""
-    scheme = urlsplit(url).scheme.lower()
+    try:
+        parts = urlsplit(url)
+        _ = parts.port  # looked at only when it is asked for
+    except ValueError as error:
+        raise StorageError(f"{url} is not a URL: {error}") from error
+    scheme = parts.scheme.lower()
     if scheme in ("http", "https"):
         return HttpSource(url)
     if scheme == "file":
-        return FileSource(urllib.request.url2pathname(urlsplit(url).path))
+        return FileSource(urllib.request.url2pathname(parts.path))
     return FsspecSource(url)
 
 

@@ -39,6 +39,10 @@ def open_dataset(path: str) -> Any:
         with bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             dataset = rasterio.open(path)
+    except UnicodeEncodeError as error:  # bytes of a name that are no text
+        raise StorageError(
+            f"{path}: the name is not UTF-8, which GDAL expects; rename the file"
+        ) from error
     except RasterioIOError as error:
         if is_local and local.is_dir():
             raise StorageError(f"{path} is a directory; expected a raster file") from error

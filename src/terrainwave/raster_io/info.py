@@ -171,11 +171,14 @@ def _optional_text(value: Any) -> str | None:
 
 def fit_nodata(nodata: int | float, dtype: np.dtype[Any]) -> tuple[int | float | None, str | None]:
     """Return `nodata` as a value that `dtype` can hold, or None and the reason why it can't."""
-    if dtype.kind == "f":
+    try:
         value = float(nodata)
+    except OverflowError:  # an int of more than 308 digits
+        return None, f"nodata {str(nodata)[:20]}… is outside {dtype.name}"
+    if dtype.kind == "f":
         limit = float(np.finfo(dtype).max)
         # Half an ulp above the limit still rounds to it: files write float32's with few digits.
-        if math.isfinite(value) and abs(value) > limit * (1 + 2.0**-24):
+        if math.isfinite(value) and abs(value) > limit * (1 + 2.0**-25):
             return None, f"nodata {nodata!r} is outside {dtype.name}"
         return value, None
     limits = np.iinfo(dtype)

@@ -89,6 +89,11 @@ class RasterSink:
             self._part = files.enter_context(scratch(path)).path if cog else self._target
             try:
                 self._dataset = self._create()
+            except UnicodeEncodeError as error:
+                raise StorageError(
+                    f"cannot write {self._path}: the name is not UTF-8, which GDAL expects;"
+                    " choose another name"
+                ) from error
             except GDAL_ERRORS as error:
                 raise self._cannot_write(error) from error
             self._files = files.pop_all()

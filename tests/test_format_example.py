@@ -1,0 +1,175 @@
+"""The worked example of docs/FORMAT.md §9: its bytes mean what it says, and are what we write."""
+
+import json
+import re
+import zlib
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+import reference_decoder
+from reference_decoder import NAMES, decode, decode_units, read_file
+from twz import twz_bytes
+
+import terrainwave
+
+DOCUMENT = (Path(__file__).parents[1] / "docs" / "FORMAT.md").read_text(encoding="utf-8")
+ROOT_KEY = (-1, 0, 0)
+
+
+def section(number):
+    return re.search(rf"^### {re.escape(number)} .*?(?=^##)", DOCUMENT, re.M | re.S)[0]
+
+
+def rows(number):
+    """Return (bytes, meaning) of the rows of a section's table, checking the offsets."""
+    found = []
+    offset = 0
+    for start, text, meaning in re.findall(
+        r"^\| (\d+) \| ([0-9a-f]{2}(?: [0-9a-f]{2})*) \| (.+) \|$", section(number), re.M
+    ):
+        assert int(start) == offset
+        found.append((bytes.fromhex(text), meaning))
+        offset += len(found[-1][0])
+    return found
+
+
+def hexdump(number):
+    return b"".join(data for data, _ in rows(number))
+
+
+def grid(name):
+    """Return the numbers of a fenced block; 0 where it has a dot."""
+    text = re.search(rf"^```{name}\n(.*?)^```", DOCUMENT, re.M | re.S)[1]
+    return np.array(
+        [[int(cell.replace("·", "0")) for cell in line.split()] for line in text.splitlines()]
+    )
+
+
+FILE = hexdump("9.2")
+HEIGHTS, DECODED = grid("heights"), grid("decoded")
+
+
+def encoded(method):
+    return twz_bytes(HEIGHTS.astype("int16"), max_error=1, nodata=-1, method=method)
+
+
+def page_of(data):
+    """Return first_child and the inflated columns of the top page."""
+    header = read_file(data).header
+    start = 128 + header.metadata_length
+    page = data[start : start + header.top_page_length]
+    return page[4:12], zlib.decompress(page[12:])
+
+
+def test_library_and_reference_decode_the_file_to_the_stated_heights():
+    with terrainwave.open(FILE) as terrain:
+        assert list(terrain.check()) == []
+        heights, valid = terrain.read_with_mask()
+    assert heights.dtype == np.int16
+    for found, mask in ((heights, valid), decode(FILE)):
+        np.testing.assert_array_equal(found, DECODED)
+        np.testing.assert_array_equal(mask, grid("mask"))
+    assert abs(DECODED - HEIGHTS).max() == 1
+
+
+def test_encoding_the_raster_gives_the_content_of_the_example():
+    expected, found = read_file(FILE), read_file(encoded("cdf97"))
+    # Deflated bytes, and what depends on them, differ between implementations of zlib.
+    deflated = {"file_size", "metadata_length", "metadata_crc", "top_page_length", "header_crc"}
+    for name in set(NAMES) - deflated:
+        assert getattr(found.header, name) == getattr(expected.header, name), name
+    assert found.metadata | {"software": ""} == expected.metadata | {"software": ""}
+    assert page_of(encoded("cdf97")) == page_of(FILE)
+    assert found.payloads == expected.payloads
+
+
+def test_rows_of_the_file_are_the_fields_of_the_header():
+    header = read_file(FILE).header
+    n_fields = 0
+    for (_, meaning), name in zip(rows("9.2"), NAMES, strict=False):
+        if meaning.split()[0] == name and name not in ("magic", "padding", "tail", "reserved"):
+            number = re.search(r"(?:0x[0-9A-F]+|−?[\d.]+)$|(?<= )−?\d+(?=:)", meaning)
+            value = (
+                float(number[0].replace("−", "-")) if "x" not in number[0] else int(number[0], 16)
+            )
+            assert value == getattr(header, name), meaning
+            n_fields += 1
+    assert n_fields == 25
+
+
+def test_deflated_sections_inflate_to_the_stated_content():
+    header = read_file(FILE).header
+    text = zlib.decompress(FILE[128 : 128 + header.metadata_length]).decode()
+    assert text == re.search(r"^```json\n(.*?)\n```", section("9.3"), re.M | re.S)[1]
+    assert json.loads(text).keys() == {"mask_kind", "nodata", "software"}
+    assert page_of(FILE) == (bytes(8), hexdump("9.4"))
+
+
+def test_the_range_coder_has_the_stated_states_in_the_mask():
+    states = []
+
+    class Recorder(reference_decoder.RangeDecoder):
+        def bit(self, models, i):
+            bit = super().bit(models, i)
+            states.append((i, bit, self.range, self.code, self.position))
+            return bit
+
+    section_bytes = next(
+        data for data, meaning in rows("9.2") if meaning.startswith("mask section")
+    )
+    with patch.object(reference_decoder, "RangeDecoder", Recorder):
+        reference_decoder.decode_mask(section_bytes, [[False] * 5 for _ in range(5)])
+    table = re.findall(r"^\| (\d), (\d) \| (.*) \|$", section("9.5"), re.M)
+    assert len(table) == 5
+    for row, col, cells in table:
+        assert states[5 * int(row) + int(col)] == tuple(map(int, cells.split(" | ")))
+
+
+def test_coefficients_details_and_residuals_are_the_stated_ones():
+    steps = []
+
+    def recording(name):
+        function = getattr(reference_decoder, name)
+
+        def wrapper(*args):
+            steps.append((args, function(*args)))
+            return steps[-1][1]
+
+        return patch.object(reference_decoder, name, wrapper)
+
+    with recording("decode_coefficients"), recording("inverse_transform"):
+        ((_, quanta, valid),) = decode_units(read_file(FILE), 0)
+    (_, (ll, coefficients, _)), ((low, _, _), field) = steps
+    rows = re.findall(
+        r"^\| (\d) \| \d × \d \| (.*) \| (.*) \| (.*) \| (.*) \|$", section("9.6"), re.M
+    )
+    assert [row[0] for row in rows] == ["2", "1", "0"]
+    for t, stated_ll, *bands in rows:
+        if stated_ll:
+            assert stated_ll.startswith(f"{ll} ".replace("-", "−"))
+        for band, cell in zip(("HL", "LH", "HH"), bands, strict=True):
+            stated = [
+                int(n)
+                for n in re.sub(r"\(\d+\)", "", cell).replace("−", "-").split(",")
+                if n.strip()
+            ]
+            found = np.array(coefficients[int(t)][band]).ravel().tolist()
+            assert [q for q in found if q] == [q for q in stated if q]
+    assert f"LL stands for {low}".replace("-", "−") in section("9.6")
+    detail = (np.array(field) + 32) >> 6
+    np.testing.assert_array_equal(detail, grid("detail"))
+    unclipped = (detail + 3 * grid("residuals"))[np.array(valid) == 1]
+    quanta = np.array(quanta)
+    np.testing.assert_array_equal(np.clip(unclipped, -36, 36), quanta[np.array(valid) == 1])
+    np.testing.assert_array_equal(np.where(valid, quanta + 320, -1), DECODED)
+
+
+@pytest.mark.parametrize("decoder", ["library", "reference"])
+def test_the_payload_of_method_store_is_the_stated_one(decoder):
+    data = encoded("store")
+    assert read_file(data).payloads == {ROOT_KEY: hexdump("9.7")}
+    with terrainwave.open(data) as terrain:
+        found = terrain.read() if decoder == "library" else decode(data)[0]
+    np.testing.assert_array_equal(found, grid("store"))
