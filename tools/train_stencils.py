@@ -2,8 +2,8 @@
 
     python tools/train_stencils.py DIR MODULE.py [--leave-out NAME]
 
-Three stages, each from what the earlier ones give: stencil sets (clusters of least-squares fits over
-rasters, bounds and levels), weights of the expected magnitude (non-negative fits to the details
+Three stages, each from what the earlier ones give: stencil sets (clusters of least-squares fits
+over rasters, bounds and levels), weights of the expected magnitude (non-negative fits to details
 the encoder really makes), start values of the models (what they adapt to). Needs scipy. The result
 is a module like `terrainwave.codec.tables`; tables in use are never edited.
 """
@@ -23,6 +23,7 @@ from terrainwave.codec import lattice, nested, predictive, tables
 from terrainwave.codec.border import N_BORDER_MODELS
 from terrainwave.codec.detail import N_DETAIL_MODELS
 from terrainwave.codec.lattice import CORES, TAPS
+from terrainwave.codec.refiner import Decoded
 from terrainwave.codec.units import (
     CodecParameters,
     block_of_unit,
@@ -30,9 +31,8 @@ from terrainwave.codec.units import (
     unit_blocks,
     unit_spec,
 )
-from terrainwave.codec.refiner import Decoded
 from terrainwave.coding.rangecoder import new_models
-from terrainwave.quadtree import Grid, Region
+from terrainwave.quadtree import Grid
 
 SIDE = 1025
 BOUNDS = (0, 1, 3, 10)
@@ -170,7 +170,8 @@ def to_integers(pass_, solution):
     places = [taps.index(tuple(core)) for core in CORES[pass_]]
     for i, place in enumerate(places):
         weights[place] += (rest * (i + 1) >> 2) - (rest * i >> 2)
-    assert weights.sum() == 4096 and np.abs(weights).max() < 1 << 15
+    assert weights.sum() == 4096
+    assert np.abs(weights).max() < 1 << 15
     return weights
 
 
@@ -187,7 +188,7 @@ class Recorder:
 
     def code_pass(self, *args):
         """Stand in for `nested.code_pass`."""
-        target, kinds, planes, errors, activity, bends, own, geometry, weights = args[:9]
+        kinds, own, geometry = args[1], args[6], args[7]
         _REAL_PASS(*args)
         if self.keep_passes and kinds.size > 256:
             self.passes.append((own, geometry, *features_of(args), args[12]))
@@ -227,7 +228,7 @@ class Recorder:
 
 def features_of(args):
     """Return (features, |detail|) of the coded samples of a pass, in steps."""
-    target, kinds, planes, errors, activity, bends, own, geometry, weights = args[:9]
+    kinds, planes, errors, activity, bends, own, geometry, weights = args[1:9]
     clamp, step = args[11], args[12]
     n_rows, n_cols = kinds.shape
     pad = lattice.PAD
@@ -260,7 +261,7 @@ def features_of(args):
     features[nested.F_MEAN] = np.abs(value - mean) / step
     if clamp:
         value = np.clip(value, core[0], core[3])
-    for p, r, q in geometry.bends:
+    for _, r, q in geometry.bends:
         features[nested.F_BEND] += shifted(bends, r, q) / step
     features[nested.F_RANGE] = (core[3] - core[0]) / step
     features[nested.F_MEDIAN] = np.abs((core[1] + core[2]) / 2 - value) / step

@@ -276,11 +276,11 @@ def arrangement(n_rows, n_cols, block, rings, step):
 def test_neighbours_decode_the_same_bits_in_any_order(size, rings, has_voids):
     grid, levels, spec_of = arrangement(*size, 8, rings, 5)
     rng = np.random.default_rng(11)
-    above = None
+    above = above_mask = None
     for level in range(grid.k_max + 1):
         target = levels[level]
         mask = rng.random(target.shape) < 0.7 if has_voids else np.ones(target.shape, dtype=bool)
-        if has_voids and above is not None:
+        if has_voids and above_mask is not None:
             mask[::2, ::2] &= above_mask  # a sample valid here was valid there
         whole = Region(0, 0, *target.shape)
         decoded = np.zeros(target.shape, dtype=np.int32)

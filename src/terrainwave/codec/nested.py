@@ -26,7 +26,6 @@ from terrainwave.codec.lattice import PAD, WEIGHT_BITS
 from terrainwave.coding.filters import MAX_HEIGHT
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
-    CODE,
     LOW,
     RANGE,
     decode_mean_step,
@@ -47,7 +46,8 @@ _INVERSE_BITS = 22
 # Features of the expected magnitude, weights in 1/512. Errors of prediction in steps: western
 # neighbours; the row above; sums over near and far known ones of this lattice. Distances in quanta,
 # taken in steps: curvature of the coarse samples, range of the core, its median's and mid-range's
-# distance to the prediction, second and third differences, the mean's distance. A constant, 1/16384.
+# distance to the prediction, second and third differences, the mean's distance. A constant,
+# 1/16384.
 (F_W, F_WW, F_N, F_NW, F_NE, F_NN, F_NEAR, F_FAR) = range(8)
 (F_BEND, F_RANGE, F_MEDIAN, F_MIDDLE, F_TWIST, F_LINES, F_MEAN, F_CONST) = range(8, 16)
 F_ACTIVITY, F_OTHERS = 16, 17
@@ -201,8 +201,8 @@ def _update_activity(errors, before, n_cols, after):
 
 @kernel
 def code_pass(
-    target, kinds, planes, errors, activity, bends, own, geometry, weights, e_weights, mixed, clamp, step,
-    z_min, z_max, rows, spots, state, stream, models,
+    target, kinds, planes, errors, activity, bends, own, geometry, weights, e_weights, mixed,
+    clamp, step, z_min, z_max, rows, spots, state, stream, models,
 ):  # fmt: skip
     """Encode a plane of `target`, or decode it where that is None, into ``planes[own]``.
 
@@ -386,10 +386,9 @@ def code_pass(
 
 @kernel
 def open_loop_cost(target, kinds, planes, own, geometry, weights, step, every, rows):
-    """Return how well a stencil predicts every `every`-th row of `target`, the mean detail, how many.
+    """Return the cost of some rows, their mean detail, and how many samples that are.
 
-    The first in about 1/16 bit, the second in 1/256.
-
+    Every `every`-th row of `target` is looked at; the cost is in about 1/16 bit, the mean in 1/256.
     Own-pass taps see the targets with noise like that of quantising: ``planes[own]`` holds them.
     """
     n_rows, n_cols = target.shape
