@@ -366,7 +366,7 @@ def code_nested_border(
         prediction = total + int(parent[r1, c1]) + 2 >> 2
         is_coded = bool(mask[row, col]) and bool(r & 1 or c & 1)
         heights[row, col] = _code_corner(
-            encoding, prediction, source[row, col], is_coded, False, spec.step, state, stream,
+            encoding, prediction, int(source[row, col]), is_coded, False, spec.step, state, stream,
             models,
         )  # fmt: skip
         is_known[row, col] = True
@@ -443,7 +443,15 @@ def code_root_border(
     source = heights if target is None else target
     for row, col in plan.corners:
         heights[row, col] = _code_corner(
-            encoding, 0, source[row, col], mask[row, col], True, spec.step, state, stream, models
+            encoding,
+            0,
+            int(source[row, col]),
+            mask[row, col],
+            True,
+            spec.step,
+            state,
+            stream,
+            models,
         )
         is_known[row, col] = True
     for line in plan.lines:

@@ -192,7 +192,7 @@ def _code_corners(
     for row in range(0, inner.shape[0], stride):
         for col in range(0, inner.shape[1], stride):
             if kinds[row, col] != KNOWN:
-                value = 0 if goal is None else goal[row, col]
+                value = 0 if goal is None else int(goal[row, col])
                 inner[row, col] = _code_corner(
                     coder.encoding, 0, value, kinds[row, col] == CODED, True, step, coder.state,
                     coder.stream, coder.border_models,
