@@ -161,7 +161,7 @@ def compress(
         Largest allowed error in physical units (after scale and offset); >= 0, closed. By default
         0 (lossless) where the heights have a vertical quantum and 0.01 where they don't.
     method : str
-        ``"cdf97"``, ``"store"`` or ``"auto"``.
+        ``"predictive"``, ``"cdf97"``, ``"store"`` or ``"auto"`` (predictive, the smallest).
     block : int
         Cells per side of a block: 32, 64, … 1024.
     effort : str

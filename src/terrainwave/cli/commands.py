@@ -24,7 +24,7 @@ from terrainwave.cli.output import (
 )
 
 THREADS = click.IntRange(min=1)
-METHODS = click.Choice(["auto", "cdf97", "store"])
+METHODS = click.Choice(["auto", "predictive", "cdf97", "store"])
 EFFORTS = ["fast", "default", "best"]
 
 

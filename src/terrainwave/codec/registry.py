@@ -3,8 +3,8 @@
 from terrainwave.codec.refiner import Refiner
 from terrainwave.errors import InvalidHeightsError, UnsupportedVersionError
 
-METHODS = ("cdf97", "predictive", "store")
-DEFAULT_METHOD = "cdf97"
+METHODS = ("predictive", "cdf97", "store")
+DEFAULT_METHOD = "predictive"
 
 
 def refiner_by_name(name: str) -> Refiner:
