@@ -16,7 +16,8 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 DOCUMENTS = ("README.md", "docs/benchmarks.md")
-OURS = "terrainwave-cdf97"
+CDF97 = "terrainwave-cdf97"
+PREDICTIVE = "terrainwave-predictive"
 
 Rows = list[dict[str, str]]
 
@@ -40,6 +41,65 @@ def cases(rows: Rows) -> dict[tuple[str, str], dict[str, dict[str, str]]]:
     return found
 
 
+def compared() -> list[tuple[str, float, float, float, str, float]]:
+    """Return (raster, bound, ours, best peer, its name, COG) in bits per sample for each case.
+
+    Bounds below 1 are for floats only: on whole metres they are lossless once more.
+    """
+    peers = cases(read_rows("peers"))
+    found = []
+    for (raster, bound), by_codec in cases(read_rows("predictive")).items():
+        row = by_codec[PREDICTIVE]
+        if row["dtype"].startswith("int") and 0 < float(bound) < 1:
+            continue
+        others = {
+            name: float(other["bits_per_sample"])
+            for name, other in peers[raster, bound].items()
+            if other["bits_per_sample"] and not other["problem"]
+        }
+        cog = others.pop("cog-overviews")
+        best = min(others, key=lambda name: others[name])
+        bits = float(row["bits_per_sample"])
+        found.append((raster, float(bound), bits, others[best], best, cog))
+    return found
+
+
+def cases_table() -> str:
+    """Return every case of the default method beside its best peer."""
+    lines = [
+        "| raster | bound, m | terrainwave | best peer | ratio | COG LERC_ZSTD, overviews |",
+        "|---|---|---|---|---|---|",
+    ]
+    for raster, bound, bits, peer, name, cog in compared():
+        lines.append(
+            f"| {raster} | {bound:g} | {bits:.3f} | {peer:.3f} ({name}) | {bits / peer:.3f} |"
+            f" {cog:.3f} |"
+        )
+    return "\n".join(lines)
+
+
+def summary_table() -> str:
+    """Return geometric means of size / best peer over groups of cases."""
+    rows = compared()
+    groups = {
+        "all cases": rows,
+        "lossless": [row for row in rows if row[1] == 0],
+        "best peer below 1 bit/sample": [row for row in rows if row[3] < 1],
+    }
+    lines = [
+        "| cases | number | size / best peer, geometric mean | largest | size / COG LERC_ZSTD |",
+        "|---|---|---|---|---|",
+    ]
+    for name, group in groups.items():
+        ratios = [row[2] / row[3] for row in group]
+        to_cog = [row[2] / row[5] for row in group]
+        lines.append(
+            f"| {name} | {len(group)} | {geometric_mean(ratios):.3f} | {max(ratios):.3f} |"
+            f" {geometric_mean(to_cog):.3f} |"
+        )
+    return "\n".join(lines)
+
+
 def sizes_table() -> str:
     """Return bits per sample of each codec and the ratios that the project aims at."""
     lines = [
@@ -49,7 +109,7 @@ def sizes_table() -> str:
     ]
     to_peer, to_cog = [], []
     for (raster, bound), by_codec in cases(read_rows("cdf97")).items():
-        ours = by_codec[OURS]
+        ours = by_codec[CDF97]
         peers = {name: row for name, row in by_codec.items() if name.startswith(("sperr", "sz3"))}
         best = min(peers, key=lambda name: float(peers[name]["bits_per_sample"]))
         bits = [
@@ -77,14 +137,19 @@ def speeds_table() -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     for (raster, bound), by_codec in cases(read_rows("cdf97")).items():
-        encode = [float(by_codec[name]["encode_speed"]) for name in (OURS, "sperr", "sz3")]
-        decode = [float(by_codec[name]["decode_speed"]) for name in (OURS, "sperr", "sz3")]
+        encode = [float(by_codec[name]["encode_speed"]) for name in (CDF97, "sperr", "sz3")]
+        decode = [float(by_codec[name]["decode_speed"]) for name in (CDF97, "sperr", "sz3")]
         numbers = " | ".join(f"{speed:.1f}" for speed in (*encode, *decode))
         lines.append(f"| {raster} | {float(bound):g} | {numbers} |")
     return "\n".join(lines)
 
 
-TABLES: dict[str, Callable[[], str]] = {"sizes": sizes_table, "speeds": speeds_table}
+TABLES: dict[str, Callable[[], str]] = {
+    "summary": summary_table,
+    "cases": cases_table,
+    "sizes": sizes_table,
+    "speeds": speeds_table,
+}
 _SLOT = re.compile(r"<!-- table: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
 
 

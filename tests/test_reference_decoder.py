@@ -178,7 +178,8 @@ def test_files_of_many_segments_decode_as_format_says(shape, border_rings, metho
 def test_boxes_and_errors_of_blocks_hold_as_format_says(shape, border_rings):
     rng = np.random.default_rng(1)
     heights = with_voids(rng, hills(rng, shape).astype("int16"), -1)
-    data = twz_bytes(heights, max_error=3, nodata=-1, border_rings=border_rings)
+    options = dict(max_error=3, nodata=-1, method="cdf97", border_rings=border_rings)
+    data = twz_bytes(heights, **options)
     file = read_file(data)
     grid, originals = file.grid, heights.astype(int) - file.header.base
     codes = block_codes(data)
@@ -407,7 +408,8 @@ def random_payload(rng, file, unit, parent_unit, parent_heights, parent_valid):
 
 def random_file(rng, shape, border_rings):
     """Return a legal file of random payloads, whose heights and steps may be extreme."""
-    template = twz_bytes(np.zeros(shape, "int32"), max_error=0, border_rings=border_rings)
+    options = dict(max_error=0, method="cdf97", border_rings=border_rings)
+    template = twz_bytes(np.zeros(shape, "int32"), **options)
     file = read_file(template)
     span = 2 ** int(rng.integers(4, 31)) - 1
     z_min = int(rng.integers(-(2**30), 2**30 - span + 1))
@@ -432,7 +434,8 @@ def random_file(rng, shape, border_rings):
 
 
 def test_a_file_put_together_by_the_document_is_read_by_the_library():
-    file = read_file(twz_bytes(np.arange(25, dtype="int16").reshape(5, 5), max_error=0))
+    heights = np.arange(25, dtype="int16").reshape(5, 5)
+    file = read_file(twz_bytes(heights, max_error=0, method="cdf97"))
     with terrainwave.open(assembled(file)) as terrain:
         np.testing.assert_array_equal(terrain.read(), np.arange(25).reshape(5, 5))
 
