@@ -55,14 +55,20 @@ def draw(curves: Curves, out: Path) -> None:
                 bounds = [max(bound, 0.05) for bound, _ in points]
                 bits = [rate for _, rate in points]
                 panel.plot(bounds, bits, label=codec, **{"linewidth": 1.2, "marker": ".", **style})
-        panel.set(xscale="log", yscale="log", title=raster)
+        panel.set(xscale="log", yscale="log")
+        panel.set_title(raster, fontsize=9)
         panel.set_xlabel("max error, m (0 at the left edge)")
         panel.set_ylabel("bits per sample")
         panel.grid(alpha=0.3, which="both")
-    handles, labels = panels[0].get_legend_handles_labels()
+    drawn = {}
+    for panel in panels[: len(curves)]:
+        handles, labels = panel.get_legend_handles_labels()
+        drawn |= dict(zip(labels, handles, strict=True))
     for panel in panels[len(curves) :]:
         panel.axis("off")
-    panels[len(curves)].legend(handles, labels, loc="center", fontsize=11)
+    names = [codec for codec in STYLES if codec in drawn]
+    legend = panels[len(curves)]
+    legend.legend([drawn[name] for name in names], names, loc="center", fontsize=11)
     figure.savefig(out, dpi=80)
     plt.close(figure)
 
