@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-MAX_ROOTS_PER_SIDE = 4
+MAX_ROOTS_PER_SIDE = 1
 SEGMENT_LEVELS = 4
 
 
