@@ -1,0 +1,90 @@
+"""What triangulations produce: `BlockMesh` in samples and quanta, `Mesh` in world coordinates."""
+
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Heights of mesh vertices are in 1/16 quanta.
+FRACTION_BITS = 4
+
+
+class BlockMesh(NamedTuple):
+    """Triangles over a rectangle of samples of one level, a height field that covers it once.
+
+    Parameters
+    ----------
+    rows, cols : ndarray of int32, shape (n_vertices,)
+        Places in half samples from the rectangle's first sample: vertices lie on samples (even) or
+        between two (odd).
+    heights : ndarray of int64, shape (n_vertices,)
+        In 1/16 quanta.
+    triangles : ndarray of int32, shape (n_triangles, 3)
+        Indices of vertices; clockwise as seen with columns to the right and rows downwards, so
+        that the area ``(c1 - c0) * (r2 - r0) - (c2 - c0) * (r1 - r0)`` is positive.
+    """
+
+    rows: NDArray[np.int32]
+    cols: NDArray[np.int32]
+    heights: NDArray[np.int64]
+    triangles: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A triangulated surface in world coordinates.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (n_vertices, 3)
+        x, y in units of the CRS and height in the file's unit, relative to `origin`. A vertex on a
+        sample lies at the centre of its pixel.
+    triangles : ndarray of int32, shape (n_triangles, 3)
+        Indices of vertices, counter-clockwise seen from above (from +z, x to the right, y up).
+    origin : tuple of float
+        What to add to vertices: x, y, height.
+    error : float
+        No valid original sample under the mesh is vertically further from it, in the file's unit.
+    crs : str, optional
+        Coordinate reference system as ``AUTH:CODE`` or WKT2.
+    units : str, optional
+        Unit of heights and of `error`.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    origin: tuple[float, float, float]
+    error: float
+    crs: str | None = None
+    units: str | None = None
+    attributes: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def n_vertices(self) -> int:
+        """Return the number of vertices."""
+        return len(self.vertices)
+
+    @property
+    def n_triangles(self) -> int:
+        """Return the number of triangles."""
+        return len(self.triangles)
+
+    @property
+    def points(self) -> NDArray[np.float64]:
+        """Return the vertices in the CRS, `origin` added."""
+        return self.vertices + np.asarray(self.origin)
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Return (left, bottom, right, top) of the vertices in the CRS.
+
+        Raises
+        ------
+        ValueError
+            If the mesh has no vertex.
+        """
+        if not self.n_vertices:
+            raise ValueError("the mesh is empty: it has no bounds")
+        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        return float(low[0]), float(low[1]), float(high[0]), float(high[1])
