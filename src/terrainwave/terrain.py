@@ -22,7 +22,7 @@ from terrainwave.errors import (
     StorageError,
     UnsupportedVersionError,
 )
-from terrainwave.quadtree import Block, Grid, Region, morton
+from terrainwave.quadtree import Block, Grid, Region
 from terrainwave.quantum import Quantizer
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.resample import RESAMPLING, resample
@@ -577,7 +577,10 @@ class Terrain:
             self._quantizer.dequantize(unit.heights[here], heights[there])
             mask[there] = unit.mask[here]
 
-        keys = self._units_of(level, region)
+        # Imported late: numba.
+        from terrainwave.decoder import units_of
+
+        keys = units_of(self._grid, level, region)
         for first in range(0, len(keys), _BATCH):
             batch = keys[first : first + _BATCH]
             self._decoder.prefetch(batch)
@@ -588,22 +591,6 @@ class Terrain:
                 for _ in self._submit(fill, batch):
                     pass
         return heights, mask
-
-    def _units_of(self, level: int, region: Region) -> list[Block]:
-        """Return the keys of the units that hold a region of a level, in Morton order."""
-        side = self._grid.block if level == 0 else 2 * self._grid.block
-        n_rows, n_cols = self._grid.level_blocks(max(level - 1, 0))
-        # The last sample of the last unit lies on a border without a unit beyond it.
-        rows = range(
-            min(region.row // side, n_rows - 1),
-            min((region.row + region.n_rows - 1) // side, n_rows - 1) + 1,
-        )
-        cols = range(
-            min(region.col // side, n_cols - 1),
-            min((region.col + region.n_cols - 1) // side, n_cols - 1) + 1,
-        )
-        keys = [Block(level - 1, row, col) for row in rows for col in cols]
-        return sorted(keys, key=lambda key: morton(key.row, key.col))
 
     def _bilinear(
         self, level: int, rows: NDArray[np.float64], cols: NDArray[np.float64]

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from terrainwave._version import __version__
-from terrainwave.cli.options import BlockSide, Bound, Mesh, Nodata, Numbers
+from terrainwave.cli.options import BlockSide, Bound, Nodata, Numbers
 from terrainwave.cli.output import (
     Bar,
     Commands,
@@ -25,6 +25,7 @@ from terrainwave.cli.output import (
 
 THREADS = click.IntRange(min=1)
 METHODS = click.Choice(["auto", "predictive", "cdf97", "store"])
+MESHES = click.Choice(["auto", "halves", "none"])
 EFFORTS = ["fast", "default", "best"]
 
 
@@ -62,8 +63,14 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--border-rings", type=click.Choice(["1", "3"]), default="1", show_default=True)
 @click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
 @click.option("--no-verify", is_flag=True, help="Skip decoding and comparing every sample.")
-@click.option("--mesh", type=Mesh(), default="none", help="Reserved: heights only for now.")
+@click.option("--mesh", type=MESHES, default="auto", show_default=True, help="Triangulation.")
 @click.option("--no-mesh", is_flag=True, help="Same as --mesh none.")
+@click.option(
+    "--mesh-error",
+    type=Bound(),
+    help="Distance of the finest meshes from the heights. Default: the guaranteed error, or the"
+    " heights' vertical step if that is more.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @_writing
 def compress(
@@ -71,6 +78,7 @@ def compress(
     target: str,
     border_rings: str,
     no_verify: bool,
+    mesh: str,
     no_mesh: bool,
     as_json: bool,
     quiet: bool,
@@ -85,6 +93,7 @@ def compress(
             source,
             target,
             border_rings=int(border_rings),
+            mesh="none" if no_mesh else mesh,
             verify=not no_verify,
             progress=bar,
             **options,
