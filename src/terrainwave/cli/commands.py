@@ -180,6 +180,7 @@ def _info_rows(info: Any) -> list[tuple[str, object]]:
     levels = ", ".join(f"{rows} x {cols}" for rows, cols in info.level_shapes)
     extent = "none" if info.minimum is None else f"{info.minimum:.6g} to {info.maximum:.6g} {unit}"
     scale = f"{info.scale:g}, offset {info.offset:g}"
+    tolerance = f"within {info.mesh_tolerance:.6g} {unit} of the heights"
     rows = [
         ("file", f"{info.path}, {info.n_bytes:,} bytes"),
         ("size", f"{info.n_rows} rows x {info.n_cols} columns, {info.dtype}"),
@@ -189,6 +190,7 @@ def _info_rows(info: Any) -> list[tuple[str, object]]:
         ("heights", extent),
         ("method", f"{info.method}, effort {info.effort}, border rings {info.border_rings}"),
         ("block", f"{info.block} x {info.block} cells"),
+        ("mesh", info.mesh if info.mesh == "none" else f"{info.mesh}, {tolerance}"),
         ("levels", f"{info.n_levels}: {levels}"),
         ("nodata", "none" if info.nodata is None else info.nodata),
         ("CRS", crs),

@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._jit import kernel
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.fit import fit_triangle, scaled_heights
+from terrainwave.tri.mesh import BlockMesh
 
 # Levels of merged cells: single samples, samples that stay as they are, those of border lines that
 # are no vertices. Up to _FREE a sample has not moved.
 _FREE, _LOCKED, _MERGED = 0, -1, 127
 _VOID = -1
-_MAX_RANGE = 1 << 30
+_FAR = np.int64(1) << 32
 _PASSES = 2
 
 
@@ -66,14 +67,9 @@ def triangulate(
     O(n log n) for n samples; about 100 ns per sample.
     """
     n_rows, n_cols = heights.shape
-    valid = heights[mask]
-    if n_rows < 2 or n_cols < 2 or not valid.size:
+    if n_rows < 2 or n_cols < 2 or not mask.any():
         return _empty()
-    low, high = int(valid.min()), int(valid.max())
-    base = (low + high) >> 1
-    bits = FRACTION_BITS if (high - low) << FRACTION_BITS < _MAX_RANGE else 0
-    tolerance = min(tolerance >> (FRACTION_BITS - bits), _MAX_RANGE)
-    scaled = ((heights.astype(np.int64) - base) << bits).astype(np.int32)
+    scaled, scale = scaled_heights(heights, mask, tolerance)
     root = np.arange(n_rows * n_cols, dtype=np.int32).reshape(heights.shape)
     root[~mask] = _VOID
     levels = np.where(locked, _LOCKED, _FREE).astype(np.int8)
@@ -81,16 +77,15 @@ def triangulate(
     _merge_border(root, levels, lines.top, lines.bottom, lines.left, lines.right)
     rows, cols = _double_places(n_rows, n_cols)
     z = scaled.ravel().astype(np.float64)
-    limits = (((low - base) << bits) - tolerance, ((high - base) << bits) + tolerance)
     _merge_cells(
-        scaled, root, levels, rows, cols, z, offset[0], offset[1], float(tolerance),
-        float(limits[0]), float(limits[1]),
+        scaled, root, levels, rows, cols, z, offset[0], offset[1], scale.tolerance,
+        scale.lowest, scale.highest,
     )  # fmt: skip
     triangles = np.empty((_count_triangles(root), 3), dtype=np.int32)
     _fill_triangles(root, triangles)
     used, triangles = _used_vertices(triangles, n_rows * n_cols)
-    found = (z[used].astype(np.int64) << (FRACTION_BITS - bits)) + (base << FRACTION_BITS)
-    return BlockMesh(rows[used].astype(np.int32), cols[used].astype(np.int32), found, triangles)
+    places = rows[used].astype(np.int32), cols[used].astype(np.int32)
+    return BlockMesh(*places, scale.to_mesh(z[used]), triangles)
 
 
 def _empty() -> BlockMesh:
@@ -139,7 +134,7 @@ def _fit_pair(heights, levels, n_cols, at, tolerance):
     conditions; -1: they can't be met; 0: look at the whole star, which gives the same intervals.
     """
     slack = 3 * tolerance
-    low, high = -np.int64(_MAX_RANGE) * 4, np.int64(_MAX_RANGE) * 4
+    low, high = -_FAR, _FAR
     verdict = 1
     if levels[at - 1] <= _FREE:
         first = 3 * np.int64(heights[at]) - heights[at - 1]
@@ -167,7 +162,7 @@ def _fit_quad(heights, levels, n_cols, at, tolerance):
     The upper left and lower right sample lie on edges to the samples beyond them; the other two in
     triangles, with weight 1/2 of the new height and 1/4 of each of two samples.
     """
-    low, high = -np.int64(_MAX_RANGE) * 8, np.int64(_MAX_RANGE) * 8
+    low, high = -2 * _FAR, 2 * _FAR
     verdict = 1
     if levels[at - n_cols - 1] <= _FREE:
         twice = 3 * np.int64(heights[at]) - heights[at - n_cols - 1]
@@ -205,74 +200,6 @@ def _fit_quad(heights, levels, n_cols, at, tolerance):
 
 
 @kernel
-def _fit_triangle(
-    heights, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2, tolerance, low, high
-):
-    """Narrow the interval of the height at vertex 0 to what the samples of a triangle allow.
-
-    Places are doubled. Returns an empty interval (1, 0) if nothing is left. Samples on the edge
-    opposite to vertex 0 don't depend on its height: they are those of a triangle beyond the edge
-    too, or of a border.
-    """
-    area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
-    scale = float(area)
-    slack = tolerance * scale
-    first_col, last_col = (min(col_0, col_1, col_2) + 1) >> 1, max(col_0, col_1, col_2) >> 1
-    first_row, last_row = (min(row_0, row_1, row_2) + 1) >> 1, max(row_0, row_1, row_2) >> 1
-    step_0, step_1 = -2 * (row_2 - row_1), -2 * (row_0 - row_2)
-    step_2 = -(step_0 + step_1)
-    rise = float(step_1) * z_1 + float(step_2) * z_2
-    is_wide = last_col - first_col > 6
-    for row in range(first_row, last_row + 1):
-        left = 2 * first_col
-        weight_0 = (col_1 - left) * (row_2 - 2 * row) - (col_2 - left) * (row_1 - 2 * row)
-        weight_1 = (col_2 - left) * (row_0 - 2 * row) - (col_0 - left) * (row_2 - 2 * row)
-        weight_2 = area - weight_0 - weight_1
-        start, stop = first_col, last_col
-        if is_wide:
-            # From where to where the three weights are >= 0; quotients of integers below 2^26
-            # round to the right floor.
-            skip, most = 0, last_col - first_col
-            for weight, step in ((weight_0, step_0), (weight_1, step_1), (weight_2, step_2)):
-                if step > 0:
-                    if weight < 0:
-                        skip = max(skip, int(np.ceil(float(-weight) / float(step))))
-                elif weight < 0:
-                    most = -1
-                elif step < 0:
-                    most = min(most, int(np.floor(float(weight) / float(-step))))
-            start, stop = first_col + skip, first_col + most
-            weight_0 += skip * step_0
-            weight_1 += skip * step_1
-            weight_2 += skip * step_2
-        is_inside = False
-        fixed = float(weight_1) * z_1 + float(weight_2) * z_2
-        for col in range(start, stop + 1):
-            if (weight_0 | weight_1 | weight_2) >= 0:
-                is_inside = True
-                if weight_0 > 0:
-                    rest = float(heights[row, col]) * scale - fixed
-                    share = float(weight_0)
-                    if rest - slack > low * share:
-                        low = np.ceil((rest - slack) / share)
-                        if low * share < rest - slack:
-                            low += 1.0
-                    if rest + slack < high * share:
-                        high = np.floor((rest + slack) / share)
-                        if high * share > rest + slack:
-                            high -= 1.0
-            elif is_inside:
-                break
-            weight_0 += step_0
-            weight_1 += step_1
-            weight_2 += step_2
-            fixed += rise
-        if low > high:
-            return 1.0, 0.0
-    return low, high
-
-
-@kernel
 def _fit_cell(heights, root, rows, cols, z, me, top, bottom, left, right, tolerance, low, high):
     """Return the interval of heights of vertex `me` whose cluster is this rectangle of samples.
 
@@ -307,7 +234,7 @@ def _fit_cell(heights, root, rows, cols, z, me, top, bottom, left, right, tolera
                 row_2, col_2 = np.int64(rows[p_2]), np.int64(cols[p_2])
                 if (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0) <= 0:
                     return 1.0, 0.0
-                low, high = _fit_triangle(
+                low, high = fit_triangle(
                     heights, row_0, col_0, row_1, col_1, z[p_1], row_2, col_2, z[p_2], tolerance,
                     low, high,
                 )  # fmt: skip
