@@ -519,12 +519,12 @@ def _clipped(
     limits: tuple[int, int, int, int],
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Return the part of a mesh inside (first row, last row, first column, last column)."""
-    n_vertices = len(vertices)
+    whole = triangles
     for axis, limit, sign in (
         (0, limits[0], 1.0), (0, limits[1], -1.0), (1, limits[2], 1.0), (1, limits[3], -1.0),
     ):  # fmt: skip
         vertices, triangles = _cut_off(vertices, triangles, sign * (vertices[:, axis] - limit))
-    if len(vertices) == n_vertices:
+    if triangles is whole:
         return vertices, triangles
     used, number = np.unique(triangles, return_inverse=True)
     return vertices[used], number.reshape(triangles.shape).astype(np.int32)
