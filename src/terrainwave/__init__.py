@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from terrainwave.decompression import decompress
     from terrainwave.progress import Progress
     from terrainwave.terrain import Info, Terrain
+    from terrainwave.tri.mesh import Mesh
     from terrainwave.verification import VerifyReport, verify
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "Info",
     "InvalidHeightsError",
     "LimitExceededError",
+    "Mesh",
     "Progress",
     "StorageError",
     "Terrain",
@@ -59,6 +61,7 @@ _LAZY = {
     "Progress": "progress",
     "Info": "terrain",
     "Terrain": "terrain",
+    "Mesh": "tri.mesh",
     "VerifyReport": "verification",
     "verify": "verification",
 }
