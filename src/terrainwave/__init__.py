@@ -24,6 +24,7 @@ from terrainwave.errors import (
 if TYPE_CHECKING:
     from terrainwave.compression import CompressResult, compress
     from terrainwave.decompression import decompress
+    from terrainwave.mesh_storage import store_meshes
     from terrainwave.progress import Progress
     from terrainwave.terrain import Info, Terrain
     from terrainwave.tri.mesh import Mesh
@@ -49,6 +50,7 @@ __all__ = [
     "compress",
     "decompress",
     "open",
+    "store_meshes",
     "verify",
 ]
 
@@ -58,6 +60,7 @@ _LAZY = {
     "CompressResult": "compression",
     "compress": "compression",
     "decompress": "decompression",
+    "store_meshes": "mesh_storage",
     "Progress": "progress",
     "Info": "terrain",
     "Terrain": "terrain",
