@@ -75,7 +75,7 @@ class Grid:
         self.n_cells = n_cells
         self.rings = (border_rings - 1) // 2  # rings of apron: 0 or 1
         self.k_max = 0
-        while ceil_div(max(n_rows, n_cols) - 1, 2**self.k_max) > 4 * n_cells:
+        while ceil_div(max(n_rows, n_cols) - 1, 2**self.k_max) > n_cells:
             self.k_max += 1
 
     def samples(self, k):

@@ -70,7 +70,7 @@ class Grid:
     """The quadtree over an ``n_rows x n_cols`` raster cut into blocks of `block` cells.
 
     `k_max` is the smallest number of refinements for which the longer side of level 0 has at most
-    four blocks.
+    one block, so that there is one root block.
     """
 
     n_rows: int

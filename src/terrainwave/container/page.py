@@ -49,7 +49,7 @@ class PageLayout(NamedTuple):
 def page_layout(grid: Grid, head: Block | None) -> PageLayout:
     """Return what the page of the segment of `head` lists (FORMAT.md §3.3).
 
-    At most 352 keys, 1360 blocks and 1024 children, whatever the size of the grid.
+    At most 85 keys, 340 blocks and 256 children, whatever the size of the grid.
     """
     # In one walk, since a key's blocks are the next layer's keys (and the last one's the children).
     if head is None:
