@@ -142,12 +142,12 @@ def morton(block):
 
 # §4.1, §4.2: header and metadata ---------------------------------------------------------------
 
-HEADER = struct.Struct("<8sBBHIQIIBBBBB3sQQqIiiIdddIIIIII")
+HEADER = struct.Struct("<8sBBHIQIIBBBBBB2sQQqIiiIdddIIIIII")
 NAMES = (
     "magic version reserved header_size features file_size n_rows n_cols block_log2 border_rings "
-    "method dtype effort padding quantum_num quantum_den base step z_min z_max metadata_length "
+    "method dtype effort mesh padding quantum_num quantum_den base step z_min z_max metadata_length "
     "max_error effective_bound rho metadata_crc parameters_length parameters_crc "
-    "top_page_length tail header_crc"
+    "top_page_length mesh_tolerance header_crc"
 ).split()
 METHODS = {0: "store", 1: "cdf97", 2: "predictive", 3: "cdf53"}
 DTYPES = {1: "uint8", 3: "uint16", 4: "int16", 6: "int32", 7: "float32", 8: "float64"}
@@ -160,9 +160,11 @@ def read_header(data):
     h = SimpleNamespace(**dict(zip(NAMES, HEADER.unpack(data[:128]), strict=True)))
     require(h.header_size == 128, "header_size")
     require(h.header_crc == zlib.crc32(data[:124]), "header_crc")
-    for name in ("reserved", "features", "tail"):
+    for name in ("reserved", "features"):
         require(getattr(h, name) == 0, name, UnsupportedError)
-    require(h.padding == b"\0\0\0", "padding", UnsupportedError)
+    require(h.padding == b"\0\0", "padding", UnsupportedError)
+    require(h.mesh in (0, 1), "mesh", UnsupportedError)
+    require(h.mesh or h.mesh_tolerance == 0, "mesh_tolerance")
     require(h.file_size < 2**63, "file_size")
     require(1 <= h.n_rows <= 2**31 and 1 <= h.n_cols <= 2**31, "n_rows, n_cols")
     require(h.n_rows * h.n_cols <= 2**50, "n_rows * n_cols")

@@ -24,8 +24,16 @@ LAYERS = [
         "progress",
     },
     {"codec", "tri", "container", "raster_io", "metrics"},
-    {"spool", "measure", "pyramid", "encoder", "decoder", "resample", "level_errors"},
-    {"terrain", "compression", "decompression", "verification"},
+    {"spool", "measure", "pyramid", "encoder", "decoder", "meshing", "resample", "level_errors"},
+    {
+        "terrain",
+        "compression",
+        "decompression",
+        "extraction",
+        "mesh_storage",
+        "mesh_verification",
+        "verification",
+    },
     {"render", "ext"},
     {"demo", "cli", "__main__"},
 ]

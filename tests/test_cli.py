@@ -383,7 +383,8 @@ def test_wrong_bound_is_wrong_usage(tmp_path, dem, bound):
         ("--nodata", "none", "expected a number or nan"),
         ("--band", "0", "x>=1"),
         ("--threads", "0", "x>=1"),
-        ("--mesh", "halves", "expected none: this version stores heights only"),
+        ("--mesh", "rtin", "'halves'"),
+        ("--mesh-error", "-1", "expected a finite number >= 0"),
         ("--colour", "red", "No such option"),
     ],
 )
