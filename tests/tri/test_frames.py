@@ -1,4 +1,4 @@
-"""Frames: metres of degrees, feet, geocentric coordinates; numbers by hand or from geodesy's books."""
+"""Frames: metres of degrees, feet, geocentric coordinates; numbers by hand or from geodesy."""
 
 import math
 
@@ -76,8 +76,16 @@ def test_native_is_the_crs():
 
 @pytest.mark.parametrize(
     ("units", "metres"),
-    [("ft", 0.3048), ("foot", 0.3048), ("US survey foot", FOOT_US), ("m", 1.0), (None, 1.0)]
-    + [("metre", 1.0), ("ftUS", FOOT_US), ("[ft]", 0.3048), ("", 1.0)],
+    [
+        ("ft", 0.3048),
+        ("foot", 0.3048),
+        ("[ft]", 0.3048),
+        ("US survey foot", FOOT_US),
+        ("ftUS", FOOT_US),
+        ("metre", 1.0),
+        ("", 1.0),
+        (None, 1.0),
+    ],
 )
 def test_vertical_units_are_known(units, metres):
     assert metres_per_unit(units) == pytest.approx(metres, rel=1e-12)

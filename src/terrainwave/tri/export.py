@@ -218,7 +218,8 @@ def _rounding(
     if frame["name"] == "ecef":
         slope = _steepest_on(framed, find_place(mesh, radius=radius).ellipsoid)
         return float(np.linalg.norm(moved)) * (1 + slope) / per_height
-    if (areas(replace(framed, vertices=written)) < 0).sum() > (areas(framed) < 0).sum():
+    # A body's walls and base have none or a negative one.
+    if (areas(replace(framed, vertices=written)) > 0).sum() < (areas(framed) > 0).sum():
         raise InvalidHeightsError(
             "the format's float32 cannot hold the small triangles of a mesh this wide; expected"
             " .ply, .obj or .vtu, or smaller --bounds"

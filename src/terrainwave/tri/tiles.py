@@ -5,7 +5,9 @@ the heights handed to the encoder; what this rounding adds is computed from the 
 """
 
 import io
+import json
 import os
+import struct
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -114,7 +116,9 @@ def encode_tile(globe: Globe, bounds: "Sequence[float]") -> Tile:
             "bounds": list(bounds),
             "geometricerror": globe.mesh.error + rounding,
         }
-        out.write(MetadataExtension(data=about).encode())
+        # The format wants the length before the text; from a dict the encoder leaves it out.
+        text = json.dumps(about).encode()
+        out.write(MetadataExtension(data=struct.pack("<I", len(text)) + text).encode())
     return Tile(out.getvalue(), rounding, len(points), len(triangles))
 
 
