@@ -15,7 +15,7 @@ from tri.meshes import grid_mesh, hills
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
 from terrainwave.tri import export
 from terrainwave.tri.export import EXTENSIONS, save_mesh
-from terrainwave.tri.frames import areas, to_frame
+from terrainwave.tri.frames import areas, steepest, to_frame
 from terrainwave.tri.mesh import Mesh
 
 UTM = (30.0, 0.0, 400000.0, 0.0, -30.0, 4000000.0)
@@ -195,8 +195,27 @@ def test_error_covers_what_rounding_did(tmp_path, suffix, z_scale):
         there = surface_height(points, triangles, x, y)
         original = surface_height(mesh.points, mesh.triangles, x, y)
         assert abs(there - original) <= saved.rounding
-    assert 0 < saved.rounding < 1
+    # Half a float32 step at 15000 is 2^-11, at 1.2e6 m 2^-4, times slopes of some 1/300.
+    assert 0 < saved.rounding < 2e-3
     assert saved.error == saved.rounding
+
+
+def test_error_covers_horizontal_rounding_alone(tmp_path):
+    # Whole heights are exact in float32, sevenths are not.
+    row, col = np.mgrid[:5, :6]
+    mesh = grid_mesh(1000.0 * (col % 2) + row, (8 / 7, 0, 1 / 3, 0, -8 / 7, 0), error=0.0)
+    saved = save_mesh(mesh, tmp_path / "area.stl", frame="native")
+    points, triangles = read_back(tmp_path / "area.stl")
+    points = points + np.asarray(saved.origin)
+    there = [
+        abs(surface_height(points, triangles, x, y) - surface_height(*of(mesh), x, y))
+        for x, y in np.random.default_rng(4).uniform((1, -5), (6, -1), (300, 2))
+    ]
+    assert 1e-6 < max(there) <= saved.rounding
+
+
+def of(mesh):
+    return mesh.points, mesh.triangles
 
 
 def test_rounding_is_added_to_the_error_in_the_files_unit(tmp_path):
@@ -319,7 +338,7 @@ def test_solid_follows_z_scale_and_feet():
     assert np.unique(body.points[:, 2]) == pytest.approx([4 * 0.3048 * 3, 10 * 0.3048 * 3])
 
 
-def test_parts_that_touch_in_one_vertex_are_pulled_apart_a_little():
+def test_parts_that_touch_in_one_vertex_are_pulled_apart_a_little(tmp_path):
     valid = np.ones((5, 5), dtype=bool)
     valid[0, 3:] = valid[1, 4] = False
     valid[3:, 0] = valid[4, 1] = False
@@ -339,6 +358,16 @@ def test_parts_that_touch_in_one_vertex_are_pulled_apart_a_little():
     merged = trimesh.Trimesh(body.vertices, body.triangles, process=True)
     assert merged.is_watertight
     assert (areas(body)[: touching.n_triangles] > 0).all()
+    # The vertex of the upper left part has moved into it, the other one into the other.
+    cells = body.points[body.triangles[: touching.n_triangles], :2]
+    is_joint = (np.abs(cells - (2.5, -2.5)) < 0.01).all(axis=2)
+    is_upper_left = cells[:, :, 0].mean(axis=1) < 2.5
+    assert (cells[is_upper_left][is_joint[is_upper_left]] @ (1, -1) < 5).all()
+    assert (cells[~is_upper_left][is_joint[~is_upper_left]] @ (1, -1) > 5).all()
+    saved = save_mesh(touching, tmp_path / "body.ply", frame="native", solid=0.0)
+    assert saved.rounding == pytest.approx(
+        body.attributes["solid"]["moved"] * sum(steepest(touching))
+    )
 
 
 def is_kept(mesh, triangle):
@@ -439,7 +468,10 @@ def test_tile_holds_the_surface_within_its_stated_error(tmp_path, crs):
         x, y = np.clip((x, y), (west + 1e-7, south + 1e-7), (east - 1e-7, north - 1e-7))
         there = surface_height(points, triangles, x, y)
         assert abs(there - surface_height(mesh.points, mesh.triangles, x, y)) <= saved.error
-    assert 0 < saved.error < 0.05
+    # Half a step of each axis, times the steepest slopes.
+    steps = np.array([north - south, east - west, np.ptp(mesh.points[:, 2]) + 1e-3]) / 32767
+    slopes = np.array([*steepest(mesh)[::-1], 1.0])
+    assert 0 < saved.error <= 0.5 * (steps @ slopes)
     assert triangles.max() == len(u) - 1
 
 
@@ -471,6 +503,24 @@ def test_tile_of_a_projected_mesh_in_feet_is_in_degrees_and_metres(tmp_path):
     assert header["low"] == pytest.approx(mesh.points[:, 2].min() * 0.3048, abs=1e-3)
     assert saved.units == "ft"
     assert 1.0 < saved.error < 1.1
+
+
+@pytest.mark.parametrize("share", [0.4, 0.6])
+def test_tile_heights_enclose_those_of_the_mesh(tmp_path, share):
+    step = 2.0**-17  # of float32 at 100; rounding to the nearest goes either way
+    heights = np.array([[100 + share * step, 110], [120 - share * step, 120 + share * step]])
+    save_mesh(grid_mesh(heights, SECONDS, crs="EPSG:4326"), tmp_path / "area.terrain")
+    header, *_ = read_tile(tmp_path / "area.terrain")
+    assert header["low"] <= heights.min()
+    assert header["high"] >= heights.max()
+
+
+def test_rounding_of_a_tile_in_feet_is_told_in_feet(tmp_path):
+    metres = save_mesh(grid_mesh(hills(5, 5), UTM, crs="EPSG:32633"), tmp_path / "m.terrain")
+    feet = grid_mesh(hills(5, 5) / 0.3048, UTM, crs="EPSG:32633", units="ft")
+    assert save_mesh(feet, tmp_path / "ft.terrain").rounding == pytest.approx(
+        metres.rounding / 0.3048
+    )
 
 
 def test_tile_with_a_frame_is_refused(tmp_path):

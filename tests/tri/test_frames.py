@@ -197,6 +197,15 @@ def test_the_ellipsoid_comes_from_the_crs():
     assert axis * math.sqrt(1 - e2) == pytest.approx(6356583.8, abs=0.01)
 
 
+def test_an_ellipsoid_in_feet_becomes_metres():
+    wkt = (
+        'GEODCRS["in feet",DATUM["D",ELLIPSOID["E",20925832,300,LENGTHUNIT["foot",0.3048]]],'
+        'CS[ellipsoidal,2],AXIS["lat",north],AXIS["lon",east],'
+        'ANGLEUNIT["degree",0.0174532925199433]]'
+    )
+    assert ellipsoid_of(CRS.from_wkt(wkt)).axis == pytest.approx(20925832 * 0.3048, rel=1e-12)
+
+
 def test_a_moon_in_degrees_is_scaled_by_its_own_radius():
     mesh = grid_mesh(hills(3, 4), (0.1, 0, 10, 0, -0.1, 0.15), crs=MOON)
     assert extent(to_frame(mesh))[:2] == pytest.approx(

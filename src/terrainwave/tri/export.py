@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
-from terrainwave.container.publish import publish, scratch
+from terrainwave.container.publish import check_target, publish, scratch
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidHeightsError, TerrainwaveError
 from terrainwave.tri.frames import areas, find_place, metres_per_unit, steepest, to_frame
@@ -108,6 +108,7 @@ def save_mesh(
             raise InvalidHeightsError(
                 "a .terrain tile has a frame of its own: found --frame, --z-scale or --solid"
             )
+        need("quantized_mesh_encoder")
         from terrainwave.tri.tiles import save_tile
 
         return save_tile(mesh, path, radius=radius, overwrite=overwrite)
@@ -159,6 +160,19 @@ def check_extension(path: str | os.PathLike[str]) -> str:
             f"{os.fspath(path)}: found {found}, expected one of {', '.join(EXTENSIONS)}"
         )
     return extension
+
+
+def prepare(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Raise now what `save_mesh` would raise for this path: the mesh may take long to make.
+
+    Raises
+    ------
+    InvalidHeightsError, TerrainwaveError, StorageError
+        If the extension is unknown, its package missing, or the file exists and is to be kept.
+    """
+    extension = check_extension(path)
+    need("quantized_mesh_encoder" if extension == ".terrain" else _WRITERS[extension].package)
+    check_target(path, overwrite)
 
 
 def need(package: str, extra: str = "mesh") -> Any:
@@ -214,20 +228,20 @@ def _rounding(
     frame = framed.attributes["frame"]
     moved = np.abs(written - framed.vertices).max(axis=0)
     unit = 1.0 if frame["name"] == "native" else metres_per_unit(mesh.units)
-    per_height = unit * frame["z_scale"]
+    at_joints = framed.attributes.get("solid", {}).get("moved", 0.0) * sum(steepest(mesh))
     if frame["name"] == "ecef":
         slope = _steepest_on(framed, find_place(mesh, radius=radius).ellipsoid)
-        return float(np.linalg.norm(moved)) * (1 + slope) / per_height
-    # A body's walls and base have none or a negative one.
-    if (areas(replace(framed, vertices=written)) > 0).sum() < (areas(framed) > 0).sum():
-        raise InvalidHeightsError(
-            "the format's float32 cannot hold the small triangles of a mesh this wide; expected"
-            " .ply, .obj or .vtu, or smaller --bounds"
-        )
-    slope_x, slope_y = steepest(framed)
-    rounding = float(moved[2] + slope_x * moved[0] + slope_y * moved[1]) / per_height
-    at_joints = framed.attributes.get("solid", {}).get("moved", 0.0)
-    return rounding + at_joints * sum(steepest(mesh))
+        rounding = float(np.linalg.norm(moved)) * (1 + slope)
+    else:
+        # A body's walls and base have none or a negative one.
+        if (areas(replace(framed, vertices=written)) > 0).sum() < (areas(framed) > 0).sum():
+            raise InvalidHeightsError(
+                "the format's float32 cannot hold the small triangles of a mesh this wide;"
+                " expected .ply, .obj or .vtu, or smaller --bounds"
+            )
+        slope_x, slope_y = steepest(framed)
+        rounding = float(moved[2] + slope_x * moved[0] + slope_y * moved[1])
+    return rounding / (unit * frame["z_scale"]) + at_joints
 
 
 def _steepest_on(mesh: Mesh, ellipsoid: Any) -> float:
