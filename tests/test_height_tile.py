@@ -77,10 +77,15 @@ def test_raw_samples_are_little_endian_from_the_first_row(tmp_path):
     assert len(data) == 18
 
 
-def test_the_default_is_the_largest_tile_within_the_window(tmp_path):
-    samples, about = tile_of(tmp_path, terrain_like(70, 140))
-    assert samples.shape == (65, 65)
+@pytest.mark.parametrize(("shape", "size"), [((70, 140), 65), ((64, 80), 33), ((99, 66), 65)])
+def test_the_default_is_the_largest_tile_within_the_window(tmp_path, shape, size):
+    samples, about = tile_of(tmp_path, terrain_like(*shape))
+    assert samples.shape == (size, size)
     assert about["resampled"] == "bilinear"
+
+
+def test_the_smallest_tile_has_three_samples_on_a_side(tmp_path):
+    assert tile_of(tmp_path, terrain_like(2, 5))[0].shape == (3, 3)
 
 
 def test_resampling_goes_from_corner_sample_to_corner_sample(tmp_path):
@@ -137,6 +142,14 @@ def test_resampling_near_a_void_uses_its_valid_neighbours(tmp_path):
     assert found[4, 4] == 50  # the void itself
     assert found[3, 4] == pytest.approx(100)
     assert found[5, 5] == pytest.approx(100)
+
+
+def test_nan_beside_a_height_does_not_spread(tmp_path):
+    heights = np.full((5, 5), 100, dtype="float32")
+    heights[0, 0], heights[2, 2] = 50, np.nan
+    samples, about = tile_of(tmp_path, heights, size=9, profile={"nodata": None})
+    assert about["n_void"] == 1
+    assert heights_of(samples, about)[3, 4] == pytest.approx(100)
 
 
 @pytest.mark.parametrize("height", [7, -32768])

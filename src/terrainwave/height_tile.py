@@ -114,7 +114,8 @@ def _tile_shape(region: Region, size: int | str | None) -> tuple[int, int]:
             )
         return region.shape
     if size is None:
-        size = min(2 ** int(math.log2(max(shorter - 1, 2))) + 1, MAX_SIZE)
+        power = 1 << (max(shorter - 1, 2).bit_length() - 1)
+        size = min(power + 1, MAX_SIZE)
     if isinstance(size, str) or not is_tile_size(size):
         raise InvalidHeightsError(
             f"found size {size}, expected 2^n + 1 from 3 to {MAX_SIZE} (such as 1025) or window"

@@ -164,7 +164,7 @@ def decompress(source: str, target: str, quiet: bool, **options: Any) -> None:
     " unit. Default: that of the stored meshes.",
 )
 @click.option("--max-triangles", type=click.IntRange(min=1), help="The best mesh of at most N.")
-@click.option("--level", type=int, help="-1 full grid, -2 half, 0 coarsest; else what fits.")
+@click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
 @click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part, in samples.")
 @click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
 @click.option(
@@ -195,6 +195,7 @@ def mesh(
     z_scale: float,
     solid: float | None,
     radius: float | None,
+    optimise: bool,
     overwrite: bool,
     threads: int | None,
     as_json: bool,
@@ -225,7 +226,7 @@ def mesh(
     prepare(target, overwrite=overwrite)
     announce_compiling(quiet=quiet)
     with reading(file), terrainwave.open(file, threads=threads) as terrain:
-        surface = terrain.mesh(**options)
+        surface = terrain.mesh(optimise=int(optimise), **options)
     saved = surface.save(
         target, frame=frame, z_scale=z_scale, solid=solid, radius=radius, overwrite=overwrite
     )
