@@ -212,6 +212,84 @@ def test_the_file_itself_is_no_target(tmp_path, twz, asked):
     assert "is the file to be read" in one_line(run("mesh", source, source, "--overwrite"), 1)
 
 
+# Meshes of real files
+
+
+def test_mesh_of_a_file_with_voids_is_within_its_bound_and_closes(tmp_path):
+    heights = terrain_like(70, 90).astype("float64")
+    heights[20:25, 30:41] = heights[25:30, 41:44] = -32768
+    write_geotiff(
+        tmp_path / "dem.tif", heights, nodata=-32768, transform=Affine(30, 0, 4e5, 0, -30, 4e6)
+    )
+    path = tmp_path / "dem.twz"
+    terrainwave.compress(tmp_path / "dem.tif", path, max_error=1, block=32)
+    found = json.loads(run("mesh", path, tmp_path / "a.ply", "--max-error", "6", "--json").stdout)
+    assert found["error"] <= 6 + found["rounding"]
+    surface = meshio.read(tmp_path / "a.ply")
+    points, triangles = surface.points, surface.cells_dict["triangle"]
+    a, b, c = (points[triangles[:, corner]] for corner in range(3))
+    n_covered = 0
+    for row in range(1, 69):
+        for col in range(1, 89):
+            x, y = 4e5 + 30 * (col + 0.5), 4e6 - 30 * (row + 0.5)
+            height = surface_height(a, b, c, x, y)
+            if heights[row, col] == -32768:
+                assert height is None
+            elif height is not None:
+                n_covered += 1
+                assert abs(height - heights[row, col]) <= found["error"] + 1e-6
+    assert n_covered > 5700
+    assert run("mesh", path, tmp_path / "b.stl", "--solid", "-100").exit_code == 0
+    assert trimesh.load(tmp_path / "b.stl").is_watertight
+
+
+def surface_height(a, b, c, x, y):
+    """Return the height of the triangles (a, b, c) at (x, y); None where none is."""
+    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
+    at_b = ((x - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (y - a[:, 1])) / area
+    at_c = ((b[:, 0] - a[:, 0]) * (y - a[:, 1]) - (x - a[:, 0]) * (b[:, 1] - a[:, 1])) / area
+    inside = (at_b >= -1e-9) & (at_c >= -1e-9) & (at_b + at_c <= 1 + 1e-9)
+    if not inside.any():
+        return None
+    index = np.flatnonzero(inside)[0]
+    weights = np.array([1 - at_b[index] - at_c[index], at_b[index], at_c[index]])
+    return float(weights @ [a[index, 2], b[index, 2], c[index, 2]])
+
+
+def test_an_array_without_a_place_is_not_taken_for_degrees(tmp_path):
+    terrainwave.compress(terrain_like(40, 50), tmp_path / "dem.twz", max_error=0, block=32)
+    result = run("mesh", tmp_path / "dem.twz", tmp_path / "a.ply")
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+    assert "frame native" in result.stdout
+
+
+def test_store_adds_meshes_to_a_copy(tmp_path):
+    terrainwave.compress(terrain_like(70, 80), tmp_path / "dem.twz", block=32, mesh="none")
+    result = run("mesh", "--store", tmp_path / "dem.twz", tmp_path / "out.twz", "--mesh-error", "2")
+    assert result.exit_code == 0, result.output
+    n_bytes = (tmp_path / "out.twz").stat().st_size
+    assert result.stdout == f"{tmp_path / 'out.twz'}: {n_bytes:,} bytes, with meshes\n"
+    with terrainwave.open(tmp_path / "out.twz") as terrain:
+        assert terrain.mesh_kind == "halves"
+        assert terrain.info().mesh_tolerance == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--store --frame local --solid 3", "found --frame, --solid with --store"),
+        ("--mesh halves", "found --mesh without --store"),
+        ("--mesh-error 2", "found --mesh-error without --store"),
+        ("--store --mesh none", "expected auto or halves"),
+        ("--store --mesh rqt3", "rqt3"),
+    ],
+)
+def test_options_of_store_and_export_do_not_mix(tmp_path, twz, options, words):
+    assert words in one_line(run("mesh", twz, tmp_path / "out.twz", *options.split()), 2)
+    assert not (tmp_path / "out.twz").exists()
+
+
 # Height tiles
 
 

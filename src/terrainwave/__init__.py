@@ -24,8 +24,10 @@ from terrainwave.errors import (
 if TYPE_CHECKING:
     from terrainwave.compression import CompressResult, compress
     from terrainwave.decompression import decompress
+    from terrainwave.mesh_storage import store_meshes
     from terrainwave.progress import Progress
     from terrainwave.terrain import Info, Terrain
+    from terrainwave.tri.mesh import Mesh
     from terrainwave.verification import VerifyReport, verify
 
 __all__ = [
@@ -35,6 +37,7 @@ __all__ = [
     "Info",
     "InvalidHeightsError",
     "LimitExceededError",
+    "Mesh",
     "Progress",
     "StorageError",
     "Terrain",
@@ -47,6 +50,7 @@ __all__ = [
     "compress",
     "decompress",
     "open",
+    "store_meshes",
     "verify",
 ]
 
@@ -56,9 +60,11 @@ _LAZY = {
     "CompressResult": "compression",
     "compress": "compression",
     "decompress": "decompression",
+    "store_meshes": "mesh_storage",
     "Progress": "progress",
     "Info": "terrain",
     "Terrain": "terrain",
+    "Mesh": "tri.mesh",
     "VerifyReport": "verification",
     "verify": "verification",
 }

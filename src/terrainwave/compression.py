@@ -11,7 +11,7 @@ import shutil
 import sys
 import threading
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -26,13 +26,15 @@ from terrainwave.codec.refiner import Refiner
 from terrainwave.codec.registry import check_method, refiner_by_name
 from terrainwave.codec.units import CodecParameters, unit_blocks
 from terrainwave.codes import decode_error, decode_range, encode_error, encode_range
-from terrainwave.container.header import Header
+from terrainwave.container.header import MAX_MESH_TOLERANCE, Header
 from terrainwave.container.page import page_layout
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
+from terrainwave.decoder import TreeDecoder
 from terrainwave.encoder import Stats, TreeEncoder
 from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
+from terrainwave.meshing import BlockMesher, measure_meshes
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.pyramid import Pyramid, SourceWindows
 from terrainwave.quadtree import Block, Grid, Region
@@ -41,16 +43,19 @@ from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.spool import Spool
 from terrainwave.terrain import EFFORTS, Terrain
+from terrainwave.tri.mesh import FRACTION_BITS
 
 DEFAULT_MAX_ERROR = 0.01
 BLOCKS = (32, 64, 128, 256, 512, 1024)
-MESHES = ("none",)
+# Meshes that `compress` makes; "auto" is the first.
+MESHES = ("halves", "none")
 _OUR_FAULT = (
     "unless the raster changed while it was read, this is a fault of terrainwave: please report it"
     " with the raster. Nothing was written"
 )
 # Samples per side of the windows the proof compares, where groups are smaller than that.
 _PROOF_SIDE = 512
+_MESH_CACHE_BYTES = 128 << 20
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,8 @@ class Options:
     block: int
     effort: int
     border_rings: int
+    mesh: str
+    mesh_error: float | None
     verify: bool
     n_threads: int
 
@@ -73,17 +80,13 @@ class Options:
         block: int,
         effort: str,
         border_rings: int,
-        mesh: str | None,
+        mesh: str,
+        mesh_error: float | None,
         verify: bool,
         threads: int | None,
     ) -> "Options":
         """Return the options, or raise `InvalidHeightsError` naming what was found and expected."""
-        try:
-            bound = None if max_error is None else float(max_error)
-        except (TypeError, ValueError, OverflowError):  # text, no number, or an int too large
-            bound = math.nan
-        if bound is not None and not (math.isfinite(bound) and bound >= 0):
-            raise InvalidHeightsError(f"found max_error {max_error}, expected a finite number >= 0")
+        bound = _checked_error("max_error", max_error)
         if block not in BLOCKS:
             raise InvalidHeightsError(
                 f"found block {block}, expected one of {', '.join(map(str, BLOCKS))}"
@@ -94,9 +97,9 @@ class Options:
             )
         if border_rings not in (1, 3):
             raise InvalidHeightsError(f"found border_rings {border_rings}, expected 1 or 3")
-        if (mesh or "none") not in MESHES:
+        if mesh not in ("auto", *MESHES):
             raise InvalidHeightsError(
-                f"found mesh {mesh!r}; this version stores heights only: use none"
+                f"found mesh {mesh!r}, expected one of auto, {', '.join(MESHES)}"
             )
         if threads is not None and threads < 1:
             raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
@@ -106,9 +109,23 @@ class Options:
             block=block,
             effort=EFFORTS.index(effort),
             border_rings=border_rings,
+            mesh=MESHES[0] if mesh == "auto" else mesh,
+            mesh_error=_checked_error("mesh_error", mesh_error),
             verify=verify,
             n_threads=threads or os.cpu_count() or 1,
         )
+
+
+def _checked_error(name: str, error: float | None) -> float | None:
+    if error is None:
+        return None
+    try:
+        number = float(error)
+    except (TypeError, ValueError, OverflowError):  # text, no number, or an int too large
+        number = math.nan
+    if not (math.isfinite(number) and number >= 0):
+        raise InvalidHeightsError(f"found {name} {error}, expected a finite number >= 0")
+    return number
 
 
 @dataclass(frozen=True)
@@ -142,7 +159,8 @@ def compress(
     nodata: float | None = None,
     band: int = 1,
     border_rings: int = 1,
-    mesh: str | None = None,
+    mesh: str = "auto",
+    mesh_error: float | None = None,
     temp_dir: str | os.PathLike[str] | None = None,
     verify: bool = True,
     threads: int | None = None,
@@ -172,8 +190,12 @@ def compress(
         Band to take, from 1.
     border_rings : int
         1, or 3 to share one more ring on both sides of every border (Yusov & Turlapov 2010, §2.3).
-    mesh : str, optional
-        Accepted for the future: only ``"none"``.
+    mesh : str
+        Triangulation of every block: ``"halves"`` or ``"auto"`` (halves), which is made again when
+        it is read and stores only its measured error; or ``"none"``.
+    mesh_error : float, optional
+        Largest vertical distance of the finest meshes from the decoded heights, in physical units;
+        by default what `max_error` guarantees, or the vertical quantum if that is more.
     temp_dir : path, optional
         Where large temporary data go; by default beside `dst`.
     verify : bool
@@ -198,7 +220,9 @@ def compress(
     -----
     O(n_rows * n_cols) time; memory O(threads * block^2 * levels), whatever the size of the raster.
     """
-    options = Options.checked(max_error, method, block, effort, border_rings, mesh, verify, threads)
+    options = Options.checked(
+        max_error, method, block, effort, border_rings, mesh, mesh_error, verify, threads
+    )
     reporter = Reporter(progress)
     refuse_own_source(src, dst)
     with (
@@ -428,10 +452,67 @@ def _encode(job: _Job, refiner: Refiner, executor: Executor, reporter: Reporter)
 
         encoder = TreeEncoder(job.grid, refiner, _parameters(job), pyramid, sink, on_samples)
         stats = encoder.run(executor)
+        errors = {block: encode_error(found.error + _lost(job)) for block, found in stats.items()}
+        mesh_errors = _mesh_errors(job, refiner, pyramid, sink, errors, executor, reporter)
     finally:
         pyramid.close()
-    _set_codes(job, sink.spools, stats)
+    _set_codes(job, sink.spools, stats, errors, mesh_errors)
     return _Coded(refiner.name, sink.spools, sink.n_bytes)
+
+
+def _lost(job: _Job) -> int:
+    """Return what rounding to quanta loses of each height, in quanta, rounded up."""
+    quantizer = job.quantizer
+    return int(-(-Fraction(quantizer.rho) * quantizer.denominator // quantizer.numerator))
+
+
+def _mesh_tolerance(job: _Job) -> int:
+    """Return the tolerance of the finest meshes in 1/16 quanta, rounded down."""
+    quantizer = job.quantizer
+    if job.options.mesh_error is None:
+        error = max(Fraction(quantizer.effective_error), Fraction(quantizer.quantum))
+    else:
+        error = as_fraction(job.options.mesh_error) / _scale_of(job.info)
+    quanta = error * quantizer.denominator / quantizer.numerator
+    return min(int(quanta * (1 << FRACTION_BITS)), MAX_MESH_TOLERANCE)
+
+
+def _mesh_errors(
+    job: _Job,
+    refiner: Refiner,
+    pyramid: Pyramid,
+    sink: "_SpoolSink",
+    errors: dict[Block, int],
+    executor: Executor,
+    reporter: Reporter,
+) -> dict[Block, int]:
+    """Return the error code of every block's mesh, measured against the originals."""
+    if job.options.mesh == "none":
+        return {}
+    grid = job.grid
+    decoder = TreeDecoder(grid, refiner, _parameters(job), sink.payloads, _MESH_CACHE_BYTES)
+    mesher = BlockMesher(
+        grid,
+        decoder,
+        lambda block: errors.get(block, 0),
+        _mesh_tolerance(job),
+        has_voids=job.scan.has_voids,
+    )
+    total, done = grid.n_rows * grid.n_cols, 0
+    itemsize = np.dtype(job.info.dtype).itemsize
+    lock = threading.Lock()
+
+    def on_samples(n_samples: int) -> None:
+        nonlocal done
+        with lock:
+            done = min(done + n_samples, total)
+            reporter.report("measuring meshes", done, total, done * itemsize)
+
+    found = measure_meshes(grid, mesher, pyramid.originals, executor, on_samples)
+    lost = _lost(job)
+    return {
+        block: encode_error(-(-error >> FRACTION_BITS) + lost) for block, error in found.items()
+    }
 
 
 class _SpoolSink:
@@ -458,6 +539,13 @@ class _SpoolSink:
         if is_complete:
             self.spools[head].finish()
 
+    def payloads(self, keys: Sequence[Block]) -> list[bytes]:
+        """Return payloads that have been taken."""
+        heads = [None if key.level < 0 else self._grid.segment_head(key) for key in keys]
+        return [
+            next(self.spools[head].chunks([key])) for head, key in zip(heads, keys, strict=True)
+        ]
+
 
 def _parameters(job: _Job) -> CodecParameters:
     quantizer = job.quantizer
@@ -471,12 +559,16 @@ def _parameters(job: _Job) -> CodecParameters:
     )
 
 
-def _set_codes(job: _Job, spools: dict[Block | None, SegmentSpool], stats: Stats) -> None:
+def _set_codes(
+    job: _Job,
+    spools: dict[Block | None, SegmentSpool],
+    stats: Stats,
+    errors: dict[Block, int],
+    mesh_errors: dict[Block, int],
+) -> None:
     """Give every block its box and error, each box relative to its parent's in the segment."""
     quantizer = job.quantizer
     whole = quantizer.z_min, quantizer.z_max
-    lost = -(-Fraction(quantizer.rho) * quantizer.denominator // quantizer.numerator)
-    errors = {block: encode_error(found.error + lost) for block, found in stats.items()}
     boxes = _enclosing_boxes(stats, errors, whole)
     for spool in spools.values():
         decoded: dict[Block, tuple[int, int]] = defaultdict(lambda: whole)
@@ -488,7 +580,7 @@ def _set_codes(job: _Job, spools: dict[Block | None, SegmentSpool], stats: Stats
                     continue
                 below, above = encode_range(*boxes[block], *decoded[key])
                 decoded[block] = decode_range(below, above, *decoded[key])
-                codes += bytes([below, above, errors[block], 0])
+                codes += bytes([below, above, errors[block], mesh_errors.get(block, 0)])
             spool.set_codes(key, bytes(codes))
 
 
@@ -535,6 +627,8 @@ def _header(job: _Job, method: str) -> Header:
         max_error=job.raw_bound,
         effective_bound=min(quantizer.effective_error, job.raw_bound),
         rho=quantizer.rho,
+        mesh=job.options.mesh,
+        mesh_tolerance=0 if job.options.mesh == "none" else _mesh_tolerance(job),
         metadata={**metadata, "software": f"terrainwave {__version__}"},
     )
 

@@ -4,11 +4,13 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 
+import numpy as np
+
 from terrainwave.codec.group import decode_unit
-from terrainwave.codec.refiner import Decoded, Refiner
+from terrainwave.codec.refiner import Decoded, Heights, Mask, Refiner
 from terrainwave.codec.units import CodecParameters, block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
-from terrainwave.quadtree import Block, Grid
+from terrainwave.quadtree import Block, Grid, Region, morton
 
 # Payloads held between being fetched and being decoded.
 _MAX_FETCHED = 1024
@@ -137,11 +139,39 @@ class TreeDecoder:
         except CorruptStreamError as exc:
             raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
 
+    def window(self, level: int, region: Region) -> tuple[Heights, Mask]:
+        """Return decoded heights and validity of any region inside a level."""
+        heights = np.zeros(region.shape, dtype=np.int32)
+        mask = np.zeros(region.shape, dtype=np.bool_)
+        for key in units_of(self._grid, level, region):
+            spec, unit = unit_spec(self._grid, self._parameters, key), self.unit(key)
+            part = spec.core.intersect(region)
+            there, here = part.slices_in(region), part.slices_in(spec.region)
+            heights[there], mask[there] = unit.heights[here], unit.mask[here]
+        return heights, mask
+
     def block(self, block: Block) -> Decoded:
         """Return the decoded heights of a block, with its apron if the file has one."""
         key = unit_key(block)
         spec = unit_spec(self._grid, self._parameters, key)
         return block_of_unit(self._grid, spec, self.unit(key), block)
+
+
+def units_of(grid: Grid, level: int, region: Region) -> list[Block]:
+    """Return the keys of the units that hold a region of a level, in Morton order."""
+    side = grid.block if level == 0 else 2 * grid.block
+    n_rows, n_cols = grid.level_blocks(max(level - 1, 0))
+    # The last sample of the last unit lies on a border without a unit beyond it.
+    rows = range(
+        min(region.row // side, n_rows - 1),
+        min((region.row + region.n_rows - 1) // side, n_rows - 1) + 1,
+    )
+    cols = range(
+        min(region.col // side, n_cols - 1),
+        min((region.col + region.n_cols - 1) // side, n_cols - 1) + 1,
+    )
+    keys = [Block(level - 1, row, col) for row in rows for col in cols]
+    return sorted(keys, key=lambda key: morton(key.row, key.col))
 
 
 def unit_key(block: Block) -> Block:

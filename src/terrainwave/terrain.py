@@ -22,13 +22,15 @@ from terrainwave.errors import (
     StorageError,
     UnsupportedVersionError,
 )
-from terrainwave.quadtree import Block, Grid, Region, morton
+from terrainwave.quadtree import Block, Grid, Region
 from terrainwave.quantum import Quantizer
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.resample import RESAMPLING, resample
 
 if TYPE_CHECKING:
     from terrainwave.decoder import TreeDecoder
+    from terrainwave.meshing import BlockMesher
+    from terrainwave.tri.mesh import BlockMesh, Mesh
 
 Window = tuple[int, int, int, int]
 DEFAULT_CACHE_BYTES = 256 << 20
@@ -57,6 +59,8 @@ class Info:
     effort: str
     block: int
     border_rings: int
+    mesh: str
+    mesh_tolerance: float
     n_levels: int
     level_shapes: tuple[tuple[int, int], ...]
     crs: str | None
@@ -191,6 +195,25 @@ class Terrain:
             self._cache_bytes,
         )
 
+    @cached_property
+    def _mesher(self) -> "BlockMesher":
+        from terrainwave.meshing import BlockMesher
+
+        header = self._container.header
+        return BlockMesher(
+            self._grid,
+            self._decoder,
+            lambda block: self._container.codes(block)[2],
+            header.mesh_tolerance,
+            has_voids=self._raster.mask_kind != "none",
+        )
+
+    @property
+    def _pyramid(self) -> str:
+        from terrainwave.codec.registry import refiner_by_name
+
+        return refiner_by_name(self._container.header.method).pyramid
+
     # What the file says.
 
     @property
@@ -287,6 +310,7 @@ class Terrain:
         """Return a summary of the file, from its header alone."""
         header, raster = self._container.header, self._raster
         n_samples = header.n_rows * header.n_cols
+        quantum = self._quantizer.quantum * abs(raster.scale)
         has_heights = header.z_min <= header.z_max
         physical = [
             self._quantizer.height_of(quantum) * raster.scale + raster.offset
@@ -302,13 +326,15 @@ class Terrain:
             ratio=n_samples * self.dtype.itemsize / self._source.size,
             max_error=self.max_error,
             effective_error=self.effective_error,
-            quantum=self._quantizer.quantum * abs(raster.scale),
+            quantum=quantum,
             rounding_error=self._quantizer.rho * abs(raster.scale),
             units=raster.units,
             method=header.method,
             effort=EFFORTS[min(header.effort, len(EFFORTS) - 1)],
             block=header.block,
             border_rings=header.border_rings,
+            mesh=header.mesh,
+            mesh_tolerance=header.mesh_tolerance / 16 * quantum,
             n_levels=self.n_levels,
             level_shapes=tuple(self._grid.level_shape(level) for level in range(self.n_levels)),
             crs=raster.crs,
@@ -330,6 +356,26 @@ class Terrain:
         decoded samples (DESIGN §3.9).
         """
         code = self._container.codes(block)[2]
+        return decode_error(code) * self._quantizer.quantum * abs(self._raster.scale)
+
+    @property
+    def mesh_kind(self) -> str:
+        """Return the kind of the file's meshes, ``"none"`` if it has none."""
+        return self._container.header.mesh
+
+    def mesh_error(self, block: Block) -> float:
+        """Return the stored measured error of a block's mesh, in physical units.
+
+        No valid original that the mesh covers is further from it.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If the file has no meshes.
+        """
+        if self.mesh_kind == "none":
+            raise InvalidHeightsError("the file has no meshes: add them with terrainwave mesh")
+        code = self._container.codes(block)[3]
         return decode_error(code) * self._quantizer.quantum * abs(self._raster.scale)
 
     def level_errors(self) -> list[float]:
@@ -486,6 +532,80 @@ class Terrain:
             heights[inside] = self._bilinear(index, rows[inside], cols[inside])
         return heights
 
+    # Meshes.
+
+    def mesh(
+        self,
+        window: Any = None,
+        *,
+        bounds: Sequence[float] | None = None,
+        level: int = -1,
+        max_error: float | None = None,
+        max_triangles: int | None = None,
+        optimise: int = 0,
+    ) -> "Mesh":
+        """Return one connected watertight mesh of an area.
+
+        Parameters
+        ----------
+        window, bounds : optional
+            The area as in `read`, here between the centres of its outermost pixels.
+        level : int
+            The finest level to use, as in `read`.
+        max_error : float, optional
+            Largest vertical distance from any valid original sample, in physical units. Blocks of
+            several levels are mixed to reach it with few triangles. By default the stored meshes
+            of `level` are taken as they are.
+        max_triangles : int, optional
+            Find the smallest error, up to 2 %, whose mesh has at most as many triangles; not
+            beyond `max_error`, if that is given too.
+        optimise : int
+            Sweeps of half-edge collapses over blocks of the full grid: one nearly halves the
+            triangles.
+
+        Returns
+        -------
+        Mesh
+            Its `error` holds at every valid sample it covers. It covers the quads of four valid
+            samples and the triangles of three.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If an argument is out of range, the area is less than 2 x 2 samples, or `max_error` is
+            less than the file's own error.
+        CorruptStreamError
+            If a block is damaged.
+        """
+        from terrainwave.extraction import Area, extract
+
+        index = self.level_index(level)
+        region = self.region(window, bounds=bounds, level=level)
+        if min(region.shape) < 2:
+            raise InvalidHeightsError(
+                f"found an area of {region.n_rows} x {region.n_cols} samples, expected at least"
+                " 2 x 2: a mesh lies between samples"
+            )
+        if max_triangles is not None and max_triangles < 1:
+            raise InvalidHeightsError(f"found max_triangles {max_triangles}, expected at least 1")
+        if max_error is not None and not (np.isfinite(max_error) and max_error >= 0):
+            raise InvalidHeightsError(f"found max_error {max_error}, expected a number >= 0")
+        if optimise < 0:
+            raise InvalidHeightsError(f"found optimise {optimise}, expected 0 or more sweeps")
+        area = Area(region, index, int(optimise))
+        return extract(self, area, max_error, max_triangles, self._n_threads)
+
+    def block_mesh(self, block: Block) -> "BlockMesh":
+        """Return the mesh of a block as `mesh_error` measures it, in samples and quanta.
+
+        Places count from the block's first sample; the mesh may reach past the raster's edge.
+        """
+        if self.mesh_kind == "none":
+            raise InvalidHeightsError("the file has no meshes: add them with terrainwave mesh")
+        if not self._grid.contains(block):
+            raise InvalidHeightsError(f"found {block}, expected a block of the file's levels")
+        return self._mesher.mesh(block)
+
     def check(self) -> Iterator[str]:
         """Check all checksums and decode every unit; yield what is wrong, in plain words."""
         yield from self._container.check()
@@ -577,7 +697,10 @@ class Terrain:
             self._quantizer.dequantize(unit.heights[here], heights[there])
             mask[there] = unit.mask[here]
 
-        keys = self._units_of(level, region)
+        # Imported late: numba.
+        from terrainwave.decoder import units_of
+
+        keys = units_of(self._grid, level, region)
         for first in range(0, len(keys), _BATCH):
             batch = keys[first : first + _BATCH]
             self._decoder.prefetch(batch)
@@ -588,22 +711,6 @@ class Terrain:
                 for _ in self._submit(fill, batch):
                     pass
         return heights, mask
-
-    def _units_of(self, level: int, region: Region) -> list[Block]:
-        """Return the keys of the units that hold a region of a level, in Morton order."""
-        side = self._grid.block if level == 0 else 2 * self._grid.block
-        n_rows, n_cols = self._grid.level_blocks(max(level - 1, 0))
-        # The last sample of the last unit lies on a border without a unit beyond it.
-        rows = range(
-            min(region.row // side, n_rows - 1),
-            min((region.row + region.n_rows - 1) // side, n_rows - 1) + 1,
-        )
-        cols = range(
-            min(region.col // side, n_cols - 1),
-            min((region.col + region.n_cols - 1) // side, n_cols - 1) + 1,
-        )
-        keys = [Block(level - 1, row, col) for row in rows for col in cols]
-        return sorted(keys, key=lambda key: morton(key.row, key.col))
 
     def _bilinear(
         self, level: int, rows: NDArray[np.float64], cols: NDArray[np.float64]

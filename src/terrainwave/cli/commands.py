@@ -15,7 +15,6 @@ from terrainwave.cli.options import (
     BlockSide,
     Bound,
     Finite,
-    Mesh,
     Nodata,
     Numbers,
     Positive,
@@ -34,6 +33,7 @@ from terrainwave.cli.output import (
 
 THREADS = click.IntRange(min=1)
 METHODS = click.Choice(["auto", "predictive", "cdf97", "store"])
+MESHES = click.Choice(["auto", "halves", "none"])
 EFFORTS = ["fast", "default", "best"]
 
 
@@ -71,8 +71,14 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--border-rings", type=click.Choice(["1", "3"]), default="1", show_default=True)
 @click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
 @click.option("--no-verify", is_flag=True, help="Skip decoding and comparing every sample.")
-@click.option("--mesh", type=Mesh(), default="none", help="Reserved: heights only for now.")
+@click.option("--mesh", type=MESHES, default="auto", show_default=True, help="Triangulation.")
 @click.option("--no-mesh", is_flag=True, help="Same as --mesh none.")
+@click.option(
+    "--mesh-error",
+    type=Bound(),
+    help="Distance of the finest meshes from the heights. Default: the guaranteed error, or the"
+    " heights' vertical step if that is more.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @_writing
 def compress(
@@ -80,6 +86,7 @@ def compress(
     target: str,
     border_rings: str,
     no_verify: bool,
+    mesh: str,
     no_mesh: bool,
     as_json: bool,
     quiet: bool,
@@ -94,6 +101,7 @@ def compress(
             source,
             target,
             border_rings=int(border_rings),
+            mesh="none" if no_mesh else mesh,
             verify=not no_verify,
             progress=bar,
             **options,
@@ -186,11 +194,64 @@ def decompress(source: str, target: str, quiet: bool, **options: Any) -> None:
     help="Make a printable body with a flat base at this height, in the file's unit.",
 )
 @click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
+@click.option(
+    "--store", is_flag=True, help="Make a copy of FILE with meshes stored in it; TARGET is a .twz."
+)
+@click.option("--mesh", "kind", type=MESHES, help="With --store: triangulation.")
+@click.option("--mesh-error", type=Bound(), help="With --store: as for compress.")
+@click.option("--original", help="With --store: the raster, to measure errors against.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @_writing
-def mesh(
+@click.pass_context
+def mesh(context: click.Context, /, file: str, target: str, store: bool, **options: Any) -> None:
+    """Write a mesh of FILE (.twz) to TARGET, no further from the original than the bound.
+
+    TARGET's extension tells the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, or .terrain, a
+    Cesium quantized-mesh tile.
+    """
+    given = {
+        name
+        for name in options
+        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+    }
+    common = {"threads", "overwrite", "quiet", "as_json"}
+    unfit = given - common - _STORE_OPTIONS if store else given & _STORE_OPTIONS
+    if unfit:
+        names = {"kind": "mesh"}
+        found = ", ".join(sorted(f"--{names.get(name, name)}".replace("_", "-") for name in unfit))
+        raise click.UsageError(f"found {found} {'with' if store else 'without'} --store")
+    if store:
+        _store_meshes(file, target, **{name: options[name] for name in common | _STORE_OPTIONS})
+    else:
+        _export_mesh(
+            file, target, **{name: options[name] for name in options.keys() - _STORE_OPTIONS}
+        )
+
+
+_STORE_OPTIONS = {"kind", "mesh_error", "original"}
+
+
+def _store_meshes(
+    file: str, target: str, *, kind: str | None, as_json: bool, quiet: bool, **options: Any
+) -> None:
+    import terrainwave
+
+    if kind == "none":
+        raise click.UsageError("found --mesh none with --store, expected auto or halves")
+    announce_compiling(quiet=quiet)
+    with reading(file), Bar(quiet=quiet) as bar:
+        path = terrainwave.store_meshes(file, target, mesh=kind or "auto", progress=bar, **options)
+    n_bytes = Path(path).stat().st_size
+    if as_json:
+        _print_json({"path": path, "n_bytes": n_bytes})
+    elif not quiet:
+        click.echo(f"{plain(path)}: {n_bytes:,} bytes, with meshes")
+
+
+def _export_mesh(
     file: str,
     target: str,
+    *,
     frame: str | None,
     z_scale: float,
     solid: float | None,
@@ -202,11 +263,6 @@ def mesh(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Write a mesh of FILE (.twz) to TARGET, no further from the original than the bound.
-
-    TARGET's extension tells the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, or .terrain, a
-    Cesium quantized-mesh tile.
-    """
     import terrainwave
     from terrainwave.container.publish import refuse_own_source
     from terrainwave.tri.export import EXTENSIONS, prepare
@@ -290,6 +346,7 @@ def _info_rows(info: Any) -> list[tuple[str, object]]:
     levels = ", ".join(f"{rows} x {cols}" for rows, cols in info.level_shapes)
     extent = "none" if info.minimum is None else f"{info.minimum:.6g} to {info.maximum:.6g} {unit}"
     scale = f"{info.scale:g}, offset {info.offset:g}"
+    tolerance = f"within {info.mesh_tolerance:.6g} {unit} of the heights"
     rows = [
         ("file", f"{info.path}, {info.n_bytes:,} bytes"),
         ("size", f"{info.n_rows} rows x {info.n_cols} columns, {info.dtype}"),
@@ -299,6 +356,7 @@ def _info_rows(info: Any) -> list[tuple[str, object]]:
         ("heights", extent),
         ("method", f"{info.method}, effort {info.effort}, border rings {info.border_rings}"),
         ("block", f"{info.block} x {info.block} cells"),
+        ("mesh", info.mesh if info.mesh == "none" else f"{info.mesh}, {tolerance}"),
         ("levels", f"{info.n_levels}: {levels}"),
         ("nodata", "none" if info.nodata is None else info.nodata),
         ("CRS", crs),

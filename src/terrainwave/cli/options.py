@@ -123,20 +123,3 @@ class Numbers(click.ParamType):
             kind = "whole numbers" if self._kind is int else "numbers"
             self.fail(f"found {value}, expected four {kind}: {self.name}", param, ctx)
         return numbers
-
-
-class Mesh(click.ParamType):
-    """The kind of mesh; only none for now."""
-
-    name = "none"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """Return ``"none"``."""
-        if value != "none":
-            self.fail(
-                f"found {value}, expected none: this version stores heights only, meshes come"
-                " later",
-                param,
-                ctx,
-            )
-        return str(value)

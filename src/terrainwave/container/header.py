@@ -20,6 +20,7 @@ FORMAT_VERSION = 0
 HEADER_SIZE = 128
 
 METHODS = ("store", "cdf97", "predictive", "cdf53")
+MESHES = ("none", "halves", "zerotree", "rqt")
 # Codes 2 (int8) and 5 (uint32) are reserved.
 DTYPE_CODES = {"uint8": 1, "uint16": 3, "int16": 4, "int32": 6, "float32": 7, "float64": 8}
 KNOWN_FEATURES = 0
@@ -28,6 +29,7 @@ MAX_SIDE = 2**31
 MAX_SAMPLES = 2**50
 MIN_BLOCK_LOG2, MAX_BLOCK_LOG2 = 5, 10
 MAX_EFFORT = 9
+MAX_MESH_TOLERANCE = 2**32 - 1
 MAX_QUANTUM_PART = 2**63 - 1
 MAX_Z = 2**30  # so that z ± a step's half and differences of two heights fit int32
 MAX_STEP = 2**31 - 1
@@ -35,7 +37,7 @@ MAX_METADATA = 2**20  # both deflated and inflated
 MAX_PARAMETERS = 2**16
 MAX_PAGE = 2**15  # an inflated page has at most 23.7 kB (FORMAT.md §10)
 
-_LAYOUT = struct.Struct("<8s B B H I Q I I B B B B B 3s Q Q q I i i I d d d I I I I I")
+_LAYOUT = struct.Struct("<8s B B H I Q I I B B B B B B 2s Q Q q I i i I d d d I I I I I")
 _CRC = struct.Struct("<I")
 
 
@@ -71,6 +73,10 @@ class Header:
         there is no valid sample.
     max_error, effective_bound, rho : float
         The bound asked for, the bound that holds, the share of it lost to rounding; raw units.
+    mesh : str
+        The triangulation of every block, one of `MESHES`.
+    mesh_tolerance : int
+        Its tolerance on the finest level, in 1/16 quanta; 0 without meshes.
     features : int
         Must-understand mask; no bit has a meaning yet.
     metadata : dict
@@ -94,6 +100,8 @@ class Header:
     max_error: float
     effective_bound: float
     rho: float
+    mesh: str = "none"
+    mesh_tolerance: int = 0
     features: int = 0
     metadata: dict[str, object] = field(default_factory=dict, hash=False)
     parameters: bytes = b""
@@ -138,6 +146,8 @@ def pack_header(header: Header, extents: Extents) -> bytes:
         raise InvalidHeightsError(f"block is {header.block}, not a power of two")
     if header.method not in METHODS:
         raise InvalidHeightsError(f"unknown method {header.method!r}; known: {', '.join(METHODS)}")
+    if header.mesh not in MESHES:
+        raise InvalidHeightsError(f"unknown mesh {header.mesh!r}; known: {', '.join(MESHES)}")
     if header.dtype not in DTYPE_CODES:
         raise InvalidHeightsError(f"data type {header.dtype} cannot be stored")
     for problem in _violations(header, extents):
@@ -156,7 +166,8 @@ def pack_header(header: Header, extents: Extents) -> bytes:
         METHODS.index(header.method),
         DTYPE_CODES[header.dtype],
         header.effort,
-        bytes(3),
+        MESHES.index(header.mesh),
+        bytes(2),
         header.quantum.numerator,
         header.quantum.denominator,
         header.base,
@@ -171,7 +182,7 @@ def pack_header(header: Header, extents: Extents) -> bytes:
         extents.parameters_length,
         extents.parameters_crc,
         extents.top_page_length,
-        0,
+        header.mesh_tolerance,
     )
     return body + _CRC.pack(zlib.crc32(body))
 
@@ -203,20 +214,22 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     body = data[: _LAYOUT.size]
     fields = _LAYOUT.unpack(body)
     (_, _, reserved, size, features, file_size, n_rows, n_cols, block_log2, rings) = fields[:10]
-    (method, dtype, effort, padding, numerator, denominator, base) = fields[10:17]
-    (step, z_min, z_max, metadata_length, max_error, effective_bound, rho) = fields[17:24]
-    (metadata_crc, parameters_length, parameters_crc, top_page_length, tail) = fields[24:]
+    (method, dtype, effort, mesh, padding, numerator, denominator, base) = fields[10:18]
+    (step, z_min, z_max, metadata_length, max_error, effective_bound, rho) = fields[18:25]
+    (metadata_crc, parameters_length, parameters_crc, top_page_length, mesh_tolerance) = fields[25:]
     if size != HEADER_SIZE:
         raise CorruptStreamError(f"header size {size} instead of {HEADER_SIZE} (byte 10)")
     (stored,) = _CRC.unpack_from(data, _LAYOUT.size)
     if stored != zlib.crc32(body):
         raise CorruptStreamError("checksum of the header does not match")
-    if reserved or tail or padding != bytes(3):
+    if reserved or padding != bytes(2):
         raise UnsupportedVersionError("a reserved field of the header is not 0")
     if not MIN_BLOCK_LOG2 <= block_log2 <= MAX_BLOCK_LOG2:
         raise CorruptStreamError(f"log2 of the block size is {block_log2}, not 5 ... 10 (byte 32)")
     if method >= len(METHODS):
         raise UnsupportedVersionError(f"unknown method {method} (byte 34)")
+    if mesh >= len(MESHES):
+        raise UnsupportedVersionError(f"unknown mesh {mesh} (byte 37)")
     names = {code: name for name, code in DTYPE_CODES.items()}
     if dtype not in names:
         raise UnsupportedVersionError(f"unknown data type {dtype} (byte 35)")
@@ -240,6 +253,8 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
         max_error=max_error,
         effective_bound=effective_bound,
         rho=rho,
+        mesh=MESHES[mesh],
+        mesh_tolerance=mesh_tolerance,
         features=features,
     )
     extents = Extents(
@@ -295,6 +310,10 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
         yield _Violation(f"effective bound {header.effective_bound} exceeds {header.max_error}")
     if header.rho > header.max_error:
         yield _Violation(f"rounding loss {header.rho} exceeds max_error {header.max_error}")
+    if not 0 <= header.mesh_tolerance <= MAX_MESH_TOLERANCE:
+        yield _Violation(f"mesh tolerance {header.mesh_tolerance} does not fit 32 bits")
+    if header.mesh == "none" and header.mesh_tolerance:
+        yield _Violation("a mesh tolerance without meshes")
     if not 1 <= extents.metadata_length <= MAX_METADATA:
         yield _Violation(f"metadata of {extents.metadata_length} bytes, not 1 ... 2^20")
     if not 0 <= extents.parameters_length <= MAX_PARAMETERS:

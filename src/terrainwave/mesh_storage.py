@@ -1,0 +1,179 @@
+"""Add meshes to a finished file, without coding its heights again."""
+
+import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.codes import encode_error
+from terrainwave.container.header import MAX_MESH_TOLERANCE
+from terrainwave.container.page import N_CODES, key_blocks
+from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
+from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.writer import assemble
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.meshing import BlockMesher, Originals, measure_meshes
+from terrainwave.progress import ProgressCallback, Reporter
+from terrainwave.quadtree import Block, Region
+from terrainwave.quantum import as_fraction
+from terrainwave.raster_io.source import RasterSource
+from terrainwave.terrain import Terrain
+from terrainwave.tri.mesh import FRACTION_BITS
+
+# Meshes that files store; "auto" is the first.
+MESHES = ("halves",)
+
+
+def store_meshes(
+    src: str | os.PathLike[str],
+    dst: str | os.PathLike[str],
+    *,
+    mesh: str = "auto",
+    mesh_error: float | None = None,
+    original: Any = None,
+    threads: int | None = None,
+    overwrite: bool = False,
+    progress: ProgressCallback | None = None,
+) -> str:
+    """Write a .twz file with meshes of all its blocks; return its path.
+
+    Parameters
+    ----------
+    src : path or URL
+        A .twz file, with or without meshes.
+    dst : path
+        The file to make. It appears complete or not at all.
+    mesh : str
+        ``"halves"`` or ``"auto"``.
+    mesh_error : float, optional
+        As in `compress`.
+    original : path, dataset or array, optional
+        The raster the file was made of: errors of meshes are then measured against it. Without,
+        they are those against the decoded heights plus the file's own bound: true as well, and a
+        little larger.
+    threads : int, optional
+        All processors by default; the bytes don't depend on it.
+    overwrite : bool
+        Replace an existing `dst`.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If an option cannot be used, or `original` is not what the file was made of.
+    CorruptStreamError
+        If the file is damaged; `dst` is untouched.
+    StorageError
+        If something cannot be read or written, or `dst` is `src`; `dst` is untouched.
+    """
+    if mesh not in ("auto", *MESHES):
+        raise InvalidHeightsError(f"found mesh {mesh!r}, expected one of auto, {', '.join(MESHES)}")
+    if mesh_error is not None and not (math.isfinite(mesh_error) and mesh_error >= 0):
+        raise InvalidHeightsError(f"found mesh_error {mesh_error}, expected a finite number >= 0")
+    if threads is not None and threads < 1:
+        raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
+    refuse_own_source(src, dst)
+    n_threads = threads or os.cpu_count() or 1
+    reporter = Reporter(progress)
+    with (
+        publish(dst, overwrite=overwrite) as part,
+        Terrain(src, threads=1) as terrain,
+        scratch_directory(Path(dst).absolute().parent, Path(dst).name) as directory,
+        ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
+    ):
+        container = terrain._container
+        header = replace(
+            container.header,
+            mesh=MESHES[0] if mesh == "auto" else mesh,
+            mesh_tolerance=_tolerance(terrain, mesh_error),
+        )
+        grid = header.grid
+        mesher = BlockMesher(
+            grid,
+            terrain._decoder,
+            lambda block: container.codes(block)[2],
+            header.mesh_tolerance,
+            has_voids=terrain.raster_info.mask_kind != "none",
+        )
+        total, done = grid.n_rows * grid.n_cols, 0
+        itemsize = terrain.dtype.itemsize
+
+        def on_samples(n_samples: int) -> None:
+            nonlocal done
+            done = min(done + n_samples, total)
+            reporter.report("measuring meshes", done, total, done * itemsize)
+
+        originals, lost = _originals(terrain, original)
+        found = measure_meshes(grid, mesher, originals, executor, on_samples)
+        codes = {
+            block: encode_error(math.ceil(Fraction(error, 1 << FRACTION_BITS) + lost))
+            for block, error in found.items()
+        }
+        spools = _copied(terrain, codes, directory)
+        assemble(part.file, header, spools)
+        for spool in spools.values():
+            spool.close()
+    return os.fspath(dst)
+
+
+def _tolerance(terrain: Terrain, mesh_error: float | None) -> int:
+    """Return the tolerance of the finest meshes in 1/16 quanta, rounded down."""
+    header = terrain._container.header
+    if mesh_error is None:
+        error = max(Fraction(header.effective_bound), header.quantum)
+    else:
+        error = as_fraction(mesh_error) / abs(as_fraction(terrain.raster_info.scale))
+    return min(int(error / header.quantum * (1 << FRACTION_BITS)), MAX_MESH_TOLERANCE)
+
+
+def _originals(terrain: Terrain, original: Any) -> tuple[Originals, Fraction]:
+    """Return what meshes are measured against, and what to add to errors, in quanta."""
+    header, level = terrain._container.header, terrain.n_levels - 1
+    rho = Fraction(header.rho) / header.quantum
+    if original is None:
+        decoder = terrain._decoder
+        return lambda region: decoder.window(level, region), (header.step >> 1) + rho
+    source, quantizer = RasterSource(original), terrain._quantizer
+    if (source.info.n_rows, source.info.n_cols) != terrain.shape:
+        raise InvalidHeightsError(
+            f"found an original of {source.info.n_rows} x {source.info.n_cols} samples, expected"
+            f" {terrain.shape[0]} x {terrain.shape[1]}"
+        )
+
+    def read(region: Region) -> tuple[Heights, Mask]:
+        raw, valid = source.read(*region)
+        heights = quantizer.quantize(raw, valid)
+        decoded, mask = terrain._decoder.window(level, region)
+        apart = np.abs(heights.astype(np.int64) - decoded)[valid & mask].max(initial=0)
+        if not np.array_equal(valid, mask) or apart > header.step >> 1:
+            raise InvalidHeightsError(
+                f"the original does not fit the file in the window {tuple(region)}: expected the"
+                " raster that it was made of"
+            )
+        return heights, valid
+
+    return read, rho
+
+
+def _copied(
+    terrain: Terrain, mesh_codes: dict[Block, int], directory: Path
+) -> dict[Block | None, SegmentSpool]:
+    """Return the file's payloads with new codes."""
+    container, grid = terrain._container, terrain.grid
+    spools: dict[Block | None, SegmentSpool] = {}
+    for head in grid.segment_heads():
+        spool = spools[head] = SegmentSpool(directory)
+        segment = container.segment(head)
+        for key in segment.layout.keys:
+            codes = bytearray()
+            for block in key_blocks(grid, key):
+                row = segment.page.codes[segment.block_rows[block]]
+                codes += bytes(row[: N_CODES - 1]) + bytes([mesh_codes.get(block, 0)])
+            spool.add(key, container.payload(key), codes=bytes(codes))
+        spool.finish()
+    return spools

@@ -1,0 +1,94 @@
+"""Border lines: their vertices follow from the shared samples alone (DESIGN §5).
+
+Two blocks of one level see the same decoded samples on the line between them, the same voids beside
+it and the same tolerance, so both find the same vertices, in any order and on any machine.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._jit import kernel
+
+# Vertices on borders keep within 7/10 of the tolerance, to leave some to the triangles beside them.
+_SHARE_NUM, _SHARE_DEN = 7, 10
+
+
+@kernel
+def line_vertices(heights, forced, offset, side, tolerance):
+    """Return which samples of a border line are vertices.
+
+    Dyadic: in the line of a whole block, sample m, an odd multiple of s, stands between m - s and
+    m + s. It is a vertex if a sample between these two is further than the tolerance from their
+    chord, or if a vertex lies between them; so vertices of a tolerance are vertices of any smaller
+    one.
+
+    Parameters
+    ----------
+    heights : ndarray of integers, shape (n,)
+        Heights on the line, in any unit, below 2^40 in magnitude.
+    forced : ndarray of bool, shape (n,)
+        Samples that must be vertices: voids, and samples beside voids.
+    offset : int
+        Place of the first sample in the block's line, 0 … side.
+    side : int
+        Cells of a whole block: a power of two.
+    tolerance : int
+        In the unit of the heights.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        The first and last samples always are.
+    """
+    n = heights.shape[0]
+    last = offset + n - 1
+    active = np.zeros(side + 1, dtype=np.bool_)
+    for i in range(n):
+        active[offset + i] = forced[i]
+    spacing = 1
+    while spacing < side:
+        for middle in range(spacing, side, 2 * spacing):
+            if active[middle]:
+                continue
+            below = spacing >> 1
+            if below > 0 and (active[middle - below] or active[middle + below]):
+                # Beyond the end of the line too, to pass on what lies before the end.
+                active[middle] = True
+                continue
+            if not offset < middle < last:
+                continue
+            start, stop = max(middle - spacing, offset), min(middle + spacing, last)
+            first = np.int64(heights[start - offset])
+            rise = np.int64(heights[stop - offset]) - first
+            length = stop - start
+            limit = np.int64(tolerance) * length * _SHARE_NUM
+            for place in range(start + 1, stop):
+                chord = (np.int64(heights[place - offset]) - first) * length
+                chord -= rise * (place - start)
+                if abs(chord) * _SHARE_DEN > limit:
+                    active[middle] = True
+                    break
+        spacing *= 2
+    found = active[offset : last + 1].copy()
+    found[0] = True
+    found[n - 1] = True
+    return found
+
+
+def beside_void(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the samples that are void or touch a grid triangle with a void corner.
+
+    Parameters
+    ----------
+    mask : ndarray of bool, shape (n_rows + 2, n_cols + 2)
+        Validity with an apron of one sample; True where there is no sample.
+
+    Returns
+    -------
+    ndarray of bool, shape (n_rows, n_cols)
+        Grid triangles are (a, b, c) and (a, c, d) of each quad with corners a, b in the upper row
+        and d, c in the lower.
+    """
+    inner = mask[1:-1, 1:-1] & mask[:-2, :-2] & mask[2:, 2:]
+    inner &= mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
+    return ~inner

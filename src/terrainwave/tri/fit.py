@@ -1,0 +1,121 @@
+"""Heights of a vertex that keep the samples of a triangle within a tolerance, exactly.
+
+Heights are integers, centred and held in float64: with |z| <= 2^30 and areas below 2^22 every
+product is below 2^53, so all machines find the same intervals, with fused multiplications or not.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._jit import kernel
+from terrainwave.tri.mesh import FRACTION_BITS
+
+_MAX_RANGE = 1 << 30
+
+
+class Scale(NamedTuple):
+    """How heights are held: ``value = (quanta - base) << bits``.
+
+    `tolerance` is in this unit, as are `lowest` and `highest`, between which vertices stay.
+    """
+
+    base: int
+    bits: int
+    tolerance: float
+    lowest: float
+    highest: float
+
+    def to_mesh(self, values: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return heights in 1/16 quanta."""
+        whole = values.astype(np.int64) << (FRACTION_BITS - self.bits)
+        return whole + (self.base << FRACTION_BITS)
+
+    def of_mesh(self, heights: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return heights in 1/16 quanta as values; the inverse of `to_mesh`."""
+        whole = (heights - (self.base << FRACTION_BITS)) >> (FRACTION_BITS - self.bits)
+        return whole.astype(np.float64)
+
+
+def scaled_heights(
+    heights: NDArray[np.int32], mask: NDArray[np.bool_], tolerance: int
+) -> tuple[NDArray[np.int32], Scale]:
+    """Return heights as values, and the scale; `tolerance` is in 1/16 quanta.
+
+    Sixteenths of a quantum where the range of valid heights leaves room for them, else whole ones.
+    """
+    valid = heights[mask]
+    low, high = int(valid.min()), int(valid.max())
+    base = (low + high) >> 1
+    bits = FRACTION_BITS if (high - low) << FRACTION_BITS < _MAX_RANGE else 0
+    slack = min(tolerance >> (FRACTION_BITS - bits), _MAX_RANGE)
+    lowest, highest = ((low - base) << bits) - slack, ((high - base) << bits) + slack
+    values = ((heights.astype(np.int64) - base) << bits).astype(np.int32)
+    return values, Scale(base, bits, float(slack), float(lowest), float(highest))
+
+
+@kernel
+def fit_triangle(heights, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2, tolerance, low, high):
+    """Narrow the interval of the height at vertex 0 to what the samples of a triangle allow.
+
+    Places are doubled. Returns an empty interval (1, 0) if nothing is left. Samples on the edge
+    opposite to vertex 0 don't depend on its height: they are those of a triangle beyond the edge
+    too, or of a border.
+    """
+    area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
+    scale = float(area)
+    slack = tolerance * scale
+    first_col, last_col = (min(col_0, col_1, col_2) + 1) >> 1, max(col_0, col_1, col_2) >> 1
+    first_row, last_row = (min(row_0, row_1, row_2) + 1) >> 1, max(row_0, row_1, row_2) >> 1
+    step_0, step_1 = -2 * (row_2 - row_1), -2 * (row_0 - row_2)
+    step_2 = -(step_0 + step_1)
+    rise = float(step_1) * z_1 + float(step_2) * z_2
+    is_wide = last_col - first_col > 6
+    for row in range(first_row, last_row + 1):
+        left = 2 * first_col
+        weight_0 = (col_1 - left) * (row_2 - 2 * row) - (col_2 - left) * (row_1 - 2 * row)
+        weight_1 = (col_2 - left) * (row_0 - 2 * row) - (col_0 - left) * (row_2 - 2 * row)
+        weight_2 = area - weight_0 - weight_1
+        start, stop = first_col, last_col
+        if is_wide:
+            # From where to where the three weights are >= 0; quotients of integers below 2^26
+            # round to the right floor.
+            skip, most = 0, last_col - first_col
+            for weight, step in ((weight_0, step_0), (weight_1, step_1), (weight_2, step_2)):
+                if step > 0:
+                    if weight < 0:
+                        skip = max(skip, int(np.ceil(float(-weight) / float(step))))
+                elif weight < 0:
+                    most = -1
+                elif step < 0:
+                    most = min(most, int(np.floor(float(weight) / float(-step))))
+            start, stop = first_col + skip, first_col + most
+            weight_0 += skip * step_0
+            weight_1 += skip * step_1
+            weight_2 += skip * step_2
+        is_inside = False
+        fixed = float(weight_1) * z_1 + float(weight_2) * z_2
+        for col in range(start, stop + 1):
+            if (weight_0 | weight_1 | weight_2) >= 0:
+                is_inside = True
+                if weight_0 > 0:
+                    rest = float(heights[row, col]) * scale - fixed
+                    share = float(weight_0)
+                    if rest - slack > low * share:
+                        low = np.ceil((rest - slack) / share)
+                        if low * share < rest - slack:
+                            low += 1.0
+                    if rest + slack < high * share:
+                        high = np.floor((rest + slack) / share)
+                        if high * share > rest + slack:
+                            high -= 1.0
+            elif is_inside:
+                break
+            weight_0 += step_0
+            weight_1 += step_1
+            weight_2 += step_2
+            fixed += rise
+        if low > high:
+            return 1.0, 0.0
+    return low, high

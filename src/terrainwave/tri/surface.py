@@ -1,0 +1,189 @@
+"""How far samples are from a mesh, measured at every sample it covers."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._jit import kernel
+from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
+
+_MAX_EXACT_AREA = 1 << 25
+# More than float64 loses of heights below 2^36.
+_ROUNDING = 2.0**-10
+
+
+def largest_deviation(
+    mesh: BlockMesh,
+    stride: int,
+    heights: NDArray[np.int32],
+    mask: NDArray[np.bool_],
+    row: int,
+    col: int,
+) -> int:
+    """Return the largest vertical distance of valid samples from a mesh, rounded up.
+
+    Parameters
+    ----------
+    mesh : BlockMesh
+        Its first sample lies on sample (0, 0) of the window's grid.
+    stride : int
+        Samples of the window's grid per sample of the mesh's level.
+    heights, mask : ndarray, shape (n_rows, n_cols)
+        Quanta and validity of a window whose first sample is (`row`, `col`).
+
+    Returns
+    -------
+    int
+        In 1/16 quanta; 0 if the mesh covers no valid sample of the window.
+    """
+    return int(
+        _largest_deviation(
+            mesh.rows, mesh.cols, mesh.heights, mesh.triangles, stride, heights, mask, row, col
+        )
+    )
+
+
+@kernel
+def _largest_deviation(rows, cols, heights, triangles, stride, samples, mask, first_row, first_col):
+    n_rows, n_cols = samples.shape
+    largest = np.int64(0)
+    for t in range(triangles.shape[0]):
+        p_0, p_1, p_2 = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        # Doubled places relative to the window's first sample.
+        row_0 = np.int64(rows[p_0]) * stride - 2 * first_row
+        row_1 = np.int64(rows[p_1]) * stride - 2 * first_row
+        row_2 = np.int64(rows[p_2]) * stride - 2 * first_row
+        top = max((min(row_0, row_1, row_2) + 1) >> 1, 0)
+        bottom = min(max(row_0, row_1, row_2) >> 1, n_rows - 1)
+        if top > bottom:
+            continue
+        col_0 = np.int64(cols[p_0]) * stride - 2 * first_col
+        col_1 = np.int64(cols[p_1]) * stride - 2 * first_col
+        col_2 = np.int64(cols[p_2]) * stride - 2 * first_col
+        left = max((min(col_0, col_1, col_2) + 1) >> 1, 0)
+        right = min(max(col_0, col_1, col_2) >> 1, n_cols - 1)
+        if left > right:
+            continue
+        area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
+        if area <= 0:
+            continue
+        z_0 = heights[p_0]
+        rise_1, rise_2 = heights[p_1] - z_0, heights[p_2] - z_0
+        # Integers while products of an area and a difference of heights, below 2^36, fit.
+        is_exact = area < _MAX_EXACT_AREA
+        step_0, step_1 = -2 * (row_2 - row_1), -2 * (row_0 - row_2)
+        step_2 = -(step_0 + step_1)
+        for row in range(top, bottom + 1):
+            weight_0 = (col_1 - 2 * left) * (row_2 - 2 * row) - (col_2 - 2 * left) * (
+                row_1 - 2 * row
+            )
+            weight_1 = (col_2 - 2 * left) * (row_0 - 2 * row) - (col_0 - 2 * left) * (
+                row_2 - 2 * row
+            )
+            weight_2 = area - weight_0 - weight_1
+            skip, most = np.int64(0), right - left
+            for k in range(3):
+                weight = weight_0 if k == 0 else (weight_1 if k == 1 else weight_2)
+                step = step_0 if k == 0 else (step_1 if k == 1 else step_2)
+                if step > 0:
+                    if weight < 0:
+                        skip = max(skip, -(weight // step))
+                elif weight < 0:
+                    most = np.int64(-1)
+                elif step < 0:
+                    most = min(most, weight // -step)
+            for place in range(skip, most + 1):
+                if not mask[row, left + place]:
+                    continue
+                share_1, share_2 = weight_1 + place * step_1, weight_2 + place * step_2
+                sample = (np.int64(samples[row, left + place]) << FRACTION_BITS) - z_0
+                if is_exact:
+                    apart = abs(share_1 * rise_1 + share_2 * rise_2 - sample * area)
+                    if apart > largest * area:
+                        largest = (apart + area - 1) // area
+                else:
+                    surface = float(share_1) * float(rise_1) + float(share_2) * float(rise_2)
+                    apart_float = abs(surface / float(area) - float(sample)) + _ROUNDING
+                    if apart_float > float(largest):
+                        largest = np.int64(np.ceil(apart_float))
+    return largest
+
+
+def deviation_from_bilinear(
+    mesh: BlockMesh, stride: int, heights: NDArray[np.int32], mask: NDArray[np.bool_]
+) -> int:
+    """Return the largest distance of a mesh from its samples' bilinear surface, rounded up.
+
+    Looked at are the places of all full-grid samples, `stride` per sample of the mesh's level, in
+    cells without voids: with the error of the bilinear surface this bounds the error of the mesh.
+
+    Parameters
+    ----------
+    heights, mask : ndarray, shape (n_rows, n_cols)
+        The samples that the mesh was made from, quanta.
+
+    Returns
+    -------
+    int
+        In 1/16 quanta.
+    """
+    whole = mask[:-1, :-1] & mask[:-1, 1:] & mask[1:, :-1] & mask[1:, 1:]
+    return int(
+        _largest_from_bilinear(
+            mesh.rows, mesh.cols, mesh.heights, mesh.triangles, stride, heights, whole
+        )
+    )
+
+
+@kernel
+def _largest_from_bilinear(rows, cols, heights, triangles, stride, samples, is_whole):
+    n_rows, n_cols = is_whole.shape
+    largest = 0.0
+    share = float(1 << FRACTION_BITS) / (float(stride) * float(stride))
+    for t in range(triangles.shape[0]):
+        p_0, p_1, p_2 = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        row_0, col_0 = np.int64(rows[p_0]) * stride, np.int64(cols[p_0]) * stride
+        row_1, col_1 = np.int64(rows[p_1]) * stride, np.int64(cols[p_1]) * stride
+        row_2, col_2 = np.int64(rows[p_2]) * stride, np.int64(cols[p_2]) * stride
+        area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
+        if area <= 0:
+            continue
+        top, bottom = (min(row_0, row_1, row_2) + 1) >> 1, max(row_0, row_1, row_2) >> 1
+        left, right = (min(col_0, col_1, col_2) + 1) >> 1, max(col_0, col_1, col_2) >> 1
+        z_0 = float(heights[p_0])
+        rise_1, rise_2 = float(heights[p_1]) - z_0, float(heights[p_2]) - z_0
+        step_0, step_1 = -2 * (row_2 - row_1), -2 * (row_0 - row_2)
+        step_2 = -(step_0 + step_1)
+        for row in range(top, bottom + 1):
+            weight_0 = (col_1 - 2 * left) * (row_2 - 2 * row)
+            weight_0 -= (col_2 - 2 * left) * (row_1 - 2 * row)
+            weight_1 = (col_2 - 2 * left) * (row_0 - 2 * row)
+            weight_1 -= (col_0 - 2 * left) * (row_2 - 2 * row)
+            weight_2 = area - weight_0 - weight_1
+            skip, most = np.int64(0), right - left
+            for k in range(3):
+                weight = weight_0 if k == 0 else (weight_1 if k == 1 else weight_2)
+                step = step_0 if k == 0 else (step_1 if k == 1 else step_2)
+                if step > 0:
+                    if weight < 0:
+                        skip = max(skip, -(weight // step))
+                elif weight < 0:
+                    most = np.int64(-1)
+                elif step < 0:
+                    most = min(most, weight // -step)
+            cell_row = min(row // stride, n_rows - 1)
+            down = row - cell_row * stride
+            for col in range(left + skip, left + most + 1):
+                cell = min(col // stride, n_cols - 1)
+                if not is_whole[cell_row, cell]:
+                    continue
+                place = col - cell * stride
+                upper = np.int64(samples[cell_row, cell]) * (stride - place)
+                upper += np.int64(samples[cell_row, cell + 1]) * place
+                lower = np.int64(samples[cell_row + 1, cell]) * (stride - place)
+                lower += np.int64(samples[cell_row + 1, cell + 1]) * place
+                bilinear = float(upper * (stride - down) + lower * down) * share
+                share_1 = float(weight_1 + (col - left) * step_1)
+                share_2 = float(weight_2 + (col - left) * step_2)
+                surface = z_0 + (share_1 * rise_1 + share_2 * rise_2) / float(area)
+                largest = max(largest, abs(surface - bilinear))
+    return np.ceil(largest + _ROUNDING)
