@@ -280,16 +280,55 @@ def _export_mesh(
         )
     refuse_own_source(file, target)
     prepare(target, overwrite=overwrite)
+    shape = {"frame": frame, "z_scale": z_scale, "solid": solid, "radius": radius}
     announce_compiling(quiet=quiet)
     with reading(file), terrainwave.open(file, threads=threads) as terrain:
-        surface = terrain.mesh(optimise=int(optimise), **options)
-    saved = surface.save(
-        target, frame=frame, z_scale=z_scale, solid=solid, radius=radius, overwrite=overwrite
-    )
+        surface = _mesh_for(
+            target,
+            lambda max_error: terrain.mesh(
+                optimise=int(optimise), **options | {"max_error": max_error}
+            ),
+            options["max_error"],
+            shape,
+        )
+    saved = surface.save(target, overwrite=overwrite, **shape)
     if as_json:
         _print_json(asdict(saved))
     elif not quiet:
         _print_saved(saved)
+
+
+def _mesh_for(
+    target: str, make: Callable[[float | None], Any], bound: float | None, shape: dict[str, Any]
+) -> Any:
+    """Return a mesh whose error keeps the bound in the file too, where that can be had.
+
+    Rounding in the file adds to a mesh's error: the mesh is made again with so much less.
+    """
+    from terrainwave.errors import InvalidHeightsError
+    from terrainwave.tri.export import file_rounding
+
+    first = surface = make(bound)
+    if bound is None:
+        return first
+    for _ in range(_MESH_ATTEMPTS):
+        rounding = file_rounding(surface, target, **shape)
+        if surface.error + rounding <= bound:
+            return surface
+        try:
+            # The next mesh is another one: its rounding may be somewhat more.
+            surface = make(bound - _ROUNDING_SLACK * rounding)
+        except InvalidHeightsError:
+            break
+    print_note(
+        f"rounding of coordinates in the file adds to the error, which is more than {bound:g};"
+        " .ply, .obj and .vtu keep it"
+    )
+    return first
+
+
+_MESH_ATTEMPTS = 3
+_ROUNDING_SLACK = 1.25
 
 
 def _print_saved(saved: Any) -> None:
