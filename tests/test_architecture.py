@@ -30,6 +30,7 @@ LAYERS = [
         "compression",
         "decompression",
         "extraction",
+        "height_tile",
         "mesh_storage",
         "mesh_verification",
         "verification",
