@@ -25,12 +25,14 @@ from terrainwave.coding.rangecoder import (
 # Expected magnitudes are in 1/256 step; their logarithm counts eighths of an octave.
 E_BITS = 8
 MAX_E = (1 << 28) - 1
+# Added to an expected magnitude before distances are compared with it.
+E_OFFSET = 77
 _LOG_TABLE_BITS = 12
 
 
 def _eighth_octaves() -> np.ndarray:
     """Return floor(8 log2 v) for v below 4096 in exact integers; 0 for v = 0."""
-    table = np.zeros(1 << _LOG_TABLE_BITS, dtype=np.int64)
+    table = np.zeros(1 << _LOG_TABLE_BITS, dtype=np.uint8)  # small, to stay in the first cache
     for value in range(1, 1 << _LOG_TABLE_BITS):
         # 2**(k/8) <= v  <=>  2**k <= v**8
         table[value] = (value**8).bit_length() - 1
@@ -73,18 +75,38 @@ MAX_DETAIL = 1 << 33
 def log8(value):
     """Return floor(8 log2(value)) with 12 bits of `value`; 0 for 0 or less."""
     if value < 4096:
-        return LOG8[max(value, 0)]
+        return np.int64(LOG8[max(value, 0)])
     if value < 1 << 20:
-        return LOG8[value >> 8] + 64
+        return np.int64(LOG8[value >> 8]) + 64
     if value < 1 << 28:
-        return LOG8[value >> 16] + 128
-    return LOG8[min(value >> 24, 4095)] + 192
+        return np.int64(LOG8[value >> 16]) + 128
+    return np.int64(LOG8[min(value >> 24, 4095)]) + 192
 
 
 @kernel
 def e_bin_of(log):
     """Return the bin of an expected magnitude from its `log8`."""
     return min(max(((log - _FIRST_LOG) >> 2) + 1, 0), N_E_BINS - 1)
+
+
+def _contexts_of_small() -> np.ndarray:
+    """Return, for each expected magnitude below 4096, its bin and `log8` of it + E_OFFSET."""
+    logs = [int(LOG8[v]) if v < 4096 else int(LOG8[v >> 8]) + 64 for v in range(4096 + E_OFFSET)]
+    bins = [min(max(((log - _FIRST_LOG) >> 2) + 1, 0), N_E_BINS - 1) for log in logs]
+    pairs = zip(bins[:4096], logs[E_OFFSET:], strict=True)
+    return np.array([bin_ | log << 8 for bin_, log in pairs], dtype=np.uint16)
+
+
+_CONTEXTS_OF_SMALL = _contexts_of_small()
+
+
+@kernel
+def contexts_of(expected):
+    """Return the bin of an expected magnitude, and `log8` of it + E_OFFSET."""
+    if 0 <= expected < 4096:
+        pair = np.int64(_CONTEXTS_OF_SMALL[expected])
+        return pair & 255, pair >> 8
+    return e_bin_of(log8(expected)), log8(expected + E_OFFSET)
 
 
 @kernel

@@ -36,6 +36,7 @@ from terrainwave.codec.nested import (
     N_ROW_BUFFERS,
     code_pass,
     fill_noisy,
+    fits_narrow,
     open_loop_cost,
 )
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
@@ -83,6 +84,14 @@ class Choice(NamedTuple):
     e_class: int
 
 
+class _Rows(NamedTuple):
+    """Row buffers, and the largest height that will be met."""
+
+    most: int
+    narrow: NDArray[np.int32]
+    wide: NDArray[np.int64]
+
+
 class _Scratch(NamedTuple):
     """The arrays of a lattice."""
 
@@ -90,7 +99,7 @@ class _Scratch(NamedTuple):
     errors: NDArray[np.int32]
     activity: NDArray[np.int32]
     bends: NDArray[np.int64]
-    rows: NDArray[np.int64]
+    rows: _Rows
     spots: NDArray[np.int64]
 
 
@@ -214,7 +223,13 @@ def _code_lattice(
     errors = np.zeros(padded, dtype=np.int32)
     activity = np.zeros(padded, dtype=np.int32)
     bends = np.zeros(padded[1:], dtype=np.int64)
-    rows = np.zeros((N_ROW_BUFFERS, sizes[A][1]), dtype=np.int64)
+    most = max(abs(spec.z_min), abs(spec.z_max)) + spec.step
+    most = max(most, -int(heights.min()), int(heights.max()))
+    rows = _Rows(
+        most,
+        np.zeros((N_ROW_BUFFERS, sizes[A][1]), dtype=np.int32),
+        np.zeros((N_ROW_BUFFERS, sizes[A][1]), dtype=np.int64),
+    )
     spots = np.zeros(6, dtype=np.int64)
     split(heights, planes, (A,))
     fill_frame(planes[A], 0, 0, *shape)
@@ -262,11 +277,14 @@ def _run_pass(
 ) -> None:
     """Encode or decode one plane with the tables chosen."""
     own = geometry.plane
+    weights = tables.STENCILS[own][choice.stencil_set]
+    e_weights = tables.E_WEIGHTS[own][choice.e_class]
+    is_narrow = fits_narrow(scratch.rows.most, weights, e_weights)
     code_pass(
         goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
-        tables.STENCILS[own][choice.stencil_set], tables.E_WEIGHTS[own][choice.e_class],
-        bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
-        scratch.rows, scratch.spots, coder.state, coder.stream, coder.models,
+        weights, e_weights, bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP), spec.step,
+        spec.z_min, spec.z_max, scratch.rows.narrow if is_narrow else scratch.rows.wide,
+        scratch.spots, coder.state, coder.stream, coder.models,
     )  # fmt: skip
 
 
@@ -286,8 +304,9 @@ def _choose(
     saved = planes[own].copy()
     fill_noisy(goal, planes[own], spec.step)
     every = 8 if goal.size > 16384 else 2
+    acc = scratch.rows.wide
     found = [
-        open_loop_cost(goal, kinds, planes, own, geometry, weights, spec.step, every, scratch.rows)
+        open_loop_cost(goal, kinds, planes, own, geometry, weights, spec.step, every, acc)
         for weights in tables.STENCILS[own]
     ]
     planes[own] = saved
