@@ -231,10 +231,11 @@ def _add_errors(sums, errors, activity, own, near, far, row, n_cols, e_weights):
 @kernel
 def _update_activity(errors, before, n_cols, after):
     """Fill a row of activity: its errors, smoothed, and what remains of the row before."""
+    # Errors are at most 2^15 and activities 2^19: 32 bits are enough.
     for j in range(PAD, n_cols + PAD):
-        fresh = np.int64(errors[j - 1]) + 2 * errors[j] + errors[j + 1]
-        old = np.int64(before[j - 1]) + 2 * before[j] + before[j + 1]
-        after[j] = fresh + ((3 * old) >> 4)
+        fresh = np.int32(errors[j - 1] + 2 * errors[j] + errors[j + 1])
+        old = np.int32(3 * (before[j - 1] + 2 * before[j] + before[j + 1]))
+        after[j] = np.int32(fresh + (old >> 4))
     after[PAD - 1] = after[PAD]
     after[PAD + n_cols] = after[PAD + n_cols - 1]
 
