@@ -33,8 +33,8 @@ from terrainwave.codec.lattice import (
 from terrainwave.codec.nested import (
     CODED,
     KNOWN,
-    VOID,
     N_ROW_BUFFERS,
+    VOID,
     code_pass,
     fill_noisy,
     fits_narrow,
