@@ -73,7 +73,10 @@ def _row_contexts(padded, implied, row, contexts):
     phase = 2 * (row & 1)
     for col in range(n_cols):
         causal = (
-            16 * above[col + 2] + 8 * above[col + 1] + 4 * above[col + 3] + np.int64(above2[col + 2])
+            16 * above[col + 2]
+            + 8 * above[col + 1]
+            + 4 * above[col + 3]
+            + np.int64(above2[col + 2])
         )
         contexts[col] = causal * (_N_AHEAD * _N_PHASES) + phase + (col & 1)
     if row + 1 < implied.shape[0]:

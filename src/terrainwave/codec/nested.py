@@ -483,22 +483,20 @@ def open_loop_cost(target, kinds, planes, own, geometry, weights, step, every, r
     Own-pass taps see the targets with noise like that of quantising: ``planes[own]`` holds them.
     """
     n_rows, n_cols = target.shape
-    taps = geometry.taps
+    plane, taps = planes[own], geometry.taps
     scale_shift, inverse = step_scale(step)
-    acc = rows[0]
+    acc = rows[_ACC]
+    w_west = np.int64(weights[0])
+    rounding = (1 << (WEIGHT_BITS - 1)) - (1 << (WEIGHT_BITS - P_BITS - 1))
     total = magnitudes = n_seen = np.int64(0)
     for row in range(every >> 1, n_rows, every):
-        for j in range(n_cols):
-            acc[j] = 1 << (WEIGHT_BITS - 1)
-        for t in range(taps.shape[0]):
-            weight = np.int64(np.int32(weights[t]))
-            source = planes[taps[t, 0], row + taps[t, 1] + PAD, taps[t, 2] + PAD :]
-            for j in range(n_cols):
-                acc[j] += weight * source[j]
+        _add_taps(acc, planes, taps, weights, row, n_cols)
+        here = plane[row + PAD]
         for j in range(n_cols):
             if kinds[row, j] != CODED:
                 continue
-            error = abs((acc[j] >> WEIGHT_BITS) - target[row, j])
+            value = (acc[j] + w_west * here[j + PAD - 1] + rounding) >> WEIGHT_BITS
+            error = abs(value - target[row, j])
             error = in_steps(error, scale_shift, inverse, E_BITS)
             # About the bits of a detail: next to nothing below half a step, then its logarithm.
             total += log8(256 + ((min(error, 1 << 14) ** 2) >> 6))

@@ -92,6 +92,12 @@ class _Rows(NamedTuple):
     narrow: NDArray[np.int32]
     wide: NDArray[np.int64]
 
+    def of(
+        self, weights: NDArray[np.int64], e_weights: NDArray[np.int64]
+    ) -> NDArray[np.int32] | NDArray[np.int64]:
+        """Return the faster buffers if sums with these weights fit them."""
+        return self.narrow if fits_narrow(self.most, weights, e_weights) else self.wide
+
 
 class _Scratch(NamedTuple):
     """The arrays of a lattice."""
@@ -281,11 +287,10 @@ def _run_pass(
     own = geometry.plane
     weights = tables.STENCILS[own][choice.stencil_set]
     e_weights = tables.E_WEIGHTS[own][choice.e_class]
-    is_narrow = fits_narrow(scratch.rows.most, weights, e_weights)
     code_pass(
         goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
         weights, e_weights, bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP), spec.step,
-        spec.z_min, spec.z_max, scratch.rows.narrow if is_narrow else scratch.rows.wide,
+        spec.z_min, spec.z_max, scratch.rows.of(weights, e_weights),
         scratch.spots, coder.state, coder.stream, coder.models,
     )  # fmt: skip
 
@@ -305,11 +310,13 @@ def _choose(
     saved = planes[own].copy()
     fill_noisy(goal, planes[own], spec.step)
     every = 8 if goal.size > 16384 else 2
-    acc = scratch.rows.wide
     found = [
-        open_loop_cost(goal, kinds, planes, own, geometry, weights, spec.step, every, acc)
+        open_loop_cost(
+            goal, kinds, planes, own, geometry, weights, spec.step, every,
+            scratch.rows.of(weights, tables.E_WEIGHTS[own][0]),
+        )
         for weights in tables.STENCILS[own]
-    ]
+    ]  # fmt: skip
     planes[own] = saved
     ranking = sorted(range(len(found)), key=lambda k: found[k][0])
     # Costs hold 64, log8(256), for each sample, whatever its error.
