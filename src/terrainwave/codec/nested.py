@@ -5,7 +5,6 @@ does (the western tap and two errors) is added sample by sample while coding.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from terrainwave._jit import kernel
 from terrainwave.codec.detail import (
@@ -23,6 +22,7 @@ from terrainwave.codec.detail import (
     encode_detail,
     log8,
     middle_bin,
+    range_bin_of,
 )
 from terrainwave.codec.lattice import PAD, WEIGHT_BITS
 from terrainwave.coding.filters import MAX_HEIGHT
@@ -232,10 +232,13 @@ def _add_errors(sums, errors, activity, own, near, far, row, n_cols, e_weights):
 def _update_activity(errors, before, n_cols, after):
     """Fill a row of activity: its errors, smoothed, and what remains of the row before."""
     # Errors are at most 2^15 and activities 2^19: 32 bits are enough.
-    for j in range(PAD, n_cols + PAD):
-        fresh = np.int32(errors[j - 1] + 2 * errors[j] + errors[j + 1])
-        old = np.int32(3 * (before[j - 1] + 2 * before[j] + before[j + 1]))
-        after[j] = np.int32(fresh + (old >> 4))
+    error_0, error_1, error_2 = errors[PAD - 1 :], errors[PAD:], errors[PAD + 1 :]
+    old_0, old_1, old_2 = before[PAD - 1 :], before[PAD:], before[PAD + 1 :]
+    smoothed = after[PAD:]
+    for j in range(n_cols):
+        fresh = np.int32(error_0[j] + 2 * error_1[j] + error_2[j])
+        old = np.int32(3 * (old_0[j] + 2 * old_1[j] + old_2[j]))
+        smoothed[j] = np.int32(fresh + (old >> 4))
     after[PAD - 1] = after[PAD]
     after[PAD + n_cols] = after[PAD + n_cols - 1]
 
@@ -300,22 +303,24 @@ def code_pass(
             ceilings[j] = min(max(bound, p_low), p_high)
         west = np.int64(here[PAD - 1])
         error_west, error_west2 = np.int64(here_errors[PAD - 1]), np.int64(here_errors[PAD - 2])
+        samples, sample_errors, northern = here[PAD:], here_errors[PAD:], above[PAD:]
+        own_kinds = kinds[row]
         for j in range(n_cols):
             value = (np.int64(acc[j]) + w_west * west) >> (WEIGHT_BITS - P_BITS)
             unclamped = value
             value = min(max(value, np.int64(floors[j])), np.int64(ceilings[j]))
             whole = (value + (1 << (P_BITS - 1))) >> P_BITS
-            kind = kinds[row, j]
+            kind = own_kinds[j]
             if kind != CODED:
                 error = np.int64(0)
                 if kind == KNOWN:
-                    west = np.int64(here[j + PAD])
+                    west = np.int64(samples[j])
                     distance = abs((west << P_BITS) - value)
                     error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
                 else:
                     west = whole
-                    here[j + PAD] = whole
-                here_errors[j + PAD] = error
+                    samples[j] = whole
+                sample_errors[j] = error
                 error_west2, error_west = error_west, error
                 continue
             bottom, top = np.int64(lowest[j]), np.int64(highest[j])
@@ -339,15 +344,17 @@ def code_pass(
             e_range = expected + E_OFFSET
             e_bin, log_range = contexts_of(expected)
             width = in_steps(top - bottom, scale_shift, inverse, E_BITS)
-            range_bin = min((log8(width + e_range) - log_range) >> 2, N_RANGE_BINS - 1)
+            range_bin = range_bin_of(width, e_range, log_range)
             fraction = value - (whole << P_BITS)
             zero_b = (
-                ZERO_B + (e_bin * N_RANGE_BINS + range_bin) * 4 + bin_of_fraction[abs(fraction)]
+                ZERO_B
+                + (e_bin * N_RANGE_BINS + range_bin) * 4
+                + bin_of_fraction[np.uint64(abs(fraction))]
             )
             zero_h = np.int64(0)
             n_up = n_down = 0
             if mixed:
-                north = np.int64(above[j + PAD])
+                north = np.int64(northern[j])
                 is_quiet = (
                     max(max(top, west), north) - whole <= half
                     and whole - min(min(bottom, west), north) <= half
@@ -399,7 +406,7 @@ def code_pass(
                     span, low = encode_step(span, low, state, stream, models, zero_b, bit)
             if is_zero:
                 west = whole
-                error = error_of_fraction[abs(fraction)]
+                error = error_of_fraction[np.uint64(abs(fraction))]
             else:
                 median = (np.int64(lower[j]) + upper[j]) << (P_BITS - 1)
                 from_median = median - value
@@ -415,37 +422,35 @@ def code_pass(
                 sixth = 3 + sixth if fraction > 0 else 3 - sixth
                 sign_b = SIGN_B + ((SIGN_E_OF_BIN[e_bin] * 7 + sixth) * 9 + median_bin) * 9 + middle
                 sign_h = SIGN_H + ((e_bin >> 2) * 8 + n_up) * 8 + n_down
-                reach = in_steps(
+                reach_b = in_steps(
                     max((top << P_BITS) - value, 0), scale_shift, inverse, E_BITS - P_BITS
                 )
-                far_b = min((log8(reach + e_range) - log_range) >> 2, N_RANGE_BINS - 1)
-                reach = in_steps(
+                reach_a = in_steps(
                     max(value - (bottom << P_BITS), 0), scale_shift, inverse, E_BITS - P_BITS
                 )
-                far_a = min((log8(reach + e_range) - log_range) >> 2, N_RANGE_BINS - 1)
                 if mixed:
                     spots[0], spots[1] = bottom - whole, lower[j] - whole
                     spots[2], spots[3] = upper[j] - whole, top - whole
-                    spots[4], spots[5] = west - whole, above[j + PAD] - whole
+                    spots[4], spots[5] = west - whole, northern[j] - whole
                     for k in range(6):
                         distance = in_steps(abs(spots[k]) + half, scale_shift, inverse, 0)
                         spots[k] = distance if spots[k] > 0 else -distance
                 if target is None:
                     detail, span, low, pos = decode_detail(
                         span, low, pos, state, stream, models, mixed, e_bin, sign_b, sign_h,
-                        far_b, far_a, spots,
+                        reach_b, reach_a, e_range, log_range, spots,
                     )  # fmt: skip
                     detail = min(max(detail, -most), most)
                 else:
                     span, low = encode_detail(
                         span, low, state, stream, models, mixed, e_bin, sign_b, sign_h,
-                        far_b, far_a, spots, detail,
+                        reach_b, reach_a, e_range, log_range, spots, detail,
                     )  # fmt: skip
                 west = min(max(whole + detail * step, z_min), z_max)
                 distance = abs((west << P_BITS) - value)
                 error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
-            here[j + PAD] = west
-            here_errors[j + PAD] = error
+            samples[j] = west
+            sample_errors[j] = error
             error_west2, error_west = error_west, error
         here_errors[PAD + n_cols] = here_errors[PAD + n_cols - 1]
         _update_activity(
@@ -456,22 +461,30 @@ def code_pass(
         state[BYTE_POS] = pos
 
 
-def fits_narrow(most: int, weights: NDArray[np.int64], e_weights: NDArray[np.int64]) -> bool:
+@kernel
+def fits_narrow(most, weights, e_weights):
     """Return whether `code_pass` may use int32 rows where all heights are within +/- `most`.
 
     The bounds are those of the sums of `_add_taps`, `_add_spread` and `_add_errors`: errors are at
     most 2^15, activities 16 times that.
     """
-    found = [int(weight) for weight in e_weights]
-    taps = sum(abs(int(weight)) for weight in weights)
-    bends, cores = 128 * found[F_BEND] + 16 * found[F_LINES], 2 * found[F_RANGE]
-    near = found[F_N] + found[F_NW] + found[F_NE] + found[F_NN] + 6 * found[F_NEAR]
-    active = 16 * (found[F_ACTIVITY] + 2 * found[F_OTHERS])
+    taps = np.int64(1 << P_BITS)
+    for t in range(weights.shape[0]):
+        taps += abs(np.int64(weights[t]))
+    lowest = np.int64(0)
+    for k in range(N_FEATURES):
+        lowest = min(lowest, np.int64(e_weights[k]))
+    spread = 128 * e_weights[F_BEND] + 16 * e_weights[F_LINES] + 4 * e_weights[F_TWIST]
+    spread += 2 * e_weights[F_RANGE]
+    near = e_weights[F_N] + e_weights[F_NW] + e_weights[F_NE] + e_weights[F_NN]
+    near += 6 * e_weights[F_NEAR] + 4 * e_weights[F_FAR]
+    near += 16 * (e_weights[F_ACTIVITY] + 2 * e_weights[F_OTHERS])
+    limit = 1 << 30
     return (
-        min(found) >= 0
-        and (taps + (1 << P_BITS)) * most < 1 << 30
-        and (bends + cores + 4 * found[F_TWIST]) * most < 1 << 30
-        and (near + 4 * found[F_FAR] + active) * (MAX_ERROR + 1) + found[F_CONST] < 1 << 30
+        lowest >= 0
+        and taps * most < limit
+        and spread * most < limit
+        and near * (MAX_ERROR + 1) + e_weights[F_CONST] < limit
     )
 
 

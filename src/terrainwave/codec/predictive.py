@@ -96,7 +96,8 @@ class _Rows(NamedTuple):
         self, weights: NDArray[np.int64], e_weights: NDArray[np.int64]
     ) -> NDArray[np.int32] | NDArray[np.int64]:
         """Return the faster buffers if sums with these weights fit them."""
-        return self.narrow if fits_narrow(self.most, weights, e_weights) else self.wide
+        is_narrow = fits_narrow(self.most, weights, e_weights)
+        return self.narrow if is_narrow else self.wide
 
 
 class _Scratch(NamedTuple):
