@@ -17,9 +17,10 @@ from terrainwave.codec.detail import (
     log8,
 )
 from terrainwave.codec.lattice import PAD, TAPS, fill_frame, merge, plane_sizes, split
-from terrainwave.codec.predictive import Predictive
+from terrainwave.codec.nested import fits_narrow
+from terrainwave.codec.predictive import Predictive, _Rows
 from terrainwave.codec.refiner import GroupSpec, Sides
-from terrainwave.codec.tables import STENCILS, start_models
+from terrainwave.codec.tables import E_WEIGHTS, STENCILS, start_models
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
     CODE,
@@ -215,15 +216,16 @@ def test_details_of_any_size_survive(mixed):
     sizes = [1, 2, 5, 14, 15, 100, 10**4, 10**6, (1 << 31) - 1]
     details = [s * sign for s in sizes for sign in (1, -1)]
     contexts = [
-        (int(e), int(rng.integers(0, 8)), int(rng.integers(0, 8)), rng.integers(-9, 9, 6))
+        (int(e), *(int(reach) for reach in rng.integers(0, 5000, 2)), rng.integers(-9, 9, 6))
         for e in rng.integers(0, N_E_BINS, len(details))
     ]
     state, out = start_encoder(), np.zeros(10_000, dtype=np.uint8)
     models = start_models(N_DETAIL_MODELS)
+    scale = 100, log8(100)
     span, low = state[RANGE], state[LOW]
     for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
         span, low = encode_detail(
-            span, low, state, out, models, mixed, e_bin, 1300, 1301, up, down, spots, detail
+            span, low, state, out, models, mixed, e_bin, 1300, 1301, up, down, *scale, spots, detail
         )
     state[RANGE], state[LOW] = span, low
     data = out[: finish_encoder(state, out)].copy()
@@ -233,12 +235,37 @@ def test_details_of_any_size_survive(mixed):
     span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
     for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
         found, span, code, pos = decode_detail(
-            span, code, pos, state, data, models, mixed, e_bin, 1300, 1301, up, down, spots
+            span, code, pos, state, data, models, mixed, e_bin, 1300, 1301, up, down, *scale, spots
         )
         assert found == detail
         assert abs(found) <= MAX_DETAIL + 1
     state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
     assert finish_decoder(state, data)[0] == 0
+
+
+@pytest.mark.parametrize("effort", [0, 1, 2])
+@pytest.mark.parametrize("largest", [300, 40_000, 100_000, 200_000])
+def test_rows_of_32_bits_give_the_same_bytes_as_rows_of_64(effort, largest, monkeypatch):
+    rng = np.random.default_rng(largest)
+    target = rng.integers(-largest, largest + 1, (70, 65)).astype(np.int32)
+    target[:30] = terrain((30, 65), relief=min(largest, 400) / 2)
+    spec = dataclasses.replace(lone_spec(target.shape, 3, effort), z_min=-largest, z_max=largest)
+    parent = coarse_of(target, 3).clip(-largest, largest)
+    payload, heights = check(spec, parent, target)
+    monkeypatch.setattr(_Rows, "of", lambda rows, *_weights: rows.wide)
+    wide_payload, wide_heights = check(spec, parent, target)
+    assert payload == wide_payload
+    np.testing.assert_array_equal(heights, wide_heights)
+
+
+def test_only_heights_whose_sums_fit_get_32_bits():
+    weights, e_weights = STENCILS[1][0], E_WEIGHTS[1][0]
+    most = ((1 << 30) - 1) // (int(np.abs(weights).sum()) + 64)
+    assert fits_narrow(most, weights, e_weights)
+    assert not fits_narrow(most + 1, weights, e_weights)
+    steep = e_weights.copy()
+    steep[0] = -1
+    assert not fits_narrow(300, weights, steep)
 
 
 # Groups next to each other ---------------------------------------------------------------------
