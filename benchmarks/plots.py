@@ -5,6 +5,7 @@ One panel per raster, one line per codec; reads what ``benchmarks.codecs`` wrote
 
 import argparse
 import csv
+import shutil
 import sys
 from collections import defaultdict
 from pathlib import Path
@@ -14,9 +15,14 @@ import matplotlib as mpl
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
+ROOT = Path(__file__).parent.parent
+RESULTS = ROOT / "benchmarks" / "results"
+
 # Ours strong, the others quiet; the order is that of the legend.
 STYLES = {
     "terrainwave-predictive": {"color": "#d1495b", "linewidth": 2.2, "marker": "o"},
+    "terrainwave-predictive-fast": {"color": "#d1495b", "linewidth": 0.9, "linestyle": ":"},
+    "terrainwave-predictive-best": {"color": "#d1495b", "linewidth": 0.9, "linestyle": "--"},
     "terrainwave-cdf97": {"color": "#edae49", "linewidth": 1.6, "marker": "o"},
     "jxl-e9": {"color": "#30638e"},
     "sz3": {"color": "#00798c"},
@@ -34,6 +40,8 @@ def read_curves(paths: list[Path]) -> Curves:
     """Return (bound, bits per sample) by raster and codec, in order of the bound."""
     curves: Curves = defaultdict(lambda: defaultdict(list))
     for path in paths:
+        if not path.exists():
+            continue
         with path.open(encoding="utf-8", newline="") as file:
             for row in csv.DictReader(file):
                 if row["bits_per_sample"] and not row["problem"]:
@@ -42,7 +50,14 @@ def read_curves(paths: list[Path]) -> Curves:
     return curves
 
 
-def draw(curves: Curves, out: Path) -> None:
+def draw(curves: Curves, results: Path) -> None:
+    """Write ``rates.png`` among the results, and for the documents if they are the repository's."""
+    draw_file(curves, results / "rates.png")
+    if results.resolve() == RESULTS:
+        shutil.copyfile(results / "rates.png", ROOT / "docs" / "images" / "rates.png")
+
+
+def draw_file(curves: Curves, out: Path) -> None:
     """Write the figure; lossless points stand at the left edge of each panel."""
     n_cols = 4
     n_rows = -(-(len(curves) + 1) // n_cols)
@@ -79,7 +94,7 @@ def main() -> int:
     parser.add_argument("csv", nargs="+", type=Path)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/rates.png"))
     arguments = parser.parse_args()
-    draw(read_curves(arguments.csv), arguments.out)
+    draw_file(read_curves(arguments.csv), arguments.out)
     return 0
 
 
