@@ -12,6 +12,7 @@ import math
 import re
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -188,10 +189,10 @@ def speeds_table(results: Path) -> str:
     return "\n".join(lines)
 
 
-def roots_table(results: Path) -> str:
-    """Return how many percent larger files with more root blocks are."""
+def roots_table(results: Path, name: str = "roots") -> str:
+    """Return by how many percent files with more root blocks are larger."""
     by_case: dict[tuple[str, float], dict[str, str]] = {}
-    for row in read_rows(results, "roots"):
+    for row in read_rows(results, name):
         case = by_case.setdefault((row["raster"], float(row["max_error"])), {})
         is_first = row["roots_per_side"] == "1"
         case[row["roots_per_side"]] = row["bits_per_sample" if is_first else "change_percent"]
@@ -226,6 +227,7 @@ TABLES: dict[str, Callable[[Path], str]] = {
     "cases": cases_table,
     "speeds": speeds_table,
     "roots": roots_table,
+    "roots_cdf97": partial(roots_table, name="roots_cdf97"),
     "pyramid": pyramid_table,
 }
 REPORT = """# Measured
