@@ -101,24 +101,20 @@ def measure_family(console: Console, part, paths, bounds, runs, results, folder)
     n_failed = 0
     with CsvSink(out, append=True) as sink:
         for path in paths:
-            missing = _missing(path, codecs, bounds, done)
+            raster = load_raster(path)
+            missing = [
+                (codec, bound)
+                for bound in bounds
+                for codec in codecs
+                if is_worth_trying(raster, bound, bounds)
+                and (raster.name, bound, codec.name) not in done
+            ]
             if not missing:
                 continue
-            forms = make_forms(load_raster(path))
+            forms = make_forms(raster)  # takes long where there are voids
             for codec, bound in missing:
-                if not is_worth_trying(forms.raster, bound, bounds):
-                    continue
                 n_failed += measure_case(console, codec, forms, bound, Timing(runs), sink)
     return n_failed
-
-
-def _missing(path: Path, codecs: list[Codec], bounds, done) -> list[tuple[Codec, float]]:
-    return [
-        (codec, bound)
-        for bound in bounds
-        for codec in codecs
-        if (path.stem, bound, codec.name) not in done
-    ]
 
 
 def measure_case(

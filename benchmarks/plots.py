@@ -14,6 +14,7 @@ import matplotlib as mpl
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
+import matplotlib.ticker
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
@@ -32,6 +33,9 @@ STYLES = {
     "lerc": {"color": "#8d96a3", "linestyle": ":"},
     "cog-overviews": {"color": "#8d96a3"},
 }
+
+# Lossless stands at 0.05.
+X_TICKS = {0.05: "0", 0.1: "0.1", 0.5: "0.5", 1: "1", 3: "3", 10: "10"}
 
 Curves = dict[str, dict[str, list[tuple[float, float]]]]
 
@@ -57,6 +61,11 @@ def draw(curves: Curves, results: Path) -> None:
         shutil.copyfile(results / "rates.png", ROOT / "docs" / "images" / "rates.png")
 
 
+def _label_of_minor(value: float, _place: int) -> str:
+    """Return the number at 2 and 5 times a power of ten, else nothing."""
+    return f"{value:g}" if f"{value:e}"[0] in "25" else ""
+
+
 def draw_file(curves: Curves, out: Path) -> None:
     """Write the figure; lossless points stand at the left edge of each panel."""
     n_cols = 4
@@ -71,8 +80,12 @@ def draw_file(curves: Curves, out: Path) -> None:
                 bits = [rate for _, rate in points]
                 panel.plot(bounds, bits, label=codec, **{"linewidth": 1.2, "marker": ".", **style})
         panel.set(xscale="log", yscale="log")
+        panel.set_xticks(list(X_TICKS), list(X_TICKS.values()))
+        panel.xaxis.set_minor_formatter("")
+        panel.yaxis.set_major_formatter("{x:g}")
+        panel.yaxis.set_minor_formatter(mpl.ticker.FuncFormatter(_label_of_minor))
         panel.set_title(raster, fontsize=9)
-        panel.set_xlabel("max error, m (0 at the left edge)")
+        panel.set_xlabel("max error, m")
         panel.set_ylabel("bits per sample")
         panel.grid(alpha=0.3, which="both")
     drawn = {}
