@@ -14,8 +14,6 @@ from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
 from terrainwave.codec.units import (
     CodecParameters,
     block_of_unit,
-    root_keys,
-    unit_blocks,
     unit_spec,
 )
 from terrainwave.measure import BlockStats, measure_block, measure_samples
@@ -73,7 +71,7 @@ class TreeEncoder:
     def run(self, executor: Executor) -> Stats:
         """Encode everything; return range and measured error of every block."""
         starts: list[tuple[Block, Decoded | None, list[_Ancestor]]]
-        starts = [(key, None, []) for key in root_keys(self._grid)]
+        starts = [(key, None, []) for key in self._grid.root_keys()]
         try:
             while starts and len(starts) < _MIN_SUBTREES and starts[0][0].level < self._grid.k_max:
                 following = executor.map(lambda start: self._encode_unit(*start), starts)
@@ -101,7 +99,7 @@ class TreeEncoder:
         mask = self._pyramid.mask(spec.level, spec.region)
         payload, decoded = encode_unit(self._refiner, spec, parent, target, mask)
         self._sink(key, payload)
-        blocks = unit_blocks(grid, key)
+        blocks = grid.key_blocks(key)
         parts = [block_of_unit(grid, spec, decoded, block) for block in blocks]
         if spec.level == grid.k_max:
             core = spec.core.slices_in(spec.region)

@@ -13,9 +13,8 @@ from terrainwave._status import raise_for_status
 from terrainwave.codec import tables
 from terrainwave.codec.border import (
     N_BORDER_MODELS,
-    _code_corner,
-    code_nested_border,
-    code_root_border,
+    code_border,
+    code_corner,
 )
 from terrainwave.codec.detail import N_DETAIL_MODELS
 from terrainwave.codec.lattice import (
@@ -169,10 +168,7 @@ def _code_unit(
     is_known = np.zeros(spec.region.shape, dtype=np.bool_)
     streams = coder.state, coder.stream, coder.border_models
     core = spec.core.slices_in(spec.region)
-    if parent is None:
-        code_root_border(spec, target, mask, heights, is_known, *streams)
-    else:
-        code_nested_border(spec, parent, target, mask, heights, is_known, *streams)
+    code_border(spec, parent, target, mask, heights, is_known, *streams, is_nested=True)
     inner = np.ascontiguousarray(heights[core])
     kinds = np.where(mask[core], np.uint8(CODED), np.uint8(VOID))
     np.copyto(kinds, KNOWN, where=is_known[core])
@@ -211,7 +207,7 @@ def _code_corners(
         for col in range(0, inner.shape[1], stride):
             if kinds[row, col] != KNOWN:
                 value = 0 if goal is None else int(goal[row, col])
-                inner[row, col] = _code_corner(
+                inner[row, col] = code_corner(
                     coder.encoding, 0, value, kinds[row, col] == CODED, True, step, coder.state,
                     coder.stream, coder.border_models,
                 )  # fmt: skip
