@@ -822,9 +822,6 @@ class BorderDecoder:
                     self.line([(rows.core + i, c) for i in range(rows.n_core)], rows.shared, True)
 
     def corner(self, place):
-        if self.parent is None:
-            self.put(place, self.rebuild((self.n - 1) // 2, self.symbol(place, 2, 16)))
-            return
         p = self.parent
         a, b = place[0] + self.offset[0], place[1] + self.offset[1]  # doubled
         i, j = a // 2, b // 2
@@ -832,22 +829,15 @@ class BorderDecoder:
         h = (p[i][j] + p[i][j1] + p[i1][j] + p[i1][j1] + 2) >> 2
         self.put(place, self.rebuild(h, self.symbol(place, 0, 16)))
 
+    def d(self, place):
+        return self.heights[place[0]][place[1]]
+
     def line(self, places, shared, is_column):
         length = len(places)
         f = self.reach + 1 if shared[0] else 0
         g = length - self.reach - 1 if shared[1] else length
         if f >= g:
             return
-        if self.parent is None:
-            self.root_line(places, f, g)
-        else:
-            self.child_line(places, f, g, is_column)
-
-    def d(self, place):
-        return self.heights[place[0]][place[1]]
-
-    def child_line(self, places, f, g, is_column):
-        length = len(places)
         r, c = places[0]
         n_parents = (length + 1) // 2
         if is_column:
@@ -879,42 +869,6 @@ class BorderDecoder:
                 v = self.symbol(places[i], phase, s)
                 self.put(places[i], self.rebuild(p[i] + kappa, v))
                 before_last, last = last, min(abs(v), 255)
-
-    def root_line(self, places, f, g):
-        length, n = len(places), self.n
-        mu = [0] * length
-
-        def sample(i, h, phase, s):
-            k = h // n
-            v = self.symbol(places[i], phase, s)
-            if self.valid[places[i][0]][places[i][1]]:
-                mu[i] = min(abs(v), 255)
-                k += clamp(v, -self.m, self.m)
-            self.put(places[i], self.rebuild((n - 1) // 2, k))
-
-        if f == 0:
-            sample(0, 0, 2, 16)
-        d = 1
-        while 2 * d < length:
-            d *= 2
-        while d >= 1:
-            phase = 2 if d > 2 else 3 if d == 2 else 4
-            for i in range(d, length, 2 * d):
-                if not f <= i < g:
-                    continue
-                a = self.d(places[i - d])
-                if i + d < length:
-                    b = self.d(places[i + d])
-                    h = (a + b) >> 1
-                    if i >= 3 * d and i + 3 * d < length:
-                        far = self.d(places[i - 3 * d]) + self.d(places[i + 3 * d])
-                        h = (9 * (a + b) - far) >> 4
-                    s = mu[i - d] + mu[i + d] + 6 * (abs(b - a) // n)
-                else:
-                    h = a + ((a - self.d(places[i - 3 * d])) >> 1) if i >= 3 * d else a
-                    s = 2 * mu[i - d]
-                sample(i, h, phase, min(s, 4095))
-            d //= 2
 
 
 JS, JZTR, JZTC = "JS", "JZTR", "JZTC"  # labels of nodes

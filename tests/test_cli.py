@@ -401,9 +401,17 @@ def test_wrong_window_is_wrong_usage(tmp_path, twz, option, value):
     assert f"found {value}, expected four" in line
 
 
-@pytest.mark.parametrize(("option", "value"), [("--level", "9"), ("--window", "500,0,1,1")])
-def test_part_that_is_not_there_is_one_line(tmp_path, twz, option, value):
-    one_line(run("decompress", twz, tmp_path / "a.tif", option, value), 1)
+@pytest.mark.parametrize(
+    ("option", "value", "expected"),
+    [
+        ("--level", "99", "found level 99, expected 0 …"),
+        ("--window", "500,0,1,1", "does not meet the level's"),
+        ("--bounds", "1e6,1e6,2e6,2e6", "does not meet the level's"),
+    ],
+)
+def test_part_that_is_not_there_is_wrong_usage(tmp_path, twz, option, value, expected):
+    line = one_line(run("decompress", twz, tmp_path / "a.tif", option, value), 2)
+    assert expected in line
     assert not (tmp_path / "a.tif").exists()
 
 

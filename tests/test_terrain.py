@@ -15,7 +15,7 @@ from rasterio.windows import Window
 from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
-from terrainwave.codec.units import root_keys, unit_spec
+from terrainwave.codec.units import unit_spec
 from terrainwave.compression import compress
 from terrainwave.container.reader import open_container
 from terrainwave.errors import (
@@ -738,7 +738,7 @@ def test_info_of_a_raster_without_heights_has_no_range():
 
 
 def all_keys(grid):
-    keys = root_keys(grid)
+    keys = grid.root_keys()
     for key in keys:
         blocks = [Block(0, key.row, key.col)] if key.level < 0 else grid.children(key)
         keys += [block for block in blocks if block.level < grid.k_max]

@@ -27,8 +27,6 @@ from terrainwave.codec.refiner import Decoded
 from terrainwave.codec.units import (
     CodecParameters,
     block_of_unit,
-    root_keys,
-    unit_blocks,
     unit_spec,
 )
 from terrainwave.coding.rangecoder import new_models
@@ -206,7 +204,7 @@ class Recorder:
         parameters = CodecParameters(step, low, high, (1, 0), 1, effort)
         refiner = predictive.Predictive()
         total = 0
-        pending = [(key, None) for key in root_keys(grid)]
+        pending = [(key, None) for key in grid.root_keys()]
         while pending:
             key, parent = pending.pop()
             spec = unit_spec(grid, parameters, key)
@@ -221,7 +219,7 @@ class Recorder:
             total += len(payload)
             decoded = Decoded(back, mask[at], None)
             if spec.level < grid.k_max:
-                for block in unit_blocks(grid, key):
+                for block in grid.key_blocks(key):
                     pending.append((block, block_of_unit(grid, spec, decoded, block).heights))
         return total
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from terrainwave._version import __version__
 from terrainwave.codec.refiner import Refiner
 from terrainwave.codec.registry import check_method, refiner_by_name
-from terrainwave.codec.units import CodecParameters, unit_blocks
+from terrainwave.codec.units import CodecParameters
 from terrainwave.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.header import MAX_MESH_TOLERANCE, Header
 from terrainwave.container.page import page_layout
@@ -527,7 +527,7 @@ class _SpoolSink:
         self._lock = threading.Lock()
 
     def __call__(self, key: Block, payload: bytes) -> None:
-        head = None if key.level < 0 else self._grid.segment_head(key)
+        head = None if key.is_root_key else self._grid.segment_head(key)
         self.spools[head].add(key, payload)
         with self._lock:
             self.n_bytes += len(payload)
@@ -574,7 +574,7 @@ def _set_codes(
         decoded: dict[Block, tuple[int, int]] = defaultdict(lambda: whole)
         for key in sorted(spool.keys()):
             codes = bytearray()
-            for block in unit_blocks(job.grid, key):
+            for block in job.grid.key_blocks(key):
                 if block not in boxes:  # no valid sample
                     codes += bytes(4)
                     continue

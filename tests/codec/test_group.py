@@ -12,7 +12,7 @@ from strategies import valid_masks
 from terrainwave.codec.group import decode_unit, encode_unit, implied_voids
 from terrainwave.codec.refiner import Decoded
 from terrainwave.codec.registry import refiner_by_name
-from terrainwave.codec.units import CodecParameters, block_of_unit, root_keys, unit_spec
+from terrainwave.codec.units import CodecParameters, block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.quadtree import Block, Grid, Region
 
@@ -73,7 +73,7 @@ def decode_all_masks(grid, valid, rings):
     """Code every unit of a raster from the root down; return {key: (spec, payload, decoded)}."""
     masks = pyramid_of_masks(valid, grid)
     found = {}
-    keys = root_keys(grid)
+    keys = grid.root_keys()
     for key in keys:
         spec = unit_spec(grid, parameters(rings=rings), key)
         parent = None

@@ -8,12 +8,10 @@ import pytest
 
 from terrainwave.container.page import (
     empty_page,
-    key_blocks,
     pack_columns,
     pack_page,
     page_layout,
     page_length,
-    root_key,
     unpack_page,
 )
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, UnsupportedVersionError
@@ -82,7 +80,7 @@ def test_no_page_lists_more_than_the_limits_of_format_10(n_rows, n_cols, block):
 @pytest.mark.parametrize("side", [1, 100, 300])  # no, two and, below a page of its own, four levels
 def test_keys_and_blocks_of_the_top_page_begin_with_the_root(side):
     layout = page_layout(Grid(side, side, 32), None)
-    assert layout.keys[0] == root_key(Block(0, 0, 0)) == Block(-1, 0, 0)
+    assert layout.keys[0] == Block(-1, 0, 0)
     assert [b for b in layout.keys if b.level == -1] == layout.keys[:1]
     assert layout.blocks[0] == Block(0, 0, 0)
 
@@ -103,7 +101,7 @@ def test_blocks_are_those_of_the_keys_in_their_order():
     grid = Grid(5000, 3000, 32)
     for head in grid.segment_heads():
         layout = page_layout(grid, head)
-        assert layout.blocks == [b for key in layout.keys for b in key_blocks(grid, key)]
+        assert layout.blocks == [b for key in layout.keys for b in grid.key_blocks(key)]
         levels = [b.level for b in layout.blocks]
         assert levels == sorted(levels)
 

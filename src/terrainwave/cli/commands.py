@@ -156,8 +156,12 @@ def decompress(source: str, target: str, quiet: bool, **options: Any) -> None:
     if options["window"] and options["bounds"]:
         raise click.UsageError("found both --window and --bounds, expected one of them")
     announce_compiling(quiet=quiet)
-    with reading(source), Bar(quiet=quiet) as bar:
-        path = terrainwave.decompress(source, target, progress=bar, **options)
+    try:
+        with reading(source), Bar(quiet=quiet) as bar:
+            path = terrainwave.decompress(source, target, progress=bar, **options)
+    except terrainwave.InvalidHeightsError as error:
+        # The file has no such level, or nothing in that window.
+        raise click.UsageError(str(error)) from error
     if not quiet:
         click.echo(f"{plain(path)}: {Path(path).stat().st_size:,} bytes")
 

@@ -151,7 +151,9 @@ class Cdf97:
         start_decoder(state, data)
         models = new_models(N_BORDER_MODELS)
         heights, is_known = _predict(spec, parent)
-        code_border(spec, parent, None, mask, heights, is_known, state, data, models)
+        code_border(
+            spec, parent, None, mask, heights, is_known, state, data, models, is_nested=False
+        )
         core = spec.core.slices_in(spec.region)
         inner = np.ascontiguousarray(heights[core])
         coded = mask[core] & ~is_known[core]
@@ -199,7 +201,7 @@ class _Encoder:
         self.state = start_encoder()
         code_border(
             spec, parent, target, mask, self.heights, is_known, self.state, self.out,
-            new_models(N_BORDER_MODELS),
+            new_models(N_BORDER_MODELS), is_nested=False,
         )  # fmt: skip
         self.border_state = self.state.copy()
         core = spec.core.slices_in(spec.region)

@@ -13,9 +13,8 @@ from terrainwave._status import raise_for_status
 from terrainwave.codec import tables
 from terrainwave.codec.border import (
     N_BORDER_MODELS,
-    _code_corner,
-    code_nested_border,
-    code_root_border,
+    code_border,
+    code_corner,
 )
 from terrainwave.codec.detail import N_DETAIL_MODELS
 from terrainwave.codec.lattice import (
@@ -34,8 +33,10 @@ from terrainwave.codec.nested import (
     CODED,
     KNOWN,
     N_ROW_BUFFERS,
+    VOID,
     code_pass,
     fill_noisy,
+    fits_narrow,
     open_loop_cost,
 )
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
@@ -83,6 +84,21 @@ class Choice(NamedTuple):
     e_class: int
 
 
+class _Rows(NamedTuple):
+    """Row buffers, and the largest height that will be met."""
+
+    most: int
+    narrow: NDArray[np.int32]
+    wide: NDArray[np.int64]
+
+    def of(
+        self, weights: NDArray[np.int64], e_weights: NDArray[np.int64]
+    ) -> NDArray[np.int32] | NDArray[np.int64]:
+        """Return the faster buffers if sums with these weights fit them."""
+        is_narrow = fits_narrow(self.most, weights, e_weights)
+        return self.narrow if is_narrow else self.wide
+
+
 class _Scratch(NamedTuple):
     """The arrays of a lattice."""
 
@@ -90,7 +106,7 @@ class _Scratch(NamedTuple):
     errors: NDArray[np.int32]
     activity: NDArray[np.int32]
     bends: NDArray[np.int64]
-    rows: NDArray[np.int64]
+    rows: _Rows
     spots: NDArray[np.int64]
 
 
@@ -152,12 +168,10 @@ def _code_unit(
     is_known = np.zeros(spec.region.shape, dtype=np.bool_)
     streams = coder.state, coder.stream, coder.border_models
     core = spec.core.slices_in(spec.region)
-    if parent is None:
-        code_root_border(spec, target, mask, heights, is_known, *streams)
-    else:
-        code_nested_border(spec, parent, target, mask, heights, is_known, *streams)
+    code_border(spec, parent, target, mask, heights, is_known, *streams, is_nested=True)
     inner = np.ascontiguousarray(heights[core])
-    kinds = np.where(is_known[core], KNOWN, np.where(mask[core], CODED, 0)).astype(np.uint8)
+    kinds = np.where(mask[core], np.uint8(CODED), np.uint8(VOID))
+    np.copyto(kinds, KNOWN, where=is_known[core])
     goal = None if target is None else np.ascontiguousarray(target[core])
     if parent is None:
         stride = 1
@@ -193,7 +207,7 @@ def _code_corners(
         for col in range(0, inner.shape[1], stride):
             if kinds[row, col] != KNOWN:
                 value = 0 if goal is None else int(goal[row, col])
-                inner[row, col] = _code_corner(
+                inner[row, col] = code_corner(
                     coder.encoding, 0, value, kinds[row, col] == CODED, True, step, coder.state,
                     coder.stream, coder.border_models,
                 )  # fmt: skip
@@ -214,7 +228,13 @@ def _code_lattice(
     errors = np.zeros(padded, dtype=np.int32)
     activity = np.zeros(padded, dtype=np.int32)
     bends = np.zeros(padded[1:], dtype=np.int64)
-    rows = np.zeros((N_ROW_BUFFERS, sizes[A][1]), dtype=np.int64)
+    most = max(abs(spec.z_min), abs(spec.z_max)) + spec.step
+    most = max(most, -int(heights.min()), int(heights.max()))
+    rows = _Rows(
+        most,
+        np.zeros((N_ROW_BUFFERS, sizes[A][1]), dtype=np.int32),
+        np.zeros((N_ROW_BUFFERS, sizes[A][1]), dtype=np.int64),
+    )
     spots = np.zeros(6, dtype=np.int64)
     split(heights, planes, (A,))
     fill_frame(planes[A], 0, 0, *shape)
@@ -234,17 +254,17 @@ def _code_lattice(
             own_goal = np.ascontiguousarray(goal[row_parity::2, col_parity::2])
         scratch = _Scratch(planes, errors, activity, bends, rows, spots)
         choice = Choice(0, _N_CLASSES - 1)
-        if shape[0] * shape[1] >= _MIN_CHOICE:
-            if own_goal is not None:
-                choice = _choose(own_goal, own_kinds, geometry, spec, scratch, coder)
-                code = choice.stencil_set * 4 + choice.e_class
-                encode_raw(coder.state, coder.stream, code, _SET_BITS + 2)
-            else:
+        has_header = shape[0] * shape[1] >= _MIN_CHOICE
+        if has_header and own_goal is not None:
+            choices = _choose(own_goal, own_kinds, geometry, spec, scratch)
+            _encode_smallest(own_goal, own_kinds, geometry, choices, spec, scratch, coder)
+        else:
+            if has_header:
                 code = int(decode_raw(coder.state, coder.stream, _SET_BITS + 2))
                 choice = Choice(code >> 2, code & 3)
                 if choice.stencil_set >= len(stencils) or choice.e_class >= _N_CLASSES:
                     raise CorruptStreamError(f"stencil set and contexts {code} do not exist")
-        _run_pass(own_goal, own_kinds, geometry, choice, spec, scratch, coder)
+            _run_pass(own_goal, own_kinds, geometry, choice, spec, scratch, coder)
         fill_frame(planes[own], row_parity, col_parity, *shape)
         fill_frame(errors[own], row_parity, col_parity, *shape)
         fill_frame(activity[own], row_parity, col_parity, *shape)
@@ -262,11 +282,13 @@ def _run_pass(
 ) -> None:
     """Encode or decode one plane with the tables chosen."""
     own = geometry.plane
+    weights = tables.STENCILS[own][choice.stencil_set]
+    e_weights = tables.E_WEIGHTS[own][choice.e_class]
     code_pass(
         goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
-        tables.STENCILS[own][choice.stencil_set], tables.E_WEIGHTS[own][choice.e_class],
-        bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
-        scratch.rows, scratch.spots, coder.state, coder.stream, coder.models,
+        weights, e_weights, bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP), spec.step,
+        spec.z_min, spec.z_max, scratch.rows.of(weights, e_weights),
+        scratch.spots, coder.state, coder.stream, coder.models,
     )  # fmt: skip
 
 
@@ -276,40 +298,70 @@ def _choose(
     geometry: Pass,
     spec: GroupSpec,
     scratch: _Scratch,
-    coder: Coder,
-) -> Choice:
-    """Return the stencil set and the class of contexts to code a plane with.
+) -> list[Choice]:
+    """Return the stencil sets and classes of contexts to try on a plane, the likeliest first.
 
-    Sets are ranked by their errors on some rows; the best few, if close, are tried.
+    Sets are ranked by their errors on some rows; the best few, if close, are worth trying.
     """
     own, planes = geometry.plane, scratch.planes
     saved = planes[own].copy()
     fill_noisy(goal, planes[own], spec.step)
     every = 8 if goal.size > 16384 else 2
     found = [
-        open_loop_cost(goal, kinds, planes, own, geometry, weights, spec.step, every, scratch.rows)
+        open_loop_cost(
+            goal, kinds, planes, own, geometry, weights, spec.step, every,
+            scratch.rows.of(weights, tables.E_WEIGHTS[own][0]),
+        )
         for weights in tables.STENCILS[own]
-    ]
+    ]  # fmt: skip
     planes[own] = saved
     ranking = sorted(range(len(found)), key=lambda k: found[k][0])
     # Costs hold 64, log8(256), for each sample, whatever its error.
     base = 64 * found[0][2]
     limit = base + (found[ranking[0]][0] - base) * _CLOSE[spec.effort] // 100
     ranking = [k for k in ranking[: _N_TRIALS[spec.effort]] if found[k][0] <= limit]
-    choices = [Choice(k, sum(found[k][1] >= edge for edge in CLASS_LIMITS)) for k in ranking] or [
+    return [Choice(k, sum(found[k][1] >= edge for edge in CLASS_LIMITS)) for k in ranking] or [
         Choice(0, _N_CLASSES - 1)
     ]
-    if len(choices) == 1:
-        return choices[0]
-    best, smallest = choices[0], 1 << 62
-    state, models = coder.state.copy(), coder.models.copy()
-    for choice in choices:
-        # Bytes already in the stream are final, so the state alone can be put back.
+
+
+def _encode_smallest(
+    goal: Heights,
+    kinds: NDArray[np.uint8],
+    geometry: Pass,
+    choices: list[Choice],
+    spec: GroupSpec,
+    scratch: _Scratch,
+    coder: Coder,
+) -> None:
+    """Encode a plane and the choice it is coded with: the one of `choices` that takes least.
+
+    The likeliest is tried last, as what the last trial left needs no copying back.
+    """
+    own = geometry.plane
+    # Bytes before this one are final.
+    first = max(int(coder.state[BYTE_POS]), 0)
+    arrays = [
+        coder.state, coder.models, coder.stream[first:],
+        scratch.planes[own], scratch.errors[own], scratch.activity[own],
+    ]  # fmt: skip
+    start = [array.copy() for array in arrays[:2]] if len(choices) > 1 else []
+    known = scratch.planes[own].copy() if len(choices) > 1 else scratch.planes[own]
+    kept: list[NDArray[np.generic]] = []
+    smallest = 1 << 62
+    for n_left, choice in reversed(list(enumerate(choices))):
+        if start and n_left < len(choices) - 1:
+            coder.state[:], coder.models[:] = start
+            scratch.planes[own] = known
+        code = choice.stencil_set * 4 + choice.e_class
+        encode_raw(coder.state, coder.stream, code, _SET_BITS + 2)
         _run_pass(goal, kinds, geometry, choice, spec, scratch, coder)
         n_bits = 8 * int(coder.state[BYTE_POS] + coder.state[PENDING])
         n_bits -= int(coder.state[RANGE]).bit_length()
-        if n_bits < smallest:
-            best, smallest = choice, n_bits
-        coder.state[:], coder.models[:] = state, models
-        planes[own] = saved
-    return best
+        if n_bits <= smallest:
+            smallest, kept = n_bits, []
+            if n_left:
+                arrays[2] = coder.stream[first : max(int(coder.state[BYTE_POS]), first)]
+                kept = [array.copy() for array in arrays]
+    for array, values in zip(arrays, kept, strict=False):
+        array[:] = values
