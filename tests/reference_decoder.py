@@ -145,7 +145,8 @@ def morton(block):
 HEADER = struct.Struct("<8sBBHIQIIBBBBBB2sQQqIiiIdddIIIIII")
 NAMES = (
     "magic version reserved header_size features file_size n_rows n_cols block_log2 border_rings "
-    "method dtype effort mesh padding quantum_num quantum_den base step z_min z_max metadata_length "
+    "method dtype effort mesh padding quantum_num quantum_den base step z_min z_max "
+    "metadata_length "
     "max_error effective_bound rho metadata_crc parameters_length parameters_crc "
     "top_page_length mesh_tolerance header_crc"
 ).split()

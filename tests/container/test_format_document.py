@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[2]
 DOCUMENT = (ROOT / "docs" / "FORMAT.md").read_text(encoding="utf-8")
 SIZES = {"uint8": 1, "uint16": 2, "uint32": 4, "int32": 4, "uint64": 8, "int64": 8, "float64": 8}
 LETTERS = {"B": "uint8", "H": "uint16", "I": "uint32", "i": "int32"}
-LETTERS |= {"Q": "uint64", "q": "int64", "d": "float64", "8s": "bytes", "3s": "bytes"}
+LETTERS |= {"Q": "uint64", "q": "int64", "d": "float64", "8s": "bytes", "2s": "bytes"}
 
 
 def section(number):
