@@ -151,6 +151,8 @@ def _n_common(triangles, stars, degrees, v, u):
 
 @kernel
 def _remove(stars, degrees, v, t):
+    if degrees[v] > _MAX_DEGREE:
+        return  # its star is not listed, and never asked for
     for i in range(degrees[v]):
         if stars[v, i] == t:
             degrees[v] -= 1
