@@ -248,19 +248,16 @@ def surface_of_mesh(terrain: Any, mesh: Any, region: Region) -> Surface:
     rows = 2 * ((a * up - d * right) / determinant + round(centre_row) - region.row)
     heights = Ruler(terrain).of_physical(mesh.vertices[:, 2] + mesh.origin[2])
     triangles = mesh.triangles if determinant > 0 else mesh.triangles[:, ::-1]
-    rows, cols = _snapped(rows), _snapped(cols)
-    is_sample = (rows == np.rint(rows)) & (cols == np.rint(cols))
-    heights = np.where(is_sample, np.rint(heights), heights)
-    if is_sample.all():
-        return Surface(
-            rows.astype(np.int64), cols.astype(np.int64), heights.astype(np.int64), triangles
-        )
-    return Surface(rows, cols, heights, triangles)
+    numbers = [_snapped(values) for values in (rows, cols, heights)]
+    if all((values == np.rint(values)).all() for values in numbers):
+        numbers = [values.astype(np.int64) for values in numbers]
+    return Surface(*numbers, triangles)
 
 
-def _snapped(places: NDArray[np.float64]) -> NDArray[np.float64]:
-    whole = np.rint(places)
-    return np.where(np.abs(places - whole) < 1e-6, whole, places)
+def _snapped(values: NDArray[np.float64]) -> NDArray[Any]:
+    """Return numbers within 1e-6 of integers, or of what float64 holds there, as these."""
+    whole = np.rint(values)
+    return np.where(np.abs(values - whole) <= 1e-6 + 1e-14 * np.abs(values), whole, values)
 
 
 def area_pieces(terrain: Any, region: Region, level: int) -> NDArray[np.uint8]:
