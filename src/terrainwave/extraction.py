@@ -36,6 +36,8 @@ _COARSE_SHARE = 4
 _TRIES = 3
 # A budget of triangles is met within this ratio of the smallest error.
 _BUDGET_RATIO = Fraction(102, 100)
+# Half samples; edges are shorter than its inverse.
+_NEAR = 2.0**-20
 
 
 class _Piece(NamedTuple):
@@ -554,6 +556,11 @@ def _cut_off(
     a, b = unique[:, 0], unique[:, 1]
     share = inside[a] / (inside[a] - inside[b])
     crossing = vertices[a] + share[:, None] * (vertices[b] - vertices[a])
+    # Rounding must not put a crossing beside a half sample it lies on, such as the area's corner:
+    # no other one is so near, as denominators are lengths of edges.
+    whole = np.rint(crossing[:, :2])
+    is_near = np.abs(crossing[:, :2] - whole) < _NEAR
+    crossing[:, :2] = np.where(is_near, whole, crossing[:, :2])
     # A vertex on the line is its own crossing.
     ends = len(vertices) + np.arange(len(unique))
     ends = np.where(inside[a] == 0, a, np.where(inside[b] == 0, b, ends))
