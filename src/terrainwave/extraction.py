@@ -38,6 +38,7 @@ _TRIES = 3
 _BUDGET_RATIO = Fraction(102, 100)
 # Half samples; edges are shorter than its inverse.
 _NEAR = 2.0**-20
+_ROUNDING = 2.0**-48
 
 
 class _Piece(NamedTuple):
@@ -339,9 +340,11 @@ class _Extractor:
         """Return the mesh for an error in physical units, or that of the stored meshes."""
         if max_error is None:
             return self._stored_mesh()
-        error = as_fraction(max_error) / self._quantum
         smallest = self._smallest_error()
-        if error < smallest:
+        # What the file states of itself, as float64, is enough.
+        is_enough = max_error >= float(smallest * self._quantum) * (1 - _ROUNDING)
+        error = max(as_fraction(max_error) / self._quantum, smallest)
+        if not is_enough:
             raise InvalidHeightsError(
                 f"found max_error {max_error:g}, expected at least"
                 f" {float(smallest * self._quantum):g}: the heights of this level are no nearer to"
