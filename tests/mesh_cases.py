@@ -112,9 +112,7 @@ def make_case(
         limits = np.iinfo(dtype)
         heights = np.clip(np.rint(heights), max(limits.min, -(1 << 29)) + 1, limits.max)
     heights = heights.astype(dtype)
-    return Case(
-        heights, validity(void, shape, seed), options, TRANSFORMS[transform], scale, offset
-    )
+    return Case(heights, validity(void, shape, seed), options, TRANSFORMS[transform], scale, offset)
 
 
 @st.composite

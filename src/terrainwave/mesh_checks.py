@@ -10,7 +10,7 @@ given floats (meshes cut along a window), what is nearer than 1e-6 to an edge co
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +43,9 @@ class Surface(NamedTuple):
         Clockwise with columns to the right and rows downwards.
     """
 
-    rows: NDArray[np.generic]
-    cols: NDArray[np.generic]
-    heights: NDArray[np.generic]
+    rows: NDArray[Any]
+    cols: NDArray[Any]
+    heights: NDArray[Any]
     triangles: NDArray[np.integer]
 
     def on_grid(self, stride: int) -> "Surface":
@@ -105,9 +105,7 @@ def deviation(
         surface.triangles, samples, valid, float(limit), kind(place[0]), kind(place[1]),
         kind(0) if surface.is_exact else _FLOAT_TOLERANCE, kind(loss), covered, beyond,
     )  # fmt: skip
-    return Deviation(
-        int(worst), int(row), int(col), int(np.count_nonzero(beyond)), covered
-    )
+    return Deviation(int(worst), int(row), int(col), int(np.count_nonzero(beyond)), covered)
 
 
 @kernel
@@ -327,13 +325,11 @@ def problems_of(
         less = (at_least & ~pieces) != 0
         if less.any():
             yield f"{np.count_nonzero(less)} quads are not covered, one at {_first(less)}"
-    area_of_pieces = 8 * np.count_nonzero(pieces == WHOLE) + 4 * np.count_nonzero(
-        (pieces != WHOLE) & (pieces != NOTHING)
-    )
-    if whole.all() and abs(float(area.sum()) - area_of_pieces) > _FLOAT_TOLERANCE * max(
-        area_of_pieces, 1
-    ) * (area.dtype.kind == "f"):
-        yield f"the triangles' areas sum to {area.sum() / 8:g} quads, not {area_of_pieces / 8:g}"
+    n_whole = int(np.count_nonzero(pieces == WHOLE))
+    wanted = 4 * (n_whole + int(np.count_nonzero(pieces)))
+    allowed = _FLOAT_TOLERANCE * wanted if area.dtype.kind == "f" else 0
+    if whole.all() and abs(float(area.sum()) - wanted) > allowed:
+        yield f"the triangles' areas sum to {area.sum() / 8:g} quads, not {wanted / 8:g}"
     yield from _edge_problems(surface, pieces)
     if whole.all():
         yield from _shape_problems(surface, pieces)
@@ -403,9 +399,7 @@ def _edge_problems(surface: Surface, pieces: NDArray[np.uint8]) -> Iterator[str]
         )
         return
     wanted, _, _ = _runs(*_boundary_of_pieces(pieces))
-    if len(found) != len(wanted) or not np.allclose(
-        found, wanted, rtol=0, atol=_FLOAT_TOLERANCE
-    ):
+    if len(found) != len(wanted) or not np.allclose(found, wanted, rtol=0, atol=_FLOAT_TOLERANCE):
         yield (
             "the edges with a triangle on one side only are not the area's boundary:"
             f" {_difference(found, wanted)}"
@@ -545,8 +539,8 @@ def _characteristic(pieces: NDArray[np.uint8]) -> tuple[int, int]:
     n_whole = np.count_nonzero(pieces == WHOLE)
     n_single = np.count_nonzero(pieces != NOTHING) - n_whole
     n_edges = np.count_nonzero(lines) + np.count_nonzero(columns) + n_whole + n_single
-    n_samples = np.count_nonzero(samples)
+    n_samples = int(np.count_nonzero(samples))
     pairs = np.concatenate(joined)
     pairs = np.concatenate([pairs, pairs[:, 1:]], axis=1)
     n_joined = int(_unite(pairs, np.arange(samples.size)))
-    return n_samples - n_edges + 2 * n_whole + n_single, n_samples - n_joined
+    return int(n_samples - n_edges + 2 * n_whole + n_single), n_samples - n_joined

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import InvalidHeightsError, TerrainwaveError
+from terrainwave.errors import CorruptStreamError, TerrainwaveError
 from terrainwave.mesh_checks import (
     NOTHING,
     Deviation,
@@ -120,9 +120,7 @@ class Ruler:
         self.slack = 0 if self._is_grid else 1
         self.coded = math.ceil(terrain.effective_error / self.quantum * _SIXTEENTHS * (1 - _SLACK))
 
-    def sixteenths(
-        self, raw: NDArray[np.generic], valid: NDArray[np.bool_]
-    ) -> NDArray[np.int64]:
+    def sixteenths(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Return raw heights in 1/16 quanta: exact on a true grid, else the nearest."""
         found = np.zeros(raw.shape, dtype=np.int64)
         if self._is_integer and self._is_grid and self._denominator == 1:
@@ -197,9 +195,7 @@ class Line(NamedTuple):
 
 def border_line(surface: Surface, axis: int, at: int) -> Line:
     """Return the line at row (`axis` 0) or column (1) `at`, in half samples."""
-    across, along = (
-        (surface.rows, surface.cols) if axis == 0 else (surface.cols, surface.rows)
-    )
+    across, along = (surface.rows, surface.cols) if axis == 0 else (surface.cols, surface.rows)
     on = np.flatnonzero(across == at)
     order = on[np.argsort(along[on], kind="stable")]
     edges = boundary_edges(surface.triangles, len(surface.rows))
@@ -248,10 +244,11 @@ def surface_of_mesh(terrain: Any, mesh: Any, region: Region) -> Surface:
     rows = 2 * ((a * up - d * right) / determinant + round(centre_row) - region.row)
     heights = Ruler(terrain).of_physical(mesh.vertices[:, 2] + mesh.origin[2])
     triangles = mesh.triangles if determinant > 0 else mesh.triangles[:, ::-1]
-    numbers = [_snapped(values) for values in (rows, cols, heights)]
-    if all((values == np.rint(values)).all() for values in numbers):
-        numbers = [values.astype(np.int64) for values in numbers]
-    return Surface(*numbers, triangles)
+    surface = Surface(_snapped(rows), _snapped(cols), _snapped(heights), triangles)
+    if not all((values == np.rint(values)).all() for values in surface[:3]):
+        return surface
+    whole = [values.astype(np.int64) for values in surface[:3]]
+    return Surface(whole[0], whole[1], whole[2], triangles)
 
 
 def _snapped(values: NDArray[np.float64]) -> NDArray[Any]:
@@ -282,9 +279,7 @@ def area_pieces(terrain: Any, region: Region, level: int) -> NDArray[np.uint8]:
     return pieces[row : row + region.n_rows - 1, col : col + region.n_cols - 1]
 
 
-def mesh_problems(
-    terrain: Any, mesh: Any, region: Region, level: int | None
-) -> Iterator[str]:
+def mesh_problems(terrain: Any, mesh: Any, region: Region, level: int | None) -> Iterator[str]:
     """Check a `Mesh` over `region` of the full grid as a surface.
 
     `level` is that of all its blocks; None if they may be of several: it then covers at least what
@@ -404,7 +399,12 @@ class MeshVerification:
             for child in self._grid.children(block):
                 self._visit(child, chain)
         else:
-            self._measure(self._grid.block_region(block), chain)
+            region = self._grid.block_region(block)
+            try:
+                self._measure(region, chain)
+            except CorruptStreamError as error:
+                self._checks.add(where, [str(error)])
+            self._report(region.n_rows * region.n_cols)
 
     def _measure(self, region: Region, chain: list[tuple[Block, Surface]]) -> None:
         raw, valid = self._read(region)
@@ -429,7 +429,6 @@ class MeshVerification:
                 self._checks.add(where, _missing(found, wanted, region))
             if block.level == self._grid.k_max:
                 self._checks.add(where, self._tolerance_problems(surface, region))
-        self._report(region.n_rows * region.n_cols)
 
     def _tolerance_problems(self, surface: Surface, region: Region) -> Iterator[str]:
         """Check a finest mesh against the decoded heights, which it is made from."""
@@ -478,8 +477,9 @@ class MeshVerification:
     # Meshes of areas
 
     def _plans(self) -> Iterator[tuple[float | None, int]]:
-        if min(self._terrain.shape) < 2:
-            return
+        a, b, _, d, e, _ = self._terrain.raster_info.transform
+        if min(self._terrain.shape) < 2 or a * e == b * d:
+            return  # no area, or no place in the world
         yield None, 0
         bound, quantum = self._terrain.effective_error, self._ruler.quantum
         for factor in _FACTORS:
@@ -541,9 +541,7 @@ class MeshVerification:
         return problems, found.worst
 
 
-def _missing(
-    found: Deviation, wanted: NDArray[np.bool_], region: Region
-) -> Iterator[str]:
+def _missing(found: Deviation, wanted: NDArray[np.bool_], region: Region) -> Iterator[str]:
     missing = wanted & ~found.is_covered
     if missing.any():
         row, col = np.argwhere(missing)[0].tolist()
@@ -556,14 +554,5 @@ def _missing(
 def verify_meshes(
     terrain: Any, read: ReadOriginal | None = None, progress: ProgressCallback | None = None
 ) -> tuple[MeshReport, list[str]]:
-    """Check all meshes of a file; return the report and all problems.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If the file's transform has no inverse, so that meshes have no place.
-    """
-    a, b, _, d, e, _ = terrain.raster_info.transform
-    if a * e == b * d:
-        raise InvalidHeightsError("the file's affine transform cannot be inverted")
+    """Check all meshes of a file; return the report and all problems."""
     return MeshVerification(terrain, read, progress).run()
