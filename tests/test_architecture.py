@@ -32,6 +32,7 @@ LAYERS = [
         "extraction",
         "height_tile",
         "mesh_storage",
+        "mesh_checks",
         "mesh_verification",
         "verification",
     },

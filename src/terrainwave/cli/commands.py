@@ -421,6 +421,7 @@ def _unit(units: str | None) -> str:
 @click.option("--max-error", type=Bound(), help="Hold the file to this bound instead of its own.")
 @click.option("--band", type=click.IntRange(min=1), default=1, help="Band of ORIGINAL.")
 @click.option("--nodata", type=Nodata(), help="The nodata value that was given to compress.")
+@click.option("--mesh", is_flag=True, help="Check all meshes too: errors, borders, coverage.")
 @click.option("--threads", type=THREADS, help="Threads; all processors by default.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing; the exit status tells.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
@@ -448,7 +449,25 @@ def _print_report(report: Any) -> None:
             f"{errors.n_valid:,} heights compared: max error {errors.max_error:.6g}"
             f" (bound {report.bound:.6g}), RMSE {errors.rmse:.6g}"
         )
+    if report.mesh is not None:
+        _print_meshes(report.mesh)
     click.echo("ok" if report.ok else "not ok")
+
+
+def _print_meshes(report: Any) -> None:
+    rows = [
+        [f"level {level.level}", f"{level.n_triangles:,}", f"{level.stored_error:.6g}",
+         f"{level.measured_error:.6g}"]
+        for level in report.levels
+    ]  # fmt: skip
+    for area in report.areas:
+        asked = "area, stored" if area.max_error is None else f"area, {area.max_error:.6g}"
+        name = f"{asked}, optimised" if area.optimise else asked
+        rows.append(
+            [name, f"{area.n_triangles:,}", f"{area.stated_error:.6g}",
+             f"{area.measured_error:.6g}"]
+        )  # fmt: skip
+    print_grid(["meshes", "triangles", "stated error", f"from {report.against}"], rows)
 
 
 @main.command()
