@@ -4,6 +4,7 @@ Each sample is predicted from everything decoded so far and its error quantised 
 it comes back within the bound on every level, without a second stage.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from terrainwave.codec.border import (
     code_root_border,
 )
 from terrainwave.codec.detail import N_DETAIL_MODELS
+from terrainwave.codec.fitting import fit_tables
 from terrainwave.codec.lattice import (
     PAD,
     PASSES,
@@ -38,6 +40,7 @@ from terrainwave.codec.nested import (
     fill_noisy,
     open_loop_cost,
 )
+from terrainwave.codec.parameters import Tables, all_tables, pack_parameters, parse_parameters
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
@@ -52,6 +55,7 @@ from terrainwave.coding.rangecoder import (
     start_encoder,
 )
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+from terrainwave.quadtree import Grid, Region
 
 _MIXED, _CLAMP = 1, 2
 # Lattices of fewer samples take the first stencil set; others name theirs.
@@ -74,10 +78,11 @@ class Coder(NamedTuple):
     models: NDArray[np.uint32]
     border_models: NDArray[np.uint32]
     flags: int
+    tables: Tables
 
 
 class Choice(NamedTuple):
-    """What a plane is coded with: a set of `tables.STENCILS`, a class of `tables.E_WEIGHTS`."""
+    """What a plane is coded with: a set of `Tables.stencils`, a class of `Tables.e_weights`."""
 
     stencil_set: int
     e_class: int
@@ -100,13 +105,30 @@ class Predictive:
     name = "predictive"
     pyramid = "nested"
 
+    def __init__(self, parameters: bytes = b"") -> None:
+        self.parameters = parameters
+        self._tables = all_tables(parse_parameters(parameters))
+
+    def fitted(
+        self,
+        grid: Grid,
+        step: int,
+        heights: Callable[[int, Region], Heights],
+        mask: Callable[[int, Region], Mask],
+    ) -> "Predictive":
+        """Return a refiner with tables fitted to a raster, where they are worth their bytes.
+
+        `heights` and `mask` return targets and validity of a region of a level.
+        """
+        return Predictive(pack_parameters(fit_tables(grid, step, heights, mask)))
+
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and the heights `decode` makes of it."""
         flags = _CLAMP | (_MIXED if spec.effort else 0)
         out = np.empty(6 * target.size + 1024, dtype=np.uint8)
-        coder = _new_coder(True, start_encoder(), out, flags)
+        coder = _new_coder(True, start_encoder(), out, flags, self._tables)
         heights = _code_unit(spec, parent, target, mask, coder)
         n_bytes = finish_encoder(coder.state, out)
         return bytes([flags]) + out[:n_bytes].tobytes(), heights, None
@@ -129,18 +151,22 @@ class Predictive:
         data = np.frombuffer(payload, dtype=np.uint8)[1:].copy()
         state = np.zeros(STATE_SIZE, dtype=np.int64)
         start_decoder(state, data)
-        coder = _new_coder(False, state, data, payload[0])
+        coder = _new_coder(False, state, data, payload[0], self._tables)
         heights = _code_unit(spec, parent, None, mask, coder)
         raise_for_status(*finish_decoder(state, data))
         return heights, None
 
 
 def _new_coder(
-    encoding: bool, state: NDArray[np.int64], stream: NDArray[np.uint8], flags: int
+    encoding: bool,
+    state: NDArray[np.int64],
+    stream: NDArray[np.uint8],
+    flags: int,
+    all_sets: Tables,
 ) -> Coder:
     return Coder(
         encoding, state, stream, tables.start_models(N_DETAIL_MODELS),
-        tables.start_border_models(N_BORDER_MODELS), flags,
+        tables.start_border_models(N_BORDER_MODELS), flags, all_sets,
     )  # fmt: skip
 
 
@@ -227,7 +253,7 @@ def _code_lattice(
         if 0 in sizes[own]:
             continue
         row_parity, col_parity = own & 1 if own != 2 else 0, int(own != 3)
-        stencils = tables.STENCILS[own]
+        stencils = coder.tables.stencils[own]
         own_kinds = np.ascontiguousarray(kinds[row_parity::2, col_parity::2])
         own_goal = None
         if goal is not None:
@@ -242,7 +268,9 @@ def _code_lattice(
             else:
                 code = int(decode_raw(coder.state, coder.stream, _SET_BITS + 2))
                 choice = Choice(code >> 2, code & 3)
-                if choice.stencil_set >= len(stencils) or choice.e_class >= _N_CLASSES:
+                if choice.stencil_set >= len(stencils) or choice.e_class >= len(
+                    coder.tables.e_weights[own]
+                ):
                     raise CorruptStreamError(f"stencil set and contexts {code} do not exist")
         _run_pass(own_goal, own_kinds, geometry, choice, spec, scratch, coder)
         fill_frame(planes[own], row_parity, col_parity, *shape)
@@ -264,7 +292,8 @@ def _run_pass(
     own = geometry.plane
     code_pass(
         goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
-        tables.STENCILS[own][choice.stencil_set], tables.E_WEIGHTS[own][choice.e_class],
+        coder.tables.stencils[own][choice.stencil_set],
+        coder.tables.e_weights[own][choice.e_class],
         bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
         scratch.rows, scratch.spots, coder.state, coder.stream, coder.models,
     )  # fmt: skip
@@ -288,7 +317,7 @@ def _choose(
     every = 8 if goal.size > 16384 else 2
     found = [
         open_loop_cost(goal, kinds, planes, own, geometry, weights, spec.step, every, scratch.rows)
-        for weights in tables.STENCILS[own]
+        for weights in coder.tables.stencils[own]
     ]
     planes[own] = saved
     ranking = sorted(range(len(found)), key=lambda k: found[k][0])
