@@ -5,7 +5,7 @@ taps; float64 in a fixed order, so that the same raster gives the same weights e
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,8 +13,32 @@ from numpy.typing import NDArray
 from terrainwave._jit import kernel
 from terrainwave.codec import tables
 from terrainwave.codec.detail import log8
-from terrainwave.codec.lattice import CORES, TAPS
+from terrainwave.codec.lattice import CORES, PAD, TAPS, WEIGHT_BITS, Pass
+from terrainwave.codec.nested import (
+    CODED,
+    E_WEIGHT_BITS,
+    F_ACTIVITY,
+    F_BEND,
+    F_CONST,
+    F_FAR,
+    F_LINES,
+    F_MEAN,
+    F_MEDIAN,
+    F_MIDDLE,
+    F_N,
+    F_NE,
+    F_NEAR,
+    F_NN,
+    F_NW,
+    F_OTHERS,
+    F_RANGE,
+    F_TWIST,
+    F_W,
+    F_WW,
+    N_FEATURES,
+)
 from terrainwave.codec.parameters import (
+    MAX_FEATURE_WEIGHT,
     MAX_SETS,
     PLANES,
     FileStencil,
@@ -43,6 +67,9 @@ _WORTH = 1.5
 _MAX_SHIFT = 6
 _COST_PER_BIT = 16
 _MAX_WANTED = 28000  # the last weight follows from the others, rounded
+_OWN_ERRORS = {
+    F_W: (0, -1), F_WW: (0, -2), F_N: (-1, 0), F_NW: (-1, -1), F_NE: (-1, 1), F_NN: (-2, 0),
+}  # fmt: skip
 _PARITY = {1: (1, 1), 2: (0, 1), 3: (1, 0)}
 
 
@@ -72,9 +99,7 @@ def fit_tables(
     for levels in _CLASSES:
         if levels[0] > grid.k_max or grid.n_rows * grid.n_cols >> 2 * levels[0] < 1 << 14:
             continue
-        windows = [
-            window for level in levels for window in _windows(grid, level, heights, mask)
-        ]
+        windows = [window for level in levels for window in windows_of(grid, level, heights, mask)]
         n_samples = sum(grid.n_rows * grid.n_cols / 4 ** (1 + level) for level in levels)
         for plane in PLANES:
             samples = _gather(plane, windows, n_samples, step)
@@ -86,7 +111,7 @@ def fit_tables(
     return FileTables(found, dict.fromkeys(PLANES))
 
 
-def _windows(
+def windows_of(
     grid: Grid,
     depth: int,
     heights: Callable[[int, Region], Heights],
@@ -154,9 +179,7 @@ def _offsets(plane: int, resolved: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 @kernel
-def _gather_window(
-    heights, mask, parity, taps, core, every, scale, rows, goals, n_found, place
-):
+def _gather_window(heights, mask, parity, taps, core, every, scale, rows, goals, n_found, place):
     """Append every `every`-th place whose taps are all valid; return the new counts."""
     for row in range(_MARGIN + parity[0], heights.shape[0] - _MARGIN, 2):
         for col in range(_MARGIN + parity[1], heights.shape[1] - _MARGIN, 2):
@@ -301,3 +324,113 @@ def stencil_cost(taps, goals, weights, noise):
         squared = min(error * error + noise * power, 16777216.0)
         total += log8(np.int64(256.0 + 1024.0 * squared))
     return total
+
+
+# Weights of the expected magnitude --------------------------------------------------------------
+
+
+def features_of(
+    kinds: NDArray[np.uint8],
+    planes: NDArray[np.int32],
+    errors: NDArray[np.int32],
+    activity: NDArray[np.int32],
+    bends: NDArray[np.int64],
+    geometry: Pass,
+    weights: NDArray[np.int64],
+    clamp: bool,
+    step: int,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return (features, |detail|) in steps of a coded plane's samples away from its rim.
+
+    Shapes (n, N_FEATURES) and (n,). As `nested.code_pass` computes them, but for rounding.
+    """
+    n_rows, n_cols = kinds.shape
+    own = geometry.plane
+
+    def shifted(array: NDArray[Any], row: int, col: int) -> NDArray[np.float64]:
+        at = np.s_[PAD + row : PAD + row + n_rows, PAD + col : PAD + col + n_cols]
+        return array[at].astype(np.float64)
+
+    value = np.zeros(kinds.shape)
+    for weight, (p, r, c) in zip(weights, geometry.taps, strict=True):
+        value += weight * shifted(planes[p], r, c) / (1 << WEIGHT_BITS)
+    a, b, c, d = (shifted(planes[p], r, q) for p, r, q in geometry.core)
+    core = np.sort(np.stack([a, b, c, d]), 0)
+    found = np.zeros((N_FEATURES, n_rows, n_cols))
+    for index, (row, col) in _OWN_ERRORS.items():
+        found[index] = shifted(errors[own], row, col) / 32
+    for index, places in ((F_NEAR, geometry.near), (F_FAR, geometry.far)):
+        for p, r, q in places:
+            found[index] += shifted(errors[p], r, q) / 32
+    found[F_MEAN] = np.abs(value - (a + b + c + d) / 4) / step
+    if clamp:
+        value = np.minimum(np.maximum(value, core[0]), core[3])
+    for _, r, q in geometry.bends:
+        found[F_BEND] += shifted(bends, r, q) / step
+    found[F_RANGE] = (core[3] - core[0]) / step
+    found[F_MEDIAN] = np.abs((core[1] + core[2]) / 2 - value) / step
+    found[F_MIDDLE] = np.abs((core[0] + core[3]) / 2 - value) / step
+    found[F_TWIST] = np.abs(a + d - b - c if own == 1 else a + b - c - d) / step
+    for k in range(0, len(geometry.lines), 4):
+        e, f, g, h = (shifted(planes[p], r, q) for p, r, q in geometry.lines[k : k + 4])
+        found[F_LINES] += np.abs(e - f - g + h) / step
+    found[F_ACTIVITY] = shifted(activity[own], -1, 0) / 32
+    for other in range(1, own):
+        found[F_OTHERS] += shifted(activity[other], int(other == 2), 0) / 32
+    found[F_CONST] = 1 / 32  # its weight then is in 1/16384
+    details = np.abs(np.rint((shifted(planes[own], 0, 0) - np.rint(value)) / step))
+    inside = np.s_[2:-2, 2:-2]
+    use = (kinds == CODED)[inside].ravel()
+    features = found[(slice(None), *inside)].reshape(N_FEATURES, -1)[:, use].T
+    return np.ascontiguousarray(features), np.ascontiguousarray(details[inside].ravel()[use])
+
+
+def fit_features(
+    features: NDArray[np.float64], details: NDArray[np.float64]
+) -> NDArray[np.int64] | None:
+    """Return weights that give the expected |detail| from features, in 1/512; None if too few."""
+    if len(details) < 20 * N_FEATURES:
+        return None
+    solution = np.zeros(N_FEATURES, dtype=np.float64)
+    fit_non_negative(features, details, solution)
+    scaled = np.minimum(np.floor(solution * (1 << E_WEIGHT_BITS) + 0.5), MAX_FEATURE_WEIGHT)
+    weights = scaled.astype(np.int64)
+    weights[F_CONST] = max(1, weights[F_CONST])
+    return weights
+
+
+@kernel
+def fit_non_negative(features, details, solution):
+    """Fill `solution` with non-negative weights, by coordinate descent on the normal equations.
+
+    Four fits; after the first, samples count by the inverse of their expected value squared.
+    """
+    n, n_features = features.shape
+    normal = np.empty((n_features, n_features), dtype=np.float64)
+    right = np.empty(n_features, dtype=np.float64)
+    for turn in range(4):
+        normal[:] = 0.0
+        right[:] = 0.0
+        for i in range(n):
+            influence = 1.0
+            if turn:
+                expected = 0.1
+                for k in range(n_features):
+                    expected += solution[k] * features[i, k]
+                influence = 1.0 / (expected * expected)
+            for k in range(n_features):
+                weighted = influence * features[i, k]
+                right[k] += weighted * details[i]
+                for m in range(k + 1):
+                    normal[k, m] += weighted * features[i, m]
+        for k in range(n_features):
+            for m in range(k):
+                normal[m, k] = normal[k, m]
+        for _ in range(300):
+            for k in range(n_features):
+                if normal[k, k] <= 0.0:
+                    continue
+                slope = right[k]
+                for m in range(n_features):
+                    slope -= normal[k, m] * solution[m]
+                solution[k] = max(0.0, solution[k] + slope / normal[k, k])

@@ -33,7 +33,7 @@ MAX_SETS = 16  # what a plane's header can name
 MAX_SHIFT = 7
 _LAYOUT = 1
 _MAX_WEIGHT = (1 << 15) - 1
-_MAX_FEATURE_WEIGHT = 1 << 12
+MAX_FEATURE_WEIGHT = 1 << 12
 _WHOLE = 4096
 # Models of magnitudes: core taps, other taps, feature weights.
 _CORE, _OTHER, _FEATURE = 0, MAGNITUDE_MODELS, 2 * MAGNITUDE_MODELS
@@ -206,6 +206,6 @@ def _parse_features(
     state: NDArray[np.int64], data: NDArray[np.uint8], models: NDArray[np.uint32]
 ) -> NDArray[np.int64]:
     weights = [int(decode_magnitude(state, data, models, _FEATURE)) for _ in range(N_FEATURES)]
-    if max(weights) > _MAX_FEATURE_WEIGHT:
+    if max(weights) > MAX_FEATURE_WEIGHT:
         raise CorruptStreamError(f"a feature weighs {max(weights)}, more than 2^12")
     return np.array(weights, dtype=np.int64)

@@ -19,7 +19,7 @@ from terrainwave.codec.border import (
     code_root_border,
 )
 from terrainwave.codec.detail import N_DETAIL_MODELS
-from terrainwave.codec.fitting import fit_tables
+from terrainwave.codec.fitting import features_of, fit_features, fit_tables, windows_of
 from terrainwave.codec.lattice import (
     PAD,
     PASSES,
@@ -36,12 +36,20 @@ from terrainwave.codec.nested import (
     CODED,
     KNOWN,
     N_ROW_BUFFERS,
+    VOID,
     code_pass,
     fill_noisy,
     open_loop_cost,
 )
-from terrainwave.codec.parameters import Tables, all_tables, pack_parameters, parse_parameters
-from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
+from terrainwave.codec.parameters import (
+    PLANES,
+    FileTables,
+    Tables,
+    all_tables,
+    pack_parameters,
+    parse_parameters,
+)
+from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask, Sides
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
     PENDING,
@@ -67,6 +75,12 @@ _N_CLASSES = 3
 # By effort: how many stencil sets are tried, and how close in cost (in %) to the seeming best.
 _N_TRIALS = (1, 2, 8)
 _CLOSE = (100, 106, 140)
+# Feature weights fitted to the file must save so many times their own bits.
+_WORTH = 2
+
+
+# By plane: features of the expected magnitude and |details|, collected for fitting.
+_Seen = dict[int, list[tuple[NDArray[np.float64], NDArray[np.float64]]]]
 
 
 class Coder(NamedTuple):
@@ -79,6 +93,7 @@ class Coder(NamedTuple):
     border_models: NDArray[np.uint32]
     flags: int
     tables: Tables
+    seen: _Seen | None = None
 
 
 class Choice(NamedTuple):
@@ -120,7 +135,11 @@ class Predictive:
 
         `heights` and `mask` return targets and validity of a region of a level.
         """
-        return Predictive(pack_parameters(fit_tables(grid, step, heights, mask)))
+        added = fit_tables(grid, step, heights, mask)
+        windows = windows_of(grid, 0, heights, mask)
+        windows = windows[len(windows) // 8 :: max(1, len(windows) // 4)]
+        e_weights = _fit_e_weights(added, windows, step, grid.n_rows * grid.n_cols)
+        return Predictive(pack_parameters(added._replace(e_weights=e_weights)))
 
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
@@ -155,6 +174,52 @@ class Predictive:
         heights = _code_unit(spec, parent, None, mask, coder)
         raise_for_status(*finish_decoder(state, data))
         return heights, None
+
+
+def _fit_e_weights(
+    added: FileTables, windows: list[tuple[Heights, Mask]], step: int, n_in_file: int
+) -> dict[int, NDArray[np.int64] | None]:
+    """Return feature weights by plane fitted to coded windows, None where not worth storing."""
+    none: dict[int, NDArray[np.int64] | None] = dict.fromkeys(PLANES)
+    seen: _Seen = {plane: [] for plane in PLANES}
+    trained = all_tables(added)
+    n_bits = sum(_code_window(*window, step, trained, seen) for window in windows)
+    found = dict(none)
+    n_coded = 0
+    for plane, parts in seen.items():
+        if not parts:
+            continue
+        details = np.concatenate([part[1] for part in parts])
+        n_coded += details.size
+        if int(256 * details.sum()) >= CLASS_LIMITS[-1] * details.size:
+            found[plane] = fit_features(np.concatenate([part[0] for part in parts]), details)
+    if all(weights is None for weights in found.values()):
+        return none
+    both = added._replace(e_weights=found)
+    n_bits -= sum(_code_window(*window, step, all_tables(both), None) for window in windows)
+    n_stored = 8 * (len(pack_parameters(both)) - len(pack_parameters(added)))
+    return found if n_bits * n_in_file > _WORTH * n_stored * n_coded else none
+
+
+def _code_window(
+    target: Heights, mask: Mask, step: int, all_sets: Tables, seen: _Seen | None
+) -> int:
+    """Return the bits of a window coded alone, its even samples given; append to `seen`."""
+    low, high = int(target.min()), int(target.max())
+    region = Region(0, 0, *target.shape)
+    spec = GroupSpec(
+        1, region, region, None, Sides(False, False, False, False), step, low, high, (1, 0), 1, 0
+    )
+    out = np.empty(6 * target.size + 1024, dtype=np.uint8)
+    coder = _new_coder(True, start_encoder(), out, _CLAMP | _MIXED, all_sets)._replace(seen=seen)
+    kinds = np.where(mask, CODED, VOID).astype(np.uint8)
+    coarse = np.ascontiguousarray(target[::2, ::2])
+    padded = np.zeros((coarse.shape[0] + 2 * PAD, coarse.shape[1] + 2 * PAD), dtype=np.int32)
+    fill_noisy(coarse, padded, step)
+    heights = np.zeros_like(target)
+    heights[::2, ::2] = padded[PAD:-PAD, PAD:-PAD]
+    _code_lattice(heights, kinds, target, spec, coder)
+    return 8 * finish_encoder(coder.state, out)
 
 
 def _new_coder(
@@ -297,6 +362,14 @@ def _run_pass(
         bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
         scratch.rows, scratch.spots, coder.state, coder.stream, coder.models,
     )  # fmt: skip
+    if coder.seen is not None:
+        coder.seen[own].append(
+            features_of(
+                kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, geometry,
+                coder.tables.stencils[own][choice.stencil_set], bool(coder.flags & _CLAMP),
+                spec.step,
+            )
+        )  # fmt: skip
 
 
 def _choose(
@@ -325,9 +398,12 @@ def _choose(
     base = 64 * found[0][2]
     limit = base + (found[ranking[0]][0] - base) * _CLOSE[spec.effort] // 100
     ranking = [k for k in ranking[: _N_TRIALS[spec.effort]] if found[k][0] <= limit]
-    choices = [Choice(k, sum(found[k][1] >= edge for edge in CLASS_LIMITS)) for k in ranking] or [
-        Choice(0, _N_CLASSES - 1)
-    ]
+    # A file's own weights take the place of the last class.
+    last = len(coder.tables.e_weights[own]) - 1
+    classes = {k: sum(found[k][1] >= edge for edge in CLASS_LIMITS) for k in ranking}
+    choices = [
+        Choice(k, last if classes[k] == _N_CLASSES - 1 else classes[k]) for k in ranking
+    ] or [Choice(0, _N_CLASSES - 1)]
     if len(choices) == 1:
         return choices[0]
     best, smallest = choices[0], 1 << 62
