@@ -116,16 +116,21 @@ def windows_of(
     depth: int,
     heights: Callable[[int, Region], Heights],
     mask: Callable[[int, Region], Mask],
+    window: int = _WINDOW,
 ) -> list[tuple[Heights, Mask]]:
-    """Return windows spread over the level `depth` below the full grid."""
+    """Return windows spread over the level `depth` below the full grid; neighbours follow in turn.
+
+    Each has `window` samples a side or what there is.
+    """
     level = max(grid.k_max - depth, 0)
     stride = 1 << max(depth - grid.k_max, 0)
     n_rows, n_cols = grid.level_shape(level)
-    side = _WINDOW * stride
+    side = window * stride
     places = []
     counts = [min(4, max(1, -(-n // (2 * side)))) for n in (n_rows, n_cols)]
     for i in range(counts[0]):
-        for j in range(counts[1]):
+        # Rows alternate in direction, so that every second window is a colour of a chessboard.
+        for j in range(counts[1]) if i % 2 == 0 else range(counts[1] - 1, -1, -1):
             row = max(0, n_rows - side) * (2 * i + 1) // (2 * counts[0])
             col = max(0, n_cols - side) * (2 * j + 1) // (2 * counts[1])
             places.append((row // (2 * stride) * 2 * stride, col // (2 * stride) * 2 * stride))

@@ -77,6 +77,7 @@ _N_TRIALS = (1, 2, 8)
 _CLOSE = (100, 106, 140)
 # Feature weights fitted to the file must save so many times their own bits.
 _WORTH = 2
+_WINDOW = 80
 
 
 # By plane: features of the expected magnitude and |details|, collected for fitting.
@@ -136,8 +137,7 @@ class Predictive:
         `heights` and `mask` return targets and validity of a region of a level.
         """
         added = fit_tables(grid, step, heights, mask)
-        windows = windows_of(grid, 0, heights, mask)
-        windows = windows[len(windows) // 8 :: max(1, len(windows) // 4)]
+        windows = windows_of(grid, 0, heights, mask, _WINDOW)
         e_weights = _fit_e_weights(added, windows, step, grid.n_rows * grid.n_cols)
         return Predictive(pack_parameters(added._replace(e_weights=e_weights)))
 
@@ -183,22 +183,25 @@ def _fit_e_weights(
     none: dict[int, NDArray[np.int64] | None] = dict.fromkeys(PLANES)
     seen: _Seen = {plane: [] for plane in PLANES}
     trained = all_tables(added)
-    n_bits = sum(_code_window(*window, step, trained, seen) for window in windows)
+    # Windows of one colour of a chessboard are fitted to, the others judge.
+    judges = windows[1::2]
+    for window in windows[::2]:
+        _code_window(*window, step, trained, seen)
     found = dict(none)
-    n_coded = 0
     for plane, parts in seen.items():
         if not parts:
             continue
         details = np.concatenate([part[1] for part in parts])
-        n_coded += details.size
         if int(256 * details.sum()) >= CLASS_LIMITS[-1] * details.size:
             found[plane] = fit_features(np.concatenate([part[0] for part in parts]), details)
-    if all(weights is None for weights in found.values()):
+    if not judges or all(weights is None for weights in found.values()):
         return none
     both = added._replace(e_weights=found)
-    n_bits -= sum(_code_window(*window, step, all_tables(both), None) for window in windows)
+    n_bits = sum(_code_window(*window, step, trained, None) for window in judges)
+    n_bits -= sum(_code_window(*window, step, all_tables(both), None) for window in judges)
     n_stored = 8 * (len(pack_parameters(both)) - len(pack_parameters(added)))
-    return found if n_bits * n_in_file > _WORTH * n_stored * n_coded else none
+    n_judged = sum(mask.size for _, mask in judges)
+    return found if n_bits * n_in_file > _WORTH * n_stored * n_judged else none
 
 
 def _code_window(
