@@ -52,7 +52,8 @@ from terrainwave.quadtree import Grid, Region
 # Levels below the full grid that share a stencil.
 _CLASSES = ((0,), (1,), (2, 3, 4))
 _MIN_SAMPLES = 300
-_MAX_SAMPLES = 12000
+_MAX_SAMPLES = 8000
+_MAX_JUDGED = 2000
 # One of so many samples of a plane is looked at, in windows of up to so many samples a side.
 _EVERY = 12
 _WINDOW = 128
@@ -64,7 +65,7 @@ _NOISE = 0.06
 _N_TURNS = 3
 # A stencil must save so many times its own bits.
 _WORTH = 1.5
-_MAX_SHIFT = 6
+_SHIFTS = (0, 2, 3, 4, 5)
 _COST_PER_BIT = 16
 _MAX_WANTED = 28000  # the last weight follows from the others, rounded
 _OWN_ERRORS = {
@@ -222,19 +223,21 @@ def _fit_stencil(plane: int, samples: _Samples, noise: float) -> FileStencil | N
     if not (np.abs(wanted) < _MAX_WANTED).all():
         return None
     trained = tables.STENCILS[plane]
-    costs = [stencil_cost(*samples[:2], weights, noise) for weights in trained]
+    every = max(1, len(samples.goals) // _MAX_JUDGED)
+    judged = np.ascontiguousarray(samples.taps[::every]), samples.goals[::every].copy()
+    costs = [stencil_cost(*judged, weights, noise) for weights in trained]
     base = min(range(len(costs)), key=costs.__getitem__)
     missing = missing_tap(plane)
-    scale = samples.n_in_file / (_COST_PER_BIT * len(samples.goals))
+    scale = samples.n_in_file / (_COST_PER_BIT * len(judged[1]))
     best, most_saved = None, 0.0
-    for shift in range(_MAX_SHIFT + 1):
+    for shift in _SHIFTS:
         deltas = [
             int(np.floor((w - b) / 2**shift + 0.5))
             for w, b in zip(wanted, trained[base], strict=True)
         ]
         deltas[missing] = 0
         stencil = FileStencil(base, shift, tuple(deltas))
-        cost = stencil_cost(*samples[:2], weights_of(plane, stencil), noise)
+        cost = stencil_cost(*judged, weights_of(plane, stencil), noise)
         n_bits = 8 + sum(2 + abs(delta).bit_length() for delta in deltas)
         saved = (costs[base] - cost) * scale - _WORTH * n_bits
         if saved > most_saved:
@@ -266,11 +269,13 @@ def fit_weights(taps, goals, is_core, noise, n_turns, solution):
             size = abs(error) + 0.5
             influence = 1.0 / (size * np.sqrt(size)) if turn else 1.0 / size
             total += influence
+            values = taps[i]
             for k in range(n_taps):
-                weighted = influence * taps[i, k]
+                weighted = influence * values[k]
                 right[k] += weighted * goals[i]
-                for m in range(k + 1):
-                    normal[k, m] += weighted * taps[i, m]
+                line = normal[k]
+                for m in range(n_taps):
+                    line[m] += weighted * values[m]
         trace = 0.0
         for k in range(n_taps):
             trace += normal[k, k]
