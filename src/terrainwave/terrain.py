@@ -121,7 +121,7 @@ class Terrain:
         try:
             self._container = Container(self._source)
             header = self._container.header
-            if header.parameters:
+            if header.parameters and header.method != "predictive":
                 raise UnsupportedVersionError(
                     f"the file has parameters for method {header.method}, which this terrainwave"
                     " does not know: install a newer one"
@@ -189,7 +189,7 @@ class Terrain:
 
         return TreeDecoder(
             self._grid,
-            refiner_by_name(self._container.header.method),
+            refiner_by_name(self._container.header.method, self._container.header.parameters),
             self._parameters,
             self._container.payloads,
             self._cache_bytes,

@@ -4,6 +4,7 @@ Each sample is predicted from everything decoded so far and its error quantised 
 it comes back within the bound on every level, without a second stage.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from terrainwave.codec.border import (
     code_corner,
 )
 from terrainwave.codec.detail import N_DETAIL_MODELS
+from terrainwave.codec.fitting import features_of, fit_features, fit_tables, windows_of
 from terrainwave.codec.lattice import (
     PAD,
     PASSES,
@@ -39,7 +41,15 @@ from terrainwave.codec.nested import (
     fits_narrow,
     open_loop_cost,
 )
-from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
+from terrainwave.codec.parameters import (
+    PLANES,
+    FileTables,
+    Tables,
+    all_tables,
+    pack_parameters,
+    parse_parameters,
+)
+from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask, Sides
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
     PENDING,
@@ -53,6 +63,7 @@ from terrainwave.coding.rangecoder import (
     start_encoder,
 )
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+from terrainwave.quadtree import Grid, Region
 
 _MIXED, _CLAMP = 1, 2
 # Lattices of fewer samples take the first stencil set; others name theirs.
@@ -64,6 +75,13 @@ _N_CLASSES = 3
 # By effort: how many stencil sets are tried, and how close in cost (in %) to the seeming best.
 _N_TRIALS = (1, 2, 8)
 _CLOSE = (100, 106, 140)
+# Feature weights fitted to the file must save so many times their own bits.
+_WORTH = 2
+_WINDOW = 80
+
+
+# By plane: features of the expected magnitude and |details|, collected for fitting.
+_Seen = dict[int, list[tuple[NDArray[np.float64], NDArray[np.float64]]]]
 
 
 class Coder(NamedTuple):
@@ -75,10 +93,12 @@ class Coder(NamedTuple):
     models: NDArray[np.uint32]
     border_models: NDArray[np.uint32]
     flags: int
+    tables: Tables
+    seen: _Seen | None = None
 
 
 class Choice(NamedTuple):
-    """What a plane is coded with: a set of `tables.STENCILS`, a class of `tables.E_WEIGHTS`."""
+    """What a plane is coded with: a set of `Tables.stencils`, a class of `Tables.e_weights`."""
 
     stencil_set: int
     e_class: int
@@ -116,13 +136,33 @@ class Predictive:
     name = "predictive"
     pyramid = "nested"
 
+    def __init__(self, parameters: bytes = b"") -> None:
+        self.parameters = parameters
+        self._tables = all_tables(parse_parameters(parameters))
+
+    def fitted(
+        self,
+        grid: Grid,
+        step: int,
+        heights: Callable[[int, Region], Heights],
+        mask: Callable[[int, Region], Mask],
+    ) -> "Predictive":
+        """Return a refiner with tables fitted to a raster, where they are worth their bytes.
+
+        `heights` and `mask` return targets and validity of a region of a level.
+        """
+        added = fit_tables(grid, step, heights, mask)
+        windows = windows_of(grid, 0, heights, mask, _WINDOW)
+        e_weights = _fit_e_weights(added, windows, step, grid.n_rows * grid.n_cols)
+        return Predictive(pack_parameters(added._replace(e_weights=e_weights)))
+
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and the heights `decode` makes of it."""
         flags = _CLAMP | (_MIXED if spec.effort else 0)
         out = np.empty(6 * target.size + 1024, dtype=np.uint8)
-        coder = _new_coder(True, start_encoder(), out, flags)
+        coder = _new_coder(True, start_encoder(), out, flags, self._tables)
         heights = _code_unit(spec, parent, target, mask, coder)
         n_bytes = finish_encoder(coder.state, out)
         return bytes([flags]) + out[:n_bytes].tobytes(), heights, None
@@ -145,18 +185,74 @@ class Predictive:
         data = np.frombuffer(payload, dtype=np.uint8)[1:].copy()
         state = np.zeros(STATE_SIZE, dtype=np.int64)
         start_decoder(state, data)
-        coder = _new_coder(False, state, data, payload[0])
+        coder = _new_coder(False, state, data, payload[0], self._tables)
         heights = _code_unit(spec, parent, None, mask, coder)
         raise_for_status(*finish_decoder(state, data))
         return heights, None
 
 
+def _fit_e_weights(
+    added: FileTables, windows: list[tuple[Heights, Mask]], step: int, n_in_file: int
+) -> dict[int, NDArray[np.int64] | None]:
+    """Return feature weights by plane fitted to coded windows, None where not worth storing."""
+    none: dict[int, NDArray[np.int64] | None] = dict.fromkeys(PLANES)
+    seen: _Seen = {plane: [] for plane in PLANES}
+    trained = all_tables(added)
+    # Windows of one colour of a chessboard are fitted to, the others judge.
+    judges = windows[1::2]
+    for window in windows[::2]:
+        _code_window(*window, step, trained, seen)
+        details = [part[1] for parts in seen.values() for part in parts]
+        if 256 * sum(d.sum() for d in details) < CLASS_LIMITS[-1] * sum(d.size for d in details):
+            return none  # few details: their size doesn't matter
+    found = dict(none)
+    for plane, parts in seen.items():
+        if not parts:
+            continue
+        sizes = np.concatenate([part[1] for part in parts])
+        if int(256 * sizes.sum()) >= CLASS_LIMITS[-1] * sizes.size:
+            found[plane] = fit_features(np.concatenate([part[0] for part in parts]), sizes)
+    if not judges or all(weights is None for weights in found.values()):
+        return none
+    both = added._replace(e_weights=found)
+    n_bits = sum(_code_window(*window, step, trained, None) for window in judges)
+    n_bits -= sum(_code_window(*window, step, all_tables(both), None) for window in judges)
+    n_stored = 8 * (len(pack_parameters(both)) - len(pack_parameters(added)))
+    n_judged = sum(mask.size for _, mask in judges)
+    return found if n_bits * n_in_file > _WORTH * n_stored * n_judged else none
+
+
+def _code_window(
+    target: Heights, mask: Mask, step: int, all_sets: Tables, seen: _Seen | None
+) -> int:
+    """Return the bits of a window coded alone, its even samples given; append to `seen`."""
+    low, high = int(target.min()), int(target.max())
+    region = Region(0, 0, *target.shape)
+    spec = GroupSpec(
+        1, region, region, None, Sides(False, False, False, False), step, low, high, (1, 0), 1, 0
+    )
+    out = np.empty(6 * target.size + 1024, dtype=np.uint8)
+    coder = _new_coder(True, start_encoder(), out, _CLAMP | _MIXED, all_sets)._replace(seen=seen)
+    kinds = np.where(mask, CODED, VOID).astype(np.uint8)
+    coarse = np.ascontiguousarray(target[::2, ::2])
+    padded = np.zeros((coarse.shape[0] + 2 * PAD, coarse.shape[1] + 2 * PAD), dtype=np.int32)
+    fill_noisy(coarse, padded, step)
+    heights = np.zeros_like(target)
+    heights[::2, ::2] = padded[PAD:-PAD, PAD:-PAD]
+    _code_lattice(heights, kinds, target, spec, coder)
+    return 8 * finish_encoder(coder.state, out)
+
+
 def _new_coder(
-    encoding: bool, state: NDArray[np.int64], stream: NDArray[np.uint8], flags: int
+    encoding: bool,
+    state: NDArray[np.int64],
+    stream: NDArray[np.uint8],
+    flags: int,
+    all_sets: Tables,
 ) -> Coder:
     return Coder(
         encoding, state, stream, tables.start_models(N_DETAIL_MODELS),
-        tables.start_border_models(N_BORDER_MODELS), flags,
+        tables.start_border_models(N_BORDER_MODELS), flags, all_sets,
     )  # fmt: skip
 
 
@@ -247,7 +343,7 @@ def _code_lattice(
         if 0 in sizes[own]:
             continue
         row_parity, col_parity = own & 1 if own != 2 else 0, int(own != 3)
-        stencils = tables.STENCILS[own]
+        stencils = coder.tables.stencils[own]
         own_kinds = np.ascontiguousarray(kinds[row_parity::2, col_parity::2])
         own_goal = None
         if goal is not None:
@@ -256,13 +352,15 @@ def _code_lattice(
         choice = Choice(0, _N_CLASSES - 1)
         has_header = shape[0] * shape[1] >= _MIN_CHOICE
         if has_header and own_goal is not None:
-            choices = _choose(own_goal, own_kinds, geometry, spec, scratch)
+            choices = _choose(own_goal, own_kinds, geometry, spec, scratch, coder)
             _encode_smallest(own_goal, own_kinds, geometry, choices, spec, scratch, coder)
         else:
             if has_header:
                 code = int(decode_raw(coder.state, coder.stream, _SET_BITS + 2))
                 choice = Choice(code >> 2, code & 3)
-                if choice.stencil_set >= len(stencils) or choice.e_class >= _N_CLASSES:
+                if choice.stencil_set >= len(stencils) or choice.e_class >= len(
+                    coder.tables.e_weights[own]
+                ):
                     raise CorruptStreamError(f"stencil set and contexts {code} do not exist")
             _run_pass(own_goal, own_kinds, geometry, choice, spec, scratch, coder)
         fill_frame(planes[own], row_parity, col_parity, *shape)
@@ -282,14 +380,21 @@ def _run_pass(
 ) -> None:
     """Encode or decode one plane with the tables chosen."""
     own = geometry.plane
-    weights = tables.STENCILS[own][choice.stencil_set]
-    e_weights = tables.E_WEIGHTS[own][choice.e_class]
+    weights = coder.tables.stencils[own][choice.stencil_set]
+    e_weights = coder.tables.e_weights[own][choice.e_class]
     code_pass(
         goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
         weights, e_weights, bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP), spec.step,
         spec.z_min, spec.z_max, scratch.rows.of(weights, e_weights),
         scratch.spots, coder.state, coder.stream, coder.models,
     )  # fmt: skip
+    if coder.seen is not None:
+        coder.seen[own].append(
+            features_of(
+                kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, geometry,
+                weights, bool(coder.flags & _CLAMP), spec.step,
+            )
+        )  # fmt: skip
 
 
 def _choose(
@@ -298,6 +403,7 @@ def _choose(
     geometry: Pass,
     spec: GroupSpec,
     scratch: _Scratch,
+    coder: Coder,
 ) -> list[Choice]:
     """Return the stencil sets and classes of contexts to try on a plane, the likeliest first.
 
@@ -310,9 +416,9 @@ def _choose(
     found = [
         open_loop_cost(
             goal, kinds, planes, own, geometry, weights, spec.step, every,
-            scratch.rows.of(weights, tables.E_WEIGHTS[own][0]),
+            scratch.rows.of(weights, coder.tables.e_weights[own][0]),
         )
-        for weights in tables.STENCILS[own]
+        for weights in coder.tables.stencils[own]
     ]  # fmt: skip
     planes[own] = saved
     ranking = sorted(range(len(found)), key=lambda k: found[k][0])
@@ -320,7 +426,10 @@ def _choose(
     base = 64 * found[0][2]
     limit = base + (found[ranking[0]][0] - base) * _CLOSE[spec.effort] // 100
     ranking = [k for k in ranking[: _N_TRIALS[spec.effort]] if found[k][0] <= limit]
-    return [Choice(k, sum(found[k][1] >= edge for edge in CLASS_LIMITS)) for k in ranking] or [
+    # A file's own weights take the place of the last class.
+    last = len(coder.tables.e_weights[own]) - 1
+    classes = {k: sum(found[k][1] >= edge for edge in CLASS_LIMITS) for k in ranking}
+    return [Choice(k, last if classes[k] == _N_CLASSES - 1 else classes[k]) for k in ranking] or [
         Choice(0, _N_CLASSES - 1)
     ]
 
