@@ -16,9 +16,10 @@ Two selections:
 
 Blocks of any size: triangles live on a virtual grid of 2**n + 1, n the least that will do, whose
 rows and columns are laid over the samples' monotonically, some twice. Triangles that become
-degenerate are dropped; where one has three different corners on a line, it is split. A block of
-2**n + 1 samples is its own virtual grid. Voids as in `labels`; all of this, and more vertices to
-keep (`agreement`), only adds to what is closed, so it is independent of order.
+degenerate are dropped; where one that exists has three different corners on a line, it is split. A
+block of 2**n + 1 samples is its own virtual grid. Voids as in `labels`. All rules have the form
+"where these vertices are, so is that", and so has keeping more of them (`agreement`): there is a
+least selection that obeys them, whatever the order.
 """
 
 from typing import Literal
@@ -79,7 +80,15 @@ def select_vertices(
         np.ascontiguousarray(heights), mask, check_tolerance(tolerance), rows, cols,
         BY_ERROR if rule == "by_error" else BY_DETAIL, selection,
     )  # fmt: skip
+    stack = _new_stack(len(rows))
+    while _split_lines(rows, cols, stack, selection):
+        pass
     return selection
+
+
+def _new_stack(n: int) -> NDArray[np.int64]:
+    """Return room for a depth-first walk over the triangles of a virtual grid of n x n."""
+    return np.empty((4 * (n.bit_length() + 2), 6), dtype=np.int64)
 
 
 def virtual_places(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -105,7 +114,7 @@ def rqt_mesh(
     rows, cols = virtual_places(heights.shape)
     vertex_of = np.full(heights.shape, -1, dtype=np.int32)
     corners = np.empty((2 * heights.size, 3), dtype=np.int64)
-    stack = np.empty((4 * (len(rows).bit_length() + 2), 6), dtype=np.int64)
+    stack = _new_stack(len(rows))
     count = 0
     if min(heights.shape) > 1:
         count = _emit(mask, rows, cols, selection, stack, vertex_of, corners)
@@ -150,17 +159,14 @@ def _select(heights, mask, tolerance, rows, cols, rule, selection):
                                 r2, c2, second, r3, c3, third,
                             )  # fmt: skip
                         else:
-                            wanted = False
-                        if second and not wanted:
-                            wanted = _must_split(
+                            wanted = second and _exceeds(
                                 heights, mask, tolerance, rows[r0], cols[c0], rows[r1], cols[c1],
-                                rows[r2], cols[c2], rule,
+                                rows[r2], cols[c2],
                             )  # fmt: skip
-                        if third and not wanted:
-                            wanted = _must_split(
+                            wanted = wanted or (third and _exceeds(
                                 heights, mask, tolerance, rows[r0], cols[c0], rows[r1], cols[c1],
-                                rows[r3], cols[c3], rule,
-                            )  # fmt: skip
+                                rows[r3], cols[c3],
+                            ))  # fmt: skip
                         if not wanted:
                             continue
                         selection[row, col] = 1
@@ -173,15 +179,13 @@ def _select(heights, mask, tolerance, rows, cols, rule, selection):
 
 
 @kernel
-def _must_split(heights, mask, tolerance, r0, c0, r1, c1, r2, c2, rule):
-    """Say whether a triangle of samples must not be left as it is."""
-    if (r0 == r1 and c0 == c1) or (r1 == r2 and c1 == c2) or (r0 == r2 and c0 == c2):
+def _exceeds(heights, mask, tolerance, r0, c0, r1, c1, r2, c2):
+    """Say whether a triangle of samples has an error above the tolerance."""
+    # With a void corner it is split by what lies at the void's edge, or void altogether.
+    if not (mask[r0, c0] and mask[r1, c1] and mask[r2, c2]):
         return False
     area = area_of(r0, c0, r1, c1, r2, c2)
     if area == 0:
-        return True
-    # With a void corner it is split by what lies at the void's edge, or void altogether.
-    if rule == BY_DETAIL or not (mask[r0, c0] and mask[r1, c1] and mask[r2, c2]):
         return False
     if area < 0:
         return not fits(heights, r0, c0, r2, c2, r1, c1, tolerance)
@@ -216,34 +220,96 @@ def _has_detail(
 
 
 @kernel
+def _start_walk(first, n, stack):
+    """Put one half of the root on the stack: ends of its longest side, then the top."""
+    stack[0, 0] = stack[0, 1] = 0 if first == 0 else n
+    stack[0, 2] = stack[0, 3] = n - stack[0, 0]
+    stack[0, 4], stack[0, 5] = (0, n) if first == 0 else (n, 0)
+
+
+@kernel
+def _split_top(selection, stack, depth):
+    """Replace the triangle at ``stack[depth]`` by its halves where it is split; say whether."""
+    r0, c0, r1, c1 = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
+    if (r0 + r1) & 1 or (c0 + c1) & 1:
+        return False
+    row, col = (r0 + r1) >> 1, (c0 + c1) >> 1
+    if not selection[row, col]:
+        return False
+    r2, c2 = stack[depth, 4], stack[depth, 5]
+    stack[depth, 0], stack[depth, 1] = r2, c2
+    stack[depth, 2], stack[depth, 3] = r0, c0
+    stack[depth, 4], stack[depth, 5] = row, col
+    stack[depth + 1, 0], stack[depth + 1, 1] = r1, c1
+    stack[depth + 1, 2], stack[depth + 1, 3] = r2, c2
+    stack[depth + 1, 4], stack[depth + 1, 5] = row, col
+    return True
+
+
+@kernel
+def _split_lines(rows, cols, stack, selection):
+    """Select the middles of triangles with three different corners on a line; count them."""
+    n = rows.shape[0] - 1
+    count = 0
+    for first in range(2):
+        _start_walk(first, n, stack)
+        depth = 1
+        while depth > 0:
+            depth -= 1
+            if _split_top(selection, stack, depth):
+                depth += 2
+                continue
+            r0, c0, r1, c1 = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
+            y0, x0, y1, x1 = rows[r0], cols[c0], rows[r1], cols[c1]
+            y2, x2 = rows[stack[depth, 4]], cols[stack[depth, 5]]
+            if area_of(y0, x0, y1, x1, y2, x2) != 0:
+                continue
+            if (y0 == y1 and x0 == x1) or (y1 == y2 and x1 == x2) or (y0 == y2 and x0 == x2):
+                continue
+            _select_closed(selection, (r0 + r1) >> 1, (c0 + c1) >> 1, stack, depth)
+            count += 1
+    return count
+
+
+@kernel
+def _select_closed(selection, row, col, stack, depth):
+    """Select a virtual vertex and all it depends on; uses the stack above `depth`."""
+    n = selection.shape[0] - 1
+    base = depth
+    stack[depth, 0], stack[depth, 1] = row, col
+    depth += 1
+    while depth > base:
+        depth -= 1
+        row, col = stack[depth, 0], stack[depth, 1]
+        if selection[row, col]:
+            continue
+        selection[row, col] = 1
+        both = row | col
+        s = both & -both
+        _, _, _, _, r2, c2, r3, c3 = _neighbours(row, col, s)
+        for i, j in ((r2, c2), (r3, c3)):
+            if 0 <= i <= n and 0 <= j <= n and not selection[i, j]:
+                stack[depth, 0], stack[depth, 1] = i, j
+                depth += 1
+
+
+@kernel
 def _emit(mask, rows, cols, selection, stack, vertex_of, corners):
     """Fill `corners` with the triangles and mark their samples; return how many there are."""
     n = rows.shape[0] - 1
     n_cols = mask.shape[1]
     count = 0
     for first in range(2):
-        # The two halves of the root: longest side first, then the top.
-        stack[0, 0] = stack[0, 1] = 0 if first == 0 else n
-        stack[0, 2] = stack[0, 3] = n - stack[0, 0]
-        stack[0, 4], stack[0, 5] = (0, n) if first == 0 else (n, 0)
+        _start_walk(first, n, stack)
         depth = 1
         while depth > 0:
             depth -= 1
-            r0, c0, r1, c1 = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
-            r2, c2 = stack[depth, 4], stack[depth, 5]
-            row, col = (r0 + r1) >> 1, (c0 + c1) >> 1
-            if (r0 + r1) & 1 == 0 and (c0 + c1) & 1 == 0 and selection[row, col]:
-                stack[depth, 0], stack[depth, 1] = r2, c2
-                stack[depth, 2], stack[depth, 3] = r0, c0
-                stack[depth, 4], stack[depth, 5] = row, col
-                depth += 1
-                stack[depth, 0], stack[depth, 1] = r1, c1
-                stack[depth, 2], stack[depth, 3] = r2, c2
-                stack[depth, 4], stack[depth, 5] = row, col
-                depth += 1
+            if _split_top(selection, stack, depth):
+                depth += 2
                 continue
-            r0, c0, r1, c1 = rows[r0], cols[c0], rows[r1], cols[c1]
-            r2, c2 = rows[r2], cols[c2]
+            r0, c0 = rows[stack[depth, 0]], cols[stack[depth, 1]]
+            r1, c1 = rows[stack[depth, 2]], cols[stack[depth, 3]]
+            r2, c2 = rows[stack[depth, 4]], cols[stack[depth, 5]]
             area = area_of(r0, c0, r1, c1, r2, c2)
             if area == 0 or not (mask[r0, c0] and mask[r1, c1] and mask[r2, c2]):
                 continue
