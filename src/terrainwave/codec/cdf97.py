@@ -174,7 +174,8 @@ class Cdf97:
                 )  # fmt: skip
                 inverse_transform(work.field, work.low, work.high)
                 _add_detail(work.field, is_known[core], inner)
-            trees = _zero_trees(work.offsets, labels, inner.shape)
+            if spec.wants_labels:
+                trees = _zero_trees(work.offsets, labels, inner.shape)
             if coding.flags & _HAS_RESIDUALS:
                 smooth_activity(work.activity, work.smooth)
                 decode_residuals(
@@ -237,7 +238,7 @@ class _Encoder:
         payload, inner, labels = self.best
         heights = self.heights
         heights[self.core] = inner
-        if labels is None:
+        if labels is None or not self.spec.wants_labels:
             return payload, heights, None
         return payload, heights, _zero_trees(self.work.offsets, labels, inner.shape)
 
@@ -330,6 +331,9 @@ class _Encoder:
 def _zero_trees(offsets: NDArray[np.int64], labels: Labels, shape: tuple[int, int]) -> Labels:
     """Return the map of zero trees (`coding.zerotrees`) of the labels of all node grids."""
     trees = np.empty(((shape[0] + 1) >> 1, (shape[1] + 1) >> 1), dtype=np.uint8)
+    if labels[0] == JZTR:
+        trees[:] = n_transforms(*shape)
+        return trees
     map_of_labels(labels, offsets, n_transforms(*shape), trees)
     return trees
 

@@ -187,9 +187,10 @@ def _code_unit(
         n_rows, n_cols = plane_sizes(inner.shape)[A]
         inner[::2, ::2] = parent[row : row + n_rows, col : col + n_cols]
         errors = _code_lattice(inner, kinds, goal, spec, coder)
-        trees = np.empty((n_rows, n_cols), dtype=np.uint8)
-        mark_significant(errors, *inner.shape, trees)
-        grow_zero_trees(trees)
+        if spec.wants_labels:
+            trees = np.empty((n_rows, n_cols), dtype=np.uint8)
+            mark_significant(errors, *inner.shape, trees)
+            grow_zero_trees(trees)
     heights[core] = inner
     return heights, trees
 

@@ -50,6 +50,8 @@ class GroupSpec:
     effort: int
     # For the choices of encoders alone: no decoder may look at it.
     is_finest: bool = True
+    # Whether `Decoded.labels` are wanted; without them decoding saves about 1 %.
+    wants_labels: bool = True
 
     @property
     def half(self) -> int:

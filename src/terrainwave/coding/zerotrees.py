@@ -68,10 +68,11 @@ def grow_zero_trees(trees):
     for i in range(n_rows):
         for j in range(n_cols):
             trees[i, j] = 0 if trees[i, j] else 1
+    # Upwards, the first node of a tree stands for all; then trees are filled, tallest first.
+    tallest = 0
     for height in range(1, tree_height(n_rows, n_cols) + 1):
         size = 1 << height
         half = size >> 1
-        n_grown = 0
         for row in range(0, n_rows, size):
             for col in range(0, n_cols, size):
                 is_zero = trees[row, col] == height
@@ -82,7 +83,13 @@ def grow_zero_trees(trees):
                     if col + half < n_cols:
                         is_zero = is_zero and trees[row + half, col + half] == height
                 if is_zero:
-                    n_grown += 1
+                    tallest = height
+                    trees[row, col] = height + 1
+        if tallest < height:
+            break
+    for height in range(tallest, 0, -1):
+        size = 1 << height
+        for row in range(0, n_rows, size):
+            for col in range(0, n_cols, size):
+                if trees[row, col] == height + 1:
                     fill_node(trees, row, col, size, height + 1)
-        if n_grown == 0:
-            return

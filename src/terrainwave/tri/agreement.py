@@ -14,13 +14,12 @@ Sets on the borders only grow, so this ends. A round reads nothing but the borde
 before: the result is a function of the blocks alone, whatever the order or number of threads inside
 a round, and wherever subtrees, files or machines divide the level: they exchange border bits.
 
-For the restricted quadtree (`rqt`) adding vertices is a closure: monotone, idempotent, so the result
-is the least fixed point and rounds are not even needed for it. For Algorithm I the agreement of
-trees alone is monotone too (a cut refined to have a vertex, `labels.refine`), but its mesh may then
-break the bound: triangles beside a node that is split again were never checked. Repairing them by
-further splits is not monotone, and its result would depend on who came first. So the block is built
-anew around the vertices to keep, always within the bound, and the rounds make that independent of
-order.
+For the restricted quadtree (`rqt`) adding vertices is a closure, monotone and idempotent: the result
+is the least fixed point and would be without rounds. For Algorithm I the agreement of trees alone
+is monotone too (a cut refined to have a vertex, `labels.refine`), but its mesh may then break the
+bound: triangles beside a node that is split again were never checked. Repairing them by further
+splits is not monotone, and its result would depend on who came first. So the block is built anew
+around the vertices to keep, always within the bound, and the rounds make that independent of order.
 
 Corners are vertices of every block and samples on a shared side are the same samples, so that two
 sides are compared by position.

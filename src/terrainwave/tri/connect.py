@@ -34,9 +34,7 @@ class LooseMesh(NamedTuple):
     n_folded: int
 
 
-def loose_mesh(
-    heights: NDArray[np.int32], mask: NDArray[np.bool_], trees: Trees
-) -> LooseMesh:
+def loose_mesh(heights: NDArray[np.int32], mask: NDArray[np.bool_], trees: Trees) -> LooseMesh:
     """Return the non-guaranteed triangulation of a block (Yusov & Turlapov 2010, §2.4).
 
     Parameters

@@ -1,8 +1,8 @@
 """Algorithm I: the guaranteed triangulation of a block (Yusov & Turlapov 2010, §2.5).
 
 It starts at the full grid and merges nodes from the finest upwards. A node that is not JS and whose
-children are all roots becomes the root of their samples; the step is taken back if one of the **new**
-triangles, those with a corner that moved, has an error above the tolerance. Departures:
+children are all roots becomes the root of their samples; the step is taken back if one of the
+**new** triangles, those with a corner that moved, has an error above the tolerance. Departures:
 
 * the error is the largest vertical deviation over the covered samples, in exact integers, and may
   equal the tolerance (the paper: less than);
@@ -11,7 +11,9 @@ triangles, those with a corner that moved, has an error above the tolerance. Dep
   the triangles adds up to that of the grid, and every one adds to it;
 * voids, and vertices that neighbours need: `keep`.
 
-The result depends on the order of steps, which is: heights upwards, then row by row.
+The result depends on the order of steps, which is: heights upwards, then row by row. Quads are split
+from their first sample to the last, the side on which roots lie: the other diagonal folds so often
+that it leaves 1.1 to 3.6 times the triangles.
 """
 
 import numpy as np
@@ -78,7 +80,6 @@ def guaranteed_cut(
     kept = void_edges(mask)
     if keep is not None:
         kept |= keep
-    n_rows, n_cols = heights.shape
     roots = np.empty(heights.shape, dtype=np.int32)
     cut = np.zeros(heights.shape, dtype=np.uint8)
     _merge(np.ascontiguousarray(heights), ceilings(kept, trees), tolerance, roots, cut)
@@ -133,9 +134,7 @@ def _merge(heights, ceiling, tolerance, roots, cut):
 
 
 @kernel
-def _new_triangles_fit(
-    heights, roots, tolerance, row, col, row_end, col_end, moved_row, moved_col
-):
+def _new_triangles_fit(heights, roots, tolerance, row, col, row_end, col_end, moved_row, moved_col):
     """Check the triangles that change when the node's samples move to its first one.
 
     Those beyond `moved_row` or `moved_col` move, the first child's have their root there already.

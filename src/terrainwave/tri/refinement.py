@@ -88,8 +88,8 @@ def decode_refinement(
 ) -> Cut:
     """Return the cut that `encode_refinement` wrote.
 
-    Any bytes give a cut or an exception, in time and memory that the block's size bounds. A cut from
-    wrong bytes makes a mesh without cracks, but not one within the tolerance, and it may fold.
+    Any bytes give a cut or an exception, in time and memory that the block's size bounds. A cut
+    from wrong bytes makes a mesh without cracks, but not within the tolerance, and it may fold.
 
     Raises
     ------
@@ -176,7 +176,8 @@ def _measure_roughness(heights, mask, tolerance, sums, rough):
     """Fill ``rough[height, i, j]`` with the class of a node's roughness.
 
     The roughness of a node is half the largest second difference at its stride, plus the largest
-    roughness of its children: about the largest deviation if it became one vertex. `sums` is scratch.
+    roughness of its children: about the largest deviation if it became one vertex. `sums` is
+    scratch.
     """
     n_rows, n_cols = heights.shape
     for height in range(1, top_height(n_rows, n_cols) + 1):

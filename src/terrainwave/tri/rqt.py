@@ -1,6 +1,6 @@
 """Restricted quadtree triangulation: nested right triangles, closed under dependencies.
 
-R. Pajarola, "Large scale terrain visualization using the restricted quadtree triangulation", Vis. '98,
+R. Pajarola, "Large scale terrain visualization using the restricted quadtree triangulation", 1998,
 as Zheng, Wang, Wang tell it ("each vertex depends on two others of its own or the next coarser
 level: where it is selected, so must they be"). A vertex is the middle of the longest side of the
 triangles beside it, which it splits; it depends on the vertices that made them. A selection that is

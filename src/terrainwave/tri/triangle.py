@@ -7,6 +7,8 @@ area, so that they are integers: with heights below 2**31 and sides of at most M
 everything stays below 2**62.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +20,7 @@ MAX_SIDE = 4097
 MAX_TOLERANCE = 1 << (31 + FRACTION_BITS)
 
 
-def check_block(heights: NDArray[np.integer], mask: NDArray[np.bool_]) -> None:
+def check_block(heights: NDArray[Any], mask: NDArray[np.bool_]) -> None:
     """Check that heights and mask are what the kernels of this package are proven for.
 
     Raises
