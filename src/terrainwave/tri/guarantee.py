@@ -11,9 +11,9 @@ children are all roots becomes the root of their samples; the step is taken back
   the triangles adds up to that of the grid, and every one adds to it;
 * voids, and vertices that neighbours need: `keep`.
 
-The result depends on the order of steps, which is: heights upwards, then row by row. Quads are split
-from their first sample to the last, the side on which roots lie: the other diagonal folds so often
-that it leaves 1.1 to 3.6 times the triangles.
+The result depends on the order of steps, which is: heights upwards, then row by row. Quads are
+split from their first sample to their last, the way roots lie: with the other diagonal so many
+steps would fold that far more triangles are left.
 """
 
 import numpy as np
