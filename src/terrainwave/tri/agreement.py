@@ -15,9 +15,9 @@ before: the result is a function of the blocks alone, whatever the order or numb
 a round, and wherever subtrees, files or machines divide the level: they exchange border bits.
 
 For the restricted quadtree (`rqt`) adding vertices is a closure, monotone and idempotent: the
-result is the least fixed point and would be without rounds. For Algorithm I the agreement of trees alone
-is monotone too (a cut refined to have a vertex, `labels.refine`), but its mesh may then break the
-bound: triangles beside a node that is split again were never checked. Repairing them by further
+result is the least fixed point and would be without rounds. For Algorithm I the agreement of trees
+alone is monotone too (a cut refined to have a vertex, `labels.refine`), but its mesh may then break
+the bound: triangles beside a node that is split again were never checked. Repairing them by further
 splits is not monotone, and its result would depend on who came first. So the block is built anew
 around the vertices to keep, always within the bound, and the rounds make that independent of order.
 

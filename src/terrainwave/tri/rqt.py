@@ -70,12 +70,12 @@ def select_vertices(
         If shapes differ or are too large, or the tolerance is negative.
     """
     check_block(heights, mask)
-    kept = void_edges(mask)
+    rows, cols = virtual_places(heights.shape)
+    selection = void_edges(mask)[np.ix_(rows, cols)].astype(np.uint8)
     if keep is not None:
         check_block(keep, mask)
-        kept |= keep
-    rows, cols = virtual_places(heights.shape)
-    selection = kept[np.ix_(rows, cols)].astype(np.uint8)
+        at_rows, at_cols = np.nonzero(keep)
+        selection[_coarsest(rows)[at_rows], _coarsest(cols)[at_cols]] = 1
     _select(
         np.ascontiguousarray(heights), mask, check_tolerance(tolerance), rows, cols,
         BY_ERROR if rule == "by_error" else BY_DETAIL, selection,
@@ -96,6 +96,22 @@ def virtual_places(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[n
     n_cells = 1 << int(top_height(*shape))
     places = np.arange(n_cells + 1, dtype=np.int64)
     return places * (shape[0] - 1) // n_cells, places * (shape[1] - 1) // n_cells
+
+
+def _coarsest(places: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return, for each sample along an axis, the virtual place there with the largest stride.
+
+    A sample on a border is a vertex only if that place is selected: the places of larger stride
+    around a selected one on the border are the ends of the edges that it splits. So keeping the
+    vertices a selection has already changes nothing.
+    """
+    found = np.zeros(int(places[-1]) + 1, dtype=np.int64)
+    virtual = np.arange(len(places), dtype=np.int64)
+    strides = virtual & -virtual
+    strides[0] = len(places)
+    order = np.argsort(strides, kind="stable")
+    found[places[order]] = virtual[order]
+    return found
 
 
 def vertices_of(selection: Selection, shape: tuple[int, int]) -> Keep:
