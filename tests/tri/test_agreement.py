@@ -172,6 +172,20 @@ def test_border_vertices_of_a_hand_worked_cut():
     ]  # fmt: skip
 
 
+def test_demands_are_the_neighbours_vertices_and_its_own():
+    # A block that gave up its own would lack them in the next round, and so on without end.
+    nothing = np.zeros((5, 5), dtype=bool)
+    one, other = nothing.copy(), nothing.copy()
+    one[1, 4] = one[2, 0] = True
+    other[3, 0] = other[2, 4] = True
+    borders = {(0, 0): agreement.border_of(one), (0, 1): agreement.border_of(other)}
+    demanded = agreement.demands_on((0, 0), borders)
+    assert np.flatnonzero(demanded.right).tolist() == [1, 3]
+    assert np.flatnonzero(demanded.left).tolist() == [2]
+    assert agreement.lacks(borders[0, 0], demanded)
+    assert not agreement.lacks(demanded, borders[0, 0])
+
+
 def test_sides_of_different_length_are_refused():
     borders = {
         (0, 0): agreement.border_of(np.ones((5, 5), dtype=bool)),

@@ -53,7 +53,7 @@ def loose_mesh(heights: NDArray[np.int32], mask: NDArray[np.bool_], trees: Trees
     """
     check_block(heights, mask)
     check_block(trees, mask)
-    heights, mask = np.ascontiguousarray(heights), np.ascontiguousarray(mask)
+    mask = np.ascontiguousarray(mask)
     cut = _zero_tree_cut(trees, void_edges(mask))
     n_folded = unfold(mask, cut)
     mesh = mesh_of_cut(heights, mask, cut)
@@ -77,7 +77,7 @@ def mesh_of_cut(heights: NDArray[np.int32], mask: NDArray[np.bool_], cut: Cut) -
     """Return the triangles of a cut; vertices in the order of their samples, row by row."""
     vertex_of = np.full(heights.shape, -1, dtype=np.int32)
     corners = np.empty((2 * max(heights.size, 1), 3), dtype=np.int64)
-    n_triangles = _collect(mask, cut, vertex_of, corners)
+    n_triangles = _collect(np.ascontiguousarray(mask), cut, vertex_of, corners)
     return build_mesh(heights, vertex_of, corners[:n_triangles])
 
 

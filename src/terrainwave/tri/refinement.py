@@ -151,10 +151,11 @@ def _side_information(
     if kind == BY_HEIGHT:
         return ceiling, np.zeros((0, 0, 0), dtype=np.uint8)
     n_rows, n_cols = heights.shape
-    rough = np.zeros((top_height(n_rows, n_cols) + 1, (n_rows + 1) // 2 + 1, (n_cols + 1) // 2 + 1))
-    rough = rough.astype(np.uint8)
+    n_heights = int(top_height(n_rows, n_cols)) + 1
+    rough = np.zeros((n_heights, (n_rows + 1) // 2 + 1, (n_cols + 1) // 2 + 1), dtype=np.uint8)
     ranges = np.zeros(heights.shape, dtype=np.int64)
-    _measure_roughness(np.ascontiguousarray(heights), mask, tolerance, ranges, rough)
+    heights, mask = np.ascontiguousarray(heights), np.ascontiguousarray(mask)
+    _measure_roughness(heights, mask, tolerance, ranges, rough)
     return ceiling, rough
 
 

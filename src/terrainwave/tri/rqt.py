@@ -70,6 +70,7 @@ def select_vertices(
         If shapes differ or are too large, or the tolerance is negative.
     """
     check_block(heights, mask)
+    mask = np.ascontiguousarray(mask)
     rows, cols = virtual_places(heights.shape)
     selection = void_edges(mask)[np.ix_(rows, cols)].astype(np.uint8)
     if keep is not None:
@@ -127,6 +128,7 @@ def rqt_mesh(
     heights: NDArray[np.int32], mask: NDArray[np.bool_], selection: Selection
 ) -> BlockMesh:
     """Return the triangles of a closed selection; vertices in the order of their samples."""
+    mask = np.ascontiguousarray(mask)
     rows, cols = virtual_places(heights.shape)
     vertex_of = np.full(heights.shape, -1, dtype=np.int32)
     corners = np.empty((2 * heights.size, 3), dtype=np.int64)
