@@ -1,5 +1,7 @@
 """Algorithm II: which bits there are, that they come back, their rate, damage."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -56,6 +58,17 @@ def test_a_hand_worked_block_has_these_bits():
     # 7 bits of which 2 are ones: at most a byte, and the byte that names the contexts.
     assert len(payload) <= 3
     assert bits_per_sample(payload, (5, 5)) == len(payload) * 8 / 25
+
+
+def test_the_example_of_the_annex():
+    text = (Path(__file__).parents[2] / "docs" / "format-mesh-zerotree.md").read_text("utf-8")
+    payload = bytes.fromhex(text.split("```")[1])
+    heights = np.zeros((5, 5), dtype=np.int32)
+    mask = np.ones((5, 5), dtype=bool)
+    expected = [[0, 0, 1, 1, 2]] * 2 + [[1, 1, 1, 1, 2]] * 2 + [[2] * 5]
+    assert decode_refinement(payload, heights, mask, 16).tolist() == expected
+    cut = np.array(expected, dtype=np.uint8)
+    assert encode_refinement(cut, heights, mask, 16) == payload
 
 
 @pytest.mark.large

@@ -1,4 +1,4 @@
-"""Algorithm II: refinement labels of the guaranteed triangulation, coded from the top down.
+"""Algorithm II: refinement labels of the guaranteed triangulation (format-mesh-zerotree.md).
 
 E. Yusov, V. Turlapov 2010, §2.6. Under a JS node there is nothing to say; else one bit: 1 where the
 node is S (the guaranteed triangulation is finer here), 0 where it is TR. Nothing at height 0, and
@@ -61,7 +61,9 @@ def encode_refinement(
     tolerance: int,
     trees: Trees | None = None,
 ) -> bytes:
-    """Return the refinement labels of a cut; `decode_refinement` with the same arguments undoes it.
+    """Return the refinement labels of a cut (§3 of the annex).
+
+    `decode_refinement` with the same arguments undoes it.
 
     Parameters
     ----------
@@ -86,7 +88,7 @@ def decode_refinement(
     tolerance: int,
     trees: Trees | None = None,
 ) -> Cut:
-    """Return the cut that `encode_refinement` wrote.
+    """Return the cut that `encode_refinement` wrote (§2 and §3 of the annex).
 
     Any bytes give a cut or an exception, in time and memory that the block's size bounds. A cut
     from wrong bytes makes a mesh without cracks, but not within the tolerance, and it may fold.
@@ -174,7 +176,7 @@ def _bend(heights, mask, row, col, down, right):
 
 @kernel
 def _measure_roughness(heights, mask, tolerance, sums, rough):
-    """Fill ``rough[height, i, j]`` with the class of a node's roughness.
+    """Fill ``rough[height, i, j]`` with the class of a node's roughness (§3 of the annex).
 
     The roughness of a node is half the largest second difference at its stride, plus the largest
     roughness of its children: about the largest deviation if it became one vertex. `sums` is

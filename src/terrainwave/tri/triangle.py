@@ -18,6 +18,8 @@ from terrainwave.tri.mesh import FRACTION_BITS
 MAX_SIDE = 4097
 # Tolerances are in 1/16 quanta; larger ones mean the same for heights below 2**30.
 MAX_TOLERANCE = 1 << (31 + FRACTION_BITS)
+# Triangles at most so wide are scanned column by column.
+_NARROW = 16
 
 
 def check_block(heights: NDArray[Any], mask: NDArray[np.bool_]) -> None:
@@ -84,6 +86,25 @@ def deviation(heights, r0, c0, r1, c1, r2, c2, limit):
     rise_1, rise_2 = np.int64(heights[r1, c1]) - base, np.int64(heights[r2, c2]) - base
     per_col = rise_1 * (r2 - r0) - rise_2 * (r1 - r0)
     per_row = (c1 - c0) * rise_2 - (c2 - c0) * rise_1
+    left, right = min(c0, c1, c2), max(c0, c1, c2)
+    if right - left <= _NARROW:
+        # Divisions would cost more than looking at the samples beside it.
+        for row in range(min(r0, r1, r2), max(r0, r1, r2) + 1):
+            edge_0 = (c1 - c0) * (row - r0) - (left - c0) * (r1 - r0)
+            edge_1 = (c2 - c1) * (row - r1) - (left - c1) * (r2 - r1)
+            edge_2 = (c0 - c2) * (row - r2) - (left - c2) * (r0 - r2)
+            plane = area * base + per_row * (row - r0) + per_col * (left - c0)
+            line = heights[row]
+            for col in range(left, right + 1):
+                if edge_0 >= 0 and edge_1 >= 0 and edge_2 >= 0:
+                    worst = max(worst, abs(area * np.int64(line[col]) - plane))
+                plane += per_col
+                edge_0 -= r1 - r0
+                edge_1 -= r2 - r1
+                edge_2 -= r0 - r2
+            if worst > limit:
+                return worst
+        return worst
     for row in range(min(r0, r1, r2), max(r0, r1, r2) + 1):
         first, last = columns_inside(row, r0, c0, r1, c1, r2, c2)
         plane = area * base + per_row * (row - r0) + per_col * (first - c0)
