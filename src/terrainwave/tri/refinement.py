@@ -236,7 +236,7 @@ def _code_labels(reached, cut, ceiling, rough, state, stream, models):
                             n_split += 1
                         if i > 0 and reached[row_north, col] < height:
                             n_split += 1
-                        index = (height * _N_ROUGH + rough[height, i, j]) * 3 + n_split
+                        index = (height * _N_ROUGH + np.int64(rough[height, i, j])) * 3 + n_split
                     if cut is None:
                         splits = decode_bit(state, stream, models, index) == 1
                     else:
