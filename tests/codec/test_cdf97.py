@@ -1,7 +1,6 @@
 """The `cdf97` refiner: the bound, the borders, damage."""
 
 import dataclasses
-import itertools
 
 import numpy as np
 import pytest
@@ -20,8 +19,9 @@ from lone_units import (
 
 from terrainwave.codec.cdf97 import Cdf97
 from terrainwave.codec.refiner import Sides
-from terrainwave.codec.zerotree import JS, JZTC, JZTR, node_offsets
+from terrainwave.codec.zerotree import mark_labels, node_offsets
 from terrainwave.coding.filters import lowpass_analysis
+from terrainwave.coding.zerotrees import map_of_labels
 from terrainwave.errors import CorruptStreamError
 from terrainwave.quadtree import Grid
 
@@ -84,21 +84,45 @@ def test_a_plane_above_costs_a_few_bytes():
     plane = (6 * rows - 4 * cols).astype(np.int32)
     payload, labels = check(lone_spec(plane.shape, 3), np.ascontiguousarray(plane[::2, ::2]), plane)
     assert len(payload) <= 3
-    assert labels[0] == JZTR
-    assert (labels[1:] == JZTC).all()
+    np.testing.assert_array_equal(labels, np.full((65, 65), 7 + 1))
 
 
-def test_labels_are_trees():
-    target = terrain((33, 29))
-    _, labels = check(lone_spec(target.shape, 21), parent_of(target), target)
+def test_labels_are_those_of_the_coded_trees():
+    target = terrain((33, 29), relief=0)
+    target[9:20, 3:8] += 500
+    _, trees = check(lone_spec(target.shape, 3), parent_of(target), target)
+    assert trees.shape == (17, 15)
+    assert trees.min() == 0
+    assert trees.max() > 1
+    # Every node above a significant one is JS (others may be, by a coefficient of their own).
+    for height in range(1, 6):
+        size = 1 << height
+        for row in range(0, 17, size):
+            for col in range(0, 15, size):
+                below = trees[row : row + size, col : col + size]
+                assert trees[row, col] <= height or (below > 0).all()
+                assert trees[row, col] <= height or (below == trees[row, col]).all()
+
+
+def test_a_coefficient_makes_its_node_and_all_above_significant():
+    quants = np.zeros((33, 29), dtype=np.int32)
+    # Transform 0 keeps 17 low rows, here at even rows, and 15 low columns in front: HL (5, 3).
+    quants[2 * 5, 15 + 3] = -2
     offsets = np.zeros(32, dtype=np.int64)
-    count = node_offsets(*target.shape, offsets)
-    sizes = [(((33 - 1) >> t) + 1, ((29 - 1) >> t) + 1) for t in range(count, 0, -1)]
-    grids = [labels[offsets[k] : offsets[k + 1]].reshape(sizes[k]) for k in range(count)]
-    assert offsets[count] == labels.size
-    for parents, children in itertools.pairwise(grids):
-        above = parents.repeat(2, 0).repeat(2, 1)[: children.shape[0], : children.shape[1]]
-        assert ((children == JZTC) == (above != JS)).all()
+    count = node_offsets(33, 29, offsets)
+    labels = np.zeros(offsets[count], dtype=np.uint8)
+    assert mark_labels(quants, offsets, labels) == count
+    trees = np.empty((17, 15), dtype=np.uint8)
+    map_of_labels(labels, offsets, count, trees)
+    assert trees[5, 3] == 0
+    assert (trees == 0).sum() == 1
+    # Beside it on each height a sibling of that height, by hand: node (5, 3) of height 0 lies in
+    # (2, 1), (1, 0), (0, 0), (0, 0), (0, 0).
+    assert trees[4, 2] == trees[4, 3] == trees[5, 2] == 0 + 1
+    assert trees[4, 0] == trees[6, 0] == trees[6, 2] == 1 + 1
+    assert trees[0, 0] == trees[0, 4] == trees[4, 4] == 2 + 1
+    assert trees[0, 8] == trees[8, 0] == trees[8, 8] == 3 + 1
+    assert trees[16, 0] == 4 + 1
 
 
 @pytest.mark.large

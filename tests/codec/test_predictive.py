@@ -58,7 +58,9 @@ def coarse_of(target, step):
 def check(spec, parent, target, mask=None):
     """Check everything promised; return the payload and the heights."""
     payload, heights, labels = check_refiner(Predictive(), spec, parent, target, mask)
-    assert labels is None
+    assert (labels is None) == (parent is None)
+    if labels is not None:
+        assert labels.shape == parent.shape
     return payload, heights
 
 
@@ -306,3 +308,54 @@ def test_any_bytes_give_heights_or_our_own_error(payload, has_parent, step):
 
 
 SMALL = small_payload()
+
+
+# Zero trees ------------------------------------------------------------------------------------
+
+
+def test_a_flat_group_is_one_zero_tree():
+    plane = np.full((33, 33), 700, dtype=np.int32)
+    _, _, trees = Predictive().encode(
+        lone_spec(plane.shape, 3), np.ascontiguousarray(plane[::2, ::2]), plane, plane == plane
+    )
+    # 17 x 17 nodes: 2**5 is the first power of two above 16.
+    np.testing.assert_array_equal(trees, np.full((17, 17), 5 + 1))
+
+
+@pytest.mark.parametrize(
+    ("place", "nodes"),
+    [((21, 9), [(10, 4)]), ((20, 9), [(10, 4)]), ((21, 8), [(10, 4)])],
+    ids=["HH", "HL", "LH"],
+)
+def test_a_spike_is_significant_in_the_node_that_holds_its_detail(place, nodes):
+    target = np.zeros((65, 65), dtype=np.int32)
+    target[place] = 40
+    parent = np.zeros((33, 33), dtype=np.int32)
+    _, _, trees = Predictive().encode(lone_spec(target.shape, 21), parent, target, target == target)
+    # Its neighbours' predictions use it and miss; far from it nothing is significant.
+    found = {(int(i), int(j)) for i, j in np.argwhere(trees == 0)}
+    assert set(nodes) <= found
+    assert max(abs(i - 10) for i, _ in found) <= 2
+    assert max(abs(j - 4) for _, j in found) <= 2
+    assert trees[16:32, 16:32].min() == 4 + 1
+
+
+def test_voids_are_never_significant():
+    target = terrain((65, 65), seed=4)
+    mask = np.ones(target.shape, dtype=bool)
+    mask[20:50, 10:40] = False
+    parent = coarse_of(target, 1)
+    _, _, trees = Predictive().encode(lone_spec(target.shape, 1), parent, target, mask)
+    assert (trees[10:24, 5:19] > 0).all()
+    assert (trees == 0).any()
+
+
+def test_labels_are_left_out_where_nobody_wants_them():
+    target = terrain((33, 33))
+    spec = dataclasses.replace(lone_spec(target.shape), wants_labels=False)
+    parent = coarse_of(target, 3)
+    payload, heights, labels = Predictive().encode(spec, parent, target, target == target)
+    back, back_labels = Predictive().decode(spec, parent, target == target, payload)
+    assert labels is None
+    assert back_labels is None
+    np.testing.assert_array_equal(back, heights)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave._jit import kernel
 from terrainwave._status import raise_for_status
 from terrainwave.codec import tables
 from terrainwave.codec.border import (
@@ -20,6 +21,9 @@ from terrainwave.codec.border import (
 from terrainwave.codec.detail import N_DETAIL_MODELS
 from terrainwave.codec.fitting import features_of, fit_features, fit_tables, windows_of
 from terrainwave.codec.lattice import (
+    HH,
+    HL,
+    LH,
     PAD,
     PASSES,
     A,
@@ -62,10 +66,13 @@ from terrainwave.coding.rangecoder import (
     start_decoder,
     start_encoder,
 )
+from terrainwave.coding.zerotrees import grow_zero_trees
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.quadtree import Grid, Region
 
 _MIXED, _CLAMP = 1, 2
+# A prediction's own fraction alone gives up to 16 of 32.
+_HALF_STEP = 16
 # Lattices of fewer samples take the first stencil set; others name theirs.
 _MIN_CHOICE = 1024
 _SET_BITS = 4
@@ -163,9 +170,9 @@ class Predictive:
         flags = _CLAMP | (_MIXED if spec.effort else 0)
         out = np.empty(6 * target.size + 1024, dtype=np.uint8)
         coder = _new_coder(True, start_encoder(), out, flags, self._tables)
-        heights = _code_unit(spec, parent, target, mask, coder)
+        heights, trees = _code_unit(spec, parent, target, mask, coder)
         n_bytes = finish_encoder(coder.state, out)
-        return bytes([flags]) + out[:n_bytes].tobytes(), heights, None
+        return bytes([flags]) + out[:n_bytes].tobytes(), heights, trees
 
     def decode(
         self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
@@ -186,9 +193,9 @@ class Predictive:
         state = np.zeros(STATE_SIZE, dtype=np.int64)
         start_decoder(state, data)
         coder = _new_coder(False, state, data, payload[0], self._tables)
-        heights = _code_unit(spec, parent, None, mask, coder)
+        heights, trees = _code_unit(spec, parent, None, mask, coder)
         raise_for_status(*finish_decoder(state, data))
-        return heights, None
+        return heights, trees
 
 
 def _fit_e_weights(
@@ -258,8 +265,11 @@ def _new_coder(
 
 def _code_unit(
     spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask, coder: Coder
-) -> Heights:
-    """Encode `target`, or decode where it is None; return the decoded heights of the region."""
+) -> tuple[Heights, Labels | None]:
+    """Encode `target`, or decode where it is None.
+
+    Return the decoded heights of the region and, of a group, the zero trees of its core.
+    """
     heights = np.zeros(spec.region.shape, dtype=np.int32)
     is_known = np.zeros(spec.region.shape, dtype=np.bool_)
     streams = coder.state, coder.stream, coder.border_models
@@ -269,6 +279,7 @@ def _code_unit(
     kinds = np.where(mask[core], np.uint8(CODED), np.uint8(VOID))
     np.copyto(kinds, KNOWN, where=is_known[core])
     goal = None if target is None else np.ascontiguousarray(target[core])
+    trees = None
     if parent is None:
         stride = 1
         while stride < max(inner.shape) - 1:
@@ -285,9 +296,13 @@ def _code_unit(
         col = (spec.core.col >> 1) - spec.parent_region.col
         n_rows, n_cols = plane_sizes(inner.shape)[A]
         inner[::2, ::2] = parent[row : row + n_rows, col : col + n_cols]
-        _code_lattice(inner, kinds, goal, spec, coder)
+        errors = _code_lattice(inner, kinds, goal, spec, coder)
+        if spec.wants_labels:
+            trees = np.empty((n_rows, n_cols), dtype=np.uint8)
+            mark_significant(errors, *inner.shape, trees)
+            grow_zero_trees(trees)
     heights[core] = inner
-    return heights
+    return heights, trees
 
 
 def _code_corners(
@@ -315,8 +330,11 @@ def _code_lattice(
     goal: Heights | None,
     spec: GroupSpec,
     coder: Coder,
-) -> None:
-    """Code the three passes of a lattice; `heights` holds the coarse and the known samples."""
+) -> NDArray[np.int32]:
+    """Code the three passes of a lattice; `heights` holds the coarse and the known samples.
+
+    Return the errors of prediction, in planes as `lattice.split` makes them.
+    """
     shape = heights.shape
     sizes = plane_sizes(shape)
     padded = (4, sizes[A][0] + 2 * PAD, sizes[A][1] + 2 * PAD)
@@ -367,6 +385,30 @@ def _code_lattice(
         fill_frame(errors[own], row_parity, col_parity, *shape)
         fill_frame(activity[own], row_parity, col_parity, *shape)
     merge(planes, heights)
+    return errors
+
+
+@kernel
+def mark_significant(errors, n_rows, n_cols, significant):
+    """Set `significant` (uint8) to 1 where a node holds a significant detail, else to 0.
+
+    Node (i, j) holds the HH, HL and LH details between coarse samples (i, j), (i, j + 1) and
+    (i + 1, j). Significant is what prediction missed by half a step or more, in the 1/32 steps of
+    `errors`: the details that are not 0 (with step 1, rounding can tell them apart only to 1/64),
+    and the same for samples known from a shared line.
+    """
+    for i in range(significant.shape[0]):
+        hh, hl, lh = errors[HH, i + PAD], errors[HL, i + PAD], errors[LH, i + PAD]
+        has_row_below = 2 * i + 1 < n_rows
+        for j in range(significant.shape[1]):
+            found = np.int64(0)
+            if 2 * j + 1 < n_cols:
+                found = np.int64(hl[j + PAD])
+                if has_row_below:
+                    found = max(found, np.int64(hh[j + PAD]))
+            if has_row_below:
+                found = max(found, np.int64(lh[j + PAD]))
+            significant[i, j] = 1 if found > _HALF_STEP else 0
 
 
 def _run_pass(

@@ -51,6 +51,8 @@ class GroupSpec:
     effort: int
     # For the choices of encoders alone: no decoder may look at it.
     is_finest: bool = True
+    # Whether `Decoded.labels` are wanted; without them decoding saves about 1 %.
+    wants_labels: bool = True
 
     @property
     def half(self) -> int:
@@ -59,7 +61,12 @@ class GroupSpec:
 
 
 class Decoded(NamedTuple):
-    """Heights (int32 quanta) and validity of a unit's region, with its zero-tree labels if any."""
+    """Heights (int32 quanta) and validity of a unit's region, with its zero trees if any.
+
+    `labels`: a map of zero trees as in `coding.zerotrees`, one byte per finest node of the core. In
+    a group these are the samples of the parent block inside the raster, without apron. None where
+    the method has no details (`store`, raw units) or nothing is valid: nothing is known then.
+    """
 
     heights: Heights
     mask: Mask
