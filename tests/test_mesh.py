@@ -95,37 +95,44 @@ def test_a_mesh_of_any_window_level_and_error_is_right(case, data, tmp_path_fact
             try:
                 mesh = terrain.mesh(window, level=level, max_error=error, optimise=sweeps)
             except InvalidHeightsError as problem:
-                assert level < grid.k_max and error is not None
-                assert "max_error" in str(problem)
+                is_refused = "max_error" in str(problem)  # coarse levels can't reach any error
+            else:
+                is_refused = False
+            if is_refused:
+                assert level < grid.k_max
+                assert error is not None
                 continue
             of_one_level = level if error is None or level == 0 else None
             assert area_problems(terrain, case, mesh, region, of_one_level, error) == []
 
 
 @pytest.mark.large
-@pytest.mark.parametrize("void", ["none", "disc", "corners", "stripes"])
-@pytest.mark.parametrize("kind", ["half sea", "rough patch", "cliffs"])
-def test_meshes_of_many_levels_meet_without_gaps(kind, void, tmp_path, monkeypatch):
+@pytest.mark.parametrize("share", [4, 1])
+@pytest.mark.parametrize("void", ["none", "disc", "corners"])
+def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypatch):
+    """With `share` 1 coarse blocks are taken that may then fail, and are split again."""
     levels = []
-    assembled = extraction._Extractor._assemble
-    monkeypatch.setattr(
-        extraction._Extractor,
-        "_assemble",
-        lambda self, cut, built: (
-            levels.append({block.level for block in cut}), assembled(self, cut, built)
-        )[1],
-    )  # fmt: skip
-    for seed, shape in ((1, (300, 530)), (5, (385, 289))):
-        case = make_case(kind, void, shape, seed, block=32, max_error=1)
+    assemble_all = extraction._Extractor._assemble
+
+    def spy(extractor, cut, built):
+        levels.append({block.level for block in cut})
+        return assemble_all(extractor, cut, built)
+
+    monkeypatch.setattr(extraction._Extractor, "_assemble", spy)
+    monkeypatch.setattr(extraction, "_COARSE_SHARE", share)
+    for seed, shape in ((2, (300, 400)), (5, (385, 289)), (7, (513, 170))):
+        case = make_case(
+            "graded", void, shape, seed, dtype="int32", amplitude=1e6, block=32, max_error=3,
+            mesh="none", method="predictive",
+        )  # fmt: skip
         path = write_case(case, tmp_path)
         with terrainwave.open(path) as terrain:
-            for error, sweeps in ((4, 0), (20, 1), (60, 0), (150, 0), (150, 2)):
-                for window in (None, (37, 3, 200, 180)):
+            for error, sweeps in ((600, 0), (1500, 1), (4000, 0), (9000, 0), (20000, 2)):
+                for window in (None, (37, 3, 200, 160)):
                     region = Region(*(window or (0, 0, *shape)))
                     mesh = terrain.mesh(window, max_error=error, optimise=sweeps)
                     assert area_problems(terrain, case, mesh, region, None, error) == []
-    if void == "none" and kind != "cliffs":
-        assert max(map(len, levels)) >= 3
+    assert max(map(len, levels)) >= (3 if void == "none" else 2)
 
 
 # Windows
@@ -167,7 +174,7 @@ def test_bounds_name_the_same_mesh_as_their_window(tmp_path):
 def test_an_error_below_the_files_is_refused(tmp_path):
     case = make_case("smooth", "none", (80, 70), 1, max_error=5, block=32)
     with terrainwave.open(write_case(case, tmp_path)) as terrain:
-        with pytest.raises(InvalidHeightsError, match="max_error 4.9, expected at least 5"):
+        with pytest.raises(InvalidHeightsError, match=r"max_error 4\.9, expected at least 5"):
             terrain.mesh(max_error=4.9)
         assert terrain.mesh(max_error=5).error <= 5
         with pytest.raises(InvalidHeightsError, match="max_triangles"):
@@ -197,7 +204,7 @@ def test_a_single_line_of_samples_has_no_mesh(shape, tmp_path):
         assert report.areas == ()
 
 
-@pytest.mark.parametrize("n_most", [2, 40, 700])
+@pytest.mark.parametrize("n_most", [64, 300, 700])
 def test_a_budget_of_triangles_is_kept(n_most, tmp_path):
     case = make_case("smooth", "none", (100, 100), 1, max_error=1, block=32)
     with terrainwave.open(write_case(case, tmp_path)) as terrain:
@@ -230,7 +237,7 @@ def test_any_number_of_threads_gives_the_same_bytes_and_meshes(tmp_path):
 def kernel_meshes():
     """Return meshes that the kernels of `tri` make of hard terrains, as lists."""
     found = []
-    for kind, void in zip(KINDS, VOIDS, strict=True):
+    for kind, void in zip(KINDS, (*VOIDS, "none"), strict=True):
         heights = (300 * terrain(kind, (23, 27), 3)).astype(np.int32)
         beyond = np.ones((25, 29), bool)
         beyond[1:-1, 1:-1] = mask = validity(void, heights.shape, 3)
