@@ -13,7 +13,10 @@ from terrainwave.mesh_checks import deviation
 from terrainwave.mesh_verification import Ruler, mesh_problems, must_be_covered, surface_of_mesh
 from terrainwave.quadtree import Region
 
-KINDS = ("smooth", "cliffs", "noise", "flat", "half sea", "spikes", "ramp", "steps", "rough patch")
+KINDS = (
+    "smooth", "cliffs", "noise", "flat", "half sea", "spikes", "ramp", "steps", "rough patch",
+    "graded",
+)  # fmt: skip
 VOIDS = ("none", "speckle", "disc", "stripes", "corners", "lines", "most", "border", "checkerboard")
 TRANSFORMS = (
     (1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
@@ -62,6 +65,11 @@ def terrain(kind, shape, seed):
         return (row * phase[0] - col * phase[1]) / (sum(shape) * 60)
     if kind == "steps":
         return np.floor(6 * smooth) / 6
+    if kind == "graded":
+        # Curved everywhere, so that long border lines have vertices, and rough in one corner.
+        far = np.hypot(row / shape[0] - rng.choice([0, 1]), col / shape[1] - rng.choice([0, 1]))
+        bowl = ((row - shape[0] / 2) / shape[0]) ** 2 + ((col - shape[1] / 3) / shape[1]) ** 2
+        return bowl + 0.02 * rng.normal(0, 1, shape) * np.clip(far - rng.uniform(0, 1), 0, 1) ** 2
     patch = rng.normal(0, 0.4, shape)
     at = rng.integers(0, shape[0]), rng.integers(0, shape[1])
     near = np.hypot(row - at[0], col - at[1]) < rng.uniform(3, 40)
