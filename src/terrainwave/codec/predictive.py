@@ -209,8 +209,8 @@ def _fit_e_weights(
     judges = windows[1::2]
     for window in windows[::2]:
         _code_window(*window, step, trained, seen)
-        details = [part[1] for parts in seen.values() for part in parts]
-        if 256 * sum(d.sum() for d in details) < CLASS_LIMITS[-1] * sum(d.size for d in details):
+        sizes = np.concatenate([part[1] for parts in seen.values() for part in parts])
+        if 256 * sizes.sum() < CLASS_LIMITS[-1] * sizes.size:
             return none  # few details: their size doesn't matter
     found = dict(none)
     for plane, parts in seen.items():
