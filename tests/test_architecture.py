@@ -25,7 +25,7 @@ LAYERS = [
     },
     {"codec", "tri", "container", "raster_io", "metrics"},
     {"spool", "measure", "pyramid", "encoder", "decoder", "resample", "level_errors"},
-    {"terrain", "compression", "decompression", "verification"},
+    {"terrain", "compression", "decompression", "verification", "height_tile"},
     {"render", "ext"},
     {"demo", "cli", "__main__"},
 ]

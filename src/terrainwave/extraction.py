@@ -22,6 +22,7 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.meshing import BlockMesher, BlockSamples, SideTolerances, border_lines
 from terrainwave.quadtree import Block, Grid, Region
 from terrainwave.quantum import as_fraction
+from terrainwave.raster_io.info import IDENTITY
 from terrainwave.tri.halves import Lines, triangulate
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, Mesh
 from terrainwave.tri.simplify import simplify
@@ -467,7 +468,9 @@ class _Extractor:
             d * (col_0 + 0.5) + e * (row_0 + 0.5) + f,
             0.0,
         )
-        return Mesh(points, triangles, origin, error, terrain.crs, raster.units)
+        # An array without a place: its columns and rows are no degrees.
+        attributes = {"is_placed": raster.transform != IDENTITY}
+        return Mesh(points, triangles, origin, error, terrain.crs, raster.units, attributes)
 
 
 _TOWARDS = {"top": (-1, 0), "bottom": (1, 0), "left": (0, -1), "right": (0, 1)}

@@ -11,7 +11,15 @@ from typing import Any
 import click
 
 from terrainwave._version import __version__
-from terrainwave.cli.options import BlockSide, Bound, Nodata, Numbers
+from terrainwave.cli.options import (
+    BlockSide,
+    Bound,
+    Finite,
+    Nodata,
+    Numbers,
+    Positive,
+    TileSize,
+)
 from terrainwave.cli.output import (
     Bar,
     Commands,
@@ -125,11 +133,26 @@ def _print_result(result: Any) -> None:
 @click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
 @click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
 @click.option("--cog", is_flag=True, help="Make a cloud-optimised GeoTIFF.")
+@click.option(
+    "--size",
+    type=TileSize(),
+    help="Samples on a side of a height tile, 2^n + 1: the window is resampled to that square."
+    " Default: the largest that is not larger than the window; window writes its own samples.",
+)
 @_writing
 def decompress(source: str, target: str, quiet: bool, **options: Any) -> None:
-    """Write the file SOURCE (.twz) to the GeoTIFF TARGET."""
+    """Write the file SOURCE (.twz) to the GeoTIFF TARGET.
+
+    A TARGET ending in .r16 or .png becomes a 16-bit height tile for game engines instead, with a
+    .json beside it that tells its scale and place.
+    """
     import terrainwave
 
+    is_tile = Path(target).suffix.lower() in (".r16", ".png")
+    if options["size"] and not is_tile:
+        raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
+    if options["cog"] and is_tile:
+        raise click.UsageError(f"{target}: a height tile cannot be a COG, expected no --cog")
     if options["window"] and options["bounds"]:
         raise click.UsageError("found both --window and --bounds, expected one of them")
     announce_compiling(quiet=quiet)
@@ -137,6 +160,149 @@ def decompress(source: str, target: str, quiet: bool, **options: Any) -> None:
         path = terrainwave.decompress(source, target, progress=bar, **options)
     if not quiet:
         click.echo(f"{plain(path)}: {Path(path).stat().st_size:,} bytes")
+
+
+@main.command()
+@click.argument("file")
+@click.argument("target", type=click.Path())
+@click.option(
+    "--max-error",
+    type=Bound(),
+    help="Largest allowed vertical distance of the mesh from the original heights, in the file's"
+    " unit. Default: that of the stored meshes.",
+)
+@click.option("--max-triangles", type=click.IntRange(min=1), help="The best mesh of at most N.")
+@click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
+@click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part, in samples.")
+@click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
+@click.option(
+    "--optimise/--no-optimise",
+    default=True,
+    show_default=True,
+    help="Spend more time for fewer triangles at the same error.",
+)
+@click.option(
+    "--frame",
+    type=click.Choice(["local", "native", "ecef"]),
+    help="Coordinates: metres from the middle, as in the CRS, or geocentric. Default: local where"
+    " the CRS counts degrees, else native.",
+)
+@click.option("--z-scale", type=Positive(), default=1.0, help="Multiply heights.")
+@click.option(
+    "--solid",
+    type=Finite(),
+    help="Make a printable body with a flat base at this height, in the file's unit.",
+)
+@click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
+@click.option(
+    "--store", is_flag=True, help="Make a copy of FILE with meshes stored in it; TARGET is a .twz."
+)
+@click.option("--mesh", "kind", type=MESHES, help="With --store: triangulation.")
+@click.option("--mesh-error", type=Bound(), help="With --store: as for compress.")
+@click.option("--original", help="With --store: the raster, to measure errors against.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@_writing
+@click.pass_context
+def mesh(context: click.Context, /, file: str, target: str, store: bool, **options: Any) -> None:
+    """Write a mesh of FILE (.twz) to TARGET, no further from the original than the bound.
+
+    TARGET's extension tells the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk, or .terrain, a
+    Cesium quantized-mesh tile.
+    """
+    given = {
+        name
+        for name in options
+        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+    }
+    common = {"threads", "overwrite", "quiet", "as_json"}
+    unfit = given - common - _STORE_OPTIONS if store else given & _STORE_OPTIONS
+    if unfit:
+        names = {"kind": "mesh"}
+        found = ", ".join(sorted(f"--{names.get(name, name)}".replace("_", "-") for name in unfit))
+        raise click.UsageError(f"found {found} {'with' if store else 'without'} --store")
+    if store:
+        _store_meshes(file, target, **{name: options[name] for name in common | _STORE_OPTIONS})
+    else:
+        _export_mesh(
+            file, target, **{name: options[name] for name in options.keys() - _STORE_OPTIONS}
+        )
+
+
+_STORE_OPTIONS = {"kind", "mesh_error", "original"}
+
+
+def _store_meshes(
+    file: str, target: str, *, kind: str | None, as_json: bool, quiet: bool, **options: Any
+) -> None:
+    import terrainwave
+
+    if kind == "none":
+        raise click.UsageError("found --mesh none with --store, expected auto or halves")
+    announce_compiling(quiet=quiet)
+    with reading(file), Bar(quiet=quiet) as bar:
+        path = terrainwave.store_meshes(file, target, mesh=kind or "auto", progress=bar, **options)
+    n_bytes = Path(path).stat().st_size
+    if as_json:
+        _print_json({"path": path, "n_bytes": n_bytes})
+    elif not quiet:
+        click.echo(f"{plain(path)}: {n_bytes:,} bytes, with meshes")
+
+
+def _export_mesh(
+    file: str,
+    target: str,
+    *,
+    frame: str | None,
+    z_scale: float,
+    solid: float | None,
+    radius: float | None,
+    optimise: bool,
+    overwrite: bool,
+    threads: int | None,
+    as_json: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    import terrainwave
+    from terrainwave.container.publish import refuse_own_source
+    from terrainwave.tri.export import EXTENSIONS, prepare
+
+    if options["window"] and options["bounds"]:
+        raise click.UsageError("found both --window and --bounds, expected one of them")
+    extension = Path(target).suffix.lower()
+    if extension not in EXTENSIONS:
+        raise click.UsageError(
+            f"{target}: found {extension or 'no extension'}, expected {', '.join(EXTENSIONS)}"
+        )
+    if extension == ".terrain" and (frame or z_scale != 1 or solid is not None):
+        raise click.UsageError(
+            "a .terrain tile has a frame of its own: expected no --frame, --z-scale, --solid"
+        )
+    refuse_own_source(file, target)
+    prepare(target, overwrite=overwrite)
+    announce_compiling(quiet=quiet)
+    with reading(file), terrainwave.open(file, threads=threads) as terrain:
+        surface = terrain.mesh(optimise=int(optimise), **options)
+    saved = surface.save(
+        target, frame=frame, z_scale=z_scale, solid=solid, radius=radius, overwrite=overwrite
+    )
+    if as_json:
+        _print_json(asdict(saved))
+    elif not quiet:
+        _print_saved(saved)
+
+
+def _print_saved(saved: Any) -> None:
+    click.echo(
+        f"{plain(saved.path)}: {saved.n_triangles:,} triangles, {saved.n_vertices:,} vertices,"
+        f" {saved.n_bytes:,} bytes"
+    )
+    click.echo(f"guaranteed error {saved.error:.6g} {_unit(saved.units)}, frame {saved.frame}")
+    if saved.curvature:
+        print_note(
+            f"flat triangles lie up to {saved.curvature:.3g} m below the curved body between"
+            " their vertices; the error does not count this"
+        )
 
 
 @main.command()

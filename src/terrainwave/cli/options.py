@@ -6,6 +6,7 @@ from typing import Any
 import click
 
 BLOCKS = (32, 64, 128, 256, 512, 1024)
+TILE_SIZES = tuple(2**n + 1 for n in range(1, 15))
 
 
 class Bound(click.ParamType):
@@ -50,6 +51,57 @@ class BlockSide(click.ParamType):
             expected = ", ".join(map(str, BLOCKS))
             self.fail(f"found {value}, expected one of {expected}", param, ctx)
         return int(value)
+
+
+class TileSize(click.ParamType):
+    """2ⁿ + 1, or the word window."""
+
+    name = "2ⁿ+1|window"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> int | str:
+        """Return the number of samples on a side, or ``"window"``."""
+        if value == "window":
+            return "window"
+        if str(value) not in map(str, TILE_SIZES):
+            self.fail(
+                f"found {value}, expected 2^n + 1 from {TILE_SIZES[0]} to {TILE_SIZES[-1]}"
+                " (such as 1025) or window",
+                param,
+                ctx,
+            )
+        return int(value)
+
+
+class Positive(click.ParamType):
+    """A finite number > 0."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """Return the number."""
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not (math.isfinite(number) and number > 0):
+            self.fail(f"found {value}, expected a finite number > 0", param, ctx)
+        return number
+
+
+class Finite(click.ParamType):
+    """A finite number."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """Return the number."""
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            self.fail(f"found {value}, expected a finite number", param, ctx)
+        return number
 
 
 class Numbers(click.ParamType):

@@ -110,6 +110,11 @@ def _dispose(part: Part | None, paths: list[Path]) -> None:
             os.unlink(path)
 
 
+def check_target(target: str | os.PathLike[str], overwrite: bool = False) -> None:
+    """Raise `StorageError` now if `publish` would: for work that takes long before it writes."""
+    _check_target(Path(os.path.realpath(target)), overwrite)
+
+
 def refuse_own_source(source: object, target: str | os.PathLike[str]) -> None:
     """Raise `StorageError` if `target` is the file that `source` is, or is read from.
 

@@ -1,10 +1,14 @@
 """What triangulations produce: `BlockMesh` in samples and quanta, `Mesh` in world coordinates."""
 
+import os
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from terrainwave.tri.export import SavedMesh
 
 # Heights of mesh vertices are in 1/16 quanta.
 FRACTION_BITS = 4
@@ -88,3 +92,80 @@ class Mesh:
             raise ValueError("the mesh is empty: it has no bounds")
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        frame: str | None = None,
+        z_scale: float = 1.0,
+        solid: float | None = None,
+        radius: float | None = None,
+        overwrite: bool = False,
+    ) -> "SavedMesh":
+        """Write the mesh to a file; see `terrainwave.tri.export.save_mesh`.
+
+        Parameters
+        ----------
+        path : path
+            Its extension tells the format: .ply, .obj, .stl, .glb, .gltf, .vtu, .vtk or .terrain.
+        frame : {"local", "native", "ecef"}, optional
+            Local metres (the default for degrees), the CRS (the default else), or geocentric.
+        z_scale : float
+            Heights are multiplied by it; > 0.
+        solid : float, optional
+            Close the mesh with walls and a flat base at this height, in the file's unit.
+        radius : float, optional
+            Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
+        overwrite : bool
+            Replace an existing file.
+
+        Raises
+        ------
+        TerrainwaveError
+            If the extension is unknown, an option does not fit, a package is missing, or the file
+            cannot be written; nothing is left behind.
+        """
+        from terrainwave.tri.export import save_mesh
+
+        return save_mesh(
+            self,
+            path,
+            frame=frame,
+            z_scale=z_scale,
+            solid=solid,
+            radius=radius,
+            overwrite=overwrite,
+        )
+
+    def to_trimesh(self) -> Any:
+        """Return a `trimesh.Trimesh` with these vertices, without `origin`; needs trimesh."""
+        from terrainwave.tri.export import to_trimesh
+
+        return to_trimesh(self)
+
+    def to_pyvista(self) -> Any:
+        """Return a `pyvista.PolyData` with these vertices, without `origin`; needs pyvista."""
+        from terrainwave.tri.export import to_pyvista
+
+        return to_pyvista(self)
+
+    def plot(self, ax: Any = None, *, wireframe: bool = False, cmap: str = "terrain") -> Any:
+        """Draw the mesh from above, coloured by height and shaded; needs matplotlib.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where to draw; a new figure by default.
+        wireframe : bool
+            Draw the edges too.
+        cmap : str
+            matplotlib's name of the colours of heights.
+
+        Returns
+        -------
+        ax : matplotlib Axes
+        """
+        from terrainwave.tri.plot import plot
+
+        return plot(self, ax, wireframe=wireframe, cmap=cmap)
