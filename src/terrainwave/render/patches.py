@@ -1,0 +1,252 @@
+"""From a block of the file to a patch: vertices, triangles and slopes as the GPU takes them.
+
+Runs in worker threads; needs no GPU.
+"""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.quadtree import Block, Region
+from terrainwave.render.frame import Frame
+from terrainwave.render.kernels import SKIRT_FLAG, border_edges, rasterize, slopes
+from terrainwave.render.selection import NodeInfo
+from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.surface import deviation_from_bilinear
+
+if TYPE_CHECKING:
+    from terrainwave.terrain import Terrain
+
+# col and row in half samples of the block's level (the column's top bit marks skirts); height and
+# height of the parent's surface above the patch's base, metres.
+VERTEX = np.dtype([("col", "<u2"), ("row", "<u2"), ("z", "<f4"), ("z_parent", "<f4")])
+# Half of float32's spacing, relative.
+_FLOAT32_ROUNDING = 2.0**-24
+_CACHED_MESHES = 128
+
+
+class Cancelled(Exception):
+    """A patch that nobody wants any more."""
+
+
+class Patch(NamedTuple):
+    """A block as drawn.
+
+    Parameters
+    ----------
+    vertices : structured ndarray of VERTEX
+    triangles : ndarray of uint32, shape (n, 3)
+    n_surface : int
+        How many of the triangles are surface; the others are skirts.
+    slopes : ndarray of float16, shape (n_rows, n_cols, 2)
+        Metres per metre to the east and to the north at the block's samples.
+    base : float
+        Height of z = 0, metres.
+    error : float
+        No valid original is further from the surface, metres.
+    morph : float
+        Largest distance between the surface and its parent's at vertices, metres.
+    children : list of NodeInfo
+    """
+
+    block: Block
+    vertices: NDArray[np.void]
+    triangles: NDArray[np.uint32]
+    n_surface: int
+    slopes: NDArray[np.float16]
+    base: float
+    error: float
+    morph: float
+    children: list[NodeInfo]
+
+    @property
+    def n_bytes(self) -> int:
+        """Return the bytes of its arrays."""
+        return self.vertices.nbytes + self.triangles.nbytes + self.slopes.nbytes
+
+
+class PatchBuilder:
+    """Patches of a terrain's blocks. Thread-safe.
+
+    Parameters
+    ----------
+    frame : Frame
+        Local metres; its exaggeration is not used: the GPU applies it.
+    error : {"measured", "paper"}
+        Errors as stored for meshes, or Err_Appr + Err_Tri of Yusov & Turlapov 2010, eq. (3).
+    """
+
+    def __init__(self, terrain: "Terrain", frame: Frame, *, error: str = "measured") -> None:
+        self._terrain = terrain
+        self._frame = frame
+        self._error = error
+        header = terrain._container.header
+        raster = terrain.raster_info
+        quantum = header.quantum.numerator / header.quantum.denominator
+        self._metres = quantum * raster.scale * frame.metres[2]  # per quantum
+        self._zero = (header.base * quantum * raster.scale + raster.offset) * frame.metres[2]
+        self._meshes: OrderedDict[Block, BlockMesh] = OrderedDict()
+        self._lock = threading.Lock()
+        a, b, _, d, e, _ = frame.sample_matrix
+        # Slopes per sample to slopes per metre: the inverse of the transposed matrix.
+        self._to_metres = np.linalg.inv(np.array([[a, b], [d, e]]))
+
+    # What the index says
+
+    def roots(self) -> list[NodeInfo]:
+        """Return the root blocks."""
+        return [self.info(block) for block in self._terrain.grid.blocks(0)]
+
+    def info(self, block: Block) -> NodeInfo:
+        """Return box and error of a block."""
+        region = self._terrain.grid.full_region(block)
+        rows = np.array([region.row, region.row + region.n_rows - 1])
+        cols = np.array([region.col, region.col + region.n_cols - 1])
+        xy = self._frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
+        error = self._stated_error(block)
+        low, high = sorted(z * self._frame.metres[2] for z in self._terrain.block_box(block))
+        (left, bottom), (right, top) = xy.min(axis=0), xy.max(axis=0)
+        return NodeInfo(
+            block,
+            (float(left), float(bottom), low - error),
+            (float(right), float(top), high + error),
+            error,
+        )
+
+    def _stated_error(self, block: Block) -> float:
+        terrain = self._terrain
+        per_unit = self._frame.metres[2]
+        if self._error == "measured" and terrain.mesh_kind != "none":
+            return terrain.mesh_error(block) * per_unit
+        is_finest = block.level == terrain.n_levels - 1
+        heights = terrain.effective_error if is_finest else terrain.block_error(block)
+        tolerance = terrain._mesher.tolerance(block) / (1 << FRACTION_BITS) * abs(self._metres)
+        return heights * per_unit + tolerance
+
+    # Patches
+
+    def mesh(self, block: Block) -> BlockMesh:
+        """Return the mesh of a block; the last ones are kept."""
+        with self._lock:
+            found = self._meshes.get(block)
+            if found is not None:
+                self._meshes.move_to_end(block)
+                return found
+        found = self._terrain._mesher.mesh(block)
+        with self._lock:
+            self._meshes[block] = found
+            while len(self._meshes) > _CACHED_MESHES:
+                self._meshes.popitem(last=False)
+        return found
+
+    def build(
+        self, block: Block, is_cancelled: Callable[[], bool] = lambda: False
+    ) -> Patch:
+        """Return the patch of a block.
+
+        Raises
+        ------
+        Cancelled
+            If `is_cancelled` says so between two steps.
+        CorruptStreamError
+            If the file is damaged there.
+        """
+
+        def check() -> None:
+            if is_cancelled():
+                raise Cancelled
+
+        terrain = self._terrain
+        children = [self.info(child) for child in terrain.grid.children(block)]
+        check()
+        mesh = self.mesh(block)
+        check()
+        z = mesh.heights / (1 << FRACTION_BITS) * self._metres + self._zero
+        base = float(z.min() + z.max()) / 2 if len(z) else 0.0
+        z_parent = self._parent_heights(block, mesh, z)
+        check()
+        vertices = np.empty(len(z), dtype=VERTEX)
+        vertices["col"], vertices["row"] = mesh.cols, mesh.rows
+        vertices["z"], vertices["z_parent"] = z - base, z_parent - base
+        vertices, triangles = self._with_skirts(block, mesh, vertices)
+        largest = max(float(np.abs(z - base).max()), float(np.abs(z_parent - base).max())) if len(z) else 0.0
+        morph = float(np.abs(z - z_parent).max()) if len(z) else 0.0
+        error = self._stated_error(block)
+        if terrain.mesh_kind == "none" and block.level < terrain.n_levels - 1:
+            error = self._derived_error(block, mesh)
+        return Patch(
+            block,
+            vertices,
+            triangles,
+            len(mesh.triangles),
+            self.slopes(block),
+            base,
+            error + largest * _FLOAT32_ROUNDING,
+            morph,
+            children,
+        )
+
+    def _derived_error(self, block: Block, mesh: BlockMesh) -> float:
+        """Return a bound for a mesh that the file says nothing about."""
+        terrain = self._terrain
+        samples = terrain._mesher.samples(block)
+        stride = terrain.grid.stride(block.level)
+        apart = deviation_from_bilinear(mesh, stride, samples.heights, samples.mask)
+        bilinear = terrain.block_error(block) * self._frame.metres[2]
+        return bilinear + apart / (1 << FRACTION_BITS) * abs(self._metres)
+
+    def _parent_heights(
+        self, block: Block, mesh: BlockMesh, z: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the heights of the parent's surface at the vertices; `z` where it has none."""
+        if block.level == 0 or not len(z):
+            return z
+        parent = self.mesh(block.parent)
+        side = 2 * self._terrain.grid.block
+        found = np.empty((int(mesh.rows.max()) + 1, int(mesh.cols.max()) + 1))
+        first = (block.row & 1) * side, (block.col & 1) * side
+        rasterize(parent.rows, parent.cols, parent.heights, parent.triangles, 2, *first, found)
+        heights = found[mesh.rows, mesh.cols] / (1 << FRACTION_BITS) * self._metres + self._zero
+        return np.where(np.isnan(heights), z, heights)
+
+    def _with_skirts(
+        self, block: Block, mesh: BlockMesh, vertices: NDArray[np.void]
+    ) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
+        triangles = mesh.triangles.astype(np.uint32)
+        if not len(triangles):
+            return vertices, triangles
+        last = int(mesh.rows.max()), int(mesh.cols.max())
+        edges = np.empty((4 * (last[0] + last[1]) + 8, 2), dtype=np.int32)
+        n_edges = border_edges(mesh.rows, mesh.cols, mesh.triangles, *last, edges)
+        edges = edges[:n_edges]
+        top = np.unique(edges)
+        below = vertices[top].copy()
+        below["col"] |= SKIRT_FLAG
+        lower = (len(vertices) + np.searchsorted(top, edges)).astype(np.uint32)
+        a, b = edges[:, 0].astype(np.uint32), edges[:, 1].astype(np.uint32)
+        skirts = np.concatenate(
+            [np.column_stack([b, a, lower[:, 0]]), np.column_stack([b, lower[:, 0], lower[:, 1]])]
+        )
+        return np.concatenate([vertices, below]), np.concatenate([triangles, skirts])
+
+    def slopes(self, block: Block) -> NDArray[np.float16]:
+        """Return the slopes at the samples of a block, from it and one sample around it.
+
+        Neighbours of one level compute the same at the samples that they share. Where the block
+        ends before its full size, the last row and column are repeated once.
+        """
+        terrain, grid = self._terrain, self._terrain.grid
+        inner = grid.block_region(block)
+        wide = grid.block_region(block, 1).intersect(Region(0, 0, *grid.level_shape(block.level)))
+        heights, mask = terrain._decoder.window(block.level, wide)
+        found = np.empty((inner.n_rows, inner.n_cols, 2), dtype=np.float32)
+        slopes(heights, mask, inner.row - wide.row, inner.col - wide.col, found)
+        per_sample = found.astype(np.float64) * (self._metres / grid.stride(block.level))
+        per_metre = per_sample @ self._to_metres
+        missing = [min(1, grid.block + 1 - n) for n in inner.shape]
+        padded = np.pad(per_metre, ((0, missing[0]), (0, missing[1]), (0, 0)), mode="edge")
+        return np.clip(padded, -6e4, 6e4).astype(np.float16)
