@@ -17,6 +17,8 @@ Vector = NDArray[np.float64]
 
 DEFAULT_FOV = 50.0
 _MAX_PITCH = 89.9
+# Of the picture's sides, the share that the whole terrain fills.
+_HOME_SHARE = 0.96
 
 
 @dataclass(frozen=True)
@@ -185,20 +187,25 @@ def parse_camera(line: str, frame: Frame) -> Camera:
 # Places to begin
 
 
-def home(frame: Frame, viewport: Viewport, *, heading: float = 0.0, pitch: float = -32.0) -> Camera:
-    """Return an oblique view of the whole terrain, as near as its corners allow."""
+def home(frame: Frame, viewport: Viewport, *, heading: float = 0.0, pitch: float = -38.0) -> Camera:
+    """Return an oblique view of the whole terrain that fills the picture."""
     low, high = frame.box
     corners = np.array(
         [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
     )
     camera = Camera((0.0, 0.0, 0.0), heading, pitch)
-    middle = (low + high) / 2
-    tangent = math.tan(math.radians(camera.fov) / 2)
-    seen = (corners - middle) @ camera.axes.T
-    # The least distance at which each corner is inside both openings, with a margin.
-    needed = np.maximum(np.abs(seen[:, 0]) / viewport.aspect, np.abs(seen[:, 1])) / (tangent * 0.97)
-    away = float((needed - seen[:, 2]).max())
-    x, y, z = middle - camera.forward * max(away, 1.0)
+    tangent = math.tan(math.radians(camera.fov) / 2) * _HOME_SHARE
+    seen = corners @ camera.axes.T
+    # The eye (r, u, f) in the camera's axes sees a corner if |corner's r − r| <= tangent · aspect ·
+    # (corner's f − f), and alike upwards. Each pair of opposite sides gives a centre and a bound.
+    centre, bounds = np.zeros(3), []
+    for axis, opening in ((0, tangent * viewport.aspect), (1, tangent)):
+        above = (seen[:, axis] - opening * seen[:, 2]).max()
+        below = (seen[:, axis] + opening * seen[:, 2]).min()
+        centre[axis] = (above + below) / 2
+        bounds.append((below - above) / 2 / opening)
+    centre[2] = min(bounds)
+    x, y, z = centre @ camera.axes
     return replace(camera, position=(float(x), float(y), float(z)))
 
 

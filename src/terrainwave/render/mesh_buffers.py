@@ -107,9 +107,7 @@ class GpuStore:
         self.slopes.write(
             np.ascontiguousarray(patch.slopes).tobytes(), viewport=(0, 0, layer, n_cols, n_rows, 1)
         )
-        self.slots[node] = Slot(
-            first_vertex, len(patch.vertices), first_index, n_indices, layer
-        )
+        self.slots[node] = Slot(first_vertex, len(patch.vertices), first_index, n_indices, layer)
         return True
 
     def drop(self, node: int) -> None:

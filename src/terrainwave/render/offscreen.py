@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from terrainwave.errors import TerrainwaveError
 from terrainwave.render.camera import Camera, Viewport
 from terrainwave.render.scene import DEFAULT_MAX_BYTES, Frames, Scene
+from terrainwave.render.selection import View
 
 if TYPE_CHECKING:
     from terrainwave.render.renderer import Style
@@ -30,9 +31,7 @@ def create_context() -> Any:
     try:
         import moderngl
     except ImportError as error:
-        raise TerrainwaveError(
-            "pictures need moderngl: pip install 'terrainwave[view]'"
-        ) from error
+        raise TerrainwaveError("pictures need moderngl: pip install 'terrainwave[view]'") from error
     problems = []
     for options in ({"backend": "egl"}, {}):
         try:
@@ -112,11 +111,24 @@ class Offscreen:
         `settle` waits until all that the view needs has been read.
         """
         view = self.scene.view(camera, self.viewport, max_pixel_error)
-        frames = self.scene.settle(view) if settle else self.scene.update(view)
         self._target.use()
-        self.renderer.draw(view, frames, style)
+        if self.scene.mode == "full":
+            frames = self._draw_parts(view, style)
+        else:
+            frames = self.scene.settle(view) if settle else self.scene.update(view)
+            self.renderer.draw(view, frames, style)
         if self._resolved is not self._target:
             self.context.copy_framebuffer(self._resolved, self._target)
         data = self._resolved.read(components=3, alignment=1)
         size = (self.viewport.height, self.viewport.width, 3)
         return np.frombuffer(data, dtype=np.uint8).reshape(size)[::-1].copy(), frames
+
+    def _draw_parts(self, view: View, style: "Style") -> Frames:
+        """Draw all finest blocks in view, as many at a time as memory holds."""
+        frames = Frames(*(np.empty(0) for _ in range(4)), 0, 0.0, 0)
+        self.renderer.clear(view, style)
+        n_triangles = 0
+        for frames in self.scene.parts(view):
+            self.renderer.draw(view, frames, style, clear=False)
+            n_triangles += frames.n_triangles
+        return frames._replace(n_triangles=n_triangles)

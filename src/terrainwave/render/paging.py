@@ -109,8 +109,10 @@ class Pager:
         while True:
             with self._changed:
                 self._changed.wait_for(
-                    lambda: self._is_closed
-                    or (bool(self._queue) and len(self._ready) < self._max_ready)
+                    lambda: (
+                        self._is_closed
+                        or (bool(self._queue) and len(self._ready) < self._max_ready)
+                    )
                 )
                 if self._is_closed:
                     return

@@ -1,8 +1,13 @@
 """From a block of the file to a patch: vertices, triangles and slopes as the GPU takes them.
 
+The step from a coarse block to the finest ones is large: their meshes keep to the file's own error.
+So finest blocks come in variants as well, with 4, 16 … times the tolerance, and stand in the tree
+between their parent and the file's mesh: a chain, each the only child of the one before.
+
 Runs in worker threads; needs no GPU.
 """
 
+import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
@@ -11,10 +16,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.meshing import SideTolerances, border_lines
 from terrainwave.quadtree import Block, Region
 from terrainwave.render.frame import Frame
 from terrainwave.render.kernels import SKIRT_FLAG, border_edges, rasterize, slopes
-from terrainwave.render.selection import NodeInfo
+from terrainwave.render.selection import NodeInfo, Piece
+from terrainwave.tri.halves import triangulate
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.surface import deviation_from_bilinear
 
@@ -27,6 +34,10 @@ VERTEX = np.dtype([("col", "<u2"), ("row", "<u2"), ("z", "<f4"), ("z_parent", "<
 # Half of float32's spacing, relative.
 _FLOAT32_ROUNDING = 2.0**-24
 _CACHED_MESHES = 128
+_VARIANT_BITS = 2  # each variant has four times the tolerance of the one before
+_MAX_VARIANT = 5
+# Of the error of what it replaces, at most this share is a variant's.
+_VARIANT_SHARE = 0.6
 
 
 class Cancelled(Exception):
@@ -34,7 +45,7 @@ class Cancelled(Exception):
 
 
 class Patch(NamedTuple):
-    """A block as drawn.
+    """A piece as drawn.
 
     Parameters
     ----------
@@ -53,7 +64,7 @@ class Patch(NamedTuple):
     children : list of NodeInfo
     """
 
-    block: Block
+    piece: Piece
     vertices: NDArray[np.void]
     triangles: NDArray[np.uint32]
     n_surface: int
@@ -89,7 +100,7 @@ class PatchBuilder:
         quantum = header.quantum.numerator / header.quantum.denominator
         self._metres = quantum * raster.scale * frame.metres[2]  # per quantum
         self._zero = (header.base * quantum * raster.scale + raster.offset) * frame.metres[2]
-        self._meshes: OrderedDict[Block, BlockMesh] = OrderedDict()
+        self._meshes: OrderedDict[Piece, BlockMesh] = OrderedDict()
         self._lock = threading.Lock()
         a, b, _, d, e, _ = frame.sample_matrix
         # Slopes per sample to slopes per metre: the inverse of the transposed matrix.
@@ -99,26 +110,69 @@ class PatchBuilder:
 
     def roots(self) -> list[NodeInfo]:
         """Return the root blocks."""
-        return [self.info(block) for block in self._terrain.grid.blocks(0)]
+        return [self._first(block, math.inf) for block in self._terrain.grid.blocks(0)]
 
-    def info(self, block: Block) -> NodeInfo:
-        """Return box and error of a block."""
+    def children(self, piece: Piece) -> list[NodeInfo]:
+        """Return what replaces a piece: its next variant, or the blocks one level finer."""
+        if piece.variant:
+            return [self.info(piece._replace(variant=piece.variant - 1))]
+        error = self.error(piece)
+        return [self._first(child, error) for child in self._terrain.grid.children(piece.block)]
+
+    def parent(self, piece: Piece) -> Piece | None:
+        """Return what a piece replaces, None for a root."""
+        if piece.level == self._terrain.n_levels - 1:
+            next_one = piece._replace(variant=piece.variant + 1)
+            above = Piece(*piece.block.parent) if piece.level else None
+            limit = self.error(above) if above else math.inf
+            if next_one.variant <= self._coarsest(limit):
+                return next_one
+        return Piece(*piece.block.parent) if piece.level else None
+
+    def _first(self, block: Block, error: float) -> NodeInfo:
+        """Return the first piece of a block below one with this error."""
+        is_finest = block.level == self._terrain.n_levels - 1
+        return self.info(Piece(*block, self._coarsest(error) if is_finest else 0))
+
+    def _coarsest(self, error: float) -> int:
+        """Return the coarsest variant that is worth its place below a piece with this error."""
+        variant = 0
+        while variant < _MAX_VARIANT and math.isfinite(error):
+            if self._variant_error(variant + 1) > _VARIANT_SHARE * error:
+                break
+            variant += 1
+        return variant
+
+    def _variant_error(self, variant: int) -> float:
+        tolerance = self._variant_tolerance(variant) / (1 << FRACTION_BITS) * abs(self._metres)
+        return self._terrain.effective_error * self._frame.metres[2] + tolerance
+
+    def _variant_tolerance(self, variant: int) -> int:
+        own = max(self._terrain._container.header.mesh_tolerance, 1 << FRACTION_BITS)
+        return own << _VARIANT_BITS * variant
+
+    def info(self, piece: Piece) -> NodeInfo:
+        """Return box and error of a piece."""
+        block = piece.block
         region = self._terrain.grid.full_region(block)
         rows = np.array([region.row, region.row + region.n_rows - 1])
         cols = np.array([region.col, region.col + region.n_cols - 1])
         xy = self._frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
-        error = self._stated_error(block)
+        error = self.error(piece)
         low, high = sorted(z * self._frame.metres[2] for z in self._terrain.block_box(block))
         (left, bottom), (right, top) = xy.min(axis=0), xy.max(axis=0)
         return NodeInfo(
-            block,
+            piece,
             (float(left), float(bottom), low - error),
             (float(right), float(top), high + error),
             error,
         )
 
-    def _stated_error(self, block: Block) -> float:
-        terrain = self._terrain
+    def error(self, piece: Piece) -> float:
+        """Return the error of a piece that the file states, in metres."""
+        if piece.variant:
+            return self._variant_error(piece.variant)
+        terrain, block = self._terrain, piece.block
         per_unit = self._frame.metres[2]
         if self._error == "measured" and terrain.mesh_kind != "none":
             return terrain.mesh_error(block) * per_unit
@@ -129,24 +183,32 @@ class PatchBuilder:
 
     # Patches
 
-    def mesh(self, block: Block) -> BlockMesh:
-        """Return the mesh of a block; the last ones are kept."""
+    def mesh(self, piece: Piece) -> BlockMesh:
+        """Return the mesh of a piece; the last ones are kept."""
         with self._lock:
-            found = self._meshes.get(block)
+            found = self._meshes.get(piece)
             if found is not None:
-                self._meshes.move_to_end(block)
+                self._meshes.move_to_end(piece)
                 return found
-        found = self._terrain._mesher.mesh(block)
+        found = self._triangulate(piece)
         with self._lock:
-            self._meshes[block] = found
+            self._meshes[piece] = found
             while len(self._meshes) > _CACHED_MESHES:
                 self._meshes.popitem(last=False)
         return found
 
-    def build(
-        self, block: Block, is_cancelled: Callable[[], bool] = lambda: False
-    ) -> Patch:
-        """Return the patch of a block.
+    def _triangulate(self, piece: Piece) -> BlockMesh:
+        mesher, block = self._terrain._mesher, piece.block
+        if not piece.variant:
+            return mesher.mesh(block)
+        tolerance = self._variant_tolerance(piece.variant)
+        samples = mesher.samples(block)
+        sides = SideTolerances(tolerance, tolerance, tolerance, tolerance)
+        lines = border_lines(samples, sides, self._terrain.grid.block)
+        return triangulate(*samples, lines, tolerance)
+
+    def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Patch:
+        """Return the patch of a piece.
 
         Raises
         ------
@@ -160,26 +222,28 @@ class PatchBuilder:
             if is_cancelled():
                 raise Cancelled
 
-        terrain = self._terrain
-        children = [self.info(child) for child in terrain.grid.children(block)]
+        terrain, block = self._terrain, piece.block
+        children = self.children(piece)
         check()
-        mesh = self.mesh(block)
+        mesh = self.mesh(piece)
         check()
         z = mesh.heights / (1 << FRACTION_BITS) * self._metres + self._zero
         base = float(z.min() + z.max()) / 2 if len(z) else 0.0
-        z_parent = self._parent_heights(block, mesh, z)
+        z_parent = self._parent_heights(piece, mesh, z)
         check()
         vertices = np.empty(len(z), dtype=VERTEX)
         vertices["col"], vertices["row"] = mesh.cols, mesh.rows
         vertices["z"], vertices["z_parent"] = z - base, z_parent - base
-        vertices, triangles = self._with_skirts(block, mesh, vertices)
-        largest = max(float(np.abs(z - base).max()), float(np.abs(z_parent - base).max())) if len(z) else 0.0
-        morph = float(np.abs(z - z_parent).max()) if len(z) else 0.0
-        error = self._stated_error(block)
+        vertices, triangles = _with_skirts(mesh, vertices)
+        largest = float(
+            max(np.abs(z - base).max(initial=0), np.abs(z_parent - base).max(initial=0))
+        )
+        morph = float(np.abs(z - z_parent).max(initial=0))
+        error = self.error(piece)
         if terrain.mesh_kind == "none" and block.level < terrain.n_levels - 1:
             error = self._derived_error(block, mesh)
         return Patch(
-            block,
+            piece,
             vertices,
             triangles,
             len(mesh.triangles),
@@ -200,38 +264,21 @@ class PatchBuilder:
         return bilinear + apart / (1 << FRACTION_BITS) * abs(self._metres)
 
     def _parent_heights(
-        self, block: Block, mesh: BlockMesh, z: NDArray[np.float64]
+        self, piece: Piece, mesh: BlockMesh, z: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return the heights of the parent's surface at the vertices; `z` where it has none."""
-        if block.level == 0 or not len(z):
+        above = self.parent(piece)
+        if above is None or not len(z):
             return z
-        parent = self.mesh(block.parent)
-        side = 2 * self._terrain.grid.block
+        parent = self.mesh(above)
         found = np.empty((int(mesh.rows.max()) + 1, int(mesh.cols.max()) + 1))
-        first = (block.row & 1) * side, (block.col & 1) * side
-        rasterize(parent.rows, parent.cols, parent.heights, parent.triangles, 2, *first, found)
+        factor, first = 1, (0, 0)
+        if above.level < piece.level:
+            side = 2 * self._terrain.grid.block
+            factor, first = 2, ((piece.row & 1) * side, (piece.col & 1) * side)
+        rasterize(parent.rows, parent.cols, parent.heights, parent.triangles, factor, *first, found)
         heights = found[mesh.rows, mesh.cols] / (1 << FRACTION_BITS) * self._metres + self._zero
         return np.where(np.isnan(heights), z, heights)
-
-    def _with_skirts(
-        self, block: Block, mesh: BlockMesh, vertices: NDArray[np.void]
-    ) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
-        triangles = mesh.triangles.astype(np.uint32)
-        if not len(triangles):
-            return vertices, triangles
-        last = int(mesh.rows.max()), int(mesh.cols.max())
-        edges = np.empty((4 * (last[0] + last[1]) + 8, 2), dtype=np.int32)
-        n_edges = border_edges(mesh.rows, mesh.cols, mesh.triangles, *last, edges)
-        edges = edges[:n_edges]
-        top = np.unique(edges)
-        below = vertices[top].copy()
-        below["col"] |= SKIRT_FLAG
-        lower = (len(vertices) + np.searchsorted(top, edges)).astype(np.uint32)
-        a, b = edges[:, 0].astype(np.uint32), edges[:, 1].astype(np.uint32)
-        skirts = np.concatenate(
-            [np.column_stack([b, a, lower[:, 0]]), np.column_stack([b, lower[:, 0], lower[:, 1]])]
-        )
-        return np.concatenate([vertices, below]), np.concatenate([triangles, skirts])
 
     def slopes(self, block: Block) -> NDArray[np.float16]:
         """Return the slopes at the samples of a block, from it and one sample around it.
@@ -250,3 +297,24 @@ class PatchBuilder:
         missing = [min(1, grid.block + 1 - n) for n in inner.shape]
         padded = np.pad(per_metre, ((0, missing[0]), (0, missing[1]), (0, 0)), mode="edge")
         return np.clip(padded, -6e4, 6e4).astype(np.float16)
+
+
+def _with_skirts(
+    mesh: BlockMesh, vertices: NDArray[np.void]
+) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
+    """Return vertices and triangles with two triangles more below each edge on the border."""
+    triangles = mesh.triangles.astype(np.uint32)
+    if not len(triangles):
+        return vertices, triangles
+    last = int(mesh.rows.max()), int(mesh.cols.max())
+    edges = np.empty((4 * (last[0] + last[1]) + 8, 2), dtype=np.int32)
+    edges = edges[: border_edges(mesh.rows, mesh.cols, mesh.triangles, *last, edges)]
+    top = np.unique(edges)
+    below = vertices[top].copy()
+    below["col"] |= SKIRT_FLAG
+    lower = (len(vertices) + np.searchsorted(top, edges)).astype(np.uint32)
+    a, b = edges[:, 0].astype(np.uint32), edges[:, 1].astype(np.uint32)
+    skirts = np.concatenate(
+        [np.column_stack([b, a, lower[:, 0]]), np.column_stack([b, lower[:, 0], lower[:, 1]])]
+    )
+    return np.concatenate([vertices, below]), np.concatenate([triangles, skirts])

@@ -152,14 +152,12 @@ class Renderer:
         """Return the texels of the patches, float32 (n, 16): see `shaders`."""
         scene, table, nodes = self._scene, self._scene.table, frames.nodes
         grid, frame = scene.terrain.grid, scene.frame
-        blocks = np.array([table.blocks[node] for node in nodes.tolist()], dtype=np.int64)
-        blocks = blocks.reshape(-1, 3)
+        blocks = np.array([table.pieces[node] for node in nodes.tolist()], dtype=np.int64)
+        blocks = blocks.reshape(-1, 4)
         strides = np.left_shift(1, grid.k_max - blocks[:, 0])
         rows, cols = blocks[:, 1] * grid.block * strides, blocks[:, 2] * grid.block * strides
         bases = scene.bases(nodes)
-        origins = np.column_stack(
-            [frame.samples_to_local(rows, cols), bases * view.exaggeration]
-        )
+        origins = np.column_stack([frame.samples_to_local(rows, cols), bases * view.exaggeration])
         texels = np.empty((len(nodes), 16), dtype=np.float32)
         texels[:, 0:3] = origins - view.camera.eye
         texels[:, 3] = frames.morphs
@@ -177,14 +175,18 @@ class Renderer:
         texels[:, 15] = 0
         return texels
 
+    def clear(self, view: View, style: Style) -> None:
+        """Begin a picture: the sky, or the background."""
+        background = style.background or (0, 0, 0)
+        self._context.clear(*(value / 255 for value in background), 1.0, depth=1.0)
+        if style.background is None:
+            self._draw_sky(view, style)
+
     def draw(self, view: View, frames: Frames, style: Style, *, clear: bool = True) -> None:
         """Draw one frame; `clear` begins with the sky or the background."""
         context = self._context
         if clear:
-            background = style.background or (0, 0, 0)
-            context.clear(*(value / 255 for value in background), 1.0, depth=1.0)
-            if style.background is None:
-                self._draw_sky(view, style)
+            self.clear(view, style)
         drawn = np.array(
             [self._store.slots[node].n_indices > 0 for node in frames.nodes.tolist()], dtype=bool
         )

@@ -1,19 +1,20 @@
 """One terrain as seen by moving cameras: what is here, what is wanted, what to draw. No GPU."""
 
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import InvalidHeightsError, TerrainwaveError
-from terrainwave.quadtree import Block
+from terrainwave.errors import InvalidHeightsError, LimitExceededError, TerrainwaveError
 from terrainwave.render.camera import Camera, Viewport, predict
 from terrainwave.render.frame import Frame, frame_of
+from terrainwave.render.frustum import may_see
 from terrainwave.render.paging import Pager
 from terrainwave.render.patches import Patch, PatchBuilder
-from terrainwave.render.selection import ERRORS, ErrorGovernor, NodeTable, View
+from terrainwave.render.selection import ERRORS, ErrorGovernor, NodeTable, Piece, Selection, View
 
 if TYPE_CHECKING:
     from terrainwave.terrain import Terrain
@@ -22,6 +23,8 @@ MODES = ("adaptive", "full")
 DEFAULT_MAX_BYTES = 512 << 20
 _UPLOADS_PER_FRAME = 4
 _READY_PER_WORKER = 4
+# Depth planes where all is drawn in parts: one for all of them.
+_NEAREST_PART = 0.0
 # A block is drawn a little before its parent's error reaches τ, and moves from there to its place.
 MORPH_START = 1.25
 
@@ -143,7 +146,7 @@ class Scene:
         self.table = NodeTable()
         self.governor = ErrorGovernor(max_triangles, target_ms)
         self.timings = Timings()
-        self.problems: dict[Block, str] = {}
+        self.problems: dict[Piece, str] = {}
         self._builder = PatchBuilder(terrain, self.frame, error=error)
         self._info = _PatchInfo()
         for info in self._builder.roots():
@@ -152,7 +155,7 @@ class Scene:
             self._builder.build, n_workers=n_workers, max_ready=_READY_PER_WORKER * n_workers
         )
         self._last_camera: Camera | None = None
-        self._requested: list[Block] = []
+        self._requested: list[Piece] = []
         self._memory_factor = 1.0
 
     def __enter__(self) -> "Scene":
@@ -189,9 +192,7 @@ class Scene:
         self._request(missing + ahead)
         self._last_camera = view.camera
         paged = time.perf_counter()
-        selection, used = self.governor.select(
-            self.table, replace(view, max_pixel_error=tau)
-        )
+        selection, used = self.governor.select(self.table, replace(view, max_pixel_error=tau))
         frames = self._frames(view, selection, used, len(missing))
         self.timings = Timings((paged - started) * 1e3, (time.perf_counter() - paged) * 1e3)
         return frames
@@ -220,12 +221,12 @@ class Scene:
 
     # Paging
 
-    def _missing(self, wanted: NDArray[np.int32]) -> list[Block]:
+    def _missing(self, wanted: NDArray[np.int32]) -> list[Piece]:
         absent = wanted[~self.table.is_resident[wanted]]
-        blocks = [self.table.blocks[node] for node in absent.tolist()]
-        return [block for block in blocks if block not in self.problems]
+        pieces = [self.table.pieces[node] for node in absent.tolist()]
+        return [piece for piece in pieces if piece not in self.problems]
 
-    def _ahead(self, view: View, tau: float) -> list[Block]:
+    def _ahead(self, view: View, tau: float) -> list[Piece]:
         """Return what the next view will need, if all of this one's is here."""
         if self._last_camera is None or self._last_camera.position == view.camera.position:
             return []
@@ -233,10 +234,10 @@ class Scene:
         wanted = self.table.wanted(view, self.store.max_blocks, tau, camera)
         return self._missing(wanted)
 
-    def _request(self, blocks: list[Block]) -> None:
-        if blocks != self._requested:
-            self._pager.request(blocks)
-            self._requested = blocks
+    def _request(self, pieces: list[Piece]) -> None:
+        if pieces != self._requested:
+            self._pager.request(pieces)
+            self._requested = pieces
 
     def _take(self, view: View, wanted: NDArray[np.int32], max_uploads: int) -> None:
         built = self._pager.take(max_uploads)
@@ -245,13 +246,13 @@ class Scene:
         keep = np.zeros(len(self.table), dtype=np.bool_)
         keep[wanted] = True
         self._requested = []  # what could not be kept is asked for again
-        for block, patch, error in built:
-            node = self.table.find(block)
+        for piece, patch, error in built:
+            node = self.table.find(piece)
             if error is not None:
                 if not isinstance(error, TerrainwaveError):
                     raise error
-                self.problems[block] = str(error)
-                if block.level == 0:
+                self.problems[piece] = str(error)
+                if node in self.table.roots:
                     raise error
             elif node is not None and not self.table.is_resident[node]:
                 self._keep(view, node, patch, keep)
@@ -264,13 +265,67 @@ class Scene:
             keep = np.pad(keep, (0, len(table) - len(keep)))
         for victim in [None, *table.lowest_priority(view, keep).tolist()]:
             if victim is not None:
-                self.store.drop(victim)
-                table.is_resident[victim] = False
+                self._drop(victim)
             if self.store.put(node, patch):
                 break
         else:
             self._memory_factor *= 1.1  # all that is here is needed: need less
             return
+        self._describe(node, patch)
+
+    # Everything, a part at a time
+
+    def finest_in_view(self, view: View) -> list[int]:
+        """Return the nodes of all finest pieces in view; reads the index only."""
+        table, found = self.table, []
+        stack = table.roots.tolist()
+        scale = np.array([1.0, 1.0, view.exaggeration])
+        planes = view.planes
+        while stack:
+            node = stack.pop()
+            if not may_see(planes, table.low[node] * scale, table.high[node] * scale):
+                continue
+            if not table.is_known[node]:
+                table.add_children(node, self._builder.children(table.pieces[node]))
+            children = [child for child in table.children[node].tolist() if child >= 0]
+            stack += children
+            if not children:
+                found.append(node)
+        return found
+
+    def parts(self, view: View) -> Iterator[Frames]:
+        """Yield all finest pieces in view, as many at a time as the store holds."""
+        nodes = self.finest_in_view(view)
+        for node in np.flatnonzero(self.table.is_resident[: len(self.table)]).tolist():
+            self._drop(node)
+        n_done = 0
+        while n_done < len(nodes):
+            batch: list[int] = []
+            for node in nodes[n_done : n_done + self.store.max_blocks]:
+                patch = self._builder.build(self.table.pieces[node])
+                if not self.store.put(node, patch):
+                    break
+                self._describe(node, patch)
+                batch.append(node)
+            if not batch:
+                raise LimitExceededError("a block does not fit the memory allowed for pictures")
+            selection = Selection(
+                np.array(batch, dtype=np.int32),
+                np.full(len(batch), _NEAREST_PART),
+                int(self.table.n_triangles[batch].sum()),
+            )
+            yield self._frames(view, selection, 0.0, 0)
+            for node in batch:
+                self._drop(node)
+            n_done += len(batch)
+
+    def _drop(self, node: int) -> None:
+        self.store.drop(node)
+        self.table.is_resident[node] = False
+
+    def _describe(self, node: int, patch: Patch) -> None:
+        """Take down what a patch that is in the store now says of itself."""
+        table = self.table
         table.is_resident[node] = True
         table.errors[node] = patch.error
         table.n_triangles[node] = len(patch.triangles)
@@ -279,13 +334,15 @@ class Scene:
 
     # Drawing
 
-    def _frames(self, view: View, selection, tau: float, n_missing: int) -> Frames:
+    def _frames(self, view: View, selection: Selection, tau: float, n_missing: int) -> Frames:
         nodes, distances, n_triangles = selection
         z_scale = view.exaggeration
         errors = self.table.errors[nodes] * z_scale
         # Blocks are split at τ / MORPH_START, so that what is drawn may use up to τ.
         allowed = tau * MORPH_START * distances / view.gamma
-        morphs = self._morphs(view, nodes, allowed, tau) if self.mode != "full" else np.zeros(len(nodes))
+        morphs = (
+            self._morphs(view, nodes, allowed, tau) if self.mode != "full" else np.zeros(len(nodes))
+        )
         drawn = errors + morphs * self._info_of(nodes).morph * z_scale
         # A neighbour's error: within τ at the furthest point that it may share with this block,
         # or one that stands in for others.
@@ -297,7 +354,9 @@ class Scene:
         beside = tau * MORPH_START * furthest / view.gamma
         too_coarse = drawn[drawn > allowed]
         beside = np.maximum(beside, too_coarse.max(initial=0.0))
-        return Frames(nodes, distances, morphs, drawn + beside, n_triangles, tau, n_missing)
+        return Frames(
+            nodes, distances, morphs, drawn + beside, n_triangles, tau * MORPH_START, n_missing
+        )
 
     def _info_of(self, nodes: NDArray[np.int32]) -> _PatchInfo:
         return _PatchInfo(self._info.base[nodes], self._info.morph[nodes])
@@ -328,7 +387,11 @@ class Scene:
         distances = np.maximum(np.linalg.norm(apart, axis=1), 1e-9)
         screen = view.gamma * table.errors[above] * z_scale / distances
         start, end = tau, tau * MORPH_START
-        shares = np.clip((end - screen) / (end - start), 0.0, 1.0) if end > start else np.zeros(len(nodes))
+        shares = (
+            np.clip((end - screen) / (end - start), 0.0, 1.0)
+            if end > start
+            else np.zeros(len(nodes))
+        )
         spread = self._info.morph[nodes] * z_scale
         errors = table.errors[nodes] * z_scale
         budget = np.clip((allowed - errors) / np.maximum(spread, 1e-12), 0.0, 1.0)

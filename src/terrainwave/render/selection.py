@@ -1,6 +1,6 @@
 """Which blocks to draw: recursive from the roots by screen error (Yusov & Turlapov 2010, §2.8).
 
-A node is a block that the viewer has heard of. Its cost per frame follows what is in view: nodes
+A node is a piece that the viewer has heard of. Its cost per frame follows what is in view: nodes
 outside the frustum end the recursion, and those good enough do.
 """
 
@@ -24,10 +24,27 @@ ERRORS = ("measured", "paper")
 _FIRST_CAPACITY = 256
 
 
-class NodeInfo(NamedTuple):
-    """What the index says of a block: its box in local metres, its error in metres."""
+class Piece(NamedTuple):
+    """What is drawn at once: a block, triangulated within the tolerance number `variant`.
 
-    block: Block
+    0 is the block's own; blocks of the finest level also come coarser (see `patches`).
+    """
+
+    level: int
+    row: int
+    col: int
+    variant: int = 0
+
+    @property
+    def block(self) -> Block:
+        """Return the block."""
+        return Block(self.level, self.row, self.col)
+
+
+class NodeInfo(NamedTuple):
+    """What the index says of a piece: its box in local metres, its error in metres."""
+
+    piece: Piece
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     error: float
@@ -74,11 +91,11 @@ class Selection(NamedTuple):
 
 
 class NodeTable:
-    """Known blocks in arrays, for the kernels. Used by one thread."""
+    """Known pieces in arrays, for the kernels. Used by one thread."""
 
     def __init__(self) -> None:
-        self._numbers: dict[Block, int] = {}
-        self.blocks: list[Block] = []
+        self._numbers: dict[Piece, int] = {}
+        self.pieces: list[Piece] = []
         self.roots = np.empty(0, dtype=np.int32)
         self._allocate(_FIRST_CAPACITY)
 
@@ -96,7 +113,7 @@ class NodeTable:
         self._distances = np.empty(capacity)
 
     def __len__(self) -> int:
-        return len(self.blocks)
+        return len(self.pieces)
 
     def _grow(self) -> None:
         old, n = dict(vars(self)), len(self)
@@ -106,20 +123,20 @@ class NodeTable:
         ):  # fmt: skip
             getattr(self, name)[:n] = old[name][:n]
 
-    def find(self, block: Block) -> int | None:
-        """Return the number of a block, None if it is not known."""
-        return self._numbers.get(block)
+    def find(self, piece: Piece) -> int | None:
+        """Return the number of a piece, None if it is not known."""
+        return self._numbers.get(piece)
 
     def add(self, info: NodeInfo, parent: int = -1) -> int:
-        """Make a block known; return its number."""
-        number = self._numbers.get(info.block)
+        """Make a piece known; return its number."""
+        number = self._numbers.get(info.piece)
         if number is not None:
             return number
         number = len(self)
         if number == len(self.errors):
             self._grow()
-        self._numbers[info.block] = number
-        self.blocks.append(info.block)
+        self._numbers[info.piece] = number
+        self.pieces.append(info.piece)
         self.low[number], self.high[number] = info.low, info.high
         self.errors[number] = info.error
         self.parents[number] = parent
@@ -208,9 +225,7 @@ class NodeTable:
         nodes = np.flatnonzero(self.is_resident[:n] & ~keep & ~inner).astype(np.int32)
         ranks = np.empty(len(nodes))
         camera = view.camera
-        priorities(
-            nodes, self.low, self.high, view.exaggeration, camera.eye, camera.forward, ranks
-        )
+        priorities(nodes, self.low, self.high, view.exaggeration, camera.eye, camera.forward, ranks)
         return nodes[np.argsort(ranks, kind="stable")]
 
 

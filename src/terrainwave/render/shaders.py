@@ -71,12 +71,10 @@ uniform vec2 ramp_range;    // heights at its ends, metres
 uniform vec3 sun;           // unit vector towards it
 uniform float side;
 uniform float z_scale;
-uniform float pixel;        // metres per pixel at 1 m, times the metres per sample of the full grid
 uniform vec4 haze;          // colour, density per metre
 uniform int coloring;       // 0 ramp, 1 level, 2 error, 3 ground, 4 plain, 5 flat
 uniform float shade;        // share of light and shadow
 uniform float error_range;
-uniform float step_of_level[2];
 out vec4 color;
 
 vec3 wheel(float t) {
@@ -90,7 +88,10 @@ void main() {
     vec3 base;
     float t = clamp((v_height - ramp_range.x) / (ramp_range.y - ramp_range.x), 0.0, 1.0);
     if (coloring == 1) base = wheel(v_parent.z * 0.381966);
-    else if (coloring == 2) base = mix(vec3(0.16, 0.37, 0.60), vec3(0.93, 0.78, 0.25), clamp(v_parent.w / error_range, 0.0, 1.0));
+    else if (coloring == 2) {
+        float share = clamp(v_parent.w / error_range, 0.0, 1.0);
+        base = mix(vec3(0.16, 0.37, 0.60), vec3(0.93, 0.78, 0.25), sqrt(share));
+    }
     else if (coloring == 4 || coloring == 5) base = vec3(0.82, 0.80, 0.76);
     else {
         base = texture(ramp, vec2(t, 0.5)).rgb;
