@@ -187,9 +187,11 @@ def parse_camera(line: str, frame: Frame) -> Camera:
 # Places to begin
 
 
-def home(frame: Frame, viewport: Viewport, *, heading: float = 0.0, pitch: float = -38.0) -> Camera:
-    """Return an oblique view of the whole terrain that fills the picture."""
-    low, high = frame.box
+def home(
+    box: tuple[Vector, Vector], viewport: Viewport, *, heading: float = 0.0, pitch: float = -38.0
+) -> Camera:
+    """Return an oblique view of a box, a `Frame`'s for all of it, that fills the picture."""
+    low, high = box
     corners = np.array(
         [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
     )
@@ -209,9 +211,9 @@ def home(frame: Frame, viewport: Viewport, *, heading: float = 0.0, pitch: float
     return replace(camera, position=(float(x), float(y), float(z)))
 
 
-def top_view(frame: Frame, viewport: Viewport) -> Camera:
-    """Return a view of the whole terrain straight down, north up."""
-    return home(frame, viewport, pitch=-90.0)
+def top_view(box: tuple[Vector, Vector], viewport: Viewport) -> Camera:
+    """Return a view of a box straight down, north up."""
+    return home(box, viewport, pitch=-90.0)
 
 
 # Motions
@@ -241,6 +243,36 @@ def zoom(camera: Camera, towards: Vector, factor: float) -> Camera:
     """Return the camera with its distance to a point multiplied by `factor`."""
     x, y, z = towards + (camera.eye - towards) * factor
     return replace(camera, position=(float(x), float(y), float(z)))
+
+
+def along(cameras: list[Camera], share: float) -> Camera:
+    """Return the camera at a share (0 … 1) of a flight through `cameras`, evenly by key.
+
+    Places by Catmull and Rom's splines, angles the shorter way round.
+    """
+    if len(cameras) == 1:
+        return cameras[0]
+    place = min(max(share, 0.0), 1.0) * (len(cameras) - 1)
+    key = min(int(place), len(cameras) - 2)
+    t = place - key
+    before, start, end, after = (
+        cameras[min(max(key + k, 0), len(cameras) - 1)] for k in (-1, 0, 1, 2)
+    )
+    p_0, p_1, p_2, p_3 = before.eye, start.eye, end.eye, after.eye
+    x, y, z = 0.5 * (
+        2 * p_1
+        + (p_2 - p_0) * t
+        + (2 * p_0 - 5 * p_1 + 4 * p_2 - p_3) * t**2
+        + (3 * p_1 - p_0 - 3 * p_2 + p_3) * t**3
+    )
+    smooth = t * t * (3 - 2 * t)
+    turn = (end.heading - start.heading + 180) % 360 - 180
+    return Camera(
+        (float(x), float(y), float(z)),
+        (start.heading + turn * smooth) % 360,
+        start.pitch + (end.pitch - start.pitch) * smooth,
+        start.fov + (end.fov - start.fov) * smooth,
+    )
 
 
 def predict(before: Camera, now: Camera, steps: float = 1.0) -> Camera:

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,9 +54,7 @@ class Frame:
         z = np.array(self.heights) * self.metres[2] * self.exaggeration
         return np.array([*xy.min(axis=0), z.min()]), np.array([*xy.max(axis=0), z.max()])
 
-    def samples_to_local(
-        self, rows: NDArray[np.generic], cols: NDArray[np.generic]
-    ) -> NDArray[np.float64]:
+    def samples_to_local(self, rows: NDArray[Any], cols: NDArray[Any]) -> NDArray[np.float64]:
         """Return local x, y of full-grid samples, shape (n, 2)."""
         a, b, c, d, e, f = self.sample_matrix
         return np.column_stack([a * cols + b * rows + c, d * cols + e * rows + f])

@@ -33,7 +33,8 @@ def create_context() -> Any:
     except ImportError as error:
         raise TerrainwaveError("pictures need moderngl: pip install 'terrainwave[view]'") from error
     problems = []
-    for options in ({"backend": "egl"}, {}):
+    backends: tuple[dict[str, Any], ...] = ({"backend": "egl"}, {})
+    for options in backends:
         try:
             return moderngl.create_context(standalone=True, require=330, **options)
         except Exception as error:  # noqa: BLE001  glcontext raises what its backend raises
@@ -125,10 +126,11 @@ class Offscreen:
 
     def _draw_parts(self, view: View, style: "Style") -> Frames:
         """Draw all finest blocks in view, as many at a time as memory holds."""
-        frames = Frames(*(np.empty(0) for _ in range(4)), 0, 0.0, 0)
         self.renderer.clear(view, style)
-        n_triangles = 0
+        nodes, n_triangles = [np.empty(0, dtype=np.int32)], 0
+        none = np.empty(0)
         for frames in self.scene.parts(view):
             self.renderer.draw(view, frames, style, clear=False)
+            nodes.append(frames.nodes)
             n_triangles += frames.n_triangles
-        return frames._replace(n_triangles=n_triangles)
+        return Frames(np.concatenate(nodes), none, none, none, n_triangles, 0.0, 0)

@@ -120,7 +120,7 @@ class Renderer:
             self._commands = self._context.buffer(reserve=n * COMMAND.itemsize)
             self._generation = -1
         if self._generation != self._store.generation:
-            content = [(self._store.vertex_buffer, "2u2 2f4", "in_place", "in_heights")]
+            content: list[Any] = [(self._store.vertex_buffer, "2u2 2f4", "in_place", "in_heights")]
             if self.is_indirect:
                 content.append((self._numbers, "1i4/i", "in_instance"))
             if self._array is not None:
