@@ -101,7 +101,7 @@ def _style(options: dict[str, Any]) -> Any:
               help="Per pixel, against jagged edges.")  # fmt: skip
 @click.option("--stats", type=click.Path(), help="Write what was drawn to this JSON file.")
 @click.option("--flight", type=click.File("r", encoding="utf-8"),
-              help="JSON list of cameras to fly along; writes TARGET with a number each.")  # fmt: skip
+              help="JSON list of cameras to fly along: TARGET gets numbers.")  # fmt: skip
 @click.option("--frames", "n_frames", type=click.IntRange(1), default=60, show_default=True)
 @click.option("--overwrite", is_flag=True, help="Replace existing files.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")

@@ -98,6 +98,8 @@ class Offscreen:
         self.scene.close()
         self.renderer.release()
         self.store.release()
+        # moderngl binds the last framebuffer used again, released or not.
+        self.context.detect_framebuffer(0).use()
         if self._resolved is not self._target:
             self._resolved.release()
         self._target.release()

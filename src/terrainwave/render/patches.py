@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 VERTEX = np.dtype([("col", "<u2"), ("row", "<u2"), ("z", "<f4"), ("z_parent", "<f4")])
 # Half of float32's spacing, relative.
 _FLOAT32_ROUNDING = 2.0**-24
+# What float16 holds.
+_LEAST_SLOPE, _LARGEST_SLOPE = 2.0**-14, 6e4
 _CACHED_MESHES = 128
 _VARIANT_BITS = 2  # each variant has four times the tolerance of the one before
 _MAX_VARIANT = 5
@@ -296,7 +298,8 @@ class PatchBuilder:
         per_metre = per_sample @ self._to_metres
         missing = [min(1, grid.block + 1 - n) for n in inner.shape]
         padded = np.pad(per_metre, ((0, missing[0]), (0, missing[1]), (0, 0)), mode="edge")
-        return np.clip(padded, -6e4, 6e4).astype(np.float16)
+        padded[np.abs(padded) < _LEAST_SLOPE] = 0
+        return np.clip(padded, -_LARGEST_SLOPE, _LARGEST_SLOPE).astype(np.float16)
 
 
 def _with_skirts(

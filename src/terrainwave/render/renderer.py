@@ -77,16 +77,20 @@ class Renderer:
     ----------
     context : moderngl.Context
         OpenGL 3.3 core or newer.
+    indirect : bool
+        Draw all patches by one call where the driver can.
     """
 
     _HORIZON = (0.80, 0.86, 0.91)
     _ZENITH = (0.30, 0.50, 0.74)
 
-    def __init__(self, context: Any, scene: Scene, store: GpuStore) -> None:
+    def __init__(
+        self, context: Any, scene: Scene, store: GpuStore, *, indirect: bool = True
+    ) -> None:
         self._context = context
         self._scene = scene
         self._store = store
-        self.is_indirect = context.version_code >= 430
+        self.is_indirect = indirect and context.version_code >= 430
         defines = "#define INDIRECT" if self.is_indirect else ""
         self._program = context.program(
             vertex_shader=shaders.TERRAIN_VERTEX.strip().replace("//DEFINES", defines),
@@ -246,7 +250,7 @@ class Renderer:
             "side": float(scene.terrain.grid.block),
             "ramp_range": self._heights(),
             "sun": style.sun_vector,
-            "haze": (*self._HORIZON, style.haze / float(np.linalg.norm(high - low))),
+            "haze": (*self._HORIZON, self._haze(view, style)),
             "coloring": COLORINGS[style.coloring],
             "shade": style.shade,
             "error_range": max(float(scene.table.errors[frames.nodes].max()), 1e-6),
@@ -260,6 +264,13 @@ class Renderer:
         self._store.slopes.use(0)
         self._ramp_texture(style).use(1)
         self._instances.use(2)
+
+    def _haze(self, view: View, style: Style) -> float:
+        """Return the density of haze per metre: thick on the ground, thin from far above."""
+        low, high = self._scene.frame.box
+        extent = float(np.linalg.norm(high - low))
+        above = max(float(view.camera.eye[2] - high[2]), 0.0)
+        return 3.5 * style.haze / extent / (1 + 10 * above / extent)
 
     def _draw_sky(self, view: View, style: Style) -> None:
         tangent = math.tan(math.radians(view.camera.fov) / 2)
