@@ -37,7 +37,6 @@ FEET = replace(UTM, centre=(8.5, 46.5), metres=(76500.0, 111170.0, 0.3048))
 VIEWPORT = Viewport(1920, 1280)
 
 
-
 def steps(low, high):
     """Return numbers from `low` to `high` in thousandths: no subnormal ones."""
     return st.integers(round(low * 1000), round(high * 1000)).map(lambda number: number / 1000)
@@ -64,8 +63,8 @@ def test_a_camera_line_gives_the_camera_back(frame, camera):
 
 
 def test_a_camera_line_is_in_the_files_coordinates_and_unit():
-    line = format_camera(Camera((100.0, -50.0, 304.8), 45, -20, 60), replace(UTM, metres=FEET.metres,
-                         centre=(0.0, 0.0)))  # fmt: skip
+    frame = replace(UTM, metres=FEET.metres, centre=(0.0, 0.0))
+    line = format_camera(Camera((100.0, -50.0, 304.8), 45, -20, 60), frame)
     x, y, z, *rest = (float(part) for part in line.split(","))
     assert (x, y, z) == pytest.approx((100 / 76500, -50 / 111170, 1000.0))
     assert rest == [45, -20, 60]

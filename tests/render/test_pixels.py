@@ -10,7 +10,8 @@ from render.scenes import hills, terrain_of
 
 from terrainwave.render.camera import Camera, home, project, top_view
 from terrainwave.render.offscreen import Offscreen, create_context
-from terrainwave.render.renderer import Renderer, Style
+from terrainwave.render.renderer import Renderer
+from terrainwave.render.style import Style
 
 pytestmark = [pytest.mark.gl, pytest.mark.large]
 
@@ -146,36 +147,61 @@ def test_shades_agree_across_borders_of_one_level(context):
             # Second differences: a step at a border would stand out from the slow change.
             for k in (1, 2, 3):
                 xy = offscreen.scene.frame.samples_to_local(np.array([64]), np.array([32 * k]))
-                column = round(float(project(camera, view.viewport, np.array([[*xy[0], 0.0]]))[0, 0]))
+                column = round(
+                    float(project(camera, view.viewport, np.array([[*xy[0], 0.0]]))[0, 0])
+                )
                 band = grey[40:-40, column - 4 : column + 4]
                 steps = np.diff(band, axis=1)
                 assert np.abs(np.diff(steps, axis=1)).max() <= 2
                 assert np.abs(steps).max() <= 3
 
 
-def test_the_surface_is_where_the_heights_are(context, rough):
-    """Depths seen from above against decoded heights."""
-    heights = rough.read().astype(float)
-    with Offscreen(rough, (420, 300), samples=0, context=context) as offscreen:
-        camera = top_view(offscreen.scene.frame.box, offscreen.viewport)
-        style = Style(background=LOUD)
-        view = offscreen.scene.view(camera, offscreen.viewport, 0.05)
-        _, frames = offscreen.picture(camera, style, max_pixel_error=0.05)
-        near, far = offscreen.renderer.depth_range(view, frames)
-        data = offscreen._target.read(components=1, attachment=-1, dtype="f4")
-        depth = np.frombuffer(data, dtype=np.float32).reshape(300, 420)[::-1].astype(float)
-        depth = 2 * near * far / (far + near - (2 * depth - 1) * (far - near))
-        rows, cols = np.mgrid[10:140:5, 10:200:5]
-        rows, cols = rows.ravel(), cols.ravel()
-        xy = offscreen.scene.frame.samples_to_local(rows, cols)
-        pixels = project(camera, view.viewport, np.column_stack([xy, heights[rows, cols]]))
-        x, y = pixels[:, 0].astype(int), pixels[:, 1].astype(int)
-        z = camera.position[2] - depth[y, x]
-        # Half a pixel beside the sample the surface is elsewhere by slope · half a pixel.
-        slope = np.hypot(*np.gradient(heights))[rows, cols] / 30
-        pixel = pixels[:, 2] / view.viewport.height * 2 * np.tan(np.radians(25))
-        assert (np.abs(z - heights[rows, cols]) <= 2 + 3 * slope * pixel + 0.3 * pixel).all()
-        assert np.median(np.abs(z - heights[rows, cols])) < 6
+def waves(rows, cols):
+    """Return heights and their slopes to the east and north, of 30 m samples."""
+    heights = 200 * np.sin(rows / 11) * np.cos(cols / 9)
+    east = -200 / 9 * np.sin(rows / 11) * np.sin(cols / 9) / 30
+    north = -200 / 11 * np.cos(rows / 11) * np.cos(cols / 9) / 30
+    return heights, east, north
+
+
+@pytest.mark.parametrize("exaggeration", [1.0, 2.5])
+def test_the_surface_and_its_shade_are_where_the_heights_say(context, exaggeration):
+    """Places read back from the depth buffer, and greys, against a known function."""
+    rows, cols = np.mgrid[0:150, 0:210]
+    heights = waves(rows, cols)[0].astype(np.float32)
+    style = Style(coloring="plain", haze=0, background=LOUD)
+    rng = np.random.default_rng(3)
+    with terrain_of(heights, max_error=0.1, mesh_error=0.2) as terrain:
+        options = {"samples": 0, "context": context, "exaggeration": exaggeration}
+        with Offscreen(terrain, SIZE, **options) as offscreen:
+            frame, n_seen = offscreen.scene.frame, 0
+            for number in range(4):
+                camera = random_camera(rng, frame)
+                if not number:
+                    camera = top_view(frame.box, offscreen.viewport)
+                image, frames = offscreen.picture(camera, style, max_pixel_error=0.02)
+                assert offscreen.scene.table.errors[frames.nodes].max() < 0.6
+                for _ in range(60):
+                    x, y = rng.integers(0, SIZE[0]), rng.integers(0, SIZE[1])
+                    place = offscreen.pick(x, y)
+                    if place is None:
+                        continue
+                    col = (place[0] - frame.sample_matrix[2]) / 30
+                    row = (place[1] - frame.sample_matrix[5]) / -30
+                    if not (2 < row < 147 and 2 < col < 207):
+                        continue
+                    z, east, north = waves(row, col)
+                    # Triangles lie below a curve by curvature / 8; depths have 24 bits.
+                    assert abs(place[2] / exaggeration - z) < 1.5
+                    normal = np.array([-east * exaggeration, -north * exaggeration, 1.0])
+                    normal /= np.linalg.norm(normal)
+                    lit = max(normal @ style.sun_vector, 0) / style.sun_vector[2]
+                    light = 0.30 * (0.5 + 0.5 * normal[2]) + 0.72 * min(lit, 1.45)
+                    warm = 0.92 + (1.0 - 0.92) * min(lit, 1.0)
+                    expected = min(0.80 * light * warm, 1.0) * 255  # green
+                    assert abs(int(image[y, x, 1]) - expected) < 4
+                    n_seen += 1
+            assert n_seen > 80
 
 
 def test_drawing_block_by_block_gives_the_same_picture(context, rough):

@@ -81,6 +81,26 @@ def test_no_original_in_view_is_further_than_tau_from_the_surface(original_and_t
     assert n_morphed > 0
 
 
+def test_a_morph_never_takes_more_than_the_error_leaves(original_and_terrain):
+    """error + share · distance to the parent's surface <= τ · distance / γ, for each block."""
+    _, _, terrain = original_and_terrain
+    rng = np.random.default_rng(14)
+    n_limited = 0
+    with Scene(terrain, ListStore()) as scene:
+        for _ in range(60):
+            camera = random_camera(rng, scene)
+            view = scene.view(camera, VIEWPORT, rng.uniform(0.5, 12))
+            frames = scene.settle(view)
+            patches = [scene.store.patches[node] for node in frames.nodes.tolist()]
+            errors = np.array([patch.error for patch in patches])
+            spread = np.array([patch.morph for patch in patches])
+            allowed = frames.tau * frames.distances / view.gamma
+            used = errors + frames.morphs * spread
+            assert (used <= np.maximum(allowed, errors) * (1 + 1e-9)).all()
+            n_limited += ((frames.morphs > 0) & (errors + spread > allowed)).sum()
+    assert n_limited > 0
+
+
 def test_what_is_drawn_covers_every_valid_cell_in_view_once(original_and_terrain):
     heights, valid, terrain = original_and_terrain
     whole = valid[:-1, :-1] & valid[1:, :-1] & valid[:-1, 1:] & valid[1:, 1:]

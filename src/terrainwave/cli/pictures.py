@@ -84,7 +84,7 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def _style(options: dict[str, Any]) -> Any:
     """Return the style of the options, and take them out."""
-    from terrainwave.render.renderer import Style
+    from terrainwave.render.style import Style
 
     names = ("coloring", "ramp", "sun", "haze", "wireframe", "background")
     return Style(**{name: options.pop(name) for name in names})

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import TerrainwaveError
-from terrainwave.render.camera import Camera, Viewport
+from terrainwave.render.camera import Camera, Viewport, ray
 from terrainwave.render.scene import DEFAULT_MAX_BYTES, Frames, Scene
 from terrainwave.render.selection import View
 
 if TYPE_CHECKING:
-    from terrainwave.render.renderer import Style
+    from terrainwave.render.style import Style
     from terrainwave.terrain import Terrain
 
 _HELP = (
@@ -70,16 +70,24 @@ class Offscreen:
         from terrainwave.render.mesh_buffers import GpuStore
         from terrainwave.render.renderer import Renderer
 
-        limit = int(self.context.info["GL_MAX_VIEWPORT_DIMS"][0])
-        if not (1 <= min(size) and max(size) <= limit):
-            raise TerrainwaveError(f"found size {size[0]}x{size[1]}, expected 1 to {limit} pixels")
-        self.viewport = Viewport(*size)
         self.store = GpuStore(self.context, terrain.grid.block, max_bytes=max_bytes)
         self.scene = Scene(terrain, self.store, **options)
         self.renderer = Renderer(self.context, self.scene, self.store)
-        samples = min(samples, int(self.context.max_samples))
-        self._target = self._framebuffer(size, samples)
-        self._resolved = self._framebuffer(size, 0) if samples else self._target
+        self._samples = min(samples, int(self.context.max_samples))
+        self._target: Any = None
+        self._resolved: Any = None
+        self._drawn: tuple[View, tuple[float, float]] | None = None
+        self.resize(size)
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """Draw pictures of another size from now on."""
+        limit = int(self.context.info["GL_MAX_VIEWPORT_DIMS"][0])
+        if not (1 <= min(size) and max(size) <= limit):
+            raise TerrainwaveError(f"found size {size[0]}x{size[1]}, expected 1 to {limit} pixels")
+        self._release_framebuffers()
+        self.viewport = Viewport(*size)
+        self._target = self._framebuffer(size, self._samples)
+        self._resolved = self._framebuffer(size, 0) if self._samples else self._target
 
     def _framebuffer(self, size: tuple[int, int], samples: int) -> Any:
         return self.context.framebuffer(
@@ -98,18 +106,23 @@ class Offscreen:
         self.scene.close()
         self.renderer.release()
         self.store.release()
+        self._release_framebuffers()
+        if self._owns_context:
+            self.context.release()
+
+    def _release_framebuffers(self) -> None:
+        if self._target is None:
+            return
         # moderngl binds the last framebuffer used again, released or not.
         self.context.detect_framebuffer(0).use()
         if self._resolved is not self._target:
             self._resolved.release()
         self._target.release()
-        if self._owns_context:
-            self.context.release()
 
-    def picture(
+    def draw(
         self, camera: Camera, style: "Style", *, max_pixel_error: float = 1.0, settle: bool = True
-    ) -> tuple[NDArray[np.uint8], Frames]:
-        """Return the picture, uint8 (height, width, 3), the first row on top, and what was drawn.
+    ) -> Frames:
+        """Draw a picture and leave it on the GPU, in `framebuffer`; return what was drawn.
 
         `settle` waits until all that the view needs has been read.
         """
@@ -120,11 +133,46 @@ class Offscreen:
         else:
             frames = self.scene.settle(view) if settle else self.scene.update(view)
             self.renderer.draw(view, frames, style)
+        self._drawn = view, self.renderer.depth_range(view, frames)
         if self._resolved is not self._target:
             self.context.copy_framebuffer(self._resolved, self._target)
+        return frames
+
+    @property
+    def framebuffer(self) -> Any:
+        """Return the framebuffer with the last picture, one sample per pixel."""
+        return self._resolved
+
+    def picture(
+        self, camera: Camera, style: "Style", *, max_pixel_error: float = 1.0, settle: bool = True
+    ) -> tuple[NDArray[np.uint8], Frames]:
+        """Return the picture, uint8 (height, width, 3), the first row on top, and what was drawn.
+
+        As `draw`.
+        """
+        frames = self.draw(camera, style, max_pixel_error=max_pixel_error, settle=settle)
         data = self._resolved.read(components=3, alignment=1)
         size = (self.viewport.height, self.viewport.width, 3)
         return np.frombuffer(data, dtype=np.uint8).reshape(size)[::-1].copy(), frames
+
+    def pick(self, x: float, y: float) -> NDArray[np.float64] | None:
+        """Return the place of the last picture's surface under a pixel (y down), local metres.
+
+        None where there is only sky. Waits for the GPU.
+        """
+        if self._drawn is None or not (
+            0 <= x < self.viewport.width and 0 <= y < self.viewport.height
+        ):
+            return None
+        view, (near, far) = self._drawn
+        place = (int(x), self.viewport.height - 1 - int(y), 1, 1)
+        data = self._resolved.read(place, components=1, attachment=-1, dtype="f4")
+        depth = float(np.frombuffer(data, dtype=np.float32)[0])
+        if depth >= 1.0:
+            return None
+        depth = 2 * near * far / (far + near - (2 * depth - 1) * (far - near))
+        towards = ray(view.camera, self.viewport, int(x) + 0.5, int(y) + 0.5)
+        return view.camera.eye + towards * (depth / float(towards @ view.camera.forward))
 
     def _draw_parts(self, view: View, style: "Style") -> Frames:
         """Draw all finest blocks in view, as many at a time as memory holds."""

@@ -15,7 +15,7 @@ from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.scene import Frames
 
 if TYPE_CHECKING:
-    from terrainwave.render.renderer import Style
+    from terrainwave.render.style import Style
 
 _MAX_KEYS = 100_000
 

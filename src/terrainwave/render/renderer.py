@@ -1,73 +1,22 @@
 """Draws a scene; shared by `render` and `view`."""
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import InvalidHeightsError
 from terrainwave.render import shaders
 from terrainwave.render.camera import projection_matrix, view_matrix
 from terrainwave.render.mesh_buffers import COMMAND, GpuStore
-from terrainwave.render.ramps import N_COLORS, RAMPS, ramp_colors
+from terrainwave.render.ramps import N_COLORS, ramp_colors
 from terrainwave.render.scene import Frames, Scene
 from terrainwave.render.selection import View
+from terrainwave.render.style import COLORINGS, Style
 
-COLORINGS = {"ramp": 0, "level": 1, "error": 2, "ground": 3, "plain": 4, "flat": 5}
 _CLIP_DISTANCE_0 = 0x3000
 _NEAREST = 1e-5  # of the farthest
-
-
-@dataclass(frozen=True)
-class Style:
-    """How the picture looks.
-
-    Parameters
-    ----------
-    coloring : {"ramp", "ground", "level", "error", "plain", "flat"}
-        By height; by height and slope; by level; by error; one colour; one colour without light.
-    ramp : {"tints", "cividis", "grey", "mars"}
-    sun : tuple of float
-        Azimuth and altitude in degrees.
-    haze : float
-        0 none … 1 much.
-    shade : float
-        Share of light and shadow, 0 … 1.
-    wireframe : bool
-    background : tuple of int, optional
-        Red, green, blue instead of the sky.
-    """
-
-    coloring: str = "ground"
-    ramp: str = "tints"
-    sun: tuple[float, float] = (315.0, 38.0)
-    haze: float = 0.25
-    shade: float = 1.0
-    wireframe: bool = False
-    background: tuple[int, int, int] | None = None
-
-    def __post_init__(self) -> None:
-        if self.coloring not in COLORINGS:
-            raise InvalidHeightsError(
-                f"found colouring {self.coloring!r}, expected one of {', '.join(COLORINGS)}"
-            )
-        if self.ramp not in RAMPS:
-            raise InvalidHeightsError(
-                f"found ramp {self.ramp!r}, expected one of {', '.join(RAMPS)}"
-            )
-
-    @property
-    def sun_vector(self) -> tuple[float, float, float]:
-        """Return the unit vector towards the sun."""
-        azimuth, altitude = (math.radians(angle) for angle in self.sun)
-        return (
-            math.sin(azimuth) * math.cos(altitude),
-            math.cos(azimuth) * math.cos(altitude),
-            math.sin(altitude),
-        )
 
 
 class Renderer:
@@ -241,7 +190,6 @@ class Renderer:
         near, far = self.depth_range(view, frames)
         matrix = projection_matrix(view.camera, view.viewport, near, far)
         matrix = matrix @ view_matrix(view.camera)
-        low, high = scene.frame.box
         a, b, _, d, e, _ = scene.frame.sample_matrix
         values = {
             "view_projection": tuple(matrix.T.ravel()),
