@@ -19,6 +19,7 @@ DEFAULT_FOV = 50.0
 _MAX_PITCH = 89.9
 # Of the picture's sides, the share that the whole terrain fills.
 _HOME_SHARE = 0.96
+_CENTRING_STEPS = 40
 
 
 @dataclass(frozen=True)
@@ -207,6 +208,12 @@ def home(
         centre[axis] = (above + below) / 2
         bounds.append((below - above) / 2 / opening)
     centre[2] = min(bounds)
+    # The looser pair leaves room: the same on both sides, in pixels.
+    for axis, opening in ((0, tangent * viewport.aspect), (1, tangent)):
+        depths = seen[:, 2] - centre[2]
+        for _ in range(_CENTRING_STEPS):
+            shares = (seen[:, axis] - centre[axis]) / (depths * opening)
+            centre[axis] += (shares.max() + shares.min()) / 2 * float(depths.min()) * opening
     x, y, z = centre @ camera.axes
     return replace(camera, position=(float(x), float(y), float(z)))
 

@@ -20,21 +20,22 @@ from terrainwave.render.ramps import RAMPS
 from terrainwave.render.scene import Scene
 from terrainwave.render.style import COLORINGS, Style
 
-HELP = """\
-W A S D          fly forward, left, back, right
-Q E              down, up            Shift: four times as fast
-drag             orbit around the point under the cursor
-right drag       look around
-wheel            zoom to the cursor (orbit), speed (fly)
-Tab              orbit / fly: in fly, drag looks around
-Home  T  N       the whole terrain, from above, north up
-C  R             colour by ground, height, level, error; ramp
-L  B             wireframe, light on and off
-, .              turn the sun
-[ ]              vertical exaggeration
-- +              pixel error
-P                print the camera, for --camera
-H  Esc           this help, close"""
+HELP = [
+    ("W A S D", "fly forward, left, back, right"),
+    ("Q E", "down, up; Shift: four times as fast"),
+    ("drag", "orbit around the point under the cursor"),
+    ("right drag", "look around"),
+    ("wheel", "zoom to the cursor (orbit), speed (fly)"),
+    ("Tab", "orbit or fly: in fly, drag looks around"),
+    ("Home  T  N", "the whole terrain, from above, north up"),
+    ("C  R", "colour by ground, height, level, error; ramp"),
+    ("L  B", "wireframe; light on and off"),
+    (",  .", "turn the sun"),
+    ("[  ]", "vertical exaggeration"),
+    ("-  +", "pixel error"),
+    ("P", "print the camera, for --camera"),
+    ("H  Esc", "this help; close"),
+]
 
 _LOOK_SPEED = 0.15  # degrees per pixel
 _ORBIT_SPEED = 0.3

@@ -45,7 +45,7 @@ def draw_overlay(
     camera: Camera,
     lines: list[str],
     metres_per_pixel: float | None,
-    help_text: str | None = None,
+    help_lines: list[tuple[str, str]] | None = None,
 ) -> NDArray[np.uint8]:
     """Return the overlay, uint8 (height, width, 4).
 
@@ -72,10 +72,21 @@ def draw_overlay(
         draw.line((x, y, x + length, y), fill=(0, 0, 0, 200), width=6)
         draw.line((x + 1, y, x + length - 1, y), fill=_WHITE, width=3)
     _draw_arrow(draw, viewport, camera, font)
-    if help_text is not None:
-        left, top, right, bottom = draw.multiline_textbbox((0, 0), help_text, font=font)
-        text((viewport.width - right + left) / 2, (viewport.height - bottom + top) / 2, help_text)
+    if help_lines is not None:
+        _draw_help(draw, viewport, help_lines, font)
     return np.asarray(image)
+
+
+def _draw_help(draw: Any, viewport: Viewport, lines: list[tuple[str, str]], font: Any) -> None:
+    """Draw two columns in the middle."""
+    widths = [max(draw.textlength(line[k], font=font) for line in lines) for k in (0, 1)]
+    gap, pitch = 24, 1.45 * _FONT_SIZE
+    width, height = widths[0] + gap + widths[1], pitch * len(lines)
+    x, y = (viewport.width - width) / 2, (viewport.height - height) / 2
+    draw.rectangle((x - 16, y - 12, x + width + 16, y + height + 10), fill=(0, 0, 0, 170))
+    for number, (key, meaning) in enumerate(lines):
+        draw.text((x, y + pitch * number), key, font=font, fill=(255, 222, 140, 255))
+        draw.text((x + widths[0] + gap, y + pitch * number), meaning, font=font, fill=_WHITE)
 
 
 def _draw_arrow(draw: Any, viewport: Viewport, camera: Camera, font: Any) -> None:

@@ -55,9 +55,8 @@ def run(
         ) from error
 
     toolkit: Any = moderngl_window
-    base = toolkit.WindowConfig
 
-    class Config(base):  # type: ignore[misc]
+    class Config(toolkit.WindowConfig):  # type: ignore[misc]
         gl_version = (3, 3)
         title = f"{terrain.name} - terrainwave"
         window_size = size
