@@ -186,6 +186,7 @@ def test_memory_keeps_to_its_limit_on_a_flight_and_parents_stand_in():
         n_dropped, seen = 0, set(store.patches)
         for step in range(150):
             camera = look(fly(camera, 0, 0, 60), 7 if step % 20 < 10 else -11, 0)
+            scene._pager.wait(5)
             frames = scene.update(scene.view(camera, VIEWPORT, 1.0))
             assert len(store.patches) <= 30
             resident = scene.table.is_resident[: len(scene.table)]

@@ -62,6 +62,8 @@ class GpuStore:
         self.index_buffer = context.buffer(reserve=_FIRST_INDICES * _INDEX_BYTES)
         self.slopes = self._new_texture(self._layers.capacity)
         self.slots: dict[int, Slot] = {}
+        # First index, number of indices and layer by node, for whole frames at once.
+        self._places = np.zeros((256, 3), dtype=np.int64)
         self.generation = 0  # counts buffers replaced: vertex arrays on the old ones are stale
 
     def _new_texture(self, n_layers: int) -> Any:
@@ -88,7 +90,7 @@ class GpuStore:
         """Upload a patch; false if there is no room."""
         n_indices = patch.triangles.size
         if n_indices == 0:
-            self.slots[node] = Slot(0, 0, 0, 0, -1)
+            self._place(node, Slot(0, 0, 0, 0, -1))
             return True
         layer = self._take_layer()
         if layer is None:
@@ -107,8 +109,14 @@ class GpuStore:
         self.slopes.write(
             np.ascontiguousarray(patch.slopes).tobytes(), viewport=(0, 0, layer, n_cols, n_rows, 1)
         )
-        self.slots[node] = Slot(first_vertex, len(patch.vertices), first_index, n_indices, layer)
+        self._place(node, Slot(first_vertex, len(patch.vertices), first_index, n_indices, layer))
         return True
+
+    def _place(self, node: int, slot: Slot) -> None:
+        self.slots[node] = slot
+        if node >= len(self._places):
+            self._places = np.resize(self._places, (2 * node + 2, 3))
+        self._places[node] = slot.first_index, slot.n_indices, slot.layer
 
     def drop(self, node: int) -> None:
         """Forget a patch."""
@@ -161,16 +169,15 @@ class GpuStore:
     def commands(self, nodes: NDArray[np.int32]) -> NDArray[np.void]:
         """Return the draw commands of nodes; command k draws instance k."""
         commands = np.zeros(len(nodes), dtype=COMMAND)
-        slots = [self.slots[node] for node in nodes.tolist()]
-        commands["count"] = [slot.n_indices for slot in slots]
-        commands["first_index"] = [slot.first_index for slot in slots]
+        commands["first_index"], commands["count"] = self._places[nodes, 0], self._places[nodes, 1]
         commands["n_instances"] = 1
         commands["base_instance"] = np.arange(len(nodes))
         return commands
 
-    def layers(self, nodes: NDArray[np.int32]) -> NDArray[np.int32]:
+    def layers(self, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
         """Return the slope layer of each node; -1 where it has no triangles."""
-        return np.array([self.slots[node].layer for node in nodes.tolist()], dtype=np.int32)
+        found: NDArray[np.int64] = self._places[nodes, 2]
+        return found
 
     def release(self) -> None:
         """Free the GPU's memory."""

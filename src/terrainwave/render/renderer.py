@@ -105,8 +105,7 @@ class Renderer:
         """Return the texels of the patches, float32 (n, 16): see `shaders`."""
         scene, table, nodes = self._scene, self._scene.table, frames.nodes
         grid, frame = scene.terrain.grid, scene.frame
-        blocks = np.array([table.pieces[node] for node in nodes.tolist()], dtype=np.int64)
-        blocks = blocks.reshape(-1, 4)
+        blocks = table.keys[nodes]
         strides = np.left_shift(1, grid.k_max - blocks[:, 0])
         rows, cols = blocks[:, 1] * grid.block * strides, blocks[:, 2] * grid.block * strides
         bases = scene.bases(nodes)
@@ -140,9 +139,7 @@ class Renderer:
         context = self._context
         if clear:
             self.clear(view, style)
-        drawn = np.array(
-            [self._store.slots[node].n_indices > 0 for node in frames.nodes.tolist()], dtype=bool
-        )
+        drawn = self._store.layers(frames.nodes) >= 0
         frames = frames._replace(
             nodes=frames.nodes[drawn],
             distances=frames.distances[drawn],

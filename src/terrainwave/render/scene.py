@@ -27,6 +27,8 @@ _READY_PER_WORKER = 4
 _NEAREST_PART = 0.0
 # A block is drawn a little before its parent's error reaches τ, and moves from there to its place.
 MORPH_START = 1.25
+# Where what is needed does not fit, τ is raised by steps; it sinks again as the camera moves on.
+_PRESSURE, _RELIEF = 1.1, 1.02
 
 
 class Store(Protocol):
@@ -182,11 +184,12 @@ class Scene:
     def update(self, view: View, *, max_uploads: int = _UPLOADS_PER_FRAME) -> Frames:
         """Take what has been built, ask for what is missing, return what to draw. Never waits."""
         started = time.perf_counter()
+        if self._last_camera != view.camera:
+            self._memory_factor = max(self._memory_factor / _RELIEF, 1.0)
         tau = self._split_error(view)
         wanted = self.table.wanted(view, self.store.max_blocks, tau)
-        self._take(view, wanted, max_uploads)
-        # What came may have children.
-        wanted = self.table.wanted(view, self.store.max_blocks, tau)
+        if self._take(view, wanted, max_uploads):  # what came may have children
+            wanted = self.table.wanted(view, self.store.max_blocks, tau)
         missing = self._missing(wanted)
         ahead = [] if missing else self._ahead(view, tau)
         self._request(missing + ahead)
@@ -239,10 +242,10 @@ class Scene:
             self._pager.request(pieces)
             self._requested = pieces
 
-    def _take(self, view: View, wanted: NDArray[np.int32], max_uploads: int) -> None:
+    def _take(self, view: View, wanted: NDArray[np.int32], max_uploads: int) -> bool:
         built = self._pager.take(max_uploads)
         if not built:
-            return
+            return False
         keep = np.zeros(len(self.table), dtype=np.bool_)
         keep[wanted] = True
         self._requested = []  # what could not be kept is asked for again
@@ -256,6 +259,7 @@ class Scene:
                     raise error
             elif node is not None and not self.table.is_resident[node]:
                 self._keep(view, node, patch, keep)
+        return True
 
     def _keep(self, view: View, node: int, patch: Patch, keep: NDArray[np.bool_]) -> None:
         """Put a patch into the store; what is needed least makes room."""
@@ -269,7 +273,7 @@ class Scene:
             if self.store.put(node, patch):
                 break
         else:
-            self._memory_factor *= 1.1  # all that is here is needed: need less
+            self._memory_factor *= _PRESSURE  # all that is here is needed: need less
             return
         self._describe(node, patch)
 

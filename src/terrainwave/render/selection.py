@@ -105,6 +105,7 @@ class NodeTable:
         self.errors = np.zeros(capacity)
         self.children = np.full((capacity, 4), -1, dtype=np.int32)
         self.parents = np.full(capacity, -1, dtype=np.int32)
+        self.keys = np.zeros((capacity, 4), dtype=np.int64)  # the pieces, as numbers
         self.is_known = np.zeros(capacity, dtype=np.bool_)
         self.is_resident = np.zeros(capacity, dtype=np.bool_)
         self.n_triangles = np.zeros(capacity, dtype=np.int64)
@@ -119,7 +120,8 @@ class NodeTable:
         old, n = dict(vars(self)), len(self)
         self._allocate(2 * len(self.errors))
         for name in (
-            "low", "high", "errors", "children", "parents", "is_known", "is_resident", "n_triangles"
+            "low", "high", "errors", "children", "parents", "keys", "is_known", "is_resident",
+            "n_triangles",
         ):  # fmt: skip
             getattr(self, name)[:n] = old[name][:n]
 
@@ -139,6 +141,7 @@ class NodeTable:
         self.pieces.append(info.piece)
         self.low[number], self.high[number] = info.low, info.high
         self.errors[number] = info.error
+        self.keys[number] = info.piece
         self.parents[number] = parent
         if parent < 0:
             self.roots = np.append(self.roots, np.int32(number))
