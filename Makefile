@@ -17,7 +17,8 @@ help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
 	@echo "make test            everything CI does: format, lint, types, the tests three ways"
 	@echo "make coverage        the tests as plain Python, with the lines they miss"
-	@echo "make bench DATA=DIR  compare with other codecs on the rasters in DIR"
+	@echo "make bench DATA=DIR  compare with other codecs on the rasters in DIR: what is not measured yet;"
+	@echo "                     AGAIN='predictive speeds' anew, ONLY='cdf97' that alone"
 	@echo "make clean           remove what these made"
 
 # --- environments: one stamp per set of extras, renewed when pyproject.toml changes ---
@@ -78,7 +79,7 @@ coverage: $(VENV)/.installed-dev
 
 bench: $(VENV)/.installed-bench
 	@test -n "$(DATA)" || { echo "make bench DATA=a-directory-with-GeoTIFFs" >&2; exit 2; }
-	$(BIN)/python -m benchmarks.codecs "$(DATA)" --max-error 0 1 3 10
+	$(BIN)/python -m benchmarks.bench "$(DATA)" $(if $(ONLY),--only $(ONLY)) $(if $(AGAIN),--again $(AGAIN))
 
 clean:
 	rm -rf $(VENV) demo build dist .pytest_cache .hypothesis .mypy_cache .ruff_cache

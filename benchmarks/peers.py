@@ -73,7 +73,10 @@ class Codec(ABC):
 
 @dataclass
 class Terrainwave(Codec):
-    """The project itself, through real files, without the proof at the end of `compress`."""
+    """The project itself, through real files, without the proof at the end of `compress`.
+
+    `method` may name an effort: ``predictive-fast``.
+    """
 
     method: str
     folder: Path
@@ -97,7 +100,8 @@ class Terrainwave(Codec):
             self.folder / "source.tif",
             target,
             max_error=max_error,
-            method=self.method,
+            method=self.method.partition("-")[0],
+            effort=self.method.partition("-")[2] or "default",
             threads=1,
             verify=False,
             overwrite=True,

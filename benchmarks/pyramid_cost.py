@@ -1,9 +1,11 @@
 """What levels and shared borders cost: ``python -m benchmarks.pyramid_cost DEM.tif ...``.
 
-A raster of at most 4 x 4 blocks has a single level: no pyramid, its root blocks are coded on their
-own. So ``--block 1024`` on a raster of up to 4097 samples is the two-stage 9/7 coder on one level,
-and block 256 the closed pyramid of Yusov & Turlapov 2010 over the same samples. Border rings 3 is
-their matching region of three contours, 1 the default.
+The format has one root block, so that a raster larger than a block has several levels. Here the
+quadtree is told to allow as many roots as there are blocks: ``one_level`` is the two-stage 9/7
+coder on the full grid alone, in blocks of 1024 cells that share their borders. Such files are
+only counted, no reader takes them. ``pyramid`` is the closed pyramid of Yusov & Turlapov 2010 over
+the same samples, in blocks of 256. Border rings 3 is their matching region of three contours, 1 the
+default.
 
 Exit status: 0 good; 2 wrong usage.
 """
@@ -12,13 +14,16 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+from unittest.mock import patch
 
 import click
 
 import terrainwave
 from benchmarks.report import CsvSink
+from terrainwave import quadtree
 
 BOUNDS = (1.0, 3.0, 10.0)
+ROOTS_WITHOUT_LEVELS = 1 << 31  # per side: as many as the longest raster has samples
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,8 @@ def main(rasters: tuple[Path, ...], out: Path) -> None:
     with tempfile.TemporaryDirectory() as name, CsvSink(out, Row) as sink:
         for raster in rasters:
             for bound in BOUNDS:
-                one = bits(raster, Path(name), bound, 1024, 1)
+                with patch.object(quadtree, "MAX_ROOTS_PER_SIDE", ROOTS_WITHOUT_LEVELS):
+                    one = bits(raster, Path(name), bound, 1024, 1)
                 pyramid = bits(raster, Path(name), bound, 256, 1)
                 rings = bits(raster, Path(name), bound, 256, 3)
                 row = Row(

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import asdict, fields
 from pathlib import Path
 from types import TracebackType
+from typing import TextIO
 
 from rich.console import Console
 from rich.markup import escape
@@ -17,20 +18,43 @@ from benchmarks.measure import OWN_MASK, Row
 
 
 class CsvSink:
-    """A CSV that is complete after each row, with a JSON about the machine beside it."""
+    """A CSV that is complete after each row, with a JSON about the machine beside it.
 
-    def __init__(self, path: Path, row_type: type = Row) -> None:
-        """Open `path` for writing; its directory is made."""
+    With `append`, rows that are there stay, and the JSON lists what wrote them under "earlier";
+    files are touched with the first new row only.
+    """
+
+    def __init__(self, path: Path, row_type: type = Row, *, append: bool = False) -> None:
+        """Prepare to write to `path`; its directory is made."""
         path.parent.mkdir(parents=True, exist_ok=True)
-        machine = json.dumps(describe_machine(), indent=2) + "\n"
-        path.with_suffix(".json").write_text(machine, encoding="utf-8")
-        self._file = path.open("w", newline="", encoding="utf-8")
-        names = [field.name for field in fields(row_type)]
-        self._writer = csv.DictWriter(self._file, names, lineterminator="\n")
-        self._writer.writeheader()
+        self._path = path
+        self._names = [field.name for field in fields(row_type)]
+        self._goes_on = append and path.exists()
+        self._file: TextIO | None = None
+        if not append:
+            self._open()
+
+    def _open(self) -> None:
+        beside = self._path.with_suffix(".json")
+        machine = describe_machine()
+        if self._goes_on and beside.exists():
+            before = json.loads(beside.read_text(encoding="utf-8"))
+            earlier = before.pop("earlier", [])
+            if before != machine:
+                earlier.append(before)
+            if earlier:
+                machine["earlier"] = earlier
+        beside.write_text(json.dumps(machine, indent=2) + "\n", encoding="utf-8")
+        self._file = self._path.open("a" if self._goes_on else "w", newline="", encoding="utf-8")
+        self._writer = csv.DictWriter(self._file, self._names, lineterminator="\n")
+        if not self._goes_on:
+            self._writer.writeheader()
 
     def write(self, row) -> None:
         """Append one row and flush it."""
+        if self._file is None:
+            self._open()
+        assert self._file is not None
         self._writer.writerow(asdict(row))
         self._file.flush()
 
@@ -45,7 +69,18 @@ class CsvSink:
         trace: TracebackType | None,
     ) -> None:
         """Close the file."""
-        self._file.close()
+        if self._file is not None:
+            self._file.close()
+
+
+def read_cases(path: Path) -> set[tuple[str, float, str]]:
+    """Return the (raster, bound, codec) a CSV holds; none if there is no such file."""
+    if not path.exists():
+        return set()
+    with path.open(encoding="utf-8", newline="") as file:
+        return {
+            (row["raster"], float(row["max_error"]), row["codec"]) for row in csv.DictReader(file)
+        }
 
 
 def make_console() -> Console:

@@ -7,92 +7,126 @@ not say what its CSV says.
 
 import argparse
 import csv
+import json
 import math
 import re
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
-DOCUMENTS = ("README.md", "docs/benchmarks.md")
-CDF97 = "terrainwave-cdf97"
+DOCUMENTS = (
+    "README.md",
+    "docs/benchmarks.md",
+    "docs/decisions/0004-step-by-what-finer-levels-need.md",
+    "docs/decisions/0007-one-root-block.md",
+)
 PREDICTIVE = "terrainwave-predictive"
+FAST = "terrainwave-predictive-fast"
+CDF97 = "terrainwave-cdf97"
+OUR_CODECS = (PREDICTIVE, FAST, "terrainwave-predictive-best", CDF97)
 
 Rows = list[dict[str, str]]
 
 
-def read_rows(name: str) -> Rows:
-    """Return the rows of ``benchmarks/results/NAME.csv``."""
-    with (RESULTS / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+def read_rows(results: Path, name: str) -> Rows:
+    """Return the rows of ``NAME.csv`` among the results; none if there is no such file."""
+    path = results / f"{name}.csv"
+    if not path.exists():
+        return []
+    with path.open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
 
 
 def geometric_mean(values: list[float]) -> float:
     """Return the geometric mean of positive numbers."""
-    return math.exp(sum(map(math.log, values)) / len(values))
+    return math.exp(math.fsum(map(math.log, values)) / len(values))
 
 
-def cases(rows: Rows) -> dict[tuple[str, str], dict[str, dict[str, str]]]:
-    """Return the rows by (raster, bound) and codec."""
-    found: dict[tuple[str, str], dict[str, dict[str, str]]] = {}
-    for row in rows:
-        found.setdefault((row["raster"], row["max_error"]), {})[row["codec"]] = row
-    return found
+class Case(NamedTuple):
+    """Bits per sample of all codecs at one bound; `peers` without COG."""
+
+    raster: str
+    bound: float
+    ours: dict[str, float]
+    peers: dict[str, float]
+    cog: float
+
+    @property
+    def best_peer(self) -> str:
+        """Return the name of the smallest peer."""
+        return min(self.peers, key=lambda name: self.peers[name])
+
+    @property
+    def best(self) -> float:
+        """Return the bits of the smallest peer."""
+        return self.peers[self.best_peer]
 
 
-def compared() -> list[tuple[str, float, float, float, str, float]]:
-    """Return (raster, bound, ours, best peer, its name, COG) in bits per sample for each case.
+def read_all(results: Path) -> list[Case]:
+    """Return the cases that the default method and the peers have been measured on.
 
     Bounds below 1 are for floats only: on whole metres they are lossless once more.
     """
-    peers = cases(read_rows("peers"))
-    found = []
-    for (raster, bound), by_codec in cases(read_rows("predictive")).items():
-        row = by_codec[PREDICTIVE]
-        if row["dtype"].startswith("int") and 0 < float(bound) < 1:
-            continue
-        others = {
-            name: float(other["bits_per_sample"])
-            for name, other in peers[raster, bound].items()
-            if other["bits_per_sample"] and not other["problem"]
-        }
-        cog = others.pop("cog-overviews")
-        best = min(others, key=lambda name: others[name])
-        bits = float(row["bits_per_sample"])
-        found.append((raster, float(bound), bits, others[best], best, cog))
-    return found
+    found: dict[tuple[str, float], dict[str, float]] = {}
+    for name in ("predictive", "cdf97", "peers"):
+        for row in read_rows(results, name):
+            bound = float(row["max_error"])
+            is_twice = row["dtype"].startswith("int") and 0 < bound < 1
+            if row["bits_per_sample"] and not row["problem"] and not is_twice:
+                by_codec = found.setdefault((row["raster"], bound), {})
+                by_codec.setdefault(row["codec"], float(row["bits_per_sample"]))
+    cases = []
+    for (raster, bound), bits in sorted(found.items()):
+        ours = {name: value for name, value in bits.items() if name.startswith("terrainwave")}
+        peers = {name: value for name, value in bits.items() if name not in ours}
+        cog = peers.pop("cog-overviews", math.nan)
+        if PREDICTIVE in ours and peers:
+            cases.append(Case(raster, bound, ours, peers, cog))
+    return cases
 
 
-def cases_table() -> str:
-    """Return every case of the default method beside its best peer."""
+def cases_table(results: Path) -> str:
+    """Return every case: all of ours beside the best peer."""
     lines = [
-        "| raster | bound, m | terrainwave | best peer | ratio | COG LERC_ZSTD, overviews |",
-        "|---|---|---|---|---|---|",
+        "| raster | bound, m | predictive | fast | best | cdf97 | best peer | predictive / peer |"
+        " COG LERC_ZSTD, overviews |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
-    for raster, bound, bits, peer, name, cog in compared():
+    for case in read_all(results):
+        ours = " | ".join(
+            f"{case.ours[name]:.3f}" if name in case.ours else "–" for name in OUR_CODECS
+        )
+        ratio = case.ours[PREDICTIVE] / case.best
         lines.append(
-            f"| {raster} | {bound:g} | {bits:.3f} | {peer:.3f} ({name}) | {bits / peer:.3f} |"
-            f" {cog:.3f} |"
+            f"| {case.raster} | {case.bound:g} | {ours} | {case.best:.3f} ({case.best_peer}) |"
+            f" {ratio:.3f} | {case.cog:.3f} |"
         )
     return "\n".join(lines)
 
 
-def summary_table() -> str:
-    """Return geometric means of size / best peer over groups of cases."""
-    rows = compared()
-    groups = {
-        "all cases": rows,
-        "lossless": [row for row in rows if row[1] == 0],
-        "best peer below 1 bit/sample": [row for row in rows if row[3] < 1],
+def _groups(cases: list[Case]) -> dict[str, list[Case]]:
+    return {
+        "all cases": cases,
+        "lossless": [case for case in cases if case.bound == 0],
+        "best peer below 1 bit/sample": [case for case in cases if case.best < 1],
     }
+
+
+def summary_table(results: Path) -> str:
+    """Return geometric means of size / best peer of the default over groups of cases."""
     lines = [
         "| cases | number | size / best peer, geometric mean | largest | size / COG LERC_ZSTD |",
         "|---|---|---|---|---|",
     ]
-    for name, group in groups.items():
-        ratios = [row[2] / row[3] for row in group]
-        to_cog = [row[2] / row[5] for row in group]
+    for name, group in _groups(read_all(results)).items():
+        if not group:
+            continue
+        ratios = [case.ours[PREDICTIVE] / case.best for case in group]
+        to_cog = [case.ours[PREDICTIVE] / case.cog for case in group]
         lines.append(
             f"| {name} | {len(group)} | {geometric_mean(ratios):.3f} | {max(ratios):.3f} |"
             f" {geometric_mean(to_cog):.3f} |"
@@ -100,56 +134,127 @@ def summary_table() -> str:
     return "\n".join(lines)
 
 
-def sizes_table() -> str:
-    """Return bits per sample of each codec and the ratios that the project aims at."""
+def methods_table(results: Path) -> str:
+    """Return the same means for each of our methods and efforts."""
+    cases = read_all(results)
+    groups = _groups(cases)
     lines = [
-        "| raster | bound, m | terrainwave | best of SPERR, SZ3 | COG LERC_ZSTD, overviews |"
-        " largest error, m |",
-        "|---|---|---|---|---|---|",
+        "| size / best peer, geometric mean | " + " | ".join(groups) + " | measured on |",
+        "|---" * (len(groups) + 2) + "|",
     ]
-    to_peer, to_cog = [], []
-    for (raster, bound), by_codec in cases(read_rows("cdf97")).items():
-        ours = by_codec[CDF97]
-        peers = {name: row for name, row in by_codec.items() if name.startswith(("sperr", "sz3"))}
-        best = min(peers, key=lambda name: float(peers[name]["bits_per_sample"]))
-        bits = [
-            float(row["bits_per_sample"]) for row in (ours, peers[best], by_codec["cog-overviews"])
+    for codec in OUR_CODECS:
+        if not any(codec in case.ours for case in cases):
+            continue
+        cells = []
+        for group in groups.values():
+            ratios = [case.ours[codec] / case.best for case in group if codec in case.ours]
+            cells.append(f"{geometric_mean(ratios):.3f}" if ratios else "–")
+        number = sum(codec in case.ours for case in cases)
+        lines.append(f"| {codec} | {' | '.join(cells)} | {number} of {len(cases)} cases |")
+    return "\n".join(lines)
+
+
+def speeds_table(results: Path) -> str:
+    """Return speeds on one core beside SPERR's, with geometric means."""
+    by_case: dict[tuple[str, float], dict[str, dict[str, str]]] = {}
+    for row in read_rows(results, "speeds"):
+        by_case.setdefault((row["raster"], float(row["max_error"])), {})[row["codec"]] = row
+    codecs = (FAST, PREDICTIVE, CDF97, "sperr")
+    names = ("fast", "predictive", "cdf97", "SPERR")
+    lines = [
+        "| raster | bound, m | "
+        + " | ".join(f"{what} {name}" for what in ("encode", "decode") for name in names)
+        + " |",
+        "|---" * (2 + 2 * len(names)) + "|",
+    ]
+    columns: list[list[float]] = [[] for _ in range(2 * len(names))]
+    for (raster, bound), rows in sorted(by_case.items()):
+        if any(codec not in rows for codec in codecs):
+            continue
+        speeds = [
+            float(rows[codec][f"{what}_speed"]) for what in ("encode", "decode") for codec in codecs
         ]
-        to_peer.append(bits[0] / bits[1])
-        to_cog.append(bits[0] / bits[2])
+        for column, speed in zip(columns, speeds, strict=True):
+            column.append(speed)
+        cells = " | ".join(f"{speed:.1f}" for speed in speeds)
+        lines.append(f"| {raster} | {bound:g} | {cells} |")
+    if columns[0]:
+        means = [geometric_mean(column) for column in columns]
         lines.append(
-            f"| {raster} | {float(bound):g} | **{bits[0]:.3f}** | {bits[1]:.3f} ({best}) |"
-            f" {bits[2]:.3f} |"
-            f" {float(ours['measured_error']):g} |"
+            "| geometric mean, Msamples/s | | " + " | ".join(f"{m:.1f}" for m in means) + " |"
         )
-    lines.append(
-        f"| geometric mean of ratios | | 1 | {1 / geometric_mean(to_peer):.2f} |"
-        f" {1 / geometric_mean(to_cog):.2f} | |"
-    )
+        sperr = len(names) - 1
+        ratios = [mean / means[sperr if i <= sperr else -1] for i, mean in enumerate(means)]
+        lines.append("| / SPERR | | " + " | ".join(f"{ratio:.2f}" for ratio in ratios) + " |")
     return "\n".join(lines)
 
 
-def speeds_table() -> str:
-    """Return one-thread speeds of terrainwave beside those of the same run's peers."""
+def roots_table(results: Path, name: str = "roots") -> str:
+    """Return by how many percent files with more root blocks are larger."""
+    by_case: dict[tuple[str, float], dict[str, str]] = {}
+    for row in read_rows(results, name):
+        case = by_case.setdefault((row["raster"], float(row["max_error"])), {})
+        is_first = row["roots_per_side"] == "1"
+        case[row["roots_per_side"]] = row["bits_per_sample" if is_first else "change_percent"]
     lines = [
-        "| raster | bound, m | encode, Msamples/s | SPERR | SZ3 | decode, Msamples/s | SPERR |"
-        " SZ3 |",
-        "|---|---|---|---|---|---|---|---|",
+        "| raster | bound, m | one root, bits/sample | 2 × 2 | 4 × 4 |",
+        "|---|---|---|---|---|",
     ]
-    for (raster, bound), by_codec in cases(read_rows("cdf97")).items():
-        encode = [float(by_codec[name]["encode_speed"]) for name in (CDF97, "sperr", "sz3")]
-        decode = [float(by_codec[name]["decode_speed"]) for name in (CDF97, "sperr", "sz3")]
-        numbers = " | ".join(f"{speed:.1f}" for speed in (*encode, *decode))
-        lines.append(f"| {raster} | {float(bound):g} | {numbers} |")
+    for (raster, bound), case in by_case.items():
+        changes = " | ".join(f"{float(case[n]):+.1f} %" for n in ("2", "4"))
+        lines.append(f"| {raster} | {bound:g} | {float(case['1']):.4f} | {changes} |")
     return "\n".join(lines)
 
 
-TABLES: dict[str, Callable[[], str]] = {
+def pyramid_table(results: Path) -> str:
+    """Return what the closed pyramid and three rings cost `cdf97`."""
+    lines = [
+        "| raster | bound, m | one level | pyramid | cost | three rings | cost |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {row['raster']} | {float(row['max_error']):g} | {row['one_level']} | {row['pyramid']} |"
+        f" {row['cost_of_pyramid_percent']} % | {row['pyramid_rings_3']} |"
+        f" {row['cost_of_rings_3_percent']} % |"
+        for row in read_rows(results, "pyramid")
+    ]
+    return "\n".join(lines)
+
+
+TABLES: dict[str, Callable[[Path], str]] = {
     "summary": summary_table,
+    "methods": methods_table,
     "cases": cases_table,
-    "sizes": sizes_table,
     "speeds": speeds_table,
+    "roots": roots_table,
+    "roots_cdf97": partial(roots_table, name="roots_cdf97"),
+    "pyramid": pyramid_table,
 }
+REPORT = """# Measured
+
+Bits per sample of whole files at equal guaranteed error, written by `make bench`; the CSVs beside
+this file hold every figure, the JSONs machine, versions and commit of each.
+
+{machine}
+
+## Size against the best peer of each case
+
+{summary}
+
+{methods}
+
+## Speeds, Msamples/s of processor time on one core
+
+Rasters of a million samples or more, at bounds where predictive takes at most 1 bit/sample.
+
+{speeds}
+
+## All cases, bits per sample
+
+{cases}
+
+![bits per sample against the bound](rates.png)
+"""
 _SLOT = re.compile(r"<!-- table: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
 
 
@@ -157,9 +262,46 @@ def fill_in(text: str) -> str:
     """Return a document with every table made anew."""
 
     def make(slot: re.Match[str]) -> str:
-        return f"<!-- table: {slot[1]} -->\n{TABLES[slot[1]]()}\n<!-- end -->"
+        return f"<!-- table: {slot[1]} -->\n{TABLES[slot[1]](RESULTS)}\n<!-- end -->"
 
     return _SLOT.sub(make, text)
+
+
+def describe(results: Path) -> str:
+    """Return one line on the machine of each CSV."""
+    lines = []
+    for name in ("predictive", "cdf97", "peers", "speeds"):
+        path = results / f"{name}.json"
+        if path.exists():
+            machine = json.loads(path.read_text(encoding="utf-8"))
+            versions = ", ".join(
+                f"{package} {version}" for package, version in machine["packages"].items()
+            )
+            lines.append(
+                f"* `{name}.csv`: {machine['processor']}, {machine['n_cores']} cores,"
+                f" {machine['system']}, Python {machine['python']}, GDAL {machine['gdal']},"
+                f" {versions}; commit {machine['commit']}"
+                + (", some rows by earlier runs" if "earlier" in machine else "")
+            )
+    return "\n".join(lines)
+
+
+def write_all(results: Path) -> list[str]:
+    """Write ``bench.md``, and the documents if these are the repository's results."""
+    made = {name: make(results) for name, make in TABLES.items()}
+    report = REPORT.format(machine=describe(results), **made)
+    (results / "bench.md").write_text(report, encoding="utf-8")
+    written = [str(results / "bench.md")]
+    if results.resolve() == RESULTS:
+        for path in documents():
+            path.write_text(fill_in(path.read_text(encoding="utf-8")), encoding="utf-8")
+            written.append(str(path.relative_to(ROOT)))
+    return written
+
+
+def documents() -> list[Path]:
+    """Return the documents with tables."""
+    return [ROOT / name for name in DOCUMENTS if (ROOT / name).exists()]
 
 
 def main() -> int:
@@ -170,9 +312,7 @@ def main() -> int:
     )
     check = parser.parse_args().check
     status = 0
-    for path in (ROOT / name for name in DOCUMENTS):
-        if not path.exists():
-            continue
+    for path in documents():
         text = path.read_text(encoding="utf-8")
         new = fill_in(text)
         if new != text and check:

@@ -75,7 +75,7 @@ class Grid:
         self.n_cells = n_cells
         self.rings = (border_rings - 1) // 2  # rings of apron: 0 or 1
         self.k_max = 0
-        while ceil_div(max(n_rows, n_cols) - 1, 2**self.k_max) > 4 * n_cells:
+        while ceil_div(max(n_rows, n_cols) - 1, 2**self.k_max) > n_cells:
             self.k_max += 1
 
     def samples(self, k):
@@ -142,12 +142,13 @@ def morton(block):
 
 # §4.1, §4.2: header and metadata ---------------------------------------------------------------
 
-HEADER = struct.Struct("<8sBBHIQIIBBBBB3sQQqIiiIdddIIIIII")
+HEADER = struct.Struct("<8sBBHIQIIBBBBBB2sQQqIiiIdddIIIIII")
 NAMES = (
     "magic version reserved header_size features file_size n_rows n_cols block_log2 border_rings "
-    "method dtype effort padding quantum_num quantum_den base step z_min z_max metadata_length "
+    "method dtype effort mesh padding quantum_num quantum_den base step z_min z_max "
+    "metadata_length "
     "max_error effective_bound rho metadata_crc parameters_length parameters_crc "
-    "top_page_length tail header_crc"
+    "top_page_length mesh_tolerance header_crc"
 ).split()
 METHODS = {0: "store", 1: "cdf97", 2: "predictive", 3: "cdf53"}
 DTYPES = {1: "uint8", 3: "uint16", 4: "int16", 6: "int32", 7: "float32", 8: "float64"}
@@ -160,9 +161,11 @@ def read_header(data):
     h = SimpleNamespace(**dict(zip(NAMES, HEADER.unpack(data[:128]), strict=True)))
     require(h.header_size == 128, "header_size")
     require(h.header_crc == zlib.crc32(data[:124]), "header_crc")
-    for name in ("reserved", "features", "tail"):
+    for name in ("reserved", "features"):
         require(getattr(h, name) == 0, name, UnsupportedError)
-    require(h.padding == b"\0\0\0", "padding", UnsupportedError)
+    require(h.padding == b"\0\0", "padding", UnsupportedError)
+    require(h.mesh in (0, 1), "mesh", UnsupportedError)
+    require(h.mesh or h.mesh_tolerance == 0, "mesh_tolerance")
     require(h.file_size < 2**63, "file_size")
     require(1 <= h.n_rows <= 2**31 and 1 <= h.n_cols <= 2**31, "n_rows, n_cols")
     require(h.n_rows * h.n_cols <= 2**50, "n_rows * n_cols")
@@ -820,9 +823,6 @@ class BorderDecoder:
                     self.line([(rows.core + i, c) for i in range(rows.n_core)], rows.shared, True)
 
     def corner(self, place):
-        if self.parent is None:
-            self.put(place, self.rebuild((self.n - 1) // 2, self.symbol(place, 2, 16)))
-            return
         p = self.parent
         a, b = place[0] + self.offset[0], place[1] + self.offset[1]  # doubled
         i, j = a // 2, b // 2
@@ -830,22 +830,15 @@ class BorderDecoder:
         h = (p[i][j] + p[i][j1] + p[i1][j] + p[i1][j1] + 2) >> 2
         self.put(place, self.rebuild(h, self.symbol(place, 0, 16)))
 
+    def d(self, place):
+        return self.heights[place[0]][place[1]]
+
     def line(self, places, shared, is_column):
         length = len(places)
         f = self.reach + 1 if shared[0] else 0
         g = length - self.reach - 1 if shared[1] else length
         if f >= g:
             return
-        if self.parent is None:
-            self.root_line(places, f, g)
-        else:
-            self.child_line(places, f, g, is_column)
-
-    def d(self, place):
-        return self.heights[place[0]][place[1]]
-
-    def child_line(self, places, f, g, is_column):
-        length = len(places)
         r, c = places[0]
         n_parents = (length + 1) // 2
         if is_column:
@@ -877,42 +870,6 @@ class BorderDecoder:
                 v = self.symbol(places[i], phase, s)
                 self.put(places[i], self.rebuild(p[i] + kappa, v))
                 before_last, last = last, min(abs(v), 255)
-
-    def root_line(self, places, f, g):
-        length, n = len(places), self.n
-        mu = [0] * length
-
-        def sample(i, h, phase, s):
-            k = h // n
-            v = self.symbol(places[i], phase, s)
-            if self.valid[places[i][0]][places[i][1]]:
-                mu[i] = min(abs(v), 255)
-                k += clamp(v, -self.m, self.m)
-            self.put(places[i], self.rebuild((n - 1) // 2, k))
-
-        if f == 0:
-            sample(0, 0, 2, 16)
-        d = 1
-        while 2 * d < length:
-            d *= 2
-        while d >= 1:
-            phase = 2 if d > 2 else 3 if d == 2 else 4
-            for i in range(d, length, 2 * d):
-                if not f <= i < g:
-                    continue
-                a = self.d(places[i - d])
-                if i + d < length:
-                    b = self.d(places[i + d])
-                    h = (a + b) >> 1
-                    if i >= 3 * d and i + 3 * d < length:
-                        far = self.d(places[i - 3 * d]) + self.d(places[i + 3 * d])
-                        h = (9 * (a + b) - far) >> 4
-                    s = mu[i - d] + mu[i + d] + 6 * (abs(b - a) // n)
-                else:
-                    h = a + ((a - self.d(places[i - 3 * d])) >> 1) if i >= 3 * d else a
-                    s = 2 * mu[i - d]
-                sample(i, h, phase, min(s, 4095))
-            d //= 2
 
 
 JS, JZTR, JZTC = "JS", "JZTR", "JZTC"  # labels of nodes

@@ -212,6 +212,46 @@ def test_the_file_itself_is_no_target(tmp_path, twz, asked):
     assert "is the file to be read" in one_line(run("mesh", source, source, "--overwrite"), 1)
 
 
+# The bound holds for the file, not only for the mesh
+
+
+def with_error(monkeypatch, smallest):
+    """Let `Terrain.mesh` reach any error asked for, down to `smallest`; return those asked for."""
+    asked = []
+
+    def mesh(self, max_error, **options):
+        asked.append(max_error)
+        if max_error < smallest:
+            raise terrainwave.InvalidHeightsError("too small")
+        return grid_mesh(self.read() / 7, self.transform(), error=max_error, crs=self.crs)
+
+    monkeypatch.setattr(Terrain, "mesh", mesh)
+    return asked
+
+
+@pytest.mark.parametrize("name", ["a.stl", "a.glb", "a.terrain"])
+def test_mesh_leaves_room_for_rounding(tmp_path, twz, monkeypatch, name):
+    asked = with_error(monkeypatch, smallest=0.5)
+    found = json.loads(run("mesh", twz, tmp_path / name, "--max-error", "2", "--json").stdout)
+    assert 1.9 < found["error"] <= 2
+    assert len(asked) == 2
+    assert asked[1] < 2 - found["rounding"]
+
+
+def test_a_mesh_that_fits_is_made_once(tmp_path, twz, monkeypatch):
+    asked = with_error(monkeypatch, smallest=0.5)
+    assert run("mesh", twz, tmp_path / "a.ply", "--max-error", "2").stderr == ""
+    assert asked == [2.0]
+
+
+def test_a_bound_that_rounding_breaks_is_told(tmp_path, twz, monkeypatch):
+    with_error(monkeypatch, smallest=2.0)
+    result = run("mesh", twz, tmp_path / "a.stl", "--max-error", "2")
+    assert result.exit_code == 0
+    assert "note: rounding of coordinates in the file adds" in result.stderr
+    assert (tmp_path / "a.stl").exists()
+
+
 # Meshes of real files
 
 

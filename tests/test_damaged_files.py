@@ -28,7 +28,7 @@ from terrainwave.errors import (
 from terrainwave.quadtree import Block
 from terrainwave.terrain import Terrain
 
-HEIGHTS = terrain_like(131, 6, seed=8)  # two levels
+HEIGHTS = terrain_like(131, 6, seed=8)  # four levels
 HEIGHTS[20:30, 2:] = -32768
 HEIGHTS[100, 3] = -32768
 

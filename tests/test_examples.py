@@ -30,7 +30,7 @@ def test_example_runs(path, tmp_path):
 def test_python_of_the_readme_runs(tmp_path, monkeypatch):
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     (snippet,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
-    rows, cols = np.mgrid[:1100, :1100]  # large enough for two levels
+    rows, cols = np.mgrid[:300, :300]  # large enough for two levels
     heights = (100 + rows + 20 * np.sin(cols / 9)).astype(np.float32)
     write_geotiff(tmp_path / "dem.tif", heights)
     monkeypatch.chdir(tmp_path)

@@ -245,8 +245,9 @@ def test_masks_of_blocks_are_as_the_definition_says(file):
 
 
 @pytest.mark.large
-def test_boxes_begin_anew_in_segments_below_the_top_one():
-    heights = terrain_like(1030, 2, seed=7)  # k_max = 4: every root heads a segment
+@pytest.mark.parametrize("n_rows", [300, 1030])  # the root or level 2's blocks head segments
+def test_boxes_begin_anew_in_segments_below_the_top_one(n_rows):
+    heights = terrain_like(n_rows, 2, seed=7)
     file = File(heights, heights > -1000, method="store", max_error=1)
     for block in file.blocks:
         quanta = file.quanta_under(block)

@@ -23,27 +23,33 @@ def parents(grid):
     ("n_rows", "n_cols", "block", "k_max"),
     [
         (1, 1, 32, 0),
-        (129, 7, 32, 0),  # 128 cells are four blocks of 32
-        (130, 7, 32, 1),
-        (257, 257, 32, 1),
-        (258, 1, 32, 2),
-        (1, 258, 32, 2),
-        (1025, 1025, 256, 0),
-        (16384, 16384, 256, 4),  # 16383 / 16 cells, rounded up, are 1024
-        (2**31, 2**19, 1024, 19),
+        (33, 7, 32, 0),  # 32 cells are one block of 32
+        (34, 7, 32, 1),
+        (65, 65, 32, 1),
+        (66, 1, 32, 2),
+        (1, 66, 32, 2),
+        (257, 257, 256, 0),
+        (16384, 16384, 256, 6),  # 16383 / 64 cells, rounded up, are 256
+        (2**31, 2**19, 1024, 21),
     ],
 )
-def test_k_max_is_the_smallest_with_at_most_four_roots_on_the_longer_side(
-    n_rows, n_cols, block, k_max
-):
+def test_k_max_is_the_smallest_with_one_root(n_rows, n_cols, block, k_max):
     assert Grid(n_rows, n_cols, block).k_max == k_max
+
+
+@given(grids)
+def test_level_0_is_one_block_and_level_1_has_more(grid):
+    assert grid.blocks(0) == [Block(0, 0, 0)]
+    if grid.k_max > 0:
+        assert max(grid.level_blocks(1)) == 2
 
 
 def test_a_strip_does_not_pad_to_a_square():
     grid = Grid(100_000, 500, 256)
-    assert grid.k_max == 7
-    assert grid.level_blocks(0) == (4, 1)
-    assert grid.level_blocks(7) == (391, 2)
+    assert grid.k_max == 9
+    assert grid.level_blocks(0) == (1, 1)
+    assert grid.level_blocks(2) == (4, 1)
+    assert grid.level_blocks(9) == (391, 2)
 
 
 @given(grids)
@@ -60,13 +66,13 @@ def test_the_finest_level_is_the_raster(grid):
 
 
 def test_stride_halves_from_level_to_level():
-    grid = Grid(300, 300, 32)
+    grid = Grid(100, 100, 32)
     assert [grid.stride(level) for level in range(3)] == [4, 2, 1]
 
 
 @given(grids)
 def test_blocks_of_a_level_cover_its_samples_and_share_only_borders(grid):
-    for level in {0, grid.k_max}:
+    for level in {0, grid.k_max // 2, grid.k_max}:
         for axis in (0, 1):
             n = grid.level_shape(level)[axis]
             count = np.zeros(n, dtype=int)
@@ -96,7 +102,7 @@ def test_children_cover_the_group_of_their_parent(grid):
 
 
 @given(grids)
-def test_every_block_but_a_root_is_a_child_of_its_parent(grid):
+def test_every_block_but_the_root_is_a_child_of_its_parent(grid):
     for level in range(1, grid.k_max + 1):
         found = [child for parent in grid.blocks(level - 1) for child in grid.children(parent)]
         assert sorted(found) == sorted(grid.blocks(level))
@@ -117,31 +123,36 @@ def test_even_samples_of_a_group_lie_on_its_parent(grid, apron):
 
 @given(grids)
 def test_full_regions_of_a_level_cover_the_raster(grid):
-    blocks = grid.blocks(0)
-    assert max(sum(grid.full_region(b)[0:3:2]) for b in blocks) == grid.n_rows
-    assert max(sum(grid.full_region(b)[1:4:2]) for b in blocks) == grid.n_cols
+    for level in range(grid.k_max + 1):
+        blocks = grid.blocks(level)
+        assert max(sum(grid.full_region(b)[0:3:2]) for b in blocks) == grid.n_rows
+        assert max(sum(grid.full_region(b)[1:4:2]) for b in blocks) == grid.n_cols
 
 
 def test_the_full_region_of_a_block_ends_with_the_raster():
-    grid = Grid(300, 200, 32)  # strides 4, 2, 1
-    assert grid.full_region(Block(0, 2, 1)) == Region(256, 128, 44, 72)
-    assert grid.full_region(Block(0, 0, 0)) == Region(0, 0, 129, 129)
+    grid = Grid(300, 200, 32)  # strides 16, 8, 4, 2, 1
+    assert grid.full_region(Block(2, 2, 1)) == Region(256, 128, 44, 72)
+    assert grid.full_region(Block(2, 0, 0)) == Region(0, 0, 129, 129)
+    assert grid.full_region(Block(0, 0, 0)) == Region(0, 0, 300, 200)
 
 
 def test_an_apron_adds_one_sample_where_the_raster_goes_on():
     grid = Grid(300, 300, 32)
-    assert grid.block_region(Block(2, 0, 3), apron=1) == Region(0, 95, 34, 35)
-    assert grid.group_region(Block(1, 4, 0), apron=1) == Region(255, 0, 45, 66)
+    assert grid.block_region(Block(4, 0, 3), apron=1) == Region(0, 95, 34, 35)
+    assert grid.group_region(Block(3, 4, 0), apron=1) == Region(255, 0, 45, 66)
 
 
 def test_contains_knows_the_corners_of_the_tree():
     grid = Grid(300, 100, 32)
-    assert grid.level_blocks(0) == (3, 1)
-    assert grid.contains(Block(0, 2, 0))
-    assert not grid.contains(Block(0, 3, 0))
+    assert grid.contains(Block(0, 0, 0))
+    assert not grid.contains(Block(0, 1, 0))
     assert not grid.contains(Block(0, 0, 1))
+    assert grid.level_blocks(2) == (3, 1)
+    assert grid.contains(Block(2, 2, 0))
+    assert not grid.contains(Block(2, 3, 0))
+    assert not grid.contains(Block(2, 0, 1))
     assert not grid.contains(Block(-1, 0, 0))
-    assert not grid.contains(Block(3, 0, 0))
+    assert not grid.contains(Block(5, 0, 0))
 
 
 @pytest.mark.parametrize(
@@ -193,14 +204,14 @@ def test_a_segment_below_the_top_one_has_at_most_85_groups(grid):
 
 
 def test_only_the_top_segment_may_have_fewer_than_four_levels():
-    grid = Grid(16384 * 4, 1, 256)  # k_max = 6: two levels above, four below
+    grid = Grid(16384, 1, 256)  # k_max = 6: two levels above, four below
     assert (grid.k_max, grid.top_levels, grid.segment_levels()) == (6, 2, [2])
 
 
 def test_blocks_are_in_morton_order():
     grid = Grid(97, 65, 32)
     order = [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]
-    assert [(b.row, b.col) for b in grid.blocks(0)] == order
+    assert [(b.row, b.col) for b in grid.blocks(2)] == order
 
 
 # Regions

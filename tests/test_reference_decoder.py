@@ -113,7 +113,7 @@ RASTERS = {
     "all void": (lambda rng, shape: np.full(shape, -1, "int16"), {"max_error": 1, "nodata": -1}),
 }
 SMALL = [(1, 1), (1, 9), (5, 5), (2, 34), (33, 40)]
-# Two levels; the last blocks have only one or two rows and columns.
+# Four levels; the finest one's last blocks have only one or two rows and columns.
 LARGE = [(66, 131)]
 
 

@@ -15,7 +15,7 @@ from rasterio.windows import Window
 from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
-from terrainwave.codec.units import root_keys, unit_spec
+from terrainwave.codec.units import unit_spec
 from terrainwave.compression import compress
 from terrainwave.container.reader import open_container
 from terrainwave.errors import (
@@ -28,7 +28,7 @@ from terrainwave.quadtree import Block, Grid, Region
 from terrainwave.resample import resample
 from terrainwave.terrain import Terrain
 
-R, C = 261, 140  # three levels of blocks of 32
+R, C = 261, 140  # five levels of blocks of 32
 HEIGHTS = terrain_like(R, C)
 VALID = np.ones((R, C), dtype=bool)
 VALID[100:180, 30:100] = False
@@ -126,7 +126,9 @@ def test_what_is_read_is_a_copy(terrain):
 
 
 @pytest.mark.large
-@pytest.mark.parametrize(("level", "stride"), [(-1, 1), (-2, 2), (-3, 4), (0, 4), (1, 2), (2, 1)])
+@pytest.mark.parametrize(
+    ("level", "stride"), [(-1, 1), (-2, 2), (-3, 4), (-5, 16), (0, 16), (2, 4), (3, 2), (4, 1)]
+)
 def test_levels_of_nested_samples_are_every_second_sample(terrain, level, stride):
     np.testing.assert_array_equal(terrain.read(level=level), HEIGHTS[::stride, ::stride])
 
@@ -137,7 +139,7 @@ def test_a_window_of_a_level_counts_its_samples(terrain):
     )
 
 
-@pytest.mark.parametrize("level", [3, -4, 100])
+@pytest.mark.parametrize("level", [5, -6, 100])
 def test_a_level_that_does_not_exist_is_refused(terrain, level):
     with pytest.raises(InvalidHeightsError, match="found level"):
         terrain.read(level=level)
@@ -481,16 +483,16 @@ def broken_at(data, key):
 
 @pytest.mark.large
 def test_a_damaged_group_is_named(store_data):
-    damaged = broken_at(store_data, Block(1, 1, 0))
+    damaged = broken_at(store_data, Block(3, 1, 0))
     with Terrain(damaged) as terrain:
-        with pytest.raises(CorruptStreamError, match="level 1, row 1, col"):
+        with pytest.raises(CorruptStreamError, match="level 3, row 1, col"):
             terrain.read()
 
 
 @pytest.mark.large
 def test_a_damaged_finest_group_costs_only_its_own_area(store_data):
-    # Group below block (1, 1, 0): full-grid rows 64 ... 128, columns 0 ... 64.
-    damaged = broken_at(store_data, Block(1, 1, 0))
+    # Group below block (3, 1, 0): full-grid rows 64 ... 128, columns 0 ... 64.
+    damaged = broken_at(store_data, Block(3, 1, 0))
     with Terrain(damaged) as terrain:
         heights, valid = terrain.read_with_mask(on_error="mask")
     inside = np.zeros((R, C), dtype=bool)
@@ -503,27 +505,42 @@ def test_a_damaged_finest_group_costs_only_its_own_area(store_data):
 
 
 @pytest.mark.large
-def test_a_damaged_root_costs_everything_below_it(store_data):
-    # Root (0, 1, 0): samples 32 ... 64 of level 0, so full-grid rows 128 ... 256.
-    damaged = broken_at(store_data, Block(-1, 1, 0))
+def test_a_damaged_inner_group_costs_everything_below_it(store_data):
+    # Block (2, 1, 0): samples 32 ... 64 of level 2, so full-grid rows 128 ... 256.
+    damaged = broken_at(store_data, Block(2, 1, 0))
     with Terrain(damaged) as terrain:
         valid = terrain.read_with_mask(on_error="mask")[1]
     assert not valid[129:256, 0:128].any()
     assert valid[:129].all()
     assert valid[256:].all()
+    assert valid[:, 128:].all()
 
 
 @pytest.mark.large
-def test_a_damaged_root_is_named_for_what_lies_below_it(store_data):
-    damaged = broken_at(store_data, Block(-1, 1, 0))
+def test_a_damaged_root_costs_everything(store_data):
+    with Terrain(broken_at(store_data, Block(-1, 0, 0))) as terrain:
+        for level in range(terrain.n_levels):
+            assert not terrain.read_with_mask(level=level, on_error="mask")[1].any()
+
+
+@pytest.mark.large
+@pytest.mark.parametrize(
+    ("key", "name"),
+    [
+        (Block(-1, 0, 0), r"root block .*row 0, col"),
+        (Block(2, 1, 0), r"group .*level 2, row 1, col"),
+    ],
+)
+def test_a_damaged_unit_is_named_for_what_lies_below_it(store_data, key, name):
+    damaged = broken_at(store_data, key)
     with Terrain(damaged) as terrain:
-        with pytest.raises(CorruptStreamError, match=r"root block .*row 1, col"):
+        with pytest.raises(CorruptStreamError, match=name):
             terrain.read((200, 0, 1, 1))
 
 
 @pytest.mark.large
 def test_a_damaged_group_leaves_other_windows_readable(store_data):
-    damaged = broken_at(store_data, Block(1, 1, 0))
+    damaged = broken_at(store_data, Block(3, 1, 0))
     with Terrain(damaged) as terrain:
         np.testing.assert_array_equal(terrain.read((129, 0, 132, C)), HEIGHTS[129:])
 
@@ -534,29 +551,29 @@ def test_a_payload_that_contradicts_the_format_is_named_too(store_data, monkeypa
     monkeypatch.setattr("terrainwave.container.reader._check_crc", lambda *_: None)
     damaged = bytearray(store_data)
     with open_container(store_data) as container:
-        ((segment, row),) = container._rows([Block(1, 1, 0)])
+        ((segment, row),) = container._rows([Block(3, 1, 0)])
         damaged[segment.payload_range(row).offset] = 0xFF
     with Terrain(bytes(damaged)) as terrain:
-        with pytest.raises(CorruptStreamError, match=r"level 1, row 1, column 0.*damaged: .*0xff"):
+        with pytest.raises(CorruptStreamError, match=r"level 3, row 1, column 0.*damaged: .*0xff"):
             terrain.read()
 
 
 @pytest.mark.large
 @pytest.mark.parametrize("on_error", ["raise", "mask"])
 def test_a_damaged_index_page_costs_only_its_segment(on_error):
-    heights = terrain_like(1030, 3)  # k_max = 4: every root heads a segment
+    heights = terrain_like(1030, 3)  # k_max = 6: level 2's blocks head segments
     data = twz_bytes(heights, max_error=0, method="store")
     with open_container(data) as container:
-        start = container.segment(Block(0, 1, 0)).start
+        start = container.segment(Block(2, 1, 0)).start
     damaged = bytearray(data)
     damaged[start + 20] ^= 1
     with Terrain(bytes(damaged)) as terrain:
         if on_error == "raise":
-            with pytest.raises(CorruptStreamError, match="level 0, row 1"):
+            with pytest.raises(CorruptStreamError, match="level 2, row 1"):
                 terrain.read()
             return
         found, valid = terrain.read_with_mask(on_error="mask")
-    # Block (0, 1, 0) covers full-grid rows 32 * 16 to 64 * 16.
+    # Block (2, 1, 0) covers full-grid rows 32 * 16 to 64 * 16.
     assert not valid[513:1024].any()
     keep = np.r_[0:513, 1024:1030]
     np.testing.assert_array_equal(found[keep], heights[keep])
@@ -575,8 +592,8 @@ def test_check_finds_nothing_in_a_sound_file(store_data):
 
 @pytest.mark.large
 def test_check_names_the_damaged_group(store_data):
-    with Terrain(broken_at(store_data, Block(1, 1, 0))) as terrain:
-        assert all("level 1, row 1" in line for line in terrain.check())
+    with Terrain(broken_at(store_data, Block(3, 1, 0))) as terrain:
+        assert all("level 3, row 1" in line for line in terrain.check())
 
 
 # Threads, pickles, closing
@@ -686,8 +703,8 @@ def info(tmp_path):
         ("effort", "default"),
         ("block", 32),
         ("border_rings", 1),
-        ("n_levels", 2),
-        ("level_shapes", ((65, 3), (130, 5))),
+        ("n_levels", 4),
+        ("level_shapes", ((17, 1), (33, 2), (65, 3), (130, 5))),
         ("crs", "EPSG:32633"),
         ("transform", NORTH_UP),
         ("bounds", (1000.0, 3700.0, 1050.0, 5000.0)),
@@ -721,7 +738,7 @@ def test_info_of_a_raster_without_heights_has_no_range():
 
 
 def all_keys(grid):
-    keys = root_keys(grid)
+    keys = grid.root_keys()
     for key in keys:
         blocks = [Block(0, key.row, key.col)] if key.level < 0 else grid.children(key)
         keys += [block for block in blocks if block.level < grid.k_max]

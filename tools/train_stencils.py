@@ -2,10 +2,10 @@
 
     python tools/train_stencils.py DIR MODULE.py [--leave-out NAME]
 
-Three stages, each from what the earlier ones give: stencil sets (clusters of least-squares fits
-over rasters, bounds and levels), weights of the expected magnitude (non-negative fits to details
-the encoder really makes), start values of the models (what they adapt to). Needs scipy. The result
-is a module like `terrainwave.codec.tables`; tables in use are never edited.
+Three stages, each from what the earlier ones give and nothing else: stencil sets (clusters of
+least-squares fits over rasters, bounds and levels), weights of the expected magnitude (non-negative
+fits to details the encoder really makes), start values of the models (what they adapt to). Needs
+scipy. The result is a module like `terrainwave.codec.tables`; tables in use are never edited.
 """
 
 import argparse
@@ -22,13 +22,12 @@ from scipy.optimize import nnls
 from terrainwave.codec import lattice, nested, predictive, tables
 from terrainwave.codec.border import N_BORDER_MODELS
 from terrainwave.codec.detail import N_DETAIL_MODELS
+from terrainwave.codec.fitting import features_of
 from terrainwave.codec.lattice import CORES, TAPS
 from terrainwave.codec.refiner import Decoded
 from terrainwave.codec.units import (
     CodecParameters,
     block_of_unit,
-    root_keys,
-    unit_blocks,
     unit_spec,
 )
 from terrainwave.coding.rangecoder import new_models
@@ -191,7 +190,11 @@ class Recorder:
         kinds, own, geometry = args[1], args[6], args[7]
         _REAL_PASS(*args)
         if self.keep_passes and kinds.size > 256:
-            self.passes.append((own, geometry, *features_of(args), args[12]))
+            planes, errors, activity, bends = args[2:6]
+            features, details = features_of(
+                kinds, planes, errors, activity, bends, geometry, args[8], args[11], args[12]
+            )
+            self.passes.append((own, features.astype(np.float32), details.astype(np.float32)))
 
     def new_coder(self, *args):
         """Stand in for `predictive._new_coder`."""
@@ -206,7 +209,7 @@ class Recorder:
         parameters = CodecParameters(step, low, high, (1, 0), 1, effort)
         refiner = predictive.Predictive()
         total = 0
-        pending = [(key, None) for key in root_keys(grid)]
+        pending = [(key, None) for key in grid.root_keys()]
         while pending:
             key, parent = pending.pop()
             spec = unit_spec(grid, parameters, key)
@@ -221,69 +224,9 @@ class Recorder:
             total += len(payload)
             decoded = Decoded(back, mask[at], None)
             if spec.level < grid.k_max:
-                for block in unit_blocks(grid, key):
+                for block in grid.key_blocks(key):
                     pending.append((block, block_of_unit(grid, spec, decoded, block).heights))
         return total
-
-
-def features_of(args):
-    """Return (features, |detail|) of the coded samples of a pass, in steps."""
-    kinds, planes, errors, activity, bends, own, geometry, weights = args[1:9]
-    clamp, step = args[11], args[12]
-    n_rows, n_cols = kinds.shape
-    pad = lattice.PAD
-
-    def shifted(array, row, col):
-        return array[pad + row : pad + row + n_rows, pad + col : pad + col + n_cols].astype(
-            np.float64
-        )
-
-    value = (
-        sum(
-            w * shifted(planes[p], r, c)
-            for w, (p, r, c) in zip(weights, geometry.taps, strict=True)
-        )
-        / 4096
-    )
-    core = np.sort(np.stack([shifted(planes[p], r, c) for p, r, c in geometry.core]), 0)
-    a, b, c, d = (shifted(planes[p], r, q) for p, r, q in geometry.core)
-    mean = core.mean(0)
-    features = np.zeros((nested.N_FEATURES, n_rows, n_cols))
-    own_errors = errors[own]
-    for index, (row, col) in {
-        nested.F_W: (0, -1), nested.F_WW: (0, -2), nested.F_N: (-1, 0), nested.F_NW: (-1, -1),
-        nested.F_NE: (-1, 1), nested.F_NN: (-2, 0),
-    }.items():  # fmt: skip
-        features[index] = shifted(own_errors, row, col) / 32
-    for index, places in ((nested.F_NEAR, geometry.near), (nested.F_FAR, geometry.far)):
-        for p, r, q in places:
-            features[index] += shifted(errors[p], r, q) / 32
-    features[nested.F_MEAN] = np.abs(value - mean) / step
-    if clamp:
-        value = np.clip(value, core[0], core[3])
-    for _, r, q in geometry.bends:
-        features[nested.F_BEND] += shifted(bends, r, q) / step
-    features[nested.F_RANGE] = (core[3] - core[0]) / step
-    features[nested.F_MEDIAN] = np.abs((core[1] + core[2]) / 2 - value) / step
-    features[nested.F_MIDDLE] = np.abs((core[0] + core[3]) / 2 - value) / step
-    features[nested.F_TWIST] = np.abs(a + d - b - c if own == 1 else a + b - c - d) / step
-    for k in range(0, len(geometry.lines), 4):
-        e, f, g, h = (shifted(planes[p], r, q) for p, r, q in geometry.lines[k : k + 4])
-        features[nested.F_LINES] += np.abs(e - f - g + h) / step
-    features[nested.F_ACTIVITY] = shifted(activity[own], -1, 0) / 32
-    for other in range(1, own):
-        features[nested.F_OTHERS] += shifted(activity[other], int(other == 2), 0) / 32
-    features[nested.F_CONST] = 1 / 32  # its weight then is in 1/16384
-    height = shifted(planes[own], 0, 0)
-    inside = np.s_[2:-2, 2:-2]
-    use = (kinds == nested.CODED)[inside].ravel()
-    details = np.abs(np.rint((height - np.rint(value)) / step))
-    return (
-        features[(slice(None), *inside)]
-        .reshape(nested.N_FEATURES, -1)[:, use]
-        .T.astype(np.float32),
-        details[inside].ravel()[use].astype(np.float32),
-    )
 
 
 def train_expectation(rasters, rng):
@@ -297,7 +240,7 @@ def train_expectation(rasters, rng):
         for step in steps_of(quantum):
             recorder.passes.clear()
             recorder.run(heights, mask, step)
-            for own, _, features, details, _ in recorder.passes:
+            for own, features, details in recorder.passes:
                 keep = rng.random(details.size) < 0.04
                 mean = 256 * float(details.mean()) if details.size else 0
                 key = own, sum(mean >= limit for limit in predictive.CLASS_LIMITS)
@@ -403,6 +346,11 @@ def start_border_models(n_models: int) -> NDArray[np.uint32]:
     return _MODELS[-n_models:].copy()
 '''
 MAX_START = 24
+N_GUESSES = 2
+FIRST_GUESS = np.zeros(nested.N_FEATURES, dtype=np.int64)
+FIRST_GUESS[[nested.F_W, nested.F_N, nested.F_NEAR, nested.F_TWIST, nested.F_CONST]] = (
+    40, 30, 30, 12, 1,
+)  # fmt: skip
 
 _REAL_PASS, _REAL_CODER = predictive.code_pass, predictive._new_coder
 
@@ -420,10 +368,12 @@ def main():
     print([r[0] for r in rasters], file=sys.stderr)
     stencils = train_stencils(rasters, rng)
     tables.STENCILS = stencils
-    if tables.E_WEIGHTS[1].ndim == 1:
-        tables.E_WEIGHTS = {p: np.stack([w] * 3) for p, w in tables.E_WEIGHTS.items()}
-    expectation = train_expectation(rasters, rng)
-    tables.E_WEIGHTS = expectation
+    # Nothing comes from the tables in use: a plain guess first, then from what that gives.
+    tables.start_models = tables.start_border_models = new_models
+    tables.E_WEIGHTS = {own: np.stack([FIRST_GUESS] * 3) for own in (1, 2, 3)}
+    for _ in range(N_GUESSES):
+        expectation = train_expectation(rasters, rng)
+        tables.E_WEIGHTS = expectation
     models = train_models(rasters)
     options.out.write_text(module_text(stencils, expectation, start_values(models)))
 

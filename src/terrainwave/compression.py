@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
-from terrainwave.codec.refiner import Refiner
+from terrainwave.codec.refiner import FittingRefiner, Refiner
 from terrainwave.codec.registry import check_method, refiner_by_name
-from terrainwave.codec.units import CodecParameters, unit_blocks
+from terrainwave.codec.units import CodecParameters
 from terrainwave.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.header import MAX_MESH_TOLERANCE, Header
 from terrainwave.container.page import page_layout
@@ -248,7 +248,7 @@ def compress(
             coded = _smaller(coded, _encode(job, refiner_by_name("store"), executor, reporter))
             if coded.method == "store":
                 notes.append("the heights do not compress: stored as they are")
-        assemble(part.file, _header(job, coded.method), coded.spools)
+        assemble(part.file, _header(job, coded), coded.spools)
         measured = None
         if options.verify:
             measured = _prove(part.path, job, executor, reporter)
@@ -399,6 +399,7 @@ def _choose_bound(
 @dataclass
 class _Coded:
     method: str
+    parameters: bytes
     spools: dict[Block | None, SegmentSpool]
     n_bytes: int
 
@@ -450,14 +451,19 @@ def _encode(job: _Job, refiner: Refiner, executor: Executor, reporter: Reporter)
                     n_levels=job.grid.k_max + 1,
                 )
 
-        encoder = TreeEncoder(job.grid, refiner, _parameters(job), pyramid, sink, on_samples)
+        parameters = _parameters(job)
+        section = b""
+        if isinstance(refiner, FittingRefiner) and job.scan.n_valid:
+            refiner = refiner.fitted(job.grid, parameters.step, pyramid.heights, pyramid.mask)
+            section = refiner.parameters
+        encoder = TreeEncoder(job.grid, refiner, parameters, pyramid, sink, on_samples)
         stats = encoder.run(executor)
         errors = {block: encode_error(found.error + _lost(job)) for block, found in stats.items()}
         mesh_errors = _mesh_errors(job, refiner, pyramid, sink, errors, executor, reporter)
     finally:
         pyramid.close()
     _set_codes(job, sink.spools, stats, errors, mesh_errors)
-    return _Coded(refiner.name, sink.spools, sink.n_bytes)
+    return _Coded(refiner.name, section, sink.spools, sink.n_bytes + len(section))
 
 
 def _lost(job: _Job) -> int:
@@ -527,7 +533,7 @@ class _SpoolSink:
         self._lock = threading.Lock()
 
     def __call__(self, key: Block, payload: bytes) -> None:
-        head = None if key.level < 0 else self._grid.segment_head(key)
+        head = None if key.is_root_key else self._grid.segment_head(key)
         self.spools[head].add(key, payload)
         with self._lock:
             self.n_bytes += len(payload)
@@ -574,7 +580,7 @@ def _set_codes(
         decoded: dict[Block, tuple[int, int]] = defaultdict(lambda: whole)
         for key in sorted(spool.keys()):
             codes = bytearray()
-            for block in unit_blocks(job.grid, key):
+            for block in job.grid.key_blocks(key):
                 if block not in boxes:  # no valid sample
                     codes += bytes(4)
                     continue
@@ -605,7 +611,7 @@ def _enclosing_boxes(
     return boxes
 
 
-def _header(job: _Job, method: str) -> Header:
+def _header(job: _Job, coded: _Coded) -> Header:
     quantizer, info = job.quantizer, job.info
     plain = RasterInfo(info.n_rows, info.n_cols, info.dtype).to_metadata()
     # Only what is not as it would be anyway; size and type are in the header itself.
@@ -616,7 +622,7 @@ def _header(job: _Job, method: str) -> Header:
         n_cols=info.n_cols,
         block=job.options.block,
         border_rings=job.options.border_rings,
-        method=method,
+        method=coded.method,
         dtype=info.dtype,
         effort=job.options.effort,
         quantum=Fraction(quantizer.numerator, quantizer.denominator),
@@ -630,6 +636,7 @@ def _header(job: _Job, method: str) -> Header:
         mesh=job.options.mesh,
         mesh_tolerance=0 if job.options.mesh == "none" else _mesh_tolerance(job),
         metadata={**metadata, "software": f"terrainwave {__version__}"},
+        parameters=coded.parameters,
     )
 
 

@@ -86,7 +86,7 @@ class TreeDecoder:
         for key in keys:
             while key not in needed and self._cache.get(key) is None:
                 needed[key] = None
-                if key.level < 0:
+                if key.is_root_key:
                     break
                 key = unit_key(key)
         if len(needed) < 2:
@@ -128,7 +128,7 @@ class TreeDecoder:
             mine.set()
 
     def _decode(self, key: Block) -> Decoded:
-        parent = None if key.level < 0 else self.block(key)
+        parent = None if key.is_root_key else self.block(key)
         spec = unit_spec(self._grid, self._parameters, key)
         with self._lock:
             payload = self._fetched.pop(key, None)
@@ -181,6 +181,6 @@ def unit_key(block: Block) -> Block:
 
 def unit_name(key: Block) -> str:
     """Return what messages call the unit."""
-    if key.level < 0:
+    if key.is_root_key:
         return f"root block (row {key.row}, column {key.col})"
     return f"the group below block (level {key.level}, row {key.row}, column {key.col})"

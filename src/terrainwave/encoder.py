@@ -9,18 +9,14 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from typing import NamedTuple, Protocol
 
-import numpy as np
-
 from terrainwave.codec.group import encode_unit
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
 from terrainwave.codec.units import (
     CodecParameters,
     block_of_unit,
-    root_keys,
-    unit_blocks,
     unit_spec,
 )
-from terrainwave.measure import BlockStats, measure_block
+from terrainwave.measure import BlockStats, measure_block, measure_samples
 from terrainwave.pyramid import Pyramid
 from terrainwave.quadtree import Block, Grid, Region
 
@@ -75,7 +71,7 @@ class TreeEncoder:
     def run(self, executor: Executor) -> Stats:
         """Encode everything; return range and measured error of every block."""
         starts: list[tuple[Block, Decoded | None, list[_Ancestor]]]
-        starts = [(key, None, []) for key in root_keys(self._grid)]
+        starts = [(key, None, []) for key in self._grid.root_keys()]
         try:
             while starts and len(starts) < _MIN_SUBTREES and starts[0][0].level < self._grid.k_max:
                 following = executor.map(lambda start: self._encode_unit(*start), starts)
@@ -103,7 +99,7 @@ class TreeEncoder:
         mask = self._pyramid.mask(spec.level, spec.region)
         payload, decoded = encode_unit(self._refiner, spec, parent, target, mask)
         self._sink(key, payload)
-        blocks = unit_blocks(grid, key)
+        blocks = grid.key_blocks(key)
         parts = [block_of_unit(grid, spec, decoded, block) for block in blocks]
         if spec.level == grid.k_max:
             core = spec.core.slices_in(spec.region)
@@ -132,15 +128,14 @@ class TreeEncoder:
         """Update the statistics of the finest blocks of a unit and of all their ancestors."""
         grid = self._grid
         found: Stats = {}
+        whole = BlockStats()
         for block in blocks:
             region = grid.block_region(block)
             at = region.slices_in(spec.core)
-            stats = _range_of(originals[at], mask[at])
             heights = decoded.heights[region.slices_in(spec.region)]
-            errors = np.abs(heights.astype(np.int64) - originals[at])[mask[at]]
-            stats.error = int(errors.max(initial=0))
-            found[block] = stats
-        whole = _range_of(originals, mask)
+            found[block] = measure_samples(originals[at], mask[at], heights)
+            # Blocks share a row or column of samples.
+            whole.merge(found[block])
         for ancestor in chain:
             stride = grid.stride(ancestor.block.level)
             row = spec.core.row - ancestor.region.row * stride
@@ -156,10 +151,3 @@ class TreeEncoder:
 
 def _with_apron(grid: Grid, spec: GroupSpec, block: Block) -> Region:
     return grid.block_region(block, 1 if spec.rings == 3 else 0)
-
-
-def _range_of(originals: Heights, mask: Mask) -> BlockStats:
-    if not mask.any():
-        return BlockStats()
-    heights = originals[mask]
-    return BlockStats(int(heights.min()), int(heights.max()), 0)

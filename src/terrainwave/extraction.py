@@ -37,6 +37,9 @@ _COARSE_SHARE = 4
 _TRIES = 3
 # A budget of triangles is met within this ratio of the smallest error.
 _BUDGET_RATIO = Fraction(102, 100)
+# Half samples; edges are shorter than its inverse.
+_NEAR = 2.0**-20
+_ROUNDING = 2.0**-48
 
 
 class _Piece(NamedTuple):
@@ -338,9 +341,11 @@ class _Extractor:
         """Return the mesh for an error in physical units, or that of the stored meshes."""
         if max_error is None:
             return self._stored_mesh()
-        error = as_fraction(max_error) / self._quantum
         smallest = self._smallest_error()
-        if error < smallest:
+        # What the file states of itself, as float64, is enough.
+        is_enough = max_error >= float(smallest * self._quantum) * (1 - _ROUNDING)
+        error = max(as_fraction(max_error) / self._quantum, smallest)
+        if not is_enough:
             raise InvalidHeightsError(
                 f"found max_error {max_error:g}, expected at least"
                 f" {float(smallest * self._quantum):g}: the heights of this level are no nearer to"
@@ -557,6 +562,11 @@ def _cut_off(
     a, b = unique[:, 0], unique[:, 1]
     share = inside[a] / (inside[a] - inside[b])
     crossing = vertices[a] + share[:, None] * (vertices[b] - vertices[a])
+    # Rounding must not put a crossing beside a half sample it lies on, such as the area's corner:
+    # no other one is so near, as denominators are lengths of edges.
+    whole = np.rint(crossing[:, :2])
+    is_near = np.abs(crossing[:, :2] - whole) < _NEAR
+    crossing[:, :2] = np.where(is_near, whole, crossing[:, :2])
     # A vertex on the line is its own crossing.
     ends = len(vertices) + np.arange(len(unique))
     ends = np.where(inside[a] == 0, a, np.where(inside[b] == 0, b, ends))

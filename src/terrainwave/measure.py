@@ -80,26 +80,29 @@ def measure_block(
         row,
         col,
         np.empty(needed[1], dtype=np.int64),
+        np.empty(originals.shape[1], dtype=np.int64),
     )
     return int(-(-scaled // (stride * stride)))
 
 
 @kernel
-def _largest_deviation(heights, stride, originals, mask, first_row, first_col, line):
-    """Return the largest deviation times stride^2; `line` is int64 scratch, one per block column.
+def _largest_deviation(heights, stride, originals, mask, first_row, first_col, line, surface):
+    """Return the largest deviation times stride^2; stride is a power of two.
 
+    `line` and `surface` are int64 scratch, one per column of the block and of the window.
     |heights| < 2^31 and stride <= 2^15 keep every product below 2^62.
     """
     n_rows, n_cols = originals.shape
+    square = np.int64(stride) * stride
+    first_cell = first_col // stride
+    last_cell = (first_col + n_cols - 1) // stride
+    last_line = min(last_cell + 1, heights.shape[1] - 1)
     largest = np.int64(0)
     for row in range(n_rows):
         place = first_row + row
         above = place // stride
         part = place - above * stride
         below = above + 1 if part else above
-        first_cell = first_col // stride
-        last_cell = (first_col + n_cols - 1) // stride
-        last_line = min(last_cell + 1, heights.shape[1] - 1)
         for cell in range(first_cell, last_line + 1):
             line[cell] = (
                 np.int64(heights[above, cell]) * (stride - part)
@@ -111,9 +114,29 @@ def _largest_deviation(heights, stride, originals, mask, first_row, first_col, l
             slope = line[cell + 1] - line[cell] if cell < last_line else np.int64(0)
             value = line[cell] * stride + slope * (start - cell * stride)
             for col in range(start - first_col, stop - first_col):
-                deviation = abs(value - np.int64(originals[row, col]) * stride * stride)
-                if not mask[row, col]:
-                    deviation = 0
-                largest = max(largest, deviation)
+                surface[col] = value
                 value += slope
+        here, is_valid = originals[row], mask[row]
+        for col in range(n_cols):
+            deviation = abs(surface[col] - np.int64(here[col]) * square)
+            largest = max(largest, deviation if is_valid[col] else np.int64(0))
     return largest
+
+
+def measure_samples(originals: Heights, mask: Mask, decoded: Heights) -> BlockStats:
+    """Return the range of valid originals and their largest distance from `decoded`."""
+    return BlockStats(*(int(number) for number in _range_and_error(originals, mask, decoded)))
+
+
+@kernel
+def _range_and_error(originals, mask, decoded):
+    """Return (lowest, highest, largest error) of valid samples; 2^31, -2^31, 0 without any."""
+    low, high, error = np.int64(1 << 31), np.int64(-(1 << 31)), np.int64(0)
+    for row in range(originals.shape[0]):
+        here, other, is_valid = originals[row], decoded[row], mask[row]
+        for col in range(originals.shape[1]):
+            height = np.int64(here[col])
+            low = min(low, height if is_valid[col] else low)
+            high = max(high, height if is_valid[col] else high)
+            error = max(error, abs(height - other[col]) if is_valid[col] else np.int64(0))
+    return low, high, error

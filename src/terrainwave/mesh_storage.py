@@ -13,7 +13,7 @@ import numpy as np
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.codes import encode_error
 from terrainwave.container.header import MAX_MESH_TOLERANCE
-from terrainwave.container.page import N_CODES, key_blocks
+from terrainwave.container.page import N_CODES
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
@@ -171,7 +171,7 @@ def _copied(
         segment = container.segment(head)
         for key in segment.layout.keys:
             codes = bytearray()
-            for block in key_blocks(grid, key):
+            for block in grid.key_blocks(key):
                 row = segment.page.codes[segment.block_rows[block]]
                 codes += bytes(row[: N_CODES - 1]) + bytes([mesh_codes.get(block, 0)])
             spool.add(key, container.payload(key), codes=bytes(codes))

@@ -20,12 +20,15 @@ from numpy.typing import NDArray
 
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.coding.filters import lowpass_analysis
+from terrainwave.convert import UNKNOWN, push
 from terrainwave.quadtree import Grid, Region
 from terrainwave.quantum import Quantizer
 from terrainwave.spool import Spool
 
 TILE = 512  # samples per side of the windows in which levels are made
 _PUSH_HALO, _LOWPASS_HALO = 1, 4
+# Stands for a void among heights, which are far from it.
+_UNKNOWN = np.int32(UNKNOWN)
 
 
 class SourceWindows(Protocol):
@@ -196,23 +199,19 @@ class Pyramid:
     def _pushed(
         self, shift: int, region: Region, weights: dict[int, Spool]
     ) -> tuple[Heights, Mask]:
-        def read(window: Region) -> NDArray[np.int64]:
+        def read(window: Region) -> Heights:
             values, known = (
                 self.originals(window)
                 if shift == 1
                 else (self._fills[shift - 1].read(window), weights[shift - 1].read(window))
             )
-            return np.stack([values.astype(np.int64) * known, known.astype(np.int64)], axis=-1)
+            return np.where(known, values, _UNKNOWN)
 
         fine = self._gather(read, shift - 1, region, _PUSH_HALO)
-        sums = np.zeros((*region.shape, 2), dtype=np.int64)
-        for row, row_weight in enumerate((1, 2, 1)):
-            for col, col_weight in enumerate((1, 2, 1)):
-                part = fine[row : row + 2 * region.n_rows : 2, col : col + 2 * region.n_cols : 2]
-                sums += row_weight * col_weight * part[: region.n_rows, : region.n_cols]
-        known = sums[..., 1] > 0
-        values = np.where(known, sums[..., 0] // np.maximum(sums[..., 1], 1), 0)
-        return values.astype(np.int32), known
+        values = np.empty(region.shape, dtype=np.int32)
+        known = np.empty(region.shape, dtype=np.bool_)
+        push(fine, values, known)
+        return values, known
 
     def _pulled(self, shift: int, region: Region) -> Heights:
         """Interpolate the filled level above at the places of `region`."""

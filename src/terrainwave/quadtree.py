@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 MAX_ROOTS_PER_SIDE = 1
+ROOT_LEVEL = -1
 SEGMENT_LEVELS = 4
 
 
@@ -51,6 +52,11 @@ class Block(NamedTuple):
         """Return the block one level coarser that contains this one."""
         return Block(self.level - 1, self.row >> 1, self.col >> 1)
 
+    @property
+    def is_root_key(self) -> bool:
+        """Say whether this is the key of a root block: its position on `ROOT_LEVEL`."""
+        return self.level == ROOT_LEVEL
+
 
 def morton(row: int, col: int) -> int:
     """Return the Morton number of (row, col): bits interleaved, the row's above the column's."""
@@ -70,7 +76,7 @@ class Grid:
     """The quadtree over an ``n_rows x n_cols`` raster cut into blocks of `block` cells.
 
     `k_max` is the smallest number of refinements for which the longer side of level 0 has at most
-    four blocks.
+    one block, so that there is one root block.
     """
 
     n_rows: int
@@ -132,6 +138,18 @@ class Grid:
             for col in (2 * block.col, 2 * block.col + 1)
             if row < rows and col < cols
         ]
+
+    # Keys of coded units (FORMAT.md §2.4): a group's is its parent, a root's itself on ROOT_LEVEL.
+
+    def root_keys(self) -> list[Block]:
+        """Return the keys of the root blocks in Morton order."""
+        return [Block(ROOT_LEVEL, root.row, root.col) for root in self.blocks(0)]
+
+    def key_blocks(self, key: Block) -> list[Block]:
+        """Return the blocks whose heights the unit of `key` holds, in Morton order."""
+        if key.is_root_key:
+            return [Block(0, key.row, key.col)]
+        return self.children(key)
 
     def block_region(self, block: Block, apron: int = 0) -> Region:
         """Return the samples of `block` inside the raster, with `apron` more on each side."""

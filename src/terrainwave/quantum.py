@@ -141,6 +141,10 @@ class Quantizer:
         return min(max(product, int(limits.min)), int(limits.max))
 
 
+# Integers whose common divisor is found at a time: of most rasters it is 1 after the first.
+_GCD_CHUNK = 4096
+
+
 class HeightScan:
     """Range, validity and vertical quantum of a raster, gathered window by window.
 
@@ -164,15 +168,18 @@ class HeightScan:
     def update(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> None:
         """Take one window into account."""
         self.n_samples += raw.size
-        heights = raw[valid]
+        heights = raw.ravel() if valid.all() else raw[valid]
         self.n_valid += heights.size
         if heights.size == 0:
             return
         self.minimum = min(self.minimum, heights.min().item())
         self.maximum = max(self.maximum, heights.max().item())
         if heights.dtype.kind in "iu":
-            if self._gcd != 1:
-                self._gcd = int(np.gcd(self._gcd, np.gcd.reduce(heights.astype(np.int64))))
+            for first in range(0, heights.size, _GCD_CHUNK):
+                if self._gcd == 1:
+                    break
+                part = heights[first : first + _GCD_CHUNK].astype(np.int64)
+                self._gcd = int(np.gcd(self._gcd, np.gcd.reduce(part)))
         else:
             self._narrow_candidates(heights)
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.units import CodecParameters, root_keys, unit_spec
+from terrainwave.codec.units import CodecParameters, unit_spec
 from terrainwave.codes import decode_error, decode_range
 from terrainwave.container.reader import Container
 from terrainwave.container.source import open_source
@@ -121,7 +121,7 @@ class Terrain:
         try:
             self._container = Container(self._source)
             header = self._container.header
-            if header.parameters:
+            if header.parameters and header.method != "predictive":
                 raise UnsupportedVersionError(
                     f"the file has parameters for method {header.method}, which this terrainwave"
                     " does not know: install a newer one"
@@ -189,7 +189,7 @@ class Terrain:
 
         return TreeDecoder(
             self._grid,
-            refiner_by_name(self._container.header.method),
+            refiner_by_name(self._container.header.method, self._container.header.parameters),
             self._parameters,
             self._container.payloads,
             self._cache_bytes,
@@ -627,7 +627,7 @@ class Terrain:
     def check(self) -> Iterator[str]:
         """Check all checksums and decode every unit; yield what is wrong, in plain words."""
         yield from self._container.check()
-        for key in root_keys(self._grid):
+        for key in self._grid.root_keys():
             yield from self._check_below(key)
 
     def _check_below(self, key: Block) -> Iterator[str]:
@@ -636,7 +636,7 @@ class Terrain:
         except CorruptStreamError as exc:
             yield str(exc)
             return  # what lies below cannot be decoded either
-        blocks = [Block(0, key.row, key.col)] if key.level < 0 else self._grid.children(key)
+        blocks = self._grid.key_blocks(key)
         for block in blocks:
             if block.level < self._grid.k_max and not self._is_absent(block):
                 yield from self._check_below(block)

@@ -9,9 +9,9 @@ import math
 import os
 import warnings
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import rasterio
@@ -24,6 +24,9 @@ from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveErr
 from terrainwave.metrics import ErrorReport, ErrorSum
 from terrainwave.progress import Progress, ProgressCallback
 from terrainwave.raster_io.crs import parse_crs
+
+if TYPE_CHECKING:
+    from terrainwave.mesh_verification import MeshReport
 
 # Samples per window, and its height where the original is striped: windows of few rows would make
 # the decoder run the same blocks again and again.
@@ -56,6 +59,8 @@ class VerifyReport:
         What was measured; None without an original.
     problems : tuple of str
         One sentence each; empty if all is well.
+    mesh : MeshReport or None
+        What was checked of the meshes, if that was asked for.
     """
 
     path: str
@@ -65,6 +70,7 @@ class VerifyReport:
     effective_error: float
     errors: ErrorReport | None
     problems: tuple[str, ...]
+    mesh: "MeshReport | None" = None
 
     @property
     def ok(self) -> bool:
@@ -83,6 +89,7 @@ def verify(
     max_error: float | None = None,
     band: int = 1,
     nodata: float | None = None,
+    mesh: bool = False,
     threads: int | None = None,
     progress: ProgressCallback | None = None,
 ) -> VerifyReport:
@@ -104,6 +111,9 @@ def verify(
         The band of `original` that was compressed.
     nodata : float, optional
         The nodata value given at compression, where it differs from the raster's own.
+    mesh : bool
+        Check all meshes too: that each covers its area once without gaps, folds and T-junctions,
+        that neighbours fit, and that no sample is further from a mesh than it states.
     threads : int, optional
         Threads that decode; the number of processors by default.
     progress : callable, optional
@@ -134,15 +144,31 @@ def verify(
         if original is None:
             problems = tuple(terrain.check())
             bound = _bound(terrain, max_error)
-            return _report(terrain, twz, None, bound, None, problems)
+            report = _report(terrain, twz, None, bound, None, problems)
+            return _with_meshes(report, terrain, None, progress) if mesh else report
         with _open_original(original) as dataset:
             if not 1 <= band <= dataset.count:
                 raise InvalidHeightsError(
                     f"band {band} does not exist, {original} has {dataset.count}"
                 )
-            return _Comparison(terrain, dataset, band, nodata, max_error).run(
-                twz, original, progress
-            )
+            comparison = _Comparison(terrain, dataset, band, nodata, max_error)
+            report = comparison.run(twz, original, progress)
+            if not mesh or report.errors is None:  # of another size or type
+                return report
+            return _with_meshes(report, terrain, comparison.read_original, progress)
+
+
+def _with_meshes(
+    report: VerifyReport, terrain: Any, read: Any, progress: ProgressCallback | None
+) -> VerifyReport:
+    """Add the checks of meshes to a report, unless the heights can't be read."""
+    # Imported here: numba.
+    from terrainwave.mesh_verification import verify_meshes
+
+    checked, problems = verify_meshes(
+        terrain, None if read is None else lambda region: read(*region), progress
+    )
+    return replace(report, mesh=checked, problems=(*report.problems, *problems))
 
 
 def _bound(terrain: Any, max_error: float | None) -> float:
@@ -255,7 +281,7 @@ class _Comparison:
         n_taken = n_done = 0
         total = self._dataset.height * self._dataset.width
         for row, col, n_rows, n_cols in self._windows():
-            original, valid = self._read_original(row, col, n_rows, n_cols)
+            original, valid = self.read_original(row, col, n_rows, n_cols)
             try:
                 decoded = self._terrain.read(window=(row, col, n_rows, n_cols), masked=True)
             except TerrainwaveError as error:
@@ -304,9 +330,10 @@ class _Comparison:
         )
         return allowed + np.spacing(largest).astype(np.float64)
 
-    def _read_original(
+    def read_original(
         self, row: int, col: int, n_rows: int, n_cols: int
     ) -> tuple[np.ndarray, np.ndarray]:
+        """Return raw heights and validity of a window of the original."""
         window = Window(col, row, n_cols, n_rows)
         try:
             with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES):

@@ -1,11 +1,23 @@
 """The `predictive` refiner: the bound, the borders, voids, damage."""
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from lone_units import (
+    ALL_SHARED,
+    BIG,
+    NOT_SHARED,
+    check_damaged,
+    check_neighbours,
+    check_refiner,
+    hard_rasters,
+    lone_spec,
+    terrain,
+)
 
 from terrainwave.codec.detail import (
     LOG8,
@@ -17,9 +29,10 @@ from terrainwave.codec.detail import (
     log8,
 )
 from terrainwave.codec.lattice import PAD, TAPS, fill_frame, merge, plane_sizes, split
-from terrainwave.codec.predictive import Predictive
-from terrainwave.codec.refiner import GroupSpec, Sides
-from terrainwave.codec.tables import STENCILS, start_models
+from terrainwave.codec.nested import fits_narrow
+from terrainwave.codec.predictive import Predictive, _Rows
+from terrainwave.codec.refiner import Sides
+from terrainwave.codec.tables import E_WEIGHTS, STENCILS, start_models
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
     CODE,
@@ -31,17 +44,7 @@ from terrainwave.coding.rangecoder import (
     start_encoder,
 )
 from terrainwave.errors import CorruptStreamError
-from terrainwave.quadtree import Grid, Region
-
-NOT_SHARED = Sides(False, False, False, False)
-ALL_SHARED = Sides(True, True, True, True)
-BIG = 1 << 30
-
-
-def lone_spec(shape, step=3, effort=1, shared=NOT_SHARED, parent=True):
-    core = Region(0, 0, *shape)
-    above = Region(0, 0, (shape[0] + 1) // 2, (shape[1] + 1) // 2) if parent else None
-    return GroupSpec(1, core, core, above, shared, step, -BIG, BIG, (1, 0), 1, effort)
+from terrainwave.quadtree import Grid
 
 
 def coarse_of(target, step):
@@ -53,58 +56,19 @@ def coarse_of(target, step):
 
 
 def check(spec, parent, target, mask=None):
-    """Encode, decode, check everything promised; return the payload and the heights."""
-    mask = np.ones(target.shape, dtype=bool) if mask is None else mask
-    before = mask.copy()
-    refiner = Predictive()
-    payload, heights, labels = refiner.encode(spec, parent, target, mask)
-    np.testing.assert_array_equal(mask, before)
-    back, back_labels = refiner.decode(spec, parent, mask, payload)
-    assert labels is None
-    assert back_labels is None
-    assert back.dtype == np.int32
-    np.testing.assert_array_equal(back, heights)
-    error = np.abs(back.astype(np.int64) - target)[mask]
-    assert error.max(initial=0) <= spec.half
+    """Check everything promised; return the payload and the heights."""
+    payload, heights, labels = check_refiner(Predictive(), spec, parent, target, mask)
+    assert (labels is None) == (parent is None)
+    if labels is not None:
+        assert labels.shape == parent.shape
     return payload, heights
 
 
-def terrain(shape, seed=0, relief=400):
-    """Return smooth random heights with some noise, the same for every machine."""
-    rng = np.random.default_rng(seed)
-    rows, cols = np.mgrid[: shape[0], : shape[1]]
-    heights = np.zeros(shape)
-    for wave in (3.0, 7.0, 19.0, 53.0):
-        a, b, c = rng.uniform(0, 6.28, 3)
-        heights += (
-            relief * wave / 53 * np.sin(rows / wave + a) * np.cos(cols / wave * np.sin(c) + b)
-        )
-    return np.rint(heights + rng.normal(0, 1, shape)).astype(np.int32)
-
-
-def hard_rasters(shape):
-    rng = np.random.default_rng(3)
-    spike = np.zeros(shape, dtype=np.int32)
-    spike[shape[0] // 2, shape[1] // 3] = 1 << 29
-    rows, cols = np.mgrid[: shape[0], : shape[1]]
-    return {
-        "constant": np.full(shape, 1234, dtype=np.int32),
-        "lowest": np.full(shape, -BIG, dtype=np.int32),
-        "spike": spike,
-        "checkerboard": np.where((rows + cols) & 1, BIG, -BIG).astype(np.int32),
-        "stripes": np.where(rows & 1, BIG, -BIG).astype(np.int32),
-        "noise": rng.integers(-BIG, BIG, shape, dtype=np.int32),
-        "mild noise": rng.integers(-9, 9, shape, dtype=np.int32),
-        "ramp": (17 * rows - 5 * cols).astype(np.int32),
-        "terrain": terrain(shape),
-    }
-
-
-@pytest.mark.parametrize("name", list(hard_rasters((2, 2))))
+@pytest.mark.parametrize("name", list(hard_rasters((2, 2), 1)))
 @pytest.mark.parametrize("step", [1, 3, 21, (1 << 28) + 1])
 @pytest.mark.parametrize("effort", [0, 1])
 def test_bound_holds_on(name, step, effort):
-    target = hard_rasters((17, 16))[name]
+    target = hard_rasters((17, 16), BIG)[name]
     for shared in (NOT_SHARED, Sides(True, False, True, True)):
         check(lone_spec(target.shape, step, effort, shared), coarse_of(target, step), target)
         check(lone_spec(target.shape, step, effort, shared, parent=False), None, target)
@@ -215,15 +179,16 @@ def test_details_of_any_size_survive(mixed):
     sizes = [1, 2, 5, 14, 15, 100, 10**4, 10**6, (1 << 31) - 1]
     details = [s * sign for s in sizes for sign in (1, -1)]
     contexts = [
-        (int(e), int(rng.integers(0, 8)), int(rng.integers(0, 8)), rng.integers(-9, 9, 6))
+        (int(e), *(int(reach) for reach in rng.integers(0, 5000, 2)), rng.integers(-9, 9, 6))
         for e in rng.integers(0, N_E_BINS, len(details))
     ]
     state, out = start_encoder(), np.zeros(10_000, dtype=np.uint8)
     models = start_models(N_DETAIL_MODELS)
+    scale = 100, log8(100)
     span, low = state[RANGE], state[LOW]
     for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
         span, low = encode_detail(
-            span, low, state, out, models, mixed, e_bin, 1300, 1301, up, down, spots, detail
+            span, low, state, out, models, mixed, e_bin, 1300, 1301, up, down, *scale, spots, detail
         )
     state[RANGE], state[LOW] = span, low
     data = out[: finish_encoder(state, out)].copy()
@@ -233,7 +198,7 @@ def test_details_of_any_size_survive(mixed):
     span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
     for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
         found, span, code, pos = decode_detail(
-            span, code, pos, state, data, models, mixed, e_bin, 1300, 1301, up, down, spots
+            span, code, pos, state, data, models, mixed, e_bin, 1300, 1301, up, down, *scale, spots
         )
         assert found == detail
         assert abs(found) <= MAX_DETAIL + 1
@@ -241,30 +206,32 @@ def test_details_of_any_size_survive(mixed):
     assert finish_decoder(state, data)[0] == 0
 
 
+@pytest.mark.parametrize("effort", [0, 1, 2])
+@pytest.mark.parametrize("largest", [300, 40_000, 100_000, 200_000])
+def test_rows_of_32_bits_give_the_same_bytes_as_rows_of_64(effort, largest, monkeypatch):
+    rng = np.random.default_rng(largest)
+    target = rng.integers(-largest, largest + 1, (70, 65)).astype(np.int32)
+    target[:30] = terrain((30, 65), relief=min(largest, 400) / 2)
+    spec = dataclasses.replace(lone_spec(target.shape, 3, effort), z_min=-largest, z_max=largest)
+    parent = coarse_of(target, 3).clip(-largest, largest)
+    payload, heights = check(spec, parent, target)
+    monkeypatch.setattr(_Rows, "of", lambda rows, *_weights: rows.wide)
+    wide_payload, wide_heights = check(spec, parent, target)
+    assert payload == wide_payload
+    np.testing.assert_array_equal(heights, wide_heights)
+
+
+def test_only_heights_whose_sums_fit_get_32_bits():
+    weights, e_weights = STENCILS[1][0], E_WEIGHTS[1][0]
+    most = ((1 << 30) - 1) // (int(np.abs(weights).sum()) + 64)
+    assert fits_narrow(most, weights, e_weights)
+    assert not fits_narrow(most + 1, weights, e_weights)
+    steep = e_weights.copy()
+    steep[0] = -1
+    assert not fits_narrow(300, weights, steep)
+
+
 # Groups next to each other ---------------------------------------------------------------------
-
-
-def arrangement(n_rows, n_cols, block, rings, step):
-    """Return the grid, its pyramid and a maker of specs for all units."""
-    grid = Grid(n_rows, n_cols, block)
-    levels = [terrain((n_rows, n_cols), seed=7)]
-    for _ in range(grid.k_max):
-        levels.append(np.ascontiguousarray(levels[-1][::2, ::2]))
-    levels.reverse()
-
-    def spec_of(level, block_):
-        apron = rings >> 1
-        if level == 0:
-            core, region = grid.block_region(block_), grid.block_region(block_, apron)
-            above = None
-        else:
-            core, region = grid.group_region(block_), grid.group_region(block_, apron)
-            above = grid.block_region(block_, apron)
-        rows, cols = grid.level_blocks(block_.level)
-        shared = Sides(block_.row > 0, block_.col > 0, block_.row + 1 < rows, block_.col + 1 < cols)
-        return GroupSpec(level, core, region, above, shared, step, -BIG, BIG, (1, 0), rings, 1)
-
-    return grid, levels, spec_of
 
 
 @pytest.mark.large
@@ -274,49 +241,19 @@ def arrangement(n_rows, n_cols, block, rings, step):
     "size", [(33, 33), (49, 65), (34, 50), (18, 41), (65, 66), (3, 70), (1, 40), (131, 131)]
 )
 def test_neighbours_decode_the_same_bits_in_any_order(size, rings, has_voids):
-    grid, levels, spec_of = arrangement(*size, 8, rings, 5)
+    grid = Grid(*size, 8)
+    levels = [terrain(size, seed=7)]
+    for _ in range(grid.k_max):
+        levels.append(np.ascontiguousarray(levels[-1][::2, ::2]))
+    levels.reverse()
     rng = np.random.default_rng(11)
-    above = above_mask = None
-    for level in range(grid.k_max + 1):
-        target = levels[level]
-        mask = rng.random(target.shape) < 0.7 if has_voids else np.ones(target.shape, dtype=bool)
-        if has_voids and above_mask is not None:
-            mask[::2, ::2] &= above_mask  # a sample valid here was valid there
-        whole = Region(0, 0, *target.shape)
-        decoded = np.zeros(target.shape, dtype=np.int32)
-        writers = np.zeros(target.shape, dtype=np.int64)
-        units = grid.blocks(max(level - 1, 0))
-        for index in rng.permutation(len(units)):
-            spec = spec_of(level, units[index])
-            at = spec.region.slices_in(whole)
-            parent = None
-            if level > 0:
-                parent = above[spec.parent_region.slices_in(Region(0, 0, *above.shape))]
-            refiner = Predictive()
-            payload, heights, _ = refiner.encode(spec, parent, target[at], mask[at])
-            back, _ = refiner.decode(spec, parent, mask[at], payload)
-            np.testing.assert_array_equal(back, heights)
-            seen = writers[at] > 0
-            np.testing.assert_array_equal(decoded[at][seen], heights[seen])
-            decoded[at] = heights
-            writers[at] += 1
-        assert (writers > 0).all()
-        if len(units) > 1:
-            assert (writers > 1).any()
-        assert np.abs(decoded.astype(np.int64) - target)[mask].max(initial=0) <= 2
-        above, above_mask = decoded, mask
+    masks = [rng.random(level.shape) < (0.7 if has_voids else 2) for level in levels]
+    for above, mask in itertools.pairwise(masks):
+        mask[::2, ::2] &= above  # a sample valid here was valid there
+    check_neighbours(Predictive(), grid, levels, rings, 1, masks)
 
 
 # Damage ----------------------------------------------------------------------------------------
-
-
-def damaged(spec, parent, mask, payload):
-    try:
-        heights, _ = Predictive().decode(spec, parent, mask, payload)
-    except CorruptStreamError:
-        return
-    assert heights.shape == spec.region.shape
-    assert np.abs(heights.astype(np.int64)).max() <= BIG
 
 
 def small_payload():
@@ -346,7 +283,7 @@ def test_every_flipped_byte_gives_heights_or_our_own_error():
         for change in (1, 128, 255):
             broken = bytearray(payload)
             broken[pos] ^= change
-            damaged(spec, parent, mask, bytes(broken))
+            check_damaged(Predictive(), spec, parent, mask, bytes(broken))
 
 
 @pytest.mark.large
@@ -358,7 +295,7 @@ def test_flipped_bytes_in_a_large_unit_give_heights_or_our_own_error():
     for pos in range(0, len(payload), 7):
         broken = bytearray(payload)
         broken[pos] ^= 255
-        damaged(spec, parent, mask, bytes(broken))
+        check_damaged(Predictive(), spec, parent, mask, bytes(broken))
 
 
 @given(st.binary(max_size=80), st.booleans(), st.sampled_from([1, 3, 1001, (1 << 29) + 1]))
@@ -367,7 +304,58 @@ def test_any_bytes_give_heights_or_our_own_error(payload, has_parent, step):
     spec = dataclasses.replace(spec, step=step)
     if not has_parent:
         spec, parent = dataclasses.replace(spec, parent_region=None), None
-    damaged(spec, parent, mask, payload)
+    check_damaged(Predictive(), spec, parent, mask, payload)
 
 
 SMALL = small_payload()
+
+
+# Zero trees ------------------------------------------------------------------------------------
+
+
+def test_a_flat_group_is_one_zero_tree():
+    plane = np.full((33, 33), 700, dtype=np.int32)
+    _, _, trees = Predictive().encode(
+        lone_spec(plane.shape, 3), np.ascontiguousarray(plane[::2, ::2]), plane, plane == plane
+    )
+    # 17 x 17 nodes: 2**5 is the first power of two above 16.
+    np.testing.assert_array_equal(trees, np.full((17, 17), 5 + 1))
+
+
+@pytest.mark.parametrize(
+    ("place", "nodes"),
+    [((21, 9), [(10, 4)]), ((20, 9), [(10, 4)]), ((21, 8), [(10, 4)])],
+    ids=["HH", "HL", "LH"],
+)
+def test_a_spike_is_significant_in_the_node_that_holds_its_detail(place, nodes):
+    target = np.zeros((65, 65), dtype=np.int32)
+    target[place] = 40
+    parent = np.zeros((33, 33), dtype=np.int32)
+    _, _, trees = Predictive().encode(lone_spec(target.shape, 21), parent, target, target == target)
+    # Its neighbours' predictions use it and miss; far from it nothing is significant.
+    found = {(int(i), int(j)) for i, j in np.argwhere(trees == 0)}
+    assert set(nodes) <= found
+    assert max(abs(i - 10) for i, _ in found) <= 2
+    assert max(abs(j - 4) for _, j in found) <= 2
+    assert trees[16:32, 16:32].min() == 4 + 1
+
+
+def test_voids_are_never_significant():
+    target = terrain((65, 65), seed=4)
+    mask = np.ones(target.shape, dtype=bool)
+    mask[20:50, 10:40] = False
+    parent = coarse_of(target, 1)
+    _, _, trees = Predictive().encode(lone_spec(target.shape, 1), parent, target, mask)
+    assert (trees[10:24, 5:19] > 0).all()
+    assert (trees == 0).any()
+
+
+def test_labels_are_left_out_where_nobody_wants_them():
+    target = terrain((33, 33))
+    spec = dataclasses.replace(lone_spec(target.shape), wants_labels=False)
+    parent = coarse_of(target, 3)
+    payload, heights, labels = Predictive().encode(spec, parent, target, target == target)
+    back, back_labels = Predictive().decode(spec, parent, target == target, payload)
+    assert labels is None
+    assert back_labels is None
+    np.testing.assert_array_equal(back, heights)

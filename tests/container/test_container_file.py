@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from terrainwave.container.header import HEADER_SIZE
-from terrainwave.container.page import page_layout, root_key
+from terrainwave.container.page import page_layout
 from terrainwave.container.reader import Container, open_container
 from terrainwave.container.source import BufferSource, ByteRange
 from terrainwave.container.spool import SegmentSpool
@@ -27,7 +27,9 @@ from terrainwave.container.writer import assemble, write_file
 from terrainwave.errors import StorageError
 from terrainwave.quadtree import Block, Grid
 
-sides = st.integers(1, 700) | st.sampled_from([1, 2, 32, 33, 128, 129, 130, 1025, 2049])
+sides = st.integers(1, 700) | st.sampled_from(
+    [1, 2, 32, 33, 34, 65, 129, 257, 513, 514, 1025, 2049]
+)
 
 
 @settings(max_examples=40)
@@ -43,7 +45,17 @@ def test_everything_written_comes_back(n_rows, n_cols, block):
 
 @pytest.mark.parametrize(
     ("n_rows", "n_cols", "k_max"),
-    [(1, 1, 0), (1, 20_000, 8), (40_000, 2, 9), (17_000, 40, 8), (129, 129, 0), (130, 1, 1)],
+    [
+        (1, 1, 0),
+        (1, 20_000, 10),
+        (40_000, 2, 11),
+        (17_000, 40, 10),
+        (33, 33, 0),
+        (34, 1, 1),
+        (1, 257, 3),
+        (1, 513, 4),
+        (8193, 2, 8),
+    ],
 )
 def test_strips_and_deep_trees_come_back(n_rows, n_cols, k_max):
     header = toy_header(n_rows, n_cols, 32)
@@ -74,13 +86,13 @@ def test_segments_lie_in_the_file_by_level_then_morton():
     assert ends[-1] == len(data)
 
 
-def test_the_top_segment_is_page_then_roots_then_groups():
+def test_the_top_segment_is_page_then_root_then_groups():
     header = toy_header(200, 100)
     data = toy_file(header)
     extents = open_container(data).extents
     body = data[extents.top_start + extents.top_page_length :]
     layout = page_layout(header.grid, None)
-    assert layout.keys[0] == root_key(Block(0, 0, 0)) == Block(-1, 0, 0)
+    assert layout.keys[0] == Block(-1, 0, 0)
     assert body.startswith(toy_payload(Block(-1, 0, 0)))
     assert data[HEADER_SIZE + extents.metadata_length :].startswith(b"par")
 
@@ -107,14 +119,14 @@ def test_opening_reads_the_first_16_kib_only():
 
 def test_a_deep_payload_costs_one_read_per_page_on_its_path_and_one_for_itself():
     header = toy_header(17_000, 40)
-    key = Block(7, 250, 0)
+    key = Block(9, 250, 0)
     source = Recording(toy_file(header))
     container = Container(source)
     source.reads.clear()
     assert container.payload(key) == toy_payload(key)
-    assert len(source.reads) == 3  # pages headed on levels 0 and 4, payload
+    assert len(source.reads) == 3  # pages headed on levels 2 and 6, payload
     source.reads.clear()
-    assert container.payload(Block(7, 252, 0))
+    assert container.payload(Block(9, 252, 0))
     assert len(source.reads) == 1
 
 
@@ -122,7 +134,7 @@ def test_payloads_near_each_other_are_read_together():
     header = toy_header(2000, 1999)
     source = Recording(toy_file(header))
     container = Container(source)
-    keys = header.grid.blocks(3)
+    keys = header.grid.blocks(5)
     container.payloads(keys)
     source.reads.clear()
     assert container.payloads(keys) == [toy_payload(key) for key in keys]
@@ -135,8 +147,8 @@ def test_an_evicted_page_is_read_again():
     container = Container(source, cached_segments=1)
     for _ in range(2):
         for row in (0, 1, 3):
-            assert container.codes(Block(2, 4 * row, 0)) == toy_codes(Block(2, 4 * row, 0))
-    keys = header.grid.blocks(3)
+            assert container.codes(Block(4, 4 * row, 0)) == toy_codes(Block(4, 4 * row, 0))
+    keys = header.grid.blocks(5)
     assert container.payloads(keys) == [toy_payload(key) for key in keys]
 
 
@@ -144,7 +156,7 @@ def test_the_page_used_last_stays_in_the_cache():
     header = toy_header(2000, 1999)
     source = Recording(toy_file(header))
     container = Container(source, cached_segments=2)
-    heads = header.grid.blocks(0)
+    heads = header.grid.blocks(2)
     for head in (*heads[:2], heads[0], heads[2]):
         container.segment(head)
     source.reads.clear()
@@ -157,8 +169,8 @@ def test_the_page_used_last_stays_in_the_cache():
 @pytest.mark.parametrize(
     "key",
     [
-        Block(-1, 4, 0), Block(-1, -1, 0), Block(-2, 0, 0), Block(4, 0, 0), Block(5, 0, 0),
-        Block(0, 4, 0), Block(2, -1, 0), Block(3, 0, 32),
+        Block(-1, 1, 0), Block(-1, -1, 0), Block(-2, 0, 0), Block(6, 0, 0), Block(7, 0, 0),
+        Block(0, 1, 0), Block(2, 4, 0), Block(4, -1, 0), Block(5, 0, 32),
     ],
 )  # fmt: skip
 def test_a_key_outside_the_grid_is_a_key_error(key):
@@ -170,17 +182,18 @@ def test_a_key_outside_the_grid_is_a_key_error(key):
 
 def test_codes_of_a_block_outside_the_grid_are_a_key_error():
     container = open_container(toy_file(toy_header(2000, 1999)))
-    for block in (Block(-1, 0, 0), Block(5, 0, 0), Block(0, 0, 4)):
+    for block in (Block(-1, 0, 0), Block(7, 0, 0), Block(0, 0, 1), Block(2, 0, 4)):
         with pytest.raises(KeyError):
             container.codes(block)
-    with pytest.raises(KeyError):
-        container.segment(Block(1, 0, 0))
+    for block in (Block(1, 0, 0), Block(3, 0, 0)):  # heads are on level 2
+        with pytest.raises(KeyError):
+            container.segment(block)
 
 
 def test_eight_threads_read_what_one_reads():
     header = toy_header(2000, 1999)
     container = Container(BufferSource(toy_file(header)), cached_segments=3)
-    keys = [key for level in range(4) for key in header.grid.blocks(level)]
+    keys = [key for level in range(6) for key in header.grid.blocks(level)]
     wrong = []
 
     def work(seed):
@@ -246,20 +259,20 @@ def test_segments_without_any_content_take_no_bytes(tmp_path):
     assert len(data) < 500
     with open_container(data) as container:
         assert list(container.check()) == []
-        assert container.payload(Block(3, 9, 9)) == b""
-        assert container.codes(Block(4, 9, 9)) == (0, 0, 0, 0)
-        assert container.flags(Block(3, 9, 9)) == 0
+        assert container.payload(Block(5, 9, 9)) == b""
+        assert container.codes(Block(6, 9, 9)) == (0, 0, 0, 0)
+        assert container.flags(Block(5, 9, 9)) == 0
 
 
 def test_an_empty_segment_above_one_with_content_is_present(tmp_path):
     header = toy_header(17_000, 40)
-    loud = Block(7, 200, 0)
+    loud = Block(9, 200, 0)
     data = assembled(header, silent_spools(header.grid, tmp_path, {loud}))
     with open_container(data) as container:
         assert list(container.check()) == []
         assert container.payload(loud) == b"loud"
-        assert container.payload(Block(7, 0, 0)) == b""
-        assert container.segment(Block(4, 0, 0)).page.is_empty
+        assert container.payload(Block(9, 0, 0)) == b""
+        assert container.segment(Block(6, 0, 0)).page.is_empty
 
 
 # What the writer refuses
@@ -268,8 +281,8 @@ def test_an_empty_segment_above_one_with_content_is_present(tmp_path):
 def test_a_missing_segment_is_refused(tmp_path):
     header = toy_header(2000, 1999)
     spools = toy_spools(header.grid, tmp_path)
-    del spools[Block(0, 1, 1)]
-    with pytest.raises(ValueError, match=r"level 0, row 1, col 1\) is missing"):
+    del spools[Block(2, 1, 1)]
+    with pytest.raises(ValueError, match=r"level 2, row 1, col 1\) is missing"):
         assembled(header, spools)
 
 
@@ -292,7 +305,7 @@ def test_missing_codes_are_refused(tmp_path):
 def test_a_payload_of_another_segment_is_refused(tmp_path):
     header = toy_header(2000, 1999)
     spools = toy_spools(header.grid, tmp_path)
-    spools[None].add(Block(3, 0, 0), b"x", 0, bytes(16))
+    spools[None].add(Block(5, 0, 0), b"x", 0, bytes(16))
     with pytest.raises(ValueError, match="does not belong"):
         assembled(header, spools)
 

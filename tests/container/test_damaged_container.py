@@ -21,7 +21,7 @@ from terrainwave.errors import (
 )
 from terrainwave.quadtree import Block
 
-HEADER = toy_header(1030, 2)  # k_max = 4: five roots, each the head of a segment below the top one
+HEADER = toy_header(1030, 2)  # k_max = 6: level 2's three blocks are heads of segments
 DATA = toy_file(HEADER)
 
 
@@ -35,7 +35,7 @@ def problems(data):
 
 
 def test_the_file_has_segments_below_the_top_one_and_is_sound():
-    assert HEADER.grid.k_max == 4
+    assert HEADER.grid.k_max == 6
     assert len(open_container(DATA).segment(None).layout.children) == 3
     assert problems(DATA) == []
 
@@ -70,20 +70,20 @@ def test_two_exchanged_bytes_are_found():
 
 
 def test_a_damaged_payload_is_named_and_others_still_read():
-    key = Block(3, 10, 0)
+    key = Block(5, 10, 0)
     container = open_container(DATA)
     segment = container.segment(container.grid.segment_head(key))
     start = segment.payload_range(segment.key_rows[key]).offset
     damaged = bytearray(DATA)
     damaged[start] ^= 1
     container = open_container(bytes(damaged))
-    with pytest.raises(CorruptStreamError, match=r"payload of group \(level 3, row 10, col 0\)"):
+    with pytest.raises(CorruptStreamError, match=r"payload of group \(level 5, row 10, col 0\)"):
         container.payload(key)
-    assert container.payload(Block(3, 9, 0)) == toy_payload(Block(3, 9, 0))
+    assert container.payload(Block(5, 9, 0)) == toy_payload(Block(5, 9, 0))
     assert len(list(container.check())) == 1
 
 
-def test_a_damaged_root_is_named():
+def test_the_damaged_root_is_named():
     extents = open_container(DATA).extents
     damaged = bytearray(DATA)
     damaged[extents.top_start + extents.top_page_length] ^= 1
@@ -147,7 +147,7 @@ def test_a_payload_beyond_the_end_of_the_file_is_corrupt():
         open_container(forge(HEADER, page))
 
 
-DEEP = toy_header(4 * 32 * 256 + 1, 2)  # k_max = 8: segments on levels 0 and 4
+DEEP = toy_header(4 * 32 * 256 + 1, 2)  # k_max = 10: segments on levels 2 and 6
 DEEP_TOP = page_layout(DEEP.grid, None)
 
 
@@ -162,9 +162,9 @@ def deep_top(lengths):
 
 
 def deep_forgery(*first_children, n_bytes=None):
-    """Return a file whose segments on level 0 each point at sixteen of 100 zeros.
+    """Return a file whose segments on level 2 each point at sixteen of 100 zeros.
 
-    `first_children` map the end of the top segment and the end of level 0 to where.
+    `first_children` map the end of the top segment and the end of level 2 to where.
     """
     below = page_layout(DEEP.grid, DEEP_TOP.children[0])
     assert len(below.children) == 16
@@ -184,7 +184,7 @@ def deep_forgery(*first_children, n_bytes=None):
 
 def test_all_faults_of_a_forgery_are_found_and_none_twice():
     data = deep_forgery(lambda top, level: level, lambda top, level: level + 1600)
-    assert DEEP.grid.k_max == 8
+    assert DEEP.grid.k_max == 10
     assert len(problems(data)) == 32
     assert all("has only" in problem or "checksum" in problem for problem in problems(data))
 
@@ -236,7 +236,7 @@ def test_a_segment_whose_page_disagrees_with_its_parent_is_corrupt():
     lengths = [len(page) + 1, 0, 0]
     data = forge(HEADER, with_children(lengths, [len(page), 0, 0]), rest=page + b"\0")
     with pytest.raises(CorruptStreamError, match="its parent says"):
-        open_container(data).payload(Block(3, 0, 0))
+        open_container(data).payload(Block(5, 0, 0))
     assert problems(data)
 
 

@@ -9,13 +9,13 @@ import pytest
 from terrainwave.container import header as header_module
 from terrainwave.container.header import DTYPE_CODES, HEADER_SIZE, MAGIC, METHODS
 from terrainwave.container.page import empty_page, pack_columns, page_layout
-from terrainwave.quadtree import Grid
+from terrainwave.quadtree import Block, Grid
 
 ROOT = Path(__file__).parents[2]
 DOCUMENT = (ROOT / "docs" / "FORMAT.md").read_text(encoding="utf-8")
 SIZES = {"uint8": 1, "uint16": 2, "uint32": 4, "int32": 4, "uint64": 8, "int64": 8, "float64": 8}
 LETTERS = {"B": "uint8", "H": "uint16", "I": "uint32", "i": "int32"}
-LETTERS |= {"Q": "uint64", "q": "int64", "d": "float64", "8s": "bytes", "3s": "bytes"}
+LETTERS |= {"Q": "uint64", "q": "int64", "d": "float64", "8s": "bytes", "2s": "bytes"}
 
 
 def section(number):
@@ -64,7 +64,20 @@ def test_the_columns_of_a_page_have_the_size_of_format_3_3(side):
     assert len(columns) == 11
     expected = sum(rows_of[n_rows] * SIZES[kind] for _, n_rows, kind, _ in columns)
     assert len(zlib.decompress(pack_columns(empty_page(layout)))) == expected
-    assert expected <= 23_712
+    assert expected <= 5_877
+
+
+def test_the_largest_page_has_the_columns_of_format_10():
+    layout = page_layout(Grid(4097, 4097, 32), Block(3, 0, 0))
+    assert (len(layout.keys), len(layout.blocks), len(layout.children)) == (85, 340, 0)
+    layout = page_layout(Grid(2**16 + 1, 2**16 + 1, 32), Block(3, 0, 0))
+    assert (len(layout.keys), len(layout.blocks), len(layout.children)) == (85, 340, 256)
+    limits = {row[0]: row[1] for row in rows(section("10"), 3)}
+    assert limits["keys of a page"] == "22 top, 85 others"
+    assert limits["blocks of a page"] == "85 top, 340 others"
+    assert limits["child segments of a page"] == "64 top, 256 others"
+    n_bytes = len(zlib.decompress(pack_columns(empty_page(layout))))
+    assert limits["columns of a page, inflated"] == f"{n_bytes} bytes"
 
 
 @pytest.mark.parametrize(
@@ -83,8 +96,9 @@ def test_limits_of_the_code_are_those_of_format_10(name, text):
     assert getattr(header_module, name) == 1 << int(re.search(r"2\^(\d+)", text)[1])
 
 
-def test_the_deepest_tree_has_24_refinements():
-    assert Grid(1, 2**31, 32).k_max == 24
+def test_the_deepest_tree_has_26_refinements():
+    assert Grid(1, 2**31, 32).k_max == 26
+    assert "| levels | k_max ≤ 26 |" in section("10")
 
 
 def test_every_section_that_the_code_cites_exists():

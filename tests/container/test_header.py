@@ -114,9 +114,9 @@ UNSUPPORTED = [
     (35, "B", 2, "unknown data type 2"),
     (35, "B", 9, "unknown data type 9"),
     (36, "B", 10, "effort is 10"),
-    (37, "B", 1, "reserved"),
+    (37, "B", 4, "unknown mesh 4"),
+    (38, "B", 1, "reserved"),
     (39, "B", 128, "reserved"),
-    (120, "I", 1, "reserved"),
 ]
 
 
@@ -166,6 +166,7 @@ CORRUPT = [
     (108, "I", 2**16 + 1, "parameters of 65537"),
     (116, "I", 0, "top page of 0"),
     (116, "I", 2**15 + 1, "top page of 32769"),
+    (120, "I", 1, "a mesh tolerance without meshes"),
 ]
 
 

@@ -8,20 +8,18 @@ import pytest
 
 from terrainwave.container.page import (
     empty_page,
-    key_blocks,
     pack_columns,
     pack_page,
     page_layout,
     page_length,
-    root_key,
     unpack_page,
 )
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, UnsupportedVersionError
 from terrainwave.quadtree import Block, Grid
 
-GRID = Grid(2000, 1999, 32)  # k_max = 4: sixteen roots, each the head of a segment
+GRID = Grid(2000, 1999, 32)  # k_max = 6: level 2's sixteen blocks are heads of segments
 TOP = page_layout(GRID, None)
-BELOW = page_layout(GRID, Block(0, 0, 0))
+BELOW = page_layout(GRID, Block(2, 0, 0))
 
 
 def filled_page(layout, seed=1):
@@ -74,19 +72,20 @@ def test_no_page_lists_more_than_the_limits_of_format_10(n_rows, n_cols, block):
     heads = [None]
     while heads:
         layout = page_layout(grid, heads[0])
-        limits = (352, 1360, 1024) if heads[0] is None else (85, 340, 256)
+        limits = (22, 85, 64) if heads[0] is None else (85, 340, 256)
         assert all(len(rows) <= limit for rows, limit in zip(layout, limits))
         heads = layout.children[:1]
 
 
-def test_keys_and_blocks_of_the_top_page_begin_with_the_roots():
-    layout = page_layout(Grid(300, 200, 32), None)
-    roots = [b for b in layout.keys if b.level == -1]
-    assert layout.keys[: len(roots)] == roots == [root_key(b) for b in Grid(300, 200, 32).blocks(0)]
-    assert layout.blocks[: len(roots)] == Grid(300, 200, 32).blocks(0)
+@pytest.mark.parametrize("side", [1, 100, 300])  # no, two and, below a page of its own, four levels
+def test_keys_and_blocks_of_the_top_page_begin_with_the_root(side):
+    layout = page_layout(Grid(side, side, 32), None)
+    assert layout.keys[0] == Block(-1, 0, 0)
+    assert [b for b in layout.keys if b.level == -1] == layout.keys[:1]
+    assert layout.blocks[0] == Block(0, 0, 0)
 
 
-@pytest.mark.parametrize("side", [1, 129, 300, 1000, 2000, 2100, 5000])
+@pytest.mark.parametrize("side", [1, 33, 65, 129, 257, 300, 1000, 2000, 2100, 5000])
 def test_keys_and_children_are_the_segments_of_the_quadtree(side):
     grid = Grid(side, (side + 2) // 3, 32)
     heads = [None]
@@ -102,7 +101,7 @@ def test_blocks_are_those_of_the_keys_in_their_order():
     grid = Grid(5000, 3000, 32)
     for head in grid.segment_heads():
         layout = page_layout(grid, head)
-        assert layout.blocks == [b for key in layout.keys for b in key_blocks(grid, key)]
+        assert layout.blocks == [b for key in layout.keys for b in grid.key_blocks(key)]
         levels = [b.level for b in layout.blocks]
         assert levels == sorted(levels)
 
@@ -110,8 +109,8 @@ def test_blocks_are_those_of_the_keys_in_their_order():
 def test_a_page_of_85_groups_stays_within_24_bytes_per_group():
     # As at 0.1 bit/sample: 2.5 kB per group, differing by a third; codes of some four bits.
     grid = Grid(16 * 32 + 1, 16 * 32 + 1, 32)
-    assert grid.k_max == 2
-    layout = page_layout(Grid(2000, 1999, 32), Block(0, 1, 1))
+    assert grid.k_max == 4
+    layout = page_layout(grid, Block(0, 0, 0))
     rng = np.random.default_rng(3)
     assert len(layout.keys) == 85
     codes = rng.geometric(0.12, (340, 4)).clip(0, 255).astype(np.uint8)
@@ -160,7 +159,7 @@ def test_lengths_that_would_overflow_64_bits_add_up_right():
     assert page.children_end == page.first_child + 16 * (2**64 - 1)
 
 
-@pytest.mark.parametrize("other", [BELOW, page_layout(GRID, Block(0, 3, 3))])
+@pytest.mark.parametrize("other", [BELOW, page_layout(GRID, Block(2, 3, 3))])
 def test_a_page_of_another_segment_has_the_wrong_number_of_bytes(other):
     with pytest.raises(CorruptStreamError, match="inflates to"):
         unpack_page(packed(filled_page(TOP)), other, "the page")

@@ -9,7 +9,6 @@ from fractions import Fraction
 from terrainwave.container.header import Extents, Header, pack_header
 from terrainwave.container.metadata import pack_metadata
 from terrainwave.container.page import (
-    key_blocks,
     pack_columns,
     pack_page,
     page_layout,
@@ -69,7 +68,7 @@ def toy_spools(grid: Grid, directory, order=lambda keys: keys) -> dict:
     for head in grid.segment_heads():
         spools[head] = SegmentSpool(directory)
         for key in order(page_layout(grid, head).keys):
-            codes = bytes(code for b in key_blocks(grid, key) for code in toy_codes(b))
+            codes = bytes(code for b in grid.key_blocks(key) for code in toy_codes(b))
             spools[head].add(key, toy_payload(key), toy_flags(key), codes, toy_mesh(key))
         spools[head].finish()
     return spools

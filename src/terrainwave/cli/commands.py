@@ -156,8 +156,12 @@ def decompress(source: str, target: str, quiet: bool, **options: Any) -> None:
     if options["window"] and options["bounds"]:
         raise click.UsageError("found both --window and --bounds, expected one of them")
     announce_compiling(quiet=quiet)
-    with reading(source), Bar(quiet=quiet) as bar:
-        path = terrainwave.decompress(source, target, progress=bar, **options)
+    try:
+        with reading(source), Bar(quiet=quiet) as bar:
+            path = terrainwave.decompress(source, target, progress=bar, **options)
+    except terrainwave.InvalidHeightsError as error:
+        # The file has no such level, or nothing in that window.
+        raise click.UsageError(str(error)) from error
     if not quiet:
         click.echo(f"{plain(path)}: {Path(path).stat().st_size:,} bytes")
 
@@ -280,16 +284,55 @@ def _export_mesh(
         )
     refuse_own_source(file, target)
     prepare(target, overwrite=overwrite)
+    shape = {"frame": frame, "z_scale": z_scale, "solid": solid, "radius": radius}
     announce_compiling(quiet=quiet)
     with reading(file), terrainwave.open(file, threads=threads) as terrain:
-        surface = terrain.mesh(optimise=int(optimise), **options)
-    saved = surface.save(
-        target, frame=frame, z_scale=z_scale, solid=solid, radius=radius, overwrite=overwrite
-    )
+        surface = _mesh_for(
+            target,
+            lambda max_error: terrain.mesh(
+                optimise=int(optimise), **options | {"max_error": max_error}
+            ),
+            options["max_error"],
+            shape,
+        )
+    saved = surface.save(target, overwrite=overwrite, **shape)
     if as_json:
         _print_json(asdict(saved))
     elif not quiet:
         _print_saved(saved)
+
+
+def _mesh_for(
+    target: str, make: Callable[[float | None], Any], bound: float | None, shape: dict[str, Any]
+) -> Any:
+    """Return a mesh whose error keeps the bound in the file too, where that can be had.
+
+    Rounding in the file adds to a mesh's error: the mesh is made again with so much less.
+    """
+    from terrainwave.errors import InvalidHeightsError
+    from terrainwave.tri.export import file_rounding
+
+    first = surface = make(bound)
+    if bound is None:
+        return first
+    for _ in range(_MESH_ATTEMPTS):
+        rounding = file_rounding(surface, target, **shape)
+        if surface.error + rounding <= bound:
+            return surface
+        try:
+            # The next mesh is another one: its rounding may be somewhat more.
+            surface = make(bound - _ROUNDING_SLACK * rounding)
+        except InvalidHeightsError:
+            break
+    print_note(
+        f"rounding of coordinates in the file adds to the error, which is more than {bound:g};"
+        " .ply, .obj and .vtu keep it"
+    )
+    return first
+
+
+_MESH_ATTEMPTS = 3
+_ROUNDING_SLACK = 1.25
 
 
 def _print_saved(saved: Any) -> None:
@@ -378,6 +421,7 @@ def _unit(units: str | None) -> str:
 @click.option("--max-error", type=Bound(), help="Hold the file to this bound instead of its own.")
 @click.option("--band", type=click.IntRange(min=1), default=1, help="Band of ORIGINAL.")
 @click.option("--nodata", type=Nodata(), help="The nodata value that was given to compress.")
+@click.option("--mesh", is_flag=True, help="Check all meshes too: errors, borders, coverage.")
 @click.option("--threads", type=THREADS, help="Threads; all processors by default.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing; the exit status tells.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
@@ -405,7 +449,25 @@ def _print_report(report: Any) -> None:
             f"{errors.n_valid:,} heights compared: max error {errors.max_error:.6g}"
             f" (bound {report.bound:.6g}), RMSE {errors.rmse:.6g}"
         )
+    if report.mesh is not None:
+        _print_meshes(report.mesh)
     click.echo("ok" if report.ok else "not ok")
+
+
+def _print_meshes(report: Any) -> None:
+    rows = [
+        [f"level {level.level}", f"{level.n_triangles:,}", f"{level.stored_error:.6g}",
+         f"{level.measured_error:.6g}"]
+        for level in report.levels
+    ]  # fmt: skip
+    for area in report.areas:
+        asked = "area, stored" if area.max_error is None else f"area, {area.max_error:.6g}"
+        name = f"{asked}, optimised" if area.optimise else asked
+        rows.append(
+            [name, f"{area.n_triangles:,}", f"{area.stated_error:.6g}",
+             f"{area.measured_error:.6g}"]
+        )  # fmt: skip
+    print_grid(["meshes", "triangles", "stated error", f"from {report.against}"], rows)
 
 
 @main.command()

@@ -110,29 +110,28 @@ def code_border(
     state: NDArray[np.int64],
     stream: NDArray[np.uint8],
     models: NDArray[np.uint32],
+    *,
+    is_nested: bool,
 ) -> None:
     """Encode the shared samples of `target`, or decode them where it is None.
 
-    Fills `heights` and sets `is_known` at the shared samples, in place.
+    Fills `heights` and sets `is_known` at the shared samples, in place. With `is_nested`, samples
+    of a group on even rows and columns are the parent's, not coded; without, the parent is a
+    low-pass level.
     """
     plan = plan_border(spec)
     encoding = target is not None
     source = heights if target is None else target
-    if spec.parent_region is not None:
-        row_offset = spec.region.row - 2 * spec.parent_region.row
-        col_offset = spec.region.col - 2 * spec.parent_region.col
+    above = None if parent is None else _Parent(spec, parent, is_nested)
+    streams = state, stream, models
     for row, col in plan.corners:
-        if parent is None:
-            prediction = 0
-        else:
-            r, c = row + row_offset, col + col_offset
-            r0, r1 = min(r >> 1, parent.shape[0] - 1), min((r + 1) >> 1, parent.shape[0] - 1)
-            c0, c1 = min(c >> 1, parent.shape[1] - 1), min((c + 1) >> 1, parent.shape[1] - 1)
-            total = int(parent[r0, c0]) + int(parent[r0, c1]) + int(parent[r1, c0])
-            prediction = total + int(parent[r1, c1]) + 2 >> 2
-        heights[row, col] = _code_corner(
-            encoding, prediction, source[row, col], mask[row, col], parent is None, spec.step,
-            state, stream, models,
+        prediction, is_coded = 0, bool(mask[row, col])
+        if above is not None:
+            prediction, is_inherited = above.predict_corner(row, col)
+            is_coded = is_coded and not is_inherited
+        heights[row, col] = code_corner(
+            encoding, prediction, int(source[row, col]), is_coded, above is None, spec.step,
+            *streams,
         )  # fmt: skip
         is_known[row, col] = True
     for line in plan.lines:
@@ -140,28 +139,67 @@ def code_border(
             continue
         at = slice(line.start, line.start + line.n)
         index = (at, line.place) if line.is_column else (line.place, at)
+        goal = np.ascontiguousarray(source[index])
+        coded = mask[index].copy()
+        # Only what lies before `first` and after `stop` is looked at: corner samples.
         decoded = heights[index].astype(np.int64)
-        predicted = np.zeros(line.n, dtype=np.int64)
-        if parent is not None:
-            n_parent = (line.n + 1) >> 1
-            along, across = (row_offset, col_offset) if line.is_column else (col_offset, row_offset)
-            begin = (line.start + along) >> 1
-            parents = parent.T if line.is_column else parent
-            p = line.place + across
-            low, high = min(p >> 1, parents.shape[0] - 1), min((p + 1) >> 1, parents.shape[0] - 1)
-            extended = np.zeros(n_parent + 4, dtype=np.int64)
-            extended[2:-2] = parents[low, begin : begin + n_parent]
-            extended[2:-2] += parents[high, begin : begin + n_parent]
-            _predict_line(extended, n_parent, predicted)
-        _code_line(
-            encoding, predicted, np.ascontiguousarray(source[index]),
-            np.ascontiguousarray(mask[index]),
-            parent is None, spec.step, line.first, line.stop, decoded, state, stream, models,
-        )  # fmt: skip
-        coded = slice(line.start + line.first, line.start + line.stop)
-        index = (coded, line.place) if line.is_column else (line.place, coded)
+        if above is None:
+            known = np.ones(line.n, dtype=np.bool_)
+            known[line.first : line.stop] = False
+            _code_closed_line(encoding, goal, coded, known, spec.step, decoded, *streams)
+        else:
+            predicted, is_inherited = above.predict_line(line)
+            if is_inherited:
+                coded[::2] = False
+            _code_line(
+                encoding, predicted, goal, coded, spec.step, line.first, line.stop, decoded,
+                *streams,
+            )  # fmt: skip
+        inner = slice(line.start + line.first, line.start + line.stop)
+        index = (inner, line.place) if line.is_column else (line.place, inner)
         heights[index] = decoded[line.first : line.stop]
         is_known[index] = True
+
+
+class _Parent:
+    """A parent's decoded heights, and what they predict on the lines its group shares."""
+
+    def __init__(self, spec: GroupSpec, heights: NDArray[np.int32], is_nested: bool) -> None:
+        assert spec.parent_region is not None
+        self._heights = heights
+        self._row_offset = spec.region.row - 2 * spec.parent_region.row
+        self._col_offset = spec.region.col - 2 * spec.parent_region.col
+        self._is_nested = is_nested
+
+    def predict_corner(self, row: int, col: int) -> tuple[int, bool]:
+        """Return the mean of the four samples around a place, and whether it is one of them."""
+        heights = self._heights
+        r, c = row + self._row_offset, col + self._col_offset
+        last_row, last_col = heights.shape[0] - 1, heights.shape[1] - 1
+        r0, r1 = min(r >> 1, last_row), min((r + 1) >> 1, last_row)
+        c0, c1 = min(c >> 1, last_col), min((c + 1) >> 1, last_col)
+        total = int(heights[r0, c0]) + int(heights[r0, c1]) + int(heights[r1, c0])
+        is_inherited = self._is_nested and not (r & 1 or c & 1)
+        return total + int(heights[r1, c1]) + 2 >> 2, is_inherited
+
+    def predict_line(self, line: Line) -> tuple[NDArray[np.int64], bool]:
+        """Return a line from the two around it, and whether its even samples are the parent's."""
+        along, across = self._row_offset, self._col_offset
+        parents = self._heights.T
+        if not line.is_column:
+            along, across, parents = across, along, self._heights
+        begin, n_parent = (line.start + along) >> 1, (line.n + 1) >> 1
+        place, last = line.place + across, parents.shape[0] - 1
+        pairs = parents[min(place >> 1, last), begin : begin + n_parent].astype(np.int64)
+        pairs += parents[min((place + 1) >> 1, last), begin : begin + n_parent]
+        predicted = np.zeros(line.n, dtype=np.int64)
+        if self._is_nested:
+            _interpolate_line(pairs, predicted)
+            return predicted, not place & 1
+        extended = np.zeros(n_parent + 4, dtype=np.int64)
+        extended[2:-2] = pairs
+        _predict_line(extended, n_parent, predicted)
+        return predicted, False
 
 
 @kernel
@@ -220,7 +258,7 @@ def _rebuild(prediction, index, step):
 
 
 @kernel
-def _code_corner(encoding, prediction, target, is_valid, is_root, step, state, stream, models):
+def code_corner(encoding, prediction, target, is_valid, is_root, step, state, stream, models):
     """Encode or decode one corner sample; return its decoded height."""
     index = np.int64(0)
     if is_valid:
@@ -237,7 +275,7 @@ def _code_corner(encoding, prediction, target, is_valid, is_root, step, state, s
 
 @kernel
 def _code_line(
-    encoding, predicted, target, mask, is_root, step, first, stop, decoded, state, stream, models
+    encoding, predicted, target, mask, step, first, stop, decoded, state, stream, models
 ):
     """Encode or decode samples `first` to `stop` - 1 of a line into `decoded` (int64).
 
@@ -245,10 +283,6 @@ def _code_line(
     turned out to be.
     """
     n = decoded.shape[0]
-    if is_root:
-        _code_root_line(encoding, target, mask, step, first, stop, decoded, state, stream, models)
-        return
-    last = before_last = 0
     for phase in range(2):
         last = before_last = 0
         for i in range(first + ((first + phase) & 1), stop, 2):
@@ -277,132 +311,6 @@ def _code_line(
 
 
 @kernel
-def _code_root_line(encoding, target, mask, step, first, stop, decoded, state, stream, models):
-    """Encode or decode a line without a parent: indices on the fixed grid, coarse to fine.
-
-    Sample 0 comes first, then odd multiples of each stride from the largest down, predicted between
-    (past the end: beside) the samples of twice the stride.
-    """
-    n = decoded.shape[0]
-    mags = np.zeros(n, dtype=np.int64)
-    top = 1
-    while 2 * top < n:
-        top *= 2
-    if first == 0:
-        _code_root_sample(
-            encoding, np.int64(0), np.int64(0), np.int64(_ROOT), np.int64(16), target, mask, step,
-            mags, decoded, state, stream, models,
-        )  # fmt: skip
-    stride = top
-    while stride > 0:
-        pass_ = _ROOT + (0 if stride > 2 else 3 - stride)
-        for i in range(stride, n, 2 * stride):
-            if i < first or i >= stop:
-                continue
-            left, right = i - stride, i + stride
-            near = 2 * mags[left]
-            if right < n:
-                # Two equal neighbours on a staircase make the sample between them all but certain.
-                near = mags[left] + mags[right] + 6 * (abs(decoded[right] - decoded[left]) // step)
-                prediction = (decoded[left] + decoded[right]) >> 1
-                if left >= 2 * stride and right + 2 * stride < n:
-                    far = decoded[left - 2 * stride] + decoded[right + 2 * stride]
-                    prediction = (9 * (decoded[left] + decoded[right]) - far) >> 4
-            elif left >= 2 * stride:
-                prediction = decoded[left] + ((decoded[left] - decoded[left - 2 * stride]) >> 1)
-            else:
-                prediction = decoded[left]
-            _code_root_sample(
-                encoding, prediction, i, np.int64(pass_), min(near, SUM_LIMIT), target, mask,
-                step, mags, decoded, state, stream, models,
-            )  # fmt: skip
-        stride >>= 1
-
-
-@kernel
-def _code_root_sample(
-    encoding, prediction, i, pass_, sums, target, mask, step, mags, decoded, state, stream, models
-):
-    """Encode or decode the difference of sample `i`'s index from that of `prediction`."""
-    index = prediction // step
-    if mask[i]:
-        change = np.int64(0)
-        if encoding:
-            change = np.int64(target[i]) // step - index
-        change = _code_symbol(encoding, change, pass_, sums, state, stream, models)
-        mags[i] = min(abs(change), 255)
-        most = 4 * MAX_HEIGHT // step + 1
-        index += min(max(change, -most), most)
-    decoded[i] = _rebuild(np.int64(step >> 1), index, step)
-
-
-def code_nested_border(
-    spec: GroupSpec,
-    parent: NDArray[np.int32],
-    target: NDArray[np.int32] | None,
-    mask: NDArray[np.bool_],
-    heights: NDArray[np.int32],
-    is_known: NDArray[np.bool_],
-    state: NDArray[np.int64],
-    stream: NDArray[np.uint8],
-    models: NDArray[np.uint32],
-) -> None:
-    """Encode or decode the shared samples of a group whose even samples are the parent's.
-
-    As `code_border`; samples of even row and column are inherited, not coded.
-    """
-    assert spec.parent_region is not None
-    plan = plan_border(spec)
-    encoding = target is not None
-    source = heights if target is None else target
-    row_offset = spec.region.row - 2 * spec.parent_region.row
-    col_offset = spec.region.col - 2 * spec.parent_region.col
-    last_row, last_col = parent.shape[0] - 1, parent.shape[1] - 1
-    for row, col in plan.corners:
-        r, c = row + row_offset, col + col_offset
-        r0, r1 = min(r >> 1, last_row), min((r + 1) >> 1, last_row)
-        c0, c1 = min(c >> 1, last_col), min((c + 1) >> 1, last_col)
-        total = int(parent[r0, c0]) + int(parent[r0, c1]) + int(parent[r1, c0])
-        prediction = total + int(parent[r1, c1]) + 2 >> 2
-        is_coded = bool(mask[row, col]) and bool(r & 1 or c & 1)
-        heights[row, col] = _code_corner(
-            encoding, prediction, int(source[row, col]), is_coded, False, spec.step, state, stream,
-            models,
-        )  # fmt: skip
-        is_known[row, col] = True
-    for line in plan.lines:
-        if line.first >= line.stop:
-            continue
-        at = slice(line.start, line.start + line.n)
-        index = (at, line.place) if line.is_column else (line.place, at)
-        along, across = (row_offset, col_offset) if line.is_column else (col_offset, row_offset)
-        begin = (line.start + along) >> 1
-        n_parent = (line.n + 1) >> 1
-        parents = parent.T if line.is_column else parent
-        p = line.place + across
-        low, high = min(p >> 1, parents.shape[0] - 1), min((p + 1) >> 1, parents.shape[0] - 1)
-        pairs = parents[low, begin : begin + n_parent].astype(np.int64)
-        pairs += parents[high, begin : begin + n_parent]
-        predicted = np.zeros(line.n, dtype=np.int64)
-        _interpolate_line(pairs, predicted)
-        coded = mask[index].copy()
-        if not p & 1:
-            coded[::2] = False
-        decoded = np.zeros(line.n, dtype=np.int64)
-        for i in (line.first - 1, line.stop):
-            if 0 <= i < line.n:
-                decoded[i] = heights[index][i]
-        _code_line(
-            encoding, predicted, np.ascontiguousarray(source[index]), coded, False, spec.step,
-            line.first, line.stop, decoded, state, stream, models,
-        )  # fmt: skip
-        inner = slice(line.start + line.first, line.start + line.stop)
-        index = (inner, line.place) if line.is_column else (line.place, inner)
-        heights[index] = decoded[line.first : line.stop]
-        is_known[index] = True
-
-
-@kernel
 def _interpolate_line(pairs, predicted):
     """Fill `predicted` from `pairs`, twice the values at even places, rounding half up.
 
@@ -423,57 +331,6 @@ def _interpolate_line(pairs, predicted):
             predicted[i] = (9 * (pairs[k] + pairs[k + 1]) - left - right + 16) >> 5
 
 
-def code_root_border(
-    spec: GroupSpec,
-    target: NDArray[np.int32] | None,
-    mask: NDArray[np.bool_],
-    heights: NDArray[np.int32],
-    is_known: NDArray[np.bool_],
-    state: NDArray[np.int64],
-    stream: NDArray[np.uint8],
-    models: NDArray[np.uint32],
-) -> None:
-    """Encode or decode the shared samples of a root block in a closed loop along each line.
-
-    As `code_border` without a parent, but only corner samples lie on the fixed grid; the others are
-    quantised around their prediction from the line.
-    """
-    plan = plan_border(spec)
-    encoding = target is not None
-    source = heights if target is None else target
-    for row, col in plan.corners:
-        heights[row, col] = _code_corner(
-            encoding,
-            0,
-            int(source[row, col]),
-            mask[row, col],
-            True,
-            spec.step,
-            state,
-            stream,
-            models,
-        )
-        is_known[row, col] = True
-    for line in plan.lines:
-        if line.first >= line.stop:
-            continue
-        at = slice(line.start, line.start + line.n)
-        index = (at, line.place) if line.is_column else (line.place, at)
-        decoded = np.zeros(line.n, dtype=np.int64)
-        # The corner samples of both ends; nothing else may be looked at.
-        known = np.zeros(line.n, dtype=np.bool_)
-        for i in (*range(line.first), *range(line.stop, line.n)):
-            decoded[i], known[i] = heights[index][i], True
-        _code_closed_line(
-            encoding, np.ascontiguousarray(source[index]), np.ascontiguousarray(mask[index]),
-            known, spec.step, decoded, state, stream, models,
-        )  # fmt: skip
-        inner = slice(line.start + line.first, line.start + line.stop)
-        index = (inner, line.place) if line.is_column else (line.place, inner)
-        heights[index] = decoded[line.first : line.stop]
-        is_known[index] = True
-
-
 @kernel
 def _code_closed_line(encoding, target, mask, known, step, decoded, state, stream, models):
     """Encode or decode the unknown samples of a line into `decoded`, coarse to fine.
@@ -487,7 +344,7 @@ def _code_closed_line(encoding, target, mask, known, step, decoded, state, strea
         top *= 2
     for i in range(0, n, top):
         if not known[i]:
-            decoded[i] = _code_corner(
+            decoded[i] = code_corner(
                 encoding, np.int64(0), target[i], mask[i], True, step, state, stream, models
             )
     stride = top >> 1

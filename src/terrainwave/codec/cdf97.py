@@ -24,8 +24,6 @@ from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.codec.zerotree import (
     FRAME_COLS,
     FRAME_ROWS,
-    JZTC,
-    JZTR,
     N_TREE_MODELS,
     choose_along,
     decode_tree,
@@ -53,6 +51,7 @@ from terrainwave.coding.rangecoder import (
     start_decoder,
     start_encoder,
 )
+from terrainwave.coding.zerotrees import JZTC, JZTR, map_of_labels
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 
 # Fraction bits of wavelet coefficients, and the largest one used: with it no stream can overflow
@@ -131,13 +130,13 @@ class Cdf97:
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
     ) -> tuple[bytes, Heights, Labels | None]:
-        """Return the payload, the heights `decode` makes of it, and the labels of the core."""
+        """Return the payload, the heights `decode` makes of it, and the zero trees of the core."""
         return _Encoder(spec, parent, target, mask).run()
 
     def decode(
         self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
     ) -> tuple[Heights, Labels | None]:
-        """Rebuild the heights of ``spec.region`` and the labels of its core.
+        """Rebuild the heights of ``spec.region`` and the zero trees of its core.
 
         Raises
         ------
@@ -151,11 +150,13 @@ class Cdf97:
         start_decoder(state, data)
         models = new_models(N_BORDER_MODELS)
         heights, is_known = _predict(spec, parent)
-        code_border(spec, parent, None, mask, heights, is_known, state, data, models)
+        code_border(
+            spec, parent, None, mask, heights, is_known, state, data, models, is_nested=False
+        )
         core = spec.core.slices_in(spec.region)
         inner = np.ascontiguousarray(heights[core])
         coded = mask[core] & ~is_known[core]
-        labels = None
+        trees = None
         if coding.flags & _IS_RAW:
             _decode_raw_heights(
                 coding.raw_base, coding.raw_width, spec.step, coded, state, data, inner
@@ -175,6 +176,8 @@ class Cdf97:
                 )  # fmt: skip
                 inverse_transform(work.field, work.low, work.high)
                 _add_detail(work.field, is_known[core], inner)
+            if spec.wants_labels:
+                trees = _zero_trees(work.offsets, labels, inner.shape)
             if coding.flags & _HAS_RESIDUALS:
                 smooth_activity(work.activity, work.smooth)
                 decode_residuals(
@@ -184,7 +187,7 @@ class Cdf97:
                 )  # fmt: skip
         raise_for_status(*finish_decoder(state, data))
         heights[core] = inner
-        return heights, labels
+        return heights, trees
 
 
 class _Encoder:
@@ -199,7 +202,7 @@ class _Encoder:
         self.state = start_encoder()
         code_border(
             spec, parent, target, mask, self.heights, is_known, self.state, self.out,
-            new_models(N_BORDER_MODELS),
+            new_models(N_BORDER_MODELS), is_nested=False,
         )  # fmt: skip
         self.border_state = self.state.copy()
         core = spec.core.slices_in(spec.region)
@@ -237,7 +240,9 @@ class _Encoder:
         payload, inner, labels = self.best
         heights = self.heights
         heights[self.core] = inner
-        return payload, heights, labels
+        if labels is None or not self.spec.wants_labels:
+            return payload, heights, None
+        return payload, heights, _zero_trees(self.work.offsets, labels, inner.shape)
 
     def _attempt_for_children(self) -> None:
         """Encode with a step that leaves the next level little to repair.
@@ -323,6 +328,16 @@ class _Encoder:
         header = _write_header(Coding(_IS_RAW, raw_width=width, raw_base=base))
         if n_bytes + len(header) < len(self.best[0]):
             self.best = (header + self.out[:n_bytes].tobytes(), inner, None)
+
+
+def _zero_trees(offsets: NDArray[np.int64], labels: Labels, shape: tuple[int, int]) -> Labels:
+    """Return the map of zero trees (`coding.zerotrees`) of the labels of all node grids."""
+    trees = np.empty(((shape[0] + 1) >> 1, (shape[1] + 1) >> 1), dtype=np.uint8)
+    if labels[0] == JZTR:
+        trees[:] = n_transforms(*shape)
+        return trees
+    map_of_labels(labels, offsets, n_transforms(*shape), trees)
+    return trees
 
 
 def _predict(spec: GroupSpec, parent: Heights | None) -> tuple[Heights, NDArray[np.bool_]]:

@@ -25,12 +25,14 @@ from terrainwave.coding.rangecoder import (
 # Expected magnitudes are in 1/256 step; their logarithm counts eighths of an octave.
 E_BITS = 8
 MAX_E = (1 << 28) - 1
+# Added to an expected magnitude before distances are compared with it.
+E_OFFSET = 77
 _LOG_TABLE_BITS = 12
 
 
 def _eighth_octaves() -> np.ndarray:
     """Return floor(8 log2 v) for v below 4096 in exact integers; 0 for v = 0."""
-    table = np.zeros(1 << _LOG_TABLE_BITS, dtype=np.int64)
+    table = np.zeros(1 << _LOG_TABLE_BITS, dtype=np.uint8)  # small, to stay in the first cache
     for value in range(1, 1 << _LOG_TABLE_BITS):
         # 2**(k/8) <= v  <=>  2**k <= v**8
         table[value] = (value**8).bit_length() - 1
@@ -73,18 +75,38 @@ MAX_DETAIL = 1 << 33
 def log8(value):
     """Return floor(8 log2(value)) with 12 bits of `value`; 0 for 0 or less."""
     if value < 4096:
-        return LOG8[max(value, 0)]
+        return np.int64(LOG8[np.uint64(max(value, 0))])
     if value < 1 << 20:
-        return LOG8[value >> 8] + 64
+        return np.int64(LOG8[value >> 8]) + 64
     if value < 1 << 28:
-        return LOG8[value >> 16] + 128
-    return LOG8[min(value >> 24, 4095)] + 192
+        return np.int64(LOG8[value >> 16]) + 128
+    return np.int64(LOG8[min(value >> 24, 4095)]) + 192
 
 
 @kernel
 def e_bin_of(log):
     """Return the bin of an expected magnitude from its `log8`."""
     return min(max(((log - _FIRST_LOG) >> 2) + 1, 0), N_E_BINS - 1)
+
+
+def _contexts_of_small() -> np.ndarray:
+    """Return, for each expected magnitude below 4096, its bin and `log8` of it + E_OFFSET."""
+    logs = [int(LOG8[v]) if v < 4096 else int(LOG8[v >> 8]) + 64 for v in range(4096 + E_OFFSET)]
+    bins = [min(max(((log - _FIRST_LOG) >> 2) + 1, 0), N_E_BINS - 1) for log in logs]
+    pairs = zip(bins[:4096], logs[E_OFFSET:], strict=True)
+    return np.array([bin_ | log << 8 for bin_, log in pairs], dtype=np.uint16)
+
+
+_CONTEXTS_OF_SMALL = _contexts_of_small()
+
+
+@kernel
+def contexts_of(expected):
+    """Return the bin of an expected magnitude, and `log8` of it + E_OFFSET."""
+    if 0 <= expected < 4096:
+        pair = np.int64(_CONTEXTS_OF_SMALL[np.uint64(expected)])
+        return pair & 255, pair >> 8
+    return e_bin_of(log8(expected)), log8(expected + E_OFFSET)
 
 
 @kernel
@@ -95,13 +117,20 @@ def middle_bin(distance, e_floor, log_floor):
 
 
 @kernel
+def range_bin_of(reach, e_range, log_range):
+    """Return 0 … 7: how far, in expected magnitudes, a core value reaches."""
+    return min((log8(reach + e_range) - log_range) >> 2, N_RANGE_BINS - 1)
+
+
+@kernel
 def encode_detail(
-    span, low, state, out, models, mixed, e_bin, sign_b, sign_h, far_b, far_a, spots, detail
-):
+    span, low, state, out, models, mixed, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
+    log_range, spots, detail,
+):  # fmt: skip
     """Encode a detail known not to be 0; return the new (span, low).
 
-    `far_b` and `far_a` are the range bins of the distance to the highest and the lowest core value;
-    `spots` the indices of the known neighbours.
+    `reach_b` and `reach_a` are the distances to the highest and the lowest core value; `spots` the
+    indices of the known neighbours.
     """
     positive = 1 if detail > 0 else 0
     if mixed:
@@ -111,7 +140,7 @@ def encode_detail(
     shift = SHIFT_OF_E[e_bin]
     value = np.int64(abs(detail)) - 1
     upper = value >> shift
-    range_bin = far_b if positive else far_a
+    range_bin = range_bin_of(reach_b if positive else reach_a, e_range, log_range)
     first_b = UNARY_B + (e_bin * N_RANGE_BINS + range_bin) * N_UNARY
     first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
     n_ones = min(upper, N_UNARY)
@@ -151,15 +180,16 @@ def encode_detail(
 
 @kernel
 def decode_detail(
-    span, code, pos, state, data, models, mixed, e_bin, sign_b, sign_h, far_b, far_a, spots
-):
+    span, code, pos, state, data, models, mixed, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
+    log_range, spots,
+):  # fmt: skip
     """Decode what `encode_detail` wrote ; return (detail, span, code, pos)."""
     if mixed:
         positive, span, code, pos = decode_mean_step(span, code, pos, data, models, sign_b, sign_h)
     else:
         positive, span, code, pos = decode_step(span, code, pos, data, models, sign_b)
     shift = SHIFT_OF_E[e_bin]
-    range_bin = far_b if positive else far_a
+    range_bin = range_bin_of(reach_b if positive else reach_a, e_range, log_range)
     first_b = UNARY_B + (e_bin * N_RANGE_BINS + range_bin) * N_UNARY
     first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
     upper = np.int64(0)

@@ -14,9 +14,10 @@ from terrainwave.codec.refiner import Mask
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
     CODE,
+    LOW,
     RANGE,
     decode_step,
-    encode_bit,
+    encode_step,
     finish_decoder,
     finish_encoder,
     new_models,
@@ -61,52 +62,70 @@ def decode_mask(data: bytes, implied: Mask) -> Mask:
 
 
 @kernel
-def _mask_context(mask, implied, row, col):
-    """Return the model of sample (row, col); samples outside the unit count as void."""
-    n_rows, n_cols = mask.shape
-    west = col >= 1 and mask[row, col - 1]
-    west2 = col >= 2 and mask[row, col - 2]
-    north = row >= 1 and mask[row - 1, col]
-    north2 = row >= 2 and mask[row - 2, col]
-    north_west = row >= 1 and col >= 1 and mask[row - 1, col - 1]
-    north_east = row >= 1 and col + 1 < n_cols and mask[row - 1, col + 1]
-    causal = 32 * west + 16 * north + 8 * north_west + 4 * north_east + 2 * west2 + north2
-    ahead = 0
-    if row + 1 < n_rows and implied[row + 1, col]:
-        ahead += 1
-    if col + 1 < n_cols and implied[row, col + 1]:
-        ahead += 1
-    phase = 2 * (row & 1) + (col & 1)
-    return (causal * _N_AHEAD + ahead) * _N_PHASES + phase
+def _row_contexts(padded, implied, row, contexts):
+    """Fill `contexts` with the part of each sample's model that its own row does not decide.
+
+    `padded` holds the mask behind two rows and columns of voids: samples outside the unit count as
+    void.
+    """
+    n_cols = contexts.shape[0]
+    above, above2 = padded[row + 1], padded[row]
+    phase = 2 * (row & 1)
+    for col in range(n_cols):
+        causal = (
+            16 * above[col + 2]
+            + 8 * above[col + 1]
+            + 4 * above[col + 3]
+            + np.int64(above2[col + 2])
+        )
+        contexts[col] = causal * (_N_AHEAD * _N_PHASES) + phase + (col & 1)
+    if row + 1 < implied.shape[0]:
+        for col in range(n_cols):
+            contexts[col] += _N_PHASES * np.int64(implied[row + 1, col])
+    for col in range(n_cols - 1):
+        contexts[col] += _N_PHASES * np.int64(implied[row, col + 1])
 
 
 @kernel
 def _encode_mask(mask, implied, state, out, models):
     """Encode in raster order; return the number of bytes."""
-    for row in range(mask.shape[0]):
-        for col in range(mask.shape[1]):
+    n_rows, n_cols = mask.shape
+    padded = np.zeros((n_rows + 2, n_cols + 3), dtype=np.bool_)
+    contexts = np.empty(n_cols, dtype=np.int64)
+    span, low = state[RANGE], state[LOW]
+    for row in range(n_rows):
+        _row_contexts(padded, implied, row, contexts)
+        west = west2 = np.int64(0)
+        for col in range(n_cols):
+            bit = np.int64(mask[row, col])
             if not implied[row, col]:
-                encode_bit(
-                    state,
-                    out,
-                    models,
-                    _mask_context(mask, implied, row, col),
-                    np.int64(mask[row, col]),
-                )
+                model = contexts[col] + (32 * west + 2 * west2) * (_N_AHEAD * _N_PHASES)
+                span, low = encode_step(span, low, state, out, models, model, bit)
+            padded[row + 2, col + 2] = mask[row, col]
+            west2, west = west, bit
+    state[RANGE], state[LOW] = span, low
     return finish_encoder(state, out)
 
 
 @kernel
 def _decode_mask(data, implied, state, models, mask):
     """Fill `mask`; return (status, position)."""
+    n_rows, n_cols = mask.shape
+    padded = np.zeros((n_rows + 2, n_cols + 3), dtype=np.bool_)
+    contexts = np.empty(n_cols, dtype=np.int64)
     start_decoder(state, data)
     span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
-    for row in range(mask.shape[0]):
-        for col in range(mask.shape[1]):
+    for row in range(n_rows):
+        _row_contexts(padded, implied, row, contexts)
+        west = west2 = np.int64(0)
+        for col in range(n_cols):
+            bit = np.int64(0)
             if not implied[row, col]:
-                model = _mask_context(mask, implied, row, col)
+                model = contexts[col] + (32 * west + 2 * west2) * (_N_AHEAD * _N_PHASES)
                 bit, span, code, pos = decode_step(span, code, pos, data, models, model)
                 mask[row, col] = bit == 1
+            padded[row + 2, col + 2] = bit == 1
+            west2, west = west, bit
         if pos > data.shape[0] + 4:
             return Status.TRUNCATED, data.shape[0]
     state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos

@@ -9,6 +9,7 @@ import numpy as np
 from terrainwave._jit import kernel
 from terrainwave.codec.detail import (
     E_BITS,
+    E_OFFSET,
     MAX_E,
     N_RANGE_BINS,
     SIGN_B,
@@ -16,11 +17,12 @@ from terrainwave.codec.detail import (
     SIGN_H,
     ZERO_B,
     ZERO_H,
+    contexts_of,
     decode_detail,
-    e_bin_of,
     encode_detail,
     log8,
     middle_bin,
+    range_bin_of,
 )
 from terrainwave.codec.lattice import PAD, WEIGHT_BITS
 from terrainwave.coding.filters import MAX_HEIGHT
@@ -55,8 +57,8 @@ N_FEATURES = 18
 E_WEIGHT_BITS = 9
 
 # Rows of the row buffer.
-_ACC, _LOWEST, _LOWER, _UPPER, _HIGHEST, _ERRORS, _SPREAD = range(7)
-N_ROW_BUFFERS = 7
+(_ACC, _LOWEST, _LOWER, _UPPER, _HIGHEST, _ERRORS, _SPREAD, _FLOOR, _CEILING) = range(9)
+N_ROW_BUFFERS = 9
 
 
 @kernel
@@ -97,104 +99,146 @@ def _frame_own(plane, core, planes, row, n_cols):
 
 
 @kernel
-def _prepare_row(
-    row,
-    n_cols,
-    planes,
-    errors,
-    activity,
-    bends,
-    own,
-    taps,
-    weights,
-    core,
-    near,
-    far,
-    bent,
-    lines,
-    is_diagonal,
-    e_weights,
-    rows,
-):
-    """Fill the row buffers with all that is known before the row is coded."""
-    acc, lowest, lower = rows[_ACC], rows[_LOWEST], rows[_LOWER]
-    upper, highest = rows[_UPPER], rows[_HIGHEST]
-    sums, spread = rows[_ERRORS], rows[_SPREAD]
+def _add_taps(acc, planes, taps, weights, row, n_cols):
+    """Set `acc` to the stencil's sum over a row without its western tap, rounded for P_BITS."""
+    n_taps = taps.shape[0]
     for j in range(n_cols):
-        acc[j] = 0
-        spread[j] = 0
-    for t in range(1, taps.shape[0]):
-        weight = np.int64(np.int32(weights[t]))
-        source = planes[taps[t, 0], row + taps[t, 1] + PAD, taps[t, 2] + PAD :]
+        acc[j] = 1 << (WEIGHT_BITS - P_BITS - 1)
+    for t in range(1, n_taps - 3, 4):
+        source_0 = planes[taps[t, 0], row + taps[t, 1] + PAD, taps[t, 2] + PAD :]
+        source_1 = planes[taps[t + 1, 0], row + taps[t + 1, 1] + PAD, taps[t + 1, 2] + PAD :]
+        source_2 = planes[taps[t + 2, 0], row + taps[t + 2, 1] + PAD, taps[t + 2, 2] + PAD :]
+        source_3 = planes[taps[t + 3, 0], row + taps[t + 3, 1] + PAD, taps[t + 3, 2] + PAD :]
+        weight_0, weight_1 = np.int64(np.int32(weights[t])), np.int64(np.int32(weights[t + 1]))
+        weight_2, weight_3 = np.int64(np.int32(weights[t + 2])), np.int64(np.int32(weights[t + 3]))
         for j in range(n_cols):
-            acc[j] += weight * source[j]
+            acc[j] += (
+                weight_0 * source_0[j]
+                + weight_1 * source_1[j]
+                + weight_2 * source_2[j]
+                + weight_3 * source_3[j]
+            )
+    for t in range(n_taps - (n_taps - 1) % 4, n_taps):
+        weight_0 = np.int64(np.int32(weights[t]))
+        source_0 = planes[taps[t, 0], row + taps[t, 1] + PAD, taps[t, 2] + PAD :]
+        for j in range(n_cols):
+            acc[j] += weight_0 * source_0[j]
+
+
+@kernel
+def _sort_core(planes, core, row, n_cols, lowest, lower, upper, highest):
+    """Fill the rows of the sorted core values."""
     first = planes[core[0, 0], row + core[0, 1] + PAD, core[0, 2] + PAD :]
     second = planes[core[1, 0], row + core[1, 1] + PAD, core[1, 2] + PAD :]
     third = planes[core[2, 0], row + core[2, 1] + PAD, core[2, 2] + PAD :]
     fourth = planes[core[3, 0], row + core[3, 1] + PAD, core[3, 2] + PAD :]
-    w_range, w_twist = e_weights[F_RANGE], e_weights[F_TWIST]
+    # One row at a time: loops with more outputs are not made into vector code.
     for j in range(n_cols):
-        a, b = np.int64(first[j]), np.int64(second[j])
-        c, d = np.int64(third[j]), np.int64(fourth[j])
-        low_1, high_1, low_2, high_2 = min(a, b), max(a, b), min(c, d), max(c, d)
-        low, high = min(low_1, low_2), max(high_1, high_2)
-        mid_1, mid_2 = max(low_1, low_2), min(high_1, high_2)
-        lowest[j], highest[j] = low, high
-        lower[j], upper[j] = min(mid_1, mid_2), max(mid_1, mid_2)
-        twist = abs(a + d - b - c) if is_diagonal else abs(a + b - c - d)
-        spread[j] += w_range * (high - low) + w_twist * twist
-    weight = e_weights[F_BEND]
-    for k in range(bent.shape[0]):
-        bend = bends[row + bent[k, 1] + PAD, bent[k, 2] + PAD :]
+        lowest[j] = min(min(first[j], second[j]), min(third[j], fourth[j]))
+    for j in range(n_cols):
+        highest[j] = max(max(first[j], second[j]), max(third[j], fourth[j]))
+    for j in range(n_cols):
+        middle_1 = max(min(first[j], second[j]), min(third[j], fourth[j]))
+        middle_2 = min(max(first[j], second[j]), max(third[j], fourth[j]))
+        lower[j] = min(middle_1, middle_2)
+    for j in range(n_cols):
+        middle_1 = max(min(first[j], second[j]), min(third[j], fourth[j]))
+        middle_2 = min(max(first[j], second[j]), max(third[j], fourth[j]))
+        upper[j] = max(middle_1, middle_2)
+
+
+@kernel
+def _add_spread(
+    spread, planes, bends, core, bent, lines, row, n_cols, is_diagonal, e_weights, lowest, highest
+):
+    """Set `spread` to the weighted distances, in quanta, that don't depend on the prediction."""
+    weight = np.int64(np.int32(e_weights[F_RANGE]))
+    for j in range(n_cols):
+        spread[j] = weight * (np.int64(highest[j]) - lowest[j])
+    weight = np.int64(np.int32(e_weights[F_TWIST]))
+    if weight != 0:
+        # Opposite corners of HH; the first two and the last two of HL and LH.
+        swap = 2 if is_diagonal else 0
+        first = planes[core[0, 0], row + core[0, 1] + PAD, core[0, 2] + PAD :]
+        k = 1 + swap
+        second = planes[core[k, 0], row + core[k, 1] + PAD, core[k, 2] + PAD :]
+        third = planes[core[2, 0], row + core[2, 1] + PAD, core[2, 2] + PAD :]
+        k = 3 - swap
+        fourth = planes[core[k, 0], row + core[k, 1] + PAD, core[k, 2] + PAD :]
         for j in range(n_cols):
-            spread[j] += weight * bend[j]
-    weight = e_weights[F_LINES]
-    for k in range(0, lines.shape[0], 4):
-        first = planes[lines[k, 0], row + lines[k, 1] + PAD, lines[k, 2] + PAD :]
-        second = planes[lines[k + 1, 0], row + lines[k + 1, 1] + PAD, lines[k + 1, 2] + PAD :]
-        third = planes[lines[k + 2, 0], row + lines[k + 2, 1] + PAD, lines[k + 2, 2] + PAD :]
-        fourth = planes[lines[k + 3, 0], row + lines[k + 3, 1] + PAD, lines[k + 3, 2] + PAD :]
-        for j in range(n_cols):
-            bend = np.int64(first[j]) - second[j] - third[j] + fourth[j]
-            spread[j] += weight * abs(bend)
+            twist = (np.int64(first[j]) + second[j]) - (np.int64(third[j]) + fourth[j])
+            spread[j] += weight * abs(twist)
+    weight = np.int64(np.int32(e_weights[F_BEND]))
+    if weight != 0:
+        for k in range(0, bent.shape[0], 2):
+            bend_0 = bends[row + bent[k, 1] + PAD, bent[k, 2] + PAD :]
+            bend_1 = bends[row + bent[k + 1, 1] + PAD, bent[k + 1, 2] + PAD :]
+            for j in range(n_cols):
+                spread[j] += weight * (bend_0[j] + bend_1[j])
+    weight = np.int64(np.int32(e_weights[F_LINES]))
+    if weight != 0:
+        for k in range(0, lines.shape[0], 4):
+            first = planes[lines[k, 0], row + lines[k, 1] + PAD, lines[k, 2] + PAD :]
+            second = planes[lines[k + 1, 0], row + lines[k + 1, 1] + PAD, lines[k + 1, 2] + PAD :]
+            third = planes[lines[k + 2, 0], row + lines[k + 2, 1] + PAD, lines[k + 2, 2] + PAD :]
+            fourth = planes[lines[k + 3, 0], row + lines[k + 3, 1] + PAD, lines[k + 3, 2] + PAD :]
+            for j in range(n_cols):
+                bend = np.int64(first[j]) - second[j] - third[j] + fourth[j]
+                spread[j] += weight * abs(bend)
+
+
+@kernel
+def _add_errors(sums, errors, activity, own, near, far, row, n_cols, e_weights):
+    """Set `sums` to the weighted errors around that are known before the row."""
     above, above2 = errors[own, row - 1 + PAD], errors[own, row - 2 + PAD]
-    w_n, w_nw, w_ne, w_nn = e_weights[F_N], e_weights[F_NW], e_weights[F_NE], e_weights[F_NN]
+    w_n, w_nw = np.int64(np.int32(e_weights[F_N])), np.int64(np.int32(e_weights[F_NW]))
+    w_ne, w_nn = np.int64(np.int32(e_weights[F_NE])), np.int64(np.int32(e_weights[F_NN]))
+    constant = np.int64(np.int32(e_weights[F_CONST]))
     for j in range(n_cols):
         sums[j] = (
             w_n * above[j + PAD]
             + w_nw * above[j + PAD - 1]
             + w_ne * above[j + PAD + 1]
             + w_nn * above2[j + PAD]
-            + e_weights[F_CONST]
+            + constant
         )
-    w_activity, active = e_weights[F_ACTIVITY], activity[own, row - 1 + PAD]
-    for j in range(n_cols):
-        sums[j] += w_activity * active[j + PAD]
-    w_others = e_weights[F_OTHERS]
-    for other in range(1, own):
-        # HH beside HL and LH, HL beside LH: the next row where there is one.
-        active = activity[other, row + (1 if other == 2 else 0) + PAD]
+    weight = np.int64(np.int32(e_weights[F_ACTIVITY]))
+    if weight != 0:
+        active = activity[own, row - 1 + PAD]
         for j in range(n_cols):
-            sums[j] += w_others * active[j + PAD]
-    weight = e_weights[F_NEAR]
-    for k in range(near.shape[0]):
-        error = errors[near[k, 0], row + near[k, 1] + PAD, near[k, 2] + PAD :]
-        for j in range(n_cols):
-            sums[j] += weight * error[j]
-    weight = e_weights[F_FAR]
-    for k in range(far.shape[0]):
-        error = errors[far[k, 0], row + far[k, 1] + PAD, far[k, 2] + PAD :]
-        for j in range(n_cols):
-            sums[j] += weight * error[j]
+            sums[j] += weight * active[j + PAD]
+    weight = np.int64(np.int32(e_weights[F_OTHERS]))
+    if weight != 0:
+        for other in range(1, own):
+            # HH beside HL and LH, HL beside LH: the next row where there is one.
+            active = activity[other, row + (1 if other == 2 else 0) + PAD]
+            for j in range(n_cols):
+                sums[j] += weight * active[j + PAD]
+    for feature in range(2):
+        places = near if feature == 0 else far
+        weight = np.int64(np.int32(e_weights[F_NEAR + feature]))
+        if weight == 0:
+            continue
+        for k in range(0, places.shape[0], 2):
+            error_0 = errors[places[k, 0], row + places[k, 1] + PAD, places[k, 2] + PAD :]
+            error_1 = errors[
+                places[k + 1, 0], row + places[k + 1, 1] + PAD, places[k + 1, 2] + PAD :
+            ]
+            for j in range(n_cols):
+                sums[j] += weight * (np.int64(error_0[j]) + error_1[j])
 
 
 @kernel
 def _update_activity(errors, before, n_cols, after):
     """Fill a row of activity: its errors, smoothed, and what remains of the row before."""
-    for j in range(PAD, n_cols + PAD):
-        fresh = np.int64(errors[j - 1]) + 2 * errors[j] + errors[j + 1]
-        old = np.int64(before[j - 1]) + 2 * before[j] + before[j + 1]
-        after[j] = fresh + ((3 * old) >> 4)
+    # Errors are at most 2^15 and activities 2^19: 32 bits are enough.
+    error_0, error_1, error_2 = errors[PAD - 1 :], errors[PAD:], errors[PAD + 1 :]
+    old_0, old_1, old_2 = before[PAD - 1 :], before[PAD:], before[PAD + 1 :]
+    smoothed = after[PAD:]
+    for j in range(n_cols):
+        fresh = np.int32(error_0[j] + 2 * error_1[j] + error_2[j])
+        old = np.int32(3 * (old_0[j] + 2 * old_1[j] + old_2[j]))
+        smoothed[j] = np.int32(fresh + (old >> 4))
     after[PAD - 1] = after[PAD]
     after[PAD + n_cols] = after[PAD + n_cols - 1]
 
@@ -208,6 +252,7 @@ def code_pass(
 
     `kinds` (VOID, CODED, KNOWN) and `target` have the plane's size without padding; known samples
     are in place. Fills ``errors[own]`` and ``activity[own]`` as well, whose padding must be 0.
+    `rows` may be int32 where `fits_narrow` says so, for the same result in half the time.
     """
     n_rows, n_cols = kinds.shape
     plane, own_errors = planes[own], errors[own]
@@ -216,96 +261,127 @@ def code_pass(
     acc, lowest, lower = rows[_ACC], rows[_LOWEST], rows[_LOWER]
     upper, highest = rows[_UPPER], rows[_HIGHEST]
     sums, spread = rows[_ERRORS], rows[_SPREAD]
+    floors, ceilings = rows[_FLOOR], rows[_CEILING]
     scale_shift, inverse = step_scale(step)
     half = step >> 1
-    one = np.int64(1)
     most = 2 * MAX_HEIGHT // step + 2
     w_west = np.int64(weights[0])
     w_e_west, w_e_west2 = e_weights[F_W], e_weights[F_WW]
     w_median, w_middle, w_mean = e_weights[F_MEDIAN], e_weights[F_MIDDLE], e_weights[F_MEAN]
+    p_low, p_high = np.int64(z_min) << P_BITS, np.int64(z_max) << P_BITS
+    # What follows from a prediction's distance to the nearest integer, at most 32.
+    n_fractions = (1 << (P_BITS - 1)) + 1
+    bin_of_fraction = np.empty(n_fractions, dtype=np.int64)
+    error_of_fraction = np.empty(n_fractions, dtype=np.int64)
+    for k in range(n_fractions):
+        bin_of_fraction[k] = min(in_steps(np.int64(k), scale_shift, inverse, 3 - P_BITS), 3)
+        error_of_fraction[k] = in_steps(np.int64(k), scale_shift, inverse, 5 - P_BITS)
     span = state[RANGE]
     low = state[LOW]  # CODE when decoding
     pos = state[BYTE_POS]
     _frame_own(plane, core, planes, -1, n_cols)
     for row in range(n_rows):
         _frame_own(plane, core, planes, row, n_cols)
-        own_errors[row + PAD, PAD - 1] = own_errors[row + PAD - 1, PAD]
-        own_errors[row + PAD, PAD - 2] = own_errors[row + PAD - 1, PAD]
-        _prepare_row(
-            row, n_cols, planes, errors, activity, bends, own, taps, weights, core, geometry.near,
-            geometry.far, geometry.bends, geometry.lines, is_diagonal, e_weights, rows,
-        )  # fmt: skip
         here, here_errors = plane[row + PAD], own_errors[row + PAD]
         above = plane[row + PAD - 1]
+        here_errors[PAD - 1] = own_errors[row + PAD - 1, PAD]
+        here_errors[PAD - 2] = own_errors[row + PAD - 1, PAD]
+        _add_taps(acc, planes, taps, weights, row, n_cols)
+        _sort_core(planes, core, row, n_cols, lowest, lower, upper, highest)
+        _add_spread(
+            spread, planes, bends, core, geometry.bends, geometry.lines, row, n_cols, is_diagonal,
+            e_weights, lowest, highest,
+        )  # fmt: skip
+        _add_errors(
+            sums, errors, activity, own, geometry.near, geometry.far, row, n_cols, e_weights
+        )
         for j in range(n_cols):
-            bottom, top = lowest[j], highest[j]
-            value = acc[j] + w_west * here[j + PAD - 1]
-            value = (value + (one << (WEIGHT_BITS - P_BITS - 1))) >> (WEIGHT_BITS - P_BITS)
-            mean = (bottom + lower[j] + upper[j] + top) << (P_BITS - 2)
-            from_mean = abs(value - mean)
-            if clamp:
-                value = min(max(value, bottom << P_BITS), top << P_BITS)
-            value = min(max(value, z_min << P_BITS), z_max << P_BITS)
+            bound = np.int64(lowest[j]) << P_BITS if clamp else p_low
+            floors[j] = min(max(bound, p_low), p_high)
+        for j in range(n_cols):
+            bound = np.int64(highest[j]) << P_BITS if clamp else p_high
+            ceilings[j] = min(max(bound, p_low), p_high)
+        west = np.int64(here[PAD - 1])
+        error_west, error_west2 = np.int64(here_errors[PAD - 1]), np.int64(here_errors[PAD - 2])
+        samples, sample_errors, northern = here[PAD:], here_errors[PAD:], above[PAD:]
+        own_kinds = kinds[row]
+        for j in range(n_cols):
+            value = (np.int64(acc[j]) + w_west * west) >> (WEIGHT_BITS - P_BITS)
+            unclamped = value
+            value = min(max(value, np.int64(floors[j])), np.int64(ceilings[j]))
             whole = (value + (1 << (P_BITS - 1))) >> P_BITS
-            kind = kinds[row, j]
-            if kind == VOID:
-                here[j + PAD] = whole
-                here_errors[j + PAD] = 0
+            kind = own_kinds[j]
+            if kind != CODED:
+                error = np.int64(0)
+                if kind == KNOWN:
+                    west = np.int64(samples[j])
+                    distance = abs((west << P_BITS) - value)
+                    error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
+                else:
+                    west = whole
+                    samples[j] = whole
+                sample_errors[j] = error
+                error_west2, error_west = error_west, error
                 continue
-            if kind == KNOWN:
-                distance = abs((np.int64(here[j + PAD]) << P_BITS) - value)
-                here_errors[j + PAD] = min(
-                    in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR
-                )
-                continue
-            median = (lower[j] + upper[j]) << (P_BITS - 1)
-            middle = (bottom + top) << (P_BITS - 1)
-            from_median, from_middle = median - value, middle - value
-            distances = (
-                (spread[j] << P_BITS)
-                + w_median * abs(from_median)
-                + w_middle * abs(from_middle)
-                + w_mean * from_mean
-            )
+            bottom, top = np.int64(lowest[j]), np.int64(highest[j])
+            distances = np.int64(spread[j]) << P_BITS
+            if w_median != 0:
+                median = (np.int64(lower[j]) + upper[j]) << (P_BITS - 1)
+                distances += w_median * abs(median - value)
+            if w_middle != 0:
+                distances += w_middle * abs(((bottom + top) << (P_BITS - 1)) - value)
+            if w_mean != 0:
+                mean = (bottom + lower[j] + upper[j] + top) << (P_BITS - 2)
+                distances += w_mean * abs(unclamped - mean)
             # In 1/16384 step.
             expected = (
                 sums[j]
-                + w_e_west * here_errors[j + PAD - 1]
-                + w_e_west2 * here_errors[j + PAD - 2]
+                + w_e_west * error_west
+                + w_e_west2 * error_west2
                 + in_steps(distances, scale_shift, inverse, 5 - P_BITS)
             )
             expected = min(expected >> 6, MAX_E)
-            e_bin = e_bin_of(log8(expected))
-            e_range = expected + 77
-            log_range = log8(e_range)
+            e_range = expected + E_OFFSET
+            e_bin, log_range = contexts_of(expected)
             width = in_steps(top - bottom, scale_shift, inverse, E_BITS)
-            range_bin = min((log8(width + e_range) - log_range) >> 2, N_RANGE_BINS - 1)
+            range_bin = range_bin_of(width, e_range, log_range)
             fraction = value - (whole << P_BITS)
-            frac_bin = min(in_steps(abs(fraction), scale_shift, inverse, 3 - P_BITS), 3)
-            zero_b = ZERO_B + (e_bin * N_RANGE_BINS + range_bin) * 4 + frac_bin
+            zero_b = (
+                ZERO_B
+                + (e_bin * N_RANGE_BINS + range_bin) * 4
+                + bin_of_fraction[np.uint64(abs(fraction))]
+            )
             zero_h = np.int64(0)
             n_up = n_down = 0
             if mixed:
-                n_up = (
-                    (1 if bottom - whole > half else 0)
-                    + (1 if lower[j] - whole > half else 0)
-                    + (1 if upper[j] - whole > half else 0)
-                    + (1 if top - whole > half else 0)
-                    + (1 if here[j + PAD - 1] - whole > half else 0)
-                    + (1 if above[j + PAD] - whole > half else 0)
+                north = np.int64(northern[j])
+                is_quiet = (
+                    max(max(top, west), north) - whole <= half
+                    and whole - min(min(bottom, west), north) <= half
                 )
-                n_down = (
-                    (1 if whole - bottom > half else 0)
-                    + (1 if whole - lower[j] > half else 0)
-                    + (1 if whole - upper[j] > half else 0)
-                    + (1 if whole - top > half else 0)
-                    + (1 if whole - here[j + PAD - 1] > half else 0)
-                    + (1 if whole - above[j + PAD] > half else 0)
-                )
-                n_same = 6 - n_up - n_down
-                zero_h = ZERO_H + (e_bin * 7 + n_same) * 4 + min(min(n_up, n_down), 3)
+                if is_quiet:
+                    zero_h = ZERO_H + (e_bin * 7 + 6) * 4
+                else:
+                    ceiling, floor = whole + half, whole - half
+                    n_up = (
+                        (1 if bottom > ceiling else 0)
+                        + (1 if lower[j] > ceiling else 0)
+                        + (1 if upper[j] > ceiling else 0)
+                        + (1 if top > ceiling else 0)
+                        + (1 if west > ceiling else 0)
+                        + (1 if north > ceiling else 0)
+                    )
+                    n_down = (
+                        (1 if bottom < floor else 0)
+                        + (1 if lower[j] < floor else 0)
+                        + (1 if upper[j] < floor else 0)
+                        + (1 if top < floor else 0)
+                        + (1 if west < floor else 0)
+                        + (1 if north < floor else 0)
+                    )
+                    n_same = 6 - n_up - n_down
+                    zero_h = ZERO_H + (e_bin * 7 + n_same) * 4 + min(min(n_up, n_down), 3)
             detail = np.int64(0)
-            is_zero = False
             if target is None:
                 if mixed:
                     bit, span, low, pos = decode_mean_step(
@@ -315,19 +391,26 @@ def code_pass(
                     bit, span, low, pos = decode_step(span, low, pos, stream, models, zero_b)
                 is_zero = bit == 0
             else:
-                error = np.int64(target[row, j]) - whole
-                detail = (abs(error) + half) // step
-                if error < 0:
-                    detail = -detail
-                is_zero = detail == 0
+                off = np.int64(target[row, j]) - whole
+                is_zero = abs(off) <= half
                 bit = 0 if is_zero else 1
+                if not is_zero:
+                    detail = (abs(off) + half) // step
+                    if off < 0:
+                        detail = -detail
                 if mixed:
                     span, low = encode_mean_step(
                         span, low, state, stream, models, zero_b, zero_h, bit
                     )
                 else:
                     span, low = encode_step(span, low, state, stream, models, zero_b, bit)
-            if not is_zero:
+            if is_zero:
+                west = whole
+                error = error_of_fraction[np.uint64(abs(fraction))]
+            else:
+                median = (np.int64(lower[j]) + upper[j]) << (P_BITS - 1)
+                from_median = median - value
+                from_middle = ((bottom + top) << (P_BITS - 1)) - value
                 e_floor = max(expected, 128)
                 log_floor = log8(e_floor)
                 size = in_steps(abs(from_median), scale_shift, inverse, E_BITS - P_BITS)
@@ -339,49 +422,70 @@ def code_pass(
                 sixth = 3 + sixth if fraction > 0 else 3 - sixth
                 sign_b = SIGN_B + ((SIGN_E_OF_BIN[e_bin] * 7 + sixth) * 9 + median_bin) * 9 + middle
                 sign_h = SIGN_H + ((e_bin >> 2) * 8 + n_up) * 8 + n_down
-                reach = in_steps(
+                reach_b = in_steps(
                     max((top << P_BITS) - value, 0), scale_shift, inverse, E_BITS - P_BITS
                 )
-                far_b = min((log8(reach + e_range) - log_range) >> 2, N_RANGE_BINS - 1)
-                reach = in_steps(
+                reach_a = in_steps(
                     max(value - (bottom << P_BITS), 0), scale_shift, inverse, E_BITS - P_BITS
                 )
-                far_a = min((log8(reach + e_range) - log_range) >> 2, N_RANGE_BINS - 1)
                 if mixed:
-                    spots[0], spots[1], spots[2] = (
-                        bottom - whole,
-                        lower[j] - whole,
-                        upper[j] - whole,
-                    )
-                    spots[3], spots[4] = top - whole, here[j + PAD - 1] - whole
-                    spots[5] = above[j + PAD] - whole
+                    spots[0], spots[1] = bottom - whole, lower[j] - whole
+                    spots[2], spots[3] = upper[j] - whole, top - whole
+                    spots[4], spots[5] = west - whole, northern[j] - whole
                     for k in range(6):
                         distance = in_steps(abs(spots[k]) + half, scale_shift, inverse, 0)
                         spots[k] = distance if spots[k] > 0 else -distance
                 if target is None:
                     detail, span, low, pos = decode_detail(
                         span, low, pos, state, stream, models, mixed, e_bin, sign_b, sign_h,
-                        far_b, far_a, spots,
+                        reach_b, reach_a, e_range, log_range, spots,
                     )  # fmt: skip
                     detail = min(max(detail, -most), most)
                 else:
                     span, low = encode_detail(
                         span, low, state, stream, models, mixed, e_bin, sign_b, sign_h,
-                        far_b, far_a, spots, detail,
+                        reach_b, reach_a, e_range, log_range, spots, detail,
                     )  # fmt: skip
-            height = min(max(whole + detail * step, z_min), z_max)
-            here[j + PAD] = height
-            distance = abs((height << P_BITS) - value)
-            here_errors[j + PAD] = min(
-                in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR
-            )
-        own_errors[row + PAD, PAD + n_cols] = own_errors[row + PAD, PAD + n_cols - 1]
+                west = min(max(whole + detail * step, z_min), z_max)
+                distance = abs((west << P_BITS) - value)
+                error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
+            samples[j] = west
+            sample_errors[j] = error
+            error_west2, error_west = error_west, error
+        here_errors[PAD + n_cols] = here_errors[PAD + n_cols - 1]
         _update_activity(
             here_errors, activity[own, row + PAD - 1], n_cols, activity[own, row + PAD]
         )
     state[RANGE], state[LOW] = span, low
     if target is None:
         state[BYTE_POS] = pos
+
+
+@kernel
+def fits_narrow(most, weights, e_weights):
+    """Return whether `code_pass` may use int32 rows where all heights are within +/- `most`.
+
+    The bounds are those of the sums of `_add_taps`, `_add_spread` and `_add_errors`: errors are at
+    most 2^15, activities 16 times that.
+    """
+    taps = np.int64(1 << P_BITS)
+    for t in range(weights.shape[0]):
+        taps += abs(np.int64(weights[t]))
+    lowest = np.int64(0)
+    for k in range(N_FEATURES):
+        lowest = min(lowest, np.int64(e_weights[k]))
+    spread = 128 * e_weights[F_BEND] + 16 * e_weights[F_LINES] + 4 * e_weights[F_TWIST]
+    spread += 2 * e_weights[F_RANGE]
+    near = e_weights[F_N] + e_weights[F_NW] + e_weights[F_NE] + e_weights[F_NN]
+    near += 6 * e_weights[F_NEAR] + 4 * e_weights[F_FAR]
+    near += 16 * (e_weights[F_ACTIVITY] + 2 * e_weights[F_OTHERS])
+    limit = 1 << 30
+    return (
+        lowest >= 0
+        and taps * most < limit
+        and spread * most < limit
+        and near * (MAX_ERROR + 1) + e_weights[F_CONST] < limit
+    )
 
 
 @kernel
@@ -392,22 +496,20 @@ def open_loop_cost(target, kinds, planes, own, geometry, weights, step, every, r
     Own-pass taps see the targets with noise like that of quantising: ``planes[own]`` holds them.
     """
     n_rows, n_cols = target.shape
-    taps = geometry.taps
+    plane, taps = planes[own], geometry.taps
     scale_shift, inverse = step_scale(step)
-    acc = rows[0]
+    acc = rows[_ACC]
+    w_west = np.int64(weights[0])
+    rounding = (1 << (WEIGHT_BITS - 1)) - (1 << (WEIGHT_BITS - P_BITS - 1))
     total = magnitudes = n_seen = np.int64(0)
     for row in range(every >> 1, n_rows, every):
-        for j in range(n_cols):
-            acc[j] = 1 << (WEIGHT_BITS - 1)
-        for t in range(taps.shape[0]):
-            weight = np.int64(np.int32(weights[t]))
-            source = planes[taps[t, 0], row + taps[t, 1] + PAD, taps[t, 2] + PAD :]
-            for j in range(n_cols):
-                acc[j] += weight * source[j]
+        _add_taps(acc, planes, taps, weights, row, n_cols)
+        here = plane[row + PAD]
         for j in range(n_cols):
             if kinds[row, j] != CODED:
                 continue
-            error = abs((acc[j] >> WEIGHT_BITS) - target[row, j])
+            value = (acc[j] + w_west * here[j + PAD - 1] + rounding) >> WEIGHT_BITS
+            error = abs(value - target[row, j])
             error = in_steps(error, scale_shift, inverse, E_BITS)
             # About the bits of a detail: next to nothing below half a step, then its logarithm.
             total += log8(256 + ((min(error, 1 << 14) ** 2) >> 6))

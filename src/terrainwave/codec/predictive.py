@@ -4,21 +4,26 @@ Each sample is predicted from everything decoded so far and its error quantised 
 it comes back within the bound on every level, without a second stage.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave._jit import kernel
 from terrainwave._status import raise_for_status
 from terrainwave.codec import tables
 from terrainwave.codec.border import (
     N_BORDER_MODELS,
-    _code_corner,
-    code_nested_border,
-    code_root_border,
+    code_border,
+    code_corner,
 )
 from terrainwave.codec.detail import N_DETAIL_MODELS
+from terrainwave.codec.fitting import features_of, fit_features, fit_tables, windows_of
 from terrainwave.codec.lattice import (
+    HH,
+    HL,
+    LH,
     PAD,
     PASSES,
     A,
@@ -34,11 +39,21 @@ from terrainwave.codec.nested import (
     CODED,
     KNOWN,
     N_ROW_BUFFERS,
+    VOID,
     code_pass,
     fill_noisy,
+    fits_narrow,
     open_loop_cost,
 )
-from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
+from terrainwave.codec.parameters import (
+    PLANES,
+    FileTables,
+    Tables,
+    all_tables,
+    pack_parameters,
+    parse_parameters,
+)
+from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask, Sides
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
     PENDING,
@@ -51,9 +66,13 @@ from terrainwave.coding.rangecoder import (
     start_decoder,
     start_encoder,
 )
+from terrainwave.coding.zerotrees import grow_zero_trees
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+from terrainwave.quadtree import Grid, Region
 
 _MIXED, _CLAMP = 1, 2
+# A prediction's own fraction alone gives up to 16 of 32.
+_HALF_STEP = 16
 # Lattices of fewer samples take the first stencil set; others name theirs.
 _MIN_CHOICE = 1024
 _SET_BITS = 4
@@ -63,6 +82,13 @@ _N_CLASSES = 3
 # By effort: how many stencil sets are tried, and how close in cost (in %) to the seeming best.
 _N_TRIALS = (1, 2, 8)
 _CLOSE = (100, 106, 140)
+# Feature weights fitted to the file must save so many times their own bits.
+_WORTH = 2
+_WINDOW = 80
+
+
+# By plane: features of the expected magnitude and |details|, collected for fitting.
+_Seen = dict[int, list[tuple[NDArray[np.float64], NDArray[np.float64]]]]
 
 
 class Coder(NamedTuple):
@@ -74,13 +100,30 @@ class Coder(NamedTuple):
     models: NDArray[np.uint32]
     border_models: NDArray[np.uint32]
     flags: int
+    tables: Tables
+    seen: _Seen | None = None
 
 
 class Choice(NamedTuple):
-    """What a plane is coded with: a set of `tables.STENCILS`, a class of `tables.E_WEIGHTS`."""
+    """What a plane is coded with: a set of `Tables.stencils`, a class of `Tables.e_weights`."""
 
     stencil_set: int
     e_class: int
+
+
+class _Rows(NamedTuple):
+    """Row buffers, and the largest height that will be met."""
+
+    most: int
+    narrow: NDArray[np.int32]
+    wide: NDArray[np.int64]
+
+    def of(
+        self, weights: NDArray[np.int64], e_weights: NDArray[np.int64]
+    ) -> NDArray[np.int32] | NDArray[np.int64]:
+        """Return the faster buffers if sums with these weights fit them."""
+        is_narrow = fits_narrow(self.most, weights, e_weights)
+        return self.narrow if is_narrow else self.wide
 
 
 class _Scratch(NamedTuple):
@@ -90,7 +133,7 @@ class _Scratch(NamedTuple):
     errors: NDArray[np.int32]
     activity: NDArray[np.int32]
     bends: NDArray[np.int64]
-    rows: NDArray[np.int64]
+    rows: _Rows
     spots: NDArray[np.int64]
 
 
@@ -100,16 +143,36 @@ class Predictive:
     name = "predictive"
     pyramid = "nested"
 
+    def __init__(self, parameters: bytes = b"") -> None:
+        self.parameters = parameters
+        self._tables = all_tables(parse_parameters(parameters))
+
+    def fitted(
+        self,
+        grid: Grid,
+        step: int,
+        heights: Callable[[int, Region], Heights],
+        mask: Callable[[int, Region], Mask],
+    ) -> "Predictive":
+        """Return a refiner with tables fitted to a raster, where they are worth their bytes.
+
+        `heights` and `mask` return targets and validity of a region of a level.
+        """
+        added = fit_tables(grid, step, heights, mask)
+        windows = windows_of(grid, 0, heights, mask, _WINDOW)
+        e_weights = _fit_e_weights(added, windows, step, grid.n_rows * grid.n_cols)
+        return Predictive(pack_parameters(added._replace(e_weights=e_weights)))
+
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and the heights `decode` makes of it."""
         flags = _CLAMP | (_MIXED if spec.effort else 0)
         out = np.empty(6 * target.size + 1024, dtype=np.uint8)
-        coder = _new_coder(True, start_encoder(), out, flags)
-        heights = _code_unit(spec, parent, target, mask, coder)
+        coder = _new_coder(True, start_encoder(), out, flags, self._tables)
+        heights, trees = _code_unit(spec, parent, target, mask, coder)
         n_bytes = finish_encoder(coder.state, out)
-        return bytes([flags]) + out[:n_bytes].tobytes(), heights, None
+        return bytes([flags]) + out[:n_bytes].tobytes(), heights, trees
 
     def decode(
         self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
@@ -129,36 +192,94 @@ class Predictive:
         data = np.frombuffer(payload, dtype=np.uint8)[1:].copy()
         state = np.zeros(STATE_SIZE, dtype=np.int64)
         start_decoder(state, data)
-        coder = _new_coder(False, state, data, payload[0])
-        heights = _code_unit(spec, parent, None, mask, coder)
+        coder = _new_coder(False, state, data, payload[0], self._tables)
+        heights, trees = _code_unit(spec, parent, None, mask, coder)
         raise_for_status(*finish_decoder(state, data))
-        return heights, None
+        return heights, trees
+
+
+def _fit_e_weights(
+    added: FileTables, windows: list[tuple[Heights, Mask]], step: int, n_in_file: int
+) -> dict[int, NDArray[np.int64] | None]:
+    """Return feature weights by plane fitted to coded windows, None where not worth storing."""
+    none: dict[int, NDArray[np.int64] | None] = dict.fromkeys(PLANES)
+    seen: _Seen = {plane: [] for plane in PLANES}
+    trained = all_tables(added)
+    # Windows of one colour of a chessboard are fitted to, the others judge.
+    judges = windows[1::2]
+    for window in windows[::2]:
+        _code_window(*window, step, trained, seen)
+        details = [part[1] for parts in seen.values() for part in parts]
+        if 256 * sum(d.sum() for d in details) < CLASS_LIMITS[-1] * sum(d.size for d in details):
+            return none  # few details: their size doesn't matter
+    found = dict(none)
+    for plane, parts in seen.items():
+        if not parts:
+            continue
+        sizes = np.concatenate([part[1] for part in parts])
+        if int(256 * sizes.sum()) >= CLASS_LIMITS[-1] * sizes.size:
+            found[plane] = fit_features(np.concatenate([part[0] for part in parts]), sizes)
+    if not judges or all(weights is None for weights in found.values()):
+        return none
+    both = added._replace(e_weights=found)
+    n_bits = sum(_code_window(*window, step, trained, None) for window in judges)
+    n_bits -= sum(_code_window(*window, step, all_tables(both), None) for window in judges)
+    n_stored = 8 * (len(pack_parameters(both)) - len(pack_parameters(added)))
+    n_judged = sum(mask.size for _, mask in judges)
+    return found if n_bits * n_in_file > _WORTH * n_stored * n_judged else none
+
+
+def _code_window(
+    target: Heights, mask: Mask, step: int, all_sets: Tables, seen: _Seen | None
+) -> int:
+    """Return the bits of a window coded alone, its even samples given; append to `seen`."""
+    low, high = int(target.min()), int(target.max())
+    region = Region(0, 0, *target.shape)
+    spec = GroupSpec(
+        1, region, region, None, Sides(False, False, False, False), step, low, high, (1, 0), 1, 0
+    )
+    out = np.empty(6 * target.size + 1024, dtype=np.uint8)
+    coder = _new_coder(True, start_encoder(), out, _CLAMP | _MIXED, all_sets)._replace(seen=seen)
+    kinds = np.where(mask, CODED, VOID).astype(np.uint8)
+    coarse = np.ascontiguousarray(target[::2, ::2])
+    padded = np.zeros((coarse.shape[0] + 2 * PAD, coarse.shape[1] + 2 * PAD), dtype=np.int32)
+    fill_noisy(coarse, padded, step)
+    heights = np.zeros_like(target)
+    heights[::2, ::2] = padded[PAD:-PAD, PAD:-PAD]
+    _code_lattice(heights, kinds, target, spec, coder)
+    return 8 * finish_encoder(coder.state, out)
 
 
 def _new_coder(
-    encoding: bool, state: NDArray[np.int64], stream: NDArray[np.uint8], flags: int
+    encoding: bool,
+    state: NDArray[np.int64],
+    stream: NDArray[np.uint8],
+    flags: int,
+    all_sets: Tables,
 ) -> Coder:
     return Coder(
         encoding, state, stream, tables.start_models(N_DETAIL_MODELS),
-        tables.start_border_models(N_BORDER_MODELS), flags,
+        tables.start_border_models(N_BORDER_MODELS), flags, all_sets,
     )  # fmt: skip
 
 
 def _code_unit(
     spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask, coder: Coder
-) -> Heights:
-    """Encode `target`, or decode where it is None; return the decoded heights of the region."""
+) -> tuple[Heights, Labels | None]:
+    """Encode `target`, or decode where it is None.
+
+    Return the decoded heights of the region and, of a group, the zero trees of its core.
+    """
     heights = np.zeros(spec.region.shape, dtype=np.int32)
     is_known = np.zeros(spec.region.shape, dtype=np.bool_)
     streams = coder.state, coder.stream, coder.border_models
     core = spec.core.slices_in(spec.region)
-    if parent is None:
-        code_root_border(spec, target, mask, heights, is_known, *streams)
-    else:
-        code_nested_border(spec, parent, target, mask, heights, is_known, *streams)
+    code_border(spec, parent, target, mask, heights, is_known, *streams, is_nested=True)
     inner = np.ascontiguousarray(heights[core])
-    kinds = np.where(is_known[core], KNOWN, np.where(mask[core], CODED, 0)).astype(np.uint8)
+    kinds = np.where(mask[core], np.uint8(CODED), np.uint8(VOID))
+    np.copyto(kinds, KNOWN, where=is_known[core])
     goal = None if target is None else np.ascontiguousarray(target[core])
+    trees = None
     if parent is None:
         stride = 1
         while stride < max(inner.shape) - 1:
@@ -175,9 +296,13 @@ def _code_unit(
         col = (spec.core.col >> 1) - spec.parent_region.col
         n_rows, n_cols = plane_sizes(inner.shape)[A]
         inner[::2, ::2] = parent[row : row + n_rows, col : col + n_cols]
-        _code_lattice(inner, kinds, goal, spec, coder)
+        errors = _code_lattice(inner, kinds, goal, spec, coder)
+        if spec.wants_labels:
+            trees = np.empty((n_rows, n_cols), dtype=np.uint8)
+            mark_significant(errors, *inner.shape, trees)
+            grow_zero_trees(trees)
     heights[core] = inner
-    return heights
+    return heights, trees
 
 
 def _code_corners(
@@ -193,7 +318,7 @@ def _code_corners(
         for col in range(0, inner.shape[1], stride):
             if kinds[row, col] != KNOWN:
                 value = 0 if goal is None else int(goal[row, col])
-                inner[row, col] = _code_corner(
+                inner[row, col] = code_corner(
                     coder.encoding, 0, value, kinds[row, col] == CODED, True, step, coder.state,
                     coder.stream, coder.border_models,
                 )  # fmt: skip
@@ -205,8 +330,11 @@ def _code_lattice(
     goal: Heights | None,
     spec: GroupSpec,
     coder: Coder,
-) -> None:
-    """Code the three passes of a lattice; `heights` holds the coarse and the known samples."""
+) -> NDArray[np.int32]:
+    """Code the three passes of a lattice; `heights` holds the coarse and the known samples.
+
+    Return the errors of prediction, in planes as `lattice.split` makes them.
+    """
     shape = heights.shape
     sizes = plane_sizes(shape)
     padded = (4, sizes[A][0] + 2 * PAD, sizes[A][1] + 2 * PAD)
@@ -214,7 +342,13 @@ def _code_lattice(
     errors = np.zeros(padded, dtype=np.int32)
     activity = np.zeros(padded, dtype=np.int32)
     bends = np.zeros(padded[1:], dtype=np.int64)
-    rows = np.zeros((N_ROW_BUFFERS, sizes[A][1]), dtype=np.int64)
+    most = max(abs(spec.z_min), abs(spec.z_max)) + spec.step
+    most = max(most, -int(heights.min()), int(heights.max()))
+    rows = _Rows(
+        most,
+        np.zeros((N_ROW_BUFFERS, sizes[A][1]), dtype=np.int32),
+        np.zeros((N_ROW_BUFFERS, sizes[A][1]), dtype=np.int64),
+    )
     spots = np.zeros(6, dtype=np.int64)
     split(heights, planes, (A,))
     fill_frame(planes[A], 0, 0, *shape)
@@ -227,28 +361,54 @@ def _code_lattice(
         if 0 in sizes[own]:
             continue
         row_parity, col_parity = own & 1 if own != 2 else 0, int(own != 3)
-        stencils = tables.STENCILS[own]
+        stencils = coder.tables.stencils[own]
         own_kinds = np.ascontiguousarray(kinds[row_parity::2, col_parity::2])
         own_goal = None
         if goal is not None:
             own_goal = np.ascontiguousarray(goal[row_parity::2, col_parity::2])
         scratch = _Scratch(planes, errors, activity, bends, rows, spots)
         choice = Choice(0, _N_CLASSES - 1)
-        if shape[0] * shape[1] >= _MIN_CHOICE:
-            if own_goal is not None:
-                choice = _choose(own_goal, own_kinds, geometry, spec, scratch, coder)
-                code = choice.stencil_set * 4 + choice.e_class
-                encode_raw(coder.state, coder.stream, code, _SET_BITS + 2)
-            else:
+        has_header = shape[0] * shape[1] >= _MIN_CHOICE
+        if has_header and own_goal is not None:
+            choices = _choose(own_goal, own_kinds, geometry, spec, scratch, coder)
+            _encode_smallest(own_goal, own_kinds, geometry, choices, spec, scratch, coder)
+        else:
+            if has_header:
                 code = int(decode_raw(coder.state, coder.stream, _SET_BITS + 2))
                 choice = Choice(code >> 2, code & 3)
-                if choice.stencil_set >= len(stencils) or choice.e_class >= _N_CLASSES:
+                if choice.stencil_set >= len(stencils) or choice.e_class >= len(
+                    coder.tables.e_weights[own]
+                ):
                     raise CorruptStreamError(f"stencil set and contexts {code} do not exist")
-        _run_pass(own_goal, own_kinds, geometry, choice, spec, scratch, coder)
+            _run_pass(own_goal, own_kinds, geometry, choice, spec, scratch, coder)
         fill_frame(planes[own], row_parity, col_parity, *shape)
         fill_frame(errors[own], row_parity, col_parity, *shape)
         fill_frame(activity[own], row_parity, col_parity, *shape)
     merge(planes, heights)
+    return errors
+
+
+@kernel
+def mark_significant(errors, n_rows, n_cols, significant):
+    """Set `significant` (uint8) to 1 where a node holds a significant detail, else to 0.
+
+    Node (i, j) holds the HH, HL and LH details between coarse samples (i, j), (i, j + 1) and
+    (i + 1, j). Significant is what prediction missed by half a step or more, in the 1/32 steps of
+    `errors`: the details that are not 0 (with step 1, rounding can tell them apart only to 1/64),
+    and the same for samples known from a shared line.
+    """
+    for i in range(significant.shape[0]):
+        hh, hl, lh = errors[HH, i + PAD], errors[HL, i + PAD], errors[LH, i + PAD]
+        has_row_below = 2 * i + 1 < n_rows
+        for j in range(significant.shape[1]):
+            found = np.int64(0)
+            if 2 * j + 1 < n_cols:
+                found = np.int64(hl[j + PAD])
+                if has_row_below:
+                    found = max(found, np.int64(hh[j + PAD]))
+            if has_row_below:
+                found = max(found, np.int64(lh[j + PAD]))
+            significant[i, j] = 1 if found > _HALF_STEP else 0
 
 
 def _run_pass(
@@ -262,12 +422,21 @@ def _run_pass(
 ) -> None:
     """Encode or decode one plane with the tables chosen."""
     own = geometry.plane
+    weights = coder.tables.stencils[own][choice.stencil_set]
+    e_weights = coder.tables.e_weights[own][choice.e_class]
     code_pass(
         goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
-        tables.STENCILS[own][choice.stencil_set], tables.E_WEIGHTS[own][choice.e_class],
-        bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
-        scratch.rows, scratch.spots, coder.state, coder.stream, coder.models,
+        weights, e_weights, bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP), spec.step,
+        spec.z_min, spec.z_max, scratch.rows.of(weights, e_weights),
+        scratch.spots, coder.state, coder.stream, coder.models,
     )  # fmt: skip
+    if coder.seen is not None:
+        coder.seen[own].append(
+            features_of(
+                kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, geometry,
+                weights, bool(coder.flags & _CLAMP), spec.step,
+            )
+        )  # fmt: skip
 
 
 def _choose(
@@ -277,39 +446,73 @@ def _choose(
     spec: GroupSpec,
     scratch: _Scratch,
     coder: Coder,
-) -> Choice:
-    """Return the stencil set and the class of contexts to code a plane with.
+) -> list[Choice]:
+    """Return the stencil sets and classes of contexts to try on a plane, the likeliest first.
 
-    Sets are ranked by their errors on some rows; the best few, if close, are tried.
+    Sets are ranked by their errors on some rows; the best few, if close, are worth trying.
     """
     own, planes = geometry.plane, scratch.planes
     saved = planes[own].copy()
     fill_noisy(goal, planes[own], spec.step)
     every = 8 if goal.size > 16384 else 2
     found = [
-        open_loop_cost(goal, kinds, planes, own, geometry, weights, spec.step, every, scratch.rows)
-        for weights in tables.STENCILS[own]
-    ]
+        open_loop_cost(
+            goal, kinds, planes, own, geometry, weights, spec.step, every,
+            scratch.rows.of(weights, coder.tables.e_weights[own][0]),
+        )
+        for weights in coder.tables.stencils[own]
+    ]  # fmt: skip
     planes[own] = saved
     ranking = sorted(range(len(found)), key=lambda k: found[k][0])
     # Costs hold 64, log8(256), for each sample, whatever its error.
     base = 64 * found[0][2]
     limit = base + (found[ranking[0]][0] - base) * _CLOSE[spec.effort] // 100
     ranking = [k for k in ranking[: _N_TRIALS[spec.effort]] if found[k][0] <= limit]
-    choices = [Choice(k, sum(found[k][1] >= edge for edge in CLASS_LIMITS)) for k in ranking] or [
+    # A file's own weights take the place of the last class.
+    last = len(coder.tables.e_weights[own]) - 1
+    classes = {k: sum(found[k][1] >= edge for edge in CLASS_LIMITS) for k in ranking}
+    return [Choice(k, last if classes[k] == _N_CLASSES - 1 else classes[k]) for k in ranking] or [
         Choice(0, _N_CLASSES - 1)
     ]
-    if len(choices) == 1:
-        return choices[0]
-    best, smallest = choices[0], 1 << 62
-    state, models = coder.state.copy(), coder.models.copy()
-    for choice in choices:
-        # Bytes already in the stream are final, so the state alone can be put back.
+
+
+def _encode_smallest(
+    goal: Heights,
+    kinds: NDArray[np.uint8],
+    geometry: Pass,
+    choices: list[Choice],
+    spec: GroupSpec,
+    scratch: _Scratch,
+    coder: Coder,
+) -> None:
+    """Encode a plane and the choice it is coded with: the one of `choices` that takes least.
+
+    The likeliest is tried last, as what the last trial left needs no copying back.
+    """
+    own = geometry.plane
+    # Bytes before this one are final.
+    first = max(int(coder.state[BYTE_POS]), 0)
+    arrays = [
+        coder.state, coder.models, coder.stream[first:],
+        scratch.planes[own], scratch.errors[own], scratch.activity[own],
+    ]  # fmt: skip
+    start = [array.copy() for array in arrays[:2]] if len(choices) > 1 else []
+    known = scratch.planes[own].copy() if len(choices) > 1 else scratch.planes[own]
+    kept: list[NDArray[np.generic]] = []
+    smallest = 1 << 62
+    for n_left, choice in reversed(list(enumerate(choices))):
+        if start and n_left < len(choices) - 1:
+            coder.state[:], coder.models[:] = start
+            scratch.planes[own] = known
+        code = choice.stencil_set * 4 + choice.e_class
+        encode_raw(coder.state, coder.stream, code, _SET_BITS + 2)
         _run_pass(goal, kinds, geometry, choice, spec, scratch, coder)
         n_bits = 8 * int(coder.state[BYTE_POS] + coder.state[PENDING])
         n_bits -= int(coder.state[RANGE]).bit_length()
-        if n_bits < smallest:
-            best, smallest = choice, n_bits
-        coder.state[:], coder.models[:] = state, models
-        planes[own] = saved
-    return best
+        if n_bits <= smallest:
+            smallest, kept = n_bits, []
+            if n_left:
+                arrays[2] = coder.stream[first : max(int(coder.state[BYTE_POS]), first)]
+                kept = [array.copy() for array in arrays]
+    for array, values in zip(arrays, kept, strict=False):
+        array[:] = values

@@ -5,13 +5,14 @@ A coded unit is a root block or a group (the four children of one block). A refi
 neighbour. That is what makes every group decodable from its ancestors alone, in any order.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.quadtree import Region
+from terrainwave.quadtree import Grid, Region
 
 Heights = NDArray[np.int32]
 Mask = NDArray[np.bool_]
@@ -50,6 +51,8 @@ class GroupSpec:
     effort: int
     # For the choices of encoders alone: no decoder may look at it.
     is_finest: bool = True
+    # Whether `Decoded.labels` are wanted; without them decoding saves about 1 %.
+    wants_labels: bool = True
 
     @property
     def half(self) -> int:
@@ -58,7 +61,12 @@ class GroupSpec:
 
 
 class Decoded(NamedTuple):
-    """Heights (int32 quanta) and validity of a unit's region, with its zero-tree labels if any."""
+    """Heights (int32 quanta) and validity of a unit's region, with its zero trees if any.
+
+    `labels`: a map of zero trees as in `coding.zerotrees`, one byte per finest node of the core. In
+    a group these are the samples of the parent block inside the raster, without apron. None where
+    the method has no details (`store`, raw units) or nothing is valid: nothing is known then.
+    """
 
     heights: Heights
     mask: Mask
@@ -89,4 +97,24 @@ class Refiner(Protocol):
         self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
     ) -> tuple[Heights, Labels | None]:
         """Rebuild the heights of ``spec.region``; raise `CorruptStreamError` for bad bytes."""
+        ...
+
+
+@runtime_checkable
+class FittingRefiner(Refiner, Protocol):
+    """A refiner with tables for the whole file; `parameters` are their bytes in the header."""
+
+    parameters: bytes
+
+    def fitted(
+        self,
+        grid: Grid,
+        step: int,
+        heights: Callable[[int, Region], Heights],
+        mask: Callable[[int, Region], Mask],
+    ) -> "FittingRefiner":
+        """Return a refiner with tables fitted to a raster, the same ones on every machine.
+
+        `heights` and `mask` return targets and validity of a region of a level.
+        """
         ...

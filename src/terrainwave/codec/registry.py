@@ -7,14 +7,25 @@ METHODS = ("predictive", "cdf97", "store")
 DEFAULT_METHOD = "predictive"
 
 
-def refiner_by_name(name: str) -> Refiner:
-    """Return the refiner of a file's method.
+def refiner_by_name(name: str, parameters: bytes = b"") -> Refiner:
+    """Return the refiner of a file's method, with the `parameters` of its header.
 
     Raises
     ------
     UnsupportedVersionError
-        If this version has no such method.
+        If this version has no such method, or doesn't know its parameters.
+    CorruptStreamError
+        If the parameters contradict FORMAT.md.
     """
+    if name == "predictive":
+        from terrainwave.codec.predictive import Predictive
+
+        return Predictive(parameters)
+    if parameters and name in METHODS:
+        raise UnsupportedVersionError(
+            f"the file has parameters for method {name}, which this terrainwave does not know:"
+            " install a newer one"
+        )
     if name == "store":
         from terrainwave.codec.store import Store
 
@@ -23,10 +34,6 @@ def refiner_by_name(name: str) -> Refiner:
         from terrainwave.codec.cdf97 import Cdf97
 
         return Cdf97()
-    if name == "predictive":
-        from terrainwave.codec.predictive import Predictive
-
-        return Predictive()
     raise UnsupportedVersionError(
         f"the file uses method {name!r}; this terrainwave has {', '.join(METHODS)}:"
         " install a newer one"

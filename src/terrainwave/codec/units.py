@@ -1,7 +1,6 @@
-"""The coded units of a file: their keys and what their refiner is told (FORMAT.md §2.4).
+"""The coded units of a file: what their refiner is told (FORMAT.md §2.4).
 
-A group is keyed by its parent block. A root block is a unit of its own; its key is the same
-block position on level -1, as if it had a parent.
+Their keys are those of `Grid.root_keys` and the parents of groups.
 """
 
 from dataclasses import dataclass
@@ -22,21 +21,9 @@ class CodecParameters:
     effort: int
 
 
-def root_keys(grid: Grid) -> list[Block]:
-    """Return the keys of the root units in Morton order."""
-    return [Block(-1, block.row, block.col) for block in grid.blocks(0)]
-
-
-def unit_blocks(grid: Grid, key: Block) -> list[Block]:
-    """Return the blocks whose heights the unit holds, in Morton order."""
-    if key.level < 0:
-        return [Block(0, key.row, key.col)]
-    return grid.children(key)
-
-
 def unit_core(grid: Grid, key: Block) -> Region:
     """Return the samples of the unit without its apron, on the level it codes."""
-    if key.level < 0:
+    if key.is_root_key:
         return grid.block_region(Block(0, key.row, key.col))
     return grid.group_region(key)
 
@@ -44,9 +31,9 @@ def unit_core(grid: Grid, key: Block) -> Region:
 def unit_spec(grid: Grid, parameters: CodecParameters, key: Block) -> GroupSpec:
     """Return what the refiner of the unit is told."""
     apron = 1 if parameters.rings == 3 else 0
-    blocks_per_unit = 1 if key.level < 0 else 2
+    blocks_per_unit = 1 if key.is_root_key else 2
     level = key.level + 1
-    if key.level < 0:
+    if key.is_root_key:
         region = grid.block_region(Block(0, key.row, key.col), apron)
         parent_region = None
     else:

@@ -23,8 +23,7 @@ from terrainwave.coding.rangecoder import (
     encode_raw,
     encode_step,
 )
-
-JZTR, JS, JZTC = 0, 1, 2
+from terrainwave.coding.zerotrees import JS, JZTC, JZTR
 
 # Here and below, np.int64(0) and the like are arguments of kernels because numba compiles a kernel
 # anew for every literal it is called with.

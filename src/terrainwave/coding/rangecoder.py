@@ -92,6 +92,7 @@ def encode_step(span, low, state, out, models, index, bit):
     For hot loops, which keep RANGE and LOW in locals (half the time of `encode_bit`) and must put
     them back into `state` before any other function of this module sees it.
     """
+    index = np.uint64(index)
     model = np.int64(models[index])
     count = model & ((1 << _COUNT_BITS) - 1)
     prob = model >> _COUNT_BITS
@@ -166,6 +167,7 @@ def decode_step(span, code, pos, data, models, index):
     For hot loops, which keep RANGE, CODE and BYTE_POS in locals (half the time of `decode_bit`).
     Bytes past the end of `data` read as zero; `finish_decoder` reports that.
     """
+    index = np.uint64(index)
     model = np.int64(models[index])
     count = model & ((1 << _COUNT_BITS) - 1)
     prob = model >> _COUNT_BITS
@@ -278,6 +280,7 @@ def decode_magnitude(state, data, models, first):
 @kernel
 def encode_mean_step(span, low, state, out, models, first, second, bit):
     """Encode `bit` with the mean of two models' probabilities, adapt both; as `encode_step`."""
+    first, second = np.uint64(first), np.uint64(second)
     model, other = np.int64(models[first]), np.int64(models[second])
     count, other_count = model & ((1 << _COUNT_BITS) - 1), other & ((1 << _COUNT_BITS) - 1)
     prob, other_prob = model >> _COUNT_BITS, other >> _COUNT_BITS
@@ -302,6 +305,7 @@ def encode_mean_step(span, low, state, out, models, first, second, bit):
 @kernel
 def decode_mean_step(span, code, pos, data, models, first, second):
     """Decode one bit written by `encode_mean_step`; as `decode_step`."""
+    first, second = np.uint64(first), np.uint64(second)
     model, other = np.int64(models[first]), np.int64(models[second])
     count, other_count = model & ((1 << _COUNT_BITS) - 1), other & ((1 << _COUNT_BITS) - 1)
     prob, other_prob = model >> _COUNT_BITS, other >> _COUNT_BITS

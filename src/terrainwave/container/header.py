@@ -35,7 +35,7 @@ MAX_Z = 2**30  # so that z ± a step's half and differences of two heights fit i
 MAX_STEP = 2**31 - 1
 MAX_METADATA = 2**20  # both deflated and inflated
 MAX_PARAMETERS = 2**16
-MAX_PAGE = 2**15  # an inflated page has at most 23.7 kB (FORMAT.md §10)
+MAX_PAGE = 2**15  # an inflated page has at most 5.9 kB (FORMAT.md §10)
 
 _LAYOUT = struct.Struct("<8s B B H I Q I I B B B B B B 2s Q Q q I i i I d d d I I I I I")
 _CRC = struct.Struct("<I")

@@ -15,27 +15,11 @@ from terrainwave.container.header import MAX_PAGE
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 from terrainwave.quadtree import SEGMENT_LEVELS, Block, Grid
 
-ROOT_LEVEL = -1
 N_CODES = 4
 MAX_PAYLOAD = 2**31 - 1
 
 _PREFIX = struct.Struct("<I Q")
 _MIN_PAGE = _PREFIX.size + 1
-
-
-def root_key(root: Block) -> Block:
-    """Return the key of the payload of root block `root`: its position on level -1.
-
-    The other keys are the parents of groups.
-    """
-    return Block(ROOT_LEVEL, root.row, root.col)
-
-
-def key_blocks(grid: Grid, key: Block) -> list[Block]:
-    """Return the blocks that the payload of `key` makes, in Morton order."""
-    if key.level == ROOT_LEVEL:
-        return [Block(0, key.row, key.col)]
-    return grid.children(key)
 
 
 class PageLayout(NamedTuple):
@@ -49,12 +33,12 @@ class PageLayout(NamedTuple):
 def page_layout(grid: Grid, head: Block | None) -> PageLayout:
     """Return what the page of the segment of `head` lists (FORMAT.md §3.3).
 
-    At most 352 keys, 1360 blocks and 1024 children, whatever the size of the grid.
+    At most 85 keys, 340 blocks and 256 children, whatever the size of the grid.
     """
     # In one walk, since a key's blocks are the next layer's keys (and the last one's the children).
     if head is None:
         layers = [grid.blocks(level) for level in range(grid.top_levels + 1)]
-        keys = [root_key(root) for root in layers[0]]
+        keys = grid.root_keys()
         blocks = list(layers[0])
     else:
         layers, keys, blocks = [[head]], [], []
@@ -256,7 +240,7 @@ def describe_head(head: Block | None) -> str:
 
 def describe_key(key: Block) -> str:
     """Return the name of a payload's owner for messages."""
-    if key.level == ROOT_LEVEL:
+    if key.is_root_key:
         return f"root block (level 0, row {key.row}, col {key.col})"
     return f"group (level {key.level}, row {key.row}, col {key.col})"
 

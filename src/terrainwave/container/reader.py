@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from terrainwave.container.header import Extents, Header, unpack_header
 from terrainwave.container.metadata import unpack_metadata
 from terrainwave.container.page import (
-    ROOT_LEVEL,
     Page,
     PageLayout,
     describe_head,
@@ -63,7 +62,7 @@ class Segment:
 class Container:
     """An open .twz file: bytes by key, no heights.
 
-    A key is the parent block of a group, or ``root_key(root block)``: a root's position on level
+    A key is the parent block of a group, or one of `Grid.root_keys`: a root's position on level
     -1. Keys and blocks that the grid does not have raise `KeyError`. Thread-safe; can be pickled
     if its source can; a context manager.
 
@@ -195,7 +194,7 @@ class Container:
         return _segment(head, layout, page, start, len(data), start + length)
 
     def _head_of(self, key: Block) -> Block | None:
-        if key.level == ROOT_LEVEL:
+        if key.is_root_key:
             if self.grid.contains(Block(0, key.row, key.col)):
                 return None
         elif key.level < self.grid.k_max and self.grid.contains(key):

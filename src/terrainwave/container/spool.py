@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import BinaryIO, NamedTuple
 
-from terrainwave.container.page import MAX_PAYLOAD, N_CODES, ROOT_LEVEL
+from terrainwave.container.page import MAX_PAYLOAD, N_CODES
 from terrainwave.errors import StorageError, TerrainwaveError
 from terrainwave.quadtree import Block
 
@@ -70,7 +70,7 @@ class SegmentSpool:
         codes: bytes | None = None,
         mesh: bytes = b"",
     ) -> None:
-        """Take the payload of `key`: the parent of a group, or ``root_key(root block)``.
+        """Take the payload of `key`: the parent of a group, or one of `Grid.root_keys`.
 
         `codes` are four bytes for each block that the payload makes, in Morton order; they may
         come later by `set_codes`.
@@ -95,7 +95,7 @@ class SegmentSpool:
 
     def set_codes(self, key: Block, codes: bytes) -> None:
         """Set or replace the codes of the blocks that the payload of `key` makes."""
-        limit = N_CODES if key.level == ROOT_LEVEL else 4 * N_CODES
+        limit = N_CODES if key.is_root_key else 4 * N_CODES
         if len(codes) % N_CODES or len(codes) > limit:
             raise ValueError(f"{len(codes)} bytes of codes for {key}")
         self._codes[key] = bytes(codes)

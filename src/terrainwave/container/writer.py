@@ -15,7 +15,6 @@ from terrainwave.container.page import (
     PageLayout,
     describe_head,
     describe_key,
-    key_blocks,
     pack_columns,
     pack_page,
     page_layout,
@@ -129,7 +128,7 @@ def _page(grid: Grid, layout: PageLayout, spool: SegmentSpool, children: list[_P
             codes.append(spool.codes(key))
         except KeyError:
             raise ValueError(f"{describe_key(key)} has no payload or no codes") from None
-        if len(codes[-1]) != N_CODES * len(key_blocks(grid, key)):
+        if len(codes[-1]) != N_CODES * len(grid.key_blocks(key)):
             raise ValueError(f"{describe_key(key)} has {len(codes[-1])} bytes of codes")
     columns = list(zip(*rows, strict=True))
     return Page(

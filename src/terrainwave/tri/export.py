@@ -104,27 +104,14 @@ def save_mesh(
     """
     extension = check_extension(path)
     if extension == ".terrain":
-        if frame is not None or z_scale != 1 or solid is not None:
-            raise InvalidHeightsError(
-                "a .terrain tile has a frame of its own: found --frame, --z-scale or --solid"
-            )
+        _refuse_frame(frame, z_scale, solid)
         need("quantized_mesh_encoder")
         from terrainwave.tri.tiles import save_tile
 
         return save_tile(mesh, path, radius=radius, overwrite=overwrite)
     writer = _WRITERS[extension]
     need(writer.package)
-    whole = mesh if solid is None else solidify(mesh, solid)
-    framed = to_frame(whole, frame, z_scale=z_scale, radius=radius)
-    if writer.is_float32:
-        framed = _recentred(framed)
-        written = framed.vertices.astype(np.float32).astype(np.float64)
-    else:
-        framed = replace(framed, vertices=framed.points, origin=(0.0, 0.0, 0.0))
-        written = framed.vertices
-        if extension == ".obj":
-            written = np.round(written, _obj_digits(framed))
-    rounding = _rounding(mesh, framed, written, radius)
+    framed, written, rounding = _to_write(mesh, extension, frame, z_scale, solid, radius)
     about = describe(framed, mesh.error + rounding)
     # Libraries count on numpy's own settings, which callers may have changed.
     with np.errstate(all="ignore"):
@@ -143,6 +130,58 @@ def save_mesh(
         origin=framed.origin,
         curvature=_curvature(mesh, framed, radius),
     )
+
+
+def file_rounding(
+    mesh: Mesh,
+    path: str | os.PathLike[str],
+    *,
+    frame: str | None = None,
+    z_scale: float = 1.0,
+    solid: float | None = None,
+    radius: float | None = None,
+) -> float:
+    """Return what rounding in the file adds to the mesh's error, without writing it.
+
+    The arguments are those of `save_mesh`; whoever has a bound to keep asks for a mesh that leaves
+    room for this.
+    """
+    extension = check_extension(path)
+    if extension == ".terrain":
+        _refuse_frame(frame, z_scale, solid)
+        from terrainwave.tri.tiles import tile_rounding
+
+        return tile_rounding(mesh, radius=radius)
+    return _to_write(mesh, extension, frame, z_scale, solid, radius)[2]
+
+
+def _refuse_frame(frame: str | None, z_scale: float, solid: float | None) -> None:
+    if frame is not None or z_scale != 1 or solid is not None:
+        raise InvalidHeightsError(
+            "a .terrain tile has a frame of its own: found --frame, --z-scale or --solid"
+        )
+
+
+def _to_write(
+    mesh: Mesh,
+    extension: str,
+    frame: str | None,
+    z_scale: float,
+    solid: float | None,
+    radius: float | None,
+) -> tuple[Mesh, NDArray[np.float64], float]:
+    """Return the mesh in its frame, its vertices as the file holds them, and their rounding."""
+    whole = mesh if solid is None else solidify(mesh, solid)
+    framed = to_frame(whole, frame, z_scale=z_scale, radius=radius)
+    if _WRITERS[extension].is_float32:
+        framed = _recentred(framed)
+        written = framed.vertices.astype(np.float32).astype(np.float64)
+    else:
+        framed = replace(framed, vertices=framed.points, origin=(0.0, 0.0, 0.0))
+        written = framed.vertices
+        if extension == ".obj":
+            written = np.round(written, _obj_digits(framed))
+    return framed, written, _rounding(mesh, framed, written, radius)
 
 
 def check_extension(path: str | os.PathLike[str]) -> str:

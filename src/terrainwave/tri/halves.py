@@ -25,6 +25,8 @@ _FREE, _LOCKED, _MERGED = 0, -1, 127
 _VOID = -1
 _FAR = np.int64(1) << 32
 _PASSES = 2
+# Sides of the cells that are tried whole, before halves.
+_SQUARES = (8, 4, 2)
 
 
 class Lines(NamedTuple):
@@ -365,11 +367,11 @@ def _merge_halves(
 
 @kernel
 def _merge_cells(heights, root, levels, rows, cols, z, row_0, col_0, tolerance, lowest, highest):
-    """Merge samples into cells: whole 4 x 4 and 2 x 2 first, then halves from the finest up."""
+    """Merge samples into cells: whole squares first, then halves from the finest up."""
     n_rows, n_cols = heights.shape
     if n_rows < 3 or n_cols < 3:
         return  # border lines alone
-    for side in (4, 2):
+    for side in _SQUARES:
         _merge_squares(
             heights, root, levels, rows, cols, z, row_0, col_0, side, tolerance, lowest, highest
         )

@@ -13,6 +13,8 @@ from terrainwave.tri.fit import fit_triangle, scaled_heights
 from terrainwave.tri.mesh import BlockMesh
 
 _MAX_DEGREE = 24
+# The degree of vertices with more triangles: these are not listed, the vertex stays as it is.
+_TOO_MANY = 1 << 20
 # New triangles are at least this thick, twice the area over the longest edge squared, or as thick
 # as the thinnest of those they replace: 1/16 is a height of a sixteenth of the longest edge.
 _MIN_THICKNESS = 1.0 / 16
@@ -151,6 +153,8 @@ def _n_common(triangles, stars, degrees, v, u):
 
 @kernel
 def _remove(stars, degrees, v, t):
+    if degrees[v] >= _TOO_MANY:
+        return
     for i in range(degrees[v]):
         if stars[v, i] == t:
             degrees[v] -= 1
@@ -183,7 +187,8 @@ def _boundary_vertices(triangles, stars, degrees):
 def _sweep(values, rows, cols, z, triangles, tolerance, lowest, highest, n_sweeps, min_thickness):
     """Collapse in place; return which triangles are left."""
     n_vertices = rows.shape[0]
-    stars = np.empty((n_vertices, _MAX_DEGREE), dtype=np.int32)
+    # While v's triangles are handed to u, the two that vanish may still be in u's list.
+    stars = np.empty((n_vertices, _MAX_DEGREE + 2), dtype=np.int32)
     degrees = np.zeros(n_vertices, dtype=np.int32)
     is_alive = np.ones(triangles.shape[0], dtype=np.bool_)
     for t in range(triangles.shape[0]):
@@ -192,6 +197,9 @@ def _sweep(values, rows, cols, z, triangles, tolerance, lowest, highest, n_sweep
             if degrees[v] < _MAX_DEGREE:
                 stars[v, degrees[v]] = t
             degrees[v] += 1
+    for v in range(n_vertices):
+        if degrees[v] > _MAX_DEGREE:
+            degrees[v] = _TOO_MANY
     is_fixed = _boundary_vertices(triangles, stars, degrees)
     is_gone = np.zeros(n_vertices, dtype=np.bool_)
     is_waiting = np.ones(n_vertices, dtype=np.bool_)

@@ -178,6 +178,13 @@ def save_tile(
     )
 
 
+def tile_rounding(mesh: Mesh, *, radius: float | None = None) -> float:
+    """Return what `save_tile` would add to the mesh's error, in the file's unit."""
+    globe = on_globe(mesh, radius=radius)
+    points, triangles = _in_order_of_use(globe.mesh)
+    return _quantize(points, triangles, globe.mesh.bounds)[1] / metres_per_unit(mesh.units)
+
+
 def curvature(globe: Globe) -> float:
     """Return how far flat triangles can lie below the curved body between vertices, in metres."""
     axis, e2 = globe.ellipsoid

@@ -1,0 +1,211 @@
+"""Tables of `predictive` that a file brings along: their bytes (FORMAT.md: predictive, P.10).
+
+A file's stencils stand after the trained ones of `tables.STENCILS`, its weights of the expected
+magnitude after those of `tables.E_WEIGHTS`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._status import raise_for_status
+from terrainwave.codec import tables
+from terrainwave.codec.lattice import CORES, TAPS
+from terrainwave.codec.nested import N_FEATURES
+from terrainwave.coding.rangecoder import (
+    MAGNITUDE_MODELS,
+    STATE_SIZE,
+    decode_magnitude,
+    decode_raw,
+    encode_magnitude,
+    encode_raw,
+    finish_decoder,
+    finish_encoder,
+    new_models,
+    start_decoder,
+    start_encoder,
+)
+from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
+
+PLANES = (1, 2, 3)
+MAX_SETS = 16  # what a plane's header can name
+MAX_SHIFT = 7
+_LAYOUT = 1
+_MAX_WEIGHT = (1 << 15) - 1
+MAX_FEATURE_WEIGHT = 1 << 12
+_WHOLE = 4096
+# Models of magnitudes: core taps, other taps, feature weights.
+_CORE, _OTHER, _FEATURE = 0, MAGNITUDE_MODELS, 2 * MAGNITUDE_MODELS
+
+
+class FileStencil(NamedTuple):
+    """A stencil as a file stores it: ``base + deltas * 2**shift``, then `missing_tap` filled up.
+
+    `base` is a trained set; the delta of `missing_tap` is 0.
+    """
+
+    base: int
+    shift: int
+    deltas: tuple[int, ...]
+
+
+class FileTables(NamedTuple):
+    """What a file adds, by plane: stencils, and a vector of feature weights or none."""
+
+    stencils: dict[int, list[FileStencil]]
+    e_weights: dict[int, NDArray[np.int64] | None]
+
+
+class Tables(NamedTuple):
+    """All sets that planes of a file may name, trained ones first."""
+
+    stencils: dict[int, NDArray[np.int64]]
+    e_weights: dict[int, NDArray[np.int64]]
+
+
+NO_TABLES = FileTables({plane: [] for plane in PLANES}, dict.fromkeys(PLANES))
+
+
+def missing_tap(plane: int) -> int:
+    """Return the tap whose weight follows from the others: the first of the core."""
+    return [tuple(tap) for tap in TAPS[plane]].index(tuple(CORES[plane][0]))
+
+
+def weights_of(plane: int, stencil: FileStencil) -> NDArray[np.int64]:
+    """Return the weights of a file's stencil, whose sum is 4096.
+
+    Raises
+    ------
+    CorruptStreamError
+        If a weight is out of range.
+    """
+    trained = tables.STENCILS[plane]
+    if stencil.base >= len(trained):
+        raise CorruptStreamError(f"a stencil builds on set {stencil.base}, which does not exist")
+    weights = [
+        int(weight) + (delta << stencil.shift)
+        for weight, delta in zip(trained[stencil.base], stencil.deltas, strict=True)
+    ]
+    missing = missing_tap(plane)
+    weights[missing] = 0
+    weights[missing] = _WHOLE - sum(weights)
+    if max(abs(weight) for weight in weights) > _MAX_WEIGHT:
+        raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond 2^15")
+    return np.array(weights, dtype=np.int64)
+
+
+def all_tables(added: FileTables) -> Tables:
+    """Return trained and file tables together."""
+    stencils, e_weights = {}, {}
+    for plane in PLANES:
+        trained = tables.STENCILS[plane]
+        own = [weights_of(plane, stencil) for stencil in added.stencils[plane]]
+        stencils[plane] = np.vstack([trained, *own])
+        features = added.e_weights[plane]
+        own = [] if features is None else [features]
+        e_weights[plane] = np.vstack([tables.E_WEIGHTS[plane], *own])
+    return Tables(stencils, e_weights)
+
+
+def is_empty(added: FileTables) -> bool:
+    """Return whether there is nothing to store."""
+    return not any(added.stencils[p] or added.e_weights[p] is not None for p in PLANES)
+
+
+def pack_parameters(added: FileTables) -> bytes:
+    """Return the parameters section; no bytes if there is nothing to store."""
+    if is_empty(added):
+        return b""
+    state, out = start_encoder(), np.zeros(1 << 16, dtype=np.uint8)
+    models = new_models(3 * MAGNITUDE_MODELS)
+    for plane in PLANES:
+        encode_raw(state, out, len(added.stencils[plane]), 4)
+        missing = missing_tap(plane)
+        is_core = _core_taps(plane)
+        for stencil in added.stencils[plane]:
+            encode_raw(state, out, stencil.base, 4)
+            encode_raw(state, out, stencil.shift, 3)
+            for tap, delta in enumerate(stencil.deltas):
+                if tap == missing:
+                    continue
+                first = _CORE if is_core[tap] else _OTHER
+                encode_magnitude(state, out, models, first, abs(delta))
+                if delta:
+                    encode_raw(state, out, int(delta < 0), 1)
+        features = added.e_weights[plane]
+        encode_raw(state, out, int(features is not None), 1)
+        if features is not None:
+            for weight in features:
+                encode_magnitude(state, out, models, _FEATURE, int(weight))
+    n_bytes = finish_encoder(state, out)
+    return bytes([_LAYOUT]) + out[:n_bytes].tobytes()
+
+
+def parse_parameters(section: bytes) -> FileTables:
+    """Undo `pack_parameters`, trusting nothing.
+
+    Raises
+    ------
+    UnsupportedVersionError
+        If the layout is not known.
+    CorruptStreamError
+        If a value is out of range or the section does not end where it should.
+    """
+    if not section:
+        return NO_TABLES
+    if section[0] != _LAYOUT:
+        raise UnsupportedVersionError(
+            f"the tables of the file have layout {section[0]}, which this terrainwave does not"
+            " know: install a newer one"
+        )
+    data = np.frombuffer(section, dtype=np.uint8)[1:].copy()
+    state = np.zeros(STATE_SIZE, dtype=np.int64)
+    start_decoder(state, data)
+    models = new_models(3 * MAGNITUDE_MODELS)
+    found = FileTables({plane: [] for plane in PLANES}, dict.fromkeys(PLANES))
+    for plane in PLANES:
+        n_sets = int(decode_raw(state, data, 4))
+        if n_sets + len(tables.STENCILS[plane]) > MAX_SETS:
+            raise CorruptStreamError(f"{n_sets} stencils for plane {plane} are too many")
+        for _ in range(n_sets):
+            stencil = _parse_stencil(state, data, models, plane)
+            weights_of(plane, stencil)  # checks them
+            found.stencils[plane].append(stencil)
+        if decode_raw(state, data, 1):
+            found.e_weights[plane] = _parse_features(state, data, models)
+    raise_for_status(*finish_decoder(state, data))
+    return found
+
+
+def _core_taps(plane: int) -> list[bool]:
+    core = {tuple(tap) for tap in CORES[plane]}
+    return [tuple(tap) in core for tap in TAPS[plane]]
+
+
+def _parse_stencil(
+    state: NDArray[np.int64], data: NDArray[np.uint8], models: NDArray[np.uint32], plane: int
+) -> FileStencil:
+    base = int(decode_raw(state, data, 4))
+    shift = int(decode_raw(state, data, 3))
+    deltas = []
+    missing = missing_tap(plane)
+    for tap, is_core in enumerate(_core_taps(plane)):
+        delta = 0
+        if tap != missing:
+            delta = int(decode_magnitude(state, data, models, _CORE if is_core else _OTHER))
+            if delta > 2 * _MAX_WEIGHT:
+                raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond 2^15")
+            if delta and decode_raw(state, data, 1):
+                delta = -delta
+        deltas.append(delta)
+    return FileStencil(base, shift, tuple(deltas))
+
+
+def _parse_features(
+    state: NDArray[np.int64], data: NDArray[np.uint8], models: NDArray[np.uint32]
+) -> NDArray[np.int64]:
+    weights = [int(decode_magnitude(state, data, models, _FEATURE)) for _ in range(N_FEATURES)]
+    if max(weights) > MAX_FEATURE_WEIGHT:
+        raise CorruptStreamError(f"a feature weighs {max(weights)}, more than 2^12")
+    return np.array(weights, dtype=np.int64)

@@ -1,0 +1,101 @@
+"""Decode one payload in plain Python and add up what its decisions should have cost.
+
+Run as a program, with NUMBA_DISABLE_JIT=1, so that the coder's steps can be replaced by ones that
+also keep accounts; production kernels stay as they are. See `tests/codec/test_ideal_length.py`.
+"""
+
+import json
+import sys
+from math import log2
+from pathlib import Path
+
+import numpy as np
+
+from terrainwave.coding import rangecoder
+
+_COUNT_MASK = (1 << 10) - 1
+_PROB_ONE = 1 << 22
+
+
+class Accounts:
+    """Bits of all decisions so far, three ways.
+
+    Attributes
+    ----------
+    raw : int
+        Bits that no model predicts, one each.
+    own : float
+        By the coder's own models, before anything is rounded to what the coder multiplies with.
+    ideal : float
+        By exact counting: a context's probability of a one is (w·p₀ + ones) / (w + seen), where p₀
+        is its model's start and w = c + 1/2, c the start's count; nothing is forgotten or rounded.
+        (The models do the same up to 254 bits seen; from there on they forget, and round always.)
+        Where two models vote, both ideals have the mean of the two probabilities.
+    """
+
+    def __init__(self):
+        self.raw, self.own, self.ideal, self.n_decisions = 0, 0.0, 0.0, 0
+        self._contexts = {}
+
+    def note(self, models, indices, before, bit):
+        """Add a decision with one or two models, given the models before it."""
+        self.n_decisions += 1
+        own = ideal = 0.0
+        for index, model in zip(indices, before, strict=True):
+            prob, count = (model >> 10) / _PROB_ONE, model & _COUNT_MASK
+            context = self._contexts.setdefault(
+                (id(models), int(index)), [(count + 0.5) * prob, count + 0.5]
+            )
+            own += prob / len(indices)
+            ideal += context[0] / context[1] / len(indices)
+            context[0] += bit
+            context[1] += 1
+        self.own -= log2(own if bit else 1 - own)
+        self.ideal -= log2(ideal if bit else 1 - ideal)
+
+
+def install(accounts):
+    """Replace the decoder's steps by ones that keep accounts; before any codec is imported."""
+    one, two, raw = rangecoder.decode_step, rangecoder.decode_mean_step, rangecoder.decode_raw
+
+    def decode_step(span, code, pos, data, models, index):
+        before = [int(models[index])]
+        result = one(span, code, pos, data, models, index)
+        accounts.note(models, [index], before, result[0])
+        return result
+
+    def decode_mean_step(span, code, pos, data, models, first, second):
+        before = [int(models[first]), int(models[second])]
+        result = two(span, code, pos, data, models, first, second)
+        accounts.note(models, [first, second], before, result[0])
+        return result
+
+    def decode_raw(state, data, n_bits):
+        accounts.raw += int(n_bits)
+        return raw(state, data, n_bits)
+
+    rangecoder.decode_step = decode_step
+    rangecoder.decode_mean_step = decode_mean_step
+    rangecoder.decode_raw = decode_raw
+
+
+def main(case):
+    """Decode ``case.bin`` as ``case.json`` says; print the accounts as JSON."""
+    accounts = Accounts()
+    install(accounts)
+    from lone_units import lone_spec
+
+    from terrainwave.codec.registry import refiner_by_name
+
+    options = json.loads(Path(f"{case}.json").read_text(encoding="utf-8"))
+    refiner = refiner_by_name(options["method"])
+    parent = np.load(f"{case}.npy") if options["has_parent"] else None
+    spec = lone_spec(tuple(options["shape"]), options["step"], parent=options["has_parent"])
+    mask = np.ones(options["shape"], dtype=bool)
+    heights, _ = refiner.decode(spec, parent, mask, Path(f"{case}.bin").read_bytes())
+    found = {name: getattr(accounts, name) for name in ("raw", "own", "ideal", "n_decisions")}
+    print(json.dumps(found | {"checksum": int(heights.astype(np.int64).sum())}))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

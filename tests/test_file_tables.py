@@ -1,0 +1,40 @@
+"""Files whose header carries fitted tables."""
+
+import numpy as np
+import pytest
+
+import terrainwave
+from terrainwave.codec.parameters import parse_parameters
+from terrainwave.container.header import Header
+
+
+def rough(shape, seed=0):
+    rng = np.random.default_rng(seed)
+    rows, cols = np.mgrid[: shape[0], : shape[1]]
+    waves = 90 * np.sin(rows / 1.7) * np.cos(cols / 1.9) + 300 * np.sin(rows / 40)
+    return np.rint(waves + rng.normal(0, 2, shape)).astype(np.int16)
+
+
+def header_of(path) -> Header:
+    with terrainwave.Terrain(path) as terrain:
+        return terrain._container.header
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("max_error", [0, 4])
+def test_a_file_with_fitted_tables_keeps_the_bound_on_any_number_of_threads(tmp_path, max_error):
+    heights = rough((420, 390))
+    paths = [tmp_path / f"{threads}.twz" for threads in (1, 3)]
+    for threads, path in zip((1, 3), paths, strict=True):
+        terrainwave.compress(heights, path, max_error=max_error, threads=threads)
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    header = header_of(paths[0])
+    assert any(parse_parameters(header.parameters).stencils.values())
+    with terrainwave.Terrain(paths[0]) as terrain:
+        back = terrain.read()
+    assert np.abs(back.astype(np.int64) - heights).max() <= max_error
+
+
+def test_a_small_raster_pays_for_no_tables(tmp_path):
+    terrainwave.compress(rough((60, 70)), tmp_path / "a.twz", max_error=1)
+    assert header_of(tmp_path / "a.twz").parameters == b""

@@ -1,0 +1,212 @@
+"""Do the kernels of `tri` give what the slow, obvious versions give?"""
+
+from fractions import Fraction
+from math import ceil
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from terrainwave.tri.borders import beside_void, line_vertices
+from terrainwave.tri.fit import fit_triangle, scaled_heights
+from terrainwave.tri.mesh import BlockMesh
+from terrainwave.tri.surface import deviation_from_bilinear, largest_deviation
+
+SIXTEENTHS = 16
+
+
+def reference_line(heights, forced, offset, side, tolerance):
+    """The rule of the docstring, by recursion from the largest interval down."""
+    n, last = len(heights), offset + len(heights) - 1
+
+    def is_vertex(middle, spacing):
+        if offset <= middle <= last and forced[middle - offset]:
+            return True
+        half = spacing // 2
+        if half and (is_vertex(middle - half, half) or is_vertex(middle + half, half)):
+            return True
+        if not offset < middle < last:
+            return False
+        start, stop = max(middle - spacing, offset), min(middle + spacing, last)
+        first, rise = int(heights[start - offset]), int(heights[stop - offset])
+        rise -= first
+        return any(
+            abs(int(heights[at - offset]) - first - Fraction(rise * (at - start), stop - start))
+            > Fraction(7 * tolerance, 10)
+            for at in range(start + 1, stop)
+        )
+
+    found = []
+    for at in range(offset, last + 1):
+        spacing = at & -at
+        inner = 0 < at < side and is_vertex(at, spacing)
+        found.append(inner or at in (offset, last) or bool(forced[at - offset]))
+    assert len(found) == n
+    return found
+
+
+@given(st.data())
+def test_line_vertices(data):
+    side = data.draw(st.sampled_from([2, 4, 8, 32, 64]))
+    offset = data.draw(st.integers(0, side - 1))
+    n = data.draw(st.integers(2, side - offset + 1))
+    reach = data.draw(st.sampled_from([3, 100, 1 << 30]))
+    heights = np.array(data.draw(st.lists(st.integers(-reach, reach), min_size=n, max_size=n)))
+    chance = data.draw(st.sampled_from([0, 0, 5, 60]))
+    rng = np.random.default_rng(data.draw(st.integers(0, 99)))
+    forced = rng.integers(0, 100, n) < chance
+    tolerance = data.draw(st.integers(0, 2 * reach))
+    found = line_vertices(heights.astype(np.int64), forced, offset, side, tolerance)
+    assert found.tolist() == reference_line(heights, forced, offset, side, tolerance)
+
+
+@given(st.integers(0, 9999), st.sampled_from([0, 3, 40]))
+def test_vertices_of_a_tolerance_are_vertices_of_smaller_ones(seed, tolerance):
+    heights = np.random.default_rng(seed).integers(-50, 50, 33)
+    forced = np.zeros(33, bool)
+    coarse = line_vertices(heights, forced, 0, 32, 2 * tolerance + 1)
+    fine = line_vertices(heights, forced, 0, 32, tolerance)
+    assert (fine | ~coarse).all()
+
+
+@given(st.integers(0, 9999), st.integers(1, 9), st.integers(1, 9), st.floats(0, 1))
+def test_beside_void(seed, n_rows, n_cols, share):
+    mask = np.random.default_rng(seed).random((n_rows + 2, n_cols + 2)) < share
+    found = beside_void(mask)
+    for row in range(1, n_rows + 1):
+        for col in range(1, n_cols + 1):
+            touches = not mask[row, col]
+            for r in (row - 1, row):
+                for c in (col - 1, col):
+                    a, b, d, e = (r, c), (r, c + 1), (r + 1, c), (r + 1, c + 1)
+                    for triangle in ((a, b, e), (a, e, d)):
+                        if (row, col) in triangle:
+                            touches |= not all(mask[place] for place in triangle)
+            assert found[row - 1, col - 1] == touches
+
+
+def weights(triangle, row, col):
+    """Twice the areas that a place makes with the edges, doubled places; None outside."""
+    (r0, c0), (r1, c1), (r2, c2) = triangle
+    found = (
+        (c1 - col) * (r2 - row) - (c2 - col) * (r1 - row),
+        (c2 - col) * (r0 - row) - (c0 - col) * (r2 - row),
+        (c0 - col) * (r1 - row) - (c1 - col) * (r0 - row),
+    )
+    return found if min(found) >= 0 else None
+
+
+@st.composite
+def triangles(draw):
+    rng = np.random.default_rng(draw(st.integers(0, 1 << 20)))
+    reach = draw(st.integers(2, 15))
+    while True:
+        found = [tuple(place) for place in rng.integers(0, reach, (3, 2)).tolist()]
+        (r0, c0), (r1, c1), (r2, c2) = found
+        area = (c1 - c0) * (r2 - r0) - (c2 - c0) * (r1 - r0)
+        if area:
+            return found if area > 0 else found[::-1]
+
+
+@given(triangles(), st.integers(0, 9999), st.integers(0, 30), st.sampled_from([0, 20, 1 << 30]))
+def test_fit_triangle(triangle, seed, tolerance, base):
+    rng = np.random.default_rng(seed)
+    side = max(max(place) for place in triangle) // 2 + 2
+    reach = rng.choice([2, 20, 60])
+    heights = rng.integers(-reach, reach + 1, (side, side)).astype(np.int32)
+    heights += np.int32(base - reach if base else 0)
+    z_1, z_2 = (int(rng.integers(-reach, reach + 1)) + base for _ in range(2))
+    low, high = base - 3 * reach - 40, base + 3 * reach + 40
+    (r0, c0), (r1, c1), (r2, c2) = triangle
+    found = fit_triangle(
+        heights, r0, c0, r1, c1, float(z_1), r2, c2, float(z_2), float(tolerance), float(low),
+        float(high),
+    )  # fmt: skip
+    area = sum(weights(triangle, r0, c0))
+    first, last = Fraction(low), Fraction(high)
+    for row in range(side):
+        for col in range(side):
+            w = weights(triangle, 2 * row, 2 * col)
+            if w is None or w[0] == 0:
+                continue
+            middle = Fraction(int(heights[row, col]) * area - w[1] * z_1 - w[2] * z_2, w[0])
+            slack = Fraction(tolerance * area, w[0])
+            first, last = max(first, middle - slack), min(last, middle + slack)
+    first, last = ceil(first), last.__floor__()
+    if first > last:
+        assert found[0] > found[1]
+    else:
+        assert found == (first, last)
+
+
+@st.composite
+def meshes(draw):
+    """A triangle or two that share an edge, over a window, with random heights."""
+    triangle = draw(triangles())
+    reach = draw(st.sampled_from([5, 3000, 1 << 32]))
+    heights = draw(st.lists(st.integers(-reach, reach), min_size=3, max_size=3))
+    rows, cols = np.array(triangle, dtype=np.int32).T
+    return BlockMesh(
+        rows.copy(), cols.copy(), np.array(heights, np.int64), np.array([[0, 1, 2]], np.int32)
+    )
+
+
+def surface_at(mesh, row, col, stride):
+    """The height over a full-grid sample in 1/16 quanta, exactly; None outside."""
+    triangle = [
+        (int(r) * stride, int(c) * stride) for r, c in zip(mesh.rows, mesh.cols, strict=True)
+    ]
+    w = weights(triangle, 2 * row, 2 * col)
+    if w is None:
+        return None
+    return Fraction(sum(a * int(z) for a, z in zip(w, mesh.heights, strict=True)), sum(w))
+
+
+@given(meshes(), st.sampled_from([1, 2, 4, 64]), st.integers(0, 9999), st.booleans())
+@settings(max_examples=80)
+def test_largest_deviation(mesh, stride, seed, has_voids):
+    rng = np.random.default_rng(seed)
+    first = int(rng.integers(0, 4 * stride)), int(rng.integers(0, 4 * stride))
+    samples = rng.integers(-900, 900, (9, 11)).astype(np.int32)
+    mask = rng.random((9, 11)) < (0.7 if has_voids else 2)
+    found = largest_deviation(mesh, stride, samples, mask, *first)
+    apart = [Fraction(0)]
+    for row, col in np.argwhere(mask).tolist():
+        surface = surface_at(mesh, first[0] + row, first[1] + col, stride)
+        if surface is not None:
+            apart.append(abs(surface - SIXTEENTHS * int(samples[row, col])))
+    assert ceil(max(apart)) <= found <= ceil(max(apart)) + (stride > 16)
+
+
+@given(meshes(), st.sampled_from([2, 4, 8]), st.integers(0, 9999), st.booleans())
+@settings(max_examples=50)
+def test_deviation_from_bilinear(mesh, stride, seed, has_voids):
+    rng = np.random.default_rng(seed)
+    side = int(max(mesh.rows.max(), mesh.cols.max()) + 1) // 2 + 1
+    samples = rng.integers(-900, 900, (side, side)).astype(np.int32)
+    mask = rng.random((side, side)) < (0.9 if has_voids else 2)
+    found = deviation_from_bilinear(mesh, stride, samples, mask)
+    apart = [Fraction(0)]
+    # A place on the line between two cells counts with the lower right of them.
+    for row in range((side - 1) * stride + 1):
+        for col in range((side - 1) * stride + 1):
+            surface = surface_at(mesh, row, col, stride)
+            r, c = min(row // stride, side - 2), min(col // stride, side - 2)
+            if surface is None or not mask[r : r + 2, c : c + 2].all():
+                continue
+            y, x = Fraction(row, stride) - r, Fraction(col, stride) - c
+            a, b, d, e = (int(v) for v in samples[r : r + 2, c : c + 2].ravel())
+            between = (a * (1 - x) + b * x) * (1 - y) + (d * (1 - x) + e * x) * y
+            apart.append(abs(surface - SIXTEENTHS * between))
+    assert ceil(max(apart)) <= found <= ceil(max(apart)) + 1
+
+
+@given(st.integers(-(1 << 29), 1 << 29), st.integers(0, 1 << 29), st.integers(0, 1 << 40))
+def test_scaled_heights_are_whole_and_come_back(low, span, tolerance):
+    high = min(low + span, (1 << 30) - 1)
+    heights = np.array([[low, high, (low + high) // 2]], np.int32)
+    values, scale = scaled_heights(heights, np.ones((1, 3), bool), tolerance)
+    back = scale.to_mesh(values.ravel().astype(np.float64))
+    assert (back == SIXTEENTHS * heights.ravel().astype(np.int64)).all()
+    assert (scale.of_mesh(back) == values.ravel()).all()
+    assert int(scale.tolerance) << (4 - scale.bits) <= tolerance

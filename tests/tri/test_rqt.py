@@ -1,0 +1,79 @@
+"""The restricted quadtree: hand-worked selections, the bound, conformity on any size."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tri import slow
+from tri.rasterise import check_mesh
+
+from terrainwave.tri.rqt import rqt_mesh, select_vertices, vertices_of, virtual_places
+
+
+@given(terrain=slow.terrains(max_side=40), rule=st.sampled_from(["by_error", "by_detail"]))
+def test_mesh_conforms_and_by_error_holds_the_tolerance(terrain, rule):
+    heights, mask, tolerance = terrain
+    selection = select_vertices(heights, mask, tolerance, rule=rule)
+    mesh = rqt_mesh(heights, mask, selection)
+    check_mesh(mesh, heights, mask, tolerance if rule == "by_error" else None)
+    places = set(zip((mesh.rows // 2).tolist(), (mesh.cols // 2).tolist(), strict=True))
+    on_grid = {tuple(p) for p in np.argwhere(vertices_of(selection, mask.shape)).tolist()}
+    # Selected samples in voids have no triangle; all others are the mesh's vertices.
+    assert places == on_grid & {p for t in slow.full_grid(mask) for p in t}
+
+
+@pytest.mark.parametrize("rule", ["by_error", "by_detail"])
+@pytest.mark.parametrize("shape", [(2, 2), (33, 33), (20, 33), (7, 30), (33, 2)])
+def test_a_plane_is_two_triangles(rule, shape):
+    rows, cols = np.indices(shape)
+    heights = (3 * rows - 2 * cols).astype(np.int32)
+    mask = np.ones(shape, dtype=bool)
+    if rule == "by_detail" and shape not in {(2, 2), (33, 33)}:
+        # Neighbours on uneven places, or fewer than four, have another mean.
+        heights[:] = 7
+    mesh = rqt_mesh(heights, mask, select_vertices(heights, mask, 16 * 70, rule=rule))
+    assert len(mesh.triangles) == 2
+
+
+def test_a_vertex_brings_what_it_depends_on():
+    # 5 x 5, the spike at (1, 0), middle of a left edge of stride 1: by hand, it depends on the
+    # centre (1, 1), that on (0, 2)... no: on the ends of its cell's other diagonal, (2, 0) and
+    # (0, 2), and these on the root's centre (2, 2).
+    heights = np.zeros((5, 5), dtype=np.int32)
+    mask = np.ones((5, 5), dtype=bool)
+    keep = np.zeros((5, 5), dtype=bool)
+    keep[1, 0] = True
+    selection = select_vertices(heights, mask, 0, keep=keep)
+    assert np.argwhere(selection).tolist() == [
+        [0, 0], [0, 2], [0, 4], [1, 0], [1, 1], [2, 0], [2, 2], [4, 0], [4, 4],
+    ]  # fmt: skip
+    check_mesh(rqt_mesh(heights, mask, selection), heights, mask, 0)
+
+
+def test_detail_is_the_distance_from_the_mean_of_the_neighbours():
+    # 3 x 3: the centre's neighbours are the corners, mean 3; its detail is |4.25 - 3| in quanta of
+    # 1/4, here times 4: heights 12, so |17 - 12| = 5.
+    heights = np.array([[0, 9, 8], [9, 17, 9], [16, 9, 24]], dtype=np.int32)
+    mask = np.ones((3, 3), dtype=bool)
+
+    def selects_centre(tolerance):
+        # Middles of edges would select it too; the largest of their details, by hand, is at the
+        # top: |9 - (0 + 8 + 17) / 3| = 2/3, left |9 - (0 + 16 + 17) / 3| = 2, right
+        # |9 - (8 + 24 + 17) / 3| = 22/3, bottom |9 - (16 + 24 + 17) / 3| = 10.
+        return select_vertices(heights, mask, tolerance, rule="by_detail")
+
+    assert selects_centre(160).tolist() == [[1, 0, 1], [0, 0, 0], [1, 0, 1]]
+    assert selects_centre(159).tolist() == [[1, 0, 1], [0, 1, 0], [1, 1, 1]]
+    heights[2, 1], heights[1, 2] = 18, 16
+    assert selects_centre(80).tolist() == [[1, 0, 1], [0, 0, 0], [1, 0, 1]]
+    assert selects_centre(79).tolist() == [[1, 0, 1], [0, 1, 0], [1, 0, 1]]
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 9), (20, 33), (100, 257), (257, 257)])
+def test_virtual_rows_cover_all_samples_in_order(shape):
+    for places, n in zip(virtual_places(shape), shape, strict=True):
+        assert places[0] == 0
+        assert places[-1] == n - 1
+        assert set(np.diff(places).tolist()) <= {0, 1}
+        if shape == (257, 257):
+            assert places.tolist() == list(range(257))
