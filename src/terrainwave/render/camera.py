@@ -20,6 +20,7 @@ _MAX_PITCH = 89.9
 # Of the picture's sides, the share that the whole terrain fills.
 _HOME_SHARE = 0.96
 _CENTRING_STEPS = 40
+_LEAST_SIZE = 1.0
 
 
 @dataclass(frozen=True)
@@ -193,6 +194,9 @@ def home(
 ) -> Camera:
     """Return an oblique view of a box, a `Frame`'s for all of it, that fills the picture."""
     low, high = box
+    # A raster of one sample has no size; a metre around it has.
+    room = np.where(high - low < _LEAST_SIZE, _LEAST_SIZE, 0.0)
+    low, high = low - room, high + room
     corners = np.array(
         [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
     )
