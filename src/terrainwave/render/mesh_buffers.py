@@ -48,7 +48,7 @@ class GpuStore:
 
     def __init__(self, context: Any, side: int, *, max_bytes: int) -> None:
         self._context = context
-        self._side = side + 1
+        self._side = side + 3  # samples of a block and one more on each side
         layer_bytes = self._side * self._side * _TEXEL_BYTES
         allowed = int(context.info.get("GL_MAX_ARRAY_TEXTURE_LAYERS", 256))
         self._max_layers = max(

@@ -55,8 +55,8 @@ class Patch(NamedTuple):
     triangles : ndarray of uint32, shape (n, 3)
     n_surface : int
         How many of the triangles are surface; the others are skirts.
-    slopes : ndarray of float16, shape (n_rows, n_cols, 2)
-        Metres per metre to the east and to the north at the block's samples.
+    slopes : ndarray of float16, shape (n_rows + 2, n_cols + 2, 2)
+        Metres per metre to the east and to the north at the block's samples and around them.
     base : float
         Height of z = 0, metres.
     error : float
@@ -283,21 +283,29 @@ class PatchBuilder:
         return np.where(np.isnan(heights), z, heights)
 
     def slopes(self, block: Block) -> NDArray[np.float16]:
-        """Return the slopes at the samples of a block, from it and one sample around it.
+        """Return the slopes at the samples of a block and at one more on each side.
 
-        Neighbours of one level compute the same at the samples that they share. Where the block
-        ends before its full size, the last row and column are repeated once.
+        Neighbours of one level compute the same where they share samples. Past the raster's edge
+        the last ones are repeated, and once more where the block ends before its full size.
         """
         terrain, grid = self._terrain, self._terrain.grid
+        level = Region(0, 0, *grid.level_shape(block.level))
         inner = grid.block_region(block)
-        wide = grid.block_region(block, 1).intersect(Region(0, 0, *grid.level_shape(block.level)))
+        near = grid.block_region(block, 1).intersect(level)
+        wide = grid.block_region(block, 2).intersect(level)
         heights, mask = terrain._decoder.window(block.level, wide)
-        found = np.empty((inner.n_rows, inner.n_cols, 2), dtype=np.float32)
-        slopes(heights, mask, inner.row - wide.row, inner.col - wide.col, found)
+        found = np.empty((near.n_rows, near.n_cols, 2), dtype=np.float32)
+        slopes(heights, mask, near.row - wide.row, near.col - wide.col, found)
         per_sample = found.astype(np.float64) * (self._metres / grid.stride(block.level))
         per_metre = per_sample @ self._to_metres
-        missing = [min(1, grid.block + 1 - n) for n in inner.shape]
-        padded = np.pad(per_metre, ((0, missing[0]), (0, missing[1]), (0, 0)), mode="edge")
+        padding = [
+            (1 - (first - outer), 1 - (outer + n_outer - first - n) + min(1, grid.block + 1 - n))
+            for first, n, outer, n_outer in (
+                (inner.row, inner.n_rows, near.row, near.n_rows),
+                (inner.col, inner.n_cols, near.col, near.n_cols),
+            )
+        ]
+        padded = np.pad(per_metre, (*padding, (0, 0)), mode="edge")
         padded[np.abs(padded) < _LEAST_SLOPE] = 0
         return np.clip(padded, -_LARGEST_SLOPE, _LARGEST_SLOPE).astype(np.float16)
 

@@ -71,6 +71,7 @@ uniform vec2 ramp_range;    // heights at its ends, metres
 uniform vec3 sun;           // unit vector towards it
 uniform float side;
 uniform float z_scale;
+uniform vec4 sample_axes;
 uniform vec4 haze;          // colour, density per metre
 uniform int coloring;       // 0 ramp, 1 level, 2 error, 3 ground, 4 plain, 5 flat
 uniform float shade;        // share of light and shadow
@@ -81,8 +82,19 @@ vec3 wheel(float t) {
     return 0.55 + 0.4 * cos(6.2831853 * (t + vec3(0.0, 0.33, 0.67)));
 }
 
+vec2 slope_at(vec2 beside) {
+    return texture(slopes, vec3((v_sample + beside + 1.5) / (side + 3.0), float(v_layers.x))).xy;
+}
+
+// Ridges positive, gullies negative: the change of slope over two samples.
+float bend() {
+    float x = slope_at(vec2(-1.0, 0.0)).x - slope_at(vec2(1.0, 0.0)).x;
+    float y = slope_at(vec2(0.0, -1.0)).y - slope_at(vec2(0.0, 1.0)).y;
+    return x * sign(sample_axes.x) + y * sign(sample_axes.w);
+}
+
 void main() {
-    vec2 slope = texture(slopes, vec3((v_sample + 0.5) / (side + 1.0), float(v_layers.x))).xy;
+    vec2 slope = slope_at(vec2(0.0));
     vec3 normal = normalize(vec3(-slope * z_scale, 1.0));
     float steep = 1.0 - normalize(vec3(-slope, 1.0)).z;
     vec3 base;
@@ -96,8 +108,10 @@ void main() {
     else {
         base = texture(ramp, vec2(t, 0.5)).rgb;
         if (coloring == 3) {
-            vec3 rock = mix(vec3(0.38, 0.34, 0.30), vec3(0.56, 0.53, 0.50), t);
-            base = mix(base, rock, smoothstep(0.10, 0.34, steep));
+            float bent = clamp(bend() * 1.6, -1.0, 1.0);
+            vec3 rock = mix(vec3(0.40, 0.37, 0.33), vec3(0.58, 0.56, 0.53), t);
+            base = mix(base, rock, smoothstep(0.08, 0.30, steep + 0.05 * bent));
+            base *= 1.0 + 0.22 * bent;
         }
     }
     float lit = max(dot(normal, sun), 0.0) / max(sun.z, 0.25);
