@@ -196,7 +196,9 @@ def test_the_surface_and_its_shade_are_where_the_heights_say(context, exaggerati
                     normal = np.array([-east * exaggeration, -north * exaggeration, 1.0])
                     normal /= np.linalg.norm(normal)
                     lit = max(normal @ style.sun_vector, 0) / style.sun_vector[2]
-                    light = 0.30 * (0.5 + 0.5 * normal[2]) + 0.72 * min(lit, 1.45)
+                    sun_x, sun_y, up = style.sun_vector
+                    fill = max(normal @ [-sun_x, -sun_y, up], 0)
+                    light = 0.30 * (0.5 + 0.5 * normal[2]) + 0.22 * fill + 0.60 * min(lit, 1.45)
                     warm = 0.92 + (1.0 - 0.92) * min(lit, 1.0)
                     expected = min(0.80 * light * warm, 1.0) * 255  # green
                     assert abs(int(image[y, x, 1]) - expected) < 4

@@ -116,7 +116,9 @@ void main() {
     }
     float lit = max(dot(normal, sun), 0.0) / max(sun.z, 0.25);
     float sky = 0.5 + 0.5 * normal.z;
-    float light = mix(1.0, 0.30 * sky + 0.72 * min(lit, 1.45), shade);
+    // A weak second light from across keeps shadows from going black.
+    float fill = max(dot(normal, vec3(-sun.xy, sun.z)), 0.0);
+    float light = mix(1.0, 0.30 * sky + 0.22 * fill + 0.60 * min(lit, 1.45), shade);
     vec3 warm = mix(vec3(0.86, 0.92, 1.06), vec3(1.04, 1.0, 0.94), clamp(lit, 0.0, 1.0));
     vec3 rgb = base * light * mix(vec3(1.0), warm, shade);
     if (coloring == 5) rgb = base;
