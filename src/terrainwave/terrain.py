@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.units import CodecParameters, unit_spec
-from terrainwave.codes import decode_error
+from terrainwave.codes import decode_error, decode_range
 from terrainwave.container.reader import Container
 from terrainwave.container.source import open_source
 from terrainwave.errors import (
@@ -357,6 +357,24 @@ class Terrain:
         """
         code = self._container.codes(block)[2]
         return decode_error(code) * self._quantizer.quantum * abs(self._raster.scale)
+
+    def block_box(self, block: Block) -> tuple[float, float]:
+        """Return lowest and highest height of a block and all below it, in physical units.
+
+        Every original under the block lies between, and so does the bilinear surface of each block
+        at or below it. A block without valid samples has the box of its parent.
+        """
+        header, scale = self._container.header, self._raster.scale
+        low, high = self._box_quanta(block)
+        unit = header.quantum.numerator / header.quantum.denominator * scale
+        ends = [(quanta + header.base) * unit + self._raster.offset for quanta in (low, high)]
+        return min(ends), max(ends)
+
+    def _box_quanta(self, block: Block) -> tuple[int, int]:
+        header = self._container.header
+        outer = (header.z_min, header.z_max) if block.level == 0 else self._box_quanta(block.parent)
+        below, above = self._container.codes(block)[:2]
+        return decode_range(below, above, *outer)
 
     @property
     def mesh_kind(self) -> str:

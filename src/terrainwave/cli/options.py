@@ -105,21 +105,23 @@ class Finite(click.ParamType):
 
 
 class Numbers(click.ParamType):
-    """Four numbers with commas between them."""
+    """As many numbers as there are names, with commas between them."""
 
     def __init__(self, names: str, kind: type[int] | type[float]) -> None:
         self.name = names
         self._kind = kind
+        self._count = len(names.split(","))
 
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int | float, ...]:
-        """Return the four numbers."""
+        """Return the numbers."""
         if isinstance(value, tuple):
             return value
         try:
             numbers = tuple(self._kind(part) for part in value.split(","))
         except ValueError:
             numbers = ()
-        if len(numbers) != 4 or not all(math.isfinite(number) for number in numbers):
+        if len(numbers) != self._count or not all(math.isfinite(number) for number in numbers):
             kind = "whole numbers" if self._kind is int else "numbers"
-            self.fail(f"found {value}, expected four {kind}: {self.name}", param, ctx)
+            count = {2: "two", 4: "four"}.get(self._count, self._count)
+            self.fail(f"found {value}, expected {count} {kind}: {self.name}", param, ctx)
         return numbers

@@ -1,0 +1,208 @@
+"""The commands that draw: render and view."""
+
+import json
+import re
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import click
+
+from terrainwave.cli.commands import main
+from terrainwave.cli.options import Numbers
+from terrainwave.cli.output import announce_compiling, plain, print_note, reading
+
+MODES = click.Choice(["adaptive", "full"])
+COLORINGS = click.Choice(["ground", "ramp", "level", "error", "plain", "flat"])
+RAMPS = click.Choice(["tints", "cividis", "grey", "mars"])
+POSITIVE = click.FloatRange(min=0, min_open=True)
+
+
+class Size(click.ParamType):
+    """Width and height in pixels: 1920x1280."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int, int]:
+        """Return both numbers."""
+        if isinstance(value, tuple):
+            return value
+        found = re.fullmatch(r"(\d{1,6})x(\d{1,6})", value)
+        if not found or 0 in (int(found[1]), int(found[2])):
+            self.fail(f"found {value}, expected a size such as 1920x1280", param, ctx)
+        return int(found[1]), int(found[2])
+
+
+class Color(click.ParamType):
+    """Red, green and blue as six hexadecimal digits."""
+
+    name = "RRGGBB"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int, int, int]:
+        """Return the three numbers."""
+        if isinstance(value, tuple):
+            return value
+        if not re.fullmatch("#?[0-9a-fA-F]{6}", value):
+            self.fail(f"found {value}, expected six hexadecimal digits", param, ctx)
+        red, green, blue = bytes.fromhex(value.removeprefix("#"))
+        return red, green, blue
+
+
+def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options that render and view share."""
+    for option in (
+        click.option("--threads", "n_workers", type=click.IntRange(1, 64), default=2,
+                     show_default=True, help="Threads that read and decode."),
+        click.option("--memory", type=click.IntRange(min=64), default=512, show_default=True,
+                     help="Memory on the GPU, MiB."),
+        click.option("--background", type=Color(), help="One colour instead of the sky."),
+        click.option("--wireframe", is_flag=True, help="Draw edges only."),
+        click.option("--haze", type=click.FloatRange(0, 1), default=0.25, show_default=True),
+        click.option("--sun", type=Numbers("azimuth,altitude", float), default="315,38",
+                     show_default=True, help="Where the light comes from, degrees."),
+        click.option("--ramp", type=RAMPS, default="tints", show_default=True,
+                     help="Colours by height; cividis is safe for colour-blind eyes."),
+        click.option("--coloring", type=COLORINGS, default="ground", show_default=True),
+        click.option("--radius", type=POSITIVE, help="Of the body, metres, for degrees."),
+        click.option("--exaggeration", type=POSITIVE, default=1.0, show_default=True,
+                     help="Factor of heights."),
+        click.option("--error", type=click.Choice(["measured", "paper"]), default="measured",
+                     show_default=True, help="Which errors and which formula choose blocks."),
+        click.option("--max-pixel-error", type=POSITIVE, default=1.0, show_default=True,
+                     help="Largest distance on screen from the full terrain, pixels."),
+        click.option("--mode", type=MODES, default="adaptive", show_default=True,
+                     help="Blocks by their error on screen, or all the finest ones."),
+        click.option("--camera", help="x,y,z,heading,pitch,fov: place in the file's coordinates,"
+                     " height in its unit, degrees; heading from north, pitch up from level."),
+        click.option("--size", type=Size(), default="1280x853", show_default=True),
+    ):  # fmt: skip
+        command = option(command)
+    return command
+
+
+def _style(options: dict[str, Any]) -> Any:
+    """Return the style of the options, and take them out."""
+    from terrainwave.render.style import Style
+
+    names = ("coloring", "ramp", "sun", "haze", "wireframe", "background")
+    return Style(**{name: options.pop(name) for name in names})
+
+
+@main.command()
+@click.argument("file")
+@click.argument("target", type=click.Path())
+@_drawing
+@click.option(
+    "--bounds", type=Numbers("left,bottom,right,top", float), help="Show this, in the CRS."
+)
+@click.option("--samples", type=click.IntRange(0, 16), default=4, show_default=True,
+              help="Per pixel, against jagged edges.")  # fmt: skip
+@click.option("--stats", type=click.Path(), help="Write what was drawn to this JSON file.")
+@click.option("--flight", type=click.File("r", encoding="utf-8"),
+              help="JSON list of cameras to fly along: TARGET gets numbers.")  # fmt: skip
+@click.option("--frames", "n_frames", type=click.IntRange(1), default=60, show_default=True)
+@click.option("--overwrite", is_flag=True, help="Replace existing files.")
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
+def render(
+    file: str,
+    target: str,
+    size: tuple[int, int],
+    camera: str | None,
+    bounds: tuple[float, ...] | None,
+    max_pixel_error: float,
+    memory: int,
+    stats: str | None,
+    flight: Any,
+    n_frames: int,
+    overwrite: bool,
+    quiet: bool,
+    **options: Any,
+) -> None:
+    """Draw FILE (.twz) to the picture TARGET (PNG), without a screen."""
+    import terrainwave
+    from terrainwave.render.offscreen import Offscreen
+    from terrainwave.render.pictures import choose_camera, fly_through, read_flight
+
+    announce_compiling(quiet=quiet)
+    started = time.perf_counter()
+    written: list[dict[str, Any]] = []
+    with ExitStack() as stack:
+        stack.enter_context(reading(file))
+        terrain = stack.enter_context(terrainwave.open(file))
+        style = _style(options)
+        scene = stack.enter_context(Offscreen(terrain, size, max_bytes=memory << 20, **options))
+        if flight is None:
+            cameras, n_frames = (
+                [choose_camera(scene.scene.frame, scene.viewport, camera, bounds)],
+                1,
+            )
+        else:
+            cameras = read_flight(flight.read(), scene.scene.frame)
+        names = _names(target, 1 if flight is None else n_frames, flight is not None)
+        pictures = fly_through(scene, cameras, n_frames, style, max_pixel_error)
+        for name, (image, drawn) in zip(names, pictures, strict=True):
+            _write_png(name, image, overwrite)
+            written.append(drawn)
+    if stats is not None:
+        _write(stats, json.dumps(written if flight else written[0], indent=2).encode(), overwrite)
+    last = written[-1]
+    for problem in last["problems"]:
+        print_note(f"drawn coarser: {problem}")
+    if not quiet:
+        seconds = time.perf_counter() - started
+        click.echo(
+            f"{plain(names[-1])}: {last['n_triangles']:,} triangles of {last['n_blocks']} blocks"
+            f" within {last['max_pixel_error']:.3g} pixels, {seconds:.1f} s on {last['renderer']}"
+        )
+        click.echo(f"--camera {last['camera']}")
+
+
+def _names(target: str, n_frames: int, is_numbered: bool) -> list[str]:
+    if not is_numbered:
+        return [target]
+    path = Path(target)
+    digits = max(4, len(str(n_frames)))
+    return [
+        str(path.with_name(f"{path.stem}-{number:0{digits}}{path.suffix or '.png'}"))
+        for number in range(n_frames)
+    ]
+
+
+def _write_png(target: str, image: Any, overwrite: bool) -> None:
+    from terrainwave.render.png import encode_png
+
+    _write(target, encode_png(image), overwrite)
+
+
+def _write(target: str, data: bytes, overwrite: bool) -> None:
+    from terrainwave.container.publish import publish
+
+    with publish(target, overwrite) as part:
+        part.file.write(data)
+
+
+@main.command()
+@click.argument("file")
+@_drawing
+@click.option("--target-ms", type=POSITIVE, help="Raise the pixel error where a frame is slower.")
+@click.option("--fullscreen", is_flag=True)
+def view(
+    file: str, camera: str | None, max_pixel_error: float, memory: int, **options: Any
+) -> None:
+    """Open a window and fly over FILE (.twz); H shows the keys."""
+    import terrainwave
+    from terrainwave.render.viewer import run
+
+    announce_compiling()
+    with reading(file), terrainwave.open(file) as terrain:
+        line = run(
+            terrain,
+            camera=camera,
+            style=_style(options),
+            max_pixel_error=max_pixel_error,
+            max_bytes=memory << 20,
+            **options,
+        )
+    click.echo(f"--camera {line}")

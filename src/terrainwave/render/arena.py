@@ -1,0 +1,47 @@
+"""Places in one large buffer: first fit over a list of free ranges."""
+
+from bisect import insort
+
+
+class Arena:
+    """Hands out ranges of ``capacity`` items; neighbouring free ranges are joined."""
+
+    def __init__(self, capacity: int) -> None:
+        self.capacity = capacity
+        self.used = 0
+        self._free: list[tuple[int, int]] = [(0, capacity)] if capacity else []
+
+    def take(self, size: int) -> int | None:
+        """Return the start of a range of `size` items, None if there is none."""
+        if size == 0:
+            return 0
+        for index, (start, length) in enumerate(self._free):
+            if length >= size:
+                if length == size:
+                    del self._free[index]
+                else:
+                    self._free[index] = (start + size, length - size)
+                self.used += size
+                return start
+        return None
+
+    def give_back(self, start: int, size: int) -> None:
+        """Free a range that `take` returned."""
+        if size == 0:
+            return
+        self.used -= size
+        insort(self._free, (start, size))
+        joined: list[tuple[int, int]] = []
+        for first, length in self._free:
+            if joined and joined[-1][0] + joined[-1][1] == first:
+                joined[-1] = (joined[-1][0], joined[-1][1] + length)
+            else:
+                joined.append((first, length))
+        self._free = joined
+
+    def grow(self, capacity: int) -> None:
+        """Add free items at the end."""
+        added = capacity - self.capacity
+        start, self.capacity = self.capacity, capacity
+        self.used += added
+        self.give_back(start, added)

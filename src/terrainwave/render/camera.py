@@ -1,0 +1,295 @@
+"""The camera: where it is, what it sees, how it moves. Positions are local metres, float64.
+
+x is east, y north, z up; the heading counts clockwise from north, the pitch up from the horizon.
+The GPU gets places relative to the eye, so that metres of a projection don't jitter.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.render.frame import Frame
+
+Vector = NDArray[np.float64]
+
+DEFAULT_FOV = 50.0
+_MAX_PITCH = 89.9
+# Of the picture's sides, the share that the whole terrain fills.
+_HOME_SHARE = 0.96
+_CENTRING_STEPS = 40
+_LEAST_SIZE = 1.0
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Eye, direction and opening.
+
+    Parameters
+    ----------
+    position : tuple of float
+        x, y, z in local metres.
+    heading, pitch : float
+        Degrees; -90 looks straight down.
+    fov : float
+        Vertical opening in degrees, 1 to 150.
+    """
+
+    position: tuple[float, float, float]
+    heading: float = 0.0
+    pitch: float = 0.0
+    fov: float = DEFAULT_FOV
+
+    @property
+    def eye(self) -> Vector:
+        """Return the position as an array."""
+        return np.array(self.position, dtype=np.float64)
+
+    @property
+    def axes(self) -> Vector:
+        """Return unit vectors to the right, up and forward, shape (3, 3)."""
+        heading, pitch = math.radians(self.heading), math.radians(self.pitch)
+        sin_h, cos_h = math.sin(heading), math.cos(heading)
+        sin_p, cos_p = math.sin(pitch), math.cos(pitch)
+        return np.array(
+            [
+                [cos_h, -sin_h, 0.0],
+                [-sin_h * sin_p, -cos_h * sin_p, cos_p],
+                [sin_h * cos_p, cos_h * cos_p, sin_p],
+            ]
+        )
+
+    @property
+    def forward(self) -> Vector:
+        """Return the unit vector of the view."""
+        forward: Vector = self.axes[2]
+        return forward
+
+
+@dataclass(frozen=True)
+class Viewport:
+    """Size of the picture in pixels."""
+
+    width: int
+    height: int
+
+    @property
+    def aspect(self) -> float:
+        """Return width / height."""
+        return self.width / self.height
+
+
+# How large an error is on screen
+
+
+def gamma_paper(camera: Camera, viewport: Viewport) -> float:
+    """Return γ of Yusov & Turlapov 2010, §2.8: ½ max(V_x, V_y) / tan(φ/2), φ the vertical opening.
+
+    Exact near the axis only: the distance is to the eye, not the depth.
+    """
+    largest = max(viewport.width, viewport.height)
+    return largest / 2 / math.tan(math.radians(camera.fov) / 2)
+
+
+def gamma_guaranteed(camera: Camera, viewport: Viewport) -> float:
+    """Return the γ for which γ · error / distance bounds pixels everywhere in the picture.
+
+    A step e at distance d under the tangents t = (t_x, t_y) moves by at most f (1 + |t|²) e / d
+    pixels, f the focal length: the largest singular value of the projection's derivative is
+    f √(1 + |t|²) / depth, and the depth is d / √(1 + |t|²). At the corners
+    |t|² = tan²(φ/2) (1 + (V_x / V_y)²).
+    """
+    tangent = math.tan(math.radians(camera.fov) / 2)
+    focal = viewport.height / 2 / tangent
+    corner = 1 + tangent**2 * (1 + viewport.aspect**2)
+    return max(gamma_paper(camera, viewport), focal * corner)
+
+
+# Matrices
+
+
+def view_matrix(camera: Camera) -> Vector:
+    """Return the rotation from places relative to the eye to right, up, backward; 4 x 4."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = camera.axes
+    matrix[2, :3] *= -1
+    return matrix
+
+
+def projection_matrix(camera: Camera, viewport: Viewport, near: float, far: float) -> Vector:
+    """Return OpenGL's perspective matrix, 4 x 4, for column vectors."""
+    focal = 1 / math.tan(math.radians(camera.fov) / 2)
+    matrix = np.zeros((4, 4))
+    matrix[0, 0], matrix[1, 1] = focal / viewport.aspect, focal
+    matrix[2, 2], matrix[2, 3] = (far + near) / (near - far), 2 * far * near / (near - far)
+    matrix[3, 2] = -1
+    return matrix
+
+
+def project(camera: Camera, viewport: Viewport, points: Vector) -> Vector:
+    """Return pixels (x right, y down) and depths of points, shape (n, 3); NaN behind the eye."""
+    seen = (points - camera.eye) @ camera.axes.T
+    focal = viewport.height / 2 / math.tan(math.radians(camera.fov) / 2)
+    depth = np.where(seen[:, 2] > 0, seen[:, 2], np.nan)
+    return np.column_stack(
+        [
+            viewport.width / 2 + focal * seen[:, 0] / depth,
+            viewport.height / 2 - focal * seen[:, 1] / depth,
+            depth,
+        ]
+    )
+
+
+def ray(camera: Camera, viewport: Viewport, x: float, y: float) -> Vector:
+    """Return the unit vector from the eye through a pixel (y down)."""
+    tangent = math.tan(math.radians(camera.fov) / 2) / (viewport.height / 2)
+    right, up = (x - viewport.width / 2) * tangent, (viewport.height / 2 - y) * tangent
+    vector: Vector = np.array([right, up, 1.0]) @ camera.axes
+    return vector / np.linalg.norm(vector)
+
+
+# As one line
+
+
+def format_camera(camera: Camera, frame: Frame) -> str:
+    """Return x,y,z,heading,pitch,fov: place and height in the file's CRS and unit."""
+    x, y, z = frame.to_world(camera.eye[None])[0]
+    numbers = [repr(float(x)), repr(float(y)), repr(float(z))]
+    numbers += [f"{value:.10g}" for value in (camera.heading, camera.pitch, camera.fov)]
+    return ",".join(numbers)
+
+
+def parse_camera(line: str, frame: Frame) -> Camera:
+    """Return the camera that `format_camera` wrote.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If it is not five or six finite numbers (the opening may be left out) within their ranges.
+    """
+    try:
+        numbers = [float(part) for part in line.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (5, 6) or not all(math.isfinite(number) for number in numbers):
+        raise InvalidHeightsError(
+            f"found camera {line!r}, expected x,y,z,heading,pitch,fov (fov may be left out)"
+        )
+    pitch, fov = numbers[4], numbers[5] if len(numbers) == 6 else DEFAULT_FOV
+    if not -90 <= pitch <= 90 or not 1 <= fov <= 150:
+        raise InvalidHeightsError(
+            f"found pitch {pitch:g} and fov {fov:g}, expected -90 … 90 and 1 … 150 degrees"
+        )
+    position = frame.to_local(np.array([numbers[:3]]))[0]
+    return Camera((position[0], position[1], position[2]), numbers[3], pitch, fov)
+
+
+# Places to begin
+
+
+def home(
+    box: tuple[Vector, Vector], viewport: Viewport, *, heading: float = 0.0, pitch: float = -38.0
+) -> Camera:
+    """Return an oblique view of a box, a `Frame`'s for all of it, that fills the picture."""
+    low, high = box
+    # A raster of one sample has no size; a metre around it has.
+    room = np.where(high - low < _LEAST_SIZE, _LEAST_SIZE, 0.0)
+    low, high = low - room, high + room
+    corners = np.array(
+        [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    )
+    camera = Camera((0.0, 0.0, 0.0), heading, pitch)
+    tangent = math.tan(math.radians(camera.fov) / 2) * _HOME_SHARE
+    seen = corners @ camera.axes.T
+    # The eye (r, u, f) in the camera's axes sees a corner if |corner's r − r| <= tangent · aspect ·
+    # (corner's f − f), and alike upwards. Each pair of opposite sides gives a centre and a bound.
+    centre, bounds = np.zeros(3), []
+    for axis, opening in ((0, tangent * viewport.aspect), (1, tangent)):
+        above = (seen[:, axis] - opening * seen[:, 2]).max()
+        below = (seen[:, axis] + opening * seen[:, 2]).min()
+        centre[axis] = (above + below) / 2
+        bounds.append((below - above) / 2 / opening)
+    centre[2] = min(bounds)
+    # The looser pair leaves room: the same on both sides, in pixels.
+    for axis, opening in ((0, tangent * viewport.aspect), (1, tangent)):
+        depths = seen[:, 2] - centre[2]
+        for _ in range(_CENTRING_STEPS):
+            shares = (seen[:, axis] - centre[axis]) / (depths * opening)
+            centre[axis] += (shares.max() + shares.min()) / 2 * float(depths.min()) * opening
+    x, y, z = centre @ camera.axes
+    return replace(camera, position=(float(x), float(y), float(z)))
+
+
+def top_view(box: tuple[Vector, Vector], viewport: Viewport) -> Camera:
+    """Return a view of a box straight down, north up."""
+    return home(box, viewport, pitch=-90.0)
+
+
+# Motions
+
+
+def fly(camera: Camera, right: float, up: float, forward: float) -> Camera:
+    """Return the camera moved along its own axes, in metres."""
+    x, y, z = camera.eye + np.array([right, up, forward]) @ camera.axes
+    return replace(camera, position=(float(x), float(y), float(z)))
+
+
+def look(camera: Camera, d_heading: float, d_pitch: float) -> Camera:
+    """Return the camera turned on its place, in degrees."""
+    pitch = min(max(camera.pitch + d_pitch, -_MAX_PITCH), _MAX_PITCH)
+    return replace(camera, heading=(camera.heading + d_heading) % 360, pitch=pitch)
+
+
+def orbit(camera: Camera, pivot: Vector, d_heading: float, d_pitch: float) -> Camera:
+    """Return the camera turned around a point, which stays where it is in the picture."""
+    seen = camera.axes @ (camera.eye - pivot)
+    turned = look(camera, d_heading, d_pitch)
+    x, y, z = pivot + seen @ turned.axes
+    return replace(turned, position=(float(x), float(y), float(z)))
+
+
+def zoom(camera: Camera, towards: Vector, factor: float) -> Camera:
+    """Return the camera with its distance to a point multiplied by `factor`."""
+    x, y, z = towards + (camera.eye - towards) * factor
+    return replace(camera, position=(float(x), float(y), float(z)))
+
+
+def along(cameras: list[Camera], share: float) -> Camera:
+    """Return the camera at a share (0 … 1) of a flight through `cameras`, evenly by key.
+
+    Places by Catmull and Rom's splines, angles the shorter way round.
+    """
+    if len(cameras) == 1:
+        return cameras[0]
+    place = min(max(share, 0.0), 1.0) * (len(cameras) - 1)
+    key = min(int(place), len(cameras) - 2)
+    t = place - key
+    before, start, end, after = (
+        cameras[min(max(key + k, 0), len(cameras) - 1)] for k in (-1, 0, 1, 2)
+    )
+    p_0, p_1, p_2, p_3 = before.eye, start.eye, end.eye, after.eye
+    x, y, z = 0.5 * (
+        2 * p_1
+        + (p_2 - p_0) * t
+        + (2 * p_0 - 5 * p_1 + 4 * p_2 - p_3) * t**2
+        + (3 * p_1 - p_0 - 3 * p_2 + p_3) * t**3
+    )
+    smooth = t * t * (3 - 2 * t)
+    turn = (end.heading - start.heading + 180) % 360 - 180
+    return Camera(
+        (float(x), float(y), float(z)),
+        (start.heading + turn * smooth) % 360,
+        start.pitch + (end.pitch - start.pitch) * smooth,
+        start.fov + (end.fov - start.fov) * smooth,
+    )
+
+
+def predict(before: Camera, now: Camera, steps: float = 1.0) -> Camera:
+    """Return where the camera is going: P₂ = 2 P₁ − P₀ (Zhang et al. 2012, eq. 15).
+
+    `steps` goes further along the same way.
+    """
+    x, y, z = now.eye + (now.eye - before.eye) * steps
+    return replace(now, position=(float(x), float(y), float(z)))

@@ -1,0 +1,151 @@
+"""What keys and mouse do to the camera and the style; no window, no GPU."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from terrainwave.render.camera import (
+    Camera,
+    Vector,
+    Viewport,
+    fly,
+    home,
+    look,
+    orbit,
+    top_view,
+    zoom,
+)
+from terrainwave.render.ramps import RAMPS
+from terrainwave.render.scene import Scene
+from terrainwave.render.style import COLORINGS, Style
+
+HELP = [
+    ("W A S D", "fly forward, left, back, right"),
+    ("Q E", "down, up; Shift: four times as fast"),
+    ("drag", "orbit around the point under the cursor"),
+    ("right drag", "look around"),
+    ("wheel", "zoom to the cursor (orbit), speed (fly)"),
+    ("Tab", "orbit or fly: in fly, drag looks around"),
+    ("Home  T  N", "the whole terrain, from above, north up"),
+    ("C  R", "colour by ground, height, level, error; ramp"),
+    ("L  B", "wireframe; light on and off"),
+    (",  .", "turn the sun"),
+    ("[  ]", "vertical exaggeration"),
+    ("-  +", "pixel error"),
+    ("P", "print the camera, for --camera"),
+    ("H  Esc", "this help; close"),
+]
+
+_LOOK_SPEED = 0.15  # degrees per pixel
+_ORBIT_SPEED = 0.3
+_ZOOM_STEP = 0.85
+_SPEED_STEP = 1.25
+_FASTER = 4.0
+
+
+class Controls:
+    """Camera and style of a viewer, changed by keys and mouse.
+
+    Keys are names: letters, ``tab``, ``home``, ``shift`` and so on.
+    """
+
+    def __init__(self, scene: Scene, camera: Camera, style: Style, max_pixel_error: float) -> None:
+        self._scene = scene
+        self.camera = camera
+        self.style = style
+        self.max_pixel_error = max_pixel_error
+        self.is_flying = False
+        self.shows_help = False
+        self.is_closing = False
+        self.wants_camera_line = False
+        low, high = scene.frame.box
+        self.speed = float(np.linalg.norm(high - low)) / 20  # metres per second
+        self._held: set[str] = set()
+        self._pivot: Vector | None = None
+
+    def press(self, key: str, viewport: Viewport) -> None:
+        """Take a key down into account."""
+        self._held.add(key)
+        scene, box = self._scene, self._scene.frame.box
+        if key == "escape":
+            self.is_closing = True
+        elif key == "h":
+            self.shows_help = not self.shows_help
+        elif key == "tab":
+            self.is_flying = not self.is_flying
+        elif key == "home":
+            self.camera = home(box, viewport)
+        elif key == "t":
+            self.camera = top_view(box, viewport)
+        elif key == "n":
+            self.camera = replace(self.camera, heading=0.0)
+        elif key == "c":
+            self.style = replace(self.style, coloring=_next(list(COLORINGS), self.style.coloring))
+        elif key == "r":
+            self.style = replace(self.style, ramp=_next(list(RAMPS), self.style.ramp))
+        elif key == "l":
+            self.style = replace(self.style, wireframe=not self.style.wireframe)
+        elif key == "b":
+            self.style = replace(self.style, shade=0.0 if self.style.shade else 1.0)
+        elif key in ("comma", "period"):
+            azimuth, altitude = self.style.sun
+            turn = 15 if key == "period" else -15
+            self.style = replace(self.style, sun=((azimuth + turn) % 360, altitude))
+        elif key in ("[", "]"):
+            before = scene.frame.exaggeration
+            scene.exaggerate(min(max(before * (1.25 if key == "]" else 0.8), 0.1), 20.0))
+            x, y, z = self.camera.position
+            self.camera = replace(
+                self.camera, position=(x, y, z * scene.frame.exaggeration / before)
+            )
+        elif key in ("-", "+"):
+            factor = 2**0.5 if key == "+" else 2**-0.5
+            self.max_pixel_error = min(max(self.max_pixel_error * factor, 0.1), 64.0)
+        elif key == "p":
+            self.wants_camera_line = True
+
+    def release(self, key: str) -> None:
+        """Take a key up into account."""
+        self._held.discard(key)
+
+    def tick(self, seconds: float) -> None:
+        """Fly on for the time since the last frame."""
+        axes = [
+            ("d" in self._held) - ("a" in self._held),
+            ("e" in self._held) - ("q" in self._held),
+            ("w" in self._held) - ("s" in self._held),
+        ]
+        if not any(axes):
+            return
+        metres = self.speed * min(seconds, 0.25) * (_FASTER if "shift" in self._held else 1.0)
+        right, up, forward = (axis * metres for axis in axes)
+        self.camera = fly(self.camera, right, 0.0, forward)
+        x, y, z = self.camera.position
+        self.camera = replace(self.camera, position=(x, y, z + up))
+
+    def grab(self, point: Vector | None) -> None:
+        """Begin to drag at a point of the surface; None: at the sky."""
+        self._pivot = point
+
+    def drag(self, dx: float, dy: float, *, is_right: bool = False) -> None:
+        """Turn by a movement of the mouse in pixels, y down."""
+        if self.is_flying or is_right or self._pivot is None:
+            speed = _LOOK_SPEED * math.tan(math.radians(self.camera.fov) / 2) / 0.47
+            sign = 1 if self.is_flying else -1
+            self.camera = look(self.camera, sign * dx * speed, -sign * dy * speed)
+        else:
+            self.camera = orbit(self.camera, self._pivot, dx * _ORBIT_SPEED, -dy * _ORBIT_SPEED)
+
+    def scroll(self, steps: float, point: Vector | None) -> None:
+        """Zoom to a point, or change the speed; positive is away from the user."""
+        if self.is_flying:
+            self.speed = min(max(self.speed * _SPEED_STEP**steps, 0.1), 1e6)
+        elif point is not None:
+            self.camera = zoom(self.camera, point, _ZOOM_STEP**steps)
+        else:
+            self.camera = fly(self.camera, 0.0, 0.0, self.speed * 0.5 * steps)
+
+
+def _next(names: list[str], name: str) -> str:
+    return names[(names.index(name) + 1) % len(names)]

@@ -1,0 +1,147 @@
+"""Local metres: x east, y north, z up, from the middle of the raster (DESIGN §6, units)."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.tri.frames import find_place, metres_per_unit
+from terrainwave.tri.mesh import Mesh
+
+if TYPE_CHECKING:
+    from terrainwave.terrain import Terrain
+
+_IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """How samples and world coordinates become local metres.
+
+    Parameters
+    ----------
+    centre : tuple of float
+        x, y in the CRS of the local origin.
+    metres : tuple of float
+        Metres per unit of x, y and height, without exaggeration.
+    sample_matrix : tuple of float
+        (a, b, c, d, e, f): local x = a col + b row + c, y = d col + e row + f of full-grid samples.
+    shape : tuple of int
+        Rows and columns of the full grid.
+    heights : tuple of float
+        Lowest and highest height in the file's unit.
+    exaggeration : float
+        Local z is the height in metres times this.
+    """
+
+    centre: tuple[float, float]
+    metres: tuple[float, float, float]
+    sample_matrix: tuple[float, float, float, float, float, float]
+    shape: tuple[int, int]
+    heights: tuple[float, float]
+    exaggeration: float = 1.0
+
+    @property
+    def box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the lowest and highest corner of the terrain in local metres."""
+        n_rows, n_cols = self.shape
+        rows = np.array([0, 0, n_rows - 1, n_rows - 1])
+        cols = np.array([0, n_cols - 1, 0, n_cols - 1])
+        xy = self.samples_to_local(rows, cols)
+        z = np.array(self.heights) * self.metres[2] * self.exaggeration
+        return np.array([*xy.min(axis=0), z.min()]), np.array([*xy.max(axis=0), z.max()])
+
+    def samples_to_local(self, rows: NDArray[Any], cols: NDArray[Any]) -> NDArray[np.float64]:
+        """Return local x, y of full-grid samples, shape (n, 2)."""
+        a, b, c, d, e, f = self.sample_matrix
+        return np.column_stack([a * cols + b * rows + c, d * cols + e * rows + f])
+
+    def to_local(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return local metres of (x, y, height) in the file's CRS and unit."""
+        shift = np.array([*self.centre, 0.0])
+        return (points - shift) * self._scales
+
+    def to_world(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (x, y, height) in the file's CRS and unit; the inverse of `to_local`."""
+        return points / self._scales + np.array([*self.centre, 0.0])
+
+    @property
+    def _scales(self) -> NDArray[np.float64]:
+        return np.array(self.metres) * (1.0, 1.0, self.exaggeration)
+
+    def exaggerated(self, factor: float) -> "Frame":
+        """Return the frame with another vertical exaggeration.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If it is not a number > 0.
+        """
+        if not (math.isfinite(factor) and factor > 0):
+            raise InvalidHeightsError(f"found exaggeration {factor}, expected a number > 0")
+        return replace(self, exaggeration=float(factor))
+
+
+def frame_of(
+    terrain: "Terrain", *, radius: float | None = None, exaggeration: float = 1.0
+) -> Frame:
+    """Return the frame of a terrain.
+
+    Degrees are scaled about the centre by the radii of the CRS's ellipsoid, or of a sphere of
+    `radius` metres; feet become metres.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If an option is out of range.
+    """
+    raster = terrain.raster_info
+    a, b, c, d, e, f = raster.transform
+    n_rows, n_cols = terrain.shape
+    rows, cols = np.array([0, 0, n_rows - 1, n_rows - 1]), np.array([0, n_cols - 1, 0, n_cols - 1])
+    corners = np.column_stack(
+        [
+            a * (cols + 0.5) + b * (rows + 0.5) + c,
+            d * (cols + 0.5) + e * (rows + 0.5) + f,
+            np.zeros(4),
+        ]
+    )
+    outline = Mesh(
+        corners,
+        np.array([[0, 1, 2], [1, 3, 2]], dtype=np.int32),
+        (0.0, 0.0, 0.0),
+        0.0,
+        terrain.crs,
+        raster.units,
+        {"is_placed": tuple(raster.transform) != _IDENTITY},
+    )
+    place = find_place(outline, radius=radius)
+    left, bottom, right, top = outline.bounds
+    x, y = (left + right) / 2, (bottom + top) / 2
+    if place.is_geographic:
+        latitude = min(max(y * place.unit, -89.9), 89.9)
+        meridian, normal = place.ellipsoid.radii(latitude)
+        per_x = math.radians(place.unit) * normal * math.cos(math.radians(latitude))
+        per_y = math.radians(place.unit) * meridian
+    else:
+        per_x = per_y = place.unit
+    info = terrain.info()
+    matrix = (
+        a * per_x,
+        b * per_x,
+        (corners[0, 0] - x) * per_x,
+        d * per_y,
+        e * per_y,
+        (corners[0, 1] - y) * per_y,
+    )
+    frame = Frame(
+        (x, y),
+        (per_x, per_y, metres_per_unit(raster.units)),
+        matrix,
+        terrain.shape,
+        (info.minimum or 0.0, info.maximum or 0.0),
+    )
+    return frame.exaggerated(exaggeration)

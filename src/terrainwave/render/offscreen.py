@@ -1,0 +1,186 @@
+"""Pictures without a screen."""
+
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import TerrainwaveError
+from terrainwave.render.camera import Camera, Viewport, ray
+from terrainwave.render.scene import DEFAULT_MAX_BYTES, Frames, Scene
+from terrainwave.render.selection import View
+
+if TYPE_CHECKING:
+    from terrainwave.render.style import Style
+    from terrainwave.terrain import Terrain
+
+_HELP = (
+    "terrainwave render needs EGL and an OpenGL 3.3 driver; on Debian and Ubuntu: apt-get install"
+    " libegl1 libgl1 libgl1-mesa-dri"
+)
+
+
+def create_context() -> Any:
+    """Return an OpenGL 3.3 core context without a window.
+
+    Raises
+    ------
+    TerrainwaveError
+        If moderngl or a driver is missing; one line that says what to install.
+    """
+    try:
+        import moderngl
+    except ImportError as error:
+        raise TerrainwaveError("pictures need moderngl: pip install 'terrainwave[view]'") from error
+    problems = []
+    backends: tuple[dict[str, Any], ...] = ({"backend": "egl"}, {})
+    for options in backends:
+        try:
+            return moderngl.create_context(standalone=True, require=330, **options)
+        except Exception as error:  # noqa: BLE001  glcontext raises what its backend raises
+            problems.append(str(error).splitlines()[0] if str(error) else type(error).__name__)
+    raise TerrainwaveError(f"no OpenGL context ({'; '.join(problems)}): {_HELP}")
+
+
+class Offscreen:
+    """A scene with a framebuffer of its own.
+
+    Parameters
+    ----------
+    size : tuple of int
+        Width and height in pixels.
+    samples : int
+        Per pixel, against jagged edges; 0 none.
+    options
+        Of `Scene`.
+    """
+
+    def __init__(
+        self,
+        terrain: "Terrain",
+        size: tuple[int, int],
+        *,
+        samples: int = 4,
+        max_bytes: int = DEFAULT_MAX_BYTES,
+        context: Any = None,
+        **options: Any,
+    ) -> None:
+        self._owns_context = context is None
+        self.context = context or create_context()
+        from terrainwave.render.mesh_buffers import GpuStore
+        from terrainwave.render.renderer import Renderer
+
+        self.store = GpuStore(self.context, terrain.grid.block, max_bytes=max_bytes)
+        self.scene = Scene(terrain, self.store, **options)
+        self.renderer = Renderer(self.context, self.scene, self.store)
+        self._samples = min(samples, int(self.context.max_samples))
+        self._target: Any = None
+        self._resolved: Any = None
+        self._drawn: tuple[View, tuple[float, float]] | None = None
+        self.resize(size)
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """Draw pictures of another size from now on."""
+        limit = int(self.context.info["GL_MAX_VIEWPORT_DIMS"][0])
+        if not (1 <= min(size) and max(size) <= limit):
+            raise TerrainwaveError(f"found size {size[0]}x{size[1]}, expected 1 to {limit} pixels")
+        self._release_framebuffers()
+        self.viewport = Viewport(*size)
+        self._target = self._framebuffer(size, self._samples)
+        self._resolved = self._framebuffer(size, 0) if self._samples else self._target
+
+    def _framebuffer(self, size: tuple[int, int], samples: int) -> Any:
+        return self.context.framebuffer(
+            [self.context.renderbuffer(size, 4, samples=samples)],
+            self.context.depth_renderbuffer(size, samples=samples),
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop the workers and free the GPU's memory."""
+        self.scene.close()
+        self.renderer.release()
+        self.store.release()
+        self._release_framebuffers()
+        if self._owns_context:
+            self.context.release()
+
+    def _release_framebuffers(self) -> None:
+        if self._target is None:
+            return
+        # moderngl binds the last framebuffer used again, released or not.
+        self.context.detect_framebuffer(0).use()
+        if self._resolved is not self._target:
+            self._resolved.release()
+        self._target.release()
+
+    def draw(
+        self, camera: Camera, style: "Style", *, max_pixel_error: float = 1.0, settle: bool = True
+    ) -> Frames:
+        """Draw a picture and leave it on the GPU, in `framebuffer`; return what was drawn.
+
+        `settle` waits until all that the view needs has been read.
+        """
+        view = self.scene.view(camera, self.viewport, max_pixel_error)
+        self._target.use()
+        if self.scene.mode == "full":
+            frames = self._draw_parts(view, style)
+        else:
+            frames = self.scene.settle(view) if settle else self.scene.update(view)
+            self.renderer.draw(view, frames, style)
+        self._drawn = view, self.renderer.depth_range(view, frames)
+        if self._resolved is not self._target:
+            self.context.copy_framebuffer(self._resolved, self._target)
+        return frames
+
+    @property
+    def framebuffer(self) -> Any:
+        """Return the framebuffer with the last picture, one sample per pixel."""
+        return self._resolved
+
+    def picture(
+        self, camera: Camera, style: "Style", *, max_pixel_error: float = 1.0, settle: bool = True
+    ) -> tuple[NDArray[np.uint8], Frames]:
+        """Return the picture, uint8 (height, width, 3), the first row on top, and what was drawn.
+
+        As `draw`.
+        """
+        frames = self.draw(camera, style, max_pixel_error=max_pixel_error, settle=settle)
+        data = self._resolved.read(components=3, alignment=1)
+        size = (self.viewport.height, self.viewport.width, 3)
+        return np.frombuffer(data, dtype=np.uint8).reshape(size)[::-1].copy(), frames
+
+    def pick(self, x: float, y: float) -> NDArray[np.float64] | None:
+        """Return the place of the last picture's surface under a pixel (y down), local metres.
+
+        None where there is only sky. Waits for the GPU.
+        """
+        if self._drawn is None or not (
+            0 <= x < self.viewport.width and 0 <= y < self.viewport.height
+        ):
+            return None
+        view, (near, far) = self._drawn
+        place = (int(x), self.viewport.height - 1 - int(y), 1, 1)
+        data = self._resolved.read(place, components=1, attachment=-1, dtype="f4")
+        depth = float(np.frombuffer(data, dtype=np.float32)[0])
+        if depth >= 1.0:
+            return None
+        depth = 2 * near * far / (far + near - (2 * depth - 1) * (far - near))
+        towards = ray(view.camera, self.viewport, int(x) + 0.5, int(y) + 0.5)
+        return view.camera.eye + towards * (depth / float(towards @ view.camera.forward))
+
+    def _draw_parts(self, view: View, style: "Style") -> Frames:
+        """Draw all finest blocks in view, as many at a time as memory holds."""
+        self.renderer.clear(view, style)
+        nodes, n_triangles = [np.empty(0, dtype=np.int32)], 0
+        none = np.empty(0)
+        for frames in self.scene.parts(view):
+            self.renderer.draw(view, frames, style, clear=False)
+            nodes.append(frames.nodes)
+            n_triangles += frames.n_triangles
+        return Frames(np.concatenate(nodes), none, none, none, n_triangles, 0.0, 0)

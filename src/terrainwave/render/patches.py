@@ -1,0 +1,331 @@
+"""From a block of the file to a patch: vertices, triangles and slopes as the GPU takes them.
+
+The step from a coarse block to the finest ones is large: their meshes keep to the file's own error.
+So finest blocks come in variants as well, with 4, 16 … times the tolerance, and stand in the tree
+between their parent and the file's mesh: a chain, each the only child of the one before.
+
+Runs in worker threads; needs no GPU.
+"""
+
+import math
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.meshing import SideTolerances, border_lines
+from terrainwave.quadtree import Block, Region
+from terrainwave.render.frame import Frame
+from terrainwave.render.kernels import SKIRT_FLAG, border_edges, rasterize, slopes
+from terrainwave.render.selection import NodeInfo, Piece
+from terrainwave.tri.halves import triangulate
+from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.surface import deviation_from_bilinear
+
+if TYPE_CHECKING:
+    from terrainwave.terrain import Terrain
+
+# col and row in half samples of the block's level (the column's top bit marks skirts); height and
+# height of the parent's surface above the patch's base, metres.
+VERTEX = np.dtype([("col", "<u2"), ("row", "<u2"), ("z", "<f4"), ("z_parent", "<f4")])
+# Half of float32's spacing, relative.
+_FLOAT32_ROUNDING = 2.0**-24
+# What float16 holds.
+_LEAST_SLOPE, _LARGEST_SLOPE = 2.0**-14, 6e4
+_CACHED_MESHES = 128
+_VARIANT_BITS = 2  # each variant has four times the tolerance of the one before
+_MAX_VARIANT = 5
+# Of the error of what it replaces, at most this share is a variant's.
+_VARIANT_SHARE = 0.6
+
+
+class Cancelled(Exception):
+    """A patch that nobody wants any more."""
+
+
+class Patch(NamedTuple):
+    """A piece as drawn.
+
+    Parameters
+    ----------
+    vertices : structured ndarray of VERTEX
+    triangles : ndarray of uint32, shape (n, 3)
+    n_surface : int
+        How many of the triangles are surface; the others are skirts.
+    slopes : ndarray of float16, shape (n_rows + 2, n_cols + 2, 2)
+        Metres per metre to the east and to the north at the block's samples and around them.
+    base : float
+        Height of z = 0, metres.
+    error : float
+        No valid original is further from the surface, metres.
+    morph : float
+        Largest distance between the surface and its parent's at vertices, metres.
+    children : list of NodeInfo
+    """
+
+    piece: Piece
+    vertices: NDArray[np.void]
+    triangles: NDArray[np.uint32]
+    n_surface: int
+    slopes: NDArray[np.float16]
+    base: float
+    error: float
+    morph: float
+    children: list[NodeInfo]
+
+    @property
+    def n_bytes(self) -> int:
+        """Return the bytes of its arrays."""
+        return self.vertices.nbytes + self.triangles.nbytes + self.slopes.nbytes
+
+
+class PatchBuilder:
+    """Patches of a terrain's blocks. Thread-safe.
+
+    Parameters
+    ----------
+    frame : Frame
+        Local metres; its exaggeration is not used: the GPU applies it.
+    error : {"measured", "paper"}
+        Errors as stored for meshes, or Err_Appr + Err_Tri of Yusov & Turlapov 2010, eq. (3).
+    """
+
+    def __init__(self, terrain: "Terrain", frame: Frame, *, error: str = "measured") -> None:
+        self._terrain = terrain
+        self._frame = frame
+        self._error = error
+        header = terrain._container.header
+        raster = terrain.raster_info
+        quantum = header.quantum.numerator / header.quantum.denominator
+        self._metres = quantum * raster.scale * frame.metres[2]  # per quantum
+        self._zero = (header.base * quantum * raster.scale + raster.offset) * frame.metres[2]
+        self._meshes: OrderedDict[Piece, BlockMesh] = OrderedDict()
+        self._lock = threading.Lock()
+        a, b, _, d, e, _ = frame.sample_matrix
+        # Slopes per sample to slopes per metre: the inverse of the transposed matrix.
+        self._to_metres = np.linalg.inv(np.array([[a, b], [d, e]]))
+
+    # What the index says
+
+    def roots(self) -> list[NodeInfo]:
+        """Return the root blocks."""
+        return [self._first(block, math.inf) for block in self._terrain.grid.blocks(0)]
+
+    def children(self, piece: Piece) -> list[NodeInfo]:
+        """Return what replaces a piece: its next variant, or the blocks one level finer."""
+        if piece.variant:
+            return [self.info(piece._replace(variant=piece.variant - 1))]
+        error = self.error(piece)
+        return [self._first(child, error) for child in self._terrain.grid.children(piece.block)]
+
+    def parent(self, piece: Piece) -> Piece | None:
+        """Return what a piece replaces, None for a root."""
+        if piece.level == self._terrain.n_levels - 1:
+            next_one = piece._replace(variant=piece.variant + 1)
+            above = Piece(*piece.block.parent) if piece.level else None
+            limit = self.error(above) if above else math.inf
+            if next_one.variant <= self._coarsest(limit):
+                return next_one
+        return Piece(*piece.block.parent) if piece.level else None
+
+    def _first(self, block: Block, error: float) -> NodeInfo:
+        """Return the first piece of a block below one with this error."""
+        is_finest = block.level == self._terrain.n_levels - 1
+        return self.info(Piece(*block, self._coarsest(error) if is_finest else 0))
+
+    def _coarsest(self, error: float) -> int:
+        """Return the coarsest variant that is worth its place below a piece with this error."""
+        variant = 0
+        while variant < _MAX_VARIANT and math.isfinite(error):
+            if self._variant_error(variant + 1) > _VARIANT_SHARE * error:
+                break
+            variant += 1
+        return variant
+
+    def _variant_error(self, variant: int) -> float:
+        tolerance = self._variant_tolerance(variant) / (1 << FRACTION_BITS) * abs(self._metres)
+        return self._terrain.effective_error * self._frame.metres[2] + tolerance
+
+    def _variant_tolerance(self, variant: int) -> int:
+        own = max(self._terrain._container.header.mesh_tolerance, 1 << FRACTION_BITS)
+        return own << _VARIANT_BITS * variant
+
+    def info(self, piece: Piece) -> NodeInfo:
+        """Return box and error of a piece."""
+        block = piece.block
+        region = self._terrain.grid.full_region(block)
+        rows = np.array([region.row, region.row + region.n_rows - 1])
+        cols = np.array([region.col, region.col + region.n_cols - 1])
+        xy = self._frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
+        error = self.error(piece)
+        low, high = sorted(z * self._frame.metres[2] for z in self._terrain.block_box(block))
+        (left, bottom), (right, top) = xy.min(axis=0), xy.max(axis=0)
+        return NodeInfo(
+            piece,
+            (float(left), float(bottom), low - error),
+            (float(right), float(top), high + error),
+            error,
+        )
+
+    def error(self, piece: Piece) -> float:
+        """Return the error of a piece that the file states, in metres."""
+        if piece.variant:
+            return self._variant_error(piece.variant)
+        terrain, block = self._terrain, piece.block
+        per_unit = self._frame.metres[2]
+        if self._error == "measured" and terrain.mesh_kind != "none":
+            return terrain.mesh_error(block) * per_unit
+        is_finest = block.level == terrain.n_levels - 1
+        heights = terrain.effective_error if is_finest else terrain.block_error(block)
+        tolerance = terrain._mesher.tolerance(block) / (1 << FRACTION_BITS) * abs(self._metres)
+        return heights * per_unit + tolerance
+
+    # Patches
+
+    def mesh(self, piece: Piece) -> BlockMesh:
+        """Return the mesh of a piece; the last ones are kept."""
+        with self._lock:
+            found = self._meshes.get(piece)
+            if found is not None:
+                self._meshes.move_to_end(piece)
+                return found
+        found = self._triangulate(piece)
+        with self._lock:
+            self._meshes[piece] = found
+            while len(self._meshes) > _CACHED_MESHES:
+                self._meshes.popitem(last=False)
+        return found
+
+    def _triangulate(self, piece: Piece) -> BlockMesh:
+        mesher, block = self._terrain._mesher, piece.block
+        if not piece.variant:
+            return mesher.mesh(block)
+        tolerance = self._variant_tolerance(piece.variant)
+        samples = mesher.samples(block)
+        sides = SideTolerances(tolerance, tolerance, tolerance, tolerance)
+        lines = border_lines(samples, sides, self._terrain.grid.block)
+        return triangulate(*samples, lines, tolerance)
+
+    def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Patch:
+        """Return the patch of a piece.
+
+        Raises
+        ------
+        Cancelled
+            If `is_cancelled` says so between two steps.
+        CorruptStreamError
+            If the file is damaged there.
+        """
+
+        def check() -> None:
+            if is_cancelled():
+                raise Cancelled
+
+        terrain, block = self._terrain, piece.block
+        children = self.children(piece)
+        check()
+        mesh = self.mesh(piece)
+        check()
+        z = mesh.heights / (1 << FRACTION_BITS) * self._metres + self._zero
+        base = float(z.min() + z.max()) / 2 if len(z) else 0.0
+        z_parent = self._parent_heights(piece, mesh, z)
+        check()
+        vertices = np.empty(len(z), dtype=VERTEX)
+        vertices["col"], vertices["row"] = mesh.cols, mesh.rows
+        vertices["z"], vertices["z_parent"] = z - base, z_parent - base
+        vertices, triangles = _with_skirts(mesh, vertices)
+        largest = float(
+            max(np.abs(z - base).max(initial=0), np.abs(z_parent - base).max(initial=0))
+        )
+        morph = float(np.abs(z - z_parent).max(initial=0))
+        error = self.error(piece)
+        if terrain.mesh_kind == "none" and block.level < terrain.n_levels - 1:
+            error = self._derived_error(block, mesh)
+        return Patch(
+            piece,
+            vertices,
+            triangles,
+            len(mesh.triangles),
+            self.slopes(block),
+            base,
+            error + largest * _FLOAT32_ROUNDING,
+            morph,
+            children,
+        )
+
+    def _derived_error(self, block: Block, mesh: BlockMesh) -> float:
+        """Return a bound for a mesh that the file says nothing about."""
+        terrain = self._terrain
+        samples = terrain._mesher.samples(block)
+        stride = terrain.grid.stride(block.level)
+        apart = deviation_from_bilinear(mesh, stride, samples.heights, samples.mask)
+        bilinear = terrain.block_error(block) * self._frame.metres[2]
+        return bilinear + apart / (1 << FRACTION_BITS) * abs(self._metres)
+
+    def _parent_heights(
+        self, piece: Piece, mesh: BlockMesh, z: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the heights of the parent's surface at the vertices; `z` where it has none."""
+        above = self.parent(piece)
+        if above is None or not len(z):
+            return z
+        parent = self.mesh(above)
+        found = np.empty((int(mesh.rows.max()) + 1, int(mesh.cols.max()) + 1))
+        factor, first = 1, (0, 0)
+        if above.level < piece.level:
+            side = 2 * self._terrain.grid.block
+            factor, first = 2, ((piece.row & 1) * side, (piece.col & 1) * side)
+        rasterize(parent.rows, parent.cols, parent.heights, parent.triangles, factor, *first, found)
+        heights = found[mesh.rows, mesh.cols] / (1 << FRACTION_BITS) * self._metres + self._zero
+        return np.where(np.isnan(heights), z, heights)
+
+    def slopes(self, block: Block) -> NDArray[np.float16]:
+        """Return the slopes at the samples of a block and at one more on each side.
+
+        Neighbours of one level compute the same where they share samples. Past the raster's edge
+        the last ones are repeated, and once more where the block ends before its full size.
+        """
+        terrain, grid = self._terrain, self._terrain.grid
+        level = Region(0, 0, *grid.level_shape(block.level))
+        inner = grid.block_region(block)
+        near = grid.block_region(block, 1).intersect(level)
+        wide = grid.block_region(block, 2).intersect(level)
+        heights, mask = terrain._decoder.window(block.level, wide)
+        found = np.empty((near.n_rows, near.n_cols, 2), dtype=np.float32)
+        slopes(heights, mask, near.row - wide.row, near.col - wide.col, found)
+        per_sample = found.astype(np.float64) * (self._metres / grid.stride(block.level))
+        per_metre = per_sample @ self._to_metres
+        padding = [
+            (1 - (first - outer), 1 - (outer + n_outer - first - n) + min(1, grid.block + 1 - n))
+            for first, n, outer, n_outer in (
+                (inner.row, inner.n_rows, near.row, near.n_rows),
+                (inner.col, inner.n_cols, near.col, near.n_cols),
+            )
+        ]
+        padded = np.pad(per_metre, (*padding, (0, 0)), mode="edge")
+        padded[np.abs(padded) < _LEAST_SLOPE] = 0
+        return np.clip(padded, -_LARGEST_SLOPE, _LARGEST_SLOPE).astype(np.float16)
+
+
+def _with_skirts(
+    mesh: BlockMesh, vertices: NDArray[np.void]
+) -> tuple[NDArray[np.void], NDArray[np.uint32]]:
+    """Return vertices and triangles with two triangles more below each edge on the border."""
+    triangles = mesh.triangles.astype(np.uint32)
+    if not len(triangles):
+        return vertices, triangles
+    last = int(mesh.rows.max()), int(mesh.cols.max())
+    edges = np.empty((4 * (last[0] + last[1]) + 8, 2), dtype=np.int32)
+    edges = edges[: border_edges(mesh.rows, mesh.cols, mesh.triangles, *last, edges)]
+    top = np.unique(edges)
+    below = vertices[top].copy()
+    below["col"] |= SKIRT_FLAG
+    lower = (len(vertices) + np.searchsorted(top, edges)).astype(np.uint32)
+    a, b = edges[:, 0].astype(np.uint32), edges[:, 1].astype(np.uint32)
+    skirts = np.concatenate(
+        [np.column_stack([b, a, lower[:, 0]]), np.column_stack([b, lower[:, 0], lower[:, 1]])]
+    )
+    return np.concatenate([vertices, below]), np.concatenate([triangles, skirts])

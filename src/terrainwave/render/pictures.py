@@ -1,0 +1,113 @@
+"""What `terrainwave render` does: one picture, or the pictures of a flight."""
+
+import json
+import time
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.render.camera import Camera, Viewport, along, format_camera, home, parse_camera
+from terrainwave.render.frame import Frame
+from terrainwave.render.offscreen import Offscreen
+from terrainwave.render.scene import Frames
+
+if TYPE_CHECKING:
+    from terrainwave.render.style import Style
+
+_MAX_KEYS = 100_000
+
+
+def choose_camera(
+    frame: Frame,
+    viewport: Viewport,
+    camera: str | None = None,
+    bounds: Sequence[float] | None = None,
+) -> Camera:
+    """Return the camera that a line describes, or one that shows bounds (CRS) or everything.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If the line is none, both are given, or the bounds are empty.
+    """
+    if camera is not None:
+        if bounds is not None:
+            raise InvalidHeightsError("found both camera and bounds, expected one of them")
+        return parse_camera(camera, frame)
+    low, high = frame.box
+    if bounds is not None:
+        left, bottom, right, top = bounds
+        if not (left < right and bottom < top):
+            raise InvalidHeightsError(f"found bounds {tuple(bounds)}, expected left < right, ...")
+        ends = frame.to_local(np.array([[left, bottom, 0.0], [right, top, 0.0]]))
+        low, high = np.array([*ends[0, :2], low[2]]), np.array([*ends[1, :2], high[2]])
+    return home((low, high), viewport)
+
+
+def read_flight(text: str, frame: Frame) -> list[Camera]:
+    """Return the cameras of a flight: a JSON list of camera lines.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If it is none.
+    """
+    try:
+        keys = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InvalidHeightsError(f"the flight is not JSON: {error}") from error
+    if (
+        not isinstance(keys, list)
+        or not 1 <= len(keys) <= _MAX_KEYS
+        or not all(isinstance(key, str) for key in keys)
+    ):
+        raise InvalidHeightsError(
+            'expected a flight as a JSON list of cameras: ["x,y,z,heading,pitch,fov", ...]'
+        )
+    return [parse_camera(key, frame) for key in keys]
+
+
+def fly_through(
+    offscreen: Offscreen,
+    cameras: list[Camera],
+    n_frames: int,
+    style: "Style",
+    max_pixel_error: float,
+    *,
+    settle: bool = True,
+) -> Iterator[tuple[NDArray[np.uint8], dict[str, Any]]]:
+    """Yield pictures along a flight, with what `statistics` says of each."""
+    for number in range(n_frames):
+        camera = along(cameras, number / max(n_frames - 1, 1))
+        started = time.perf_counter()
+        image, frames = offscreen.picture(
+            camera, style, max_pixel_error=max_pixel_error, settle=settle
+        )
+        yield image, statistics(offscreen, camera, frames, time.perf_counter() - started)
+
+
+def statistics(
+    offscreen: Offscreen, camera: Camera, frames: Frames, seconds: float
+) -> dict[str, Any]:
+    """Return what was drawn and what it took, as plain values."""
+    scene, info = offscreen.scene, offscreen.context.info
+    return {
+        "renderer": str(info["GL_RENDERER"]),
+        "version": str(info["GL_VERSION"]),
+        "size": [offscreen.viewport.width, offscreen.viewport.height],
+        "camera": format_camera(camera, scene.frame),
+        "mode": scene.mode,
+        "error": scene.error,
+        "max_pixel_error": frames.tau,
+        "n_triangles": frames.n_triangles,
+        "n_blocks": len(frames.nodes),
+        "n_draw_calls": offscreen.renderer.n_draw_calls,
+        "gpu_bytes": offscreen.store.n_bytes,
+        "page_ms": scene.timings.page,
+        "select_ms": scene.timings.select,
+        "seconds": seconds,
+        "problems": sorted(scene.problems.values()),
+    }

@@ -1,0 +1,270 @@
+"""Which blocks to draw: recursive from the roots by screen error (Yusov & Turlapov 2010, §2.8).
+
+A node is a piece that the viewer has heard of. Its cost per frame follows what is in view: nodes
+outside the frustum end the recursion, and those good enough do.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.quadtree import Block
+from terrainwave.render.camera import (
+    Camera,
+    Viewport,
+    gamma_guaranteed,
+    gamma_paper,
+)
+from terrainwave.render.frustum import frustum_planes
+from terrainwave.render.kernels import priorities, select_nodes, wanted_nodes
+
+ERRORS = ("measured", "paper")
+_FIRST_CAPACITY = 256
+
+
+class Piece(NamedTuple):
+    """What is drawn at once: a block, triangulated within the tolerance number `variant`.
+
+    0 is the block's own; blocks of the finest level also come coarser (see `patches`).
+    """
+
+    level: int
+    row: int
+    col: int
+    variant: int = 0
+
+    @property
+    def block(self) -> Block:
+        """Return the block."""
+        return Block(self.level, self.row, self.col)
+
+
+class NodeInfo(NamedTuple):
+    """What the index says of a piece: its box in local metres, its error in metres."""
+
+    piece: Piece
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    error: float
+
+
+@dataclass(frozen=True)
+class View:
+    """Camera, size of the picture and what counts as an error on screen.
+
+    Parameters
+    ----------
+    max_pixel_error : float
+        τ, pixels; 0 takes the finest blocks everywhere.
+    error : {"measured", "paper"}
+        Which γ: the one that holds in the corners too, or the paper's.
+    exaggeration : float
+        Factor of heights.
+    """
+
+    camera: Camera
+    viewport: Viewport
+    max_pixel_error: float = 1.0
+    error: str = "measured"
+    exaggeration: float = 1.0
+
+    @property
+    def gamma(self) -> float:
+        """Return γ of ``error on screen = γ · error / distance``."""
+        formula = gamma_paper if self.error == "paper" else gamma_guaranteed
+        return formula(self.camera, self.viewport)
+
+    @property
+    def planes(self) -> NDArray[np.float64]:
+        """Return the planes of the frustum."""
+        return frustum_planes(self.camera, self.viewport)
+
+
+class Selection(NamedTuple):
+    """Nodes to draw with their distances, nearest part of the box to the eye; their triangles."""
+
+    nodes: NDArray[np.int32]
+    distances: NDArray[np.float64]
+    n_triangles: int
+
+
+class NodeTable:
+    """Known pieces in arrays, for the kernels. Used by one thread."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[Piece, int] = {}
+        self.pieces: list[Piece] = []
+        self.roots = np.empty(0, dtype=np.int32)
+        self._allocate(_FIRST_CAPACITY)
+
+    def _allocate(self, capacity: int) -> None:
+        self.low = np.zeros((capacity, 3))
+        self.high = np.zeros((capacity, 3))
+        self.errors = np.zeros(capacity)
+        self.children = np.full((capacity, 4), -1, dtype=np.int32)
+        self.parents = np.full(capacity, -1, dtype=np.int32)
+        self.keys = np.zeros((capacity, 4), dtype=np.int64)  # the pieces, as numbers
+        self.is_known = np.zeros(capacity, dtype=np.bool_)
+        self.is_resident = np.zeros(capacity, dtype=np.bool_)
+        self.n_triangles = np.zeros(capacity, dtype=np.int64)
+        self._stack = np.empty(capacity, dtype=np.int32)
+        self._nodes = np.empty(capacity, dtype=np.int32)
+        self._distances = np.empty(capacity)
+
+    def __len__(self) -> int:
+        return len(self.pieces)
+
+    def _grow(self) -> None:
+        old, n = dict(vars(self)), len(self)
+        self._allocate(2 * len(self.errors))
+        for name in (
+            "low", "high", "errors", "children", "parents", "keys", "is_known", "is_resident",
+            "n_triangles",
+        ):  # fmt: skip
+            getattr(self, name)[:n] = old[name][:n]
+
+    def find(self, piece: Piece) -> int | None:
+        """Return the number of a piece, None if it is not known."""
+        return self._numbers.get(piece)
+
+    def add(self, info: NodeInfo, parent: int = -1) -> int:
+        """Make a piece known; return its number."""
+        number = self._numbers.get(info.piece)
+        if number is not None:
+            return number
+        number = len(self)
+        if number == len(self.errors):
+            self._grow()
+        self._numbers[info.piece] = number
+        self.pieces.append(info.piece)
+        self.low[number], self.high[number] = info.low, info.high
+        self.errors[number] = info.error
+        self.keys[number] = info.piece
+        self.parents[number] = parent
+        if parent < 0:
+            self.roots = np.append(self.roots, np.int32(number))
+        return number
+
+    def add_children(self, parent: int, infos: list[NodeInfo]) -> None:
+        """Make the children of a node known, all at once."""
+        if self.is_known[parent]:
+            return
+        for place, info in enumerate(infos):
+            self.children[parent, place] = self.add(info, parent)
+        self.is_known[parent] = True
+
+    def select(self, view: View, tau: float | None = None) -> Selection:
+        """Return the resident blocks that show the view within τ where they are here.
+
+        Parents stand in for children that are not resident.
+        """
+        if len(self._stack) < len(self.errors):
+            raise AssertionError("the stack holds every node")
+        n_out, n_triangles = select_nodes(
+            self.roots,
+            self.low,
+            self.high,
+            self.errors,
+            self.children,
+            self.is_known,
+            self.is_resident,
+            self.n_triangles,
+            view.planes,
+            view.camera.eye,
+            view.exaggeration,
+            view.gamma,
+            view.max_pixel_error if tau is None else tau,
+            self._stack,
+            self._nodes,
+            self._distances,
+        )
+        return Selection(
+            self._nodes[:n_out].copy(), self._distances[:n_out].copy(), int(n_triangles)
+        )
+
+    def wanted(
+        self,
+        view: View,
+        max_blocks: int,
+        tau: float | None = None,
+        camera: Camera | None = None,
+    ) -> NDArray[np.int32]:
+        """Return the nodes that a view needs, ancestors first, at most `max_blocks`.
+
+        `camera` looks from elsewhere than the view's own.
+        """
+        camera = camera or view.camera
+        out = np.empty(max_blocks, dtype=np.int32)
+        # Near roots first.
+        middle = (self.low[self.roots] + self.high[self.roots]) / 2
+        order = np.argsort(np.linalg.norm(middle - camera.eye, axis=1), kind="stable")
+        n_out = wanted_nodes(
+            self.roots[order],
+            self.low,
+            self.high,
+            self.errors,
+            self.children,
+            self.is_known,
+            frustum_planes(camera, view.viewport),
+            camera.eye,
+            view.exaggeration,
+            view.gamma,
+            view.max_pixel_error if tau is None else tau,
+            out,
+        )
+        return out[:n_out]
+
+    def lowest_priority(self, view: View, keep: NDArray[np.bool_]) -> NDArray[np.int32]:
+        """Return resident nodes that may be evicted, the least needed first.
+
+        Those without resident children that are not in `keep`, by w = u·V / d.
+        """
+        n = len(self)
+        inner = np.zeros(n, dtype=np.bool_)
+        parents = self.parents[:n][self.is_resident[:n]]
+        inner[parents[parents >= 0]] = True
+        nodes = np.flatnonzero(self.is_resident[:n] & ~keep & ~inner).astype(np.int32)
+        ranks = np.empty(len(nodes))
+        camera = view.camera
+        priorities(nodes, self.low, self.high, view.exaggeration, camera.eye, camera.forward, ranks)
+        return nodes[np.argsort(ranks, kind="stable")]
+
+
+class ErrorGovernor:
+    """Raises τ where triangles or time would exceed their limits, and lets it sink again.
+
+    Parameters
+    ----------
+    max_triangles : int
+        Budget per frame.
+    target_ms : float, optional
+        Time per frame; None: no matter.
+    """
+
+    _LARGEST = 64.0
+
+    def __init__(self, max_triangles: int, target_ms: float | None = None) -> None:
+        self.max_triangles = max_triangles
+        self.target_ms = target_ms
+        self.factor = 1.0
+
+    def after_frame(self, frame_ms: float) -> None:
+        """Adapt to the time that the last frame took."""
+        if self.target_ms is None:
+            return
+        ratio = frame_ms / self.target_ms
+        if ratio > 1.1:
+            self.factor = min(self.factor * min(ratio**0.5, 1.25), self._LARGEST)
+        elif ratio < 0.8:
+            self.factor = max(self.factor / 1.05, 1.0)
+
+    def select(self, table: NodeTable, view: View) -> tuple[Selection, float]:
+        """Return a selection within the budget, and its τ."""
+        tau = view.max_pixel_error * self.factor
+        found = table.select(view, tau)
+        while found.n_triangles > self.max_triangles and tau < 1e6:
+            tau = max(tau, 0.05) * 1.3
+            found = table.select(view, tau)
+        return found, tau

@@ -1,0 +1,248 @@
+"""The window of `terrainwave view`."""
+
+import sys
+import time
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from terrainwave.errors import TerrainwaveError
+from terrainwave.render.camera import format_camera
+from terrainwave.render.controls import HELP, Controls
+from terrainwave.render.offscreen import Offscreen
+from terrainwave.render.overlay import Overlay, draw_overlay
+from terrainwave.render.pictures import choose_camera
+from terrainwave.render.scene import DEFAULT_MAX_BYTES, Frames
+
+if TYPE_CHECKING:
+    from terrainwave.render.style import Style
+    from terrainwave.terrain import Terrain
+
+_OVERLAY_SECONDS = 0.2
+_NO_WINDOW = (
+    "cannot open a window ({problem}); a picture needs none: terrainwave render FILE PICTURE.png;"
+    " a window needs a display and OpenGL 3.3, on Debian and Ubuntu: apt-get install libgl1"
+    " libgl1-mesa-dri libglu1-mesa libx11-6"
+)
+_LEFT, _RIGHT = 1, 2
+
+
+def run(
+    terrain: "Terrain",
+    *,
+    size: tuple[int, int],
+    camera: str | None,
+    style: "Style",
+    max_pixel_error: float,
+    max_bytes: int = DEFAULT_MAX_BYTES,
+    fullscreen: bool = False,
+    **options: Any,
+) -> str:
+    """Show a terrain until the window is closed; return the last camera as a line.
+
+    Raises
+    ------
+    TerrainwaveError
+        If there is no display or no OpenGL 3.3; one line that says what to do.
+    """
+    try:
+        import moderngl_window
+    except ImportError as error:
+        raise TerrainwaveError(
+            "a window needs moderngl-window: pip install 'terrainwave[view]'; a picture needs no"
+            " window: terrainwave render FILE PICTURE.png"
+        ) from error
+
+    toolkit: Any = moderngl_window
+
+    class Config(toolkit.WindowConfig):  # type: ignore[misc]
+        gl_version = (3, 3)
+        title = f"{terrain.name} - terrainwave"
+        window_size = size
+        aspect_ratio = None
+        resizable = True
+        samples = 0
+        clear_color = None
+        log_level = 40
+
+        def on_render(self, time: float, frame_time: float) -> None:
+            self.viewer.render(frame_time)
+
+        def on_resize(self, width: int, height: int) -> None:
+            if hasattr(self, "viewer"):
+                self.viewer.resize()
+
+        def on_key_event(self, key: Any, action: Any, modifiers: Any) -> None:
+            self.viewer.key(key, action == self.wnd.keys.ACTION_PRESS)
+
+        def on_mouse_press_event(self, x: int, y: int, button: int) -> None:
+            self.viewer.press(x, y)
+
+        def on_mouse_drag_event(self, x: int, y: int, dx: int, dy: int) -> None:
+            self.viewer.drag(dx, dy)
+
+        def on_mouse_position_event(self, x: int, y: int, dx: int, dy: int) -> None:
+            self.viewer.cursor = x, y
+
+        def on_mouse_scroll_event(self, x_offset: float, y_offset: float) -> None:
+            self.viewer.scroll(y_offset)
+
+    arguments = ["--vsync", "true"] + (["--fullscreen"] if fullscreen else [])
+    try:
+        config = toolkit.create_window_config_instance(Config, args=arguments)
+    except Exception as error:
+        lines = str(error).strip().splitlines() or [type(error).__name__]
+        raise TerrainwaveError(_NO_WINDOW.format(problem=lines[0][:200])) from error
+    with Offscreen(
+        terrain, config.wnd.buffer_size, context=config.ctx, max_bytes=max_bytes, **options
+    ) as offscreen:
+        first = choose_camera(offscreen.scene.frame, offscreen.viewport, camera)
+        controls = Controls(offscreen.scene, first, style, max_pixel_error)
+        viewer = config.viewer = Viewer(config.wnd, offscreen, controls)
+        _loop(config, viewer)
+        line = viewer.camera_line
+        viewer.overlay.release()
+    config.wnd.destroy()
+    return line
+
+
+def _loop(config: Any, viewer: "Viewer") -> None:
+    """Draw until the window closes; the window is destroyed by the caller, after its content."""
+    window, timer = config.wnd, config.timer
+    timer.start()
+    while not window.is_closing:
+        current, delta = timer.next_frame()
+        window.use()
+        window.render(current, delta)
+        if viewer.controls.is_closing:
+            window.close()
+        if not window.is_closing:
+            window.swap_buffers()
+
+
+class Viewer:
+    """A window's content: scene, controls, overlay."""
+
+    def __init__(self, window: Any, offscreen: Offscreen, controls: Controls) -> None:
+        self._window = window
+        self._offscreen = offscreen
+        self.controls = controls
+        self.overlay = Overlay(offscreen.context)
+        self.cursor = (0, 0)
+        self._times: deque[float] = deque(maxlen=60)
+        self._overlay_time = 0.0
+        self._keys = _key_names(window.keys)
+
+    @property
+    def camera_line(self) -> str:
+        """Return the camera as a line for ``--camera``."""
+        return format_camera(self.controls.camera, self._offscreen.scene.frame)
+
+    def render(self, frame_time: float) -> None:
+        """Draw a frame."""
+        started = time.perf_counter()
+        controls, offscreen = self.controls, self._offscreen
+        size = offscreen.viewport.width, offscreen.viewport.height
+        if size != self._window.buffer_size:
+            self.resize()
+        controls.tick(frame_time)
+        frames = offscreen.draw(
+            controls.camera,
+            controls.style,
+            max_pixel_error=controls.max_pixel_error,
+            settle=offscreen.scene.mode == "full",
+        )
+        offscreen.context.copy_framebuffer(self._window.fbo, offscreen.framebuffer)
+        self._window.use()
+        self._times.append(frame_time)
+        if time.perf_counter() - self._overlay_time > _OVERLAY_SECONDS:
+            self._update_overlay(frames)
+        self.overlay.draw()
+        if controls.wants_camera_line:
+            controls.wants_camera_line = False
+            sys.stdout.write(f"--camera {self.camera_line}\n")
+            sys.stdout.flush()
+        offscreen.scene.governor.after_frame((time.perf_counter() - started) * 1e3)
+
+    def resize(self) -> None:
+        """Follow the window's size."""
+        width, height = self._window.buffer_size
+        if width > 0 and height > 0:
+            self._offscreen.resize((width, height))
+            self._overlay_time = 0.0
+
+    def key(self, key: Any, is_press: bool) -> None:
+        """Take a key event into account."""
+        name = self._keys.get(key)
+        if name is None:
+            return
+        if is_press:
+            self.controls.press(name, self._offscreen.viewport)
+            self._overlay_time = 0.0
+        else:
+            self.controls.release(name)
+
+    def press(self, x: float, y: float) -> None:
+        """Take a mouse button into account."""
+        self.cursor = int(x), int(y)
+        self.controls.grab(self._pick(x, y))
+
+    def drag(self, dx: float, dy: float) -> None:
+        """Take a movement with a button down into account."""
+        self.controls.drag(dx, dy, is_right=bool(self._window.mouse_states.right))
+
+    def scroll(self, steps: float) -> None:
+        """Take the wheel into account."""
+        self.controls.scroll(steps, self._pick(*self.cursor))
+
+    def _pick(self, x: float, y: float) -> Any:
+        ratio = self._window.pixel_ratio
+        return self._offscreen.pick(x * ratio, y * ratio)
+
+    def _update_overlay(self, frames: Frames) -> None:
+        self._overlay_time = time.perf_counter()
+        offscreen, controls = self._offscreen, self.controls
+        viewport, scene = offscreen.viewport, offscreen.scene
+        seconds = float(np.mean(self._times)) if self._times else 0.0
+        raised = "" if frames.tau <= controls.max_pixel_error * 1.01 else " (raised)"
+        loading = f", {frames.n_missing} to come" if frames.n_missing else ""
+        lines = [
+            f"{1 / max(seconds, 1e-6):.0f} fps, {frames.n_triangles:,} triangles in"
+            f" {len(frames.nodes)} blocks{loading}",
+            f"GPU {offscreen.store.n_bytes / 2**20:.0f} MiB,"
+            f" within {frames.tau:.2g} pixels{raised}",
+        ]
+        lines += [f"speed {controls.speed:.3g} m/s"] if controls.is_flying else []
+        under = self._pick(*self.cursor)
+        if under is not None:
+            x, y, z = scene.frame.to_world(under[None])[0]
+            unit = scene.terrain.raster_info.units or ""
+            lines.append(f"{x:.10g}, {y:.10g}: {z:.6g} {unit}".rstrip())
+        lines.append("H: help")
+        middle = offscreen.pick(viewport.width / 2, viewport.height / 2)
+        scale = None
+        if middle is not None:
+            away = float((middle - controls.camera.eye) @ controls.camera.forward)
+            tangent = float(np.tan(np.radians(controls.camera.fov) / 2))
+            scale = 2 * away * tangent / viewport.height
+        self.overlay.set(
+            draw_overlay(
+                viewport, controls.camera, lines, scale, HELP if controls.shows_help else None
+            )
+        )
+
+
+def _key_names(keys: Any) -> dict[Any, str]:
+    """Return what `Controls` calls the keys of a backend: their codes differ."""
+    names = {getattr(keys, letter.upper()): letter for letter in "abcdehlnpqrstw"}
+    others = {
+        "ESCAPE": "escape", "TAB": "tab", "HOME": "home", "COMMA": "comma", "PERIOD": "period",
+        "LEFT_BRACKET": "[", "RIGHT_BRACKET": "]", "MINUS": "-", "EQUAL": "+",
+        "LEFT_SHIFT": "shift", "RIGHT_SHIFT": "shift", "UP": "w", "DOWN": "s",
+        "LEFT": "a", "RIGHT": "d", "PAGE_UP": "e", "PAGE_DOWN": "q",
+    }  # fmt: skip
+    for code, name in others.items():
+        if hasattr(keys, code):
+            names[getattr(keys, code)] = name
+    return names

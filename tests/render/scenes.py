@@ -1,0 +1,107 @@
+"""Small terrains and a store without a GPU, for the tests of rendering."""
+
+import io
+
+import numpy as np
+from twz import twz_bytes
+
+from terrainwave.terrain import Terrain
+
+
+def hills(n_rows=150, n_cols=210, seed=1, amplitude=300.0):
+    """Return fractal heights, float64: sums of bilinear noise, each octave half as high."""
+    rng = np.random.default_rng(seed)
+    heights = np.zeros((n_rows, n_cols))
+    for cells in (2, 4, 8, 16, 32, 64):
+        noise = rng.normal(size=(cells + 2, cells + 2))
+        rows = np.linspace(0, cells, n_rows)[:, None]
+        cols = np.linspace(0, cells, n_cols)[None, :]
+        r, c = rows.astype(int), cols.astype(int)
+        u, v = rows - r, cols - c
+        heights += (amplitude / cells) * (
+            noise[r, c] * (1 - u) * (1 - v)
+            + noise[r + 1, c] * u * (1 - v)
+            + noise[r, c + 1] * (1 - u) * v
+            + noise[r + 1, c + 1] * u * v
+        )
+    return heights
+
+
+def terrain_of(heights, *, pixel=30.0, nodata=None, crs="EPSG:32633", **options):
+    """Return an open terrain of an array whose pixels are `pixel` wide."""
+    import rasterio
+    from rasterio.io import MemoryFile
+
+    with MemoryFile() as memory:
+        with memory.open(
+            driver="GTiff",
+            height=heights.shape[0],
+            width=heights.shape[1],
+            count=1,
+            dtype=heights.dtype,
+            crs=crs,
+            nodata=nodata,
+            transform=rasterio.Affine(pixel, 0, 500000, 0, -pixel, 5200000),
+        ) as dataset:
+            dataset.write(heights, 1)
+        with memory.open() as dataset:
+            data = twz_bytes(dataset, **options)
+    return Terrain(io.BytesIO(data), threads=1)
+
+
+class ListStore:
+    """A `Store` that keeps patches in a dict."""
+
+    def __init__(self, max_blocks=10_000):
+        self.max_blocks = max_blocks
+        self.patches = {}
+
+    def put(self, node, patch):
+        if len(self.patches) >= self.max_blocks:
+            return False
+        self.patches[node] = patch
+        return True
+
+    def drop(self, node):
+        del self.patches[node]
+
+    @property
+    def n_bytes(self):
+        return sum(patch.n_bytes for patch in self.patches.values())
+
+
+def drawn_heights(scene, frames, shape):
+    """Return what each drawn patch shows at full-grid samples: (rows, cols, metres) per patch."""
+    grid = scene.terrain.grid
+    for node, morph in zip(frames.nodes.tolist(), frames.morphs.tolist(), strict=True):
+        patch = scene.store.patches[node]
+        stride = grid.stride(patch.piece.level)
+        first_row = patch.piece.row * grid.block * stride
+        first_col = patch.piece.col * grid.block * stride
+        z = patch.vertices["z"].astype(float)
+        z = z + morph * (patch.vertices["z_parent"].astype(float) - z) + patch.base
+        rows = patch.vertices["row"].astype(int) * stride
+        cols = (patch.vertices["col"].astype(int) & 0x7FFF) * stride
+        found = np.full(
+            (min(grid.block * stride, shape[0] - 1 - first_row) + 1,
+             min(grid.block * stride, shape[1] - 1 - first_col) + 1), np.nan)  # fmt: skip
+        for triangle in patch.triangles[: patch.n_surface]:
+            _fill(found, rows[triangle], cols[triangle], z[triangle])
+        inside = np.argwhere(~np.isnan(found))
+        yield inside[:, 0] + first_row, inside[:, 1] + first_col, found[tuple(inside.T)]
+
+
+def _fill(found, rows, cols, z):
+    """Set the samples in one triangle, whose corners are in half samples."""
+    top, bottom = -(-rows.min() // 2), min(rows.max() // 2, found.shape[0] - 1)
+    left, right = -(-cols.min() // 2), min(cols.max() // 2, found.shape[1] - 1)
+    if top > bottom or left > right:
+        return
+    r, c = 2 * np.arange(top, bottom + 1)[:, None], 2 * np.arange(left, right + 1)[None, :]
+    area = (cols[1] - cols[0]) * (rows[2] - rows[0]) - (cols[2] - cols[0]) * (rows[1] - rows[0])
+    one = (c - cols[0]) * (rows[2] - rows[0]) - (cols[2] - cols[0]) * (r - rows[0])
+    two = (cols[1] - cols[0]) * (r - rows[0]) - (c - cols[0]) * (rows[1] - rows[0])
+    inside = (one >= 0) & (two >= 0) & (one + two <= area)
+    surface = z[0] + (one * (z[1] - z[0]) + two * (z[2] - z[0])) / area
+    part = found[top : bottom + 1, left : right + 1]
+    part[inside] = surface[inside]

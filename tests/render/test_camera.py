@@ -1,0 +1,194 @@
+"""Cameras, frames and γ, without a GPU."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.render.camera import (
+    Camera,
+    Viewport,
+    along,
+    fly,
+    format_camera,
+    gamma_guaranteed,
+    gamma_paper,
+    home,
+    look,
+    orbit,
+    parse_camera,
+    predict,
+    project,
+    projection_matrix,
+    ray,
+    top_view,
+    view_matrix,
+    zoom,
+)
+from terrainwave.render.frame import Frame
+
+UTM = Frame((500000.0, 5200000.0), (1.0, 1.0, 1.0), (30.0, 0.0, -3000.0, 0.0, -30.0, 2000.0),
+            (134, 201), (0.0, 900.0))  # fmt: skip
+FEET = replace(UTM, centre=(8.5, 46.5), metres=(76500.0, 111170.0, 0.3048))
+VIEWPORT = Viewport(1920, 1280)
+
+
+def steps(low, high):
+    """Return numbers from `low` to `high` in thousandths: no subnormal ones."""
+    return st.integers(round(low * 1000), round(high * 1000)).map(lambda number: number / 1000)
+
+
+cameras = st.builds(
+    Camera,
+    st.tuples(*[steps(-1e5, 1e5)] * 3),
+    steps(0, 359.99),
+    steps(-89, 89),
+    steps(10, 120),
+)
+
+
+@given(camera=cameras)
+@pytest.mark.parametrize("frame", [UTM, FEET])
+def test_a_camera_line_gives_the_camera_back(frame, camera):
+    found = parse_camera(format_camera(camera, frame), frame)
+    np.testing.assert_allclose(found.position, camera.position, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(
+        [found.heading, found.pitch, found.fov], [camera.heading, camera.pitch, camera.fov],
+        atol=1e-6,
+    )  # fmt: skip
+
+
+def test_a_camera_line_is_in_the_files_coordinates_and_unit():
+    frame = replace(UTM, metres=FEET.metres, centre=(0.0, 0.0))
+    line = format_camera(Camera((100.0, -50.0, 304.8), 45, -20, 60), frame)
+    x, y, z, *rest = (float(part) for part in line.split(","))
+    assert (x, y, z) == pytest.approx((100 / 76500, -50 / 111170, 1000.0))
+    assert rest == [45, -20, 60]
+
+
+@pytest.mark.parametrize("line", ["", "1,2,3", "1,2,3,4,5,6,7", "1,2,nan,0,0", "1,2,3,0,-91,50",
+                                  "1,2,3,0,0,0.5", "a,b,c,d,e"])  # fmt: skip
+def test_a_line_that_is_no_camera_is_refused(line):
+    with pytest.raises(InvalidHeightsError):
+        parse_camera(line, UTM)
+
+
+@pytest.mark.parametrize(
+    ("heading", "pitch", "forward"),
+    [(0, 0, (0, 1, 0)), (90, 0, (1, 0, 0)), (180, 0, (0, -1, 0)), (0, -90, (0, 0, -1))],
+)
+def test_headings_count_clockwise_from_north(heading, pitch, forward):
+    camera = Camera((0, 0, 0), heading, pitch)
+    np.testing.assert_allclose(camera.forward, forward, atol=1e-12)
+    np.testing.assert_allclose(camera.axes @ camera.axes.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(camera.axes) == pytest.approx(-1)  # right, up, forward: left-handed
+
+
+@given(camera=cameras)
+def test_matrices_project_as_project_does(camera):
+    rng = np.random.default_rng(2)
+    points = camera.eye + rng.normal(size=(20, 3)) * 100 + camera.forward * 500
+    pixels = project(camera, VIEWPORT, points)
+    matrix = projection_matrix(camera, VIEWPORT, 1.0, 1e5) @ view_matrix(camera)
+    clip = np.column_stack([points - camera.eye, np.ones(20)]) @ matrix.T
+    x, y = clip[:, 0] / clip[:, 3], clip[:, 1] / clip[:, 3]
+    np.testing.assert_allclose((x + 1) / 2 * 1920, pixels[:, 0], rtol=1e-6, atol=1e-4)
+    np.testing.assert_allclose((1 - y) / 2 * 1280, pixels[:, 1], rtol=1e-6, atol=1e-4)
+    np.testing.assert_allclose(clip[:, 3], pixels[:, 2], rtol=1e-9)
+
+
+@given(camera=cameras, x=steps(0, 1920), y=steps(0, 1280))
+def test_a_ray_goes_through_its_pixel(camera, x, y):
+    point = camera.eye + ray(camera, VIEWPORT, x, y) * 1000
+    np.testing.assert_allclose(project(camera, VIEWPORT, point[None])[0, :2], (x, y), atol=1e-3)
+
+
+def test_gamma_of_the_paper_is_its_formula():
+    camera = Camera((0, 0, 0), fov=60)
+    expected = 0.5 * 1920 / math.tan(math.radians(30))
+    assert gamma_paper(camera, VIEWPORT) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(("fov", "size"), [(60, (1920, 1280)), (90, (640, 640)), (100, (300, 900))])
+def test_gamma_bounds_pixels_everywhere_and_is_nearly_reached(fov, size):
+    """Steps of any direction at any place in view: never more than γ · step / distance."""
+    camera, viewport = Camera((0, 0, 0), 0, 0, fov), Viewport(*size)
+    gamma = gamma_guaranteed(camera, viewport)
+    rng = np.random.default_rng(3)
+    n = 200_000
+    x, y = rng.uniform(0, size[0], n), rng.uniform(0, size[1], n)
+    x[: n // 2] = np.where(rng.random(n // 2) < 0.5, 0.5, size[0] - 0.5)
+    y[: n // 2] = np.where(rng.random(n // 2) < 0.5, 0.5, size[1] - 0.5)
+    tangent = math.tan(math.radians(fov) / 2) / (size[1] / 2)
+    rays = np.column_stack([(x - size[0] / 2) * tangent, np.ones(n), (size[1] / 2 - y) * tangent])
+    first = rays * rng.uniform(10, 1000, (n, 1))
+    step = rng.normal(size=(n, 3))
+    step *= 1e-3 / np.linalg.norm(step, axis=1, keepdims=True)
+    moved = project(camera, viewport, first + step) - project(camera, viewport, first)
+    apart = np.hypot(moved[:, 0], moved[:, 1])
+    distance = np.minimum(np.linalg.norm(first, axis=1), np.linalg.norm(first + step, axis=1))
+    share = apart / (gamma * 1e-3 / distance)
+    assert share.max() <= 1.0 + 1e-6
+    if gamma > gamma_paper(camera, viewport):
+        assert share.max() > 0.95
+
+
+@pytest.mark.parametrize("size", [(1920, 1280), (500, 900), (300, 300)])
+@pytest.mark.parametrize("heading", [0.0, 37.0])
+@pytest.mark.parametrize("pitch", [-20.0, -38.0, -90.0])
+def test_home_shows_the_whole_box_and_fills_a_side(size, heading, pitch):
+    viewport = Viewport(*size)
+    low, high = UTM.box
+    camera = home((low, high), viewport, heading=heading, pitch=pitch)
+    corners = np.array(
+        [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    )
+    pixels = project(camera, viewport, corners)
+    assert not np.isnan(pixels).any()
+    assert pixels[:, :2].min() >= 0
+    assert (pixels[:, :2].max(axis=0) <= size).all()
+    filled = (pixels[:, :2].max(axis=0) - pixels[:, :2].min(axis=0)) / size
+    assert filled.max() > 0.7
+    assert top_view((low, high), viewport).pitch == -90
+
+
+def test_flying_moves_along_the_cameras_axes():
+    camera = fly(Camera((0, 0, 0), 90, 0), right=1, up=2, forward=3)
+    np.testing.assert_allclose(camera.position, (3, -1, 2), atol=1e-12)
+
+
+@given(camera=cameras, turn=steps(-90, 90), tilt=steps(-30, 30))
+def test_orbiting_keeps_the_pivot_in_its_pixel(camera, turn, tilt):
+    pivot = camera.eye + camera.forward * 500 + camera.axes[0] * 50
+    turned = orbit(camera, pivot, turn, tilt)
+    before, after = (project(c, VIEWPORT, pivot[None])[0] for c in (camera, turned))
+    np.testing.assert_allclose(after, before, rtol=1e-5, atol=1e-3)
+
+
+def test_zooming_goes_towards_the_point():
+    camera = zoom(Camera((0, 0, 100.0)), np.zeros(3), 0.25)
+    assert camera.position == (0, 0, 25)
+
+
+def test_looking_stops_before_the_poles():
+    assert look(Camera((0, 0, 0), 350, 80), 20, 30).heading == pytest.approx(10)
+    assert look(Camera((0, 0, 0), 350, 80), 20, 30).pitch < 90
+
+
+def test_prediction_goes_on_as_before():
+    """P₂ = 2 P₁ − P₀ (Zhang et al. 2012, eq. 15)."""
+    found = predict(Camera((1, 2, 3)), Camera((2, 4, 4)))
+    assert found.position == (3, 6, 5)
+
+
+def test_a_flight_goes_through_its_keys_the_shorter_way_round():
+    keys = [Camera((0, 0, 0), 350), Camera((10, 0, 0), 10), Camera((10, 10, 0), 90)]
+    for number, key in enumerate(keys):
+        found = along(keys, number / 2)
+        np.testing.assert_allclose(found.position, key.position, atol=1e-12)
+        assert found.heading == pytest.approx(key.heading)
+    assert along(keys, 0.25).heading == pytest.approx(0)

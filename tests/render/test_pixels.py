@@ -1,0 +1,253 @@
+"""Pixels drawn without a screen: no gaps, equal shades on borders, the surface where it should be.
+
+These need EGL and an OpenGL 3.3 driver, such as Mesa's (see tools/install_gl.sh); without one they
+fail.
+"""
+
+import numpy as np
+import pytest
+from render.scenes import hills, terrain_of
+
+from terrainwave.render.camera import Camera, home, project, top_view
+from terrainwave.render.offscreen import Offscreen, create_context
+from terrainwave.render.renderer import Renderer
+from terrainwave.render.style import Style
+
+pytestmark = [pytest.mark.gl, pytest.mark.large]
+
+LOUD = (255, 0, 255)
+SIZE = (320, 240)
+
+
+@pytest.fixture(scope="module")
+def context():
+    context = create_context()
+    yield context
+    context.release()
+
+
+@pytest.fixture(autouse=True)
+def no_gl_errors(context):
+    assert context.error == "GL_NO_ERROR"
+    yield
+    assert context.error == "GL_NO_ERROR"
+
+
+@pytest.fixture(scope="module")
+def rough():
+    with terrain_of(np.round(hills(150, 210, 1)).astype(np.int16), max_error=0) as terrain:
+        yield terrain
+
+
+@pytest.fixture(scope="module")
+def with_voids():
+    heights = np.round(hills(133, 170, 2)).astype(np.int16)
+    heights[40:60, 30:55] = -32768
+    with terrain_of(heights, max_error=0, nodata=-32768) as terrain:
+        yield terrain
+
+
+def loud(image):
+    return (image == LOUD).all(axis=2)
+
+
+def eroded(mask, n=1):
+    """Return the pixels whose neighbours up to n away are all in the mask."""
+    for _ in range(n):
+        padded = np.pad(mask, 1)
+        near = [padded[1 + r : padded.shape[0] - 1 + r, 1 + c : padded.shape[1] - 1 + c]
+                for r in (-1, 0, 1) for c in (-1, 0, 1)]  # fmt: skip
+        mask = np.logical_and.reduce(near)
+    return mask
+
+
+def random_camera(rng, frame):
+    low, high = frame.box
+    x, y = rng.uniform(low[:2], high[:2])
+    z = high[2] + rng.uniform(30, 0.4 * (high - low).max())
+    heading = np.degrees(np.arctan2(-x, -y)) + rng.uniform(-60, 60)
+    return Camera((x, y, z), heading % 360, rng.uniform(-80, -15), rng.uniform(30, 80))
+
+
+@pytest.mark.parametrize("tau", [1.0, 6.0])
+def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, tau):
+    rng = np.random.default_rng(1)
+    style = Style(background=LOUD, coloring="flat")
+    options = {"samples": 0, "context": context}
+    n_levels = set()
+    with (
+        Offscreen(rough, SIZE, mode="full", **options) as full,
+        Offscreen(rough, SIZE, **options) as adaptive,
+    ):
+        for _ in range(15):
+            camera = random_camera(rng, full.scene.frame)
+            reference, _ = full.picture(camera, style)
+            image, frames = adaptive.picture(camera, style, max_pixel_error=tau)
+            pieces = [adaptive.scene.table.pieces[node] for node in frames.nodes.tolist()]
+            n_levels |= {(piece.level, piece.variant) for piece in pieces}
+            # Outlines against the background may move by τ and a pixel.
+            inside = eroded(~loud(reference), int(np.ceil(tau)) + 1)
+            assert inside.sum() > 1000
+            assert (loud(image) & inside).sum() == 0
+    assert len(n_levels) > 2
+
+
+def test_no_gap_shows_while_paging(context, rough):
+    """Blocks of all levels side by side, parents standing in: still no gap."""
+    style = Style(background=LOUD, coloring="flat")
+    options = {"samples": 0, "context": context}
+    with (
+        Offscreen(rough, SIZE, mode="full", **options) as full,
+        Offscreen(rough, SIZE, n_workers=1, **options) as adaptive,
+    ):
+        camera = Camera((0.0, -1500.0, full.scene.frame.box[1][2] + 200), 0, -25, 60)
+        reference, _ = full.picture(camera, style)
+        adaptive.picture(camera, style, max_pixel_error=1e5)  # the root alone
+        n_frames, is_done = 0, False
+        while not is_done:
+            image, frames = adaptive.picture(camera, style, max_pixel_error=0.5, settle=False)
+            inside = eroded(~loud(reference), 12)  # the root is coarse
+            assert inside.sum() > 1000
+            assert (loud(image) & inside).sum() == 0
+            is_done = not frames.n_missing
+            n_frames += 1
+            adaptive.scene._pager.wait(5)
+        assert n_frames > 3
+
+
+def test_voids_are_as_in_the_full_terrain(context, with_voids):
+    style = Style(background=LOUD, coloring="flat")
+    options = {"samples": 0, "context": context}
+    with (
+        Offscreen(with_voids, SIZE, mode="full", **options) as full,
+        Offscreen(with_voids, SIZE, **options) as adaptive,
+    ):
+        camera = top_view(full.scene.frame.box, full.viewport)
+        reference, _ = full.picture(camera, style)
+        image, _ = adaptive.picture(camera, style, max_pixel_error=0.2)
+        assert eroded(loud(reference)).sum() > 100
+        assert (loud(image) & eroded(~loud(reference))).sum() == 0
+        assert (~loud(image) & eroded(loud(reference))).sum() == 0
+
+
+def test_shades_agree_across_borders_of_one_level(context):
+    """On a smooth surface, whose shade hardly changes from pixel to pixel."""
+    rows, cols = np.mgrid[0:129, 0:129]
+    smooth = (400 * np.sin(rows / 40) * np.cos(cols / 45)).astype(np.float32)
+    with terrain_of(smooth, max_error=0.01, mesh_error=4.0) as terrain:
+        with Offscreen(terrain, (516, 516), samples=0, context=context) as offscreen:
+            camera = top_view(offscreen.scene.frame.box, offscreen.viewport)
+            style = Style(coloring="plain", haze=0, background=LOUD)
+            view = offscreen.scene.view(camera, offscreen.viewport, 0.5)
+            image, frames = offscreen.picture(camera, style, max_pixel_error=0.5)
+            pieces = [offscreen.scene.table.pieces[node] for node in frames.nodes.tolist()]
+            assert len({piece.level for piece in pieces}) == 1
+            assert len(pieces) == 16
+            grey = image.astype(int)
+            # Second differences: a step at a border would stand out from the slow change.
+            for k in (1, 2, 3):
+                xy = offscreen.scene.frame.samples_to_local(np.array([64]), np.array([32 * k]))
+                column = round(
+                    float(project(camera, view.viewport, np.array([[*xy[0], 0.0]]))[0, 0])
+                )
+                band = grey[40:-40, column - 4 : column + 4]
+                steps = np.diff(band, axis=1)
+                assert np.abs(np.diff(steps, axis=1)).max() <= 2
+                assert np.abs(steps).max() <= 3
+
+
+def waves(rows, cols):
+    """Return heights and their slopes to the east and north, of 30 m samples."""
+    heights = 200 * np.sin(rows / 11) * np.cos(cols / 9)
+    east = -200 / 9 * np.sin(rows / 11) * np.sin(cols / 9) / 30
+    north = -200 / 11 * np.cos(rows / 11) * np.cos(cols / 9) / 30
+    return heights, east, north
+
+
+@pytest.mark.parametrize("exaggeration", [1.0, 2.5])
+def test_the_surface_and_its_shade_are_where_the_heights_say(context, exaggeration):
+    """Places read back from the depth buffer, and greys, against a known function."""
+    rows, cols = np.mgrid[0:150, 0:210]
+    heights = waves(rows, cols)[0].astype(np.float32)
+    style = Style(coloring="plain", haze=0, background=LOUD)
+    rng = np.random.default_rng(3)
+    with terrain_of(heights, max_error=0.1, mesh_error=0.2) as terrain:
+        options = {"samples": 0, "context": context, "exaggeration": exaggeration}
+        with Offscreen(terrain, SIZE, **options) as offscreen:
+            frame, n_seen = offscreen.scene.frame, 0
+            for number in range(4):
+                camera = random_camera(rng, frame)
+                if not number:
+                    camera = top_view(frame.box, offscreen.viewport)
+                image, frames = offscreen.picture(camera, style, max_pixel_error=0.02)
+                assert offscreen.scene.table.errors[frames.nodes].max() < 0.6
+                for _ in range(60):
+                    x, y = rng.integers(0, SIZE[0]), rng.integers(0, SIZE[1])
+                    place = offscreen.pick(x, y)
+                    if place is None:
+                        continue
+                    col = (place[0] - frame.sample_matrix[2]) / 30
+                    row = (place[1] - frame.sample_matrix[5]) / -30
+                    if not (2 < row < 147 and 2 < col < 207):
+                        continue
+                    z, east, north = waves(row, col)
+                    # Triangles lie below a curve by curvature / 8; depths have 24 bits.
+                    assert abs(place[2] / exaggeration - z) < 1.5
+                    normal = np.array([-east * exaggeration, -north * exaggeration, 1.0])
+                    normal /= np.linalg.norm(normal)
+                    lit = max(normal @ style.sun_vector, 0) / style.sun_vector[2]
+                    sun_x, sun_y, up = style.sun_vector
+                    fill = max(normal @ [-sun_x, -sun_y, up], 0)
+                    light = 0.30 * (0.5 + 0.5 * normal[2]) + 0.22 * fill + 0.60 * min(lit, 1.45)
+                    warm = 0.92 + (1.0 - 0.92) * min(lit, 1.0)
+                    expected = min(0.80 * light * warm, 1.0) * 255  # green
+                    assert abs(int(image[y, x, 1]) - expected) < 4
+                    n_seen += 1
+            assert n_seen > 80
+
+
+def test_drawing_block_by_block_gives_the_same_picture(context, rough):
+    """What a driver without indirect draws (OpenGL 3.3, macOS) does."""
+    style = Style()
+    with Offscreen(rough, SIZE, samples=0, context=context) as offscreen:
+        camera = home(offscreen.scene.frame.box, offscreen.viewport)
+        image, frames = offscreen.picture(camera, style)
+        assert offscreen.renderer.is_indirect
+        assert offscreen.renderer.n_draw_calls == 1
+        offscreen.renderer.release()
+        offscreen.renderer = Renderer(context, offscreen.scene, offscreen.store, indirect=False)
+        again, _ = offscreen.picture(camera, style)
+        assert offscreen.renderer.n_draw_calls == len(frames.nodes)
+        np.testing.assert_array_equal(image, again)
+
+
+def test_a_picture_is_the_same_each_time(context, rough):
+    images = []
+    for n_workers in (1, 3):
+        with Offscreen(rough, SIZE, context=context, n_workers=n_workers) as offscreen:
+            camera = home(offscreen.scene.frame.box, offscreen.viewport)
+            images.append(offscreen.picture(camera, Style())[0])
+    np.testing.assert_array_equal(*images)
+
+
+def test_buffers_grow_and_memory_keeps_to_its_limit(context, rough):
+    with Offscreen(rough, SIZE, context=context, max_bytes=64 << 20) as offscreen:
+        rng = np.random.default_rng(2)
+        sizes = []
+        for _ in range(12):
+            offscreen.picture(
+                random_camera(rng, offscreen.scene.frame), Style(), max_pixel_error=0.3
+            )
+            sizes.append(offscreen.store.n_bytes)
+        assert max(sizes) <= 64 << 20
+
+
+@pytest.mark.parametrize("coloring", ["ground", "ramp", "level", "error", "plain"])
+def test_every_colouring_draws_the_terrain_in_many_colours(context, rough, coloring):
+    with Offscreen(rough, SIZE, samples=0, context=context) as offscreen:
+        camera = home(offscreen.scene.frame.box, offscreen.viewport)
+        style = Style(coloring=coloring, background=LOUD)
+        image, _ = offscreen.picture(camera, style)
+        terrain = image[~loud(image)]
+        assert len(terrain) > 3000
+        assert len(np.unique(terrain, axis=0)) > 50

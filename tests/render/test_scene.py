@@ -1,0 +1,264 @@
+"""The promise on screen, borders, memory: a scene on a store without a GPU."""
+
+import numpy as np
+import pytest
+from render.scenes import ListStore, drawn_heights, hills, terrain_of
+
+from terrainwave.errors import CorruptStreamError
+from terrainwave.render.camera import Camera, Viewport, fly, home, look, project
+from terrainwave.render.scene import Scene
+
+pytestmark = pytest.mark.large
+
+VIEWPORT = Viewport(480, 320)
+
+
+def rasters():
+    rough = np.round(hills(150, 210, 1)).astype(np.int16)
+    with_voids = np.round(hills(133, 97, 2)).astype(np.int16)
+    with_voids[40:60, 30:55] = -32768
+    with_voids[np.random.default_rng(3).random(with_voids.shape) < 0.01] = -32768
+    smooth = hills(180, 120, 4).astype(np.float32)
+    return {
+        "rough": (rough, {"max_error": 0}),
+        "voids": (with_voids, {"max_error": 2, "nodata": -32768}),
+        "floats": (smooth, {"max_error": 0.5}),
+        "no meshes": (rough[:100, :90], {"max_error": 1, "mesh": "none"}),
+    }
+
+
+@pytest.fixture(params=list(rasters()))
+def original_and_terrain(request):
+    heights, options = rasters()[request.param]
+    valid = heights != options.get("nodata", -99999)
+    with terrain_of(heights, **options) as terrain:
+        yield heights, valid, terrain
+
+
+def random_camera(rng, scene):
+    low, high = scene.frame.box
+    x, y = rng.uniform(low[:2], high[:2]) * 1.3
+    z = high[2] + rng.uniform(20, 1.0 * (high - low).max())
+    heading = np.degrees(np.arctan2(-x, -y)) + rng.uniform(-40, 40)
+    return Camera((x, y, z), heading % 360, rng.uniform(-70, -10), rng.uniform(30, 80))
+
+
+@pytest.mark.parametrize("error", ["measured", "paper"])
+def test_no_original_in_view_is_further_than_tau_from_the_surface(original_and_terrain, error):
+    heights, valid, terrain = original_and_terrain
+    rng = np.random.default_rng(4)
+    n_compared = n_coarse = n_morphed = 0
+    with Scene(terrain, ListStore(), error=error) as scene:
+        for _ in range(8):
+            camera = random_camera(rng, scene)
+            tau = rng.uniform(1, 12)
+            view = scene.view(camera, VIEWPORT, tau)
+            frames = scene.settle(view)
+            assert frames.tau == pytest.approx(tau)
+            finest = terrain.n_levels - 1
+            n_coarse += sum(scene.table.pieces[n].level < finest for n in frames.nodes)
+            n_morphed += (frames.morphs > 0).sum()
+            for (rows, cols, z), distance, node in zip(
+                drawn_heights(scene, frames, heights.shape), frames.distances, frames.nodes
+            ):
+                # Where even the finest mesh is coarser than τ, its own error is what holds.
+                allowed = max(tau, view.gamma * scene.table.errors[node] / max(distance, 1e-9))
+                if scene.table.pieces[node][0] < finest or scene.table.pieces[node].variant:
+                    allowed = tau
+                known = valid[rows, cols]
+                rows, cols, z = rows[known], cols[known], z[known]
+                xy = scene.frame.samples_to_local(rows, cols)
+                drawn = project(camera, VIEWPORT, np.column_stack([xy, z]))
+                true = project(camera, VIEWPORT, np.column_stack([xy, heights[rows, cols]]))
+                with np.errstate(invalid="ignore"):
+                    seen = ((true >= 0) & (true <= [480, 320, np.inf])).all(axis=1)
+                    seen &= ((drawn >= 0) & (drawn <= [480, 320, np.inf])).all(axis=1)
+                apart = np.hypot(*(drawn - true)[seen, :2].T)
+                assert apart.max(initial=0) <= allowed + 1e-3
+                n_compared += len(apart)
+    assert n_compared > 20_000
+    assert n_coarse > 5
+    assert n_morphed > 0
+
+
+def test_a_morph_never_takes_more_than_the_error_leaves(original_and_terrain):
+    """error + share · distance to the parent's surface <= τ · distance / γ, for each block."""
+    _, _, terrain = original_and_terrain
+    rng = np.random.default_rng(14)
+    n_limited = 0
+    with Scene(terrain, ListStore()) as scene:
+        for _ in range(60):
+            camera = random_camera(rng, scene)
+            view = scene.view(camera, VIEWPORT, rng.uniform(0.5, 12))
+            frames = scene.settle(view)
+            patches = [scene.store.patches[node] for node in frames.nodes.tolist()]
+            errors = np.array([patch.error for patch in patches])
+            spread = np.array([patch.morph for patch in patches])
+            allowed = frames.tau * frames.distances / view.gamma
+            used = errors + frames.morphs * spread
+            assert (used <= np.maximum(allowed, errors) * (1 + 1e-9)).all()
+            n_limited += ((frames.morphs > 0) & (errors + spread > allowed)).sum()
+    assert n_limited > 0
+
+
+def test_what_is_drawn_covers_every_valid_cell_in_view_once(original_and_terrain):
+    heights, valid, terrain = original_and_terrain
+    whole = valid[:-1, :-1] & valid[1:, :-1] & valid[:-1, 1:] & valid[1:, 1:]
+    inner = np.zeros_like(valid)
+    inner[1:-1, 1:-1] = whole[:-1, :-1] & whole[1:, :-1] & whole[:-1, 1:] & whole[1:, 1:]
+    rng = np.random.default_rng(5)
+    with Scene(terrain, ListStore()) as scene:
+        for _ in range(4):
+            camera = random_camera(rng, scene)
+            frames = scene.settle(scene.view(camera, VIEWPORT, 0.3))
+            count = np.zeros(heights.shape, dtype=int)
+            for rows, cols, _ in drawn_heights(scene, frames, heights.shape):
+                count[rows, cols] += 1
+            rows, cols = np.nonzero(inner)
+            xy = scene.frame.samples_to_local(rows, cols)
+            pixels = project(camera, VIEWPORT, np.column_stack([xy, heights[rows, cols]]))
+            with np.errstate(invalid="ignore"):
+                seen = ((pixels >= 0) & (pixels <= [480, 320, np.inf])).all(axis=1)
+            # Coarse levels lose samples beside voids; without voids nothing is missing.
+            missing = (count[rows, cols] == 0) & seen
+            assert missing.sum() <= (0 if valid.all() else 0.2 * seen.sum())
+
+
+def test_borders_of_one_level_have_equal_slopes_and_a_parent_close_by(original_and_terrain):
+    _, _, terrain = original_and_terrain
+    grid = terrain.grid
+    with Scene(terrain, ListStore()) as scene:
+        builder = scene._builder
+        for level in range(terrain.n_levels):
+            slopes = {block: builder.slopes(block) for block in grid.blocks(level)}
+            n_compared = 0
+            for block, here in slopes.items():
+                beside = slopes.get(block._replace(col=block.col + 1))
+                if beside is not None:
+                    n = grid.block_region(block).n_rows + 2
+                    # The shared column and one on each side of it.
+                    at = slice(grid.block, grid.block + 3)
+                    np.testing.assert_array_equal(here[:n, at], beside[:n, :3])
+                    n_compared += 1
+                below = slopes.get(block._replace(row=block.row + 1))
+                if below is not None:
+                    n = grid.block_region(block).n_cols + 2
+                    at = slice(grid.block, grid.block + 3)
+                    np.testing.assert_array_equal(here[at, :n], below[:3, :n])
+            assert n_compared > 0 or len(slopes) < 3
+
+
+def test_slopes_are_those_of_a_plane():
+    rows, cols = np.mgrid[0:70, 0:90]
+    plane = (3.0 * cols - 6.0 * rows).astype(np.float32)  # 30 m pixels, rows to the south
+    with terrain_of(plane, max_error=0.01) as terrain, Scene(terrain, ListStore()) as scene:
+        for level in range(terrain.n_levels):
+            for block in terrain.grid.blocks(level):
+                slopes = scene._builder.slopes(block).astype(float)
+                np.testing.assert_allclose(slopes[..., 0], 0.1, atol=2e-3)
+                np.testing.assert_allclose(slopes[..., 1], 0.2, atol=2e-3)
+
+
+def test_skirts_reach_the_neighbours_surface(original_and_terrain):
+    """Where two drawn patches share samples, the upper one's skirt covers the step."""
+    heights, _, terrain = original_and_terrain
+    rng = np.random.default_rng(6)
+    n_shared = 0
+    with Scene(terrain, ListStore()) as scene:
+        for _ in range(4):
+            frames = scene.settle(scene.view(random_camera(rng, scene), VIEWPORT, 3.0))
+            top = np.full(heights.shape, -np.inf)
+            low, skirt = np.full(heights.shape, np.inf), np.full(heights.shape, np.inf)
+            drawn = drawn_heights(scene, frames, heights.shape)
+            for (rows, cols, z), depth in zip(drawn, frames.skirts, strict=True):
+                top[rows, cols] = np.maximum(top[rows, cols], z)
+                low[rows, cols] = np.minimum(low[rows, cols], z)
+                skirt[rows, cols] = np.minimum(skirt[rows, cols], depth)
+            shared = (top > low) & np.isfinite(low)
+            n_shared += shared.sum()
+            assert ((top - low)[shared] <= skirt[shared] + 1e-6).all()
+    assert n_shared > 10
+
+
+def test_memory_keeps_to_its_limit_on_a_flight_and_parents_stand_in():
+    heights = np.round(hills(300, 300, 7)).astype(np.int16)
+    store = ListStore(max_blocks=30)
+    with terrain_of(heights, max_error=0) as terrain, Scene(terrain, store) as scene:
+        camera = home(scene.frame.box, VIEWPORT)
+        scene.settle(scene.view(camera, VIEWPORT, 2.0))
+        n_dropped, seen = 0, set(store.patches)
+        for step in range(150):
+            camera = look(fly(camera, 0, 0, 60), 7 if step % 20 < 10 else -11, 0)
+            scene._pager.wait(5)
+            frames = scene.update(scene.view(camera, VIEWPORT, 1.0))
+            assert len(store.patches) <= 30
+            resident = scene.table.is_resident[: len(scene.table)]
+            assert set(store.patches) == set(np.flatnonzero(resident))
+            assert resident[frames.nodes].all()
+            n_dropped += len(seen - set(store.patches))
+            seen |= set(store.patches)
+        assert n_dropped > 30
+        frames = scene.settle(scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 2.0))
+        assert len(frames.nodes)
+
+
+def test_a_full_store_raises_tau_rather_than_wait_for_ever():
+    heights = np.round(hills(200, 200, 8)).astype(np.int16)
+    store = ListStore(max_blocks=12)
+    store.put = lambda node, patch, put=store.put: len(store.patches) < 9 and put(node, patch)
+    with terrain_of(heights, max_error=0) as terrain, Scene(terrain, store) as scene:
+        view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 0.5)
+        frames = scene.settle(view, timeout=60)
+        assert frames.tau > 0.5
+
+
+def test_what_the_camera_flies_to_is_read_ahead():
+    heights = np.round(hills(300, 300, 9)).astype(np.int16)
+    with terrain_of(heights, max_error=0) as terrain, Scene(terrain, ListStore()) as scene:
+        low, high = scene.frame.box
+        x, z = float(low[0]), float(high[2]) + 500
+        first, second = (Camera((x + 800 * step, 0.0, z), 90, -60, 25) for step in (0, 1))
+        scene.settle(scene.view(first, VIEWPORT, 1.0))
+        scene.settle(scene.view(second, VIEWPORT, 1.0))
+        before = set(scene.store.patches)
+        scene._last_camera = first
+        scene.update(scene.view(second, VIEWPORT, 1.0))
+        third = scene.view(Camera((x + 1600, 0.0, z), 90, -60, 25), VIEWPORT, 1.0)
+        asked = set(scene._requested)
+        assert asked
+        wanted = scene.table.wanted(third, 10_000, scene._split_error(third))
+        assert asked <= {scene.table.pieces[node] for node in wanted}
+        assert scene._pager.wait(30)
+        scene.update(scene.view(second, VIEWPORT, 1.0))
+        assert set(scene.store.patches) > before
+
+
+def test_a_damaged_block_is_drawn_coarser_and_named():
+    heights = np.round(hills(150, 210, 1)).astype(np.int16)
+    with terrain_of(heights, max_error=0) as terrain, Scene(terrain, ListStore()) as scene:
+        build = scene._builder.build
+
+        def damaged(piece, is_cancelled=lambda: False):
+            if piece.level == terrain.n_levels - 1 and piece.row == 1:
+                raise CorruptStreamError("the group is damaged")
+            return build(piece, is_cancelled)
+
+        scene._pager._build = damaged
+        frames = scene.settle(scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 0.2))
+        assert len(frames.nodes)
+        assert set(scene.problems.values()) == {"the group is damaged"}
+
+
+def test_all_finest_blocks_in_view_come_in_parts_that_fit():
+    heights = np.round(hills(150, 210, 1)).astype(np.int16)
+    store = ListStore(max_blocks=5)
+    with terrain_of(heights, max_error=0) as terrain, Scene(terrain, store, mode="full") as scene:
+        view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT)
+        count = np.zeros(heights.shape, dtype=int)
+        for frames in scene.parts(view):
+            assert len(store.patches) <= 5
+            for rows, cols, z in drawn_heights(scene, frames, heights.shape):
+                count[rows, cols] += 1
+                assert np.abs(z - heights[rows, cols]).max() <= 1
+        assert (count > 0).all()
+        assert not store.patches

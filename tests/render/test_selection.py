@@ -1,0 +1,194 @@
+"""Frustum, selection, wanted lists and limits against obvious versions, without a GPU."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from terrainwave.render.arena import Arena
+from terrainwave.render.camera import Camera, Viewport, project
+from terrainwave.render.frustum import frustum_planes, may_see
+from terrainwave.render.selection import ErrorGovernor, NodeInfo, NodeTable, Piece, View
+
+VIEWPORT = Viewport(640, 480)
+
+
+def random_camera(rng):
+    x, y, z = rng.uniform(-600, 600), rng.uniform(-600, 600), rng.uniform(5, 400)
+    return Camera((x, y, z), rng.uniform(0, 360), rng.uniform(-60, 10), rng.uniform(30, 90))
+
+
+def test_a_box_with_a_visible_point_is_never_culled():
+    rng = np.random.default_rng(1)
+    n_seen = n_culled = 0
+    for _ in range(2000):
+        camera = random_camera(rng)
+        low = rng.uniform(-800, 800, 3)
+        high = low + rng.uniform(0, 200, 3)
+        points = rng.uniform(low, high, (40, 3))
+        pixels = project(camera, VIEWPORT, points)
+        with np.errstate(invalid="ignore"):
+            inside = (pixels[:, 0] >= 0) & (pixels[:, 0] <= 640)
+            inside &= (pixels[:, 1] >= 0) & (pixels[:, 1] <= 480)
+        is_seen = may_see(frustum_planes(camera, VIEWPORT), low, high)
+        if inside.any():
+            assert is_seen
+            n_seen += 1
+        n_culled += not is_seen
+    assert n_seen > 100
+    assert n_culled > 1000  # most boxes elsewhere do go
+
+
+def random_tree(rng, depth=5, share_resident=0.8):
+    """Return a table of a quadtree over ±512 m with random errors, boxes and absences."""
+    table = NodeTable()
+
+    def info(level, row, col):
+        side = 1024 / (1 << level)
+        x, y = -512 + col * side, -512 + row * side
+        z = rng.uniform(0, 50)
+        return NodeInfo(
+            Piece(level, row, col), (x, y, z), (x + side, y + side, z + rng.uniform(0, 40)),
+            rng.uniform(0, 30) / (1 << level),
+        )  # fmt: skip
+
+    def grow(node, level, row, col):
+        table.is_resident[node] = level == 0 or rng.random() < share_resident
+        table.n_triangles[node] = rng.integers(1, 100)
+        if level == depth or rng.random() < 0.1:
+            return
+        places = [(2 * row + r, 2 * col + c) for r in (0, 1) for c in (0, 1) if rng.random() < 0.9]
+        table.add_children(node, [info(level + 1, *place) for place in places])
+        for place in places:
+            child = table.find(Piece(level + 1, *place))
+            grow(child, level + 1, *place)
+
+    for place in ((0, 0),):
+        grow(table.add(info(0, *place)), 0, *place)
+    return table
+
+
+def brute_selection(table, view, tau):
+    planes, scale = view.planes, np.array([1.0, 1.0, view.exaggeration])
+
+    def is_seen(node):
+        corners = np.array(np.meshgrid(*zip(table.low[node] * scale, table.high[node] * scale)))
+        distances = corners.reshape(3, -1).T @ planes[:, :3].T + planes[:, 3]
+        return bool((distances.max(axis=0) >= 0).all())
+
+    def distance(node):
+        low, high = table.low[node] * scale, table.high[node] * scale
+        return np.linalg.norm(np.clip(view.camera.eye, low, high) - view.camera.eye)
+
+    def visit(node):
+        if not table.is_resident[node] or not is_seen(node):
+            return []
+        children = [child for child in table.children[node] if child >= 0]
+        seen = [child for child in children if is_seen(child)]
+        on_screen = view.gamma * table.errors[node] * view.exaggeration
+        if (
+            on_screen > tau * distance(node)
+            and children
+            and all(table.is_resident[child] for child in seen)
+        ):
+            return [found for child in seen for found in visit(child)]
+        return [int(node)]
+
+    return [found for root in table.roots for found in visit(root)]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_selection_is_that_of_the_obvious_recursion(seed):
+    rng = np.random.default_rng(seed)
+    table = random_tree(rng)
+    for _ in range(10):
+        view = View(random_camera(rng), VIEWPORT, rng.uniform(0.5, 20), exaggeration=1.5)
+        found = table.select(view)
+        assert sorted(found.nodes.tolist()) == sorted(
+            brute_selection(table, view, view.max_pixel_error)
+        )
+        assert found.n_triangles == table.n_triangles[found.nodes].sum()
+
+
+def test_what_is_wanted_comes_breadth_first_with_its_ancestors():
+    rng = np.random.default_rng(5)
+    table = random_tree(rng, share_resident=0.0)
+    view = View(Camera((0, -600, 200), 0, -20, 60), VIEWPORT, 1.0)
+    wanted = table.wanted(view, 1000).tolist()
+    levels = [table.pieces[node].level for node in wanted]
+    assert levels == sorted(levels)
+    assert all(table.parents[node] in {-1, *wanted} for node in wanted)
+    assert table.wanted(view, 7).tolist() == wanted[:7]
+    # Once all of it is here, the selection needs nothing that was not wanted.
+    table.is_resident[wanted] = True
+    assert set(table.select(view).nodes.tolist()) <= set(wanted)
+
+
+def test_eviction_takes_leaves_with_the_lowest_priority_first():
+    """w = u·V / d (Zhang et al. 2012, eq. 13)."""
+    rng = np.random.default_rng(6)
+    table = random_tree(rng, share_resident=1.0)
+    view = View(Camera((0, -600, 200), 0, -20, 60), VIEWPORT)
+    keep = np.zeros(len(table), dtype=bool)
+    keep[table.wanted(view, 20)] = True
+    order = table.lowest_priority(view, keep)
+    assert len(order) > 10
+    assert not keep[order].any()
+    assert all((table.children[node] < 0).all() for node in order)
+    away = (table.low[order] + table.high[order]) / 2 - view.camera.eye
+    ranks = (away @ view.camera.forward) / (away**2).sum(axis=1)
+    assert (np.diff(ranks) >= 0).all()
+
+
+def test_a_triangle_budget_raises_tau_and_is_kept():
+    table = random_tree(np.random.default_rng(7), share_resident=1.0)
+    view = View(Camera((0, -600, 200), 0, -20, 60), VIEWPORT, 0.5)
+    free = table.select(view)
+    found, tau = ErrorGovernor(free.n_triangles // 2).select(table, view)
+    assert found.n_triangles <= free.n_triangles // 2
+    assert tau > 0.5
+    assert ErrorGovernor(free.n_triangles).select(table, view)[1] == 0.5
+
+
+def test_slow_frames_raise_tau_and_fast_ones_lower_it_to_what_was_asked():
+    governor = ErrorGovernor(1000, target_ms=10)
+    for _ in range(20):
+        governor.after_frame(40)
+    assert governor.factor > 4
+    for _ in range(200):
+        governor.after_frame(2)
+    assert governor.factor == 1.0
+
+
+def test_the_table_grows_without_losing_anything():
+    table = NodeTable()
+    root = table.add(NodeInfo(Piece(0, 0, 0), (0, 0, 0), (1, 1, 1), 5.0))
+    for number in range(1000):
+        info = NodeInfo(Piece(1, number, 0), (number, 0, 0), (number + 1, 1, 1), number)
+        assert table.add(info, root) == number + 1
+    assert table.errors[:1001].tolist() == [5.0, *range(1000)]
+    assert table.find(Piece(1, 77, 0)) == 78
+    assert table.roots.tolist() == [0]
+
+
+@given(sizes=st.lists(st.integers(0, 40), max_size=60), seed=st.integers(0, 9))
+def test_an_arena_never_hands_out_an_item_twice(sizes, seed):
+    rng = np.random.default_rng(seed)
+    arena, taken = Arena(256), []
+    for size in sizes:
+        start = arena.take(size)
+        if start is None:
+            assert arena.used + size > 128  # 256 items in at most 60 pieces are not that broken up
+        elif size:
+            assert not any(start < s + n and s < start + size for s, n in taken)
+            assert start + size <= arena.capacity
+            taken.append((start, size))
+        if taken and rng.random() < 0.4:
+            arena.give_back(*taken.pop(rng.integers(len(taken))))
+        assert arena.used == sum(n for _, n in taken)
+    for part in taken:
+        arena.give_back(*part)
+    assert arena.take(256) == 0
+    arena.give_back(0, 256)
+    arena.grow(512)
+    assert arena.take(512) == 0

@@ -1,0 +1,46 @@
+#!/bin/sh
+# What pictures without a screen need, and a screen without a screen for the test of the window:
+# EGL, OpenGL with Mesa's software driver, Xvfb, xdotool. Installed where this is Debian or Ubuntu
+# and apt-get may run; elsewhere one line says what is missing, and the tests that need it fail.
+set -eu
+
+packages="libegl1 libgl1 libgl1-mesa-dri libglu1-mesa xvfb xauth xdotool"
+
+has_library() {
+    { ldconfig -p 2>/dev/null || /sbin/ldconfig -p 2>/dev/null || true; } | grep -q "$1"
+}
+
+has_driver() {
+    for file in /usr/lib/*/dri/swrast_dri.so /usr/lib*/dri/swrast_dri.so \
+        /usr/lib/*/libgallium-*.so; do
+        [ -e "$file" ] && return 0
+    done
+    return 1
+}
+
+is_complete() {
+    has_library libEGL.so.1 && has_library libGL.so.1 && has_library libGLU.so.1 && has_driver &&
+        command -v xvfb-run >/dev/null && command -v xauth >/dev/null &&
+        command -v xdotool >/dev/null
+}
+
+[ "$(uname -s)" = Linux ] || exit 0
+is_complete && exit 0
+
+if [ "$(id -u)" -eq 0 ]; then
+    as_root=
+elif command -v sudo >/dev/null && sudo -n true 2>/dev/null; then
+    as_root="sudo -n"
+else
+    echo "terrainwave: tests that draw need OpenGL; run: sudo apt-get install $packages" >&2
+    exit 0
+fi
+if ! command -v apt-get >/dev/null; then
+    echo "terrainwave: tests that draw need EGL, OpenGL 3.3 (Mesa), Xvfb and xdotool" >&2
+    exit 0
+fi
+echo "terrainwave: installing $packages"
+{ $as_root apt-get update -qq &&
+    $as_root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
+        $packages; } >/dev/null 2>&1 ||
+    echo "terrainwave: apt-get could not install $packages" >&2
