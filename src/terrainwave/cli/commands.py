@@ -241,7 +241,9 @@ def _store_meshes(
     import terrainwave
 
     if kind == "none":
-        raise click.UsageError("found --mesh none with --store, expected auto, halves, zerotree or rqt")
+        raise click.UsageError(
+            "found --mesh none with --store, expected auto, halves, zerotree or rqt"
+        )
     announce_compiling(quiet=quiet)
     with reading(file), Bar(quiet=quiet) as bar:
         path = terrainwave.store_meshes(file, target, mesh=kind or "auto", progress=bar, **options)
