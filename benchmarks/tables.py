@@ -221,6 +221,66 @@ def pyramid_table(results: Path) -> str:
     return "\n".join(lines)
 
 
+def meshes_table(results: Path) -> str:
+    """Return triangles of meshes beside greedy Delaunay's, on lossless heights."""
+    lines = [
+        "| raster | error, m | pydelatin | halves | / pydelatin | one sweep of collapses |"
+        " / pydelatin | share of angles below 5°, swept |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    rows = read_rows(results, "meshes")
+    lines += [
+        f"| {row['raster']} | {float(row['error']):g} | {int(row['delatin']):,} |"
+        f" {int(row['halves']):,} | {float(row['ratio']):.3f} | {int(row['optimised']):,} |"
+        f" {float(row['optimised_ratio']):.3f} | {float(row['optimised_share_below_5']):.2%} |"
+        for row in rows
+    ]
+    if rows:
+        means = [
+            geometric_mean([float(row[name]) for row in rows])
+            for name in ("ratio", "optimised_ratio")
+        ]
+        lines.append(f"| geometric mean | | | | {means[0]:.3f} | | {means[1]:.3f} | |")
+    return "\n".join(lines)
+
+
+def mesh_speeds_table(results: Path) -> str:
+    """Return how fast meshes are derived."""
+    lines = [
+        "| raster | error, m | halves, Msamples/s | with a sweep, Msamples/s |",
+        "|---|---|---|---|",
+    ]
+    rows = read_rows(results, "meshes")
+    lines += [
+        f"| {row['raster']} | {float(row['error']):g} | {row['halves_speed']} |"
+        f" {row['optimised_speed']} |"
+        for row in rows
+    ]
+    lines += [
+        f"| {row['raster']}, {row['size']}², {row['threads']} threads, decoding included |"
+        f" {float(row['error']):g} | {'' if sweep else row['seconds'] + ' s'} |"
+        f" {row['seconds'] + ' s' if sweep else ''} |"
+        for row in read_rows(results, "meshes_large")
+        for sweep in (int(row["sweeps"]),)
+    ]
+    return "\n".join(lines)
+
+
+def zerotree_table(results: Path) -> str:
+    """Return Y10's scheme and the restricted quadtree beside greedy Delaunay."""
+    lines = [
+        "| raster | error, m | zerotree / pydelatin | its labels, bits/sample | rqt / pydelatin |"
+        " rqt by detail: true error, m |",
+        "|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {row['raster']} | {float(row['error']):g} | {row['zerotree_ratio']} |"
+        f" {row['zerotree_bits']} | {row['rqt_ratio']} | {row['rqt_by_detail_error']} |"
+        for row in read_rows(results, "zerotree_mesh")
+    ]
+    return "\n".join(lines)
+
+
 TABLES: dict[str, Callable[[Path], str]] = {
     "summary": summary_table,
     "methods": methods_table,
@@ -229,6 +289,9 @@ TABLES: dict[str, Callable[[Path], str]] = {
     "roots": roots_table,
     "roots_cdf97": partial(roots_table, name="roots_cdf97"),
     "pyramid": pyramid_table,
+    "meshes": meshes_table,
+    "mesh_speeds": mesh_speeds_table,
+    "zerotree_mesh": zerotree_table,
 }
 REPORT = """# Measured
 

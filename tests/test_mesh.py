@@ -215,6 +215,27 @@ def test_a_budget_of_triangles_is_kept(n_most, tmp_path):
         assert finer.error <= mesh.error
 
 
+def test_a_budget_does_not_hide_an_error_that_cannot_be_had(tmp_path):
+    case = make_case("smooth", "none", (100, 100), 1, max_error=5, block=32)
+    with terrainwave.open(write_case(case, tmp_path)) as terrain:
+        with pytest.raises(InvalidHeightsError, match="expected at least 5"):
+            terrain.mesh(max_triangles=10**6, max_error=1)
+
+
+@pytest.mark.parametrize("kind", ["smooth", "noise", "cliffs"])
+def test_a_budget_on_a_coarse_level(kind, tmp_path):
+    """Small errors, which the level can't reach, ended the search."""
+    case = make_case(kind, "none", (100, 100), 1, max_error=5, block=32)
+    with terrainwave.open(write_case(case, tmp_path)) as terrain:
+        for level, n_most in ((0, 2000), (1, 100), (1, 400)):
+            mesh = terrain.mesh(level=level, max_triangles=n_most)
+            assert 0 < mesh.n_triangles <= n_most
+            of_one_level = level if level == 0 else None
+            window = (0, 0, *terrain.level_shape(level))
+            region = full_region(terrain.grid, level, window)
+            assert area_problems(terrain, case, mesh, region, of_one_level) == []
+
+
 # The same everywhere
 
 

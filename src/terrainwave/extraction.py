@@ -42,6 +42,10 @@ _NEAR = 2.0**-20
 _ROUNDING = 2.0**-48
 
 
+class _UnreachableError(InvalidHeightsError):
+    """A coarse level's meshes can't keep to the error, as its samples are too far apart."""
+
+
 class _Piece(NamedTuple):
     """A block of the cut: tolerances in 1/16 quanta, errors in quanta.
 
@@ -341,17 +345,19 @@ class _Extractor:
         """Return the mesh for an error in physical units, or that of the stored meshes."""
         if max_error is None:
             return self._stored_mesh()
+        return self._mesh_within(self._asked(max_error))
+
+    def _asked(self, max_error: float) -> Fraction:
+        """Return an error in quanta, unless the heights are further from the originals."""
         smallest = self._smallest_error()
         # What the file states of itself, as float64, is enough.
-        is_enough = max_error >= float(smallest * self._quantum) * (1 - _ROUNDING)
-        error = max(as_fraction(max_error) / self._quantum, smallest)
-        if not is_enough:
+        if max_error < float(smallest * self._quantum) * (1 - _ROUNDING):
             raise InvalidHeightsError(
                 f"found max_error {max_error:g}, expected at least"
                 f" {float(smallest * self._quantum):g}: the heights of this level are no nearer to"
                 " the originals"
             )
-        return self._mesh_within(error)
+        return max(as_fraction(max_error) / self._quantum, smallest)
 
     def _stored_mesh(self) -> Mesh:
         level = self._area.level
@@ -381,7 +387,7 @@ class _Extractor:
             if not failed:
                 return self._assemble(cut, built)
             if level < self._grid.k_max and any(block.level == level for block in failed):
-                raise InvalidHeightsError(
+                raise _UnreachableError(
                     f"found max_error {float(error * self._quantum):g}, which level {level} cannot"
                     " reach: use a finer level or a larger max_error"
                 )
@@ -390,6 +396,13 @@ class _Extractor:
                     self._split(cut, block, error)
             self._close(cut, error)
             built = self._build_all(cut)
+
+    def _mesh_if_reached(self, error: Fraction) -> Mesh | None:
+        """Return the mesh for an error in quanta; None if a coarse level can't keep to it."""
+        try:
+            return self._mesh_within(error)
+        except _UnreachableError:
+            return None
 
     def _build_all(self, cut: dict[Block, _Piece]) -> dict[Block, _Built]:
         blocks = sorted(cut)
@@ -400,7 +413,7 @@ class _Extractor:
         """Return the mesh of the smallest error, up to 2 %, that has at most `max_triangles`."""
         high = self._largest_error()
         if max_error is not None:
-            high = min(high, as_fraction(max_error) / self._quantum)
+            high = min(high, self._asked(max_error))
         best = self._mesh_within(high)
         if best.n_triangles > max_triangles:
             raise InvalidHeightsError(
@@ -408,8 +421,8 @@ class _Extractor:
                 f" mesh with an error of {float(high * self._quantum):g} has as many"
             )
         low = self._smallest_error()
-        finest = self._mesh_within(low)
-        if finest.n_triangles <= max_triangles:
+        finest = self._mesh_if_reached(low)
+        if finest is not None and finest.n_triangles <= max_triangles:
             return finest
         low = max(low, Fraction(1, 16))
         while high > low * _BUDGET_RATIO:
@@ -417,8 +430,8 @@ class _Extractor:
             middle = Fraction(float(low * high) ** 0.5).limit_denominator(1 << 20)
             if not low < middle < high:
                 break
-            found = self._mesh_within(middle)
-            if found.n_triangles <= max_triangles:
+            found = self._mesh_if_reached(middle)
+            if found is not None and found.n_triangles <= max_triangles:
                 best, high = found, middle
             else:
                 low = middle
@@ -427,7 +440,7 @@ class _Extractor:
     def _largest_error(self) -> Fraction:
         """Return an error beyond which meshes have no fewer triangles, in quanta."""
         header = self._header
-        return Fraction(2 * (header.z_max - header.z_min) + 2) + self._coded
+        return Fraction(2 * (header.z_max - header.z_min) + 2) + self._smallest_error()
 
     def _assemble(self, cut: dict[Block, _Piece], built: dict[Block, _Built]) -> Mesh:
         blocks = sorted(cut)
