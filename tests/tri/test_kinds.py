@@ -2,6 +2,7 @@
 
 import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -159,6 +160,19 @@ def test_border_vertices_of_an_rqt_come_back(seed, n_rows, n_cols):
         found[mesh.rows >> 1, mesh.cols >> 1] = True
         for own, line in zip(border_of(found), draft.border, strict=True):
             assert np.array_equal(own, line)
+
+
+def test_the_example_of_the_annex():
+    text = (Path(__file__).parents[2] / "docs" / "format-mesh-rqt.md").read_text("utf-8")
+    payload = bytes.fromhex(text.split("```")[1])
+    samples = Samples(np.zeros((5, 5), dtype=np.int32), np.ones((5, 5), dtype=bool))
+    mesh = STORED_KINDS["rqt"].mesh(samples, 16, payload)
+    vertices = [f"({row},{col})" for row, col in zip(mesh.rows >> 1, mesh.cols >> 1, strict=True)]
+    assert text.split("Vertices: ")[1].strip() == ", ".join(vertices) + "."
+    wanted = np.zeros((5, 5), dtype=bool)
+    wanted[0, 1] = True
+    draft = STORED_KINDS["rqt"].draft(samples, 16, border_of(wanted))
+    assert STORED_KINDS["rqt"].encode(samples, 16, draft) == payload
 
 
 # Hostile sections
