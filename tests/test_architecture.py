@@ -24,7 +24,17 @@ LAYERS = [
         "progress",
     },
     {"codec", "tri", "container", "raster_io", "metrics"},
-    {"spool", "measure", "pyramid", "encoder", "decoder", "meshing", "resample", "level_errors"},
+    {
+        "spool",
+        "measure",
+        "pyramid",
+        "encoder",
+        "decoder",
+        "meshing",
+        "mesh_sections",
+        "resample",
+        "level_errors",
+    },
     {
         "terrain",
         "compression",

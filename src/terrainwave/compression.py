@@ -11,7 +11,7 @@ import shutil
 import sys
 import threading
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -34,6 +34,7 @@ from terrainwave.container.writer import assemble
 from terrainwave.decoder import TreeDecoder
 from terrainwave.encoder import Stats, TreeEncoder
 from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
+from terrainwave.mesh_sections import make_sections, parts_of_blocks
 from terrainwave.meshing import BlockMesher, measure_meshes
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.pyramid import Pyramid, SourceWindows
@@ -48,7 +49,7 @@ from terrainwave.tri.mesh import FRACTION_BITS
 DEFAULT_MAX_ERROR = 0.01
 BLOCKS = (32, 64, 128, 256, 512, 1024)
 # Meshes that `compress` makes; "auto" is the first.
-MESHES = ("halves", "none")
+MESHES = ("halves", "zerotree", "rqt", "none")
 _OUR_FAULT = (
     "unless the raster changed while it was read, this is a fault of terrainwave: please report it"
     " with the raster. Nothing was written"
@@ -192,7 +193,10 @@ def compress(
         1, or 3 to share one more ring on both sides of every border (Yusov & Turlapov 2010, §2.3).
     mesh : str
         Triangulation of every block: ``"halves"`` or ``"auto"`` (halves), which is made again when
-        it is read and stores only its measured error; or ``"none"``.
+        it is read and stores only its measured error; ``"zerotree"``, the guaranteed triangulation
+        of Yusov & Turlapov 2010, stored as labels; ``"rqt"``, a restricted quadtree, which stores
+        some vertices of borders; or ``"none"``. To make the second and third takes memory that
+        grows with the raster (`mesh_sections.make_sections`).
     mesh_error : float, optional
         Largest vertical distance of the finest meshes from the decoded heights, in physical units;
         by default what `max_error` guarantees, or the vertical quantum if that is more.
@@ -497,24 +501,34 @@ def _mesh_errors(
         return {}
     grid = job.grid
     decoder = TreeDecoder(grid, refiner, _parameters(job), sink.payloads, _MESH_CACHE_BYTES)
+    sections: dict[Block, bytes] = {}
     mesher = BlockMesher(
         grid,
         decoder,
         lambda block: errors.get(block, 0),
         _mesh_tolerance(job),
         has_voids=job.scan.has_voids,
+        kind=job.options.mesh,
+        part=parts_of_blocks(grid, lambda key: sections.get(key, b"")),
     )
-    total, done = grid.n_rows * grid.n_cols, 0
+    total = grid.n_rows * grid.n_cols
     itemsize = np.dtype(job.info.dtype).itemsize
     lock = threading.Lock()
 
-    def on_samples(n_samples: int) -> None:
-        nonlocal done
-        with lock:
-            done = min(done + n_samples, total)
-            reporter.report("measuring meshes", done, total, done * itemsize)
+    def counting(phase: str) -> Callable[[int], None]:
+        done = 0
 
-    found = measure_meshes(grid, mesher, pyramid.originals, executor, on_samples)
+        def on_samples(n_samples: int) -> None:
+            nonlocal done
+            with lock:
+                done = min(done + n_samples, total)
+                reporter.report(phase, done, total, done * itemsize)
+
+        return on_samples
+
+    sections.update(make_sections(grid, mesher, executor, counting("making meshes")))
+    sink.set_meshes(sections)
+    found = measure_meshes(grid, mesher, pyramid.originals, executor, counting("measuring meshes"))
     lost = _lost(job)
     return {
         block: encode_error(-(-error >> FRACTION_BITS) + lost) for block, error in found.items()
@@ -544,6 +558,14 @@ class _SpoolSink:
             is_complete = self._n_missing[head] == 0
         if is_complete:
             self.spools[head].finish()
+
+    def set_meshes(self, sections: Mapping[Block, bytes]) -> None:
+        """Take the mesh sections of keys whose payloads have been taken."""
+        for key, section in sections.items():
+            head = None if key.is_root_key else self._grid.segment_head(key)
+            self.spools[head].set_mesh(key, section)
+        for spool in self.spools.values():
+            spool.finish()
 
     def payloads(self, keys: Sequence[Block]) -> list[bytes]:
         """Return payloads that have been taken."""

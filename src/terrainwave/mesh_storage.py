@@ -2,6 +2,7 @@
 
 import math
 import os
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from fractions import Fraction
@@ -18,6 +19,7 @@ from terrainwave.container.publish import publish, refuse_own_source, scratch_di
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.mesh_sections import make_sections, parts_of_blocks
 from terrainwave.meshing import BlockMesher, Originals, measure_meshes
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.quadtree import Block, Region
@@ -27,7 +29,7 @@ from terrainwave.terrain import Terrain
 from terrainwave.tri.mesh import FRACTION_BITS
 
 # Meshes that files store; "auto" is the first.
-MESHES = ("halves",)
+MESHES = ("halves", "zerotree", "rqt")
 
 
 def store_meshes(
@@ -50,7 +52,7 @@ def store_meshes(
     dst : path
         The file to make. It appears complete or not at all.
     mesh : str
-        ``"halves"`` or ``"auto"``.
+        ``"halves"``, ``"zerotree"``, ``"rqt"`` or ``"auto"`` (halves), as in `compress`.
     mesh_error : float, optional
         As in `compress`.
     original : path, dataset or array, optional
@@ -93,28 +95,37 @@ def store_meshes(
             mesh_tolerance=_tolerance(terrain, mesh_error),
         )
         grid = header.grid
+        sections: dict[Block, bytes] = {}
         mesher = BlockMesher(
             grid,
             terrain._decoder,
             lambda block: container.codes(block)[2],
             header.mesh_tolerance,
             has_voids=terrain.raster_info.mask_kind != "none",
+            kind=header.mesh,
+            part=parts_of_blocks(grid, lambda key: sections.get(key, b"")),
         )
-        total, done = grid.n_rows * grid.n_cols, 0
+        total = grid.n_rows * grid.n_cols
         itemsize = terrain.dtype.itemsize
 
-        def on_samples(n_samples: int) -> None:
-            nonlocal done
-            done = min(done + n_samples, total)
-            reporter.report("measuring meshes", done, total, done * itemsize)
+        def counting(phase: str) -> Callable[[int], None]:
+            done = 0
 
+            def on_samples(n_samples: int) -> None:
+                nonlocal done
+                done = min(done + n_samples, total)
+                reporter.report(phase, done, total, done * itemsize)
+
+            return on_samples
+
+        sections.update(make_sections(grid, mesher, executor, counting("making meshes")))
         originals, lost = _originals(terrain, original)
-        found = measure_meshes(grid, mesher, originals, executor, on_samples)
+        found = measure_meshes(grid, mesher, originals, executor, counting("measuring meshes"))
         codes = {
             block: encode_error(math.ceil(Fraction(error, 1 << FRACTION_BITS) + lost))
             for block, error in found.items()
         }
-        spools = _copied(terrain, codes, directory)
+        spools = _copied(terrain, codes, directory, sections)
         assemble(part.file, header, spools)
         for spool in spools.values():
             spool.close()
@@ -161,9 +172,12 @@ def _originals(terrain: Terrain, original: Any) -> tuple[Originals, Fraction]:
 
 
 def _copied(
-    terrain: Terrain, mesh_codes: dict[Block, int], directory: Path
+    terrain: Terrain,
+    mesh_codes: dict[Block, int],
+    directory: Path,
+    sections: Mapping[Block, bytes] | None = None,
 ) -> dict[Block | None, SegmentSpool]:
-    """Return the file's payloads with new codes."""
+    """Return the file's payloads with new codes and mesh sections (None: its own)."""
     container, grid = terrain._container, terrain.grid
     spools: dict[Block | None, SegmentSpool] = {}
     for head in grid.segment_heads():
@@ -174,6 +188,7 @@ def _copied(
             for block in grid.key_blocks(key):
                 row = segment.page.codes[segment.block_rows[block]]
                 codes += bytes(row[: N_CODES - 1]) + bytes([mesh_codes.get(block, 0)])
-            spool.add(key, container.payload(key), codes=bytes(codes))
+            mesh = container.mesh(key) if sections is None else sections.get(key, b"")
+            spool.add(key, container.payload(key), codes=bytes(codes), mesh=mesh)
         spool.finish()
     return spools

@@ -1,7 +1,7 @@
 """Meshes of blocks from decoded heights, and their measured errors (DESIGN §3.9, §5).
 
-A block's mesh follows from its decoded samples, the voids beside it and the error codes of the
-index: nothing of it is stored but how far it is from the originals.
+A block's mesh follows from its decoded samples, the voids beside it, the error codes of the index
+and, for the kinds of `tri.stored`, the block's bytes in the mesh sections.
 """
 
 import threading
@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.codes import decode_error
 from terrainwave.decoder import TreeDecoder
+from terrainwave.errors import CorruptStreamError
 from terrainwave.measure import with_outside
 from terrainwave.quadtree import Block, Grid, Region
 from terrainwave.tri.borders import beside_void, line_vertices
 from terrainwave.tri.halves import Lines, triangulate
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
+from terrainwave.tri.stored import STORED_KINDS, has_triangles
 from terrainwave.tri.surface import largest_deviation
 
 # Of a coarse block's error against the originals, the share its mesh may add (Y10 §2.8).
@@ -63,6 +65,10 @@ class BlockMesher:
         Tolerance on the finest level, in 1/16 quanta.
     has_voids : bool
         Whether the raster may have voids; if so, neighbours are decoded for their masks.
+    kind : str
+        ``"halves"`` or one of `tri.stored.STORED_KINDS`.
+    part : callable, optional
+        The stored bytes of a block's mesh; kinds other than halves need them.
     """
 
     def __init__(
@@ -73,12 +79,16 @@ class BlockMesher:
         tolerance: int,
         *,
         has_voids: bool,
+        kind: str = "halves",
+        part: Callable[[Block], bytes] | None = None,
     ) -> None:
         self._grid = grid
         self._decoder = decoder
         self._error_code = error_code
         self._tolerance = tolerance
         self._has_voids = has_voids
+        self.kind = kind
+        self._part = part
 
     def tolerance(self, block: Block) -> int:
         """Return the tolerance of a block's mesh against its samples: Err_Tri, in 1/16 quanta.
@@ -139,10 +149,28 @@ class BlockMesher:
         return n_rows, n_cols
 
     def mesh(self, block: Block) -> BlockMesh:
-        """Return the block's stored mesh; its first vertex counts from the block's first sample."""
+        """Return the block's stored mesh; places count from the block's first sample.
+
+        Raises
+        ------
+        CorruptStreamError
+            If the stored bytes of the mesh are damaged.
+        """
         samples = self.samples(block)
+        if self.kind in STORED_KINDS:
+            return self._stored_mesh(block, samples)
         lines = border_lines(samples, self.side_tolerances(block), self._grid.block)
         return triangulate(*samples, lines, self.tolerance(block))
+
+    def _stored_mesh(self, block: Block, samples: BlockSamples) -> BlockMesh:
+        if self._part is None:
+            raise ValueError(f"meshes of kind {self.kind} have stored bytes")
+        data = self._part(block)
+        if not has_triangles(samples.mask):
+            if data:
+                raise CorruptStreamError(f"{block} has no mesh, but bytes of one")
+            return no_mesh()
+        return STORED_KINDS[self.kind].mesh(samples, self.tolerance(block), data)
 
 
 def _with_outside_mask(beyond: Mask, n_outside: int) -> Mask:

@@ -197,6 +197,7 @@ class Terrain:
 
     @cached_property
     def _mesher(self) -> "BlockMesher":
+        from terrainwave.mesh_sections import parts_of_blocks
         from terrainwave.meshing import BlockMesher
 
         header = self._container.header
@@ -206,6 +207,8 @@ class Terrain:
             lambda block: self._container.codes(block)[2],
             header.mesh_tolerance,
             has_voids=self._raster.mask_kind != "none",
+            kind=header.mesh,
+            part=parts_of_blocks(self._grid, self._container.mesh),
         )
 
     @property
@@ -572,14 +575,15 @@ class Terrain:
             The finest level to use, as in `read`.
         max_error : float, optional
             Largest vertical distance from any valid original sample, in physical units. Blocks of
-            several levels are mixed to reach it with few triangles. By default the stored meshes
-            of `level` are taken as they are.
+            several levels are mixed to reach it with few triangles; whatever the file's kind of
+            meshes, they are made anew as `halves`, of the decoded heights. By default the stored
+            meshes of `level` are taken as they are.
         max_triangles : int, optional
             Find the smallest error, up to 2 %, whose mesh has at most as many triangles; not
             beyond `max_error`, if that is given too.
         optimise : int
             Sweeps of half-edge collapses over blocks of the full grid: one nearly halves the
-            triangles.
+            triangles. They too are of meshes made anew as `halves`.
 
         Returns
         -------

@@ -33,7 +33,7 @@ from terrainwave.cli.output import (
 
 THREADS = click.IntRange(min=1)
 METHODS = click.Choice(["auto", "predictive", "cdf97", "store"])
-MESHES = click.Choice(["auto", "halves", "none"])
+MESHES = click.Choice(["auto", "halves", "zerotree", "rqt", "none"])
 EFFORTS = ["fast", "default", "best"]
 
 
@@ -241,7 +241,9 @@ def _store_meshes(
     import terrainwave
 
     if kind == "none":
-        raise click.UsageError("found --mesh none with --store, expected auto or halves")
+        raise click.UsageError(
+            "found --mesh none with --store, expected auto, halves, zerotree or rqt"
+        )
     announce_compiling(quiet=quiet)
     with reading(file), Bar(quiet=quiet) as bar:
         path = terrainwave.store_meshes(file, target, mesh=kind or "auto", progress=bar, **options)

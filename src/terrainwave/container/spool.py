@@ -39,6 +39,7 @@ class Entry(NamedTuple):
     offset: int
     payload_length: int
     payload_crc: int
+    mesh_offset: int
     mesh_length: int
     mesh_crc: int
     flags: int
@@ -86,12 +87,32 @@ class SegmentSpool:
             self._buffer += payload
             self._buffer += mesh
             self._entries[key] = Entry(
-                offset, len(payload), zlib.crc32(payload), len(mesh), zlib.crc32(mesh), flags
+                offset,
+                len(payload),
+                zlib.crc32(payload),
+                offset + len(payload),
+                len(mesh),
+                zlib.crc32(mesh),
+                flags,
             )
             if len(self._buffer) > _BUFFER:
                 self._spill()
         if codes is not None:
             self.set_codes(key, codes)
+
+    def set_mesh(self, key: Block, mesh: bytes) -> None:
+        """Set or replace the mesh of a key that was added."""
+        if len(mesh) > MAX_PAYLOAD:
+            raise ValueError(f"mesh of {len(mesh)} bytes: too long")
+        with self._lock:
+            self._entries[key] = self._entries[key]._replace(
+                mesh_offset=self._spilled + len(self._buffer),
+                mesh_length=len(mesh),
+                mesh_crc=zlib.crc32(mesh),
+            )
+            self._buffer += mesh
+            if len(self._buffer) > _BUFFER:
+                self._spill()
 
     def set_codes(self, key: Block, codes: bytes) -> None:
         """Set or replace the codes of the blocks that the payload of `key` makes."""
@@ -144,10 +165,9 @@ class SegmentSpool:
                     file.close()
 
     def _sections(self, file: BinaryIO | None, entry: Entry) -> Iterator[bytes]:
-        offset = entry.offset
-        for length, crc in (
-            (entry.payload_length, entry.payload_crc),
-            (entry.mesh_length, entry.mesh_crc),
+        for offset, length, crc in (
+            (entry.offset, entry.payload_length, entry.payload_crc),
+            (entry.mesh_offset, entry.mesh_length, entry.mesh_crc),
         ):
             if file is None or offset >= self._spilled:
                 first = offset - self._spilled
@@ -157,7 +177,6 @@ class SegmentSpool:
                 data = file.read(length)
             if len(data) != length or zlib.crc32(data) != crc:
                 raise StorageError(f"the temporary file {self._path} is damaged")
-            offset += length
             yield data
 
     def _spill(self) -> None:

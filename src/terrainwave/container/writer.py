@@ -130,13 +130,12 @@ def _page(grid: Grid, layout: PageLayout, spool: SegmentSpool, children: list[_P
             raise ValueError(f"{describe_key(key)} has no payload or no codes") from None
         if len(codes[-1]) != N_CODES * len(grid.key_blocks(key)):
             raise ValueError(f"{describe_key(key)} has {len(codes[-1])} bytes of codes")
-    columns = list(zip(*rows, strict=True))
     return Page(
-        payload_lengths=np.array(columns[1], dtype=np.uint32),
-        payload_crcs=np.array(columns[2], dtype=np.uint32),
-        mesh_lengths=np.array(columns[3], dtype=np.uint32),
-        mesh_crcs=np.array(columns[4], dtype=np.uint32),
-        flags=np.array(columns[5], dtype=np.uint8),
+        payload_lengths=np.array([row.payload_length for row in rows], dtype=np.uint32),
+        payload_crcs=np.array([row.payload_crc for row in rows], dtype=np.uint32),
+        mesh_lengths=np.array([row.mesh_length for row in rows], dtype=np.uint32),
+        mesh_crcs=np.array([row.mesh_crc for row in rows], dtype=np.uint32),
+        flags=np.array([row.flags for row in rows], dtype=np.uint8),
         codes=np.frombuffer(b"".join(codes), dtype=np.uint8).reshape(-1, N_CODES),
         child_page_lengths=np.array([part.page_length for part in children], dtype=np.uint32),
         child_lengths=np.array([part.length for part in children], dtype=np.uint64),

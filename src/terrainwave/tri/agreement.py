@@ -25,7 +25,7 @@ Corners are vertices of every block and samples on a shared side are the same sa
 sides are compared by position.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -115,6 +115,7 @@ def agree(
     positions: list[Position],
     triangulate: Callable[[Position, BorderVertices | None], Result],
     border: Callable[[Result], BorderVertices],
+    run: Callable[..., Iterable[Result]] = map,
 ) -> tuple[dict[Position, Result], int]:
     """Return the triangulations of blocks of one level with equal borders, and the rounds it took.
 
@@ -126,13 +127,16 @@ def agree(
         The triangulation of a block with at least the given border vertices (None: any).
     border : callable
         The border vertices of such a triangulation.
+    run : callable
+        As `map`: triangulates the blocks of one round. May do so in threads.
 
     Notes
     -----
     Holds all results. To work out of core, keep only `border_of` results and use `demands_on` and
     `lacks` in the same rounds.
     """
-    results = {position: triangulate(position, None) for position in positions}
+    nothing = [None] * len(positions)
+    results = dict(zip(positions, run(triangulate, positions, nothing), strict=True))
     borders = {position: border(results[position]) for position in positions}
     n_rounds = 1
     while True:
@@ -140,7 +144,8 @@ def agree(
         late = [position for position in positions if lacks(borders[position], demands[position])]
         if not late:
             return results, n_rounds
-        for position in late:
-            results[position] = triangulate(position, demands[position])
-            borders[position] = border(results[position])
+        demanded = [demands[position] for position in late]
+        for position, result in zip(late, run(triangulate, late, demanded), strict=True):
+            results[position] = result
+            borders[position] = border(result)
         n_rounds += 1

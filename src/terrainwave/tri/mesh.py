@@ -35,6 +35,12 @@ class BlockMesh(NamedTuple):
     triangles: NDArray[np.int32]
 
 
+def no_mesh() -> BlockMesh:
+    """Return a mesh without triangles."""
+    places = np.empty(0, dtype=np.int32)
+    return BlockMesh(places, places, np.empty(0, dtype=np.int64), np.empty((0, 3), dtype=np.int32))
+
+
 @dataclass(frozen=True)
 class Mesh:
     """A triangulated surface in world coordinates.

@@ -1,0 +1,190 @@
+"""The kinds of meshes that files store bytes of: what a block's bytes are, and its mesh of them.
+
+`halves` follows from decoded samples alone. The border vertices of these kinds depend on what the
+neighbours' insides need (`agreement`), so each block's bytes tell what its own samples do not:
+`zerotree` the whole cut, `rqt` the border vertices that its own selection has not.
+"""
+
+import zlib
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._jit import kernel
+from terrainwave._status import raise_for_status
+from terrainwave.coding.rangecoder import (
+    STATE_SIZE,
+    decode_bit,
+    encode_bit,
+    finish_decoder,
+    finish_encoder,
+    new_models,
+    start_decoder,
+    start_encoder,
+)
+from terrainwave.errors import CorruptStreamError
+from terrainwave.tri.agreement import BorderVertices, border_of, border_of_cut
+from terrainwave.tri.connect import mesh_of_cut
+from terrainwave.tri.guarantee import guaranteed_cut
+from terrainwave.tri.mesh import BlockMesh
+from terrainwave.tri.refinement import decode_refinement, encode_refinement
+from terrainwave.tri.rqt import rqt_mesh, select_vertices, vertices_of
+
+# A border line has at most 4097 samples; contexts: spacing, and how many ends are vertices.
+_N_SPACINGS = 13
+_N_MODELS = 3 * _N_SPACINGS
+
+
+class Samples(Protocol):
+    """A block's samples; see `meshing.BlockSamples`."""
+
+    @property
+    def heights(self) -> NDArray[np.int32]:
+        """Heights in quanta."""
+
+    @property
+    def mask(self) -> NDArray[np.bool_]:
+        """Which samples are valid."""
+
+    @property
+    def locked(self) -> NDArray[np.bool_]:
+        """Which samples are void or beside a void, in the block or beyond its border."""
+
+
+class Draft(NamedTuple):
+    """A block's triangulation while its level has not agreed yet; `packed` is the kind's own."""
+
+    border: BorderVertices
+    packed: bytes
+
+
+class StoredKind(Protocol):
+    """A kind of mesh that takes bytes."""
+
+    def draft(self, samples: Samples, tolerance: int, demanded: BorderVertices | None) -> Draft:
+        """Return a triangulation with at least the demanded border vertices."""
+
+    def encode(self, samples: Samples, tolerance: int, draft: Draft) -> bytes:
+        """Return the bytes of a draft that the level has agreed on."""
+
+    def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
+        """Return the mesh that `encode` has written.
+
+        Raises
+        ------
+        CorruptStreamError
+            If `data` are not such bytes.
+        """
+
+
+def has_triangles(mask: NDArray[np.bool_]) -> bool:
+    """Say whether some quad of samples has at least three valid corners."""
+    corners = mask.astype(np.uint8)
+    counts = corners[:-1, :-1] + corners[:-1, 1:] + corners[1:, :-1] + corners[1:, 1:]
+    return bool((counts >= 3).any())
+
+
+def _kept(samples: Samples, demanded: BorderVertices | None) -> NDArray[np.bool_]:
+    if demanded is None:
+        return samples.locked
+    return samples.locked | demanded.keep(samples.mask.shape)
+
+
+class Zerotree:
+    """Algorithm I; the bytes are its refinement labels (`refinement`), without zero trees."""
+
+    def draft(self, samples: Samples, tolerance: int, demanded: BorderVertices | None) -> Draft:
+        """Return the cut, packed to wait."""
+        keep = _kept(samples, demanded)
+        cut = guaranteed_cut(samples.heights, samples.mask, tolerance, keep=keep)
+        return Draft(border_of_cut(cut), zlib.compress(cut.tobytes(), 1))
+
+    def encode(self, samples: Samples, tolerance: int, draft: Draft) -> bytes:
+        """Return the refinement labels."""
+        cut = np.frombuffer(zlib.decompress(draft.packed), dtype=np.uint8)
+        cut = cut.reshape(samples.mask.shape)
+        return encode_refinement(cut, samples.heights, samples.mask, tolerance)
+
+    def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
+        """Return the mesh of refinement labels."""
+        cut = decode_refinement(data, samples.heights, samples.mask, tolerance)
+        return mesh_of_cut(samples.heights, samples.mask, cut)
+
+
+class Rqt:
+    """The restricted quadtree; the bytes are the border vertices that only neighbours need."""
+
+    def draft(self, samples: Samples, tolerance: int, demanded: BorderVertices | None) -> Draft:
+        """Return the border vertices; the rest follows from them."""
+        keep = _kept(samples, demanded)
+        selection = select_vertices(samples.heights, samples.mask, tolerance, keep=keep)
+        return Draft(border_of(vertices_of(selection, samples.mask.shape)), b"")
+
+    def encode(self, samples: Samples, tolerance: int, draft: Draft) -> bytes:
+        """Return the border vertices beyond the block's own; no bytes if there are none."""
+        own = self.draft(samples, tolerance, None).border
+        shape = samples.mask.shape
+        known, wanted = own.keep(shape), draft.border.keep(shape)
+        if np.array_equal(known, wanted):
+            return b""
+        state, out = start_encoder(), np.empty(4 * sum(shape) + 64, dtype=np.uint8)
+        _code_border(known, wanted, state, out, new_models(_N_MODELS))
+        return out[: finish_encoder(state, out)].tobytes()
+
+    def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
+        """Return the mesh with the border vertices of the block itself and of `data`."""
+        heights, mask = samples.heights, samples.mask
+        selection = select_vertices(heights, mask, tolerance, keep=samples.locked)
+        if data:
+            found = border_of(vertices_of(selection, mask.shape)).keep(mask.shape)
+            n_own = np.count_nonzero(found)
+            stream = np.frombuffer(data, dtype=np.uint8).copy()
+            state = np.zeros(STATE_SIZE, dtype=np.int64)
+            start_decoder(state, stream)
+            _code_border(found, None, state, stream, new_models(_N_MODELS))
+            raise_for_status(*finish_decoder(state, stream))
+            if np.count_nonzero(found) == n_own:
+                raise CorruptStreamError("border vertices take bytes, but there are none")
+            keep = samples.locked | found
+            selection = select_vertices(heights, mask, tolerance, keep=keep)
+        return rqt_mesh(heights, mask, selection)
+
+
+STORED_KINDS: dict[str, StoredKind] = {"zerotree": Zerotree(), "rqt": Rqt()}
+
+
+@kernel
+def _code_border(flags, wanted, state, stream, models):
+    """Encode which border samples are vertices, or decode where `wanted` is None.
+
+    `flags`, shape (n_rows, n_cols), holds those known to be, and becomes all. Lines in the order
+    top, left, bottom, right; in each spacings downwards, and samples in order.
+    """
+    last_row, last_col = flags.shape[0] - 1, flags.shape[1] - 1
+    for side in range(4):
+        down, right = (0, 1) if side % 2 == 0 else (1, 0)
+        row = last_row if side == 2 else 0
+        col = last_col if side == 3 else 0
+        last = last_col if side % 2 == 0 else last_row
+        log = 0
+        while 2 << log < last:
+            log += 1
+        while log >= 0:
+            spacing = 1 << log
+            for place in range(spacing, last, 2 * spacing):
+                i, j = row + place * down, col + place * right
+                if flags[i, j]:
+                    continue
+                after = min(place + spacing, last)
+                index = 3 * log
+                if flags[row + (place - spacing) * down, col + (place - spacing) * right]:
+                    index += 1
+                if flags[row + after * down, col + after * right]:
+                    index += 1
+                if wanted is None:
+                    flags[i, j] = decode_bit(state, stream, models, index) == 1
+                else:
+                    flags[i, j] = wanted[i, j]
+                    encode_bit(state, stream, models, index, 1 if wanted[i, j] else 0)
+            log -= 1

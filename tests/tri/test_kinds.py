@@ -1,0 +1,252 @@
+"""Files whose meshes are of the kinds `zerotree` and `rqt`, from the raster to the checker."""
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mesh_cases import cases, make_case, reader, write_case
+
+import terrainwave
+from terrainwave.cli import main
+from terrainwave.container.publish import scratch_directory
+from terrainwave.container.writer import assemble
+from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+from terrainwave.mesh_sections import key_of, pack_section, unpack_section
+from terrainwave.mesh_storage import _copied, store_meshes
+from terrainwave.mesh_verification import verify_meshes
+from terrainwave.quadtree import Block
+from terrainwave.tri.agreement import border_of
+from terrainwave.tri.stored import STORED_KINDS
+
+N_EXAMPLES = 2 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else 15
+KINDS = sorted(STORED_KINDS)
+
+
+def with_kind(case, kind, **options):
+    return replace(case, options={**case.options, "mesh": kind, **options})
+
+
+def blocks_of(terrain):
+    return [block for level in range(terrain.n_levels) for block in terrain.grid.blocks(level)]
+
+
+def same_mesh(one, other):
+    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
+
+
+@given(case=cases(max_side=130), kind=st.sampled_from(KINDS))
+@settings(max_examples=N_EXAMPLES)
+def test_all_meshes_of_a_file_are_right(case, kind, tmp_path_factory):
+    path = write_case(with_kind(case, kind), tmp_path_factory.mktemp("all"))
+    with terrainwave.open(path, threads=1) as terrain:
+        assert terrain.mesh_kind == kind
+        report, problems = verify_meshes(terrain, reader(case))
+        assert problems == []
+        for level in report.levels:
+            assert level.measured_error <= level.stored_error * (1 + 1e-9) + terrain.info().quantum
+        assert verify_meshes(terrain)[1] == []
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("void", ["none", "disc"])
+def test_meshes_of_every_level_are_right_and_few(kind, void, tmp_path):
+    case = make_case("smooth", void, (200, 230), 4, amplitude=900.0, max_error=2, block=32)
+    path = write_case(with_kind(case, kind), tmp_path)
+    assert terrainwave.verify(path, tmp_path / "case.tif", mesh=True).ok
+    with terrainwave.open(path) as terrain:
+        for level in range(terrain.n_levels):
+            mesh = terrain.mesh(level=level)
+            n_rows, n_cols = terrain.level_shape(level)
+            assert 0 < mesh.n_triangles
+            if void == "none":
+                assert mesh.n_triangles < 2 * n_rows * n_cols
+        finest = terrain.mesh()
+        assert finest.n_triangles < 0.7 * case.heights.size
+        assert finest.error == max(
+            terrain.mesh_error(block) for block in terrain.grid.blocks(terrain.n_levels - 1)
+        )
+        within = terrain.mesh(max_error=20)
+        assert within.error <= 20
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_any_number_of_threads_gives_the_same_bytes(kind, tmp_path):
+    case = make_case("half sea", "speckle", (150, 140), 5, max_error=1, block=32)
+    found = []
+    for threads in (1, 3, 8):
+        directory = tmp_path / str(threads)
+        directory.mkdir()
+        found.append(write_case(with_kind(case, kind, threads=threads), directory).read_bytes())
+    assert found[0] == found[1] == found[2]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_meshes_stored_later_are_those_of_compress(kind, tmp_path):
+    case = make_case("rough patch", "disc", (150, 140), 5, max_error=1, block=32)
+    path = write_case(with_kind(case, kind), tmp_path)
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    plain = write_case(with_kind(case, "none"), bare)
+    later = tmp_path / "later.twz"
+    store_meshes(plain, later, mesh=kind, original=tmp_path / "case.tif", threads=2)
+    assert later.read_bytes() == path.read_bytes()
+    # Other meshes over stored ones leave nothing of these.
+    again = tmp_path / "again.twz"
+    halves = tmp_path / "halves.twz"
+    store_meshes(plain, halves, mesh="halves")
+    store_meshes(path, again, mesh="halves")
+    assert again.read_bytes() == halves.read_bytes()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_commands_make_check_and_write_meshes(kind, tmp_path):
+    case = make_case("smooth", "none", (90, 100), 3, max_error=2, block=32, mesh="none")
+    path = write_case(case, tmp_path)
+    original = str(tmp_path / "case.tif")
+    made, later = tmp_path / "made.twz", tmp_path / "later.twz"
+    run = CliRunner().invoke
+    for arguments in (
+        ["compress", original, str(made), "--max-error", "2", "--block", "32", "--mesh", kind],
+        ["mesh", "--store", str(path), str(later), "--mesh", kind, "--original", original],
+        ["verify", "--mesh", str(made), original],
+        ["verify", "--mesh", str(later), original],
+    ):
+        result = run(main, arguments)
+        assert result.exit_code == 0, result.output
+    assert kind in run(main, ["info", str(made)]).output
+
+
+def test_a_raster_of_one_line_has_no_meshes(tmp_path):
+    for kind in KINDS:
+        for shape in ((1, 70), (70, 1), (1, 1)):
+            case = make_case(
+                "smooth", "none", shape, 1, max_error=1, block=32, mesh=kind, method="cdf97"
+            )
+            path = write_case(case, tmp_path)
+            with terrainwave.open(path) as terrain:
+                for block in blocks_of(terrain):
+                    assert len(terrain.block_mesh(block).triangles) == 0
+                    assert terrain.mesh_error(block) == 0
+
+
+# Bytes of a block
+
+
+class Samples:
+    def __init__(self, heights, mask):
+        self.heights, self.mask, self.locked = heights, mask, ~mask
+
+
+@given(seed=st.integers(0, 1 << 16), n_rows=st.integers(2, 33), n_cols=st.integers(2, 33))
+@settings(max_examples=N_EXAMPLES)
+def test_border_vertices_of_an_rqt_come_back(seed, n_rows, n_cols):
+    rng = np.random.default_rng(seed)
+    heights = np.cumsum(rng.integers(-5, 6, (n_rows, n_cols)), axis=1).astype(np.int32)
+    samples, kind = Samples(heights, rng.random((n_rows, n_cols)) > 0.02), STORED_KINDS["rqt"]
+    tolerance = int(rng.integers(0, 200))
+    wanted = border_of(rng.random((n_rows, n_cols)) < rng.choice([0.02, 0.5]))
+    draft = kind.draft(samples, tolerance, wanted)
+    data = kind.encode(samples, tolerance, draft)
+    mesh = kind.mesh(samples, tolerance, data)
+    again = kind.draft(samples, tolerance, draft.border)
+    assert all(np.array_equal(a, b) for a, b in zip(again.border, draft.border, strict=True))
+    if samples.mask.all():
+        found = np.zeros((n_rows, n_cols), dtype=bool)
+        found[mesh.rows >> 1, mesh.cols >> 1] = True
+        for own, line in zip(border_of(found), draft.border, strict=True):
+            assert np.array_equal(own, line)
+
+
+def test_the_example_of_the_annex():
+    text = (Path(__file__).parents[2] / "docs" / "format-mesh-rqt.md").read_text("utf-8")
+    payload = bytes.fromhex(text.split("```")[1])
+    samples = Samples(np.zeros((5, 5), dtype=np.int32), np.ones((5, 5), dtype=bool))
+    mesh = STORED_KINDS["rqt"].mesh(samples, 16, payload)
+    vertices = [f"({row},{col})" for row, col in zip(mesh.rows >> 1, mesh.cols >> 1, strict=True)]
+    assert text.split("Vertices: ")[1].strip() == ", ".join(vertices) + "."
+    wanted = np.zeros((5, 5), dtype=bool)
+    wanted[0, 1] = True
+    draft = STORED_KINDS["rqt"].draft(samples, 16, border_of(wanted))
+    assert STORED_KINDS["rqt"].encode(samples, 16, draft) == payload
+
+
+# Hostile sections
+
+
+def test_sections_hold_parts():
+    parts = [b"abc", b"", b"x" * 200, b"y"]
+    assert unpack_section(pack_section(parts), 4) == parts
+    assert pack_section([b"", b""]) == b""
+    assert unpack_section(b"", 2) == [b"", b""]
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"\x03ab", b"\x01a", b"\x01a\x01bc", b"\x00\x00", b"\xff\xff\xff\xff\x7fab\x00",
+     b"\x80\x00\x01a", b"\x80"],
+)  # fmt: skip
+def test_a_section_of_wrong_lengths_is_corrupt(data):
+    with pytest.raises((CorruptStreamError, TruncatedStreamError)):
+        unpack_section(data, 2)
+
+
+def with_section(path, target, key, section):
+    """Write a file with another mesh section of a key, checksums and all."""
+    with terrainwave.open(path, threads=1) as terrain, target.open("wb") as file:
+        container = terrain._container
+        codes = {block: container.codes(block)[3] for block in blocks_of(terrain)}
+        with scratch_directory(target.parent, "section") as directory:
+            spools = _copied(terrain, codes, directory)
+            head = None if key.is_root_key else terrain.grid.segment_head(key)
+            spools[head].set_mesh(key, section)
+            assemble(file, container.header, spools)
+            for spool in spools.values():
+                spool.close()
+    return target
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_hostile_sections_give_a_mesh_or_a_clear_error(kind, tmp_path):
+    case = make_case("rough patch", "disc", (100, 100), 2, amplitude=900.0, max_error=3, block=32)
+    path = write_case(with_kind(case, kind), tmp_path)
+    rng = np.random.default_rng(0)
+    n_refused = 0
+    with terrainwave.open(path) as terrain:
+        block = next(b for b in blocks_of(terrain)[::-1] if terrain._container.mesh(key_of(b)))
+        key = key_of(block)
+        section = terrain._container.mesh(key)
+        heights = terrain.read()
+    assert with_section(path, tmp_path / "same.twz", key, section).read_bytes() == path.read_bytes()
+    flipped = []
+    for _ in range(10):
+        data = bytearray(section)
+        data[rng.integers(len(data))] ^= 1 << rng.integers(8)
+        flipped.append(bytes(data))
+    for data in [section[:-1], section + b"\0", b"\xff" * 40, bytes(5), bytes(100), *flipped]:
+        hostile = with_section(path, tmp_path / "hostile.twz", key, data)
+        with terrainwave.open(hostile) as terrain:
+            for part in terrain.grid.key_blocks(key):
+                try:
+                    mesh = terrain.block_mesh(part)
+                except CorruptStreamError:
+                    n_refused += 1
+                    continue
+                n_rows, n_cols = case.options["block"] + 1, case.options["block"] + 1
+                assert mesh.triangles.max(initial=-1) < len(mesh.rows) <= n_rows * n_cols
+            assert np.array_equal(terrain.read(), heights)
+    assert n_refused > 10
+
+
+def test_bytes_for_a_block_without_a_mesh_are_corrupt(tmp_path):
+    case = make_case("smooth", "none", (100, 100), 2, max_error=3, block=32, mesh="rqt")
+    case.valid[:40, :40] = False
+    path = write_case(case, tmp_path)
+    key = Block(1, 0, 0)
+    hostile = with_section(path, tmp_path / "hostile.twz", key, pack_section([b"a", b"", b"", b""]))
+    with terrainwave.open(hostile) as terrain, pytest.raises(CorruptStreamError, match="no mesh"):
+        terrain.block_mesh(Block(2, 0, 0))
