@@ -14,7 +14,7 @@ _FIRST_INDICES = 1 << 20
 # Of the memory, at most this share is textures.
 _TEXTURE_SHARE = 2
 _MAX_LAYERS = 2048
-_FIRST_LAYERS = 64
+_FIRST_LAYER_BYTES = 64 << 20  # growing copies through this side: seldom
 _INDEX_BYTES = 4
 _TEXEL_BYTES = 4
 # struct DrawElementsIndirectCommand
@@ -57,7 +57,8 @@ class GpuStore:
         self._mesh_bytes = max_bytes - self._max_layers * layer_bytes
         self._vertices = Arena(_FIRST_VERTICES)
         self._indices = Arena(_FIRST_INDICES)
-        self._layers = Arena(min(_FIRST_LAYERS, self._max_layers))
+        first_layers = max(_FIRST_LAYER_BYTES // layer_bytes, 8)
+        self._layers = Arena(min(first_layers, self._max_layers))
         self.vertex_buffer = context.buffer(reserve=_FIRST_VERTICES * VERTEX.itemsize)
         self.index_buffer = context.buffer(reserve=_FIRST_INDICES * _INDEX_BYTES)
         self.slopes = self._new_texture(self._layers.capacity)

@@ -339,7 +339,10 @@ class Scene:
     # Drawing
 
     def _frames(self, view: View, selection: Selection, tau: float, n_missing: int) -> Frames:
-        nodes, distances, n_triangles = selection
+        # The nearest first: what they hide need not be shaded.
+        order = np.argsort(selection.distances, kind="stable")
+        nodes, distances = selection.nodes[order], selection.distances[order]
+        n_triangles = selection.n_triangles
         z_scale = view.exaggeration
         errors = self.table.errors[nodes] * z_scale
         # Blocks are split at τ / MORPH_START, so that what is drawn may use up to τ.

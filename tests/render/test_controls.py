@@ -1,0 +1,168 @@
+"""Keys, mouse, overlay and PNG without a window."""
+
+import io
+
+import numpy as np
+import pytest
+
+from terrainwave.render.camera import Camera, Viewport, project
+from terrainwave.render.controls import Controls
+from terrainwave.render.frame import Frame
+from terrainwave.render.overlay import draw_overlay, length_text, round_length
+from terrainwave.render.png import encode_png
+from terrainwave.render.ramps import N_COLORS, RAMPS, ramp_colors
+from terrainwave.render.style import COLORINGS, Style
+
+VIEWPORT = Viewport(300, 200)
+
+
+class FakeScene:
+    def __init__(self):
+        self.frame = Frame((0.0, 0.0), (1.0, 1.0, 1.0), (30.0, 0.0, -1500.0, 0.0, -30.0, 1500.0),
+                           (101, 101), (0.0, 500.0))  # fmt: skip
+
+    def exaggerate(self, factor):
+        self.frame = self.frame.exaggerated(factor)
+
+
+@pytest.fixture
+def controls():
+    return Controls(FakeScene(), Camera((0.0, -2000.0, 800.0), 0, -20), Style(), 1.0)
+
+
+def press(controls, *keys):
+    for key in keys:
+        controls.press(key, VIEWPORT)
+        controls.release(key)
+
+
+def test_held_keys_fly_as_long_as_they_are_held(controls):
+    controls.speed = 100.0
+    controls.press("w", VIEWPORT)
+    controls.tick(0.1)
+    np.testing.assert_allclose(
+        np.linalg.norm(np.subtract(controls.camera.position, (0, -2000, 800))), 10
+    )
+    controls.press("shift", VIEWPORT)
+    before = controls.camera
+    controls.tick(0.1)
+    np.testing.assert_allclose(np.linalg.norm(controls.camera.eye - before.eye), 40)
+    controls.release("w")
+    before = controls.camera
+    controls.tick(0.1)
+    assert controls.camera == before
+
+
+def test_up_is_up_wherever_the_camera_looks(controls):
+    controls.press("e", VIEWPORT)
+    controls.tick(0.1)
+    x, y, z = controls.camera.position
+    assert (x, y) == (0, -2000)
+    assert z > 800
+
+
+def test_dragging_orbits_around_the_point_that_was_grabbed(controls):
+    point = np.array([100.0, 50.0, 200.0])
+    before = project(controls.camera, VIEWPORT, point[None])[0]
+    controls.grab(point)
+    controls.drag(40, 0)
+    assert controls.camera.heading != 0
+    after = project(controls.camera, VIEWPORT, point[None])[0]
+    np.testing.assert_allclose(after, before, atol=1e-6)
+
+
+def test_flying_and_the_right_button_look_around_in_place(controls):
+    controls.grab(np.zeros(3))
+    controls.drag(40, 10, is_right=True)
+    assert controls.camera.position == (0, -2000, 800)
+    assert controls.camera.heading != 0
+    press(controls, "tab")
+    before = controls.camera
+    controls.drag(40, 0)
+    assert controls.camera.position == before.position
+
+
+def test_the_wheel_zooms_to_the_cursor_or_changes_the_speed(controls):
+    point = np.array([0.0, 0.0, 0.0])
+    away = np.linalg.norm(controls.camera.eye)
+    controls.scroll(1, point)
+    assert np.linalg.norm(controls.camera.eye) < away
+    press(controls, "tab")
+    speed, before = controls.speed, controls.camera
+    controls.scroll(2, point)
+    assert controls.speed > speed
+    assert controls.camera == before
+
+
+def test_keys_change_the_picture(controls):
+    press(controls, "c", "r", "l", "b", "h")
+    assert controls.style.coloring != "ground"
+    assert controls.style.ramp != "tints"
+    assert controls.style.wireframe
+    assert controls.style.shade == 0
+    assert controls.shows_help
+    for _ in range(len(COLORINGS) - 1):
+        press(controls, "c")
+    assert controls.style.coloring == "ground"
+    press(controls, "period", "+", "]")
+    assert controls.style.sun[0] == 330
+    assert controls.max_pixel_error == pytest.approx(2**0.5)
+    assert controls._scene.frame.exaggeration == 1.25
+    assert controls.camera.position[2] == 1000
+
+
+def test_places_to_go(controls):
+    press(controls, "t")
+    assert controls.camera.pitch == -90
+    press(controls, "home")
+    assert controls.camera.pitch > -90
+    press(controls, "escape", "p")
+    assert controls.is_closing
+    assert controls.wants_camera_line
+
+
+@pytest.mark.parametrize(
+    ("largest", "expected"), [(1.0, 1.0), (4.99, 2.0), (5.0, 5.0), (99, 50), (0.07, 0.05)]
+)
+def test_scale_bars_have_round_lengths(largest, expected):
+    assert round_length(largest) == pytest.approx(expected)
+
+
+def test_lengths_as_people_write_them():
+    assert (length_text(500), length_text(2000)) == ("500 m", "2 km")
+
+
+def test_the_scale_bar_is_as_long_as_it_says():
+    image = draw_overlay(VIEWPORT, Camera((0, 0, 0)), [], 10.0)
+    row = image[VIEWPORT.height - 22]
+    white = np.flatnonzero((row[:, :3] == 255).all(axis=1) & (row[:, 3] == 255))
+    assert abs(len(white) * 10 - 1000) <= 30
+
+
+def test_the_arrow_points_north():
+    images = [draw_overlay(VIEWPORT, Camera((0, 0, 0), heading), [], None) for heading in (0, 90)]
+    red = [np.argwhere((image[..., 0] > 200) & (image[..., 1] < 100)) for image in images]
+    ahead, left = (points.mean(axis=0) for points in red)
+    assert ahead[1] < left[1] + 30
+    assert not np.array_equal(*images)
+
+
+def test_a_png_is_read_back_as_it_was():
+    from PIL import Image
+
+    image = np.random.default_rng(1).integers(0, 256, (37, 53, 3), dtype=np.uint8)
+    with Image.open(io.BytesIO(encode_png(image))) as found:
+        np.testing.assert_array_equal(np.asarray(found), image)
+
+
+@pytest.mark.parametrize("name", list(RAMPS))
+@pytest.mark.parametrize("heights", [(0.0, 4000.0), (-5000.0, 4000.0), (100.0, 100.0)])
+def test_ramps_have_a_colour_for_every_height(name, heights):
+    assert ramp_colors(name, *heights).shape == (N_COLORS, 3)
+
+
+def test_the_sea_is_blue_below_nought_only():
+    colors = ramp_colors("tints", -4000.0, 4000.0).astype(int)
+    below, above = colors[: N_COLORS // 2 - 2], colors[N_COLORS // 2 + 2 :]
+    assert (below[:, 2] > below[:, 0]).all()
+    assert (above[: N_COLORS // 4, 1] > above[: N_COLORS // 4, 2]).all()
