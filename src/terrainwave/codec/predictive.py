@@ -209,8 +209,9 @@ def _fit_e_weights(
     judges = windows[1::2]
     for window in windows[::2]:
         _code_window(*window, step, trained, seen)
-        sizes = np.concatenate([part[1] for parts in seen.values() for part in parts])
-        if 256 * sizes.sum() < CLASS_LIMITS[-1] * sizes.size:
+        coded = [part[1] for parts in seen.values() for part in parts]
+        n_coded = sum(sizes.size for sizes in coded)
+        if 256 * sum(int(sizes.sum()) for sizes in coded) < CLASS_LIMITS[-1] * max(n_coded, 1):
             return none  # few details: their size doesn't matter
     found = dict(none)
     for plane, parts in seen.items():
