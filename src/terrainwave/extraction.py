@@ -202,7 +202,7 @@ class _Extractor:
         return is_whole and ends_inside and self._heights_error(block) * _COARSE_SHARE <= error
 
     def _close(self, cut: dict[Block, _Piece], error: Fraction) -> None:
-        """Split coarse blocks until the corners of finer blocks lie on vertices of their borders.
+        """Split coarse blocks until no void lies where levels meet.
 
         Splitting never makes another block usable again, so the result does not depend on the
         order.
@@ -253,24 +253,32 @@ class _Extractor:
         return None
 
     def _fits_beside(self, cut: dict[Block, _Piece], block: Block) -> bool:
-        """Say whether all finer blocks beside a coarse one end on vertices of its border lines."""
-        lines: Lines | None = None
-        for side, beside, finer in self._finer(cut, block):
-            del beside
-            if lines is None:
-                lines = border_lines(self._samples_of(block), cut[block].sides, self._grid.block)
-                locked = _sides(self._samples_of(block).locked)
-            if locked[side].any():
+        """Say whether no void lies where a coarse block meets finer ones.
+
+        The finer ones' corners must be samples of the coarse one, to be vertices of its border.
+        """
+        for side, _, finer in self._finer(cut, block):
+            if self._grid.block >> (finer.level - block.level) == 0:
                 return False
-            step = self._grid.block >> (finer.level - block.level)
-            first = (finer.row if side in ("left", "right") else finer.col) * step
-            first -= (block.row if side in ("left", "right") else block.col) * self._grid.block
-            line = getattr(lines, side)
-            if not (line[first] and line[first + step]):
+            if _sides(self._samples_of(block).locked)[side].any():
                 return False
             if _sides(self._samples_of(finer).locked)[_OPPOSITE[side]].any():
                 return False
         return True
+
+    def _own_lines(self, cut: dict[Block, _Piece], block: Block) -> Lines:
+        """Return the block's border lines, with vertices at the corners of finer blocks."""
+        samples = self._samples_of(block)
+        if block.level < self._area.level:
+            forced = samples.locked.copy()
+            for side, _, finer in self._finer(cut, block):
+                step = self._grid.block >> (finer.level - block.level)
+                place = finer.row if side in ("left", "right") else finer.col
+                first = place * step
+                first -= (block.row if side in ("left", "right") else block.col) * self._grid.block
+                _sides(forced)[side][[first, first + step]] = True
+            samples = samples._replace(locked=forced)
+        return border_lines(samples, cut[block].sides, self._grid.block)
 
     def _finer(self, cut: dict[Block, _Piece], block: Block) -> Iterator[tuple[str, Block, Block]]:
         """Yield (side of the block, its neighbour there, a finer block of the cut beside it)."""
@@ -299,7 +307,7 @@ class _Extractor:
 
     def _lines(self, cut: dict[Block, _Piece], block: Block, samples: BlockSamples) -> Lines:
         """Return the block's border lines, those of coarser neighbours where there are any."""
-        lines = border_lines(samples, cut[block].sides, self._grid.block)
+        lines = self._own_lines(cut, block)
         for side, (row, col) in _TOWARDS.items():
             place = Block(block.level, block.row + row, block.col + col)
             if not self._grid.contains(place):
@@ -307,8 +315,7 @@ class _Extractor:
             beside = self._covering(cut, place)
             if beside is None or beside.level == block.level:
                 continue
-            coarse = border_lines(self._samples_of(beside), cut[beside].sides, self._grid.block)
-            line = getattr(coarse, _OPPOSITE[side])
+            line = getattr(self._own_lines(cut, beside), _OPPOSITE[side])
             ratio = 1 << (block.level - beside.level)
             own = np.zeros(len(getattr(lines, side)), dtype=np.bool_)
             first = (block.row if col else block.col) * self._grid.block // ratio
