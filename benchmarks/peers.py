@@ -104,6 +104,7 @@ class Terrainwave(Codec):
             effort=self.method.partition("-")[2] or "default",
             threads=1,
             verify=False,
+            mesh="none",
             overwrite=True,
         )
         return target

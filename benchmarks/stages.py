@@ -201,7 +201,7 @@ def measure(raster: Raster, max_error: float, effort: str, n_runs: int, folder: 
     def encode() -> None:
         terrainwave.compress(
             source, target, max_error=max_error, method="predictive", effort=effort, threads=1,
-            verify=False, overwrite=True,
+            verify=False, mesh="none", overwrite=True,
         )  # fmt: skip
 
     def decode() -> None:
