@@ -11,7 +11,7 @@ import shutil
 import sys
 import threading
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -26,7 +26,7 @@ from terrainwave.codec.refiner import FittingRefiner, Refiner
 from terrainwave.codec.registry import check_method, refiner_by_name
 from terrainwave.codec.units import CodecParameters
 from terrainwave.codes import decode_error, decode_range, encode_error, encode_range
-from terrainwave.container.header import MAX_MESH_TOLERANCE, Header
+from terrainwave.container.header import Header
 from terrainwave.container.page import page_layout
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.spool import SegmentSpool
@@ -35,7 +35,7 @@ from terrainwave.decoder import TreeDecoder
 from terrainwave.encoder import Stats, TreeEncoder
 from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
 from terrainwave.mesh_sections import make_sections, parts_of_blocks
-from terrainwave.meshing import BlockMesher, measure_meshes
+from terrainwave.meshing import BlockMesher, measure_meshes, mesh_codes, mesh_tolerance
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.pyramid import Pyramid, SourceWindows
 from terrainwave.quadtree import Block, Grid, Region
@@ -44,7 +44,6 @@ from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.spool import Spool
 from terrainwave.terrain import EFFORTS, Terrain
-from terrainwave.tri.mesh import FRACTION_BITS
 
 DEFAULT_MAX_ERROR = 0.01
 BLOCKS = (32, 64, 128, 256, 512, 1024)
@@ -483,8 +482,7 @@ def _mesh_tolerance(job: _Job) -> int:
         error = max(Fraction(quantizer.effective_error), Fraction(quantizer.quantum))
     else:
         error = as_fraction(job.options.mesh_error) / _scale_of(job.info)
-    quanta = error * quantizer.denominator / quantizer.numerator
-    return min(int(quanta * (1 << FRACTION_BITS)), MAX_MESH_TOLERANCE)
+    return mesh_tolerance(error, Fraction(quantizer.numerator, quantizer.denominator))
 
 
 def _mesh_errors(
@@ -511,28 +509,13 @@ def _mesh_errors(
         kind=job.options.mesh,
         part=parts_of_blocks(grid, lambda key: sections.get(key, b"")),
     )
-    total = grid.n_rows * grid.n_cols
-    itemsize = np.dtype(job.info.dtype).itemsize
-    lock = threading.Lock()
-
-    def counting(phase: str) -> Callable[[int], None]:
-        done = 0
-
-        def on_samples(n_samples: int) -> None:
-            nonlocal done
-            with lock:
-                done = min(done + n_samples, total)
-                reporter.report(phase, done, total, done * itemsize)
-
-        return on_samples
-
-    sections.update(make_sections(grid, mesher, executor, counting("making meshes")))
+    size = grid.n_rows * grid.n_cols, np.dtype(job.info.dtype).itemsize
+    count = reporter.counter("making meshes", *size)
+    sections.update(make_sections(grid, mesher, executor, count))
     sink.set_meshes(sections)
-    found = measure_meshes(grid, mesher, pyramid.originals, executor, counting("measuring meshes"))
-    lost = _lost(job)
-    return {
-        block: encode_error(-(-error >> FRACTION_BITS) + lost) for block, error in found.items()
-    }
+    count = reporter.counter("measuring meshes", *size)
+    found = measure_meshes(grid, mesher, pyramid.originals, executor, count)
+    return mesh_codes(found, Fraction(_lost(job)))
 
 
 class _SpoolSink:

@@ -257,7 +257,7 @@ class _Extractor:
 
         The finer ones' corners must be samples of the coarse one, to be vertices of its border.
         """
-        for side, _, finer in self._finer(cut, block):
+        for side, finer in self._finer(cut, block):
             if self._grid.block >> (finer.level - block.level) == 0:
                 return False
             if _sides(self._samples_of(block).locked)[side].any():
@@ -266,12 +266,11 @@ class _Extractor:
                 return False
         return True
 
-    def _own_lines(self, cut: dict[Block, _Piece], block: Block) -> Lines:
+    def _own_lines(self, cut: dict[Block, _Piece], block: Block, samples: BlockSamples) -> Lines:
         """Return the block's border lines, with vertices at the corners of finer blocks."""
-        samples = self._samples_of(block)
         if block.level < self._area.level:
             forced = samples.locked.copy()
-            for side, _, finer in self._finer(cut, block):
+            for side, finer in self._finer(cut, block):
                 step = self._grid.block >> (finer.level - block.level)
                 place = finer.row if side in ("left", "right") else finer.col
                 first = place * step
@@ -280,8 +279,8 @@ class _Extractor:
             samples = samples._replace(locked=forced)
         return border_lines(samples, cut[block].sides, self._grid.block)
 
-    def _finer(self, cut: dict[Block, _Piece], block: Block) -> Iterator[tuple[str, Block, Block]]:
-        """Yield (side of the block, its neighbour there, a finer block of the cut beside it)."""
+    def _finer(self, cut: dict[Block, _Piece], block: Block) -> Iterator[tuple[str, Block]]:
+        """Yield (side of the block, a finer block of the cut beside it)."""
         for side, (row, col) in _TOWARDS.items():
             beside = Block(block.level, block.row + row, block.col + col)
             if not self._grid.contains(beside) or self._covering(cut, beside) is not None:
@@ -294,7 +293,7 @@ class _Extractor:
                     if (row and child.row & 1 != (row < 0)) or (col and child.col & 1 != (col < 0)):
                         continue
                     if child in cut:
-                        yield side, beside, child
+                        yield side, child
                     elif self._meets(child):
                         waiting.append(child)
 
@@ -307,7 +306,7 @@ class _Extractor:
 
     def _lines(self, cut: dict[Block, _Piece], block: Block, samples: BlockSamples) -> Lines:
         """Return the block's border lines, those of coarser neighbours where there are any."""
-        lines = self._own_lines(cut, block)
+        lines = self._own_lines(cut, block, samples)
         for side, (row, col) in _TOWARDS.items():
             place = Block(block.level, block.row + row, block.col + col)
             if not self._grid.contains(place):
@@ -315,7 +314,8 @@ class _Extractor:
             beside = self._covering(cut, place)
             if beside is None or beside.level == block.level:
                 continue
-            line = getattr(self._own_lines(cut, beside), _OPPOSITE[side])
+            coarse = self._own_lines(cut, beside, self._samples_of(beside))
+            line = getattr(coarse, _OPPOSITE[side])
             ratio = 1 << (block.level - beside.level)
             own = np.zeros(len(getattr(lines, side)), dtype=np.bool_)
             first = (block.row if col else block.col) * self._grid.block // ratio

@@ -5,18 +5,14 @@ from concurrent.futures import Executor
 from functools import lru_cache
 
 from terrainwave.codec.varint import decode_varint, encode_varint
+from terrainwave.decoder import unit_key
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.meshing import BlockMesher
-from terrainwave.quadtree import ROOT_LEVEL, Block, Grid
+from terrainwave.quadtree import Block, Grid
 from terrainwave.tri.agreement import BorderVertices, Position, agree
 from terrainwave.tri.stored import STORED_KINDS, Draft, has_triangles
 
 _CACHED_SECTIONS = 64
-
-
-def key_of(block: Block) -> Block:
-    """Return the key whose unit holds a block's heights, and whose section holds its mesh."""
-    return Block(ROOT_LEVEL, block.row, block.col) if block.level == 0 else block.parent
 
 
 def pack_section(parts: list[bytes]) -> bytes:
@@ -64,7 +60,7 @@ def parts_of_blocks(grid: Grid, section: Callable[[Block], bytes]) -> Callable[[
         blocks = grid.key_blocks(key)
         return dict(zip(blocks, unpack_section(section(key), len(blocks)), strict=True))
 
-    return lambda block: parts(key_of(block))[block]
+    return lambda block: parts(unit_key(block))[block]
 
 
 def make_sections(
@@ -93,7 +89,7 @@ def make_sections(
     sections: dict[Block, list[bytes]] = {}
     for level in range(grid.k_max + 1):
         for block, part in _level_parts(grid, mesher, level, executor, on_samples).items():
-            key = key_of(block)
+            key = unit_key(block)
             blocks = grid.key_blocks(key)
             parts = sections.setdefault(key, [b""] * len(blocks))
             parts[blocks.index(block)] = part

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from fractions import Fraction
@@ -12,21 +12,24 @@ from typing import Any
 import numpy as np
 
 from terrainwave.codec.refiner import Heights, Mask
-from terrainwave.codes import encode_error
-from terrainwave.container.header import MAX_MESH_TOLERANCE
 from terrainwave.container.page import N_CODES
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.mesh_sections import make_sections, parts_of_blocks
-from terrainwave.meshing import BlockMesher, Originals, measure_meshes
+from terrainwave.meshing import (
+    BlockMesher,
+    Originals,
+    measure_meshes,
+    mesh_codes,
+    mesh_tolerance,
+)
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.quadtree import Block, Region
 from terrainwave.quantum import as_fraction
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.terrain import Terrain
-from terrainwave.tri.mesh import FRACTION_BITS
 
 # Meshes that files store; "auto" is the first.
 MESHES = ("halves", "zerotree", "rqt")
@@ -105,26 +108,12 @@ def store_meshes(
             kind=header.mesh,
             part=parts_of_blocks(grid, lambda key: sections.get(key, b"")),
         )
-        total = grid.n_rows * grid.n_cols
-        itemsize = terrain.dtype.itemsize
-
-        def counting(phase: str) -> Callable[[int], None]:
-            done = 0
-
-            def on_samples(n_samples: int) -> None:
-                nonlocal done
-                done = min(done + n_samples, total)
-                reporter.report(phase, done, total, done * itemsize)
-
-            return on_samples
-
-        sections.update(make_sections(grid, mesher, executor, counting("making meshes")))
+        size = grid.n_rows * grid.n_cols, terrain.dtype.itemsize
+        count = reporter.counter("making meshes", *size)
+        sections.update(make_sections(grid, mesher, executor, count))
         originals, lost = _originals(terrain, original)
-        found = measure_meshes(grid, mesher, originals, executor, counting("measuring meshes"))
-        codes = {
-            block: encode_error(math.ceil(Fraction(error, 1 << FRACTION_BITS) + lost))
-            for block, error in found.items()
-        }
+        count = reporter.counter("measuring meshes", *size)
+        codes = mesh_codes(measure_meshes(grid, mesher, originals, executor, count), lost)
         spools = _copied(terrain, codes, directory, sections)
         assemble(part.file, header, spools)
         for spool in spools.values():
@@ -139,7 +128,7 @@ def _tolerance(terrain: Terrain, mesh_error: float | None) -> int:
         error = max(Fraction(header.effective_bound), header.quantum)
     else:
         error = as_fraction(mesh_error) / abs(as_fraction(terrain.raster_info.scale))
-    return min(int(error / header.quantum * (1 << FRACTION_BITS)), MAX_MESH_TOLERANCE)
+    return mesh_tolerance(error, header.quantum)
 
 
 def _originals(terrain: Terrain, original: Any) -> tuple[Originals, Fraction]:

@@ -4,17 +4,20 @@ A block's mesh follows from its decoded samples, the voids beside it, the error 
 and, for the kinds of `tri.stored`, the block's bytes in the mesh sections.
 """
 
+import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.refiner import Heights, Mask
-from terrainwave.codes import decode_error
+from terrainwave.codes import decode_error, encode_error
+from terrainwave.container.header import MAX_MESH_TOLERANCE
 from terrainwave.decoder import TreeDecoder
 from terrainwave.errors import CorruptStreamError
 from terrainwave.measure import with_outside
@@ -207,7 +210,20 @@ def border_lines(
     )
 
 
+def mesh_tolerance(error: Fraction, quantum: Fraction) -> int:
+    """Return an error as the tolerance that a header holds: in 1/16 quanta, rounded down."""
+    return min(int(error / quantum * (1 << FRACTION_BITS)), MAX_MESH_TOLERANCE)
+
+
 # Measured errors
+
+
+def mesh_codes(errors: dict[Block, int], lost: Fraction) -> dict[Block, int]:
+    """Return the codes of measured errors, in 1/16 quanta, each with `lost` quanta added."""
+    return {
+        block: encode_error(math.ceil(Fraction(error, 1 << FRACTION_BITS) + lost))
+        for block, error in errors.items()
+    }
 
 
 def measure_meshes(

@@ -48,3 +48,16 @@ class Reporter:
                 return
             self._last = now
             self._callback(Progress(stage, done, total, n_bytes_in, **more))
+
+    def counter(self, stage: str, total: int, itemsize: int) -> Callable[[int], None]:
+        """Return what counts samples of `itemsize` bytes as they are done, from any thread."""
+        lock = threading.Lock()
+        done = 0
+
+        def count(n_samples: int) -> None:
+            nonlocal done
+            with lock:
+                done = min(done + n_samples, total)
+                self.report(stage, done, total, done * itemsize)
+
+        return count

@@ -15,8 +15,9 @@ import terrainwave
 from terrainwave.cli import main
 from terrainwave.container.publish import scratch_directory
 from terrainwave.container.writer import assemble
+from terrainwave.decoder import unit_key
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
-from terrainwave.mesh_sections import key_of, pack_section, unpack_section
+from terrainwave.mesh_sections import pack_section, unpack_section
 from terrainwave.mesh_storage import _copied, store_meshes
 from terrainwave.mesh_verification import verify_meshes
 from terrainwave.quadtree import Block
@@ -217,8 +218,8 @@ def test_hostile_sections_give_a_mesh_or_a_clear_error(kind, tmp_path):
     rng = np.random.default_rng(0)
     n_refused = 0
     with terrainwave.open(path) as terrain:
-        block = next(b for b in blocks_of(terrain)[::-1] if terrain._container.mesh(key_of(b)))
-        key = key_of(block)
+        block = next(b for b in blocks_of(terrain)[::-1] if terrain._container.mesh(unit_key(b)))
+        key = unit_key(block)
         section = terrain._container.mesh(key)
         heights = terrain.read()
     assert with_section(path, tmp_path / "same.twz", key, section).read_bytes() == path.read_bytes()

@@ -9,10 +9,15 @@ BLOCKS = (32, 64, 128, 256, 512, 1024)
 TILE_SIZES = tuple(2**n + 1 for n in range(1, 15))
 
 
-class Bound(click.ParamType):
-    """A finite number >= 0."""
+class Finite(click.ParamType):
+    """A finite number."""
 
     name = "number"
+    expected = "a finite number"
+
+    def holds(self, number: float) -> bool:
+        """Say whether a finite number is one of these."""
+        return True
 
     def convert(self, value: Any, param: Any, ctx: Any) -> float:
         """Return the number."""
@@ -20,9 +25,29 @@ class Bound(click.ParamType):
             number = float(value)
         except ValueError:
             number = math.nan
-        if not (math.isfinite(number) and number >= 0):
-            self.fail(f"found {value}, expected a finite number >= 0", param, ctx)
+        if not (math.isfinite(number) and self.holds(number)):
+            self.fail(f"found {value}, expected {self.expected}", param, ctx)
         return number
+
+
+class Bound(Finite):
+    """A finite number >= 0."""
+
+    expected = "a finite number >= 0"
+
+    def holds(self, number: float) -> bool:
+        """Say whether the number is not negative."""
+        return number >= 0
+
+
+class Positive(Finite):
+    """A finite number > 0."""
+
+    expected = "a finite number > 0"
+
+    def holds(self, number: float) -> bool:
+        """Say whether the number is positive."""
+        return number > 0
 
 
 class Nodata(click.ParamType):
@@ -70,38 +95,6 @@ class TileSize(click.ParamType):
                 ctx,
             )
         return int(value)
-
-
-class Positive(click.ParamType):
-    """A finite number > 0."""
-
-    name = "number"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        """Return the number."""
-        try:
-            number = float(value)
-        except ValueError:
-            number = math.nan
-        if not (math.isfinite(number) and number > 0):
-            self.fail(f"found {value}, expected a finite number > 0", param, ctx)
-        return number
-
-
-class Finite(click.ParamType):
-    """A finite number."""
-
-    name = "number"
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        """Return the number."""
-        try:
-            number = float(value)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
-            self.fail(f"found {value}, expected a finite number", param, ctx)
-        return number
 
 
 class Numbers(click.ParamType):

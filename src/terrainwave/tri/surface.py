@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from terrainwave._jit import kernel
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
+from terrainwave.tri.triangle import area_of
 
 _MAX_EXACT_AREA = 1 << 25
 # More than float64 loses of heights below 2^36.
@@ -43,6 +44,26 @@ def largest_deviation(
 
 
 @kernel
+def _covered(weight_0, step_0, weight_1, step_1, weight_2, step_2, last):
+    """Return from which to which place, 0 ... last, no weight is negative.
+
+    Weights, at place 0, grow by their steps from place to place.
+    """
+    first = np.int64(0)
+    for k in range(3):
+        weight = weight_0 if k == 0 else (weight_1 if k == 1 else weight_2)
+        step = step_0 if k == 0 else (step_1 if k == 1 else step_2)
+        if step > 0:
+            if weight < 0:
+                first = max(first, -(weight // step))
+        elif weight < 0:
+            last = np.int64(-1)
+        elif step < 0:
+            last = min(last, weight // -step)
+    return first, last
+
+
+@kernel
 def _largest_deviation(rows, cols, heights, triangles, stride, samples, mask, first_row, first_col):
     n_rows, n_cols = samples.shape
     largest = np.int64(0)
@@ -63,7 +84,7 @@ def _largest_deviation(rows, cols, heights, triangles, stride, samples, mask, fi
         right = min(max(col_0, col_1, col_2) >> 1, n_cols - 1)
         if left > right:
             continue
-        area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
+        area = area_of(row_0, col_0, row_1, col_1, row_2, col_2)
         if area <= 0:
             continue
         z_0 = heights[p_0]
@@ -73,24 +94,12 @@ def _largest_deviation(rows, cols, heights, triangles, stride, samples, mask, fi
         step_0, step_1 = -2 * (row_2 - row_1), -2 * (row_0 - row_2)
         step_2 = -(step_0 + step_1)
         for row in range(top, bottom + 1):
-            weight_0 = (col_1 - 2 * left) * (row_2 - 2 * row) - (col_2 - 2 * left) * (
-                row_1 - 2 * row
-            )
-            weight_1 = (col_2 - 2 * left) * (row_0 - 2 * row) - (col_0 - 2 * left) * (
-                row_2 - 2 * row
-            )
+            weight_0 = area_of(2 * row, 2 * left, row_1, col_1, row_2, col_2)
+            weight_1 = area_of(row_0, col_0, 2 * row, 2 * left, row_2, col_2)
             weight_2 = area - weight_0 - weight_1
-            skip, most = np.int64(0), right - left
-            for k in range(3):
-                weight = weight_0 if k == 0 else (weight_1 if k == 1 else weight_2)
-                step = step_0 if k == 0 else (step_1 if k == 1 else step_2)
-                if step > 0:
-                    if weight < 0:
-                        skip = max(skip, -(weight // step))
-                elif weight < 0:
-                    most = np.int64(-1)
-                elif step < 0:
-                    most = min(most, weight // -step)
+            skip, most = _covered(
+                weight_0, step_0, weight_1, step_1, weight_2, step_2, right - left
+            )
             for place in range(skip, most + 1):
                 if not mask[row, left + place]:
                     continue
@@ -144,7 +153,7 @@ def _largest_from_bilinear(rows, cols, heights, triangles, stride, samples, is_w
         row_0, col_0 = np.int64(rows[p_0]) * stride, np.int64(cols[p_0]) * stride
         row_1, col_1 = np.int64(rows[p_1]) * stride, np.int64(cols[p_1]) * stride
         row_2, col_2 = np.int64(rows[p_2]) * stride, np.int64(cols[p_2]) * stride
-        area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
+        area = area_of(row_0, col_0, row_1, col_1, row_2, col_2)
         if area <= 0:
             continue
         top, bottom = (min(row_0, row_1, row_2) + 1) >> 1, max(row_0, row_1, row_2) >> 1
@@ -154,22 +163,12 @@ def _largest_from_bilinear(rows, cols, heights, triangles, stride, samples, is_w
         step_0, step_1 = -2 * (row_2 - row_1), -2 * (row_0 - row_2)
         step_2 = -(step_0 + step_1)
         for row in range(top, bottom + 1):
-            weight_0 = (col_1 - 2 * left) * (row_2 - 2 * row)
-            weight_0 -= (col_2 - 2 * left) * (row_1 - 2 * row)
-            weight_1 = (col_2 - 2 * left) * (row_0 - 2 * row)
-            weight_1 -= (col_0 - 2 * left) * (row_2 - 2 * row)
+            weight_0 = area_of(2 * row, 2 * left, row_1, col_1, row_2, col_2)
+            weight_1 = area_of(row_0, col_0, 2 * row, 2 * left, row_2, col_2)
             weight_2 = area - weight_0 - weight_1
-            skip, most = np.int64(0), right - left
-            for k in range(3):
-                weight = weight_0 if k == 0 else (weight_1 if k == 1 else weight_2)
-                step = step_0 if k == 0 else (step_1 if k == 1 else step_2)
-                if step > 0:
-                    if weight < 0:
-                        skip = max(skip, -(weight // step))
-                elif weight < 0:
-                    most = np.int64(-1)
-                elif step < 0:
-                    most = min(most, weight // -step)
+            skip, most = _covered(
+                weight_0, step_0, weight_1, step_1, weight_2, step_2, right - left
+            )
             cell_row = min(row // stride, n_rows - 1)
             down = row - cell_row * stride
             for col in range(left + skip, left + most + 1):
