@@ -400,6 +400,8 @@ def random_payload(rng, file, unit, parent_unit, parent_heights, parent_valid):
     if flags & 1:
         step_code = int(rng.integers(1, 2**32 + 1)) >> int(rng.integers(0, 32)) or 1
         head += varint(step_code) + bytes([rng.integers(0, 64)])
+    if flags & 2:
+        head += bytes([rng.integers(0, len(reference_decoder.TERM_WEIGHTS_97))])
     source = coder()
     with patch.object(reference_decoder, "RangeDecoder", lambda data: source):
         decode_cdf97(file.header, unit, head, valid, parent_unit, parent_heights)

@@ -44,8 +44,10 @@ from terrainwave.quadtree import Grid
 N_SETS = 16
 N_SAMPLES = 600
 N_ROUNDS = 6
-FEATURE_SHARE = 0.02
-SMALL_SIDE = 513
+N_ROWS = 48
+FEATURE_SHARE = 0.05
+# Prediction and contexts are fitted to many small units, models to units of the usual size.
+SMALL_SIDE, SMALL_BLOCK, BLOCK = 513, 128, 256
 SIZES = {
     "_residuals": N_RESIDUAL_MODELS, "_trees": N_TREE_MODELS, "_border": N_BORDER_MODELS
 }  # fmt: skip
@@ -125,17 +127,15 @@ class Recorder:
         ) = self._real  # fmt: skip
 
 
-def encode(heights, mask, step, effort=1):
+def encode(heights, mask, step, block):
     """Encode all units of a raster with `cdf97`; return the bytes."""
-    grid = Grid(*heights.shape, 256)
+    grid = Grid(*heights.shape, block)
     levels, masks = [heights], [mask]
     for level in range(grid.k_max - 1, -1, -1):
         fine = levels[-1]
         levels.append(lowpass_analysis(fine, (0, 0), fine.shape, (0, 0), grid.level_shape(level)))
         masks.append(np.ascontiguousarray(masks[-1][::2, ::2]))
-    parameters = CodecParameters(
-        step, int(heights.min()), int(heights.max()), (1, 0), 1, effort
-    )
+    parameters = CodecParameters(step, int(heights.min()), int(heights.max()), (1, 0), 1, 1)
     total = 0
     pending = [(key, None) for key in grid.root_keys()]
     while pending:
@@ -315,13 +315,13 @@ def train_models(models):
     return found
 
 
-def run(rasters, rng, part):
+def run(rasters, rng, block, part):
     """Encode all rasters at all steps; return what `part` makes of the units, and the models."""
     results, models = [], []
     for _, heights, mask, quantum in rasters:
         for step in steps_of(quantum):
             with Recorder() as recorder:
-                encode(heights, mask, step)
+                encode(heights, mask, step, block)
             results += [part(coded, rng) for coded in recorder.coded]
             models += recorder.models
     return results, models
@@ -336,7 +336,17 @@ def crop(raster, side):
 
 
 def both(coded, rng):
-    """Return samples and features of a unit."""
+    """Return samples and features of some rows of a unit."""
+    n_rows = coded.target.shape[0]
+    if n_rows > N_ROWS:
+        top = 2 * int(rng.integers(0, (n_rows - N_ROWS) // 2 + 1))
+        at = slice(top, top + N_ROWS)
+        kinds = coded.kinds[at].copy()
+        kinds[:FRAME] = VOID  # their neighbours above are not seen
+        base = coded.base[top : top + N_ROWS + 2 * FRAME]
+        coded = coded._replace(
+            target=coded.target[at], heights=coded.heights[at], kinds=kinds, base=base
+        )
     return samples_of(coded, rng), features_of(coded, rng)
 
 
@@ -345,11 +355,11 @@ def train(rasters, rng):
     tables97.TERM_WEIGHTS = np.zeros((1, 4, N_TERMS), dtype=np.int32)
     tables97.E_WEIGHTS = FIRST_GUESS
     small = [crop(raster, SMALL_SIDE) for raster in rasters]
-    for several in (small, rasters):
-        parts, _ = run(several, rng, both)
+    for _ in range(2):
+        parts, _ = run(small, rng, SMALL_BLOCK, both)
         tables97.TERM_WEIGHTS = train_sets([p for p, _ in parts if p is not None])
         tables97.E_WEIGHTS = train_expectation([f for _, f in parts])
-    _, models = run(rasters, rng, lambda *_: None)
+    _, models = run(rasters, rng, BLOCK, lambda *_: None)
     return train_models(models)
 
 
