@@ -22,6 +22,7 @@ from train_stencils import load, start_values, steps_of
 
 from terrainwave.codec import cdf97, tables97
 from terrainwave.codec.border import N_BORDER_MODELS
+from terrainwave.codec.refiner import Decoded
 from terrainwave.codec.residual import (
     BASE_BITS,
     CODED,
@@ -34,9 +35,8 @@ from terrainwave.codec.residual import (
     VOID,
     WEIGHT_BITS,
 )
-from terrainwave.codec.refiner import Decoded
-from terrainwave.codec.zerotree import N_TREE_MODELS
 from terrainwave.codec.units import CodecParameters, block_of_unit, unit_spec
+from terrainwave.codec.zerotree import N_TREE_MODELS
 from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.coding.rangecoder import new_models
 from terrainwave.quadtree import Grid
@@ -142,9 +142,7 @@ def encode(heights, mask, step, block):
         key, parent = pending.pop()
         spec = unit_spec(grid, parameters, key)
         region = spec.region
-        at = np.s_[
-            region.row : region.row + region.n_rows, region.col : region.col + region.n_cols
-        ]
+        at = np.s_[region.row : region.row + region.n_rows, region.col : region.col + region.n_cols]
         back = grid.k_max - spec.level
         valid = np.ascontiguousarray(masks[back][at])
         payload, decoded, _ = cdf97.Cdf97().encode(
@@ -368,7 +366,9 @@ def module_text(starts):
     text = [HEADER]
     text.append(f"TERM_WEIGHTS = np.array({json.dumps(tables97.TERM_WEIGHTS.tolist())},")
     text.append("    dtype=np.int32)\n")
-    text.append(f"E_WEIGHTS = np.array({json.dumps(tables97.E_WEIGHTS.tolist())}, dtype=np.int64)\n")
+    text.append(
+        f"E_WEIGHTS = np.array({json.dumps(tables97.E_WEIGHTS.tolist())}, dtype=np.int64)\n"
+    )
     text.append(f"_SIZES = {[len(part) for part in starts]}")
     packed = base64.b85encode(zlib.compress(np.concatenate(starts).tobytes(), 9)).decode("ascii")
     text.append("_STARTS = (")

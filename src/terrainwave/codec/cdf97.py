@@ -12,16 +12,13 @@ from numpy.typing import NDArray
 from terrainwave._jit import kernel
 from terrainwave._status import raise_for_status
 from terrainwave.codec import tables97
-from terrainwave.codec.border import N_BORDER_MODELS, code_border
+from terrainwave.codec.border import code_border
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
 from terrainwave.codec.residual import (
     BASE_BITS,
-    FRAME,
     CODED,
+    FRAME,
     KNOWN,
-    N_FEATURES,
-    N_RESIDUAL_MODELS,
-    N_TERMS,
     VOID,
     Scratch,
     code_residuals,
@@ -33,7 +30,6 @@ from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.codec.zerotree import (
     FRAME_COLS,
     FRAME_ROWS,
-    N_TREE_MODELS,
     choose_along,
     decode_tree,
     dequantize,
@@ -56,7 +52,6 @@ from terrainwave.coding.rangecoder import (
     encode_raw,
     finish_decoder,
     finish_encoder,
-    new_models,
     start_decoder,
     start_encoder,
 )
@@ -245,6 +240,7 @@ class _Encoder:
             if self.spec.is_finest and effort == 1 and self.n_bits < least:
                 break
         self.attempt_raw()
+        assert self.best is not None
         payload, inner, labels = self.best
         heights = self.heights
         heights[self.core] = inner
@@ -266,9 +262,7 @@ class _Encoder:
         work.field[:] = 0
         if step_code:
             steps, limits = _band_steps(spec.step, coding, self.n_levels)
-            largest = _quantize(
-                self.detail, steps, limits, coding.offset, self.quants, work.field
-            )
+            largest = _quantize(self.detail, steps, limits, coding.offset, self.quants, work.field)
             if largest > MAX_INDEX:
                 return
             if mark_labels(self.quants, work.offsets, labels) or self.quants[0, 0]:

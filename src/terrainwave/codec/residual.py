@@ -228,9 +228,7 @@ def code_residuals(
     error_of_fraction = np.empty(n_fractions, dtype=np.int64)
     for k in range(n_fractions):
         bin_of_fraction[k] = min(in_steps(np.int64(k), scale_shift, inverse, 3 - BASE_BITS), 3)
-        error_of_fraction[k] = in_steps(
-            np.int64(k), scale_shift, inverse, _ERROR_BITS - BASE_BITS
-        )
+        error_of_fraction[k] = in_steps(np.int64(k), scale_shift, inverse, _ERROR_BITS - BASE_BITS)
     span = state[RANGE]
     low = state[LOW]  # CODE when decoding
     pos = state[BYTE_POS]
