@@ -1,8 +1,8 @@
 """A slow, obvious decoder of .twz files, written from docs/FORMAT.md alone.
 
 Plain Python on lists of integers; numpy only for the arrays that come out. Nothing of it is
-shared with `terrainwave` but the tables that are an annex (§7.8), and `src` never imports it: where the two disagree, one of them or the
-document is wrong. Sections of docs/FORMAT.md are cited as §n.
+shared with `terrainwave` but the tables that are an annex (§7.8), and `src` never imports it:
+where the two disagree, one of them or the document is wrong. Sections of docs/FORMAT.md are cited as §n.
 """
 
 import json
@@ -1198,7 +1198,7 @@ def decode_cdf97(h, unit, payload, valid, parent_unit, parent_heights):
     rough = roughness(n, unit, parent_unit, parent_heights, sizes[1])
     x = zeros(rows.n_core, cols.n_core)
     if with_coefficients:
-        ll, coefficients, magnitudes = decode_coefficients(decoder, sizes, rough, along)
+        ll, coefficients, _ = decode_coefficients(decoder, sizes, rough, along)
 
         def dequantised(t, band, q):
             if q == 0:

@@ -12,6 +12,7 @@ import argparse
 import base64
 import json
 import sys
+import textwrap
 import zlib
 from pathlib import Path
 from typing import NamedTuple
@@ -364,7 +365,9 @@ def train(rasters, rng):
 def module_text(starts):
     """Return the source of a table module."""
     text = [HEADER]
-    text.append(f"TERM_WEIGHTS = np.array({json.dumps(tables97.TERM_WEIGHTS.tolist())},")
+    weights = json.dumps(tables97.TERM_WEIGHTS.tolist()) + ","
+    text.append("TERM_WEIGHTS = np.array(")
+    text += textwrap.wrap(weights, 96, initial_indent="    ", subsequent_indent="    ")
     text.append("    dtype=np.int32)\n")
     text.append(
         f"E_WEIGHTS = np.array({json.dumps(tables97.E_WEIGHTS.tolist())}, dtype=np.int64)\n"

@@ -239,6 +239,8 @@ class _Encoder:
             least = _RATE_OF_TRIALS * self.target.size
             if self.spec.is_finest and effort == 1 and self.n_bits < least:
                 break
+        if self.best is None:  # indices too large: only at extreme heights
+            self.attempt(0)
         self.attempt_raw()
         assert self.best is not None
         payload, inner, labels = self.best
