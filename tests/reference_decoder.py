@@ -2,7 +2,8 @@
 
 Plain Python on lists of integers; numpy only for the arrays that come out. Nothing of it is
 shared with `terrainwave` but the tables that are an annex (§7.8), and `src` never imports it:
-where the two disagree, one of them or the document is wrong. Sections of docs/FORMAT.md are cited as §n.
+where the two disagree, one of them or the document is wrong. Sections of docs/FORMAT.md are cited
+as §n.
 """
 
 import json
