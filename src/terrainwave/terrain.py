@@ -528,13 +528,13 @@ class Terrain:
         return region
 
     def sample(
-        self, points: Iterable[tuple[float, float]], *, level: int = -1
+        self, points: Iterable[tuple[float, float]] | NDArray[np.float64], *, level: int = -1
     ) -> NDArray[np.float64]:
         """Return bilinear heights at world coordinates, in physical units.
 
         Parameters
         ----------
-        points : sequence of (x, y)
+        points : sequence of (x, y), or array of shape (n_points, 2)
             Places in the file's CRS.
 
         Returns
@@ -543,7 +543,8 @@ class Terrain:
             NaN outside the outermost samples and where a sample needed is void. The error bound
             holds at samples, not between them.
         """
-        places = np.asarray(list(points), dtype=np.float64).reshape(-1, 2)
+        listed = points if isinstance(points, np.ndarray) else list(points)
+        places = np.asarray(listed, dtype=np.float64).reshape(-1, 2)
         index = self.level_index(level)
         rows, cols = self._to_samples(places, index)
         n_rows, n_cols = self._grid.level_shape(index)
