@@ -107,7 +107,7 @@ def compress(
             **options,
         )
     if as_json:
-        _print_json(asdict(result))
+        print_json(asdict(result))
     elif not quiet:
         _print_result(result)
 
@@ -249,7 +249,7 @@ def _store_meshes(
         path = terrainwave.store_meshes(file, target, mesh=kind or "auto", progress=bar, **options)
     n_bytes = Path(path).stat().st_size
     if as_json:
-        _print_json({"path": path, "n_bytes": n_bytes})
+        print_json({"path": path, "n_bytes": n_bytes})
     elif not quiet:
         click.echo(f"{plain(path)}: {n_bytes:,} bytes, with meshes")
 
@@ -299,7 +299,7 @@ def _export_mesh(
         )
     saved = surface.save(target, overwrite=overwrite, **shape)
     if as_json:
-        _print_json(asdict(saved))
+        print_json(asdict(saved))
     elif not quiet:
         _print_saved(saved)
 
@@ -368,7 +368,7 @@ def info(file: str, as_json: bool, errors: str | None) -> None:
         summary = terrain.info()
         found = None if errors is None else level_errors(terrain, errors)
     if as_json:
-        _print_json(summary.to_dict() | ({} if found is None else {"level_errors": found}))
+        print_json(summary.to_dict() | ({} if found is None else {"level_errors": found}))
     else:
         print_table(_info_rows(summary))
         if found is not None:
@@ -435,7 +435,7 @@ def verify(file: str, original: str | None, quiet: bool, as_json: bool, **option
     with reading(file), Bar(quiet=quiet) as bar:
         report = terrainwave.verify(file, original, progress=bar, **options)
     if as_json:
-        _print_json(report.to_dict())
+        print_json(report.to_dict())
     elif not quiet:
         _print_report(report)
     if not report.ok:
@@ -501,7 +501,8 @@ def demo(directory: str, quiet: bool) -> None:
     click.echo(f"checked each; picture: {plain(result.picture)}")
 
 
-def _print_json(fields: dict[str, Any]) -> None:
+def print_json(fields: dict[str, Any]) -> None:
+    """Print a result as JSON."""
     click.echo(json.dumps(_json_value(fields), indent=2, allow_nan=False))
 
 
