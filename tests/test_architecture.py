@@ -34,6 +34,7 @@ LAYERS = [
         "mesh_sections",
         "resample",
         "level_errors",
+        "arguments",
     },
     {
         "terrain",

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import check_threads
 from terrainwave.container.publish import publish_directory
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidHeightsError
@@ -607,9 +608,8 @@ def write_tiles(
             f"found max_zoom {last}, expected 0 … {pyramid.max_zoom}: cells of the last are no"
             " larger than pixels"
         )
+    check_threads(threads)
     n_threads = threads or os.cpu_count() or 1
-    if n_threads < 1:
-        raise InvalidHeightsError(f"found {n_threads} threads, expected at least 1")
     total = sum(pyramid.n_tiles(zoom) for zoom in range(last + 1))
     reporter, n_done, found = Reporter(progress), 0, []
     with (

@@ -399,16 +399,15 @@ def test_to_pyvista_says_what_is_missing(monkeypatch):
         utm_mesh().to_pyvista()
 
 
-def test_to_pyvista_hands_over_faces_with_their_length(monkeypatch):
-    class Fake:
-        PolyData = staticmethod(lambda points, faces: (points, faces))
-
-    monkeypatch.setitem(sys.modules, "pyvista", Fake)
+def test_to_pyvista_gives_the_surface():
     mesh = utm_mesh()
-    points, faces = mesh.to_pyvista()
-    np.testing.assert_array_equal(points, mesh.vertices)
-    np.testing.assert_array_equal(faces.reshape(-1, 4)[:, 1:], mesh.triangles)
-    assert (faces.reshape(-1, 4)[:, 0] == 3).all()
+    surface = mesh.to_pyvista()
+    np.testing.assert_array_equal(surface.points, mesh.vertices)
+    np.testing.assert_array_equal(surface.regular_faces, mesh.triangles)
+    # 6 x 8 cells of 30 m, seen from above.
+    flat = surface.copy()
+    flat.points[:, 2] = 0
+    assert flat.area == pytest.approx(6 * 8 * 30**2)
 
 
 # Quantized-mesh tiles, read by the format's own rules

@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from terrainwave._version import __version__
+from terrainwave.arguments import STORED_MESHES
 from terrainwave.cli.options import (
     BlockSide,
     Bound,
@@ -33,7 +34,7 @@ from terrainwave.cli.output import (
 
 THREADS = click.IntRange(min=1)
 METHODS = click.Choice(["auto", "predictive", "cdf97", "store"])
-MESHES = click.Choice(["auto", "halves", "zerotree", "rqt", "none"])
+MESHES = click.Choice(["auto", *STORED_MESHES, "none"])
 EFFORTS = ["fast", "default", "best"]
 
 
@@ -242,7 +243,7 @@ def _store_meshes(
 
     if kind == "none":
         raise click.UsageError(
-            "found --mesh none with --store, expected auto, halves, zerotree or rqt"
+            f"found --mesh none with --store, expected one of auto, {', '.join(STORED_MESHES)}"
         )
     announce_compiling(quiet=quiet)
     with reading(file), Bar(quiet=quiet) as bar:
