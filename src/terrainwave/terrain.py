@@ -573,7 +573,8 @@ class Terrain:
         window, bounds : optional
             The area as in `read`, here between the centres of its outermost pixels.
         level : int
-            The finest level to use, as in `read`.
+            The finest level to use, as in `read`. A coarse level's mesh ends at its last sample: up
+            to 2^j - 1 rows and columns of the full grid lie beyond it.
         max_error : float, optional
             Largest vertical distance from any valid original sample, in physical units. Blocks of
             several levels are mixed to reach it with few triangles; whatever the file's kind of
