@@ -461,9 +461,9 @@ def _run_pass(
     e_weights = coder.tables.e_weights[own][choice.e_class]
     code_pass(
         goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
-        weights, e_weights, bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP), spec.step,
-        spec.z_min, spec.z_max, scratch.rows.of(weights, e_weights),
-        scratch.spots, coder.state, coder.stream, coder.models,
+        weights, e_weights, bool(coder.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
+        scratch.rows.of(weights, e_weights), scratch.spots if coder.flags & _MIXED else None,
+        coder.state, coder.stream, coder.models,
     )  # fmt: skip
     if coder.seen is not None:
         coder.seen[own].append(
