@@ -6,7 +6,7 @@ relative to the prediction is the second opinion (DESIGN.md §3.2).
 
 import numpy as np
 
-from terrainwave._jit import kernel
+from terrainwave._jit import inlined_kernel, kernel
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
     CODE,
@@ -178,7 +178,7 @@ def encode_detail(
     return span, low
 
 
-@kernel
+@inlined_kernel
 def decode_detail(
     span, code, pos, state, data, models, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
     log_range, spots,
