@@ -210,24 +210,24 @@ def fill_bends(coarse, most, bends):
     lie within +/- `most`; differences above MAX_BEND count as that.
     """
     n_rows, n_cols = coarse.shape
+    n_inner = n_cols - 4
     is_narrow = most < MAX_BEND >> 4  # then 32 bits do for all of it
     for i in range(2, n_rows - 2):
-        row_0, row_1, row_2 = coarse[i - 2], coarse[i - 1], coarse[i]
-        row_3, row_4, out = coarse[i + 1], coarse[i + 2], bends[i]
+        north_2, north, here = coarse[i - 2, 2:], coarse[i - 1, 2:], coarse[i, 2:]
+        south, south_2, out = coarse[i + 1, 2:], coarse[i + 2, 2:], bends[i, 2:]
+        west_2, west, east, east_2 = coarse[i], coarse[i, 1:], coarse[i, 3:], coarse[i, 4:]
         if is_narrow:
-            for j in range(2, n_cols - 2):
-                middle = 6 * row_2[j]
-                across = row_2[j - 2] + row_2[j + 2] - 4 * (row_2[j - 1] + row_2[j + 1]) + middle
-                along = row_0[j] + row_4[j] - 4 * (row_1[j] + row_3[j]) + middle
+            for j in range(n_inner):
+                middle = 6 * here[j]
+                across = west_2[j] + east_2[j] - 4 * (west[j] + east[j]) + middle
+                along = north_2[j] + south_2[j] - 4 * (north[j] + south[j]) + middle
                 out[j] = abs(np.int32(across)) + abs(np.int32(along))
         else:
-            for j in range(2, n_cols - 2):
-                middle = 6 * np.int64(row_2[j])
-                across = np.int64(row_2[j - 1]) + np.int64(row_2[j + 1])
-                across = np.int64(row_2[j - 2]) + np.int64(row_2[j + 2]) - 4 * across + middle
-                along = np.int64(row_1[j]) + np.int64(row_3[j])
-                along = np.int64(row_0[j]) + np.int64(row_4[j]) - 4 * along + middle
-                out[j] = min(abs(across) + abs(along), MAX_BEND)
-        out[1], out[n_cols - 2] = out[2], out[n_cols - 3]
+            for j in range(n_inner):
+                middle = 6 * np.int64(here[j])
+                across = np.int64(west_2[j]) + east_2[j] - 4 * (np.int64(west[j]) + east[j])
+                along = np.int64(north_2[j]) + south_2[j] - 4 * (np.int64(north[j]) + south[j])
+                out[j] = min(abs(across + middle) + abs(along + middle), MAX_BEND)
+        bends[i, 1], bends[i, n_cols - 2] = bends[i, 2], bends[i, n_cols - 3]
     for j in range(n_cols):
         bends[1, j], bends[n_rows - 2, j] = bends[2, j], bends[n_rows - 3, j]
