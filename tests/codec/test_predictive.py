@@ -188,7 +188,19 @@ def test_details_of_any_size_survive(mixed):
     span, low = state[RANGE], state[LOW]
     for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
         span, low = encode_detail(
-            span, low, state, out, models, e_bin, 1300, 1301, up, down, *scale, spots if mixed else None, detail
+            span,
+            low,
+            state,
+            out,
+            models,
+            e_bin,
+            1300,
+            1301,
+            up,
+            down,
+            *scale,
+            spots if mixed else None,
+            detail,
         )
     state[RANGE], state[LOW] = span, low
     data = out[: finish_encoder(state, out)].copy()
@@ -198,7 +210,19 @@ def test_details_of_any_size_survive(mixed):
     span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
     for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
         found, span, code, pos = decode_detail(
-            span, code, pos, state, data, models, e_bin, 1300, 1301, up, down, *scale, spots if mixed else None
+            span,
+            code,
+            pos,
+            state,
+            data,
+            models,
+            e_bin,
+            1300,
+            1301,
+            up,
+            down,
+            *scale,
+            spots if mixed else None,
         )
         assert found == detail
         assert abs(found) <= MAX_DETAIL + 1
