@@ -49,7 +49,7 @@ def inlined_kernel(function: Callable[..., Any]) -> Any:
 
 
 def _compile(function: Callable[..., Any], *, is_inlined: bool) -> Any:
-    options = {"fastmath": False, "nogil": True, "forceinline": is_inlined}
+    options: dict[str, Any] = {"fastmath": False, "nogil": True, "forceinline": is_inlined}
     if _CACHE:
         try:
             dispatcher = njit(cache=True, **options)(function)

@@ -44,7 +44,7 @@ _STARTS = (
 )
 START_COUNT = 2
 _PROBABILITIES = np.frombuffer(base64.b85decode("".join(_STARTS)), dtype=np.uint8).astype(np.uint32)
-_START_MODELS = _PROBABILITIES << 24 | START_COUNT
+_START_MODELS = (_PROBABILITIES << 24 | START_COUNT).astype(np.uint32)
 # An adaptive bit costs at most 16 bits, so this is room for any mask.
 _BYTES_PER_SAMPLE = 2
 
