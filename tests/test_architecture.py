@@ -109,7 +109,9 @@ def test_files_are_opened_only_at_the_edge():
             assert not is_open, f"{path.name}:{node.lineno} opens a file"
 
 
-@pytest.mark.parametrize("library", ["moderngl", "fsspec", "xarray", "numba", "rasterio"])
+@pytest.mark.parametrize(
+    "library", ["moderngl", "fsspec", "xarray", "zarr", "pyvista", "numba", "rasterio"]
+)
 def test_importing_terrainwave_needs_no_heavy_library(library):
     code = f"import sys, terrainwave; sys.exit({library!r} in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
