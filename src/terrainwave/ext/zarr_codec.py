@@ -141,7 +141,8 @@ class TerrainwaveCodec(ArrayBytesCodec):
         except TerrainwaveError as error:
             raise type(error)(f"a chunk of the codec {CODEC_NAME} is damaged: {error}") from error
         heights = heights.astype(dtype, copy=False).reshape(chunk_spec.shape)
-        return chunk_spec.prototype.nd_buffer.from_ndarray_like(heights)
+        prototype: Any = chunk_spec.prototype  # its protocol of arrays is narrower than numpy's
+        return prototype.nd_buffer.from_ndarray_like(heights)
 
     def compute_encoded_size(self, input_byte_length: int, chunk_spec: ArraySpec) -> int:
         """Refuse: sizes depend on the heights."""
