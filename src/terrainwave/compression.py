@@ -157,8 +157,9 @@ def compress(
 
     Parameters
     ----------
-    src : path, rasterio dataset, ndarray or xarray DataArray
-        One band of heights: uint8, int16, uint16, int32, float32 or float64.
+    src : path, rasterio dataset, list of these, ndarray or xarray DataArray
+        One band of heights: uint8, int16, uint16, int32, float32 or float64. A list is a mosaic:
+        rasters of one CRS and grid, void where none is; the last counts where they overlap.
     dst : path
         The file to make. It appears complete or not at all.
     max_error : float, optional
