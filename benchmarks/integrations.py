@@ -60,7 +60,7 @@ def window_pairs(path: Path, side: int):
     return pair
 
 
-def write_pairs(heights: np.ndarray, path: Path, side: int, max_error: float):
+def write_pairs(heights: np.ndarray, path: Path, chunks: tuple[int, int], max_error: float):
     """Return a function that gives `compress` to a file and a write to a new Zarr array."""
     import terrainwave
 
@@ -69,7 +69,7 @@ def write_pairs(heights: np.ndarray, path: Path, side: int, max_error: float):
         return path.stat().st_size
 
     def pair():
-        array, store = zarr_array(heights, side, max_error)
+        array, store = zarr_array(heights, chunks, max_error)
         return compress, lambda: write(array, store, heights)
 
     return pair
@@ -86,7 +86,7 @@ def read_pairs(path: Path, array):
     return pair
 
 
-def zarr_array(heights: np.ndarray, side: int, max_error: float):
+def zarr_array(heights: np.ndarray, chunks: tuple[int, int], max_error: float):
     """Return an empty Zarr array in memory and its store."""
     import zarr
 
@@ -94,7 +94,7 @@ def zarr_array(heights: np.ndarray, side: int, max_error: float):
 
     store = zarr.storage.MemoryStore()
     array = zarr.create_array(
-        store, shape=heights.shape, dtype=heights.dtype, chunks=(side, side), compressors=None,
+        store, shape=heights.shape, dtype=heights.dtype, chunks=chunks, compressors=None,
         serializer=TerrainwaveCodec(max_error=max_error), fill_value=0,
     )  # fmt: skip
     return array, store
@@ -108,17 +108,18 @@ def write(array, store, heights: np.ndarray) -> int:
 
 def measure(heights: np.ndarray, path: Path, max_error: float, n_rounds: int):
     """Yield (what, rounds, direct seconds, seconds through the library, bytes, bytes)."""
-    for side in (max(heights.shape), 512):
+    for chunks in (heights.shape, (512, 512)):
+        name = "x".join(map(str, chunks))
         *seconds, n_direct, n_through = take_turns(
-            write_pairs(heights, path, side, max_error), n_rounds
+            write_pairs(heights, path, chunks, max_error), n_rounds
         )
-        yield f"zarr write, chunks {side}", n_rounds, *seconds, n_direct, n_through
-        array, store = zarr_array(heights, side, max_error)
+        yield f"zarr write, chunks {name}", n_rounds, *seconds, n_direct, n_through
+        array, store = zarr_array(heights, chunks, max_error)
         write(array, store, heights)
         *seconds, _, found = take_turns(read_pairs(path, array), n_rounds)
         if np.abs(found.astype(np.float64) - heights).max() > max_error:
             raise SystemExit(1)
-        yield f"zarr read, chunks {side}", n_rounds, *seconds, n_direct, n_through
+        yield f"zarr read, chunks {name}", n_rounds, *seconds, n_direct, n_through
     for side in (512, 1024):
         *seconds, _, _ = take_turns(window_pairs(path, side), 3 * n_rounds)
         yield f"xarray window {side}", 3 * n_rounds, *seconds, "", ""
