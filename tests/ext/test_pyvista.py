@@ -13,8 +13,8 @@ PLACE = {"crs": "EPSG:32633", "transform": Affine(30, 0, 500_000, 0, -30, 5_000_
 
 @pytest.fixture
 def twz(tmp_path):
-    """A file of 40 x 50 samples with meshes."""
-    tif = write_geotiff(tmp_path / "a.tif", terrain_like(40, 50), units=("m",), **PLACE)
+    """A file of 20 x 25 samples with meshes."""
+    tif = write_geotiff(tmp_path / "a.tif", terrain_like(20, 25), units=("m",), **PLACE)
     terrainwave.compress(tif, tmp_path / "a.twz", max_error=1, block=32)
     return tmp_path / "a.twz"
 
@@ -24,9 +24,9 @@ def test_file_is_read_as_a_surface_in_local_metres(twz):
     with terrainwave.open(twz) as terrain:
         mesh = terrain.mesh()
     assert surface.n_cells == mesh.n_triangles
-    # 49 x 39 steps of 30 m between the centres of the outermost pixels.
+    # 24 x 19 steps of 30 m between the centres of the outermost pixels.
     left, right, bottom, top, _, _ = surface.bounds
-    assert (right - left, top - bottom) == (49 * 30, 39 * 30)
+    assert (right - left, top - bottom) == (24 * 30, 19 * 30)
     assert surface.active_scalars_name == "heights"
     np.testing.assert_array_equal(surface["heights"], mesh.points[:, 2])
     assert surface.field_data["error"][0] == mesh.error
@@ -43,7 +43,7 @@ def test_bound_window_and_frame_can_be_chosen(twz):
 
 
 def test_file_without_meshes_gets_one_within_its_bound_and_quantum(tmp_path):
-    terrainwave.compress(terrain_like(40, 40), tmp_path / "a.twz", max_error=1, mesh="none")
+    terrainwave.compress(terrain_like(20, 20), tmp_path / "a.twz", max_error=1, mesh="none")
     surface = pyvista.read(tmp_path / "a.twz", frame="native")
     assert 0 < surface.field_data["error"][0] <= 2  # bound 1 and quantum 1
 

@@ -16,7 +16,7 @@ def rio():
 
 
 def test_rio_compresses_shows_checks_and_writes_back(rio, tmp_path):
-    heights = terrain_like(40, 50)
+    heights = terrain_like(20, 25)
     tif, twz, back = tmp_path / "a.tif", tmp_path / "a.twz", tmp_path / "b.tif"
     write_geotiff(tif, heights)
     assert rio("twz", "compress", tif, twz, "--max-error", 1).exit_code == 0

@@ -20,6 +20,9 @@ from terrainwave.ext import xarray_backend
 # rioxarray 0.19 multiplies transforms, which affine 3 will deprecate.
 pytestmark = pytest.mark.filterwarnings("ignore:Use .@. matmul:PendingDeprecationWarning")
 
+# Which codec makes the file is nothing to xarray.
+QUICK = {"method": "store", "mesh": "none"}
+
 PLACE = {"crs": "EPSG:32633", "transform": Affine(30.0, 0, 500_000.1, 0, -30.0, 5_000_000.7)}
 
 
@@ -32,7 +35,7 @@ def terrain_file(tmp_path):
         tmp_path / "a.tif", heights, nodata=-9999, units=("m",), tags={"AREA_OR_POINT": "Point"},
         **PLACE,
     )  # fmt: skip
-    terrainwave.compress(tif, tmp_path / "a.twz", max_error=1, block=32, mesh="none")
+    terrainwave.compress(tif, tmp_path / "a.twz", max_error=1, block=32, **QUICK)
     return tmp_path / "a.twz"
 
 
@@ -172,7 +175,7 @@ def test_scale_and_offset_are_applied(tmp_path):
     heights = terrain_like(20, 20)
     bands = {"scales": 0.1, "offsets": -50.0}
     tif = write_geotiff(tmp_path / "a.tif", heights, bands=bands)
-    terrainwave.compress(tif, tmp_path / "a.twz", max_error=0)
+    terrainwave.compress(tif, tmp_path / "a.twz", max_error=0, **QUICK)
     with xr.open_dataset(tmp_path / "a.twz") as dataset:
         np.testing.assert_array_equal(dataset.heights, heights * 0.1 - 50)
     with xr.open_dataset(tmp_path / "a.twz", mask_and_scale=False) as dataset:
@@ -185,13 +188,13 @@ def test_voids_of_a_mask_are_nan_whatever_lies_below(tmp_path):
     mask = np.ones((20, 20), bool)
     mask[3:7] = False
     tif = write_geotiff(tmp_path / "a.tif", heights, mask=mask)
-    terrainwave.compress(tif, tmp_path / "a.twz", max_error=0)
+    terrainwave.compress(tif, tmp_path / "a.twz", max_error=0, **QUICK)
     with xr.open_dataset(tmp_path / "a.twz") as dataset:
         np.testing.assert_array_equal(dataset.heights.notnull(), mask)
 
 
 def test_raster_without_voids_keeps_its_type(tmp_path):
-    terrainwave.compress(terrain_like(20, 20), tmp_path / "a.twz", max_error=0)
+    terrainwave.compress(terrain_like(20, 20), tmp_path / "a.twz", max_error=0, **QUICK)
     with xr.open_dataset(tmp_path / "a.twz") as dataset:
         assert dataset.heights.dtype == np.int16
 
@@ -199,7 +202,7 @@ def test_raster_without_voids_keeps_its_type(tmp_path):
 def test_rotated_raster_has_a_transform_and_no_coordinates(tmp_path):
     rotated = Affine(10, 2, 100, 3, -10, 200)
     tif = write_geotiff(tmp_path / "a.tif", terrain_like(20, 20), transform=rotated)
-    terrainwave.compress(tif, tmp_path / "a.twz", max_error=0)
+    terrainwave.compress(tif, tmp_path / "a.twz", max_error=0, **QUICK)
     with xr.open_dataset(tmp_path / "a.twz") as dataset:
         assert set(dataset.coords) == {"spatial_ref"}
         assert dataset.heights.rio.transform() == rotated
@@ -249,7 +252,7 @@ def test_missing_file_is_named(tmp_path):
 
 def test_array_that_was_opened_is_written_with_its_place(terrain_file, tmp_path):
     with xr.open_dataset(terrain_file) as dataset:
-        result = dataset.heights.terrainwave.to_twz(tmp_path / "b.twz", max_error=0)
+        result = dataset.heights.terrainwave.to_twz(tmp_path / "b.twz", max_error=0, **QUICK)
         assert result.measured_error == 0
         with terrainwave.open(terrain_file) as first, terrainwave.open(tmp_path / "b.twz") as copy:
             expected, found = first.read(masked=True), copy.read(masked=True)
@@ -272,7 +275,7 @@ def test_array_that_was_opened_is_written_with_its_place(terrain_file, tmp_path)
 )
 def test_part_of_an_array_is_written_where_it_lies(terrain_file, tmp_path, part, transform):
     with xr.open_dataset(terrain_file) as dataset:
-        dataset.heights[part].terrainwave.to_twz(tmp_path / "b.twz", max_error=1)
+        dataset.heights[part].terrainwave.to_twz(tmp_path / "b.twz", max_error=1, **QUICK)
     with terrainwave.open(tmp_path / "b.twz") as terrain:
         assert terrain.raster_info.transform == pytest.approx(transform, rel=0, abs=1e-9)
 
@@ -280,7 +283,7 @@ def test_part_of_an_array_is_written_where_it_lies(terrain_file, tmp_path, part,
 def test_dask_array_is_written_within_the_bound(tmp_path):
     heights = terrain_like(70, 80, "float32")
     array = xr.DataArray(heights, dims=("y", "x")).chunk({"y": 32, "x": 32})
-    array.terrainwave.to_twz(tmp_path / "a.twz", max_error=0.5)
+    array.terrainwave.to_twz(tmp_path / "a.twz", max_error=0.5, **QUICK)
     with terrainwave.open(tmp_path / "a.twz") as terrain:
         assert np.abs(terrain.read().astype(np.float64) - heights).max() <= 0.5
 
