@@ -26,9 +26,10 @@ QUICK = {"method": "store", "mesh": "none"}
 PLACE = {"crs": "EPSG:32633", "transform": Affine(30.0, 0, 500_000.1, 0, -30.0, 5_000_000.7)}
 
 
-@pytest.fixture
-def terrain_file(tmp_path):
-    """A raster of 5 x 3 blocks with a lake of voids."""
+@pytest.fixture(scope="module")
+def terrain_file(tmp_path_factory):
+    """A raster of 5 x 3 blocks with a lake of voids; to be read only."""
+    tmp_path = tmp_path_factory.mktemp("xarray")
     heights = terrain_like(150, 90)
     heights[40:60, 20:50] = -9999
     tif = write_geotiff(

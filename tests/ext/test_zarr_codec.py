@@ -142,7 +142,7 @@ def test_flipped_byte_of_a_chunk_is_a_clear_error():
         damaged(store, bytes(data))[...]
 
 
-@pytest.mark.parametrize("other", [(21, 20, "int16"), (20, 20, "int32"), (4000, 4000, "int16")])
+@pytest.mark.parametrize("other", [(21, 20, "int16"), (20, 20, "int32"), (1, 400, "int16")])
 def test_chunk_of_another_shape_or_type_is_refused(other):
     n_rows, n_cols, dtype = other
     _, store = make_array(terrain_like(20, 20), (20, 20))
