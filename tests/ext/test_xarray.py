@@ -90,6 +90,14 @@ def test_any_index_gives_what_numpy_gives(terrain_file, key):
         np.testing.assert_array_equal(lazy.heights[key].values, loaded.heights.values[key])
 
 
+def test_window_is_read_backwards_too(terrain_file):
+    # xarray turns most keys round before it asks; what is left is numpy's.
+    with terrainwave.open(terrain_file) as terrain:
+        heights = xarray_backend._LazyHeights(terrain, terrain.n_levels - 1, mask_and_scale=False)
+        key = np.s_[100:30:-7, ::3]
+        np.testing.assert_array_equal(heights._read(key), terrain.read()[key])
+
+
 def test_places_that_are_no_grid_are_picked_one_by_one(terrain_file):
     with xr.open_dataset(terrain_file) as dataset:
         x = xr.DataArray([500_020.0, 502_000.0], dims="point")
@@ -279,6 +287,19 @@ def test_part_of_an_array_is_written_where_it_lies(terrain_file, tmp_path, part,
         dataset.heights[part].terrainwave.to_twz(tmp_path / "b.twz", max_error=1, **QUICK)
     with terrainwave.open(tmp_path / "b.twz") as terrain:
         assert terrain.raster_info.transform == pytest.approx(transform, rel=0, abs=1e-9)
+
+
+def test_pixels_stay_exact_where_coordinates_are_rounded(tmp_path):
+    # Centres are sums of floats: their differences are not the pixel any more.
+    size = 1 / 3600
+    place = Affine(size, 0, 6 - size / 2, 0, -size, 47 + size / 2)
+    tif = write_geotiff(tmp_path / "a.tif", terrain_like(30, 30), crs="EPSG:4326", transform=place)
+    terrainwave.compress(tif, tmp_path / "a.twz", max_error=0, **QUICK)
+    with xr.open_dataset(tmp_path / "a.twz") as dataset:
+        dataset.heights[7:, 3:].terrainwave.to_twz(tmp_path / "b.twz", max_error=0, **QUICK)
+    with terrainwave.open(tmp_path / "b.twz") as terrain:
+        cut = (size, 0.0, place.c + 3 * size, 0.0, -size, place.f - 7 * size)
+        assert terrain.raster_info.transform == cut
 
 
 def test_dask_array_is_written_within_the_bound(tmp_path):

@@ -119,6 +119,7 @@ def test_chunk_is_a_twz_file():
     _, store = make_array(heights, (20, 20), max_error=0)
     with terrainwave.open(store._store_dict["c/0/0"].to_bytes()) as terrain:
         np.testing.assert_array_equal(terrain.read(), heights)
+        assert terrain.nodata is None  # the fill value 0 is a height
 
 
 def damaged(store, data):
