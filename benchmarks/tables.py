@@ -21,6 +21,7 @@ RESULTS = ROOT / "benchmarks" / "results"
 DOCUMENTS = (
     "README.md",
     "docs/benchmarks.md",
+    "docs/integrations.md",
     "docs/decisions/0004-step-by-what-finer-levels-need.md",
     "docs/decisions/0007-one-root-block.md",
 )
@@ -303,6 +304,20 @@ def leave_one_out_table(results: Path) -> str:
     return "\n".join(lines)
 
 
+def integrations_table(results: Path) -> str:
+    """Return processor time through other libraries as a share of terrainwave's own."""
+    lines = [
+        "| raster | samples | bound | what | terrainwave, ms | through the library, ms | ratio |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {row['raster']} | {row['n_rows']} × {row['n_cols']} | {float(row['max_error']):g} |"
+        f" {row['what']} | {row['direct_ms']} | {row['through_ms']} | {row['ratio']} |"
+        for row in read_rows(results, "integrations")
+    ]
+    return "\n".join(lines)
+
+
 TABLES: dict[str, Callable[[Path], str]] = {
     "summary": summary_table,
     "methods": methods_table,
@@ -315,6 +330,7 @@ TABLES: dict[str, Callable[[Path], str]] = {
     "mesh_speeds": mesh_speeds_table,
     "zerotree_mesh": zerotree_table,
     "leave_one_out": leave_one_out_table,
+    "integrations": integrations_table,
 }
 REPORT = """# Measured
 

@@ -28,6 +28,8 @@ from terrainwave.raster_io.info import RasterInfo
 from terrainwave.resample import RESAMPLING, resample
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from terrainwave.decoder import TreeDecoder
     from terrainwave.meshing import BlockMesher
     from terrainwave.tri.mesh import BlockMesh, Mesh
@@ -629,6 +631,37 @@ class Terrain:
         if not self._grid.contains(block):
             raise InvalidHeightsError(f"found {block}, expected a block of the file's levels")
         return self._mesher.mesh(block)
+
+    # To other libraries.
+
+    def to_xarray(self, *, level: int = -1, mask_and_scale: bool = True) -> "xr.DataArray":
+        """Return a level as a DataArray that reads windows of it when they are computed.
+
+        It has the coordinates of `xarray.open_dataset` and lives as long as this Terrain is open.
+
+        Parameters
+        ----------
+        level : int
+            Resolution level, as in `read`.
+        mask_and_scale : bool
+            Voids become NaN, scale and offset are applied; else values as stored.
+
+        Raises
+        ------
+        TerrainwaveError
+            If xarray is not installed.
+        """
+        from terrainwave.tri.export import need
+
+        need("xarray", extra="xarray")
+        from terrainwave.ext.xarray_backend import terrain_dataset
+
+        return terrain_dataset(self, level, mask_and_scale=mask_and_scale)["heights"]
+
+    def _repr_html_(self) -> str:
+        from terrainwave.ext.html import terrain_html
+
+        return terrain_html(self)
 
     def check(self) -> Iterator[str]:
         """Check all checksums and decode every unit; yield what is wrong, in plain words."""
