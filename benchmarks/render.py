@@ -101,7 +101,7 @@ def many(offscreen: Offscreen, n_frames: int, block: int) -> Row | None:
         view = scene.view(look(camera, 0.01 * number, 0), offscreen.viewport, tau)
         started = time.thread_time()
         frames = scene.update(view)
-        offscreen.renderer.instances(view, frames).tobytes()
+        offscreen.surface.instances(scene, view, frames).tobytes()
         offscreen.store.commands(frames.nodes).tobytes()
         times.append((time.thread_time() - started) * 1e3)
         parts.append((scene.timings.page, scene.timings.select))

@@ -128,7 +128,7 @@ def test_borders_of_one_level_have_equal_slopes_and_a_parent_close_by(original_a
     _, _, terrain = original_and_terrain
     grid = terrain.grid
     with Scene(terrain, ListStore()) as scene:
-        builder = scene._builder
+        builder = scene.mode.builder
         for level in range(terrain.n_levels):
             slopes = {block: builder.slopes(block) for block in grid.blocks(level)}
             n_compared = 0
@@ -154,7 +154,7 @@ def test_slopes_are_those_of_a_plane():
     with terrain_of(plane, max_error=0.01) as terrain, Scene(terrain, ListStore()) as scene:
         for level in range(terrain.n_levels):
             for block in terrain.grid.blocks(level):
-                slopes = scene._builder.slopes(block).astype(float)
+                slopes = scene.mode.builder.slopes(block).astype(float)
                 np.testing.assert_allclose(slopes[..., 0], 0.1, atol=2e-3)
                 np.testing.assert_allclose(slopes[..., 1], 0.2, atol=2e-3)
 
@@ -236,7 +236,7 @@ def test_what_the_camera_flies_to_is_read_ahead():
 def test_a_damaged_block_is_drawn_coarser_and_named():
     heights = np.round(hills(150, 210, 1)).astype(np.int16)
     with terrain_of(heights, max_error=0) as terrain, Scene(terrain, ListStore()) as scene:
-        build = scene._builder.build
+        build = scene.mode.builder.build
 
         def damaged(piece, is_cancelled=lambda: False):
             if piece.level == terrain.n_levels - 1 and piece.row == 1:

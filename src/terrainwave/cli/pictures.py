@@ -13,8 +13,8 @@ import click
 from terrainwave.cli.commands import main
 from terrainwave.cli.options import Numbers
 from terrainwave.cli.output import announce_compiling, plain, print_note, reading
+from terrainwave.render.modes import MODES
 
-MODES = click.Choice(["adaptive", "full"])
 COLORINGS = click.Choice(["ground", "ramp", "level", "error", "plain", "flat"])
 RAMPS = click.Choice(["tints", "cividis", "grey", "mars"])
 POSITIVE = click.FloatRange(min=0, min_open=True)
@@ -72,7 +72,7 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
                      show_default=True, help="Which errors and which formula choose blocks."),
         click.option("--max-pixel-error", type=POSITIVE, default=1.0, show_default=True,
                      help="Largest distance on screen from the full terrain, pixels."),
-        click.option("--mode", type=MODES, default="adaptive", show_default=True,
+        click.option("--mode", type=click.Choice(MODES), default="adaptive", show_default=True,
                      help="Blocks by their error on screen, or all the finest ones."),
         click.option("--camera", help="x,y,z,heading,pitch,fov: place in the file's coordinates,"
                      " height in its unit, degrees; heading from north, pitch up from level."),

@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import TerrainwaveError
 from terrainwave.render.camera import Camera, Viewport, ray
-from terrainwave.render.scene import DEFAULT_MAX_BYTES, Frames, Scene
+from terrainwave.render.modes import mode_class
+from terrainwave.render.modes.mode import Frames
+from terrainwave.render.scene import DEFAULT_MAX_BYTES, Scene
 from terrainwave.render.selection import View
 
 if TYPE_CHECKING:
@@ -49,6 +51,8 @@ class Offscreen:
     ----------
     size : tuple of int
         Width and height in pixels.
+    mode : str
+        One of `terrainwave.render.modes.MODES`.
     samples : int
         Per pixel, against jagged edges; 0 none.
     options
@@ -60,6 +64,7 @@ class Offscreen:
         terrain: "Terrain",
         size: tuple[int, int],
         *,
+        mode: str = "adaptive",
         samples: int = 4,
         max_bytes: int = DEFAULT_MAX_BYTES,
         context: Any = None,
@@ -67,12 +72,13 @@ class Offscreen:
     ) -> None:
         self._owns_context = context is None
         self.context = context or create_context()
-        from terrainwave.render.mesh_buffers import GpuStore
         from terrainwave.render.renderer import Renderer
 
-        self.store = GpuStore(self.context, terrain.grid.block, max_bytes=max_bytes)
-        self.scene = Scene(terrain, self.store, **options)
-        self.renderer = Renderer(self.context, self.scene, self.store)
+        kind = mode_class(mode)
+        self.surface = kind.surface(self.context, terrain.grid.block, max_bytes=max_bytes)
+        self.store = self.surface.store
+        self.scene = Scene(terrain, self.store, mode=mode, **options)
+        self.renderer = Renderer(self.context, self.scene, self.surface)
         self._samples = min(samples, int(self.context.max_samples))
         self._target: Any = None
         self._resolved: Any = None
@@ -105,7 +111,6 @@ class Offscreen:
         """Stop the workers and free the GPU's memory."""
         self.scene.close()
         self.renderer.release()
-        self.store.release()
         self._release_framebuffers()
         if self._owns_context:
             self.context.release()
@@ -128,7 +133,7 @@ class Offscreen:
         """
         view = self.scene.view(camera, self.viewport, max_pixel_error)
         self._target.use()
-        if self.scene.mode == "full":
+        if self.scene.mode.is_partwise:
             frames = self._draw_parts(view, style)
         else:
             frames = self.scene.settle(view) if settle else self.scene.update(view)

@@ -77,6 +77,11 @@ class Patch(NamedTuple):
     children: list[NodeInfo]
 
     @property
+    def n_triangles(self) -> int:
+        """Return how many triangles are drawn, skirts too."""
+        return len(self.triangles)
+
+    @property
     def n_bytes(self) -> int:
         """Return the bytes of its arrays."""
         return self.vertices.nbytes + self.triangles.nbytes + self.slopes.nbytes

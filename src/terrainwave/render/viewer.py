@@ -10,10 +10,11 @@ import numpy as np
 from terrainwave.errors import TerrainwaveError
 from terrainwave.render.camera import format_camera
 from terrainwave.render.controls import HELP, Controls
+from terrainwave.render.modes.mode import Frames
 from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.overlay import Overlay, draw_overlay
 from terrainwave.render.pictures import choose_camera
-from terrainwave.render.scene import DEFAULT_MAX_BYTES, Frames
+from terrainwave.render.scene import DEFAULT_MAX_BYTES
 
 if TYPE_CHECKING:
     from terrainwave.render.style import Style
@@ -151,7 +152,7 @@ class Viewer:
             controls.camera,
             controls.style,
             max_pixel_error=controls.max_pixel_error,
-            settle=offscreen.scene.mode == "full",
+            settle=offscreen.scene.mode.is_partwise,
         )
         offscreen.context.copy_framebuffer(self._window.fbo, offscreen.framebuffer)
         self._window.use()
