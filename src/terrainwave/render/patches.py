@@ -20,6 +20,7 @@ from terrainwave.meshing import SideTolerances, border_lines
 from terrainwave.quadtree import Block, Region
 from terrainwave.render.frame import Frame
 from terrainwave.render.kernels import SKIRT_FLAG, border_edges, rasterize, slopes
+from terrainwave.render.scales import HeightScale, SlopeScale
 from terrainwave.render.selection import NodeInfo, Piece
 from terrainwave.tri.halves import triangulate
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
 VERTEX = np.dtype([("col", "<u2"), ("row", "<u2"), ("z", "<f4"), ("z_parent", "<f4")])
 # Half of float32's spacing, relative.
 _FLOAT32_ROUNDING = 2.0**-24
-# What float16 holds.
-_LEAST_SLOPE, _LARGEST_SLOPE = 2.0**-14, 6e4
 _CACHED_MESHES = 128
 _VARIANT_BITS = 2  # each variant has four times the tolerance of the one before
 _MAX_VARIANT = 5
@@ -102,16 +101,10 @@ class PatchBuilder:
         self._terrain = terrain
         self._frame = frame
         self._error = error
-        header = terrain._container.header
-        raster = terrain.raster_info
-        quantum = header.quantum.numerator / header.quantum.denominator
-        self._metres = quantum * raster.scale * frame.metres[2]  # per quantum
-        self._zero = (header.base * quantum * raster.scale + raster.offset) * frame.metres[2]
+        self._scale = HeightScale.of(terrain, frame)
+        self._slope_scale = SlopeScale(frame)
         self._meshes: OrderedDict[Piece, BlockMesh] = OrderedDict()
         self._lock = threading.Lock()
-        a, b, _, d, e, _ = frame.sample_matrix
-        # Slopes per sample to slopes per metre: the inverse of the transposed matrix.
-        self._to_metres = np.linalg.inv(np.array([[a, b], [d, e]]))
 
     # What the index says
 
@@ -151,7 +144,9 @@ class PatchBuilder:
         return variant
 
     def _variant_error(self, variant: int) -> float:
-        tolerance = self._variant_tolerance(variant) / (1 << FRACTION_BITS) * abs(self._metres)
+        tolerance = (
+            self._variant_tolerance(variant) / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
+        )
         return self._terrain.effective_error * self._frame.metres[2] + tolerance
 
     def _variant_tolerance(self, variant: int) -> int:
@@ -185,7 +180,9 @@ class PatchBuilder:
             return terrain.mesh_error(block) * per_unit
         is_finest = block.level == terrain.n_levels - 1
         heights = terrain.effective_error if is_finest else terrain.block_error(block)
-        tolerance = terrain._mesher.tolerance(block) / (1 << FRACTION_BITS) * abs(self._metres)
+        tolerance = (
+            terrain._mesher.tolerance(block) / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
+        )
         return heights * per_unit + tolerance
 
     # Patches
@@ -234,7 +231,7 @@ class PatchBuilder:
         check()
         mesh = self.mesh(piece)
         check()
-        z = mesh.heights / (1 << FRACTION_BITS) * self._metres + self._zero
+        z = self._scale.metres(mesh.heights / (1 << FRACTION_BITS))
         base = float(z.min() + z.max()) / 2 if len(z) else 0.0
         z_parent = self._parent_heights(piece, mesh, z)
         check()
@@ -268,7 +265,7 @@ class PatchBuilder:
         stride = terrain.grid.stride(block.level)
         apart = deviation_from_bilinear(mesh, stride, samples.heights, samples.mask)
         bilinear = terrain.block_error(block) * self._frame.metres[2]
-        return bilinear + apart / (1 << FRACTION_BITS) * abs(self._metres)
+        return bilinear + apart / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
 
     def _parent_heights(
         self, piece: Piece, mesh: BlockMesh, z: NDArray[np.float64]
@@ -284,7 +281,7 @@ class PatchBuilder:
             side = 2 * self._terrain.grid.block
             factor, first = 2, ((piece.row & 1) * side, (piece.col & 1) * side)
         rasterize(parent.rows, parent.cols, parent.heights, parent.triangles, factor, *first, found)
-        heights = found[mesh.rows, mesh.cols] / (1 << FRACTION_BITS) * self._metres + self._zero
+        heights = self._scale.metres(found[mesh.rows, mesh.cols] / (1 << FRACTION_BITS))
         return np.where(np.isnan(heights), z, heights)
 
     def slopes(self, block: Block) -> NDArray[np.float16]:
@@ -301,8 +298,9 @@ class PatchBuilder:
         heights, mask = terrain._decoder.window(block.level, wide)
         found = np.empty((near.n_rows, near.n_cols, 2), dtype=np.float32)
         slopes(heights, mask, near.row - wide.row, near.col - wide.col, found)
-        per_sample = found.astype(np.float64) * (self._metres / grid.stride(block.level))
-        per_metre = per_sample @ self._to_metres
+        per_sample = found.astype(np.float64)
+        per_sample *= self._scale.per_quantum / grid.stride(block.level)
+        per_metre = self._slope_scale.per_metre(per_sample)
         padding = [
             (1 - (first - outer), 1 - (outer + n_outer - first - n) + min(1, grid.block + 1 - n))
             for first, n, outer, n_outer in (
@@ -311,8 +309,7 @@ class PatchBuilder:
             )
         ]
         padded = np.pad(per_metre, (*padding, (0, 0)), mode="edge")
-        padded[np.abs(padded) < _LEAST_SLOPE] = 0
-        return np.clip(padded, -_LARGEST_SLOPE, _LARGEST_SLOPE).astype(np.float16)
+        return self._slope_scale.as_float16(padded)
 
 
 def _with_skirts(

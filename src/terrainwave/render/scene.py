@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import LimitExceededError, TerrainwaveError
+from terrainwave.progress import ProgressCallback
 from terrainwave.render.camera import Camera, Viewport, predict
 from terrainwave.render.frame import Frame, frame_of
 from terrainwave.render.frustum import may_see
@@ -74,6 +75,8 @@ class Scene:
         Per frame; τ is raised where it takes longer.
     n_workers : int
         Threads that read, decode and build.
+    progress : callable, optional
+        Called with a `Progress` where a mode prepares for long.
 
     Notes
     -----
@@ -92,10 +95,11 @@ class Scene:
         max_triangles: int = 20_000_000,
         target_ms: float | None = None,
         n_workers: int = 2,
+        progress: ProgressCallback | None = None,
     ) -> None:
         self.terrain = terrain
         self.frame: Frame = frame_of(terrain, radius=radius, exaggeration=exaggeration)
-        self.mode: Mode = mode_class(mode)(terrain, self.frame, error=error)
+        self.mode: Mode = mode_class(mode)(terrain, self.frame, error=error, progress=progress)
         self.store = store
         self.table = NodeTable()
         self.governor = ErrorGovernor(max_triangles, target_ms)
@@ -138,10 +142,12 @@ class Scene:
             self._memory_factor = max(self._memory_factor / _RELIEF, 1.0)
         tau = self._split_error(view)
         wanted = self._wanted(view, tau)
-        if self._take(view, wanted, max_uploads):  # what came may have children
-            wanted = self._wanted(view, tau)
+        spare = self._spare(view, wanted)
+        if self._take(view, np.concatenate([wanted, spare]), max_uploads):
+            wanted = self._wanted(view, tau)  # what came may have children
+            spare = self._spare(view, wanted)
         missing = self._missing(wanted)
-        ahead = [] if missing else self._ahead(view, tau)
+        ahead = [] if missing else (self._missing(spare) or self._ahead(view, tau))
         self._request(missing + ahead)
         self._last_camera = view.camera
         paged = time.perf_counter()
@@ -175,6 +181,12 @@ class Scene:
     def _wanted(self, view: View, tau: float, camera: Camera | None = None) -> NDArray[np.int32]:
         camera = camera or view.camera
         return self.mode.wanted(self.table, view, tau, self.store.max_blocks, camera)
+
+    def _spare(self, view: View, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return what to have besides `wanted`, as much as there is room for."""
+        spare = self.mode.spare(self.table, view, self.store.max_blocks)
+        spare = spare[~np.isin(spare, wanted)]
+        return spare[: self.store.max_blocks - len(wanted)]
 
     def _missing(self, wanted: NDArray[np.int32]) -> list[Piece]:
         absent = wanted[~self.table.is_resident[wanted]]

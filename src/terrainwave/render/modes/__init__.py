@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 # name: module and class below this package
 _CLASSES = {
     "adaptive": ("adaptive", "Adaptive"),
+    "batched": ("batched", "Batched"),
     "full": ("full", "Full"),
 }
 MODES = tuple(_CLASSES)

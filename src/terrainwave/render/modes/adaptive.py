@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from terrainwave.progress import ProgressCallback
 from terrainwave.render.frame import Frame
 from terrainwave.render.modes.bounded import BoundedMode
 from terrainwave.render.patches import Patch, PatchBuilder
@@ -21,7 +22,14 @@ class Adaptive(BoundedMode):
 
     name = "adaptive"
 
-    def __init__(self, terrain: "Terrain", frame: Frame, *, error: str = "measured") -> None:
+    def __init__(
+        self,
+        terrain: "Terrain",
+        frame: Frame,
+        *,
+        error: str = "measured",
+        progress: ProgressCallback | None = None,
+    ) -> None:
         super().__init__(terrain, frame, error=error)
         self.builder = PatchBuilder(terrain, frame, error=error)
 

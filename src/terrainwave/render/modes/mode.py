@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.progress import ProgressCallback
 from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed, gamma_paper
 from terrainwave.render.frame import Frame
 from terrainwave.render.selection import Built, NodeInfo, NodeTable, Piece, Selection, View
@@ -68,6 +69,8 @@ class Mode(ABC):
         Local metres; its exaggeration is not used: the GPU applies it.
     error : {"measured", "paper"}
         Errors and γ: those that hold everywhere, or the paper's.
+    progress : callable, optional
+        Called with a `Progress` where the mode prepares for long.
 
     Attributes
     ----------
@@ -75,15 +78,28 @@ class Mode(ABC):
         As in ``--mode``.
     is_partwise : bool
         All finest pieces are drawn, as many at a time as the store holds.
+    n_levels : int
+        Of its pieces; level 0 is the coarsest.
+    preparation : str, optional
+        What takes long when it begins, as "building …"; None where nothing does.
     """
 
     name: str
     is_partwise = False
+    preparation: str | None = None
 
-    def __init__(self, terrain: "Terrain", frame: Frame, *, error: str = "measured") -> None:
+    def __init__(
+        self,
+        terrain: "Terrain",
+        frame: Frame,
+        *,
+        error: str = "measured",
+        progress: ProgressCallback | None = None,
+    ) -> None:
         if error not in ERRORS:
             raise InvalidHeightsError(f"found error {error!r}, expected one of {', '.join(ERRORS)}")
         self.terrain, self.frame, self.error = terrain, frame, error
+        self.n_levels = terrain.n_levels
 
     def close(self) -> None:  # noqa: B027  most modes have nothing to close
         """Free what it holds; no `build` runs any more."""
@@ -128,6 +144,10 @@ class Mode(ABC):
     ) -> NDArray[np.int32]:
         """Return the nodes to have in memory for a camera, the most urgent first."""
         return table.wanted(view, max_blocks, tau, camera)
+
+    def spare(self, table: NodeTable, view: View, max_blocks: int) -> NDArray[np.int32]:
+        """Return what else to have in memory once all that is wanted is here."""
+        return np.empty(0, dtype=np.int32)
 
     @abstractmethod
     def frames(
