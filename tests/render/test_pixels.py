@@ -69,36 +69,38 @@ def random_camera(rng, frame):
     return Camera((x, y, z), heading % 360, rng.uniform(-80, -15), rng.uniform(30, 80))
 
 
+@pytest.mark.parametrize("mode", ["adaptive", "batched"])
 @pytest.mark.parametrize("tau", [1.0, 6.0])
-def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, tau):
+def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, mode, tau):
     rng = np.random.default_rng(1)
     style = Style(background=LOUD, coloring="flat")
     options = {"samples": 0, "context": context}
     n_levels = set()
     with (
         Offscreen(rough, SIZE, mode="full", **options) as full,
-        Offscreen(rough, SIZE, **options) as adaptive,
+        Offscreen(rough, SIZE, mode=mode, **options) as coarse,
     ):
         for _ in range(15):
             camera = random_camera(rng, full.scene.frame)
             reference, _ = full.picture(camera, style)
-            image, frames = adaptive.picture(camera, style, max_pixel_error=tau)
-            pieces = [adaptive.scene.table.pieces[node] for node in frames.nodes.tolist()]
+            image, frames = coarse.picture(camera, style, max_pixel_error=tau)
+            pieces = [coarse.scene.table.pieces[node] for node in frames.nodes.tolist()]
             n_levels |= {(piece.level, piece.variant) for piece in pieces}
             # Outlines against the background may move by τ and a pixel.
             inside = eroded(~loud(reference), int(np.ceil(tau)) + 1)
             assert inside.sum() > 1000
             assert (loud(image) & inside).sum() == 0
-    assert len(n_levels) > 2
+    assert len(n_levels) > (2 if mode == "adaptive" else 1)
 
 
-def test_no_gap_shows_while_paging(context, rough):
+@pytest.mark.parametrize("mode", ["adaptive", "batched"])
+def test_no_gap_shows_while_paging(context, rough, mode):
     """Blocks of all levels side by side, parents standing in: still no gap."""
     style = Style(background=LOUD, coloring="flat")
     options = {"samples": 0, "context": context}
     with (
         Offscreen(rough, SIZE, mode="full", **options) as full,
-        Offscreen(rough, SIZE, n_workers=1, **options) as adaptive,
+        Offscreen(rough, SIZE, mode=mode, n_workers=1, **options) as adaptive,
     ):
         camera = Camera((0.0, -1500.0, full.scene.frame.box[1][2] + 200), 0, -25, 60)
         reference, _ = full.picture(camera, style)
@@ -115,12 +117,13 @@ def test_no_gap_shows_while_paging(context, rough):
         assert n_frames > 3
 
 
-def test_voids_are_as_in_the_full_terrain(context, with_voids):
+@pytest.mark.parametrize("mode", ["adaptive", "batched"])
+def test_voids_are_as_in_the_full_terrain(context, with_voids, mode):
     style = Style(background=LOUD, coloring="flat")
     options = {"samples": 0, "context": context}
     with (
         Offscreen(with_voids, SIZE, mode="full", **options) as full,
-        Offscreen(with_voids, SIZE, **options) as adaptive,
+        Offscreen(with_voids, SIZE, mode=mode, **options) as adaptive,
     ):
         camera = top_view(full.scene.frame.box, full.viewport)
         reference, _ = full.picture(camera, style)
@@ -164,15 +167,18 @@ def waves(rows, cols):
     return heights, east, north
 
 
+@pytest.mark.parametrize("mode", ["adaptive", "batched"])
 @pytest.mark.parametrize("exaggeration", [1.0, 2.5])
-def test_the_surface_and_its_shade_are_where_the_heights_say(context, exaggeration):
+def test_the_surface_and_its_shade_are_where_the_heights_say(context, mode, exaggeration):
     """Places read back from the depth buffer, and greys, against a known function."""
     rows, cols = np.mgrid[0:150, 0:210]
     heights = waves(rows, cols)[0].astype(np.float32)
     style = Style(coloring="plain", haze=0, background=LOUD)
     rng = np.random.default_rng(3)
     with terrain_of(heights, max_error=0.1, mesh_error=0.2) as terrain:
-        options = {"samples": 0, "context": context, "exaggeration": exaggeration}
+        options = {
+            "samples": 0, "context": context, "exaggeration": exaggeration, "mode": mode
+        }  # fmt: skip
         with Offscreen(terrain, SIZE, **options) as offscreen:
             frame, n_seen = offscreen.scene.frame, 0
             for number in range(4):
