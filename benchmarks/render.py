@@ -131,7 +131,7 @@ def _row(offscreen, what, block, tau, times, parts, drawn) -> Row:
         float(np.median(triangles)),
         float(np.median(blocks)),
         int((missing > 0).sum()),
-        offscreen.store.n_bytes / 2**20,
+        offscreen.n_bytes / 2**20,
     )
 
 

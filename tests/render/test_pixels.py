@@ -257,3 +257,46 @@ def test_every_colouring_draws_the_terrain_in_many_colours(context, rough, color
         terrain = image[~loud(image)]
         assert len(terrain) > 3000
         assert len(np.unique(terrain, axis=0)) > 50
+
+
+@pytest.mark.parametrize("mode", ["adaptive", "batched"])
+def test_a_drape_lies_where_its_coordinates_say(context, rough, tmp_path, mode):
+    """Red and green are the column and row of the photo, which covers a part of the terrain."""
+    import rasterio
+
+    n = 128
+    ramp = np.arange(n, dtype=np.uint8) * 2
+    bands = np.stack([np.tile(ramp, (n, 1)), np.tile(ramp[:, None], (1, n)), np.full((n, n), 9)])
+    left, top = 500000 + 30 * 40, 5200000 - 30 * 30
+    place = rasterio.Affine(30.0 * 100 / n, 0, left, 0, -30.0 * 90 / n, top)
+    with rasterio.open(
+        tmp_path / "photo.tif", "w", driver="GTiff", count=3, width=n, height=n, dtype="uint8",
+        crs="EPSG:32633", transform=place,
+    ) as photo:  # fmt: skip
+        photo.write(bands.astype(np.uint8))
+    style = Style(coloring="plain", shade=0, haze=0, background=LOUD)
+    options = {"samples": 0, "context": context, "mode": mode}
+    with Offscreen(rough, SIZE, drape=str(tmp_path / "photo.tif"), **options) as offscreen:
+        rng = np.random.default_rng(5)
+        n_inside = n_outside = 0
+        for camera in (
+            top_view(offscreen.scene.frame.box, offscreen.viewport),
+            home(offscreen.scene.frame.box, offscreen.viewport),
+        ):
+            image, _ = offscreen.picture(camera, style)
+            for x, y in rng.integers(0, SIZE, (150, 2)):
+                at = offscreen.pick(x, y)
+                if at is None:
+                    continue
+                world = offscreen.scene.frame.to_world(at[None])[0]
+                u = (world[0] - left) * n / 3000
+                v = (top - world[1]) * n / 2700
+                if 3 < u < n - 3 and 3 < v < n - 3:
+                    assert abs(image[y, x, 0] - 2 * (u - 0.5)) < 6
+                    assert abs(image[y, x, 1] - 2 * (v - 0.5)) < 6
+                    n_inside += 1
+                elif not (-3 < u < n + 3 and -3 < v < n + 3):
+                    assert (np.abs(image[y, x] - [209, 204, 194]) < 2).all()  # plain
+                    n_outside += 1
+        assert n_inside > 30
+        assert n_outside > 30

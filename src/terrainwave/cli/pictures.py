@@ -65,6 +65,8 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--ramp", type=RAMPS, default="tints", show_default=True,
                      help="Colours by height; cividis is safe for colour-blind eyes."),
         click.option("--coloring", type=COLORINGS, default="ground", show_default=True),
+        click.option("--drape", type=click.Path(), metavar="IMAGE",
+                     help="Orthophoto to lay on the terrain; it is warped to it."),
         click.option("--radius", type=POSITIVE, help="Of the body, metres, for degrees."),
         click.option("--exaggeration", type=POSITIVE, default=1.0, show_default=True,
                      help="Factor of heights."),

@@ -29,7 +29,7 @@ HELP = [
     ("Tab", "orbit or fly: in fly, drag looks around"),
     ("Home  T  N", "the whole terrain, from above, north up"),
     ("C  R", "colour by ground, height, level, error; ramp"),
-    ("L  B", "wireframe; light on and off"),
+    ("L  B  O", "wireframe; light, orthophoto on and off"),
     (",  .", "turn the sun"),
     ("[  ]", "vertical exaggeration"),
     ("-  +", "pixel error"),
@@ -86,6 +86,8 @@ class Controls:
             self.style = replace(self.style, ramp=_next(list(RAMPS), self.style.ramp))
         elif key == "l":
             self.style = replace(self.style, wireframe=not self.style.wireframe)
+        elif key == "o":
+            self.style = replace(self.style, drape=0.0 if self.style.drape else 1.0)
         elif key == "b":
             self.style = replace(self.style, shade=0.0 if self.style.shade else 1.0)
         elif key in ("comma", "period"):

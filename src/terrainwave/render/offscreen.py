@@ -13,6 +13,7 @@ from terrainwave.render.scene import DEFAULT_MAX_BYTES, Scene
 from terrainwave.render.selection import View
 
 if TYPE_CHECKING:
+    from terrainwave.raster_io.drape import Drape
     from terrainwave.render.style import Style
     from terrainwave.terrain import Terrain
 
@@ -20,6 +21,8 @@ _HELP = (
     "terrainwave render needs EGL and an OpenGL 3.3 driver; on Debian and Ubuntu: apt-get install"
     " libegl1 libgl1 libgl1-mesa-dri"
 )
+# Of the memory, at most this share is the drape.
+_DRAPE_SHARE = 4
 
 
 def create_context() -> Any:
@@ -53,6 +56,8 @@ class Offscreen:
         Width and height in pixels.
     mode : str
         One of `terrainwave.render.modes.MODES`.
+    drape : str, optional
+        Path of an orthophoto to lie on the terrain.
     samples : int
         Per pixel, against jagged edges; 0 none.
     options
@@ -65,6 +70,7 @@ class Offscreen:
         size: tuple[int, int],
         *,
         mode: str = "adaptive",
+        drape: str | None = None,
         samples: int = 4,
         max_bytes: int = DEFAULT_MAX_BYTES,
         context: Any = None,
@@ -75,15 +81,36 @@ class Offscreen:
         from terrainwave.render.renderer import Renderer
 
         kind = mode_class(mode)
-        self.surface = kind.surface(self.context, terrain.grid.block, max_bytes=max_bytes)
+        picture = None if drape is None else self._read_drape(terrain, drape, max_bytes)
+        self._drape_bytes = 0 if picture is None else picture.pixels.size * 4 // 3
+        self.surface = kind.surface(
+            self.context, terrain.grid.block, max_bytes=max_bytes - self._drape_bytes
+        )
         self.store = self.surface.store
         self.scene = Scene(terrain, self.store, mode=mode, **options)
-        self.renderer = Renderer(self.context, self.scene, self.surface)
+        self.renderer = Renderer(self.context, self.scene, self.surface, picture)
         self._samples = min(samples, int(self.context.max_samples))
         self._target: Any = None
         self._resolved: Any = None
         self._drawn: tuple[View, tuple[float, float]] | None = None
         self.resize(size)
+
+    def _read_drape(self, terrain: "Terrain", path: str, max_bytes: int) -> "Drape":
+        from terrainwave.raster_io.drape import read_drape
+
+        return read_drape(
+            path,
+            crs=terrain.crs,
+            affine=terrain.raster_info.transform,
+            shape=terrain.shape,
+            max_side=int(self.context.info["GL_MAX_TEXTURE_SIZE"]),
+            max_bytes=max_bytes // _DRAPE_SHARE,
+        )
+
+    @property
+    def n_bytes(self) -> int:
+        """Return the bytes on the GPU of pieces and drape, used or not."""
+        return self.store.n_bytes + self._drape_bytes
 
     def resize(self, size: tuple[int, int]) -> None:
         """Draw pictures of another size from now on."""

@@ -105,7 +105,7 @@ def statistics(
         "n_triangles": frames.n_triangles,
         "n_blocks": len(frames.nodes),
         "n_draw_calls": offscreen.renderer.n_draw_calls,
-        "gpu_bytes": offscreen.store.n_bytes,
+        "gpu_bytes": offscreen.n_bytes,
         "page_ms": scene.timings.page,
         "select_ms": scene.timings.select,
         "seconds": seconds,

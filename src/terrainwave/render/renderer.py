@@ -6,6 +6,7 @@ from typing import Any
 import moderngl
 import numpy as np
 
+from terrainwave.raster_io.drape import Drape
 from terrainwave.render import shaders
 from terrainwave.render.camera import projection_matrix, view_matrix
 from terrainwave.render.modes.mode import Frames
@@ -13,10 +14,11 @@ from terrainwave.render.ramps import N_COLORS, ramp_colors
 from terrainwave.render.scene import Scene
 from terrainwave.render.selection import View
 from terrainwave.render.style import COLORINGS, Style
-from terrainwave.render.surface import RAMP_UNIT, Surface
+from terrainwave.render.surface import DRAPE_UNIT, RAMP_UNIT, Surface
 
 _CLIP_DISTANCE_0 = 0x3000
 _NEAREST = 1e-5  # of the farthest
+_ANISOTROPY = 8.0
 
 
 class Renderer:
@@ -28,12 +30,16 @@ class Renderer:
         OpenGL 3.3 core or newer.
     surface : Surface
         What draws the scene's pieces; released with the renderer.
+    drape : Drape, optional
+        A picture to lie on the terrain.
     """
 
     _HORIZON = (0.80, 0.86, 0.91)
     _ZENITH = (0.30, 0.50, 0.74)
 
-    def __init__(self, context: Any, scene: Scene, surface: Surface) -> None:
+    def __init__(
+        self, context: Any, scene: Scene, surface: Surface, drape: Drape | None = None
+    ) -> None:
         self._context = context
         self._scene = scene
         self.surface = surface
@@ -43,9 +49,24 @@ class Renderer:
         self._sky_array = context.vertex_array(self._sky, [])
         self._ramp: Any = None
         self._ramp_key: tuple[object, ...] = ()
+        self._drape = self._drape_texture(drape)
+        self._drape_place = (0.0, 0.0, 1.0, 1.0)
+        if drape is not None:
+            self._drape_place = (drape.col, drape.row, 1 / drape.n_cols, 1 / drape.n_rows)
         self.n_draw_calls = 0
 
     # Parts that last
+
+    def _drape_texture(self, drape: Drape | None) -> Any:
+        """Return the texture of the drape; one clear texel without one."""
+        pixels = np.zeros((1, 1, 4), dtype=np.uint8) if drape is None else drape.pixels
+        height, width = pixels.shape[:2]
+        texture = self._context.texture((width, height), 4, pixels.tobytes(), alignment=4)
+        texture.repeat_x = texture.repeat_y = False
+        texture.build_mipmaps()
+        texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+        texture.anisotropy = min(_ANISOTROPY, self._context.max_anisotropy)
+        return texture
 
     def _ramp_texture(self, style: Style) -> Any:
         low, high = self._heights()
@@ -119,11 +140,16 @@ class Renderer:
             "shade": style.shade,
             "error_range": max(float(scene.table.errors[frames.nodes].max()), 1e-6),
             "ramp": RAMP_UNIT,
+            "drape": DRAPE_UNIT,
+            "drape_place": self._drape_place,
+            "drape_share": style.drape,
+            "last": (scene.frame.shape[1] - 1.0, scene.frame.shape[0] - 1.0),
         }
         for name, value in values.items():
             if name in program:
                 program[name] = value
         self._ramp_texture(style).use(RAMP_UNIT)
+        self._drape.use(DRAPE_UNIT)
 
     def _haze(self, view: View, style: Style) -> float:
         """Return the density of haze per metre: thick on the ground, thin from far above."""
@@ -149,6 +175,6 @@ class Renderer:
 
     def release(self) -> None:
         """Free the GPU's memory."""
-        for part in (self.surface, self._ramp, self._sky_array, self._sky):
+        for part in (self.surface, self._ramp, self._drape, self._sky_array, self._sky):
             if part is not None:
                 part.release()

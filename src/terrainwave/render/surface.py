@@ -9,14 +9,15 @@ if TYPE_CHECKING:
     from terrainwave.render.scene import Scene, Store
 
 # Texture units; a mode's own begin at OWN_UNIT.
-RAMP_UNIT, OWN_UNIT = 0, 1
+RAMP_UNIT, DRAPE_UNIT, OWN_UNIT = 0, 1, 2
 
 
 class Surface(Protocol):
     """A store and a program; made by `Mode.surface`.
 
     The renderer sets those uniforms in `program` that `Renderer._set_uniforms` names and the
-    program has, binds the ramp, sets depth test, wireframe and clip distances, and calls `submit`.
+    program has, binds ramp and drape, sets depth test, wireframe and clip distances, and calls
+    `submit`.
     """
 
     program: Any

@@ -39,6 +39,7 @@ out vec3 v_seen;            // relative to the eye
 out vec2 v_sample;          // in samples of the block's level
 out float v_height;         // metres, without exaggeration
 flat out ivec2 v_layers;
+out vec2 v_grid;            // column, row of the full grid
 flat out vec4 v_parent;     // unused, unused, level, error
 out float gl_ClipDistance[5];
 void main() {
@@ -62,6 +63,7 @@ void main() {
     v_height = d.y + z;
     v_layers = ivec2(int(b.y), -1);
     v_parent = vec4(0.0, 0.0, b.z, d.x);
+    v_grid = c.zw + full;
     gl_ClipDistance[0] = c.x - full.x;
     gl_ClipDistance[1] = c.y - full.y;
     gl_ClipDistance[2] = c.z + full.x;
