@@ -7,6 +7,7 @@ from render.scenes import ListStore, drawn_heights, hills, terrain_of
 from terrainwave.errors import CorruptStreamError
 from terrainwave.render.camera import Camera, Viewport, fly, home, look, project
 from terrainwave.render.scene import Scene
+from terrainwave.render.selection import Piece
 
 pytestmark = pytest.mark.large
 
@@ -79,6 +80,38 @@ def test_no_original_in_view_is_further_than_tau_from_the_surface(original_and_t
     assert n_compared > 20_000
     assert n_coarse > 5
     assert n_morphed > 0
+
+
+def test_paper_errors_follow_equations_2_and_3():
+    """Err = max Err of the children + Err_Int + δ, plus Err_Tri; checked sample by sample."""
+    heights = np.round(hills(70, 90, 11)).astype(np.int16)
+    with terrain_of(heights, max_error=2) as terrain:
+        builder = Scene(terrain, ListStore(), error="paper").mode.builder
+        grid, delta = terrain.grid, terrain.effective_error
+
+        def appr(block):
+            if block.level == grid.k_max:
+                return delta
+            own, stride = grid.block_region(block), 2
+            coarse = terrain.read(own, level=block.level).astype(float)
+            fine = terrain.read(
+                (own.row * 2, own.col * 2, own.n_rows * 2 - 1, own.n_cols * 2 - 1),
+                level=block.level + 1,
+            )
+            apart = 0.0
+            for r, c in np.ndindex(fine.shape):
+                near = coarse[r // stride : -(-r // stride) + 1, c // stride : -(-c // stride) + 1]
+                if near.shape == (1 + r % 2, 1 + c % 2):
+                    apart = max(apart, abs(near.mean() - fine[r, c]))
+            return max(appr(child) for child in grid.children(block)) + apart + delta
+
+        for level in range(terrain.n_levels):
+            for block in grid.blocks(level):
+                tolerance = terrain._mesher.tolerance(block) / 16 * terrain.info().quantum
+                error = builder.error(Piece(*block))
+                assert error == pytest.approx(appr(block) + tolerance)
+                # What is measured is less: an upper bound stays one.
+                assert error >= terrain.mesh_error(block) - 1e-9
 
 
 def test_a_morph_never_takes_more_than_the_error_leaves(original_and_terrain):

@@ -12,7 +12,7 @@ import click
 
 from terrainwave.cli.commands import main
 from terrainwave.cli.options import Numbers
-from terrainwave.cli.output import announce_compiling, plain, print_note, reading
+from terrainwave.cli.output import Bar, announce_compiling, plain, print_note, reading
 from terrainwave.render.modes import MODES
 
 COLORINGS = click.Choice(["ground", "ramp", "level", "error", "plain", "flat"])
@@ -84,6 +84,15 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
+def _announce_preparation(options: dict[str, Any]) -> None:
+    """Say why it takes long, where a mode looks at every sample before its first picture."""
+    from terrainwave.render.modes import mode_class
+
+    preparation = mode_class(options["mode"]).preparation(options["error"])
+    if preparation is not None:
+        click.echo(f"{preparation}: this decodes the whole file once", err=True)
+
+
 def _style(options: dict[str, Any]) -> Any:
     """Return the style of the options, and take them out."""
     from terrainwave.render.style import Style
@@ -128,13 +137,18 @@ def render(
     from terrainwave.render.pictures import choose_camera, fly_through, read_flight
 
     announce_compiling(quiet=quiet)
+    if not quiet:
+        _announce_preparation(options)
     started = time.perf_counter()
     written: list[dict[str, Any]] = []
     with ExitStack() as stack:
         stack.enter_context(reading(file))
         terrain = stack.enter_context(terrainwave.open(file))
         style = _style(options)
-        scene = stack.enter_context(Offscreen(terrain, size, max_bytes=memory << 20, **options))
+        with Bar(quiet=quiet) as bar:
+            scene = stack.enter_context(
+                Offscreen(terrain, size, max_bytes=memory << 20, progress=bar, **options)
+            )
         if flight is None:
             cameras, n_frames = (
                 [choose_camera(scene.scene.frame, scene.viewport, camera, bounds)],
@@ -198,6 +212,7 @@ def view(
     from terrainwave.render.viewer import run
 
     announce_compiling()
+    _announce_preparation(options)
     with reading(file), terrainwave.open(file) as terrain:
         line = run(
             terrain,

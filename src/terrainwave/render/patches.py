@@ -93,14 +93,21 @@ class PatchBuilder:
     ----------
     frame : Frame
         Local metres; its exaggeration is not used: the GPU applies it.
-    error : {"measured", "paper"}
-        Errors as stored for meshes, or Err_Appr + Err_Tri of Yusov & Turlapov 2010, eq. (3).
+    recursive : list of ndarray, optional
+        Err_Appr of every block (`level_errors.recursive_errors`): errors are then Err_Appr +
+        Err_Tri, Yusov & Turlapov 2010, eq. (3). By default they are those stored for meshes.
     """
 
-    def __init__(self, terrain: "Terrain", frame: Frame, *, error: str = "measured") -> None:
+    def __init__(
+        self,
+        terrain: "Terrain",
+        frame: Frame,
+        *,
+        recursive: list[NDArray[np.float64]] | None = None,
+    ) -> None:
         self._terrain = terrain
         self._frame = frame
-        self._error = error
+        self._recursive = recursive
         self._scale = HeightScale.of(terrain, frame)
         self._slope_scale = SlopeScale(frame)
         self._meshes: OrderedDict[Piece, BlockMesh] = OrderedDict()
@@ -176,14 +183,18 @@ class PatchBuilder:
             return self._variant_error(piece.variant)
         terrain, block = self._terrain, piece.block
         per_unit = self._frame.metres[2]
-        if self._error == "measured" and terrain.mesh_kind != "none":
+        if self._recursive is None and terrain.mesh_kind != "none":
             return terrain.mesh_error(block) * per_unit
-        is_finest = block.level == terrain.n_levels - 1
-        heights = terrain.effective_error if is_finest else terrain.block_error(block)
-        tolerance = (
-            terrain._mesher.tolerance(block) / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
-        )
-        return heights * per_unit + tolerance
+        tolerance = terrain._mesher.tolerance(block) / (1 << FRACTION_BITS)
+        return self._heights_error(block) * per_unit + tolerance * abs(self._scale.per_quantum)
+
+    def _heights_error(self, block: Block) -> float:
+        """Return the error of a block's bilinear surface, in the file's unit."""
+        if self._recursive is not None:
+            return float(self._recursive[block.level][block.row, block.col])
+        if block.level == self._terrain.n_levels - 1:
+            return self._terrain.effective_error
+        return self._terrain.block_error(block)
 
     # Patches
 

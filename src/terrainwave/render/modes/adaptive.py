@@ -3,7 +3,11 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from terrainwave.progress import ProgressCallback
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.level_errors import recursive_errors
+from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.render.frame import Frame
 from terrainwave.render.modes.bounded import BoundedMode
 from terrainwave.render.patches import Patch, PatchBuilder
@@ -31,7 +35,22 @@ class Adaptive(BoundedMode):
         progress: ProgressCallback | None = None,
     ) -> None:
         super().__init__(terrain, frame, error=error)
-        self.builder = PatchBuilder(terrain, frame, error=error)
+        self.builder = PatchBuilder(terrain, frame, recursive=self._recursive_errors(progress))
+
+    @classmethod
+    def preparation(cls, error: str) -> str | None:
+        """Say that the recursion decodes the whole file."""
+        return "following the error recursion of Yusov & Turlapov" if error == "paper" else None
+
+    def _recursive_errors(
+        self, progress: ProgressCallback | None
+    ) -> list[NDArray[np.float64]] | None:
+        """Return Err_Appr of every block by the paper's recursion, where it is asked for."""
+        if self.error != "paper":
+            return None
+        n_rows, n_cols = self.terrain.shape
+        count = Reporter(progress).counter("errors", n_rows * n_cols, 4)
+        return recursive_errors(self.terrain, as_printed=True, count=count)
 
     def roots(self) -> list[NodeInfo]:
         """Return the root blocks."""

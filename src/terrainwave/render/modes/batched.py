@@ -89,7 +89,6 @@ class Batched(BoundedMode):
     """
 
     name = "batched"
-    preparation = "building the pyramid of Zhang et al. from every sample"
 
     def __init__(
         self,
@@ -122,6 +121,11 @@ class Batched(BoundedMode):
         except BaseException:
             self.close()
             raise
+
+    @classmethod
+    def preparation(cls, error: str) -> str | None:
+        """Say that the pyramid needs every sample."""
+        return "building the pyramid of Zhang et al. from all samples"
 
     def close(self) -> None:
         """Delete the pyramid."""

@@ -80,13 +80,10 @@ class Mode(ABC):
         All finest pieces are drawn, as many at a time as the store holds.
     n_levels : int
         Of its pieces; level 0 is the coarsest.
-    preparation : str, optional
-        What takes long when it begins, as "building …"; None where nothing does.
     """
 
     name: str
     is_partwise = False
-    preparation: str | None = None
 
     def __init__(
         self,
@@ -100,6 +97,11 @@ class Mode(ABC):
             raise InvalidHeightsError(f"found error {error!r}, expected one of {', '.join(ERRORS)}")
         self.terrain, self.frame, self.error = terrain, frame, error
         self.n_levels = terrain.n_levels
+
+    @classmethod
+    def preparation(cls, error: str) -> str | None:
+        """Return what takes long when the mode begins, as "building …"; None if nothing does."""
+        return None
 
     def close(self) -> None:  # noqa: B027  most modes have nothing to close
         """Free what it holds; no `build` runs any more."""
