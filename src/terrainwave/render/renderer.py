@@ -18,7 +18,6 @@ from terrainwave.render.surface import DRAPE_UNIT, RAMP_UNIT, Surface
 
 _CLIP_DISTANCE_0 = 0x3000
 _NEAREST = 1e-5  # of the farthest
-_ANISOTROPY = 8.0
 
 
 class Renderer:
@@ -50,6 +49,7 @@ class Renderer:
         self._ramp: Any = None
         self._ramp_key: tuple[object, ...] = ()
         self._drape = self._drape_texture(drape)
+        self._has_drape = drape is not None
         self._drape_place = (0.0, 0.0, 1.0, 1.0)
         if drape is not None:
             self._drape_place = (drape.col, drape.row, 1 / drape.n_cols, 1 / drape.n_rows)
@@ -65,7 +65,6 @@ class Renderer:
         texture.repeat_x = texture.repeat_y = False
         texture.build_mipmaps()
         texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
-        texture.anisotropy = min(_ANISOTROPY, self._context.max_anisotropy)
         return texture
 
     def _ramp_texture(self, style: Style) -> Any:
@@ -142,7 +141,7 @@ class Renderer:
             "ramp": RAMP_UNIT,
             "drape": DRAPE_UNIT,
             "drape_place": self._drape_place,
-            "drape_share": style.drape,
+            "drape_share": style.drape if self._has_drape else 0.0,
             "last": (scene.frame.shape[1] - 1.0, scene.frame.shape[0] - 1.0),
         }
         for name, value in values.items():

@@ -122,10 +122,13 @@ void main() {
         }
     }
     vec2 at = (v_grid + 0.5 - drape_place.xy) * drape_place.zw;
-    vec4 photo = texture(drape, at);
-    bool is_draped = all(greaterThanEqual(at, vec2(0.0))) && all(lessThanEqual(at, vec2(1.0)));
-    float draped = is_draped ? photo.a * drape_share : 0.0;
-    base = mix(base, photo.rgb, draped);
+    float draped = 0.0;
+    if (drape_share > 0.0) {
+        vec4 photo = texture(drape, at, -0.5);  // a little sharper: slopes are seen aslant
+        if (all(greaterThanEqual(at, vec2(0.0))) && all(lessThanEqual(at, vec2(1.0))))
+            draped = photo.a * drape_share;
+        base = mix(base, photo.rgb, draped);
+    }
     // A photo has light and shadow of its own.
     float shading = shade * (1.0 - 0.55 * draped);
     float lit = max(dot(normal, sun), 0.0) / max(sun.z, 0.25);
