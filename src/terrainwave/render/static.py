@@ -66,12 +66,12 @@ def plot(terrain: "Terrain", ax: Any, *, cmap: str, shade: float, bounds: Any) -
     ):
         level -= 1
     region = terrain.region(bounds=bounds, level=level)
-    heights = terrain.read(tuple(region), level=level, masked=True)
+    heights = terrain.read(region, level=level, masked=True)
     raster, frame = terrain.raster_info, frame_of(terrain)
     physical: Any = heights.astype(np.float64) * raster.scale + raster.offset
     if ax is None:
         _, ax = pyplot.subplots()
-    a, _, c, _, e, f = terrain.transform(level, tuple(region))
+    a, _, c, _, e, f = terrain.transform(level, region)
     x, y = c + a * region.n_cols, f + e * region.n_rows
     low, high = (physical.min(), physical.max()) if physical.count() else (0.0, 1.0)
     norm = colors.Normalize(low, high if high > low else low + 1)
