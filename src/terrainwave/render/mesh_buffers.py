@@ -46,10 +46,10 @@ class GpuStore:
     def __init__(self, context: Any, side: int, *, max_bytes: int) -> None:
         self._context = context
         # Samples of a block and one more on each side.
-        self._layers = LayeredTextures(
+        self.layers = LayeredTextures(
             context, side + 3, [SLOPES], max_bytes=max_bytes // _TEXTURE_SHARE
         )
-        self._mesh_bytes = max_bytes - self._layers.max_bytes
+        self._mesh_bytes = max_bytes - self.layers.max_bytes
         self._vertices = Arena(_FIRST_VERTICES)
         self._indices = Arena(_FIRST_INDICES)
         self.vertex_buffer = context.buffer(reserve=_FIRST_VERTICES * VERTEX.itemsize)
@@ -62,18 +62,18 @@ class GpuStore:
     @property
     def max_blocks(self) -> int:
         """Return how many patches fit at most."""
-        return self._layers.max_layers
+        return self.layers.max_layers
 
     @property
     def n_bytes(self) -> int:
         """Return the bytes of all buffers and textures, used or not."""
         meshes = self._vertices.capacity * VERTEX.itemsize + self._indices.capacity * _INDEX_BYTES
-        return meshes + self._layers.n_bytes
+        return meshes + self.layers.n_bytes
 
     @property
     def slopes(self) -> Any:
         """Return the array texture of slopes."""
-        return self._layers.textures[0]
+        return self.layers.textures[0]
 
     def put(self, node: int, patch: Patch) -> bool:
         """Upload a patch; false if there is no room."""
@@ -81,20 +81,20 @@ class GpuStore:
         if n_indices == 0:
             self._place(node, Slot(0, 0, 0, 0, -1))
             return True
-        layer = self._layers.take()
+        layer = self.layers.take()
         if layer is None:
             return False
         first_vertex = self._take("_vertices", len(patch.vertices))
         first_index = None if first_vertex is None else self._take("_indices", n_indices)
         if first_vertex is None or first_index is None:
-            self._layers.give_back(layer)
+            self.layers.give_back(layer)
             if first_vertex is not None:
                 self._vertices.give_back(first_vertex, len(patch.vertices))
             return False
         self.vertex_buffer.write(patch.vertices.tobytes(), offset=first_vertex * VERTEX.itemsize)
         indices = patch.triangles + np.uint32(first_vertex)
         self.index_buffer.write(indices.tobytes(), offset=first_index * _INDEX_BYTES)
-        self._layers.write(layer, [patch.slopes])
+        self.layers.write(layer, [patch.slopes])
         self._place(node, Slot(first_vertex, len(patch.vertices), first_index, n_indices, layer))
         return True
 
@@ -111,7 +111,7 @@ class GpuStore:
             return
         self._vertices.give_back(slot.first_vertex, slot.n_vertices)
         self._indices.give_back(slot.first_index, slot.n_indices)
-        self._layers.give_back(slot.layer)
+        self.layers.give_back(slot.layer)
 
     def _take(self, name: str, size: int) -> int | None:
         arena: Arena = getattr(self, name)
@@ -146,12 +146,12 @@ class GpuStore:
         commands["base_instance"] = np.arange(len(nodes))
         return commands
 
-    def layers(self, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
+    def layers_of(self, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
         """Return the slope layer of each node; -1 where it has no triangles."""
         found: NDArray[np.int64] = self._places[nodes, 2]
         return found
 
     def release(self) -> None:
         """Free the GPU's memory."""
-        for part in (self.vertex_buffer, self.index_buffer, self._layers):
+        for part in (self.vertex_buffer, self.index_buffer, self.layers):
             part.release()

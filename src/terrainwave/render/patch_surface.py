@@ -88,7 +88,7 @@ class PatchSurface:
         texels[:, 0:3] = origins - view.camera.eye
         texels[:, 3] = frames.morphs
         texels[:, 4] = frames.skirts
-        texels[:, 5] = self.store.layers(nodes)
+        texels[:, 5] = self.store.layers_of(nodes)
         texels[:, 6] = -1
         texels[:, 7] = strides
         texels[:, 8] = grid.n_cols - 1 - cols
@@ -103,7 +103,7 @@ class PatchSurface:
 
     def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
         """Draw patches; return the number of draw calls."""
-        drawn = self.store.layers(frames.nodes) >= 0  # the others have no triangles
+        drawn = self.store.layers_of(frames.nodes) >= 0  # the others have no triangles
         n = int(drawn.sum())
         if not n:
             return 0
