@@ -53,7 +53,7 @@ LAYERS = [
     {"demo", "cli", "__main__"},
 ]
 # Methods that hand a Terrain to a layer above, which they import when they are called.
-IMPORTED_LATE = {("terrain", "ext")}
+IMPORTED_LATE = {("terrain", "ext"), ("terrain", "render")}
 SIBLINGS = [{"codec", "tri"}, {"codec", "container"}, {"codec", "raster_io"}]
 MAY_OPEN_FILES = {"raster_io", "container", "cli", "demo", "spool", "verification", "_jit"}
 
