@@ -12,11 +12,11 @@ from terrainwave.tri.dynamic import Eye
 VIEWPORT = Viewport(320, 240)
 
 
-def eye_of(camera, viewport=VIEWPORT, z_scale=1.0):
+def eye_of(camera, z_scale=1.0):
     tangent = math.tan(math.radians(camera.fov) / 2)
-    slant = math.sqrt(1 + tangent**2 * (1 + viewport.aspect**2))
-    planes = frustum_planes(camera, viewport)
-    return Eye(camera.eye, camera.forward, planes, viewport.height / 2 / tangent, slant, z_scale)
+    slant = math.sqrt(1 + tangent**2 * (1 + VIEWPORT.aspect**2))
+    planes = frustum_planes(camera, VIEWPORT)
+    return Eye(camera.eye, camera.forward, planes, VIEWPORT.height / 2 / tangent, slant, z_scale)
 
 
 def random_camera(rng, shape, pixel=1.0, low=0.0, high=40.0):
@@ -112,17 +112,17 @@ def drawn_samples(frame, shape):
     return found
 
 
-def pixel_errors(frame, heights, mask, camera, *, viewport=VIEWPORT, pixel=1.0, z_scale=1.0):
+def pixel_errors(frame, heights, mask, camera, *, pixel=1.0, z_scale=1.0, every=1):
     """How far samples in view are on screen from the mesh: from what lies over or under them.
 
-    Where nothing does, from the vertex they moved to.
+    Where nothing does, from the vertex they moved to. Only one of `every` samples is looked at.
     """
-    rows, cols = np.nonzero(mask)
+    rows, cols = (places[::every] for places in np.nonzero(mask))
     places = np.column_stack([cols * pixel, -rows * pixel, heights[rows, cols] * z_scale])
-    seen = project(camera, viewport, places.astype(float))
+    seen = project(camera, VIEWPORT, places.astype(float))
     with np.errstate(invalid="ignore"):
-        is_seen = (np.abs(seen[:, 0] - viewport.width / 2) <= viewport.width / 2) & (
-            np.abs(seen[:, 1] - viewport.height / 2) <= viewport.height / 2
+        is_seen = (np.abs(seen[:, 0] - VIEWPORT.width / 2) <= VIEWPORT.width / 2) & (
+            np.abs(seen[:, 1] - VIEWPORT.height / 2) <= VIEWPORT.height / 2
         )
     roots = drawn_samples(frame, mask.shape)
     errors = []
@@ -134,6 +134,6 @@ def pixel_errors(frame, heights, mask, camera, *, viewport=VIEWPORT, pixel=1.0, 
             points = roots[row, col][None]
         else:
             points = np.column_stack([np.tile(place[:2], (len(over), 1)), over])
-        apart = project(camera, viewport, points)[:, :2] - at[:2]
+        apart = project(camera, VIEWPORT, points)[:, :2] - at[:2]
         errors.append(np.linalg.norm(apart, axis=1).max())
     return np.array(errors)

@@ -14,7 +14,7 @@ from tri.slow_dynamic import (
 )
 
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.render.camera import Camera
+from terrainwave.render.camera import Camera, project
 from terrainwave.tri.dynamic import INNER, ROOT, DynamicMesh, mark_bottom_up, step_top_down
 from terrainwave.tri.haar import ERROR, HIGH, LOW, OUTLINE, build_tree
 
@@ -49,7 +49,8 @@ CASES = [((16, 16), 16, False), ((16, 24), 8, False), ((13, 19), 8, True), ((5, 
 
 
 def test_parents_are_means_and_the_papers_error_is_the_largest_haar_coefficient():
-    # By hand: (1 + 3 + 5 + 11) / 4; ¼|1 − 3 + 5 − 11| = 2, ¼|1 + 3 − 5 − 11| = 3, ¼|1 − 3 − 5 + 11| = 1.
+    # By hand: (1 + 3 + 5 + 11) / 4 = 5; ¼|1 - 3 + 5 - 11| = 2, ¼|1 + 3 - 5 - 11| = 3,
+    # ¼|1 - 3 - 5 + 11| = 1.
     tree = build_tree(np.array([[1.0, 3.0], [5.0, 11.0]]), patch=2, error="paper")
     assert tree.z.tolist() == [1, 3, 5, 11, 5]
     assert tree.bounds.tolist() == [[3, 1, 11]]
@@ -273,9 +274,9 @@ def test_no_sample_of_a_larger_raster_is_further_than_tau_on_screen(morph):
     heights[40:90, 30:60] = 10.0
     mask[60:64, 70:75] = False
     mesh = DynamicMesh(heights, mask=mask, sample_matrix=NORTH_UP, patch=64)
-    for camera in cameras(shape, 6, seed=4):
+    for camera in cameras(shape, 4, seed=4):
         frame = mesh.update(eye_of(camera, z_scale=1.5), 2.5, morph=morph)
-        errors = pixel_errors(frame, heights, mask, camera, z_scale=1.5)
+        errors = pixel_errors(frame, heights, mask, camera, z_scale=1.5, every=37)
         assert errors.max(initial=0) <= 2.5
 
 
@@ -373,8 +374,6 @@ def test_errors_on_screen_bound_what_a_step_in_a_box_moves():
     heights = rough((16, 16))
     mesh = DynamicMesh(heights, sample_matrix=NORTH_UP, patch=16)
     first = int(mesh.tree.layout[1, 0])
-    from terrainwave.render.camera import project
-
     n_checked = 0
     for camera in cameras((16, 16), 20, seed=8):
         errors = mesh.screen_errors(eye_of(camera), 2)
@@ -383,10 +382,10 @@ def test_errors_on_screen_bound_what_a_step_in_a_box_moves():
             error, low, high = mesh.tree.bounds[node]
             if error == OUTLINE:
                 continue
-            xy = rng.uniform(-4, 4, (50, 2)) + (4 * col + 1.5, -4 * row - 1.5)
+            xy = rng.uniform(-4, 4, (50, 2)) + np.array([4 * col + 1.5, -4 * row - 1.5])
             z = rng.uniform(low, high - min(error, high - low), 50)
             points = np.column_stack([xy, z])
-            moved = points + [0, 0, min(error, high - low)]
+            moved = points + np.array([0, 0, min(error, high - low)])
             a, b = (project(camera, VIEWPORT, p) for p in (points, moved))
             is_seen = (np.abs(a[:, :2] - (160, 120)) < (160, 120)).all(axis=1)
             is_seen &= (np.abs(b[:, :2] - (160, 120)) < (160, 120)).all(axis=1)

@@ -116,15 +116,14 @@ def build_tree(
             )
         valid &= mask
     layout = _layout(heights.shape, patch)
-    n_nodes = int(layout[-1, FIRST] + layout[-1, N_ROWS] * layout[-1, N_COLS])
-    z = np.empty(n_nodes, dtype=np.float32)
-    n_rows, n_cols = heights.shape
-    leaves = z[: layout[0, N_ROWS] * layout[0, N_COLS]].reshape(layout[0, N_ROWS:])
+    counts = layout[:, N_ROWS] * layout[:, N_COLS]
+    z = np.empty(int(counts.sum()), dtype=np.float32)
+    leaves = z[: counts[0]].reshape(layout[0, N_ROWS], layout[0, N_COLS])
     leaves[...] = np.nan
-    leaves[:n_rows, :n_cols] = np.where(valid, heights, np.nan)
+    leaves[: heights.shape[0], : heights.shape[1]] = np.where(valid, heights, np.nan)
     rounding = float(np.abs(heights[valid]).max(initial=0)) * _ROUNDING
-    bounds = np.empty((n_nodes - len(leaves) * leaves.shape[1], 3), dtype=np.float32)
-    is_near_void = np.empty(n_nodes, dtype=np.bool_)
+    bounds = np.empty((len(z) - leaves.size, 3), dtype=np.float32)
+    is_near_void = np.empty(len(z), dtype=np.bool_)
     _mark_near_voids(leaves, is_near_void)
     for height in range(1, len(layout)):
         _average(height, layout, z, is_near_void)
