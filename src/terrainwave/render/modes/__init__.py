@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 _CLASSES = {
     "adaptive": ("adaptive", "Adaptive"),
     "batched": ("batched", "Batched"),
+    "dynamic": ("dynamic", "Dynamic"),
     "full": ("full", "Full"),
 }
 MODES = tuple(_CLASSES)
