@@ -17,6 +17,7 @@ _CLASSES = {
     "batched": ("batched", "Batched"),
     "dynamic": ("dynamic", "Dynamic"),
     "full": ("full", "Full"),
+    "rqt": ("rqt", "Rqt"),
 }
 MODES = tuple(_CLASSES)
 
