@@ -70,7 +70,7 @@ def test_by_coefficient_what_a_vertex_depends_on_is_split_with_it():
     found = {place: float(mesh._errors[place]) for place, _ in vertices_below_corners(mesh)}
     assert found[21, 9] == 8
     assert found[1, 31] == 0
-    eye = eye_of(Camera((16, -60, 40), 0, -45, 50))._replace(planes=np.empty((0, 4)))
+    eye = eye_of(Camera((16, -60, 100), 0, -45, 50))._replace(planes=np.empty((0, 4)))
     frame = mesh.update(eye, 9.0)
     assert mesh._is_active[21, 9]
     for (row, col), needs in vertices_below_corners(mesh):

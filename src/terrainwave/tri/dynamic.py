@@ -159,7 +159,7 @@ class DynamicMesh:
         layout = self.tree.layout
         self.marks[layout[-1, FIRST] :] = ROOT
         self._is_bound = error == "measured"
-        self._base = base_error + self.tree.rounding if self._is_bound else 0.0
+        self.base_error = base_error + self.tree.rounding if self._is_bound else 0.0
         self._matrix = tuple(float(value) for value in sample_matrix)
         self._is_mirrored = self._matrix[0] * self._matrix[4] < self._matrix[1] * self._matrix[3]
         self._vertex_of = np.empty(len(self.tree.z), dtype=np.int32)
@@ -272,10 +272,16 @@ class DynamicMesh:
 
     def _view(self, eye: Eye) -> NDArray[np.float64]:
         numbers = (
-            *eye.position, *eye.forward, eye.focal, eye.slant, eye.z_scale, self._base,
+            *eye.position, *eye.forward, eye.focal, eye.slant, eye.z_scale, self.base_error,
             self.tree.reach, self._is_bound,
         )  # fmt: skip
         return np.array([*numbers, *self._matrix], dtype=np.float64)
+
+    def root_heights(self) -> NDArray[np.uint8]:
+        """Return the height of each sample's root after the last update, padded to patches."""
+        found = np.empty(tuple(self.tree.layout[0, N_ROWS:].tolist()), dtype=np.uint8)
+        fill_root_heights(self.tree.layout, self.marks, self._stack, found)
+        return found
 
     def screen_errors(self, eye: Eye, height: int) -> NDArray[np.float64]:
         """Return the errors on screen of all nodes of a height >= 1, pixels."""
@@ -558,6 +564,23 @@ def place_vertices(
                 places[depth + k, 2], places[depth + k, 3] = up, share
             depth = _push_children(height, row, col, stack, depth)
     return count, n_voids
+
+
+@kernel
+def fill_root_heights(layout, marks, stack, out):
+    """Fill the height of the root above each sample."""
+    for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
+        depth = _push_patch(patch, layout, stack)
+        while depth > 0:
+            depth -= 1
+            height, row, col = stack[depth]
+            if marks[layout[height, FIRST] + row * layout[height, N_COLS] + col] == INNER:
+                depth = _push_children(height, row, col, stack, depth)
+                continue
+            side = 1 << height
+            for r in range(row * side, (row + 1) * side):
+                for c in range(col * side, (col + 1) * side):
+                    out[r, c] = height
 
 
 # Fans

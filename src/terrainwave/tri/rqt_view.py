@@ -130,6 +130,8 @@ class RestrictedMesh:
         self._z = np.full(padded, np.nan, dtype=np.float32)
         self._z[: shape[0] : stride, : shape[1] : stride] = overview
         self._errors = np.zeros(padded, dtype=np.float32)
+        coarse = tuple((n - 1) // stride + 1 for n in padded)
+        self._coarse_errors = np.zeros(coarse, dtype=np.float32)
         self._is_bound = error == "measured"
         self._heights = heights
         self._matrix = tuple(float(value) for value in sample_matrix)
@@ -180,23 +182,24 @@ class RestrictedMesh:
         n_rows, n_cols = np.shape(heights)
         self._z[first_row : first_row + n_rows, first_col : first_col + n_cols] = heights
         self._strides[row, col] = 1
-        # Those on the border hold for the tiles beside this one, too.
-        inside = tuple(slice(n + 1, n + self.tile) for n in (first_row, first_col))
-        self._errors[inside] = 0
         self._measure(row, col, 1, base_error)
 
     def _measure(self, row: int, col: int, stride: int, base_error: float) -> None:
-        first = row * self.tile, col * self.tile
-        base = base_error + float(np.abs(self._heights).max()) * _ROUNDING
+        """Take the errors of a tile's vertices, as far as every `stride`-th sample tells."""
+        z = self._z[::stride, ::stride]
+        errors = self._errors if stride == 1 else self._coarse_errors
+        side, base = self.tile // stride, base_error
+        first_row, first_col = row * side, col * side
+        base += float(np.abs(self._heights).max()) * _ROUNDING
         if stride > 1:
-            here = tuple(slice(n, n + self.tile + 1, stride) for n in first)
-            z = self._z[here].astype(np.float64)
+            part = z[first_row : first_row + side + 1, first_col : first_col + side + 1]
             # What lies between a cell's bilinear surface and its two triangles.
-            twists = np.abs(z[:-1, :-1] - z[:-1, 1:] - z[1:, :-1] + z[1:, 1:])
+            twists = np.abs(part[:-1, :-1] - part[:-1, 1:] - part[1:, :-1] + part[1:, 1:])
             base += float(np.max(twists, initial=0, where=~np.isnan(twists))) / 4
-        if not self._is_bound:
-            base = 0.0
-        _measure_tile(*first, self.tile, stride, base, self._is_bound, self._z, self._errors)
+        _measure_tile(
+            first_row, first_col, side, base if self._is_bound else 0.0, self._is_bound, z,
+            errors, self._stack,
+        )  # fmt: skip
 
     # One frame
 
@@ -211,7 +214,7 @@ class RestrictedMesh:
         if not tau > 0:
             raise InvalidHeightsError(f"found tau {tau}, expected > 0")
         view = self._view(eye)
-        state = (self._z, self._errors, self._strides, self.tile, self._is_active)
+        state = (self._errors, self._coarse_errors, self._strides, self.tile, self._is_active)
         kept, n_touched, n_changed = merge_vertices(
             *state, self._n_children, self._active, self._n_active, view, eye.planes, tau
         )
@@ -259,16 +262,17 @@ class RestrictedMesh:
 
     def screen_error(self, eye: Eye, row: int, col: int) -> float:
         """Return a vertex's error on screen, pixels."""
-        return float(vertex_error(row, col, self.tile, self._errors, self._view(eye), eye.planes))
+        error = _known_error(row, col, self.tile, self._errors, self._coarse_errors, self._strides)
+        return float(screen_error(error, row, col, self.tile, self._view(eye), eye.planes))
 
 
 # Errors
 
 
 @kernel
-def _measure_tile(first_row, first_col, side, finest, base, is_bound, z, errors):
-    """Widen the errors of a tile's vertices of stride `finest` and more, finest first."""
-    stride = finest
+def _measure_tile(first_row, first_col, side, base, is_bound, z, errors, stack):
+    """Widen the errors of a tile's vertices, finest first."""
+    stride = 1
     while stride < side:
         for is_centre in range(2):
             for row in range(first_row, first_row + side + 1, stride):
@@ -278,28 +282,40 @@ def _measure_tile(first_row, first_col, side, finest, base, is_bound, z, errors)
                 start = first_col + (stride if is_centre or not is_odd else 0)
                 for col in range(start, first_col + side + 1, 2 * stride):
                     _measure_vertex(
-                        row, col, stride, first_row, first_col, side, finest, base, is_bound, z,
-                        errors,
-                    )  # fmt: skip
+                        row, col, stride, first_row, first_col, side, base, is_bound, z, errors
+                    )
+                    _widen_above(row, col, side, errors, stack)
         stride *= 2
 
 
 @kernel
-def _measure_vertex(
-    row, col, stride, first_row, first_col, side, finest, base, is_bound, z, errors
-):
-    """Widen the error of one vertex by its triangles in a tile, and by its error those it needs."""
+def _measure_vertex(row, col, stride, first_row, first_col, side, base, is_bound, z, errors):
+    """Widen the error of one vertex by its triangles in a tile."""
     r0, c0, r1, c1, r2, c2, r3, c3 = _neighbours(row, col, stride)
     if not is_bound:
         _widen(errors, row, col, _coefficient(row, col, r0, c0, r1, c1, r2, c2, r3, c3, z))
+        return
     for r, c in ((r2, c2), (r3, c3)):
-        if is_bound and _is_inside(r, c, first_row, first_col, side):
-            found = _distance(r0, c0, r1, c1, r, c, finest, z)
+        if _is_inside(r, c, first_row, first_col, side):
+            found = _distance(r0, c0, r1, c1, r, c, z)
             found += -base if found < 0 else base
             _widen(errors, row, col, found * (1 + _ROUNDING))
-    for r, c in ((r2, c2), (r3, c3)):
-        if 0 <= r < errors.shape[0] and 0 <= c < errors.shape[1]:
-            _widen(errors, r, c, np.float64(errors[row, col]))
+
+
+@kernel
+def _widen_above(row, col, tile, errors, stack):
+    """Widen the errors of all that a vertex depends on, in other tiles too."""
+    stack[0, 0], stack[0, 1] = row, col
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        row, col = stack[depth, 0], stack[depth, 1]
+        r2, c2, r3, c3 = _needs(row, col, tile)
+        for r, c in ((r2, c2), (r3, c3)):
+            if 0 <= r < errors.shape[0] and 0 <= c < errors.shape[1]:
+                if _widen(errors, r, c, np.float64(errors[row, col])):
+                    stack[depth, 0], stack[depth, 1] = r, c
+                    depth += 1
 
 
 @kernel
@@ -310,10 +326,11 @@ def _is_inside(row, col, first_row, first_col, side):
 
 @kernel
 def _widen(errors, row, col, error):
-    """Make an error no smaller than another, and negative where either is."""
-    before = np.float64(errors[row, col])
-    larger = max(abs(before), abs(error))
-    errors[row, col] = -larger if min(before, error) < 0 else larger
+    """Make an error no smaller than another, and negative where either is; say if it changed."""
+    before = errors[row, col]
+    larger = max(abs(np.float64(before)), abs(error))
+    errors[row, col] = -larger if before < 0 or error < 0 else larger
+    return errors[row, col] != before
 
 
 @kernel
@@ -332,8 +349,8 @@ def _coefficient(row, col, r0, c0, r1, c1, r2, c2, r3, c3, z):
 
 
 @kernel
-def _distance(r0, c0, r1, c1, r2, c2, finest, z):
-    """Return the largest distance of known samples from a triangle.
+def _distance(r0, c0, r1, c1, r2, c2, z):
+    """Return the largest distance of samples from a triangle.
 
     0 where all are void; where some are, the range of the others as a negative number.
     """
@@ -342,8 +359,8 @@ def _distance(r0, c0, r1, c1, r2, c2, finest, z):
     top, bottom = min(r0, r1, r2), max(r0, r1, r2)
     left, right = min(c0, c1, c2), max(c0, c1, c2)
     z0, z1, z2 = np.float64(z[r0, c0]), np.float64(z[r1, c1]), np.float64(z[r2, c2])
-    for r in range(top, bottom + 1, finest):
-        for c in range(left, right + 1, finest):
+    for r in range(top, bottom + 1):
+        for c in range(left, right + 1):
             one = area_of(r, c, r1, c1, r2, c2) / area
             two = area_of(r0, c0, r, c, r2, c2) / area
             three = 1 - one - two
@@ -362,13 +379,26 @@ def _distance(r0, c0, r1, c1, r2, c2, finest, z):
 
 
 @kernel
-def vertex_error(row, col, tile, errors, view, planes):
-    """Return the error on screen of a vertex: f ε / d; 0 outside the view.
+def _known_error(row, col, tile, errors, coarse_errors, strides):
+    """Return the error of a vertex: the overview's, too, where it touches tiles not loaded."""
+    error = np.float64(errors[row, col])
+    if _is_known(row, col, 1, strides, tile):
+        return error
+    step = tile // ((coarse_errors.shape[0] - 1) // strides.shape[0])
+    if row % step or col % step:
+        return error
+    coarse = np.float64(coarse_errors[row // step, col // step])
+    larger = max(abs(error), abs(coarse))
+    return -larger if min(error, coarse) < 0 else larger
+
+
+@kernel
+def screen_error(error, row, col, tile, view, planes):
+    """Return the error on screen of a vertex with some error: f ε / d; 0 outside the view.
 
     The box reaches over all that may depend on the vertex: 3 strides each way for centres, 2 for
     edges. Where errors are bounds, see `dynamic.screen_error`.
     """
-    error = np.float64(errors[row, col])
     if error == 0:
         return 0.0
     both = row | col
@@ -434,10 +464,8 @@ def _child(row, col, tile, k):
 
 
 @kernel
-def _is_known(row, col, strides, tile):
-    """Say whether all tiles that a vertex touches have samples of its stride."""
-    both = row | col
-    stride = both & -both
+def _is_known(row, col, stride, strides, tile):
+    """Say whether all tiles that a place touches have samples of a stride."""
     for r in range(max((row - 1) // tile, 0), min(row // tile, strides.shape[0] - 1) + 1):
         for c in range(max((col - 1) // tile, 0), min(col // tile, strides.shape[1] - 1) + 1):
             if strides[r, c] > stride:
@@ -447,7 +475,17 @@ def _is_known(row, col, strides, tile):
 
 @kernel
 def merge_vertices(
-    z, errors, strides, tile, is_active, n_children, active, n_active, view, planes, tau
+    errors,
+    coarse_errors,
+    strides,
+    tile,
+    is_active,
+    n_children,
+    active,
+    n_active,
+    view,
+    planes,
+    tau,
 ):
     """Merge vertices that nothing depends on and whose error is not above `tau`, the last first.
 
@@ -460,13 +498,14 @@ def merge_vertices(
         if n_children[row, col] or (row % tile == 0 and col % tile == 0):
             continue
         n_touched += 1
-        if vertex_error(row, col, tile, errors, view, planes) > tau:
+        error = _known_error(row, col, tile, errors, coarse_errors, strides)
+        if screen_error(error, row, col, tile, view, planes) > tau:
             continue
         is_active[row, col] = False
         n_changed += 1
         r2, c2, r3, c3 = _needs(row, col, tile)
         for r, c in ((r2, c2), (r3, c3)):
-            if 0 <= r < z.shape[0] and 0 <= c < z.shape[1]:
+            if 0 <= r < errors.shape[0] and 0 <= c < errors.shape[1]:
                 n_children[r, c] -= 1
     kept = 0
     for number in range(n_active):
@@ -478,8 +517,8 @@ def merge_vertices(
 
 @kernel
 def split_vertices(
-    z, errors, strides, tile, is_active, n_children, active, done, n_active, view, planes, tau,
-    stack,
+    errors, coarse_errors, strides, tile, is_active, n_children, active, done, n_active, view,
+    planes, tau, stack,
 ):  # fmt: skip
     """Split what depends on active vertices where its error is above `tau`, and all it needs.
 
@@ -487,7 +526,7 @@ def split_vertices(
     how many are active, how many were touched and split.
     """
     n_touched = n_changed = 0
-    n_rows, n_cols = z.shape
+    n_rows, n_cols = errors.shape
     while done < n_active:
         if n_active + 4 * stack.shape[0] > active.shape[0]:
             return done, n_active, n_touched, n_changed
@@ -498,7 +537,8 @@ def split_vertices(
             if row < 0 or col < 0 or row >= n_rows or col >= n_cols or is_active[row, col]:
                 continue
             n_touched += 1
-            if vertex_error(row, col, tile, errors, view, planes) <= tau:
+            error = _known_error(row, col, tile, errors, coarse_errors, strides)
+            if screen_error(error, row, col, tile, view, planes) <= tau:
                 continue
             n_more = _activate(
                 row, col, strides, tile, is_active, n_children, active, n_active, stack
@@ -520,7 +560,8 @@ def _activate(row, col, strides, tile, is_active, n_children, active, n_active, 
     while done < count:
         row, col = stack[done, 0], stack[done, 1]
         done += 1
-        if not _is_known(row, col, strides, tile):
+        both = row | col
+        if not _is_known(row, col, both & -both, strides, tile):
             return 0
         r2, c2, r3, c3 = _needs(row, col, tile)
         for r, c in ((r2, c2), (r3, c3)):

@@ -18,6 +18,7 @@ _CLASSES = {
     "dynamic": ("dynamic", "Dynamic"),
     "full": ("full", "Full"),
     "rqt": ("rqt", "Rqt"),
+    "vertex-texture": ("vertex_texture", "VertexTexture"),
 }
 MODES = tuple(_CLASSES)
 

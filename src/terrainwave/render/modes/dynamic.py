@@ -41,6 +41,7 @@ class Dynamic(WholeMode):
 
     name = "dynamic"
     preparation = "reading the heights and measuring errors of all nodes"
+    morph = MORPH
     frame_mesh: DynamicFrame | None = None
     _mesh: DynamicMesh | None = None
 
@@ -58,11 +59,18 @@ class Dynamic(WholeMode):
         )
         return BuiltMesh(samples, self._mesh, self.base_error)
 
-    def mesh(self, table: NodeTable, view: View, tau: float) -> tuple[Drawn, float]:
-        """Return the mesh of a view, and its τ."""
+    @property
+    def dynamic_mesh(self) -> DynamicMesh:
+        """Return the mesh, which has been built where the piece is resident."""
         if self._mesh is None:
             raise AssertionError("the piece is resident, so it has been built")
-        found = self._mesh.update(eye_of(view), tau, morph=MORPH, max_vertices=MAX_VERTICES)
+        return self._mesh
+
+    def mesh(self, table: NodeTable, view: View, tau: float) -> tuple[Drawn, float]:
+        """Return the mesh of a view, and its τ."""
+        found = self.dynamic_mesh.update(
+            eye_of(view), tau, morph=self.morph, max_vertices=MAX_VERTICES
+        )
         self.frame_mesh = found
         sizes: NDArray[np.int32] = found.nodes[:, 0]
         return Drawn(found.vertices, found.triangles, sizes), found.tau
