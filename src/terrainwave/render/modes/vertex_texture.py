@@ -1,7 +1,7 @@
 """The quadtree as a vertex texture: E. Yusov, V. Turlapov 2008, on the marks of `dynamic`.
 
-The full grid lies on the GPU, and so do heights and errors of all nodes, as levels of textures. What
-comes each frame is the auxiliary texture: the height of the root of each sample. The vertex shader
+The full grid lies on the GPU, and so do heights and errors of all nodes, as levels of textures.
+What comes each frame is the auxiliary texture: the height of each sample's root. The vertex shader
 moves every vertex of a patch's full grid to its root, so that triangles collapse there, and morphs
 it. Vertices of the right and lower neighbours' first column and row belong to a patch's grid too.
 """
