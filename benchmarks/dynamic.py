@@ -1,9 +1,10 @@
 """Time the dynamic triangulation: ``python -m benchmarks.dynamic DEM.tif``.
 
-The same view over the first 512, 1024, 2048 and 4096 samples a side, in which all lies within the
-smallest: CPU milliseconds of an update by τ, vertices, triangles, and nodes touched. Then dynamic
-against rqt at one threshold, by the papers' errors and by measured ones, with the largest distance
-on screen of originals in view (of some, at random).
+Views of the first 512, 1024, 2048 and 4096 samples a side: one down on the first 512, the same for
+all; and one low over the ground towards the far corner, which shows more the larger the raster is.
+CPU milliseconds of an update by τ, vertices, triangles, nodes touched, and the largest distance on
+screen of originals in view (of some, at random). On the first 512 also dynamic against rqt at one
+threshold, by the papers' errors and by measured ones.
 
 Exit status: 0 good; 2 wrong usage.
 """
@@ -38,6 +39,7 @@ class Row:
     """One line of the CSV; milliseconds of CPU time of the one thread."""
 
     raster: str
+    view: str
     system: str
     error: str
     side: int
@@ -62,10 +64,13 @@ def eye_of(camera: Camera) -> Eye:
     return Eye(camera.eye, camera.forward, planes, focal_length(camera, VIEWPORT), slant)
 
 
-def camera_at(number: int, top: float) -> Camera:
-    """Return the view of a frame: down on the first 512 samples, 10 m further each frame."""
-    middle = 256 * PIXEL
+def camera_at(view: str, number: int, top: float) -> Camera:
+    """Return the view of a frame, 10 m further each frame."""
     away = 10.0 * number
+    if view == "low":
+        x = 100 * PIXEL + away
+        return Camera((x, -x, top + 5000), 135, -20, 60)
+    middle = 256 * PIXEL
     return Camera((middle + away, -1.5 * middle + away, top + 0.9 * middle), 0, -60, 45)
 
 
@@ -83,7 +88,7 @@ def largest_pixels(frame, heights, camera: Camera, rng) -> float:
     for point, pixel in zip(points[inside], seen[inside], strict=True):
         with np.errstate(all="ignore"):
             one, two = _cross(point - a, c - a) / whole, _cross(b - a, point - a) / whole
-        over = np.flatnonzero((one >= -1e-9) & (two >= -1e-9) & (one + two <= 1 + 1e-9))
+            over = np.flatnonzero((one >= -1e-9) & (two >= -1e-9) & (one + two <= 1 + 1e-9))
         for k in over.tolist():
             z = a[k, 2] + one[k] * (b[k, 2] - a[k, 2]) + two[k] * (c[k, 2] - a[k, 2])
             at = project(camera, VIEWPORT, np.array([[point[0], point[1], z]]))[0, :2]
@@ -95,7 +100,7 @@ def _cross(u, v):
     return u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
 
 
-def fly(name: str, system: str, error: str, heights, tau: float, n_frames: int) -> Row:
+def fly(name: str, view: str, system: str, error: str, heights, tau: float, n_frames: int) -> Row:
     """Return what a flight took."""
     top, matrix = float(heights.max()), (PIXEL, 0.0, 0.0, 0.0, -PIXEL, 0.0)
     started = time.thread_time()
@@ -110,10 +115,10 @@ def fly(name: str, system: str, error: str, heights, tau: float, n_frames: int) 
         n_nodes = heights.size
     build = time.thread_time() - started
     times, touched = [], []
-    update(eye_of(camera_at(0, top)))  # marks all nodes, and compiles
-    update(eye_of(camera_at(0, top)))
+    update(eye_of(camera_at(view, 0, top)))  # marks all nodes, and compiles
+    update(eye_of(camera_at(view, 0, top)))
     for number in range(1, n_frames + 1):
-        camera = camera_at(number, top)
+        camera = camera_at(view, number, top)
         eye = eye_of(camera)
         started = time.thread_time()
         frame = update(eye)
@@ -123,7 +128,7 @@ def fly(name: str, system: str, error: str, heights, tau: float, n_frames: int) 
     largest = largest_pixels(frame, heights, camera, np.random.default_rng(1))
     n_touched = int(np.median(touched))
     return Row(
-        name, system, error, side, tau, n_frames, build, float(np.median(times)), max(times),
+        name, view, system, error, side, tau, n_frames, build, float(np.median(times)), max(times),
         len(frame.vertices), len(frame.triangles), len(frame.triangles) / n_full, n_touched,
         100 * n_touched / n_nodes, largest,
     )  # fmt: skip
@@ -143,11 +148,12 @@ def main(dem: Path, n_frames: int, out: Path) -> None:
             if part.shape != (side, side):
                 break
             for tau in TAUS:
-                runs = [("dynamic", "measured")]
+                runs = [("down", "dynamic", "measured"), ("low", "dynamic", "measured")]
                 if side == SIZES[0]:
-                    runs += [("dynamic", "paper"), ("rqt", "measured"), ("rqt", "paper")]
-                for system, error in runs:
-                    row = fly(dem.name, system, error, part, tau, n_frames)
+                    runs += [("down", "dynamic", "paper")]
+                    runs += [("down", "rqt", error) for error in ("measured", "paper")]
+                for view, system, error in runs:
+                    row = fly(dem.name, view, system, error, part, tau, n_frames)
                     sink.write(row)
                     print(row)
 

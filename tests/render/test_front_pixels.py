@@ -1,4 +1,4 @@
-"""Pixels of the modes whose mesh is made anew each frame. Needs an OpenGL driver: see `test_pixels`."""
+"""Pixels of the modes whose mesh is made anew each frame; needs OpenGL as `test_pixels` does."""
 
 import numpy as np
 import pytest
