@@ -124,19 +124,19 @@ class Rqt(WholeMode):
         self, table: NodeTable, view: View, tau: float, max_blocks: int, camera: Camera
     ) -> NDArray[np.int32]:
         """Return the overview, and tiles in view in which it is not within τ; near ones first."""
-        order = super().wanted(table, view, tau, max_blocks, camera)
         overview = table.find(OVERVIEW)
+        first = np.array([0 if overview is None else overview], dtype=np.int32)
+        if not table.is_resident[first[0]]:
+            return first  # tiles are parts of what it brings
+        order = super().wanted(table, view, tau, max_blocks, camera)
+        order = order[order != first[0]]
         scale = np.array([1.0, 1.0, view.exaggeration])
         low, high = table.low[order] * scale, table.high[order] * scale
         apart = np.maximum(np.maximum(low - camera.eye, camera.eye - high), 0.0)
         distances = np.linalg.norm(apart, axis=1)
-        errors = self._overview_error * view.exaggeration * view.gamma
-        is_needed = errors > tau * distances
-        found = order[is_needed & (order != overview)]
-        near = np.argsort(distances[is_needed & (order != overview)], kind="stable")
-        if overview is None or overview not in order:
-            return found[near]
-        return np.concatenate([np.array([overview], dtype=np.int32), found[near]])
+        is_needed = self._overview_error * view.exaggeration * view.gamma > tau * distances
+        near = np.argsort(distances[is_needed], kind="stable")
+        return np.concatenate([first, order[is_needed][near]])
 
     def mesh(self, table: NodeTable, view: View, tau: float) -> tuple[Drawn, float]:
         """Return the mesh of a view, and its τ."""
