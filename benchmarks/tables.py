@@ -302,6 +302,8 @@ def leave_one_out_table(results: Path) -> str:
         whole = " | ".join(f"{geometric_mean(found):.3f}" for found in means.values())
         lines.append(f"| geometric mean | {whole} |")
     return "\n".join(lines)
+
+
 def render_table(results: Path) -> str:
     """Return frames, CPU times and triangles of the viewer by mode; GPU times by the renderer."""
     lines = [

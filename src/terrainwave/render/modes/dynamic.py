@@ -40,10 +40,16 @@ class Dynamic(WholeMode):
     """A mesh from the marks of a Haar quadtree that follows the camera."""
 
     name = "dynamic"
-    preparation = "reading the heights and measuring errors of all nodes"
     morph = MORPH
     frame_mesh: DynamicFrame | None = None
     _mesh: DynamicMesh | None = None
+
+    @classmethod
+    def preparation(cls, error: str) -> str | None:
+        """Return what takes long before the first picture."""
+        return "reading the heights" + (
+            " and measuring errors of all nodes" if error == "measured" else ""
+        )
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> BuiltMesh:
         """Return the samples and their tree."""
