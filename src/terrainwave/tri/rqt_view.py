@@ -646,10 +646,10 @@ def _add_in_quad(r0, c0, r1, c1, r2, c2, is_mirrored, z, is_active, vertex_of, t
     top, left = min(r0, r1, r2), min(c0, c1, c2)
     is_nw, is_ne = not np.isnan(z[top, left]), not np.isnan(z[top, left + 1])
     is_sw, is_se = not np.isnan(z[top + 1, left]), not np.isnan(z[top + 1, left + 1])
-    n_valid = is_nw + is_ne + is_sw + is_se
+    n_valid = int(is_nw) + int(is_ne) + int(is_sw) + int(is_se)
     if n_valid == 4:
         return _add(r0, c0, r1, c1, r2, c2, is_mirrored, z, vertex_of, triangles, count)
-    n_top = (r0 == top) + (r1 == top) + (r2 == top)
+    n_top = int(r0 == top) + int(r1 == top) + int(r2 == top)
     if n_valid < 3 or n_top < 2 or not is_active[top : top + 2, left : left + 2].all():
         return count
     # A void corner is replaced by the one across.
