@@ -9,6 +9,8 @@ from terrainwave.render.camera import Camera, Viewport, home, project
 from terrainwave.render.modes import rqt
 from terrainwave.render.scene import Scene
 
+pytestmark = pytest.mark.large
+
 VIEWPORT = Viewport(320, 240)
 
 
