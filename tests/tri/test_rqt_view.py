@@ -194,3 +194,26 @@ def test_tau_and_tiles_are_checked():
         mesh.update(eye_of(Camera((0, 0, 9))), 0.0)
     with pytest.raises(InvalidHeightsError, match="tile of shape"):
         mesh.load(0, 0, np.zeros((4, 4)))
+
+
+def test_errors_are_not_below_the_distance_of_any_sample_from_the_triangles_that_are_split():
+    shape = (17, 17)
+    mesh, heights = mesh_of(shape, 16, False), heights_of(shape, False)
+    n_equal = 0
+    for (row, col), needs in vertices_below_corners(mesh):
+        stride = (row | col) & -(row | col)
+        r0, c0, r1, c1 = _neighbours(row, col, stride)[:4]
+        worst = 0.0
+        for top in needs:
+            corners = np.array([[r0, c0], [r1, c1], top], dtype=float)
+            plane = np.linalg.solve(
+                np.column_stack([corners, np.ones(3)]),
+                [heights[r0, c0], heights[r1, c1], heights[top]],
+            )
+            for place in np.ndindex(shape):
+                weights = np.linalg.solve(np.vstack([corners.T, np.ones(3)]), [*place, 1])
+                if weights.min() >= -1e-9:
+                    worst = max(worst, abs(np.dot([*place, 1], plane) - heights[place]))
+        assert mesh._errors[row, col] >= worst * (1 - 1e-6)
+        n_equal += abs(mesh._errors[row, col] - worst) < 1e-4
+    assert n_equal > 100
