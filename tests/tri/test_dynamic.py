@@ -393,3 +393,39 @@ def test_errors_on_screen_bound_what_a_step_in_a_box_moves():
             assert apart.max(initial=0) <= errors[row, col] * (1 + 1e-9)
             n_checked += is_seen.sum()
     assert n_checked > 200
+
+
+def test_measured_errors_bound_triangles_with_neighbours_of_all_smaller_sizes():
+    """Those that meet half way along a side, of each pair of sizes; by brute force."""
+    rng = np.random.default_rng(9)
+    heights = np.cumsum(rng.normal(size=(32, 32)), axis=1)
+    tree = build_tree(heights, patch=32)
+    means = [heights]
+    while len(means[-1]) > 1:
+        z = means[-1]
+        means.append((z[::2, ::2] + z[1::2, ::2] + z[::2, 1::2] + z[1::2, 1::2]) / 4)
+
+    def corner(height, row, col):
+        side = 1 << height
+        return (row + 0.5) * side - 0.5, (col + 0.5) * side - 0.5, means[height][row, col]
+
+    tightest = 0.0
+    for height, row, col in [(h, r, c) for h in (2, 3) for r in (1, 2) for c in (0, 1)]:
+        side, node = 1 << height, row * (32 >> height) + col
+        error = tree.bounds[int(tree.layout[height, 0] - tree.layout[1, 0]) + node, ERROR]
+        if error == OUTLINE:
+            continue
+        for upper, lower in np.ndindex(height, height):
+            meeting, right = row * side + side // 2, (col + 1) * side
+            corners = [corner(height, row, col)]
+            corners += [corner(upper, (meeting >> upper) - 1, right >> upper)]
+            corners += [corner(lower, meeting >> lower, right >> lower)]
+            a = np.array(corners)
+            system = np.vstack([a[:, :2].T, np.ones(3)])
+            for place in np.ndindex(heights.shape):
+                weights = np.linalg.solve(system, [*place, 1])
+                if weights.min() >= -1e-9:
+                    apart = abs(weights @ a[:, 2] - heights[place])
+                    assert apart <= error * (1 + 1e-6)
+                    tightest = max(tightest, apart / error)
+    assert tightest > 0.3
