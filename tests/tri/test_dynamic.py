@@ -395,10 +395,16 @@ def test_errors_on_screen_bound_what_a_step_in_a_box_moves():
     assert n_checked > 200
 
 
-def test_measured_errors_bound_triangles_with_neighbours_of_all_smaller_sizes():
-    """Those that meet half way along a side, of each pair of sizes; by brute force."""
+@pytest.mark.parametrize("has_cliff", [False, True])
+def test_measured_errors_bound_triangles_with_neighbours_of_all_smaller_sizes(has_cliff):
+    """Those that meet half way along a side, of each pair of sizes; by brute force.
+
+    With a cliff beside it the node's own cell is flat: what counts lies in the windows around it.
+    """
     rng = np.random.default_rng(9)
     heights = np.cumsum(rng.normal(size=(32, 32)), axis=1)
+    if has_cliff:
+        heights = np.tile(np.where(np.arange(32) < 16, 0.0, 50.0), (32, 1))
     tree = build_tree(heights, patch=32)
     means = [heights]
     while len(means[-1]) > 1:
@@ -426,6 +432,6 @@ def test_measured_errors_bound_triangles_with_neighbours_of_all_smaller_sizes():
                 weights = np.linalg.solve(system, [*place, 1])
                 if weights.min() >= -1e-9:
                     apart = abs(weights @ a[:, 2] - heights[place])
-                    assert apart <= error * (1 + 1e-6)
-                    tightest = max(tightest, apart / error)
+                    assert apart <= error * (1 + 1e-6) + 1e-9
+                    tightest = max(tightest, apart / max(error, 1e-3))
     assert tightest > 0.3
