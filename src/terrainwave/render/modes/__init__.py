@@ -15,7 +15,10 @@ if TYPE_CHECKING:
 _CLASSES = {
     "adaptive": ("adaptive", "Adaptive"),
     "batched": ("batched", "Batched"),
+    "dynamic": ("dynamic", "Dynamic"),
     "full": ("full", "Full"),
+    "rqt": ("rqt", "Rqt"),
+    "vertex-texture": ("vertex_texture", "VertexTexture"),
 }
 MODES = tuple(_CLASSES)
 
