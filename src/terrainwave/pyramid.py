@@ -197,7 +197,7 @@ class Pyramid:
         return self._fills[shift].read(region)
 
     def make_heights(self, report: Callable[[int, int], None]) -> None:
-        """Make the heights of every level below the full grid; needs fills where there are voids."""
+        """Make the heights of every level above the full grid, after the fills of voids."""
         regions = {shift: self._heights_region(shift) for shift in self._level_shifts()}
         total = sum(region.n_rows * region.n_cols for region in regions.values())
         done = 0
