@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from terrainwave._version import __version__
 from terrainwave.errors import (
     BoundViolationError,
+    ClusterError,
     CorruptStreamError,
     InvalidHeightsError,
     LimitExceededError,
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BoundViolationError",
+    "ClusterError",
     "CompressResult",
     "CorruptStreamError",
     "Info",

@@ -9,17 +9,26 @@ import math
 import os
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from terrainwave.codec.registry import check_method, refiner_by_name
+from terrainwave.codec.registry import check_method
+from terrainwave.container.depot import Depot
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.writer import assemble
+from terrainwave.distribution import (
+    TASK_SAMPLES,
+    DistributedPasses,
+    executor_of,
+    shared_raster,
+    task_level,
+)
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.job import Job, scale_of
-from terrainwave.local_passes import Coded, encode, prove, scan_source, smaller
+from terrainwave.local_passes import LocalPasses, smaller
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.quadtree import Grid
 from terrainwave.quantum import HeightScan, as_fraction
@@ -140,6 +149,8 @@ def compress(
     verify: bool = True,
     threads: int | None = None,
     overwrite: bool = False,
+    client: Any = None,
+    task_samples: int = TASK_SAMPLES,
     progress: ProgressCallback | None = None,
 ) -> CompressResult:
     """Compress a raster to a .twz file in which every valid sample is within `max_error`.
@@ -175,13 +186,19 @@ def compress(
         Largest vertical distance of the finest meshes from the decoded heights, in physical units;
         by default what `max_error` guarantees, or the vertical quantum if that is more.
     temp_dir : path, optional
-        Where large temporary data go; by default beside `dst`.
+        Where large temporary data go; by default beside `dst`. With `client` a path or a URL that
+        fsspec can write to, seen by all workers.
     verify : bool
         Decode the file and compare every sample before it replaces `dst`.
     threads : int, optional
         Threads that encode; the number of processors by default. The bytes don't depend on it.
     overwrite : bool
         Replace an existing `dst`.
+    client : dask.distributed.Client or concurrent.futures.Executor, optional
+        Shares the work out: to the workers of a cluster, which must be able to read the path `src`
+        and `dst`. The bytes are the same.
+    task_samples : int
+        With `client`: samples that a task has at least.
     progress : callable, optional
         Called with a `Progress` now and then, from one thread at a time.
 
@@ -193,6 +210,8 @@ def compress(
         If the proof fails; `dst` is untouched.
     StorageError
         If something cannot be read or written, or `dst` is `src`; `dst` is untouched.
+    ClusterError
+        If workers were lost more often than the cluster allows; `dst` is untouched.
 
     Notes
     -----
@@ -201,15 +220,29 @@ def compress(
     options = Options.checked(
         max_error, method, block, effort, border_rings, mesh, mesh_error, verify, threads
     )
+    cluster = None if client is None else executor_of(client)
+    raster = None if client is None else shared_raster(src, band, nodata)
+    is_remote = client is not None and temp_dir is not None and "://" in os.fspath(temp_dir)
     reporter = Reporter(progress)
     refuse_own_source(src, dst)
     with (
         publish(dst, overwrite=overwrite) as part,
         RasterSource(src, band=band, nodata=nodata) as source,
-        scratch_directory(temp_dir or Path(dst).absolute().parent, Path(dst).name) as directory,
+        _scratch(None if is_remote else temp_dir, dst) as directory,
         ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor,
+        ExitStack() as stack,
     ):
-        windows, scan = scan_source(source, directory, reporter)
+        grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
+        passes: LocalPasses | DistributedPasses
+        passes = LocalPasses(source, directory, executor, reporter)
+        level = task_level(grid, task_samples)
+        if cluster is not None and raster is not None and level is not None:
+            depot = Depot(_depot_root(temp_dir if is_remote else None, directory))
+            passes = DistributedPasses(
+                cluster, raster, source, grid, level, depot, directory, executor, reporter
+            )
+        stack.callback(passes.close)
+        scan = passes.scan()
         bound, notes = _choose_bound(options.max_error, scan, source.info)
         raw_bound = bound / scale_of(source.info)
         if raw_bound > sys.float_info.max:
@@ -219,7 +252,6 @@ def compress(
                 " stored units"
             )
         quantizer = scan.quantizer(raw_bound)
-        grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
         job = Job(
             info=source.info,
             quantizer=quantizer,
@@ -231,23 +263,17 @@ def compress(
             mesh_error=options.mesh_error,
             n_valid=scan.n_valid,
         )
-
-        def encoded(method: str) -> Coded:
-            refiner = refiner_by_name(method)
-            return encode(job, refiner, windows, directory, executor, reporter)
-
-        coded = encoded(options.method)
+        coded = passes.encode(job, options.method)
         if coded.n_bytes > source.info.n_bytes and options.method != "store":
-            coded = smaller(coded, encoded("store"))
+            coded = smaller(coded, passes.encode(job, "store"))
             if coded.method == "store":
                 notes.append("the heights do not compress: stored as they are")
-        assemble(part.file, job.header(coded.method, coded.parameters), coded.spools)
+        assemble(part.file, job.header(coded.method, coded.parameters), coded.segments)
         measured = None
         if options.verify:
-            measured = prove(part.path, job, windows, executor, reporter)
+            measured = passes.prove(part.path, job)
         n_bytes = os.path.getsize(part.path)
         coded.close()
-        windows.close()
     n_samples = source.info.n_rows * source.info.n_cols
     scale = abs(source.info.scale)
     return CompressResult(
@@ -263,6 +289,21 @@ def compress(
         method=coded.method,
         notes=[*source.notes, *notes],
     )
+
+
+def _scratch(
+    temp_dir: str | os.PathLike[str] | None, dst: str | os.PathLike[str]
+) -> AbstractContextManager[Path]:
+    return scratch_directory(temp_dir or Path(dst).absolute().parent, Path(dst).name)
+
+
+def _depot_root(url: str | os.PathLike[str] | None, directory: Path) -> str:
+    """Return where tasks leave their results: below a URL, or in a directory of this machine."""
+    if url is not None:
+        return f"{os.fspath(url).rstrip('/')}/{directory.name}"
+    depot = directory.absolute() / "depot"
+    depot.mkdir()
+    return str(depot)
 
 
 def _choose_bound(

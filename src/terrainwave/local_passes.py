@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from terrainwave.block_codes import enclosing_boxes, error_codes, set_codes
 from terrainwave.codec.refiner import FittingRefiner, Refiner
+from terrainwave.codec.registry import refiner_by_name
+from terrainwave.container.depot import StoredSegment
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.decoder import TreeDecoder
@@ -34,6 +36,42 @@ from terrainwave.spool import Spool
 from terrainwave.terrain import Terrain
 
 _MESH_CACHE_BYTES = 128 << 20
+
+
+@dataclass
+class LocalPasses:
+    """The passes over `source`, in the threads of `executor`; large data in `directory`."""
+
+    source: RasterSource
+    directory: Path
+    executor: Executor
+    reporter: Reporter
+    _windows: "Windows | None" = None
+
+    @property
+    def windows(self) -> "Windows":
+        """Return the raster's windows; there are some once it has been scanned."""
+        assert self._windows is not None
+        return self._windows
+
+    def scan(self) -> HeightScan:
+        """Return range, validity and vertical quantum of every sample."""
+        self._windows, scan = scan_source(self.source, self.directory, self.reporter)
+        return scan
+
+    def encode(self, job: Job, method: str) -> "Coded":
+        """Code all units into one spool per segment."""
+        refiner = refiner_by_name(method)
+        return encode(job, refiner, self.windows, self.directory, self.executor, self.reporter)
+
+    def prove(self, path: str | os.PathLike[str], job: Job) -> float:
+        """Decode the file from disk and compare every sample; return the largest error."""
+        return prove(path, job, self.windows, self.executor, self.reporter)
+
+    def close(self) -> None:
+        """Delete temporary data."""
+        if self._windows is not None:
+            self._windows.close()
 
 
 # Pass A
@@ -117,17 +155,18 @@ def _check_free_space(info: RasterInfo, directory: Path, is_striped: bool) -> No
 
 @dataclass
 class Coded:
-    """What coding a raster has made: method, tables, one spool per segment, bytes in all."""
+    """What coding a raster has made: method, tables, segments, bytes of payloads and tables."""
 
     method: str
     parameters: bytes
-    spools: dict[Block | None, SegmentSpool]
+    segments: dict[Block | None, SegmentSpool | StoredSegment]
     n_bytes: int
 
     def close(self) -> None:
         """Delete the spools."""
-        for spool in self.spools.values():
-            spool.close()
+        for segment in self.segments.values():
+            if isinstance(segment, SegmentSpool):
+                segment.close()
 
 
 def smaller(first: Coded, second: Coded) -> Coded:
@@ -195,7 +234,7 @@ def encode(
     whole = job.quantizer.z_min, job.quantizer.z_max
     boxes = enclosing_boxes(stats, errors, whole, {})
     set_codes(job.grid, sink.spools, whole, boxes, errors, mesh_errors)
-    return Coded(refiner.name, section, sink.spools, sink.n_bytes + len(section))
+    return Coded(refiner.name, section, {**sink.spools}, sink.n_bytes + len(section))
 
 
 def _mesh_errors(
