@@ -4,6 +4,7 @@ import json
 import math
 import sys
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -70,6 +71,11 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--band", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--border-rings", type=click.Choice(["1", "3"]), default="1", show_default=True)
 @click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Share the work out to a dask cluster whose workers see SOURCE and TARGET.",
+)
 @click.option("--no-verify", is_flag=True, help="Skip decoding and comparing every sample.")
 @click.option("--mesh", type=MESHES, default="auto", show_default=True, help="Triangulation.")
 @click.option("--no-mesh", is_flag=True, help="Same as --mesh none.")
@@ -85,6 +91,7 @@ def compress(
     source: str,
     target: str,
     border_rings: str,
+    scheduler: str | None,
     no_verify: bool,
     mesh: str,
     no_mesh: bool,
@@ -96,13 +103,14 @@ def compress(
     import terrainwave
 
     announce_compiling(quiet=quiet)
-    with Bar(quiet=quiet) as bar:
+    with _cluster(scheduler) as client, Bar(quiet=quiet) as bar:
         result = terrainwave.compress(
             source,
             target,
             border_rings=int(border_rings),
             mesh="none" if no_mesh else mesh,
             verify=not no_verify,
+            client=client,
             progress=bar,
             **options,
         )
@@ -110,6 +118,15 @@ def compress(
         _print_json(asdict(result))
     elif not quiet:
         _print_result(result)
+
+
+def _cluster(scheduler: str | None) -> AbstractContextManager[Any]:
+    """Give a client of a dask scheduler; None without an address."""
+    if scheduler is None:
+        return nullcontext()
+    from terrainwave.ext.distributed import connected
+
+    return connected(scheduler)
 
 
 def _print_result(result: Any) -> None:
