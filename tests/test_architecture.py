@@ -49,6 +49,7 @@ LAYERS = [
         "extraction",
         "height_tile",
         "mesh_storage",
+        "patching",
         "mesh_checks",
         "mesh_verification",
         "verification",

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from terrainwave.compression import CompressResult, compress
     from terrainwave.decompression import decompress
     from terrainwave.mesh_storage import store_meshes
+    from terrainwave.patching import PatchResult, patch
     from terrainwave.progress import Progress
     from terrainwave.terrain import Info, Terrain
     from terrainwave.tri.mesh import Mesh
@@ -40,6 +41,7 @@ __all__ = [
     "InvalidHeightsError",
     "LimitExceededError",
     "Mesh",
+    "PatchResult",
     "Progress",
     "StorageError",
     "Terrain",
@@ -52,6 +54,7 @@ __all__ = [
     "compress",
     "decompress",
     "open",
+    "patch",
     "store_meshes",
     "verify",
 ]
@@ -63,6 +66,8 @@ _LAZY = {
     "compress": "compression",
     "decompress": "decompression",
     "store_meshes": "mesh_storage",
+    "PatchResult": "patching",
+    "patch": "patching",
     "Progress": "progress",
     "Info": "terrain",
     "Terrain": "terrain",

@@ -118,13 +118,14 @@ class TreeEncoder:
         spec = unit_spec(grid, self._parameters, key)
         target = self._pyramid.heights(spec.level, spec.region)
         mask = self._pyramid.mask(spec.level, spec.region)
-        payload, decoded = encode_unit(self._refiner, spec, parent, target, mask)
+        payload, decoded = self.code_unit(key, spec, parent, target, mask)
         self._sink(key, payload)
         blocks = grid.key_blocks(key)
         parts = [block_of_unit(grid, spec, decoded, block) for block in blocks]
         if spec.level == grid.k_max:
             core = spec.core.slices_in(spec.region)
-            self._measure(spec, blocks, chain, target[core], mask[core], decoded)
+            is_measured = self.measured(spec.core, mask[core])
+            self._measure(spec, blocks, chain, target[core], is_measured, decoded)
             self._on_samples(spec.core.n_rows * spec.core.n_cols)
             return []
         if spec.level == self._last_level:
@@ -133,6 +134,16 @@ class TreeEncoder:
             (block, part, [*chain, self._ancestor(block, part)])
             for block, part in zip(blocks, parts, strict=True)
         ]
+
+    def code_unit(
+        self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
+    ) -> tuple[bytes, Decoded]:
+        """Return the payload of a unit and what it decodes to."""
+        return encode_unit(self._refiner, spec, parent, target, mask)
+
+    def measured(self, region: Region, mask: Mask) -> Mask:
+        """Return which samples of a region of the full grid are originals: all valid ones."""
+        return mask
 
     def _ancestor(self, block: Block, decoded: Decoded) -> _Ancestor:
         """Return the samples of a decoded block, without its apron."""

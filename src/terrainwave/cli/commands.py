@@ -144,6 +144,35 @@ def _print_result(result: Any) -> None:
 
 
 @main.command()
+@click.argument("file", type=click.Path())
+@click.argument("new")
+@click.option("--nodata", type=Nodata(), help="Replaces the new raster's own nodata value.")
+@click.option("--band", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
+@click.option("--threads", type=THREADS, help="Threads; all processors by default.")
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> None:
+    """Bring FILE (.twz) up to date with the raster NEW, which covers all or part of it."""
+    import terrainwave
+
+    announce_compiling(quiet=quiet)
+    with Bar(quiet=quiet) as bar, reading(file):
+        result = terrainwave.patch(file, new, progress=bar, **options)
+    if as_json:
+        _print_json(asdict(result))
+    elif not quiet:
+        click.echo(
+            f"{plain(result.path)}: {result.n_recoded:,} units coded again, {result.n_copied:,}"
+            f" copied, {result.n_bytes:,} bytes"
+        )
+        click.echo(
+            f"max error guaranteed {result.effective_error:.6g}, measured"
+            f" {result.measured_error:.6g} {_unit(result.units)}"
+        )
+
+
+@main.command()
 @click.argument("source")
 @click.argument("target", type=click.Path())
 @click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part to write.")
