@@ -566,7 +566,7 @@ class _Patcher:
             row, col = np.argwhere(~same)[0] + (region.row, region.col)
             raise InvalidHeightsError(
                 f"the change also moves heights that the new raster does not cover, as at row"
-                f" {row}, column {col}; expected a raster that reaches further beyond what has changed"
+                f" {row}, column {col}; expected a raster that reaches further beyond the change"
             )
 
     def close(self) -> None:
