@@ -1,8 +1,8 @@
 """Measure compression on a cluster: ``python -m benchmarks.scaling dem.tif``.
 
-The raster is made by mirroring a small one. It is compressed here in one thread, then by one and by
-two dask workers of one thread each; every file must have the same bytes. Two files are written:
-what was measured, and what follows from it for 10^12 samples.
+The raster is made by mirroring a small one. It is compressed here in one thread, here task by task,
+then by one and by two dask workers of one thread each; every file must have the same bytes. Two
+files are written: what was measured, and what follows from it for 10^12 samples.
 
 Other work on the machine makes seconds useless and leaves processor seconds alone. `ratio` is
 therefore given twice: as measured, and as processor seconds allow where nothing else runs, workers
@@ -29,6 +29,7 @@ from benchmarks.memory import make_mirrored
 
 BLOCK = 256
 MAX_ERROR = 1.0
+RUNS = ("local", "tasks", "1 worker", "2 workers")
 LARGE = 10**6  # samples on a side of the raster that is extrapolated to
 CORES = 100
 
@@ -106,13 +107,29 @@ def peak_mib() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def run_local(source: Path, target: Path) -> dict[str, float]:
-    """Compress in one thread of this process."""
+class InlineExecutor(Executor):
+    """Runs a task where it is submitted."""
+
+    def submit(self, function, /, *arguments) -> Future:
+        """Run a task."""
+        future: Future = Future()
+        future.set_result(function(*arguments))
+        return future
+
+
+def run_local(source: Path, target: Path, client: Executor | None) -> dict[str, float]:
+    """Compress in one thread of this process, task by task if there is a client."""
     import terrainwave
 
     start, cpu = time.perf_counter(), time.process_time()
     terrainwave.compress(
-        source, target, max_error=MAX_ERROR, block=BLOCK, threads=1, overwrite=True
+        source,
+        target,
+        max_error=MAX_ERROR,
+        block=BLOCK,
+        threads=1,
+        overwrite=True,
+        client=client,
     )
     return {"seconds": time.perf_counter() - start, "cpu_here": time.process_time() - cpu}
 
@@ -160,7 +177,7 @@ def run_cluster(source: Path, target: Path, n_workers: int, warm_up: Path) -> di
         }
 
 
-def measure(raster: Path, size: int, folder: Path) -> list[Row]:
+def measure(raster: Path, size: int, runs: Sequence[str], folder: Path) -> list[Row]:
     """Return the rows of all runs; `SystemExit` if a file differs."""
     from terrainwave.distribution import TASK_SAMPLES, task_level
     from terrainwave.quadtree import Grid
@@ -173,11 +190,12 @@ def measure(raster: Path, size: int, folder: Path) -> list[Row]:
     n_tasks = 0 if level is None else len(grid.blocks(level))
     rows: list[Row] = []
     contents = []
-    for run in ("local", "1 worker", "2 workers"):
+    for run in runs:
         target = folder / f"{run}.twz"
-        if run == "local":
-            run_local(warm_up, target)
-            found = run_local(source, target)
+        if not run[0].isdigit():
+            client = InlineExecutor() if run == "tasks" else None
+            run_local(warm_up, target, client)
+            found = run_local(source, target, client)
         else:
             found = run_cluster(source, target, int(run[0]), warm_up)
         contents.append(target.read_bytes())
@@ -195,8 +213,8 @@ def _row(
     overhead = ratio = by_cpu = 0.0
     if before:
         overhead = (here + workers) / before[0].cpu_here - 1
-    if len(before) > 1:
-        one = before[1]
+    one = next((row for row in before if row.run == "1 worker"), None)
+    if one is not None:
         ratio = one.seconds / found["seconds"]
         by_cpu = (one.cpu_here + one.cpu_workers) / (here + workers / 2)
     return Row(
@@ -265,16 +283,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("raster", type=Path, help="a small raster, repeated to the wanted size")
     parser.add_argument("--size", type=int, default=8193, help="samples on a side")
+    parser.add_argument("--runs", nargs="+", choices=RUNS, default=RUNS, help="local comes first")
     parser.add_argument("--work-dir", type=Path, help="keep the rasters and files here")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results/scaling.csv"))
     options = parser.parse_args(arguments)
     from benchmarks.machine import describe_machine
 
     with tempfile.TemporaryDirectory(dir=options.work_dir) as temporary:
-        rows = measure(options.raster, options.size, Path(temporary))
+        rows = measure(options.raster, options.size, options.runs, Path(temporary))
     write_rows(options.out, rows)
     larger = options.out.with_name(f"{options.out.stem}_extrapolated.csv")
-    write_rows(larger, [extrapolate(rows[-1])])
+    if rows[-1].n_calls:
+        write_rows(larger, [extrapolate(rows[-1])])
     text = json.dumps(describe_machine(), indent=2) + "\n"
     options.out.with_suffix(".json").write_text(text, encoding="utf-8")
     return 0
