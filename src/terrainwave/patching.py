@@ -18,12 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.block_codes import Box, enclosing_boxes, set_codes
+from terrainwave.block_codes import Box, enclosing_boxes
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import block_of_unit
-from terrainwave.codes import decode_error, decode_range, encode_error
-from terrainwave.container.page import N_CODES
+from terrainwave.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.writer import assemble
@@ -395,9 +394,8 @@ class _Patcher:
         own.close()
         errors, boxes = self._codes(stats, encoder.changes)
         mesh_errors = self._mesh(encoder.changes, errors)
-        set_codes(self._grid, self.sink.spools, self._whole, boxes, errors, mesh_errors)
-        are_kept = self._keep_equal_codes()
-        self.is_changed = bool(encoder.recoded) or not are_kept
+        is_any_new = self._set_codes(errors, boxes, mesh_errors)
+        self.is_changed = bool(encoder.recoded) or is_any_new
         return len(encoder.recoded), self._grid.n_units() - len(encoder.recoded)
 
     def _count(self, stage: str) -> Any:
@@ -420,7 +418,7 @@ class _Patcher:
                 continue
             moved = _CONTINUED * changes.get(block, 0)
             errors[block] = max(errors[block], encode_error(decode_error(old[2]) + moved))
-            if any(old[:3]) or moved:
+            if any(old[:3]) or moved or not found.is_empty:
                 below[block] = self._terrain._box_quanta(block)
         return errors, enclosing_boxes(stats, errors, self._whole, below)
 
@@ -497,35 +495,33 @@ class _Patcher:
                 moved.add(block)
         return {block for block in moved if grid.contains(block)}
 
-    def _keep_equal_codes(self) -> bool:
-        """Keep the old codes of segments where new ones say the same; return whether all do."""
-        are_all_kept = True
+    def _set_codes(
+        self,
+        errors: Mapping[Block, int],
+        boxes: Mapping[Block, Box],
+        mesh_errors: Mapping[Block, int],
+    ) -> bool:
+        """Give every block its codes, the old ones where they say the same; tell of any new one."""
+        is_any_new = False
         for spool in self.sink.spools.values():
-            keys = sorted(spool.keys())
-            old = {
-                key: b"".join(bytes(self._container.codes(block)) for block in self._blocks(key))
-                for key in keys
-            }
-            new = {key: spool.codes(key) for key in keys}
-            if self._meaning(old) == self._meaning(new):
-                for key in keys:
-                    spool.set_codes(key, old[key])
-            else:
-                are_all_kept = False
-        return are_all_kept
-
-    def _blocks(self, key: Block) -> list[Block]:
-        return self._grid.key_blocks(key)
-
-    def _meaning(self, codes: Mapping[Block, bytes]) -> dict[Block, tuple[Box, int, int]]:
-        """Return box, error and mesh error of each block from a segment's codes, keys in order."""
-        found: dict[Block, tuple[Box, int, int]] = {}
-        for key, data in codes.items():
-            outer = found[key][0] if key in found else self._whole
-            for place, block in enumerate(self._blocks(key)):
-                below, above, error, mesh = data[N_CODES * place : N_CODES * (place + 1)]
-                found[block] = decode_range(below, above, *outer), error, mesh
-        return found
+            before: dict[Block, Box] = {}
+            after: dict[Block, Box] = {}
+            for key in sorted(spool.keys()):
+                was_outer, outer = before.get(key, self._whole), after.get(key, self._whole)
+                codes = bytearray()
+                for block in self._grid.key_blocks(key):
+                    old = self._container.codes(block)
+                    before[block] = decode_range(old[0], old[1], *was_outer)
+                    box = boxes.get(block)
+                    # Coding a box that has been coded may widen it.
+                    is_same = outer == was_outer and box == before[block]
+                    ends = old[:2] if is_same else encode_range(*(box or outer), *outer)
+                    after[block] = decode_range(*ends, *outer)
+                    new = (*ends, errors.get(block, 0), mesh_errors.get(block, 0))
+                    is_any_new |= new != old
+                    codes += bytes(new)
+                spool.set_codes(key, bytes(codes))
+        return is_any_new
 
     def prove(self, path: str | os.PathLike[str]) -> float:
         """Decode the result; return the largest error where the new raster is, in raw units.
