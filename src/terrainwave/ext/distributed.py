@@ -4,6 +4,7 @@
 and looks whether the workers can do the work.
 """
 
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -25,11 +26,14 @@ def connected(address: str) -> Iterator[Any]:
     """
     try:
         from distributed import Client
+        from distributed.comm import get_address_host_port
     except ImportError as error:
         raise ClusterError(
             "dask.distributed is not installed: pip install 'terrainwave[distributed]'"
         ) from error
     try:
+        # A client whose connection fails prints a traceback when it is collected.
+        socket.create_connection(get_address_host_port(address), _TIMEOUT).close()
         client = Client(address, timeout=_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise ClusterError(
