@@ -5,16 +5,18 @@ target heights, B codes the quadtree top down in a closed loop, C decodes the fi
 disk with the ordinary decoder and compares every sample. Memory stays flat in all of them.
 """
 
-import math
+import io
 import os
 import sys
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, ExitStack
+import tempfile
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, NamedTuple, cast
 
+from terrainwave.arguments import check_threads, checked_error, checked_mesh
 from terrainwave.codec.registry import check_method
 from terrainwave.container.depot import Depot
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
@@ -34,12 +36,11 @@ from terrainwave.quadtree import Grid
 from terrainwave.quantum import HeightScan, as_fraction
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.subtrees import RasterPlace
 from terrainwave.terrain import EFFORTS
 
 DEFAULT_MAX_ERROR = 0.01
 BLOCKS = (32, 64, 128, 256, 512, 1024)
-# Meshes that `compress` makes; "auto" is the first.
-MESHES = ("halves", "zerotree", "rqt", "none")
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class Options:
         threads: int | None,
     ) -> "Options":
         """Return the options, or raise `InvalidHeightsError` naming what was found and expected."""
-        bound = _checked_error("max_error", max_error)
+        bound = checked_error("max_error", max_error)
         if block not in BLOCKS:
             raise InvalidHeightsError(
                 f"found block {block}, expected one of {', '.join(map(str, BLOCKS))}"
@@ -81,35 +82,19 @@ class Options:
             )
         if border_rings not in (1, 3):
             raise InvalidHeightsError(f"found border_rings {border_rings}, expected 1 or 3")
-        if mesh not in ("auto", *MESHES):
-            raise InvalidHeightsError(
-                f"found mesh {mesh!r}, expected one of auto, {', '.join(MESHES)}"
-            )
-        if threads is not None and threads < 1:
-            raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
+        kind = checked_mesh(mesh, or_none=True)
+        check_threads(threads)
         return cls(
             max_error=bound,
             method=check_method(method),
             block=block,
             effort=EFFORTS.index(effort),
             border_rings=border_rings,
-            mesh=MESHES[0] if mesh == "auto" else mesh,
-            mesh_error=_checked_error("mesh_error", mesh_error),
+            mesh=kind,
+            mesh_error=checked_error("mesh_error", mesh_error),
             verify=verify,
             n_threads=threads or os.cpu_count() or 1,
         )
-
-
-def _checked_error(name: str, error: float | None) -> float | None:
-    if error is None:
-        return None
-    try:
-        number = float(error)
-    except (TypeError, ValueError, OverflowError):  # text, no number, or an int too large
-        number = math.nan
-    if not (math.isfinite(number) and number >= 0):
-        raise InvalidHeightsError(f"found {name} {error}, expected a finite number >= 0")
-    return number
 
 
 @dataclass(frozen=True)
@@ -157,8 +142,9 @@ def compress(
 
     Parameters
     ----------
-    src : path, rasterio dataset, ndarray or xarray DataArray
-        One band of heights: uint8, int16, uint16, int32, float32 or float64.
+    src : path, rasterio dataset, list of these, ndarray or xarray DataArray
+        One band of heights: uint8, int16, uint16, int32, float32 or float64. A list is a mosaic:
+        rasters of one CRS and grid, void where none is; the last counts where they overlap.
     dst : path
         The file to make. It appears complete or not at all.
     max_error : float, optional
@@ -220,81 +206,165 @@ def compress(
     options = Options.checked(
         max_error, method, block, effort, border_rings, mesh, mesh_error, verify, threads
     )
-    cluster = None if client is None else executor_of(client)
-    raster = None if client is None else shared_raster(src, band, nodata)
-    is_remote = client is not None and temp_dir is not None and "://" in os.fspath(temp_dir)
-    reporter = Reporter(progress)
+    cluster = None
+    if client is not None:
+        is_remote = temp_dir is not None and "://" in os.fspath(temp_dir)
+        raster = shared_raster(src, band, nodata)
+        url = temp_dir if is_remote else None
+        cluster = _Cluster(executor_of(client), raster, url, task_samples)
+        temp_dir = None if is_remote else temp_dir
     refuse_own_source(src, dst)
     with (
         publish(dst, overwrite=overwrite) as part,
         RasterSource(src, band=band, nodata=nodata) as source,
-        _scratch(None if is_remote else temp_dir, dst) as directory,
-        ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor,
-        ExitStack() as stack,
+        scratch_directory(temp_dir or Path(dst).absolute().parent, Path(dst).name) as directory,
     ):
-        grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
-        passes: LocalPasses | DistributedPasses
-        passes = LocalPasses(source, directory, executor, reporter)
-        level = task_level(grid, task_samples)
-        if cluster is not None and raster is not None and level is not None:
-            depot = Depot(_depot_root(temp_dir if is_remote else None, directory))
-            passes = DistributedPasses(
-                cluster, raster, source, grid, level, depot, directory, executor, reporter
-            )
-        stack.callback(passes.close)
-        scan = passes.scan()
-        bound, notes = _choose_bound(options.max_error, scan, source.info)
-        raw_bound = bound / scale_of(source.info)
-        if raw_bound > sys.float_info.max:
-            raise InvalidHeightsError(
-                f"found max_error {float(bound):g} and a raster whose scale is"
-                f" {source.info.scale:g}, expected a max_error that is a finite number of its"
-                " stored units"
-            )
-        quantizer = scan.quantizer(raw_bound)
-        job = Job(
-            info=source.info,
-            quantizer=quantizer,
-            grid=grid,
-            bound=bound,
-            effort=options.effort,
-            border_rings=options.border_rings,
-            mesh=options.mesh,
-            mesh_error=options.mesh_error,
-            n_valid=scan.n_valid,
-        )
-        coded = passes.encode(job, options.method)
-        if coded.n_bytes > source.info.n_bytes and options.method != "store":
-            coded = smaller(coded, passes.encode(job, "store"))
-            if coded.method == "store":
-                notes.append("the heights do not compress: stored as they are")
-        assemble(part.file, job.header(coded.method, coded.parameters), coded.segments)
-        measured = None
-        if options.verify:
-            measured = passes.prove(part.path, job)
+        reporter = Reporter(progress)
+        written = _write(part.file, part.path, source, options, directory, reporter, cluster)
         n_bytes = os.path.getsize(part.path)
-        coded.close()
     n_samples = source.info.n_rows * source.info.n_cols
-    scale = abs(source.info.scale)
     return CompressResult(
         path=os.fspath(dst),
         n_bytes=n_bytes,
         n_samples=n_samples,
         bits_per_sample=8 * n_bytes / n_samples,
         ratio=source.info.n_bytes / n_bytes,
-        max_error=float(bound),
-        effective_error=min(quantizer.effective_error * scale, float(bound)),
-        measured_error=None if measured is None else measured * scale,
+        max_error=written.max_error,
+        effective_error=written.effective_error,
+        measured_error=written.measured_error,
         units=source.info.units,
-        method=coded.method,
-        notes=[*source.notes, *notes],
+        method=written.method,
+        notes=[*source.notes, *written.notes],
     )
 
 
-def _scratch(
-    temp_dir: str | os.PathLike[str] | None, dst: str | os.PathLike[str]
-) -> AbstractContextManager[Path]:
-    return scratch_directory(temp_dir or Path(dst).absolute().parent, Path(dst).name)
+def compress_to_bytes(
+    src: Any,
+    *,
+    max_error: float | None = None,
+    method: str = "auto",
+    block: int = 256,
+    effort: str = "default",
+    nodata: float | None = None,
+    mesh: str = "none",
+    verify: bool = True,
+    threads: int | None = None,
+) -> bytes:
+    """Return what `compress` would write, as bytes; `Terrain` opens them as it opens a file.
+
+    For arrays that fit memory: chunks of a store, cells of a database. The options, the bound and
+    the errors are those of `compress`, but that no meshes are made unless they are asked for.
+    """
+    options = Options.checked(max_error, method, block, effort, 1, mesh, None, verify, threads)
+    file = io.BytesIO()
+    with (
+        RasterSource(src, nodata=nodata) as source,
+        tempfile.TemporaryDirectory(prefix="terrainwave-") as directory,
+    ):
+        _write(file, None, source, options, Path(directory), Reporter(None))
+    return file.getvalue()
+
+
+@dataclass(frozen=True)
+class _Written:
+    """What a finished file keeps; errors in physical units."""
+
+    method: str
+    max_error: float
+    effective_error: float
+    measured_error: float | None
+    notes: list[str]
+
+
+def _write(
+    file: BinaryIO,
+    path: Path | None,
+    source: RasterSource,
+    options: Options,
+    directory: Path,
+    reporter: Reporter,
+    cluster: "_Cluster | None" = None,
+) -> _Written:
+    """Write the .twz of `source` to `file` and prove it.
+
+    `path` is where `file` lies; None for one in memory.
+    """
+    grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
+    with ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor:
+        with closing(_passes(source, grid, directory, executor, reporter, cluster)) as passes:
+            scan = passes.scan()
+            bound, notes = _choose_bound(options.max_error, scan, source.info)
+            raw_bound = bound / scale_of(source.info)
+            if raw_bound > sys.float_info.max:
+                raise InvalidHeightsError(
+                    f"found max_error {float(bound):g} and a raster whose scale is"
+                    f" {source.info.scale:g}, expected a max_error that is a finite number of its"
+                    " stored units"
+                )
+            quantizer = scan.quantizer(raw_bound)
+            job = Job(
+                info=source.info,
+                quantizer=quantizer,
+                grid=grid,
+                bound=bound,
+                effort=options.effort,
+                border_rings=options.border_rings,
+                mesh=options.mesh,
+                mesh_error=options.mesh_error,
+                n_valid=scan.n_valid,
+            )
+            coded = passes.encode(job, options.method)
+            if coded.n_bytes > source.info.n_bytes and options.method != "store":
+                coded = smaller(coded, passes.encode(job, "store"))
+                if coded.method == "store":
+                    notes.append("the heights do not compress: stored as they are")
+            assemble(file, job.header(coded.method, coded.parameters), coded.segments)
+            measured = None
+            if options.verify:
+                measured = passes.prove(path or cast(io.BytesIO, file).getvalue(), job)
+            coded.close()
+    scale = abs(source.info.scale)
+    return _Written(
+        method=coded.method,
+        max_error=float(bound),
+        effective_error=min(quantizer.effective_error * scale, float(bound)),
+        measured_error=None if measured is None else measured * scale,
+        notes=notes,
+    )
+
+
+class _Cluster(NamedTuple):
+    """What takes tasks, the raster as it sees it, and a URL of the depot if it is not local."""
+
+    executor: Executor
+    raster: RasterPlace
+    url: str | os.PathLike[str] | None
+    task_samples: int
+
+
+def _passes(
+    source: RasterSource,
+    grid: Grid,
+    directory: Path,
+    executor: Executor,
+    reporter: Reporter,
+    cluster: _Cluster | None,
+) -> LocalPasses | DistributedPasses:
+    """Return the passes of this process, or of a cluster where there is enough for a task."""
+    level = None if cluster is None else task_level(grid, cluster.task_samples)
+    if cluster is None or level is None:
+        return LocalPasses(source, directory, executor, reporter)
+    return DistributedPasses(
+        cluster.executor,
+        cluster.raster,
+        source,
+        grid,
+        level,
+        Depot(_depot_root(cluster.url, directory)),
+        directory,
+        executor,
+        reporter,
+    )
 
 
 def _depot_root(url: str | os.PathLike[str] | None, directory: Path) -> str:

@@ -199,8 +199,9 @@ class DistributedPasses:
         n_bytes = sink.n_bytes + found.n_bytes + len(site.tables)
         return Coded(method, site.tables, {**sink.spools, **segments}, n_bytes)
 
-    def prove(self, path: str | os.PathLike[str], job: Job) -> float:
+    def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
         """Decode the file from disk and compare every sample; return the largest error."""
+        assert not isinstance(path, bytes)  # what has a client is written to disk
         site = Site(self.raster, self.depot, job, self.level, "store")
         count = self._counter("proving")
         tasks = {region: (site, os.path.abspath(path), region) for region in self._own_regions()}

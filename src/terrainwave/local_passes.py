@@ -64,7 +64,7 @@ class LocalPasses:
         refiner = refiner_by_name(method)
         return encode(job, refiner, self.windows, self.directory, self.executor, self.reporter)
 
-    def prove(self, path: str | os.PathLike[str], job: Job) -> float:
+    def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
         """Decode the file from disk and compare every sample; return the largest error."""
         return prove(path, job, self.windows, self.executor, self.reporter)
 
@@ -274,7 +274,7 @@ def _mesh_errors(
 
 
 def prove(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | bytes,
     job: Job,
     source: SourceWindows,
     executor: Executor,

@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from terrainwave._version import __version__
+from terrainwave.arguments import STORED_MESHES
 from terrainwave.cli.options import (
     BlockSide,
     Bound,
@@ -34,7 +35,7 @@ from terrainwave.cli.output import (
 
 THREADS = click.IntRange(min=1)
 METHODS = click.Choice(["auto", "predictive", "cdf97", "store"])
-MESHES = click.Choice(["auto", "halves", "zerotree", "rqt", "none"])
+MESHES = click.Choice(["auto", *STORED_MESHES, "none"])
 EFFORTS = ["fast", "default", "best"]
 
 
@@ -56,7 +57,7 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @main.command()
-@click.argument("source")
+@click.argument("sources", nargs=-1, required=True, metavar="SOURCE...")
 @click.argument("target", type=click.Path())
 @click.option(
     "--max-error",
@@ -88,7 +89,7 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @_writing
 def compress(
-    source: str,
+    sources: tuple[str, ...],
     target: str,
     border_rings: str,
     scheduler: str | None,
@@ -99,13 +100,17 @@ def compress(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Compress the raster SOURCE to the file TARGET (.twz)."""
+    """Compress the raster SOURCE to the file TARGET (.twz).
+
+    Several SOURCEs are a mosaic: rasters of one CRS and grid. It is void where none of them is;
+    where they overlap, the last counts.
+    """
     import terrainwave
 
     announce_compiling(quiet=quiet)
     with _cluster(scheduler) as client, Bar(quiet=quiet) as bar:
         result = terrainwave.compress(
-            source,
+            sources,
             target,
             border_rings=int(border_rings),
             mesh="none" if no_mesh else mesh,
@@ -115,7 +120,7 @@ def compress(
             **options,
         )
     if as_json:
-        _print_json(asdict(result))
+        print_json(asdict(result))
     elif not quiet:
         _print_result(result)
 
@@ -160,7 +165,7 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
     with Bar(quiet=quiet) as bar, reading(file):
         result = terrainwave.patch(file, new, progress=bar, **options)
     if as_json:
-        _print_json(asdict(result))
+        print_json(asdict(result))
     elif not quiet:
         click.echo(
             f"{plain(result.path)}: {result.n_recoded:,} units coded again, {result.n_copied:,}"
@@ -288,14 +293,14 @@ def _store_meshes(
 
     if kind == "none":
         raise click.UsageError(
-            "found --mesh none with --store, expected auto, halves, zerotree or rqt"
+            f"found --mesh none with --store, expected one of auto, {', '.join(STORED_MESHES)}"
         )
     announce_compiling(quiet=quiet)
     with reading(file), Bar(quiet=quiet) as bar:
         path = terrainwave.store_meshes(file, target, mesh=kind or "auto", progress=bar, **options)
     n_bytes = Path(path).stat().st_size
     if as_json:
-        _print_json({"path": path, "n_bytes": n_bytes})
+        print_json({"path": path, "n_bytes": n_bytes})
     elif not quiet:
         click.echo(f"{plain(path)}: {n_bytes:,} bytes, with meshes")
 
@@ -345,7 +350,7 @@ def _export_mesh(
         )
     saved = surface.save(target, overwrite=overwrite, **shape)
     if as_json:
-        _print_json(asdict(saved))
+        print_json(asdict(saved))
     elif not quiet:
         _print_saved(saved)
 
@@ -414,7 +419,7 @@ def info(file: str, as_json: bool, errors: str | None) -> None:
         summary = terrain.info()
         found = None if errors is None else level_errors(terrain, errors)
     if as_json:
-        _print_json(summary.to_dict() | ({} if found is None else {"level_errors": found}))
+        print_json(summary.to_dict() | ({} if found is None else {"level_errors": found}))
     else:
         print_table(_info_rows(summary))
         if found is not None:
@@ -481,7 +486,7 @@ def verify(file: str, original: str | None, quiet: bool, as_json: bool, **option
     with reading(file), Bar(quiet=quiet) as bar:
         report = terrainwave.verify(file, original, progress=bar, **options)
     if as_json:
-        _print_json(report.to_dict())
+        print_json(report.to_dict())
     elif not quiet:
         _print_report(report)
     if not report.ok:
@@ -547,7 +552,8 @@ def demo(directory: str, quiet: bool) -> None:
     click.echo(f"checked each; picture: {plain(result.picture)}")
 
 
-def _print_json(fields: dict[str, Any]) -> None:
+def print_json(fields: dict[str, Any]) -> None:
+    """Print a result as JSON."""
     click.echo(json.dumps(_json_value(fields), indent=2, allow_nan=False))
 
 

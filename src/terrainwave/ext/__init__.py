@@ -1,4 +1,4 @@
-"""Terrainwave inside other libraries; each module needs its library and is found by entry point.
+"""Integrations: each needs an extra, and ``import terrainwave`` imports none of them.
 
-Nothing here is imported by ``import terrainwave``.
+Other libraries find theirs by the entry points in pyproject.toml.
 """

@@ -26,7 +26,7 @@ def connected(address: str) -> Iterator[Any]:
     """
     try:
         from distributed import Client
-        from distributed.comm import get_address_host_port
+        from distributed.comm.addressing import get_address_host_port
     except ImportError as error:
         raise ClusterError(
             "dask.distributed is not installed: pip install 'terrainwave[distributed]'"
