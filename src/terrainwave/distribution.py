@@ -83,15 +83,17 @@ def shared_raster(src: Any, band: int, nodata: float | None) -> RasterPlace:
     Raises
     ------
     InvalidHeightsError
-        If it is no path or URL.
+        If it is no path or URL, and no list of them.
     """
-    if not isinstance(src, str | os.PathLike):
+    sources = src if isinstance(src, list | tuple) else (src,)
+    if not all(isinstance(source, str | os.PathLike) for source in sources):
         raise InvalidHeightsError(
             f"found a {type(src).__name__}; expected the path or URL of a raster that every worker"
             " of the cluster can read"
         )
-    path = os.fspath(src)
-    return RasterPlace(os.path.abspath(path) if os.path.exists(path) else path, band, nodata)
+    paths = [os.fspath(source) for source in sources]
+    found = tuple(os.path.abspath(path) if os.path.exists(path) else path for path in paths)
+    return RasterPlace(found, band, nodata)
 
 
 def executor_of(client: Any) -> Executor:

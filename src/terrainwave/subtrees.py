@@ -49,15 +49,16 @@ ABOVE, CODED, TOP, FINISHED = "above", "coded", "top", "finished"
 
 @dataclass(frozen=True)
 class RasterPlace:
-    """A raster that every machine can open."""
+    """A raster, or a mosaic of several, that every machine can open."""
 
-    path: str
+    paths: tuple[str, ...]
     band: int
     nodata: float | None
 
     def open(self) -> RasterSource:
         """Open it; notes have been issued where the run began."""
-        return RasterSource(self.path, band=self.band, nodata=self.nodata, warn=False)
+        source = self.paths[0] if len(self.paths) == 1 else list(self.paths)
+        return RasterSource(source, band=self.band, nodata=self.nodata, warn=False)
 
 
 @dataclass(frozen=True)
