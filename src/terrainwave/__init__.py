@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from terrainwave._version import __version__
 from terrainwave.errors import (
     BoundViolationError,
+    ClusterError,
     CorruptStreamError,
     InvalidHeightsError,
     LimitExceededError,
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from terrainwave.compression import CompressResult, compress, compress_to_bytes
     from terrainwave.decompression import decompress
     from terrainwave.mesh_storage import store_meshes
+    from terrainwave.patching import PatchResult, patch
     from terrainwave.progress import Progress
     from terrainwave.terrain import Info, Terrain
     from terrainwave.tri.mesh import Mesh
@@ -32,12 +34,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BoundViolationError",
+    "ClusterError",
     "CompressResult",
     "CorruptStreamError",
     "Info",
     "InvalidHeightsError",
     "LimitExceededError",
     "Mesh",
+    "PatchResult",
     "Progress",
     "StorageError",
     "Terrain",
@@ -51,6 +55,7 @@ __all__ = [
     "compress_to_bytes",
     "decompress",
     "open",
+    "patch",
     "store_meshes",
     "verify",
 ]
@@ -63,6 +68,8 @@ _LAZY = {
     "compress_to_bytes": "compression",
     "decompress": "decompression",
     "store_meshes": "mesh_storage",
+    "PatchResult": "patching",
+    "patch": "patching",
     "Progress": "progress",
     "Info": "terrain",
     "Terrain": "terrain",

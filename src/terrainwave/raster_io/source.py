@@ -66,6 +66,8 @@ class RasterSource:
         Number of the band, from 1. Band 1 of several is noted, as it may not be a choice.
     nodata : int or float, optional
         Replaces the declared nodata value.
+    warn : bool
+        Issue `notes` as warnings; tasks that open the same raster again don't.
 
     Attributes
     ----------
@@ -74,7 +76,7 @@ class RasterSource:
     name : str
         How messages call the source.
     notes : tuple of str
-        What the source left out or chose, one sentence each; also issued as `TerrainwaveWarning`.
+        What the source left out or chose, one sentence each; issued as `TerrainwaveWarning`.
     is_striped : bool
         True if a narrow window makes the source decode much wider ones: a scan in the order of
         `blocks` is then many times cheaper than small windows.
@@ -93,7 +95,14 @@ class RasterSource:
     dataset that the caller passed must not be used elsewhere meanwhile.
     """
 
-    def __init__(self, source: Any, *, band: int = 1, nodata: int | float | None = None) -> None:
+    def __init__(
+        self,
+        source: Any,
+        *,
+        band: int = 1,
+        nodata: int | float | None = None,
+        warn: bool = True,
+    ) -> None:
         self._lock = threading.Lock()
         self._backend = _open_backend(source, band, nodata)
         self.name: str = self._backend.name
@@ -104,7 +113,7 @@ class RasterSource:
             self.close()
             raise
         self.notes = tuple(notes)
-        for note in notes:
+        for note in notes if warn else ():
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
         self._dtype = np.dtype(self.info.dtype)
 
