@@ -7,9 +7,11 @@ as §n.
 """
 
 import json
+import re
 import struct
 import zlib
 from math import gcd, isfinite
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -21,6 +23,16 @@ TERM_WEIGHTS_97, E_WEIGHTS_97 = TERM_WEIGHTS.tolist(), E_WEIGHTS.tolist()
 STARTS_97 = {
     name: part.tolist() for name, part in zip(("residual", "tree", "border"), STARTS, strict=True)
 }
+DOCUMENT = (Path(__file__).parents[1] / "docs" / "FORMAT.md").read_text(encoding="utf-8")
+
+
+def block(name):
+    """Return the text of a fenced block of the document."""
+    return re.search(rf"^```{name}\n(.*?)^```", DOCUMENT, re.M | re.S)[1]
+
+
+DICTIONARY = block("dictionary").replace("\n", "").encode("ascii")  # §4.6
+MASK_STARTS = [int(number) for number in block("starts").split()]  # §5.2
 
 
 class CorruptError(Exception):
@@ -43,9 +55,9 @@ def clamp(x, low, high):
 # §1.3, §1.4: deflate and varints ---------------------------------------------------------------
 
 
-def inflate(data, limit):
-    """Inflate one zlib stream that fills `data` exactly."""
-    stream = zlib.decompressobj()
+def inflate(data, limit, dictionary=None):
+    """Inflate one zlib stream that fills `data` exactly; a raw one with a preset dictionary."""
+    stream = zlib.decompressobj(-15, dictionary) if dictionary else zlib.decompressobj()
     try:
         content = stream.decompress(data, limit + 1)
     except zlib.error as error:
@@ -255,7 +267,7 @@ def read_metadata(section, crc, dtype):
         raise CorruptError(text)
 
     try:
-        text = inflate(section, 2**20).decode("utf-8")
+        text = inflate(section, 2**20, DICTIONARY).decode("utf-8")
         metadata = json.loads(text, object_pairs_hook=unique, parse_constant=refuse)
         json.dumps(metadata, ensure_ascii=False).encode()  # fails on a lone surrogate
     except (ValueError, RecursionError) as error:
@@ -583,7 +595,9 @@ def decode_mask(section, implied):
     def at(grid, i, j):
         return int(0 <= i < n_rows and 0 <= j < n_cols and bool(grid[i][j]))
 
-    decoder, models = RangeDecoder(section), Models(768)
+    decoder, models = RangeDecoder(section), Models(576)
+    for i in range(576):
+        models.probability[i], models.count[i] = MASK_STARTS[i] << 14, 2
     for i in range(n_rows):
         for j in range(n_cols):
             if implied[i][j]:
@@ -592,8 +606,9 @@ def decode_mask(section, implied):
             for di, dj in ((0, -1), (-1, 0), (-1, -1), (-1, 1), (0, -2), (-2, 0)):
                 c = 2 * c + at(valid, i + di, j + dj)
             a = at(implied, i + 1, j) + at(implied, i, j + 1)
-            p = 2 * (i % 2) + j % 2
-            valid[i][j] = decoder.bit(models, (c * 3 + a) * 4 + p)
+            far = ((0, 2), (1, -1), (1, 1), (2, 0))
+            b = min(sum(at(implied, i + di, j + dj) for di, dj in far), 2)
+            valid[i][j] = decoder.bit(models, (c * 3 + a) * 3 + b)
     decoder.end()
     return valid
 

@@ -9,7 +9,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 import reference_decoder
-from reference_decoder import NAMES, decode, decode_units, read_file
+from reference_decoder import DICTIONARY, NAMES, decode, decode_units, inflate, read_file
 from twz import twz_bytes
 
 import terrainwave
@@ -111,7 +111,8 @@ def test_rows_of_the_file_are_the_fields_of_the_header():
 
 def test_deflated_sections_inflate_to_the_stated_content():
     header = read_file(FILE).header
-    text = zlib.decompress(FILE[128 : 128 + header.metadata_length]).decode()
+    section_bytes = FILE[128 : 128 + header.metadata_length]
+    text = inflate(section_bytes, 2**20, DICTIONARY).decode()
     assert text == re.search(r"^```json\n(.*?)\n```", section("9.3"), re.M | re.S)[1]
     assert json.loads(text).keys() == {"mask_kind", "nodata", "software"}
     assert page_of(FILE) == (bytes(8), hexdump("9.4"))

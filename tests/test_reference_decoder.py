@@ -36,6 +36,8 @@ from reference_decoder import (
 from twz import twz_bytes
 
 import terrainwave
+from terrainwave.container.deflate import deflate
+from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.errors import CorruptStreamError
 from terrainwave.quadtree import Block
 
@@ -324,7 +326,7 @@ def assembled(file, **changes):
     columns += planes([*map(zlib.crc32, payloads)], 4) + bytes(4 * len(keys))
     page = bytes(8) + zlib.compress(columns)
     page = zlib.crc32(page).to_bytes(4, "little") + page
-    metadata = zlib.compress(json.dumps(file.metadata).encode())
+    metadata = deflate(json.dumps(file.metadata).encode(), DICTIONARY)
     body = metadata + page + b"".join(payloads)
     fields = vars(file.header) | changes
     fields |= dict(

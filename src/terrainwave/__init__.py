@@ -22,7 +22,7 @@ from terrainwave.errors import (
 )
 
 if TYPE_CHECKING:
-    from terrainwave.compression import CompressResult, compress
+    from terrainwave.compression import CompressResult, compress, compress_to_bytes
     from terrainwave.decompression import decompress
     from terrainwave.mesh_storage import store_meshes
     from terrainwave.progress import Progress
@@ -48,6 +48,7 @@ __all__ = [
     "VerifyReport",
     "__version__",
     "compress",
+    "compress_to_bytes",
     "decompress",
     "open",
     "store_meshes",
@@ -59,6 +60,7 @@ __all__ = [
 _LAZY = {
     "CompressResult": "compression",
     "compress": "compression",
+    "compress_to_bytes": "compression",
     "decompress": "decompression",
     "store_meshes": "mesh_storage",
     "Progress": "progress",

@@ -5,10 +5,12 @@ target heights, B codes the quadtree top down in a closed loop, C decodes the fi
 disk with the ordinary decoder and compares every sample. Memory stays flat in all of them.
 """
 
+import io
 import math
 import os
 import shutil
 import sys
+import tempfile
 import threading
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,7 +18,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,8 +157,9 @@ def compress(
 
     Parameters
     ----------
-    src : path, rasterio dataset, ndarray or xarray DataArray
-        One band of heights: uint8, int16, uint16, int32, float32 or float64.
+    src : path, rasterio dataset, list of these, ndarray or xarray DataArray
+        One band of heights: uint8, int16, uint16, int32, float32 or float64. A list is a mosaic:
+        rasters of one CRS and grid, void where none is; the last counts where they overlap.
     dst : path
         The file to make. It appears complete or not at all.
     max_error : float, optional
@@ -210,14 +213,81 @@ def compress(
     options = Options.checked(
         max_error, method, block, effort, border_rings, mesh, mesh_error, verify, threads
     )
-    reporter = Reporter(progress)
     refuse_own_source(src, dst)
     with (
         publish(dst, overwrite=overwrite) as part,
         RasterSource(src, band=band, nodata=nodata) as source,
         scratch_directory(temp_dir or Path(dst).absolute().parent, Path(dst).name) as directory,
-        ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor,
     ):
+        written = _write(part.file, part.path, source, options, directory, Reporter(progress))
+        n_bytes = os.path.getsize(part.path)
+    n_samples = source.info.n_rows * source.info.n_cols
+    return CompressResult(
+        path=os.fspath(dst),
+        n_bytes=n_bytes,
+        n_samples=n_samples,
+        bits_per_sample=8 * n_bytes / n_samples,
+        ratio=source.info.n_bytes / n_bytes,
+        max_error=written.max_error,
+        effective_error=written.effective_error,
+        measured_error=written.measured_error,
+        units=source.info.units,
+        method=written.method,
+        notes=[*source.notes, *written.notes],
+    )
+
+
+def compress_to_bytes(
+    src: Any,
+    *,
+    max_error: float | None = None,
+    method: str = "auto",
+    block: int = 256,
+    effort: str = "default",
+    nodata: float | None = None,
+    mesh: str = "none",
+    verify: bool = True,
+    threads: int | None = None,
+) -> bytes:
+    """Return what `compress` would write, as bytes; `Terrain` opens them as it opens a file.
+
+    For arrays that fit memory: chunks of a store, cells of a database. The options, the bound and
+    the errors are those of `compress`, but that no meshes are made unless they are asked for.
+    """
+    options = Options.checked(max_error, method, block, effort, 1, mesh, None, verify, threads)
+    file = io.BytesIO()
+    with (
+        RasterSource(src, nodata=nodata) as source,
+        tempfile.TemporaryDirectory(prefix="terrainwave-") as directory,
+    ):
+        _write(file, None, source, options, Path(directory), Reporter(None))
+    return file.getvalue()
+
+
+@dataclass(frozen=True)
+class _Written:
+    """What a finished file keeps; errors in physical units."""
+
+    method: str
+    max_error: float
+    effective_error: float
+    measured_error: float | None
+    notes: list[str]
+
+
+def _write(
+    file: BinaryIO,
+    path: Path | None,
+    source: RasterSource,
+    options: Options,
+    directory: Path,
+    reporter: Reporter,
+) -> _Written:
+    """Write the .twz of `source` to `file` and prove it.
+
+    `path` is where `file` lies; None for one in memory.
+    """
+    with ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor:
         windows, scan = _scan(source, directory, reporter)
         bound, notes = _choose_bound(options.max_error, scan, source.info)
         raw_bound = bound / _scale_of(source.info)
@@ -235,27 +305,20 @@ def compress(
             coded = _smaller(coded, _encode(job, refiner_by_name("store"), executor, reporter))
             if coded.method == "store":
                 notes.append("the heights do not compress: stored as they are")
-        assemble(part.file, _header(job, coded), coded.spools)
+        assemble(file, _header(job, coded), coded.spools)
         measured = None
         if options.verify:
-            measured = _prove(part.path, job, executor, reporter)
-        n_bytes = os.path.getsize(part.path)
+            written = path or cast(io.BytesIO, file).getvalue()
+            measured = _prove(written, job, executor, reporter)
         coded.close()
         windows.close()
-    n_samples = source.info.n_rows * source.info.n_cols
     scale = abs(source.info.scale)
-    return CompressResult(
-        path=os.fspath(dst),
-        n_bytes=n_bytes,
-        n_samples=n_samples,
-        bits_per_sample=8 * n_bytes / n_samples,
-        ratio=source.info.n_bytes / n_bytes,
+    return _Written(
+        method=coded.method,
         max_error=float(bound),
         effective_error=min(quantizer.effective_error * scale, float(bound)),
         measured_error=None if measured is None else measured * scale,
-        units=source.info.units,
-        method=coded.method,
-        notes=[*source.notes, *notes],
+        notes=notes,
     )
 
 
@@ -635,9 +698,9 @@ def _header(job: _Job, coded: _Coded) -> Header:
 
 
 def _prove(
-    path: str | os.PathLike[str], job: _Job, executor: Executor, reporter: Reporter
+    file: str | os.PathLike[str] | bytes, job: _Job, executor: Executor, reporter: Reporter
 ) -> float:
-    """Decode the file from disk and compare every sample and the mask; return the largest error.
+    """Decode the finished file and compare every sample and the mask; return the largest error.
 
     Raises
     ------
@@ -653,7 +716,7 @@ def _prove(
     ]
     allowed = allowed_error(job.quantizer, job.raw_bound)
     largest = 0.0
-    with Terrain(path, threads=1) as terrain:
+    with Terrain(file, threads=1) as terrain:
 
         def compare(region: Region) -> float:
             return _compare_window(terrain, job, region, allowed)

@@ -56,7 +56,7 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @main.command()
-@click.argument("source")
+@click.argument("sources", nargs=-1, required=True, metavar="SOURCE...")
 @click.argument("target", type=click.Path())
 @click.option(
     "--max-error",
@@ -83,7 +83,7 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @_writing
 def compress(
-    source: str,
+    sources: tuple[str, ...],
     target: str,
     border_rings: str,
     no_verify: bool,
@@ -93,13 +93,17 @@ def compress(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Compress the raster SOURCE to the file TARGET (.twz)."""
+    """Compress the raster SOURCE to the file TARGET (.twz).
+
+    Several SOURCEs are a mosaic: rasters of one CRS and grid. It is void where none of them is;
+    where they overlap, the last counts.
+    """
     import terrainwave
 
     announce_compiling(quiet=quiet)
     with Bar(quiet=quiet) as bar:
         result = terrainwave.compress(
-            source,
+            sources,
             target,
             border_rings=int(border_rings),
             mesh="none" if no_mesh else mesh,

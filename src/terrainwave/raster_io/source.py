@@ -28,6 +28,7 @@ from terrainwave.raster_io.info import (
     fit_nodata,
     stored_nodata,
 )
+from terrainwave.raster_io.mosaic import MosaicBackend
 
 # What to convert an unsupported type to; the narrowest of ours that holds all of its values, or
 # the one that holds elevations in practice.
@@ -58,8 +59,9 @@ class RasterSource:
 
     Parameters
     ----------
-    source : path, rasterio dataset, ndarray, masked array or xarray DataArray
-        What to read. A dataset is not closed; a DataArray may be lazy.
+    source : path, rasterio dataset, list of these, ndarray, masked array or xarray DataArray
+        What to read. A list is a mosaic: rasters of one grid, of which the last counts where they
+        overlap. A dataset is not closed; a DataArray may be lazy.
     band : int
         Number of the band, from 1. Band 1 of several is noted, as it may not be a choice.
     nodata : int or float, optional
@@ -93,7 +95,7 @@ class RasterSource:
 
     def __init__(self, source: Any, *, band: int = 1, nodata: int | float | None = None) -> None:
         self._lock = threading.Lock()
-        self._backend = _open_backend(source, band)
+        self._backend = _open_backend(source, band, nodata)
         self.name: str = self._backend.name
         try:
             notes = list(self._backend.notes())
@@ -227,10 +229,16 @@ def _check_dtype(dtype: np.dtype[Any], name: str) -> None:
     )
 
 
-def _open_backend(source: Any, band: int) -> "DatasetBackend | ArrayBackend":
+def _open_backend(
+    source: Any, band: int, nodata: int | float | None
+) -> "DatasetBackend | MosaicBackend | ArrayBackend":
+    if isinstance(source, list | tuple) and source and all(map(_is_raster, source)):
+        if len(source) > 1:
+            return MosaicBackend(source, band, nodata)
+        source = source[0]
     if isinstance(source, str | os.PathLike):
         return DatasetBackend(open_dataset(os.fspath(source)), band, owned=True)
-    if hasattr(source, "read_masks") and hasattr(source, "block_shapes"):
+    if _is_raster(source):
         return DatasetBackend(source, band, owned=False)
     if isinstance(source, np.ndarray):
         return ArrayBackend(source)
@@ -239,6 +247,12 @@ def _open_backend(source: Any, band: int) -> "DatasetBackend | ArrayBackend":
     if isinstance(source, list | tuple):
         return ArrayBackend(np.asarray(source))
     raise InvalidHeightsError(
-        f"found a {type(source).__name__}; expected a path, a rasterio dataset, a 2-D array or an "
-        "xarray DataArray"
+        f"found a {type(source).__name__}; expected a path, a rasterio dataset, a 2-D array, an"
+        " xarray DataArray or a list of paths or datasets"
     )
+
+
+def _is_raster(source: Any) -> bool:
+    """Say whether `source` is the path of a raster or an open rasterio dataset."""
+    is_dataset = hasattr(source, "read_masks") and hasattr(source, "block_shapes")
+    return is_dataset or isinstance(source, str | os.PathLike)
