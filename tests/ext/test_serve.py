@@ -20,6 +20,7 @@ from terrainwave.ext.serve import app as serving
 from terrainwave.ext.serve import tiling
 from terrainwave.ext.serve.app import make_app
 from terrainwave.globe import Globe
+from terrainwave.tile_pyramid import terrain_tile
 
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
 
@@ -140,6 +141,22 @@ def test_a_global_terrain_goes_round(tmp_path, left):
             for y in (0, 3):
                 tile = heights_of(tiling.rgb_tile(globe, 2, x, y).png)
                 assert tile.min() >= heights.min() - 0.1
+
+
+def test_quantized_mesh_tiles_are_those_of_the_library(hilly):
+    with client_of(hilly) as client, terrainwave.open(hilly) as terrain:
+        layer = client.get("/hills/mesh/layer.json").json()
+        zoom = layer["maxzoom"]
+        first = layer["available"][zoom][0]
+        tile = client.get(f"/hills/mesh/{zoom}/{first['startX']}/{first['startY']}.terrain")
+        lowest = Globe(terrain).height_range[0]
+        expected = terrain_tile(
+            terrain, zoom, first["startX"], first["startY"], void_height=lowest - 1
+        )
+        assert tile.content == expected
+        assert float(tile.headers["x-tile-error"]) > 0
+        assert client.get(f"/hills/mesh/{zoom}/0/0.terrain").status_code == 404
+        assert client.get("/hills/mesh/1/4/0.terrain").status_code == 404
 
 
 def test_tiles_off_the_terrain_are_empty(hilly):
@@ -280,4 +297,4 @@ def test_terrain_without_a_place_is_refused(tmp_path):
     terrainwave.compress(tmp_path / "x.tif", path, block=32)
     found = CliRunner().invoke(main, ["serve", str(path), "--port", "0"], standalone_mode=False)
     assert isinstance(found.exception, InvalidHeightsError)
-    assert "no place on the globe" in str(found.exception)
+    assert "no place on a globe" in str(found.exception)

@@ -50,6 +50,8 @@ class Desk:
 
     def __init__(self, n_decoding: int) -> None:
         self._limiter = CapacityLimiter(n_decoding)
+        self._most = n_decoding + N_WAITING
+        self._n_asked = 0
 
     async def do(self, work: Callable[..., Any], *args: Any) -> Any:
         """Return ``work(*args)``, done in a thread.
@@ -59,9 +61,13 @@ class Desk:
         HTTPException
             503 if too many requests wait already.
         """
-        if self._limiter.statistics().tasks_waiting >= N_WAITING:
+        if self._n_asked >= self._most:
             raise HTTPException(503, "too many requests at once", {"Retry-After": "1"})
-        return await to_thread.run_sync(work, *args, limiter=self._limiter)
+        self._n_asked += 1
+        try:
+            return await to_thread.run_sync(work, *args, limiter=self._limiter)
+        finally:
+            self._n_asked -= 1
 
 
 class Layer:
