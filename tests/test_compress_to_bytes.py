@@ -17,15 +17,15 @@ def test_bytes_are_those_of_the_file(tmp_path):
 
 
 def test_bytes_are_proved_like_a_file(monkeypatch):
-    from terrainwave import compression
+    from terrainwave.local_passes import LocalPasses
 
     proved = []
 
-    def prove(file, *rest):
+    def prove(passes, file, job):
         proved.append(file)
         return 0.0
 
-    monkeypatch.setattr(compression, "_prove", prove)
+    monkeypatch.setattr(LocalPasses, "prove", prove)
     data = terrainwave.compress_to_bytes(terrain_like(9, 9))
     assert proved == [data]
 

@@ -395,7 +395,7 @@ def test_to_trimesh_has_the_vertices_and_triangles():
 
 def test_to_pyvista_says_what_is_missing(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyvista", None)
-    with pytest.raises(TerrainwaveError, match='pip install "pyvista"'):
+    with pytest.raises(TerrainwaveError, match=r'pip install "terrainwave\[pyvista\]"'):
         utm_mesh().to_pyvista()
 
 
