@@ -11,9 +11,9 @@ import shutil
 import sys
 import threading
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
-from terrainwave.codec.refiner import FittingRefiner, Refiner
-from terrainwave.codec.registry import check_method, refiner_by_name
+from terrainwave.codec.refiner import FittingRefiner
+from terrainwave.codec.registry import PYRAMIDS, check_method, refiner_by_name
 from terrainwave.codec.units import CodecParameters
 from terrainwave.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.header import Header
@@ -31,7 +31,6 @@ from terrainwave.container.page import page_layout
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
-from terrainwave.decoder import TreeDecoder
 from terrainwave.encoder import Stats, TreeEncoder
 from terrainwave.errors import BoundViolationError, InvalidHeightsError, StorageError
 from terrainwave.mesh_sections import make_sections, parts_of_blocks
@@ -44,6 +43,7 @@ from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.spool import Spool
 from terrainwave.terrain import EFFORTS, Terrain
+from terrainwave.tile_decoder import make_decoder
 
 DEFAULT_MAX_ERROR = 0.01
 BLOCKS = (32, 64, 128, 256, 512, 1024)
@@ -55,6 +55,10 @@ _OUR_FAULT = (
 )
 # Samples per side of the windows the proof compares, where groups are smaller than that.
 _PROOF_SIDE = 512
+# Heights on no grid are rounded to their range / 2^18 or so before a stream of them is cut.
+_FINE_BITS = 18
+# What a file is thought to take beside its payloads, in bytes: for itself and for each unit.
+_FILE_BYTES, _UNIT_BYTES = 600, 24
 _MESH_CACHE_BYTES = 128 << 20
 
 
@@ -63,6 +67,8 @@ class Options:
     """Checked options of `compress`; errors are raised where they are made."""
 
     max_error: float | None
+    rate: float | None
+    psnr: float | None
     method: str
     block: int
     effort: int
@@ -72,10 +78,17 @@ class Options:
     verify: bool
     n_threads: int
 
+    @property
+    def is_embedded(self) -> bool:
+        """Say whether streams are cut by size or mean error, not by a bound."""
+        return self.rate is not None or self.psnr is not None
+
     @classmethod
     def checked(
         cls,
         max_error: float | None,
+        rate: float | None,
+        psnr: float | None,
         method: str,
         block: int,
         effort: str,
@@ -87,6 +100,8 @@ class Options:
     ) -> "Options":
         """Return the options, or raise `InvalidHeightsError` naming what was found and expected."""
         bound = _checked_error("max_error", max_error)
+        method = check_method(method)
+        _check_embedded(max_error, rate, psnr, method)
         if block not in BLOCKS:
             raise InvalidHeightsError(
                 f"found block {block}, expected one of {', '.join(map(str, BLOCKS))}"
@@ -97,6 +112,10 @@ class Options:
             )
         if border_rings not in (1, 3):
             raise InvalidHeightsError(f"found border_rings {border_rings}, expected 1 or 3")
+        if border_rings != 1 and method == "cdf53":
+            raise InvalidHeightsError(
+                f"found border_rings {border_rings} and method cdf53, expected border_rings 1"
+            )
         if mesh not in ("auto", *MESHES):
             raise InvalidHeightsError(
                 f"found mesh {mesh!r}, expected one of auto, {', '.join(MESHES)}"
@@ -105,7 +124,9 @@ class Options:
             raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
         return cls(
             max_error=bound,
-            method=check_method(method),
+            rate=rate,
+            psnr=psnr,
+            method=method,
             block=block,
             effort=EFFORTS.index(effort),
             border_rings=border_rings,
@@ -114,6 +135,29 @@ class Options:
             verify=verify,
             n_threads=threads or os.cpu_count() or 1,
         )
+
+
+def _check_embedded(
+    max_error: float | None, rate: float | None, psnr: float | None, method: str
+) -> None:
+    """Raise `InvalidHeightsError` unless at most one of three goals is given, and fits."""
+    goals = {"max_error": max_error, "rate": rate, "psnr": psnr}
+    given = [name for name, goal in goals.items() if goal is not None]
+    if len(given) > 1:
+        raise InvalidHeightsError(
+            f"found {' and '.join(given)}, expected one of them: a stream is cut in one place"
+        )
+    for name in ("rate", "psnr"):
+        goal = _checked_error(name, goals[name])
+        if goal is None:
+            continue
+        if goal == 0:
+            raise InvalidHeightsError(f"found {name} 0, expected a number > 0")
+        if method != "cdf53":
+            raise InvalidHeightsError(
+                f"found {name} and method {method}, expected method cdf53: the others keep a bound"
+                " (max_error) instead"
+            )
 
 
 def _checked_error(name: str, error: float | None) -> float | None:
@@ -153,6 +197,8 @@ def compress(
     dst: str | os.PathLike[str],
     *,
     max_error: float | None = None,
+    rate: float | None = None,
+    psnr: float | None = None,
     method: str = "auto",
     block: int = 256,
     effort: str = "default",
@@ -178,8 +224,15 @@ def compress(
     max_error : float, optional
         Largest allowed error in physical units (after scale and offset); >= 0, closed. By default
         0 (lossless) where the heights have a vertical quantum and 0.01 where they don't.
+    rate : float, optional
+        With method cdf53, instead of `max_error`: bits per sample that the file may take. The
+        file's bound is then the error that was measured.
+    psnr : float, optional
+        With method cdf53, instead of `max_error`: decibels of the heights' range over the root
+        mean square error that the file must reach.
     method : str
-        ``"predictive"``, ``"cdf97"``, ``"store"`` or ``"auto"`` (predictive, the smallest).
+        ``"predictive"``, ``"cdf97"``, ``"cdf53"``, ``"store"`` or ``"auto"`` (predictive, the
+        smallest).
     block : int
         Cells per side of a block: 32, 64, … 1024.
     effort : str
@@ -224,7 +277,17 @@ def compress(
     O(n_rows * n_cols) time; memory O(threads * block^2 * levels), whatever the size of the raster.
     """
     options = Options.checked(
-        max_error, method, block, effort, border_rings, mesh, mesh_error, verify, threads
+        max_error,
+        rate,
+        psnr,
+        method,
+        block,
+        effort,
+        border_rings,
+        mesh,
+        mesh_error,
+        verify,
+        threads,
     )
     reporter = Reporter(progress)
     refuse_own_source(src, dst)
@@ -235,22 +298,21 @@ def compress(
         ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor,
     ):
         windows, scan = _scan(source, directory, reporter)
-        bound, notes = _choose_bound(options.max_error, scan, source.info)
-        raw_bound = bound / _scale_of(source.info)
-        if raw_bound > sys.float_info.max:
-            raise InvalidHeightsError(
-                f"found max_error {float(bound):g} and a raster whose scale is"
-                f" {source.info.scale:g}, expected a max_error that is a finite number of its"
-                " stored units"
-            )
-        quantizer = scan.quantizer(raw_bound)
+        notes: list[str] = []
+        if options.is_embedded:
+            bound, quantizer = Fraction(0), _fine_quantizer(scan)
+        else:
+            bound, notes = _choose_bound(options.max_error, scan, source.info)
+            quantizer = scan.quantizer(_raw_bound(bound, source.info))
         grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
         job = _Job(source.info, windows, scan, quantizer, grid, options, bound, directory)
-        coded = _encode(job, refiner_by_name(options.method), executor, reporter)
-        if coded.n_bytes > source.info.n_bytes and options.method != "store":
-            coded = _smaller(coded, _encode(job, refiner_by_name("store"), executor, reporter))
+        coded = _encode(job, options.method, executor, reporter)
+        is_large = coded.n_bytes > source.info.n_bytes and not options.is_embedded
+        if is_large and options.method != "store":
+            coded = _smaller(coded, _encode(job, "store", executor, reporter))
             if coded.method == "store":
                 notes.append("the heights do not compress: stored as they are")
+        job = coded.job
         assemble(part.file, _header(job, coded), coded.spools)
         measured = None
         if options.verify:
@@ -266,8 +328,8 @@ def compress(
         n_samples=n_samples,
         bits_per_sample=8 * n_bytes / n_samples,
         ratio=source.info.n_bytes / n_bytes,
-        max_error=float(bound),
-        effective_error=min(quantizer.effective_error * scale, float(bound)),
+        max_error=float(job.bound),
+        effective_error=min(job.quantizer.effective_error * scale, float(job.bound)),
         measured_error=None if measured is None else measured * scale,
         units=source.info.units,
         method=coded.method,
@@ -292,6 +354,36 @@ class _Job:
     def raw_bound(self) -> float:
         """Return the bound asked for, in raw units."""
         return float(self.bound / _scale_of(self.info))
+
+
+def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:
+    """Return a bound in the units of stored values."""
+    raw_bound = bound / _scale_of(info)
+    if raw_bound > sys.float_info.max:
+        raise InvalidHeightsError(
+            f"found max_error {float(bound):g} and a raster whose scale is {info.scale:g}, expected"
+            " a max_error that is a finite number of its stored units"
+        )
+    return raw_bound
+
+
+def _fine_quantizer(scan: HeightScan) -> Quantizer:
+    """Return a quantizer for heights whose error is not chosen by a bound.
+
+    The vertical quantum where there is one, else one far below what a cut stream tells.
+    """
+    if scan.true_quantum() is not None:
+        try:
+            return scan.quantizer(Fraction(0))
+        except InvalidHeightsError:  # the range takes more than 30 bits of it
+            pass
+    error = (as_fraction(scan.maximum) - as_fraction(scan.minimum)) / (1 << _FINE_BITS)
+    for _ in range(_FINE_BITS):
+        try:
+            return scan.quantizer(error)
+        except InvalidHeightsError:
+            error *= 2
+    return scan.quantizer(error)
 
 
 def _scale_of(info: RasterInfo) -> Fraction:
@@ -405,6 +497,7 @@ class _Coded:
     parameters: bytes
     spools: dict[Block | None, SegmentSpool]
     n_bytes: int
+    job: _Job
 
     def close(self) -> None:
         for spool in self.spools.values():
@@ -417,13 +510,13 @@ def _smaller(first: _Coded, second: _Coded) -> _Coded:
     return kept
 
 
-def _encode(job: _Job, refiner: Refiner, executor: Executor, reporter: Reporter) -> _Coded:
+def _encode(job: _Job, method: str, executor: Executor, reporter: Reporter) -> _Coded:
     """Code all units into one spool per segment."""
     pyramid = Pyramid(
         job.source,
         job.quantizer,
         job.grid,
-        kind=refiner.pyramid,
+        kind=PYRAMIDS[method],
         has_voids=job.scan.has_voids,
         directory=job.directory,
         executor=executor,
@@ -454,19 +547,89 @@ def _encode(job: _Job, refiner: Refiner, executor: Executor, reporter: Reporter)
                     n_levels=job.grid.k_max + 1,
                 )
 
-        parameters = _parameters(job)
         section = b""
-        if isinstance(refiner, FittingRefiner) and job.scan.n_valid:
-            refiner = refiner.fitted(job.grid, parameters.step, pyramid.heights, pyramid.mask)
-            section = refiner.parameters
-        encoder = TreeEncoder(job.grid, refiner, parameters, pyramid, sink, on_samples)
-        stats = encoder.run(executor)
+        if method == "cdf53":
+            stats = _encode_tiles(job, pyramid, sink, on_samples, executor)
+        else:
+            section, stats = _encode_units(job, method, pyramid, sink, on_samples, executor)
+        if job.options.is_embedded:
+            job = _with_measured_bound(job, stats)
         errors = {block: encode_error(found.error + _lost(job)) for block, found in stats.items()}
-        mesh_errors = _mesh_errors(job, refiner, pyramid, sink, errors, executor, reporter)
+        mesh_errors = _mesh_errors(job, method, section, pyramid, sink, errors, executor, reporter)
     finally:
         pyramid.close()
     _set_codes(job, sink.spools, stats, errors, mesh_errors)
-    return _Coded(refiner.name, section, sink.spools, sink.n_bytes + len(section))
+    return _Coded(method, section, sink.spools, sink.n_bytes + len(section), job)
+
+
+def _encode_units(
+    job: _Job,
+    method: str,
+    pyramid: Pyramid,
+    sink: "_SpoolSink",
+    on_samples: Callable[[int], None],
+    executor: Executor,
+) -> tuple[bytes, Stats]:
+    """Code every unit; return the method's parameters and what was measured."""
+    parameters, section = _parameters(job), b""
+    refiner = refiner_by_name(method)
+    if isinstance(refiner, FittingRefiner) and job.scan.n_valid:
+        refiner = refiner.fitted(job.grid, parameters.step, pyramid.heights, pyramid.mask)
+        section = refiner.parameters
+    encoder = TreeEncoder(job.grid, refiner, parameters, pyramid, sink, on_samples)
+    return section, encoder.run(executor)
+
+
+def _encode_tiles(
+    job: _Job,
+    pyramid: Pyramid,
+    sink: "_SpoolSink",
+    on_samples: Callable[[int], None],
+    executor: Executor,
+) -> Stats:
+    """Code every tile of method cdf53; return what was measured."""
+    # Imported here: compiling costs seconds that other methods need not pay.
+    from terrainwave.tile_encoder import (
+        BoundedSource,
+        EmbeddedSource,
+        TileCoder,
+        TileEncoder,
+        TileSource,
+    )
+
+    parameters, options = _parameters(job), job.options
+    coder = TileCoder(pyramid)
+    source: TileSource = BoundedSource(coder, job.grid, parameters)
+    if options.is_embedded:
+        embedded = source = EmbeddedSource(coder, job.grid, job.directory)
+        embedded.code(executor, on_samples)
+        if options.rate is not None:
+            embedded.cut_to_size(_payload_bytes(job, options.rate))
+        elif options.psnr is not None:
+            span = parameters.z_max - parameters.z_min
+            mean_square = span**2 * 10.0 ** (-options.psnr / 10)
+            embedded.cut_to_error(mean_square, parameters, executor)
+    try:
+        encoder = TileEncoder(job.grid, parameters, pyramid, source, sink, on_samples)
+        return encoder.run(executor)
+    finally:
+        if isinstance(source, EmbeddedSource):
+            source.close()
+
+
+def _payload_bytes(job: _Job, rate: float) -> int:
+    """Return the bytes that a file of `rate` bits per sample has for payloads."""
+    n_samples = job.grid.n_rows * job.grid.n_cols
+    return int(rate * n_samples / 8) - _FILE_BYTES - _UNIT_BYTES * job.grid.n_units()
+
+
+def _with_measured_bound(job: _Job, stats: Stats) -> _Job:
+    """Return the job with the largest error of its finest blocks as the bound."""
+    k_max = job.grid.k_max
+    error = max((found.error for block, found in stats.items() if block.level == k_max), default=0)
+    quantizer = replace(job.quantizer, step=2 * error + 1)
+    bound = as_fraction(quantizer.effective_error) * _scale_of(job.info)
+    return replace(job, quantizer=quantizer, bound=bound)
 
 
 def _lost(job: _Job) -> int:
@@ -487,7 +650,8 @@ def _mesh_tolerance(job: _Job) -> int:
 
 def _mesh_errors(
     job: _Job,
-    refiner: Refiner,
+    method: str,
+    section: bytes,
     pyramid: Pyramid,
     sink: "_SpoolSink",
     errors: dict[Block, int],
@@ -498,7 +662,9 @@ def _mesh_errors(
     if job.options.mesh == "none":
         return {}
     grid = job.grid
-    decoder = TreeDecoder(grid, refiner, _parameters(job), sink.payloads, _MESH_CACHE_BYTES)
+    decoder = make_decoder(
+        method, section, grid, _parameters(job), sink.payloads, _MESH_CACHE_BYTES
+    )
     sections: dict[Block, bytes] = {}
     mesher = BlockMesher(
         grid,

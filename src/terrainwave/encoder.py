@@ -45,6 +45,8 @@ class TreeEncoder:
 
     Parameters
     ----------
+    refiner : Refiner or None
+        None where a subclass codes without one.
     on_samples : callable
         Called with the number of full-grid samples whose unit is finished, from any thread.
     """
@@ -52,7 +54,7 @@ class TreeEncoder:
     def __init__(
         self,
         grid: Grid,
-        refiner: Refiner,
+        refiner: Refiner | None,
         parameters: CodecParameters,
         pyramid: Pyramid,
         sink: PayloadSink,
@@ -97,8 +99,7 @@ class TreeEncoder:
         spec = unit_spec(grid, self._parameters, key)
         target = self._pyramid.heights(spec.level, spec.region)
         mask = self._pyramid.mask(spec.level, spec.region)
-        payload, decoded = encode_unit(self._refiner, spec, parent, target, mask)
-        self._sink(key, payload)
+        decoded = self._code(key, spec, parent, target, mask)
         blocks = grid.key_blocks(key)
         parts = [block_of_unit(grid, spec, decoded, block) for block in blocks]
         if spec.level == grid.k_max:
@@ -115,6 +116,15 @@ class TreeEncoder:
                 (block, part, [*chain, _Ancestor(block, grid.block_region(block), core_part)])
             )
         return below
+
+    def _code(
+        self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
+    ) -> Decoded:
+        """Code a unit, hand its payload on, and return what it decodes to."""
+        assert self._refiner is not None
+        payload, decoded = encode_unit(self._refiner, spec, parent, target, mask)
+        self._sink(key, payload)
+        return decoded
 
     def _measure(
         self,

@@ -5,6 +5,8 @@ are int32 quanta and pure functions of the raster: neither window sizes nor thre
 
 * Low-pass pyramid: Yusov & Turlapov 2010, §2.1: normalised CDF 9/7 analysis, symmetric at the
   raster's edge, rounded to quanta on every level.
+* Low-pass pyramid of the reversible 5/3 wavelet, in tiles: format-cdf53.md, C.3. Its heights may
+  leave the raster's range.
 * Nested pyramid: the full grid's own samples.
 * Voids are filled by push-pull: coarse levels average what is valid, fine ones interpolate it.
 """
@@ -19,14 +21,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.codec.tiles import TileLayout
 from terrainwave.coding.filters import lowpass_analysis
+from terrainwave.coding.lifting53 import lowpass_window
 from terrainwave.convert import UNKNOWN, push
 from terrainwave.quadtree import Grid, Region
 from terrainwave.quantum import Quantizer
 from terrainwave.spool import Spool
 
 TILE = 512  # samples per side of the windows in which levels are made
-_PUSH_HALO, _LOWPASS_HALO = 1, 4
+_PUSH_HALO, _LOWPASS_HALO, _LOWPASS53_HALO = 1, 4, 2
 # Stands for a void among heights, which are far from it.
 _UNKNOWN = np.int32(UNKNOWN)
 
@@ -47,7 +51,7 @@ class Pyramid:
     Parameters
     ----------
     kind : str
-        ``"lowpass"`` or ``"nested"``.
+        ``"lowpass"``, ``"lowpass53"`` or ``"nested"``.
     has_voids : bool
         Whether any sample of the raster is void; without voids no masks and fills are kept.
     directory : Path
@@ -87,7 +91,11 @@ class Pyramid:
             self._build_fills()
         for shift in self._level_shifts():
             spool = self._heights[shift] = Spool(self._shape(shift), np.int32, self._directory)
-            make = self._lowpass_window if self._kind == "lowpass" else self._nested_window
+            make = {
+                "lowpass": self._lowpass_window,
+                "lowpass53": self._lowpass53_window,
+                "nested": self._nested_window,
+            }[self._kind]
             self._for_each_window(spool, partial(make, shift))
             done += spool.shape[0] * spool.shape[1]
             report(done, total)
@@ -133,15 +141,29 @@ class Pyramid:
             quanta[~valid] = fill[~valid]
         return quanta
 
-    def _lowpass_window(self, shift: int, region: Region) -> Heights:
-        shape = self._shape(shift - 1)
-        halo = _LOWPASS_HALO
-        fine = Region(
+    def _around(self, shift: int, region: Region, halo: int) -> Region:
+        """Return a region of the level above `shift` on that level, and `halo` samples around."""
+        return Region(
             2 * region.row - halo,
             2 * region.col - halo,
             2 * region.n_rows + 2 * halo,
             2 * region.n_cols + 2 * halo,
-        ).intersect(Region(0, 0, *shape))
+        ).intersect(Region(0, 0, *self._shape(shift)))
+
+    def _lowpass53_window(self, shift: int, region: Region) -> Heights:
+        fine = self._around(shift - 1, region, _LOWPASS53_HALO)
+        return lowpass_window(
+            self._read_heights(shift - 1, fine),
+            (fine.row, fine.col),
+            self._shape(shift - 1),
+            (region.row, region.col),
+            region.shape,
+            *TileLayout(self._grid).lowpass_tiles(self._grid.k_max - (shift - 1)),
+        )
+
+    def _lowpass_window(self, shift: int, region: Region) -> Heights:
+        shape = self._shape(shift - 1)
+        fine = self._around(shift - 1, region, _LOWPASS_HALO)
         heights = lowpass_analysis(
             self._read_heights(shift - 1, fine),
             (fine.row, fine.col),

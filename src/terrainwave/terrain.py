@@ -184,12 +184,12 @@ class Terrain:
     @cached_property
     def _decoder(self) -> "TreeDecoder":
         # Imported when heights are first read: opening a file and `info` need no numba.
-        from terrainwave.codec.registry import refiner_by_name
-        from terrainwave.decoder import TreeDecoder
+        from terrainwave.tile_decoder import make_decoder
 
-        return TreeDecoder(
+        return make_decoder(
+            self._container.header.method,
+            self._container.header.parameters,
             self._grid,
-            refiner_by_name(self._container.header.method, self._container.header.parameters),
             self._parameters,
             self._container.payloads,
             self._cache_bytes,
@@ -213,9 +213,9 @@ class Terrain:
 
     @property
     def _pyramid(self) -> str:
-        from terrainwave.codec.registry import refiner_by_name
+        from terrainwave.codec.registry import PYRAMIDS
 
-        return refiner_by_name(self._container.header.method).pyramid
+        return PYRAMIDS[self._container.header.method]
 
     # What the file says.
 

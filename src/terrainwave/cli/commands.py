@@ -32,7 +32,7 @@ from terrainwave.cli.output import (
 )
 
 THREADS = click.IntRange(min=1)
-METHODS = click.Choice(["auto", "predictive", "cdf97", "store"])
+METHODS = click.Choice(["auto", "predictive", "cdf97", "cdf53", "store"])
 MESHES = click.Choice(["auto", "halves", "zerotree", "rqt", "none"])
 EFFORTS = ["fast", "default", "best"]
 
@@ -63,6 +63,8 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
     help="Largest allowed error, in the raster's vertical unit; 0 is lossless."
     " Default: lossless where the heights have a vertical step, else 0.01.",
 )
+@click.option("--rate", type=Positive(), help="With --method cdf53: bits per sample.")
+@click.option("--psnr", type=Positive(), help="With --method cdf53: decibels to reach.")
 @click.option("--method", type=METHODS, default="auto", show_default=True)
 @click.option("--block", type=BlockSide(), default=256, show_default=True, help="Cells per side.")
 @click.option("--effort", type=click.Choice(EFFORTS), default="default", show_default=True)
@@ -95,6 +97,7 @@ def compress(
     """Compress the raster SOURCE to the file TARGET (.twz)."""
     import terrainwave
 
+    _check_goals(options)
     announce_compiling(quiet=quiet)
     with Bar(quiet=quiet) as bar:
         result = terrainwave.compress(
@@ -110,6 +113,16 @@ def compress(
         _print_json(asdict(result))
     elif not quiet:
         _print_result(result)
+
+
+def _check_goals(options: dict[str, Any]) -> None:
+    """Refuse goals of `compress` that exclude each other."""
+    given = [name for name in ("max_error", "rate", "psnr") if options[name] is not None]
+    names = " and ".join(f"--{name}".replace("_", "-") for name in given)
+    if len(given) > 1:
+        raise click.UsageError(f"found {names}, expected one of them")
+    if given and given != ["max_error"] and options["method"] != "cdf53":
+        raise click.UsageError(f"found {names} without --method cdf53, expected --max-error")
 
 
 def _print_result(result: Any) -> None:

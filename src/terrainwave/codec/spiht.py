@@ -1,18 +1,18 @@
-"""SPIHT: bit planes of wavelet coefficients, sorted by significance of trees (format-cdf53.md, C.5).
+"""SPIHT: bit planes of wavelet coefficients, sorted by trees (format-cdf53.md, C.5).
 
 A. Said and W. A. Pearlman, "A new, fast, and efficient image codec based on set partitioning in
-hierarchical trees" (1996): a list of insignificant pixels, one of insignificant sets of type A
-(all descendants, D) and B (without the children, L), one of significant pixels.
+hierarchical trees" (1996): a list of insignificant pixels, one of insignificant sets (D, all
+descendants of a coefficient, and L, those but its children) and one of significant pixels.
 
-Departures: the LL band is not part of it (a tile gets it from above); the roots are the coefficients
-without a parent in the next coarser band; coefficients are shifted by about the norm of their basis
-functions, and bits known to be zero are not coded; every decision is coded with an adaptive model
-chosen by what is known of its neighbours (`_neighbourhood`), instead of as one raw bit.
+Departures: the LL band is not part of it (a tile gets it from above); the roots are all
+coefficients without a parent in the next coarser band; coefficients are shifted by about the norm
+of their basis functions, and bits known to be zero are not coded; every decision is coded with an
+adaptive model chosen by what is known of its neighbours, instead of as one raw bit.
 
-Encoder and decoder are one traversal, `code_planes`: all that differs is where `_decide` gets a bit.
-No index comes from the stream: it decides which way to walk through lists whose entries are made of
-the field's own geometry. Each coefficient is at most once in the list of pixels, and each set enters
-the list of sets at most once as A and once as B.
+Encoder and decoder are one traversal, `_code_planes`: they differ in where `_decide` gets a bit.
+No index comes from the stream. It only decides the way through lists whose entries are made of the
+field's own geometry: a coefficient is in one list of pixels at a time, and a set enters the list of
+sets at most once as D and once as L.
 """
 
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._jit import kernel
-from terrainwave._status import Status, raise_for_status
+from terrainwave._status import raise_for_status
 from terrainwave.coding.lifting53 import level_shapes
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
@@ -62,12 +62,10 @@ _REST_NUM, _REST_BITS = 3, 3
 _D_KNOWN, _L_KNOWN = 1, 2
 
 _MAX_UNITS = 6  # neighbours count up to so many times the threshold
-_BINS = np.array(
-    [0, 1, 2, 3, 4, 5, 6, 7, 7, 8, 8, 9, 9, 9, 10, 10, 10, 10, 11, 11, 11, 11, 11, 11, 12, 12, 12]
-    + [12, 12, 12, 12, 12, 13, 13, 13, 13, 13, 13, 13, 13, 14, 14, 14, 14, 14, 14, 14, 14, 15],
-    dtype=np.int64,
-)
+# The bin of a sum is the number of these that are not above it.
+_THRESHOLDS = np.array([1, 2, 3, 4, 5, 6, 7, 9, 11, 14, 18, 24, 32, 40, 48], dtype=np.int64)
 _LAST_BIN_AT = 48
+_BINS = np.searchsorted(_THRESHOLDS, np.arange(_LAST_BIN_AT + 1), side="right")
 _N_BINS = 16
 _N_DEPTHS = 4
 _N_CLASSES = 3 * _N_DEPTHS
@@ -245,7 +243,7 @@ def _units(known, place, plane):
 
 @kernel
 def _neighbourhood(walk, place, plane):
-    """Return the bin of what is known around `place`: twice W, E, N, S and the parent, diagonals."""
+    """Return the bin of what is known around: twice W, E, N, S and the parent, and diagonals."""
     known, width = walk.known, walk.width
     near = (
         _units(known, place - 1, plane)
@@ -486,7 +484,7 @@ def _fill_tops(walk):
 
 @kernel
 def _fill_set_tops(walk, transform, n_rows, n_cols):
-    """Fill the tops of D and L of a transform's coefficients, which lie in so many rows and columns.
+    """Fill the tops of D and L of a transform's coefficients, within so many rows and columns.
 
     Those of the finer transforms are needed first.
     """

@@ -125,8 +125,7 @@ def forward_level(field, spare, line, held):
     Rows first, then columns. `held` is a sum of HELD_TOP …; `spare` has the field's shape at
     least, `line` its number of columns.
     """
-    n_rows, n_cols = field.shape
-    for row in range(n_rows):
+    for row in range(field.shape[0]):
         _forward_line(field[row], line, held & HELD_LEFT != 0, held & HELD_RIGHT != 0)
     _forward_columns(field, spare, held & HELD_TOP != 0, held & HELD_BOTTOM != 0)
 
@@ -134,9 +133,8 @@ def forward_level(field, spare, line, held):
 @kernel
 def inverse_level(field, spare, line, held):
     """Undo `forward_level`."""
-    n_rows, n_cols = field.shape
     _inverse_columns(field, spare, held & HELD_TOP != 0, held & HELD_BOTTOM != 0)
-    for row in range(n_rows):
+    for row in range(field.shape[0]):
         _inverse_line(field[row], line, held & HELD_LEFT != 0, held & HELD_RIGHT != 0)
 
 
