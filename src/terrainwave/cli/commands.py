@@ -145,6 +145,11 @@ def _print_result(result: Any) -> None:
 @click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part to write.")
 @click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
 @click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
+@click.option(
+    "--quality",
+    type=Positive(),
+    help="Of a file of method cdf53: read only so many bits per sample.",
+)
 @click.option("--cog", is_flag=True, help="Make a cloud-optimised GeoTIFF.")
 @click.option(
     "--size",

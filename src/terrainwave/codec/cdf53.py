@@ -7,7 +7,7 @@ be decoded from those above it, and code these lines first.
 
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from terrainwave.coding.lifting53 import forward_transform, inverse_transform
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.quadtree import Region
 
-HAS_MASKS, IS_CUT = 1, 2
+HAS_MASKS = 1
 PIECE = 4096
 _CRC_BYTES = 4
 # Heights of coarse levels may overshoot those of the raster; nothing sound comes near this.
@@ -48,8 +48,8 @@ class LevelHeights(NamedTuple):
 class TileHead:
     """What stands before the stream of a tile: enough to plan how much of that to read.
 
-    ``ends[i]`` bytes of the stream decode its first i + 1 planes. `low` is the LL sample of the
-    root tile.
+    ``ends[i]`` bytes of the stream decode its first i + 1 planes; the last of them is its whole
+    length, of which `n_stream` bytes follow. `low` is the LL sample of the root tile.
     """
 
     has_masks: bool
@@ -57,6 +57,7 @@ class TileHead:
     borders: bytes
     low: int
     ends: tuple[int, ...]
+    n_stream: int
 
     @property
     def n_planes(self) -> int:
@@ -74,8 +75,7 @@ class CodedTile:
     def payload(self, n_bytes: int | None = None) -> bytes:
         """Return the payload with the first `n_bytes` of the stream; all of it by default."""
         stream = self.stream if n_bytes is None else self.stream[:n_bytes]
-        is_cut = len(stream) < len(self.stream)
-        return pack_head(self.head, is_cut=is_cut) + _pack_pieces(stream)
+        return pack_head(replace(self.head, n_stream=len(stream))) + _pack_pieces(stream)
 
 
 # Encoding
@@ -111,14 +111,16 @@ def encode_tile(
     low = int(field[0, 0]) if spec.is_root else 0
     borders = encode_borders(field, spec.n_transforms, spec.held) if spec.held else b""
     coded = encode_field(field, spec.n_transforms)
+    stream = coded.stream if coded.n_planes else b""
     head = TileHead(
         has_masks=any(sections),
         masks=tuple(sections),
         borders=borders,
         low=low,
         ends=tuple(int(end) for end in coded.ends[::-1]),
+        n_stream=len(stream),
     )
-    return CodedTile(head, coded.stream if coded.n_planes else b"")
+    return CodedTile(head, stream)
 
 
 def _implied_by(
@@ -143,9 +145,9 @@ def _implied(spec: TileSpec, index: int, above: Mask | None) -> Mask:
 # Bytes
 
 
-def pack_head(head: TileHead, *, is_cut: bool) -> bytes:
+def pack_head(head: TileHead) -> bytes:
     """Return the bytes of a head."""
-    out = bytes([(HAS_MASKS if head.has_masks else 0) | (IS_CUT if is_cut else 0)])
+    out = bytes([HAS_MASKS if head.has_masks else 0])
     if head.has_masks:
         out += b"".join(encode_varint(len(mask)) + mask for mask in head.masks)
     out += encode_varint(len(head.borders)) + head.borders
@@ -155,11 +157,12 @@ def pack_head(head: TileHead, *, is_cut: bool) -> bytes:
     out += b"".join(
         encode_varint(end - start) for start, end in zip(starts, head.ends, strict=True)
     )
+    out += encode_varint(head.n_stream)
     return out + zlib.crc32(out).to_bytes(_CRC_BYTES, "little")
 
 
-def unpack_head(spec: TileSpec, payload: bytes) -> tuple[TileHead, bool, int]:
-    """Return the head, whether the stream behind it is cut, and where that begins.
+def unpack_head(spec: TileSpec, payload: bytes) -> tuple[TileHead, int]:
+    """Return the head and where the stream behind it begins.
 
     Raises
     ------
@@ -171,7 +174,7 @@ def unpack_head(spec: TileSpec, payload: bytes) -> tuple[TileHead, bool, int]:
     if not payload:
         raise TruncatedStreamError("a tile has no head")
     flags = payload[0]
-    if flags & ~(HAS_MASKS | IS_CUT):
+    if flags & ~HAS_MASKS:
         raise CorruptStreamError(f"a tile's flags are {flags:#04x}; reserved bits must be 0")
     pos = 1
     masks = []
@@ -196,12 +199,15 @@ def unpack_head(spec: TileSpec, payload: bytes) -> tuple[TileHead, bool, int]:
         length, pos = decode_varint(payload, pos)
         end += length
         ends.append(end)
+    n_stream, pos = decode_varint(payload, pos)
+    if n_stream > end:
+        raise CorruptStreamError(f"a tile has {n_stream} of the {end} bytes of its stream")
     if pos + _CRC_BYTES > len(payload):
         raise TruncatedStreamError("a tile's head is cut short")
     if zlib.crc32(payload[:pos]) != int.from_bytes(payload[pos : pos + _CRC_BYTES], "little"):
         raise CorruptStreamError("the checksum of a tile's head is wrong")
-    head = TileHead(bool(flags & HAS_MASKS), tuple(masks), borders, low, tuple(ends))
-    return head, bool(flags & IS_CUT), pos + _CRC_BYTES
+    head = TileHead(bool(flags & HAS_MASKS), tuple(masks), borders, low, tuple(ends), n_stream)
+    return head, pos + _CRC_BYTES
 
 
 def _take(payload: bytes, pos: int) -> tuple[bytes, int]:
@@ -217,11 +223,9 @@ def _pack_pieces(stream: bytes) -> bytes:
     return b"".join(piece + zlib.crc32(piece).to_bytes(_CRC_BYTES, "little") for piece in pieces)
 
 
-def _unpack_pieces(data: bytes, *, is_prefix: bool) -> bytes:
-    """Undo `_pack_pieces`; of a prefix, take the pieces that are whole."""
+def _unpack_pieces(data: bytes) -> bytes:
+    """Undo `_pack_pieces`."""
     whole = PIECE + _CRC_BYTES
-    if is_prefix:
-        data = data[: len(data) // whole * whole]
     pieces = []
     for at in range(0, len(data), whole):
         part = data[at : at + whole]
@@ -239,15 +243,17 @@ def packed_length(n_bytes: int) -> int:
     return n_bytes + -(-n_bytes // PIECE) * _CRC_BYTES
 
 
-def unpacked_length(n_packed: int) -> int:
-    """Undo `packed_length`."""
-    return n_packed - -(-n_packed // (PIECE + _CRC_BYTES)) * _CRC_BYTES
+def prefix_length(n_bytes: int, total: int) -> int:
+    """Return how many packed bytes hold the whole pieces of the first `n_bytes` of `total`."""
+    if n_bytes >= total:
+        return packed_length(total)
+    return packed_length(n_bytes // PIECE * PIECE)
 
 
 def unpack_tile(spec: TileSpec, payload: bytes) -> CodedTile:
     """Undo `CodedTile.payload` of a whole stream."""
-    head, _, start = unpack_head(spec, payload)
-    return CodedTile(head, _unpack_pieces(payload[start:], is_prefix=False))
+    head, start = unpack_head(spec, payload)
+    return CodedTile(head, _unpack_pieces(payload[start:]))
 
 
 # Decoding
@@ -279,15 +285,18 @@ def decode_tile(
             )
             for region in spec.regions
         ]
-    head, is_cut, start = unpack_head(spec, payload)
+    head, start = unpack_head(spec, payload)
     masks = _decode_masks(spec, head, None if outer is None else outer.mask)
-    stream = _unpack_pieces(payload[start:], is_prefix=is_prefix)
-    if not head.n_planes and stream:
-        raise CorruptStreamError("a tile without bit planes has a stream")
+    packed, expected = payload[start:], packed_length(head.n_stream)
+    if len(packed) < expected and is_prefix:
+        packed = packed[: len(packed) // (PIECE + _CRC_BYTES) * (PIECE + _CRC_BYTES)]
+    elif len(packed) != expected:
+        raise CorruptStreamError(f"a tile's stream takes {len(packed)} bytes, not {expected}")
+    stream = _unpack_pieces(packed)
     if head.n_planes:
         n_transforms, shape = spec.n_transforms, spec.region.shape
-        cut = is_cut or is_prefix
-        field = decode_field(stream, head.n_planes, shape, n_transforms, is_cut=cut)
+        is_cut = len(stream) < head.ends[-1]
+        field = decode_field(stream, head.n_planes, shape, n_transforms, is_cut=is_cut)
     else:
         field = np.zeros(spec.region.shape, dtype=np.int64)
     if spec.held:
