@@ -41,7 +41,8 @@ from terrainwave.coding.rangecoder import (
     start_decoder,
 )
 
-# Magnitudes below 2^34, shifted by up to 26.
+# Of a sound field, not shifted; more planes than shifts can make of it.
+_MAX_MAGNITUDE = 1 << 34
 MAX_PLANES = 60
 
 # Columns of the geometry of a field: 3 * transform + band - 1, or -1 in LL and the frame; place of
@@ -457,7 +458,8 @@ def _guess_values(state, walk, plane, n_old):
         # Old pixels behind the last one refined lack this plane's bit.
         n_bits = plane + 1 if state[N_REFINED] <= at < n_old else plane
         rest = (_REST_NUM << n_bits) >> _REST_BITS if n_bits > shift else 0
-        walk.values[place] = walk.signs[place] * ((walk.known[place] + rest) >> shift)
+        magnitude = min((walk.known[place] + rest) >> shift, _MAX_MAGNITUDE)
+        walk.values[place] = walk.signs[place] * magnitude
 
 
 @kernel
