@@ -304,6 +304,8 @@ def compress(
         else:
             bound, notes = _choose_bound(options.max_error, scan, source.info)
             quantizer = scan.quantizer(_raw_bound(bound, source.info))
+        if options.method == "cdf53":
+            quantizer = _with_room_for_nodata(quantizer, source.info)
         grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
         job = _Job(source.info, windows, scan, quantizer, grid, options, bound, directory)
         coded = _encode(job, options.method, executor, reporter)
@@ -329,7 +331,7 @@ def compress(
         bits_per_sample=8 * n_bytes / n_samples,
         ratio=source.info.n_bytes / n_bytes,
         max_error=float(job.bound),
-        effective_error=min(job.quantizer.effective_error * scale, float(job.bound)),
+        effective_error=min(job.effective_error * scale, float(job.bound)),
         measured_error=None if measured is None else measured * scale,
         units=source.info.units,
         method=coded.method,
@@ -349,6 +351,13 @@ class _Job:
     options: Options
     bound: Fraction
     directory: Path
+    # The error of a file whose streams were cut, once it is known; in raw units.
+    measured: float | None = None
+
+    @property
+    def effective_error(self) -> float:
+        """Return the bound that holds, in raw units."""
+        return self.quantizer.effective_error if self.measured is None else self.measured
 
     @property
     def raw_bound(self) -> float:
@@ -365,6 +374,17 @@ def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:
             " a max_error that is a finite number of its stored units"
         )
     return raw_bound
+
+
+def _with_room_for_nodata(quantizer: Quantizer, info: RasterInfo) -> Quantizer:
+    """Return a quantizer whose bound still holds where a height gives way to the nodata value.
+
+    Method cdf53 moves it past all quanta of that value, to one side (format-cdf53.md, C.6).
+    """
+    first, last = quantizer.quanta_of_value(info.nodata)
+    room = last - first + 1
+    half = quantizer.step >> 1
+    return replace(quantizer, step=2 * max(half - room, 0) + 1) if room > 0 else quantizer
 
 
 def _fine_quantizer(scan: HeightScan) -> Quantizer:
@@ -590,7 +610,6 @@ def _encode_tiles(
     """Code every tile of method cdf53; return what was measured."""
     # Imported here: compiling costs seconds that other methods need not pay.
     from terrainwave.tile_encoder import (
-        BoundedSource,
         EmbeddedSource,
         TileCoder,
         TileEncoder,
@@ -599,7 +618,7 @@ def _encode_tiles(
 
     parameters, options = _parameters(job), job.options
     coder = TileCoder(pyramid)
-    source: TileSource = BoundedSource(coder, job.grid, parameters)
+    source: TileSource = coder
     if options.is_embedded:
         embedded = source = EmbeddedSource(coder, job.grid, job.directory)
         embedded.code(executor, on_samples)
@@ -627,9 +646,9 @@ def _with_measured_bound(job: _Job, stats: Stats) -> _Job:
     """Return the job with the largest error of its finest blocks as the bound."""
     k_max = job.grid.k_max
     error = max((found.error for block, found in stats.items() if block.level == k_max), default=0)
-    quantizer = replace(job.quantizer, step=2 * error + 1)
-    bound = as_fraction(quantizer.effective_error) * _scale_of(job.info)
-    return replace(job, quantizer=quantizer, bound=bound)
+    # That of a bounded file whose steps have this half.
+    measured = replace(job.quantizer, step=2 * error + 1).effective_error
+    return replace(job, measured=measured, bound=as_fraction(measured) * _scale_of(job.info))
 
 
 def _lost(job: _Job) -> int:
@@ -642,7 +661,7 @@ def _mesh_tolerance(job: _Job) -> int:
     """Return the tolerance of the finest meshes in 1/16 quanta, rounded down."""
     quantizer = job.quantizer
     if job.options.mesh_error is None:
-        error = max(Fraction(quantizer.effective_error), Fraction(quantizer.quantum))
+        error = max(Fraction(job.effective_error), Fraction(quantizer.quantum))
     else:
         error = as_fraction(job.options.mesh_error) / _scale_of(job.info)
     return mesh_tolerance(error, Fraction(quantizer.numerator, quantizer.denominator))
@@ -802,7 +821,7 @@ def _header(job: _Job, coded: _Coded) -> Header:
         z_min=quantizer.z_min if has_heights else 0,
         z_max=quantizer.z_max if has_heights else -1,
         max_error=job.raw_bound,
-        effective_bound=min(quantizer.effective_error, job.raw_bound),
+        effective_bound=min(job.effective_error, job.raw_bound),
         rho=quantizer.rho,
         mesh=job.options.mesh,
         mesh_tolerance=0 if job.options.mesh == "none" else _mesh_tolerance(job),

@@ -33,7 +33,7 @@ class _Part:
     def n_bytes(self, position: float) -> int:
         """Return the bytes of the payload to be read for a position (`plane_cut`)."""
         kept = plane_cut(self.head.ends, self.head.n_stream, position - self.n_below)
-        return self.n_head + prefix_length(kept, self.head.n_stream)
+        return max(len(self.start), self.n_head + prefix_length(kept, self.head.n_stream))
 
 
 class EarlyPayloads:

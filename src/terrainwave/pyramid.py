@@ -5,8 +5,8 @@ are int32 quanta and pure functions of the raster: neither window sizes nor thre
 
 * Low-pass pyramid: Yusov & Turlapov 2010, §2.1: normalised CDF 9/7 analysis, symmetric at the
   raster's edge, rounded to quanta on every level.
-* Low-pass pyramid of the reversible 5/3 wavelet, in tiles: format-cdf53.md, C.3. Its heights may
-  leave the raster's range.
+* Low-pass pyramid of the reversible 5/3 wavelet, in tiles: format-cdf53.md, C.3. It counts in
+  steps, and its heights may leave the raster's range.
 * Nested pyramid: the full grid's own samples.
 * Voids are filled by push-pull: coarse levels average what is valid, fine ones interpolate it.
 """
@@ -109,6 +109,14 @@ class Pyramid:
         """Return the target heights of a region of a level; voids hold their fill."""
         return self._read_heights(self._grid.k_max - level, region)
 
+    def steps(self, level: int, region: Region) -> Heights:
+        """Return heights of the pyramid of the 5/3 wavelet, which is made of whole steps."""
+        heights = self.heights(level, region)
+        if level == self._grid.k_max and self._quantizer.step > 1:
+            # Rounded to the nearest; the step is odd.
+            heights = (heights + (self._quantizer.step >> 1)) // self._quantizer.step
+        return heights
+
     def mask(self, level: int, region: Region) -> Mask:
         """Return which samples of a region of a level are valid.
 
@@ -153,7 +161,7 @@ class Pyramid:
     def _lowpass53_window(self, shift: int, region: Region) -> Heights:
         fine = self._around(shift - 1, region, _LOWPASS53_HALO)
         return lowpass_window(
-            self._read_heights(shift - 1, fine),
+            self.steps(self._grid.k_max - (shift - 1), fine),
             (fine.row, fine.col),
             self._shape(shift - 1),
             (region.row, region.col),

@@ -118,12 +118,13 @@ def _n_bytes(tile: Tile) -> int:
 
 
 def final_heights(level: LevelHeights, parameters: CodecParameters) -> Decoded:
-    """Return what users get of a level: in the raster's range, and off the nodata value.
+    """Return what users get of a level: quanta in the raster's range, off the nodata value.
 
     A height that would read as nodata goes up, or down where there is no room (format-cdf53.md,
     C.6).
     """
-    heights = np.clip(level.heights, parameters.z_min, parameters.z_max)
+    wide = level.heights.astype(np.int64) * parameters.step
+    heights = np.clip(wide, parameters.z_min, parameters.z_max).astype(np.int32)
     low, high = parameters.forbidden
     if low <= high:
         collides = level.mask & (heights >= low) & (heights <= high)

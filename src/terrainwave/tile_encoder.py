@@ -27,8 +27,8 @@ from terrainwave.pyramid import Pyramid
 from terrainwave.quadtree import Block, Grid
 from terrainwave.tile_decoder import final_heights
 
-# A stream is cut within 1 / 2^7 of its length, bytes by halving, errors by decoding everything.
-_CUT_STEPS, _SEARCH_STEPS, _ERROR_STEPS = 7, 40, 9
+# Halvings of a search by bytes, and of one by errors, which decodes everything each time.
+_SEARCH_STEPS, _ERROR_STEPS = 40, 9
 
 
 # The key of a tile that is to be decoded, and its head's block.
@@ -117,65 +117,14 @@ class TileCoder:
         outer_mask = None
         if spec.outer is not None:
             outer_mask = self._pyramid.mask(spec.key.level, spec.outer)
-        return encode_tile(spec, self._pyramid.heights(spec.last, spec.region), masks, outer_mask)
+        return encode_tile(spec, self._pyramid.steps(spec.last, spec.region), masks, outer_mask)
 
     def target(self, spec: TileSpec) -> tuple[Heights, Mask]:
-        """Return the heights and validity of a tile's finest level."""
+        """Return the heights, in quanta, and validity of a tile of full-grid samples."""
         return (
             self._pyramid.heights(spec.last, spec.region),
             self._pyramid.mask(spec.last, spec.region),
         )
-
-
-class BoundedSource:
-    """Cuts each stream as early as a bound allows: `step` as in `GroupSpec`.
-
-    An error of the LL band passes through the inverse transform as it is. So a tile of full-grid
-    samples has half of the bound to itself, the tile above it half of the rest, and so on.
-    """
-
-    def __init__(self, coder: TileCoder, grid: Grid, parameters: CodecParameters) -> None:
-        self._coder = coder
-        self._parameters = parameters
-        self._depth = TileLayout(grid).depth
-
-    def __call__(self, spec: TileSpec, outer: LevelHeights | None) -> bytes:
-        """Return the shortest payload found that keeps the bound (`TileSource`)."""
-        coded = self._coder.code(spec)
-        if coded is None:
-            return b""
-        bound = (self._parameters.step >> 1) >> (spec.n_below // self._depth)
-        if bound == 0:
-            return coded.payload()
-        target, mask = self._coder.target(spec)
-        ends, total = coded.head.ends, len(coded.stream)
-
-        def keeps_bound(n_bytes: int) -> bool:
-            decoded = decode_tile(spec, outer, coded.payload(n_bytes))[-1]
-            if not spec.n_below:
-                heights = final_heights(decoded, self._parameters).heights
-            else:
-                heights = decoded.heights
-            errors = np.abs(heights.astype(np.int64) - target)
-            return int(errors[mask].max(initial=0)) <= bound
-
-        # First the plane, then the place in it, both by bisection.
-        best = total
-        low, high = 0, len(ends)  # planes left out: `low` is good
-        while low + 1 < high:
-            middle = (low + high) // 2
-            if keeps_bound(plane_cut(ends, total, middle)):
-                low, best = middle, plane_cut(ends, total, middle)
-            else:
-                high = middle
-        worst = plane_cut(ends, total, high)
-        while best - worst > max(64, best >> _CUT_STEPS):
-            middle = (best + worst) // 2
-            if keeps_bound(middle):
-                best = middle
-            else:
-                worst = middle
-        return coded.payload(best)
 
 
 class EmbeddedSource:
