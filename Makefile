@@ -11,7 +11,7 @@ BIN := $(VENV)/bin
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test gl lint test-compiled test-bounds test-python coverage bench clean
+.PHONY: help demo test system lint test-compiled test-bounds test-python coverage bench clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -48,9 +48,9 @@ $(VENV)/.installed-demo: $(VENV)/.created pyproject.toml
 demo: $(VENV)/.installed-demo
 	$(BIN)/terrainwave demo demo
 
-# Where the tests draw; nothing happens where all of it is there.
-gl:
-	@sh tools/install_gl.sh
+# What tests of pictures and pages need; nothing happens where all of it is there.
+system:
+	@sh tools/install_system.sh
 
 test: lint test-compiled test-bounds test-python
 
@@ -60,11 +60,11 @@ lint: $(VENV)/.installed-dev
 	$(BIN)/mypy
 
 # Numba's cache does not notice edits in a callee's file: each run gets its own, empty one.
-test-compiled: $(VENV)/.installed-dev gl
+test-compiled: $(VENV)/.installed-dev system
 	@cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && \
 	NUMBA_CACHE_DIR="$$cache" $(PYTEST)
 
-test-bounds: $(VENV)/.installed-dev gl
+test-bounds: $(VENV)/.installed-dev system
 	@cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && \
 	NUMBA_CACHE_DIR="$$cache" NUMBA_BOUNDSCHECK=1 $(PYTEST)
 

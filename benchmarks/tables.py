@@ -327,6 +327,28 @@ def zerotree_table(results: Path) -> str:
     return "\n".join(lines)
 
 
+def leave_one_out_table(results: Path) -> str:
+    """Sizes with tables that never saw the raster, relative to others: means over its bounds."""
+    ratios: dict[str, dict[str, list[float]]] = {}
+    for row in read_rows(results, "leave_one_out"):
+        mine = ratios.setdefault(row["raster"], {"all": [], "in_use": [], "untrained": []})
+        for name, found in mine.items():
+            found.append(int(row["left_out_bytes"]) / int(row[f"{name}_bytes"]))
+    lines = [
+        "| raster | left out / trained on all | left out / in use | left out / untrained |",
+        "|---|---|---|---|",
+    ]
+    means: dict[str, list[float]] = {"all": [], "in_use": [], "untrained": []}
+    for raster, found_by_name in sorted(ratios.items()):
+        for name, found in found_by_name.items():
+            means[name].append(geometric_mean(found))
+        lines.append(f"| {raster} | " + " | ".join(f"{m[-1]:.3f}" for m in means.values()) + " |")
+    if ratios:
+        whole = " | ".join(f"{geometric_mean(found):.3f}" for found in means.values())
+        lines.append(f"| geometric mean | {whole} |")
+    return "\n".join(lines)
+
+
 TABLES: dict[str, Callable[[Path], str]] = {
     "summary": summary_table,
     "methods": methods_table,
@@ -341,6 +363,7 @@ TABLES: dict[str, Callable[[Path], str]] = {
     "meshes": meshes_table,
     "mesh_speeds": mesh_speeds_table,
     "zerotree_mesh": zerotree_table,
+    "leave_one_out": leave_one_out_table,
 }
 REPORT = """# Measured
 

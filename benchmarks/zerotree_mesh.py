@@ -11,6 +11,7 @@ trees.
 Exit status: 0 good; 2 wrong usage.
 """
 
+import dataclasses
 import sys
 import time
 from dataclasses import dataclass
@@ -173,6 +174,7 @@ def measure_group(name: str, heights: np.ndarray, method: str, error: int) -> Gr
         above = np.ascontiguousarray(heights[::2, ::2])
     root, group = (unit_spec(grid, parameters, Block(level, 0, 0)) for level in (-1, 0))
     _, block = encode_unit(refiner, root, None, above, np.ascontiguousarray(mask[::2, ::2]))
+    group = dataclasses.replace(group, wants_labels=True)
     _, fine = encode_unit(refiner, group, block, heights, mask)
     trees, valid = fine.labels, block.mask
     assert trees is not None

@@ -1,17 +1,38 @@
 """A slow, obvious decoder of .twz files, written from docs/FORMAT.md alone.
 
 Plain Python on lists of integers; numpy only for the arrays that come out. Nothing of it is
-shared with `terrainwave`, and `src` never imports it: where the two disagree, one of them or the
-document is wrong. Sections of docs/FORMAT.md are cited as §n.
+shared with `terrainwave` but the tables that are an annex (§7.8), and `src` never imports it:
+where the two disagree, one of them or the document is wrong. Sections of docs/FORMAT.md are cited
+as §n.
 """
 
 import json
+import re
 import struct
 import zlib
 from math import gcd, isfinite
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+
+# The annex of §7.8: numbers alone.
+from terrainwave.codec.tables97 import E_WEIGHTS, STARTS, TERM_WEIGHTS
+
+TERM_WEIGHTS_97, E_WEIGHTS_97 = TERM_WEIGHTS.tolist(), E_WEIGHTS.tolist()
+STARTS_97 = {
+    name: part.tolist() for name, part in zip(("residual", "tree", "border"), STARTS, strict=True)
+}
+DOCUMENT = (Path(__file__).parents[1] / "docs" / "FORMAT.md").read_text(encoding="utf-8")
+
+
+def block(name):
+    """Return the text of a fenced block of the document."""
+    return re.search(rf"^```{name}\n(.*?)^```", DOCUMENT, re.M | re.S)[1]
+
+
+DICTIONARY = block("dictionary").replace("\n", "").encode("ascii")  # §4.6
+MASK_STARTS = [int(number) for number in block("starts").split()]  # §5.2
 
 
 class CorruptError(Exception):
@@ -34,9 +55,9 @@ def clamp(x, low, high):
 # §1.3, §1.4: deflate and varints ---------------------------------------------------------------
 
 
-def inflate(data, limit):
-    """Inflate one zlib stream that fills `data` exactly."""
-    stream = zlib.decompressobj()
+def inflate(data, limit, dictionary=None):
+    """Inflate one zlib stream that fills `data` exactly; a raw one with a preset dictionary."""
+    stream = zlib.decompressobj(-15, dictionary) if dictionary else zlib.decompressobj()
     try:
         content = stream.decompress(data, limit + 1)
     except zlib.error as error:
@@ -246,7 +267,7 @@ def read_metadata(section, crc, dtype):
         raise CorruptError(text)
 
     try:
-        text = inflate(section, 2**20).decode("utf-8")
+        text = inflate(section, 2**20, DICTIONARY).decode("utf-8")
         metadata = json.loads(text, object_pairs_hook=unique, parse_constant=refuse)
         json.dumps(metadata, ensure_ascii=False).encode()  # fails on a lone surrogate
     except (ValueError, RecursionError) as error:
@@ -413,9 +434,13 @@ def block_codes(data):
 class Models:
     """Adaptive models (P, c) (§6.1)."""
 
-    def __init__(self, n):
+    def __init__(self, n, starts=None):
         self.probability = [2**21] * n
         self.count = [0] * n
+        if starts is not None:  # §7.8
+            assert len(starts) == n
+            self.probability = [(v >> 4) << 10 for v in starts]
+            self.count = [2 * (v & 15) for v in starts]
 
     def update(self, i, bit):
         rate = 131072 // (2 * self.count[i] + 3)
@@ -570,7 +595,9 @@ def decode_mask(section, implied):
     def at(grid, i, j):
         return int(0 <= i < n_rows and 0 <= j < n_cols and bool(grid[i][j]))
 
-    decoder, models = RangeDecoder(section), Models(768)
+    decoder, models = RangeDecoder(section), Models(576)
+    for i in range(576):
+        models.probability[i], models.count[i] = MASK_STARTS[i] << 14, 2
     for i in range(n_rows):
         for j in range(n_cols):
             if implied[i][j]:
@@ -579,8 +606,9 @@ def decode_mask(section, implied):
             for di, dj in ((0, -1), (-1, 0), (-1, -1), (-1, 1), (0, -2), (-2, 0)):
                 c = 2 * c + at(valid, i + di, j + dj)
             a = at(implied, i + 1, j) + at(implied, i, j + 1)
-            p = 2 * (i % 2) + j % 2
-            valid[i][j] = decoder.bit(models, (c * 3 + a) * 4 + p)
+            far = ((0, 2), (1, -1), (1, 1), (2, 0))
+            b = min(sum(at(implied, i + di, j + dj) for di, dj in far), 2)
+            valid[i][j] = decoder.bit(models, (c * 3 + a) * 3 + b)
     decoder.end()
     return valid
 
@@ -762,7 +790,7 @@ class BorderDecoder:
         self.reach = (h.border_rings - 1) // 2  # R
         self.unit = unit
         self.decoder = decoder
-        self.models = Models(2860)
+        self.models = Models(2860, STARTS_97["border"])
         self.valid = valid
         self.parent = parent_heights
         self.heights = heights
@@ -930,7 +958,7 @@ def roughness(n, unit, parent_unit, parent_heights, size):
 
 def decode_coefficients(decoder, sizes, rough, along):
     """Return LL and, for each t and band, the coefficients as grids of nodes (§7.5)."""
-    models = Models(4124)
+    models = Models(4124, STARTS_97["tree"])
     n_transforms = len(sizes) - 1
     coefficients = [{band: zeros(*sizes[t + 1]) for band in BANDS} for t in range(n_transforms)]
     magnitudes = [{band: zeros(*sizes[t + 1]) for band in BANDS} for t in range(n_transforms)]
@@ -1043,6 +1071,96 @@ def inverse_transform(ll, details, sizes):
     return low
 
 
+CURVES = ((0, 1), (1, 0), (1, 1), (0, 2), (2, 0), (1, 2), (2, 1))
+EARLIER = (
+    (0, -1), (0, -2), (-1, 0), (-1, -1), (-1, 1), (-1, -2), (-1, 2),
+    (-2, 0), (-2, -1), (-2, 1), (-2, -2), (-2, 2),
+)  # fmt: skip
+
+
+def lg(v):
+    """§7.7: eighths of octaves."""
+    for limit, shift in ((4096, 0), (2**20, 8), (2**28, 16)):
+        if v < limit:
+            v >>= shift
+            return (v**8).bit_length() - 1 + 8 * shift if v else 0
+    raise AssertionError("E is below 2^28")
+
+
+def extended(line):
+    """§7.7: two samples more at both ends."""
+    last = len(line) - 1
+    before = [2 * line[0] - line[min(k, last)] for k in (2, 1)]
+    after = [2 * line[last] - line[max(last - k, 0)] for k in (1, 2)]
+    return before + list(line) + after
+
+
+def decode_residuals(decoder, n, base, weights, core, heights, known, is_coded):
+    """§7.7; `heights` and `known` are those of the region, `core` its place in them."""
+    models = Models(1527, STARTS_97["residual"])
+    wide = [extended(row) for row in base]
+    wide = list(zip(*(extended(column) for column in zip(*wide, strict=True)), strict=True))
+    shift = 0
+    while n >> shift >= 4096:
+        shift += 1
+    inverse = 2**22 // (n >> shift)
+
+    def steps(d, f):
+        return ((min(d, 2**40) >> shift) * inverse) >> (22 - f)
+
+    def cut(x):
+        return clamp(x, -(2**30), 2**30)
+
+    limit = 2**31 // n + 1
+    n_rows, n_cols = len(base), len(base[0])
+    errors, mus, signs = (zeros(n_rows, n_cols) for _ in range(3))
+    for r in range(n_rows):
+        for c in range(n_cols):
+            terms = []
+            for i, j in CURVES:
+                places = {(a, b) for a in (-i, i) for b in (-j, j)}
+                around = sum(wide[r + 2 + a][c + 2 + b] for a, b in places)
+                terms.append(cut(around - len(places) * base[r][c]))
+            terms += [at_or_zero(errors, r + a, c + b) for a, b in EARLIER]
+            phase = 2 * (r % 2) + c % 2
+            p = sum(w * t for w, t in zip(weights[phase], terms, strict=True))
+            p = clamp((256 * base[r][c] + p) >> 8, -64 * M, 64 * M)
+            h = (p + 32) >> 6
+            phi = p - 64 * h
+            i, j = core.row + r, core.col + c
+            if is_coded(r, c):
+                near = [
+                    at_or_zero(mus, r + a, c + b)
+                    for a, b in ((0, -1), (0, -2), (-1, 0), (-1, -1), (-1, 1), (-2, 0))
+                ]
+                total = sum(w * m for w, m in zip(E_WEIGHTS_97, near, strict=False))
+                e_n, e_nw, e_ne = terms[9], terms[10], terms[11]
+                slope = abs(e_n - e_nw) + abs(e_ne - e_n)
+                total += E_WEIGHTS_97[7] + steps(E_WEIGHTS_97[6] * slope, -1)
+                eta = clamp(((lg(min(total >> 4, 2**28 - 1)) - 24) >> 2) + 1, 0, 43)
+                value = 0
+                if decoder.bit(models, 4 * (44 * phase + eta) + min(steps(abs(phi), -3), 3)):
+                    s_w, s_n, s_nw, s_ne, *_ = (
+                        at_or_zero(signs, r + di, c + dj) for di, dj in NEIGHBOURS
+                    )
+                    west = 2 * s_w + s_nw
+                    x = 0 if west < 0 else 1 if west == 0 else 2
+                    y = clamp(2 * s_n + s_ne, -2, 2) + 2
+                    side = min((steps(6 * abs(phi), -5) + 1) >> 1, 3)
+                    sigma = 3 + side if phi > 0 else 3 - side
+                    sign = -1 if decoder.bit(models, 704 + 7 * (5 * x + y) + sigma) else 1
+                    kappa = max(0, ((20 + 4 * eta) >> 3) - 9)
+                    value = 1 + decoder.magnitude(models, 879 + 14 * eta, 1495, kappa)
+                    value = sign * min(value, limit)
+                    signs[r][c] = sign
+                heights[i][j] = clamp(h + value * n, -M, M)
+            elif not known[i][j]:
+                heights[i][j] = h
+            if is_coded(r, c) or known[i][j]:
+                mus[r][c] = min(steps(abs(64 * heights[i][j] - p), -1), 32767)
+            errors[r][c] = cut(64 * heights[i][j] - base[r][c])
+
+
 def decode_cdf97(h, unit, payload, valid, parent_unit, parent_heights):
     n, rows, cols = h.step, unit.rows, unit.cols
     # §7.1
@@ -1064,6 +1182,10 @@ def decode_cdf97(h, unit, payload, valid, parent_unit, parent_heights):
         byte, at = payload[at], at + 1
         require(byte < 64, "byte after the step code")
         rho, along = byte & 15, (byte >> 4 & 1, byte >> 5 & 1)
+    if with_residuals:
+        require(at < len(payload), "payload is cut off")
+        weight_set, at = payload[at], at + 1
+        require(weight_set < len(TERM_WEIGHTS_97), "set of weights")
     decoder = RangeDecoder(payload[at:])
 
     heights = predict_region(unit, parent_unit, parent_heights)
@@ -1090,9 +1212,9 @@ def decode_cdf97(h, unit, payload, valid, parent_unit, parent_heights):
 
     sizes = node_sizes(rows.n_core, cols.n_core)
     rough = roughness(n, unit, parent_unit, parent_heights, sizes[1])
-    activity = [list(row) for row in rough]
+    x = zeros(rows.n_core, cols.n_core)
     if with_coefficients:
-        ll, coefficients, magnitudes = decode_coefficients(decoder, sizes, rough, along)
+        ll, coefficients, _ = decode_coefficients(decoder, sizes, rough, along)
 
         def dequantised(t, band, q):
             if q == 0:
@@ -1110,59 +1232,24 @@ def decode_cdf97(h, unit, payload, valid, parent_unit, parent_heights):
             for t, grids in enumerate(coefficients)
         ]
         x = inverse_transform(dequantised(len(sizes) - 2, "LL", ll), details, sizes)
-        for r in range(rows.n_core):
-            for c in range(cols.n_core):
-                i, j = rows.core + r, cols.core + c
-                if not border.known[i][j]:
-                    heights[i][j] = clamp(predicted[i][j] + ((x[r][c] + 32) >> 6), -M, M)
-        for i in range(sizes[1][0]):
-            for j in range(sizes[1][1]):
-                total = 0
-                for band in BANDS:
-                    grid = magnitudes[0][band]
-                    total += 3 * grid[i][j]
-                    for di, dj in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-                        total += at_or_zero(grid, i + di, j + dj)
-                activity[i][j] += min(4095, total)
 
+    # §7.6
+    base = [
+        [
+            clamp(64 * predicted[rows.core + r][cols.core + c] + x[r][c], -64 * M, 64 * M)
+            for c in range(cols.n_core)
+        ]
+        for r in range(rows.n_core)
+    ]
+    core = SimpleNamespace(row=rows.core, col=cols.core)
     if with_residuals:
-        # §7.7
-        models = Models(705)
-        last_i, last_j = sizes[1][0] - 1, sizes[1][1] - 1
-
-        def s_of(i, j):
-            a = activity
-            around = a[max(i - 1, 0)][j] + a[min(i + 1, last_i)][j]
-            around += a[i][max(j - 1, 0)] + a[i][min(j + 1, last_j)]
-            return 2 * a[i][j] + around
-
-        signed = zeros(rows.n_core, cols.n_core)
-        magnitude = zeros(rows.n_core, cols.n_core)
+        weights = TERM_WEIGHTS_97[weight_set]
+        decode_residuals(decoder, n, base, weights, core, heights, border.known, is_coded)
+    else:
         for r in range(rows.n_core):
             for c in range(cols.n_core):
-                if not is_coded(r, c):
-                    continue
-                i, j = r >> 1, c >> 1
-                i1, j1 = min((r + 1) >> 1, last_i), min((c + 1) >> 1, last_j)
-                hint = (s_of(i, j) + s_of(i1, j) + s_of(i, j1) + s_of(i1, j1)) >> 6
-                m_w, m_n, _, m_ne, m_ww, m_nn = (
-                    at_or_zero(magnitude, r + di, c + dj) for di, dj in NEIGHBOURS
-                )
-                b = bin_of(min(8 * (m_w + m_n) + m_ne + 3 * (m_ww + m_nn) + hint, 4095))
-                if not decoder.bit(models, 36 * (2 * (r % 2) + c % 2) + b):
-                    continue
-                value = 1 + decoder.magnitude(models, 169 + 14 * b, 673, 0)
-                s_w, s_n, s_nw, s_ne, *_ = (
-                    at_or_zero(signed, r + di, c + dj) for di, dj in NEIGHBOURS
-                )
-                west = 2 * s_w + s_nw
-                x_sign = 0 if west < 0 else 1 if west == 0 else 2
-                y_sign = clamp(2 * s_n + s_ne, -2, 2) + 2
-                sign = -1 if decoder.bit(models, 144 + 5 * x_sign + y_sign) else 1
-                signed[r][c] = sign
-                magnitude[r][c] = min(value, 255)
-                i, j = rows.core + r, cols.core + c
-                heights[i][j] = clamp(heights[i][j] + sign * min(value, limit) * n, -M, M)
+                if not border.known[core.row + r][core.col + c]:
+                    heights[core.row + r][core.col + c] = (base[r][c] + 32) >> 6
     decoder.end()
     return heights
 

@@ -135,6 +135,41 @@ def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypa
     assert max(map(len, levels)) >= (3 if void == "none" else 2)
 
 
+@pytest.mark.large
+@pytest.mark.parametrize(("shape", "is_beside_finer"), [((257, 225), True), ((300, 214), False)])
+def test_coarse_blocks_reach_the_rasters_edge(shape, is_beside_finer, tmp_path, monkeypatch):
+    """Beside finer ones where the coarse level has samples on the edge; 214 - 1 is odd."""
+    found = []
+    assemble_all = extraction._Extractor._assemble
+
+    def spy(extractor, cut, built):
+        grid = extractor._grid
+        for block in cut:
+            reach = grid.block * grid.stride(block.level)
+            on_edge = (block.col + 1) * reach >= grid.n_cols - 1
+            if block.level < grid.k_max and on_edge:
+                sides = {side for side, _ in extractor._finer(cut, block)}
+                found.append(bool(sides & {"top", "bottom"}))
+        return assemble_all(extractor, cut, built)
+
+    monkeypatch.setattr(extraction._Extractor, "_assemble", spy)
+    for kind, seed in (("graded", 2), ("rough patch", 5), ("smooth", 3)):
+        case = make_case(
+            kind, "none", shape, seed, dtype="int32", amplitude=1e6, block=32, max_error=3,
+            mesh="none", method="predictive",
+        )  # fmt: skip
+        path = write_case(case, tmp_path)
+        with terrainwave.open(path) as terrain:
+            for error in (1500, 9000, 40000, 4e5, 4e6):
+                mesh = terrain.mesh(max_error=error)
+                region = Region(0, 0, *shape)
+                assert area_problems(terrain, case, mesh, region, None, error) == []
+            # Any height will do: the root block alone.
+            assert mesh.n_triangles <= 2 * 33 * 33
+    assert found
+    assert any(found) == is_beside_finer
+
+
 # Windows
 
 

@@ -36,6 +36,8 @@ from reference_decoder import (
 from twz import twz_bytes
 
 import terrainwave
+from terrainwave.container.deflate import deflate
+from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.errors import CorruptStreamError
 from terrainwave.quadtree import Block
 
@@ -324,7 +326,7 @@ def assembled(file, **changes):
     columns += planes([*map(zlib.crc32, payloads)], 4) + bytes(4 * len(keys))
     page = bytes(8) + zlib.compress(columns)
     page = zlib.crc32(page).to_bytes(4, "little") + page
-    metadata = zlib.compress(json.dumps(file.metadata).encode())
+    metadata = deflate(json.dumps(file.metadata).encode(), DICTIONARY)
     body = metadata + page + b"".join(payloads)
     fields = vars(file.header) | changes
     fields |= dict(
@@ -400,6 +402,8 @@ def random_payload(rng, file, unit, parent_unit, parent_heights, parent_valid):
     if flags & 1:
         step_code = int(rng.integers(1, 2**32 + 1)) >> int(rng.integers(0, 32)) or 1
         head += varint(step_code) + bytes([rng.integers(0, 64)])
+    if flags & 2:
+        head += bytes([rng.integers(0, len(reference_decoder.TERM_WEIGHTS_97))])
     source = coder()
     with patch.object(reference_decoder, "RangeDecoder", lambda data: source):
         decode_cdf97(file.header, unit, head, valid, parent_unit, parent_heights)

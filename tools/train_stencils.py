@@ -192,7 +192,7 @@ class Recorder:
         if self.keep_passes and kinds.size > 256:
             planes, errors, activity, bends = args[2:6]
             features, details = features_of(
-                kinds, planes, errors, activity, bends, geometry, args[8], args[11], args[12]
+                kinds, planes, errors, activity, bends, geometry, args[8], args[10], args[11]
             )
             self.passes.append((own, features.astype(np.float32), details.astype(np.float32)))
 

@@ -36,16 +36,30 @@ def kernel(function: Callable[..., Any]) -> Any:
     A stale compiled kernel is a broken bound, and numba's cache key holds only the kernel's own
     file. The stamp of each cache entry is therefore extended by a digest of all kernel sources.
     """
+    return _compile(function, is_inlined=False)
+
+
+def inlined_kernel(function: Callable[..., Any]) -> Any:
+    """Compile `function` as `kernel` does, into its callers.
+
+    For what a hot loop calls with many arguments: each array takes seven registers or places on the
+    stack.
+    """
+    return _compile(function, is_inlined=True)
+
+
+def _compile(function: Callable[..., Any], *, is_inlined: bool) -> Any:
+    options: dict[str, Any] = {"fastmath": False, "nogil": True, "forceinline": is_inlined}
     if _CACHE:
         try:
-            dispatcher = njit(cache=True, fastmath=False, nogil=True)(function)
+            dispatcher = njit(cache=True, **options)(function)
             _extend_cache_stamp(dispatcher)
             return dispatcher
         except (RuntimeError, AttributeError):
             # No writable place for the cache (read-only home), or a numba that stores its stamp
             # elsewhere: compile in every process rather than risk a stale kernel.
             pass
-    return njit(cache=False, fastmath=False, nogil=True)(function)
+    return njit(cache=False, **options)(function)
 
 
 def _extend_cache_stamp(dispatcher: Any) -> None:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
+from terrainwave.arguments import check_threads, checked_error, checked_mesh
 from terrainwave.codec.refiner import FittingRefiner
 from terrainwave.codec.registry import PYRAMIDS, check_method, refiner_by_name
 from terrainwave.codec.units import CodecParameters
@@ -48,7 +49,6 @@ from terrainwave.tile_decoder import make_decoder
 DEFAULT_MAX_ERROR = 0.01
 BLOCKS = (32, 64, 128, 256, 512, 1024)
 # Meshes that `compress` makes; "auto" is the first.
-MESHES = ("halves", "zerotree", "rqt", "none")
 _OUR_FAULT = (
     "unless the raster changed while it was read, this is a fault of terrainwave: please report it"
     " with the raster. Nothing was written"
@@ -99,7 +99,7 @@ class Options:
         threads: int | None,
     ) -> "Options":
         """Return the options, or raise `InvalidHeightsError` naming what was found and expected."""
-        bound = _checked_error("max_error", max_error)
+        bound = checked_error("max_error", max_error)
         method = check_method(method)
         _check_embedded(max_error, rate, psnr, method)
         if block not in BLOCKS:
@@ -116,12 +116,8 @@ class Options:
             raise InvalidHeightsError(
                 f"found border_rings {border_rings} and method cdf53, expected border_rings 1"
             )
-        if mesh not in ("auto", *MESHES):
-            raise InvalidHeightsError(
-                f"found mesh {mesh!r}, expected one of auto, {', '.join(MESHES)}"
-            )
-        if threads is not None and threads < 1:
-            raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
+        kind = checked_mesh(mesh, or_none=True)
+        check_threads(threads)
         return cls(
             max_error=bound,
             rate=rate,
@@ -130,8 +126,8 @@ class Options:
             block=block,
             effort=EFFORTS.index(effort),
             border_rings=border_rings,
-            mesh=MESHES[0] if mesh == "auto" else mesh,
-            mesh_error=_checked_error("mesh_error", mesh_error),
+            mesh=kind,
+            mesh_error=checked_error("mesh_error", mesh_error),
             verify=verify,
             n_threads=threads or os.cpu_count() or 1,
         )
@@ -148,7 +144,7 @@ def _check_embedded(
             f"found {' and '.join(given)}, expected one of them: a stream is cut in one place"
         )
     for name in ("rate", "psnr"):
-        goal = _checked_error(name, goals[name])
+        goal = checked_error(name, goals[name])
         if goal is None:
             continue
         if goal == 0:
@@ -158,18 +154,6 @@ def _check_embedded(
                 f"found {name} and method {method}, expected method cdf53: the others keep a bound"
                 " (max_error) instead"
             )
-
-
-def _checked_error(name: str, error: float | None) -> float | None:
-    if error is None:
-        return None
-    try:
-        number = float(error)
-    except (TypeError, ValueError, OverflowError):  # text, no number, or an int too large
-        number = math.nan
-    if not (math.isfinite(number) and number >= 0):
-        raise InvalidHeightsError(f"found {name} {error}, expected a finite number >= 0")
-    return number
 
 
 @dataclass(frozen=True)
@@ -513,6 +497,8 @@ def _choose_bound(
 
 @dataclass
 class _Coded:
+    """Coded heights; `n_bytes` are theirs: meshes take as many whatever the method."""
+
     method: str
     parameters: bytes
     spools: dict[Block | None, SegmentSpool]

@@ -194,12 +194,18 @@ class _Extractor:
         """Say whether a coarse block's stored mesh may stand beside finer ones."""
         if self._terrain._pyramid != "nested":
             return False
-        region, stride = self._grid.block_region(block), self._grid.stride(block.level)
-        is_whole = region.n_rows == region.n_cols == self._grid.block + 1
-        ends_inside = (block.row + 1) * self._grid.block * stride < self._grid.n_rows and (
-            block.col + 1
-        ) * self._grid.block * stride < self._grid.n_cols
-        return is_whole and ends_inside and self._heights_error(block) * _COARSE_SHARE <= error
+        return self._heights_error(block) * _COARSE_SHARE <= error
+
+    def _ends_between_samples(self, block: Block, side: str) -> bool:
+        """Say whether a border line goes on to a sample past the raster's edge.
+
+        A finer level has no such sample at the same place.
+        """
+        side_cells = self._grid.block * self._grid.stride(block.level)
+        is_upright = side in ("left", "right")
+        number = block.row if is_upright else block.col
+        last = (self._grid.n_rows if is_upright else self._grid.n_cols) - 1
+        return (number + 1) * side_cells > last and last % self._grid.stride(block.level) != 0
 
     def _close(self, cut: dict[Block, _Piece], error: Fraction) -> None:
         """Split coarse blocks until no void lies where levels meet.
@@ -253,12 +259,14 @@ class _Extractor:
         return None
 
     def _fits_beside(self, cut: dict[Block, _Piece], block: Block) -> bool:
-        """Say whether no void lies where a coarse block meets finer ones.
+        """Say whether no void lies where a coarse block meets finer ones, on lines that both have.
 
         The finer ones' corners must be samples of the coarse one, to be vertices of its border.
         """
         for side, finer in self._finer(cut, block):
             if self._grid.block >> (finer.level - block.level) == 0:
+                return False
+            if self._ends_between_samples(block, side):
                 return False
             if _sides(self._samples_of(block).locked)[side].any():
                 return False
@@ -275,7 +283,8 @@ class _Extractor:
                 place = finer.row if side in ("left", "right") else finer.col
                 first = place * step
                 first -= (block.row if side in ("left", "right") else block.col) * self._grid.block
-                _sides(forced)[side][[first, first + step]] = True
+                line = _sides(forced)[side]
+                line[[first, min(first + step, len(line) - 1)]] = True
             samples = samples._replace(locked=forced)
         return border_lines(samples, cut[block].sides, self._grid.block)
 

@@ -10,7 +10,7 @@ from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.meshing import BlockMesher
 from terrainwave.quadtree import Block, Grid
 from terrainwave.tri.agreement import BorderVertices, Position, agree
-from terrainwave.tri.stored import STORED_KINDS, Draft, has_triangles
+from terrainwave.tri.stored import STORED_KINDS, Draft
 
 _CACHED_SECTIONS = 64
 
@@ -116,7 +116,7 @@ def _level_parts(
         return kind.encode(mesher.samples(block), mesher.tolerance(block), drafts[position])
 
     blocks = grid.blocks(level)
-    is_meshed = executor.map(lambda block: has_triangles(mesher.samples(block).mask), blocks)
+    is_meshed = executor.map(mesher.has_mesh, blocks)
     positions = [
         (block.row, block.col)
         for block, has_mesh in zip(blocks, is_meshed, strict=True)

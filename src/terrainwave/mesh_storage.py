@@ -1,6 +1,5 @@
 """Add meshes to a finished file, without coding its heights again."""
 
-import math
 import os
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from terrainwave.arguments import check_threads, checked_error, checked_mesh
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.page import N_CODES
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
@@ -30,9 +30,6 @@ from terrainwave.quadtree import Block, Region
 from terrainwave.quantum import as_fraction
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.terrain import Terrain
-
-# Meshes that files store; "auto" is the first.
-MESHES = ("halves", "zerotree", "rqt")
 
 
 def store_meshes(
@@ -76,12 +73,8 @@ def store_meshes(
     StorageError
         If something cannot be read or written, or `dst` is `src`; `dst` is untouched.
     """
-    if mesh not in ("auto", *MESHES):
-        raise InvalidHeightsError(f"found mesh {mesh!r}, expected one of auto, {', '.join(MESHES)}")
-    if mesh_error is not None and not (math.isfinite(mesh_error) and mesh_error >= 0):
-        raise InvalidHeightsError(f"found mesh_error {mesh_error}, expected a finite number >= 0")
-    if threads is not None and threads < 1:
-        raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
+    kind, error = checked_mesh(mesh, or_none=False), checked_error("mesh_error", mesh_error)
+    check_threads(threads)
     refuse_own_source(src, dst)
     n_threads = threads or os.cpu_count() or 1
     reporter = Reporter(progress)
@@ -94,8 +87,8 @@ def store_meshes(
         container = terrain._container
         header = replace(
             container.header,
-            mesh=MESHES[0] if mesh == "auto" else mesh,
-            mesh_tolerance=_tolerance(terrain, mesh_error),
+            mesh=kind,
+            mesh_tolerance=_tolerance(terrain, error),
         )
         grid = header.grid
         sections: dict[Block, bytes] = {}

@@ -151,6 +151,12 @@ class BlockMesher:
         n_cols = min(grid.block, -(-(grid.n_cols - 1) // stride) - block.col * grid.block) + 1
         return n_rows, n_cols
 
+    def has_mesh(self, block: Block) -> bool:
+        """Say whether the block's samples have triangles; decodes only where there may be voids."""
+        if self._has_voids:
+            return has_triangles(self.samples(block).mask)
+        return min(self._full_shape(block)) > 1
+
     def mesh(self, block: Block) -> BlockMesh:
         """Return the block's stored mesh; places count from the block's first sample.
 

@@ -591,13 +591,13 @@ class Terrain:
         return region
 
     def sample(
-        self, points: Iterable[tuple[float, float]], *, level: int = -1
+        self, points: Iterable[tuple[float, float]] | NDArray[np.float64], *, level: int = -1
     ) -> NDArray[np.float64]:
         """Return bilinear heights at world coordinates, in physical units.
 
         Parameters
         ----------
-        points : sequence of (x, y)
+        points : sequence of (x, y), or array of shape (n_points, 2)
             Places in the file's CRS.
 
         Returns
@@ -606,7 +606,8 @@ class Terrain:
             NaN outside the outermost samples and where a sample needed is void. The error bound
             holds at samples, not between them.
         """
-        places = np.asarray(list(points), dtype=np.float64).reshape(-1, 2)
+        listed = points if isinstance(points, np.ndarray) else list(points)
+        places = np.asarray(listed, dtype=np.float64).reshape(-1, 2)
         index = self.level_index(level)
         rows, cols = self._to_samples(places, index)
         n_rows, n_cols = self._grid.level_shape(index)
@@ -635,7 +636,8 @@ class Terrain:
         window, bounds : optional
             The area as in `read`, here between the centres of its outermost pixels.
         level : int
-            The finest level to use, as in `read`.
+            The finest level to use, as in `read`. A coarse level's mesh ends at its last sample: up
+            to 2^j - 1 rows and columns of the full grid lie beyond it.
         max_error : float, optional
             Largest vertical distance from any valid original sample, in physical units. Blocks of
             several levels are mixed to reach it with few triangles; whatever the file's kind of

@@ -1,12 +1,15 @@
 """Masks come back exactly, cost little where they are simple, and survive damage."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import valid_masks
 
-from terrainwave.codec.maskcoder import decode_mask, encode_mask
+from terrainwave.codec.maskcoder import decode_mask, encode_mask, start_models
 from terrainwave.errors import CorruptStreamError
 
 shapes = st.tuples(st.integers(1, 12), st.integers(1, 12))
@@ -90,3 +93,12 @@ def test_every_flipped_bit_gives_a_mask_or_our_own_error():
 @given(st.binary(max_size=40), shapes)
 def test_any_bytes_give_a_mask_or_our_own_error(data, shape):
     outcome(data, np.zeros(shape, dtype=bool))
+
+
+def test_start_values_are_those_of_the_format():
+    document = (Path(__file__).parents[2] / "docs" / "FORMAT.md").read_text(encoding="utf-8")
+    numbers = re.search(r"^```starts\n(.*?)^```", document, re.M | re.S)[1].split()
+    # Models: the probability in the upper 22 bits, the number of bits seen in the lower ten.
+    assert [(model >> 24, model & 0xFFFFFF) for model in start_models().tolist()] == [
+        (int(number), 2) for number in numbers
+    ]

@@ -19,6 +19,7 @@ from lone_units import (
     terrain,
 )
 
+from terrainwave.codec import predictive
 from terrainwave.codec.detail import (
     LOG8,
     MAX_DETAIL,
@@ -158,8 +159,8 @@ def test_padding_is_numpys_reflection(shape):
     lattice = rng.integers(-99, 99, shape).astype(np.int32)
     sizes = plane_sizes(shape)
     planes = np.zeros((4, sizes[0][0] + 2 * PAD, sizes[0][1] + 2 * PAD), dtype=np.int32)
-    split(lattice, planes, (0, 1, 2, 3))
-    back = lattice.copy()
+    split(lattice, planes)
+    back = np.zeros_like(lattice)
     merge(planes, back)
     np.testing.assert_array_equal(back, lattice)
     padded = np.pad(lattice, 2 * PAD, mode="reflect")
@@ -188,7 +189,19 @@ def test_details_of_any_size_survive(mixed):
     span, low = state[RANGE], state[LOW]
     for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
         span, low = encode_detail(
-            span, low, state, out, models, mixed, e_bin, 1300, 1301, up, down, *scale, spots, detail
+            span,
+            low,
+            state,
+            out,
+            models,
+            e_bin,
+            1300,
+            1301,
+            up,
+            down,
+            *scale,
+            spots if mixed else None,
+            detail,
         )
     state[RANGE], state[LOW] = span, low
     data = out[: finish_encoder(state, out)].copy()
@@ -198,7 +211,19 @@ def test_details_of_any_size_survive(mixed):
     span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
     for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
         found, span, code, pos = decode_detail(
-            span, code, pos, state, data, models, mixed, e_bin, 1300, 1301, up, down, *scale, spots
+            span,
+            code,
+            pos,
+            state,
+            data,
+            models,
+            e_bin,
+            1300,
+            1301,
+            up,
+            down,
+            *scale,
+            spots if mixed else None,
         )
         assert found == detail
         assert abs(found) <= MAX_DETAIL + 1
@@ -359,3 +384,18 @@ def test_labels_are_left_out_where_nobody_wants_them():
     assert labels is None
     assert back_labels is None
     np.testing.assert_array_equal(back, heights)
+
+
+@pytest.mark.parametrize("shape", [(1, 6), (5, 1), (2, 3), (12, 9)])
+def test_what_a_thread_decoded_before_leaves_no_trace(shape):
+    target = np.random.default_rng(5).integers(-90, 90, shape).astype(np.int32)
+    spec, parent = lone_spec(shape, 3, 1), coarse_of(target, 3)
+    mask = np.ones(shape, dtype=bool)
+    results = []
+    for filling in (0, 1 << 20, -7):
+        predictive._WORKSPACE.memory = np.full(20_000, filling, dtype=np.int32)
+        payload, _, _ = Predictive().encode(spec, parent, target, mask)
+        predictive._WORKSPACE.memory.fill(-filling)
+        heights, trees = Predictive().decode(spec, parent, mask, payload)
+        results.append((payload, heights.tobytes(), trees.tobytes()))
+    assert results[0] == results[1] == results[2]

@@ -1,23 +1,61 @@
-"""Residual quantiser against the formulas as Yusov & Turlapov 2010 print them (§2.1)."""
+"""Residual coder: its quantiser against Yusov & Turlapov 2010 (§2.1), its round trip."""
 
 import numpy as np
 import pytest
 
-from terrainwave.codec.residual import compute_residuals
+from terrainwave.codec import tables97
+from terrainwave.codec.residual import (
+    CODED,
+    FRAME,
+    KNOWN,
+    N_TERMS,
+    VOID,
+    code_residuals,
+    frame_base,
+    new_scratch,
+    open_loop_costs,
+)
+from terrainwave.coding.rangecoder import (
+    STATE_SIZE,
+    finish_decoder,
+    finish_encoder,
+    start_decoder,
+    start_encoder,
+)
+
+NO_PREDICTION = np.zeros((4, N_TERMS), dtype=np.int32)
+
+
+def framed(base):
+    """Return heights as a framed base in 1/64."""
+    wide = np.zeros((base.shape[0] + 2 * FRAME, base.shape[1] + 2 * FRAME), dtype=np.int64)
+    wide[FRAME:-FRAME, FRAME:-FRAME] = np.asarray(base, dtype=np.int64) << 6
+    frame_base(wide)
+    return wide
+
+
+def encode(target, kinds, base, step, weights, heights=None):
+    """Return the stream and the heights it stands for."""
+    heights = np.zeros_like(target) if heights is None else heights.copy()
+    state, out = start_encoder(), np.zeros(4096, dtype=np.uint8)
+    code_residuals(
+        target, heights, kinds, base, step, weights, tables97.E_WEIGHTS,
+        new_scratch(target.shape[1]), state, out, tables97.start_residual_models(),
+    )  # fmt: skip
+    return out[: finish_encoder(state, out)], heights
 
 
 def residuals_of(errors, step):
     target = np.array([errors], dtype=np.int32)
-    found = np.zeros_like(target)
-    coded = np.ones(target.shape, dtype=np.bool_)
-    compute_residuals(target, np.zeros_like(target), coded, step, found)
-    return found[0]
+    kinds = np.full(target.shape, CODED, dtype=np.uint8)
+    _, heights = encode(target, kinds, framed(np.zeros_like(target)), step, NO_PREDICTION)
+    return heights[0] // step
 
 
-@pytest.mark.parametrize("half", [0, 1, 2, 7, 50])
+@pytest.mark.parametrize("half", [0, 1, 7, 50])
 def test_finest_level_is_equation_1_on_the_grid(half):
     # With p = 1 and delta = half: floor((|r| + delta) / (2 delta + p)), the sign of r.
-    errors = np.arange(-300, 301)
+    errors = np.arange(-150, 151)
     printed = np.sign(errors) * ((np.abs(errors) + half) // (2 * half + 1))
     assert residuals_of(errors, 2 * half + 1).tolist() == printed.tolist()
 
@@ -34,9 +72,51 @@ def test_the_papers_coarse_quantiser_keeps_the_bound_but_costs_a_symbol_more(hal
     assert symbols.max() >= 2 * ours.max()
 
 
-def test_samples_that_are_not_coded_have_no_residual():
-    target = np.array([[100, 100]], dtype=np.int32)
-    found = np.zeros_like(target)
-    coded = np.array([[True, False]])
-    assert compute_residuals(target, np.zeros_like(target), coded, 3, found) == 1
-    assert found.tolist() == [[33, 0]]
+def test_decoding_gives_what_was_encoded_with_voids_and_known_samples():
+    rng = np.random.default_rng(3)
+    target = rng.integers(-40, 40, (9, 12), dtype=np.int32)
+    kinds = rng.choice([VOID, CODED, CODED, KNOWN], target.shape).astype(np.uint8)
+    base = framed(np.zeros_like(target))
+    start = np.where(kinds == KNOWN, target + 1, 0).astype(np.int32)
+    weights = tables97.TERM_WEIGHTS[-1]
+    stream, heights = encode(target, kinds, base, 5, weights, start)
+    back, state = start.copy(), np.zeros(STATE_SIZE, dtype=np.int64)
+    start_decoder(state, stream)
+    code_residuals(
+        None, back, kinds, base, 5, weights, tables97.E_WEIGHTS, new_scratch(12), state, stream,
+        tables97.start_residual_models(),
+    )  # fmt: skip
+    assert finish_decoder(state, stream)[0] == 0
+    np.testing.assert_array_equal(back, heights)
+    assert np.abs(heights - target)[kinds == CODED].max() <= 2
+    np.testing.assert_array_equal(heights[kinds == KNOWN], target[kinds == KNOWN] + 1)
+
+
+def test_errors_that_go_on_are_predicted():
+    # The base is 700 too low everywhere; the western error says so, and only that.
+    target = np.full((8, 8), 700, dtype=np.int32)
+    kinds = np.full(target.shape, CODED, dtype=np.uint8)
+    weights = NO_PREDICTION.copy()
+    weights[:, 7] = 256
+    base = framed(np.zeros_like(target))
+    alone, _ = encode(target, kinds, base, 1, NO_PREDICTION)
+    predicted, heights = encode(target, kinds, base, 1, weights)
+    np.testing.assert_array_equal(heights, target)
+    assert len(predicted) < len(alone)
+    costs = np.zeros(2, dtype=np.int64)
+    sets = np.stack([NO_PREDICTION, weights])
+    open_loop_costs(target, kinds, base, 1, sets, 2, new_scratch(8), costs)
+    assert costs[1] < costs[0]
+
+
+def test_a_base_goes_on_straight_outside():
+    rows, cols = np.mgrid[:4, :3]
+    plane = 5 * rows - 2 * cols
+    rows, cols = np.mgrid[-2:6, -2:5]
+    np.testing.assert_array_equal(framed(plane), (5 * rows - 2 * cols) * 64)
+    np.testing.assert_array_equal(framed(np.array([[7]])), np.full((5, 5), 7 * 64))
+
+
+def test_weights_are_small_enough_for_the_sums():
+    assert np.abs(tables97.TERM_WEIGHTS).max() < 1 << 12
+    assert 0 <= tables97.E_WEIGHTS.min() <= tables97.E_WEIGHTS.max() < 1 << 15

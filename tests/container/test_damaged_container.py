@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from terrainwave.container.deflate import deflate
+from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import MAGIC
 from terrainwave.container.page import empty_page, pack_columns, pack_page, page_layout
 from terrainwave.container.reader import open_container
@@ -133,7 +134,7 @@ def test_a_forged_file_without_faults_is_sound():
         (forge(HEADER, with_children([2**63, 2**63, 20]), rest=bytes(20)), "do not fill|beyond"),
         (forge(HEADER, empty_page(TOP), body=b"x"), "follow"),
         (forge(toy_header(), empty_page(page_layout(toy_header().grid, None)), body=b"x"), "fill"),
-        (forge(HEADER, empty_page(TOP), metadata=deflate(b"[]")), "not a JSON object"),
+        (forge(HEADER, empty_page(TOP), metadata=deflate(b"[]", DICTIONARY)), "not a JSON object"),
     ],
 )
 def test_segments_that_do_not_tile_the_file_are_corrupt(data, message):

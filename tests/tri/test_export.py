@@ -2,7 +2,6 @@
 
 import json
 import re
-import struct
 import sys
 from dataclasses import replace
 
@@ -10,6 +9,7 @@ import meshio
 import numpy as np
 import pytest
 import trimesh
+from quantized_mesh import metadata, read_tile
 from tri.meshes import grid_mesh, hills
 
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
@@ -399,64 +399,25 @@ def test_to_pyvista_says_what_is_missing(monkeypatch):
         utm_mesh().to_pyvista()
 
 
-def test_to_pyvista_hands_over_faces_with_their_length(monkeypatch):
-    class Fake:
-        PolyData = staticmethod(lambda points, faces: (points, faces))
-
-    monkeypatch.setitem(sys.modules, "pyvista", Fake)
+def test_to_pyvista_gives_the_surface():
     mesh = utm_mesh()
-    points, faces = mesh.to_pyvista()
-    np.testing.assert_array_equal(points, mesh.vertices)
-    np.testing.assert_array_equal(faces.reshape(-1, 4)[:, 1:], mesh.triangles)
-    assert (faces.reshape(-1, 4)[:, 0] == 3).all()
+    surface = mesh.to_pyvista()
+    np.testing.assert_array_equal(surface.points, mesh.vertices)
+    np.testing.assert_array_equal(surface.regular_faces, mesh.triangles)
+    # 6 x 8 cells of 30 m, seen from above.
+    flat = surface.copy()
+    flat.points[:, 2] = 0
+    assert flat.area == pytest.approx(6 * 8 * 30**2)
 
 
 # Quantized-mesh tiles, read by the format's own rules
-
-
-def read_tile(path):
-    """Return (header, u, v, h, triangles, edges, extensions) as Cesium's specification has it."""
-    data = path.read_bytes()
-    names = ["x", "y", "z", "low", "high", "sx", "sy", "sz", "radius", "ox", "oy", "oz"]
-    header = dict(zip(names, struct.unpack_from("<3d2f7d", data), strict=True))
-    (n_vertices,) = struct.unpack_from("<I", data, 88)
-    at = 92
-    columns = []
-    for _ in range(3):
-        coded = np.frombuffer(data, "<u2", n_vertices, at).astype(np.int64)
-        columns.append(np.cumsum((coded >> 1) ^ -(coded & 1)))
-        at += 2 * n_vertices
-    (n_triangles,) = struct.unpack_from("<I", data, at)
-    at += 4
-    highest, indices = 0, []
-    for code in np.frombuffer(data, "<u2", 3 * n_triangles, at):
-        indices.append(highest - int(code))
-        highest += code == 0
-    at += 6 * n_triangles
-    edges = []
-    for _ in range(4):
-        (count,) = struct.unpack_from("<I", data, at)
-        edges.append(np.frombuffer(data, "<u2", count, at + 4))
-        at += 4 + 2 * count
-    extensions = {}
-    while at < len(data):
-        kind, length = struct.unpack_from("<BI", data, at)
-        extensions[kind] = data[at + 5 : at + 5 + length]
-        at += 5 + length
-    return header, *columns, np.array(indices).reshape(-1, 3), edges, extensions
-
-
-def metadata(extensions):
-    (length,) = struct.unpack_from("<I", extensions[4])
-    assert length == len(extensions[4]) - 4
-    return json.loads(extensions[4][4:])
 
 
 @pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:4258"])
 def test_tile_holds_the_surface_within_its_stated_error(tmp_path, crs):
     mesh = grid_mesh(hills(7, 9), SECONDS, crs=crs, error=0.0)
     saved = save_mesh(mesh, tmp_path / "area.terrain")
-    header, u, v, h, triangles, _, extensions = read_tile(tmp_path / "area.terrain")
+    header, u, v, h, triangles, _, extensions = read_tile((tmp_path / "area.terrain").read_bytes())
     west, south, east, north = metadata(extensions)["bounds"]
     assert (west, south, east, north) == pytest.approx(mesh.bounds, abs=1e-9)
     height = header["low"] + h / 32767 * (header["high"] - header["low"])
@@ -477,7 +438,9 @@ def test_tile_holds_the_surface_within_its_stated_error(tmp_path, crs):
 
 def test_tile_names_the_vertices_of_its_edges(tmp_path):
     save_mesh(grid_mesh(hills(7, 9), SECONDS, crs="EPSG:4326"), tmp_path / "area.terrain")
-    _, u, v, _, _, (west, south, east, north), _ = read_tile(tmp_path / "area.terrain")
+    _, u, v, _, _, (west, south, east, north), _ = read_tile(
+        (tmp_path / "area.terrain").read_bytes()
+    )
     assert [len(edge) for edge in (west, south, east, north)] == [7, 9, 7, 9]
     assert (u[west] == 0).all()
     assert (v[south] == 0).all()
@@ -488,7 +451,7 @@ def test_tile_names_the_vertices_of_its_edges(tmp_path):
 def test_tile_lies_where_its_points_are(tmp_path):
     mesh = grid_mesh(hills(7, 9), SECONDS, crs="EPSG:4326", units="m")
     save_mesh(mesh, tmp_path / "area.terrain")
-    header, *_ = read_tile(tmp_path / "area.terrain")
+    header, *_ = read_tile((tmp_path / "area.terrain").read_bytes())
     points = to_frame(mesh, "ecef").points
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
     assert [header["x"], header["y"], header["z"]] == pytest.approx(centre.tolist(), abs=1e-3)
@@ -499,7 +462,7 @@ def test_tile_lies_where_its_points_are(tmp_path):
 def test_tile_of_a_projected_mesh_in_feet_is_in_degrees_and_metres(tmp_path):
     mesh = grid_mesh(hills(7, 9), UTM, crs="EPSG:32633", units="ft", error=1.0)
     saved = save_mesh(mesh, tmp_path / "area.terrain")
-    header, *_ = read_tile(tmp_path / "area.terrain")
+    header, *_ = read_tile((tmp_path / "area.terrain").read_bytes())
     assert header["low"] == pytest.approx(mesh.points[:, 2].min() * 0.3048, abs=1e-3)
     assert saved.units == "ft"
     assert 1.0 < saved.error < 1.1
@@ -510,7 +473,7 @@ def test_tile_heights_enclose_those_of_the_mesh(tmp_path, share):
     step = 2.0**-17  # of float32 at 100; rounding to the nearest goes either way
     heights = np.array([[100 + share * step, 110], [120 - share * step, 120 + share * step]])
     save_mesh(grid_mesh(heights, SECONDS, crs="EPSG:4326"), tmp_path / "area.terrain")
-    header, *_ = read_tile(tmp_path / "area.terrain")
+    header, *_ = read_tile((tmp_path / "area.terrain").read_bytes())
     assert header["low"] <= heights.min()
     assert header["high"] >= heights.max()
 

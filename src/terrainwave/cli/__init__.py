@@ -4,7 +4,7 @@ Exit status: 0 good; 1 any failure, one line on stderr; 2 wrong usage; 130 inter
 rasterio are imported inside the commands, so that --help answers at once.
 """
 
-from terrainwave.cli import pictures
+from terrainwave.cli import pictures, serving, tiles
 from terrainwave.cli.commands import main
 
-__all__ = ["main", "pictures"]
+__all__ = ["main", "pictures", "serving", "tiles"]

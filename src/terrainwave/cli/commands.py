@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from terrainwave._version import __version__
+from terrainwave.arguments import STORED_MESHES
 from terrainwave.cli.options import (
     BlockSide,
     Bound,
@@ -33,7 +34,7 @@ from terrainwave.cli.output import (
 
 THREADS = click.IntRange(min=1)
 METHODS = click.Choice(["auto", "predictive", "cdf97", "cdf53", "store"])
-MESHES = click.Choice(["auto", "halves", "zerotree", "rqt", "none"])
+MESHES = click.Choice(["auto", *STORED_MESHES, "none"])
 EFFORTS = ["fast", "default", "best"]
 
 
@@ -110,7 +111,7 @@ def compress(
             **options,
         )
     if as_json:
-        _print_json(asdict(result))
+        print_json(asdict(result))
     elif not quiet:
         _print_result(result)
 
@@ -260,14 +261,14 @@ def _store_meshes(
 
     if kind == "none":
         raise click.UsageError(
-            "found --mesh none with --store, expected auto, halves, zerotree or rqt"
+            f"found --mesh none with --store, expected one of auto, {', '.join(STORED_MESHES)}"
         )
     announce_compiling(quiet=quiet)
     with reading(file), Bar(quiet=quiet) as bar:
         path = terrainwave.store_meshes(file, target, mesh=kind or "auto", progress=bar, **options)
     n_bytes = Path(path).stat().st_size
     if as_json:
-        _print_json({"path": path, "n_bytes": n_bytes})
+        print_json({"path": path, "n_bytes": n_bytes})
     elif not quiet:
         click.echo(f"{plain(path)}: {n_bytes:,} bytes, with meshes")
 
@@ -317,7 +318,7 @@ def _export_mesh(
         )
     saved = surface.save(target, overwrite=overwrite, **shape)
     if as_json:
-        _print_json(asdict(saved))
+        print_json(asdict(saved))
     elif not quiet:
         _print_saved(saved)
 
@@ -386,7 +387,7 @@ def info(file: str, as_json: bool, errors: str | None) -> None:
         summary = terrain.info()
         found = None if errors is None else level_errors(terrain, errors)
     if as_json:
-        _print_json(summary.to_dict() | ({} if found is None else {"level_errors": found}))
+        print_json(summary.to_dict() | ({} if found is None else {"level_errors": found}))
     else:
         print_table(_info_rows(summary))
         if found is not None:
@@ -453,7 +454,7 @@ def verify(file: str, original: str | None, quiet: bool, as_json: bool, **option
     with reading(file), Bar(quiet=quiet) as bar:
         report = terrainwave.verify(file, original, progress=bar, **options)
     if as_json:
-        _print_json(report.to_dict())
+        print_json(report.to_dict())
     elif not quiet:
         _print_report(report)
     if not report.ok:
@@ -519,7 +520,8 @@ def demo(directory: str, quiet: bool) -> None:
     click.echo(f"checked each; picture: {plain(result.picture)}")
 
 
-def _print_json(fields: dict[str, Any]) -> None:
+def print_json(fields: dict[str, Any]) -> None:
+    """Print a result as JSON."""
     click.echo(json.dumps(_json_value(fields), indent=2, allow_nan=False))
 
 

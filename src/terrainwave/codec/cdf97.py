@@ -11,20 +11,25 @@ from numpy.typing import NDArray
 
 from terrainwave._jit import kernel
 from terrainwave._status import raise_for_status
-from terrainwave.codec.border import N_BORDER_MODELS, code_border
+from terrainwave.codec import tables97
+from terrainwave.codec.border import code_border
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
 from terrainwave.codec.residual import (
-    N_RESIDUAL_MODELS,
-    compute_residuals,
-    decode_residuals,
-    encode_residuals,
-    smooth_activity,
+    BASE_BITS,
+    CODED,
+    FRAME,
+    KNOWN,
+    VOID,
+    Scratch,
+    code_residuals,
+    frame_base,
+    new_scratch,
+    open_loop_costs,
 )
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.codec.zerotree import (
     FRAME_COLS,
     FRAME_ROWS,
-    N_TREE_MODELS,
     choose_along,
     decode_tree,
     dequantize,
@@ -47,7 +52,6 @@ from terrainwave.coding.rangecoder import (
     encode_raw,
     finish_decoder,
     finish_encoder,
-    new_models,
     start_decoder,
     start_encoder,
 )
@@ -67,10 +71,13 @@ _STEP_UNIT = 16
 _MAX_STEP_CODE = 1 << 32
 
 
-# Steps tried on the finest level by effort, and on coarser ones by rate in bits per sample.
-_FINEST_STEPS = ((128,), (40, 128), (28, 36, 48, 64, 128, 256))
-_PARENT_STEP = 20
-_PARENT_STEPS_BY_RATE = ((3.0, 20), (1.7, 17), (1.0, 20), (0.0, 27))
+# Steps tried by effort, on the finest level and on coarser ones; 0 stands for no coefficients.
+# With effort 1 the finest level tries the others only where the first gives many bits per sample.
+_FINEST_STEPS = ((0,), (0, 40), (0, 28, 40, 64, 128))
+_COARSE_STEPS = ((20,), (0, 20, 40), (0, 14, 17, 20, 27, 40, 64))
+_RATE_OF_TRIALS = 1.5
+# Bits that a sample of a parent whose errors are spread evenly over a step costs its children.
+_NOISE_BITS = 0.8
 
 
 class Coding(NamedTuple):
@@ -80,6 +87,7 @@ class Coding(NamedTuple):
     step_code: int = 0
     offset: int = 0
     along: int = 0
+    term_set: int = 0
     raw_width: int = 0
     raw_base: int = 0
 
@@ -93,12 +101,9 @@ class Workspace(NamedTuple):
     offsets: NDArray[np.int64]
     mags: NDArray[np.uint8]
     spread: NDArray[np.int64]
-    activity: NDArray[np.int64]
     rough: NDArray[np.int64]
-    smooth: NDArray[np.int64]
-    hints: NDArray[np.int64]
-    residual_mags: NDArray[np.int64]
-    residual_signs: NDArray[np.int64]
+    base: NDArray[np.int64]
+    rows: Scratch
 
 
 def _workspace(shape: tuple[int, int]) -> Workspace:
@@ -113,11 +118,8 @@ def _workspace(shape: tuple[int, int]) -> Workspace:
         np.zeros((2, 3, rows + FRAME_ROWS, cols + FRAME_COLS), dtype=np.uint8),
         np.zeros((3, rows, cols), dtype=np.int64),
         np.zeros((rows, cols), dtype=np.int64),
-        np.zeros((rows, cols), dtype=np.int64),
-        np.zeros((rows, cols), dtype=np.int64),
-        np.zeros(2 * cols, dtype=np.int64),
-        np.zeros((3, shape[1] + 3), dtype=np.int64),
-        np.zeros((2, shape[1] + 3), dtype=np.int64),
+        np.zeros((shape[0] + 2 * FRAME, shape[1] + 2 * FRAME), dtype=np.int64),
+        new_scratch(shape[1]),
     )
 
 
@@ -148,22 +150,23 @@ class Cdf97:
         data = np.frombuffer(payload, dtype=np.uint8)[start:].copy()
         state = np.zeros(STATE_SIZE, dtype=np.int64)
         start_decoder(state, data)
-        models = new_models(N_BORDER_MODELS)
+        models = tables97.start_border_models()
         heights, is_known = _predict(spec, parent)
         code_border(
             spec, parent, None, mask, heights, is_known, state, data, models, is_nested=False
         )
         core = spec.core.slices_in(spec.region)
         inner = np.ascontiguousarray(heights[core])
-        coded = mask[core] & ~is_known[core]
         trees = None
         if coding.flags & _IS_RAW:
+            coded = mask[core] & ~is_known[core]
             _decode_raw_heights(
                 coding.raw_base, coding.raw_width, spec.step, coded, state, data, inner
             )
         else:
             work = _workspace(inner.shape)
             _measure_parent(spec, parent, work)
+            prediction, _ = _predict(spec, parent)
             n_levels = n_transforms(*inner.shape)
             labels = np.full(work.offsets[n_levels], JZTC, dtype=np.uint8)
             labels[0] = JZTR
@@ -171,20 +174,22 @@ class Cdf97:
                 steps, limits = _band_steps(spec.step, coding, n_levels)
                 decode_tree(
                     work.field, steps, limits, coding.offset, coding.along, work.rough,
-                    work.offsets, labels, work.mags, work.spread, work.activity, state, data,
-                    new_models(N_TREE_MODELS),
+                    work.offsets, labels, work.mags, work.spread, state, data,
+                    tables97.start_tree_models(),
                 )  # fmt: skip
                 inverse_transform(work.field, work.low, work.high)
-                _add_detail(work.field, is_known[core], inner)
+            _fill_base(prediction[core], work.field, work.base)
             if spec.wants_labels:
                 trees = _zero_trees(work.offsets, labels, inner.shape)
             if coding.flags & _HAS_RESIDUALS:
-                smooth_activity(work.activity, work.smooth)
-                decode_residuals(
-                    inner, coded, work.smooth, spec.step, work.hints, work.residual_mags,
-                    work.residual_signs, state, data,
-                    new_models(N_RESIDUAL_MODELS),
+                frame_base(work.base)
+                code_residuals(
+                    None, inner, _kinds(mask[core], is_known[core]), work.base, spec.step,
+                    tables97.TERM_WEIGHTS[coding.term_set], tables97.E_WEIGHTS, work.rows, state,
+                    data, tables97.start_residual_models(),
                 )  # fmt: skip
+            else:
+                _round_base(work.base, is_known[core], inner)
         raise_for_status(*finish_decoder(state, data))
         heights[core] = inner
         return heights, trees
@@ -202,7 +207,7 @@ class _Encoder:
         self.state = start_encoder()
         code_border(
             spec, parent, target, mask, self.heights, is_known, self.state, self.out,
-            new_models(N_BORDER_MODELS), is_nested=False,
+            tables97.start_border_models(), is_nested=False,
         )  # fmt: skip
         self.border_state = self.state.copy()
         core = spec.core.slices_in(spec.region)
@@ -221,22 +226,23 @@ class _Encoder:
         self.detail = np.subtract(self.target, self.prediction, dtype=np.int64) << FRACTION_BITS
         forward_transform(self.detail, self.work.low, self.work.high)
         self.quants = np.zeros(self.target.shape, dtype=np.int32)
-        self.residuals = np.zeros(self.target.shape, dtype=np.int32)
+        self.kinds = _kinds(mask[core], self.is_known)
+        self.least, self.n_bits = 0.0, 0
         self.best: tuple[bytes, Heights, Labels | None] | None = None
 
     def run(self) -> tuple[bytes, Heights, Labels | None]:
         """Try some steps; return the smallest result, or the one that serves finer levels best."""
-        if self.spec.is_finest:
-            for step_code in _FINEST_STEPS[self.spec.effort]:
-                self.attempt(step_code)
-        else:
-            self._attempt_for_children()
-        step_code = 2 * max(_FINEST_STEPS[0])
-        while self.best is None:
-            # Coefficients so large that their indices don't fit: only at extreme heights.
+        effort = self.spec.effort
+        steps = (_FINEST_STEPS if self.spec.is_finest else _COARSE_STEPS)[effort]
+        for step_code in steps:
             self.attempt(step_code)
-            step_code *= 8
+            least = _RATE_OF_TRIALS * self.target.size
+            if self.spec.is_finest and effort == 1 and self.n_bits < least:
+                break
+        if self.best is None:  # indices too large: only at extreme heights
+            self.attempt(0)
         self.attempt_raw()
+        assert self.best is not None
         payload, inner, labels = self.best
         heights = self.heights
         heights[self.core] = inner
@@ -244,69 +250,67 @@ class _Encoder:
             return payload, heights, None
         return payload, heights, _zero_trees(self.work.offsets, labels, inner.shape)
 
-    def _attempt_for_children(self) -> None:
-        """Encode with a step that leaves the next level little to repair.
+    def attempt(self, step_code: int) -> None:
+        """Encode with this step, 0 for no coefficients; keep the result if it costs least.
 
-        The smallest payload is not the goal here: noise in a parent costs four children each. Steps
-        by rate, found on whole files (benchmarks/cdf97_lab.py).
-        """
-        size = self.attempt(_PARENT_STEP)
-        rate = 8 * size / self.target.size
-        if self.spec.effort == 0 or self.best is None:
-            return
-        for least, step_code in _PARENT_STEPS_BY_RATE:
-            if rate >= least:
-                if step_code != _PARENT_STEP:
-                    previous, self.best = self.best, None
-                    self.attempt(step_code)
-                    self.best = self.best or previous
-                return
-
-    def attempt(self, step_code: int) -> int:
-        """Encode with this step, keep the result if it is the smallest; return its size.
-
-        Nothing is kept, and 0 returned, if an index would be larger than MAX_INDEX.
+        Nothing is kept if an index would be larger than MAX_INDEX.
         """
         coding = Coding(0, step_code)
         spec, work = self.spec, self.work
         state = self.state
         state[:] = self.border_state
-        steps, limits = _band_steps(spec.step, coding, self.n_levels)
-        labels = np.zeros(work.offsets[self.n_levels], dtype=np.uint8)
+        labels = np.full(work.offsets[self.n_levels], JZTC, dtype=np.uint8)
+        labels[0] = JZTR
+        work.field[:] = 0
+        if step_code:
+            steps, limits = _band_steps(spec.step, coding, self.n_levels)
+            largest = _quantize(self.detail, steps, limits, coding.offset, self.quants, work.field)
+            if largest > MAX_INDEX:
+                return
+            if mark_labels(self.quants, work.offsets, labels) or self.quants[0, 0]:
+                coding = coding._replace(flags=_HAS_COEFFS, along=choose_along(self.quants))
+                encode_tree(
+                    self.quants, coding.along, work.rough, work.offsets, labels, work.mags,
+                    work.spread, state, self.out, tables97.start_tree_models(),
+                )  # fmt: skip
+                inverse_transform(work.field, work.low, work.high)
         inner = self.start.copy()
-        if (
-            _quantize(self.detail, steps, limits, coding.offset, self.quants, work.field)
-            > MAX_INDEX
-        ):
-            return 0
-        n_significant = mark_labels(self.quants, work.offsets, labels)
-        flags = 0
-        work.activity[:] = work.rough
-        if n_significant or self.quants[0, 0]:
-            flags |= _HAS_COEFFS
-            coding = coding._replace(along=choose_along(self.quants))
-            encode_tree(
-                self.quants, coding.along, work.rough, work.offsets, labels, work.mags, work.spread,
-                work.activity,
-                state, self.out, new_models(N_TREE_MODELS),
+        _fill_base(self.prediction, work.field, work.base)
+        _round_base(work.base, self.is_known, inner)
+        if _squared_error(self.target, inner, self.coded)[1] > spec.half:
+            inner[:] = self.start
+            frame_base(work.base)
+            coding = coding._replace(
+                flags=coding.flags | _HAS_RESIDUALS, term_set=self._choose_terms()
+            )
+            code_residuals(
+                self.target, inner, self.kinds, work.base, spec.step,
+                tables97.TERM_WEIGHTS[coding.term_set], tables97.E_WEIGHTS, work.rows, state,
+                self.out, tables97.start_residual_models(),
             )  # fmt: skip
-            inverse_transform(work.field, work.low, work.high)
-            _add_detail(work.field, self.is_known, inner)
-        if compute_residuals(self.target, inner, self.coded, spec.step, self.residuals):
-            flags |= _HAS_RESIDUALS
-            smooth_activity(work.activity, work.smooth)
-            encode_residuals(
-                self.residuals, self.coded, work.smooth, work.hints, work.residual_mags,
-                work.residual_signs, state, self.out,
-                new_models(N_RESIDUAL_MODELS),
-            )  # fmt: skip
-            _add_residuals(self.residuals, spec.step, inner)
         n_bytes = finish_encoder(state, self.out)
-        header = _write_header(coding._replace(flags=flags))
-        size = n_bytes + len(header)
-        if self.best is None or size < len(self.best[0]):
+        header = _write_header(coding)
+        n_bits = 8 * (n_bytes + len(header))
+        cost = float(n_bits)
+        if not spec.is_finest:
+            # Noise in a parent costs its children: the smallest payload is not the goal.
+            squares, _ = _squared_error(self.target, inner, self.coded)
+            cost += _NOISE_BITS * 12 * squares / spec.step**2
+        if self.best is None or cost < self.least:
+            self.least = cost
+            self.n_bits = n_bits
             self.best = (header + self.out[:n_bytes].tobytes(), inner, labels)
-        return size
+
+    def _choose_terms(self) -> int:
+        """Return the set of weights that suits the framed base best, by errors on some rows."""
+        sets = tables97.TERM_WEIGHTS
+        costs = np.zeros(sets.shape[0], dtype=np.int64)
+        every = 8 if self.target.size > 16384 else 2
+        open_loop_costs(
+            self.target, self.kinds, self.work.base, self.spec.step, sets, every, self.work.rows,
+            costs,
+        )  # fmt: skip
+        return int(costs.argmin())
 
     def attempt_raw(self) -> None:
         """Encode the samples in plain bits, keep the result if it is the smallest."""
@@ -328,6 +332,13 @@ class _Encoder:
         header = _write_header(Coding(_IS_RAW, raw_width=width, raw_base=base))
         if n_bytes + len(header) < len(self.best[0]):
             self.best = (header + self.out[:n_bytes].tobytes(), inner, None)
+
+
+def _kinds(mask: Mask, is_known: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Return what each sample is to the residual coder: `VOID`, `CODED` or `KNOWN`."""
+    kinds = np.where(mask, np.uint8(CODED), np.uint8(VOID))
+    np.copyto(kinds, KNOWN, where=is_known)
+    return kinds
 
 
 def _zero_trees(offsets: NDArray[np.int64], labels: Labels, shape: tuple[int, int]) -> Labels:
@@ -357,7 +368,7 @@ def _predict(spec: GroupSpec, parent: Heights | None) -> tuple[Heights, NDArray[
 
 
 def _measure_parent(spec: GroupSpec, parent: Heights | None, work: Workspace) -> None:
-    """Fill `work.rough` and start `work.activity` with it; zeros in a root block."""
+    """Fill `work.rough`; zeros in a root block."""
     if parent is not None:
         assert spec.parent_region is not None
         measure_roughness(
@@ -367,7 +378,6 @@ def _measure_parent(spec: GroupSpec, parent: Heights | None, work: Workspace) ->
             spec.step,
             work.rough,
         )
-    work.activity[:] = work.rough
 
 
 def _band_steps(
@@ -392,9 +402,11 @@ def _write_header(coding: Coding) -> bytes:
         out += encode_varint(
             coding.raw_base << 1 if coding.raw_base >= 0 else ~(coding.raw_base << 1)
         )
-    elif coding.flags & _HAS_COEFFS:
+    if coding.flags & _HAS_COEFFS:
         out += encode_varint(coding.step_code)
         out.append(coding.offset | coding.along << 4)
+    if coding.flags & _HAS_RESIDUALS:
+        out.append(coding.term_set)
     return bytes(out)
 
 
@@ -412,16 +424,27 @@ def _read_header(payload: bytes) -> tuple[Coding, int]:
         if payload[1] > 32 or abs(base) > MAX_HEIGHT:
             raise CorruptStreamError("raw heights outside the range of heights")
         return Coding(flags, raw_width=payload[1], raw_base=base), pos
-    if not flags & _HAS_COEFFS:
-        return Coding(flags), 1
-    step_code, pos = decode_varint(payload, 1)
-    if pos >= len(payload):
-        raise TruncatedStreamError("the payload ends inside its header")
-    if not 1 <= step_code <= _MAX_STEP_CODE:
-        raise CorruptStreamError(f"step code {step_code} is outside 1 to {_MAX_STEP_CODE}")
-    if payload[pos] >> 6:
-        raise CorruptStreamError("reserved bits of the payload's header are not 0")
-    return Coding(flags, step_code, payload[pos] & 15, payload[pos] >> 4), pos + 1
+    coding, pos = Coding(flags), 1
+    if flags & _HAS_COEFFS:
+        step_code, pos = decode_varint(payload, pos)
+        if pos >= len(payload):
+            raise TruncatedStreamError("the payload ends inside its header")
+        if not 1 <= step_code <= _MAX_STEP_CODE:
+            raise CorruptStreamError(f"step code {step_code} is outside 1 to {_MAX_STEP_CODE}")
+        if payload[pos] >> 6:
+            raise CorruptStreamError("reserved bits of the payload's header are not 0")
+        coding = coding._replace(
+            step_code=step_code, offset=payload[pos] & 15, along=payload[pos] >> 4
+        )
+        pos += 1
+    if flags & _HAS_RESIDUALS:
+        if pos >= len(payload):
+            raise TruncatedStreamError("the payload ends inside its header")
+        if payload[pos] >= tables97.TERM_WEIGHTS.shape[0]:
+            raise CorruptStreamError(f"set {payload[pos]} of residual weights does not exist")
+        coding = coding._replace(term_set=payload[pos])
+        pos += 1
+    return coding, pos
 
 
 @kernel
@@ -478,23 +501,38 @@ def _quantize_run(detail, step, limit, offset, quants, recon):
 
 
 @kernel
-def _add_detail(field, is_known, heights):
-    """Add the rounded detail to the predicted `heights` where nothing is known, in place."""
-    half = 1 << (FRACTION_BITS - 1)
-    for row in range(field.shape[0]):
-        for col in range(field.shape[1]):
-            if not is_known[row, col]:
-                height = heights[row, col] + ((field[row, col] + half) >> FRACTION_BITS)
-                heights[row, col] = min(max(height, -MAX_HEIGHT), MAX_HEIGHT)
+def _squared_error(target, heights, coded):
+    """Return the sum of squared errors of coded samples (float64) and the largest error."""
+    total = 0.0
+    largest = np.int64(0)
+    for row in range(target.shape[0]):
+        for col in range(target.shape[1]):
+            if coded[row, col]:
+                error = np.int64(target[row, col]) - np.int64(heights[row, col])
+                largest = max(largest, abs(error))
+                total += float(error) * float(error)
+    return total, largest
 
 
 @kernel
-def _add_residuals(residuals, step, heights):
-    """Add the residuals to `heights` in place, as `decode_residuals` does."""
+def _fill_base(predicted, field, base):
+    """Fill the inside of `base` with predicted heights plus detail, in 1/64."""
+    limit = MAX_HEIGHT << BASE_BITS
+    for row in range(field.shape[0]):
+        line = base[row + FRAME]
+        for col in range(field.shape[1]):
+            value = (np.int64(predicted[row, col]) << BASE_BITS) + field[row, col]
+            line[col + FRAME] = min(max(value, -limit), limit)
+
+
+@kernel
+def _round_base(base, is_known, heights):
+    """Set `heights` to the rounded base where nothing is known, in place."""
+    half = 1 << (BASE_BITS - 1)
     for row in range(heights.shape[0]):
         for col in range(heights.shape[1]):
-            height = np.int64(heights[row, col]) + np.int64(residuals[row, col]) * step
-            heights[row, col] = min(max(height, -MAX_HEIGHT), MAX_HEIGHT)
+            if not is_known[row, col]:
+                heights[row, col] = (base[row + FRAME, col + FRAME] + half) >> BASE_BITS
 
 
 @kernel

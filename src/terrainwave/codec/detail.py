@@ -6,7 +6,7 @@ relative to the prediction is the second opinion (DESIGN.md §3.2).
 
 import numpy as np
 
-from terrainwave._jit import kernel
+from terrainwave._jit import inlined_kernel, kernel
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
     CODE,
@@ -124,16 +124,16 @@ def range_bin_of(reach, e_range, log_range):
 
 @kernel
 def encode_detail(
-    span, low, state, out, models, mixed, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
+    span, low, state, out, models, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
     log_range, spots, detail,
 ):  # fmt: skip
     """Encode a detail known not to be 0; return the new (span, low).
 
     `reach_b` and `reach_a` are the distances to the highest and the lowest core value; `spots` the
-    indices of the known neighbours.
+    indices of the known neighbours, None where each decision has one model only.
     """
     positive = 1 if detail > 0 else 0
-    if mixed:
+    if spots is not None:
         span, low = encode_mean_step(span, low, state, out, models, sign_b, sign_h, positive)
     else:
         span, low = encode_step(span, low, state, out, models, sign_b, positive)
@@ -146,7 +146,7 @@ def encode_detail(
     n_ones = min(upper, N_UNARY)
     for i in range(min(n_ones + 1, N_UNARY)):
         bit = 1 if i < n_ones else 0
-        if mixed:
+        if spots is not None:
             index_h = first_h + i * _N_BEYOND + beyond_context(spots, positive, shift, i)
             span, low = encode_mean_step(span, low, state, out, models, first_b + i, index_h, bit)
         else:
@@ -178,13 +178,13 @@ def encode_detail(
     return span, low
 
 
-@kernel
+@inlined_kernel
 def decode_detail(
-    span, code, pos, state, data, models, mixed, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
+    span, code, pos, state, data, models, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
     log_range, spots,
 ):  # fmt: skip
-    """Decode what `encode_detail` wrote ; return (detail, span, code, pos)."""
-    if mixed:
+    """Decode what `encode_detail` wrote; return (detail, span, code, pos)."""
+    if spots is not None:
         positive, span, code, pos = decode_mean_step(span, code, pos, data, models, sign_b, sign_h)
     else:
         positive, span, code, pos = decode_step(span, code, pos, data, models, sign_b)
@@ -194,7 +194,7 @@ def decode_detail(
     first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
     upper = np.int64(0)
     while upper < N_UNARY:
-        if mixed:
+        if spots is not None:
             index_h = first_h + upper * _N_BEYOND + beyond_context(spots, positive, shift, upper)
             bit, span, code, pos = decode_mean_step(
                 span, code, pos, data, models, first_b + upper, index_h

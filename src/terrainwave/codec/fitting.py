@@ -344,7 +344,7 @@ def features_of(
     planes: NDArray[np.int32],
     errors: NDArray[np.int32],
     activity: NDArray[np.int32],
-    bends: NDArray[np.int64],
+    bends: NDArray[np.int32],
     geometry: Pass,
     weights: NDArray[np.int64],
     clamp: bool,

@@ -16,6 +16,7 @@ from terrainwave._jit import kernel
 PAD = 2  # samples around each plane: what the taps reach past its edge
 A, HH, HL, LH = 0, 1, 2, 3
 WEIGHT_BITS = 12
+MAX_BEND = (1 << 31) - 1
 
 # Taps (row, column) in lattice steps from the sample; the first is its western neighbour of the
 # same pass, the next three are the row above in the same pass, the rest are known before the pass.
@@ -106,22 +107,48 @@ def plane_sizes(shape: tuple[int, int]) -> list[tuple[int, int]]:
     return [(even[0], even[1]), (odd[0], odd[1]), (even[0], odd[1]), (odd[0], even[1])]
 
 
-def split(
-    lattice: NDArray[np.generic], planes: NDArray[np.generic], which: tuple[int, ...]
-) -> None:
-    """Copy samples of `lattice` into the named planes."""
-    for plane, (n_rows, n_cols) in enumerate(plane_sizes(lattice.shape)):
-        if plane in which:
-            row, col = _PASS_PARITY[plane]
-            planes[plane, PAD : PAD + n_rows, PAD : PAD + n_cols] = lattice[row::2, col::2]
+def parity(plane: int) -> tuple[int, int]:
+    """Return row and column of a plane's first sample in the lattice."""
+    return _PASS_PARITY[plane]
 
 
-def merge(planes: NDArray[np.generic], lattice: NDArray[np.generic]) -> None:
-    """Copy the three coded planes into `lattice`."""
-    for plane, (n_rows, n_cols) in enumerate(plane_sizes(lattice.shape)):
-        if plane != A:
-            row, col = _PASS_PARITY[plane]
-            lattice[row::2, col::2] = planes[plane, PAD : PAD + n_rows, PAD : PAD + n_cols]
+@kernel
+def take_plane(lattice, row, col, plane):
+    """Copy the samples of `lattice` on every second row and column from (row, col) on."""
+    n_rows, n_cols = plane.shape
+    for i in range(n_rows):
+        line, out = lattice[2 * i + row, col:], plane[i]
+        for j in range(n_cols):
+            out[j] = line[2 * j]
+
+
+@kernel
+def split(lattice, planes):
+    """Copy the samples of `lattice` into the padded planes."""
+    n_rows, n_cols = lattice.shape
+    for i in range(n_rows):
+        line = lattice[i]
+        even = planes[3 * (i & 1), (i >> 1) + PAD, PAD:]
+        odd = planes[2 - (i & 1), (i >> 1) + PAD, PAD:]
+        for j in range((n_cols + 1) >> 1):
+            even[j] = line[2 * j]
+        for j in range(n_cols >> 1):
+            odd[j] = line[2 * j + 1]
+
+
+@kernel
+def merge(planes, lattice):
+    """Copy the samples of the padded planes into `lattice`: undo `split`."""
+    n_rows, n_cols = lattice.shape
+    for i in range(n_rows):
+        line = lattice[i]
+        even = planes[3 * (i & 1), (i >> 1) + PAD, PAD:]
+        odd = planes[2 - (i & 1), (i >> 1) + PAD, PAD:]
+        for j in range(n_cols >> 1):
+            line[2 * j] = even[j]
+            line[2 * j + 1] = odd[j]
+        if n_cols & 1:
+            line[n_cols - 1] = even[n_cols >> 1]
 
 
 @kernel
@@ -176,22 +203,31 @@ def fill_between(planes):
 
 
 @kernel
-def fill_bends(coarse, bends):
+def fill_bends(coarse, most, bends):
     """Fill `bends` with fourth differences of the coarse plane along its row plus its column.
 
-    Places nearer than two samples to the rim of the padded plane take their neighbour's.
+    Places nearer than two samples to the rim of the padded plane take their neighbour's. Heights
+    lie within +/- `most`; differences above MAX_BEND count as that.
     """
     n_rows, n_cols = coarse.shape
+    n_inner = n_cols - 4
+    is_narrow = most < MAX_BEND >> 4  # then 32 bits do for all of it
     for i in range(2, n_rows - 2):
-        row_0, row_1, row_2 = coarse[i - 2], coarse[i - 1], coarse[i]
-        row_3, row_4, out = coarse[i + 1], coarse[i + 2], bends[i]
-        for j in range(2, n_cols - 2):
-            middle = 6 * np.int64(row_2[j])
-            across = np.int64(row_2[j - 1]) + np.int64(row_2[j + 1])
-            across = np.int64(row_2[j - 2]) + np.int64(row_2[j + 2]) - 4 * across + middle
-            along = np.int64(row_1[j]) + np.int64(row_3[j])
-            along = np.int64(row_0[j]) + np.int64(row_4[j]) - 4 * along + middle
-            out[j] = abs(across) + abs(along)
-        out[1], out[n_cols - 2] = out[2], out[n_cols - 3]
+        north_2, north, here = coarse[i - 2, 2:], coarse[i - 1, 2:], coarse[i, 2:]
+        south, south_2, out = coarse[i + 1, 2:], coarse[i + 2, 2:], bends[i, 2:]
+        west_2, west, east, east_2 = coarse[i], coarse[i, 1:], coarse[i, 3:], coarse[i, 4:]
+        if is_narrow:
+            for j in range(n_inner):
+                middle = 6 * here[j]
+                across = west_2[j] + east_2[j] - 4 * (west[j] + east[j]) + middle
+                along = north_2[j] + south_2[j] - 4 * (north[j] + south[j]) + middle
+                out[j] = abs(np.int32(across)) + abs(np.int32(along))
+        else:
+            for j in range(n_inner):
+                middle = 6 * np.int64(here[j])
+                across = np.int64(west_2[j]) + east_2[j] - 4 * (np.int64(west[j]) + east[j])
+                along = np.int64(north_2[j]) + south_2[j] - 4 * (np.int64(north[j]) + south[j])
+                out[j] = min(abs(across + middle) + abs(along + middle), MAX_BEND)
+        bends[i, 1], bends[i, n_cols - 2] = bends[i, 2], bends[i, n_cols - 3]
     for j in range(n_cols):
         bends[1, j], bends[n_rows - 2, j] = bends[2, j], bends[n_rows - 3, j]

@@ -1,9 +1,11 @@
 """Lossless coding of a unit's validity mask (FORMAT.md §5.2).
 
 One adaptive bit per sample that the parent does not already imply to be void, in raster order. The
-context is six causal neighbours, where each axis lies relative to the parent's samples, and how
-many of the two nearest samples to come are already known to be void.
+context is six causal neighbours, and how many of two near and of four farther samples to come are
+already known to be void: along an outline these say where it goes.
 """
+
+import base64
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +22,29 @@ from terrainwave.coding.rangecoder import (
     encode_step,
     finish_decoder,
     finish_encoder,
-    new_models,
     start_decoder,
     start_encoder,
 )
 
-_N_CAUSAL, _N_AHEAD, _N_PHASES = 64, 3, 4
-N_MASK_MODELS = _N_CAUSAL * _N_AHEAD * _N_PHASES
+# Contexts of what lies ahead: 0 … 2 of the near ones times 0, 1, 2 or more of the farther ones.
+_N_AHEAD = 9
+_FARTHEST = 2
+N_MASK_MODELS = 64 * _N_AHEAD
+# Start probabilities in 1/256, from tools/train_masks.py; an annex of the format, never edited.
+_STARTS = (
+    "5d#Sn1_Bfm1`Y-dA|U}HA|Mk4D=7#9DJdxv8&p(J9aL0QZ5AbEWfEm&WiAB^Jv{|IJw0G)cXxMWcXxL>O>AszQfz"
+    "E&BqcU!HV<iODGm$_M>qsWM-~nd6Idw*SXdzn2oFg@2T4gCUTJ=Qer<k!el0j~aBwnkaBx<Betv#_etv!~N^x;<V"
+    "{vhDfm3^be^Y;de`GRVd3h>%d3k$ufPjE>fPjE*dw+j_e}8{}$bO!lo=%>gp4wcB$;m^>$;q*2goK2EgoK2TT7-m"
+    "zafF0~T}MTGdpCP~dm<JXR89s|R3bA!ZhU-Ye0+Qp3LaQk4_H_!h%tVCenEbIet}AvcXugwcXwGye0+Rve0+RY9b"
+    ";Zz7+zjp(~F^{f_kN;rN5nsh=_=Yh=|^E%+iBe($dnZd4`meX_S<d_oAkzrlzK*rr?u|jEszojEwB9!NI}7!NI}I"
+    "mY<)Wo1dSbv~qcba%qHwgpgl_fq`;?fq}bedZC3Mp`nn59z}eF8+?3KyLy3vfq{X6fs}QCfPjF2fPmAeqN1XrqN1"
+    "XicZi6HZitA8<&1=cgoK2Igur@&f`WpAf`a3QjEszojEs!Ke}sgDgoK2I{j;*Nva+(Wvi!-uzP`S`zP|j(%gf8l%"
+    "gf8}vc|^7#>U3R=cb5>iHV7ciOPVDjEsbgjEwcw(bePP)z#JMqo3X1tlizO_{N`~pP!$fpZ@gq_4WDn_4WVn_xJb"
+    "r_xJbz{r~^}|NsC0"
+)
+START_COUNT = 2
+_PROBABILITIES = np.frombuffer(base64.b85decode("".join(_STARTS)), dtype=np.uint8).astype(np.uint32)
+_START_MODELS = (_PROBABILITIES << 24 | START_COUNT).astype(np.uint32)
 # An adaptive bit costs at most 16 bits, so this is room for any mask.
 _BYTES_PER_SAMPLE = 2
 
@@ -41,7 +59,7 @@ def encode_mask(mask: Mask, implied: Mask) -> bytes:
     """
     state = start_encoder()
     out = np.empty(_BYTES_PER_SAMPLE * mask.size + 8, dtype=np.uint8)
-    n_bytes = _encode_mask(mask, implied, state, out, new_models(N_MASK_MODELS))
+    n_bytes = _encode_mask(mask, implied, state, out, start_models())
     return out[:n_bytes].tobytes()
 
 
@@ -56,21 +74,27 @@ def decode_mask(data: bytes, implied: Mask) -> Mask:
     mask = np.zeros(implied.shape, dtype=np.bool_)
     stream: NDArray[np.uint8] = np.frombuffer(data, dtype=np.uint8)
     state = start_encoder()
-    status, byte_pos = _decode_mask(stream, implied, state, new_models(N_MASK_MODELS), mask)
+    status, byte_pos = _decode_mask(stream, implied, state, start_models(), mask)
     raise_for_status(status, byte_pos)
     return mask
 
 
+def start_models() -> NDArray[np.uint32]:
+    """Return fresh models with the trained start values."""
+    return _START_MODELS.copy()
+
+
 @kernel
-def _row_contexts(padded, implied, row, contexts):
+def row_contexts(padded, ahead, row, contexts):
     """Fill `contexts` with the part of each sample's model that its own row does not decide.
 
     `padded` holds the mask behind two rows and columns of voids: samples outside the unit count as
-    void.
+    void. `ahead` is what is implied, with one column before, two behind and two rows below that are
+    not.
     """
     n_cols = contexts.shape[0]
     above, above2 = padded[row + 1], padded[row]
-    phase = 2 * (row & 1)
+    here, below, below2 = ahead[row], ahead[row + 1], ahead[row + 2]
     for col in range(n_cols):
         causal = (
             16 * above[col + 2]
@@ -78,12 +102,18 @@ def _row_contexts(padded, implied, row, contexts):
             + 4 * above[col + 3]
             + np.int64(above2[col + 2])
         )
-        contexts[col] = causal * (_N_AHEAD * _N_PHASES) + phase + (col & 1)
-    if row + 1 < implied.shape[0]:
+        near = np.int64(here[col + 2]) + below[col + 1]
+        far = np.int64(here[col + 3]) + below[col] + below[col + 2] + below2[col + 1]
+        contexts[col] = causal * _N_AHEAD + 3 * near + min(far, _FARTHEST)
+
+
+@kernel
+def pad_implied(implied, ahead):
+    """Fill `ahead` (uint8) for `row_contexts`."""
+    n_rows, n_cols = implied.shape
+    for row in range(n_rows):
         for col in range(n_cols):
-            contexts[col] += _N_PHASES * np.int64(implied[row + 1, col])
-    for col in range(n_cols - 1):
-        contexts[col] += _N_PHASES * np.int64(implied[row, col + 1])
+            ahead[row, col + 1] = implied[row, col]
 
 
 @kernel
@@ -91,15 +121,17 @@ def _encode_mask(mask, implied, state, out, models):
     """Encode in raster order; return the number of bytes."""
     n_rows, n_cols = mask.shape
     padded = np.zeros((n_rows + 2, n_cols + 3), dtype=np.bool_)
+    ahead = np.zeros((n_rows + 2, n_cols + 3), dtype=np.uint8)
+    pad_implied(implied, ahead)
     contexts = np.empty(n_cols, dtype=np.int64)
     span, low = state[RANGE], state[LOW]
     for row in range(n_rows):
-        _row_contexts(padded, implied, row, contexts)
+        row_contexts(padded, ahead, row, contexts)
         west = west2 = np.int64(0)
         for col in range(n_cols):
             bit = np.int64(mask[row, col])
             if not implied[row, col]:
-                model = contexts[col] + (32 * west + 2 * west2) * (_N_AHEAD * _N_PHASES)
+                model = contexts[col] + (32 * west + 2 * west2) * _N_AHEAD
                 span, low = encode_step(span, low, state, out, models, model, bit)
             padded[row + 2, col + 2] = mask[row, col]
             west2, west = west, bit
@@ -112,16 +144,18 @@ def _decode_mask(data, implied, state, models, mask):
     """Fill `mask`; return (status, position)."""
     n_rows, n_cols = mask.shape
     padded = np.zeros((n_rows + 2, n_cols + 3), dtype=np.bool_)
+    ahead = np.zeros((n_rows + 2, n_cols + 3), dtype=np.uint8)
+    pad_implied(implied, ahead)
     contexts = np.empty(n_cols, dtype=np.int64)
     start_decoder(state, data)
     span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
     for row in range(n_rows):
-        _row_contexts(padded, implied, row, contexts)
+        row_contexts(padded, ahead, row, contexts)
         west = west2 = np.int64(0)
         for col in range(n_cols):
             bit = np.int64(0)
             if not implied[row, col]:
-                model = contexts[col] + (32 * west + 2 * west2) * (_N_AHEAD * _N_PHASES)
+                model = contexts[col] + (32 * west + 2 * west2) * _N_AHEAD
                 bit, span, code, pos = decode_step(span, code, pos, data, models, model)
                 mask[row, col] = bit == 1
             padded[row + 2, col + 2] = bit == 1

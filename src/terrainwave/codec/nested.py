@@ -57,8 +57,8 @@ N_FEATURES = 18
 E_WEIGHT_BITS = 9
 
 # Rows of the row buffer.
-(_ACC, _LOWEST, _LOWER, _UPPER, _HIGHEST, _ERRORS, _SPREAD, _FLOOR, _CEILING) = range(9)
-N_ROW_BUFFERS = 9
+(_ACC, _LOWEST, _LOWER, _UPPER, _HIGHEST, _ERRORS, _SPREAD, _FLOOR, _CEILING, _WIDTH) = range(10)
+N_ROW_BUFFERS = 10
 
 
 @kernel
@@ -245,14 +245,15 @@ def _update_activity(errors, before, n_cols, after):
 
 @kernel
 def code_pass(
-    target, kinds, planes, errors, activity, bends, own, geometry, weights, e_weights, mixed,
-    clamp, step, z_min, z_max, rows, spots, state, stream, models,
+    target, kinds, planes, errors, activity, bends, own, geometry, weights, e_weights, clamp,
+    step, z_min, z_max, rows, spots, state, stream, models,
 ):  # fmt: skip
     """Encode a plane of `target`, or decode it where that is None, into ``planes[own]``.
 
     `kinds` (VOID, CODED, KNOWN) and `target` have the plane's size without padding; known samples
     are in place. Fills ``errors[own]`` and ``activity[own]`` as well, whose padding must be 0.
-    `rows` may be int32 where `fits_narrow` says so, for the same result in half the time.
+    `rows` may be int32 where `fits_narrow` says so, for the same result in half the time. `spots`
+    is room for six integers, or None where each decision has one model only.
     """
     n_rows, n_cols = kinds.shape
     plane, own_errors = planes[own], errors[own]
@@ -261,7 +262,7 @@ def code_pass(
     acc, lowest, lower = rows[_ACC], rows[_LOWEST], rows[_LOWER]
     upper, highest = rows[_UPPER], rows[_HIGHEST]
     sums, spread = rows[_ERRORS], rows[_SPREAD]
-    floors, ceilings = rows[_FLOOR], rows[_CEILING]
+    floors, ceilings, widths = rows[_FLOOR], rows[_CEILING], rows[_WIDTH]
     scale_shift, inverse = step_scale(step)
     half = step >> 1
     most = 2 * MAX_HEIGHT // step + 2
@@ -301,6 +302,9 @@ def code_pass(
         for j in range(n_cols):
             bound = np.int64(highest[j]) << P_BITS if clamp else p_high
             ceilings[j] = min(max(bound, p_low), p_high)
+        for j in range(n_cols):
+            width = np.int64(highest[j]) - lowest[j]
+            widths[j] = in_steps(width, scale_shift, inverse, E_BITS)
         west = np.int64(here[PAD - 1])
         error_west, error_west2 = np.int64(here_errors[PAD - 1]), np.int64(here_errors[PAD - 2])
         samples, sample_errors, northern = here[PAD:], here_errors[PAD:], above[PAD:]
@@ -343,8 +347,7 @@ def code_pass(
             expected = min(expected >> 6, MAX_E)
             e_range = expected + E_OFFSET
             e_bin, log_range = contexts_of(expected)
-            width = in_steps(top - bottom, scale_shift, inverse, E_BITS)
-            range_bin = range_bin_of(width, e_range, log_range)
+            range_bin = range_bin_of(np.int64(widths[j]), e_range, log_range)
             fraction = value - (whole << P_BITS)
             zero_b = (
                 ZERO_B
@@ -353,7 +356,7 @@ def code_pass(
             )
             zero_h = np.int64(0)
             n_up = n_down = 0
-            if mixed:
+            if spots is not None:
                 north = np.int64(northern[j])
                 is_quiet = (
                     max(max(top, west), north) - whole <= half
@@ -383,7 +386,7 @@ def code_pass(
                     zero_h = ZERO_H + (e_bin * 7 + n_same) * 4 + min(min(n_up, n_down), 3)
             detail = np.int64(0)
             if target is None:
-                if mixed:
+                if spots is not None:
                     bit, span, low, pos = decode_mean_step(
                         span, low, pos, stream, models, zero_b, zero_h
                     )
@@ -398,7 +401,7 @@ def code_pass(
                     detail = (abs(off) + half) // step
                     if off < 0:
                         detail = -detail
-                if mixed:
+                if spots is not None:
                     span, low = encode_mean_step(
                         span, low, state, stream, models, zero_b, zero_h, bit
                     )
@@ -428,7 +431,7 @@ def code_pass(
                 reach_a = in_steps(
                     max(value - (bottom << P_BITS), 0), scale_shift, inverse, E_BITS - P_BITS
                 )
-                if mixed:
+                if spots is not None:
                     spots[0], spots[1] = bottom - whole, lower[j] - whole
                     spots[2], spots[3] = upper[j] - whole, top - whole
                     spots[4], spots[5] = west - whole, northern[j] - whole
@@ -437,13 +440,13 @@ def code_pass(
                         spots[k] = distance if spots[k] > 0 else -distance
                 if target is None:
                     detail, span, low, pos = decode_detail(
-                        span, low, pos, state, stream, models, mixed, e_bin, sign_b, sign_h,
+                        span, low, pos, state, stream, models, e_bin, sign_b, sign_h,
                         reach_b, reach_a, e_range, log_range, spots,
                     )  # fmt: skip
                     detail = min(max(detail, -most), most)
                 else:
                     span, low = encode_detail(
-                        span, low, state, stream, models, mixed, e_bin, sign_b, sign_h,
+                        span, low, state, stream, models, e_bin, sign_b, sign_h,
                         reach_b, reach_a, e_range, log_range, spots, detail,
                     )  # fmt: skip
                 west = min(max(whole + detail * step, z_min), z_max)

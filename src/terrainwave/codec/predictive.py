@@ -4,6 +4,7 @@ Each sample is predicted from everything decoded so far and its error quantised 
 it comes back within the bound on every level, without a second stage.
 """
 
+import threading
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -32,8 +33,10 @@ from terrainwave.codec.lattice import (
     fill_between,
     fill_frame,
     merge,
+    parity,
     plane_sizes,
     split,
+    take_plane,
 )
 from terrainwave.codec.nested import (
     CODED,
@@ -85,6 +88,8 @@ _CLOSE = (100, 106, 140)
 # Feature weights fitted to the file must save so many times their own bits.
 _WORTH = 2
 _WINDOW = 80
+# Samples of a lattice up to which a thread keeps its arrays for the next one.
+_MAX_KEPT = 1 << 20
 
 
 # By plane: features of the expected magnitude and |details|, collected for fitting.
@@ -132,9 +137,40 @@ class _Scratch(NamedTuple):
     planes: NDArray[np.int32]
     errors: NDArray[np.int32]
     activity: NDArray[np.int32]
-    bends: NDArray[np.int64]
+    bends: NDArray[np.int32]
     rows: _Rows
     spots: NDArray[np.int64]
+
+
+class _Workspace(threading.local):
+    """Memory of a thread that lattices take turns with: fresh pages cost as much as decoding."""
+
+    def __init__(self) -> None:
+        self.memory = np.zeros(0, dtype=np.int32)
+
+    def scratch(self, shape: tuple[int, int], most: int) -> _Scratch:
+        """Return arrays for a lattice with heights within +/- `most`; errors, activity are 0."""
+        n_rows, n_cols = plane_sizes(shape)[A]
+        padded = n_rows + 2 * PAD, n_cols + 2 * PAD
+        size = padded[0] * padded[1]
+        memory = self.memory
+        if memory.size < 13 * size:
+            memory = np.empty(13 * size, dtype=np.int32)
+            if shape[0] * shape[1] <= _MAX_KEPT:
+                self.memory = memory
+        planes, errors, activity = memory[: 12 * size].reshape(3, 4, *padded)
+        errors.fill(0)
+        activity.fill(0)
+        bends = memory[12 * size : 13 * size].reshape(padded)
+        rows = _Rows(
+            most,
+            np.zeros((N_ROW_BUFFERS, n_cols), dtype=np.int32),
+            np.zeros((N_ROW_BUFFERS, n_cols), dtype=np.int64),
+        )
+        return _Scratch(planes, errors, activity, bends, rows, np.zeros(6, dtype=np.int64))
+
+
+_WORKSPACE = _Workspace()
 
 
 class Predictive:
@@ -277,8 +313,9 @@ def _code_unit(
     core = spec.core.slices_in(spec.region)
     code_border(spec, parent, target, mask, heights, is_known, *streams, is_nested=True)
     inner = np.ascontiguousarray(heights[core])
-    kinds = np.where(mask[core], np.uint8(CODED), np.uint8(VOID))
-    np.copyto(kinds, KNOWN, where=is_known[core])
+    kinds = mask[core].astype(np.uint8)  # CODED or VOID
+    if any(spec.shared):
+        kinds[is_known[core]] = KNOWN
     goal = None if target is None else np.ascontiguousarray(target[core])
     trees = None
     if parent is None:
@@ -289,8 +326,10 @@ def _code_unit(
         while stride > 1:
             stride >>= 1
             at = slice(None, None, stride)
+            part = np.ascontiguousarray(inner[at, at])
             goal_part = None if goal is None else goal[at, at]
-            _code_lattice(inner[at, at], kinds[at, at], goal_part, spec, coder)
+            _code_lattice(part, np.ascontiguousarray(kinds[at, at]), goal_part, spec, coder)
+            inner[at, at] = part
     else:
         assert spec.parent_region is not None
         row = (spec.core.row >> 1) - spec.parent_region.row
@@ -302,7 +341,8 @@ def _code_unit(
             trees = np.empty((n_rows, n_cols), dtype=np.uint8)
             mark_significant(errors, *inner.shape, trees)
             grow_zero_trees(trees)
-    heights[core] = inner
+    if inner.base is not heights:
+        heights[core] = inner
     return heights, trees
 
 
@@ -334,40 +374,34 @@ def _code_lattice(
 ) -> NDArray[np.int32]:
     """Code the three passes of a lattice; `heights` holds the coarse and the known samples.
 
-    Return the errors of prediction, in planes as `lattice.split` makes them.
+    Return the errors of prediction, in planes as `lattice.split` makes them; they are gone when the
+    next lattice is coded.
     """
     shape = heights.shape
     sizes = plane_sizes(shape)
-    padded = (4, sizes[A][0] + 2 * PAD, sizes[A][1] + 2 * PAD)
-    planes = np.zeros(padded, dtype=np.int32)
-    errors = np.zeros(padded, dtype=np.int32)
-    activity = np.zeros(padded, dtype=np.int32)
-    bends = np.zeros(padded[1:], dtype=np.int64)
     most = max(abs(spec.z_min), abs(spec.z_max)) + spec.step
     most = max(most, -int(heights.min()), int(heights.max()))
-    rows = _Rows(
-        most,
-        np.zeros((N_ROW_BUFFERS, sizes[A][1]), dtype=np.int32),
-        np.zeros((N_ROW_BUFFERS, sizes[A][1]), dtype=np.int64),
-    )
-    spots = np.zeros(6, dtype=np.int64)
-    split(heights, planes, (A,))
+    scratch = _WORKSPACE.scratch(shape, most)
+    planes, errors, activity, bends = scratch[:4]
+    if goal is not None:
+        planes.fill(0)  # rims of planes that `_choose` looks at before they are coded
+    split(heights, planes)
     fill_frame(planes[A], 0, 0, *shape)
     if min(shape) == 1:
         fill_between(planes)
-    split(heights, planes, (1, 2, 3))
-    fill_bends(planes[A], bends)
+        split(heights, planes)
+    fill_bends(planes[A], most, bends)
     for geometry in PASSES:
         own = geometry.plane
         if 0 in sizes[own]:
             continue
-        row_parity, col_parity = own & 1 if own != 2 else 0, int(own != 3)
+        row_parity, col_parity = parity(own)
         stencils = coder.tables.stencils[own]
-        own_kinds = np.ascontiguousarray(kinds[row_parity::2, col_parity::2])
+        own_kinds = np.empty(sizes[own], dtype=np.uint8)
+        take_plane(kinds, row_parity, col_parity, own_kinds)
         own_goal = None
         if goal is not None:
             own_goal = np.ascontiguousarray(goal[row_parity::2, col_parity::2])
-        scratch = _Scratch(planes, errors, activity, bends, rows, spots)
         choice = Choice(0, _N_CLASSES - 1)
         has_header = shape[0] * shape[1] >= _MIN_CHOICE
         if has_header and own_goal is not None:
@@ -427,9 +461,9 @@ def _run_pass(
     e_weights = coder.tables.e_weights[own][choice.e_class]
     code_pass(
         goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
-        weights, e_weights, bool(coder.flags & _MIXED), bool(coder.flags & _CLAMP), spec.step,
-        spec.z_min, spec.z_max, scratch.rows.of(weights, e_weights),
-        scratch.spots, coder.state, coder.stream, coder.models,
+        weights, e_weights, bool(coder.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
+        scratch.rows.of(weights, e_weights), scratch.spots if coder.flags & _MIXED else None,
+        coder.state, coder.stream, coder.models,
     )  # fmt: skip
     if coder.seen is not None:
         coder.seen[own].append(

@@ -59,6 +59,7 @@ def unit_spec(grid: Grid, parameters: CodecParameters, key: Block) -> GroupSpec:
         rings=parameters.rings,
         effort=parameters.effort,
         is_finest=level == grid.k_max,
+        wants_labels=False,
     )
 
 

@@ -222,12 +222,11 @@ def decode_magnitude_at(state, data, models, first, prefix, shift):
 
 
 @kernel
-def encode_tree(quants, along, rough, offsets, labels, mags, spread, activity, state, out, models):
+def encode_tree(quants, along, rough, offsets, labels, mags, spread, state, out, models):
     """Encode labels and coefficients, coarse to fine, row by row, HL, LH, HH at each node.
 
     `rough` (rows, cols) is what the parent says about the finest nodes. `mags` (2, 3, rows + 3,
-    cols + 4) and `spread` (3, rows, cols) are scratch for the finest node grid; `activity` is
-    increased by the finest magnitudes, for the residual's contexts.
+    cols + 4) and `spread` (3, rows, cols) are scratch for the finest node grid.
     """
     n_rows, n_cols = quants.shape
     count = n_transforms(n_rows, n_cols)
@@ -299,7 +298,6 @@ def encode_tree(quants, along, rough, offsets, labels, mags, spread, activity, s
                         )
                         plane[2, i + 2, j + 2] = min(abs(quant), MAX_MAG)
     state[RANGE], state[LOW] = span, low
-    _add_activity(mags[(count - 1) & 1], activity)
 
 
 @kernel
@@ -367,7 +365,6 @@ def decode_tree(
     labels,
     mags,
     spread,
-    activity,
     state,
     data,
     models,
@@ -456,7 +453,6 @@ def decode_tree(
                             )
                             plane[2, i + 2, j + 2] = min(abs(value), MAX_MAG)
     state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
-    _add_activity(mags[(count - 1) & 1], activity)
 
 
 @kernel
@@ -484,20 +480,6 @@ def dequantize(quant, step, limit, offset):
         return np.int64(0)
     value = (((min(abs(quant), limit) << 6) - offset) * step) >> 6
     return value if quant > 0 else -value
-
-
-@kernel
-def _add_activity(plane, activity):
-    """Add a weighted sum of the finest magnitudes around each node to `activity`."""
-    rows, cols = activity.shape
-    for i in range(rows):
-        for j in range(cols):
-            total = np.int64(0)
-            for band in range(3):
-                ring = np.int64(plane[band, i + 1, j + 2]) + plane[band, i + 3, j + 2]
-                ring += np.int64(plane[band, i + 2, j + 1]) + plane[band, i + 2, j + 3]
-                total += 3 * np.int64(plane[band, i + 2, j + 2]) + ring
-            activity[i, j] += min(total, SUM_LIMIT)
 
 
 @kernel

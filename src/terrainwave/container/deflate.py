@@ -4,14 +4,19 @@ import zlib
 
 from terrainwave.errors import CorruptStreamError
 
-
-def deflate(data: bytes) -> bytes:
-    """Return `data` as a zlib stream."""
-    return zlib.compress(data, 9)
+_RAW = -zlib.MAX_WBITS
 
 
-def inflate(data: bytes, limit: int, name: str) -> bytes:
-    """Return the content of a zlib stream that fills `data` exactly.
+def deflate(data: bytes, dictionary: bytes = b"") -> bytes:
+    """Return `data` as a zlib stream; as a raw one with a preset dictionary, if one is given."""
+    if not dictionary:
+        return zlib.compress(data, 9)
+    stream = zlib.compressobj(9, wbits=_RAW, memLevel=9, zdict=dictionary)
+    return stream.compress(data) + stream.flush()
+
+
+def inflate(data: bytes, limit: int, name: str, dictionary: bytes = b"") -> bytes:
+    """Undo `deflate`; the stream must fill `data` exactly.
 
     Never holds more than ``limit + 1`` inflated bytes.
 
@@ -20,7 +25,7 @@ def inflate(data: bytes, limit: int, name: str) -> bytes:
     CorruptStreamError
         If `data` is no such stream, or its content is longer than `limit`.
     """
-    stream = zlib.decompressobj()
+    stream = zlib.decompressobj(_RAW, dictionary) if dictionary else zlib.decompressobj()
     try:
         content = stream.decompress(data, limit + 1)
     except zlib.error as error:

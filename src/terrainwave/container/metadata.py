@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import NoReturn
 
 from terrainwave.container.deflate import deflate, inflate
+from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import MAX_METADATA
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
 
@@ -34,7 +35,7 @@ def pack_metadata(metadata: dict[str, object]) -> bytes:
         raise InvalidHeightsError(f"metadata cannot be stored: {error}") from None
     if len(text) > MAX_METADATA:
         raise InvalidHeightsError(f"metadata of {len(text)} bytes, more than 1 MiB")
-    packed = deflate(text)
+    packed = deflate(text, DICTIONARY)
     if len(packed) > MAX_METADATA:
         raise InvalidHeightsError("metadata is more than 1 MiB")
     try:
@@ -52,7 +53,7 @@ def unpack_metadata(packed: bytes) -> dict[str, object]:
     CorruptStreamError
         If it is not one JSON object as FORMAT.md §4.2 wants it.
     """
-    data = inflate(packed, MAX_METADATA, "metadata")
+    data = inflate(packed, MAX_METADATA, "metadata", DICTIONARY)
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:

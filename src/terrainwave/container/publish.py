@@ -190,6 +190,69 @@ def scratch_directory(parent: str | os.PathLike[str], name: str) -> Iterator[Pat
             lock.close()
 
 
+@contextmanager
+def publish_directory(
+    target: str | os.PathLike[str], marker: str, overwrite: bool = False
+) -> Iterator[Path]:
+    """Give a directory to fill that takes the name `target` when the block ends without exception.
+
+    On any exception it is removed and the target is as it was before.
+
+    Parameters
+    ----------
+    target : path
+    marker : str
+        Name of a file that every such directory has: no other one is replaced.
+    overwrite : bool
+        Whether an existing directory with `marker` may be replaced; an empty one always is.
+
+    Raises
+    ------
+    StorageError
+        Before the block: if the target exists and may not be replaced, or its parent is missing or
+        not writable. After it: if the target cannot be replaced.
+    """
+    final = Path(os.path.realpath(target))
+    _check_directory(final, marker, overwrite)
+    with scratch_directory(final.parent, final.name) as scratch:
+        new, old = scratch / "new", scratch / "old"
+        with storage_errors(f"cannot write {target}"):
+            new.mkdir()
+        yield new
+        _check_directory(final, marker, overwrite)
+        with storage_errors(f"cannot write {target}"):
+            if final.exists():
+                os.replace(final, old)
+            try:
+                os.replace(new, final)
+            except OSError:
+                if old.exists():
+                    os.replace(old, final)
+                raise
+
+
+def _check_directory(final: Path, marker: str, overwrite: bool) -> None:
+    with storage_errors(f"cannot write {final}"):
+        if not final.parent.is_dir():
+            raise StorageError(f"cannot write {final}: there is no directory {final.parent}")
+        if not final.exists():
+            return
+        if not final.is_dir():
+            raise StorageError(f"cannot write {final}: it is not a directory")
+        if not any(final.iterdir()):
+            return
+        if not (final / marker).is_file():
+            raise StorageError(
+                f"cannot write {final}: it is not empty and has no {marker}; expected a new"
+                " directory"
+            )
+    if not overwrite:
+        raise StorageError(
+            f"{final} already exists and is left as it is;"
+            " --overwrite or overwrite=True replaces it"
+        )
+
+
 def _leftovers(directory: Path, name: str, suffix: str) -> Iterator[Path]:
     """Yield the paths in `directory` that look like ``.name.random`` and the suffix."""
     prefix = f".{name}."

@@ -94,11 +94,28 @@ class Place:
 
 
 def find_place(mesh: Mesh, *, radius: float | None = None) -> Place:
-    """Say how the mesh's coordinates are meant, from its CRS; guess and warn where there is none.
+    """Say how the mesh's coordinates are meant; see `place_of`."""
+    is_placed = mesh.attributes.get("is_placed") is not False
+    return place_of(mesh.crs, mesh.bounds, is_placed=is_placed, radius=radius)
+
+
+def place_of(
+    crs_text: str | None,
+    bounds: tuple[float, float, float, float],
+    *,
+    is_placed: bool = True,
+    radius: float | None = None,
+) -> Place:
+    """Say how coordinates are meant, from their CRS; guess and warn where there is none.
 
     Parameters
     ----------
-    mesh : Mesh
+    crs_text : str, optional
+        ``AUTH:CODE`` or WKT.
+    bounds : (left, bottom, right, top)
+        What the coordinates span; told from where there is no CRS.
+    is_placed : bool
+        False for an array without a place, whose columns and rows are no degrees.
     radius : float, optional
         Radius in metres of the sphere that geographic coordinates lie on, instead of the CRS's
         ellipsoid.
@@ -110,9 +127,9 @@ def find_place(mesh: Mesh, *, radius: float | None = None) -> Place:
     """
     if radius is not None and not (math.isfinite(radius) and radius > 0):
         raise InvalidHeightsError(f"found radius {radius}, expected metres > 0")
-    crs = _crs_of(mesh)
+    crs = _parsed(crs_text)
     if crs is None:
-        place = _guess(mesh, radius)
+        place = _guess(bounds, is_placed, radius)
     elif crs.is_geographic:
         unit = math.degrees(float(crs.units_factor[1]))
         place = Place(True, unit, ellipsoid_of(crs), crs)
@@ -127,18 +144,20 @@ def find_place(mesh: Mesh, *, radius: float | None = None) -> Place:
     return place
 
 
-def _crs_of(mesh: Mesh) -> "CRS | None":
-    if mesh.crs is None:
+def _parsed(crs_text: str | None) -> "CRS | None":
+    if crs_text is None:
         return None
     from terrainwave.raster_io.crs import parse_crs
 
-    return parse_crs(mesh.crs)
+    return parse_crs(crs_text)
 
 
-def _guess(mesh: Mesh, radius: float | None) -> Place:
-    left, bottom, right, top = mesh.bounds
+def _guess(
+    bounds: tuple[float, float, float, float], is_placed: bool, radius: float | None
+) -> Place:
+    left, bottom, right, top = bounds
     fits = -360 <= left and right <= 360 and -90 <= bottom and top <= 90
-    if not fits or mesh.attributes.get("is_placed") is False:
+    if not (fits and is_placed):
         return Place(False, 1.0, EARTH, None)
     body = "the Earth" if radius is None else f"a sphere of {radius:g} m"
     warnings.warn(
@@ -318,11 +337,11 @@ def geographic_points(mesh: Mesh, place: Place, target: "CRS | None" = None) -> 
         raise InvalidHeightsError(
             "there is no coordinate reference system to tell longitudes and latitudes from"
         )
-    points[:, :2] = _transform(points[:, :2], place.crs, target or _geographic_base(place.crs))
+    points[:, :2] = _transform(points[:, :2], place.crs, target or geographic_base(place.crs))
     return points
 
 
-def _geographic_base(crs: "CRS") -> "CRS":
+def geographic_base(crs: "CRS") -> "CRS":
     """Return the geographic CRS that a projected or compound CRS is based on."""
     from rasterio.crs import CRS
     from rasterio.errors import CRSError
@@ -351,6 +370,22 @@ def _balanced(text: str) -> str:
 
 
 def _transform(xy: NDArray[np.float64], source: "CRS", target: "CRS") -> NDArray[np.float64]:
+    found = transform_points(xy, source, target)
+    if not np.isfinite(found).all():
+        raise InvalidHeightsError(
+            "a part of the mesh has no longitude and latitude in its coordinate reference system"
+        )
+    return found
+
+
+def transform_points(xy: NDArray[np.float64], source: "CRS", target: "CRS") -> NDArray[np.float64]:
+    """Return points of one CRS in another, shape (n_points, 2).
+
+    Raises
+    ------
+    InvalidHeightsError
+        If a point has no place there.
+    """
     from rasterio.warp import transform
 
     from terrainwave.raster_io.gdal import GDAL_ERRORS, one_line
@@ -358,12 +393,29 @@ def _transform(xy: NDArray[np.float64], source: "CRS", target: "CRS") -> NDArray
     try:
         found: Any = np.array(transform(source, target, xy[:, 0], xy[:, 1])).T
     except GDAL_ERRORS as error:
-        raise InvalidHeightsError(f"cannot transform the mesh: {one_line(error)}") from error
-    if not np.isfinite(found).all():
-        raise InvalidHeightsError(
-            "a part of the mesh has no longitude and latitude in its coordinate reference system"
-        )
-    return np.asarray(found, dtype=np.float64)
+        raise InvalidHeightsError(f"cannot transform coordinates: {one_line(error)}") from error
+    return np.asarray(found, dtype=np.float64).reshape(-1, 2)
+
+
+def transform_where_possible(
+    xy: NDArray[np.float64], source: "CRS", target: "CRS"
+) -> NDArray[np.float64]:
+    """Return points of one CRS in another; NaN where one has no place there.
+
+    PROJ gives up on all points for one: their halves are tried apart.
+    """
+    if not len(xy):
+        return xy
+    try:
+        found = transform_points(xy, source, target)
+    except InvalidHeightsError:
+        if len(xy) == 1:
+            return np.full((1, 2), np.nan)
+        half = len(xy) // 2
+        parts = (xy[:half], xy[half:])
+        return np.concatenate([transform_where_possible(part, source, target) for part in parts])
+    found[~np.isfinite(found).all(axis=1)] = np.nan
+    return found
 
 
 def _attributes(mesh: Mesh, name: str, z_scale: float, unit: str | None) -> dict[str, Any]:

@@ -10,6 +10,8 @@ from terrainwave.tri.triangle import area_of
 _MAX_EXACT_AREA = 1 << 25
 # More than float64 loses of heights below 2^36.
 _ROUNDING = 2.0**-10
+# Of a triangle's area: points so little outside count as on its edge.
+_ON_EDGE = 1e-9
 
 
 def largest_deviation(
@@ -186,3 +188,68 @@ def _largest_from_bilinear(rows, cols, heights, triangles, stride, samples, is_w
                 surface = z_0 + (share_1 * rise_1 + share_2 * rise_2) / float(area)
                 largest = max(largest, abs(surface - bilinear))
     return np.ceil(largest + _ROUNDING)
+
+
+def deviation_at_points(
+    mesh: BlockMesh,
+    is_counted: NDArray[np.bool_],
+    rows: NDArray[np.float64],
+    cols: NDArray[np.float64],
+    heights: NDArray[np.float64],
+    side: int,
+) -> tuple[float, int]:
+    """Return the largest vertical distance of points from triangles, and how many lie on them.
+
+    Parameters
+    ----------
+    mesh : BlockMesh
+        Its places may be fractions of half samples.
+    is_counted : ndarray of bool, shape (n_triangles,)
+        Which triangles are looked at.
+    rows, cols, heights : ndarray of float64, shape (n_points,)
+        Points in samples, 0 … side, and 1/16 quanta.
+    side : int
+        Cells of the mesh's square.
+    """
+    # Points by the cell they lie in, so that a triangle looks at its own cells only.
+    cell_rows = np.clip(np.floor(rows).astype(np.int64), 0, side - 1)
+    cell_cols = np.clip(np.floor(cols).astype(np.int64), 0, side - 1)
+    cells = cell_rows * side + cell_cols
+    order = np.argsort(cells, kind="stable")
+    starts = np.searchsorted(cells[order], np.arange(side * side + 1))
+    is_covered = np.zeros(len(rows), dtype=np.bool_)
+    worst = _deviation_at_points(
+        mesh.rows / 2, mesh.cols / 2, mesh.heights.astype(np.float64),
+        mesh.triangles[is_counted], rows[order], cols[order], heights[order], starts, side,
+        is_covered,
+    )  # fmt: skip
+    return float(worst), int(np.count_nonzero(is_covered))
+
+
+@kernel
+def _deviation_at_points(
+    rows, cols, heights, triangles, point_rows, point_cols, point_heights, starts, side, is_covered
+):
+    worst = 0.0
+    for t in range(triangles.shape[0]):
+        p, q, s = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        r_0, r_1, r_2 = rows[p], rows[q], rows[s]
+        c_0, c_1, c_2 = cols[p], cols[q], cols[s]
+        area = (c_1 - c_0) * (r_2 - r_0) - (c_2 - c_0) * (r_1 - r_0)
+        # A point on a cell's lower or right edge belongs to the cell beyond.
+        top, bottom = int(min(r_0, r_1, r_2)), min(int(max(r_0, r_1, r_2)), side - 1)
+        left, right = int(min(c_0, c_1, c_2)), min(int(max(c_0, c_1, c_2)), side - 1)
+        slack = _ON_EDGE * area
+        for row in range(max(top, 0), bottom + 1):
+            first = starts[row * side + max(left, 0)]
+            for k in range(first, starts[row * side + right + 1]):
+                x, y = point_cols[k], point_rows[k]
+                w_0 = (c_1 - x) * (r_2 - y) - (c_2 - x) * (r_1 - y)
+                w_1 = (c_2 - x) * (r_0 - y) - (c_0 - x) * (r_2 - y)
+                w_2 = area - w_0 - w_1
+                if w_0 < -slack or w_1 < -slack or w_2 < -slack:
+                    continue
+                height = (w_0 * heights[p] + w_1 * heights[q] + w_2 * heights[s]) / area
+                worst = max(worst, abs(height - point_heights[k]))
+                is_covered[k] = True
+    return worst

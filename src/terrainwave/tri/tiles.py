@@ -9,7 +9,7 @@ import json
 import os
 import struct
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,9 @@ from terrainwave.tri.mesh import Mesh
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_STEPS = 32767
+STEPS = 32767
+# Radii from the middle of the globe, of a point beyond all horizons.
+_FAR = 1e6
 
 
 class Tile(NamedTuple):
@@ -93,33 +95,77 @@ def encode_tile(globe: Globe, bounds: "Sequence[float]") -> Tile:
     bounds : (west, south, east, north)
         Of the tile, in degrees.
     """
+    points, triangles = _in_order_of_use(globe.mesh)
+    quantized, rounding, low, high = _quantize(points, triangles, bounds)
+    about = {"bounds": list(bounds), "geometricerror": globe.mesh.error + rounding}
+    data = tile_bytes(points, quantized, triangles, (low, high), globe.ellipsoid, about)
+    return Tile(data, rounding, len(points), len(triangles))
+
+
+def tile_bytes(
+    points: NDArray[np.float64],
+    quantized: NDArray[np.int16],
+    triangles: NDArray[np.int64],
+    heights: tuple[float, float],
+    ellipsoid: Ellipsoid,
+    about: dict[str, Any],
+) -> bytes:
+    """Return the bytes of a tile.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (n_vertices, 3)
+        Longitude, latitude in degrees and height in metres, in the order of their first use.
+    quantized : ndarray of int16, shape (n_vertices, 3)
+        The same as the tile holds them: (u, v, h) in 0 … 32767.
+    triangles : ndarray of int64, shape (n_triangles, 3)
+        Counter-clockwise seen from above.
+    heights : tuple of float
+        What h = 0 and h = 32767 stand for; numbers that float32 has.
+    about : dict
+        For the metadata extension.
+    """
     encoder = need("quantized_mesh_encoder.encode")
     from quantized_mesh_encoder.ellipsoid import Ellipsoid as EncoderEllipsoid
     from quantized_mesh_encoder.extensions import MetadataExtension
 
-    points, triangles = _in_order_of_use(globe.mesh)
-    quantized, rounding, low, high = _quantize(points, triangles, bounds)
-    axis, e2 = globe.ellipsoid
+    axis, e2 = ellipsoid
     # `encode` itself takes positions as float32, nearly a metre at 180 degrees, and rounds down.
     with np.errstate(all="ignore"):
         header = encoder.compute_header(
             points, "naive", ellipsoid=EncoderEllipsoid(a=axis, b=axis * float(np.sqrt(1 - e2)))
         )
-        header |= {"minimumHeight": low, "maximumHeight": high}
+        header |= dict(zip(("minimumHeight", "maximumHeight"), heights, strict=True))
+        header |= _occlusion_point(ellipsoid.geocentric(points), ellipsoid)
         out = io.BytesIO()
         encoder.encode_header(out, header)
         encoder.write_vertices(out, quantized, len(quantized))
         encoder.write_indices(out, triangles.astype(np.uint32), len(quantized))
         encoder.write_edge_indices(out, quantized, len(quantized))
-        about = {
-            "generator": f"terrainwave {__version__}",
-            "bounds": list(bounds),
-            "geometricerror": globe.mesh.error + rounding,
-        }
         # The format wants the length before the text; from a dict the encoder leaves it out.
-        text = json.dumps(about).encode()
+        text = json.dumps({"generator": f"terrainwave {__version__}"} | about).encode()
         out.write(MetadataExtension(data=struct.pack("<I", len(text)) + text).encode())
-    return Tile(out.getvalue(), rounding, len(points), len(triangles))
+    return out.getvalue()
+
+
+def _occlusion_point(points: NDArray[np.float64], ellipsoid: Ellipsoid) -> dict[str, float]:
+    """Return the point that is behind the horizon if all of the tile is.
+
+    Along the direction of the vertices' middle, on the ellipsoid scaled to a unit sphere, at the
+    largest 1 / (cos α cos β − sin α sin β), α the angle to a vertex and cos β = 1 / its distance
+    (Ring 2013, Computing the horizon occlusion point). There is none where α + β reaches a right
+    angle, as in tiles of half a globe: then a point so far out that it is hidden with their middle.
+    """
+    axes = np.array([1.0, 1.0, np.sqrt(1 - ellipsoid.e2)]) * ellipsoid.axis
+    scaled = points / axes
+    middle = (scaled.min(axis=0) + scaled.max(axis=0)) / 2
+    direction = middle / np.linalg.norm(middle)
+    distances = np.maximum(np.linalg.norm(scaled, axis=1), 1.0)
+    cos_alpha = np.clip(scaled @ direction / np.linalg.norm(scaled, axis=1), -1.0, 1.0)
+    angle = np.arccos(cos_alpha) + np.arccos(1 / distances)
+    far = 1 / max(float(np.cos(angle.max())), 1 / _FAR) if angle.max() < np.pi / 2 else _FAR
+    names = (f"horizonOcclusionPoint{axis}" for axis in "XYZ")
+    return dict(zip(names, (direction * far).tolist(), strict=True))
 
 
 def _in_order_of_use(mesh: Mesh) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -139,8 +185,8 @@ def _quantize(
     high = float(np.nextafter(np.float32(points[:, 2].max()), np.float32(np.inf)))
     start = np.array([bounds[0], bounds[1], low])
     size = np.array([bounds[2], bounds[3], high]) - start
-    steps = np.clip(np.rint((points - start) / size * _STEPS), 0, _STEPS)
-    written = start + steps / _STEPS * size
+    steps = np.clip(np.rint((points - start) / size * STEPS), 0, STEPS)
+    written = start + steps / STEPS * size
     moved = np.abs(written - points).max(axis=0)
     flat = Mesh(points, triangles.astype(np.int32), (0.0, 0.0, 0.0), 0.0)
     slope_x, slope_y = steepest(flat)

@@ -1,10 +1,12 @@
 #!/bin/sh
-# What pictures without a screen need, and a screen without a screen for the test of the window:
-# EGL, OpenGL with Mesa's software driver, Xvfb, xdotool. Installed where this is Debian or Ubuntu
-# and apt-get may run; elsewhere one line says what is missing, and the tests that need it fail.
+# What pictures without a screen need, a screen without a screen for the test of the window, and a
+# browser for the tests of pages: EGL, OpenGL with Mesa's software driver, Xvfb, xdotool, Chromium
+# with its driver, npm. Installed where this is Debian or Ubuntu and apt-get may run; elsewhere one
+# line says what is missing, and the tests that need it fail.
 set -eu
 
-packages="libegl1 libgl1 libgl1-mesa-dri libglu1-mesa xvfb xauth xdotool"
+packages="libegl1 libgl1 libgl1-mesa-dri libglu1-mesa xvfb xauth xdotool chromium chromium-driver"
+command -v npm >/dev/null || packages="$packages npm"
 
 has_library() {
     { ldconfig -p 2>/dev/null || /sbin/ldconfig -p 2>/dev/null || true; } | grep -q "$1"
@@ -21,7 +23,8 @@ has_driver() {
 is_complete() {
     has_library libEGL.so.1 && has_library libGL.so.1 && has_library libGLU.so.1 && has_driver &&
         command -v xvfb-run >/dev/null && command -v xauth >/dev/null &&
-        command -v xdotool >/dev/null
+        command -v xdotool >/dev/null && command -v chromium >/dev/null &&
+        command -v chromedriver >/dev/null && command -v npm >/dev/null
 }
 
 [ "$(uname -s)" = Linux ] || exit 0
@@ -32,11 +35,11 @@ if [ "$(id -u)" -eq 0 ]; then
 elif command -v sudo >/dev/null && sudo -n true 2>/dev/null; then
     as_root="sudo -n"
 else
-    echo "terrainwave: tests that draw need OpenGL; run: sudo apt-get install $packages" >&2
+    echo "terrainwave: tests that draw need OpenGL and a browser; run: sudo apt-get install $packages" >&2
     exit 0
 fi
 if ! command -v apt-get >/dev/null; then
-    echo "terrainwave: tests that draw need EGL, OpenGL 3.3 (Mesa), Xvfb and xdotool" >&2
+    echo "terrainwave: tests that draw need EGL, OpenGL 3.3 (Mesa), Xvfb, xdotool, Chromium, npm" >&2
     exit 0
 fi
 echo "terrainwave: installing $packages"

@@ -1,0 +1,54 @@
+"""Checks of arguments that several functions have: what was found, what was expected."""
+
+import math
+
+from terrainwave.container.header import MESHES
+from terrainwave.errors import InvalidHeightsError
+
+# Meshes that files store; "auto" is the first.
+STORED_MESHES = tuple(mesh for mesh in MESHES if mesh != "none")
+
+
+def checked_error(name: str, error: float | None) -> float | None:
+    """Return a finite error >= 0 as a float, or None.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If it is anything else; the message begins with `name`.
+    """
+    if error is None:
+        return None
+    try:
+        number = float(error)
+    except (TypeError, ValueError, OverflowError):  # text, no number, or an int too large
+        number = math.nan
+    if not (math.isfinite(number) and number >= 0):
+        raise InvalidHeightsError(f"found {name} {error}, expected a finite number >= 0")
+    return number
+
+
+def checked_mesh(mesh: str, *, or_none: bool) -> str:
+    """Return the kind of meshes that a name stands for; "none" only where that is allowed.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If it is no such name.
+    """
+    known = (*STORED_MESHES, "none") if or_none else STORED_MESHES
+    if mesh not in ("auto", *known):
+        raise InvalidHeightsError(f"found mesh {mesh!r}, expected one of auto, {', '.join(known)}")
+    return STORED_MESHES[0] if mesh == "auto" else mesh
+
+
+def check_threads(threads: int | None) -> None:
+    """Refuse fewer threads than one.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If there are.
+    """
+    if threads is not None and threads < 1:
+        raise InvalidHeightsError(f"found {threads} threads, expected at least 1")

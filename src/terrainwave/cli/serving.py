@@ -1,0 +1,98 @@
+"""The command that answers over HTTP: serve."""
+
+import socket
+import webbrowser
+from typing import Any
+
+import click
+
+from terrainwave.cli.commands import main
+from terrainwave.cli.output import announce_compiling, print_note
+from terrainwave.errors import StorageError
+
+
+@main.command()
+@click.argument("files", nargs=-1, required=True)
+@click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
+@click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True,
+              help="0 takes a free one.")  # fmt: skip
+@click.option("--allow-host", "hosts", multiple=True, metavar="NAME",
+              help="Name it may be asked by, besides localhost.")  # fmt: skip
+@click.option("--cors", is_flag=True, help="Let pages of other sites read the tiles.")
+@click.option("--threads", "n_decoding", type=click.IntRange(1, 64), default=2, show_default=True,
+              help="Requests that decode at a time.")  # fmt: skip
+@click.option("--open", "opens", is_flag=True, help="Open the page in a browser.")
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
+def serve(
+    files: tuple[str, ...],
+    host: str,
+    port: int,
+    hosts: tuple[str, ...],
+    cors: bool,
+    n_decoding: int,
+    opens: bool,
+    quiet: bool,
+) -> None:
+    """Serve FILES (.twz): a page that flies over them, terrain-RGB and quantized-mesh tiles.
+
+    Open the printed address in a browser. MapLibre reads NAME/tiles.json, CesiumJS NAME/mesh,
+    NAME/height?lon=…&lat=… answers a height; NAME is the file's name without its ending.
+    """
+    uvicorn, make_app = _load()
+    announce_compiling(quiet=quiet)
+    named = tuple(name for name in (host, *hosts) if name not in ("0.0.0.0", "::"))
+    app = make_app(list(files), hosts=named, cors=cors, n_decoding=n_decoding)
+    listener = _listen(host, port)
+    address = f"http://{_in_url(host)}:{listener.getsockname()[1]}/"
+    if not quiet:
+        click.echo(f"{len(files)} terrain{'s' * (len(files) > 1)} at {address}  (Ctrl-C ends)")
+    if host in ("0.0.0.0", "::") and not hosts:
+        print_note("asked by other names than localhost it refuses: name them with --allow-host")
+    if opens:
+        webbrowser.open(address)
+    config = uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=2)
+    with listener:
+        uvicorn.Server(config).run(sockets=[listener])
+
+
+def _load() -> tuple[Any, Any]:
+    """Return uvicorn and `make_app`.
+
+    Raises
+    ------
+    StorageError
+        If a package of the extra is missing.
+    """
+    try:
+        import uvicorn
+
+        from terrainwave.ext.serve.app import make_app
+    except ModuleNotFoundError as error:
+        raise StorageError(f"serve needs {error.name}: pip install 'terrainwave[serve]'") from error
+    return uvicorn, make_app
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    """Return a socket bound to the address.
+
+    Raises
+    ------
+    StorageError
+        If the address cannot be had.
+    """
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        listener = socket.socket(family)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+    except OSError as error:
+        raise StorageError(
+            f"cannot listen on {host}, port {port}: {error.strerror or error}; choose another"
+            " with --port, or --port 0 for a free one"
+        ) from error
+    return listener
+
+
+def _in_url(host: str) -> str:
+    shown = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
+    return f"[{shown}]" if ":" in shown else shown

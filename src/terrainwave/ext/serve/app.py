@@ -1,0 +1,259 @@
+"""The web application: what is asked, checked, is answered by `tiling` and `tri.pyramid`.
+
+Only the files named at start are served. Requests are answered in threads; at most `n_decoding` of
+them decode at a time and as many again as `N_WAITING` wait, the rest are told to come back.
+"""
+
+import hashlib
+import logging
+import re
+from collections.abc import Awaitable, Callable
+from contextlib import ExitStack, asynccontextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+from anyio import CapacityLimiter, to_thread
+from fastapi import FastAPI, HTTPException, Query, Request, Response
+from fastapi.middleware.cors import CORSMiddleware
+from fastapi.responses import FileResponse, JSONResponse
+from fastapi.staticfiles import StaticFiles
+from starlette.middleware.trustedhost import TrustedHostMiddleware
+
+import terrainwave
+from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
+from terrainwave.ext.serve import tiling
+from terrainwave.ext.serve.globe import GlobeTerrain
+
+LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
+N_WAITING = 64
+_STATIC = Path(__file__).parent / "static"
+_log = logging.getLogger(__name__)
+
+# A page may use what comes with it and nothing else; workers of the map are blobs.
+_CONTENT_POLICY = (
+    "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline';"
+    " script-src 'self' 'wasm-unsafe-eval' blob:; worker-src 'self' blob:; connect-src 'self'"
+)
+
+
+class Desk:
+    """Lets a bounded number of requests decode at a time.
+
+    Parameters
+    ----------
+    n_decoding : int
+        Threads that decode at once.
+    """
+
+    def __init__(self, n_decoding: int) -> None:
+        self._limiter = CapacityLimiter(n_decoding)
+
+    async def do(self, work: Callable[..., Any], *args: Any) -> Any:
+        """Return ``work(*args)``, done in a thread.
+
+        Raises
+        ------
+        HTTPException
+            503 if too many requests wait already.
+        """
+        if self._limiter.statistics().tasks_waiting >= N_WAITING:
+            raise HTTPException(503, "too many requests at once", {"Retry-After": "1"})
+        return await to_thread.run_sync(work, *args, limiter=self._limiter)
+
+
+class Layer:
+    """One file as it is served: its place on the globe, and what names this version of it."""
+
+    def __init__(self, name: str, path: str) -> None:
+        self.name = name
+        with ExitStack() as stack:
+            try:
+                self.globe = GlobeTerrain(stack.enter_context(terrainwave.open(path)))
+            except (InvalidHeightsError, CorruptStreamError) as error:
+                raise type(error)(f"{path}: {error}") from error
+            stack.pop_all()
+        self.info = self.globe.terrain.info()
+        self.tag = hashlib.sha256(repr((name, self.info.n_bytes, self.info)).encode()).hexdigest()
+
+    def describe(self) -> dict[str, object]:
+        """Return what the page shows of the file; no path."""
+        info, metres = self.info, self.globe.metres
+        return {
+            "name": self.name,
+            "bounds": list(self.globe.bounds),
+            "maxzoom": tiling.max_zoom(self.globe),
+            "lowest": self.globe.lowest,
+            "highest": (info.maximum or 0.0) * metres,
+            "error": info.effective_error * metres,
+            "bytes": info.n_bytes,
+            "rows": info.n_rows,
+            "columns": info.n_cols,
+            "bits_per_sample": info.bits_per_sample,
+            "method": info.method,
+            "version": terrainwave.__version__,
+        }
+
+
+def layer_names(paths: list[str]) -> dict[str, str]:
+    """Return {name in URLs: path}: the files' names without ending, letters, digits, - and _.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If two files have the same name.
+    """
+    names: dict[str, str] = {}
+    for path in paths:
+        stem = re.split(r"[/\\]", path.split("?")[0])[-1].rsplit(".", 1)[0]
+        name = re.sub(r"[^A-Za-z0-9_-]+", "-", stem).strip("-") or "terrain"
+        if name in names:
+            raise InvalidHeightsError(
+                f"{names[name]} and {path} would both be served as {name}: rename one"
+            )
+        names[name] = path
+    return names
+
+
+def make_app(
+    paths: list[str],
+    *,
+    hosts: tuple[str, ...] = (),
+    cors: bool = False,
+    n_decoding: int = 2,
+) -> FastAPI:
+    """Return the application that serves these files.
+
+    Parameters
+    ----------
+    paths : list of str
+        Paths or URLs of .twz files.
+    hosts : tuple of str
+        Names that a request's Host header may give besides `LOCAL_HOSTS`.
+    cors : bool
+        Let pages of other origins read.
+    n_decoding : int
+        Requests that decode at a time.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If two files have the same name or one has no place on the globe.
+    """
+    desk = Desk(n_decoding)
+    layers: dict[str, Layer] = {}
+    with ExitStack() as opened:
+        for name, path in layer_names(paths).items():
+            layers[name] = Layer(name, path)
+            opened.enter_context(layers[name].globe.terrain)
+        close = opened.pop_all().close
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> Any:
+        yield
+        close()
+
+    app = FastAPI(
+        title="terrainwave", lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None
+    )
+    app.add_middleware(TrustedHostMiddleware, allowed_hosts=[*LOCAL_HOSTS, *hosts])
+    if cors:
+        app.add_middleware(CORSMiddleware, allow_origins=["*"], allow_methods=["GET"])
+
+    @app.middleware("http")
+    async def answer(
+        request: Request, call_next: Callable[[Request], Awaitable[Response]]
+    ) -> Response:
+        response = await call_next(request)
+        response.headers["X-Content-Type-Options"] = "nosniff"
+        response.headers["Content-Security-Policy"] = _CONTENT_POLICY
+        return response
+
+    @app.exception_handler(TerrainwaveError)
+    def damaged(request: Request, error: TerrainwaveError) -> JSONResponse:
+        _log.warning("%s: %s", request.url.path, error)
+        return JSONResponse({"detail": "the file cannot be read there"}, 500)
+
+    @app.exception_handler(Exception)
+    def broken(request: Request, error: Exception) -> JSONResponse:
+        return JSONResponse({"detail": "internal error"}, 500)
+
+    def find(name: str) -> Layer:
+        if name not in layers:
+            raise HTTPException(404, f"no terrain {name[:80]!r}; there are: {', '.join(layers)}")
+        return layers[name]
+
+    def tagged(request: Request, layer: Layer) -> dict[str, str]:
+        """Return the headers of a tile; 304 if the client has it."""
+        tag = f'"{layer.tag[:16]}"'
+        headers = {"ETag": tag, "Cache-Control": "max-age=3600"}
+        if request.headers.get("if-none-match") == tag:
+            raise HTTPException(304, headers=headers)
+        return headers
+
+    @app.get("/")
+    def page() -> FileResponse:
+        return FileResponse(_STATIC / "index.html")
+
+    @app.get("/terrains.json")
+    def terrains() -> list[dict[str, object]]:
+        return [layer.describe() for layer in layers.values()]
+
+    @app.get("/{name}/tiles.json")
+    def tiles(request: Request, name: str) -> dict[str, object]:
+        layer = find(name)
+        base = str(request.base_url)
+        return tiling.tile_json(layer.globe, f"{base}{name}/rgb/{{z}}/{{x}}/{{y}}.png", name)
+
+    @app.get("/{name}/rgb/{z}/{x}/{y}.png")
+    async def rgb(request: Request, name: str, z: int, x: int, y: int) -> Response:
+        layer = find(name)
+        check_tile(z, x, y, 1 << min(max(z, 0), tiling.MAX_ZOOM))
+        headers = tagged(request, layer)
+        tile = await desk.do(tiling.rgb_tile, layer.globe, z, x, y)
+        if tile is None:
+            return Response(status_code=204, headers=headers)
+        headers["X-Tile-Error"] = f"{tile.error:.3f}"
+        headers["X-Terrain-Error"] = f"{tile.terrain_error:.3f}"
+        return Response(tile.png, media_type="image/png", headers=headers)
+
+    @app.get("/{name}/height")
+    async def height(
+        name: str,
+        lon: Annotated[float, Query(ge=-720, le=720)],
+        lat: Annotated[float, Query(ge=-90, le=90)],
+    ) -> dict[str, float | None]:
+        layer = find(name)
+        return await desk.do(height_at, layer, lon, lat)
+
+    app.mount("/static", StaticFiles(directory=_STATIC), name="static")
+    return app
+
+
+def check_tile(z: int, x: int, y: int, n_columns: int, n_rows: int | None = None) -> None:
+    """Refuse an address outside the tile pyramid.
+
+    Raises
+    ------
+    HTTPException
+        404, with one line that says what is expected.
+    """
+    n_rows = n_columns if n_rows is None else n_rows
+    if not 0 <= z <= tiling.MAX_ZOOM:
+        raise HTTPException(404, f"found zoom {z}, expected 0 … {tiling.MAX_ZOOM}")
+    if not (0 <= x < n_columns and 0 <= y < n_rows):
+        raise HTTPException(
+            404, f"found tile {x}/{y}, expected 0 … {n_columns - 1} / 0 … {n_rows - 1} at zoom {z}"
+        )
+
+
+def height_at(layer: Layer, longitude: float, latitude: float) -> dict[str, float | None]:
+    """Return the height in metres at a place, null where there is none, and the file's bound."""
+    import numpy as np
+
+    height = float(layer.globe.heights(np.array([longitude]), np.array([latitude]))[0])
+    return {
+        "lon": longitude,
+        "lat": latitude,
+        "height": None if np.isnan(height) else height,
+        "max_error": layer.info.effective_error * layer.globe.metres,
+    }

@@ -1,0 +1,290 @@
+"""Are tiles and heights of `terrainwave serve` right, and are wrong requests refused?"""
+
+import io
+import threading
+
+import numpy as np
+import pytest
+import rasterio
+from click.testing import CliRunner
+from ext.rasters import hills, write_twz
+from fastapi.testclient import TestClient
+from PIL import Image
+from rasterio.warp import transform
+from scipy.interpolate import RegularGridInterpolator
+
+import terrainwave
+from terrainwave.cli import main
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.ext.serve import app as serving
+from terrainwave.ext.serve import tiling
+from terrainwave.ext.serve.app import make_app
+from terrainwave.ext.serve.globe import GlobeTerrain
+
+BOUNDS = (8.0, 46.0, 8.5, 46.4)
+
+
+def client_of(*paths, host="http://127.0.0.1", **options):
+    return TestClient(
+        make_app([str(path) for path in paths], **options), host, raise_server_exceptions=False
+    )
+
+
+def heights_of(png):
+    pixels = np.asarray(Image.open(io.BytesIO(png)))
+    assert pixels.shape == (tiling.TILE_SIZE, tiling.TILE_SIZE, 3)
+    return pixels @ np.array([6553.6, 25.6, 0.1]) - 10000
+
+
+def pixel_centres(z, x, y, step=1):
+    """Return longitudes and latitudes of a tile, written without the code that is tested."""
+    at = (np.arange(0, tiling.TILE_SIZE, step) + 0.5) / tiling.TILE_SIZE
+    longitudes = (x + at) / 2**z * 360 - 180
+    mercator = np.pi - 2 * np.pi * (y + at) / 2**z
+    latitudes = np.degrees(2 * np.arctan(np.exp(mercator)) - np.pi / 2)
+    return np.meshgrid(longitudes, latitudes)
+
+
+def tile_at(z, longitude, latitude):
+    return int(tiling.column_of(z, longitude)), int(tiling.row_of(z, latitude))
+
+
+@pytest.fixture(scope="module")
+def slope(tmp_path_factory):
+    """Heights that are exactly linear in longitude and latitude."""
+    rows, cols = np.mgrid[0:65, 0:97]
+    return write_twz(
+        tmp_path_factory.mktemp("slope"),
+        (2 * cols + 3 * rows).astype(np.int16),
+        BOUNDS,
+        max_error=0,
+    )
+
+
+@pytest.fixture(scope="module")
+def hilly(tmp_path_factory):
+    return write_twz(tmp_path_factory.mktemp("hills"), hills(65, 97), BOUNDS, max_error=2)
+
+
+@pytest.mark.parametrize("z", [9, 10, 11])
+def test_a_pixel_holds_the_height_at_its_centre(slope, z):
+    x, y = tile_at(z, 8.25, 46.2)
+    with client_of(slope) as client:
+        answer = client.get(f"/hills/rgb/{z}/{x}/{y}.png")
+    assert answer.status_code == 200
+    longitudes, latitudes = pixel_centres(z, x, y)
+    cols = (longitudes - 8.0) / (0.5 / 97) - 0.5
+    rows = (46.4 - latitudes) / (0.4 / 65) - 0.5
+    inside = (cols > 0) & (cols < 96) & (rows > 0) & (rows < 64)
+    assert inside.any()
+    distance = np.abs(heights_of(answer.content) - (2 * cols + 3 * rows))
+    assert distance[inside].max() <= 0.05 + 1e-6
+    far = (cols < -0.6) | (cols > 96.6) | (rows < -0.6) | (rows > 64.6)
+    assert (heights_of(answer.content)[far] == -tiling.VOID_DEPTH).all()
+
+
+def test_the_stated_error_is_the_largest_distance_from_the_decoded_surface(hilly):
+    z = 10
+    x, y = tile_at(z, 8.25, 46.2)
+    with terrainwave.open(hilly) as terrain:
+        tile = tiling.rgb_tile(GlobeTerrain(terrain), z, x, y)
+        surface = RegularGridInterpolator((np.arange(65), np.arange(97)), terrain.read())
+    longitudes, latitudes = pixel_centres(z, x, y)
+    drawn = heights_of(tile.png)
+    # Halfway between neighbours in a row; the mean of latitudes is not the middle's latitude.
+    middles = (longitudes[:, :-1] + longitudes[:, 1:]) / 2, latitudes[:, 1:]
+    means = (drawn[:, :-1] + drawn[:, 1:]) / 2
+    largest = 0.0
+    for (lon, lat), heights in ((middles, means), ((longitudes, latitudes), drawn)):
+        places = np.stack([(46.4 - lat) / (0.4 / 65) - 0.5, (lon - 8) / (0.5 / 97) - 0.5], axis=-1)
+        inside = ((places > 0.01) & (places < (63.99, 95.99))).all(axis=-1)
+        largest = max(largest, np.abs(heights[inside] - surface(places[inside])).max())
+    assert 0.04 < largest <= tile.error + 1e-6
+    assert tile.error < 8 * largest  # it is measured, not a guess far above
+    assert 1 <= tile.terrain_error <= 3
+
+
+def test_tiles_of_projected_terrain_lie_where_the_raster_does(tmp_path):
+    path = write_twz(
+        tmp_path, hills(64, 64), (400000, 3780000, 401920, 3781920), crs="EPSG:32611", max_error=0
+    )
+    with terrainwave.open(path) as terrain:
+        heights = terrain.read()
+    rows, cols = np.array([3, 20, 60]), np.array([5, 31, 50])
+    xs, ys = 400000 + (cols + 0.5) * 30, 3781920 - (rows + 0.5) * 30
+    longitudes, latitudes = transform("EPSG:32611", "EPSG:4326", xs, ys)
+    with client_of(path) as client:
+        for longitude, latitude, row, col in zip(longitudes, latitudes, rows, cols, strict=True):
+            answer = client.get("/hills/height", params={"lon": longitude, "lat": latitude}).json()
+            assert answer["height"] == pytest.approx(heights[row, col], abs=1e-3)
+            assert answer["max_error"] == 0
+        z = client.get("/hills/tiles.json").json()["maxzoom"]
+        x, y = tile_at(z, longitudes[1], latitudes[1])
+        drawn = heights_of(client.get(f"/hills/rgb/{z}/{x}/{y}.png").content)
+    lon, lat = pixel_centres(z, x, y)
+    nearest = np.argmin((lon - longitudes[1]) ** 2 + (lat - latitudes[1]) ** 2)
+    assert abs(drawn.ravel()[nearest] - heights[20, 31]) < 25  # half a pixel of slope
+    assert 12 <= z <= 14
+
+
+@pytest.mark.parametrize("left", [-180.0, 0.0])
+def test_a_global_terrain_goes_round(tmp_path, left):
+    """The last column is followed by the first; the poles have heights."""
+    turns = 2 * np.pi * (np.arange(90) + 0.5) / 90
+    heights = np.rint(100 + 50 * np.cos(turns) + np.arange(45)[:, None]).astype(np.int16)
+    path = write_twz(tmp_path, heights, (left, -90, left + 360, 90), max_error=0)
+    with terrainwave.open(path) as terrain:
+        globe = GlobeTerrain(terrain)
+        assert globe.bounds == (-180, -90, 180, 90)
+        longitudes = np.arange(-540, 540, 0.5) + left
+        around = globe.heights(longitudes, np.full(longitudes.size, 10.0))
+        assert np.isfinite(around).all()
+        assert np.abs(np.diff(around)).max() < 1.0
+        np.testing.assert_allclose(around[:720], around[720:1440], atol=1e-6)
+        poles = globe.heights(np.array([0.0, 77.0]), np.array([90.0, -90.0]))
+        assert np.isfinite(poles).all()
+        for x in (0, 3):
+            for y in (0, 3):
+                tile = heights_of(tiling.rgb_tile(globe, 2, x, y).png)
+                assert tile.min() >= heights.min() - 0.1
+
+
+def test_tiles_off_the_terrain_are_empty(hilly):
+    with client_of(hilly) as client:
+        assert client.get("/hills/rgb/10/0/0.png").status_code == 204
+        assert client.get("/hills/rgb/9/267/181.png").status_code == 200
+        far = client.get("/hills/height", params={"lon": 100, "lat": 0}).json()
+    assert far["height"] is None
+
+
+@pytest.mark.parametrize(
+    ("path", "status"),
+    [
+        ("/hills/rgb/23/0/0.png", 404),
+        ("/hills/rgb/-1/0/0.png", 404),
+        ("/hills/rgb/3/8/0.png", 404),
+        ("/hills/rgb/3/0/-1.png", 404),
+        ("/hills/rgb/999999999999/0/0.png", 404),
+        ("/hills/rgb/a/0/0.png", 422),
+        ("/other/rgb/0/0/0.png", 404),
+        ("/hills/height?lon=nan&lat=0", 422),
+        ("/hills/height?lon=0&lat=91", 422),
+        ("/hills/height", 422),
+        ("/static/../app.py", 404),
+        ("/static/%2e%2e/app.py", 404),
+        ("/docs", 404),
+        ("/openapi.json", 404),
+    ],
+)
+def test_addresses_are_checked(hilly, path, status):
+    with client_of(hilly) as client:
+        answer = client.get(path)
+    assert answer.status_code == status
+    assert "Traceback" not in answer.text
+
+
+def test_other_hosts_and_origins_are_refused_unless_named(hilly):
+    with client_of(hilly, host="http://terrain.example") as client:
+        assert client.get("/terrains.json").status_code == 400
+    with client_of(hilly, host="http://terrain.example", hosts=("terrain.example",)) as client:
+        assert client.get("/terrains.json").status_code == 200
+    origin = {"Origin": "http://elsewhere.example"}
+    with client_of(hilly) as client:
+        assert "access-control-allow-origin" not in client.get("/", headers=origin).headers
+    with client_of(hilly, cors=True) as client:
+        assert client.get("/", headers=origin).headers["access-control-allow-origin"] == "*"
+
+
+def test_what_is_said_of_a_file_has_no_path(hilly):
+    with client_of(hilly) as client:
+        text = client.get("/terrains.json").text
+        described = client.get("/terrains.json").json()[0]
+    assert str(hilly.parent) not in text
+    assert described["name"] == "hills"
+    assert described["rows"] == 65
+    assert described["error"] == 2
+
+
+def test_a_tile_that_the_client_has_is_not_sent_again(hilly):
+    with client_of(hilly) as client:
+        first = client.get("/hills/rgb/9/267/181.png")
+        again = client.get(
+            "/hills/rgb/9/267/181.png", headers={"If-None-Match": first.headers["etag"]}
+        )
+    assert again.status_code == 304
+    assert not again.content
+
+
+def test_damaged_files_are_one_line(tmp_path):
+    path = write_twz(tmp_path, hills(65, 97), BOUNDS)
+    data = bytearray(path.read_bytes())
+    for at in range(len(data) // 2, len(data), 3):
+        data[at] ^= 0x55
+    path.write_bytes(data)
+    with client_of(path) as client:
+        answers = [client.get(f"/hills/rgb/10/{x}/362.png") for x in range(530, 540)]
+    refused = [answer for answer in answers if answer.status_code == 500]
+    assert refused
+    assert all(a.json() == {"detail": "the file cannot be read there"} for a in refused)
+
+
+def test_faults_of_our_own_show_no_traceback(hilly, monkeypatch):
+    def fail(*_):
+        raise RuntimeError("secret")
+
+    monkeypatch.setattr(tiling, "rgb_tile", fail)
+    with client_of(hilly) as client:
+        answer = client.get("/hills/rgb/0/0/0.png")
+    assert answer.status_code == 500
+    assert answer.json() == {"detail": "internal error"}
+
+
+def test_no_more_requests_decode_at_a_time_than_allowed(hilly, monkeypatch):
+    monkeypatch.setattr(serving, "N_WAITING", 2)
+    release, lock = threading.Event(), threading.Lock()
+    running, most = 0, 0
+
+    def slow(*_):
+        nonlocal running, most
+        with lock:
+            running += 1
+            most = max(most, running)
+        release.wait(20)
+        with lock:
+            running -= 1
+
+    monkeypatch.setattr(tiling, "rgb_tile", slow)
+    found = []
+    with client_of(hilly, n_decoding=1) as client:
+
+        def ask():
+            found.append(client.get("/hills/rgb/0/0/0.png").status_code)
+            if found.count(503) >= 3:
+                release.set()
+
+        threads = [threading.Thread(target=ask) for _ in range(6)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(30)
+    assert most == 1
+    assert sorted(found) == [204] * 3 + [503] * 3
+
+
+def test_two_files_of_one_name_are_refused(hilly, tmp_path):
+    other = tmp_path / "hills.twz"
+    other.write_bytes(hilly.read_bytes())
+    with pytest.raises(InvalidHeightsError, match="both be served as hills"):
+        make_app([str(hilly), str(other)])
+
+
+def test_terrain_without_a_place_is_refused(tmp_path):
+    path = tmp_path / "nowhere.twz"
+    with rasterio.open(
+        tmp_path / "x.tif", "w", driver="GTiff", height=33, width=700, count=1, dtype="int16"
+    ) as raster:
+        raster.write(hills(33, 700), 1)
+    terrainwave.compress(tmp_path / "x.tif", path, block=32)
+    found = CliRunner().invoke(main, ["serve", str(path), "--port", "0"], standalone_mode=False)
+    assert isinstance(found.exception, InvalidHeightsError)
+    assert "no place on the globe" in str(found.exception)

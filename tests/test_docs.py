@@ -1,0 +1,89 @@
+"""Do the site, its snippets and its notebooks work as they are printed?"""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import nbformat
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from nbclient import NotebookClient
+from strategies import write_geotiff
+
+from terrainwave.cli import main
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+PAGES = [DOCS / "index.md", *sorted((DOCS / "how-to").glob("*.md"))]
+NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.ipynb"))
+_BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+
+
+def blocks(page, *languages):
+    found = _BLOCK.findall(page.read_text(encoding="utf-8"))
+    return [(language, text) for language, text in found if language in languages]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Where snippets run: `dem.tif` and what `compress` makes of it."""
+    rows, cols = np.mgrid[:280, :290]
+    heights = (500 + rows + 40 * np.sin(cols / 19) + 3 * np.sin(rows * cols / 70)).astype(
+        np.float32
+    )
+    write_geotiff(tmp_path / "dem.tif", heights)
+    monkeypatch.chdir(tmp_path)
+    assert run("terrainwave compress dem.tif dem.twz --max-error 0.25").exit_code == 0
+    return tmp_path
+
+
+def run(line):
+    program, *arguments = shlex.split(line, comments=True)
+    assert program == "terrainwave"
+    return CliRunner().invoke(main, arguments)
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_snippets_run_in_the_order_of_the_page(page, folder):
+    names = {}
+    for language, text in blocks(page, "python", "sh"):
+        if language == "python":
+            exec(compile(text, page.name, "exec"), names)
+            continue
+        for line in filter(None, text.splitlines()):
+            overwrites = re.match(r"terrainwave (compress|decompress|mesh) ", line)
+            found = run(line + " --overwrite" * bool(overwrites))
+            assert found.exit_code == 0, f"{line}: {found.output}"
+
+
+def test_commands_that_are_only_shown_exist():
+    """``` without a language: pip, windows, servers."""
+    for page in PAGES:
+        for _, text in blocks(page, ""):
+            for name in re.findall(r"^terrainwave (\w+)", text, re.MULTILINE):
+                assert name in main.commands, f"{page.name}: terrainwave {name}"
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebooks_run(path, tmp_path):
+    notebook = nbformat.read(path, as_version=4)
+    assert all(not cell.get("outputs") for cell in notebook.cells), "clear its outputs"
+    NotebookClient(notebook, timeout=600, resources={"metadata": {"path": tmp_path}}).execute()
+
+
+@pytest.mark.large
+def test_the_site_builds_without_a_warning(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", tmp_path / "site"],
+        cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    page = (tmp_path / "site" / "api" / "index.html").read_text(encoding="utf-8")
+    assert "Instead of <code>window</code>" in page  # a docstring came through
+    pages = (tmp_path / "site").rglob("*.html")
+    assert all("fonts.googleapis" not in text.read_text(encoding="utf-8") for text in pages)

@@ -1,0 +1,32 @@
+"""Do files of every released format version still decode to the same heights and meshes?"""
+
+import json
+
+import pytest
+from golden_files import GOLDEN, digests
+
+MANIFESTS = {
+    path.parent.name: json.loads(path.read_text(encoding="utf-8"))
+    for path in sorted(GOLDEN.glob("v*/manifest.json"))
+}
+FILES = [(version, name) for version, files in MANIFESTS.items() for name in files]
+
+
+@pytest.mark.parametrize(("version", "name"), FILES)
+def test_golden_file_decodes_to_what_it_always_did(version, name):
+    expected = MANIFESTS[version][name]
+    assert digests(GOLDEN / version / name) == {
+        key: expected[key] for key in ("file", "heights", "mask", "mesh")
+    }
+
+
+def test_manifests_name_all_golden_files():
+    found = {(path.parent.name, path.name) for path in GOLDEN.rglob("*.twz")}
+    assert found == set(FILES)
+
+
+def test_golden_files_stay_small():
+    sizes = [path.stat().st_size for path in GOLDEN.rglob("*.twz")]
+    assert max(sizes, default=0) <= 10_000
+    for version in MANIFESTS:
+        assert sum(path.stat().st_size for path in (GOLDEN / version).glob("*.twz")) <= 120_000
