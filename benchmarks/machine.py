@@ -6,7 +6,9 @@ import subprocess
 from importlib import metadata
 from pathlib import Path
 
-PACKAGES = ("terrainwave", "numpy", "numba", "scipy", "rasterio", "imagecodecs", "pysz")
+PACKAGES = (
+    "terrainwave", "numpy", "numba", "scipy", "rasterio", "imagecodecs", "pysz", "xarray", "zarr",
+)  # fmt: skip
 
 
 def describe_machine() -> dict[str, object]:

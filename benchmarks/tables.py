@@ -21,6 +21,8 @@ RESULTS = ROOT / "benchmarks" / "results"
 DOCUMENTS = (
     "README.md",
     "docs/benchmarks.md",
+    "docs/integrations.md",
+    "docs/viewing.md",
     "docs/decisions/0004-step-by-what-finer-levels-need.md",
     "docs/decisions/0007-one-root-block.md",
     "docs/decisions/0009-tiles-of-several-levels.md",
@@ -349,6 +351,47 @@ def leave_one_out_table(results: Path) -> str:
     return "\n".join(lines)
 
 
+def integrations_table(results: Path) -> str:
+    """Return processor time through other libraries as a share of terrainwave's own."""
+    lines = [
+        "| raster | samples | bound | what | terrainwave, ms | through the library, ms | ratio |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {row['raster']} | {row['n_rows']} × {row['n_cols']} | {float(row['max_error']):g} |"
+        f" {row['what']} | {row['direct_ms']} | {row['through_ms']} | {row['ratio']} |"
+        for row in read_rows(results, "integrations")
+    ]
+    return "\n".join(lines)
+
+
+def render_table(results: Path) -> str:
+    """Return frames, CPU times and triangles of the viewer by mode; GPU times by the renderer."""
+    lines = [
+        "| what | samples | mode | blocks of | frames | CPU per frame, ms: median | 99 % |"
+        " frame, ms: median | triangles, median | blocks, median | GPU memory, MiB |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    rows = read_rows(results, "render")
+    for row in rows:
+        has_cpu = float(row["p99_cpu"]) > 0
+        cpu = [f"{float(row[name]):.2f}" if has_cpu else "–" for name in ("median_cpu", "p99_cpu")]
+        is_drawn = "CPU" not in row["what"]
+        lines.append(
+            f"| {row['what']} | {row['size']}² | {row['mode']} | {row['block']} | {row['frames']} |"
+            f" {cpu[0]} | {cpu[1]} | {float(row['median_frame']):.0f} |"
+            if is_drawn
+            else f"| {row['what']} | {row['size']}² | {row['mode']} | {row['block']} |"
+            f" {row['frames']} | {cpu[0]} | {cpu[1]} | – |"
+        )
+        lines[-1] += (
+            f" {float(row['median_triangles']):,.0f} | {float(row['median_blocks']):.0f} |"
+            f" {float(row['gpu_mib']):.0f} |"
+        )
+    renderers = sorted({row["renderer"] for row in rows})
+    return "\n".join([*lines, "", f"Renderer: {', '.join(renderers)}."])
+
+
 TABLES: dict[str, Callable[[Path], str]] = {
     "summary": summary_table,
     "methods": methods_table,
@@ -361,9 +404,11 @@ TABLES: dict[str, Callable[[Path], str]] = {
     "spiht_bits": spiht_table,
     "pyramid": pyramid_table,
     "meshes": meshes_table,
+    "render": render_table,
     "mesh_speeds": mesh_speeds_table,
     "zerotree_mesh": zerotree_table,
     "leave_one_out": leave_one_out_table,
+    "integrations": integrations_table,
 }
 REPORT = """# Measured
 

@@ -40,7 +40,7 @@ PICTURES: dict[str, tuple[str, float, str, Style, dict[str, Any]]] = {
     "view-hills": (
         "srtm1_bigtujunga.tif",
         0.0,
-        "383000,3785000,3200,60,-16,50",
+        "377500,3794500,2900,82,-15,46",
         Style(),
         {},
     ),

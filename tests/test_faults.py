@@ -123,7 +123,7 @@ def test_a_full_disk_while_spooling_levels_leaves_the_target_as_it_was(
 
 def test_too_little_free_space_is_noticed_before_work_begins(monkeypatch, target, tmp_path):
     usage = type("Usage", (), {"free": 10})
-    monkeypatch.setattr(compression.shutil, "disk_usage", lambda _: usage)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: usage)
     with pytest.raises(StorageError, match=r"--temp-dir"):
         compress(HEIGHTS, target, overwrite=True, **OPTIONS)
     assert_untouched(target)

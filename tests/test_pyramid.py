@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from strategies import terrain_like, valid_masks
 
 from terrainwave import pyramid as pyramid_module
-from terrainwave.pyramid import Pyramid
+from terrainwave.pyramid import Base, Part, Pyramid
 from terrainwave.quadtree import Grid, Region
 from terrainwave.quantum import HeightScan
+from terrainwave.spool import Spool
 
 
 class ArraySource:
@@ -212,8 +213,6 @@ def test_spooling_to_disk_does_not_matter(monkeypatch, limit):
 @pytest.mark.parametrize("limit", [0, 10**9])
 def test_a_part_of_a_level_is_that_part_of_the_whole(monkeypatch, limit):
     monkeypatch.setattr("terrainwave.spool.MEMORY_LIMIT", limit)
-    from terrainwave.spool import Spool
-
     with tempfile.TemporaryDirectory() as directory:
         spool = Spool((600, 300), np.int32, Path(directory))
         whole = np.arange(600 * 300, dtype=np.int32).reshape(600, 300)
@@ -223,3 +222,119 @@ def test_a_part_of_a_level_is_that_part_of_the_whole(monkeypatch, limit):
         part = Region(250, 255, 12, 3)
         np.testing.assert_array_equal(spool.read(part), whole[250:262, 255:258])
         spool.close()
+
+
+# Parts and bases
+
+SPLIT = 2  # the shift at which parts end and the base begins
+
+
+def is_void(row, col):
+    """Return a few holes, larger than what a part sees of its surroundings."""
+    return (row - 40) ** 2 + (col - 50) ** 2 < 30**2 or (row % 29 == 3 and col % 31 < 4)
+
+
+VOIDS = np.array([[is_void(row, col) for col in range(150)] for row in range(131)])
+PARTS = [
+    Region(row, col, min(65, 131 - row), min(65, 150 - col))
+    for row in (0, 64, 128)
+    for col in (0, 64, 128)
+]
+
+
+class SplitPyramids:
+    """The pyramid of a raster, whole, and in parts with a base above them."""
+
+    def __init__(self, kind, voids, directory, executor):
+        heights = whole_heights(voids.shape, seed=4)
+        scan = HeightScan("int32")
+        scan.update(heights, ~voids)
+        self.grid = Grid(*voids.shape, 32)
+        self._source = ArraySource(heights, ~voids), scan.quantizer(Fraction(0)), self.grid
+        self._more = {
+            "kind": kind,
+            "has_voids": scan.has_voids,
+            "directory": Path(directory),
+            "executor": executor,
+        }
+        self.whole = self.pyramid()
+        self.whole.build(lambda done, total: None)
+        self.level = self.grid.k_max - SPLIT
+        self.shape = self.grid.level_shape(self.level)
+
+    def pyramid(self, **more):
+        return Pyramid(*self._source, **self._more, **more)
+
+    def spool(self, values):
+        spool = Spool(values.shape, values.dtype, self._more["directory"])
+        spool.write(spool.region, values)
+        return spool
+
+    def coarse(self, region):
+        """Return a part's core on the level of the base."""
+        row, col = region.row >> SPLIT, region.col >> SPLIT
+        n_rows = (region.row + region.n_rows - 1 >> SPLIT) - row + 1
+        return Region(row, col, n_rows, (region.col + region.n_cols - 1 >> SPLIT) - col + 1)
+
+    def base(self):
+        """Return the base, its heights from the whole pyramid, the rest pushed part by part."""
+        heights = self.spool(self.whole.heights(self.level, Region(0, 0, *self.shape)))
+        if not self._more["has_voids"]:
+            return Base(SPLIT, heights)
+        spools = [self.spool(np.zeros(self.shape, dtype)) for dtype in (bool, np.int32, bool)]
+        for region in PARTS:
+            part = self.pyramid(part=Part(region, SPLIT))
+            part.push()
+            at = self.coarse(region)
+            for spool, values in zip(
+                spools, (part.mask(self.level, at), *part.pushed(SPLIT, at)), strict=True
+            ):
+                spool.write(at, values)
+            part.close()
+        return Base(SPLIT, heights, *spools)
+
+
+@pytest.fixture(params=["nested", "lowpass"])
+def split(request, tmp_path):
+    with ThreadPoolExecutor(1) as executor:
+        yield lambda voids: SplitPyramids(request.param, voids, tmp_path, executor)
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("voids", [VOIDS, np.zeros_like(VOIDS)], ids=["voids", "valid"])
+def test_a_base_has_the_same_levels_above_it(split, voids):
+    pyramids = split(voids)
+    top = pyramids.pyramid(base=pyramids.base())
+    top.build(lambda done, total: None)
+    for level in range(pyramids.level + 1):
+        region = Region(0, 0, *pyramids.grid.level_shape(level))
+        np.testing.assert_array_equal(
+            top.heights(level, region), pyramids.whole.heights(level, region)
+        )
+        np.testing.assert_array_equal(top.mask(level, region), pyramids.whole.mask(level, region))
+    if voids.any():
+        base = Region(0, 0, *pyramids.shape)
+        np.testing.assert_array_equal(top.fills(SPLIT, base), pyramids.whole.fills(SPLIT, base))
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("voids", [VOIDS, np.zeros_like(VOIDS)], ids=["voids", "valid"])
+@pytest.mark.parametrize("region", [PARTS[0], PARTS[4], PARTS[8], Region(37, 61, 40, 33)])
+def test_a_part_has_the_same_levels(split, voids, region):
+    pyramids = split(voids)
+    part = pyramids.pyramid(part=Part(region, SPLIT))
+    if voids.any():
+        part.push()
+        part.pull(pyramids.spool(pyramids.whole.fills(SPLIT, Region(0, 0, *pyramids.shape))))
+    part.make_heights(lambda done, total: None)
+    for shift in range(SPLIT + 1):
+        level = pyramids.grid.k_max - shift
+        first = -(-region.row >> shift), -(-region.col >> shift)
+        last = region.row + region.n_rows - 1 >> shift, region.col + region.n_cols - 1 >> shift
+        core = Region(*first, last[0] - first[0] + 1, last[1] - first[1] + 1)
+        framed = Region(core.row - 1, core.col - 1, core.n_rows + 2, core.n_cols + 2)
+        framed = framed.intersect(Region(0, 0, *pyramids.grid.level_shape(level)))
+        np.testing.assert_array_equal(
+            part.heights(level, framed), pyramids.whole.heights(level, framed)
+        )
+        np.testing.assert_array_equal(part.mask(level, framed), pyramids.whole.mask(level, framed))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from terrainwave._version import __version__
 from terrainwave.errors import (
     BoundViolationError,
+    ClusterError,
     CorruptStreamError,
     InvalidHeightsError,
     LimitExceededError,
@@ -22,9 +23,10 @@ from terrainwave.errors import (
 )
 
 if TYPE_CHECKING:
-    from terrainwave.compression import CompressResult, compress
+    from terrainwave.compression import CompressResult, compress, compress_to_bytes
     from terrainwave.decompression import decompress
     from terrainwave.mesh_storage import store_meshes
+    from terrainwave.patching import PatchResult, patch
     from terrainwave.progress import Progress
     from terrainwave.terrain import Info, Terrain
     from terrainwave.tri.mesh import Mesh
@@ -32,12 +34,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BoundViolationError",
+    "ClusterError",
     "CompressResult",
     "CorruptStreamError",
     "Info",
     "InvalidHeightsError",
     "LimitExceededError",
     "Mesh",
+    "PatchResult",
     "Progress",
     "StorageError",
     "Terrain",
@@ -48,8 +52,10 @@ __all__ = [
     "VerifyReport",
     "__version__",
     "compress",
+    "compress_to_bytes",
     "decompress",
     "open",
+    "patch",
     "store_meshes",
     "verify",
 ]
@@ -59,8 +65,11 @@ __all__ = [
 _LAZY = {
     "CompressResult": "compression",
     "compress": "compression",
+    "compress_to_bytes": "compression",
     "decompress": "decompression",
     "store_meshes": "mesh_storage",
+    "PatchResult": "patching",
+    "patch": "patching",
     "Progress": "progress",
     "Info": "terrain",
     "Terrain": "terrain",

@@ -1,7 +1,8 @@
 """Pass B: code the units top down in a closed loop, depth first (DESIGN §3.10).
 
 A unit needs its parent's decoded block and nothing else, so the tree is walked with only the chain
-of decoded ancestors in memory, and subtrees run side by side. Nothing here depends on the order.
+of decoded ancestors in memory, and subtrees run side by side, in threads of one process or on many
+machines. Nothing here depends on the order.
 """
 
 import threading
@@ -41,7 +42,7 @@ class _Ancestor(NamedTuple):
 
 
 class TreeEncoder:
-    """Encode all units of a raster.
+    """Encode all units of a raster, or those above a level, or those of a subtree.
 
     Parameters
     ----------
@@ -49,6 +50,8 @@ class TreeEncoder:
         None where a subclass codes without one.
     on_samples : callable
         Called with the number of full-grid samples whose unit is finished, from any thread.
+    last_level : int, optional
+        The finest level of blocks that is coded; by default all are.
     """
 
     def __init__(
@@ -59,6 +62,7 @@ class TreeEncoder:
         pyramid: Pyramid,
         sink: PayloadSink,
         on_samples: Callable[[int], None],
+        last_level: int | None = None,
     ) -> None:
         self._grid = grid
         self._refiner = refiner
@@ -66,16 +70,20 @@ class TreeEncoder:
         self._pyramid = pyramid
         self._sink = sink
         self._on_samples = on_samples
+        self._last_level = grid.k_max if last_level is None else last_level
         self._stats: Stats = {}
         self._lock = threading.Lock()
         self._is_stopped = False
 
     def run(self, executor: Executor) -> Stats:
-        """Encode everything; return range and measured error of every block."""
+        """Encode all down to the last level; return range and measured error of every block.
+
+        Without the finest level nothing is measured.
+        """
         starts: list[tuple[Block, Decoded | None, list[_Ancestor]]]
         starts = [(key, None, []) for key in self._grid.root_keys()]
         try:
-            while starts and len(starts) < _MIN_SUBTREES and starts[0][0].level < self._grid.k_max:
+            while starts and len(starts) < _MIN_SUBTREES:
                 following = executor.map(lambda start: self._encode_unit(*start), starts)
                 starts = [start for children in following for start in children]
             for _ in executor.map(lambda start: self._encode_subtree(*start), starts):
@@ -84,6 +92,19 @@ class TreeEncoder:
             # Ctrl-C, a full disk: subtrees that run in other threads end at their next unit.
             self._is_stopped = True
             raise
+        return self._stats
+
+    def run_subtree(self, head: Block, decoded: Callable[[Block], Decoded]) -> Stats:
+        """Encode the groups of `head` and of all blocks below it, in this thread.
+
+        `decoded` returns `head` and its ancestors as decoded before. What is returned of ancestors
+        is what the originals below `head` tell of them.
+        """
+        chain = []
+        for level in range(head.level + 1):
+            block = Block(level, head.row >> head.level - level, head.col >> head.level - level)
+            chain.append(self._ancestor(block, decoded(block)))
+        self._encode_subtree(head, decoded(head), chain)
         return self._stats
 
     def _encode_subtree(self, key: Block, parent: Decoded | None, chain: list[_Ancestor]) -> None:
@@ -99,32 +120,39 @@ class TreeEncoder:
         spec = unit_spec(grid, self._parameters, key)
         target = self._pyramid.heights(spec.level, spec.region)
         mask = self._pyramid.mask(spec.level, spec.region)
-        decoded = self._code(key, spec, parent, target, mask)
+        payload, decoded = self.code_unit(key, spec, parent, target, mask)
+        self._sink(key, payload)
         blocks = grid.key_blocks(key)
         parts = [block_of_unit(grid, spec, decoded, block) for block in blocks]
         if spec.level == grid.k_max:
             core = spec.core.slices_in(spec.region)
-            self._measure(spec, blocks, chain, target[core], mask[core], decoded)
+            is_measured = self.measured(spec.core, mask[core])
+            self._measure(spec, blocks, chain, target[core], is_measured, decoded)
             self._on_samples(spec.core.n_rows * spec.core.n_cols)
             return []
-        below = []
-        for block, part in zip(blocks, parts, strict=True):
-            core_part = part.heights[
-                grid.block_region(block).slices_in(_with_apron(grid, spec, block))
-            ]
-            below.append(
-                (block, part, [*chain, _Ancestor(block, grid.block_region(block), core_part)])
-            )
-        return below
+        if spec.level == self._last_level:
+            return []
+        return [
+            (block, part, [*chain, self._ancestor(block, part)])
+            for block, part in zip(blocks, parts, strict=True)
+        ]
 
-    def _code(
+    def code_unit(
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
-    ) -> Decoded:
-        """Code a unit, hand its payload on, and return what it decodes to."""
+    ) -> tuple[bytes, Decoded]:
+        """Return the payload of a unit and what it decodes to."""
         assert self._refiner is not None
-        payload, decoded = encode_unit(self._refiner, spec, parent, target, mask)
-        self._sink(key, payload)
-        return decoded
+        return encode_unit(self._refiner, spec, parent, target, mask)
+
+    def measured(self, region: Region, mask: Mask) -> Mask:
+        """Return which samples of a region of the full grid are originals: all valid ones."""
+        return mask
+
+    def _ancestor(self, block: Block, decoded: Decoded) -> _Ancestor:
+        """Return the samples of a decoded block, without its apron."""
+        region = self._grid.block_region(block)
+        framed = self._grid.block_region(block, 1 if self._parameters.rings == 3 else 0)
+        return _Ancestor(block, region, decoded.heights[region.slices_in(framed)])
 
     def _measure(
         self,
@@ -157,7 +185,3 @@ class TreeEncoder:
         with self._lock:
             for block, stats in found.items():
                 self._stats.setdefault(block, BlockStats()).merge(stats)
-
-
-def _with_apron(grid: Grid, spec: GroupSpec, block: Block) -> Region:
-    return grid.block_region(block, 1 if spec.rings == 3 else 0)

@@ -45,5 +45,9 @@ class StorageError(TerrainwaveError, OSError):
     """A file, directory or URL cannot be read or written; the target is untouched."""
 
 
+class ClusterError(TerrainwaveError):
+    """The cluster that was to do the work cannot be reached, or has lost it; nothing is written."""
+
+
 class TerrainwaveWarning(UserWarning):
     """Something of the input is ignored or dropped; the heights are not affected."""

@@ -6,9 +6,11 @@ grid, and above it the largest Err of B's children + the largest distance of the
 from B's bilinear surface. It is an upper bound of the measured error.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terrainwave.quadtree import Region
 
@@ -18,30 +20,49 @@ def level_errors(terrain: Any, kind: str) -> list[float]:
 
     ``"measured"`` reads the index; ``"recursive"`` decodes all levels, windows at a time.
     """
-    return terrain.level_errors() if kind == "measured" else _recursive(terrain)
+    if kind == "measured":
+        return terrain.level_errors()
+    return [float(errors.max()) for errors in recursive_errors(terrain)]
 
 
-def _recursive(terrain: Any) -> list[float]:
-    """Follow Y10 equation (2) block by block, from the full grid up.
+def recursive_errors(
+    terrain: Any, *, as_printed: bool = False, count: Callable[[int], None] = lambda n_samples: None
+) -> list[NDArray[np.float64]]:
+    """Follow Y10 equation (2) block by block, from the full grid up: Err_Appr of every block.
 
-    Y10 adds the bound on every level, as its children's errors are relative to the pyramid; here
-    they are relative to the full grid's originals already, on every level.
+    Parameters
+    ----------
+    as_printed : bool
+        Add the bound on every level, as Y10 does because its children's errors are relative to the
+        pyramid. Here they are relative to the full grid's originals on every level, so it is left
+        out by default; with it the errors are upper bounds all the same.
+    count : callable
+        Called with numbers of samples of the full grid as they have been looked at.
+
+    Returns
+    -------
+    list of ndarray of float64, shape (block rows, block columns) each
+        In physical units, the coarsest level first.
+
+    Notes
+    -----
+    Decodes all levels, windows at a time.
     """
     side = terrain.grid.block
     scale = abs(terrain.raster_info.scale)
-    errors = np.full(terrain.grid.level_blocks(terrain.n_levels - 1), terrain.effective_error)
-    largest = [float(errors.max())]
+    added = terrain.effective_error if as_printed else 0.0
+    levels = [np.full(terrain.grid.level_blocks(terrain.n_levels - 1), terrain.effective_error)]
     for level in range(terrain.n_levels - 2, -1, -1):
-        n_rows, n_cols = terrain.grid.level_blocks(level)
-        above = np.zeros((n_rows, n_cols))
-        for row in range(n_rows):
-            for col in range(n_cols):
-                children = errors[2 * row : 2 * row + 2, 2 * col : 2 * col + 2]
-                added = _interpolation_error(terrain, level, row * side, col * side) * scale
-                above[row, col] = children.max(initial=0.0) + added
-        errors = above
-        largest.append(float(errors.max()))
-    return largest[::-1]
+        finer = levels[-1]
+        errors = np.zeros(terrain.grid.level_blocks(level))
+        for row, col in np.ndindex(errors.shape):
+            children = finer[2 * row : 2 * row + 2, 2 * col : 2 * col + 2]
+            apart = _interpolation_error(terrain, level, row * side, col * side) * scale
+            errors[row, col] = children.max(initial=0.0) + apart + added
+            if level == terrain.n_levels - 2:
+                count(4 * side * side)
+        levels.append(errors)
+    return levels[::-1]
 
 
 def _interpolation_error(terrain: Any, level: int, row: int, col: int) -> float:

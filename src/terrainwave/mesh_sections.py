@@ -1,6 +1,6 @@
 """Mesh sections: the bytes of meshes beside the payloads they go with (FORMAT.md §4.5)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Executor
 from functools import lru_cache
 
@@ -68,6 +68,7 @@ def make_sections(
     mesher: BlockMesher,
     executor: Executor,
     on_samples: Callable[[int], None],
+    levels: Iterable[int] | None = None,
 ) -> dict[Block, bytes]:
     """Return the mesh sections of all keys that have one.
 
@@ -77,6 +78,8 @@ def make_sections(
         For samples, tolerances and the kind of meshes.
     on_samples : callable
         Told how many samples of the full grid have a mesh, now and then.
+    levels : iterable of int, optional
+        Levels of blocks to mesh; all by default.
 
     Notes
     -----
@@ -86,14 +89,20 @@ def make_sections(
     """
     if mesher.kind not in STORED_KINDS:
         return {}
+    parts: dict[Block, bytes] = {}
+    for level in range(grid.k_max + 1) if levels is None else levels:
+        parts |= _level_parts(grid, mesher, level, executor, on_samples)
+    return sections_of_parts(grid, parts)
+
+
+def sections_of_parts(grid: Grid, parts: Mapping[Block, bytes]) -> dict[Block, bytes]:
+    """Return the sections, by key, that hold the parts of blocks; empty ones are left out."""
     sections: dict[Block, list[bytes]] = {}
-    for level in range(grid.k_max + 1):
-        for block, part in _level_parts(grid, mesher, level, executor, on_samples).items():
-            key = unit_key(block)
-            blocks = grid.key_blocks(key)
-            parts = sections.setdefault(key, [b""] * len(blocks))
-            parts[blocks.index(block)] = part
-    packed = {key: pack_section(parts) for key, parts in sections.items()}
+    for block, part in parts.items():
+        key = unit_key(block)
+        blocks = grid.key_blocks(key)
+        sections.setdefault(key, [b""] * len(blocks))[blocks.index(block)] = part
+    packed = {key: pack_section(found) for key, found in sections.items()}
     return {key: section for key, section in packed.items() if section}
 
 

@@ -238,11 +238,13 @@ def measure_meshes(
     originals: Originals,
     executor: Executor,
     on_samples: Callable[[int], None],
+    blocks: list[Block] | None = None,
 ) -> dict[Block, int]:
     """Return how far the valid originals under each block are from its mesh, in 1/16 quanta.
 
     One walk over the full grid in windows; every window measures the meshes of its finest blocks
-    and of all their ancestors. Blocks without a mesh are left out.
+    and of all their ancestors. Blocks without a mesh are left out. With `blocks`, some of the
+    finest level, only the originals under these.
     """
     meshes = _Meshes(mesher)
     found: dict[Block, int] = {}
@@ -269,7 +271,7 @@ def measure_meshes(
                 found[key] = max(found.get(key, 0), error)
         on_samples(region.n_rows * region.n_cols)
 
-    for _ in executor.map(measure, grid.blocks(grid.k_max)):
+    for _ in executor.map(measure, grid.blocks(grid.k_max) if blocks is None else blocks):
         pass
     return found
 

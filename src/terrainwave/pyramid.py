@@ -9,16 +9,20 @@ are int32 quanta and pure functions of the raster: neither window sizes nor thre
   steps, and its heights may leave the raster's range.
 * Nested pyramid: the full grid's own samples.
 * Voids are filled by push-pull: coarse levels average what is valid, fine ones interpolate it.
+
+The levels of a part of the raster can be made from that part alone, with a frame around it, and the
+fills of one coarse level (`Part`); those above a level from that level alone (`Base`). Values are
+the same: that is how machines share a raster.
 """
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.codec.tiles import TileLayout
@@ -45,6 +49,52 @@ class SourceWindows(Protocol):
         ...
 
 
+class Part(NamedTuple):
+    """A region of the full grid whose levels down to `shift` are made, each with an apron of 1.
+
+    The frames grow from level to level by what a window of the next coarser one reaches: 5 samples
+    in a low-pass window, 2 in a mask's, 1 in a push; one more where a frame's first or last row has
+    not the parity of the next level's.
+    """
+
+    region: Region
+    shift: int
+
+    def heights_region(self, shift: int, is_framed: bool) -> Region:
+        """Return where heights and masks of a level are made."""
+        scale = 1 << self.shift - shift
+        return self._framed(shift, 7 * scale - 6 if is_framed else 2 * scale - 1)
+
+    def fill_region(self, shift: int) -> Region:
+        """Return where the fills of a level are needed."""
+        return self._framed(shift, 7 << self.shift - shift)
+
+    def push_region(self, shift: int) -> Region:
+        """Return where known heights are pushed to on a level."""
+        return self._framed(shift, (9 << self.shift - shift) - 2)
+
+    def _framed(self, shift: int, margin: int) -> Region:
+        """Return the region on a level with a margin around it; may reach past the raster."""
+        row, col, n_rows, n_cols = self.region
+        first_row, first_col = (row >> shift) - margin, (col >> shift) - margin
+        last_row = -(-(row + n_rows - 1) >> shift) + margin
+        last_col = -(-(col + n_cols - 1) >> shift) + margin
+        return Region(first_row, first_col, last_row - first_row + 1, last_col - first_col + 1)
+
+
+class Base(NamedTuple):
+    """What a pyramid above one level is made of; the last three only where there are voids.
+
+    `pushed` holds the averages of valid samples where there are any: where `known` says so.
+    """
+
+    shift: int
+    heights: Spool
+    masks: Spool | None = None
+    pushed: Spool | None = None
+    known: Spool | None = None
+
+
 class Pyramid:
     """Targets of all levels of a raster; the finest is read from the source when asked for.
 
@@ -58,6 +108,11 @@ class Pyramid:
         Where levels too large for memory are spooled.
     executor : Executor
         Makes the windows of a level side by side.
+    part : Part, optional
+        Make the levels of a part of the raster, of any kind but ``"lowpass53"``; where there are
+        voids `pull` needs its coarsest fills.
+    base : Base, optional
+        Make the levels above that of `base`; below it there is nothing to ask for.
     """
 
     def __init__(
@@ -70,6 +125,8 @@ class Pyramid:
         has_voids: bool,
         directory: Path,
         executor: Executor,
+        part: Part | None = None,
+        base: Base | None = None,
     ) -> None:
         self._source = source
         self._quantizer = quantizer
@@ -78,32 +135,92 @@ class Pyramid:
         self._has_voids = has_voids
         self._directory = directory
         self._executor = executor
+        self._part = part
         self._heights: dict[int, Spool] = {}
         self._masks: dict[int, Spool] = {}
         self._fills: dict[int, Spool] = {}
+        self._known: dict[int, Spool] = {}
+        self._first = 0
+        self._last = grid.k_max if part is None else part.shift
+        if base is not None:
+            self._first = base.shift
+            self._heights[base.shift] = base.heights
+            if base.masks is not None and base.pushed is not None and base.known is not None:
+                self._masks[base.shift] = base.masks
+                self._fills[base.shift], self._known[base.shift] = base.pushed, base.known
 
     def build(self, report: Callable[[int, int], None]) -> None:
         """Make every level below the full grid; `report` gets (samples done, samples in all)."""
-        total = sum(self._shape(shift)[0] * self._shape(shift)[1] for shift in self._level_shifts())
-        done = 0
         if self._has_voids:
-            self._build_masks()
-            self._build_fills()
-        for shift in self._level_shifts():
-            spool = self._heights[shift] = Spool(self._shape(shift), np.int32, self._directory)
-            make = {
-                "lowpass": self._lowpass_window,
-                "lowpass53": self._lowpass53_window,
-                "nested": self._nested_window,
-            }[self._kind]
+            self.push()
+            self.pull()
+        self.make_heights(report)
+
+    def push(self) -> None:
+        """Make the masks of all levels, and average valid heights up to one sample."""
+        self._build_masks()
+        shift = self._first
+        while shift < self._last or (self._part is None and max(self._shape(shift)) > 1):
+            shift += 1
+            region = self._inside(shift, self._part.push_region(shift) if self._part else None)
+            self._fills[shift] = self._new_spool(region, np.int32)
+            self._known[shift] = self._new_spool(region, np.bool_)
+            for window in _windows(region):
+                values, known = self._pushed(shift, window)
+                self._fills[shift].write(window, values)
+                self._known[shift].write(window, known)
+
+    def pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
+        """Return averages of valid heights and where they are known, before `pull`."""
+        return self._fills[shift].read(region), self._known[shift].read(region)
+
+    def pull(self, coarsest: Spool | None = None) -> None:
+        """Interpolate from the coarsest level down where nothing is known.
+
+        A part needs the fills of its coarsest level, where it would not know enough by itself.
+        """
+        if not self._fills:  # a raster of one sample
+            return
+        top = max(self._fills)
+        if coarsest is not None:
+            self._fills[top].close()
+            self._fills[top] = coarsest
+        for finer in range(top - 1, max(self._first - 1, 0), -1):
+            region = self._inside(finer, self._part.fill_region(finer) if self._part else None)
+            for window in _windows(region):
+                known = self._known[finer].read(window)
+                if not known.all():
+                    values = self._fills[finer].read(window)
+                    values[~known] = self._pulled(finer, window)[~known]
+                    self._fills[finer].write(window, values)
+        for spool in self._known.values():
+            spool.close()
+
+    def fills(self, shift: int, region: Region) -> Heights:
+        """Return the heights given to voids on a level, after `pull`."""
+        return self._fills[shift].read(region)
+
+    def make_heights(self, report: Callable[[int, int], None]) -> None:
+        """Make the heights of every level above the full grid, after the fills of voids."""
+        regions = {shift: self._heights_region(shift) for shift in self._level_shifts()}
+        total = sum(region.n_rows * region.n_cols for region in regions.values())
+        done = 0
+        make = {
+            "lowpass": self._lowpass_window,
+            "lowpass53": self._lowpass53_window,
+            "nested": self._nested_window,
+        }[self._kind]
+        for shift, region in regions.items():
+            spool = self._heights[shift] = self._new_spool(region, np.int32)
             self._for_each_window(spool, partial(make, shift))
-            done += spool.shape[0] * spool.shape[1]
+            done += region.n_rows * region.n_cols
             report(done, total)
 
     def close(self) -> None:
         """Delete the spools."""
-        for spool in [*self._heights.values(), *self._masks.values(), *self._fills.values()]:
-            spool.close()
+        for spools in (self._heights, self._masks, self._fills, self._known):
+            for spool in spools.values():
+                spool.close()
 
     def heights(self, level: int, region: Region) -> Heights:
         """Return the target heights of a region of a level; voids hold their fill."""
@@ -135,7 +252,21 @@ class Pyramid:
         return self._quantizer.quantize(raw, valid), valid
 
     def _level_shifts(self) -> range:
-        return range(1, self._grid.k_max + 1)
+        return range(self._first + 1, self._last + 1)
+
+    def _heights_region(self, shift: int) -> Region:
+        is_framed = self._has_voids or self._kind == "lowpass"
+        return self._inside(
+            shift, self._part.heights_region(shift, is_framed) if self._part else None
+        )
+
+    def _inside(self, shift: int, region: Region | None) -> Region:
+        """Return what of a region of a level lies inside the raster; None: the whole level."""
+        whole = Region(0, 0, *self._shape(shift))
+        return whole if region is None else region.intersect(whole)
+
+    def _new_spool(self, region: Region, dtype: DTypeLike) -> Spool:
+        return Spool(region.shape, dtype, self._directory, (region.row, region.col))
 
     def _shape(self, shift: int) -> tuple[int, int]:
         return (self._grid.n_rows - 1 >> shift) + 1, (self._grid.n_cols - 1 >> shift) + 1
@@ -188,7 +319,7 @@ class Pyramid:
 
     def _build_masks(self) -> None:
         for shift in self._level_shifts():
-            spool = self._masks[shift] = Spool(self._shape(shift), np.bool_, self._directory)
+            spool = self._masks[shift] = self._new_spool(self._heights_region(shift), np.bool_)
             # The first step reaches two samples far: a cell of shift 1 spans two full-grid cells.
             reach = 2 if shift == 1 else 1
             self._for_each_window(spool, partial(self._mask_window, shift, reach))
@@ -204,37 +335,9 @@ class Pyramid:
                 ][: region.n_rows, : region.n_cols]
         return touched
 
-    def _build_fills(self) -> None:
-        """Push valid heights up to one sample, then pull them down into the voids."""
-        weights: dict[int, Spool] = {}
-        shift = 0
-        while max(self._shape(shift)) > 1:
-            shift += 1
-            self._fills[shift] = Spool(self._shape(shift), np.int32, self._directory)
-            weights[shift] = Spool(self._shape(shift), np.bool_, self._directory)
-            for region in _windows(self._shape(shift)):
-                values, known = self._pushed(shift, region, weights)
-                self._fills[shift].write(region, values)
-                weights[shift].write(region, known)
-        for finer in range(shift - 1, 0, -1):
-            for region in _windows(self._shape(finer)):
-                known = weights[finer].read(region)
-                if not known.all():
-                    values = self._fills[finer].read(region)
-                    values[~known] = self._pulled(finer, region)[~known]
-                    self._fills[finer].write(region, values)
-        for spool in weights.values():
-            spool.close()
-
-    def _pushed(
-        self, shift: int, region: Region, weights: dict[int, Spool]
-    ) -> tuple[Heights, Mask]:
+    def _pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
         def read(window: Region) -> Heights:
-            values, known = (
-                self.originals(window)
-                if shift == 1
-                else (self._fills[shift - 1].read(window), weights[shift - 1].read(window))
-            )
+            values, known = self.originals(window) if shift == 1 else self.pushed(shift - 1, window)
             return np.where(known, values, _UNKNOWN)
 
         fine = self._gather(read, shift - 1, region, _PUSH_HALO)
@@ -250,7 +353,8 @@ class Pyramid:
         coarse = self._fills[shift + 1]
         rows = np.arange(region.row, region.row + region.n_rows)
         cols = np.arange(region.col, region.col + region.n_cols)
-        last_row, last_col = coarse.shape[0] - 1, coarse.shape[1] - 1
+        shape = self._shape(shift + 1)
+        last_row, last_col = shape[0] - 1, shape[1] - 1
         row_end, col_end = (
             min(int(rows[-1] + 1 >> 1), last_row),
             min(int(cols[-1] + 1 >> 1), last_col),
@@ -288,15 +392,15 @@ class Pyramid:
 
     def _for_each_window(self, spool: Spool, make: Callable[[Region], NDArray[np.generic]]) -> None:
         for _ in self._executor.map(
-            lambda region: spool.write(region, make(region)), _windows(spool.shape)
+            lambda region: spool.write(region, make(region)), _windows(spool.region)
         ):
             pass
 
 
-def _windows(shape: tuple[int, int]) -> Iterator[Region]:
-    for row in range(0, shape[0], TILE):
-        for col in range(0, shape[1], TILE):
-            yield Region(row, col, min(TILE, shape[0] - row), min(TILE, shape[1] - col))
+def _windows(region: Region) -> Iterator[Region]:
+    for row in range(region.row, region.row + region.n_rows, TILE):
+        for col in range(region.col, region.col + region.n_cols, TILE):
+            yield Region(row, col, TILE, TILE).intersect(region)
 
 
 def _halo_places(first: int, n: int, halo: int) -> NDArray[np.intp]:

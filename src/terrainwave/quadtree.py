@@ -215,6 +215,21 @@ class Grid:
             layer = [child for block in layer for child in self.children(block)]
         return layer
 
+    def segment_heads_below(self, head: Block) -> list[Block]:
+        """Return `head` and the heads of all segments below it in order: level, then Morton."""
+        found, layer = [], [head]
+        while layer:
+            found += layer
+            layer = [child for block in layer for child in self.segment_children(block)]
+        return found
+
+    def descendants(self, block: Block, level: int) -> list[Block]:
+        """Return the blocks of a level inside `block`, in Morton order."""
+        layer = [block]
+        for _ in range(level - block.level):
+            layer = [child for parent in layer for child in self.children(parent)]
+        return layer
+
     def segment_heads(self) -> Iterator[Block | None]:
         """Yield the heads of all segments in file order: the top one, then (level, Morton)."""
         yield None

@@ -183,6 +183,15 @@ class HeightScan:
         else:
             self._narrow_candidates(heights)
 
+    def merge(self, other: "HeightScan") -> None:
+        """Take in what another scan has seen of the same raster."""
+        self.n_samples += other.n_samples
+        self.n_valid += other.n_valid
+        self.minimum = min(self.minimum, other.minimum)
+        self.maximum = max(self.maximum, other.maximum)
+        self._gcd = math.gcd(self._gcd, other._gcd)
+        self._candidates = [p for p in self._candidates if p in other._candidates]
+
     def _narrow_candidates(self, heights: NDArray[np.generic]) -> None:
         wide = heights.astype(np.float64)
         passed: list[Fraction] = []

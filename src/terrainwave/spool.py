@@ -28,10 +28,19 @@ class Spool:
         Element type.
     directory : Path
         Where the temporary file lies if one is needed; it is deleted by `close`.
+    origin : tuple of int
+        Row and column of the first sample: regions are counted as those of a larger array.
     """
 
-    def __init__(self, shape: tuple[int, int], dtype: DTypeLike, directory: Path) -> None:
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        dtype: DTypeLike,
+        directory: Path,
+        origin: tuple[int, int] = (0, 0),
+    ) -> None:
         self.shape = shape
+        self.origin = origin
         self.dtype = np.dtype(dtype)
         self._memory: NDArray[Any] | None = None
         self._file: Any = None
@@ -46,10 +55,18 @@ class Spool:
     @property
     def region(self) -> Region:
         """Return the whole array as a region."""
-        return Region(0, 0, *self.shape)
+        return Region(*self.origin, *self.shape)
 
     def read(self, region: Region) -> NDArray[Any]:
-        """Return a copy of the samples of `region`, which must lie inside the array."""
+        """Return a copy of the samples of `region`.
+
+        Raises
+        ------
+        ValueError
+            If `region` does not lie inside the array.
+        """
+        if region.intersect(self.region) != region:
+            raise ValueError(f"{region} is not inside {self.region}")
         if self._memory is not None:
             return self._memory[region.slices_in(self.region)].copy()
         window = np.empty(region.shape, dtype=self.dtype)
@@ -65,10 +82,12 @@ class Spool:
             return
         for tile, number in self._tiles(region):
             part = tile.intersect(region)
-            whole = part.shape == tile.intersect(self.region).shape
+            is_whole = part.shape == tile.intersect(self.region).shape
             with self._lock:
                 content = (
-                    np.zeros((TILE, TILE), self.dtype) if whole else self._read_tile_locked(number)
+                    np.zeros((TILE, TILE), self.dtype)
+                    if is_whole
+                    else self._read_tile_locked(number)
                 )
                 content[part.slices_in(tile)] = values[part.slices_in(region)]
                 self._write_tile_locked(number, content)
@@ -81,10 +100,14 @@ class Spool:
             self._file = None
 
     def _tiles(self, region: Region) -> list[tuple[Region, int]]:
-        rows = range(region.row // TILE, (region.row + region.n_rows - 1) // TILE + 1)
-        cols = range(region.col // TILE, (region.col + region.n_cols - 1) // TILE + 1)
+        row, col = region.row - self.origin[0], region.col - self.origin[1]
+        rows = range(row // TILE, (row + region.n_rows - 1) // TILE + 1)
+        cols = range(col // TILE, (col + region.n_cols - 1) // TILE + 1)
         return [
-            (Region(r * TILE, c * TILE, TILE, TILE), r * self._tile_cols + c)
+            (
+                Region(self.origin[0] + r * TILE, self.origin[1] + c * TILE, TILE, TILE),
+                r * self._tile_cols + c,
+            )
             for r in rows
             for c in cols
         ]

@@ -28,8 +28,12 @@ from terrainwave.raster_io.info import RasterInfo
 from terrainwave.resample import RESAMPLING, resample
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from terrainwave.decoder import TreeDecoder
     from terrainwave.meshing import BlockMesher
+    from terrainwave.render.static import Picture
+    from terrainwave.render.style import Style
     from terrainwave.tri.mesh import BlockMesh, Mesh
 
 Window = tuple[int, int, int, int]
@@ -692,6 +696,112 @@ class Terrain:
         if not self._grid.contains(block):
             raise InvalidHeightsError(f"found {block}, expected a block of the file's levels")
         return self._mesher.mesh(block)
+
+    # To other libraries.
+
+    def to_xarray(self, *, level: int = -1, mask_and_scale: bool = True) -> "xr.DataArray":
+        """Return a level as a DataArray that reads windows of it when they are computed.
+
+        It has the coordinates of `xarray.open_dataset` and lives as long as this Terrain is open.
+
+        Parameters
+        ----------
+        level : int
+            Resolution level, as in `read`.
+        mask_and_scale : bool
+            Voids become NaN, scale and offset are applied; else values as stored.
+
+        Raises
+        ------
+        TerrainwaveError
+            If xarray is not installed.
+        """
+        from terrainwave.tri.export import need
+
+        need("xarray", extra="xarray")
+        from terrainwave.ext.xarray_backend import terrain_dataset
+
+        return terrain_dataset(self, level, mask_and_scale=mask_and_scale)["heights"]
+
+    def _repr_html_(self) -> str:
+        from terrainwave.ext.html import terrain_html
+
+        return terrain_html(self)
+
+    # Pictures.
+
+    def plot(
+        self,
+        ax: Any = None,
+        *,
+        bounds: Sequence[float] | None = None,
+        cmap: str = "gist_earth",
+        shade: float = 0.7,
+    ) -> Any:
+        """Draw a map, coloured by height and hillshaded; needs matplotlib.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where to draw; a new figure by default.
+        bounds : (left, bottom, right, top), optional
+            What to show, in the CRS; by default all. A level fit for the figure is read.
+        cmap : str
+            matplotlib's name of the colours of heights.
+        shade : float
+            Share of the hillshade, 0 … 1.
+
+        Returns
+        -------
+        ax : matplotlib Axes
+            In coordinates of the CRS; a rotated raster is drawn along its rows.
+        """
+        from terrainwave.render.static import plot
+
+        return plot(self, ax, cmap=cmap, shade=shade, bounds=bounds)
+
+    def view(
+        self,
+        *,
+        size: tuple[int, int] = (960, 640),
+        camera: str | None = None,
+        max_pixel_error: float = 1.0,
+        style: "Style | None" = None,
+        **options: Any,
+    ) -> "Picture | None":
+        """Open a window and fly over the terrain; in notebooks return a picture.
+
+        Parameters
+        ----------
+        size : tuple of int
+            Width and height in pixels.
+        camera : str, optional
+            ``x,y,z,heading,pitch,fov`` as `terrainwave view` prints it; by default all is shown.
+        max_pixel_error : float
+            τ: largest distance on screen from the full terrain, pixels.
+        style : terrainwave.render.style.Style, optional
+            Colours, light and haze.
+        options
+            ``mode``, ``error``, ``drape``, ``exaggeration``, ``radius`` as on the command line.
+
+        Returns
+        -------
+        Picture, optional
+            Where no window can be opened; notebooks show it, `Picture.save` writes a PNG. None
+            after a window was closed.
+
+        Raises
+        ------
+        TerrainwaveError
+            If there is neither a window nor OpenGL without one; the line says what to install.
+        """
+        from terrainwave.render.static import view
+        from terrainwave.render.style import Style
+
+        return view(
+            self, size=size, camera=camera, style=style or Style(),
+            max_pixel_error=max_pixel_error, **options,
+        )  # fmt: skip
 
     def check(self) -> Iterator[str]:
         """Check all checksums and decode every unit; yield what is wrong, in plain words."""

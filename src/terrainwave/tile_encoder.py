@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Callable
 from concurrent.futures import Executor
+from contextlib import closing
 from pathlib import Path
 from typing import Protocol
 
@@ -21,18 +22,50 @@ from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.tiles import TileLayout, TileSpec
 from terrainwave.codec.units import CodecParameters
 from terrainwave.container.spool import SegmentSpool
-from terrainwave.encoder import PayloadSink, TreeEncoder
+from terrainwave.encoder import PayloadSink, Stats, TreeEncoder
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.job import Job
 from terrainwave.pyramid import Pyramid
 from terrainwave.quadtree import Block, Grid
 from terrainwave.tile_decoder import final_heights
 
 # Halvings of a search by bytes, and of one by errors, which decodes everything each time.
 _SEARCH_STEPS, _ERROR_STEPS = 40, 9
+# What a file is thought to take beside its payloads, in bytes: for itself and for each unit.
+_FILE_BYTES, _UNIT_BYTES = 600, 24
 
 
 # The key of a tile that is to be decoded, and its head's block.
 _Start = tuple[Block, LevelHeights | None]
+
+
+def encode_tiles(
+    job: Job,
+    pyramid: Pyramid,
+    sink: PayloadSink,
+    directory: Path,
+    on_samples: Callable[[int], None],
+    executor: Executor,
+) -> Stats:
+    """Code every tile, cut where the job says so; return what was measured."""
+    parameters = job.parameters
+    coder = TileCoder(pyramid)
+    if not job.is_embedded:
+        return TileEncoder(job.grid, parameters, pyramid, coder, sink, on_samples).run(executor)
+    with closing(EmbeddedSource(coder, job.grid, directory)) as source:
+        source.code(executor, on_samples)
+        if job.rate is not None:
+            source.cut_to_size(_payload_bytes(job, job.rate))
+        elif job.psnr is not None:
+            span = parameters.z_max - parameters.z_min
+            source.cut_to_error(span**2 * 10.0 ** (-job.psnr / 10), parameters, executor)
+        return TileEncoder(job.grid, parameters, pyramid, source, sink, on_samples).run(executor)
+
+
+def _payload_bytes(job: Job, rate: float) -> int:
+    """Return the bytes that a file of `rate` bits per sample has for payloads."""
+    n_samples = job.grid.n_rows * job.grid.n_cols
+    return int(rate * n_samples / 8) - _FILE_BYTES - _UNIT_BYTES * job.grid.n_units()
 
 
 class TileSource(Protocol):
@@ -63,22 +96,19 @@ class TileEncoder(TreeEncoder):
         self._n_units: dict[Block, int] = {}
         self._heads: dict[Block, LevelHeights] = {}
 
-    def _code(
+    def code_unit(
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
-    ) -> Decoded:
-        """Hand on a tile's payload with its first unit, and nothing with the others."""
+    ) -> tuple[bytes, Decoded]:
+        """Return a tile's payload with its first unit, and nothing with the others."""
         tile_key = self._layout.key_of(key)
-        if key == tile_key:
-            self._sink(key, self._begin(key))
-        else:
-            self._sink(key, b"")
+        payload = self._begin(key) if key == tile_key else b""
         level = self._tiles[tile_key][key.level + 1 - max(tile_key.level + 1, 0)]
         decoded = final_heights(level.part(spec.region), self._parameters)
         with self._lock:
             self._n_units[tile_key] -= 1
             if not self._n_units[tile_key]:
                 del self._tiles[tile_key], self._n_units[tile_key]
-        return decoded
+        return payload, decoded
 
     def _begin(self, key: Block) -> bytes:
         """Code a tile and keep what it decodes to."""

@@ -111,6 +111,18 @@ def test_keys_change_the_picture(controls):
     assert controls.camera.position[2] == 1000
 
 
+def test_shift_raises_the_sun_within_its_limits_and_o_takes_the_orthophoto_off(controls):
+    controls.press("shift", VIEWPORT)
+    press(controls, *["period"] * 30)
+    assert controls.style.sun == (315.0, 88.0)
+    press(controls, *["comma"] * 30)
+    assert controls.style.sun == (315.0, 3.0)
+    press(controls, "o")
+    assert controls.style.drape == 0
+    press(controls, "o")
+    assert controls.style.drape == 1
+
+
 def test_places_to_go(controls):
     press(controls, "t")
     assert controls.camera.pitch == -90

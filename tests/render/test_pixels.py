@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from render.scenes import hills, terrain_of
 
+from terrainwave.render import patch_surface
 from terrainwave.render.camera import Camera, home, project, top_view
 from terrainwave.render.offscreen import Offscreen, create_context
-from terrainwave.render.renderer import Renderer
 from terrainwave.render.style import Style
 
 pytestmark = [pytest.mark.gl, pytest.mark.large]
@@ -69,36 +69,38 @@ def random_camera(rng, frame):
     return Camera((x, y, z), heading % 360, rng.uniform(-80, -15), rng.uniform(30, 80))
 
 
+@pytest.mark.parametrize("mode", ["adaptive", "batched"])
 @pytest.mark.parametrize("tau", [1.0, 6.0])
-def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, tau):
+def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, mode, tau):
     rng = np.random.default_rng(1)
     style = Style(background=LOUD, coloring="flat")
     options = {"samples": 0, "context": context}
     n_levels = set()
     with (
         Offscreen(rough, SIZE, mode="full", **options) as full,
-        Offscreen(rough, SIZE, **options) as adaptive,
+        Offscreen(rough, SIZE, mode=mode, **options) as coarse,
     ):
         for _ in range(15):
             camera = random_camera(rng, full.scene.frame)
             reference, _ = full.picture(camera, style)
-            image, frames = adaptive.picture(camera, style, max_pixel_error=tau)
-            pieces = [adaptive.scene.table.pieces[node] for node in frames.nodes.tolist()]
+            image, frames = coarse.picture(camera, style, max_pixel_error=tau)
+            pieces = [coarse.scene.table.pieces[node] for node in frames.nodes.tolist()]
             n_levels |= {(piece.level, piece.variant) for piece in pieces}
             # Outlines against the background may move by τ and a pixel.
             inside = eroded(~loud(reference), int(np.ceil(tau)) + 1)
             assert inside.sum() > 1000
             assert (loud(image) & inside).sum() == 0
-    assert len(n_levels) > 2
+    assert len(n_levels) > (2 if mode == "adaptive" else 1)
 
 
-def test_no_gap_shows_while_paging(context, rough):
+@pytest.mark.parametrize("mode", ["adaptive", "batched"])
+def test_no_gap_shows_while_paging(context, rough, mode):
     """Blocks of all levels side by side, parents standing in: still no gap."""
     style = Style(background=LOUD, coloring="flat")
     options = {"samples": 0, "context": context}
     with (
         Offscreen(rough, SIZE, mode="full", **options) as full,
-        Offscreen(rough, SIZE, n_workers=1, **options) as adaptive,
+        Offscreen(rough, SIZE, mode=mode, n_workers=1, **options) as adaptive,
     ):
         camera = Camera((0.0, -1500.0, full.scene.frame.box[1][2] + 200), 0, -25, 60)
         reference, _ = full.picture(camera, style)
@@ -115,12 +117,13 @@ def test_no_gap_shows_while_paging(context, rough):
         assert n_frames > 3
 
 
-def test_voids_are_as_in_the_full_terrain(context, with_voids):
+@pytest.mark.parametrize("mode", ["adaptive", "batched"])
+def test_voids_are_as_in_the_full_terrain(context, with_voids, mode):
     style = Style(background=LOUD, coloring="flat")
     options = {"samples": 0, "context": context}
     with (
         Offscreen(with_voids, SIZE, mode="full", **options) as full,
-        Offscreen(with_voids, SIZE, **options) as adaptive,
+        Offscreen(with_voids, SIZE, mode=mode, **options) as adaptive,
     ):
         camera = top_view(full.scene.frame.box, full.viewport)
         reference, _ = full.picture(camera, style)
@@ -164,15 +167,18 @@ def waves(rows, cols):
     return heights, east, north
 
 
+@pytest.mark.parametrize("mode", ["adaptive", "batched"])
 @pytest.mark.parametrize("exaggeration", [1.0, 2.5])
-def test_the_surface_and_its_shade_are_where_the_heights_say(context, exaggeration):
+def test_the_surface_and_its_shade_are_where_the_heights_say(context, mode, exaggeration):
     """Places read back from the depth buffer, and greys, against a known function."""
     rows, cols = np.mgrid[0:150, 0:210]
     heights = waves(rows, cols)[0].astype(np.float32)
     style = Style(coloring="plain", haze=0, background=LOUD)
     rng = np.random.default_rng(3)
     with terrain_of(heights, max_error=0.1, mesh_error=0.2) as terrain:
-        options = {"samples": 0, "context": context, "exaggeration": exaggeration}
+        options = {
+            "samples": 0, "context": context, "exaggeration": exaggeration, "mode": mode
+        }  # fmt: skip
         with Offscreen(terrain, SIZE, **options) as offscreen:
             frame, n_seen = offscreen.scene.frame, 0
             for number in range(4):
@@ -206,16 +212,16 @@ def test_the_surface_and_its_shade_are_where_the_heights_say(context, exaggerati
             assert n_seen > 80
 
 
-def test_drawing_block_by_block_gives_the_same_picture(context, rough):
+def test_drawing_block_by_block_gives_the_same_picture(context, rough, monkeypatch):
     """What a driver without indirect draws (OpenGL 3.3, macOS) does."""
     style = Style()
     with Offscreen(rough, SIZE, samples=0, context=context) as offscreen:
         camera = home(offscreen.scene.frame.box, offscreen.viewport)
         image, frames = offscreen.picture(camera, style)
-        assert offscreen.renderer.is_indirect
+        assert offscreen.surface.is_indirect
         assert offscreen.renderer.n_draw_calls == 1
-        offscreen.renderer.release()
-        offscreen.renderer = Renderer(context, offscreen.scene, offscreen.store, indirect=False)
+    monkeypatch.setattr(patch_surface, "_INDIRECT_VERSION", 1000)
+    with Offscreen(rough, SIZE, samples=0, context=context) as offscreen:
         again, _ = offscreen.picture(camera, style)
         assert offscreen.renderer.n_draw_calls == len(frames.nodes)
         np.testing.assert_array_equal(image, again)
@@ -251,3 +257,46 @@ def test_every_colouring_draws_the_terrain_in_many_colours(context, rough, color
         terrain = image[~loud(image)]
         assert len(terrain) > 3000
         assert len(np.unique(terrain, axis=0)) > 50
+
+
+@pytest.mark.parametrize("mode", ["adaptive", "batched"])
+def test_a_drape_lies_where_its_coordinates_say(context, rough, tmp_path, mode):
+    """Red and green are the column and row of the photo, which covers a part of the terrain."""
+    import rasterio
+
+    n = 128
+    ramp = np.arange(n, dtype=np.uint8) * 2
+    bands = np.stack([np.tile(ramp, (n, 1)), np.tile(ramp[:, None], (1, n)), np.full((n, n), 9)])
+    left, top = 500000 + 30 * 40, 5200000 - 30 * 30
+    place = rasterio.Affine(30.0 * 100 / n, 0, left, 0, -30.0 * 90 / n, top)
+    with rasterio.open(
+        tmp_path / "photo.tif", "w", driver="GTiff", count=3, width=n, height=n, dtype="uint8",
+        crs="EPSG:32633", transform=place,
+    ) as photo:  # fmt: skip
+        photo.write(bands.astype(np.uint8))
+    style = Style(coloring="plain", shade=0, haze=0, background=LOUD)
+    options = {"samples": 0, "context": context, "mode": mode}
+    with Offscreen(rough, SIZE, drape=str(tmp_path / "photo.tif"), **options) as offscreen:
+        rng = np.random.default_rng(5)
+        n_inside = n_outside = 0
+        for camera in (
+            top_view(offscreen.scene.frame.box, offscreen.viewport),
+            home(offscreen.scene.frame.box, offscreen.viewport),
+        ):
+            image, _ = offscreen.picture(camera, style)
+            for x, y in rng.integers(0, SIZE, (150, 2)):
+                at = offscreen.pick(x, y)
+                if at is None:
+                    continue
+                world = offscreen.scene.frame.to_world(at[None])[0]
+                u = (world[0] - left) * n / 3000
+                v = (top - world[1]) * n / 2700
+                if 3 < u < n - 3 and 3 < v < n - 3:
+                    assert abs(image[y, x, 0] - 2 * (u - 0.5)) < 6
+                    assert abs(image[y, x, 1] - 2 * (v - 0.5)) < 6
+                    n_inside += 1
+                elif not (-3 < u < n + 3 and -3 < v < n + 3):
+                    assert (np.abs(image[y, x] - [209, 204, 194]) < 2).all()  # plain
+                    n_outside += 1
+        assert n_inside > 30
+        assert n_outside > 30

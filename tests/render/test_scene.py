@@ -7,6 +7,7 @@ from render.scenes import ListStore, drawn_heights, hills, terrain_of
 from terrainwave.errors import CorruptStreamError
 from terrainwave.render.camera import Camera, Viewport, fly, home, look, project
 from terrainwave.render.scene import Scene
+from terrainwave.render.selection import Piece
 
 pytestmark = pytest.mark.large
 
@@ -81,6 +82,38 @@ def test_no_original_in_view_is_further_than_tau_from_the_surface(original_and_t
     assert n_morphed > 0
 
 
+def test_paper_errors_follow_equations_2_and_3():
+    """Err = max Err of the children + Err_Int + δ, plus Err_Tri; checked sample by sample."""
+    heights = np.round(hills(70, 90, 11)).astype(np.int16)
+    with terrain_of(heights, max_error=2) as terrain:
+        builder = Scene(terrain, ListStore(), error="paper").mode.builder
+        grid, delta = terrain.grid, terrain.effective_error
+
+        def appr(block):
+            if block.level == grid.k_max:
+                return delta
+            own, stride = grid.block_region(block), 2
+            coarse = terrain.read(own, level=block.level).astype(float)
+            fine = terrain.read(
+                (own.row * 2, own.col * 2, own.n_rows * 2 - 1, own.n_cols * 2 - 1),
+                level=block.level + 1,
+            )
+            apart = 0.0
+            for r, c in np.ndindex(fine.shape):
+                near = coarse[r // stride : -(-r // stride) + 1, c // stride : -(-c // stride) + 1]
+                if near.shape == (1 + r % 2, 1 + c % 2):
+                    apart = max(apart, abs(near.mean() - fine[r, c]))
+            return max(appr(child) for child in grid.children(block)) + apart + delta
+
+        for level in range(terrain.n_levels):
+            for block in grid.blocks(level):
+                tolerance = terrain._mesher.tolerance(block) / 16 * terrain.info().quantum
+                error = builder.error(Piece(*block))
+                assert error == pytest.approx(appr(block) + tolerance)
+                # What is measured is less: an upper bound stays one.
+                assert error >= terrain.mesh_error(block) - 1e-9
+
+
 def test_a_morph_never_takes_more_than_the_error_leaves(original_and_terrain):
     """error + share · distance to the parent's surface <= τ · distance / γ, for each block."""
     _, _, terrain = original_and_terrain
@@ -128,7 +161,7 @@ def test_borders_of_one_level_have_equal_slopes_and_a_parent_close_by(original_a
     _, _, terrain = original_and_terrain
     grid = terrain.grid
     with Scene(terrain, ListStore()) as scene:
-        builder = scene._builder
+        builder = scene.mode.builder
         for level in range(terrain.n_levels):
             slopes = {block: builder.slopes(block) for block in grid.blocks(level)}
             n_compared = 0
@@ -154,7 +187,7 @@ def test_slopes_are_those_of_a_plane():
     with terrain_of(plane, max_error=0.01) as terrain, Scene(terrain, ListStore()) as scene:
         for level in range(terrain.n_levels):
             for block in terrain.grid.blocks(level):
-                slopes = scene._builder.slopes(block).astype(float)
+                slopes = scene.mode.builder.slopes(block).astype(float)
                 np.testing.assert_allclose(slopes[..., 0], 0.1, atol=2e-3)
                 np.testing.assert_allclose(slopes[..., 1], 0.2, atol=2e-3)
 
@@ -236,7 +269,7 @@ def test_what_the_camera_flies_to_is_read_ahead():
 def test_a_damaged_block_is_drawn_coarser_and_named():
     heights = np.round(hills(150, 210, 1)).astype(np.int16)
     with terrain_of(heights, max_error=0) as terrain, Scene(terrain, ListStore()) as scene:
-        build = scene._builder.build
+        build = scene.mode.builder.build
 
         def damaged(piece, is_cancelled=lambda: False):
             if piece.level == terrain.n_levels - 1 and piece.row == 1:

@@ -97,7 +97,8 @@ def test_without_a_display_one_line_names_render_and_what_to_install(file):
     assert "apt-get install" in lines[0]
 
 
-def test_drawing_for_long_keeps_memory_flat(file):
+@pytest.mark.parametrize("mode", ["adaptive", "batched"])
+def test_drawing_for_long_keeps_memory_flat(file, mode):
     """2000 frames with paging; the first of them may still compile and fill caches."""
     code = f"""
 import resource
@@ -108,9 +109,10 @@ from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.style import Style
 sizes, drops = [], []
 with terrainwave.open({str(file)!r}, cache_bytes=1 << 20, threads=1) as terrain:
-    with Offscreen(terrain, (160, 120), samples=0, max_bytes=64 << 20) as offscreen:
+    with Offscreen(terrain, (160, 120), samples=0, max_bytes=64 << 20, mode={mode!r}) as offscreen:
         store, scene = offscreen.store, offscreen.scene
-        store._max_layers, store._layers, drop = 24, Arena(24), store.drop
+        layers, drop = store.layers, store.drop
+        layers.max_layers, layers._free = 24, Arena(24)
         store.drop = lambda node: (drops.append(node), drop(node))
         low, high = scene.frame.box
         for number in range(2000):

@@ -4,6 +4,7 @@ import json
 import math
 import sys
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,7 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @main.command()
-@click.argument("source")
+@click.argument("sources", nargs=-1, required=True, metavar="SOURCE...")
 @click.argument("target", type=click.Path())
 @click.option(
     "--max-error",
@@ -73,6 +74,11 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--band", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--border-rings", type=click.Choice(["1", "3"]), default="1", show_default=True)
 @click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Share the work out to a dask cluster whose workers see SOURCE and TARGET.",
+)
 @click.option("--no-verify", is_flag=True, help="Skip decoding and comparing every sample.")
 @click.option("--mesh", type=MESHES, default="auto", show_default=True, help="Triangulation.")
 @click.option("--no-mesh", is_flag=True, help="Same as --mesh none.")
@@ -85,9 +91,10 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @_writing
 def compress(
-    source: str,
+    sources: tuple[str, ...],
     target: str,
     border_rings: str,
+    scheduler: str | None,
     no_verify: bool,
     mesh: str,
     no_mesh: bool,
@@ -95,18 +102,25 @@ def compress(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Compress the raster SOURCE to the file TARGET (.twz)."""
+    """Compress the raster SOURCE to the file TARGET (.twz).
+
+    Several SOURCEs are a mosaic: rasters of one CRS and grid. It is void where none of them is;
+    where they overlap, the last counts.
+    """
     import terrainwave
 
     _check_goals(options)
+    if scheduler is not None and options["method"] == "cdf53":
+        raise click.UsageError("found --scheduler and --method cdf53, expected one of them")
     announce_compiling(quiet=quiet)
-    with Bar(quiet=quiet) as bar:
+    with _cluster(scheduler) as client, Bar(quiet=quiet) as bar:
         result = terrainwave.compress(
-            source,
+            sources,
             target,
             border_rings=int(border_rings),
             mesh="none" if no_mesh else mesh,
             verify=not no_verify,
+            client=client,
             progress=bar,
             **options,
         )
@@ -126,6 +140,15 @@ def _check_goals(options: dict[str, Any]) -> None:
         raise click.UsageError(f"found {names} without --method cdf53, expected --max-error")
 
 
+def _cluster(scheduler: str | None) -> AbstractContextManager[Any]:
+    """Give a client of a dask scheduler; None without an address."""
+    if scheduler is None:
+        return nullcontext()
+    from terrainwave.ext.distributed import connected
+
+    return connected(scheduler)
+
+
 def _print_result(result: Any) -> None:
     measured = "not checked" if result.measured_error is None else f"{result.measured_error:.6g}"
     click.echo(
@@ -138,6 +161,35 @@ def _print_result(result: Any) -> None:
     )
     for note in result.notes:
         print_note(note)
+
+
+@main.command()
+@click.argument("file", type=click.Path())
+@click.argument("new")
+@click.option("--nodata", type=Nodata(), help="Replaces the new raster's own nodata value.")
+@click.option("--band", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
+@click.option("--threads", type=THREADS, help="Threads; all processors by default.")
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> None:
+    """Bring FILE (.twz) up to date with the raster NEW, which covers all or part of it."""
+    import terrainwave
+
+    announce_compiling(quiet=quiet)
+    with Bar(quiet=quiet) as bar, reading(file):
+        result = terrainwave.patch(file, new, progress=bar, **options)
+    if as_json:
+        print_json(asdict(result))
+    elif not quiet:
+        click.echo(
+            f"{plain(result.path)}: {result.n_recoded:,} units coded again, {result.n_copied:,}"
+            f" copied, {result.n_bytes:,} bytes"
+        )
+        click.echo(
+            f"max error guaranteed {result.effective_error:.6g}, measured"
+            f" {result.measured_error:.6g} {_unit(result.units)}"
+        )
 
 
 @main.command()

@@ -12,9 +12,9 @@ import click
 
 from terrainwave.cli.commands import main
 from terrainwave.cli.options import Numbers
-from terrainwave.cli.output import announce_compiling, plain, print_note, reading
+from terrainwave.cli.output import Bar, announce_compiling, plain, print_note, reading
+from terrainwave.render.modes import MODES
 
-MODES = click.Choice(["adaptive", "full"])
 COLORINGS = click.Choice(["ground", "ramp", "level", "error", "plain", "flat"])
 RAMPS = click.Choice(["tints", "cividis", "grey", "mars"])
 POSITIVE = click.FloatRange(min=0, min_open=True)
@@ -65,6 +65,8 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--ramp", type=RAMPS, default="tints", show_default=True,
                      help="Colours by height; cividis is safe for colour-blind eyes."),
         click.option("--coloring", type=COLORINGS, default="ground", show_default=True),
+        click.option("--drape", type=click.Path(), metavar="IMAGE",
+                     help="Orthophoto to lay on the terrain; it is warped to it."),
         click.option("--radius", type=POSITIVE, help="Of the body, metres, for degrees."),
         click.option("--exaggeration", type=POSITIVE, default=1.0, show_default=True,
                      help="Factor of heights."),
@@ -72,7 +74,7 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
                      show_default=True, help="Which errors and which formula choose blocks."),
         click.option("--max-pixel-error", type=POSITIVE, default=1.0, show_default=True,
                      help="Largest distance on screen from the full terrain, pixels."),
-        click.option("--mode", type=MODES, default="adaptive", show_default=True,
+        click.option("--mode", type=click.Choice(MODES), default="adaptive", show_default=True,
                      help="Blocks by their error on screen, or all the finest ones."),
         click.option("--camera", help="x,y,z,heading,pitch,fov: place in the file's coordinates,"
                      " height in its unit, degrees; heading from north, pitch up from level."),
@@ -80,6 +82,15 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
     ):  # fmt: skip
         command = option(command)
     return command
+
+
+def _announce_preparation(options: dict[str, Any]) -> None:
+    """Say why it takes long, where a mode looks at every sample before its first picture."""
+    from terrainwave.render.modes import mode_class
+
+    preparation = mode_class(options["mode"]).preparation(options["error"])
+    if preparation is not None:
+        click.echo(f"{preparation}: this decodes the whole file once", err=True)
 
 
 def _style(options: dict[str, Any]) -> Any:
@@ -126,13 +137,18 @@ def render(
     from terrainwave.render.pictures import choose_camera, fly_through, read_flight
 
     announce_compiling(quiet=quiet)
+    if not quiet:
+        _announce_preparation(options)
     started = time.perf_counter()
     written: list[dict[str, Any]] = []
     with ExitStack() as stack:
         stack.enter_context(reading(file))
         terrain = stack.enter_context(terrainwave.open(file))
         style = _style(options)
-        scene = stack.enter_context(Offscreen(terrain, size, max_bytes=memory << 20, **options))
+        with Bar(quiet=quiet) as bar:
+            scene = stack.enter_context(
+                Offscreen(terrain, size, max_bytes=memory << 20, progress=bar, **options)
+            )
         if flight is None:
             cameras, n_frames = (
                 [choose_camera(scene.scene.frame, scene.viewport, camera, bounds)],
@@ -196,6 +212,7 @@ def view(
     from terrainwave.render.viewer import run
 
     announce_compiling()
+    _announce_preparation(options)
     with reading(file), terrainwave.open(file) as terrain:
         line = run(
             terrain,

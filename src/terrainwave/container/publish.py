@@ -123,8 +123,13 @@ def refuse_own_source(source: object, target: str | os.PathLike[str]) -> None:
     Parameters
     ----------
     source : object
-        A path, or something opened whose `name` is one; what is no path is no file's.
+        A path, or something opened whose `name` is one, or a list of these; what is no path is no
+        file's.
     """
+    if isinstance(source, list | tuple):
+        for one in source:
+            refuse_own_source(one, target)
+        return
     path = source if isinstance(source, str | os.PathLike) else getattr(source, "name", None)
     if not isinstance(path, str | os.PathLike):
         return

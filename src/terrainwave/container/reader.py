@@ -121,7 +121,7 @@ class Container:
             raise CorruptStreamError("the segments do not fill the file")
         if last > self.extents.file_size:
             raise CorruptStreamError("a segment reaches beyond the end of the file")
-        return _segment(None, layout, page, start, len(data), end)
+        return segment_of_page(None, layout, page, start, len(data), end)
 
     # Index
 
@@ -179,7 +179,7 @@ class Container:
         layout = page_layout(self.grid, head)
         start, length = parent.child_range(head)
         if not length:
-            return _segment(head, layout, empty_page(layout), start, 0, start)
+            return segment_of_page(head, layout, empty_page(layout), start, 0, start)
         name = describe_head(head)
         page = unpack_page(data, layout, f"the page of {name}")
         if len(data) + page.body_length != length:
@@ -191,7 +191,7 @@ class Container:
             raise CorruptStreamError(f"the child segments of {name} overlap others")
         if layout.children and page.children_end > self.extents.file_size:
             raise CorruptStreamError(f"a child of {name} reaches beyond the end of the file")
-        return _segment(head, layout, page, start, len(data), start + length)
+        return segment_of_page(head, layout, page, start, len(data), start + length)
 
     def _head_of(self, key: Block) -> Block | None:
         if key.is_root_key:
@@ -230,7 +230,7 @@ class Container:
         rows = self._rows(keys)
         data = self.source.read_many([segment.payload_range(row) for segment, row in rows])
         for key, (segment, row), payload in zip(keys, rows, data, strict=True):
-            _check_crc(payload, segment.page.payload_crcs[row], "payload", key)
+            check_crc(payload, segment.page.payload_crcs[row], "payload", key)
         return data
 
     def payload_lengths(self, keys: Sequence[Block]) -> list[int]:
@@ -256,7 +256,7 @@ class Container:
         """Return the mesh section of `key`; empty if it has none."""
         ((segment, row),) = self._rows([key])
         data = self.source.read(*segment.mesh_range(row))
-        _check_crc(data, segment.page.mesh_crcs[row], "mesh", key)
+        check_crc(data, segment.page.mesh_crcs[row], "mesh", key)
         return data
 
     def flags(self, key: Block) -> int:
@@ -334,7 +334,7 @@ class Container:
         ):
             for row, data in zip(rows, self.source.read_many(list(ranges)), strict=True):
                 try:
-                    _check_crc(data, crcs[row], kind, segment.layout.keys[row])
+                    check_crc(data, crcs[row], kind, segment.layout.keys[row])
                 except CorruptStreamError as error:
                     yield str(error)
 
@@ -375,9 +375,10 @@ def _with_sections(header: Header, extents: Extents, start: bytes) -> Header:
     return replace(header, metadata=unpack_metadata(metadata), parameters=parameters)
 
 
-def _segment(
+def segment_of_page(
     head: Block | None, layout: PageLayout, page: Page, start: int, page_length: int, end: int
 ) -> Segment:
+    """Return a page with the places of what it lists, from the segment's own place."""
     child_starts, child_start = [], page.first_child
     for length in page.child_lengths.tolist():
         child_starts.append(child_start)
@@ -396,6 +397,7 @@ def _segment(
     )
 
 
-def _check_crc(data: bytes, crc: int, kind: str, key: Block) -> None:
+def check_crc(data: bytes, crc: int, kind: str, key: Block) -> None:
+    """Raise `CorruptStreamError` if the bytes of a key are not those of its checksum."""
     if zlib.crc32(data) != crc:
         raise CorruptStreamError(f"checksum of the {kind} of {describe_key(key)} does not match")

@@ -2,11 +2,13 @@
 
 import os
 import zlib
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
+from terrainwave.container.depot import Depot, StoredSegment
 from terrainwave.container.header import HEADER_SIZE, MAX_PAGE, Extents, Header, pack_header
 from terrainwave.container.metadata import pack_metadata
 from terrainwave.container.page import (
@@ -19,12 +21,15 @@ from terrainwave.container.page import (
     pack_page,
     page_layout,
     page_length,
+    with_first_child,
 )
 from terrainwave.container.publish import publish
 from terrainwave.container.spool import SegmentSpool, storage_errors
 from terrainwave.quadtree import Block, Grid
 
 Spools = Mapping[Block | None, SegmentSpool]
+# A segment is spooled here, or stored where other machines put it.
+Segments = Mapping[Block | None, SegmentSpool | StoredSegment]
 
 
 class _Part(NamedTuple):
@@ -38,7 +43,7 @@ class _Part(NamedTuple):
 _ABSENT = _Part(b"", 0, 0)
 
 
-def assemble(out_file: BinaryIO, header: Header, spools: Spools) -> Extents:
+def assemble(out_file: BinaryIO, header: Header, segments: Segments) -> Extents:
     """Write a whole file to `out_file`, from its current position.
 
     Parameters
@@ -47,7 +52,7 @@ def assemble(out_file: BinaryIO, header: Header, spools: Spools) -> Extents:
         Only written to, in order.
     header : Header
         With its metadata and parameters.
-    spools : mapping of Block or None to SegmentSpool
+    segments : mapping of Block or None to SegmentSpool or StoredSegment
         One for each of ``header.grid.segment_heads()``, complete.
 
     Raises
@@ -70,7 +75,7 @@ def assemble(out_file: BinaryIO, header: Header, spools: Spools) -> Extents:
     parts: dict[Block | None, _Part] = {}
     for heads in reversed(levels):
         for head in heads:
-            parts[head] = _prepare(grid, head, spools, parts)
+            parts[head] = _prepare(grid, head, segments, parts)
     metadata = pack_metadata(header.metadata)
     top_start = HEADER_SIZE + len(metadata) + len(header.parameters)
     extents = Extents(
@@ -93,21 +98,78 @@ def assemble(out_file: BinaryIO, header: Header, spools: Spools) -> Extents:
                 layout = page_layout(grid, head)
                 if parts[head].length:
                     first_child = cursor if layout.children else 0
-                    out_file.write(pack_page(parts[head].columns, first_child))
-                    for chunk in spools[head].chunks(layout.keys):
+                    for chunk in _chunks(segments[head], layout, parts[head], first_child):
                         out_file.write(chunk)
                 cursor += sum(parts[child].length for child in layout.children)
         out_file.flush()
     return extents
 
 
+def store_segments(
+    depot: Depot, name: str, grid: Grid, heads: Sequence[Block | None], spools: Spools
+) -> dict[Block | None, StoredSegment]:
+    """Store segments in the order of `heads` in one file of a depot; return their places.
+
+    `heads` have parents before children. Children that are not among them count as absent: their
+    lengths in a page are 0 until `assemble` knows better.
+    """
+    parts: defaultdict[Block | None, _Part] = defaultdict(lambda: _ABSENT)
+    for head in reversed(heads):
+        parts[head] = _prepare(grid, head, spools, parts)
+    places: dict[Block | None, StoredSegment] = {}
+    offset = 0
+    with depot.create(name) as file:
+        for head in heads:
+            part = parts[head]
+            places[head] = StoredSegment(depot.path(name), offset, part.page_length, part.length)
+            offset += part.length
+            if part.length:
+                for chunk in _chunks(spools[head], page_layout(grid, head), part, 0):
+                    file.write(chunk)
+    lengths = [(place.page_length, place.length) for place in places.values()]
+    depot.save(_index_name(name), lengths=np.array(lengths, dtype=np.uint64))
+    return places
+
+
+def stored_places(
+    depot: Depot, name: str, heads: Sequence[Block | None]
+) -> dict[Block | None, StoredSegment]:
+    """Return what `store_segments` has returned for the same name and heads."""
+    places, offset = {}, 0
+    lengths = depot.load(_index_name(name))["lengths"].tolist()
+    for head, (of_page, length) in zip(heads, lengths, strict=True):
+        places[head] = StoredSegment(depot.path(name), offset, of_page, length)
+        offset += length
+    return places
+
+
+def _index_name(name: str) -> str:
+    return f"{name}.index"
+
+
+def _chunks(
+    segment: SegmentSpool | StoredSegment, layout: PageLayout, part: _Part, first_child: int
+) -> Iterator[bytes]:
+    """Yield the bytes of a segment whose children begin at `first_child` of the file."""
+    if isinstance(segment, SegmentSpool):
+        yield pack_page(part.columns, first_child)
+        yield from segment.chunks(layout.keys)
+        return
+    stored = segment.chunks()
+    yield with_first_child(next(stored), first_child)
+    yield from stored
+
+
 def _prepare(
-    grid: Grid, head: Block | None, spools: Spools, parts: Mapping[Block | None, _Part]
+    grid: Grid, head: Block | None, segments: Segments, parts: Mapping[Block | None, _Part]
 ) -> _Part:
-    if head not in spools:
+    if head not in segments:
         raise ValueError(f"{describe_head(head)} is missing")
+    segment = segments[head]
+    if isinstance(segment, StoredSegment):
+        return _Part(b"", segment.page_length, segment.length)
     layout = page_layout(grid, head)
-    page = _page(grid, layout, spools[head], [parts[child] for child in layout.children])
+    page = _page(grid, layout, segment, [parts[child] for child in layout.children])
     if head is not None and page.is_empty:
         return _ABSENT
     columns = pack_columns(page)

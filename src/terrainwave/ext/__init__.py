@@ -1,1 +1,4 @@
-"""Integrations: each needs an extra, and nothing else of the package imports them."""
+"""Integrations: each needs an extra, and ``import terrainwave`` imports none of them.
+
+Other libraries find theirs by the entry points in pyproject.toml.
+"""

@@ -27,6 +27,7 @@ class ArrayBackend:
         nodata: int | float | None = None,
         transform: tuple[float, ...] = IDENTITY,
         tags: dict[str, Any] | None = None,
+        block_shape: tuple[int, int] | None = None,
     ) -> None:
         shape = array.shape
         if len(shape) != 2 or 0 in shape:
@@ -37,7 +38,7 @@ class ArrayBackend:
         self.n_rows, self.n_cols = (int(size) for size in shape)
         self.dtype = np.dtype(array.dtype).newbyteorder("=")
         self.nodata = nodata
-        self.block_shape = (1, self.n_cols)
+        self.block_shape = block_shape or (1, self.n_cols)
         self.transform = transform
         # A masked float array comes back with NaN in its voids, which needs no mask band.
         self.has_mask = np.ma.getmask(array) is not np.ma.nomask and self.dtype.kind != "f"
@@ -70,9 +71,10 @@ _COL_DIMS = ("x", "lon", "longitude", "easting", "col")
 def open_data_array(array: Any, band: int) -> ArrayBackend:
     """Take heights, CRS and transform from an xarray DataArray, by its names alone.
 
-    Understood: a leading band dimension, dimensions in either order, rioxarray's ``spatial_ref``
-    coordinate and ``.rio`` accessor, the attributes ``_FillValue``, ``units``, ``scale_factor``
-    and ``add_offset`` (which are there only while the values are as stored).
+    Understood: a leading band dimension, dimensions in either order, the coordinate that
+    ``grid_mapping`` names (``spatial_ref``) and rioxarray's ``.rio`` accessor, the attributes
+    ``_FillValue``, ``units``, ``AREA_OR_POINT``, ``scale_factor`` and ``add_offset`` (which are
+    there only while the values are as stored). A lazy array is read in its own chunks.
     """
     if len(array.dims) == 3 and str(array.dims[0]) == "band":
         if not 1 <= band <= array.shape[0]:
@@ -95,19 +97,25 @@ def open_data_array(array: Any, band: int) -> ArrayBackend:
         "units": None if units in (None, "") else str(units),
         "scale": float(attrs.get("scale_factor", 1.0)),
         "offset": float(attrs.get("add_offset", 0.0)),
+        "area_or_point": str(attrs["AREA_OR_POINT"]) if "AREA_OR_POINT" in attrs else None,
         "description": str(attrs["long_name"]) if "long_name" in attrs else None,
     }
+    chunks = getattr(array, "chunks", None)
     return ArrayBackend(
         array,
         nodata=None if nodata is None else np.asarray(nodata).item(),
         transform=_data_array_transform(array),
         tags=tags,
+        block_shape=None if chunks is None else (max(chunks[0]), max(chunks[1])),
     )
 
 
 def _spatial_ref(array: Any) -> dict[str, Any]:
-    coords = array.coords
-    return dict(coords["spatial_ref"].attrs) if "spatial_ref" in coords else {}
+    """Return the attributes of the coordinate that holds CRS and transform."""
+    name = "spatial_ref"
+    for fields in (getattr(array, "encoding", {}), array.attrs):
+        name = str(fields.get("grid_mapping", name))
+    return dict(array.coords[name].attrs) if name in array.coords else {}
 
 
 def _data_array_crs(array: Any) -> CRS | None:
@@ -120,21 +128,48 @@ def _data_array_crs(array: Any) -> CRS | None:
 
 
 def _data_array_transform(array: Any) -> tuple[float, ...]:
-    """Return the transform that rioxarray stored, or the one its evenly spaced centres give."""
-    stored = str(_spatial_ref(array).get("GeoTransform", "")).split()
-    if len(stored) == 6:
-        c, a, b, f, d, e = map(float, stored)  # GDAL's order
-        return a, b, c, d, e, f
-    steps = []
-    for dim in array.dims[::-1]:
-        centres = np.asarray(array.coords[dim].values) if dim in array.coords else np.empty(0)
-        if centres.size < 2 or centres.dtype.kind not in "iuf":
-            return IDENTITY
-        step = (float(centres[-1]) - float(centres[0])) / (centres.size - 1)
-        even = float(centres[0]) + step * np.arange(centres.size)
-        # Coordinates are decimal text turned float32 as often as not: 1 % of a pixel is "even".
-        if step == 0 or np.abs(centres - even).max() > 0.01 * abs(step):
-            return IDENTITY
-        steps.append((step, float(centres[0]) - step / 2))
-    (x_step, x_origin), (y_step, y_origin) = steps
-    return x_step, 0.0, x_origin, 0.0, y_step, y_origin
+    """Return where the pixels are, by the stored transform and the coordinates of their centres.
+
+    The stored one is exact, but stays as it was when the array is cut, turned over or thinned
+    out: the centres then tell by how many pixels.
+    """
+    text = str(_spatial_ref(array).get("GeoTransform", "")).split()
+    stored_x = stored_y = None
+    if len(text) == 6:
+        c, a, b, f, d, e = map(float, text)  # GDAL's order
+        if (b, d) != (0, 0):
+            return a, b, c, d, e, f
+        stored_x, stored_y = (a, c), (e, f)
+    x_axis = _axis_transform(array, array.dims[1], stored_x)
+    y_axis = _axis_transform(array, array.dims[0], stored_y)
+    if x_axis is None or y_axis is None:
+        return IDENTITY
+    return x_axis[0], 0.0, x_axis[1], 0.0, y_axis[0], y_axis[1]
+
+
+# Coordinates are decimal text turned float32 as often as not: 1 % of a pixel is "even".
+_EVEN = 0.01
+
+
+def _axis_transform(
+    array: Any, dim: Any, stored: tuple[float, float] | None
+) -> tuple[float, float] | None:
+    """Return (pixel size, edge of the first pixel) along a dimension; None if it is not even."""
+    centres = np.asarray(array.coords[dim].values) if dim in array.coords else np.empty(0)
+    if centres.size == 0 or centres.dtype.kind not in "iuf":
+        return stored
+    first = float(centres[0])
+    if centres.size == 1:
+        size = None if stored is None else stored[0]
+    else:
+        size = (float(centres[-1]) - first) / (centres.size - 1)
+    if not size:
+        return None
+    if np.abs(centres - (first + size * np.arange(centres.size))).max() > _EVEN * abs(size):
+        return None
+    if stored is not None and stored[0]:
+        n_pixels, skipped = size / stored[0], (first - stored[1]) / stored[0] - 0.5
+        whole = round(n_pixels), round(skipped)
+        if whole[0] and max(abs(n_pixels - whole[0]), abs(skipped - whole[1])) <= _EVEN:
+            return stored[0] * whole[0], stored[1] + stored[0] * (whole[1] + (1 - whole[0]) / 2)
+    return size, first - size / 2

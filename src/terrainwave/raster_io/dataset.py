@@ -98,6 +98,7 @@ class DatasetBackend:
         self.nodata = dataset.nodatavals[band - 1]
         self.block_shape: tuple[int, int] = dataset.block_shapes[band - 1]
         self.transform = tuple(float(value) for value in dataset.transform[:6])
+        self.crs = dataset.crs
         flags = dataset.mask_flag_enums[band - 1]
         # Neither flag: a mask band of this band alone.
         is_plain = MaskFlags.all_valid in flags or flags == [MaskFlags.nodata]
@@ -117,6 +118,12 @@ class DatasetBackend:
         if dropped:
             what = " and ".join(dropped)
             yield f"{self.name}: {what} are dropped, a .twz file does not hold them"
+        if dataset.driver == "VRT" and self.nodata is None and not self.has_mask:
+            yield (
+                f"{self.name} declares no nodata value: where none of its sources lies, heights are"
+                " 0 and count as such; set it with gdalbuildvrt -vrtnodata, or name the files"
+                " themselves"
+            )
 
     def tags(self) -> dict[str, Any]:
         """Return the fields of RasterInfo that do not bear on the heights."""

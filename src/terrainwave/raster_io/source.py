@@ -28,6 +28,7 @@ from terrainwave.raster_io.info import (
     fit_nodata,
     stored_nodata,
 )
+from terrainwave.raster_io.mosaic import MosaicBackend
 
 # What to convert an unsupported type to; the narrowest of ours that holds all of its values, or
 # the one that holds elevations in practice.
@@ -58,12 +59,15 @@ class RasterSource:
 
     Parameters
     ----------
-    source : path, rasterio dataset, ndarray, masked array or xarray DataArray
-        What to read. A dataset is not closed; a DataArray may be lazy.
+    source : path, rasterio dataset, list of these, ndarray, masked array or xarray DataArray
+        What to read. A list is a mosaic: rasters of one grid, of which the last counts where they
+        overlap. A dataset is not closed; a DataArray may be lazy.
     band : int
         Number of the band, from 1. Band 1 of several is noted, as it may not be a choice.
     nodata : int or float, optional
         Replaces the declared nodata value.
+    warn : bool
+        Issue `notes` as warnings; tasks that open the same raster again don't.
 
     Attributes
     ----------
@@ -72,7 +76,7 @@ class RasterSource:
     name : str
         How messages call the source.
     notes : tuple of str
-        What the source left out or chose, one sentence each; also issued as `TerrainwaveWarning`.
+        What the source left out or chose, one sentence each; issued as `TerrainwaveWarning`.
     is_striped : bool
         True if a narrow window makes the source decode much wider ones: a scan in the order of
         `blocks` is then many times cheaper than small windows.
@@ -91,9 +95,16 @@ class RasterSource:
     dataset that the caller passed must not be used elsewhere meanwhile.
     """
 
-    def __init__(self, source: Any, *, band: int = 1, nodata: int | float | None = None) -> None:
+    def __init__(
+        self,
+        source: Any,
+        *,
+        band: int = 1,
+        nodata: int | float | None = None,
+        warn: bool = True,
+    ) -> None:
         self._lock = threading.Lock()
-        self._backend = _open_backend(source, band)
+        self._backend = _open_backend(source, band, nodata)
         self.name: str = self._backend.name
         try:
             notes = list(self._backend.notes())
@@ -102,7 +113,7 @@ class RasterSource:
             self.close()
             raise
         self.notes = tuple(notes)
-        for note in notes:
+        for note in notes if warn else ():
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
         self._dtype = np.dtype(self.info.dtype)
 
@@ -227,10 +238,16 @@ def _check_dtype(dtype: np.dtype[Any], name: str) -> None:
     )
 
 
-def _open_backend(source: Any, band: int) -> "DatasetBackend | ArrayBackend":
+def _open_backend(
+    source: Any, band: int, nodata: int | float | None
+) -> "DatasetBackend | MosaicBackend | ArrayBackend":
+    if isinstance(source, list | tuple) and source and all(map(_is_raster, source)):
+        if len(source) > 1:
+            return MosaicBackend(source, band, nodata)
+        source = source[0]
     if isinstance(source, str | os.PathLike):
         return DatasetBackend(open_dataset(os.fspath(source)), band, owned=True)
-    if hasattr(source, "read_masks") and hasattr(source, "block_shapes"):
+    if _is_raster(source):
         return DatasetBackend(source, band, owned=False)
     if isinstance(source, np.ndarray):
         return ArrayBackend(source)
@@ -239,6 +256,12 @@ def _open_backend(source: Any, band: int) -> "DatasetBackend | ArrayBackend":
     if isinstance(source, list | tuple):
         return ArrayBackend(np.asarray(source))
     raise InvalidHeightsError(
-        f"found a {type(source).__name__}; expected a path, a rasterio dataset, a 2-D array or an "
-        "xarray DataArray"
+        f"found a {type(source).__name__}; expected a path, a rasterio dataset, a 2-D array, an"
+        " xarray DataArray or a list of paths or datasets"
     )
+
+
+def _is_raster(source: Any) -> bool:
+    """Say whether `source` is the path of a raster or an open rasterio dataset."""
+    is_dataset = hasattr(source, "read_masks") and hasattr(source, "block_shapes")
+    return is_dataset or isinstance(source, str | os.PathLike)

@@ -84,6 +84,11 @@ class Viewport:
 # How large an error is on screen
 
 
+def focal_length(camera: Camera, viewport: Viewport) -> float:
+    """Return pixels per unit of tangent: ½ V_y / tan(φ/2), φ the vertical opening."""
+    return viewport.height / 2 / math.tan(math.radians(camera.fov) / 2)
+
+
 def gamma_paper(camera: Camera, viewport: Viewport) -> float:
     """Return γ of Yusov & Turlapov 2010, §2.8: ½ max(V_x, V_y) / tan(φ/2), φ the vertical opening.
 
@@ -102,9 +107,8 @@ def gamma_guaranteed(camera: Camera, viewport: Viewport) -> float:
     |t|² = tan²(φ/2) (1 + (V_x / V_y)²).
     """
     tangent = math.tan(math.radians(camera.fov) / 2)
-    focal = viewport.height / 2 / tangent
     corner = 1 + tangent**2 * (1 + viewport.aspect**2)
-    return max(gamma_paper(camera, viewport), focal * corner)
+    return max(gamma_paper(camera, viewport), focal_length(camera, viewport) * corner)
 
 
 # Matrices
@@ -131,7 +135,7 @@ def projection_matrix(camera: Camera, viewport: Viewport, near: float, far: floa
 def project(camera: Camera, viewport: Viewport, points: Vector) -> Vector:
     """Return pixels (x right, y down) and depths of points, shape (n, 3); NaN behind the eye."""
     seen = (points - camera.eye) @ camera.axes.T
-    focal = viewport.height / 2 / math.tan(math.radians(camera.fov) / 2)
+    focal = focal_length(camera, viewport)
     depth = np.where(seen[:, 2] > 0, seen[:, 2], np.nan)
     return np.column_stack(
         [

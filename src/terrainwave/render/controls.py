@@ -29,8 +29,8 @@ HELP = [
     ("Tab", "orbit or fly: in fly, drag looks around"),
     ("Home  T  N", "the whole terrain, from above, north up"),
     ("C  R", "colour by ground, height, level, error; ramp"),
-    ("L  B", "wireframe; light on and off"),
-    (",  .", "turn the sun"),
+    ("L  B  O", "wireframe; light, orthophoto on and off"),
+    (",  .", "turn the sun; Shift: raise it, lower it"),
     ("[  ]", "vertical exaggeration"),
     ("-  +", "pixel error"),
     ("P", "print the camera, for --camera"),
@@ -42,6 +42,7 @@ _ORBIT_SPEED = 0.3
 _ZOOM_STEP = 0.85
 _SPEED_STEP = 1.25
 _FASTER = 4.0
+_LOWEST_SUN, _HIGHEST_SUN = 3.0, 88.0  # degrees
 
 
 class Controls:
@@ -86,12 +87,12 @@ class Controls:
             self.style = replace(self.style, ramp=_next(list(RAMPS), self.style.ramp))
         elif key == "l":
             self.style = replace(self.style, wireframe=not self.style.wireframe)
+        elif key == "o":
+            self.style = replace(self.style, drape=0.0 if self.style.drape else 1.0)
         elif key == "b":
             self.style = replace(self.style, shade=0.0 if self.style.shade else 1.0)
         elif key in ("comma", "period"):
-            azimuth, altitude = self.style.sun
-            turn = 15 if key == "period" else -15
-            self.style = replace(self.style, sun=((azimuth + turn) % 360, altitude))
+            self._move_sun(1 if key == "period" else -1)
         elif key in ("[", "]"):
             before = scene.frame.exaggeration
             scene.exaggerate(min(max(before * (1.25 if key == "]" else 0.8), 0.1), 20.0))
@@ -104,6 +105,15 @@ class Controls:
             self.max_pixel_error = min(max(self.max_pixel_error * factor, 0.1), 64.0)
         elif key == "p":
             self.wants_camera_line = True
+
+    def _move_sun(self, sign: int) -> None:
+        """Turn the sun, or with Shift raise or lower it."""
+        azimuth, altitude = self.style.sun
+        if "shift" in self._held:
+            altitude = min(max(altitude + 5 * sign, _LOWEST_SUN), _HIGHEST_SUN)
+        else:
+            azimuth = (azimuth + 15 * sign) % 360
+        self.style = replace(self.style, sun=(azimuth, altitude))
 
     def release(self, key: str) -> None:
         """Take a key up into account."""

@@ -2,21 +2,18 @@
 
 from typing import Any, NamedTuple
 
-import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.arena import Arena
+from terrainwave.render.layers import SLOPES, LayeredTextures
 from terrainwave.render.patches import VERTEX, Patch
 
 _FIRST_VERTICES = 1 << 18
 _FIRST_INDICES = 1 << 20
 # Of the memory, at most this share is textures.
 _TEXTURE_SHARE = 2
-_MAX_LAYERS = 2048
-_FIRST_LAYER_BYTES = 64 << 20  # growing copies through this side: seldom
 _INDEX_BYTES = 4
-_TEXEL_BYTES = 4
 # struct DrawElementsIndirectCommand
 COMMAND = np.dtype(
     [
@@ -48,44 +45,35 @@ class GpuStore:
 
     def __init__(self, context: Any, side: int, *, max_bytes: int) -> None:
         self._context = context
-        self._side = side + 3  # samples of a block and one more on each side
-        layer_bytes = self._side * self._side * _TEXEL_BYTES
-        allowed = int(context.info.get("GL_MAX_ARRAY_TEXTURE_LAYERS", 256))
-        self._max_layers = max(
-            min(max_bytes // _TEXTURE_SHARE // layer_bytes, allowed, _MAX_LAYERS), 8
+        # Samples of a block and one more on each side.
+        self.layers = LayeredTextures(
+            context, side + 3, [SLOPES], max_bytes=max_bytes // _TEXTURE_SHARE
         )
-        self._mesh_bytes = max_bytes - self._max_layers * layer_bytes
+        self._mesh_bytes = max_bytes - self.layers.max_bytes
         self._vertices = Arena(_FIRST_VERTICES)
         self._indices = Arena(_FIRST_INDICES)
-        first_layers = max(_FIRST_LAYER_BYTES // layer_bytes, 8)
-        self._layers = Arena(min(first_layers, self._max_layers))
         self.vertex_buffer = context.buffer(reserve=_FIRST_VERTICES * VERTEX.itemsize)
         self.index_buffer = context.buffer(reserve=_FIRST_INDICES * _INDEX_BYTES)
-        self.slopes = self._new_texture(self._layers.capacity)
         self.slots: dict[int, Slot] = {}
         # First index, number of indices and layer by node, for whole frames at once.
         self._places = np.zeros((256, 3), dtype=np.int64)
         self.generation = 0  # counts buffers replaced: vertex arrays on the old ones are stale
 
-    def _new_texture(self, n_layers: int) -> Any:
-        texture = self._context.texture_array(
-            (self._side, self._side, n_layers), 2, dtype="f2", alignment=4
-        )
-        texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
-        texture.repeat_x = texture.repeat_y = False
-        return texture
-
     @property
     def max_blocks(self) -> int:
         """Return how many patches fit at most."""
-        return self._max_layers
+        return self.layers.max_layers
 
     @property
     def n_bytes(self) -> int:
         """Return the bytes of all buffers and textures, used or not."""
-        layer_bytes = self._side * self._side * _TEXEL_BYTES
         meshes = self._vertices.capacity * VERTEX.itemsize + self._indices.capacity * _INDEX_BYTES
-        return int(meshes + self._layers.capacity * layer_bytes)
+        return meshes + self.layers.n_bytes
+
+    @property
+    def slopes(self) -> Any:
+        """Return the array texture of slopes."""
+        return self.layers.textures[0]
 
     def put(self, node: int, patch: Patch) -> bool:
         """Upload a patch; false if there is no room."""
@@ -93,23 +81,20 @@ class GpuStore:
         if n_indices == 0:
             self._place(node, Slot(0, 0, 0, 0, -1))
             return True
-        layer = self._take_layer()
+        layer = self.layers.take()
         if layer is None:
             return False
         first_vertex = self._take("_vertices", len(patch.vertices))
         first_index = None if first_vertex is None else self._take("_indices", n_indices)
         if first_vertex is None or first_index is None:
-            self._layers.give_back(layer, 1)
+            self.layers.give_back(layer)
             if first_vertex is not None:
                 self._vertices.give_back(first_vertex, len(patch.vertices))
             return False
         self.vertex_buffer.write(patch.vertices.tobytes(), offset=first_vertex * VERTEX.itemsize)
         indices = patch.triangles + np.uint32(first_vertex)
         self.index_buffer.write(indices.tobytes(), offset=first_index * _INDEX_BYTES)
-        n_rows, n_cols = patch.slopes.shape[:2]
-        self.slopes.write(
-            np.ascontiguousarray(patch.slopes).tobytes(), viewport=(0, 0, layer, n_cols, n_rows, 1)
-        )
+        self.layers.write(layer, [patch.slopes])
         self._place(node, Slot(first_vertex, len(patch.vertices), first_index, n_indices, layer))
         return True
 
@@ -126,21 +111,7 @@ class GpuStore:
             return
         self._vertices.give_back(slot.first_vertex, slot.n_vertices)
         self._indices.give_back(slot.first_index, slot.n_indices)
-        self._layers.give_back(slot.layer, 1)
-
-    def _take_layer(self) -> int | None:
-        layer = self._layers.take(1)
-        if layer is None and self._layers.capacity < self._max_layers:
-            self._grow_texture(min(2 * self._layers.capacity, self._max_layers))
-            layer = self._layers.take(1)
-        return layer
-
-    def _grow_texture(self, n_layers: int) -> None:
-        old, n_old = self.slopes, self._layers.capacity
-        self.slopes = self._new_texture(n_layers)
-        self.slopes.write(old.read(), viewport=(0, 0, 0, self._side, self._side, n_old))
-        old.release()
-        self._layers.grow(n_layers)
+        self.layers.give_back(slot.layer)
 
     def _take(self, name: str, size: int) -> int | None:
         arena: Arena = getattr(self, name)
@@ -175,12 +146,12 @@ class GpuStore:
         commands["base_instance"] = np.arange(len(nodes))
         return commands
 
-    def layers(self, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
+    def layers_of(self, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
         """Return the slope layer of each node; -1 where it has no triangles."""
         found: NDArray[np.int64] = self._places[nodes, 2]
         return found
 
     def release(self) -> None:
         """Free the GPU's memory."""
-        for part in (self.vertex_buffer, self.index_buffer, self.slopes):
+        for part in (self.vertex_buffer, self.index_buffer, self.layers):
             part.release()

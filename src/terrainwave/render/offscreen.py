@@ -7,10 +7,13 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import TerrainwaveError
 from terrainwave.render.camera import Camera, Viewport, ray
-from terrainwave.render.scene import DEFAULT_MAX_BYTES, Frames, Scene
+from terrainwave.render.modes import mode_class
+from terrainwave.render.modes.mode import Frames
+from terrainwave.render.scene import DEFAULT_MAX_BYTES, Scene
 from terrainwave.render.selection import View
 
 if TYPE_CHECKING:
+    from terrainwave.raster_io.drape import Drape
     from terrainwave.render.style import Style
     from terrainwave.terrain import Terrain
 
@@ -18,6 +21,8 @@ _HELP = (
     "terrainwave render needs EGL and an OpenGL 3.3 driver; on Debian and Ubuntu: apt-get install"
     " libegl1 libgl1 libgl1-mesa-dri"
 )
+# Of the memory, at most this share is the drape.
+_DRAPE_SHARE = 4
 
 
 def create_context() -> Any:
@@ -49,6 +54,10 @@ class Offscreen:
     ----------
     size : tuple of int
         Width and height in pixels.
+    mode : str
+        One of `terrainwave.render.modes.MODES`.
+    drape : str, optional
+        Path of an orthophoto to lie on the terrain.
     samples : int
         Per pixel, against jagged edges; 0 none.
     options
@@ -60,6 +69,8 @@ class Offscreen:
         terrain: "Terrain",
         size: tuple[int, int],
         *,
+        mode: str = "adaptive",
+        drape: str | None = None,
         samples: int = 4,
         max_bytes: int = DEFAULT_MAX_BYTES,
         context: Any = None,
@@ -67,17 +78,39 @@ class Offscreen:
     ) -> None:
         self._owns_context = context is None
         self.context = context or create_context()
-        from terrainwave.render.mesh_buffers import GpuStore
         from terrainwave.render.renderer import Renderer
 
-        self.store = GpuStore(self.context, terrain.grid.block, max_bytes=max_bytes)
-        self.scene = Scene(terrain, self.store, **options)
-        self.renderer = Renderer(self.context, self.scene, self.store)
+        kind = mode_class(mode)
+        picture = None if drape is None else self._read_drape(terrain, drape, max_bytes)
+        self._drape_bytes = 0 if picture is None else picture.pixels.size * 4 // 3
+        self.surface = kind.surface(
+            self.context, terrain.grid.block, max_bytes=max_bytes - self._drape_bytes
+        )
+        self.store = self.surface.store
+        self.scene = Scene(terrain, self.store, mode=mode, **options)
+        self.renderer = Renderer(self.context, self.scene, self.surface, picture)
         self._samples = min(samples, int(self.context.max_samples))
         self._target: Any = None
         self._resolved: Any = None
         self._drawn: tuple[View, tuple[float, float]] | None = None
         self.resize(size)
+
+    def _read_drape(self, terrain: "Terrain", path: str, max_bytes: int) -> "Drape":
+        from terrainwave.raster_io.drape import read_drape
+
+        return read_drape(
+            path,
+            crs=terrain.crs,
+            affine=terrain.raster_info.transform,
+            shape=terrain.shape,
+            max_side=int(self.context.info["GL_MAX_TEXTURE_SIZE"]),
+            max_bytes=max_bytes // _DRAPE_SHARE,
+        )
+
+    @property
+    def n_bytes(self) -> int:
+        """Return the bytes on the GPU of pieces and drape, used or not."""
+        return self.store.n_bytes + self._drape_bytes
 
     def resize(self, size: tuple[int, int]) -> None:
         """Draw pictures of another size from now on."""
@@ -105,7 +138,6 @@ class Offscreen:
         """Stop the workers and free the GPU's memory."""
         self.scene.close()
         self.renderer.release()
-        self.store.release()
         self._release_framebuffers()
         if self._owns_context:
             self.context.release()
@@ -128,7 +160,7 @@ class Offscreen:
         """
         view = self.scene.view(camera, self.viewport, max_pixel_error)
         self._target.use()
-        if self.scene.mode == "full":
+        if self.scene.mode.is_partwise:
             frames = self._draw_parts(view, style)
         else:
             frames = self.scene.settle(view) if settle else self.scene.update(view)

@@ -20,6 +20,7 @@ from terrainwave.meshing import SideTolerances, border_lines
 from terrainwave.quadtree import Block, Region
 from terrainwave.render.frame import Frame
 from terrainwave.render.kernels import SKIRT_FLAG, border_edges, rasterize, slopes
+from terrainwave.render.scales import HeightScale, SlopeScale
 from terrainwave.render.selection import NodeInfo, Piece
 from terrainwave.tri.halves import triangulate
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
 VERTEX = np.dtype([("col", "<u2"), ("row", "<u2"), ("z", "<f4"), ("z_parent", "<f4")])
 # Half of float32's spacing, relative.
 _FLOAT32_ROUNDING = 2.0**-24
-# What float16 holds.
-_LEAST_SLOPE, _LARGEST_SLOPE = 2.0**-14, 6e4
 _CACHED_MESHES = 128
 _VARIANT_BITS = 2  # each variant has four times the tolerance of the one before
 _MAX_VARIANT = 5
@@ -77,6 +76,11 @@ class Patch(NamedTuple):
     children: list[NodeInfo]
 
     @property
+    def n_triangles(self) -> int:
+        """Return how many triangles are drawn, skirts too."""
+        return len(self.triangles)
+
+    @property
     def n_bytes(self) -> int:
         """Return the bytes of its arrays."""
         return self.vertices.nbytes + self.triangles.nbytes + self.slopes.nbytes
@@ -89,24 +93,25 @@ class PatchBuilder:
     ----------
     frame : Frame
         Local metres; its exaggeration is not used: the GPU applies it.
-    error : {"measured", "paper"}
-        Errors as stored for meshes, or Err_Appr + Err_Tri of Yusov & Turlapov 2010, eq. (3).
+    recursive : list of ndarray, optional
+        Err_Appr of every block (`level_errors.recursive_errors`): errors are then Err_Appr +
+        Err_Tri, Yusov & Turlapov 2010, eq. (3). By default they are those stored for meshes.
     """
 
-    def __init__(self, terrain: "Terrain", frame: Frame, *, error: str = "measured") -> None:
+    def __init__(
+        self,
+        terrain: "Terrain",
+        frame: Frame,
+        *,
+        recursive: list[NDArray[np.float64]] | None = None,
+    ) -> None:
         self._terrain = terrain
         self._frame = frame
-        self._error = error
-        header = terrain._container.header
-        raster = terrain.raster_info
-        quantum = header.quantum.numerator / header.quantum.denominator
-        self._metres = quantum * raster.scale * frame.metres[2]  # per quantum
-        self._zero = (header.base * quantum * raster.scale + raster.offset) * frame.metres[2]
+        self._recursive = recursive
+        self._scale = HeightScale.of(terrain, frame)
+        self._slope_scale = SlopeScale(frame)
         self._meshes: OrderedDict[Piece, BlockMesh] = OrderedDict()
         self._lock = threading.Lock()
-        a, b, _, d, e, _ = frame.sample_matrix
-        # Slopes per sample to slopes per metre: the inverse of the transposed matrix.
-        self._to_metres = np.linalg.inv(np.array([[a, b], [d, e]]))
 
     # What the index says
 
@@ -146,7 +151,9 @@ class PatchBuilder:
         return variant
 
     def _variant_error(self, variant: int) -> float:
-        tolerance = self._variant_tolerance(variant) / (1 << FRACTION_BITS) * abs(self._metres)
+        tolerance = (
+            self._variant_tolerance(variant) / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
+        )
         return self._terrain.effective_error * self._frame.metres[2] + tolerance
 
     def _variant_tolerance(self, variant: int) -> int:
@@ -176,12 +183,18 @@ class PatchBuilder:
             return self._variant_error(piece.variant)
         terrain, block = self._terrain, piece.block
         per_unit = self._frame.metres[2]
-        if self._error == "measured" and terrain.mesh_kind != "none":
+        if self._recursive is None and terrain.mesh_kind != "none":
             return terrain.mesh_error(block) * per_unit
-        is_finest = block.level == terrain.n_levels - 1
-        heights = terrain.effective_error if is_finest else terrain.block_error(block)
-        tolerance = terrain._mesher.tolerance(block) / (1 << FRACTION_BITS) * abs(self._metres)
-        return heights * per_unit + tolerance
+        tolerance = terrain._mesher.tolerance(block) / (1 << FRACTION_BITS)
+        return self._heights_error(block) * per_unit + tolerance * abs(self._scale.per_quantum)
+
+    def _heights_error(self, block: Block) -> float:
+        """Return the error of a block's bilinear surface, in the file's unit."""
+        if self._recursive is not None:
+            return float(self._recursive[block.level][block.row, block.col])
+        if block.level == self._terrain.n_levels - 1:
+            return self._terrain.effective_error
+        return self._terrain.block_error(block)
 
     # Patches
 
@@ -229,7 +242,7 @@ class PatchBuilder:
         check()
         mesh = self.mesh(piece)
         check()
-        z = mesh.heights / (1 << FRACTION_BITS) * self._metres + self._zero
+        z = self._scale.metres(mesh.heights / (1 << FRACTION_BITS))
         base = float(z.min() + z.max()) / 2 if len(z) else 0.0
         z_parent = self._parent_heights(piece, mesh, z)
         check()
@@ -263,7 +276,7 @@ class PatchBuilder:
         stride = terrain.grid.stride(block.level)
         apart = deviation_from_bilinear(mesh, stride, samples.heights, samples.mask)
         bilinear = terrain.block_error(block) * self._frame.metres[2]
-        return bilinear + apart / (1 << FRACTION_BITS) * abs(self._metres)
+        return bilinear + apart / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
 
     def _parent_heights(
         self, piece: Piece, mesh: BlockMesh, z: NDArray[np.float64]
@@ -279,7 +292,7 @@ class PatchBuilder:
             side = 2 * self._terrain.grid.block
             factor, first = 2, ((piece.row & 1) * side, (piece.col & 1) * side)
         rasterize(parent.rows, parent.cols, parent.heights, parent.triangles, factor, *first, found)
-        heights = found[mesh.rows, mesh.cols] / (1 << FRACTION_BITS) * self._metres + self._zero
+        heights = self._scale.metres(found[mesh.rows, mesh.cols] / (1 << FRACTION_BITS))
         return np.where(np.isnan(heights), z, heights)
 
     def slopes(self, block: Block) -> NDArray[np.float16]:
@@ -296,8 +309,9 @@ class PatchBuilder:
         heights, mask = terrain._decoder.window(block.level, wide)
         found = np.empty((near.n_rows, near.n_cols, 2), dtype=np.float32)
         slopes(heights, mask, near.row - wide.row, near.col - wide.col, found)
-        per_sample = found.astype(np.float64) * (self._metres / grid.stride(block.level))
-        per_metre = per_sample @ self._to_metres
+        per_sample = found.astype(np.float64)
+        per_sample *= self._scale.per_quantum / grid.stride(block.level)
+        per_metre = self._slope_scale.per_metre(per_sample)
         padding = [
             (1 - (first - outer), 1 - (outer + n_outer - first - n) + min(1, grid.block + 1 - n))
             for first, n, outer, n_outer in (
@@ -306,8 +320,7 @@ class PatchBuilder:
             )
         ]
         padded = np.pad(per_metre, (*padding, (0, 0)), mode="edge")
-        padded[np.abs(padded) < _LEAST_SLOPE] = 0
-        return np.clip(padded, -_LARGEST_SLOPE, _LARGEST_SLOPE).astype(np.float16)
+        return self._slope_scale.as_float16(padded)
 
 
 def _with_skirts(

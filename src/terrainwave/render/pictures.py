@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.render.camera import Camera, Viewport, along, format_camera, home, parse_camera
 from terrainwave.render.frame import Frame
+from terrainwave.render.modes.mode import Frames
 from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.scene import Frames
 
 if TYPE_CHECKING:
     from terrainwave.render.style import Style
@@ -99,13 +99,13 @@ def statistics(
         "version": str(info["GL_VERSION"]),
         "size": [offscreen.viewport.width, offscreen.viewport.height],
         "camera": format_camera(camera, scene.frame),
-        "mode": scene.mode,
-        "error": scene.error,
+        "mode": scene.mode.name,
+        "error": scene.mode.error,
         "max_pixel_error": frames.tau,
         "n_triangles": frames.n_triangles,
         "n_blocks": len(frames.nodes),
         "n_draw_calls": offscreen.renderer.n_draw_calls,
-        "gpu_bytes": offscreen.store.n_bytes,
+        "gpu_bytes": offscreen.n_bytes,
         "page_ms": scene.timings.page,
         "select_ms": scene.timings.select,
         "seconds": seconds,

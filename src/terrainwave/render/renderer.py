@@ -5,15 +5,16 @@ from typing import Any
 
 import moderngl
 import numpy as np
-from numpy.typing import NDArray
 
+from terrainwave.raster_io.drape import Drape
 from terrainwave.render import shaders
 from terrainwave.render.camera import projection_matrix, view_matrix
-from terrainwave.render.mesh_buffers import COMMAND, GpuStore
+from terrainwave.render.modes.mode import Frames
 from terrainwave.render.ramps import N_COLORS, ramp_colors
-from terrainwave.render.scene import Frames, Scene
+from terrainwave.render.scene import Scene
 from terrainwave.render.selection import View
 from terrainwave.render.style import COLORINGS, Style
+from terrainwave.render.surface import DRAPE_UNIT, RAMP_UNIT, Surface
 
 _CLIP_DISTANCE_0 = 0x3000
 _NEAREST = 1e-5  # of the farthest
@@ -26,62 +27,45 @@ class Renderer:
     ----------
     context : moderngl.Context
         OpenGL 3.3 core or newer.
-    indirect : bool
-        Draw all patches by one call where the driver can.
+    surface : Surface
+        What draws the scene's pieces; released with the renderer.
+    drape : Drape, optional
+        A picture to lie on the terrain.
     """
 
     _HORIZON = (0.80, 0.86, 0.91)
     _ZENITH = (0.30, 0.50, 0.74)
 
     def __init__(
-        self, context: Any, scene: Scene, store: GpuStore, *, indirect: bool = True
+        self, context: Any, scene: Scene, surface: Surface, drape: Drape | None = None
     ) -> None:
         self._context = context
         self._scene = scene
-        self._store = store
-        self.is_indirect = indirect and context.version_code >= 430
-        defines = "#define INDIRECT" if self.is_indirect else ""
-        self._program = context.program(
-            vertex_shader=shaders.TERRAIN_VERTEX.strip().replace("//DEFINES", defines),
-            fragment_shader=shaders.TERRAIN_FRAGMENT.strip(),
-        )
+        self.surface = surface
         self._sky = context.program(
             vertex_shader=shaders.SKY_VERTEX.strip(), fragment_shader=shaders.SKY_FRAGMENT.strip()
         )
         self._sky_array = context.vertex_array(self._sky, [])
-        self._instances: Any = None
-        self._numbers: Any = None
-        self._commands: Any = None
-        self._array: Any = None
-        self._generation = -1
         self._ramp: Any = None
         self._ramp_key: tuple[object, ...] = ()
+        self._drape = self._drape_texture(drape)
+        self._has_drape = drape is not None
+        self._drape_place = (0.0, 0.0, 1.0, 1.0)
+        if drape is not None:
+            self._drape_place = (drape.col, drape.row, 1 / drape.n_cols, 1 / drape.n_rows)
         self.n_draw_calls = 0
 
     # Parts that last
 
-    def _reach(self, n_patches: int) -> None:
-        """Make room for the instances of `n_patches` and bind the buffers in use."""
-        if self._instances is None or self._instances.size[1] < n_patches:
-            for part in (self._instances, self._numbers, self._commands):
-                if part is not None:
-                    part.release()
-            n = max(256, 1 << (n_patches - 1).bit_length())
-            self._instances = self._context.texture((4, n), 4, dtype="f4")
-            self._instances.filter = (moderngl.NEAREST, moderngl.NEAREST)
-            self._numbers = self._context.buffer(np.arange(n, dtype=np.int32).tobytes())
-            self._commands = self._context.buffer(reserve=n * COMMAND.itemsize)
-            self._generation = -1
-        if self._generation != self._store.generation:
-            content: list[Any] = [(self._store.vertex_buffer, "2u2 2f4", "in_place", "in_heights")]
-            if self.is_indirect:
-                content.append((self._numbers, "1i4/i", "in_instance"))
-            if self._array is not None:
-                self._array.release()
-            self._array = self._context.vertex_array(
-                self._program, content, index_buffer=self._store.index_buffer, index_element_size=4
-            )
-            self._generation = self._store.generation
+    def _drape_texture(self, drape: Drape | None) -> Any:
+        """Return the texture of the drape; one clear texel without one."""
+        pixels = np.zeros((1, 1, 4), dtype=np.uint8) if drape is None else drape.pixels
+        height, width = pixels.shape[:2]
+        texture = self._context.texture((width, height), 4, pixels.tobytes(), alignment=4)
+        texture.repeat_x = texture.repeat_y = False
+        texture.build_mipmaps()
+        texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+        return texture
 
     def _ramp_texture(self, style: Style) -> Any:
         low, high = self._heights()
@@ -101,32 +85,6 @@ class Renderer:
 
     # One frame
 
-    def instances(self, view: View, frames: Frames) -> NDArray[np.float32]:
-        """Return the texels of the patches, float32 (n, 16): see `shaders`."""
-        scene, table, nodes = self._scene, self._scene.table, frames.nodes
-        grid, frame = scene.terrain.grid, scene.frame
-        blocks = table.keys[nodes]
-        strides = np.left_shift(1, grid.k_max - blocks[:, 0])
-        rows, cols = blocks[:, 1] * grid.block * strides, blocks[:, 2] * grid.block * strides
-        bases = scene.bases(nodes)
-        origins = np.column_stack([frame.samples_to_local(rows, cols), bases * view.exaggeration])
-        texels = np.empty((len(nodes), 16), dtype=np.float32)
-        texels[:, 0:3] = origins - view.camera.eye
-        texels[:, 3] = frames.morphs
-        texels[:, 4] = frames.skirts
-        texels[:, 5] = self._store.layers(nodes)
-        texels[:, 6] = -1
-        texels[:, 7] = strides
-        texels[:, 8] = grid.n_cols - 1 - cols
-        texels[:, 9] = grid.n_rows - 1 - rows
-        texels[:, 10] = (blocks[:, 2] & 1) * grid.block
-        texels[:, 11] = (blocks[:, 1] & 1) * grid.block
-        texels[:, 12] = blocks[:, 0]
-        texels[:, 13] = table.errors[nodes]
-        texels[:, 14] = bases
-        texels[:, 15] = 0
-        return texels
-
     def clear(self, view: View, style: Style) -> None:
         """Begin a picture: the sky, or the background."""
         background = style.background or (0, 0, 0)
@@ -139,37 +97,19 @@ class Renderer:
         context = self._context
         if clear:
             self.clear(view, style)
-        drawn = self._store.layers(frames.nodes) >= 0
-        frames = frames._replace(
-            nodes=frames.nodes[drawn],
-            distances=frames.distances[drawn],
-            morphs=frames.morphs[drawn],
-            skirts=frames.skirts[drawn],
-        )
-        n = len(frames.nodes)
         self.n_draw_calls = 0
-        if not n:
+        if not len(frames.nodes):
             return
-        self._reach(n)
-        self._instances.write(self.instances(view, frames).tobytes(), viewport=(0, 0, 4, n))
         self._set_uniforms(view, frames, style)
         context.enable_only(moderngl.DEPTH_TEST)
-        context.enable_direct(_CLIP_DISTANCE_0)
-        context.enable_direct(_CLIP_DISTANCE_0 + 1)
+        clips = range(_CLIP_DISTANCE_0, _CLIP_DISTANCE_0 + self.surface.n_clip_distances)
+        for clip in clips:
+            context.enable_direct(clip)
         context.wireframe = style.wireframe
-        commands = self._store.commands(frames.nodes)
-        if self.is_indirect:
-            self._commands.write(commands.tobytes())
-            self._array.render_indirect(self._commands, moderngl.TRIANGLES, count=n)
-            self.n_draw_calls = 1
-        else:
-            for k, (count, _, first, _, _) in enumerate(commands.tolist()):
-                self._program["in_instance"] = k
-                self._array.render(moderngl.TRIANGLES, vertices=count, first=first)
-            self.n_draw_calls = n
+        self.n_draw_calls = self.surface.submit(self._scene, view, frames)
         context.wireframe = False
-        context.disable_direct(_CLIP_DISTANCE_0)
-        context.disable_direct(_CLIP_DISTANCE_0 + 1)
+        for clip in clips:
+            context.disable_direct(clip)
 
     def depth_range(self, view: View, frames: Frames) -> tuple[float, float]:
         """Return near and far planes that hold all that is drawn."""
@@ -183,7 +123,7 @@ class Renderer:
         return max(nearest / slant * 0.9, far * _NEAREST), far
 
     def _set_uniforms(self, view: View, frames: Frames, style: Style) -> None:
-        scene, program = self._scene, self._program
+        scene, program = self._scene, self.surface.program
         near, far = self.depth_range(view, frames)
         matrix = projection_matrix(view.camera, view.viewport, near, far)
         matrix = matrix @ view_matrix(view.camera)
@@ -192,23 +132,23 @@ class Renderer:
             "view_projection": tuple(matrix.T.ravel()),
             "sample_axes": (a, b, d, e),
             "z_scale": view.exaggeration,
-            "side": float(scene.terrain.grid.block),
             "ramp_range": self._heights(),
             "sun": style.sun_vector,
             "haze": (*self._HORIZON, self._haze(view, style)),
             "coloring": COLORINGS[style.coloring],
             "shade": style.shade,
             "error_range": max(float(scene.table.errors[frames.nodes].max()), 1e-6),
-            "slopes": 0,
-            "ramp": 1,
-            "instances": 2,
+            "ramp": RAMP_UNIT,
+            "drape": DRAPE_UNIT,
+            "drape_place": self._drape_place,
+            "drape_share": style.drape if self._has_drape else 0.0,
+            "last": (scene.frame.shape[1] - 1.0, scene.frame.shape[0] - 1.0),
         }
         for name, value in values.items():
             if name in program:
                 program[name] = value
-        self._store.slopes.use(0)
-        self._ramp_texture(style).use(1)
-        self._instances.use(2)
+        self._ramp_texture(style).use(RAMP_UNIT)
+        self._drape.use(DRAPE_UNIT)
 
     def _haze(self, view: View, style: Style) -> float:
         """Return the density of haze per metre: thick on the ground, thin from far above."""
@@ -234,9 +174,6 @@ class Renderer:
 
     def release(self) -> None:
         """Free the GPU's memory."""
-        for part in (
-            self._instances, self._numbers, self._commands, self._array, self._ramp,
-            self._sky_array, self._sky, self._program,
-        ):  # fmt: skip
+        for part in (self.surface, self._ramp, self._drape, self._sky_array, self._sky):
             if part is not None:
                 part.release()

@@ -4,23 +4,18 @@ A node is a piece that the viewer has heard of. Its cost per frame follows what 
 outside the frustum end the recursion, and those good enough do.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.quadtree import Block
-from terrainwave.render.camera import (
-    Camera,
-    Viewport,
-    gamma_guaranteed,
-    gamma_paper,
-)
+from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed
 from terrainwave.render.frustum import frustum_planes
 from terrainwave.render.kernels import priorities, select_nodes, wanted_nodes
 
-ERRORS = ("measured", "paper")
 _FIRST_CAPACITY = 256
 
 
@@ -50,6 +45,30 @@ class NodeInfo(NamedTuple):
     error: float
 
 
+class Built(Protocol):
+    """What `Mode.build` returns; the mode's store knows what else is in it."""
+
+    @property
+    def children(self) -> list[NodeInfo]:
+        """Return what replaces the piece; read in the worker, so that drawing never reads."""
+
+    @property
+    def n_triangles(self) -> int:
+        """Return how many triangles it draws."""
+
+    @property
+    def base(self) -> float:
+        """Return the height of its z = 0, metres."""
+
+    @property
+    def error(self) -> float:
+        """Return a bound that holds for its surface, metres."""
+
+    @property
+    def morph(self) -> float:
+        """Return the largest distance between its surface and its parent's, metres."""
+
+
 @dataclass(frozen=True)
 class View:
     """Camera, size of the picture and what counts as an error on screen.
@@ -58,8 +77,8 @@ class View:
     ----------
     max_pixel_error : float
         τ, pixels; 0 takes the finest blocks everywhere.
-    error : {"measured", "paper"}
-        Which γ: the one that holds in the corners too, or the paper's.
+    gamma_of : callable
+        Returns γ of a camera and a viewport; by default one that holds in the corners too.
     exaggeration : float
         Factor of heights.
     """
@@ -67,14 +86,13 @@ class View:
     camera: Camera
     viewport: Viewport
     max_pixel_error: float = 1.0
-    error: str = "measured"
+    gamma_of: Callable[[Camera, Viewport], float] = gamma_guaranteed
     exaggeration: float = 1.0
 
     @property
     def gamma(self) -> float:
         """Return γ of ``error on screen = γ · error / distance``."""
-        formula = gamma_paper if self.error == "paper" else gamma_guaranteed
-        return formula(self.camera, self.viewport)
+        return self.gamma_of(self.camera, self.viewport)
 
     @property
     def planes(self) -> NDArray[np.float64]:
@@ -109,6 +127,8 @@ class NodeTable:
         self.is_known = np.zeros(capacity, dtype=np.bool_)
         self.is_resident = np.zeros(capacity, dtype=np.bool_)
         self.n_triangles = np.zeros(capacity, dtype=np.int64)
+        self.bases = np.zeros(capacity)
+        self.morphs = np.zeros(capacity)
         self._stack = np.empty(capacity, dtype=np.int32)
         self._nodes = np.empty(capacity, dtype=np.int32)
         self._distances = np.empty(capacity)
@@ -121,7 +141,7 @@ class NodeTable:
         self._allocate(2 * len(self.errors))
         for name in (
             "low", "high", "errors", "children", "parents", "keys", "is_known", "is_resident",
-            "n_triangles",
+            "n_triangles", "bases", "morphs",
         ):  # fmt: skip
             getattr(self, name)[:n] = old[name][:n]
 
@@ -154,6 +174,12 @@ class NodeTable:
         for place, info in enumerate(infos):
             self.children[parent, place] = self.add(info, parent)
         self.is_known[parent] = True
+
+    def describe(self, node: int, built: Built) -> None:
+        """Take down what a piece that is in the store now says of itself."""
+        self.is_resident[node] = True
+        self.errors[node], self.n_triangles[node] = built.error, built.n_triangles
+        self.bases[node], self.morphs[node] = built.base, built.morph
 
     def select(self, view: View, tau: float | None = None) -> Selection:
         """Return the resident blocks that show the view within τ where they are here.

@@ -27,10 +27,12 @@ uniform mat4 view_projection;
 uniform vec4 sample_axes;   // metres per sample of the full grid: x by col, x by row, y ...
 uniform float z_scale;
 uniform float side;         // cells of a block
+uniform vec2 last;          // column, row of the full grid
 out vec3 v_seen;            // relative to the eye
 out vec2 v_sample;          // in samples of the block's level
 out float v_height;         // metres, without exaggeration
 flat out ivec2 v_layers;
+out vec2 v_grid;            // column, row of the full grid
 flat out vec4 v_parent;     // offset in the parent's samples; level; error
 out float gl_ClipDistance[2];
 void main() {
@@ -51,6 +53,7 @@ void main() {
     v_height = d.z + z;
     v_layers = ivec2(b.yz);
     v_parent = vec4(c.zw, d.xy);
+    v_grid = last - c.xy + full;
     gl_ClipDistance[0] = c.x - full.x;
     gl_ClipDistance[1] = c.y - full.y;
     gl_Position = view_projection * vec4(seen, 1.0);
@@ -63,9 +66,13 @@ TERRAIN_FRAGMENT = """
 in vec3 v_seen;
 in vec2 v_sample;
 in float v_height;
+in vec2 v_grid;
 flat in ivec2 v_layers;
 flat in vec4 v_parent;
 uniform sampler2DArray slopes;
+uniform sampler2D drape;
+uniform vec4 drape_place;   // first column and row it covers, 1 / columns, 1 / rows
+uniform float drape_share;
 uniform sampler2D ramp;
 uniform vec2 ramp_range;    // heights at its ends, metres
 uniform vec3 sun;           // unit vector towards it
@@ -114,13 +121,23 @@ void main() {
             base *= 1.0 + 0.22 * bent;
         }
     }
+    vec2 at = (v_grid + 0.5 - drape_place.xy) * drape_place.zw;
+    float draped = 0.0;
+    if (drape_share > 0.0) {
+        vec4 photo = texture(drape, at, -0.5);  // a little sharper: slopes are seen aslant
+        if (all(greaterThanEqual(at, vec2(0.0))) && all(lessThanEqual(at, vec2(1.0))))
+            draped = photo.a * drape_share;
+        base = mix(base, photo.rgb, draped);
+    }
+    // A photo has light and shadow of its own.
+    float shading = shade * (1.0 - 0.55 * draped);
     float lit = max(dot(normal, sun), 0.0) / max(sun.z, 0.25);
     float sky = 0.5 + 0.5 * normal.z;
     // A weak second light from across keeps shadows from going black.
     float fill = max(dot(normal, vec3(-sun.xy, sun.z)), 0.0);
-    float light = mix(1.0, 0.30 * sky + 0.22 * fill + 0.60 * min(lit, 1.45), shade);
+    float light = mix(1.0, 0.30 * sky + 0.22 * fill + 0.60 * min(lit, 1.45), shading);
     vec3 warm = mix(vec3(0.86, 0.92, 1.06), vec3(1.04, 1.0, 0.94), clamp(lit, 0.0, 1.0));
-    vec3 rgb = base * light * mix(vec3(1.0), warm, shade);
+    vec3 rgb = base * light * mix(vec3(1.0), warm, shading);
     if (coloring == 5) rgb = base;
     float away = length(v_seen) * haze.w;
     rgb = mix(haze.rgb, rgb, exp(-away * away));

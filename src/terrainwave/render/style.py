@@ -25,6 +25,8 @@ class Style:
         0 none … 1 much.
     shade : float
         Share of light and shadow, 0 … 1.
+    drape : float
+        Share of the orthophoto where there is one, 0 … 1.
     wireframe : bool
     background : tuple of int, optional
         Red, green, blue instead of the sky.
@@ -35,6 +37,7 @@ class Style:
     sun: tuple[float, float] = (315.0, 38.0)
     haze: float = 0.25
     shade: float = 1.0
+    drape: float = 1.0
     wireframe: bool = False
     background: tuple[int, int, int] | None = None
 

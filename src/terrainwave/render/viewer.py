@@ -10,10 +10,11 @@ import numpy as np
 from terrainwave.errors import TerrainwaveError
 from terrainwave.render.camera import format_camera
 from terrainwave.render.controls import HELP, Controls
+from terrainwave.render.modes.mode import Frames
 from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.overlay import Overlay, draw_overlay
 from terrainwave.render.pictures import choose_camera
-from terrainwave.render.scene import DEFAULT_MAX_BYTES, Frames
+from terrainwave.render.scene import DEFAULT_MAX_BYTES
 
 if TYPE_CHECKING:
     from terrainwave.render.style import Style
@@ -151,7 +152,7 @@ class Viewer:
             controls.camera,
             controls.style,
             max_pixel_error=controls.max_pixel_error,
-            settle=offscreen.scene.mode == "full",
+            settle=offscreen.scene.mode.is_partwise,
         )
         offscreen.context.copy_framebuffer(self._window.fbo, offscreen.framebuffer)
         self._window.use()
@@ -210,8 +211,7 @@ class Viewer:
         lines = [
             f"{1 / max(seconds, 1e-6):.0f} fps, {frames.n_triangles:,} triangles in"
             f" {len(frames.nodes)} blocks{loading}",
-            f"GPU {offscreen.store.n_bytes / 2**20:.0f} MiB,"
-            f" within {frames.tau:.2g} pixels{raised}",
+            f"GPU {offscreen.n_bytes / 2**20:.0f} MiB, within {frames.tau:.2g} pixels{raised}",
         ]
         lines += [f"speed {controls.speed:.3g} m/s"] if controls.is_flying else []
         under = self._pick(*self.cursor)
@@ -235,7 +235,7 @@ class Viewer:
 
 def _key_names(keys: Any) -> dict[Any, str]:
     """Return what `Controls` calls the keys of a backend: their codes differ."""
-    names = {getattr(keys, letter.upper()): letter for letter in "abcdehlnpqrstw"}
+    names = {getattr(keys, letter.upper()): letter for letter in "abcdehlnopqrstw"}
     others = {
         "ESCAPE": "escape", "TAB": "tab", "HOME": "home", "COMMA": "comma", "PERIOD": "period",
         "LEFT_BRACKET": "[", "RIGHT_BRACKET": "]", "MINUS": "-", "EQUAL": "+",

@@ -111,6 +111,18 @@ def lacks(own: BorderVertices, demanded: BorderVertices) -> bool:
     return any(bool((more & ~has).any()) for has, more in zip(own, demanded, strict=True))
 
 
+def late_blocks(
+    positions: Iterable[Position], borders: Mapping[Position, BorderVertices]
+) -> dict[Position, BorderVertices]:
+    """Return the blocks that lack border vertices of their neighbours, with all they must have."""
+    demands = {position: demands_on(position, borders) for position in positions}
+    return {
+        position: demanded
+        for position, demanded in demands.items()
+        if lacks(borders[position], demanded)
+    }
+
+
 def agree(
     positions: list[Position],
     triangulate: Callable[[Position, BorderVertices | None], Result],
@@ -132,20 +144,18 @@ def agree(
 
     Notes
     -----
-    Holds all results. To work out of core, keep only `border_of` results and use `demands_on` and
-    `lacks` in the same rounds.
+    Holds all results. To work out of core, keep only `border_of` results and use `late_blocks` in
+    the same rounds.
     """
     nothing = [None] * len(positions)
     results = dict(zip(positions, run(triangulate, positions, nothing), strict=True))
     borders = {position: border(results[position]) for position in positions}
     n_rounds = 1
     while True:
-        demands = {position: demands_on(position, borders) for position in positions}
-        late = [position for position in positions if lacks(borders[position], demands[position])]
+        late = late_blocks(positions, borders)
         if not late:
             return results, n_rounds
-        demanded = [demands[position] for position in late]
-        for position, result in zip(late, run(triangulate, late, demanded), strict=True):
+        for position, result in zip(late, run(triangulate, late, late.values()), strict=True):
             results[position] = result
             borders[position] = border(result)
         n_rounds += 1

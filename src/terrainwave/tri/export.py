@@ -328,7 +328,7 @@ def to_trimesh(mesh: Mesh) -> Any:
 
 def to_pyvista(mesh: Mesh) -> Any:
     """Return a `pyvista.PolyData` with the mesh's vertices, relative to its origin."""
-    pyvista = need("pyvista", extra="")
+    pyvista = need("pyvista", extra="pyvista")
     faces = np.empty((mesh.n_triangles, 4), dtype=np.int64)
     faces[:, 0] = 3
     faces[:, 1:] = mesh.triangles

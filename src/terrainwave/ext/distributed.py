@@ -1,0 +1,69 @@
+"""Clusters of dask.distributed for `compress`; needs the extra ``distributed``.
+
+`compress` takes any client that `distribution.executor_of` knows, so that this module only connects
+and looks whether the workers can do the work.
+"""
+
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from terrainwave._version import __version__
+from terrainwave.errors import ClusterError
+
+_TIMEOUT = 15.0  # seconds
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Any]:
+    """Give a client of the scheduler at `address`, such as ``tcp://10.0.0.5:8786``.
+
+    Raises
+    ------
+    ClusterError
+        If nothing answers there, it has no workers, or they have another terrainwave.
+    """
+    try:
+        from distributed import Client
+        from distributed.comm.addressing import get_address_host_port
+    except ImportError as error:
+        raise ClusterError(
+            "dask.distributed is not installed: pip install 'terrainwave[distributed]'"
+        ) from error
+    try:
+        # A client whose connection fails prints a traceback when it is collected.
+        socket.create_connection(get_address_host_port(address), _TIMEOUT).close()
+        client = Client(address, timeout=_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise ClusterError(
+            f"no dask scheduler answers at {address}; expected the address that dask scheduler"
+            " prints, such as tcp://10.0.0.5:8786"
+        ) from error
+    try:
+        check_workers(client)
+        yield client
+    finally:
+        client.close()
+
+
+def check_workers(client: Any) -> None:
+    """Raise `ClusterError` if a cluster has no workers, or some with another terrainwave.
+
+    Another version may give other bytes.
+    """
+    versions = client.run(worker_version, on_error="return")
+    if not versions:
+        raise ClusterError("the cluster has no workers: start some with dask worker")
+    for worker, version in versions.items():
+        if version != __version__:
+            found = version if isinstance(version, str) else "none that can be imported"
+            raise ClusterError(
+                f"the worker {worker} has terrainwave {found}, expected {__version__}: install the"
+                " same version everywhere"
+            )
+
+
+def worker_version() -> str:
+    """Return the version of this process's terrainwave."""
+    return __version__

@@ -1,0 +1,120 @@
+"""What a notebook shows of a `Terrain`: a static picture and a table, without scripts.
+
+All text may come from an untrusted file: it is escaped and stripped of control characters.
+"""
+
+import base64
+import html
+import unicodedata
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import TerrainwaveError
+from terrainwave.render.png import encode_png
+from terrainwave.render.ramps import N_COLORS, ramp_colors
+from terrainwave.terrain import Terrain
+
+# Pixels of the picture's longer side.
+_SIDE = 320
+_VOID = 238
+# From the north-west, 45 degrees above the horizon, as maps are lit.
+_LIGHT = np.array([-0.5, -0.5, np.sqrt(0.5)])
+_AMBIENT = 0.4
+# Slopes are stretched until the steepest twentieth is steeper than this: relief is seen on plains.
+_STEEP = 0.8
+_LONGEST_TEXT = 200
+
+
+def terrain_html(terrain: Terrain) -> str:
+    """Return the HTML that a notebook shows: picture, size, bound, levels and place."""
+    try:
+        data = base64.b64encode(encode_png(picture(terrain))).decode()
+        image = (
+            f'<img alt="shaded relief" src="data:image/png;base64,{data}"'
+            ' style="image-rendering:auto;max-width:100%">'
+        )
+    except TerrainwaveError as error:  # damaged or closed: the table needs the header only
+        image = f"<p>no picture: {_escaped(error)}</p>"
+    rows = "".join(
+        f'<tr><th style="text-align:left">{name}</th>'
+        f'<td style="text-align:left">{_escaped(value)}</td></tr>'
+        for name, value in _rows(terrain)
+    )
+    return (
+        '<div style="display:flex;flex-wrap:wrap;gap:1em;align-items:flex-start">'
+        f"{image}<table><tbody>{rows}</tbody></table></div>"
+    )
+
+
+def _rows(terrain: Terrain) -> list[tuple[str, str]]:
+    info = terrain.info()
+    unit = info.units or "(unit unknown)"
+    crs = info.crs or "none"
+    if '"' in crs:  # WKT: its name is the first quoted string
+        crs = crs.split('"')[1]
+    heights = "none" if info.minimum is None else f"{info.minimum:.6g} to {info.maximum:.6g} {unit}"
+    return [
+        ("file", info.path),
+        (
+            "size",
+            f"{info.n_rows:,} × {info.n_cols:,} samples, {info.dtype}; {info.n_bytes:,} bytes,"
+            f" {info.ratio:.3g} times smaller than raw",
+        ),
+        ("bound", f"every height within {info.effective_error:.6g} {unit} of the original"),
+        ("heights", heights),
+        ("levels", ", ".join(f"{rows} × {cols}" for rows, cols in info.level_shapes)),
+        ("CRS", crs),
+        ("bounds", ", ".join(f"{value:.10g}" for value in info.bounds)),
+        ("meshes", info.mesh),
+    ]
+
+
+def _escaped(text: object) -> str:
+    line = " ".join(str(text).split())[:_LONGEST_TEXT]
+    printable = "".join(char for char in line if not unicodedata.category(char).startswith("C"))
+    return html.escape(printable)
+
+
+def picture(terrain: Terrain) -> NDArray[np.uint8]:
+    """Return a shaded relief with north up, uint8 (n_rows, n_cols, 3), voids light grey.
+
+    Raises
+    ------
+    TerrainwaveError
+        If the heights cannot be read.
+    """
+    levels = range(terrain.n_levels)
+    level = next((k for k in levels if max(terrain.level_shape(k)) >= _SIDE), levels[-1])
+    n_rows, n_cols = terrain.level_shape(level)
+    share = min(1.0, _SIDE / max(n_rows, n_cols))
+    shape = max(1, round(n_rows * share)), max(1, round(n_cols * share))
+    found = terrain.read(level=level, out_shape=shape, resampling="average", masked=True)
+    a, _, _, _, e, _ = terrain.raster_info.transform
+    if e > 0 and terrain.crs:  # stored with the south first
+        found = found[::-1]
+    if a < 0:
+        found = found[:, ::-1]
+    valid = ~np.ma.getmaskarray(found)
+    heights = np.ma.getdata(found).astype(np.float64)
+    heights = heights * terrain.raster_info.scale + terrain.raster_info.offset
+    image = np.full((*shape, 3), _VOID, dtype=np.uint8)
+    if valid.any():
+        low, high = float(heights[valid].min()), float(heights[valid].max())
+        heights[~valid] = low
+        index = (heights - low) * ((N_COLORS - 1) / ((high - low) or 1.0))
+        colours = ramp_colors("tints", low, high)[index.astype(np.int64)]
+        image[valid] = (colours * _brightness(heights, valid)[:, :, None])[valid]
+    return image
+
+
+def _brightness(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return Lambert's cosine of each sample, 1 where it faces the light."""
+    if min(heights.shape) < 2:
+        return np.ones(heights.shape)
+    south, east = np.gradient(heights)
+    steep = float(np.quantile(np.hypot(south, east)[valid], 0.95))
+    stretch = _STEEP / steep if steep > 0 else 0.0
+    normal_length = np.sqrt(1 + (south * stretch) ** 2 + (east * stretch) ** 2)
+    cosine = (_LIGHT[2] - stretch * (east * _LIGHT[0] + south * _LIGHT[1])) / normal_length
+    return _AMBIENT + (1 - _AMBIENT) * np.clip(cosine, 0, 1)

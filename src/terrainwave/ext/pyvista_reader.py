@@ -1,0 +1,60 @@
+"""``pyvista.read("a.twz")``: a guaranteed mesh as `pyvista.PolyData`."""
+
+from typing import Any
+
+from terrainwave.terrain import Terrain
+from terrainwave.tri.frames import to_frame
+
+
+def read_twz(
+    path: str,
+    /,
+    *,
+    max_error: float | None = None,
+    max_triangles: int | None = None,
+    level: int = -1,
+    window: Any = None,
+    bounds: Any = None,
+    frame: str | None = "local",
+    z_scale: float = 1.0,
+) -> Any:
+    """Return a watertight mesh of a .twz file, with its heights as point data.
+
+    Parameters
+    ----------
+    path : str
+        Path or URL.
+    max_error, max_triangles, level, window, bounds
+        As for `Terrain.mesh`: which mesh, and of what. By default the stored meshes of the level;
+        of a file without any, a mesh within its own error and its vertical quantum.
+    frame, z_scale
+        Coordinates as for `Mesh.save`: local metres, or ``"native"`` or ``"ecef"``.
+
+    Returns
+    -------
+    surface : pyvista.PolyData
+        Points relative to ``field_data["origin"]``; point data ``heights`` in the file's unit;
+        ``field_data`` has also ``error``, the distance from any valid original, ``units``, ``crs``.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If an argument is out of range.
+    CorruptStreamError, StorageError
+        If the file is damaged or cannot be read.
+    """
+    with Terrain(path) as terrain:
+        if max_error is None and max_triangles is None and terrain.mesh_kind == "none":
+            max_error = terrain.effective_error + terrain.info().quantum
+        mesh = terrain.mesh(
+            window, bounds=bounds, level=level, max_error=max_error, max_triangles=max_triangles
+        )
+        placed = to_frame(mesh, frame, z_scale=z_scale)
+        surface = placed.to_pyvista()
+        surface.point_data["heights"] = mesh.points[:, 2]
+        surface.set_active_scalars("heights")
+        surface.field_data["origin"] = placed.origin
+        surface.field_data["error"] = [mesh.error]
+        surface.field_data["units"] = [terrain.raster_info.units or ""]
+        surface.field_data["crs"] = [terrain.crs or ""]
+    return surface

@@ -1,0 +1,31 @@
+"""The accessor ``da.terrainwave`` of xarray's DataArrays; importing this module registers it.
+
+xarray loads it with the backend when it first opens a file of any kind without ``engine=``.
+"""
+
+import os
+from typing import Any
+
+import xarray as xr
+
+from terrainwave.compression import CompressResult, compress
+from terrainwave.ext.xarray_backend import TerrainwaveBackend
+
+__all__ = ["TerrainwaveAccessor", "TerrainwaveBackend"]
+
+
+@xr.register_dataarray_accessor("terrainwave")
+class TerrainwaveAccessor:
+    """What terrainwave adds to a DataArray."""
+
+    def __init__(self, array: xr.DataArray) -> None:
+        self._array = array
+
+    def to_twz(self, path: str | os.PathLike[str], **options: Any) -> CompressResult:
+        """Compress the array to a .twz file; see `terrainwave.compress` for the options.
+
+        CRS and transform are taken from the coordinates, as rioxarray and ``open_dataset`` write
+        them. A lazy array is computed window by window: three times, as `compress` scans, codes
+        and proves, so persist it if that is dear.
+        """
+        return compress(self._array, path, **options)

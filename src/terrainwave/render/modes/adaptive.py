@@ -1,0 +1,72 @@
+"""Each block from its own guaranteed mesh (Yusov & Turlapov 2010, §2.8): the default."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.level_errors import recursive_errors
+from terrainwave.progress import ProgressCallback, Reporter
+from terrainwave.render.frame import Frame
+from terrainwave.render.modes.bounded import BoundedMode
+from terrainwave.render.patches import Patch, PatchBuilder
+from terrainwave.render.selection import NodeInfo, Piece
+
+if TYPE_CHECKING:
+    from terrainwave.render.patch_surface import PatchSurface
+    from terrainwave.terrain import Terrain
+
+
+class Adaptive(BoundedMode):
+    """Blocks by their error on screen, each from its own mesh.
+
+    What `builder` does is the whole of it: another kind of mesh per block needs another builder.
+    """
+
+    name = "adaptive"
+
+    def __init__(
+        self,
+        terrain: "Terrain",
+        frame: Frame,
+        *,
+        error: str = "measured",
+        progress: ProgressCallback | None = None,
+    ) -> None:
+        super().__init__(terrain, frame, error=error)
+        self.builder = PatchBuilder(terrain, frame, recursive=self._recursive_errors(progress))
+
+    @classmethod
+    def preparation(cls, error: str) -> str | None:
+        """Say that the recursion decodes the whole file."""
+        return "following the error recursion of Yusov & Turlapov" if error == "paper" else None
+
+    def _recursive_errors(
+        self, progress: ProgressCallback | None
+    ) -> list[NDArray[np.float64]] | None:
+        """Return Err_Appr of every block by the paper's recursion, where it is asked for."""
+        if self.error != "paper":
+            return None
+        n_rows, n_cols = self.terrain.shape
+        count = Reporter(progress).counter("errors", n_rows * n_cols, 4)
+        return recursive_errors(self.terrain, as_printed=True, count=count)
+
+    def roots(self) -> list[NodeInfo]:
+        """Return the root blocks."""
+        return self.builder.roots()
+
+    def children(self, piece: Piece) -> list[NodeInfo]:
+        """Return what replaces a piece: its next variant, or the blocks one level finer."""
+        return self.builder.children(piece)
+
+    def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Patch:
+        """Return the patch of a piece."""
+        return self.builder.build(piece, is_cancelled)
+
+    @staticmethod
+    def surface(context: Any, side: int, *, max_bytes: int) -> "PatchSurface":
+        """Return buffers for patches and the program that draws them."""
+        from terrainwave.render.patch_surface import PatchSurface
+
+        return PatchSurface(context, side, max_bytes=max_bytes)

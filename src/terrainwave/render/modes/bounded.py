@@ -1,0 +1,85 @@
+"""Frames of pieces whose errors are bounds: morphs and skirts that keep the promise of τ pixels."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.render.modes.mode import Frames, Mode
+from terrainwave.render.selection import NodeTable, Selection, View
+
+# A block is drawn a little before its parent's error reaches τ, and moves from there to its place.
+MORPH_START = 1.25
+
+
+class BoundedMode(Mode):
+    """A mode whose pieces state errors that hold, and so do its pictures."""
+
+    def split_error(self, tau: float) -> float:
+        """Return the error on screen above which pieces are split, for τ asked for."""
+        return tau / MORPH_START
+
+    def frames(
+        self, table: NodeTable, view: View, selection: Selection, tau: float, n_missing: int
+    ) -> Frames:
+        """Return how to draw a selection that was split at `tau`, from `split_error`.
+
+        Pieces are split at τ / MORPH_START, so that what is drawn may use up to τ.
+        """
+        # The nearest first: what they hide need not be shaded.
+        order = np.argsort(selection.distances, kind="stable")
+        nodes, distances = selection.nodes[order], selection.distances[order]
+        tau = max(tau, 0.0)
+        allowed = tau * MORPH_START * distances / view.gamma
+        morphs = self._morphs(table, view, nodes, allowed, tau)
+        drawn = (table.errors[nodes] + morphs * table.morphs[nodes]) * view.exaggeration
+        # A neighbour's error: within τ at the furthest point that it may share with this block,
+        # or one that stands in for others.
+        low, high = boxes(table, view, nodes)
+        eye = view.camera.eye
+        furthest = np.linalg.norm(np.maximum(np.abs(low - eye), np.abs(high - eye)), axis=1)
+        beside = tau * MORPH_START * furthest / view.gamma
+        too_coarse = drawn[drawn > allowed]
+        beside = np.maximum(beside, too_coarse.max(initial=0.0))
+        return Frames(
+            nodes, distances, morphs, drawn + beside,
+            selection.n_triangles, tau * MORPH_START, n_missing,
+        )  # fmt: skip
+
+    def _morphs(
+        self,
+        table: NodeTable,
+        view: View,
+        nodes: NDArray[np.int32],
+        allowed: NDArray[np.float64],
+        tau: float,
+    ) -> NDArray[np.float64]:
+        """Return each block's share of its parent's surface.
+
+        1 where the parent would just be drawn (its error at τ / MORPH_START), 0 where that error
+        reaches τ; and no more than leaves error + share · distance to the parent within τ, which
+        keeps the promise exactly: between vertices both surfaces are linear.
+        """
+        if tau <= 0:
+            return np.zeros(len(nodes))
+        z_scale = view.exaggeration
+        parents = table.parents[nodes]
+        has_parent = parents >= 0
+        above = np.where(has_parent, parents, 0)
+        low, high = boxes(table, view, above)
+        eye = view.camera.eye
+        apart = np.maximum(np.maximum(low - eye, eye - high), 0.0)
+        distances = np.maximum(np.linalg.norm(apart, axis=1), 1e-9)
+        screen = view.gamma * table.errors[above] * z_scale / distances
+        start, end = tau, tau * MORPH_START
+        shares = np.clip((end - screen) / (end - start), 0.0, 1.0)
+        spread = table.morphs[nodes] * z_scale
+        errors = table.errors[nodes] * z_scale
+        budget = np.clip((allowed - errors) / np.maximum(spread, 1e-12), 0.0, 1.0)
+        return np.where(has_parent, np.minimum(shares, budget), 0.0)
+
+
+def boxes(
+    table: NodeTable, view: View, nodes: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lowest and highest corners of nodes as seen, with the exaggeration."""
+    scale = np.array([1.0, 1.0, view.exaggeration])
+    return table.low[nodes] * scale, table.high[nodes] * scale

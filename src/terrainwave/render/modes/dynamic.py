@@ -1,0 +1,82 @@
+"""The dynamic triangulation of Yusov & Turlapov 2006 (`terrainwave.tri.dynamic`), frame by frame.
+
+The heights are read, and their tree is built, once, in a worker.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.quadtree import Region
+from terrainwave.render.modes.whole import MAX_VERTICES, Drawn, Samples, WholeMode, eye_of
+from terrainwave.render.patches import Cancelled
+from terrainwave.render.selection import NodeInfo, NodeTable, Piece, View
+from terrainwave.tri.dynamic import DynamicFrame, DynamicMesh
+
+# λ: vertices move to their parents' places while those have errors of τ / λ … τ.
+MORPH = 1.25
+PATCH = 256
+
+
+class BuiltMesh(NamedTuple):
+    """The samples of a level and the tree over them."""
+
+    samples: Samples
+    mesh: DynamicMesh
+    error: float
+    n_triangles: int = 0
+    base: float = 0.0
+    morph: float = 0.0
+
+    @property
+    def children(self) -> list[NodeInfo]:
+        """Return nothing: there is one piece."""
+        return []
+
+
+class Dynamic(WholeMode):
+    """A mesh from the marks of a Haar quadtree that follows the camera."""
+
+    name = "dynamic"
+    morph = MORPH
+    frame_mesh: DynamicFrame | None = None
+    _mesh: DynamicMesh | None = None
+
+    @classmethod
+    def preparation(cls, error: str) -> str | None:
+        """Return what takes long before the first picture."""
+        return "reading the heights" + (
+            " and measuring errors of all nodes" if error == "measured" else ""
+        )
+
+    def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> BuiltMesh:
+        """Return the samples and their tree."""
+        samples = self.read(self.level, Region(0, 0, *self.shape))
+        if is_cancelled():
+            raise Cancelled
+        self._mesh = DynamicMesh(
+            samples.heights,
+            sample_matrix=self.sample_matrix,
+            patch=PATCH,
+            error=self.error,
+            base_error=self.base_error,
+        )
+        return BuiltMesh(samples, self._mesh, self.base_error)
+
+    @property
+    def dynamic_mesh(self) -> DynamicMesh:
+        """Return the mesh, which has been built where the piece is resident."""
+        if self._mesh is None:
+            raise AssertionError("the piece is resident, so it has been built")
+        return self._mesh
+
+    def mesh(self, table: NodeTable, view: View, tau: float) -> tuple[Drawn, float]:
+        """Return the mesh of a view, and its τ."""
+        found = self.dynamic_mesh.update(
+            eye_of(view), tau, morph=self.morph, max_vertices=MAX_VERTICES
+        )
+        self.frame_mesh = found
+        sizes: NDArray[np.int32] = found.nodes[:, 0]
+        return Drawn(found.vertices, found.triangles, sizes), found.tau

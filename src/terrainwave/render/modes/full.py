@@ -1,0 +1,23 @@
+"""Every finest block, a part at a time: the reference that the others are compared with."""
+
+from terrainwave.progress import ProgressCallback
+from terrainwave.render.modes.adaptive import Adaptive
+
+
+class Full(Adaptive):
+    """The finest blocks of `Adaptive`, without levels of detail."""
+
+    name = "full"
+    is_partwise = True
+
+    @classmethod
+    def preparation(cls, error: str) -> str | None:
+        """Return None: errors choose nothing here."""
+        return None
+
+    def _recursive_errors(self, progress: ProgressCallback | None) -> None:
+        """Return no errors: they choose nothing here."""
+
+    def split_error(self, tau: float) -> float:
+        """Return a negative error: all pieces are split."""
+        return -1.0

@@ -1,0 +1,165 @@
+"""The interface of a mode. No GPU, but for `Mode.surface`, which is called where there is one.
+
+A mode has three parts, and `Scene` knows no more of it:
+
+* a tree of pieces (`roots`, `children`) with boxes and errors, from an index: cheap;
+* `build`, called in worker threads: what is uploaded for a piece;
+* `gamma`, `split_error`, `wanted` and `frames`, called each frame: which pieces are wanted and how
+  they are drawn.
+
+`Mode.surface` makes the half on the GPU: a store for what `build` returns and the program that
+draws it (`terrainwave.render.surface`).
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.progress import ProgressCallback
+from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed, gamma_paper
+from terrainwave.render.frame import Frame
+from terrainwave.render.selection import Built, NodeInfo, NodeTable, Piece, Selection, View
+
+if TYPE_CHECKING:
+    from terrainwave.render.surface import Surface
+    from terrainwave.terrain import Terrain
+
+ERRORS = ("measured", "paper")
+
+
+class Frames(NamedTuple):
+    """What to draw: for each node its place, morph and skirt.
+
+    Parameters
+    ----------
+    nodes : ndarray of int32, shape (n,)
+    distances : ndarray of float64, shape (n,)
+        From the eye to the nearest part of the box, metres.
+    morphs : ndarray of float64, shape (n,)
+        Share of the parent's surface, 0 … 1.
+    skirts : ndarray of float64, shape (n,)
+        Depth of skirts, local metres.
+    n_triangles : int
+    tau : float
+        Pixels; above what was asked for if limits demand it.
+    n_missing : int
+        Wanted pieces that are not here yet.
+    """
+
+    nodes: NDArray[np.int32]
+    distances: NDArray[np.float64]
+    morphs: NDArray[np.float64]
+    skirts: NDArray[np.float64]
+    n_triangles: int
+    tau: float
+    n_missing: int
+
+
+class Mode(ABC):
+    """A way to draw a terrain. Thread-safe where it says so.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    frame : Frame
+        Local metres; its exaggeration is not used: the GPU applies it.
+    error : {"measured", "paper"}
+        Errors and γ: those that hold everywhere, or the paper's.
+    progress : callable, optional
+        Called with a `Progress` where the mode prepares for long.
+
+    Attributes
+    ----------
+    name : str
+        As in ``--mode``.
+    is_partwise : bool
+        All finest pieces are drawn, as many at a time as the store holds.
+    n_levels : int
+        Of its pieces; level 0 is the coarsest.
+    """
+
+    name: str
+    is_partwise = False
+
+    def __init__(
+        self,
+        terrain: "Terrain",
+        frame: Frame,
+        *,
+        error: str = "measured",
+        progress: ProgressCallback | None = None,
+    ) -> None:
+        if error not in ERRORS:
+            raise InvalidHeightsError(f"found error {error!r}, expected one of {', '.join(ERRORS)}")
+        self.terrain, self.frame, self.error = terrain, frame, error
+        self.n_levels = terrain.n_levels
+
+    @classmethod
+    def preparation(cls, error: str) -> str | None:
+        """Return what takes long when the mode begins, as "building …"; None if nothing does."""
+        return None
+
+    def close(self) -> None:  # noqa: B027  most modes have nothing to close
+        """Free what it holds; no `build` runs any more."""
+
+    # The tree: what the index says
+
+    @abstractmethod
+    def roots(self) -> list[NodeInfo]:
+        """Return the pieces without a parent."""
+
+    @abstractmethod
+    def children(self, piece: Piece) -> list[NodeInfo]:
+        """Return what replaces a piece, all at once; at most four. Thread-safe."""
+
+    # In worker threads
+
+    @abstractmethod
+    def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Built:
+        """Return what is drawn for a piece. Thread-safe.
+
+        Raises
+        ------
+        Cancelled
+            If `is_cancelled` says so between two steps.
+        CorruptStreamError
+            If the file is damaged there.
+        """
+
+    # Each frame
+
+    def gamma(self, camera: Camera, viewport: Viewport) -> float:
+        """Return γ of ``error on screen = γ · error / distance``."""
+        formula = gamma_paper if self.error == "paper" else gamma_guaranteed
+        return formula(camera, viewport)
+
+    def split_error(self, tau: float) -> float:
+        """Return the error on screen above which pieces are split, for τ asked for."""
+        return tau
+
+    def wanted(
+        self, table: NodeTable, view: View, tau: float, max_blocks: int, camera: Camera
+    ) -> NDArray[np.int32]:
+        """Return the nodes to have in memory for a camera, the most urgent first."""
+        return table.wanted(view, max_blocks, tau, camera)
+
+    def spare(self, table: NodeTable, view: View, max_blocks: int) -> NDArray[np.int32]:
+        """Return what else to have in memory once all that is wanted is here."""
+        return np.empty(0, dtype=np.int32)
+
+    @abstractmethod
+    def frames(
+        self, table: NodeTable, view: View, selection: Selection, tau: float, n_missing: int
+    ) -> Frames:
+        """Return how to draw a selection that was split at `tau`, from `split_error`."""
+
+    # On the GPU
+
+    @staticmethod
+    @abstractmethod
+    def surface(context: Any, side: int, *, max_bytes: int) -> "Surface":
+        """Return the half on the GPU, for blocks of `side` cells."""

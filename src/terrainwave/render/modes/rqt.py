@@ -1,0 +1,155 @@
+"""Zheng, Wang and Wang's view-dependent restricted quadtree (`terrainwave.tri.rqt_view`).
+
+From high up the overview alone is drawn: a coarse level of the file. Tiles are read and decoded by
+workers as they come into view with an overview that is not good enough; until then the overview
+stands in for them. Vertices don't morph: what splits or merges is within τ before and after.
+"""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.progress import ProgressCallback
+from terrainwave.quadtree import Region
+from terrainwave.render.camera import Camera
+from terrainwave.render.frame import Frame
+from terrainwave.render.modes.whole import Drawn, Samples, WholeMode, eye_of
+from terrainwave.render.selection import NodeInfo, NodeTable, Piece, View
+from terrainwave.tri.rqt_view import RestrictedFrame, RestrictedMesh
+
+if TYPE_CHECKING:
+    from terrainwave.terrain import Terrain
+
+TILE = 256
+# The overview has every 16th sample at least: the file's own levels go on above it.
+_OVERVIEW_LEVELS = 4
+OVERVIEW = Piece(0, 0, 0)
+
+
+class BuiltTile(NamedTuple):
+    """Samples of the overview or of a tile, where they lie in the texture of slopes, and errors."""
+
+    samples: Samples
+    error: float
+    n_triangles: int = 0
+    base: float = 0.0
+    morph: float = 0.0
+
+    @property
+    def children(self) -> list[NodeInfo]:
+        """Return nothing: tiles are not replaced."""
+        return []
+
+
+class Rqt(WholeMode):
+    """A restricted quadtree over an overview and those tiles that the view needs."""
+
+    name = "rqt"
+    frame_mesh: RestrictedFrame | None = None
+
+    def __init__(
+        self,
+        terrain: "Terrain",
+        frame: Frame,
+        *,
+        error: str = "measured",
+        progress: ProgressCallback | None = None,
+    ) -> None:
+        super().__init__(terrain, frame, error=error)
+        self._overview_level = max(self.level - _OVERVIEW_LEVELS, 0)
+        self._overview_stride = 1 << (self.level - self._overview_level)
+        blocks = terrain.grid.blocks(self._overview_level)
+        largest = max(terrain.block_error(block) for block in blocks)
+        self._overview_error = max(largest * frame.metres[2], self.base_error)
+        self._n_tiles = tuple(max(-(-(n - 1) // TILE), 1) for n in self.shape)
+        self._mesh: RestrictedMesh | None = None
+        self._built: dict[Piece, Samples] = {}
+
+    # Pieces: the overview, and tiles beside it
+
+    def roots(self) -> list[NodeInfo]:
+        """Return the overview and all tiles."""
+        whole = super().roots()[0]
+        found = [whole._replace(error=self._overview_error)]
+        if self._overview_stride == 1:
+            return found
+        for row in range(self._n_tiles[0]):
+            for col in range(self._n_tiles[1]):
+                region = self._region(row, col)
+                rows = np.array([region.row, region.row + region.n_rows - 1]) * self.stride
+                cols = np.array([region.col, region.col + region.n_cols - 1]) * self.stride
+                xy = self.frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
+                (left, bottom), (right, top) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
+                low, high = (left, bottom, whole.low[2]), (right, top, whole.high[2])
+                found.append(NodeInfo(Piece(1, row, col), low, high, self._overview_error))
+        return found
+
+    def _region(self, row: int, col: int) -> Region:
+        return Region(row * TILE, col * TILE, TILE + 1, TILE + 1).intersect(
+            Region(0, 0, *self.shape)
+        )
+
+    def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> BuiltTile:
+        """Return the samples of the overview or of a tile."""
+        if piece.level:
+            samples = self.read(self.level, self._region(piece.row, piece.col))
+            self._built[piece] = samples
+            return BuiltTile(samples, self.base_error)
+        shape = self.terrain.grid.level_shape(self._overview_level)
+        samples = self.read(self._overview_level, Region(0, 0, *shape))
+        low, high = (height * self.frame.metres[2] for height in self.frame.heights)
+        self._mesh = RestrictedMesh(
+            self.shape,
+            (min(low, high) - self._overview_error, max(low, high) + self._overview_error),
+            samples.heights,
+            stride=self._overview_stride,
+            tile=TILE,
+            sample_matrix=self.sample_matrix,
+            error=self.error,
+            base_error=self._overview_error,
+        )
+        # Slopes at all samples, as far as the overview knows them.
+        rows = np.minimum(np.arange(self.shape[0]) // self._overview_stride, shape[0] - 1)
+        cols = np.minimum(np.arange(self.shape[1]) // self._overview_stride, shape[1] - 1)
+        wide = samples._replace(
+            region=Region(0, 0, *self.shape), slopes=samples.slopes[rows][:, cols]
+        )
+        return BuiltTile(wide, self._overview_error)
+
+    # Each frame
+
+    def wanted(
+        self, table: NodeTable, view: View, tau: float, max_blocks: int, camera: Camera
+    ) -> NDArray[np.int32]:
+        """Return the overview, and tiles in view in which it is not within τ; near ones first."""
+        overview = table.find(OVERVIEW)
+        first = np.array([0 if overview is None else overview], dtype=np.int32)
+        if not table.is_resident[first[0]]:
+            return first  # tiles are parts of what it brings
+        order = super().wanted(table, view, tau, max_blocks, camera)
+        order = order[order != first[0]]
+        scale = np.array([1.0, 1.0, view.exaggeration])
+        low, high = table.low[order] * scale, table.high[order] * scale
+        apart = np.maximum(np.maximum(low - camera.eye, camera.eye - high), 0.0)
+        distances = np.linalg.norm(apart, axis=1)
+        is_needed = self._overview_error * view.exaggeration * view.gamma > tau * distances
+        near = np.argsort(distances[is_needed], kind="stable")
+        return np.concatenate([first, order[is_needed][near]])
+
+    def mesh(self, table: NodeTable, view: View, tau: float) -> tuple[Drawn, float]:
+        """Return the mesh of a view, and its τ."""
+        mesh = self._mesh
+        if mesh is None:
+            return Drawn(np.empty((0, 3)), np.empty((0, 3), np.int32), np.empty(0, np.int32)), tau
+        for piece in list(self._built):
+            node = table.find(piece)
+            if node is not None and table.is_resident[node]:
+                samples = self._built.pop(piece)
+                mesh.load(piece.row, piece.col, samples.heights, self.base_error)
+        found = mesh.update(eye_of(view), tau)
+        self.frame_mesh = found
+        both = found.places[:, 0] | found.places[:, 1] | TILE
+        sizes = np.log2(both & -both).astype(np.int32)
+        return Drawn(found.vertices, found.triangles, sizes), tau

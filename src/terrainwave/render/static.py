@@ -1,0 +1,131 @@
+"""`Terrain.plot` and `Terrain.view`: a map with matplotlib; a window, or a picture in its place."""
+
+import os
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.container.publish import publish
+from terrainwave.errors import InvalidHeightsError, TerrainwaveError
+from terrainwave.render.frame import frame_of
+from terrainwave.tri.export import need
+
+if TYPE_CHECKING:
+    from terrainwave.render.style import Style
+    from terrainwave.terrain import Terrain
+
+# Samples along the longer side of a map: more than a figure has pixels.
+_MAP_SIDE = 1200
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture that notebooks show.
+
+    Parameters
+    ----------
+    pixels : ndarray of uint8, shape (height, width, 3)
+    camera : str
+        The line for ``camera=`` and ``--camera`` that gives this view.
+    """
+
+    pixels: NDArray[np.uint8]
+    camera: str
+
+    def _repr_png_(self) -> bytes:
+        from terrainwave.render.png import encode_png
+
+        return encode_png(self.pixels)
+
+    def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the picture as PNG.
+
+        Raises
+        ------
+        StorageError
+            If it cannot be written, or is there already.
+        """
+        with publish(Path(path), overwrite) as part:
+            part.file.write(self._repr_png_())
+
+
+def plot(terrain: "Terrain", ax: Any, *, cmap: str, shade: float, bounds: Any) -> Any:
+    """Draw a map; see `Terrain.plot`."""
+    pyplot = need("matplotlib.pyplot", extra="demo")
+    colors = need("matplotlib.colors", extra="demo")
+    if not 0 <= shade <= 1:
+        raise InvalidHeightsError(f"found shade {shade}, expected 0 … 1")
+    level = -1
+    while (
+        level > -terrain.n_levels
+        and max(terrain.region(bounds=bounds, level=level - 1).shape) >= _MAP_SIDE
+    ):
+        level -= 1
+    region = terrain.region(bounds=bounds, level=level)
+    heights = terrain.read(region, level=level, masked=True)
+    raster, frame = terrain.raster_info, frame_of(terrain)
+    physical: Any = heights.astype(np.float64) * raster.scale + raster.offset
+    if ax is None:
+        _, ax = pyplot.subplots()
+    a, _, c, _, e, f = terrain.transform(level, region)
+    x, y = c + a * region.n_cols, f + e * region.n_rows
+    low, high = (physical.min(), physical.max()) if physical.count() else (0.0, 1.0)
+    norm = colors.Normalize(low, high if high > low else low + 1)
+    rgb = pyplot.get_cmap(cmap)(norm(physical.filled(low)))
+    filled = physical.filled(float(physical.mean()) if physical.count() else 0.0)
+    per_x, per_y, per_height = frame.metres
+    light = colors.LightSource(azdeg=315, altdeg=45).hillshade(
+        filled * per_height, dx=abs(a) * per_x or 1.0, dy=abs(e) * per_y or 1.0
+    )
+    rgb[..., :3] *= 1 - shade * (1 - light[..., None])
+    rgb[..., 3] = ~np.ma.getmaskarray(physical)
+    ax.imshow(rgb, extent=(min(c, x), max(c, x), min(y, f), max(y, f)), origin="upper")
+    if x < c or y > f:  # the first row to the south, or the first column to the east
+        ax.images[-1].set_data(rgb[:: -1 if y > f else 1, :: -1 if x < c else 1])
+    ax.set_aspect(per_y / per_x)
+    scale = pyplot.cm.ScalarMappable(norm=norm, cmap=cmap)
+    ax.figure.colorbar(scale, ax=ax, shrink=0.8, label=raster.units or "")
+    return ax
+
+
+def view(
+    terrain: "Terrain",
+    *,
+    size: tuple[int, int],
+    camera: str | None,
+    style: "Style",
+    max_pixel_error: float,
+    **options: Any,
+) -> Picture | None:
+    """Open a window until it is closed, or return a picture; see `Terrain.view`."""
+    from terrainwave.render.viewer import run
+
+    if not _in_notebook():
+        try:
+            run(
+                terrain, size=size, camera=camera, style=style, max_pixel_error=max_pixel_error,
+                **options,
+            )  # fmt: skip
+            return None
+        except TerrainwaveError:
+            # No display, no toolkit: what is wrong with the terrain itself is raised again below.
+            pass
+    from terrainwave.render.camera import format_camera
+    from terrainwave.render.offscreen import Offscreen
+    from terrainwave.render.pictures import choose_camera
+
+    with Offscreen(terrain, size, **options) as offscreen:
+        frame = offscreen.scene.frame
+        chosen = choose_camera(frame, offscreen.viewport, camera)
+        pixels, _ = offscreen.picture(chosen, style, max_pixel_error=max_pixel_error)
+    return Picture(pixels, format_camera(chosen, frame))
+
+
+def _in_notebook() -> bool:
+    """Say whether a notebook's kernel runs this: it shows pictures, and a window would block it."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return type(shell).__name__ == "ZMQInteractiveShell"

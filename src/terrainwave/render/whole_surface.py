@@ -1,0 +1,165 @@
+"""One mesh on the GPU, uploaded each frame; one texture of slopes for the whole raster."""
+
+from typing import TYPE_CHECKING, Any
+
+import moderngl
+import numpy as np
+
+from terrainwave.errors import LimitExceededError
+from terrainwave.render.selection import View
+from terrainwave.render.shaders import TERRAIN_FRAGMENT
+from terrainwave.render.surface import OWN_UNIT
+
+if TYPE_CHECKING:
+    from terrainwave.render.modes.mode import Frames
+    from terrainwave.render.modes.whole import Samples
+    from terrainwave.render.scene import Scene
+
+_SLOPES = OWN_UNIT
+_FIRST_BYTES = 1 << 20
+_TEXEL_BYTES = 4
+# The fragment shader reads slopes beside a sample: a ring of texels, and one more to be even.
+_RING = 3
+
+VERTEX = np.dtype([("place", "<f4", 3), ("grid", "<f4", 2), ("size", "<f4")])
+
+_VERTEX_SHADER = """
+#version 330 core
+in vec3 in_place;           // relative to the eye
+in vec2 in_grid;            // column and row of the level in memory
+in float in_size;
+uniform mat4 view_projection;
+uniform float z_scale;
+uniform float eye_z;
+uniform float stride;
+uniform float error;
+out vec3 v_seen;
+out vec2 v_sample;
+out float v_height;         // metres, without exaggeration
+flat out ivec2 v_layers;
+out vec2 v_grid;            // column, row of the full grid
+flat out vec4 v_parent;     // unused, unused, size, error
+void main() {
+    v_seen = in_place;
+    v_sample = in_grid;
+    v_height = (in_place.z + eye_z) / z_scale;
+    v_layers = ivec2(0, -1);
+    v_grid = in_grid * stride;
+    v_parent = vec4(0.0, 0.0, in_size, error);
+    gl_Position = view_projection * vec4(in_place, 1.0);
+}
+"""
+
+
+class WholeStore:
+    """A `Store` of the slopes of one raster, which come at once or in parts."""
+
+    max_blocks = 1 << 20
+
+    def __init__(self, context: Any, *, max_bytes: int) -> None:
+        self._context, self._max_bytes = context, max_bytes
+        self.slopes: Any = None
+        self.side = 0
+
+    @property
+    def n_bytes(self) -> int:
+        """Return the bytes of the texture."""
+        return 0 if self.slopes is None else self.slopes.width * self.slopes.height * _TEXEL_BYTES
+
+    def put(self, node: int, built: Any) -> bool:
+        """Upload slopes; the first time, of all the raster."""
+        samples: Samples = built.samples
+        if self.slopes is None:
+            self._allocate(max(samples.slopes.shape[:2]))
+        # The ring around the raster repeats its border; parts write over each other's.
+        content = np.pad(samples.slopes, ((1, 1), (1, 1), (0, 0)), mode="edge")
+        n_rows, n_cols = content.shape[:2]
+        place = samples.region.col, samples.region.row, 0, n_cols, n_rows, 1
+        self.slopes.write(content.tobytes(), viewport=place)
+        return True
+
+    def _allocate(self, side: int) -> None:
+        size = side + _RING
+        limit = int(self._context.info["GL_MAX_TEXTURE_SIZE"])
+        if size > limit or size * size * _TEXEL_BYTES > self._max_bytes:
+            raise LimitExceededError(
+                f"a raster of {side} samples a side does not fit the memory allowed for pictures;"
+                " --mode adaptive needs less"
+            )
+        self.side = side
+        self.slopes = self._context.texture_array((size, size, 1), 2, dtype="f2", alignment=4)
+        self.slopes.filter = (moderngl.LINEAR, moderngl.LINEAR)
+        self.slopes.repeat_x = self.slopes.repeat_y = False
+
+    def drop(self, node: int) -> None:
+        """Do nothing: slopes stay."""
+
+    def release(self) -> None:
+        """Free the GPU's memory."""
+        if self.slopes is not None:
+            self.slopes.release()
+
+
+class WholeSurface:
+    """A `Surface` of one mesh.
+
+    Parameters
+    ----------
+    context : moderngl.Context
+        OpenGL 3.3 core or newer.
+    """
+
+    n_clip_distances = 0
+
+    def __init__(self, context: Any, *, max_bytes: int) -> None:
+        self._context = context
+        self.store = WholeStore(context, max_bytes=max_bytes)
+        self.program = context.program(
+            vertex_shader=_VERTEX_SHADER.strip(), fragment_shader=TERRAIN_FRAGMENT.strip()
+        )
+        self._vertices = context.buffer(reserve=_FIRST_BYTES, dynamic=True)
+        self._triangles = context.buffer(reserve=_FIRST_BYTES, dynamic=True)
+        self._array: Any = None
+
+    def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
+        """Upload and draw the mesh of the frame."""
+        mode: Any = scene.mode
+        drawn = mode.drawn
+        if drawn is None or not len(drawn.triangles):
+            return 0
+        vertices = np.empty(len(drawn.vertices), dtype=VERTEX)
+        vertices["place"] = drawn.vertices - view.camera.eye
+        vertices["grid"] = mode.grid_places(drawn.vertices)
+        vertices["size"] = drawn.sizes
+        self._upload(vertices.tobytes(), drawn.triangles.astype("<u4").tobytes())
+        for name, value in (
+            ("slopes", _SLOPES), ("side", float(self.store.side)), ("stride", float(mode.stride)),
+            ("eye_z", float(view.camera.eye[2])), ("error", mode.base_error),
+        ):  # fmt: skip
+            if name in self.program:
+                self.program[name] = value
+        self.store.slopes.use(_SLOPES)
+        self._array.render(moderngl.TRIANGLES, vertices=drawn.triangles.size)
+        return 1
+
+    def _upload(self, vertices: bytes, triangles: bytes) -> None:
+        """Fill the buffers, with larger ones where they are too small."""
+        if self._array is None or max(len(vertices), len(triangles)) > self._vertices.size:
+            if self._array is not None:
+                self._array.release()
+            size = max(self._vertices.size, 2 * len(vertices), 2 * len(triangles))
+            self._vertices.orphan(size)
+            self._triangles.orphan(size)
+            self._array = self._context.vertex_array(
+                self.program,
+                [(self._vertices, "3f4 2f4 1f4", "in_place", "in_grid", "in_size")],
+                index_buffer=self._triangles, index_element_size=4,
+            )  # fmt: skip
+        self._vertices.write(vertices)
+        self._triangles.write(triangles)
+
+    def release(self) -> None:
+        """Free the GPU's memory."""
+        for part in (self._array, self._vertices, self._triangles, self.program, self.store):
+            if part is not None:
+                part.release()

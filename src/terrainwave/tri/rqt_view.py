@@ -1,0 +1,659 @@
+"""A restricted quadtree that follows a camera: vertices split and merge from frame to frame.
+
+X. Zheng, Y. Wang, X. Wang, on massive terrain with integer wavelets and restricted quadtrees: a
+vertex is split where its coefficient exceeds a threshold that grows with the distance, and all that
+it depends on with it; it is merged where nothing depends on it any more. `rqt` has the triangles,
+the dependencies and the sources; here the grid is a row of squares of `tile` cells, whose corners
+always are vertices.
+
+A tile is known by every `stride`-th sample, the overview, until it is loaded. Vertices that would
+need more in one of the tiles they touch are not split.
+
+Two errors of a vertex, both made no smaller than those of the vertices that depend on it, so that a
+front from coarse to fine finds all:
+
+* `"paper"`: the coefficient at its place, |h - mean of its four neighbours| (that of the 5/3
+  wavelet's high pass behaves alike). No bound.
+* `"measured"`: the largest vertical distance of the samples of the two triangles that it splits. No
+  sample of a loaded tile is further than τ on screen.
+
+Boxes are nested, too: where all is loaded, a vertex is active exactly where its own error on screen
+is above τ.
+
+Where a mesh ends, at voids and the raster's outline, it ends with whole triangles: a vertex whose
+triangles hold samples and voids has their size as its error. Such errors are stored negative.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._jit import kernel
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.tri.dynamic import Eye
+from terrainwave.tri.rqt import _neighbours
+from terrainwave.tri.triangle import area_of
+
+# Of a view as an array.
+_X, _Y, _Z, _FORWARD, _FOCAL, _SLANT, _Z_SCALE, _LOW, _HIGH = 0, 1, 2, 3, 6, 7, 8, 9, 10
+_IS_BOUND, _MATRIX = 11, 12
+# Nodes that one vertex depends on and that are not active yet: at most a few of each stride.
+_MOST_DEPENDENCIES = 4096
+_FIRST_CAPACITY = 1 << 14
+_ROUNDING = 2.0**-22
+_TINY = 1e-6  # what makes an error negative
+
+
+class RestrictedFrame(NamedTuple):
+    """A mesh for one view.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (n_vertices, 3)
+        Heights are multiplied by the view's factor.
+    triangles : ndarray of int32, shape (n_triangles, 3)
+        Counter-clockwise seen from above.
+    places : ndarray of int32, shape (n_vertices, 2)
+        Row and column of each vertex's sample.
+    n_active : int
+        Vertices of the quadtree, with those in voids.
+    n_touched : int
+        Vertices whose error on screen was computed.
+    n_changed : int
+        Vertices that were split or merged.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    places: NDArray[np.int32]
+    n_active: int
+    n_touched: int
+    n_changed: int
+
+
+class RestrictedMesh:
+    """A raster's restricted quadtree that follows a camera.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns of samples.
+    heights : tuple of float
+        Bounds of all heights.
+    overview : ndarray, shape (ceil(n_rows / stride), ceil(n_cols / stride))
+        Every `stride`-th sample; NaN is void.
+    stride : int
+        A power of two, at most `tile`; 1 has all samples.
+    tile : int
+        Cells per side of a tile: a power of two.
+    sample_matrix, error
+        As for `DynamicMesh`.
+    base_error : float
+        Largest distance of the overview's bilinear surface from what errors count from.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If an argument is none of these.
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        heights: tuple[float, float],
+        overview: NDArray[np.floating],
+        *,
+        stride: int = 1,
+        tile: int = 256,
+        sample_matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
+        error: str = "measured",
+        base_error: float = 0.0,
+    ) -> None:
+        for name, value in (("tile", tile), ("stride", stride)):
+            if value < 1 or value & (value - 1):
+                raise InvalidHeightsError(f"found {name} {value}, expected a power of two")
+        if stride > tile or tile < 2:
+            raise InvalidHeightsError(
+                f"found stride {stride} and tile {tile}, expected 2 <= tile >= stride"
+            )
+        expected = tuple(-(-n // stride) for n in shape)
+        if np.shape(overview) != expected:
+            raise InvalidHeightsError(
+                f"found an overview of shape {np.shape(overview)}, expected {expected}"
+            )
+        if error not in ("measured", "paper"):
+            raise InvalidHeightsError(f"found error {error!r}, expected measured or paper")
+        self.shape, self.tile, self.stride = shape, tile, stride
+        self.n_tiles = tuple(max(-(-(n - 1) // tile), 1) for n in shape)
+        padded = tuple(n * tile + 1 for n in self.n_tiles)
+        self._z = np.full(padded, np.nan, dtype=np.float32)
+        self._z[: shape[0] : stride, : shape[1] : stride] = overview
+        self._errors = np.zeros(padded, dtype=np.float32)
+        coarse = tuple((n - 1) // stride + 1 for n in padded)
+        self._coarse_errors = np.zeros(coarse, dtype=np.float32)
+        self._is_bound = error == "measured"
+        self._heights = heights
+        self._matrix = tuple(float(value) for value in sample_matrix)
+        self._strides = np.full(self.n_tiles, stride, dtype=np.int32)
+        self._n_children = np.zeros(padded, dtype=np.uint8)
+        self._is_active = np.zeros(padded, dtype=np.bool_)
+        self._is_active[::tile, ::tile] = True
+        corners = np.argwhere(self._is_active).astype(np.int32)
+        self._active = np.empty((_FIRST_CAPACITY + len(corners), 2), dtype=np.int32)
+        self._active[: len(corners)] = corners
+        self._n_active = len(corners)
+        self._vertex_of = np.empty(padded, dtype=np.int32)
+        self._stack = np.empty((_MOST_DEPENDENCIES, 6), dtype=np.int64)
+        for row in range(self.n_tiles[0]):
+            for col in range(self.n_tiles[1]):
+                self._measure(row, col, stride, base_error)
+
+    # Tiles
+
+    def tile_shape(self, row: int, col: int) -> tuple[int, int]:
+        """Return the samples of a tile that lie inside the raster."""
+        return (
+            min(self.tile + 1, self.shape[0] - row * self.tile),
+            min(self.tile + 1, self.shape[1] - col * self.tile),
+        )
+
+    def is_loaded(self, row: int, col: int) -> bool:
+        """Say whether all samples of a tile are known."""
+        return bool(self._strides[row, col] == 1)
+
+    def load(
+        self, row: int, col: int, heights: NDArray[np.floating], base_error: float = 0.0
+    ) -> None:
+        """Take all samples of a tile; those it shares with others too.
+
+        Parameters
+        ----------
+        heights : ndarray, shape `tile_shape`
+            NaN is void.
+        base_error : float
+            Largest distance of these samples from what errors count from.
+        """
+        if np.shape(heights) != self.tile_shape(row, col):
+            raise InvalidHeightsError(
+                f"found a tile of shape {np.shape(heights)}, expected {self.tile_shape(row, col)}"
+            )
+        first_row, first_col = row * self.tile, col * self.tile
+        n_rows, n_cols = np.shape(heights)
+        self._z[first_row : first_row + n_rows, first_col : first_col + n_cols] = heights
+        self._strides[row, col] = 1
+        self._measure(row, col, 1, base_error)
+
+    def _measure(self, row: int, col: int, stride: int, base_error: float) -> None:
+        """Take the errors of a tile's vertices, as far as every `stride`-th sample tells."""
+        z = self._z[::stride, ::stride]
+        errors = self._errors if stride == 1 else self._coarse_errors
+        side, base = self.tile // stride, base_error
+        first_row, first_col = row * side, col * side
+        base += float(np.abs(self._heights).max()) * _ROUNDING
+        if stride > 1:
+            part = z[first_row : first_row + side + 1, first_col : first_col + side + 1]
+            # What lies between a cell's bilinear surface and its two triangles.
+            twists = np.abs(part[:-1, :-1] - part[:-1, 1:] - part[1:, :-1] + part[1:, 1:])
+            base += float(np.max(twists, initial=0, where=~np.isnan(twists))) / 4
+        _measure_tile(
+            first_row, first_col, side, base if self._is_bound else 0.0, self._is_bound, z,
+            errors, self._stack,
+        )  # fmt: skip
+
+    # One frame
+
+    def update(self, eye: Eye, tau: float) -> RestrictedFrame:
+        """Return the mesh for a view, within `tau` pixels where tiles are loaded.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If tau is not > 0.
+        """
+        if not tau > 0:
+            raise InvalidHeightsError(f"found tau {tau}, expected > 0")
+        view = self._view(eye)
+        state = (self._errors, self._coarse_errors, self._strides, self.tile, self._is_active)
+        kept, n_touched, n_changed = merge_vertices(
+            *state, self._n_children, self._active, self._n_active, view, eye.planes, tau
+        )
+        self._n_active = kept
+        done = 0
+        while True:
+            done, self._n_active, touched, changed = split_vertices(
+                *state, self._n_children, self._active, done, self._n_active, view, eye.planes,
+                tau, self._stack,
+            )  # fmt: skip
+            n_touched, n_changed = n_touched + touched, n_changed + changed
+            if done == self._n_active:
+                break
+            self._active = np.concatenate([self._active, np.empty_like(self._active)])
+        return self._frame(eye, n_touched, n_changed)
+
+    def _frame(self, eye: Eye, n_touched: int, n_changed: int) -> RestrictedFrame:
+        triangles = np.empty((2 * self._n_active, 3), dtype=np.int32)
+        places = self._active[: self._n_active]
+        at = places[:, 0], places[:, 1]
+        z = self._z[at]
+        is_valid = ~np.isnan(z)
+        self._vertex_of[at] = np.where(is_valid, np.cumsum(is_valid) - 1, -1)
+        a, b, c, d, e, f = self._matrix
+        is_mirrored = a * e < b * d
+        count = draw_triangles(
+            self._z, self._is_active, self.tile, is_mirrored, self._vertex_of, self._stack,
+            triangles,
+        )  # fmt: skip
+        rows, cols = places[is_valid].T.astype(np.float64)
+        vertices = np.column_stack(
+            [a * cols + b * rows + c, d * cols + e * rows + f, z[is_valid] * eye.z_scale]
+        )
+        return RestrictedFrame(
+            vertices, triangles[:count].copy(), places[is_valid].copy(), self._n_active, n_touched,
+            n_changed,
+        )  # fmt: skip
+
+    def _view(self, eye: Eye) -> NDArray[np.float64]:
+        numbers = (
+            *eye.position, *eye.forward, eye.focal, eye.slant, eye.z_scale,
+            *sorted(height * eye.z_scale for height in self._heights), self._is_bound,
+        )  # fmt: skip
+        return np.array([*numbers, *self._matrix], dtype=np.float64)
+
+    def screen_error(self, eye: Eye, row: int, col: int) -> float:
+        """Return a vertex's error on screen, pixels."""
+        error = _known_error(row, col, self.tile, self._errors, self._coarse_errors, self._strides)
+        return float(screen_error(error, row, col, self.tile, self._view(eye), eye.planes))
+
+
+# Errors
+
+
+@kernel
+def _measure_tile(first_row, first_col, side, base, is_bound, z, errors, stack):
+    """Widen the errors of a tile's vertices, finest first."""
+    stride = 1
+    while stride < side:
+        for is_centre in range(2):
+            for row in range(first_row, first_row + side + 1, stride):
+                is_odd = (row // stride) % 2 == 1
+                if is_centre and not is_odd:
+                    continue
+                start = first_col + (stride if is_centre or not is_odd else 0)
+                for col in range(start, first_col + side + 1, 2 * stride):
+                    _measure_vertex(
+                        row, col, stride, first_row, first_col, side, base, is_bound, z, errors
+                    )
+                    _widen_above(row, col, side, errors, stack)
+        stride *= 2
+
+
+@kernel
+def _measure_vertex(row, col, stride, first_row, first_col, side, base, is_bound, z, errors):
+    """Widen the error of one vertex by its triangles in a tile."""
+    r0, c0, r1, c1, r2, c2, r3, c3 = _neighbours(row, col, stride)
+    if not is_bound:
+        _widen(errors, row, col, _coefficient(row, col, r0, c0, r1, c1, r2, c2, r3, c3, z))
+        return
+    for r, c in ((r2, c2), (r3, c3)):
+        if _is_inside(r, c, first_row, first_col, side):
+            found = _distance(r0, c0, r1, c1, r, c, z)
+            found += -base if found < 0 else base
+            _widen(errors, row, col, found * (1 + _ROUNDING))
+
+
+@kernel
+def _widen_above(row, col, tile, errors, stack):
+    """Widen the errors of all that a vertex depends on, in other tiles too."""
+    stack[0, 0], stack[0, 1] = row, col
+    depth = 1
+    while depth > 0:
+        depth -= 1
+        row, col = stack[depth, 0], stack[depth, 1]
+        r2, c2, r3, c3 = _needs(row, col, tile)
+        for r, c in ((r2, c2), (r3, c3)):
+            if 0 <= r < errors.shape[0] and 0 <= c < errors.shape[1]:
+                if _widen(errors, r, c, np.float64(errors[row, col])):
+                    stack[depth, 0], stack[depth, 1] = r, c
+                    depth += 1
+
+
+@kernel
+def _is_inside(row, col, first_row, first_col, side):
+    """Say whether a place lies in a tile."""
+    return first_row <= row <= first_row + side and first_col <= col <= first_col + side
+
+
+@kernel
+def _widen(errors, row, col, error):
+    """Make an error no smaller than another, and negative where either is; say if it changed."""
+    before = errors[row, col]
+    larger = max(abs(np.float64(before)), abs(error))
+    errors[row, col] = -larger if before < 0 or error < 0 else larger
+    return errors[row, col] != before
+
+
+@kernel
+def _coefficient(row, col, r0, c0, r1, c1, r2, c2, r3, c3, z):
+    """Return |h - mean of its neighbours|; a negative number beside a void."""
+    total, count = 0.0, 0
+    for r, c in ((r0, c0), (r1, c1), (r2, c2), (r3, c3)):
+        if 0 <= r < z.shape[0] and 0 <= c < z.shape[1]:
+            total += z[r, c]
+            count += 1
+    detail = abs(z[row, col] - total / count)
+    if not np.isnan(detail):
+        return detail
+    is_void = np.isnan(z[row, col]) and np.isnan(z[r0, c0]) and np.isnan(z[r1, c1])
+    return 0.0 if is_void else -_TINY
+
+
+@kernel
+def _distance(r0, c0, r1, c1, r2, c2, z):
+    """Return the largest distance of samples from a triangle.
+
+    0 where all are void; where some are, the range of the others as a negative number.
+    """
+    area = np.float64(area_of(r0, c0, r1, c1, r2, c2))
+    n_void, largest, low, high = 0, 0.0, np.inf, -np.inf
+    top, bottom = min(r0, r1, r2), max(r0, r1, r2)
+    left, right = min(c0, c1, c2), max(c0, c1, c2)
+    z0, z1, z2 = np.float64(z[r0, c0]), np.float64(z[r1, c1]), np.float64(z[r2, c2])
+    for r in range(top, bottom + 1):
+        for c in range(left, right + 1):
+            one = area_of(r, c, r1, c1, r2, c2) / area
+            two = area_of(r0, c0, r, c, r2, c2) / area
+            three = 1 - one - two
+            if min(one, two, three) < -1e-9:
+                continue
+            if np.isnan(z[r, c]):
+                n_void += 1
+                continue
+            low, high = min(low, z[r, c]), max(high, z[r, c])
+            apart = abs(one * z0 + two * z1 + three * z2 - z[r, c])
+            if apart > largest:
+                largest = apart
+    if n_void:
+        return low - high - _TINY if high >= low else 0.0
+    return largest
+
+
+@kernel
+def _known_error(row, col, tile, errors, coarse_errors, strides):
+    """Return the error of a vertex: the overview's, too, where it touches tiles not loaded."""
+    error = np.float64(errors[row, col])
+    if _is_known(row, col, 1, strides, tile):
+        return error
+    step = tile // ((coarse_errors.shape[0] - 1) // strides.shape[0])
+    if row % step or col % step:
+        return error
+    coarse = np.float64(coarse_errors[row // step, col // step])
+    larger = max(abs(error), abs(coarse))
+    return -larger if min(error, coarse) < 0 else larger
+
+
+@kernel
+def screen_error(error, row, col, tile, view, planes):
+    """Return the error on screen of a vertex with some error: f ε / d; 0 outside the view.
+
+    The box reaches over all that may depend on the vertex: 3 strides each way for centres, 2 for
+    edges. Where errors are bounds, see `dynamic.screen_error`.
+    """
+    if error == 0:
+        return 0.0
+    both = row | col
+    stride = min(both & -both, tile) if both else tile
+    is_centre = (row // stride) % 2 == 1 and (col // stride) % 2 == 1
+    reach = (3 if is_centre else 2) * stride
+    x = view[_MATRIX] * col + view[_MATRIX + 1] * row + view[_MATRIX + 2]
+    y = view[_MATRIX + 3] * col + view[_MATRIX + 4] * row + view[_MATRIX + 5]
+    half_x = (abs(view[_MATRIX]) + abs(view[_MATRIX + 1])) * reach
+    half_y = (abs(view[_MATRIX + 3]) + abs(view[_MATRIX + 4])) * reach
+    low, high = view[_LOW], view[_HIGH]
+    half_z, away_z = (high - low) / 2, (high + low) / 2 - view[_Z]
+    away_x, away_y = x - view[_X], y - view[_Y]
+    for k in range(planes.shape[0]):
+        most = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] * (low + half_z) + planes[k, 3]
+        most += abs(planes[k, 0]) * half_x + abs(planes[k, 1]) * half_y
+        if most + abs(planes[k, 2]) * half_z < 0:
+            return 0.0
+    near_x, near_y = max(abs(away_x) - half_x, 0.0), max(abs(away_y) - half_y, 0.0)
+    near_z = max(abs(away_z) - half_z, 0.0)
+    distance = np.sqrt(near_x * near_x + near_y * near_y + near_z * near_z)
+    if distance == 0:
+        return np.inf
+    is_outline, error = error < 0, abs(error) * view[_Z_SCALE]
+    if is_outline:
+        error = np.sqrt(half_x * half_x + half_y * half_y + error * error)
+    if view[_IS_BOUND] == 0:
+        return view[_FOCAL] * error / distance
+    depth = view[_FORWARD] * away_x + view[_FORWARD + 1] * away_y + view[_FORWARD + 2] * away_z
+    depth -= abs(view[_FORWARD]) * half_x + abs(view[_FORWARD + 1]) * half_y
+    depth = max(depth - abs(view[_FORWARD + 2]) * half_z, distance / view[_SLANT])
+    far_x, far_y, far_z = abs(away_x) + half_x, abs(away_y) + half_y, abs(away_z) + half_z
+    farthest = np.sqrt(far_x * far_x + far_y * far_y + far_z * far_z)
+    return view[_FOCAL] * error * min(farthest / depth, view[_SLANT]) / depth
+
+
+# Splits and merges
+
+
+@kernel
+def _needs(row, col, tile):
+    """Return the two vertices that one depends on; itself twice where it is a tile's corner."""
+    if row % tile == 0 and col % tile == 0:
+        return row, col, row, col
+    both = row | col
+    _, _, _, _, r2, c2, r3, c3 = _neighbours(row, col, both & -both)
+    return r2, c2, r3, c3
+
+
+@kernel
+def _child(row, col, tile, k):
+    """Return the k-th of the four vertices that may depend on one; -1 where there is none."""
+    both = row | col
+    stride = min(both & -both, tile) if both else tile
+    is_corner = row % tile == 0 and col % tile == 0
+    if not is_corner and (row // stride) % 2 == 1 and (col // stride) % 2 == 1:
+        down, right = ((-1, 0), (0, -1), (1, 0), (0, 1))[k]
+        return row + down * stride, col + right * stride
+    half = stride // 2
+    if half == 0:
+        return -1, -1
+    return row + half * (2 * (k >> 1) - 1), col + half * (2 * (k & 1) - 1)
+
+
+@kernel
+def _is_known(row, col, stride, strides, tile):
+    """Say whether all tiles that a place touches have samples of a stride."""
+    for r in range(max((row - 1) // tile, 0), min(row // tile, strides.shape[0] - 1) + 1):
+        for c in range(max((col - 1) // tile, 0), min(col // tile, strides.shape[1] - 1) + 1):
+            if strides[r, c] > stride:
+                return False
+    return True
+
+
+@kernel
+def merge_vertices(
+    errors,
+    coarse_errors,
+    strides,
+    tile,
+    is_active,
+    n_children,
+    active,
+    n_active,
+    view,
+    planes,
+    tau,
+):
+    """Merge vertices that nothing depends on and whose error is not above `tau`, the last first.
+
+    Return how many are left, how many were touched and merged. What a merged vertex depended on was
+    split before it and comes after it here.
+    """
+    n_touched = n_changed = 0
+    for number in range(n_active - 1, -1, -1):
+        row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
+        if n_children[row, col] or (row % tile == 0 and col % tile == 0):
+            continue
+        n_touched += 1
+        error = _known_error(row, col, tile, errors, coarse_errors, strides)
+        if screen_error(error, row, col, tile, view, planes) > tau:
+            continue
+        is_active[row, col] = False
+        n_changed += 1
+        r2, c2, r3, c3 = _needs(row, col, tile)
+        for r, c in ((r2, c2), (r3, c3)):
+            if 0 <= r < errors.shape[0] and 0 <= c < errors.shape[1]:
+                n_children[r, c] -= 1
+    kept = 0
+    for number in range(n_active):
+        if is_active[active[number, 0], active[number, 1]]:
+            active[kept, 0], active[kept, 1] = active[number, 0], active[number, 1]
+            kept += 1
+    return kept, n_touched, n_changed
+
+
+@kernel
+def split_vertices(
+    errors, coarse_errors, strides, tile, is_active, n_children, active, done, n_active, view,
+    planes, tau, stack,
+):  # fmt: skip
+    """Split what depends on active vertices where its error is above `tau`, and all it needs.
+
+    Goes on from the vertex number `done` while there is room in `active`. Return the next vertex,
+    how many are active, how many were touched and split.
+    """
+    n_touched = n_changed = 0
+    n_rows, n_cols = errors.shape
+    while done < n_active:
+        if n_active + 4 * stack.shape[0] > active.shape[0]:
+            return done, n_active, n_touched, n_changed
+        at_row, at_col = np.int64(active[done, 0]), np.int64(active[done, 1])
+        done += 1
+        for k in range(4):
+            row, col = _child(at_row, at_col, tile, k)
+            if row < 0 or col < 0 or row >= n_rows or col >= n_cols or is_active[row, col]:
+                continue
+            n_touched += 1
+            error = _known_error(row, col, tile, errors, coarse_errors, strides)
+            if screen_error(error, row, col, tile, view, planes) <= tau:
+                continue
+            n_more = _activate(
+                row, col, strides, tile, is_active, n_children, active, n_active, stack
+            )
+            n_active += n_more
+            n_changed += n_more
+    return done, n_active, n_touched, n_changed
+
+
+@kernel
+def _activate(row, col, strides, tile, is_active, n_children, active, n_active, stack):
+    """Append a vertex and all inactive ones that it needs; return how many, 0 if one is unknown.
+
+    They are appended so that each comes after those it depends on.
+    """
+    n_rows, n_cols = is_active.shape
+    stack[0, 0], stack[0, 1] = row, col
+    count, done = 1, 0
+    while done < count:
+        row, col = stack[done, 0], stack[done, 1]
+        done += 1
+        both = row | col
+        if not _is_known(row, col, both & -both, strides, tile):
+            return 0
+        r2, c2, r3, c3 = _needs(row, col, tile)
+        for r, c in ((r2, c2), (r3, c3)):
+            is_new = 0 <= r < n_rows and 0 <= c < n_cols and not is_active[r, c]
+            for number in range(done, count):
+                is_new = is_new and not (stack[number, 0] == r and stack[number, 1] == c)
+            if is_new:
+                stack[count, 0], stack[count, 1] = r, c
+                count += 1
+    n_new = 0
+    for number in range(count - 1, -1, -1):
+        row, col = stack[number, 0], stack[number, 1]
+        if is_active[row, col]:
+            continue  # by another way
+        is_active[row, col] = True
+        active[n_active + n_new, 0], active[n_active + n_new, 1] = row, col
+        n_new += 1
+        r2, c2, r3, c3 = _needs(row, col, tile)
+        for r, c in ((r2, c2), (r3, c3)):
+            if 0 <= r < n_rows and 0 <= c < n_cols:
+                n_children[r, c] += 1
+    return n_new
+
+
+# Triangles
+
+
+@kernel
+def draw_triangles(z, is_active, tile, is_mirrored, vertex_of, stack, triangles):
+    """Fill the triangles of the active vertices; return how many there are."""
+    count = 0
+    for row in range(0, z.shape[0] - 1, tile):
+        for col in range(0, z.shape[1] - 1, tile):
+            half = tile // 2
+            r0, c0, r1, c1, r2, c2, r3, c3 = _neighbours(row + half, col + half, half)
+            stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = r0, c0, r1, c1
+            stack[0, 4], stack[0, 5] = r2, c2
+            stack[1, 0], stack[1, 1], stack[1, 2], stack[1, 3] = r0, c0, r1, c1
+            stack[1, 4], stack[1, 5] = r3, c3
+            depth = 2
+            while depth > 0:
+                depth -= 1
+                r0, c0, r1, c1 = stack[depth, 0], stack[depth, 1], stack[depth, 2], stack[depth, 3]
+                r2, c2 = stack[depth, 4], stack[depth, 5]
+                r, c = (r0 + r1) >> 1, (c0 + c1) >> 1
+                is_whole = not ((r0 + r1) & 1 or (c0 + c1) & 1)
+                if is_whole and is_active[r, c]:
+                    stack[depth, 0], stack[depth, 1] = r2, c2
+                    stack[depth, 2], stack[depth, 3] = r0, c0
+                    stack[depth, 4], stack[depth, 5] = r, c
+                    stack[depth + 1, 0], stack[depth + 1, 1] = r1, c1
+                    stack[depth + 1, 2], stack[depth + 1, 3] = r2, c2
+                    stack[depth + 1, 4], stack[depth + 1, 5] = r, c
+                    depth += 2
+                elif is_whole:
+                    count = _add(
+                        r0, c0, r1, c1, r2, c2, is_mirrored, z, vertex_of, triangles, count
+                    )
+                else:
+                    count = _add_in_quad(
+                        r0, c0, r1, c1, r2, c2, is_mirrored, z, is_active, vertex_of, triangles,
+                        count,
+                    )  # fmt: skip
+    return count
+
+
+@kernel
+def _add(r0, c0, r1, c1, r2, c2, is_mirrored, z, vertex_of, triangles, count):
+    """Append a triangle without void corners; return how many there are then."""
+    if np.isnan(z[r0, c0]) or np.isnan(z[r1, c1]) or np.isnan(z[r2, c2]):
+        return count
+    if (area_of(r0, c0, r1, c1, r2, c2) > 0) == is_mirrored:
+        r1, c1, r2, c2 = r2, c2, r1, c1
+    triangles[count, 0], triangles[count, 1] = vertex_of[r0, c0], vertex_of[r1, c1]
+    triangles[count, 2] = vertex_of[r2, c2]
+    return count + 1
+
+
+@kernel
+def _add_in_quad(r0, c0, r1, c1, r2, c2, is_mirrored, z, is_active, vertex_of, triangles, count):
+    """Append one half of a quad of samples; the triangle of three that are valid with its first."""
+    top, left = min(r0, r1, r2), min(c0, c1, c2)
+    is_nw, is_ne = not np.isnan(z[top, left]), not np.isnan(z[top, left + 1])
+    is_sw, is_se = not np.isnan(z[top + 1, left]), not np.isnan(z[top + 1, left + 1])
+    n_valid = int(is_nw) + int(is_ne) + int(is_sw) + int(is_se)
+    if n_valid == 4:
+        return _add(r0, c0, r1, c1, r2, c2, is_mirrored, z, vertex_of, triangles, count)
+    n_top = int(r0 == top) + int(r1 == top) + int(r2 == top)
+    if n_valid < 3 or n_top < 2 or not is_active[top : top + 2, left : left + 2].all():
+        return count
+    # A void corner is replaced by the one across.
+    r0, c0 = (top, left) if is_nw else (top + 1, left + 1)
+    r1, c1 = (top, left + 1) if is_ne else (top + 1, left)
+    r2, c2 = (top + 1, left) if is_sw and is_ne else (top + 1, left + 1)
+    return _add(r0, c0, r1, c1, r2, c2, is_mirrored, z, vertex_of, triangles, count)

@@ -1,0 +1,143 @@
+"""Pixels of the modes whose mesh is made anew each frame; needs OpenGL as `test_pixels` does."""
+
+import numpy as np
+import pytest
+from render.scenes import hills, terrain_of
+from render.test_fronts import cameras
+from scipy.spatial import KDTree
+
+from terrainwave.render.camera import top_view
+from terrainwave.render.offscreen import Offscreen, create_context
+from terrainwave.render.style import Style
+from terrainwave.render.vertex_texture_surface import VERTEX_SHADER
+
+pytestmark = [pytest.mark.gl, pytest.mark.large]
+
+LOUD = (255, 0, 255)
+SIZE = (160, 120)
+MODES = ["dynamic", "rqt", "vertex-texture"]
+
+
+@pytest.fixture(scope="module")
+def context():
+    context = create_context()
+    yield context
+    context.release()
+
+
+@pytest.fixture(autouse=True)
+def no_gl_errors(context):
+    assert context.error == "GL_NO_ERROR"
+    yield
+    assert context.error == "GL_NO_ERROR"
+
+
+@pytest.fixture(scope="module")
+def rough():
+    with terrain_of(np.round(hills(90, 110, 1)).astype(np.int16), max_error=0) as terrain:
+        yield terrain
+
+
+def loud(image):
+    return (image == LOUD).all(axis=2)
+
+
+def eroded(mask, n):
+    """Return the pixels whose neighbours up to n away are all in the mask."""
+    for _ in range(n):
+        padded = np.pad(mask, 1)
+        near = [padded[1 + r : padded.shape[0] - 1 + r, 1 + c : padded.shape[1] - 1 + c]
+                for r in (-1, 0, 1) for c in (-1, 0, 1)]  # fmt: skip
+        mask = np.logical_and.reduce(near)
+    return mask
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, mode):
+    style = Style(background=LOUD, coloring="flat")
+    options = {"samples": 0, "context": context}
+    with (
+        Offscreen(rough, SIZE, mode="full", **options) as full,
+        Offscreen(rough, SIZE, mode=mode, **options) as coarse,
+    ):
+        counts = set()
+        for tau in (1.0, 5.0):
+            for camera in cameras(full.scene.frame, 4, seed=2):
+                reference, _ = full.picture(camera, style)
+                image, frames = coarse.picture(camera, style, max_pixel_error=tau)
+                # Outlines against the background may move by τ and a pixel.
+                inside = eroded(~loud(reference), int(np.ceil(tau)) + 1)
+                outside = eroded(loud(reference), int(np.ceil(tau)) + 1)
+                assert inside.sum() > 300
+                assert (loud(image) & inside).sum() == 0
+                assert (~loud(image) & outside).sum() == 0
+                counts.add(frames.n_triangles)
+        assert len(counts) > 4
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_voids_are_as_in_the_full_terrain(context, mode):
+    heights = np.round(hills(70, 80, 2)).astype(np.int16)
+    heights[20:40, 30:55] = -32768
+    style = Style(background=LOUD, coloring="flat")
+    options = {"samples": 0, "context": context}
+    with (
+        terrain_of(heights, max_error=0, nodata=-32768) as terrain,
+        Offscreen(terrain, SIZE, mode="full", **options) as full,
+        Offscreen(terrain, SIZE, mode=mode, **options) as coarse,
+    ):
+        camera = top_view(full.scene.frame.box, full.viewport)
+        reference, _ = full.picture(camera, style)
+        image, _ = coarse.picture(camera, style, max_pixel_error=0.2)
+        assert eroded(loud(reference), 2).sum() > 50
+        assert (loud(image) & eroded(~loud(reference), 2)).sum() == 0
+        assert (~loud(image) & eroded(loud(reference), 2)).sum() == 0
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_picture_is_that_of_the_full_terrain_but_for_tau(context, rough, mode):
+    """Shades come from slopes of all samples, so that a fine mesh looks like the full one."""
+    style = Style(background=LOUD)
+    options = {"samples": 0, "context": context}
+    with (
+        Offscreen(rough, SIZE, mode="full", **options) as full,
+        Offscreen(rough, SIZE, mode=mode, **options) as coarse,
+    ):
+        camera = top_view(full.scene.frame.box, full.viewport)
+        reference, _ = full.picture(camera, style)
+        image, _ = coarse.picture(camera, style, max_pixel_error=0.1)
+        inside = eroded(~loud(reference), 2)
+        apart = np.abs(image.astype(int) - reference).max(axis=2)[inside]
+        assert np.quantile(apart, 0.99) <= 6
+
+
+def test_the_vertex_shader_moves_samples_to_the_vertices_of_the_dynamic_mesh(context, rough):
+    """The set of places that full grids have on the GPU, with geomorph off, against the CPU's."""
+    with Offscreen(rough, SIZE, mode="vertex-texture", samples=0, context=context) as offscreen:
+        offscreen.scene.mode.morph = 1.0
+        surface, n_checked = offscreen.surface, 0
+        program = context.program(
+            vertex_shader=VERTEX_SHADER.strip(), varyings=["v_seen", "gl_ClipDistance"]
+        )
+        array = context.vertex_array(
+            program,
+            [(surface.places, "2u2", "in_place"), (surface.patches, "4f4/i", "in_patch")],
+        )
+        for camera in cameras(offscreen.scene.frame, 3, seed=4):
+            offscreen.draw(camera, Style(), max_pixel_error=3.0)
+            view = offscreen.scene.view(camera, offscreen.viewport, 3.0)
+            n = surface.prepare(offscreen.scene, view, program)
+            program["z_scale"] = 1.0
+            buffer = context.buffer(reserve=n * 257 * 257 * 16)
+            array.transform(buffer, instances=n)
+            found = np.frombuffer(buffer.read(), dtype=np.float32).reshape(-1, 4)
+            buffer.release()
+            moved = np.unique(found[found[:, 3] > 0, :3], axis=0).astype(float) + camera.eye
+            expected = offscreen.scene.mode.drawn.vertices
+            # Metres; the GPU's are float32 relative to the eye.
+            assert KDTree(moved).query(expected)[0].max() < 0.01
+            assert KDTree(expected).query(moved)[0].max() < 0.01
+            n_checked += len(expected)
+        array.release()
+        program.release()
+        assert n_checked > 300

@@ -1,0 +1,104 @@
+"""Modes whose mesh is made anew each frame, without a GPU: what is drawn, what is read."""
+
+import numpy as np
+import pytest
+from render.scenes import ListStore, hills, terrain_of
+from tri.slow_dynamic import surfaces_at
+
+from terrainwave.render.camera import Camera, Viewport, home, project
+from terrainwave.render.modes import rqt
+from terrainwave.render.scene import Scene
+
+pytestmark = pytest.mark.large
+
+VIEWPORT = Viewport(320, 240)
+
+
+@pytest.fixture(scope="module")
+def small():
+    with terrain_of(np.round(hills(40, 50, 1)).astype(np.int16), max_error=0) as terrain:
+        yield terrain
+
+
+def cameras(frame, n, seed=1):
+    rng = np.random.default_rng(seed)
+    low, high = frame.box
+    for _ in range(n):
+        x, y = rng.uniform(low[:2], high[:2])
+        z = high[2] + rng.uniform(30, 0.4 * (high - low).max())
+        heading = np.degrees(np.arctan2(-x, -y)) + rng.uniform(-60, 60)
+        yield Camera((x, y, z), heading % 360, rng.uniform(-80, -15), rng.uniform(30, 80))
+
+
+def largest_error(scene, camera, every):
+    """How far originals in view are on screen from the mesh drawn, pixels; NaN if none is."""
+    heights = scene.terrain.read()
+    rows, cols = np.divmod(np.arange(0, heights.size, every), heights.shape[1])
+    xy = scene.frame.samples_to_local(rows, cols)
+    points = np.column_stack([xy, heights[rows, cols] * scene.frame.exaggeration])
+    seen = project(camera, VIEWPORT, points)
+    found = [np.nan]
+    for point, pixel in zip(points, seen, strict=True):
+        if not (0 <= pixel[0] <= VIEWPORT.width and 0 <= pixel[1] <= VIEWPORT.height):
+            continue
+        over = surfaces_at(scene.mode.drawn, *point[:2])
+        if len(over):
+            above = np.column_stack([np.tile(point[:2], (len(over), 1)), over])
+            apart = project(camera, VIEWPORT, above)[:, :2] - pixel[:2]
+            found.append(float(np.linalg.norm(apart, axis=1).max()))
+    return np.nanmax(found)
+
+
+@pytest.mark.parametrize("mode", ["dynamic", "rqt", "vertex-texture"])
+def test_originals_are_within_tau_of_what_is_drawn(small, mode):
+    with Scene(small, ListStore(), mode=mode, exaggeration=1.5) as scene:
+        found = []
+        for tau in (1.5, 8.0):
+            for camera in cameras(scene.frame, 2):
+                frames = scene.settle(scene.view(camera, VIEWPORT, tau))
+                assert frames.tau == tau
+                assert frames.n_triangles == len(scene.mode.drawn.triangles)
+                found.append(largest_error(scene, camera, 13) / tau)
+        assert 0.05 < np.nanmax(found) <= 1
+
+
+@pytest.mark.parametrize("mode", ["dynamic", "rqt"])
+def test_a_larger_tau_draws_fewer_triangles(small, mode):
+    with Scene(small, ListStore(), mode=mode) as scene:
+        camera = home(scene.frame.box, VIEWPORT)
+        counts = [
+            scene.settle(scene.view(camera, VIEWPORT, tau)).n_triangles for tau in (1.0, 8.0, 60.0)
+        ]
+        assert counts[0] > counts[1] > counts[2] > 0
+
+
+def test_from_high_up_the_overview_is_drawn_alone(monkeypatch):
+    """Tiles come with the view, near ones first; what they replace stands in for them."""
+    monkeypatch.setattr(rqt, "TILE", 16)
+    heights = np.round(hills(60, 70, 3)).astype(np.int16)
+    store = ListStore()
+    with terrain_of(heights, max_error=0) as terrain, Scene(terrain, store, mode="rqt") as scene:
+        stride = scene.mode._overview_stride
+        assert stride > 1
+        high = Camera((0.0, 0.0, 1e6), 0, -90, 50)
+        scene.settle(scene.view(high, VIEWPORT, 1.0))
+        assert len(store.patches) == 1
+        assert (scene.mode.frame_mesh.places % stride == 0).all()
+        low, top = scene.frame.box
+        near = Camera((float(low[0]), 0.0, float(top[2]) + 50), 90, -35, 30)
+        view = scene.view(near, VIEWPORT, 1.0)
+        first = scene.update(view)
+        assert first.n_missing > 0
+        assert first.n_triangles > 0
+        scene.settle(view)
+        assert 1 < len(store.patches) < 1 + 4 * 5
+        assert (scene.mode.frame_mesh.places % stride != 0).any()
+
+
+def test_a_raster_of_one_row_draws_nothing():
+    heights = np.arange(9, dtype=np.int16)[None]
+    with terrain_of(heights, max_error=0) as terrain:
+        for mode in ("dynamic", "rqt"):
+            with Scene(terrain, ListStore(), mode=mode) as scene:
+                view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT)
+                assert scene.settle(view).n_triangles == 0

@@ -1,0 +1,94 @@
+"""`Terrain.plot` and `Terrain.view` where there is no window."""
+
+import io
+import sys
+
+import numpy as np
+import pytest
+from render.scenes import hills, terrain_of
+
+from terrainwave.errors import InvalidHeightsError
+
+
+@pytest.fixture
+def terrain():
+    heights = np.round(hills(45, 61, 3)).astype(np.int16)
+    heights[5:9, 7:12] = -32768
+    with terrain_of(heights, max_error=0, nodata=-32768) as terrain:
+        yield terrain
+
+
+@pytest.fixture
+def ax():
+    from matplotlib.figure import Figure
+
+    return Figure().subplots()
+
+
+def test_a_map_lies_in_the_coordinates_of_the_crs_and_voids_are_clear(terrain, ax):
+    assert terrain.plot(ax) is ax
+    left, bottom, right, top = terrain.bounds
+    assert ax.images[0].get_extent() == pytest.approx([left, right, bottom, top])
+    rgba = np.asarray(ax.images[0].get_array())
+    assert rgba.shape == (45, 61, 4)
+    np.testing.assert_array_equal(rgba[..., 3] == 0, terrain.read() == -32768)
+
+
+def test_a_map_is_lit_from_the_north_west_and_only_shaded_as_asked(terrain, ax):
+    terrain.plot(ax, shade=0.0, cmap="gray")
+    plain = np.asarray(ax.images[0].get_array())[..., 0]
+    heights = terrain.read(masked=True).astype(float)
+    share = ((heights - heights.min()) / (heights.max() - heights.min())).filled(np.nan)
+    known = ~np.isnan(share)
+    assert np.abs(plain - share)[known].max() < 1 / 200
+    terrain.plot(ax, shade=1.0, cmap="gray")
+    shaded = np.asarray(ax.images[-1].get_array())[..., 0]
+    lit = np.divide(shaded, plain, out=np.zeros_like(plain), where=plain > 0.05)
+    away = np.gradient(np.where(known, heights.filled(0), 0))
+    faces_light = away[1] + away[0]  # rises to the east and to the south: towards the light
+    clear = known & (plain > 0.05)
+    clear[3:11, 5:14] = False
+    assert lit[clear & (faces_light > 20)].mean() > lit[clear & (faces_light < -20)].mean() + 0.1
+
+
+def test_a_map_of_a_part_shows_that_part(terrain, ax):
+    left, bottom, _, _ = terrain.bounds
+    terrain.plot(ax, bounds=(left, bottom, left + 600, bottom + 300))
+    assert ax.images[0].get_extent() == pytest.approx([left, left + 600, bottom, bottom + 300])
+
+
+def test_a_shade_out_of_range_is_refused(terrain, ax):
+    with pytest.raises(InvalidHeightsError, match="found shade 2, expected 0 … 1"):
+        terrain.plot(ax, shade=2)
+
+
+@pytest.mark.gl
+@pytest.mark.large
+def test_a_notebook_gets_a_picture(terrain, monkeypatch, tmp_path):
+    class ZMQInteractiveShell:
+        pass
+
+    class IPython:
+        get_ipython = staticmethod(ZMQInteractiveShell)
+
+    monkeypatch.setitem(sys.modules, "IPython", IPython)
+    picture = terrain.view(size=(120, 90))
+    assert picture.pixels.shape == (90, 120, 3)
+    assert len(np.unique(picture.pixels.reshape(-1, 3), axis=0)) > 100
+    from matplotlib.image import imread
+
+    shown = np.round(imread(io.BytesIO(picture._repr_png_()))[..., :3] * 255)
+    np.testing.assert_array_equal(shown, picture.pixels)
+    picture.save(tmp_path / "a.png")
+    assert (tmp_path / "a.png").read_bytes() == picture._repr_png_()
+    again = terrain.view(size=(120, 90), camera=picture.camera)
+    np.testing.assert_array_equal(again.pixels, picture.pixels)
+
+
+@pytest.mark.gl
+@pytest.mark.large
+@pytest.mark.filterwarnings("ignore::PendingDeprecationWarning")  # of moderngl-window's PyGLM
+def test_without_a_display_a_picture_stands_in_for_the_window(terrain, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    assert terrain.view(size=(60, 40), mode="full").pixels.shape == (40, 60, 3)

@@ -1,0 +1,437 @@
+import numpy as np
+import pytest
+from tri.slow_dynamic import (
+    VIEWPORT,
+    areas,
+    drawn_samples,
+    eye_of,
+    pixel_errors,
+    random_camera,
+    roots_of_samples,
+    snapped,
+    surfaces_at,
+    triangles_of,
+)
+
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.render.camera import Camera, project
+from terrainwave.tri.dynamic import INNER, ROOT, DynamicMesh, mark_bottom_up, step_top_down
+from terrainwave.tri.haar import ERROR, HIGH, LOW, OUTLINE, build_tree
+
+NORTH_UP = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
+
+
+def rough(shape, seed=1, amplitude=4.0):
+    """Steps, slopes and noise of mixed sizes."""
+    rng = np.random.default_rng(seed)
+    rows, cols = np.indices(shape)
+    heights = amplitude * np.sin(rows / 5) * np.cos(cols / 7) + 0.3 * rows
+    heights += np.where(cols > shape[1] // 2, rng.normal(size=shape) * amplitude / 4, 0)
+    return heights
+
+
+def with_void(shape):
+    mask = np.ones(shape, dtype=bool)
+    mask[3:6, 4:9] = False
+    mask[-4:, -3:] = False
+    return mask
+
+
+def cameras(shape, n, seed=1):
+    rng = np.random.default_rng(seed)
+    return [random_camera(rng, shape) for _ in range(n)]
+
+
+CASES = [((16, 16), 16, False), ((16, 24), 8, False), ((13, 19), 8, True), ((5, 3), 4, False)]
+
+
+# The tree
+
+
+def test_parents_are_means_and_the_papers_error_is_the_largest_haar_coefficient():
+    # By hand: (1 + 3 + 5 + 11) / 4 = 5; ¼|1 - 3 + 5 - 11| = 2, ¼|1 + 3 - 5 - 11| = 3,
+    # ¼|1 - 3 - 5 + 11| = 1.
+    tree = build_tree(np.array([[1.0, 3.0], [5.0, 11.0]]), patch=2, error="paper")
+    assert tree.z.tolist() == [1, 3, 5, 11, 5]
+    assert tree.bounds.tolist() == [[3, 1, 11]]
+
+
+def test_voids_do_not_count_and_nodes_at_an_outline_have_no_error():
+    heights = np.array([[1.0, 3.0, np.nan], [5.0, np.nan, np.nan]])
+    tree = build_tree(heights, patch=2)
+    np.testing.assert_array_equal(tree.z[-2:], [3, np.nan])
+    np.testing.assert_array_equal(tree.bounds[:, ERROR], [OUTLINE, 0])
+
+
+def test_a_plane_has_no_measured_error_whatever_its_slope():
+    rows, cols = np.indices((32, 32))
+    tree = build_tree(3.0 * rows - 7.0 * cols, patch=32)
+    inner = tree.bounds[tree.bounds[:, ERROR] != OUTLINE]
+    assert len(inner) > 100
+    assert np.abs(inner[:, ERROR]).max() < 1e-4
+
+
+def test_errors_and_boxes_of_parents_hold_those_of_children():
+    tree = build_tree(rough((32, 32)), patch=32)
+    first = int(tree.layout[1, 0])
+    for height in range(2, 6):
+        start, n_rows, n_cols = tree.layout[height].tolist()
+        below = int(tree.layout[height - 1, 0])
+        own = tree.bounds[start - first :][: n_rows * n_cols].reshape(n_rows, n_cols, 3)
+        children = tree.bounds[below - first :][: 4 * n_rows * n_cols]
+        children = children.reshape(2 * n_rows, 2 * n_cols, 3)
+        for r in (0, 1):
+            for c in (0, 1):
+                child = children[r::2, c::2]
+                is_outline = own[..., ERROR] == OUTLINE
+                assert (is_outline | (own[..., ERROR] >= child[..., ERROR])).all()
+                assert (is_outline | (child[..., ERROR] != OUTLINE)).all()
+                assert (own[..., LOW] <= child[..., LOW]).all()
+                assert (own[..., HIGH] >= child[..., HIGH]).all()
+
+
+@pytest.mark.parametrize(
+    ("heights", "options", "words"),
+    [
+        (np.zeros(3), {}, "shape"),
+        (np.zeros((2, 2)), {"patch": 6}, "power of two"),
+        (np.zeros((2, 2)), {"error": "none"}, "measured or paper"),
+        (np.zeros((2, 2)), {"mask": np.ones((2, 3), dtype=bool)}, "mask"),
+    ],
+)
+def test_what_is_no_raster_is_refused(heights, options, words):
+    with pytest.raises(InvalidHeightsError, match=words):
+        build_tree(heights, **options)
+
+
+# Marking
+
+
+@pytest.mark.parametrize("error", ["measured", "paper"])
+@pytest.mark.parametrize(("shape", "patch", "has_void"), CASES)
+def test_the_first_marks_are_those_of_the_definition(shape, patch, has_void, error):
+    mask = with_void(shape) if has_void else None
+    for camera in cameras(shape, 4):
+        mesh = DynamicMesh(
+            rough(shape), mask=mask, sample_matrix=NORTH_UP, patch=patch, error=error
+        )
+        eye = eye_of(camera)
+        frame = mesh.update(eye, 3.0)
+        expected = roots_of_samples(mesh, eye, 3.0)
+        vertices = {tuple(node) for node in frame.nodes.tolist()}
+        assert len(vertices) == len(frame.nodes)
+        assert vertices == {root for root in expected.values() if _has_height(mesh, root)}
+
+
+def _has_height(mesh, node):
+    first, _, n_cols = mesh.tree.layout[node[0]].tolist()
+    return not np.isnan(mesh.tree.z[first + node[1] * n_cols + node[2]])
+
+
+@pytest.mark.parametrize("is_stepwise", [False, True])
+def test_following_a_camera_ends_where_marking_all_nodes_does(is_stepwise):
+    shape = (24, 24)
+    followed = DynamicMesh(rough(shape), sample_matrix=NORTH_UP, patch=8)
+    n_roots = set()
+    for camera in cameras(shape, 8):
+        eye = eye_of(camera)
+        frame = followed.update(eye, 4.0, is_stepwise=is_stepwise)
+        n_steps = 1
+        while is_stepwise and frame.n_changed:
+            frame = followed.update(eye, 4.0, is_stepwise=True)
+            n_steps += 1
+        # A change of all heights takes one step each, and one more to see that nothing is left.
+        assert n_steps <= 5
+        tree, marks = followed.tree, np.empty_like(followed.marks)
+        view = followed._view(eye)
+        mark_bottom_up(tree.layout, tree.z, tree.bounds, view, eye.planes, 4.0, marks)
+        np.testing.assert_array_equal(followed.marks, marks)
+        n_roots.add(len(frame.nodes))
+    assert len(n_roots) > 4
+
+
+def test_a_step_changes_one_height_and_settling_all():
+    shape = (16, 16)
+    near, far = Camera((8, -8, 40), 0, -80, 60), Camera((8, -8, 1e7), 0, -80, 60)
+    stepped = DynamicMesh(rough(shape), sample_matrix=NORTH_UP, patch=16)
+    settled = DynamicMesh(rough(shape), sample_matrix=NORTH_UP, patch=16)
+    for mesh in (stepped, settled):
+        assert len(mesh.update(eye_of(far), 1.0).vertices) == 1
+    assert len(stepped.update(eye_of(near), 1.0, is_stepwise=True).vertices) == 4
+    assert len(settled.update(eye_of(near), 1.0).vertices) > 16
+
+
+def test_a_view_that_stays_touches_only_what_it_shows():
+    """Not the nodes below roots (§3.4): those that are drawn, and the nodes above them."""
+    mesh = DynamicMesh(rough((32, 32)), sample_matrix=NORTH_UP, patch=32)
+    eye = eye_of(Camera((16, -40, 20), 0, -30, 40))
+    mesh.update(eye, 6.0)
+    frame = mesh.update(eye, 6.0)
+    assert frame.n_changed == 0
+    drawn = np.count_nonzero((mesh.marks == ROOT) | (mesh.marks == INNER))
+    assert drawn / 4 < frame.n_touched <= drawn < 0.7 * mesh.n_nodes
+    assert frame.touched_share == frame.n_touched / mesh.n_nodes
+    tree, view = mesh.tree, mesh._view(eye)
+    before = mesh.marks.copy()
+    n_touched, n_changed = step_top_down(
+        tree.layout, tree.z, tree.bounds, view, eye.planes, 6.0, mesh._stack, mesh.marks
+    )
+    assert (n_touched, n_changed) == (drawn, 0)
+    np.testing.assert_array_equal(mesh.marks, before)
+
+
+# The mesh
+
+
+@pytest.mark.parametrize("error", ["measured", "paper"])
+@pytest.mark.parametrize(("shape", "patch", "has_void"), CASES)
+def test_fans_are_the_full_grid_with_all_samples_at_their_roots(shape, patch, has_void, error):
+    mask = with_void(shape) if has_void else np.ones(shape, dtype=bool)
+    sizes = set()
+    for camera in cameras(shape, 6):
+        mesh = DynamicMesh(
+            rough(shape), mask=mask, sample_matrix=NORTH_UP, patch=patch, error=error
+        )
+        eye = eye_of(camera)
+        frame = mesh.update(eye, 3.0)
+        roots = roots_of_samples(mesh, eye, 3.0)
+        padded = np.zeros(tuple(mesh.tree.layout[0, 1:]), dtype=bool)
+        padded[: shape[0], : shape[1]] = mask
+        assert triangles_of(frame) == snapped(roots, padded)
+        sizes |= set(frame.nodes[:, 0].tolist())
+    assert len(sizes) > (max(shape) > 8)
+
+
+def test_a_mesh_is_watertight_and_covers_the_area_once():
+    """Patches of very different roots side by side; no edge is open but on the outline."""
+    shape, rng = (32, 32), np.random.default_rng(5)
+    heights = rng.normal(size=shape) * (rng.random(shape) > 0.995) * 9
+    mesh = DynamicMesh(heights, sample_matrix=NORTH_UP, patch=16, error="paper")
+    n_mixed = 0
+    for camera in cameras(shape, 6, seed=2):
+        frame = mesh.update(eye_of(camera)._replace(planes=np.empty((0, 4))), 1.0)
+        assert (areas(frame) > 0).all()
+        edges = {tuple(e) for k in range(3) for e in frame.triangles[:, [k, (k + 1) % 3]].tolist()}
+        assert len(edges) == 3 * len(frame.triangles)
+        open_edges = {(a, b) for a, b in edges if (b, a) not in edges}
+        side = 1 << frame.nodes[:, 0]
+        on_outline = (frame.nodes[:, 1:] == 0) | (
+            (frame.nodes[:, 1:] + 1) * side[:, None] == shape[0]
+        )
+        assert all((on_outline[a] & on_outline[b]).any() for a, b in open_edges)
+        for x, y in rng.uniform(1, 30, (200, 2)):
+            row, col = round(y), round(x)
+            root = drawn_samples(frame, shape)[row, col]
+            is_inside = 0 < root[0] < 31 and -31 < root[1] < 0
+            assert len(surfaces_at(frame, x, -y)) <= 1 + (not is_inside)
+        n_mixed += np.ptp(frame.nodes[:, 0]) > 2
+        # One component with one border: V - E + F = 1.
+        n_edges = (len(edges) + len(open_edges)) // 2
+        if len(frame.triangles):
+            assert len(frame.vertices) - n_edges + len(frame.triangles) == 1
+    assert n_mixed > 2
+
+
+@pytest.mark.parametrize("matrix", [(2, 0, 5, 0, 3, 1), (0, 2, 0, 3, 0, 0), (1, 1, 0, -1, 1, 9)])
+def test_triangles_are_counter_clockwise_and_vertices_placed_by_the_matrix(matrix):
+    heights = rough((8, 8))
+    mesh = DynamicMesh(heights, sample_matrix=matrix, patch=8)
+    frame = mesh.update(eye_of(Camera((8, 8, 20), 0, -90, 120), z_scale=2.0), 1e-6)
+    assert len(frame.vertices) == 64
+    assert (areas(frame) > 0).all()
+    _, rows, cols = frame.nodes.T
+    a, b, c, d, e, f = matrix
+    x, y = a * cols + b * rows + c, d * cols + e * rows + f
+    expected = np.column_stack([x, y, 2 * heights[rows, cols].astype(np.float32)])
+    np.testing.assert_allclose(frame.vertices, expected, rtol=0, atol=1e-12)
+
+
+# Guarantees
+
+
+@pytest.mark.parametrize("morph", [1.0, 1.5])
+@pytest.mark.parametrize(("shape", "patch", "has_void"), CASES[1:3])
+def test_no_sample_is_further_than_tau_on_screen(shape, patch, has_void, morph):
+    heights, mask = rough(shape), with_void(shape) if has_void else np.ones(shape, dtype=bool)
+    mesh = DynamicMesh(heights, mask=mask, sample_matrix=NORTH_UP, patch=patch)
+    used, coarsest = [], 0
+    for tau in (2.0, 12.0):
+        for camera in cameras(shape, 5, seed=3):
+            frame = mesh.update(eye_of(camera), tau, morph=morph)
+            errors = pixel_errors(frame, heights, mask, camera)
+            assert errors.max(initial=0) <= tau
+            used.append(errors.max(initial=0) / tau)
+            coarsest = max(coarsest, int(frame.nodes[:, 0].max(initial=0)))
+    assert max(used) > 0.2
+    assert coarsest > 1
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("morph", [1.0, 1.3])
+def test_no_sample_of_a_larger_raster_is_further_than_tau_on_screen(morph):
+    shape = (128, 128)
+    heights, mask = 3 * rough(shape), np.ones(shape, dtype=bool)
+    heights[40:90, 30:60] = 10.0
+    mask[60:64, 70:75] = False
+    mesh = DynamicMesh(heights, mask=mask, sample_matrix=NORTH_UP, patch=64)
+    for camera in cameras(shape, 4, seed=4):
+        frame = mesh.update(eye_of(camera, z_scale=1.5), 2.5, morph=morph)
+        errors = pixel_errors(frame, heights, mask, camera, z_scale=1.5, every=37)
+        assert errors.max(initial=0) <= 2.5
+
+
+def test_what_heights_are_off_by_counts():
+    mesh, exact = (
+        DynamicMesh(rough((16, 16)), sample_matrix=NORTH_UP, patch=16, base_error=base)
+        for base in (0.5, 0.0)
+    )
+    eye = eye_of(Camera((8, -30, 12), 0, -20, 40))
+    errors, without = (found.screen_errors(eye, 2) for found in (mesh, exact))
+    assert (errors > without).sum() > 4
+    assert (errors >= without).all()
+
+
+def test_the_budget_is_kept_and_tau_sinks_again():
+    mesh = DynamicMesh(rough((32, 32)), sample_matrix=NORTH_UP, patch=16)
+    eye = eye_of(Camera((16, -16, 30), 0, -80, 60))
+    free = mesh.update(eye, 1.0)
+    assert len(free.vertices) > 200
+    tight = mesh.update(eye, 1.0, max_vertices=200)
+    assert len(tight.vertices) <= 200
+    assert tight.tau > 1.0
+    for _ in range(200):
+        again = mesh.update(eye, 1.0, max_vertices=1024)
+    assert again.tau == 1.0
+    assert len(again.vertices) == len(free.vertices)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"tau": 0.0}, "tau"),
+        ({"tau": float("nan")}, "tau"),
+        ({"tau": 1.0, "morph": 0.5}, "morph"),
+        ({"tau": 1.0, "max_vertices": 3}, "per patch: 4"),
+    ],
+)
+def test_options_out_of_range_are_refused(options, words):
+    mesh = DynamicMesh(rough((8, 8)), patch=4)
+    with pytest.raises(InvalidHeightsError, match=words):
+        mesh.update(eye_of(Camera((0, 0, 9))), **options)
+
+
+# Morphs
+
+
+def largest_jumps(mesh, shape, n_steps, morph):
+    """The largest way that a sample's root is drawn away from where it was a step before."""
+    jumps, before = [], None
+    for share in np.linspace(0, 1, n_steps):
+        # Nothing is out of view: nodes jump where they are.
+        eye = eye_of(Camera((8 + 4 * share, -60 + 30 * share, 20), 0, -20, 40))
+        eye = eye._replace(planes=np.empty((0, 4)))
+        drawn = drawn_samples(mesh.update(eye, 3.0, morph=morph), shape)
+        if before is not None:
+            jumps.append(float(np.abs(drawn - before).max()))
+        before = drawn
+    return max(jumps)
+
+
+@pytest.mark.parametrize("error", ["measured", "paper"])
+def test_nothing_jumps_with_a_morph(error):
+    """A tenth of the step makes a tenth of the way; without a morph vertices jump all the same."""
+    shape = (16, 16)
+    meshes = [
+        DynamicMesh(rough(shape), sample_matrix=NORTH_UP, patch=16, error=error) for _ in range(3)
+    ]
+    coarse = largest_jumps(meshes[0], shape, 41, 2.0)
+    fine = largest_jumps(meshes[1], shape, 401, 2.0)
+    assert fine < 0.25 * coarse
+    assert fine < 0.3
+    assert largest_jumps(meshes[2], shape, 401, 1.0) > 0.4
+
+
+def test_children_lie_at_their_parent_when_it_merges():
+    """On the way there they are between the two, by the share of the parent's error (§3.6)."""
+    heights = np.zeros((4, 4))
+    heights[1, 1] = 1.0
+    mesh = DynamicMesh(heights, sample_matrix=NORTH_UP, patch=4)
+    eye = eye_of(Camera((1.5, -40, 20), 0, -25, 40))
+    error = mesh.screen_errors(eye, 1)[0, 0]
+    for share in (0.0, 0.25, 1.0):
+        # (error − τ/2) / (τ − τ/2) = share
+        tau = 2 * error / (1 + share) * (1 - 1e-9)
+        frame = mesh.update(eye, tau, morph=2.0)
+        node = [tuple(node) for node in frame.nodes.tolist()].index((0, 1, 1))
+        place = np.array([0.5, -0.5, 0.25])
+        place += share * (np.array([1.0, -1.0, 1.0]) - place)
+        np.testing.assert_allclose(frame.vertices[node], place, atol=1e-6)
+
+
+def test_errors_on_screen_bound_what_a_step_in_a_box_moves():
+    """Against differences of projections of points in the box."""
+    rng = np.random.default_rng(7)
+    heights = rough((16, 16))
+    mesh = DynamicMesh(heights, sample_matrix=NORTH_UP, patch=16)
+    first = int(mesh.tree.layout[1, 0])
+    n_checked = 0
+    for camera in cameras((16, 16), 20, seed=8):
+        errors = mesh.screen_errors(eye_of(camera), 2)
+        for row, col in np.ndindex(4, 4):
+            node = int(mesh.tree.layout[2, 0]) + 4 * row + col - first
+            error, low, high = mesh.tree.bounds[node]
+            if error == OUTLINE:
+                continue
+            xy = rng.uniform(-4, 4, (50, 2)) + np.array([4 * col + 1.5, -4 * row - 1.5])
+            z = rng.uniform(low, high - min(error, high - low), 50)
+            points = np.column_stack([xy, z])
+            moved = points + np.array([0, 0, min(error, high - low)])
+            a, b = (project(camera, VIEWPORT, p) for p in (points, moved))
+            is_seen = (np.abs(a[:, :2] - (160, 120)) < (160, 120)).all(axis=1)
+            is_seen &= (np.abs(b[:, :2] - (160, 120)) < (160, 120)).all(axis=1)
+            apart = np.linalg.norm(a[is_seen, :2] - b[is_seen, :2], axis=1)
+            assert apart.max(initial=0) <= errors[row, col] * (1 + 1e-9)
+            n_checked += is_seen.sum()
+    assert n_checked > 200
+
+
+@pytest.mark.parametrize("has_cliff", [False, True])
+def test_measured_errors_bound_triangles_with_neighbours_of_all_smaller_sizes(has_cliff):
+    """Those that meet half way along a side, of each pair of sizes; by brute force.
+
+    With a cliff beside it the node's own cell is flat: what counts lies in the windows around it.
+    """
+    rng = np.random.default_rng(9)
+    heights = np.cumsum(rng.normal(size=(32, 32)), axis=1)
+    if has_cliff:
+        heights = np.tile(np.where(np.arange(32) < 16, 0.0, 50.0), (32, 1))
+    tree = build_tree(heights, patch=32)
+    means = [heights]
+    while len(means[-1]) > 1:
+        z = means[-1]
+        means.append((z[::2, ::2] + z[1::2, ::2] + z[::2, 1::2] + z[1::2, 1::2]) / 4)
+
+    def corner(height, row, col):
+        side = 1 << height
+        return (row + 0.5) * side - 0.5, (col + 0.5) * side - 0.5, means[height][row, col]
+
+    tightest = 0.0
+    for height, row, col in [(h, r, c) for h in (2, 3) for r in (1, 2) for c in (0, 1)]:
+        side, node = 1 << height, row * (32 >> height) + col
+        error = tree.bounds[int(tree.layout[height, 0] - tree.layout[1, 0]) + node, ERROR]
+        if error == OUTLINE:
+            continue
+        for upper, lower in np.ndindex(height, height):
+            meeting, right = row * side + side // 2, (col + 1) * side
+            corners = [corner(height, row, col)]
+            corners += [corner(upper, (meeting >> upper) - 1, right >> upper)]
+            corners += [corner(lower, meeting >> lower, right >> lower)]
+            a = np.array(corners)
+            system = np.vstack([a[:, :2].T, np.ones(3)])
+            for place in np.ndindex(heights.shape):
+                weights = np.linalg.solve(system, [*place, 1])
+                if weights.min() >= -1e-9:
+                    apart = abs(weights @ a[:, 2] - heights[place])
+                    assert apart <= error * (1 + 1e-6) + 1e-9
+                    tightest = max(tightest, apart / max(error, 1e-3))
+    assert tightest > 0.3

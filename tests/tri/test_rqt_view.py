@@ -1,0 +1,219 @@
+import numpy as np
+import pytest
+from tri.slow_dynamic import VIEWPORT, areas, eye_of, random_camera, surfaces_at
+
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.render.camera import Camera, project
+from terrainwave.tri.rqt import _neighbours
+from terrainwave.tri.rqt_view import RestrictedMesh
+
+NORTH_UP = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
+RANGE = (-30.0, 60.0)
+SHAPES = [((17, 17), 16, False), ((17, 25), 8, False), ((14, 19), 8, True)]
+
+
+def heights_of(shape, has_void, seed=1):
+    rng = np.random.default_rng(seed)
+    rows, cols = np.indices(shape)
+    heights = 4 * np.sin(rows / 5) * np.cos(cols / 7) + 0.3 * rows
+    heights += np.where(cols > shape[1] // 2, rng.normal(size=shape), 0)
+    if has_void:
+        heights[3:6, 4:9] = np.nan
+        heights[10, 2] = np.nan
+    return heights
+
+
+def mesh_of(shape, tile, has_void, **options):
+    heights = heights_of(shape, has_void)
+    return RestrictedMesh(shape, RANGE, heights, tile=tile, sample_matrix=NORTH_UP, **options)
+
+
+def cameras(shape, n, seed=1):
+    rng = np.random.default_rng(seed)
+    return [random_camera(rng, shape) for _ in range(n)]
+
+
+def vertices_below_corners(mesh):
+    """All places of the padded grid but the tiles' corners, with what they depend on."""
+    n_rows, n_cols = mesh._z.shape
+    for row, col in np.ndindex(n_rows, n_cols):
+        if row % mesh.tile == 0 and col % mesh.tile == 0:
+            continue
+        stride = (row | col) & -(row | col)
+        _, _, _, _, r2, c2, r3, c3 = _neighbours(row, col, stride)
+        needs = [(r, c) for r, c in ((r2, c2), (r3, c3)) if 0 <= r < n_rows and 0 <= c < n_cols]
+        yield (row, col), needs
+
+
+@pytest.mark.parametrize(("shape", "tile", "has_void"), SHAPES)
+def test_active_are_those_whose_error_on_screen_is_above_tau(shape, tile, has_void):
+    """Whatever was before; and then what they depend on is active by itself (nested errors)."""
+    mesh = mesh_of(shape, tile, has_void)
+    counts = set()
+    for camera in cameras(shape, 6):
+        eye = eye_of(camera)
+        frame = mesh.update(eye, 3.0)
+        for (row, col), needs in vertices_below_corners(mesh):
+            assert mesh._is_active[row, col] == (mesh.screen_error(eye, row, col) > 3.0)
+            if mesh._is_active[row, col]:
+                assert all(mesh._is_active[place] for place in needs)
+        assert frame.n_active == mesh._is_active.sum()
+        counts.add(frame.n_active)
+    assert len(counts) > 3
+
+
+def test_by_coefficient_what_a_vertex_depends_on_is_split_with_it():
+    # One spike of 8: its own coefficient is 8, those beside it have 8 / 4 = 2, all others 0.
+    heights = np.zeros((33, 33))
+    heights[21, 9] = 8.0
+    mesh = RestrictedMesh((33, 33), RANGE, heights, tile=32, sample_matrix=NORTH_UP, error="paper")
+    found = {place: float(mesh._errors[place]) for place, _ in vertices_below_corners(mesh)}
+    assert found[21, 9] == 8
+    assert found[1, 31] == 0
+    eye = eye_of(Camera((16, -60, 100), 0, -45, 50))._replace(planes=np.empty((0, 4)))
+    frame = mesh.update(eye, 9.0)
+    assert mesh._is_active[21, 9]
+    for (row, col), needs in vertices_below_corners(mesh):
+        if mesh._is_active[row, col]:
+            assert all(mesh._is_active[place] for place in needs)
+    assert 4 + 9 < frame.n_active < 150
+    assert mesh.update(eye, 1e9).n_active == 4
+
+
+@pytest.mark.parametrize("error", ["measured", "paper"])
+@pytest.mark.parametrize(("shape", "tile", "has_void"), SHAPES)
+def test_no_edge_is_open_and_the_area_is_covered_once(shape, tile, has_void, error):
+    mesh = mesh_of(shape, tile, has_void, error=error)
+    rng = np.random.default_rng(2)
+    for camera in cameras(shape, 5, seed=4):
+        eye = eye_of(camera)._replace(planes=np.empty((0, 4)))
+        frame = mesh.update(eye, 2.0)
+        assert (areas(frame) > 0).all()
+        edges = {tuple(e) for k in range(3) for e in frame.triangles[:, [k, (k + 1) % 3]].tolist()}
+        assert len(edges) == 3 * len(frame.triangles)
+        counts = [len(surfaces_at(frame, *xy)) for xy in rng.uniform(0.1, 13.1, (100, 2)) * (1, -1)]
+        assert max(counts) <= 1
+        if not has_void and shape[0] == 17:
+            assert min(counts) == 1
+            assert areas(frame).sum() == 2 * 16 * (shape[1] - 1)
+            side = frame.places[:, None] == np.array([[0, 0], [16, shape[1] - 1]])
+            open_edges = {(a, b) for a, b in edges if (b, a) not in edges}
+            assert all((side[a] & side[b]).any() for a, b in open_edges)
+
+
+def test_at_full_detail_voids_are_as_in_the_full_grid():
+    """Each quad with three valid corners gives their triangle (by hand: 4 around a lone void)."""
+    heights = np.zeros((5, 5))
+    heights[2, 2] = np.nan
+    mesh = RestrictedMesh((5, 5), RANGE, heights, tile=4, sample_matrix=NORTH_UP)
+    frame = mesh.update(eye_of(Camera((2, -2, 61), 0, -90, 90)), 1e-9)
+    assert areas(frame).sum() == 2 * (16 - 4) + 4
+    assert len(frame.vertices) == 24
+
+
+@pytest.mark.parametrize(("shape", "tile", "has_void"), SHAPES)
+def test_no_sample_is_further_than_tau_on_screen(shape, tile, has_void):
+    mesh, heights = mesh_of(shape, tile, has_void), heights_of(shape, has_void)
+    largest, n_seen = 0.0, 0
+    for tau in (2.0, 8.0):
+        for camera in cameras(shape, 6, seed=3):
+            frame = mesh.update(eye_of(camera), tau)
+            for row, col in np.argwhere(~np.isnan(heights)).tolist():
+                at = np.array([[col, -row, heights[row, col]]])
+                pixel = project(camera, VIEWPORT, at)[0]
+                if not (0 <= pixel[0] <= VIEWPORT.width and 0 <= pixel[1] <= VIEWPORT.height):
+                    continue
+                over = surfaces_at(frame, col, -row)
+                if not len(over):
+                    # At a void: the nearest vertex stands for it.
+                    seen = project(camera, VIEWPORT, frame.vertices)[:, :2]
+                    assert np.nanmin(np.linalg.norm(seen - pixel[:2], axis=1)) <= tau
+                    continue
+                points = np.column_stack([np.tile(at[0, :2], (len(over), 1)), over])
+                apart = project(camera, VIEWPORT, points)[:, :2] - pixel[:2]
+                largest = max(largest, float(np.linalg.norm(apart, axis=1).max()) / tau)
+                n_seen += 1
+    assert n_seen > 200
+    assert 0.1 < largest <= 1
+
+
+def test_tiles_are_split_below_the_overview_once_they_are_loaded():
+    shape, tile = (33, 33), 16
+    heights = heights_of(shape, False)
+    whole = RestrictedMesh(shape, RANGE, heights, tile=tile, sample_matrix=NORTH_UP)
+    mesh = RestrictedMesh(
+        shape, RANGE, heights[::4, ::4], stride=4, tile=tile, sample_matrix=NORTH_UP
+    )
+    eye = eye_of(Camera((16, -16, 70), 0, -89, 90))
+    frame = mesh.update(eye, 0.1)
+    assert (frame.places % 4 == 0).all()
+    assert len(frame.places) > 25
+    mesh.load(0, 1, heights[:17, 16:])
+    frame = mesh.update(eye, 0.1)
+    is_fine = (frame.places % 4 != 0).any(axis=1)
+    assert is_fine.sum() > 50
+    # Not on the lines that it shares with tiles that are not.
+    assert ((frame.places[is_fine] > (-1, 16)) & (frame.places[is_fine] < (16, 33))).all()
+    assert (areas(frame) > 0).all()
+    for row in range(2):
+        for col in range(2):
+            if not mesh.is_loaded(row, col):
+                part = heights[16 * row : 16 * row + 17, 16 * col : 16 * col + 17]
+                mesh.load(row, col, part)
+    again, expected = mesh.update(eye, 0.1), whole.update(eye, 0.1)
+    fine = {tuple(place) for place in expected.places.tolist()}
+    assert fine <= {tuple(place) for place in again.places.tolist()}
+
+
+def test_a_view_that_stays_changes_nothing_and_touches_what_it_shows():
+    mesh = mesh_of((65, 65), 64, False)
+    eye = eye_of(Camera((32, -80, 65), 0, -40, 40))
+    assert mesh.update(eye, 40.0).n_changed > 100
+    frame = mesh.update(eye, 40.0)
+    assert frame.n_changed == 0
+    assert frame.n_touched <= 3 * frame.n_active < 65 * 65
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"tile": 6}, "tile 6"),
+        ({"tile": 4, "stride": 8}, "stride 8 and tile 4"),
+        ({"stride": 2}, "overview of shape"),
+        ({"error": "none"}, "measured or paper"),
+    ],
+)
+def test_what_is_no_raster_is_refused(options, words):
+    with pytest.raises(InvalidHeightsError, match=words):
+        RestrictedMesh((5, 5), RANGE, np.zeros((5, 5)), **options)
+
+
+def test_tau_and_tiles_are_checked():
+    mesh = mesh_of((17, 17), 16, False)
+    with pytest.raises(InvalidHeightsError, match="tau"):
+        mesh.update(eye_of(Camera((0, 0, 9))), 0.0)
+    with pytest.raises(InvalidHeightsError, match="tile of shape"):
+        mesh.load(0, 0, np.zeros((4, 4)))
+
+
+def test_errors_are_not_below_the_distance_of_any_sample_from_the_triangles_that_are_split():
+    shape = (17, 17)
+    mesh, heights = mesh_of(shape, 16, False), heights_of(shape, False)
+    n_equal = 0
+    for (row, col), needs in vertices_below_corners(mesh):
+        stride = (row | col) & -(row | col)
+        r0, c0, r1, c1 = _neighbours(row, col, stride)[:4]
+        worst = 0.0
+        for top in needs:
+            corners = np.array([[r0, c0], [r1, c1], top], dtype=float)
+            plane = np.linalg.solve(
+                np.column_stack([corners, np.ones(3)]),
+                [heights[r0, c0], heights[r1, c1], heights[top]],
+            )
+            for place in np.ndindex(shape):
+                weights = np.linalg.solve(np.vstack([corners.T, np.ones(3)]), [*place, 1])
+                if weights.min() >= -1e-9:
+                    worst = max(worst, abs(np.dot([*place, 1], plane) - heights[place]))
+        assert mesh._errors[row, col] >= worst * (1 - 1e-6)
+        n_equal += abs(mesh._errors[row, col] - worst) < 1e-4
+    assert n_equal > 100
