@@ -150,9 +150,10 @@ def test_no_mesh_is_accepted(tmp_path, dem, option):
         (["--rate", 1, "--max-error", 2, "--method", "cdf53"], "found --max-error and --rate"),
         (["--psnr", 40], "found --psnr without --method cdf53"),
         (["--rate", 0, "--method", "cdf53"], "found 0, expected a finite number > 0"),
+        (["--method", "cdf53", "--scheduler", "x"], "found --scheduler and --method cdf53"),
     ],
 )
-def test_goals_that_exclude_each_other_are_wrong_usage(tmp_path, dem, options, message):
+def test_options_that_exclude_each_other_are_wrong_usage(tmp_path, dem, options, message):
     result = run("compress", dem, tmp_path / "out.twz", *options)
     assert message in one_line(result, 2)
 

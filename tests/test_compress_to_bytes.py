@@ -17,7 +17,7 @@ def test_bytes_are_those_of_the_file(tmp_path):
 
 
 def test_bytes_are_proved_like_a_file(monkeypatch):
-    from terrainwave import compression
+    from terrainwave import local_passes
 
     proved = []
 
@@ -25,7 +25,7 @@ def test_bytes_are_proved_like_a_file(monkeypatch):
         proved.append(file)
         return 0.0
 
-    monkeypatch.setattr(compression, "_prove", prove)
+    monkeypatch.setattr(local_passes, "prove", prove)
     data = terrainwave.compress_to_bytes(terrain_like(9, 9))
     assert proved == [data]
 
