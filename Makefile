@@ -49,8 +49,14 @@ demo: $(VENV)/.installed-demo
 	$(BIN)/terrainwave demo demo
 
 # What tests of pictures and pages need; nothing happens where all of it is there.
-system:
+system: tests/ext/node_modules/.installed
 	@sh tools/install_system.sh
+
+# The lock file would name a registry: versions are exact in package.json instead.
+tests/ext/node_modules/.installed: tests/ext/package.json
+	@sh tools/install_system.sh
+	npm install --prefix tests/ext --no-package-lock --no-audit --no-fund --loglevel error
+	@touch $@
 
 test: lint test-compiled test-bounds test-python
 

@@ -132,11 +132,14 @@ class TilePyramid:
         Cells along a tile's side: a power of two.
     radius : float, optional
         Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
+    max_zoom : int, optional
+        The finest zoom; by default the first one whose cells are no larger than pixels.
 
     Raises
     ------
     InvalidHeightsError
-        If the raster has no place on a globe, or heights are beyond ±4000 km.
+        If the raster has no place on a globe, heights are beyond ±4000 km, or (when tiles are
+        asked for) `max_zoom` is out of range.
 
     Notes
     -----
@@ -150,13 +153,14 @@ class TilePyramid:
         void_height: float = 0.0,
         cells: int = CELLS,
         radius: float | None = None,
+        max_zoom: int | None = None,
     ) -> None:
         if cells < 2 or cells > 1024 or cells & (cells - 1):
             raise InvalidHeightsError(f"found {cells} cells, expected a power of two, 2 … 1024")
         if not math.isfinite(void_height):
             raise InvalidHeightsError(f"found void_height {void_height}, expected a finite number")
         self.globe = Globe(terrain, radius=radius)
-        self._cells = cells
+        self._cells, self._asked = cells, max_zoom
         low, high = self.globe.height_range
         self._low = math.floor(min(low, void_height) / _UNIT)
         self._high = math.ceil(max(high, void_height) / _UNIT)
@@ -179,6 +183,17 @@ class TilePyramid:
 
     @cached_property
     def max_zoom(self) -> int:
+        """Return the finest zoom there is."""
+        finest = self._finest
+        if self._asked is not None and not 0 <= self._asked <= finest:
+            raise InvalidHeightsError(
+                f"found max_zoom {self._asked}, expected 0 … {finest}: cells of the last are no"
+                " larger than pixels"
+            )
+        return finest if self._asked is None else self._asked
+
+    @cached_property
+    def _finest(self) -> int:
         """Return the first zoom whose cells are not larger than the raster's pixels."""
         zoom = 0
         while self._cell_size(zoom) > self.globe.pixel * 1.001 and zoom < MAX_ZOOM:
@@ -229,10 +244,12 @@ class TilePyramid:
         *,
         version: str = "1.0.0",
         attribution: str = "",
-        max_zoom: int | None = None,
     ) -> dict[str, Any]:
-        """Return what ``layer.json`` holds, as plain values."""
-        last = self.max_zoom if max_zoom is None else min(max_zoom, self.max_zoom)
+        """Return what ``layer.json`` holds, as plain values.
+
+        Cesium takes a metadata extension in tiles for part of what tells which tiles there are:
+        ``metadataAvailability`` says that the root tiles tell it for all zooms.
+        """
         west, south, east, north = self.extent
         if east > 180:
             west, east = -180.0, 180.0
@@ -249,20 +266,25 @@ class TilePyramid:
             "projection": "EPSG:4326",
             "bounds": [west, south, east, north],
             "minzoom": 0,
-            "maxzoom": last,
-            "available": [
-                [
-                    {
-                        "startX": found.first_x,
-                        "startY": found.first_y,
-                        "endX": found.last_x,
-                        "endY": found.last_y,
-                    }
-                    for found in self.available(zoom)
-                ]
-                for zoom in range(last + 1)
-            ],
+            "maxzoom": self.max_zoom,
+            "metadataAvailability": self.max_zoom + 1,
+            "available": self._availability(0),
         }
+
+    def _availability(self, first: int) -> list[list[dict[str, int]]]:
+        """Return the tiles of each zoom from `first` on, as JSON tells them."""
+        return [
+            [
+                {
+                    "startX": found.first_x,
+                    "startY": found.first_y,
+                    "endX": found.last_x,
+                    "endY": found.last_y,
+                }
+                for found in self.available(zoom)
+            ]
+            for zoom in range(first, self.max_zoom + 1)
+        ]
 
     # Tiles
 
@@ -397,11 +419,13 @@ class TilePyramid:
         )
         surface_error, error = self._errors(mesh, samples, zoom, x, y)
         heights = low * _UNIT, (low + STEPS * step) * _UNIT
-        about = {
+        about: dict[str, Any] = {
             "bounds": [west, south, west + size, south + size],
             "geometricerror": error,
             "surfaceerror": surface_error,
         }
+        if zoom == 0:
+            about["available"] = self._availability(1)
         triangles = mesh.triangles[:, ::-1].astype(np.int64)
         data = tile_bytes(points, quantized, triangles, heights, self.globe.ellipsoid, about)
         return TileMesh(data, len(points), len(triangles), surface_error, error)
@@ -601,13 +625,10 @@ def write_tiles(
         If quantized-mesh-encoder is missing.
     """
     need("quantized_mesh_encoder")
-    pyramid = TilePyramid(terrain, void_height=void_height, cells=cells, radius=radius)
-    last = pyramid.max_zoom if max_zoom is None else max_zoom
-    if not 0 <= last <= pyramid.max_zoom:
-        raise InvalidHeightsError(
-            f"found max_zoom {last}, expected 0 … {pyramid.max_zoom}: cells of the last are no"
-            " larger than pixels"
-        )
+    pyramid = TilePyramid(
+        terrain, void_height=void_height, cells=cells, radius=radius, max_zoom=max_zoom
+    )
+    last = pyramid.max_zoom
     check_threads(threads)
     n_threads = threads or os.cpu_count() or 1
     total = sum(pyramid.n_tiles(zoom) for zoom in range(last + 1))
@@ -643,7 +664,7 @@ def write_tiles(
                     max(errors, default=None),
                 )
             )
-        layer = pyramid.layer(attribution=attribution, max_zoom=last)
+        layer = pyramid.layer(attribution=attribution)
         (new / LAYER).write_text(json.dumps(layer, indent=1) + "\n", encoding="utf-8")
     return found
 

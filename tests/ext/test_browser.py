@@ -1,12 +1,21 @@
 """Do real clients in a real browser show mountains?"""
 
+from pathlib import Path
+from urllib.parse import urlencode
+
 import numpy as np
 import pytest
 from ext.browser import chromium, console, screenshot, served, wait_until
 from ext.rasters import hills, write_twz
+from fastapi import FastAPI
+from fastapi.responses import FileResponse
+from fastapi.staticfiles import StaticFiles
 
+import terrainwave
 from terrainwave.ext.serve.app import make_app
 
+HERE = Path(__file__).parent
+CESIUM = HERE / "node_modules" / "cesium" / "Build" / "Cesium"
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
 
 
@@ -36,4 +45,44 @@ def test_the_page_flies_over_the_terrain(twz):
         assert (screenshot(driver) != still).mean() > 0.2
         driver.find_element("id", "map").click()
         wait_until(driver, "document.getElementById('place').textContent.includes('(± 8')")
+        assert not console(driver)
+
+
+def cesium_app():
+    """Return a site of somebody else: CesiumJS from npm and a page."""
+    app = FastAPI()
+
+    @app.get("/")
+    def page():
+        return FileResponse(HERE / "cesium.html")
+
+    app.mount("/cesium", StaticFiles(directory=CESIUM))
+    return app
+
+
+@pytest.mark.gl
+@pytest.mark.large
+def test_cesium_draws_the_mesh_tiles(twz):
+    """Across origins, as most pages will."""
+    west, south, east, north = BOUNDS
+    with (
+        served(make_app([str(twz)], cors=True)) as tiles,
+        served(cesium_app()) as site,
+        chromium() as driver,
+        terrainwave.open(twz) as terrain,
+    ):
+        asked = {
+            "terrain": f"{tiles}/hills/mesh", "west": west, "south": south, "east": east,
+            "north": north, "low": terrain.info().minimum, "high": terrain.info().maximum,
+            "range": 30000,
+        }  # fmt: skip
+        driver.get(f"{site}/?{urlencode(asked)}")
+        wait_until(driver, "window.widget && window.waiting === 0 && heightAt(8.25, 46.2) > 100")
+        points = [(8.25, 46.2), (8.2, 46.22), (8.3, 46.18)]
+        heights = [driver.execute_script(f"return heightAt({x}, {y})") for x, y in points]
+        # Which zoom is drawn is Cesium's choice: hundreds of metres of relief, tens of error.
+        np.testing.assert_allclose(heights, terrain.sample(points), atol=80)
+        ground = screenshot(driver)[150:450, 200:600].astype(float)
+        assert ground.mean(axis=2).std() > 8
+        assert len(np.unique(ground.reshape(-1, 3), axis=0)) > 500
         assert not console(driver)

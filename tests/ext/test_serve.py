@@ -19,7 +19,8 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.ext.serve import app as serving
 from terrainwave.ext.serve import tiling
 from terrainwave.ext.serve.app import make_app
-from terrainwave.ext.serve.globe import GlobeTerrain
+from terrainwave.globe import Globe
+from terrainwave.tile_pyramid import terrain_tile
 
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
 
@@ -87,7 +88,7 @@ def test_the_stated_error_is_the_largest_distance_from_the_decoded_surface(hilly
     z = 10
     x, y = tile_at(z, 8.25, 46.2)
     with terrainwave.open(hilly) as terrain:
-        tile = tiling.rgb_tile(GlobeTerrain(terrain), z, x, y)
+        tile = tiling.rgb_tile(Globe(terrain), z, x, y)
         surface = RegularGridInterpolator((np.arange(65), np.arange(97)), terrain.read())
     longitudes, latitudes = pixel_centres(z, x, y)
     drawn = heights_of(tile.png)
@@ -134,19 +135,28 @@ def test_a_global_terrain_goes_round(tmp_path, left):
     heights = np.rint(100 + 50 * np.cos(turns) + np.arange(45)[:, None]).astype(np.int16)
     path = write_twz(tmp_path, heights, (left, -90, left + 360, 90), max_error=0)
     with terrainwave.open(path) as terrain:
-        globe = GlobeTerrain(terrain)
-        assert globe.bounds == (-180, -90, 180, 90)
-        longitudes = np.arange(-540, 540, 0.5) + left
-        around = globe.heights(longitudes, np.full(longitudes.size, 10.0))
-        assert np.isfinite(around).all()
-        assert np.abs(np.diff(around)).max() < 1.0
-        np.testing.assert_allclose(around[:720], around[720:1440], atol=1e-6)
-        poles = globe.heights(np.array([0.0, 77.0]), np.array([90.0, -90.0]))
-        assert np.isfinite(poles).all()
+        globe = Globe(terrain)
+        assert globe.extent == (-180, -90, 180, 90)
         for x in (0, 3):
             for y in (0, 3):
                 tile = heights_of(tiling.rgb_tile(globe, 2, x, y).png)
                 assert tile.min() >= heights.min() - 0.1
+
+
+def test_quantized_mesh_tiles_are_those_of_the_library(hilly):
+    with client_of(hilly) as client, terrainwave.open(hilly) as terrain:
+        layer = client.get("/hills/mesh/layer.json").json()
+        zoom = layer["maxzoom"]
+        first = layer["available"][zoom][0]
+        tile = client.get(f"/hills/mesh/{zoom}/{first['startX']}/{first['startY']}.terrain")
+        lowest = Globe(terrain).height_range[0]
+        expected = terrain_tile(
+            terrain, zoom, first["startX"], first["startY"], void_height=lowest - 1
+        )
+        assert tile.content == expected
+        assert float(tile.headers["x-tile-error"]) > 0
+        assert client.get(f"/hills/mesh/{zoom}/0/0.terrain").status_code == 404
+        assert client.get("/hills/mesh/1/4/0.terrain").status_code == 404
 
 
 def test_tiles_off_the_terrain_are_empty(hilly):
@@ -287,4 +297,4 @@ def test_terrain_without_a_place_is_refused(tmp_path):
     terrainwave.compress(tmp_path / "x.tif", path, block=32)
     found = CliRunner().invoke(main, ["serve", str(path), "--port", "0"], standalone_mode=False)
     assert isinstance(found.exception, InvalidHeightsError)
-    assert "no place on the globe" in str(found.exception)
+    assert "no place on a globe" in str(found.exception)

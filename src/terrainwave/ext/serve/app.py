@@ -1,4 +1,4 @@
-"""The web application: what is asked, checked, is answered by `tiling` and `tri.pyramid`.
+"""The web application: what is asked, checked, is answered by `tiling` and `tile_pyramid`.
 
 Only the files named at start are served. Requests are answered in threads; at most `n_decoding` of
 them decode at a time and as many again as `N_WAITING` wait, the rest are told to come back.
@@ -22,7 +22,10 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 import terrainwave
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
 from terrainwave.ext.serve import tiling
-from terrainwave.ext.serve.globe import GlobeTerrain
+from terrainwave.globe import Globe
+from terrainwave.tile_pyramid import MAX_ZOOM as LAST_MESH_ZOOM
+from terrainwave.tile_pyramid import TilePyramid
+from terrainwave.tri.frames import metres_per_unit
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 N_WAITING = 64
@@ -47,6 +50,8 @@ class Desk:
 
     def __init__(self, n_decoding: int) -> None:
         self._limiter = CapacityLimiter(n_decoding)
+        self._most = n_decoding + N_WAITING
+        self._n_asked = 0
 
     async def do(self, work: Callable[..., Any], *args: Any) -> Any:
         """Return ``work(*args)``, done in a thread.
@@ -56,9 +61,13 @@ class Desk:
         HTTPException
             503 if too many requests wait already.
         """
-        if self._limiter.statistics().tasks_waiting >= N_WAITING:
+        if self._n_asked >= self._most:
             raise HTTPException(503, "too many requests at once", {"Retry-After": "1"})
-        return await to_thread.run_sync(work, *args, limiter=self._limiter)
+        self._n_asked += 1
+        try:
+            return await to_thread.run_sync(work, *args, limiter=self._limiter)
+        finally:
+            self._n_asked -= 1
 
 
 class Layer:
@@ -68,23 +77,26 @@ class Layer:
         self.name = name
         with ExitStack() as stack:
             try:
-                self.globe = GlobeTerrain(stack.enter_context(terrainwave.open(path)))
+                terrain = stack.enter_context(terrainwave.open(path))
+                self.globe = Globe(terrain)
+                self.tiles = TilePyramid(terrain, void_height=tiling.void_height(self.globe))
             except (InvalidHeightsError, CorruptStreamError) as error:
                 raise type(error)(f"{path}: {error}") from error
             stack.pop_all()
         self.info = self.globe.terrain.info()
+        self.metres = metres_per_unit(self.info.units)
         self.tag = hashlib.sha256(repr((name, self.info.n_bytes, self.info)).encode()).hexdigest()
 
     def describe(self) -> dict[str, object]:
         """Return what the page shows of the file; no path."""
-        info, metres = self.info, self.globe.metres
+        info, (lowest, highest) = self.info, self.globe.height_range
         return {
             "name": self.name,
-            "bounds": list(self.globe.bounds),
+            "bounds": list(self.globe.extent),
             "maxzoom": tiling.max_zoom(self.globe),
-            "lowest": self.globe.lowest,
-            "highest": (info.maximum or 0.0) * metres,
-            "error": info.effective_error * metres,
+            "lowest": lowest,
+            "highest": highest,
+            "error": info.effective_error * self.metres,
             "bytes": info.n_bytes,
             "rows": info.n_rows,
             "columns": info.n_cols,
@@ -216,6 +228,24 @@ def make_app(
         headers["X-Terrain-Error"] = f"{tile.terrain_error:.3f}"
         return Response(tile.png, media_type="image/png", headers=headers)
 
+    @app.get("/{name}/mesh/layer.json")
+    async def layer_json(name: str) -> dict[str, Any]:
+        return await desk.do(find(name).tiles.layer)
+
+    @app.get("/{name}/mesh/{z}/{x}/{y}.terrain")
+    async def mesh(request: Request, name: str, z: int, x: int, y: int) -> Response:
+        layer = find(name)
+        n_rows = 1 << min(max(z, 0), LAST_MESH_ZOOM)
+        check_tile(z, x, y, 2 * n_rows, n_rows)
+        headers = tagged(request, layer)
+        tile = await desk.do(layer.tiles.tile, z, x, y)
+        if tile is None:
+            raise HTTPException(404, f"no tile {z}/{x}/{y}: there is no terrain", headers)
+        if tile.error is not None:
+            headers["X-Tile-Error"] = f"{tile.surface_error:.3f}"
+            headers["X-Terrain-Error"] = f"{tile.error - tile.surface_error:.3f}"
+        return Response(tile.data, media_type="application/vnd.quantized-mesh", headers=headers)
+
     @app.get("/{name}/height")
     async def height(
         name: str,
@@ -250,10 +280,13 @@ def height_at(layer: Layer, longitude: float, latitude: float) -> dict[str, floa
     """Return the height in metres at a place, null where there is none, and the file's bound."""
     import numpy as np
 
-    height = float(layer.globe.heights(np.array([longitude]), np.array([latitude]))[0])
+    globe = layer.globe
+    rows, cols = globe.to_samples(np.array([longitude]), np.array([latitude]))
+    heights, _ = globe.heights_at(rows, cols, globe.terrain.grid.k_max)
+    height = float(heights[0])
     return {
         "lon": longitude,
         "lat": latitude,
         "height": None if np.isnan(height) else height,
-        "max_error": layer.info.effective_error * layer.globe.metres,
+        "max_error": layer.info.effective_error * layer.metres,
     }

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.ext.serve.globe import GlobeTerrain
-from terrainwave.quadtree import Block
+from terrainwave.globe import Globe
 
 TILE_SIZE = 256
 MAX_ZOOM = 22
@@ -72,19 +71,22 @@ def row_of(z: int, latitude: float) -> float:
     return (1 - math.asinh(math.tan(math.radians(latitude))) / math.pi) / 2 * (1 << z)
 
 
-def max_zoom(globe: GlobeTerrain) -> int:
-    """Return the first zoom whose pixels are not larger than the terrain's."""
-    west, south, east, north = globe.bounds
-    longitude, latitude = (west + east) / 2, (south + north) / 2
-    for z in range(MAX_ZOOM):
-        if globe.spacing(longitude, latitude, 360.0 / (TILE_SIZE << z)) <= 1.0:
-            return z
-    return MAX_ZOOM
+def pixel_size(globe: Globe, z: int, latitude: float) -> float:
+    """Return the size in metres of a tile's pixel at a latitude."""
+    around = 2 * math.pi * globe.ellipsoid.axis
+    return around * math.cos(math.radians(latitude)) / (TILE_SIZE << z)
 
 
-def meets(globe: GlobeTerrain, z: int, x: int, y: int) -> bool:
+def max_zoom(globe: Globe) -> int:
+    """Return the first zoom whose pixels are not larger than the terrain's, in its middle."""
+    latitude = (globe.extent.south + globe.extent.north) / 2
+    zooms = range(MAX_ZOOM)
+    return next((z for z in zooms if pixel_size(globe, z, latitude) <= globe.pixel), MAX_ZOOM)
+
+
+def meets(globe: Globe, z: int, x: int, y: int) -> bool:
     """Say whether a tile touches the terrain's bounds."""
-    west, south, east, north = globe.bounds
+    west, south, east, north = globe.extent
     if not row_of(z, north) < y + 1 or not row_of(z, south) > y:
         return False
     first, last = column_of(z, west), column_of(z, east)
@@ -92,25 +94,20 @@ def meets(globe: GlobeTerrain, z: int, x: int, y: int) -> bool:
     return any(first < x + 1 + k * turn and last > x + k * turn for k in (-1, 0, 1))
 
 
-def level_for(globe: GlobeTerrain, z: int, x: int, y: int) -> int:
+def level_for(globe: Globe, z: int, y: int) -> int:
     """Return the coarsest level that is not coarser than the tile's pixels, counted from 0."""
-    west, south, east, north = globe.bounds
-    middle = float(longitudes_of(z, np.array(x + 0.5)))
-    # Where the terrain lies: off its edge the coordinate system may not reach.
-    longitude = west + (middle - west) % 360.0
-    longitude = min(longitude, east) if longitude <= east + 180 else west
+    _, south, _, north = globe.extent
     latitude = min(max(float(latitudes_of(z, np.array(y + 0.5))), south), north)
-    n_samples = globe.spacing(longitude, latitude, 360.0 / (TILE_SIZE << z))
-    shift = int(math.log2(n_samples)) if n_samples >= 1 else 0
-    return max(globe.terrain.n_levels - 1 - shift, 0)
+    latitude = min(max(latitude, -MAX_LATITUDE), MAX_LATITUDE)
+    return globe.level_for(pixel_size(globe, z, latitude))
 
 
-def rgb_tile(globe: GlobeTerrain, z: int, x: int, y: int) -> RgbTile | None:
+def rgb_tile(globe: Globe, z: int, x: int, y: int) -> RgbTile | None:
     """Return the terrain-RGB tile z/x/y (XYZ, Web Mercator), or None where there is no terrain.
 
     Parameters
     ----------
-    globe : GlobeTerrain
+    globe : Globe
     z, x, y : int
         0 ≤ z ≤ `MAX_ZOOM`, 0 ≤ x, y < 2^z.
 
@@ -121,24 +118,30 @@ def rgb_tile(globe: GlobeTerrain, z: int, x: int, y: int) -> RgbTile | None:
     """
     if not meets(globe, z, x, y):
         return None
-    level = level_for(globe, z, x, y)
+    level = level_for(globe, z, y)
     # Pixel centres are the odd places of a grid twice as fine, which is what errors are taken at.
     fine = np.arange(2 * TILE_SIZE - 1) / (2 * TILE_SIZE) + 0.5 / TILE_SIZE
     longitudes, latitudes = np.meshgrid(longitudes_of(z, x + fine), latitudes_of(z, y + fine))
-    shape = longitudes.shape
-    surface = globe.heights(longitudes.ravel(), latitudes.ravel(), level).reshape(shape)
+    rows, cols = globe.to_samples(longitudes.ravel(), latitudes.ravel())
+    found, window = globe.heights_at(rows, cols, level)
+    surface = found.reshape(longitudes.shape)
     heights = surface[::2, ::2]
-    if np.isnan(heights).all():
+    if window is None or np.isnan(heights).all():
         return None
     rounded = np.rint((heights - _LOWEST) / _STEP) * _STEP + _LOWEST
-    void = globe.lowest - VOID_DEPTH
+    void = void_height(globe)
     codes = np.rint((np.where(np.isnan(heights), void, heights) - _LOWEST) / _STEP)
     return RgbTile(
         png=_png(np.clip(codes, 0, _HIGHEST_CODE).astype(np.uint32)),
         error=_largest_distance(rounded, surface),
-        terrain_error=_terrain_error(globe, longitudes, latitudes, level),
+        terrain_error=globe.heights_error(window),
         level=level,
     )
+
+
+def void_height(globe: Globe) -> float:
+    """Return the height in metres that stands for voids."""
+    return globe.height_range[0] - VOID_DEPTH
 
 
 def _largest_distance(tile: NDArray[np.float64], surface: NDArray[np.float64]) -> float:
@@ -151,31 +154,6 @@ def _largest_distance(tile: NDArray[np.float64], surface: NDArray[np.float64]) -
     return float(np.nanmax(distances)) if np.isfinite(distances).any() else 0.0
 
 
-def _terrain_error(
-    globe: GlobeTerrain, longitudes: NDArray[np.float64], latitudes: NDArray[np.float64], level: int
-) -> float:
-    """Return the largest error of the level's blocks under a tile, in metres."""
-    terrain = globe.terrain
-    west, south, east, north = globe.bounds
-    # Places of the tile and, where it reaches out of the terrain, of the terrain's edge.
-    turned = west + np.mod(longitudes[::32, ::32].ravel() - west, 360.0)
-    rows, cols = globe.places(
-        np.minimum(turned, east), np.clip(latitudes[::32, ::32].ravel(), south, north)
-    )
-    seen = np.isfinite(rows) & np.isfinite(cols)
-    if not seen.any():
-        return 0.0
-    side = terrain.grid.stride(level) * terrain.grid.block
-    ranges = [
-        range(max(int(places.min() // side), 0), max(min(int(places.max() // side) + 1, count), 1))
-        for places, count in zip(
-            (rows[seen], cols[seen]), terrain.grid.level_blocks(level), strict=True
-        )
-    ]
-    blocks = (Block(level, row, col) for row in ranges[0] for col in ranges[1])
-    return max(map(terrain.block_error, blocks), default=0.0) * globe.metres
-
-
 def _png(codes: NDArray[np.uint32]) -> bytes:
     from PIL import Image
 
@@ -185,18 +163,18 @@ def _png(codes: NDArray[np.uint32]) -> bytes:
     return out.getvalue()
 
 
-def tile_json(globe: GlobeTerrain, url: str, name: str) -> dict[str, object]:
+def tile_json(globe: Globe, url: str, name: str) -> dict[str, object]:
     """Return the TileJSON 3.0 of a terrain's terrain-RGB tiles.
 
     Parameters
     ----------
-    globe : GlobeTerrain
+    globe : Globe
     url : str
         Of a tile, with ``{z}``, ``{x}`` and ``{y}`` in it.
     name : str
         What clients may show.
     """
-    west, south, east, north = globe.bounds
+    west, south, east, north = globe.extent
     last = max_zoom(globe)
     return {
         "tilejson": "3.0.0",
