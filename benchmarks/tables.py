@@ -25,6 +25,7 @@ DOCUMENTS = (
     "docs/viewing.md",
     "docs/decisions/0004-step-by-what-finer-levels-need.md",
     "docs/decisions/0007-one-root-block.md",
+    "docs/decisions/0009-tiles-of-several-levels.md",
 )
 PREDICTIVE = "terrainwave-predictive"
 FAST = "terrainwave-predictive-fast"
@@ -208,6 +209,51 @@ def roots_table(results: Path, name: str = "roots") -> str:
     return "\n".join(lines)
 
 
+def embedded_table(results: Path) -> str:
+    """Return lossless sizes of `cdf53` and of JPEG 2000's 5/3."""
+    cases: dict[str, dict[str, str]] = {}
+    for row in read_rows(results, "embedded"):
+        if not row["rate"]:
+            name = f"{row['raster']}, {row['n_rows']} × {row['n_cols']}"
+            cases.setdefault(name, {})[row["codec"]] = row["bits_per_sample"]
+    lines = ["| raster | cdf53, bits/sample | OpenJPEG 5/3 | ratio |", "|---|---|---|---|"]
+    for name, case in cases.items():
+        ours, peer = float(case["terrainwave-cdf53"]), float(case["openjpeg-5/3"])
+        lines.append(f"| {name} | {ours:.3f} | {peer:.3f} | {ours / peer:.3f} |")
+    return "\n".join(lines)
+
+
+def truncation_table(results: Path) -> str:
+    """Return decibels of streams cut to so many bits per sample."""
+    cases: dict[tuple[str, str], dict[str, str]] = {}
+    for row in read_rows(results, "embedded"):
+        if row["rate"]:
+            name = f"{row['raster']}, {row['n_rows']} × {row['n_cols']}"
+            cases.setdefault((name, row["rate"]), {})[row["codec"]] = row["psnr"] or "∞"
+    lines = [
+        "| raster | bits/sample | cdf53, dB | OpenJPEG 5/3 | difference | OpenJPEG 9/7 |",
+        "|---|---|---|---|---|---|",
+    ]
+    for (name, rate), case in cases.items():
+        ours, peer = case["terrainwave-cdf53"], case["openjpeg-5/3"]
+        difference = float(ours.replace("∞", "inf")) - float(peer.replace("∞", "inf"))
+        lines.append(
+            f"| {name} | {rate} | {ours} | {peer} | {difference:+.2f} | {case['openjpeg-9/7']} |"
+        )
+    return "\n".join(lines)
+
+
+def spiht_table(results: Path) -> str:
+    """Return what adaptive models save of SPIHT's raw bits."""
+    lines = ["| raster | raw, bits/sample | coded | change |", "|---|---|---|---|"]
+    for row in read_rows(results, "spiht_bits"):
+        raw, coded = float(row["raw_bits"]), float(row["coded_bits"])
+        lines.append(
+            f"| {row['raster']} | {raw:.3f} | {coded:.3f} | {100 * (coded / raw - 1):+.1f} % |"
+        )
+    return "\n".join(lines)
+
+
 def pyramid_table(results: Path) -> str:
     """Return what the closed pyramid and three rings cost `cdf97`."""
     lines = [
@@ -353,6 +399,9 @@ TABLES: dict[str, Callable[[Path], str]] = {
     "speeds": speeds_table,
     "roots": roots_table,
     "roots_cdf97": partial(roots_table, name="roots_cdf97"),
+    "embedded": embedded_table,
+    "truncation": truncation_table,
+    "spiht_bits": spiht_table,
     "pyramid": pyramid_table,
     "meshes": meshes_table,
     "render": render_table,

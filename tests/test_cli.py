@@ -143,6 +143,31 @@ def test_no_mesh_is_accepted(tmp_path, dem, option):
     assert done.exit_code == 0, done.output
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--rate", 1, "--psnr", 40, "--method", "cdf53"], "found --rate and --psnr"),
+        (["--rate", 1, "--max-error", 2, "--method", "cdf53"], "found --max-error and --rate"),
+        (["--psnr", 40], "found --psnr without --method cdf53"),
+        (["--rate", 0, "--method", "cdf53"], "found 0, expected a finite number > 0"),
+        (["--method", "cdf53", "--scheduler", "x"], "found --scheduler and --method cdf53"),
+    ],
+)
+def test_options_that_exclude_each_other_are_wrong_usage(tmp_path, dem, options, message):
+    result = run("compress", dem, tmp_path / "out.twz", *options)
+    assert message in one_line(result, 2)
+
+
+@pytest.mark.large
+def test_a_file_of_cdf53_is_cut_checked_and_read_in_part(tmp_path, dem):
+    target = tmp_path / "cut.twz"
+    assert run("compress", dem, target, "--method", "cdf53", "--psnr", 40).exit_code == 0
+    assert run("verify", target, dem).exit_code == 0
+    part = tmp_path / "part.tif"
+    assert run("decompress", target, part, "--quality", 1).exit_code == 0
+    assert part.stat().st_size > 0
+
+
 def test_band_is_chosen_and_the_default_is_noted(tmp_path):
     layers = np.stack([np.full((40, 40), value, "int16") for value in (1, 2, 3)])
     path = write_geotiff(tmp_path / "rgb.tif", layers, photometric="MINISBLACK")

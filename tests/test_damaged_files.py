@@ -33,14 +33,15 @@ HEIGHTS[20:30, 2:] = -32768
 HEIGHTS[100, 3] = -32768
 
 
-@pytest.fixture(scope="module", params=["cdf97", "store"])
+@pytest.fixture(scope="module", params=["cdf97", "cdf53", "store"])
 def method(request):
     return request.param
 
 
 @pytest.fixture(scope="module")
 def data(method):
-    return twz_bytes(HEIGHTS, max_error=1, nodata=-32768, method=method, border_rings=3)
+    rings = 1 if method == "cdf53" else 3
+    return twz_bytes(HEIGHTS, max_error=1, nodata=-32768, method=method, border_rings=rings)
 
 
 @pytest.fixture(scope="module")

@@ -141,7 +141,7 @@ def check(case, data, max_error):
         np.testing.assert_array_equal(np.isnan(plain), ~case.valid)
 
 
-options = st.fixed_dictionaries(
+of_units = st.fixed_dictionaries(
     {
         "block": st.sampled_from([32, 64]),
         "border_rings": st.sampled_from([1, 3]),
@@ -149,6 +149,8 @@ options = st.fixed_dictionaries(
         "effort": st.sampled_from(["fast", "default"]),
     }
 )
+of_tiles = st.fixed_dictionaries({"block": st.sampled_from([32, 64]), "method": st.just("cdf53")})
+options = of_units | of_tiles
 tiny = st.tuples(st.integers(1, 6), st.integers(1, 6))
 sides = st.sampled_from([1, 2, 3, 31, 32, 33, 34, 63, 64, 65, 66, 129, 130, 150])
 medium = st.tuples(sides, sides) | st.tuples(st.just(1), st.integers(1, 300))
@@ -173,20 +175,20 @@ def case_of(heights, nodata=None):
     return Case(heights, valid, nodata)
 
 
-@pytest.mark.parametrize("method", ["cdf97", "store"])
+@pytest.mark.parametrize("method", ["cdf97", "cdf53", "store"])
 @pytest.mark.parametrize("dtype", ["uint8", "int16", "uint16", "int32", "float32", "float64"])
 def test_a_single_sample_works(dtype, method):
     case = case_of(np.array([[7]], dtype=dtype))
     check(case, twz_bytes(case.heights, max_error=0, method=method), 0)
 
 
-@pytest.mark.parametrize("method", ["cdf97", "store"])
+@pytest.mark.parametrize("method", ["cdf97", "cdf53", "store"])
 def test_nodata_next_to_valid_heights_is_never_decoded(method):
     heights = np.array([[4, 6, 5], [5, 4, 6], [3, 5, 7]], dtype="int16")
     check(case_of(heights, 5), twz_bytes(heights, max_error=2, nodata=5, method=method), 2)
 
 
-@pytest.mark.parametrize("method", ["cdf97", "store"])
+@pytest.mark.parametrize("method", ["cdf97", "cdf53", "store"])
 def test_nodata_on_a_decimal_grid_is_never_decoded(method):
     heights = np.array([[0.0, 0.1, 0.2], [0.2, 0.0, 0.1], [0.1, 0.2, 0.3]], dtype="float32")
     valid = heights != np.float32(0.1)
@@ -194,7 +196,7 @@ def test_nodata_on_a_decimal_grid_is_never_decoded(method):
     check(Case(heights, valid, 0.1), data, 0.2)
 
 
-@pytest.mark.parametrize("method", ["cdf97", "store"])
+@pytest.mark.parametrize("method", ["cdf97", "cdf53", "store"])
 @pytest.mark.parametrize("max_error", [256, 300, 400, 500, 600])
 def test_nodata_at_the_end_of_int32_is_never_decoded(method, max_error):
     # p is 8 here: 2^31 - 1 and 2^31 - 2 round to the same quantum.

@@ -186,8 +186,9 @@ def test_another_place_is_refused(tmp_path, place, message):
         patch(tmp_path / "dem.twz", tmp_path / "new.tif")
 
 
-def test_other_methods_are_refused_with_advice(tmp_path, file):
-    path = file(SMALL, method="store")
+@pytest.mark.parametrize("method", ["cdf53", "store"])
+def test_other_methods_are_refused_with_advice(tmp_path, file, method):
+    path = file(SMALL, method=method)
     write_geotiff(tmp_path / "new.tif", SMALL)
     result = CliRunner().invoke(main, ["patch", str(path), str(tmp_path / "new.tif")])
     assert result.exit_code == 1

@@ -11,7 +11,7 @@ import sys
 import tempfile
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
@@ -33,7 +33,7 @@ from terrainwave.job import Job, scale_of
 from terrainwave.local_passes import LocalPasses, smaller
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.quadtree import Grid
-from terrainwave.quantum import HeightScan, as_fraction
+from terrainwave.quantum import HeightScan, Quantizer, as_fraction
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.subtrees import RasterPlace
@@ -41,6 +41,8 @@ from terrainwave.terrain import EFFORTS
 
 DEFAULT_MAX_ERROR = 0.01
 BLOCKS = (32, 64, 128, 256, 512, 1024)
+# Heights on no grid are rounded to their range / 2^18 or so before a stream of them is cut.
+_FINE_BITS = 18
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,8 @@ class Options:
     """Checked options of `compress`; errors are raised where they are made."""
 
     max_error: float | None
+    rate: float | None
+    psnr: float | None
     method: str
     block: int
     effort: int
@@ -57,10 +61,17 @@ class Options:
     verify: bool
     n_threads: int
 
+    @property
+    def is_embedded(self) -> bool:
+        """Say whether streams are cut by size or mean error, not by a bound."""
+        return self.rate is not None or self.psnr is not None
+
     @classmethod
     def checked(
         cls,
         max_error: float | None,
+        rate: float | None,
+        psnr: float | None,
         method: str,
         block: int,
         effort: str,
@@ -72,6 +83,8 @@ class Options:
     ) -> "Options":
         """Return the options, or raise `InvalidHeightsError` naming what was found and expected."""
         bound = checked_error("max_error", max_error)
+        method = check_method(method)
+        _check_embedded(max_error, rate, psnr, method)
         if block not in BLOCKS:
             raise InvalidHeightsError(
                 f"found block {block}, expected one of {', '.join(map(str, BLOCKS))}"
@@ -82,11 +95,17 @@ class Options:
             )
         if border_rings not in (1, 3):
             raise InvalidHeightsError(f"found border_rings {border_rings}, expected 1 or 3")
+        if border_rings != 1 and method == "cdf53":
+            raise InvalidHeightsError(
+                f"found border_rings {border_rings} and method cdf53, expected border_rings 1"
+            )
         kind = checked_mesh(mesh, or_none=True)
         check_threads(threads)
         return cls(
             max_error=bound,
-            method=check_method(method),
+            rate=rate,
+            psnr=psnr,
+            method=method,
             block=block,
             effort=EFFORTS.index(effort),
             border_rings=border_rings,
@@ -95,6 +114,29 @@ class Options:
             verify=verify,
             n_threads=threads or os.cpu_count() or 1,
         )
+
+
+def _check_embedded(
+    max_error: float | None, rate: float | None, psnr: float | None, method: str
+) -> None:
+    """Raise `InvalidHeightsError` unless at most one of three goals is given, and fits."""
+    goals = {"max_error": max_error, "rate": rate, "psnr": psnr}
+    given = [name for name, goal in goals.items() if goal is not None]
+    if len(given) > 1:
+        raise InvalidHeightsError(
+            f"found {' and '.join(given)}, expected one of them: a stream is cut in one place"
+        )
+    for name in ("rate", "psnr"):
+        goal = checked_error(name, goals[name])
+        if goal is None:
+            continue
+        if goal == 0:
+            raise InvalidHeightsError(f"found {name} 0, expected a number > 0")
+        if method != "cdf53":
+            raise InvalidHeightsError(
+                f"found {name} and method {method}, expected method cdf53: the others keep a bound"
+                " (max_error) instead"
+            )
 
 
 @dataclass(frozen=True)
@@ -122,6 +164,8 @@ def compress(
     dst: str | os.PathLike[str],
     *,
     max_error: float | None = None,
+    rate: float | None = None,
+    psnr: float | None = None,
     method: str = "auto",
     block: int = 256,
     effort: str = "default",
@@ -150,8 +194,15 @@ def compress(
     max_error : float, optional
         Largest allowed error in physical units (after scale and offset); >= 0, closed. By default
         0 (lossless) where the heights have a vertical quantum and 0.01 where they don't.
+    rate : float, optional
+        With method cdf53, instead of `max_error`: bits per sample that the file may take. The
+        file's bound is then the error that was measured.
+    psnr : float, optional
+        With method cdf53, instead of `max_error`: decibels of the heights' range over the root
+        mean square error that the file must reach.
     method : str
-        ``"predictive"``, ``"cdf97"``, ``"store"`` or ``"auto"`` (predictive, the smallest).
+        ``"predictive"``, ``"cdf97"``, ``"cdf53"``, ``"store"`` or ``"auto"`` (predictive, the
+        smallest).
     block : int
         Cells per side of a block: 32, 64, … 1024.
     effort : str
@@ -182,7 +233,7 @@ def compress(
         Replace an existing `dst`.
     client : dask.distributed.Client or concurrent.futures.Executor, optional
         Shares the work out: to the workers of a cluster, which must be able to read the path `src`
-        and `dst`. The bytes are the same.
+        and `dst`. The bytes are the same. Not with method cdf53.
     task_samples : int
         With `client`: samples that a task has at least.
     progress : callable, optional
@@ -204,10 +255,25 @@ def compress(
     O(n_rows * n_cols) time; memory O(threads * block^2 * levels), whatever the size of the raster.
     """
     options = Options.checked(
-        max_error, method, block, effort, border_rings, mesh, mesh_error, verify, threads
+        max_error,
+        rate,
+        psnr,
+        method,
+        block,
+        effort,
+        border_rings,
+        mesh,
+        mesh_error,
+        verify,
+        threads,
     )
     cluster = None
     if client is not None:
+        if options.method == "cdf53":
+            raise InvalidHeightsError(
+                "found method cdf53 and a client, expected another method: only one machine codes"
+                " the tiles of cdf53"
+            )
         is_remote = temp_dir is not None and "://" in os.fspath(temp_dir)
         raster = shared_raster(src, band, nodata)
         url = temp_dir if is_remote else None
@@ -255,7 +321,9 @@ def compress_to_bytes(
     For arrays that fit memory: chunks of a store, cells of a database. The options, the bound and
     the errors are those of `compress`, but that no meshes are made unless they are asked for.
     """
-    options = Options.checked(max_error, method, block, effort, 1, mesh, None, verify, threads)
+    options = Options.checked(
+        max_error, None, None, method, block, effort, 1, mesh, None, verify, threads
+    )
     file = io.BytesIO()
     with (
         RasterSource(src, nodata=nodata) as source,
@@ -293,15 +361,7 @@ def _write(
     with ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor:
         with closing(_passes(source, grid, directory, executor, reporter, cluster)) as passes:
             scan = passes.scan()
-            bound, notes = _choose_bound(options.max_error, scan, source.info)
-            raw_bound = bound / scale_of(source.info)
-            if raw_bound > sys.float_info.max:
-                raise InvalidHeightsError(
-                    f"found max_error {float(bound):g} and a raster whose scale is"
-                    f" {source.info.scale:g}, expected a max_error that is a finite number of its"
-                    " stored units"
-                )
-            quantizer = scan.quantizer(raw_bound)
+            bound, quantizer, notes = _settled(options, scan, source.info)
             job = Job(
                 info=source.info,
                 quantizer=quantizer,
@@ -312,12 +372,16 @@ def _write(
                 mesh=options.mesh,
                 mesh_error=options.mesh_error,
                 n_valid=scan.n_valid,
+                rate=options.rate,
+                psnr=options.psnr,
             )
             coded = passes.encode(job, options.method)
-            if coded.n_bytes > source.info.n_bytes and options.method != "store":
+            is_large = coded.n_bytes > source.info.n_bytes and not options.is_embedded
+            if is_large and options.method != "store":
                 coded = smaller(coded, passes.encode(job, "store"))
                 if coded.method == "store":
                     notes.append("the heights do not compress: stored as they are")
+            job = coded.job
             assemble(file, job.header(coded.method, coded.parameters), coded.segments)
             measured = None
             if options.verify:
@@ -326,8 +390,8 @@ def _write(
     scale = abs(source.info.scale)
     return _Written(
         method=coded.method,
-        max_error=float(bound),
-        effective_error=min(quantizer.effective_error * scale, float(bound)),
+        max_error=float(job.bound),
+        effective_error=min(job.effective_error * scale, float(job.bound)),
         measured_error=None if measured is None else measured * scale,
         notes=notes,
     )
@@ -374,6 +438,62 @@ def _depot_root(url: str | os.PathLike[str] | None, directory: Path) -> str:
     depot = directory.absolute() / "depot"
     depot.mkdir()
     return str(depot)
+
+
+def _settled(
+    options: Options, scan: HeightScan, info: RasterInfo
+) -> tuple[Fraction, Quantizer, list[str]]:
+    """Return the bound in physical units, the quantizer, and what a user should know of them."""
+    bound, notes = Fraction(0), list[str]()
+    if options.is_embedded:
+        quantizer = _fine_quantizer(scan)
+    else:
+        bound, notes = _choose_bound(options.max_error, scan, info)
+        quantizer = scan.quantizer(_raw_bound(bound, info))
+    if options.method == "cdf53":
+        quantizer = _with_room_for_nodata(quantizer, info)
+    return bound, quantizer, notes
+
+
+def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:
+    """Return a bound in the units of stored values."""
+    raw_bound = bound / scale_of(info)
+    if raw_bound > sys.float_info.max:
+        raise InvalidHeightsError(
+            f"found max_error {float(bound):g} and a raster whose scale is {info.scale:g}, expected"
+            " a max_error that is a finite number of its stored units"
+        )
+    return raw_bound
+
+
+def _with_room_for_nodata(quantizer: Quantizer, info: RasterInfo) -> Quantizer:
+    """Return a quantizer whose bound still holds where a height gives way to the nodata value.
+
+    Method cdf53 moves it past all quanta of that value, to one side (format-cdf53.md, C.6).
+    """
+    first, last = quantizer.quanta_of_value(info.nodata)
+    room = last - first + 1
+    half = quantizer.step >> 1
+    return replace(quantizer, step=2 * max(half - room, 0) + 1) if room > 0 else quantizer
+
+
+def _fine_quantizer(scan: HeightScan) -> Quantizer:
+    """Return a quantizer for heights whose error is not chosen by a bound.
+
+    The vertical quantum where there is one, else one far below what a cut stream tells.
+    """
+    if scan.true_quantum() is not None:
+        try:
+            return scan.quantizer(Fraction(0))
+        except InvalidHeightsError:  # the range takes more than 30 bits of it
+            pass
+    error = (as_fraction(scan.maximum) - as_fraction(scan.minimum)) / (1 << _FINE_BITS)
+    for _ in range(_FINE_BITS):
+        try:
+            return scan.quantizer(error)
+        except InvalidHeightsError:
+            error *= 2
+    return scan.quantizer(error)
 
 
 def _choose_bound(

@@ -56,6 +56,8 @@ class TreeDecoder:
 
     Parameters
     ----------
+    refiner : Refiner or None
+        None where a subclass decodes without one.
     payloads : callable
         Returns the checked payloads of several units, near ones in one request.
     """
@@ -63,7 +65,7 @@ class TreeDecoder:
     def __init__(
         self,
         grid: Grid,
-        refiner: Refiner,
+        refiner: Refiner | None,
         parameters: CodecParameters,
         payloads: Callable[[Sequence[Block]], list[bytes]],
         cache_bytes: int,
@@ -89,16 +91,20 @@ class TreeDecoder:
                 if key.is_root_key:
                     break
                 key = unit_key(key)
-        if len(needed) < 2:
+        self._fetch(list(needed))
+
+    def _fetch(self, keys: list[Block]) -> None:
+        """Fetch payloads ahead of decoding, if there are several."""
+        if len(keys) < 2:
             return
         try:
-            payloads = self._payloads(list(needed))
+            payloads = self._payloads(keys)
         except CorruptStreamError:
             return
         with self._lock:
             if len(self._fetched) > _MAX_FETCHED:  # left over where another thread was quicker
                 self._fetched.clear()
-            self._fetched.update(zip(needed, payloads, strict=True))
+            self._fetched.update(zip(keys, payloads, strict=True))
 
     def unit(self, key: Block) -> Decoded:
         """Return the decoded unit `key`; its ancestors are decoded as needed.
@@ -127,13 +133,17 @@ class TreeDecoder:
                 del self._in_flight[key]
             mine.set()
 
-    def _decode(self, key: Block) -> Decoded:
-        parent = None if key.is_root_key else self.block(key)
-        spec = unit_spec(self._grid, self._parameters, key)
+    def _payload(self, key: Block) -> bytes:
+        """Return the payload of a unit, fetched now unless it has been."""
         with self._lock:
             payload = self._fetched.pop(key, None)
-        if payload is None:
-            payload = self._payloads([key])[0]
+        return self._payloads([key])[0] if payload is None else payload
+
+    def _decode(self, key: Block) -> Decoded:
+        assert self._refiner is not None
+        parent = None if key.is_root_key else self.block(key)
+        spec = unit_spec(self._grid, self._parameters, key)
+        payload = self._payload(key)
         try:
             return decode_unit(self._refiner, spec, parent, payload)
         except CorruptStreamError as exc:

@@ -28,6 +28,7 @@ def decompress(
     level: int = -1,
     cog: bool = False,
     size: int | str | None = None,
+    quality: float | None = None,
     threads: int | None = None,
     overwrite: bool = False,
     progress: ProgressCallback | None = None,
@@ -50,6 +51,8 @@ def decompress(
         Of a height tile: samples on a side, 2ⁿ + 1; the window is resampled bilinearly to that
         square. ``"window"`` writes the window's own samples. By default the largest 2ⁿ + 1 that
         is not larger than the window.
+    quality : float, optional
+        Of a file of method cdf53: read only so many bits per sample, as in `Terrain.read_early`.
     threads : int, optional
         Threads that decode; the number of processors by default.
     overwrite : bool
@@ -68,6 +71,8 @@ def decompress(
     is_tile = Path(dst).suffix.lower() in TILE_EXTENSIONS
     if is_tile and cog:
         raise InvalidHeightsError(f"{os.fspath(dst)}: a height tile cannot be a COG")
+    if is_tile and quality is not None:
+        raise InvalidHeightsError(f"{os.fspath(dst)}: a height tile cannot be read in part")
     if size is not None and not is_tile:
         raise InvalidHeightsError(
             f"{os.fspath(dst)}: a size is for height tiles, expected a name ending in"
@@ -96,7 +101,10 @@ def decompress(
         done = 0
         with RasterSink(dst, info, cog=cog, overwrite=overwrite, n_threads=threads or 1) as sink:
             for part in _windows(region, 2 * terrain.grid.block):
-                heights, valid = terrain.read_with_mask(part, level=level)
+                if quality is None:
+                    heights, valid = terrain.read_with_mask(part, level=level)
+                else:
+                    heights, valid, _ = terrain.read_early(part, level=level, quality=quality)
                 sink.write(part.row - region.row, part.col - region.col, heights, valid)
                 done += part.n_rows * part.n_cols
                 reporter.report("decoding", done, total, done * heights.dtype.itemsize)

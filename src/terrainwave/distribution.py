@@ -199,7 +199,7 @@ class DistributedPasses:
         if job.mesh != "none":
             segments = self._mesh(site, refiner, codes)
         n_bytes = sink.n_bytes + found.n_bytes + len(site.tables)
-        return Coded(method, site.tables, {**sink.spools, **segments}, n_bytes)
+        return Coded(method, site.tables, {**sink.spools, **segments}, n_bytes, job)
 
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
         """Decode the file from disk and compare every sample; return the largest error."""

@@ -46,6 +46,8 @@ class TreeEncoder:
 
     Parameters
     ----------
+    refiner : Refiner or None
+        None where a subclass codes without one.
     on_samples : callable
         Called with the number of full-grid samples whose unit is finished, from any thread.
     last_level : int, optional
@@ -55,7 +57,7 @@ class TreeEncoder:
     def __init__(
         self,
         grid: Grid,
-        refiner: Refiner,
+        refiner: Refiner | None,
         parameters: CodecParameters,
         pyramid: Pyramid,
         sink: PayloadSink,
@@ -139,6 +141,7 @@ class TreeEncoder:
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
     ) -> tuple[bytes, Decoded]:
         """Return the payload of a unit and what it decodes to."""
+        assert self._refiner is not None
         return encode_unit(self._refiner, spec, parent, target, mask)
 
     def measured(self, region: Region, mask: Mask) -> Mask:

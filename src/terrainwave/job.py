@@ -1,7 +1,7 @@
 """What every pass over a raster has to know, and the header that follows from it."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from terrainwave._version import __version__
@@ -21,13 +21,17 @@ class Job:
     Attributes
     ----------
     bound : Fraction
-        The bound asked for, in physical units.
+        The bound asked for, in physical units; of an embedded file 0 until it has been measured.
     effort, border_rings, mesh : int, int, str
         As in the file's header.
     mesh_error : float, optional
         As in `compress`.
     n_valid : int
         Samples of the raster that are valid.
+    rate, psnr : float, optional
+        As in `compress`.
+    measured : float, optional
+        The error of an embedded file, once it is known; in raw units.
     """
 
     info: RasterInfo
@@ -39,6 +43,25 @@ class Job:
     mesh: str
     mesh_error: float | None
     n_valid: int
+    rate: float | None = None
+    psnr: float | None = None
+    measured: float | None = None
+
+    @property
+    def is_embedded(self) -> bool:
+        """Say whether streams are cut by size or mean error, not by a bound."""
+        return self.rate is not None or self.psnr is not None
+
+    @property
+    def effective_error(self) -> float:
+        """Return the bound that holds, in raw units."""
+        return self.quantizer.effective_error if self.measured is None else self.measured
+
+    def with_measured(self, error: int) -> "Job":
+        """Return the job with a measured error, in quanta, as the bound."""
+        # That of a bounded file whose steps have this half.
+        measured = replace(self.quantizer, step=2 * error + 1).effective_error
+        return replace(self, measured=measured, bound=as_fraction(measured) * scale_of(self.info))
 
     @property
     def has_voids(self) -> bool:
@@ -63,7 +86,7 @@ class Job:
         if self.mesh == "none":
             return 0
         if self.mesh_error is None:
-            error = max(Fraction(quantizer.effective_error), Fraction(quantizer.quantum))
+            error = max(Fraction(self.effective_error), Fraction(quantizer.quantum))
         else:
             error = as_fraction(self.mesh_error) / scale_of(self.info)
         return mesh_tolerance(error, Fraction(quantizer.numerator, quantizer.denominator))
@@ -102,7 +125,7 @@ class Job:
             z_min=quantizer.z_min if has_heights else 0,
             z_max=quantizer.z_max if has_heights else -1,
             max_error=self.raw_bound,
-            effective_bound=min(quantizer.effective_error, self.raw_bound),
+            effective_bound=min(self.effective_error, self.raw_bound),
             rho=quantizer.rho,
             mesh=self.mesh,
             mesh_tolerance=self.mesh_tolerance,

@@ -3,7 +3,7 @@
 import os
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from fractions import Fraction
@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.block_codes import enclosing_boxes, error_codes, set_codes
-from terrainwave.codec.refiner import FittingRefiner, Refiner
-from terrainwave.codec.registry import refiner_by_name
+from terrainwave.codec.refiner import FittingRefiner
+from terrainwave.codec.registry import PYRAMIDS, refiner_by_name
 from terrainwave.container.depot import StoredSegment
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
-from terrainwave.decoder import TreeDecoder
-from terrainwave.encoder import TreeEncoder
+from terrainwave.encoder import Stats, TreeEncoder
 from terrainwave.errors import StorageError
 from terrainwave.job import Job
 from terrainwave.mesh_sections import make_sections, parts_of_blocks
@@ -34,6 +33,7 @@ from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.spool import Spool
 from terrainwave.terrain import Terrain
+from terrainwave.tile_decoder import make_decoder
 
 _MESH_CACHE_BYTES = 128 << 20
 
@@ -61,8 +61,7 @@ class LocalPasses:
 
     def encode(self, job: Job, method: str) -> "Coded":
         """Code all units into one spool per segment."""
-        refiner = refiner_by_name(method)
-        return encode(job, refiner, self.windows, self.directory, self.executor, self.reporter)
+        return encode(job, method, self.windows, self.directory, self.executor, self.reporter)
 
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
         """Decode the file from disk and compare every sample; return the largest error."""
@@ -155,12 +154,16 @@ def _check_free_space(info: RasterInfo, directory: Path, is_striped: bool) -> No
 
 @dataclass
 class Coded:
-    """What coding a raster has made: method, tables, segments, bytes of payloads and tables."""
+    """What coding a raster has made: method, tables, segments, bytes of payloads and tables.
+
+    `job` is the one that was coded; that of an embedded file has got its measured error.
+    """
 
     method: str
     parameters: bytes
     segments: dict[Block | None, SegmentSpool | StoredSegment]
     n_bytes: int
+    job: Job
 
     def close(self) -> None:
         """Delete the spools."""
@@ -178,7 +181,7 @@ def smaller(first: Coded, second: Coded) -> Coded:
 
 def encode(
     job: Job,
-    refiner: Refiner,
+    method: str,
     source: SourceWindows,
     directory: Path,
     executor: Executor,
@@ -189,7 +192,7 @@ def encode(
         source,
         job.quantizer,
         job.grid,
-        kind=refiner.pyramid,
+        kind=PYRAMIDS[method],
         has_voids=job.has_voids,
         directory=directory,
         executor=executor,
@@ -220,26 +223,54 @@ def encode(
                     n_levels=job.grid.k_max + 1,
                 )
 
-        parameters = job.parameters
         section = b""
-        if isinstance(refiner, FittingRefiner) and job.n_valid:
-            refiner = refiner.fitted(job.grid, parameters.step, pyramid.heights, pyramid.mask)
-            section = refiner.parameters
-        encoder = TreeEncoder(job.grid, refiner, parameters, pyramid, sink, on_samples)
-        stats = encoder.run(executor)
+        if method == "cdf53":
+            # Imported here: compiling costs seconds that other methods need not pay.
+            from terrainwave.tile_encoder import encode_tiles
+
+            stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
+        else:
+            section, stats = _encode_units(job, method, pyramid, sink, on_samples, executor)
+        if job.is_embedded:
+            job = job.with_measured(_finest_error(job, stats))
         errors = error_codes(stats, job.lost)
-        mesh_errors = _mesh_errors(job, refiner, pyramid, sink, errors, executor, reporter)
+        mesh_errors = _mesh_errors(job, method, section, pyramid, sink, errors, executor, reporter)
     finally:
         pyramid.close()
     whole = job.quantizer.z_min, job.quantizer.z_max
     boxes = enclosing_boxes(stats, errors, whole, {})
     set_codes(job.grid, sink.spools, whole, boxes, errors, mesh_errors)
-    return Coded(refiner.name, section, {**sink.spools}, sink.n_bytes + len(section))
+    return Coded(method, section, {**sink.spools}, sink.n_bytes + len(section), job)
+
+
+def _encode_units(
+    job: Job,
+    method: str,
+    pyramid: Pyramid,
+    sink: SpoolSink,
+    on_samples: Callable[[int], None],
+    executor: Executor,
+) -> tuple[bytes, Stats]:
+    """Code every unit; return the method's tables and what was measured."""
+    parameters, section = job.parameters, b""
+    refiner = refiner_by_name(method)
+    if isinstance(refiner, FittingRefiner) and job.n_valid:
+        refiner = refiner.fitted(job.grid, parameters.step, pyramid.heights, pyramid.mask)
+        section = refiner.parameters
+    encoder = TreeEncoder(job.grid, refiner, parameters, pyramid, sink, on_samples)
+    return section, encoder.run(executor)
+
+
+def _finest_error(job: Job, stats: Stats) -> int:
+    """Return the largest error of the finest blocks, in quanta."""
+    k_max = job.grid.k_max
+    return max((found.error for block, found in stats.items() if block.level == k_max), default=0)
 
 
 def _mesh_errors(
     job: Job,
-    refiner: Refiner,
+    method: str,
+    section: bytes,
     pyramid: Pyramid,
     sink: SpoolSink,
     errors: dict[Block, int],
@@ -250,7 +281,7 @@ def _mesh_errors(
     if job.mesh == "none":
         return {}
     grid = job.grid
-    decoder = TreeDecoder(grid, refiner, job.parameters, sink.payloads, _MESH_CACHE_BYTES)
+    decoder = make_decoder(method, section, grid, job.parameters, sink.payloads, _MESH_CACHE_BYTES)
     sections: dict[Block, bytes] = {}
     mesher = BlockMesher(
         grid,

@@ -5,6 +5,8 @@ are int32 quanta and pure functions of the raster: neither window sizes nor thre
 
 * Low-pass pyramid: Yusov & Turlapov 2010, §2.1: normalised CDF 9/7 analysis, symmetric at the
   raster's edge, rounded to quanta on every level.
+* Low-pass pyramid of the reversible 5/3 wavelet, in tiles: format-cdf53.md, C.3. It counts in
+  steps, and its heights may leave the raster's range.
 * Nested pyramid: the full grid's own samples.
 * Voids are filled by push-pull: coarse levels average what is valid, fine ones interpolate it.
 
@@ -23,14 +25,16 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.codec.tiles import TileLayout
 from terrainwave.coding.filters import lowpass_analysis
+from terrainwave.coding.lifting53 import lowpass_window
 from terrainwave.convert import UNKNOWN, push
 from terrainwave.quadtree import Grid, Region
 from terrainwave.quantum import Quantizer
 from terrainwave.spool import Spool
 
 TILE = 512  # samples per side of the windows in which levels are made
-_PUSH_HALO, _LOWPASS_HALO = 1, 4
+_PUSH_HALO, _LOWPASS_HALO, _LOWPASS53_HALO = 1, 4, 2
 # Stands for a void among heights, which are far from it.
 _UNKNOWN = np.int32(UNKNOWN)
 
@@ -97,7 +101,7 @@ class Pyramid:
     Parameters
     ----------
     kind : str
-        ``"lowpass"`` or ``"nested"``.
+        ``"lowpass"``, ``"lowpass53"`` or ``"nested"``.
     has_voids : bool
         Whether any sample of the raster is void; without voids no masks and fills are kept.
     directory : Path
@@ -105,8 +109,8 @@ class Pyramid:
     executor : Executor
         Makes the windows of a level side by side.
     part : Part, optional
-        Make the levels of a part of the raster; where there are voids `pull` needs its coarsest
-        fills.
+        Make the levels of a part of the raster, of any kind but ``"lowpass53"``; where there are
+        voids `pull` needs its coarsest fills.
     base : Base, optional
         Make the levels above that of `base`; below it there is nothing to ask for.
     """
@@ -201,7 +205,11 @@ class Pyramid:
         regions = {shift: self._heights_region(shift) for shift in self._level_shifts()}
         total = sum(region.n_rows * region.n_cols for region in regions.values())
         done = 0
-        make = self._lowpass_window if self._kind == "lowpass" else self._nested_window
+        make = {
+            "lowpass": self._lowpass_window,
+            "lowpass53": self._lowpass53_window,
+            "nested": self._nested_window,
+        }[self._kind]
         for shift, region in regions.items():
             spool = self._heights[shift] = self._new_spool(region, np.int32)
             self._for_each_window(spool, partial(make, shift))
@@ -217,6 +225,14 @@ class Pyramid:
     def heights(self, level: int, region: Region) -> Heights:
         """Return the target heights of a region of a level; voids hold their fill."""
         return self._read_heights(self._grid.k_max - level, region)
+
+    def steps(self, level: int, region: Region) -> Heights:
+        """Return heights of the pyramid of the 5/3 wavelet, which is made of whole steps."""
+        heights = self.heights(level, region)
+        if level == self._grid.k_max and self._quantizer.step > 1:
+            # Rounded to the nearest; the step is odd.
+            heights = (heights + (self._quantizer.step >> 1)) // self._quantizer.step
+        return heights
 
     def mask(self, level: int, region: Region) -> Mask:
         """Return which samples of a region of a level are valid.
@@ -264,15 +280,29 @@ class Pyramid:
             quanta[~valid] = fill[~valid]
         return quanta
 
-    def _lowpass_window(self, shift: int, region: Region) -> Heights:
-        shape = self._shape(shift - 1)
-        halo = _LOWPASS_HALO
-        fine = Region(
+    def _around(self, shift: int, region: Region, halo: int) -> Region:
+        """Return a region of the level above `shift` on that level, and `halo` samples around."""
+        return Region(
             2 * region.row - halo,
             2 * region.col - halo,
             2 * region.n_rows + 2 * halo,
             2 * region.n_cols + 2 * halo,
-        ).intersect(Region(0, 0, *shape))
+        ).intersect(Region(0, 0, *self._shape(shift)))
+
+    def _lowpass53_window(self, shift: int, region: Region) -> Heights:
+        fine = self._around(shift - 1, region, _LOWPASS53_HALO)
+        return lowpass_window(
+            self.steps(self._grid.k_max - (shift - 1), fine),
+            (fine.row, fine.col),
+            self._shape(shift - 1),
+            (region.row, region.col),
+            region.shape,
+            *TileLayout(self._grid).lowpass_tiles(self._grid.k_max - (shift - 1)),
+        )
+
+    def _lowpass_window(self, shift: int, region: Region) -> Heights:
+        shape = self._shape(shift - 1)
+        fine = self._around(shift - 1, region, _LOWPASS_HALO)
         heights = lowpass_analysis(
             self._read_heights(shift - 1, fine),
             (fine.row, fine.col),

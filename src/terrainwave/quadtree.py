@@ -164,6 +164,10 @@ class Grid:
         stride = self.stride(block.level)
         return self._region(self.k_max, block.row, block.col, self.block * stride, 0)
 
+    def descendant_region(self, block: Block, level: int) -> Region:
+        """Return the samples of `level` under `block`, both borders included."""
+        return self._region(level, block.row, block.col, self.block << (level - block.level), 0)
+
     def _region(self, level: int, row: int, col: int, side: int, apron: int) -> Region:
         n_rows, n_cols = self.level_shape(level)
         first_row, first_col = max(row * side - apron, 0), max(col * side - apron, 0)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +84,14 @@ class Info:
         if isinstance(self.nodata, float) and not np.isfinite(self.nodata):
             fields["nodata"] = str(self.nodata)
         return fields
+
+
+class EarlyHeights(NamedTuple):
+    """Heights and validity of a window, and the bytes of payloads that were read for them."""
+
+    heights: NDArray[Any]
+    valid: NDArray[np.bool_]
+    n_bytes: int
 
 
 EFFORTS = ("fast", "default", "best")
@@ -188,12 +196,12 @@ class Terrain:
     @cached_property
     def _decoder(self) -> "TreeDecoder":
         # Imported when heights are first read: opening a file and `info` need no numba.
-        from terrainwave.codec.registry import refiner_by_name
-        from terrainwave.decoder import TreeDecoder
+        from terrainwave.tile_decoder import make_decoder
 
-        return TreeDecoder(
+        return make_decoder(
+            self._container.header.method,
+            self._container.header.parameters,
             self._grid,
-            refiner_by_name(self._container.header.method, self._container.header.parameters),
             self._parameters,
             self._container.payloads,
             self._cache_bytes,
@@ -217,9 +225,9 @@ class Terrain:
 
     @property
     def _pyramid(self) -> str:
-        from terrainwave.codec.registry import refiner_by_name
+        from terrainwave.codec.registry import PYRAMIDS
 
-        return refiner_by_name(self._container.header.method).pyramid
+        return PYRAMIDS[self._container.header.method]
 
     # What the file says.
 
@@ -424,6 +432,7 @@ class Terrain:
         resampling: str = "nearest",
         masked: bool = False,
         on_error: str = "raise",
+        quality: float | None = None,
         max_bytes: int = DEFAULT_MAX_BYTES,
     ) -> NDArray[Any]:
         """Read heights in the file's dtype, the void value in voids.
@@ -444,6 +453,9 @@ class Terrain:
             Return a masked array, as rasterio does.
         on_error : str
             ``"raise"``, or ``"mask"``: a damaged block reads as void and the rest is returned.
+        quality : float, optional
+            Of a file of method cdf53, read only so many bits per sample of the window: the best
+            heights of that many bytes (`read_early` tells how many it were). No bound holds then.
         max_bytes : int
             Refuse a larger result.
 
@@ -472,7 +484,11 @@ class Terrain:
         index = self.level_index(level)
         region = self.region(window, bounds=bounds, level=level)
         self._check_size(out_shape or region.shape, max_bytes)
-        if out_shape is None:
+        if quality is not None:
+            if out_shape is not None:
+                raise InvalidHeightsError("found quality and out_shape, expected one of them")
+            heights, valid, _ = self._read_early(index, region, quality, on_error)
+        elif out_shape is None:
             heights, valid = self._read_raw(index, region, on_error)
         else:
             heights, valid = resample(
@@ -501,6 +517,53 @@ class Terrain:
         heights, valid = self._read_raw(self.level_index(level), region, on_error)
         heights[~valid] = self._raster.void_value
         return heights, valid
+
+    def read_early(
+        self, window: Any = None, *, quality: float, level: int = -1, on_error: str = "raise"
+    ) -> "EarlyHeights":
+        """Return the best heights of a window that so many bits per sample give.
+
+        Parameters
+        ----------
+        window, level, on_error
+            As in `read`.
+        quality : float
+            Bits per sample of the window to read of payloads; > 0. The heads of all tiles needed
+            are read in any case.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If the file is not of method cdf53, whose streams alone can be read in part, or
+            `quality` is out of range.
+        """
+        region = self.region(window, level=level)
+        found = self._read_early(self.level_index(level), region, quality, on_error)
+        found.heights[~found.valid] = self._raster.void_value
+        return found
+
+    def _read_early(
+        self, level: int, region: Region, quality: float, on_error: str
+    ) -> "EarlyHeights":
+        header = self._container.header
+        if header.method != "cdf53":
+            raise InvalidHeightsError(
+                f"found quality and a file of method {header.method}, expected one of method cdf53:"
+                " other streams cannot be read in part"
+            )
+        if not (np.isfinite(quality) and quality > 0):
+            raise InvalidHeightsError(f"found quality {quality}, expected a number > 0")
+        from terrainwave.decoder import units_of
+        from terrainwave.early import EarlyPayloads
+        from terrainwave.tile_decoder import TileDecoder
+
+        max_bytes = int(quality * region.n_rows * region.n_cols / 8)
+        payloads = EarlyPayloads(self._container, units_of(self._grid, level, region), max_bytes)
+        decoder = TileDecoder(
+            self._grid, self._parameters, payloads, self._cache_bytes, are_prefixes=True
+        )
+        heights, valid = self._read_raw(level, region, on_error, decoder)
+        return EarlyHeights(heights, valid, payloads.n_bytes)
 
     def region(
         self, window: Any = None, *, bounds: Sequence[float] | None = None, level: int = -1
@@ -812,9 +875,14 @@ class Terrain:
             )
 
     def _read_raw(
-        self, level: int, region: Region, on_error: str
+        self,
+        level: int,
+        region: Region,
+        on_error: str,
+        decoder: "TreeDecoder | None" = None,
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """Return raw heights and validity of a region of a level, unit by unit."""
+        decoder = decoder or self._decoder
         heights = np.zeros(region.shape, dtype=self.dtype)
         mask = np.zeros(region.shape, dtype=np.bool_)
 
@@ -822,7 +890,7 @@ class Terrain:
             spec = unit_spec(self._grid, self._parameters, key)
             part = spec.core.intersect(region)
             try:
-                unit = self._decoder.unit(key)
+                unit = decoder.unit(key)
             except CorruptStreamError:
                 if on_error == "raise":
                     raise
@@ -837,7 +905,7 @@ class Terrain:
         keys = units_of(self._grid, level, region)
         for first in range(0, len(keys), _BATCH):
             batch = keys[first : first + _BATCH]
-            self._decoder.prefetch(batch)
+            decoder.prefetch(batch)
             if len(batch) == 1 or self._n_threads == 1:
                 for key in batch:
                     fill(key)

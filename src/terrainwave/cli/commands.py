@@ -34,7 +34,7 @@ from terrainwave.cli.output import (
 )
 
 THREADS = click.IntRange(min=1)
-METHODS = click.Choice(["auto", "predictive", "cdf97", "store"])
+METHODS = click.Choice(["auto", "predictive", "cdf97", "cdf53", "store"])
 MESHES = click.Choice(["auto", *STORED_MESHES, "none"])
 EFFORTS = ["fast", "default", "best"]
 
@@ -65,6 +65,8 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
     help="Largest allowed error, in the raster's vertical unit; 0 is lossless."
     " Default: lossless where the heights have a vertical step, else 0.01.",
 )
+@click.option("--rate", type=Positive(), help="With --method cdf53: bits per sample.")
+@click.option("--psnr", type=Positive(), help="With --method cdf53: decibels to reach.")
 @click.option("--method", type=METHODS, default="auto", show_default=True)
 @click.option("--block", type=BlockSide(), default=256, show_default=True, help="Cells per side.")
 @click.option("--effort", type=click.Choice(EFFORTS), default="default", show_default=True)
@@ -107,6 +109,9 @@ def compress(
     """
     import terrainwave
 
+    _check_goals(options)
+    if scheduler is not None and options["method"] == "cdf53":
+        raise click.UsageError("found --scheduler and --method cdf53, expected one of them")
     announce_compiling(quiet=quiet)
     with _cluster(scheduler) as client, Bar(quiet=quiet) as bar:
         result = terrainwave.compress(
@@ -123,6 +128,16 @@ def compress(
         print_json(asdict(result))
     elif not quiet:
         _print_result(result)
+
+
+def _check_goals(options: dict[str, Any]) -> None:
+    """Refuse goals of `compress` that exclude each other."""
+    given = [name for name in ("max_error", "rate", "psnr") if options[name] is not None]
+    names = " and ".join(f"--{name}".replace("_", "-") for name in given)
+    if len(given) > 1:
+        raise click.UsageError(f"found {names}, expected one of them")
+    if given and given != ["max_error"] and options["method"] != "cdf53":
+        raise click.UsageError(f"found {names} without --method cdf53, expected --max-error")
 
 
 def _cluster(scheduler: str | None) -> AbstractContextManager[Any]:
@@ -183,6 +198,11 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
 @click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part to write.")
 @click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
 @click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
+@click.option(
+    "--quality",
+    type=Positive(),
+    help="Of a file of method cdf53: read only so many bits per sample.",
+)
 @click.option("--cog", is_flag=True, help="Make a cloud-optimised GeoTIFF.")
 @click.option(
     "--size",

@@ -12,6 +12,7 @@ from terrainwave.codec.maskcoder import decode_mask, encode_mask
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+from terrainwave.quadtree import Region
 
 MASK_ALL_VALID, MASK_CODED = 0, 1
 _HAS_EXCEPTIONS = 0b10
@@ -87,17 +88,21 @@ def decode_unit(
 
 
 def implied_voids(spec: GroupSpec, parent: Decoded | None) -> Mask:
-    """Return which samples of the unit are void because a parent sample touching them is.
+    """Return which samples of the unit are void because a parent sample touching them is."""
+    if parent is None or spec.parent_region is None:
+        return np.zeros(spec.region.shape, dtype=np.bool_)
+    return voids_below(spec.region, spec.parent_region, parent.mask)
+
+
+def voids_below(region: Region, outer: Region, outer_mask: Mask) -> Mask:
+    """Return which samples of `region` are void because of voids of `outer`, one level above.
 
     A coarse sample is valid iff any full-grid sample of the cells touching it is, so below a void
     sample everything within one sample of this level is void as well.
     """
-    region, outer = spec.region, spec.parent_region
-    if parent is None or outer is None:
+    if outer_mask.all():
         return np.zeros(region.shape, dtype=np.bool_)
-    if parent.mask.all():
-        return np.zeros(region.shape, dtype=np.bool_)
-    void = ~parent.mask
+    void = ~outer_mask
     rows = void[_touching(region.row, region.n_rows, outer.row, outer.n_rows, 0)]
     rows |= void[_touching(region.row, region.n_rows, outer.row, outer.n_rows, 1)]
     implied: Mask = rows[:, _touching(region.col, region.n_cols, outer.col, outer.n_cols, 0)]

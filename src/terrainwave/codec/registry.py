@@ -3,12 +3,16 @@
 from terrainwave.codec.refiner import Refiner
 from terrainwave.errors import InvalidHeightsError, UnsupportedVersionError
 
-METHODS = ("predictive", "cdf97", "store")
+METHODS = ("predictive", "cdf97", "cdf53", "store")
+# Of what heights each method makes coarse levels (`pyramid.Pyramid`).
+PYRAMIDS = {"predictive": "nested", "cdf97": "lowpass", "cdf53": "lowpass53", "store": "nested"}
 DEFAULT_METHOD = "predictive"
 
 
 def refiner_by_name(name: str, parameters: bytes = b"") -> Refiner:
     """Return the refiner of a file's method, with the `parameters` of its header.
+
+    Method cdf53 has none: its units are tiles (`codec.tiles`).
 
     Raises
     ------

@@ -233,6 +233,25 @@ class Container:
             check_crc(payload, segment.page.payload_crcs[row], "payload", key)
         return data
 
+    def payload_lengths(self, keys: Sequence[Block]) -> list[int]:
+        """Return the bytes of the payloads of `keys`."""
+        return [segment.payload_range(row).length for segment, row in self._rows(keys)]
+
+    def payload_parts(self, parts: Sequence[tuple[Block, int, int]]) -> list[bytes]:
+        """Return bytes start … end of payloads; near ones are read in one request.
+
+        Each of `parts` is (key, start, end), inside the payload. Parts have no checksum here.
+        """
+        ranges = []
+        for (segment, row), (_, start, end) in zip(
+            self._rows([key for key, _, _ in parts]), parts, strict=True
+        ):
+            whole = segment.payload_range(row)
+            if not 0 <= start <= end <= whole.length:
+                raise ValueError(f"bytes {start} … {end} of a payload of {whole.length}")
+            ranges.append(ByteRange(whole.offset + start, end - start))
+        return self.source.read_many(ranges)
+
     def mesh(self, key: Block) -> bytes:
         """Return the mesh section of `key`; empty if it has none."""
         ((segment, row),) = self._rows([key])

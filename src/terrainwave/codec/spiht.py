@@ -1,0 +1,628 @@
+"""SPIHT: bit planes of wavelet coefficients, sorted by trees (format-cdf53.md, C.5).
+
+A. Said and W. A. Pearlman, "A new, fast, and efficient image codec based on set partitioning in
+hierarchical trees" (1996): a list of insignificant pixels, one of insignificant sets (D, all
+descendants of a coefficient, and L, those but its children) and one of significant pixels.
+
+Departures: the LL band is not part of it (a tile gets it from above); the roots are all
+coefficients without a parent in the next coarser band; coefficients are shifted by about the norm
+of their basis functions, and bits known to be zero are not coded; every decision is coded with an
+adaptive model chosen by what is known of its neighbours, instead of as one raw bit.
+
+Encoder and decoder are one traversal, `_code_planes`: they differ in where `_decide` gets a bit.
+No index comes from the stream. It only decides the way through lists whose entries are made of the
+field's own geometry: a coefficient is in one list of pixels at a time, and a set enters the list of
+sets at most once as D and once as L.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._jit import kernel
+from terrainwave._status import raise_for_status
+from terrainwave.coding.lifting53 import level_shapes
+from terrainwave.coding.rangecoder import (
+    BYTE_POS,
+    CODE,
+    LOW,
+    PENDING,
+    RANGE,
+    STATE_SIZE,
+    decode_step,
+    encode_step,
+    finish_decoder,
+    finish_encoder,
+    new_models,
+    reset_encoder,
+    start_decoder,
+)
+
+# Of a sound field, not shifted; more planes than shifts can make of it.
+_MAX_MAGNITUDE = 1 << 34
+MAX_PLANES = 60
+
+# Columns of the geometry of a field: 3 * transform + band - 1, or -1 in LL and the frame; place of
+# the first child, or -1; 1 for one row of children, 2 for one column (else two of both); place of
+# the parent, or of the frame.
+_BAND, _CHILD, _SINGLE, _PARENT = 0, 1, 2, 3
+
+# What the state of the traversal holds behind that of the range coder.
+MODE, IS_STOPPED, N_DECISIONS = STATE_SIZE, STATE_SIZE + 1, STATE_SIZE + 2
+N_PIXELS, N_ENTRIES, N_FOUND, N_REFINED = (STATE_SIZE + 3 + i for i in range(4))
+WALK_STATE_SIZE = STATE_SIZE + 7
+ENCODES, DECODES, DECODES_CUT = 0, 1, 2
+
+# An unknown rest of a magnitude, r bits wide, counts as 3 / 8 of 2^r: most are small.
+_REST_NUM, _REST_BITS = 3, 3
+
+# Sets: whether D and L are known to be significant.
+_D_KNOWN, _L_KNOWN = 1, 2
+
+_MAX_UNITS = 6  # neighbours count up to so many times the threshold
+# The bin of a sum is the number of these that are not above it.
+_THRESHOLDS = np.array([1, 2, 3, 4, 5, 6, 7, 9, 11, 14, 18, 24, 32, 40, 48], dtype=np.int64)
+_LAST_BIN_AT = 48
+_BINS = np.searchsorted(_THRESHOLDS, np.arange(_LAST_BIN_AT + 1), side="right")
+_N_BINS = 16
+_N_DEPTHS = 4
+_N_CLASSES = 3 * _N_DEPTHS
+_SET_BINS = 8
+_PIXEL_MODELS = 0
+_CHILD_MODELS = _PIXEL_MODELS + _N_CLASSES * _N_BINS
+_D_MODELS = _CHILD_MODELS + 2 * _N_CLASSES * _N_BINS
+_L_MODELS = _D_MODELS + _N_CLASSES * 4 * _SET_BINS
+_SIGN_MODELS = _L_MODELS + _N_CLASSES * 5 * _SET_BINS
+_REFINE_MODELS = _SIGN_MODELS + 27
+N_SPIHT_MODELS = _REFINE_MODELS + 3 * _N_BINS
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Places of the coefficients of a field of one shape, flat, with a frame of one all around.
+
+    `table` is int32, shape (n_places, 4); `width` the places of a row.
+    """
+
+    table: NDArray[np.int32]
+    width: int
+    n_coefficients: int
+    n_sets: int
+    roots: NDArray[np.int32]
+
+
+def band_shift(transform: int, band: int) -> int:
+    """Return by how many bits coefficients of a band (HL 1, LH 2, HH 3) are shifted."""
+    return max(transform - 1, 0) if band == 3 else transform
+
+
+def make_geometry(shape: tuple[int, int], n_transforms: int) -> Geometry:
+    """Return the geometry of a field transformed `n_transforms` times."""
+    width = shape[1] + 2
+    table = np.zeros(((shape[0] + 2) * width, 4), dtype=np.int32)
+    table[:, (_BAND, _CHILD)] = -1
+    sizes = np.array(level_shapes(shape, n_transforms), dtype=np.int64)
+    low = sizes[-1]
+    n_coefficients = int(shape[0]) * int(shape[1]) - int(low[0]) * int(low[1])
+    roots = np.empty(n_coefficients, dtype=np.int32)
+    n_roots, n_sets = _fill_geometry(sizes, width, table, roots)
+    return Geometry(table, width, n_coefficients, n_sets, roots[:n_roots].copy())
+
+
+@kernel
+def _band_origin(sizes, transform, band):
+    """Return first row, first column, rows and columns of a band."""
+    row = sizes[transform + 1, 0] if band >> 1 else 0
+    col = sizes[transform + 1, 1] if band & 1 else 0
+    n_rows = sizes[transform, 0] - row if band >> 1 else sizes[transform + 1, 0]
+    n_cols = sizes[transform, 1] - col if band & 1 else sizes[transform + 1, 1]
+    return row, col, n_rows, n_cols
+
+
+@kernel
+def _fill_geometry(sizes, width, table, roots):
+    """Fill `table` and `roots`; return the numbers of roots and of sets."""
+    n_transforms = sizes.shape[0] - 1
+    n_roots = n_sets = 0
+    for transform in range(n_transforms - 1, -1, -1):
+        for band in range(1, 4):
+            row, col, n_rows, n_cols = _band_origin(sizes, transform, band)
+            above_rows = above_cols = below_rows = below_cols = 0
+            above_row = above_col = below_row = below_col = 0
+            if transform + 1 < n_transforms:
+                above_row, above_col, above_rows, above_cols = _band_origin(
+                    sizes, transform + 1, band
+                )
+            if transform > 0:
+                below_row, below_col, below_rows, below_cols = _band_origin(
+                    sizes, transform - 1, band
+                )
+            for i in range(n_rows):
+                for j in range(n_cols):
+                    place = (row + i + 1) * width + col + j + 1
+                    table[place, _BAND] = 3 * transform + band - 1
+                    if (i >> 1) < above_rows and (j >> 1) < above_cols:
+                        parent = (above_row + (i >> 1) + 1) * width + above_col + (j >> 1) + 1
+                        table[place, _PARENT] = parent
+                    else:
+                        roots[n_roots] = place
+                        n_roots += 1
+                    if 2 * i < below_rows and 2 * j < below_cols:
+                        n_sets += 1
+                        child = (below_row + 2 * i + 1) * width + below_col + 2 * j + 1
+                        table[place, _CHILD] = child
+                        single = 1 if 2 * i + 1 >= below_rows else 0
+                        table[place, _SINGLE] = single + (2 if 2 * j + 1 >= below_cols else 0)
+    return n_roots, n_sets
+
+
+class Walk(NamedTuple):
+    """What one traversal reads and writes besides its state.
+
+    `values` are the shifted coefficients and `tops` the highest bits of each coefficient, its D and
+    its L (-1: zero), both of an encoder; `known` the bits of magnitudes coded so far and `signs`
+    their signs; `sets` what is known of D and L. The lists: insignificant `pixels`, `entries` (a
+    set's place times two, plus one for type B), significant pixels `found`.
+    ``ends[plane]`` are bytes that decode an encoder's planes down to `plane`.
+    """
+
+    stream: NDArray[np.uint8]
+    models: NDArray[np.uint32]
+    trace: NDArray[np.uint8]
+    table: NDArray[np.int32]
+    width: int
+    values: NDArray[np.int64]
+    tops: NDArray[np.int8]
+    known: NDArray[np.int64]
+    signs: NDArray[np.int8]
+    sets: NDArray[np.uint8]
+    pixels: NDArray[np.int32]
+    entries: NDArray[np.int32]
+    found: NDArray[np.int32]
+    ends: NDArray[np.int64]
+
+
+# One decision
+
+
+@kernel
+def _decide(state, walk, index, bit):
+    """Code one decision with ``models[index]``; return it.
+
+    A decoder of a cut stream stops, for good, before the first decision for which it would need a
+    byte past the end, and takes 0 for it.
+    """
+    if state[MODE] == ENCODES:
+        state[RANGE], state[LOW] = encode_step(
+            state[RANGE], state[LOW], state, walk.stream, walk.models, index, bit
+        )
+    else:
+        if state[MODE] == DECODES_CUT and state[BYTE_POS] > walk.stream.shape[0]:
+            state[IS_STOPPED] = 1
+        if state[IS_STOPPED]:
+            return np.int64(0)
+        bit, state[RANGE], state[CODE], state[BYTE_POS] = decode_step(
+            state[RANGE], state[CODE], state[BYTE_POS], walk.stream, walk.models, index
+        )
+    count = state[N_DECISIONS]
+    if count < walk.trace.shape[0]:
+        walk.trace[count] = bit
+    state[N_DECISIONS] = count + 1
+    return np.int64(bit)
+
+
+@kernel
+def _n_bytes_decided(state):
+    """Return how many bytes of an encoder's stream decode all its decisions so far."""
+    return state[BYTE_POS] + state[PENDING] + 4
+
+
+# Contexts
+
+
+@kernel
+def _shift_of(band):
+    """Return the shift of a band of the geometry (`band_shift`)."""
+    transform = band // 3
+    return max(transform - 1, 0) if band % 3 == 2 else transform
+
+
+@kernel
+def _class_of(band):
+    """Return the class of models of a band of the geometry."""
+    return min(band // 3, _N_DEPTHS - 1) * 3 + band % 3
+
+
+@kernel
+def _units(known, place, plane):
+    """Return the known magnitude at `place` in units of 2^plane, at most `_MAX_UNITS`."""
+    return min(known[place] >> plane, _MAX_UNITS)
+
+
+@kernel
+def _neighbourhood(walk, place, plane):
+    """Return the bin of what is known around: twice W, E, N, S and the parent, and diagonals."""
+    known, width = walk.known, walk.width
+    near = (
+        _units(known, place - 1, plane)
+        + _units(known, place + 1, plane)
+        + _units(known, place - width, plane)
+        + _units(known, place + width, plane)
+        + _units(known, walk.table[place, _PARENT], plane)
+    )
+    diagonal = (
+        _units(known, place - width - 1, plane)
+        + _units(known, place - width + 1, plane)
+        + _units(known, place + width - 1, plane)
+        + _units(known, place + width + 1, plane)
+    )
+    return _BINS[min(2 * near + diagonal, _LAST_BIN_AT)]
+
+
+@kernel
+def _set_neighbours(walk, place, flag):
+    """Return how many of the eight neighbours have a set that is known to be significant."""
+    count = 0
+    for row in range(-1, 2):
+        for col in range(-1, 2):
+            if walk.sets[place + row * walk.width + col] & flag:
+                count += 1
+    return min(count, _SET_BINS - 1)
+
+
+@kernel
+def _sign_model(walk, place, band):
+    """Return the model of a sign: the band and the signs of W and E, N and S."""
+    signs, width = walk.signs, walk.width
+    across = min(max(signs[place - 1] + signs[place + 1], -1), 1)
+    down = min(max(signs[place - width] + signs[place + width], -1), 1)
+    return _SIGN_MODELS + 9 * (band % 3) + 3 * (across + 1) + down + 1
+
+
+@kernel
+def _children(walk, place):
+    """Return the first child of `place` and the numbers of rows and columns of children."""
+    single = walk.table[place, _SINGLE]
+    return walk.table[place, _CHILD], 1 if single & 1 else 2, 1 if single & 2 else 2
+
+
+@kernel
+def _n_significant_children(walk, place):
+    """Return how many children of `place` are significant."""
+    child, n_rows, n_cols = _children(walk, place)
+    count = 0
+    for row in range(n_rows):
+        for col in range(n_cols):
+            if walk.known[child + row * walk.width + col]:
+                count += 1
+    return count
+
+
+# The traversal
+
+
+@kernel
+def _code_pixel(state, walk, plane, place, first_model):
+    """Code whether a coefficient is significant, and if so its sign; say whether it is."""
+    value = walk.values[place]
+    is_encoder = state[MODE] == ENCODES
+    bit = 1 if is_encoder and abs(value) >> plane else 0
+    if not _decide(state, walk, first_model + _neighbourhood(walk, place, plane), bit):
+        return False
+    bit = 1 if is_encoder and value < 0 else 0
+    is_negative = _decide(state, walk, _sign_model(walk, place, walk.table[place, _BAND]), bit)
+    if state[IS_STOPPED]:
+        return False
+    walk.known[place] = np.int64(1) << plane
+    walk.signs[place] = -1 if is_negative else 1
+    walk.found[state[N_FOUND]] = place
+    state[N_FOUND] += 1
+    return True
+
+
+@kernel
+def _sort_pixels(state, walk, plane):
+    """Move the pixels that become significant to those found."""
+    n_kept = 0
+    for at in range(state[N_PIXELS]):
+        place = walk.pixels[at]
+        band = walk.table[place, _BAND]
+        if _shift_of(band) > plane:
+            continue  # all its bits have been coded: it is zero
+        first_model = _PIXEL_MODELS + _class_of(band) * _N_BINS
+        if state[IS_STOPPED] or not _code_pixel(state, walk, plane, place, first_model):
+            walk.pixels[n_kept] = place
+            n_kept += 1
+    state[N_PIXELS] = n_kept
+
+
+@kernel
+def _open_d(state, walk, plane, place):
+    """Code the children of a D that became significant."""
+    child, n_rows, n_cols = _children(walk, place)
+    n_significant = 0
+    for row in range(n_rows):
+        for col in range(n_cols):
+            here = child + row * walk.width + col
+            band = walk.table[here, _BAND]
+            first = _CHILD_MODELS + (2 * _class_of(band) + min(n_significant, 1)) * _N_BINS
+            is_coded = _shift_of(band) <= plane and not state[IS_STOPPED]
+            if is_coded and _code_pixel(state, walk, plane, here, first):
+                n_significant += 1
+            else:
+                walk.pixels[state[N_PIXELS]] = here
+                state[N_PIXELS] += 1
+
+
+@kernel
+def _open_l(walk, place, n_entries):
+    """Append the D of the children of an L that became significant; return the new length."""
+    child, n_rows, n_cols = _children(walk, place)
+    for row in range(n_rows):
+        for col in range(n_cols):
+            here = child + row * walk.width + col
+            if walk.table[here, _CHILD] >= 0:
+                walk.entries[n_entries] = 2 * here
+                n_entries += 1
+    return n_entries
+
+
+@kernel
+def _decide_set(state, walk, plane, place, is_l):
+    """Code whether a set is significant."""
+    class_ = _class_of(walk.table[place, _BAND])
+    bit = 1 if state[MODE] == ENCODES and walk.tops[place, 1 + is_l] >= plane else 0
+    if is_l:
+        context = 5 * class_ + _n_significant_children(walk, place)
+        index = _L_MODELS + context * _SET_BINS + _set_neighbours(walk, place, _L_KNOWN)
+    else:
+        context = 4 * class_ + min(walk.known[place] >> plane, 3)
+        index = _D_MODELS + context * _SET_BINS + _set_neighbours(walk, place, _D_KNOWN)
+    return _decide(state, walk, index, bit)
+
+
+@kernel
+def _sort_sets(state, walk, plane):
+    """Open the sets that become significant; those that come of them are looked at as well."""
+    n_kept = at = 0
+    n_entries = state[N_ENTRIES]
+    while at < n_entries:
+        entry = walk.entries[at]
+        at += 1
+        place, is_l = entry >> 1, entry & 1
+        if state[IS_STOPPED] or not _decide_set(state, walk, plane, place, is_l):
+            walk.entries[n_kept] = entry
+            n_kept += 1
+        elif is_l:
+            walk.sets[place] |= _L_KNOWN
+            n_entries = _open_l(walk, place, n_entries)
+        else:
+            walk.sets[place] |= _D_KNOWN
+            _open_d(state, walk, plane, place)
+            # Of all children the first has the most descendants.
+            if walk.table[walk.table[place, _CHILD], _CHILD] >= 0:
+                walk.entries[n_entries] = 2 * place + 1
+                n_entries += 1
+    state[N_ENTRIES] = n_kept
+
+
+@kernel
+def _refine(state, walk, plane, n_old):
+    """Code one more bit of the first `n_old` significant pixels; N_REFINED says of how many."""
+    is_encoder = state[MODE] == ENCODES
+    for at in range(n_old):
+        state[N_REFINED] = at
+        place = walk.found[at]
+        if _shift_of(walk.table[place, _BAND]) > plane:
+            continue
+        so_far = walk.known[place] >> (plane + 1)
+        age = 0 if so_far == 1 else (1 if so_far < 4 else 2)
+        index = _REFINE_MODELS + age * _N_BINS + _neighbourhood(walk, place, plane)
+        bit = 1 if is_encoder and (abs(walk.values[place]) >> plane) & 1 else 0
+        bit = _decide(state, walk, index, bit)
+        if state[IS_STOPPED]:
+            return
+        walk.known[place] += bit << plane
+    state[N_REFINED] = n_old
+
+
+@kernel
+def _code_planes(state, walk, n_planes):
+    """Code the planes from `n_planes` - 1 down; return (plane, old pixels) where it stopped."""
+    n_old = state[N_FOUND]
+    for plane in range(n_planes - 1, -1, -1):
+        n_old = state[N_FOUND]
+        state[N_REFINED] = 0
+        _sort_pixels(state, walk, plane)
+        _sort_sets(state, walk, plane)
+        if not state[IS_STOPPED]:
+            _refine(state, walk, plane, n_old)
+        if state[IS_STOPPED]:
+            return plane, n_old
+        if state[MODE] == ENCODES:
+            walk.ends[plane] = _n_bytes_decided(state)
+        elif state[MODE] == DECODES and state[BYTE_POS] > walk.stream.shape[0] + 4:
+            return plane, n_old  # `finish_decoder` says so
+    return np.int64(0), n_old
+
+
+@kernel
+def _guess_values(state, walk, plane, n_old):
+    """Fill `values` with the best guess of each coefficient, not shifted any more."""
+    for at in range(state[N_FOUND]):
+        place = walk.found[at]
+        shift = _shift_of(walk.table[place, _BAND])
+        # Old pixels behind the last one refined lack this plane's bit.
+        n_bits = plane + 1 if state[N_REFINED] <= at < n_old else plane
+        rest = (_REST_NUM << n_bits) >> _REST_BITS if n_bits > shift else 0
+        magnitude = min((walk.known[place] + rest) >> shift, _MAX_MAGNITUDE)
+        walk.values[place] = walk.signs[place] * magnitude
+
+
+@kernel
+def _shift_values(walk):
+    """Shift the coefficients by what their bands are; places without a coefficient become 0."""
+    for place in range(walk.values.shape[0]):
+        band = walk.table[place, _BAND]
+        if band < 0:
+            walk.values[place] = 0
+        else:
+            walk.values[place] <<= _shift_of(band)
+
+
+@kernel
+def _fill_tops(walk):
+    """Fill the tops of all coefficients."""
+    for place in range(walk.values.shape[0]):
+        value = abs(walk.values[place])
+        top = -1
+        while value >> (top + 1):
+            top += 1
+        walk.tops[place, 0] = top
+
+
+@kernel
+def _fill_set_tops(walk, transform, n_rows, n_cols):
+    """Fill the tops of D and L of a transform's coefficients, within so many rows and columns.
+
+    Those of the finer transforms are needed first.
+    """
+    for row in range(n_rows):
+        for col in range(n_cols):
+            place = (row + 1) * walk.width + col + 1
+            if walk.table[place, _BAND] // 3 != transform or walk.table[place, _CHILD] < 0:
+                continue
+            child, child_rows, child_cols = _children(walk, place)
+            d_top = l_top = np.int64(-1)
+            for i in range(child_rows):
+                for j in range(child_cols):
+                    here = child + i * walk.width + j
+                    l_top = max(l_top, np.int64(walk.tops[here, 1]))
+                    d_top = max(d_top, np.int64(walk.tops[here, 0]))
+            walk.tops[place, 1] = max(d_top, l_top)
+            walk.tops[place, 2] = l_top
+
+
+# Fields
+
+
+class CodedField(NamedTuple):
+    """A coded field: the stream, the number of its planes, and how it may be cut.
+
+    ``ends[plane]`` bytes decode all planes down to `plane`.
+    """
+
+    stream: bytes
+    n_planes: int
+    ends: NDArray[np.int64]
+    n_decisions: int
+
+
+@lru_cache(maxsize=8)
+def geometry_of(shape: tuple[int, int], n_transforms: int) -> Geometry:
+    """Return `make_geometry`'s result, kept for the next field of that shape."""
+    return make_geometry(shape, n_transforms)
+
+
+def encode_field(
+    field: NDArray[np.int64],
+    n_transforms: int,
+    trace: NDArray[np.uint8] | None = None,
+) -> CodedField:
+    """Return the bit planes of a transformed field, without its LL band.
+
+    Parameters
+    ----------
+    field : ndarray of int64, shape (n_rows, n_cols)
+        As `forward_transform` leaves it; magnitudes below 2^34.
+    trace : ndarray of uint8, optional
+        Gets the decisions, as many as fit.
+    """
+    geometry = geometry_of(field.shape, n_transforms)
+    state, walk = _start(geometry, ENCODES, _stream_for(field), trace)
+    inner = walk.values.reshape(field.shape[0] + 2, geometry.width)[1:-1, 1:-1]
+    inner[:] = field
+    _shift_values(walk)
+    _fill_tops(walk)
+    for transform, (n_rows, n_cols) in enumerate(level_shapes(field.shape, n_transforms)[:-1]):
+        _fill_set_tops(walk, transform, n_rows, n_cols)
+    n_planes = int(walk.tops[:, 0].max(initial=-1)) + 1
+    reset_encoder(state)
+    _code_planes(state, walk, n_planes)
+    n_decisions = int(state[N_DECISIONS])
+    n_bytes = int(finish_encoder(state, walk.stream))
+    if n_bytes > walk.stream.shape[0]:
+        raise AssertionError(f"a stream of {n_bytes} bytes is longer than was thought possible")
+    ends = np.minimum(walk.ends[:n_planes], n_bytes)
+    return CodedField(walk.stream[:n_bytes].tobytes(), n_planes, ends, n_decisions)
+
+
+def decode_field(
+    stream: bytes, n_planes: int, shape: tuple[int, int], n_transforms: int, *, is_cut: bool
+) -> NDArray[np.int64]:
+    """Return the field of `encode_field`; zeros in its LL band.
+
+    Parameters
+    ----------
+    is_cut : bool
+        Whether `stream` may be any prefix: what it doesn't tell is guessed.
+
+    Raises
+    ------
+    CorruptStreamError
+        If a stream that is not cut does not end where its last decision does.
+    """
+    geometry = geometry_of(shape, n_transforms)
+    # A copy that may be written to: the traversal is compiled once, for encoders too.
+    data = np.frombuffer(stream, dtype=np.uint8).copy()
+    state, walk = _start(geometry, DECODES_CUT if is_cut else DECODES, data, None)
+    start_decoder(state, data)
+    plane, n_old = _code_planes(state, walk, n_planes)
+    if not is_cut:
+        raise_for_status(*finish_decoder(state, data))
+    _guess_values(state, walk, plane, n_old)
+    return walk.values.reshape(shape[0] + 2, geometry.width)[1:-1, 1:-1].copy()
+
+
+def _stream_for(field: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return room for the stream of a field: no decision takes more than 16 bits."""
+    n_bits = int(np.abs(field).max(initial=0)).bit_length() + 2
+    return np.empty(4096 + 4 * field.size * n_bits, dtype=np.uint8)
+
+
+def _start(
+    geometry: Geometry,
+    mode: int,
+    stream: NDArray[np.uint8],
+    trace: NDArray[np.uint8] | None,
+) -> tuple[NDArray[np.int64], Walk]:
+    """Return the state and the arrays of a traversal that is about to begin."""
+    n_places = geometry.table.shape[0]
+    is_encoder = mode == ENCODES
+    walk = Walk(
+        stream=stream,
+        models=new_models(N_SPIHT_MODELS),
+        trace=np.empty(0, dtype=np.uint8) if trace is None else trace,
+        table=geometry.table,
+        width=geometry.width,
+        values=np.zeros(n_places, dtype=np.int64),
+        tops=np.full((n_places if is_encoder else 0, 3), -1, dtype=np.int8),
+        known=np.zeros(n_places, dtype=np.int64),
+        signs=np.zeros(n_places, dtype=np.int8),
+        sets=np.zeros(n_places, dtype=np.uint8),
+        pixels=np.empty(geometry.n_coefficients, dtype=np.int32),
+        entries=np.empty(2 * geometry.n_sets, dtype=np.int32),
+        found=np.empty(geometry.n_coefficients, dtype=np.int32),
+        ends=np.zeros(MAX_PLANES if is_encoder else 0, dtype=np.int64),
+    )
+    state = np.zeros(WALK_STATE_SIZE, dtype=np.int64)
+    state[MODE] = mode
+    roots = geometry.roots
+    walk.pixels[: roots.size] = roots
+    with_sets = roots[geometry.table[roots, _CHILD] >= 0]
+    walk.entries[: with_sets.size] = 2 * with_sets
+    state[N_PIXELS], state[N_ENTRIES] = roots.size, with_sets.size
+    return state, walk

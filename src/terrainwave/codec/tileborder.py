@@ -1,0 +1,115 @@
+"""The coefficients on the borders of a tile, exact and first (format-cdf53.md, C.4).
+
+Two tiles share the samples of a border, whose lines are transformed along themselves alone. Both
+code the same coefficients, whatever else of their streams is cut, so shared samples stay equal.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._jit import kernel
+from terrainwave._status import raise_for_status
+from terrainwave.coding.lifting53 import (
+    HELD_BOTTOM,
+    HELD_LEFT,
+    HELD_RIGHT,
+    HELD_TOP,
+    level_shapes,
+)
+from terrainwave.coding.rangecoder import (
+    MAGNITUDE_MODELS,
+    decode_magnitude,
+    decode_raw,
+    encode_magnitude,
+    encode_raw,
+    finish_decoder,
+    finish_encoder,
+    new_models,
+    start_decoder,
+    start_encoder,
+)
+from terrainwave.errors import InvalidHeightsError
+
+_N_CONTEXTS = 24
+_MAX_COEFFICIENT = 1 << 32
+
+
+def border_lines(
+    field: NDArray[np.int64], n_transforms: int, held: int
+) -> Iterator[NDArray[np.int64]]:
+    """Yield the coefficients of each held side of a transformed field, coarse to fine; views."""
+    shapes = level_shapes(field.shape, n_transforms)
+    for side in (HELD_TOP, HELD_LEFT, HELD_BOTTOM, HELD_RIGHT):
+        if not held & side:
+            continue
+        for t in range(n_transforms - 1, -1, -1):
+            (n_rows, n_cols), (low_rows, low_cols) = shapes[t], shapes[t + 1]
+            if side in (HELD_TOP, HELD_BOTTOM):
+                yield field[0 if side == HELD_TOP else low_rows - 1, low_cols:n_cols]
+            else:
+                yield field[low_rows:n_rows, 0 if side == HELD_LEFT else low_cols - 1]
+
+
+def encode_borders(field: NDArray[np.int64], n_transforms: int, held: int) -> bytes:
+    """Return the stream of the coefficients of `border_lines` and set them to zero."""
+    lines = list(border_lines(field, n_transforms, held))
+    n_coefficients = sum(line.size for line in lines)
+    state, models = start_encoder(), new_models(_N_CONTEXTS * MAGNITUDE_MODELS)
+    stream = np.empty(16 + 16 * n_coefficients, dtype=np.uint8)
+    for line in lines:
+        values = line.copy()
+        if np.abs(values).max(initial=0) > _MAX_COEFFICIENT:
+            raise InvalidHeightsError("found heights too far apart for method cdf53")
+        _encode_line(values, state, stream, models)
+        line[:] = 0
+    return stream[: finish_encoder(state, stream)].tobytes()
+
+
+def decode_borders(stream: bytes, field: NDArray[np.int64], n_transforms: int, held: int) -> None:
+    """Set the coefficients that `encode_borders` took from the field.
+
+    Raises
+    ------
+    CorruptStreamError
+        If the stream does not end where its last coefficient does.
+    """
+    data = np.frombuffer(stream, dtype=np.uint8).copy()
+    state, models = start_encoder(), new_models(_N_CONTEXTS * MAGNITUDE_MODELS)
+    start_decoder(state, data)
+    for line in border_lines(field, n_transforms, held):
+        values = np.empty(line.size, dtype=np.int64)
+        _decode_line(values, state, data, models)
+        line[:] = values
+    raise_for_status(*finish_decoder(state, data))
+
+
+@kernel
+def _context(last, before):
+    """Return the first model for a magnitude after two others: the bits of their weighted sum."""
+    total, n_bits = 2 * last + before, 0
+    while total >> n_bits and n_bits < _N_CONTEXTS - 1:
+        n_bits += 1
+    return n_bits * MAGNITUDE_MODELS
+
+
+@kernel
+def _encode_line(values, state, stream, models):
+    last = before = np.int64(0)
+    for at in range(values.shape[0]):
+        magnitude = abs(values[at])
+        encode_magnitude(state, stream, models, _context(last, before), magnitude)
+        if magnitude:
+            encode_raw(state, stream, 1 if values[at] < 0 else 0, 1)
+        last, before = magnitude, last
+
+
+@kernel
+def _decode_line(values, state, data, models):
+    last = before = np.int64(0)
+    for at in range(values.shape[0]):
+        magnitude = np.int64(decode_magnitude(state, data, models, _context(last, before)))
+        is_negative = magnitude > 0 and decode_raw(state, data, 1) == 1
+        values[at] = -magnitude if is_negative else magnitude
+        last, before = magnitude, last

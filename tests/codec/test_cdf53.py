@@ -1,0 +1,278 @@
+"""Method cdf53: lossless tiles, streams cut to a goal, reading in part."""
+
+import numpy as np
+import pytest
+from strategies import terrain_like
+from twz import twz_bytes
+
+from terrainwave.codec import tiles
+from terrainwave.codec.cdf53 import PIECE, decode_tile, encode_tile, plane_cut, unpack_head
+from terrainwave.codec.tiles import TileLayout
+from terrainwave.container.reader import open_container
+from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TruncatedStreamError
+from terrainwave.quadtree import Block, Grid
+from terrainwave.terrain import Terrain
+
+HEIGHTS = terrain_like(150, 140, seed=5)
+
+
+@pytest.fixture
+def small_tiles(monkeypatch):
+    """Make tiles of two levels of 32 x 32 blocks: 129 x 129 samples."""
+    monkeypatch.setattr(tiles, "_TILE_LOG2", 7)
+
+
+def file_of(heights, **options):
+    return twz_bytes(heights, method="cdf53", **options)
+
+
+def read(data, **options):
+    with Terrain(data, threads=1) as terrain:
+        return terrain.read(**options)
+
+
+def root_tile(heights):
+    """Return spec, coded tile and validity of a raster that is one tile."""
+    grid = Grid(*heights.shape, 32)
+    spec = TileLayout(grid).spec(Block(-1, 0, 0))
+    masks = [np.ones(region.shape, dtype=bool) for region in spec.regions]
+    return spec, encode_tile(spec, heights.astype(np.int32), masks, None)
+
+
+# Tiles
+
+
+def test_every_unit_lies_in_one_tile():
+    grid = Grid(5000, 3000, 256)
+    layout = TileLayout(grid)
+    units = [Block(-1, 0, 0), *(b for k in range(grid.k_max) for b in grid.blocks(k))]
+    keys = layout.keys()
+    assert {layout.key_of(unit) for unit in units} == set(keys)
+    for key in keys:
+        assert layout.n_units(key) == sum(layout.key_of(unit) == key for unit in units)
+
+
+def test_tiles_of_256_blocks_have_1025_samples_on_a_side():
+    layout = TileLayout(Grid(4096, 4096, 256))
+    finest = layout.spec(Block(2, 1, 1))
+    assert finest.region.shape == (1025, 1025)
+    assert (finest.first, finest.last, finest.n_below) == (3, 4, 0)
+
+
+def test_the_tile_above_holds_the_head():
+    layout = TileLayout(Grid(5000, 3000, 256))
+    for key in layout.keys():
+        for below in layout.below(key):
+            assert layout.above(below) == key
+            assert below.level == layout.spec(key).last
+
+
+# Lossless
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (2, 2), (5, 3), (33, 34), (66, 65)])
+def test_whole_numbers_come_back_exactly(shape):
+    heights = terrain_like(*shape, seed=1)
+    np.testing.assert_array_equal(read(file_of(heights)), heights)
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("shape", [(150, 140), (129, 258), (130, 385), (257, 40)])
+def test_several_tiles_come_back_exactly(small_tiles, shape):
+    heights = terrain_like(*shape, seed=2)
+    np.testing.assert_array_equal(read(file_of(heights)), heights)
+
+
+@pytest.mark.large
+def test_voids_on_borders_of_tiles_come_back(small_tiles):
+    heights = HEIGHTS.copy()
+    heights[100:140, 110:] = -32768
+    heights[128, ::3] = -32768
+    np.testing.assert_array_equal(read(file_of(heights, nodata=-32768)), heights)
+
+
+def test_coarse_levels_are_the_inverse_stopped_early():
+    # By the definition of s and d on a row: s = x + ((d_left + d_right + 2) >> 2).
+    row = np.array([[3, 9, 4, 1, 8, 2, 6, 5, 7] * 8], dtype="int16")[:, :65]
+    x = row[0].astype(int)
+    d = x[1::2] - (x[0:-2:2] + x[2::2] >> 1)
+    left, right = np.r_[d[0], d], np.r_[d, d[-1]]
+    expected = np.clip(x[::2] + (left + right + 2 >> 2), x.min(), x.max())
+    np.testing.assert_array_equal(read(file_of(row), level=-2)[0], expected)
+
+
+# Goals
+
+
+@pytest.mark.parametrize("max_error", [1, 4, 20])
+def test_a_bound_above_zero_holds_and_saves_bytes(max_error):
+    heights = HEIGHTS[:40, :40]
+    data = file_of(heights, max_error=max_error)
+    assert np.abs(read(data).astype(int) - heights).max() <= max_error
+    assert len(data) < len(file_of(heights))
+
+
+def test_a_bound_costs_about_the_logarithm_of_its_steps_less():
+    # Rounding to steps of 9 takes log2(9) = 3.17 bits of a sample whose details are noise.
+    heights = np.random.default_rng(1).integers(0, 5000, (60, 60)).astype("int16")
+    saved = 8 * (len(file_of(heights)) - len(file_of(heights, max_error=4))) / heights.size
+    assert 2.9 < saved < 3.4
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("rate", [1.5, 3])
+def test_a_rate_is_kept_and_nearly_used(small_tiles, rate):
+    data = file_of(HEIGHTS, rate=rate)
+    bits = 8 * len(data) / HEIGHTS.size
+    # What is left free for pages is some hundred bytes at most.
+    assert rate - 0.4 < bits <= rate
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("psnr", [30, 45])
+def test_a_psnr_is_reached_and_hardly_more(psnr):
+    decoded = read(file_of(HEIGHTS, psnr=psnr)).astype(float)
+    error = np.sqrt(np.mean((decoded - HEIGHTS) ** 2))
+    found = 20 * np.log10(np.ptp(HEIGHTS) / error)
+    assert psnr <= found < psnr + 1
+
+
+@pytest.mark.large
+def test_the_bound_of_a_cut_file_is_the_measured_maximum(small_tiles):
+    data = file_of(HEIGHTS, rate=2)
+    with Terrain(data, threads=1) as terrain:
+        measured = np.abs(terrain.read().astype(int) - HEIGHTS).max()
+        assert terrain.effective_error == terrain.max_error == measured > 0
+        assert list(terrain.check()) == []
+
+
+@pytest.mark.large
+def test_tiles_of_a_cut_file_agree_on_their_border(small_tiles):
+    with Terrain(file_of(HEIGHTS, rate=1.5), threads=1) as terrain:
+        grid, decoder = terrain.grid, terrain._decoder
+        for level in range(grid.k_max + 1):
+            for block in grid.blocks(level):
+                right = Block(level, block.row, block.col + 1)
+                if grid.contains(right):
+                    here, there = decoder.block(block), decoder.block(right)
+                    np.testing.assert_array_equal(here.heights[:, -1], there.heights[:, 0])
+
+
+@pytest.mark.large
+def test_floats_on_no_grid_can_be_cut():
+    heights = terrain_like(70, 60, seed=3).astype("float32") * np.float32(np.pi)
+    decoded = read(file_of(heights, psnr=40))
+    error = np.sqrt(np.mean((decoded.astype(float) - heights) ** 2))
+    assert 20 * np.log10(np.ptp(heights) / error) >= 40
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rate": 1, "max_error": 1}, "max_error and rate, expected one of them"),
+        ({"rate": 1, "psnr": 40}, "rate and psnr, expected one of them"),
+        ({"rate": 1, "method": "cdf97"}, "rate and method cdf97, expected method cdf53"),
+        ({"rate": 0}, "rate 0, expected a number > 0"),
+        ({"psnr": float("nan")}, "psnr nan, expected a finite number"),
+        ({"rate": 0.01}, "give a larger --rate"),
+        ({"border_rings": 3}, "expected border_rings 1"),
+    ],
+)
+def test_goals_that_cannot_be_kept_are_refused(options, message):
+    with pytest.raises(InvalidHeightsError, match=message):
+        twz_bytes(HEIGHTS[:9, :9], **{"method": "cdf53", **options})
+
+
+# Reading in part
+
+
+@pytest.mark.large
+def test_more_bytes_give_a_better_surface_and_all_of_them_the_raster(small_tiles):
+    heights = terrain_like(300, 280, seed=9) * 8
+    with Terrain(file_of(heights), threads=1) as terrain:
+        errors, sizes = [], []
+        for quality in (0.5, 2, 4, 100):
+            found = terrain.read_early(quality=quality)
+            errors.append(np.square(found.heights.astype(float) - heights).mean())
+            sizes.append(found.n_bytes)
+            assert 8 * found.n_bytes <= quality * heights.size or quality == 0.5
+            np.testing.assert_array_equal(terrain.read(quality=quality), found.heights)
+    assert sizes == sorted(sizes)
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] == 0
+
+
+def test_other_methods_cannot_be_read_in_part():
+    with Terrain(twz_bytes(HEIGHTS[:9, :9], max_error=0, method="store")) as terrain:
+        with pytest.raises(InvalidHeightsError, match="expected one of method cdf53"):
+            terrain.read(quality=1)
+
+
+def test_a_quality_of_zero_is_refused():
+    with Terrain(file_of(HEIGHTS[:9, :9])) as terrain:
+        with pytest.raises(InvalidHeightsError, match="found quality 0"):
+            terrain.read(quality=0)
+
+
+def test_a_prefix_of_a_payload_decodes_to_its_whole_pieces():
+    noise = np.random.default_rng(3).integers(-30000, 30000, (65, 65))
+    spec, coded = root_tile(noise)
+    payload = coded.payload()
+    start = unpack_head(spec, payload)[1]
+    one_piece = coded.payload(PIECE)
+    expected = decode_tile(spec, None, one_piece)[-1].heights
+    for n_bytes in (PIECE + 4, PIECE + 5, 2 * PIECE):
+        found = decode_tile(spec, None, payload[: start + n_bytes], is_prefix=True)
+        np.testing.assert_array_equal(found[-1].heights, expected)
+
+
+def test_a_position_counts_planes_from_the_finest():
+    ends = (10, 30, 70)
+    assert [plane_cut(ends, 70, position) for position in (0, 1, 1.25, 2, 3, 9)] == [
+        70, 30, 25, 10, 0, 0,
+    ]  # fmt: skip
+
+
+# Damage
+
+
+def payloads_of(data):
+    with open_container(data) as container:
+        return container.payload(Block(-1, 0, 0))
+
+
+@pytest.mark.large
+def test_every_prefix_of_a_payload_is_rejected():
+    spec, coded = root_tile(HEIGHTS[:20, :20])
+    payload = coded.payload()
+    for n_bytes in range(1, len(payload)):
+        with pytest.raises(CorruptStreamError):
+            decode_tile(spec, None, payload[:n_bytes])
+
+
+def test_a_changed_piece_is_noticed_when_read_in_part():
+    spec, coded = root_tile(HEIGHTS[:20, :20])
+    payload = bytearray(coded.payload())
+    payload[-9] ^= 1
+    with pytest.raises(CorruptStreamError, match="checksum of a piece"):
+        decode_tile(spec, None, bytes(payload), is_prefix=True)
+
+
+def test_a_changed_head_is_noticed():
+    spec, coded = root_tile(HEIGHTS[:20, :20])
+    payload = bytearray(coded.payload())
+    payload[2] ^= 1
+    with pytest.raises(CorruptStreamError):
+        unpack_head(spec, bytes(payload))
+
+
+def test_a_head_cut_short_asks_for_more_bytes():
+    spec, coded = root_tile(HEIGHTS[:20, :20])
+    with pytest.raises(TruncatedStreamError):
+        unpack_head(spec, coded.payload()[:6])
+
+
+def test_reserved_flags_are_rejected():
+    spec, coded = root_tile(HEIGHTS[:9, :9])
+    with pytest.raises(CorruptStreamError, match="reserved bits must be 0"):
+        unpack_head(spec, b"\x02" + coded.payload()[1:])
