@@ -177,7 +177,7 @@ DTYPES = {1: "uint8", 3: "uint16", 4: "int16", 6: "int32", 7: "float32", 8: "flo
 
 def read_header(data):
     require(data[:8] == b"\x89TWZ\r\n\x1a\n", "magic")
-    require(len(data) > 8 and data[8] == 0, "format version", UnsupportedError)
+    require(len(data) > 8 and data[8] == 1, "format version", UnsupportedError)
     require(len(data) >= 128, "file ends within the header")
     h = SimpleNamespace(**dict(zip(NAMES, HEADER.unpack(data[:128]), strict=True)))
     require(h.header_size == 128, "header_size")

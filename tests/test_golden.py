@@ -5,6 +5,8 @@ import json
 import pytest
 from golden_files import GOLDEN, digests
 
+from terrainwave.container.header import FORMAT_VERSION
+
 MANIFESTS = {
     path.parent.name: json.loads(path.read_text(encoding="utf-8"))
     for path in sorted(GOLDEN.glob("v*/manifest.json"))
@@ -18,6 +20,10 @@ def test_golden_file_decodes_to_what_it_always_did(version, name):
     assert digests(GOLDEN / version / name) == {
         key: expected[key] for key in ("file", "heights", "mask", "mesh")
     }
+
+
+def test_every_version_has_golden_files():
+    assert list(MANIFESTS) == [f"v{version}" for version in range(1, FORMAT_VERSION + 1)]
 
 
 def test_manifests_name_all_golden_files():

@@ -1,12 +1,17 @@
 """Write the golden files of the current format version: ``python tools/make_golden.py``.
 
+It also renews the checksum of the worked example's header (FORMAT.md §9.2), which the version is
+part of.
+
 Files that exist are left as they are: what a version wrote once must stay readable. ``--replace``
 makes all files of the current version anew, for as long as it is not released.
 """
 
 import argparse
 import json
+import re
 import sys
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -72,6 +77,12 @@ CASES = {
         (70, 70), "int16", 700, "nodata", PLACE,
         {"max_error": 5, "effort": "fast", "block": 64, "mesh": "none"},
     ),
+    "cdf53-int16-lossless": (
+        (66, 47), "int16", 900, "nodata", PLACE, {"max_error": 0, "method": "cdf53"},
+    ),
+    "cdf53-uint16-rate": (
+        (70, 75), "uint16", 900, "none", PLACE, {"rate": 4.0, "method": "cdf53", "mesh": "none"},
+    ),
     "cdf97-int16-halves": (
         (75, 68), "int16", 900, "none", PLACE, {"max_error": 2, "method": "cdf97"},
     ),
@@ -123,6 +134,24 @@ def write_case(path, shape, dtype, amplitude, kind, profile, options):
         raster.unlink(missing_ok=True)
 
 
+def renew_example():
+    """Put the header's checksum into the worked example of FORMAT.md."""
+    path = ROOT / "docs" / "FORMAT.md"
+    text = path.read_text(encoding="utf-8")
+    start = text.index("### 9.2 ")
+    rows = re.findall(r"^\| \d+ \| ([0-9a-f]{2}(?: [0-9a-f]{2})*) \|", text[start:], re.M)
+    crc = zlib.crc32(b"".join(map(bytes.fromhex, rows))[:124])
+    row = f"| 124 | {crc.to_bytes(4, 'little').hex(' ')} | header_crc 0x{crc:08X} |"
+    path.write_text(
+        re.sub(r"^\| 124 \| [0-9a-f ]+ \| header_crc .*$", row, text, flags=re.M), encoding="utf-8"
+    )
+
+
+def write_manifest(path, manifest):
+    """Write the manifest; after each file, so that an interrupted run goes on where it was."""
+    path.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
+
+
 def main():
     """Write files that are missing, or all, and the manifest."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -140,12 +169,13 @@ def main():
             continue
         write_case(path, *case)
         manifest[path.name] = golden_files.digests(path)
+        write_manifest(manifest_path, manifest)
         print(f"{path.relative_to(ROOT)}: {path.stat().st_size:,} bytes")
     for path in sorted(directory.glob("*.twz")):
         if path.name not in manifest:
             path.unlink()
-    manifest_path.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
     total = sum(path.stat().st_size for path in directory.glob("*.twz"))
+    renew_example()
     print(f"{len(manifest)} files, {total:,} bytes")
 
 

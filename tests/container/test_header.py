@@ -105,7 +105,8 @@ def test_every_changed_byte_of_the_header_is_noticed(byte_pos):
 
 
 UNSUPPORTED = [
-    (8, "B", 1, "format version 1"),
+    (8, "B", 0, "format version 0, a draft"),
+    (8, "B", 2, "format version 2; .*: install a newer one"),
     (9, "B", 1, "reserved"),
     (12, "I", 1, "unknown features 0x1"),
     (12, "I", 2**31, "unknown features"),

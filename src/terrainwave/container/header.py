@@ -16,7 +16,7 @@ from terrainwave.errors import (
 from terrainwave.quadtree import Grid
 
 MAGIC = b"\x89TWZ\r\n\x1a\n"  # as PNG's: a text-mode or 7-bit copy damages it visibly
-FORMAT_VERSION = 0
+FORMAT_VERSION = 1
 HEADER_SIZE = 128
 
 METHODS = ("store", "cdf97", "predictive", "cdf53")
@@ -206,10 +206,14 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     if len(data) < HEADER_SIZE:
         raise TruncatedStreamError(f"the file ends in its header, at byte {len(data)}")
     version = data[8]
+    if version == 0:
+        raise UnsupportedVersionError(
+            "format version 0, a draft of before the first release: compress the raster again"
+        )
     if version != FORMAT_VERSION:
         raise UnsupportedVersionError(
-            f"format version {version}; this terrainwave reads version {FORMAT_VERSION}: "
-            "install a newer one"
+            f"format version {version}; this terrainwave reads version {FORMAT_VERSION}:"
+            " install a newer one"
         )
     body = data[: _LAYOUT.size]
     fields = _LAYOUT.unpack(body)
