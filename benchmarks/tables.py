@@ -22,6 +22,7 @@ DOCUMENTS = (
     "README.md",
     "docs/benchmarks.md",
     "docs/integrations.md",
+    "docs/systems.md",
     "docs/viewing.md",
     "docs/decisions/0004-step-by-what-finer-levels-need.md",
     "docs/decisions/0007-one-root-block.md",
@@ -392,6 +393,93 @@ def render_table(results: Path) -> str:
     return "\n".join([*lines, "", f"Renderer: {', '.join(renderers)}."])
 
 
+def systems_grid_table(results: Path) -> str:
+    """Return the grid of Yusov & Turlapov 2010 on one of our rasters."""
+    lines = [
+        "| block | bound, m | border rings | RMSE, m | heights, bits/sample | labels | total |"
+        " triangles | regular blocks / these |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {row['block']} | {float(row['max_error']):g} | {row['rings']} |"
+        f" {float(row['rmse']):.3f} | {float(row['heights_bits']):.3f} |"
+        f" {float(row['labels_bits']):.3f} | {float(row['total_bits']):.3f} |"
+        f" {int(row['triangles']):,} | {int(row['regular']) / int(row['triangles']):.2f} |"
+        for row in read_rows(results, "systems")
+    ]
+    return "\n".join(lines)
+
+
+def systems_methods_table(results: Path) -> str:
+    """Return all methods on the same raster at the same bounds."""
+    lines = [
+        "| method | bound, m | bits/sample | RMSE, m | largest error, m |",
+        "|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {row['method']} | {float(row['max_error']):g} | {float(row['bits_per_sample']):.3f} |"
+        f" {float(row['rmse']):.3f} | {float(row['measured_error']):g} |"
+        for row in read_rows(results, "systems_methods")
+    ]
+    return "\n".join(lines)
+
+
+def systems_modes_table(results: Path) -> str:
+    """Return all modes of the viewer from the same cameras at one error on screen."""
+    lines = [
+        "| camera | mode | triangles | given to the GPU | CPU per frame, ms | frame, ms |"
+        " uploaded for the first picture, kB | per frame, kB |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    rows = read_rows(results, "systems_modes")
+    for row in rows:
+        cpu = f"{float(row['cpu_ms']):.2f}" if row["cpu_ms"] else "–"
+        per_frame = f"{int(row['frame_bytes']) / 1e3:,.1f}" if row["frame_bytes"] else "–"
+        lines.append(
+            f"| {row['camera']} | {row['mode']} | {int(row['triangles']):,} |"
+            f" {int(row['submitted']):,} | {cpu} | {float(row['frame_ms']):,.0f} |"
+            f" {int(row['first_bytes']) / 1e3:,.0f} | {per_frame} |"
+        )
+    renderers = sorted({row["renderer"] for row in rows})
+    taus = [float(row["tau"]) for row in rows]
+    kept = f"τ kept: {min(taus, default=0):g} to {max(taus, default=0):g} pixels."
+    return "\n".join([*lines, "", f"Renderer: {', '.join(renderers)}. {kept}"])
+
+
+def systems_dynamic_table(results: Path) -> str:
+    """Return dynamic against rqt at one threshold."""
+    found: dict[tuple[str, float], dict[str, dict[str, str]]] = {}
+    for row in read_rows(results, "dynamic"):
+        if row["side"] == "512" and row["view"] == "down":
+            found.setdefault((row["error"], float(row["tau"])), {})[row["system"]] = row
+    lines = [
+        "| errors | τ, pixels | triangles: dynamic | rqt | dynamic / rqt |"
+        " largest distance on screen, pixels: dynamic | rqt | update, ms: dynamic | rqt |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    for (error, tau), systems in sorted(found.items()):
+        one, two = systems["dynamic"], systems["rqt"]
+        cells = [f"{int(one['triangles']):,}", f"{int(two['triangles']):,}"]
+        cells.append(f"{int(one['triangles']) / int(two['triangles']):.2f}")
+        cells += [
+            f"{float(row[name]):.2f}" for name in ("largest_pixels", "median_ms")
+            for row in (one, two)
+        ]  # fmt: skip
+        lines.append(f"| {error} | {tau:g} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def systems_papers_table(results: Path) -> str:
+    """Return the papers' figures beside ours."""
+    lines = ["| source | what | paper | ours | what differs |", "|---|---|---|---|---|"]
+    lines += [
+        "| " + " | ".join(row[name] for name in ("source", "what", "paper", "ours", "differs"))
+        + " |"
+        for row in read_rows(results, "systems_papers")
+    ]  # fmt: skip
+    return "\n".join(lines)
+
+
 TABLES: dict[str, Callable[[Path], str]] = {
     "summary": summary_table,
     "methods": methods_table,
@@ -409,6 +497,11 @@ TABLES: dict[str, Callable[[Path], str]] = {
     "zerotree_mesh": zerotree_table,
     "leave_one_out": leave_one_out_table,
     "integrations": integrations_table,
+    "systems_grid": systems_grid_table,
+    "systems_methods": systems_methods_table,
+    "systems_modes": systems_modes_table,
+    "systems_dynamic": systems_dynamic_table,
+    "systems_papers": systems_papers_table,
 }
 REPORT = """# Measured
 
