@@ -1,10 +1,10 @@
 """The systems of the sources side by side: ``python -m benchmarks.systems DEM.tif``.
 
-Four tables of one raster: the grid of Yusov & Turlapov 2010 (blocks, bounds, border rings, method
+Tables of one raster: the grid of Yusov & Turlapov 2010 (blocks, bounds, border rings, method
 cdf97 with zerotree meshes); all methods at the same bounds; all modes of the viewer from the same
 cameras at one error on screen; and the papers' own figures beside those. Dynamic against rqt at one
-threshold comes from ``results/dynamic.csv`` (`benchmarks.dynamic`). The picture of the modes goes
-into docs/images with ``--pictures``.
+threshold comes from ``results/dynamic.csv`` (`benchmarks.dynamic`). ``--pictures`` draws the meshes
+of all modes into docs/images.
 
 CPU times are of the drawing thread, by its own clock: view, paging, selection or marks, mesh and
 copies to the GPU. Draw calls are left out, as a software driver draws in that thread; "frame" is
@@ -97,8 +97,9 @@ class MethodRow:
 class ModeRow:
     """One mode from one camera; milliseconds, medians over frames.
 
-    `tau` is what the scene kept, pixels. `submitted` are the triangles the GPU is asked for, if
-    those are not the mesh's. `first_bytes` were uploaded until the first picture was whole.
+    `tau` is what the scene kept, pixels; what was asked for in mode full, which splits all.
+    `submitted` are the triangles the GPU is asked for: in mode vertex-texture those of whole
+    patches. `first_bytes` were uploaded until the first picture was whole.
     """
 
     raster: str

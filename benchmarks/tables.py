@@ -443,9 +443,8 @@ def systems_modes_table(results: Path) -> str:
             f" {int(row['first_bytes']) / 1e3:,.0f} | {per_frame} |"
         )
     renderers = sorted({row["renderer"] for row in rows})
-    taus = [float(row["tau"]) for row in rows]
-    kept = f"τ kept: {min(taus, default=0):g} to {max(taus, default=0):g} pixels."
-    return "\n".join([*lines, "", f"Renderer: {', '.join(renderers)}. {kept}"])
+    taus = " and ".join(sorted({f"{float(row['tau']):g}" for row in rows}))
+    return "\n".join([*lines, "", f"Renderer: {', '.join(renderers)}. τ kept: {taus} pixels."])
 
 
 def systems_dynamic_table(results: Path) -> str:
