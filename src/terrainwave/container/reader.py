@@ -7,7 +7,8 @@ size, metadata, index pages and where their segments lie, checksums of payloads 
 import threading
 import zlib
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 from terrainwave.container.header import Extents, Header, unpack_header
@@ -27,6 +28,10 @@ from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedSt
 from terrainwave.quadtree import SEGMENT_LEVELS, Block, Grid
 
 FIRST_READ = 16 * 1024
+# Payloads read without need between a page and wanted ones, where several pages are missing:
+# they cost less than one request more for each segment.
+_MAX_UNWANTED = 3
+_MAX_AHEAD = 1024 * 1024
 _CHECK_BATCH = 4 * 1024 * 1024
 
 
@@ -52,6 +57,11 @@ class Segment:
     def mesh_range(self, row: int) -> ByteRange:
         """Return where the mesh in `row` of the page lies."""
         return ByteRange(self.payload_range(row).end, int(self.page.mesh_lengths[row]))
+
+    def page_range(self, child: Block) -> ByteRange:
+        """Return where the page of `child` lies; of length 0 if the segment is absent."""
+        row = self.child_rows[child]
+        return ByteRange(self.child_starts[row], int(self.page.child_page_lengths[row]))
 
     def child_range(self, child: Block) -> ByteRange:
         """Return where the segment of `child` lies; of length 0 if it is absent."""
@@ -148,25 +158,34 @@ class Container:
 
     def _load(self, heads: Sequence[Block]) -> dict[Block | None, Segment]:
         parent_heads = [self._parent_head(head) for head in heads]
-        parents = self.segments(list(dict.fromkeys(parent_heads)))
-        ranges = []
-        for head, parent_head in zip(heads, parent_heads, strict=True):
-            parent = parents[parent_head]
-            row = parent.child_rows[head]
-            ranges.append(
-                ByteRange(parent.child_starts[row], int(parent.page.child_page_lengths[row]))
-            )
+        known = self.segments(list(dict.fromkeys(parent_heads)))
+        parents = [known[parent_head] for parent_head in parent_heads]
+        ranges = [parent.page_range(head) for head, parent in zip(heads, parents, strict=True)]
         loaded: dict[Block | None, Segment] = {}
-        for head, parent_head, data in zip(
-            heads, parent_heads, self.source.read_many(ranges), strict=True
-        ):
-            loaded[head] = self._unpack_segment(head, parents[parent_head], data)
+        with self._blaming_change():
+            for head, parent, data in zip(
+                heads, parents, self.source.read_many(ranges), strict=True
+            ):
+                loaded[head] = self._unpack_segment(head, parent, data)
+        self._keep(loaded)
+        return loaded
+
+    def _keep(self, loaded: Mapping[Block | None, Segment]) -> None:
         with self._lock:
-            for head in heads:
-                self._segments[head] = loaded[head]
+            for head, segment in loaded.items():
+                if head is not None:
+                    self._segments[head] = segment
             while len(self._segments) > self._cached_segments:
                 self._segments.popitem(last=False)
-        return loaded
+
+    @contextmanager
+    def _blaming_change(self) -> Iterator[None]:
+        """Say that the file has changed, where that is why its bytes contradict each other."""
+        try:
+            yield
+        except CorruptStreamError:
+            self.source.check_unchanged()
+            raise
 
     def _parent_head(self, head: Block) -> Block | None:
         if not self.grid.contains(head) or head.level not in self.grid.segment_levels():
@@ -226,12 +245,110 @@ class Container:
         return self.payloads([key])[0]
 
     def payloads(self, keys: Sequence[Block]) -> list[bytes]:
-        """Return the payloads of `keys` in this order; near ones are read in one request."""
-        rows = self._rows(keys)
-        data = self.source.read_many([segment.payload_range(row) for segment, row in rows])
-        for key, (segment, row), payload in zip(keys, rows, data, strict=True):
-            check_crc(payload, segment.page.payload_crcs[row], "payload", key)
-        return data
+        """Return the payloads of `keys` in this order; near ones are read in one request.
+
+        Notes
+        -----
+        Each missing level of index pages takes one `read_many`, which also brings payloads known
+        by then, and with the pages what follows them if it is wanted; one more brings the rest.
+        """
+        heads = {key: self._head_of(key) for key in keys}
+        known = self._known_segments(heads.values())
+        wanted: dict[Block | None, list[Block]] = {}
+        for key, head in heads.items():
+            wanted.setdefault(head, []).append(key)
+        found: dict[Block, bytes] = {}  # all of a payload, or how it begins
+        with self._blaming_change():
+            while missing := self._next_segments(wanted, known):
+                found.update(self._load_round(missing, wanted, known, found))
+            found.update(self._read_rest(heads, known, found))
+            for key, head in heads.items():
+                crcs = known[head].page.payload_crcs
+                check_crc(found[key], crcs[known[head].key_rows[key]], "payload", key)
+        return [found[key] for key in keys]
+
+    def _known_segments(self, heads: Iterable[Block | None]) -> dict[Block | None, Segment]:
+        """Return those of the segments and of the ones above them that need not be read."""
+        known: dict[Block | None, Segment] = {None: self._top}
+        with self._lock:
+            for head in set(heads):
+                above = head
+                while above is not None and above not in known:
+                    if above in self._segments:
+                        self._segments.move_to_end(above)
+                        known[above] = self._segments[above]
+                    above = self._parent_head(above)
+        return known
+
+    def _next_segments(
+        self, heads: Iterable[Block | None], known: Mapping[Block | None, Segment]
+    ) -> dict[Block, Segment]:
+        """Return, with its parent, the highest unknown segment on the way to each of `heads`."""
+        missing: dict[Block, Segment] = {}
+        for head in heads:
+            while head is not None and head not in known:
+                parent_head = self._parent_head(head)
+                if parent_head in known:
+                    missing[head] = known[parent_head]
+                head = parent_head
+        return missing
+
+    def _load_round(
+        self,
+        missing: Mapping[Block, Segment],
+        wanted: Mapping[Block | None, Sequence[Block]],
+        known: dict[Block | None, Segment],
+        found: Mapping[Block, bytes],
+    ) -> dict[Block, bytes]:
+        """Add `missing` segments to `known`; return payloads, or how they begin, of `wanted`."""
+        spare = _MAX_UNWANTED if len(missing) > 1 else 0
+        spans = [
+            page_and_payloads(
+                parent, head, page_layout(self.grid, head), wanted.get(head, ()), spare
+            )
+            for head, parent in missing.items()
+        ]
+        ready = {key: head for head, keys in wanted.items() if head in known for key in keys}
+        payload_ranges = self._rest_ranges(ready, known, found)
+        parts = self.source.read_many([*spans, *payload_ranges.values()])
+        loaded: dict[Block | None, Segment] = {}
+        result: dict[Block, bytes] = {}
+        for (head, parent), data in zip(missing.items(), parts, strict=False):
+            page_bytes = data[: parent.page_range(head).length]
+            loaded[head] = segment = self._unpack_segment(head, parent, page_bytes)
+            for key in wanted.get(head, ()):
+                place = segment.payload_range(segment.key_rows[key])
+                result[key] = data[place.offset - segment.start : place.end - segment.start]
+        for key, data in zip(payload_ranges, parts[len(spans) :], strict=True):
+            result[key] = found.get(key, b"") + data
+        self._keep(loaded)
+        known.update(loaded)
+        return result
+
+    def _read_rest(
+        self,
+        heads: Mapping[Block, Block | None],
+        known: Mapping[Block | None, Segment],
+        found: Mapping[Block, bytes],
+    ) -> dict[Block, bytes]:
+        ranges = self._rest_ranges(heads, known, found)
+        data = self.source.read_many(list(ranges.values()))
+        return {key: found.get(key, b"") + rest for key, rest in zip(ranges, data, strict=True)}
+
+    def _rest_ranges(
+        self,
+        heads: Mapping[Block, Block | None],
+        known: Mapping[Block | None, Segment],
+        found: Mapping[Block, bytes],
+    ) -> dict[Block, ByteRange]:
+        """Return where what is not yet found of payloads lies."""
+        ranges = {}
+        for key, head in heads.items():
+            place = known[head].payload_range(known[head].key_rows[key])
+            n_found = len(found.get(key, b""))
+            if key not in found or n_found < place.length:
+                ranges[key] = ByteRange(place.offset + n_found, place.length - n_found)
+        return ranges
 
     def payload_lengths(self, keys: Sequence[Block]) -> list[int]:
         """Return the bytes of the payloads of `keys`."""
@@ -256,7 +373,8 @@ class Container:
         """Return the mesh section of `key`; empty if it has none."""
         ((segment, row),) = self._rows([key])
         data = self.source.read(*segment.mesh_range(row))
-        check_crc(data, segment.page.mesh_crcs[row], "mesh", key)
+        with self._blaming_change():
+            check_crc(data, segment.page.mesh_crcs[row], "mesh", key)
         return data
 
     def flags(self, key: Block) -> int:
@@ -328,13 +446,17 @@ class Container:
                 batch, size = [], 0
 
     def _check_rows(self, segment: Segment, rows: Sequence[int]) -> Iterator[str]:
-        for kind, ranges, crcs in (
-            ("payload", map(segment.payload_range, rows), segment.page.payload_crcs),
-            ("mesh", map(segment.mesh_range, rows), segment.page.mesh_crcs),
+        payload_ranges = [segment.payload_range(row) for row in rows]
+        mesh_ranges = [segment.mesh_range(row) for row in rows]
+        data = self.source.read_many([*payload_ranges, *mesh_ranges])
+        for kind, parts, crcs in (
+            ("payload", data[: len(rows)], segment.page.payload_crcs),
+            ("mesh", data[len(rows) :], segment.page.mesh_crcs),
         ):
-            for row, data in zip(rows, self.source.read_many(list(ranges)), strict=True):
+            for row, part in zip(rows, parts, strict=True):
                 try:
-                    check_crc(data, crcs[row], kind, segment.layout.keys[row])
+                    with self._blaming_change():
+                        check_crc(part, crcs[row], kind, segment.layout.keys[row])
                 except CorruptStreamError as error:
                     yield str(error)
 
@@ -395,6 +517,25 @@ def segment_of_page(
         child_rows={child: row for row, child in enumerate(layout.children)},
         child_starts=child_starts,
     )
+
+
+def page_and_payloads(
+    parent: Segment, head: Block, layout: PageLayout, wanted: Sequence[Block], spare: int
+) -> ByteRange:
+    """Return where the page of a segment and, probably, the first `wanted` payloads lie.
+
+    How long payloads are stands in the page itself: they are taken to be of the mean length in
+    the segment. At most `spare` payloads between the first wanted ones are read as well.
+    """
+    page, segment = parent.page_range(head), parent.child_range(head)
+    rows = {key: row for row, key in enumerate(layout.keys)}
+    n_ahead = 0
+    for n_wanted, row in enumerate(sorted(rows[key] for key in wanted)):
+        if row - n_wanted > spare:
+            break
+        n_ahead = row + 1
+    length = page.length + n_ahead * (segment.length - page.length) // len(rows)
+    return ByteRange(page.offset, min(length, segment.length, _MAX_AHEAD))
 
 
 def check_crc(data: bytes, crc: int, kind: str, key: Block) -> None:

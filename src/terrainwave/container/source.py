@@ -4,11 +4,16 @@ import io
 import os
 import threading
 from collections.abc import Callable, Sequence
+from itertools import groupby
 from typing import BinaryIO, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from terrainwave.errors import StorageError, TruncatedStreamError
 
-MAX_GAP = 64 * 1024
+# A request to a server a hundred milliseconds away costs as much time as some 500 KiB.
+MAX_GAP = 512 * 1024
+# Bytes in gaps that a set of ranges may cost in all: this share of what is wanted, or 64 KiB.
+_MAX_WASTE = 0.4
+_FREE_WASTE = 64 * 1024
 MAX_REQUEST = 16 * 1024 * 1024
 
 
@@ -44,6 +49,10 @@ class ByteSource(Protocol):
         """Return the bytes of each range, in the order asked; near ones in one request."""
         ...
 
+    def check_unchanged(self) -> None:
+        """Raise `StorageError` if the bytes are known to be others than when it was opened."""
+        ...
+
     def close(self) -> None:
         """Let go of files and connections; reading afterwards raises `StorageError`."""
         ...
@@ -60,19 +69,44 @@ class Merged(NamedTuple):
 
 
 def merge_ranges(ranges: Sequence[ByteRange]) -> list[Merged]:
-    """Return requests that cover `ranges`: gaps up to 64 KiB are bridged, up to 16 MiB in one."""
+    """Return requests that cover `ranges`, in order of place, up to 16 MiB in one.
+
+    The shortest gaps are bridged first: those up to 512 KiB, all together not above 2/5 of the
+    bytes that are wanted, or above 64 KiB where few are. Empty ranges need no request.
+    """
+    order = [number for number in range(len(ranges)) if ranges[number].length]
+    order.sort(key=lambda number: ranges[number])
+    max_gap = _longest_gap([ranges[number] for number in order])
     merged: list[Merged] = []
-    for member in sorted(range(len(ranges)), key=lambda number: ranges[number]):
+    for member in order:
         wanted = ranges[member]
         if merged:
             span, members = merged[-1]
             end = max(span.end, wanted.end)
-            if wanted.offset - span.end <= MAX_GAP and end - span.offset <= MAX_REQUEST:
+            if wanted.offset - span.end <= max_gap and end - span.offset <= MAX_REQUEST:
                 members.append(member)
                 merged[-1] = Merged(ByteRange(span.offset, end - span.offset), members)
                 continue
         merged.append(Merged(wanted, [member]))
     return merged
+
+
+def _longest_gap(ordered: Sequence[ByteRange]) -> int:
+    """Return the largest gap to bridge, so that all up to it do not cost too much."""
+    gaps, n_wanted, end = [], 0, 0
+    for wanted in ordered:
+        if n_wanted and end < wanted.offset <= end + MAX_GAP:
+            gaps.append(wanted.offset - end)
+        n_wanted += max(0, wanted.end - max(end, wanted.offset))
+        end = max(end, wanted.end)
+    allowed = max(_FREE_WASTE, int(_MAX_WASTE * n_wanted))
+    longest = 0
+    for gap, alike in groupby(sorted(gaps)):
+        allowed -= gap * len(list(alike))
+        if allowed < 0:
+            break
+        longest = gap
+    return longest
 
 
 def split_merged(
@@ -125,6 +159,9 @@ class MergingSource:
 
     def _read(self, offset: int, length: int) -> bytes:
         raise NotImplementedError
+
+    def check_unchanged(self) -> None:
+        """Raise nothing: files stay what they were opened as, http compares every reply."""
 
     def close(self) -> None:
         """Let go of what the source holds."""

@@ -3,11 +3,16 @@
 http does without fsspec because one request must answer three questions: the size, whether the
 server serves ranges at all, and what the first 16 KiB are. fsspec would need two more requests,
 and downloads the whole file where ranges are ignored.
+
+Both remember which version of the file they opened, also when pickled. http compares it with every
+reply. Storage behind fsspec has no way to ask for it with a range: there the checksums notice that
+bytes are others, and `check_unchanged` says why.
 """
 
 import base64
 import http.client
 import re
+import socket
 import ssl
 import threading
 import time
@@ -27,12 +32,16 @@ from terrainwave.errors import StorageError, TerrainwaveError
 
 FIRST_REQUEST = 16 * 1024
 TIMEOUT = 30.0  # seconds without a byte
-N_CONNECTIONS = 8
+N_CONNECTIONS = 16
 
 _REDIRECTS = {301, 302, 303, 307, 308}
 _MAX_REDIRECTS = 5
 _BUSY = {429, 500, 502, 503, 504}
-_DELAYS = (0.2, 1.0)  # seconds before a busy server is asked again
+_DELAYS = (0.2, 1.0)  # seconds before a busy server, or one that hung up, is asked again
+# What asking again does not help against: no such host, no server there, a bad certificate.
+_LASTING = (socket.gaierror, ConnectionRefusedError, ssl.SSLCertVerificationError)
+# What file systems of fsspec tell about the version of a file, best first.
+_VERSION_KEYS = ("ETag", "etag", "generation", "mtime", "LastModified", "last_modified", "created")
 _CONTENT_RANGE = re.compile(r"bytes (?:(\d{1,18})-(\d{1,18})|\*)/(\d{1,18})")
 
 
@@ -55,23 +64,31 @@ class _Reply(NamedTuple):
     status: int
     location: str | None
     content_range: str | None
+    version: str | None
     body: bytes
 
 
 class HttpSource(MergingSource):
     """A file on a web server that serves byte ranges.
 
-    Opening is one request, for the first 16 KiB. Connections are kept and reused, up to eight at
-    a time. Redirects, `http_proxy` and friends and ``user:password@`` in the URL work.
+    Opening is one request, for the first 16 KiB. Connections are kept and reused, up to sixteen
+    at a time. Redirects, `http_proxy` and friends and ``user:password@`` in the URL work.
+
+    Parameters
+    ----------
+    version : str, optional
+        The ETag, or else the Last-Modified, that every reply must carry; by default that of the
+        first reply.
     """
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, version: str | None = None) -> None:
         self._url = url
         self.name = _display_name(url)
         self._lock = threading.Lock()
         self._idle: list[tuple[tuple[str, str], http.client.HTTPConnection]] = []
         self._is_closed = False
         self._resolved = url
+        self._version = version
         self.size = -1
         try:
             self._start = self._request(ByteRange(0, FIRST_REQUEST))
@@ -96,9 +113,13 @@ class HttpSource(MergingSource):
         """Return the bytes of `wanted` that exist; sets `size` the first time."""
         reply = self._ask(wanted)
         match = _CONTENT_RANGE.fullmatch((reply.content_range or "").strip())
-        if reply.status == 416 and match and int(match[3]) == 0:
+        if reply.status == 412:
+            raise _changed(self.name)
+        if reply.status == 416 and match and int(match[3]) == 0 and self.size < 1:
             self.size = 0
             return b""
+        if reply.status == 416 and match and int(match[3]) != self.size:
+            raise _changed(self.name)
         if reply.status == 200:
             raise StorageError(
                 f"{self.name}: the server does not serve byte ranges; download the file and open "
@@ -110,24 +131,36 @@ class HttpSource(MergingSource):
         if not match or match[1] is None:
             raise StorageError(f"{self.name}: no usable Content-Range in the server's reply")
         size = int(match[3])
-        if self.size not in (-1, size):
-            raise StorageError(f"{self.name} has changed while it was open")
+        if self.size not in (-1, size) or self._version not in (None, reply.version):
+            raise _changed(self.name)
         expected = ByteRange(wanted.offset, min(wanted.end, size) - wanted.offset)
         if (int(match[1]), int(match[2]) + 1) != (expected.offset, expected.end):
             raise StorageError(f"{self.name}: the server sent {match[0]} for {expected}")
-        self.size = size
+        self.size, self._version = size, reply.version
         return reply.body
 
     def _ask(self, wanted: ByteRange) -> _Reply:
         """Return the first reply that is no redirect and no sign of a busy server."""
-        for delay in (*_DELAYS, None):
-            reply = self._follow(self._resolved, wanted)
-            # What a redirect pointed at may have been signed for a few minutes only.
-            if reply.status in (401, 403, 404, 410) and self._resolved != self._url:
-                reply = self._follow(self._url, wanted)
-            if reply.status not in _BUSY or delay is None:
-                break
+        for delay in _DELAYS:
+            try:
+                reply = self._ask_once(wanted)
+                if reply.status not in _BUSY:
+                    return reply
+            except _LASTING as error:
+                raise _unreadable(self.name, error) from error
+            except (OSError, http.client.HTTPException):
+                pass
             time.sleep(delay)
+        try:
+            return self._ask_once(wanted)
+        except (OSError, http.client.HTTPException) as error:
+            raise _unreadable(self.name, error) from error
+
+    def _ask_once(self, wanted: ByteRange) -> _Reply:
+        reply = self._follow(self._resolved, wanted)
+        # What a redirect pointed at may have been signed for a few minutes only.
+        if reply.status in (401, 403, 404, 410) and self._resolved != self._url:
+            reply = self._follow(self._url, wanted)
         return reply
 
     def _follow(self, url: str, wanted: ByteRange) -> _Reply:
@@ -158,10 +191,9 @@ class HttpSource(MergingSource):
                 reply = _read_reply(response, wanted.length)
                 is_reusable = response.isclosed() and not response.will_close
                 return reply
-            except (OSError, http.client.HTTPException) as error:
+            except (OSError, http.client.HTTPException):
                 if is_fresh:
-                    problem = str(error) or type(error).__name__
-                    raise StorageError(f"cannot read {self.name}: {problem}") from error
+                    raise
             finally:
                 self._give_back(key, connection, is_reusable)
 
@@ -171,6 +203,8 @@ class HttpSource(MergingSource):
             "Accept-Encoding": "identity",  # ranges of a compressed reply would be useless
             "User-Agent": "terrainwave",
         }
+        if (self._version or "").startswith('"'):  # a strong ETag: weak ones never match
+            headers["If-Match"] = str(self._version)
         # Only to the server the user named, not to one it redirects to.
         if parts.username is not None and parts.netloc == urlsplit(self._url).netloc:
             login = f"{unquote(parts.username)}:{unquote(parts.password or '')}"
@@ -219,8 +253,17 @@ class HttpSource(MergingSource):
         for _, connection in idle:
             connection.close()
 
-    def __reduce__(self) -> tuple[type["HttpSource"], tuple[str]]:
-        return HttpSource, (self._url,)
+    def __reduce__(self) -> tuple[type["HttpSource"], tuple[str, str | None]]:
+        return HttpSource, (self._url, self._version)
+
+
+def _changed(name: str) -> StorageError:
+    return StorageError(f"{name} has changed while it was open: open it again")
+
+
+def _unreadable(name: str, error: Exception) -> StorageError:
+    problem = str(error).split("\n")[0] or type(error).__name__
+    return StorageError(f"cannot read {name}: {problem}")
 
 
 def _read_reply(response: http.client.HTTPResponse, length: int) -> _Reply:
@@ -234,7 +277,8 @@ def _read_reply(response: http.client.HTTPResponse, length: int) -> _Reply:
     elif response.getheader("Content-Length", "") == "0":
         response.read()
     location, content_range = response.getheader("Location"), response.getheader("Content-Range")
-    return _Reply(response.status, location, content_range, body)
+    version = response.getheader("ETag") or response.getheader("Last-Modified")
+    return _Reply(response.status, location, content_range, version, body)
 
 
 def _target(parts: SplitResult) -> str:
@@ -259,9 +303,15 @@ def _display_name(url: str) -> str:
 
 
 class FsspecSource(MergingSource):
-    """A file on anything fsspec knows: ``s3://``, ``gs://``, ``memory://``, ..."""
+    """A file on anything fsspec knows: ``s3://``, ``gs://``, ``memory://``, ...
 
-    def __init__(self, url: str) -> None:
+    Parameters
+    ----------
+    version : str, optional
+        What the file system must say of the file's version; by default what it says now.
+    """
+
+    def __init__(self, url: str, version: str | None = None) -> None:
         self._url = url
         self.name = _display_name(url)
         try:
@@ -269,22 +319,40 @@ class FsspecSource(MergingSource):
         except ImportError:
             raise StorageError(f"reading {self.name} needs fsspec: pip install fsspec") from None
         self._fs, self._path = self._call(fsspec.core.url_to_fs, url)
-        size = self._call(self._fs.size, self._path)
-        if size is None:
+        info = self._info()
+        if info.get("size") is None:
             raise StorageError(f"{self.name}: its size is not known; download it first")
-        self.size = int(size)
+        self.size = int(info["size"])
+        self._version = _version_of(info)
+        if version not in (None, self._version):
+            raise _changed(self.name)
+
+    def check_unchanged(self) -> None:
+        """Raise `StorageError` if the file is another one than was opened: one request."""
+        info = self._info()
+        if (info.get("size"), _version_of(info)) != (self.size, self._version):
+            raise _changed(self.name)
+
+    def _info(self) -> dict[str, Any]:
+        self._fs.invalidate_cache(self._path)
+        found: dict[str, Any] = self._call(self._fs.info, self._path)
+        return found
 
     def _call(self, function: Any, *args: Any, **options: Any) -> Any:
         # File systems raise what their libraries raise; few of those are OSErrors.
-        try:
-            return function(*args, **options)
-        except TerrainwaveError:
-            raise
-        except FileNotFoundError as error:
-            raise StorageError(f"cannot read {self.name}: no such file") from error
-        except Exception as error:
-            problem = str(error).split("\n")[0] or type(error).__name__
-            raise StorageError(f"cannot read {self.name}: {problem}") from error
+        for delay in (*_DELAYS, None):
+            try:
+                return function(*args, **options)
+            except TerrainwaveError:
+                raise
+            except FileNotFoundError as error:
+                raise StorageError(f"cannot read {self.name}: no such file") from error
+            except Exception as error:
+                is_passing = isinstance(error, ConnectionError | TimeoutError)
+                if delay is None or not is_passing or isinstance(error, _LASTING):
+                    raise _unreadable(self.name, error) from error
+                time.sleep(delay)
+        raise AssertionError("the last attempt returns or raises")
 
     def _read(self, offset: int, length: int) -> bytes:
         return self._read_spans([ByteRange(offset, length)])[0]
@@ -300,10 +368,16 @@ class FsspecSource(MergingSource):
         )
         found = dict(zip(asked, replies, strict=True))
         for span, data in found.items():
+            if len(data) != span.length:
+                self.check_unchanged()
             if len(data) > span.length:
                 raise StorageError(f"{self.name} does not serve byte ranges; download it first")
             self._check_length(span, data)
         return [found.get(span, b"") for span in spans]
 
-    def __reduce__(self) -> tuple[type["FsspecSource"], tuple[str]]:
-        return FsspecSource, (self._url,)
+    def __reduce__(self) -> tuple[type["FsspecSource"], tuple[str, str | None]]:
+        return FsspecSource, (self._url, self._version)
+
+
+def _version_of(info: dict[str, Any]) -> str | None:
+    return next((str(info[key]) for key in _VERSION_KEYS if info.get(key) is not None), None)
