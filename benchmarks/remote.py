@@ -187,11 +187,11 @@ def main(raster, work, size, max_error, side, n_windows, delay, out) -> None:
     work.mkdir(parents=True, exist_ok=True)
     path = compressed_mirror(raster, size, max_error, work)
     with terrainwave.open(path) as terrain:
-        method = terrain.info.method
+        method = terrain.info().method
     with serving(path.read_bytes(), delay) as server:
         costs = [window_cost(server, window) for window in windows_of(size, side, n_windows)]
     centre, worst = costs[0], _summary(costs, max)
-    rows = {"centre": centre_row(centre), "median": _summary(costs, median), "worst": worst}
+    rows = {"centre": values_of(centre), "median": _summary(costs, median), "worst": worst}
     is_new = not out.exists()
     with out.open("a", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -211,7 +211,7 @@ def main(raster, work, size, max_error, side, n_windows, delay, out) -> None:
         )
 
 
-def centre_row(cost: Cost) -> tuple[float, ...]:
+def values_of(cost: Cost) -> tuple[float, ...]:
     """Return the numbers of one window as they stand in the CSV."""
     return cost.requests, cost.rounds, cost.bytes, cost.needed_bytes, round(cost.ratio, 3)
 
@@ -220,7 +220,7 @@ def _summary(
     costs: Sequence[Cost], statistic: Callable[[Sequence[float]], float]
 ) -> tuple[float, ...]:
     """Return each number's statistic by itself."""
-    columns = zip(*map(centre_row, costs), strict=True)
+    columns = zip(*map(values_of, costs), strict=True)
     return tuple(statistic(column) for column in columns)
 
 

@@ -152,11 +152,31 @@ def test_a_pipe_is_no_source():
         open_source(Unseekable())
 
 
-def test_gaps_up_to_64_kib_are_bridged_and_longer_ones_are_not():
-    near = [ByteRange(0, 10), ByteRange(10 + MAX_GAP, 5)]
-    far = [ByteRange(0, 10), ByteRange(11 + MAX_GAP, 5)]
-    assert [span for span, _ in merge_ranges(near)] == [ByteRange(0, MAX_GAP + 15)]
-    assert [span for span, _ in merge_ranges(far)] == far
+def spans_of(ranges):
+    return [span for span, _ in merge_ranges(ranges)]
+
+
+def test_gaps_of_64_kib_in_all_are_bridged_and_more_are_not():
+    first, second = ByteRange(0, 10), ByteRange(10 + 65536, 5)
+    assert spans_of([first, second]) == [ByteRange(0, 65536 + 15)]
+    assert spans_of([first, ByteRange(11 + 65536, 5)]) == [first, ByteRange(11 + 65536, 5)]
+    third = ByteRange(second.end + 100, 5)  # the shorter gap is bridged
+    assert spans_of([first, second, third]) == [first, ByteRange(second.offset, 110)]
+
+
+def test_a_quarter_of_what_is_wanted_may_lie_in_gaps():
+    mib = 2**20
+    first = ByteRange(0, mib)
+    near, far = ByteRange(mib + 300_000, mib), ByteRange(mib + 600_000, mib)
+    assert spans_of([first, near]) == [ByteRange(0, 2 * mib + 300_000)]
+    assert spans_of([first, far]) == [first, far]
+    # However much is wanted, a gap above 512 KiB costs more than a request.
+    large, beyond = ByteRange(0, 8 * mib), ByteRange(8 * mib + MAX_GAP + 1, mib)
+    assert spans_of([large, beyond]) == [large, beyond]
+
+
+def test_empty_ranges_need_no_request():
+    assert spans_of([ByteRange(5, 0), ByteRange(90, 0)]) == []
 
 
 ranges = st.builds(ByteRange, st.integers(0, 2**27), st.integers(0, 2**24))
@@ -165,7 +185,8 @@ ranges = st.builds(ByteRange, st.integers(0, 2**27), st.integers(0, 2**24))
 @given(st.lists(ranges, max_size=30))
 def test_requests_cover_each_range_once_and_stay_below_16_mib(wanted):
     merged = merge_ranges(wanted)
-    assert sorted(n for _, members in merged for n in members) == list(range(len(wanted)))
+    filled = [number for number, member in enumerate(wanted) if member.length]
+    assert sorted(n for _, members in merged for n in members) == filled
     for span, members in merged:
         for member in members:
             assert span.offset <= wanted[member].offset

@@ -37,6 +37,13 @@ class Handler(BaseHTTPRequestHandler):
         if fault == "busy once":
             server.faults.pop(path)
             return self.reply(503, b"later")
+        if fault == "hangs up once":
+            server.faults.pop(path)
+            self.close_connection = True
+            return None
+        etag = server.etags.get(path)
+        if server.obeys_if_match and self.headers.get("If-Match", etag) != etag:
+            return self.reply(412, b"")
         if isinstance(fault, str) and fault.startswith("->"):
             return self.reply(302, b"", Location=fault[2:])
         data = server.files.get(path)
@@ -49,6 +56,7 @@ class Handler(BaseHTTPRequestHandler):
             return self.reply(416, b"", **{"Content-Range": f"bytes */{len(data)}"})
         body = data[first : last + 1]
         place = f"bytes {first}-{first + len(body) - 1}/{len(data)}"
+        version = {"ETag": etag} if etag else {}
         if fault == "other range":
             place = f"bytes {first + 1}-{first + len(body)}/{len(data)}"
         if fault == "no place":
@@ -59,7 +67,7 @@ class Handler(BaseHTTPRequestHandler):
             self.reply(206, body[:5], length=len(body), **{"Content-Range": place})
             self.close_connection = True
             return None
-        self.reply(206, body, **{"Content-Range": place})
+        self.reply(206, body, **{"Content-Range": place}, **version)
         if fault == "closes silently":
             self.close_connection = True
         return None
@@ -89,6 +97,7 @@ class Server(ThreadingHTTPServer):
         self.files, self.faults, self.requests, self.logins = {}, {}, [], []
         self.n_bytes = 0
         self.encodings = set()
+        self.etags, self.obeys_if_match = {}, False
 
     def handle_error(self, *_):
         pass
@@ -209,12 +218,14 @@ def test_a_bad_reply_is_a_storage_error(server, fault, message):
         open_source(server.url("/a"))
 
 
-def test_a_reply_cut_short_is_noticed(server):
+def test_a_reply_cut_short_is_asked_for_again_and_then_an_error(server, monkeypatch):
+    monkeypatch.setattr("terrainwave.container.url._DELAYS", (0.0, 0.0))
     server.files["/a"] = bytes(100_000)
     source = open_source(server.url("/a"))
     server.faults["/a"] = "cut"
     with pytest.raises(StorageError, match="cannot read"):
         source.read(50_000, 100)
+    assert len(server.requests) == 1 + 1 + 3  # opening, the kept connection, fresh ones
     source.close()
 
 
@@ -232,6 +243,16 @@ def test_a_busy_server_is_asked_again(server):
     server.faults["/a"] = "busy once"
     source = open_source(server.url("/a"))
     assert source.read(0, 3) == b"abc"
+    source.close()
+
+
+def test_a_server_that_hangs_up_is_asked_again(server, monkeypatch):
+    monkeypatch.setattr("terrainwave.container.url._DELAYS", (0.0, 0.0))
+    server.files["/a"] = b"abc"
+    server.faults["/a"] = "hangs up once"
+    source = open_source(server.url("/a"))
+    assert source.read(0, 3) == b"abc"
+    assert len(server.requests) == 2
     source.close()
 
 
@@ -303,6 +324,57 @@ def test_a_file_replaced_while_open_is_noticed(server):
     source.close()
 
 
+@pytest.mark.parametrize("etag", ['"1"', 'W/"1"'])
+@pytest.mark.parametrize("obeys", [False, True])
+def test_a_file_replaced_by_one_of_the_same_size_is_noticed(server, etag, obeys):
+    server.files["/a"], server.etags["/a"] = bytes(100_000), etag
+    server.obeys_if_match = obeys
+    source = open_source(server.url("/a"))
+    assert source.read(50_000, 10) == bytes(10)
+    server.etags["/a"] = etag.replace("1", "2")
+    with pytest.raises(StorageError, match="has changed while it was open: open it again"):
+        source.read(50_000, 10)
+    with pytest.raises(StorageError, match="has changed"):
+        pickle.loads(pickle.dumps(source))
+    source.close()
+
+
+def test_a_file_that_became_shorter_is_noticed(server):
+    server.files["/a"] = bytes(100_000)
+    source = open_source(server.url("/a"))
+    server.files["/a"] = bytes(40_000)
+    with pytest.raises(StorageError, match="has changed"):
+        source.read(50_000, 10)
+    source.close()
+
+
+def corner_keys(grid):
+    """Return the keys of the four groups that meet in the centre, and all above them."""
+    half = 2 ** (grid.k_max - 2)
+    keys = {Block(grid.k_max - 1, row, col) for row in (half - 1, half) for col in (half - 1, half)}
+    for key in list(keys):
+        while key.level:
+            key = key.parent
+            keys.add(key)
+    return [Block(-1, 0, 0), *sorted(keys)]
+
+
+def test_payloads_of_four_segments_take_two_rounds(server, monkeypatch):
+    header = toy_header(2000, 2000)
+    server.files["/a.twz"] = toy_file(header)
+    with open_container(server.url("/a.twz")) as container:
+        rounds = []
+        read_many = container.source.read_many
+        monkeypatch.setattr(
+            container.source, "read_many", lambda ranges: rounds.append(ranges) or read_many(ranges)
+        )
+        keys = corner_keys(container.grid)
+        assert container.payloads(keys) == [toy_payload(key) for key in keys]
+        assert len(rounds) == 2
+        assert container.payloads(keys) == [toy_payload(key) for key in keys]
+        assert len(rounds) == 3
+
+
 def test_an_empty_file_is_truncated(server):
     server.files["/a"] = b""
     with pytest.raises(TruncatedStreamError):
@@ -366,6 +438,55 @@ def test_fsspec_reads_exact_ranges(memory):
         keys = header.grid.blocks(3)
         assert container.payloads(keys) == [toy_payload(key) for key in keys]
         assert list(copy.check()) == []
+
+
+def test_fsspec_reads_near_ranges_in_one_request(memory, monkeypatch):
+    data = np.random.default_rng(1).bytes(2_000_000)
+    memory.pipe("/a", data)
+    source = open_source("memory://a")
+    asked = []
+    cat_file = type(memory).cat_file
+
+    def counted(self, path, start=None, end=None, **options):
+        asked.append((start, end))
+        return cat_file(self, path, start=start, end=end, **options)
+
+    monkeypatch.setattr(type(memory), "cat_file", counted)
+    ranges = [ByteRange(1_500_000, 10), ByteRange(0, 10), ByteRange(1000, 10)]
+    assert source.read_many(ranges) == [data[r.offset : r.end] for r in ranges]
+    assert sorted(asked) == [(0, 1010), (1_500_000, 1_500_010)]
+
+
+def test_a_file_replaced_in_fsspec_is_noticed(memory):
+    header = toy_header(300, 300)
+    data = toy_file(header)
+    memory.pipe("/a.twz", data)
+    container = open_container("memory://a.twz")
+    copy = pickle.dumps(container)
+    memory.pipe("/a.twz", data[:1000] + bytes(len(data) - 1000))
+    with pytest.raises(StorageError, match="has changed while it was open"):
+        container.payloads(header.grid.blocks(3))
+    with pytest.raises(StorageError, match="has changed"):
+        pickle.loads(copy)
+    memory.pipe("/a.twz", b"short")
+    with pytest.raises(StorageError, match="has changed"):
+        container.payloads(header.grid.blocks(3))
+
+
+def test_a_connection_lost_in_fsspec_is_tried_again(memory, monkeypatch):
+    monkeypatch.setattr("terrainwave.container.url._DELAYS", (0.0, 0.0))
+    memory.pipe("/a", b"abc")
+    source = open_source("memory://a")
+    attempts = []
+
+    def fail(*_, **__):
+        attempts.append(1)
+        raise ConnectionResetError("reset by peer")
+
+    monkeypatch.setattr(type(memory), "cat_file", fail)
+    with pytest.raises(StorageError, match="reset by peer"):
+        source.read(0, 3)
+    assert len(attempts) == 3
 
 
 def test_a_file_missing_in_fsspec_is_a_storage_error(memory):

@@ -28,9 +28,9 @@ from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedSt
 from terrainwave.quadtree import SEGMENT_LEVELS, Block, Grid
 
 FIRST_READ = 16 * 1024
-# Payloads read without need between a page and wanted ones, where several pages are missing:
-# they cost less than one request more for each segment.
-_MAX_UNWANTED = 3
+# Payloads that may be read without need between a page and wanted ones. More would save requests
+# where four segments meet, but cost more than half the bytes wanted there (benchmarks/remote.py).
+_MAX_UNWANTED = 2
 _MAX_AHEAD = 1024 * 1024
 _CHECK_BATCH = 4 * 1024 * 1024
 
@@ -249,8 +249,9 @@ class Container:
 
         Notes
         -----
-        Each missing level of index pages takes one `read_many`, which also brings payloads known
-        by then, and with the pages what follows them if it is wanted; one more brings the rest.
+        Each missing level of index pages takes one `read_many`, which also brings payloads whose
+        place is known by then and, with several pages, wanted ones that follow them; one more
+        `read_many` brings the rest.
         """
         heads = {key: self._head_of(key) for key in keys}
         known = self._known_segments(heads.values())
@@ -301,13 +302,13 @@ class Container:
         found: Mapping[Block, bytes],
     ) -> dict[Block, bytes]:
         """Add `missing` segments to `known`; return payloads, or how they begin, of `wanted`."""
-        spare = _MAX_UNWANTED if len(missing) > 1 else 0
-        spans = [
-            page_and_payloads(
-                parent, head, page_layout(self.grid, head), wanted.get(head, ()), spare
-            )
-            for head, parent in missing.items()
-        ]
+        # One segment takes few requests anyway.
+        reads_ahead, spare = len(missing) > 1, min(_MAX_UNWANTED, len(missing) - 1)
+        spans = []
+        for head, parent in missing.items():
+            keys = wanted.get(head, ()) if reads_ahead else ()
+            layout = page_layout(self.grid, head)
+            spans.append(page_and_payloads(parent, head, layout, keys, spare))
         ready = {key: head for head, keys in wanted.items() if head in known for key in keys}
         payload_ranges = self._rest_ranges(ready, known, found)
         parts = self.source.read_many([*spans, *payload_ranges.values()])
@@ -524,8 +525,9 @@ def page_and_payloads(
 ) -> ByteRange:
     """Return where the page of a segment and, probably, the first `wanted` payloads lie.
 
-    How long payloads are stands in the page itself: they are taken to be of the mean length in
-    the segment. At most `spare` payloads between the first wanted ones are read as well.
+    At most `spare` payloads between the first wanted ones are read as well. How long payloads are
+    stands in the page itself. They are taken to change by as much from each level to the next,
+    beginning with the one above the segment, so that together they are as long as the segment.
     """
     page, segment = parent.page_range(head), parent.child_range(head)
     rows = {key: row for row, key in enumerate(layout.keys)}
@@ -534,8 +536,13 @@ def page_and_payloads(
         if row - n_wanted > spare:
             break
         n_ahead = row + 1
-    length = page.length + n_ahead * (segment.length - page.length) // len(rows)
-    return ByteRange(page.offset, min(length, segment.length, _MAX_AHEAD))
+    key_above = head.parent if head.level else Block(-1, head.row, head.col)
+    above = parent.payload_range(parent.key_rows[key_above]).length
+    depths = [key.level - head.level + 1 for key in layout.keys]
+    excess = above * len(depths) - (segment.length - page.length)
+    estimates = [max(0, above - excess * depth // sum(depths)) for depth in depths]
+    length = page.length + sum(estimates[:n_ahead])
+    return ByteRange(page.offset, min(length, segment.length, page.length + _MAX_AHEAD))
 
 
 def check_crc(data: bytes, crc: int, kind: str, key: Block) -> None:

@@ -12,7 +12,7 @@ from terrainwave.errors import StorageError, TruncatedStreamError
 # A request to a server a hundred milliseconds away costs as much time as some 500 KiB.
 MAX_GAP = 512 * 1024
 # Bytes in gaps that a set of ranges may cost in all: this share of what is wanted, or 64 KiB.
-_MAX_WASTE = 0.4
+_MAX_WASTE = 0.25
 _FREE_WASTE = 64 * 1024
 MAX_REQUEST = 16 * 1024 * 1024
 
@@ -71,8 +71,8 @@ class Merged(NamedTuple):
 def merge_ranges(ranges: Sequence[ByteRange]) -> list[Merged]:
     """Return requests that cover `ranges`, in order of place, up to 16 MiB in one.
 
-    The shortest gaps are bridged first: those up to 512 KiB, all together not above 2/5 of the
-    bytes that are wanted, or above 64 KiB where few are. Empty ranges need no request.
+    The shortest gaps are bridged first: those up to 512 KiB, all together not above a quarter
+    of the bytes that are wanted, or above 64 KiB where few are. Empty ranges need no request.
     """
     order = [number for number in range(len(ranges)) if ranges[number].length]
     order.sort(key=lambda number: ranges[number])

@@ -1,0 +1,38 @@
+"""Counting of requests: rounds by the times they were in flight, bytes by the server."""
+
+import numpy as np
+from click.testing import CliRunner
+
+from benchmarks.remote import count_rounds, main, serving, window_cost, windows_of
+
+
+def test_requests_in_flight_together_are_one_round():
+    assert count_rounds([]) == 0
+    assert count_rounds([(0, 10), (1, 11), (2, 12)]) == 1
+    assert count_rounds([(0, 10), (11, 20), (1, 30), (21, 22)]) == 3
+
+
+def test_the_first_window_is_the_centre_and_all_lie_inside():
+    windows = windows_of(1000, 100, 50)
+    assert len(windows) == 50
+    assert windows[0] == (450, 450, 100, 100)
+    assert np.min(windows) >= 0
+    assert all(max(row, col) + 100 <= 1000 for row, col, _, _ in windows)
+
+
+def test_a_window_of_a_file_costs_what_the_server_sends(tmp_path):
+    import terrainwave
+
+    heights = np.random.default_rng(1).integers(0, 1000, (300, 300)).astype(np.int16)
+    path = tmp_path / "a.twz"
+    terrainwave.compress(heights, path, max_error=0, block=32, mesh="none")
+    with serving(path.read_bytes(), 0.0) as server:
+        cost = window_cost(server, (100, 100, 8, 8))
+    assert cost.requests >= cost.rounds >= 1
+    assert cost.bytes >= cost.needed_bytes - 16 * 1024  # opening brought as much
+    assert cost.needed_bytes > 0
+
+
+def test_a_raster_that_is_missing_is_wrong_usage(tmp_path):
+    result = CliRunner().invoke(main, ["missing.tif", "--work", str(tmp_path)])
+    assert result.exit_code == 2
