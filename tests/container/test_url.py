@@ -371,6 +371,13 @@ def test_payloads_of_four_segments_take_two_rounds(server, monkeypatch):
         keys = corner_keys(container.grid)
         assert container.payloads(keys) == [toy_payload(key) for key in keys]
         assert len(rounds) == 2
+        top = container.segment(None)
+        heads = {container.grid.segment_head(key) for key in keys if key.level > 0} - {None}
+        pages = sorted(top.page_range(head) for head in heads)
+        asked = {wanted.offset: wanted.length for wanted in rounds[0]}
+        # With the pages come what follows them and all payloads of the top segment.
+        assert all(asked[page.offset] > page.length for page in pages)
+        assert len(rounds[0]) == len(pages) + sum(key in top.key_rows for key in keys)
         assert container.payloads(keys) == [toy_payload(key) for key in keys]
         assert len(rounds) == 3
 
