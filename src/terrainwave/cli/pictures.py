@@ -75,7 +75,7 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--max-pixel-error", type=POSITIVE, default=1.0, show_default=True,
                      help="Largest distance on screen from the full terrain, pixels."),
         click.option("--mode", type=click.Choice(MODES), default="adaptive", show_default=True,
-                     help="Blocks by their error on screen, or all the finest ones."),
+                     help="Meshes of blocks, regular blocks, a mesh made anew each frame, or all."),
         click.option("--camera", help="x,y,z,heading,pitch,fov: place in the file's coordinates,"
                      " height in its unit, degrees; heading from north, pitch up from level."),
         click.option("--size", type=Size(), default="1280x853", show_default=True),
