@@ -174,7 +174,7 @@ def _add_spread(
             bend_0 = bends[row + bent[k, 1] + PAD, bent[k, 2] + PAD :]
             bend_1 = bends[row + bent[k + 1, 1] + PAD, bent[k + 1, 2] + PAD :]
             for j in range(n_cols):
-                spread[j] += weight * (bend_0[j] + bend_1[j])
+                spread[j] += weight * (np.int64(bend_0[j]) + bend_1[j])
     weight = np.int64(np.int32(e_weights[F_LINES]))
     if weight != 0:
         for k in range(0, lines.shape[0], 4):

@@ -459,7 +459,7 @@ def _guess_values(state, walk, plane, n_old):
         n_bits = plane + 1 if state[N_REFINED] <= at < n_old else plane
         rest = (_REST_NUM << n_bits) >> _REST_BITS if n_bits > shift else 0
         magnitude = min((walk.known[place] + rest) >> shift, _MAX_MAGNITUDE)
-        walk.values[place] = walk.signs[place] * magnitude
+        walk.values[place] = np.int64(walk.signs[place]) * magnitude
 
 
 @kernel
