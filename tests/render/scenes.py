@@ -5,7 +5,11 @@ import io
 import numpy as np
 from twz import twz_bytes
 
+from terrainwave.render.camera import Camera
 from terrainwave.terrain import Terrain
+
+# The background where gaps are looked for.
+LOUD = (255, 0, 255)
 
 
 def hills(n_rows=150, n_cols=210, seed=1, amplitude=300.0):
@@ -105,3 +109,25 @@ def _fill(found, rows, cols, z):
     surface = z[0] + (one * (z[1] - z[0]) + two * (z[2] - z[0])) / area
     part = found[top : bottom + 1, left : right + 1]
     part[inside] = surface[inside]
+
+
+def random_camera(rng, scene):
+    low, high = scene.frame.box
+    x, y = rng.uniform(low[:2], high[:2]) * 1.3
+    z = high[2] + rng.uniform(20, 1.0 * (high - low).max())
+    heading = np.degrees(np.arctan2(-x, -y)) + rng.uniform(-40, 40)
+    return Camera((x, y, z), heading % 360, rng.uniform(-70, -10), rng.uniform(30, 80))
+
+
+def loud(image):
+    return (image == LOUD).all(axis=2)
+
+
+def eroded(mask, n=1):
+    """Return the pixels whose neighbours up to n away are all in the mask."""
+    for _ in range(n):
+        padded = np.pad(mask, 1)
+        near = [padded[1 + r : padded.shape[0] - 1 + r, 1 + c : padded.shape[1] - 1 + c]
+                for r in (-1, 0, 1) for c in (-1, 0, 1)]  # fmt: skip
+        mask = np.logical_and.reduce(near)
+    return mask

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from render.scenes import ListStore, hills, terrain_of
+from render.scenes import ListStore, hills, random_camera, terrain_of
 
 from terrainwave.quadtree import Region
 from terrainwave.render.camera import Camera, Viewport, focal_length, home, project
@@ -32,14 +32,6 @@ def original_and_terrain(request):
     valid = heights != options.get("nodata", -99999)
     with terrain_of(heights, block=32, **options) as terrain:
         yield heights, valid, terrain
-
-
-def random_camera(rng, scene):
-    low, high = scene.frame.box
-    x, y = rng.uniform(low[:2], high[:2]) * 1.3
-    z = high[2] + rng.uniform(20, 1.0 * (high - low).max())
-    heading = np.degrees(np.arctan2(-x, -y)) + rng.uniform(-40, 40)
-    return Camera((x, y, z), heading % 360, rng.uniform(-70, -10), rng.uniform(30, 80))
 
 
 def pyramid_of(heights, n_levels, tmp_path):

@@ -2,54 +2,25 @@
 
 import numpy as np
 import pytest
-from render.scenes import hills, terrain_of
+from render.scenes import LOUD, eroded, hills, loud, terrain_of
 from render.test_fronts import cameras
 from scipy.spatial import KDTree
 
 from terrainwave.render.camera import top_view
-from terrainwave.render.offscreen import Offscreen, create_context
+from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.style import Style
 from terrainwave.render.vertex_texture_surface import VERTEX_SHADER
 
-pytestmark = [pytest.mark.gl, pytest.mark.large]
+pytestmark = [pytest.mark.gl, pytest.mark.large, pytest.mark.usefixtures("no_gl_errors")]
 
-LOUD = (255, 0, 255)
 SIZE = (160, 120)
 MODES = ["dynamic", "rqt", "vertex-texture"]
-
-
-@pytest.fixture(scope="module")
-def context():
-    context = create_context()
-    yield context
-    context.release()
-
-
-@pytest.fixture(autouse=True)
-def no_gl_errors(context):
-    assert context.error == "GL_NO_ERROR"
-    yield
-    assert context.error == "GL_NO_ERROR"
 
 
 @pytest.fixture(scope="module")
 def rough():
     with terrain_of(np.round(hills(90, 110, 1)).astype(np.int16), max_error=0) as terrain:
         yield terrain
-
-
-def loud(image):
-    return (image == LOUD).all(axis=2)
-
-
-def eroded(mask, n):
-    """Return the pixels whose neighbours up to n away are all in the mask."""
-    for _ in range(n):
-        padded = np.pad(mask, 1)
-        near = [padded[1 + r : padded.shape[0] - 1 + r, 1 + c : padded.shape[1] - 1 + c]
-                for r in (-1, 0, 1) for c in (-1, 0, 1)]  # fmt: skip
-        mask = np.logical_and.reduce(near)
-    return mask
 
 
 @pytest.mark.parametrize("mode", MODES)

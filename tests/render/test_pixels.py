@@ -1,36 +1,21 @@
 """Pixels drawn without a screen: no gaps, equal shades on borders, the surface where it should be.
 
-These need EGL and an OpenGL 3.3 driver, such as Mesa's (see tools/install_gl.sh); without one they
-fail.
+These need EGL and an OpenGL 3.3 driver, such as Mesa's (see tools/install_system.sh); without one
+they fail.
 """
 
 import numpy as np
 import pytest
-from render.scenes import hills, terrain_of
+from render.scenes import LOUD, eroded, hills, loud, terrain_of
 
 from terrainwave.render import patch_surface
 from terrainwave.render.camera import Camera, home, project, top_view
-from terrainwave.render.offscreen import Offscreen, create_context
+from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.style import Style
 
-pytestmark = [pytest.mark.gl, pytest.mark.large]
+pytestmark = [pytest.mark.gl, pytest.mark.large, pytest.mark.usefixtures("no_gl_errors")]
 
-LOUD = (255, 0, 255)
 SIZE = (320, 240)
-
-
-@pytest.fixture(scope="module")
-def context():
-    context = create_context()
-    yield context
-    context.release()
-
-
-@pytest.fixture(autouse=True)
-def no_gl_errors(context):
-    assert context.error == "GL_NO_ERROR"
-    yield
-    assert context.error == "GL_NO_ERROR"
 
 
 @pytest.fixture(scope="module")
@@ -45,20 +30,6 @@ def with_voids():
     heights[40:60, 30:55] = -32768
     with terrain_of(heights, max_error=0, nodata=-32768) as terrain:
         yield terrain
-
-
-def loud(image):
-    return (image == LOUD).all(axis=2)
-
-
-def eroded(mask, n=1):
-    """Return the pixels whose neighbours up to n away are all in the mask."""
-    for _ in range(n):
-        padded = np.pad(mask, 1)
-        near = [padded[1 + r : padded.shape[0] - 1 + r, 1 + c : padded.shape[1] - 1 + c]
-                for r in (-1, 0, 1) for c in (-1, 0, 1)]  # fmt: skip
-        mask = np.logical_and.reduce(near)
-    return mask
 
 
 def random_camera(rng, frame):
