@@ -22,8 +22,8 @@ from terrainwave.container.spool import SegmentSpool
 from terrainwave.encoder import Stats, TreeEncoder
 from terrainwave.errors import StorageError
 from terrainwave.job import Job
-from terrainwave.mesh_sections import make_sections, parts_of_blocks
-from terrainwave.meshing import BlockMesher, measure_meshes, mesh_codes
+from terrainwave.mesh_sections import make_meshes
+from terrainwave.meshing import measure_meshes, mesh_codes
 from terrainwave.progress import Reporter
 from terrainwave.proof import allowed_error, compare_window, measured_error, proof_windows
 from terrainwave.pyramid import Pyramid, SourceWindows
@@ -282,19 +282,17 @@ def _mesh_errors(
         return {}
     grid = job.grid
     decoder = make_decoder(method, section, grid, job.parameters, sink.payloads, _MESH_CACHE_BYTES)
-    sections: dict[Block, bytes] = {}
-    mesher = BlockMesher(
+    size = grid.n_rows * grid.n_cols, np.dtype(job.info.dtype).itemsize
+    mesher, sections = make_meshes(
         grid,
         decoder,
         lambda block: errors.get(block, 0),
         job.mesh_tolerance,
         has_voids=job.has_voids,
         kind=job.mesh,
-        part=parts_of_blocks(grid, lambda key: sections.get(key, b"")),
+        executor=executor,
+        on_samples=reporter.counter("making meshes", *size),
     )
-    size = grid.n_rows * grid.n_cols, np.dtype(job.info.dtype).itemsize
-    count = reporter.counter("making meshes", *size)
-    sections.update(make_sections(grid, mesher, executor, count))
     sink.set_meshes(sections)
     count = reporter.counter("measuring meshes", *size)
     found = measure_meshes(grid, mesher, pyramid.originals, executor, count)

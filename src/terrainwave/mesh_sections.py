@@ -5,7 +5,7 @@ from concurrent.futures import Executor
 from functools import lru_cache
 
 from terrainwave.codec.varint import decode_varint, encode_varint
-from terrainwave.decoder import unit_key
+from terrainwave.decoder import TreeDecoder, unit_key
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.meshing import BlockMesher
 from terrainwave.quadtree import Block, Grid
@@ -93,6 +93,35 @@ def make_sections(
     for level in range(grid.k_max + 1) if levels is None else levels:
         parts |= _level_parts(grid, mesher, level, executor, on_samples)
     return sections_of_parts(grid, parts)
+
+
+def make_meshes(
+    grid: Grid,
+    decoder: TreeDecoder,
+    error_code: Callable[[Block], int],
+    tolerance: int,
+    *,
+    has_voids: bool,
+    kind: str,
+    executor: Executor,
+    on_samples: Callable[[int], None],
+) -> tuple[BlockMesher, dict[Block, bytes]]:
+    """Return what has all meshes of a file that has none yet, and the sections it will have.
+
+    The arguments are those of `BlockMesher` and `make_sections`.
+    """
+    sections: dict[Block, bytes] = {}
+    mesher = BlockMesher(
+        grid,
+        decoder,
+        error_code,
+        tolerance,
+        has_voids=has_voids,
+        kind=kind,
+        part=parts_of_blocks(grid, lambda key: sections.get(key, b"")),
+    )
+    sections.update(make_sections(grid, mesher, executor, on_samples))
+    return mesher, sections
 
 
 def sections_of_parts(grid: Grid, parts: Mapping[Block, bytes]) -> dict[Block, bytes]:

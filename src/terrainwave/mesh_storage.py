@@ -17,9 +17,8 @@ from terrainwave.container.publish import publish, refuse_own_source, scratch_di
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.mesh_sections import make_sections, parts_of_blocks
+from terrainwave.mesh_sections import make_meshes
 from terrainwave.meshing import (
-    BlockMesher,
     Originals,
     measure_meshes,
     mesh_codes,
@@ -91,19 +90,17 @@ def store_meshes(
             mesh_tolerance=_tolerance(terrain, error),
         )
         grid = header.grid
-        sections: dict[Block, bytes] = {}
-        mesher = BlockMesher(
+        size = grid.n_rows * grid.n_cols, terrain.dtype.itemsize
+        mesher, sections = make_meshes(
             grid,
             terrain._decoder,
             lambda block: container.codes(block)[2],
             header.mesh_tolerance,
             has_voids=terrain.raster_info.mask_kind != "none",
             kind=header.mesh,
-            part=parts_of_blocks(grid, lambda key: sections.get(key, b"")),
+            executor=executor,
+            on_samples=reporter.counter("making meshes", *size),
         )
-        size = grid.n_rows * grid.n_cols, terrain.dtype.itemsize
-        count = reporter.counter("making meshes", *size)
-        sections.update(make_sections(grid, mesher, executor, count))
         originals, lost = _originals(terrain, original)
         count = reporter.counter("measuring meshes", *size)
         codes = mesh_codes(measure_meshes(grid, mesher, originals, executor, count), lost)

@@ -29,8 +29,8 @@ from terrainwave.container.writer import assemble
 from terrainwave.decoder import TreeDecoder
 from terrainwave.encoder import Stats, TreeEncoder
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.mesh_sections import make_sections, parts_of_blocks
-from terrainwave.meshing import BlockMesher, measure_meshes
+from terrainwave.mesh_sections import make_meshes
+from terrainwave.meshing import measure_meshes
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.proof import allowed_error, compare_window, measured_error, proof_windows
 from terrainwave.pyramid import Pyramid
@@ -431,18 +431,16 @@ class _Patcher:
         decoder = TreeDecoder(
             grid, refiner, self._terrain._parameters, self.sink.payloads, _CACHE_BYTES
         )
-        sections: dict[Block, bytes] = {}
-        mesher = BlockMesher(
+        mesher, sections = make_meshes(
             grid,
             decoder,
             lambda block: errors.get(block, 0),
             header.mesh_tolerance,
             has_voids=self._has_voids,
             kind=header.mesh,
-            part=parts_of_blocks(grid, lambda key: sections.get(key, b"")),
+            executor=self._executor,
+            on_samples=self._count("making meshes"),
         )
-        count = self._count("making meshes")
-        sections.update(make_sections(grid, mesher, self._executor, count))
         self.sink.set_meshes(sections)
 
         def known(region: Region) -> tuple[Heights, Mask]:
