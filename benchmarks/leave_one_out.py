@@ -18,6 +18,8 @@ import click
 import numpy as np
 
 import terrainwave
+from benchmarks.bench import BOUNDS
+from benchmarks.codecs import is_worth_trying
 from benchmarks.machine import describe_machine
 from benchmarks.rasters import Raster, load_raster
 from terrainwave.codec import nested, tables
@@ -83,9 +85,7 @@ def size_with(parts: dict[str, object], path: Path, max_error: float) -> int:
 
 def bounds_of(raster: Raster) -> list[float]:
     """Return the bounds the raster is measured at, as in docs/benchmarks.md."""
-    if raster.is_integer:
-        return [0, 1, 3, 10]
-    return [0, 0.1, 0.5, 1, 3, 10] if raster.quantum else [0.1, 0.5, 1, 3, 10]
+    return [bound for bound in BOUNDS if is_worth_trying(raster, bound, BOUNDS)]
 
 
 @click.command()

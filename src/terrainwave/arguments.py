@@ -5,6 +5,8 @@ import math
 from terrainwave.container.header import MESHES
 from terrainwave.errors import InvalidHeightsError
 
+# In the order in which files number them.
+EFFORTS = ("fast", "default", "best")
 # Meshes that files store; "auto" is the first.
 STORED_MESHES = tuple(mesh for mesh in MESHES if mesh != "none")
 
@@ -26,6 +28,18 @@ def checked_error(name: str, error: float | None) -> float | None:
     if not (math.isfinite(number) and number >= 0):
         raise InvalidHeightsError(f"found {name} {error}, expected a finite number >= 0")
     return number
+
+
+def check_effort(effort: str) -> None:
+    """Refuse an effort that there is not.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If it is none.
+    """
+    if effort not in EFFORTS:
+        raise InvalidHeightsError(f"found effort {effort!r}, expected one of {', '.join(EFFORTS)}")
 
 
 def checked_mesh(mesh: str, *, or_none: bool) -> str:

@@ -16,7 +16,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
 
-from terrainwave.arguments import check_threads, checked_error, checked_mesh
+from terrainwave.arguments import EFFORTS, check_effort, check_threads, checked_error, checked_mesh
 from terrainwave.codec.registry import check_method
 from terrainwave.container.depot import Depot
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
@@ -37,7 +37,6 @@ from terrainwave.quantum import HeightScan, Quantizer, as_fraction
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.subtrees import RasterPlace
-from terrainwave.terrain import EFFORTS
 
 DEFAULT_MAX_ERROR = 0.01
 BLOCKS = (32, 64, 128, 256, 512, 1024)
@@ -89,10 +88,7 @@ class Options:
             raise InvalidHeightsError(
                 f"found block {block}, expected one of {', '.join(map(str, BLOCKS))}"
             )
-        if effort not in EFFORTS:
-            raise InvalidHeightsError(
-                f"found effort {effort!r}, expected one of {', '.join(EFFORTS)}"
-            )
+        check_effort(effort)
         if border_rings not in (1, 3):
             raise InvalidHeightsError(f"found border_rings {border_rings}, expected 1 or 3")
         if border_rings != 1 and method == "cdf53":

@@ -243,6 +243,11 @@ class Globe:
 
     # Heights
 
+    @property
+    def effective_error(self) -> float:
+        """Return the bound that holds at samples of the full grid, in metres."""
+        return self.terrain.effective_error * self._metres
+
     def level_for(self, spacing: float) -> int:
         """Return the coarsest level whose samples are at most `spacing` metres apart."""
         steps = math.floor(math.log2(max(spacing / self.pixel * (1 + 1e-6), 1.0)))
@@ -328,7 +333,7 @@ class Globe:
         """Return how far originals can be from the bilinear surface of a window, in metres."""
         grid, terrain = self.terrain.grid, self.terrain
         if window.level == grid.k_max:
-            return terrain.effective_error * self._metres
+            return self.effective_error
         last = grid.level_blocks(window.level)
         bottom = window.row + len(window.heights) - 1
         block_rows = range(

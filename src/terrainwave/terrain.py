@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import EFFORTS
 from terrainwave.codec.units import CodecParameters, unit_spec
 from terrainwave.codes import decode_error, decode_range
 from terrainwave.container.reader import Container
@@ -92,9 +93,6 @@ class EarlyHeights(NamedTuple):
     heights: NDArray[Any]
     valid: NDArray[np.bool_]
     n_bytes: int
-
-
-EFFORTS = ("fast", "default", "best")
 
 
 class Terrain:

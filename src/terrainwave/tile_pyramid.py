@@ -124,14 +124,15 @@ class TilePyramid:
 
     Parameters
     ----------
-    terrain : Terrain
+    terrain : Terrain or Globe
         Stays open and belongs to the caller.
     void_height : float
         Height in metres above the ellipsoid of voids and of what the raster does not cover.
     cells : int
         Cells along a tile's side: a power of two.
     radius : float, optional
-        Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
+        Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid; a `Globe`
+        has its own.
     max_zoom : int, optional
         The finest zoom; by default the first one whose cells are no larger than pixels.
 
@@ -148,7 +149,7 @@ class TilePyramid:
 
     def __init__(
         self,
-        terrain: "Terrain",
+        terrain: "Terrain | Globe",
         *,
         void_height: float = 0.0,
         cells: int = CELLS,
@@ -159,7 +160,7 @@ class TilePyramid:
             raise InvalidHeightsError(f"found {cells} cells, expected a power of two, 2 … 1024")
         if not math.isfinite(void_height):
             raise InvalidHeightsError(f"found void_height {void_height}, expected a finite number")
-        self.globe = Globe(terrain, radius=radius)
+        self.globe = terrain if isinstance(terrain, Globe) else Globe(terrain, radius=radius)
         self._cells, self._asked = cells, max_zoom
         low, high = self.globe.height_range
         self._low = math.floor(min(low, void_height) / _UNIT)

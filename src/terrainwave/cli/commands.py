@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from terrainwave._version import __version__
-from terrainwave.arguments import STORED_MESHES
+from terrainwave.arguments import EFFORTS, STORED_MESHES
 from terrainwave.cli.options import (
     BlockSide,
     Bound,
@@ -36,7 +36,6 @@ from terrainwave.cli.output import (
 THREADS = click.IntRange(min=1)
 METHODS = click.Choice(["auto", "predictive", "cdf97", "cdf53", "store"])
 MESHES = click.Choice(["auto", *STORED_MESHES, "none"])
-EFFORTS = ["fast", "default", "best"]
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})

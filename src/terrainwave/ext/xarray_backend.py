@@ -170,7 +170,7 @@ def _packing(terrain: Terrain) -> dict[str, Any]:
 
 
 def _coordinates(terrain: Terrain, level: int) -> dict[str, xr.Variable]:
-    a, b, c, d, e, f = transform = terrain.transform(level)
+    a, b, c, d, e, f = terrain.transform(level)
     crs = terrain.raster_info.rasterio_crs()
     reference: dict[str, Any] = {"GeoTransform": " ".join(map(repr, (c, a, b, f, d, e)))}
     if crs is not None:
@@ -180,7 +180,6 @@ def _coordinates(terrain: Terrain, level: int) -> dict[str, xr.Variable]:
         return coordinates
     n_rows, n_cols = terrain.level_shape(level)
     x_attrs, y_attrs = _axis_attributes(crs)
-    a, _, c, _, e, f = transform
     coordinates["x"] = xr.Variable("x", c + a * (np.arange(n_cols) + 0.5), attrs=x_attrs)
     coordinates["y"] = xr.Variable("y", f + e * (np.arange(n_rows) + 0.5), attrs=y_attrs)
     return coordinates

@@ -16,10 +16,11 @@ from zarr.abc.codec import ArrayBytesCodec
 from zarr.core.array_spec import ArraySpec
 from zarr.core.buffer import Buffer, NDBuffer
 
+from terrainwave.arguments import check_effort
 from terrainwave.compression import compress_to_bytes
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
 from terrainwave.raster_io.info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
-from terrainwave.terrain import EFFORTS, Terrain
+from terrainwave.terrain import Terrain
 
 CODEC_NAME = "terrainwave"
 # Zarr codes several chunks at a time; a chunk as large as this is worth threads of its own.
@@ -66,10 +67,7 @@ class TerrainwaveCodec(ArrayBytesCodec):
             raise InvalidHeightsError(f"found max_error {max_error!r}, expected a number >= 0")
         if nodata is not None and (isinstance(nodata, bool) or not isinstance(nodata, int | float)):
             raise InvalidHeightsError(f"found nodata {nodata!r}, expected a number or None")
-        if effort not in EFFORTS:
-            raise InvalidHeightsError(
-                f"found effort {effort!r}, expected one of {', '.join(EFFORTS)}"
-            )
+        check_effort(effort)
         for name, value in (("max_error", max_error), ("nodata", nodata), ("effort", effort)):
             object.__setattr__(self, name, value)
 

@@ -45,6 +45,7 @@ class _Description(NamedTuple):
     block_shape: tuple[int, int]
     crs: CRS | None
     tags: dict[str, Any]
+    notes: tuple[str, ...]
 
 
 class MosaicBackend:
@@ -102,6 +103,7 @@ class MosaicBackend:
             )
             for source, one, (row, col) in zip(sources, found, places)
         ]
+        self._notes = [note for one in found for note in one.notes]
         declared = [one.nodata for one in found if one.nodata is not None]
         self.nodata = declared[0] if declared else None
         self._nodata = self.nodata if nodata is None else nodata
@@ -131,6 +133,7 @@ class MosaicBackend:
             block_shape=backend.block_shape,
             crs=backend.crs,
             tags=backend.tags(),
+            notes=tuple(backend.notes()),
         )
 
     def _backend(self, source: Any) -> DatasetBackend:
@@ -147,8 +150,7 @@ class MosaicBackend:
 
     def notes(self) -> Iterator[str]:
         """Yield what is left out or was chosen, one sentence each."""
-        for member in self._members:
-            yield from self._backend(member.source).notes()
+        yield from self._notes
         if self._has_gaps:
             share = 100 * self._n_covered / (self.n_rows * self.n_cols)
             yield (

@@ -12,6 +12,7 @@ from contextlib import ExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 from anyio import CapacityLimiter, to_thread
 from fastapi import FastAPI, HTTPException, Query, Request, Response
 from fastapi.middleware.cors import CORSMiddleware
@@ -25,7 +26,6 @@ from terrainwave.ext.serve import tiling
 from terrainwave.globe import Globe
 from terrainwave.tile_pyramid import MAX_ZOOM as LAST_MESH_ZOOM
 from terrainwave.tile_pyramid import TilePyramid
-from terrainwave.tri.frames import metres_per_unit
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 N_WAITING = 64
@@ -79,12 +79,11 @@ class Layer:
             try:
                 terrain = stack.enter_context(terrainwave.open(path))
                 self.globe = Globe(terrain)
-                self.tiles = TilePyramid(terrain, void_height=tiling.void_height(self.globe))
+                self.tiles = TilePyramid(self.globe, void_height=tiling.void_height(self.globe))
             except (InvalidHeightsError, CorruptStreamError) as error:
                 raise type(error)(f"{path}: {error}") from error
             stack.pop_all()
         self.info = self.globe.terrain.info()
-        self.metres = metres_per_unit(self.info.units)
         self.tag = hashlib.sha256(repr((name, self.info.n_bytes, self.info)).encode()).hexdigest()
 
     def describe(self) -> dict[str, object]:
@@ -96,7 +95,7 @@ class Layer:
             "maxzoom": tiling.max_zoom(self.globe),
             "lowest": lowest,
             "highest": highest,
-            "error": info.effective_error * self.metres,
+            "error": self.globe.effective_error,
             "bytes": info.n_bytes,
             "rows": info.n_rows,
             "columns": info.n_cols,
@@ -278,8 +277,6 @@ def check_tile(z: int, x: int, y: int, n_columns: int, n_rows: int | None = None
 
 def height_at(layer: Layer, longitude: float, latitude: float) -> dict[str, float | None]:
     """Return the height in metres at a place, null where there is none, and the file's bound."""
-    import numpy as np
-
     globe = layer.globe
     rows, cols = globe.to_samples(np.array([longitude]), np.array([latitude]))
     heights, _ = globe.heights_at(rows, cols, globe.terrain.grid.k_max)
@@ -288,5 +285,5 @@ def height_at(layer: Layer, longitude: float, latitude: float) -> dict[str, floa
         "lon": longitude,
         "lat": latitude,
         "height": None if np.isnan(height) else height,
-        "max_error": layer.info.effective_error * layer.metres,
+        "max_error": globe.effective_error,
     }
