@@ -127,7 +127,6 @@ class Cdf97:
     """Wavelet refiner; see `Refiner`."""
 
     name = "cdf97"
-    pyramid = "lowpass"
 
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
