@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.report import CsvSink
 from terrainwave.codec.group import encode_unit
-from terrainwave.codec.registry import refiner_by_name
+from terrainwave.codec.registry import PYRAMIDS, refiner_by_name
 from terrainwave.codec.units import CodecParameters, unit_spec
 from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.quadtree import Block, Grid
@@ -167,7 +167,7 @@ def measure_group(name: str, heights: np.ndarray, method: str, error: int) -> Gr
     parameters = CodecParameters(2 * error + 1, -(1 << 29), 1 << 29, (1, 0), 1, 1)
     refiner = refiner_by_name(method)
     mask = np.ones(heights.shape, dtype=bool)
-    if refiner.pyramid == "lowpass":
+    if PYRAMIDS[method] == "lowpass":
         shape = grid.level_shape(0)
         above = lowpass_analysis(heights, (0, 0), heights.shape, (0, 0), shape)
     else:

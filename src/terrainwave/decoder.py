@@ -3,6 +3,7 @@
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -16,16 +17,20 @@ from terrainwave.quadtree import Block, Grid, Region, morton
 _MAX_FETCHED = 1024
 
 
-class UnitCache:
-    """Least recently used decoded units, up to a number of bytes; thread-safe."""
+_Unit = TypeVar("_Unit")
 
-    def __init__(self, max_bytes: int) -> None:
+
+class UnitCache(Generic[_Unit]):
+    """Least recently used decoded units or tiles, up to a number of bytes; thread-safe."""
+
+    def __init__(self, max_bytes: int, n_bytes_of: Callable[[_Unit], int]) -> None:
         self._max_bytes = max_bytes
+        self._n_bytes_of = n_bytes_of
         self._n_bytes = 0
-        self._units: OrderedDict[Block, Decoded] = OrderedDict()
+        self._units: OrderedDict[Block, _Unit] = OrderedDict()
         self._lock = threading.Lock()
 
-    def get(self, key: Block) -> Decoded | None:
+    def get(self, key: Block) -> _Unit | None:
         """Return the unit if it is here."""
         with self._lock:
             unit = self._units.get(key)
@@ -33,16 +38,16 @@ class UnitCache:
                 self._units.move_to_end(key)
             return unit
 
-    def put(self, key: Block, unit: Decoded) -> None:
+    def put(self, key: Block, unit: _Unit) -> None:
         """Keep the unit, dropping the least recently used ones beyond the limit."""
         with self._lock:
             if key in self._units:
                 return
             self._units[key] = unit
-            self._n_bytes += _n_bytes(unit)
+            self._n_bytes += self._n_bytes_of(unit)
             while self._n_bytes > self._max_bytes and len(self._units) > 1:
                 _, dropped = self._units.popitem(last=False)
-                self._n_bytes -= _n_bytes(dropped)
+                self._n_bytes -= self._n_bytes_of(dropped)
 
 
 def _n_bytes(unit: Decoded) -> int:
@@ -74,7 +79,7 @@ class TreeDecoder:
         self._refiner = refiner
         self._parameters = parameters
         self._payloads = payloads
-        self._cache = UnitCache(cache_bytes)
+        self._cache = UnitCache(cache_bytes, _n_bytes)
         self._fetched: dict[Block, bytes] = {}
         self._in_flight: dict[Block, threading.Event] = {}
         self._lock = threading.Lock()

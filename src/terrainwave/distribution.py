@@ -19,7 +19,7 @@ import numpy as np
 
 from terrainwave.block_codes import Box, enclosing_boxes, error_codes, set_codes
 from terrainwave.codec.refiner import FittingRefiner, Heights, Mask, Refiner
-from terrainwave.codec.registry import refiner_by_name
+from terrainwave.codec.registry import PYRAMIDS, refiner_by_name
 from terrainwave.container.depot import Depot, StoredSegment
 from terrainwave.container.page import N_CODES
 from terrainwave.container.sink import SpoolSink
@@ -233,7 +233,7 @@ class DistributedPasses:
             self.source,
             site.job.quantizer,
             site.grid,
-            kind=site.refiner().pyramid,
+            kind=PYRAMIDS[site.method],
             has_voids=site.job.has_voids,
             directory=self.directory,
             executor=self.executor,

@@ -1,10 +1,11 @@
 """Reading files of method cdf53 in part: how much of which tile (format-cdf53.md, C.7)."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 from terrainwave.codec.cdf53 import (
     TileHead,
+    finest_position,
     packed_length,
     plane_cut,
     prefix_length,
@@ -18,7 +19,6 @@ from terrainwave.quadtree import Block
 
 # Bytes of each payload that are read to see its head; more where that is longer.
 _FIRST_READ = 512
-_SEARCH_STEPS = 40
 
 
 @dataclass(frozen=True)
@@ -114,17 +114,9 @@ class EarlyPayloads:
             self.n_bytes += len(data)
 
 
-def _search(parts: Iterable[_Part], max_bytes: int) -> float:
+def _search(parts: Collection[_Part], max_bytes: int) -> float:
     """Return the finest position at which `parts` take at most `max_bytes`."""
-    parts = list(parts)
     coarsest = max((part.head.n_planes + part.n_below for part in parts), default=0)
-    low, high = 0.0, float(coarsest)
-    if sum(part.n_bytes(low) for part in parts) <= max_bytes:
-        return low
-    for _ in range(_SEARCH_STEPS):
-        middle = (low + high) / 2
-        if sum(part.n_bytes(middle) for part in parts) <= max_bytes:
-            high = middle
-        else:
-            low = middle
-    return high
+    return finest_position(
+        lambda position: sum(part.n_bytes(position) for part in parts), float(coarsest), max_bytes
+    )

@@ -76,8 +76,7 @@ class Job:
     @property
     def lost(self) -> int:
         """Return what rounding to quanta loses of each height, in quanta, rounded up."""
-        quantizer = self.quantizer
-        return int(-(-Fraction(quantizer.rho) * quantizer.denominator // quantizer.numerator))
+        return self.quantizer.lost
 
     @property
     def mesh_tolerance(self) -> int:

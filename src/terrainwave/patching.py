@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import check_threads
 from terrainwave.block_codes import Box, enclosing_boxes
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.registry import refiner_by_name
@@ -26,11 +27,11 @@ from terrainwave.codes import decode_error, decode_range, encode_error, encode_r
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.writer import assemble
-from terrainwave.decoder import TreeDecoder
+from terrainwave.decoder import TreeDecoder, unit_key
 from terrainwave.encoder import Stats, TreeEncoder
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.mesh_sections import make_meshes
-from terrainwave.meshing import measure_meshes
+from terrainwave.meshing import measure_meshes, mesh_codes
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.proof import allowed_error, compare_window, measured_error, proof_windows
 from terrainwave.pyramid import Pyramid
@@ -39,7 +40,6 @@ from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.spool import Spool
 from terrainwave.terrain import Terrain
-from terrainwave.tri.mesh import FRACTION_BITS
 
 _CACHE_BYTES = 128 << 20
 _WINDOW = 512
@@ -104,8 +104,7 @@ def patch(
     others have exactly the height they had. Takes about the time of decoding and measuring the
     whole file, and that of coding what differs.
     """
-    if threads is not None and threads < 1:
-        raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
+    check_threads(threads)
     refuse_own_source(src, path)
     final = Path(os.path.realpath(path))
     with (
@@ -369,7 +368,7 @@ class _Patcher:
         self._has_voids = terrain.raster_info.mask_kind != "none"
         quantizer = terrain._quantizer
         self._whole = quantizer.z_min, quantizer.z_max
-        self._lost = int(-(-Fraction(quantizer.rho) * quantizer.denominator // quantizer.numerator))
+        self._lost = quantizer.lost
         self.sink = SpoolSink(self._grid, self._grid.segment_heads(), directory)
         self._pyramid = Pyramid(
             merged,
@@ -449,7 +448,7 @@ class _Patcher:
 
         count = self._count("measuring meshes")
         measured = measure_meshes(grid, mesher, known, self._executor, count)
-        codes = {block: self._mesh_code(error, self._lost) for block, error in measured.items()}
+        codes = mesh_codes(measured, Fraction(self._lost))
         moved = self._moved_meshes(changes, errors, sections)
         open_blocks = {
             block for block in errors if not self._merged.covers(grid.full_region(block))
@@ -461,15 +460,10 @@ class _Patcher:
             measured = measure_meshes(
                 grid, mesher, self._pyramid.originals, self._executor, lambda n_samples: None
             )
-            away = (header.step >> 1) + self._lost
-            for block in moved & open_blocks & set(measured):
-                codes[block] = max(codes.get(block, 0), self._mesh_code(measured[block], away))
+            away = mesh_codes(measured, Fraction((header.step >> 1) + self._lost))
+            for block in moved & open_blocks & set(away):
+                codes[block] = max(codes.get(block, 0), away[block])
         return codes
-
-    @staticmethod
-    def _mesh_code(error: int, more: int) -> int:
-        """Return the code of an error in 1/16 quanta and `more` quanta."""
-        return encode_error(-(-error >> FRACTION_BITS) + more)
 
     def _moved_meshes(
         self,
@@ -488,7 +482,7 @@ class _Patcher:
             for right in (-1, 0, 1)
         }
         for block in errors:
-            key = Block(-1, 0, 0) if block.level == 0 else block.parent
+            key = unit_key(block)
             if sections.get(key, b"") != self._container.mesh(key):
                 moved.add(block)
         return {block for block in moved if grid.contains(block)}

@@ -81,6 +81,11 @@ class Quantizer:
         """Return the bound that holds, in raw units: ``(step - 1) / 2 * p + rho``."""
         return float((self.step >> 1) * Fraction(self.numerator, self.denominator)) + self.rho
 
+    @property
+    def lost(self) -> int:
+        """Return what rounding to quanta loses of each height, in quanta, rounded up."""
+        return int(-(-Fraction(self.rho) * self.denominator // self.numerator))
+
     def quantize(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return the quanta of `raw`, shape as given; 0 where not `valid`. Copies."""
         from terrainwave import convert

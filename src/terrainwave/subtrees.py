@@ -22,7 +22,7 @@ import numpy as np
 from terrainwave.block_codes import Box, enclosing_boxes, error_codes, set_codes
 from terrainwave.border_states import BorderState, draft_blocks, encode_parts
 from terrainwave.codec.refiner import Refiner
-from terrainwave.codec.registry import refiner_by_name
+from terrainwave.codec.registry import PYRAMIDS, refiner_by_name
 from terrainwave.container.depot import Depot, StoredSegment, StoredSegments
 from terrainwave.container.page import N_CODES
 from terrainwave.container.sink import SpoolSink
@@ -131,7 +131,7 @@ class Site:
             source,
             self.job.quantizer,
             self.grid,
-            kind=self.refiner().pyramid,
+            kind=PYRAMIDS[self.method],
             has_voids=self.job.has_voids,
             directory=directory,
             executor=executor,

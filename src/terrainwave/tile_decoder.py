@@ -1,7 +1,6 @@
 """Decode files whose units are gathered in tiles (method cdf53), on demand, through a cache."""
 
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -11,7 +10,7 @@ from terrainwave.codec.refiner import Decoded
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.tiles import TileLayout
 from terrainwave.codec.units import CodecParameters, unit_spec
-from terrainwave.decoder import TreeDecoder, unit_name
+from terrainwave.decoder import TreeDecoder, UnitCache, unit_name
 from terrainwave.errors import CorruptStreamError
 from terrainwave.quadtree import Block, Grid
 
@@ -40,8 +39,7 @@ class TileDecoder(TreeDecoder):
         super().__init__(grid, None, parameters, payloads, cache_bytes // 2)
         self._layout = TileLayout(grid)
         self._are_prefixes = are_prefixes
-        self._tiles: OrderedDict[Block, Tile] = OrderedDict()
-        self._tile_bytes = cache_bytes // 2
+        self._tiles = UnitCache(cache_bytes // 2, _n_bytes)
         self._tile_locks: dict[Block, threading.Lock] = {}
 
     def prefetch(self, keys: Sequence[Block]) -> None:
@@ -49,7 +47,7 @@ class TileDecoder(TreeDecoder):
         needed: dict[Block, None] = {}
         for key in keys:
             tile: Block | None = self._layout.key_of(key)
-            while tile is not None and tile not in needed and tile not in self._tiles:
+            while tile is not None and tile not in needed and self._tiles.get(tile) is None:
                 needed[tile] = None
                 tile = self._layout.above(tile)
         self._fetch(list(needed))
@@ -73,7 +71,7 @@ class TileDecoder(TreeDecoder):
             found = self._tiles.get(key)
             if found is None:
                 found = self._decode_tile(key)
-            self._keep(key, found)
+                self._tiles.put(key, found)
             return found
 
     def _decode_tile(self, key: Block) -> Tile:
@@ -86,16 +84,6 @@ class TileDecoder(TreeDecoder):
             return decode_tile(spec, outer, self._payload(key), is_prefix=self._are_prefixes)
         except CorruptStreamError as exc:
             raise type(exc)(f"the tile of {unit_name(key)} is damaged: {exc}") from exc
-
-    def _keep(self, key: Block, tile: Tile) -> None:
-        """Put a tile last among those kept and drop the first ones beyond the limit."""
-        with self._lock:
-            self._tiles[key] = tile
-            self._tiles.move_to_end(key)
-            n_bytes = sum(map(_n_bytes, self._tiles.values()))
-            while n_bytes > self._tile_bytes and len(self._tiles) > 1:
-                _, dropped = self._tiles.popitem(last=False)
-                n_bytes -= _n_bytes(dropped)
 
 
 def make_decoder(

@@ -14,6 +14,7 @@ from terrainwave.codec.cdf53 import (
     LevelHeights,
     decode_tile,
     encode_tile,
+    finest_position,
     packed_length,
     plane_cut,
     unpack_tile,
@@ -29,8 +30,8 @@ from terrainwave.pyramid import Pyramid
 from terrainwave.quadtree import Block, Grid
 from terrainwave.tile_decoder import final_heights
 
-# Halvings of a search by bytes, and of one by errors, which decodes everything each time.
-_SEARCH_STEPS, _ERROR_STEPS = 40, 9
+# Halvings of a search by errors, which decodes everything each time.
+_ERROR_STEPS = 9
 # What a file is thought to take beside its payloads, in bytes: for itself and for each unit.
 _FILE_BYTES, _UNIT_BYTES = 600, 24
 
@@ -230,21 +231,13 @@ class EmbeddedSource:
         InvalidHeightsError
             If the heads alone take more.
         """
-        low, high = 0.0, float(self._coarsest)
-        if self.n_bytes(high) > max_bytes:
+        coarsest = float(self._coarsest)
+        if self.n_bytes(coarsest) > max_bytes:
             raise InvalidHeightsError(
                 f"found a rate that leaves {max(max_bytes, 0):,} bytes for heights, expected at"
-                f" least {self.n_bytes(high):,}: give a larger --rate"
+                f" least {self.n_bytes(coarsest):,}: give a larger --rate"
             )
-        if self.n_bytes(low) <= max_bytes:
-            high = low
-        for _ in range(_SEARCH_STEPS):
-            middle = (low + high) / 2
-            if self.n_bytes(middle) <= max_bytes:
-                high = middle
-            else:
-                low = middle
-        self.position = high
+        self.position = finest_position(self.n_bytes, coarsest, max_bytes)
 
     def cut_to_error(
         self, mean_square: float, parameters: CodecParameters, executor: Executor

@@ -6,7 +6,7 @@ be decoded from those above it, and code these lines first.
 """
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -29,6 +29,8 @@ PIECE = 4096
 _CRC_BYTES = 4
 # Heights of coarse levels may overshoot those of the raster; nothing sound comes near this.
 _MAX_HEIGHT = (1 << 31) - 1
+# Halvings of a search for the position of a cut.
+_SEARCH_STEPS = 40
 
 
 class LevelHeights(NamedTuple):
@@ -341,3 +343,21 @@ def plane_cut(ends: Sequence[int], total: int, position: float) -> int:
     if n_whole == len(ends):
         return total
     return min(done + int((ends[n_whole] - done) * (np.ceil(missing) - missing)), total)
+
+
+def finest_position(n_bytes: Callable[[float], int], coarsest: float, max_bytes: int) -> float:
+    """Return the finest position (`plane_cut`) at which streams take at most `max_bytes`.
+
+    `n_bytes` returns what they take at a position. `coarsest` is returned where all finer ones take
+    too much; it is not tried.
+    """
+    low, high = 0.0, coarsest
+    if n_bytes(low) <= max_bytes:
+        return low
+    for _ in range(_SEARCH_STEPS):
+        middle = (low + high) / 2
+        if n_bytes(middle) <= max_bytes:
+            high = middle
+        else:
+            low = middle
+    return high

@@ -127,7 +127,6 @@ class Cdf97:
     """Wavelet refiner; see `Refiner`."""
 
     name = "cdf97"
-    pyramid = "lowpass"
 
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
@@ -152,10 +151,11 @@ class Cdf97:
         start_decoder(state, data)
         models = tables97.start_border_models()
         heights, is_known = _predict(spec, parent)
+        core = spec.core.slices_in(spec.region)
+        prediction = heights[core].copy()  # as it is before shared lines are written
         code_border(
             spec, parent, None, mask, heights, is_known, state, data, models, is_nested=False
         )
-        core = spec.core.slices_in(spec.region)
         inner = np.ascontiguousarray(heights[core])
         trees = None
         if coding.flags & _IS_RAW:
@@ -166,7 +166,6 @@ class Cdf97:
         else:
             work = _workspace(inner.shape)
             _measure_parent(spec, parent, work)
-            prediction, _ = _predict(spec, parent)
             n_levels = n_transforms(*inner.shape)
             labels = np.full(work.offsets[n_levels], JZTC, dtype=np.uint8)
             labels[0] = JZTR
@@ -178,7 +177,7 @@ class Cdf97:
                     tables97.start_tree_models(),
                 )  # fmt: skip
                 inverse_transform(work.field, work.low, work.high)
-            _fill_base(prediction[core], work.field, work.base)
+            _fill_base(prediction, work.field, work.base)
             if spec.wants_labels:
                 trees = _zero_trees(work.offsets, labels, inner.shape)
             if coding.flags & _HAS_RESIDUALS:
@@ -203,6 +202,8 @@ class _Encoder:
     ) -> None:
         self.spec = spec
         self.heights, is_known = _predict(spec, parent)
+        self.core = core = spec.core.slices_in(spec.region)
+        self.prediction = self.heights[core].copy()  # as it is before shared lines are written
         self.out = np.empty(5 * target.size + 1024, dtype=np.uint8)
         self.state = start_encoder()
         code_border(
@@ -210,15 +211,11 @@ class _Encoder:
             tables97.start_border_models(), is_nested=False,
         )  # fmt: skip
         self.border_state = self.state.copy()
-        core = spec.core.slices_in(spec.region)
-        self.core = core
         self.is_known = np.ascontiguousarray(is_known[core])
         self.coded = mask[core] & ~self.is_known
         # The coefficients aim at the originals on the shared lines too: the decoded lines carry
         # noise of up to half a step, which would cost coefficients for nothing.
         self.target = np.ascontiguousarray(target[core])
-        prediction, _ = _predict(spec, parent)
-        self.prediction = np.ascontiguousarray(prediction[core])
         self.start = np.ascontiguousarray(self.heights[core])
         self.work = _workspace(self.target.shape)
         _measure_parent(spec, parent, self.work)

@@ -177,7 +177,6 @@ class Predictive:
     """The nested refiner; see `Refiner`."""
 
     name = "predictive"
-    pyramid = "nested"
 
     def __init__(self, parameters: bytes = b"") -> None:
         self.parameters = parameters

@@ -74,14 +74,9 @@ class Decoded(NamedTuple):
 
 
 class Refiner(Protocol):
-    """What a method implements; `codec.group` adds masks, clamping and exceptions around it.
-
-    `pyramid` names the heights it approximates on coarse levels: ``"lowpass"`` (CDF 9/7 analysis)
-    or ``"nested"`` (the full grid's samples themselves).
-    """
+    """What a method implements; `codec.group` adds masks, clamping and exceptions around it."""
 
     name: str
-    pyramid: str
 
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask

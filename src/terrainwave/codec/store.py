@@ -20,7 +20,6 @@ class Store:
     """The trivial refiner: what the parent lacks, as fixed-width indices."""
 
     name = "store"
-    pyramid = "nested"
 
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
