@@ -9,7 +9,6 @@ threshold, by the papers' errors and by measured ones.
 Exit status: 0 good; 2 wrong usage.
 """
 
-import math
 import sys
 import time
 from dataclasses import dataclass
@@ -20,9 +19,10 @@ import numpy as np
 import rasterio
 
 from benchmarks.report import CsvSink
-from terrainwave.render.camera import Camera, Viewport, focal_length, project
-from terrainwave.render.frustum import frustum_planes
-from terrainwave.tri.dynamic import DynamicMesh, Eye
+from terrainwave.render.camera import Camera, Viewport, project
+from terrainwave.render.modes.whole import eye_of
+from terrainwave.render.selection import View
+from terrainwave.tri.dynamic import DynamicMesh
 from terrainwave.tri.rqt_view import RestrictedMesh
 
 SIZES = (512, 1024, 2048, 4096)
@@ -54,14 +54,6 @@ class Row:
     touched: int
     touched_percent: float
     largest_pixels: float
-
-
-def eye_of(camera: Camera) -> Eye:
-    """Return what errors on screen depend on."""
-    tangent = math.tan(math.radians(camera.fov) / 2)
-    slant = math.sqrt(1 + tangent**2 * (1 + VIEWPORT.aspect**2))
-    planes = frustum_planes(camera, VIEWPORT)
-    return Eye(camera.eye, camera.forward, planes, focal_length(camera, VIEWPORT), slant)
 
 
 def camera_at(view: str, number: int, top: float) -> Camera:
@@ -115,11 +107,12 @@ def fly(name: str, view: str, system: str, error: str, heights, tau: float, n_fr
         n_nodes = heights.size
     build = time.thread_time() - started
     times, touched = [], []
-    update(eye_of(camera_at(view, 0, top)))  # marks all nodes, and compiles
-    update(eye_of(camera_at(view, 0, top)))
+    first = eye_of(View(camera_at(view, 0, top), VIEWPORT))
+    update(first)  # marks all nodes, and compiles
+    update(first)
     for number in range(1, n_frames + 1):
         camera = camera_at(view, number, top)
-        eye = eye_of(camera)
+        eye = eye_of(View(camera, VIEWPORT))
         started = time.thread_time()
         frame = update(eye)
         times.append((time.thread_time() - started) * 1e3)

@@ -14,7 +14,6 @@ Exit status: 0 good; 2 wrong usage.
 """
 
 import contextlib
-import csv
 import sys
 import tempfile
 import time
@@ -29,6 +28,7 @@ import numpy as np
 
 import terrainwave
 from benchmarks.report import CsvSink
+from benchmarks.tables import read_rows
 from terrainwave.codec import registry
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.render.camera import Camera, Viewport, home, look
@@ -348,9 +348,9 @@ _Y10 = "Yusov & Turlapov 2010"
 def compare_papers(results: Path) -> Iterator[PaperRow]:
     """Yield the papers' figures beside those of the CSVs."""
     grid, methods, modes = (
-        _read(results, name) for name in ("systems", "systems_methods", "systems_modes")
+        read_rows(results, name) for name in ("systems", "systems_methods", "systems_modes")
     )
-    moving = _read(results, "dynamic")
+    moving = read_rows(results, "dynamic")
     for row in grid:
         case = int(row["block"]), int(float(row["max_error"]))
         if row["rings"] != "3":
@@ -421,11 +421,6 @@ def compare_papers(results: Path) -> Iterator[PaperRow]:
 def _rate(rows: list[dict[str, str]]) -> str:
     frames = sorted(1e3 / float(row["frame_ms"]) for row in rows)
     return f"{frames[0]:.1f}–{frames[-1]:.1f}"
-
-
-def _read(results: Path, name: str) -> list[dict[str, str]]:
-    with (results / f"{name}.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def _write(path: Path, kind: type, rows: Iterator) -> None:

@@ -378,14 +378,10 @@ def render_table(results: Path) -> str:
         has_cpu = float(row["p99_cpu"]) > 0
         cpu = [f"{float(row[name]):.2f}" if has_cpu else "–" for name in ("median_cpu", "p99_cpu")]
         is_drawn = "CPU" not in row["what"]
+        frame = f"{float(row['median_frame']):.0f}" if is_drawn else "–"
         lines.append(
             f"| {row['what']} | {row['size']}² | {row['mode']} | {row['block']} | {row['frames']} |"
-            f" {cpu[0]} | {cpu[1]} | {float(row['median_frame']):.0f} |"
-            if is_drawn
-            else f"| {row['what']} | {row['size']}² | {row['mode']} | {row['block']} |"
-            f" {row['frames']} | {cpu[0]} | {cpu[1]} | – |"
-        )
-        lines[-1] += (
+            f" {cpu[0]} | {cpu[1]} | {frame} |"
             f" {float(row['median_triangles']):,.0f} | {float(row['median_blocks']):.0f} |"
             f" {float(row['gpu_mib']):.0f} |"
         )

@@ -10,6 +10,7 @@ from terrainwave.render.frustum import frustum_planes
 from terrainwave.tri.dynamic import Eye
 
 VIEWPORT = Viewport(320, 240)
+NORTH_UP = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
 
 
 def eye_of(camera, z_scale=1.0):
@@ -26,6 +27,12 @@ def random_camera(rng, shape, pixel=1.0, low=0.0, high=40.0):
     heading = np.degrees(np.arctan2(shape[1] * pixel / 2 - x, -shape[0] * pixel / 2 - y))
     heading += rng.uniform(-40, 40)
     return Camera((x, y, z), heading % 360, rng.uniform(-85, 5), rng.uniform(25, 90))
+
+
+def cameras(shape, n, seed=1):
+    """Cameras anywhere around a raster of 1 m."""
+    rng = np.random.default_rng(seed)
+    return [random_camera(rng, shape) for _ in range(n)]
 
 
 def roots_of_samples(mesh, eye, tau):

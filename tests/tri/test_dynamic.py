@@ -1,12 +1,13 @@
 import numpy as np
 import pytest
 from tri.slow_dynamic import (
+    NORTH_UP,
     VIEWPORT,
     areas,
+    cameras,
     drawn_samples,
     eye_of,
     pixel_errors,
-    random_camera,
     roots_of_samples,
     snapped,
     surfaces_at,
@@ -17,8 +18,6 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.render.camera import Camera, project
 from terrainwave.tri.dynamic import INNER, ROOT, DynamicMesh, mark_bottom_up, step_top_down
 from terrainwave.tri.haar import ERROR, HIGH, LOW, OUTLINE, build_tree
-
-NORTH_UP = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
 
 
 def rough(shape, seed=1, amplitude=4.0):
@@ -35,11 +34,6 @@ def with_void(shape):
     mask[3:6, 4:9] = False
     mask[-4:, -3:] = False
     return mask
-
-
-def cameras(shape, n, seed=1):
-    rng = np.random.default_rng(seed)
-    return [random_camera(rng, shape) for _ in range(n)]
 
 
 CASES = [((16, 16), 16, False), ((16, 24), 8, False), ((13, 19), 8, True), ((5, 3), 4, False)]

@@ -1,13 +1,12 @@
 import numpy as np
 import pytest
-from tri.slow_dynamic import VIEWPORT, areas, eye_of, random_camera, surfaces_at
+from tri.slow_dynamic import NORTH_UP, VIEWPORT, areas, cameras, eye_of, surfaces_at
 
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.render.camera import Camera, project
 from terrainwave.tri.rqt import _neighbours
 from terrainwave.tri.rqt_view import RestrictedMesh
 
-NORTH_UP = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
 RANGE = (-30.0, 60.0)
 SHAPES = [((17, 17), 16, False), ((17, 25), 8, False), ((14, 19), 8, True)]
 
@@ -26,11 +25,6 @@ def heights_of(shape, has_void, seed=1):
 def mesh_of(shape, tile, has_void, **options):
     heights = heights_of(shape, has_void)
     return RestrictedMesh(shape, RANGE, heights, tile=tile, sample_matrix=NORTH_UP, **options)
-
-
-def cameras(shape, n, seed=1):
-    rng = np.random.default_rng(seed)
-    return [random_camera(rng, shape) for _ in range(n)]
 
 
 def vertices_below_corners(mesh):

@@ -89,6 +89,19 @@ def focal_length(camera: Camera, viewport: Viewport) -> float:
     return viewport.height / 2 / math.tan(math.radians(camera.fov) / 2)
 
 
+def slant(camera: Camera, viewport: Viewport) -> float:
+    """Return the largest distance / depth in view, that of the picture's corners.
+
+    √(1 + |t|²), t the tangents there: |t|² = tan²(φ/2) (1 + (V_x / V_y)²).
+    """
+    return math.sqrt(_slant_squared(camera, viewport))
+
+
+def _slant_squared(camera: Camera, viewport: Viewport) -> float:
+    tangent = math.tan(math.radians(camera.fov) / 2)
+    return 1 + tangent**2 * (1 + viewport.aspect**2)
+
+
 def gamma_paper(camera: Camera, viewport: Viewport) -> float:
     """Return γ of Yusov & Turlapov 2010, §2.8: ½ max(V_x, V_y) / tan(φ/2), φ the vertical opening.
 
@@ -103,12 +116,10 @@ def gamma_guaranteed(camera: Camera, viewport: Viewport) -> float:
 
     A step e at distance d under the tangents t = (t_x, t_y) moves by at most f (1 + |t|²) e / d
     pixels, f the focal length: the largest singular value of the projection's derivative is
-    f √(1 + |t|²) / depth, and the depth is d / √(1 + |t|²). At the corners
-    |t|² = tan²(φ/2) (1 + (V_x / V_y)²).
+    f √(1 + |t|²) / depth, and the depth is d / √(1 + |t|²), at the corners d over the slant.
     """
-    tangent = math.tan(math.radians(camera.fov) / 2)
-    corner = 1 + tangent**2 * (1 + viewport.aspect**2)
-    return max(gamma_paper(camera, viewport), focal_length(camera, viewport) * corner)
+    corner = focal_length(camera, viewport) * _slant_squared(camera, viewport)
+    return max(gamma_paper(camera, viewport), corner)
 
 
 # Matrices

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.camera import Camera, Viewport
+from terrainwave.render.surface import release_all
 
 _VERTEX = """
 #version 330 core
@@ -137,6 +138,4 @@ class Overlay:
 
     def release(self) -> None:
         """Free the GPU's memory."""
-        for part in (self._texture, self._array, self._program):
-            if part is not None:
-                part.release()
+        release_all(self._texture, self._array, self._program)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from terrainwave.render import shaders
 from terrainwave.render.mesh_buffers import COMMAND, GpuStore
 from terrainwave.render.selection import View
-from terrainwave.render.surface import OWN_UNIT
+from terrainwave.render.surface import OWN_UNIT, release_all, set_uniforms
 
 if TYPE_CHECKING:
     from terrainwave.render.modes.mode import Frames
@@ -55,9 +55,7 @@ class PatchSurface:
     def _reach(self, n_patches: int) -> None:
         """Make room for the instances of `n_patches` and bind the buffers in use."""
         if self._instances is None or self._instances.size[1] < n_patches:
-            for part in (self._instances, self._numbers, self._commands):
-                if part is not None:
-                    part.release()
+            release_all(self._instances, self._numbers, self._commands)
             n = max(256, 1 << (n_patches - 1).bit_length())
             self._instances = self._context.texture((4, n), 4, dtype="f4")
             self._instances.filter = (moderngl.NEAREST, moderngl.NEAREST)
@@ -116,11 +114,10 @@ class PatchSurface:
         self._reach(n)
         texels = self.instances(scene, view, frames)
         self._instances.write(texels.tobytes(), viewport=(0, 0, 4, n))
-        for name, value in (
-            ("side", float(self._side)), ("slopes", _SLOPES), ("instances", _INSTANCES)
-        ):  # fmt: skip
-            if name in self.program:
-                self.program[name] = value
+        set_uniforms(
+            self.program,
+            {"side": float(self._side), "slopes": _SLOPES, "instances": _INSTANCES},
+        )
         self.store.slopes.use(_SLOPES)
         self._instances.use(_INSTANCES)
         commands = self.store.commands(frames.nodes)
@@ -135,8 +132,6 @@ class PatchSurface:
 
     def release(self) -> None:
         """Free the GPU's memory."""
-        for part in (
+        release_all(
             self._instances, self._numbers, self._commands, self._array, self.program, self.store
-        ):  # fmt: skip
-            if part is not None:
-                part.release()
+        )  # fmt: skip

@@ -20,7 +20,7 @@ from terrainwave.meshing import SideTolerances, border_lines
 from terrainwave.quadtree import Block, Region
 from terrainwave.render.frame import Frame
 from terrainwave.render.kernels import SKIRT_FLAG, border_edges, rasterize, slopes
-from terrainwave.render.scales import HeightScale, SlopeScale
+from terrainwave.render.scales import FLOAT32_ROUNDING, HeightScale, SlopeScale
 from terrainwave.render.selection import NodeInfo, Piece
 from terrainwave.tri.halves import triangulate
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 # col and row in half samples of the block's level (the column's top bit marks skirts); height and
 # height of the parent's surface above the patch's base, metres.
 VERTEX = np.dtype([("col", "<u2"), ("row", "<u2"), ("z", "<f4"), ("z_parent", "<f4")])
-# Half of float32's spacing, relative.
-_FLOAT32_ROUNDING = 2.0**-24
 _CACHED_MESHES = 128
 _VARIANT_BITS = 2  # each variant has four times the tolerance of the one before
 _MAX_VARIANT = 5
@@ -264,7 +262,7 @@ class PatchBuilder:
             len(mesh.triangles),
             self.slopes(block),
             base,
-            error + largest * _FLOAT32_ROUNDING,
+            error + largest * FLOAT32_ROUNDING,
             morph,
             children,
         )
@@ -311,7 +309,6 @@ class PatchBuilder:
         slopes(heights, mask, near.row - wide.row, near.col - wide.col, found)
         per_sample = found.astype(np.float64)
         per_sample *= self._scale.per_quantum / grid.stride(block.level)
-        per_metre = self._slope_scale.per_metre(per_sample)
         padding = [
             (1 - (first - outer), 1 - (outer + n_outer - first - n) + min(1, grid.block + 1 - n))
             for first, n, outer, n_outer in (
@@ -319,8 +316,7 @@ class PatchBuilder:
                 (inner.col, inner.n_cols, near.col, near.n_cols),
             )
         ]
-        padded = np.pad(per_metre, (*padding, (0, 0)), mode="edge")
-        return self._slope_scale.as_float16(padded)
+        return np.pad(self._slope_scale.texels(per_sample), (*padding, (0, 0)), mode="edge")
 
 
 def _with_skirts(

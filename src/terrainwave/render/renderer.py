@@ -8,13 +8,19 @@ import numpy as np
 
 from terrainwave.raster_io.drape import Drape
 from terrainwave.render import shaders
-from terrainwave.render.camera import projection_matrix, view_matrix
+from terrainwave.render.camera import projection_matrix, slant, view_matrix
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.ramps import N_COLORS, ramp_colors
 from terrainwave.render.scene import Scene
 from terrainwave.render.selection import View
 from terrainwave.render.style import COLORINGS, Style
-from terrainwave.render.surface import DRAPE_UNIT, RAMP_UNIT, Surface
+from terrainwave.render.surface import (
+    DRAPE_UNIT,
+    RAMP_UNIT,
+    Surface,
+    release_all,
+    set_uniforms,
+)
 
 _CLIP_DISTANCE_0 = 0x3000
 _NEAREST = 1e-5  # of the farthest
@@ -116,14 +122,12 @@ class Renderer:
         low, high = self._scene.frame.box
         corners = np.maximum(np.abs(low - view.camera.eye), np.abs(high - view.camera.eye))
         far = max(float(np.linalg.norm(corners)) * 1.01, 1.0)
-        tangent = math.tan(math.radians(view.camera.fov) / 2)
-        # Depth is less than distance, at most by this much, in the corners.
-        slant = math.sqrt(1 + tangent**2 * (1 + view.viewport.aspect**2))
-        nearest = float(frames.distances.min(initial=far))
-        return max(nearest / slant * 0.9, far * _NEAREST), far
+        # Depth is less than distance, most of all in the corners.
+        nearest = float(frames.distances.min(initial=far)) / slant(view.camera, view.viewport)
+        return max(nearest * 0.9, far * _NEAREST), far
 
     def _set_uniforms(self, view: View, frames: Frames, style: Style) -> None:
-        scene, program = self._scene, self.surface.program
+        scene = self._scene
         near, far = self.depth_range(view, frames)
         matrix = projection_matrix(view.camera, view.viewport, near, far)
         matrix = matrix @ view_matrix(view.camera)
@@ -144,9 +148,7 @@ class Renderer:
             "drape_share": style.drape if self._has_drape else 0.0,
             "last": (scene.frame.shape[1] - 1.0, scene.frame.shape[0] - 1.0),
         }
-        for name, value in values.items():
-            if name in program:
-                program[name] = value
+        set_uniforms(self.surface.program, values)
         self._ramp_texture(style).use(RAMP_UNIT)
         self._drape.use(DRAPE_UNIT)
 
@@ -166,14 +168,10 @@ class Renderer:
             "horizon": self._HORIZON,
             "sun": style.sun_vector,
         }
-        for name, value in values.items():
-            if name in self._sky:
-                self._sky[name] = value
+        set_uniforms(self._sky, values)
         self._context.enable_only(moderngl.NOTHING)
         self._sky_array.render(moderngl.TRIANGLES, vertices=3)
 
     def release(self) -> None:
         """Free the GPU's memory."""
-        for part in (self.surface, self._ramp, self._drape, self._sky_array, self._sky):
-            if part is not None:
-                part.release()
+        release_all(self.surface, self._ramp, self._drape, self._sky_array, self._sky)

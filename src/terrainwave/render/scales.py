@@ -11,6 +11,8 @@ from terrainwave.render.frame import Frame
 if TYPE_CHECKING:
     from terrainwave.terrain import Terrain
 
+# Half of float32's spacing, relative.
+FLOAT32_ROUNDING = 2.0**-24
 # What float16 holds.
 _LEAST_SLOPE, _LARGEST_SLOPE = 2.0**-14, 6e4
 
@@ -52,14 +54,13 @@ class SlopeScale:
 
     frame: Frame
 
-    def per_metre(self, per_sample: NDArray[Any]) -> NDArray[np.float64]:
-        """Return slopes per metre, shape (..., 2), of metres per sample of the full grid."""
+    def texels(self, per_sample: NDArray[Any]) -> NDArray[np.float16]:
+        """Return slopes per metre as the GPU takes them, of metres per sample of the full grid.
+
+        Both have shape (..., 2).
+        """
         a, b, _, d, e, _ = self.frame.sample_matrix
         # The inverse of the transposed matrix.
-        return per_sample @ np.linalg.inv(np.array([[a, b], [d, e]]))
-
-    @staticmethod
-    def as_float16(slopes: NDArray[np.float64]) -> NDArray[np.float16]:
-        """Return slopes as the GPU takes them; changes its argument."""
+        slopes = per_sample @ np.linalg.inv(np.array([[a, b], [d, e]]))
         slopes[np.abs(slopes) < _LEAST_SLOPE] = 0
         return np.clip(slopes, -_LARGEST_SLOPE, _LARGEST_SLOPE).astype(np.float16)

@@ -181,6 +181,13 @@ class NodeTable:
         self.errors[node], self.n_triangles[node] = built.error, built.n_triangles
         self.bases[node], self.morphs[node] = built.base, built.morph
 
+    def boxes(
+        self, nodes: NDArray[np.int32], exaggeration: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the lowest and highest corners of nodes as drawn, shape (n, 3) each."""
+        scale = np.array([1.0, 1.0, exaggeration])
+        return self.low[nodes] * scale, self.high[nodes] * scale
+
     def select(self, view: View, tau: float | None = None) -> Selection:
         """Return the resident blocks that show the view within τ where they are here.
 

@@ -1,5 +1,6 @@
 """The half of a mode on the GPU: where pieces are kept and the program that draws them."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 from terrainwave.render.selection import View
@@ -35,3 +36,17 @@ class Surface(Protocol):
 
     def release(self) -> None:
         """Free the GPU's memory, the store's too."""
+
+
+def set_uniforms(program: Any, values: Mapping[str, Any]) -> None:
+    """Set those uniforms that the program has; compilers drop the ones it does not use."""
+    for name, value in values.items():
+        if name in program:
+            program[name] = value
+
+
+def release_all(*parts: Any) -> None:
+    """Free the GPU's memory of parts, None for those that were never made."""
+    for part in parts:
+        if part is not None:
+            part.release()

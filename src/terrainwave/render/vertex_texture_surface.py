@@ -11,13 +11,13 @@ from terrainwave.render.modes.dynamic import PATCH
 from terrainwave.render.modes.whole import eye_of
 from terrainwave.render.selection import View
 from terrainwave.render.shaders import TERRAIN_FRAGMENT
-from terrainwave.render.surface import OWN_UNIT
+from terrainwave.render.surface import OWN_UNIT, release_all, set_uniforms
 from terrainwave.render.whole_surface import WholeStore
 from terrainwave.tri.haar import FIRST, HIGH, LOW, N_COLS, N_ROWS, HaarTree
 
 if TYPE_CHECKING:
-    from terrainwave.render.modes.dynamic import BuiltMesh
     from terrainwave.render.modes.mode import Frames
+    from terrainwave.render.modes.whole import BuiltSamples
     from terrainwave.render.scene import Scene
 
 _SLOPES, _HEIGHTS, _BOUNDS, _ROOTS = OWN_UNIT, OWN_UNIT + 1, OWN_UNIT + 2, OWN_UNIT + 3
@@ -136,9 +136,11 @@ class TreeStore(WholeStore):
         n_samples = 0 if not self.textures else self.textures[0].width * self.textures[0].height
         return super().n_bytes + _BYTES_PER_SAMPLE * n_samples
 
-    def put(self, node: int, built: "BuiltMesh") -> bool:
+    def put(self, node: int, built: "BuiltSamples") -> bool:
         """Upload slopes and nodes."""
         super().put(node, built)
+        if built.mesh is None:
+            raise AssertionError("the mode builds a tree")
         tree = built.mesh.tree
         shapes = tree.layout[:, N_ROWS:]
         n_rows, n_cols = (int(n) for n in shapes[0])
@@ -233,7 +235,7 @@ class VertexTextureSurface:
         planes = eye.planes.copy()
         planes[:, 3] += planes[:, :3] @ eye.position
         found = mode.frame_mesh
-        for name, value in {
+        values = {
             "slopes": _SLOPES, "heights": _HEIGHTS, "bounds": _BOUNDS, "roots": _ROOTS,
             "side": float(self.store.side), "top": mesh.tree.top, "stride": float(mode.stride),
             "threshold": (found.threshold, found.tau), "level_axes": (a, b, d, e),
@@ -241,9 +243,8 @@ class VertexTextureSurface:
             "reach": mesh.tree.reach, "focal": eye.focal, "slant": eye.slant,
             "is_bound": mode.error == "measured", "forward": tuple(eye.forward),
             "planes": [tuple(plane) for plane in planes.tolist()], "z_scale": view.exaggeration,
-        }.items():  # fmt: skip
-            if name in program:
-                program[name] = value
+        }  # fmt: skip
+        set_uniforms(program, values)
         for unit, texture in (
             (_SLOPES, self.store.slopes), (_HEIGHTS, heights), (_BOUNDS, bounds), (_ROOTS, roots)
         ):  # fmt: skip
@@ -263,11 +264,9 @@ class VertexTextureSurface:
 
     def release(self) -> None:
         """Free the GPU's memory."""
-        for part in (
+        release_all(
             self._array, self.places, self._triangles, self.patches, self.program, self.store
-        ):  # fmt: skip
-            if part is not None:
-                part.release()
+        )  # fmt: skip
 
 
 def _patches_in_view(tree: HaarTree, matrix: tuple[float, ...], view: View) -> NDArray[np.int64]:

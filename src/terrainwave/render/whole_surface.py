@@ -8,7 +8,7 @@ import numpy as np
 from terrainwave.errors import LimitExceededError
 from terrainwave.render.selection import View
 from terrainwave.render.shaders import TERRAIN_FRAGMENT
-from terrainwave.render.surface import OWN_UNIT
+from terrainwave.render.surface import OWN_UNIT, release_all, set_uniforms
 
 if TYPE_CHECKING:
     from terrainwave.render.modes.mode import Frames
@@ -132,12 +132,13 @@ class WholeSurface:
         vertices["grid"] = mode.grid_places(drawn.vertices)
         vertices["size"] = drawn.sizes
         self._upload(vertices.tobytes(), drawn.triangles.astype("<u4").tobytes())
-        for name, value in (
-            ("slopes", _SLOPES), ("side", float(self.store.side)), ("stride", float(mode.stride)),
-            ("eye_z", float(view.camera.eye[2])), ("error", mode.base_error),
-        ):  # fmt: skip
-            if name in self.program:
-                self.program[name] = value
+        set_uniforms(
+            self.program,
+            {
+                "slopes": _SLOPES, "side": float(self.store.side), "stride": float(mode.stride),
+                "eye_z": float(view.camera.eye[2]), "error": mode.base_error,
+            },
+        )  # fmt: skip
         self.store.slopes.use(_SLOPES)
         self._array.render(moderngl.TRIANGLES, vertices=drawn.triangles.size)
         return 1
@@ -160,6 +161,4 @@ class WholeSurface:
 
     def release(self) -> None:
         """Free the GPU's memory."""
-        for part in (self._array, self._vertices, self._triangles, self.program, self.store):
-            if part is not None:
-                part.release()
+        release_all(self._array, self._vertices, self._triangles, self.program, self.store)

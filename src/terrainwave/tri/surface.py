@@ -235,7 +235,7 @@ def _deviation_at_points(
         p, q, s = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         r_0, r_1, r_2 = rows[p], rows[q], rows[s]
         c_0, c_1, c_2 = cols[p], cols[q], cols[s]
-        area = (c_1 - c_0) * (r_2 - r_0) - (c_2 - c_0) * (r_1 - r_0)
+        area = area_of(r_0, c_0, r_1, c_1, r_2, c_2)
         # A point on a cell's lower or right edge belongs to the cell beyond.
         top, bottom = int(min(r_0, r_1, r_2)), min(int(max(r_0, r_1, r_2)), side - 1)
         left, right = int(min(c_0, c_1, c_2)), min(int(max(c_0, c_1, c_2)), side - 1)
@@ -244,8 +244,8 @@ def _deviation_at_points(
             first = starts[row * side + max(left, 0)]
             for k in range(first, starts[row * side + right + 1]):
                 x, y = point_cols[k], point_rows[k]
-                w_0 = (c_1 - x) * (r_2 - y) - (c_2 - x) * (r_1 - y)
-                w_1 = (c_2 - x) * (r_0 - y) - (c_0 - x) * (r_2 - y)
+                w_0 = area_of(y, x, r_1, c_1, r_2, c_2)
+                w_1 = area_of(y, x, r_2, c_2, r_0, c_0)
                 w_2 = area - w_0 - w_1
                 if w_0 < -slack or w_1 < -slack or w_2 < -slack:
                     continue

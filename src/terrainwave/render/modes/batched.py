@@ -36,7 +36,7 @@ from terrainwave.render.modes.regular import (
     largest_deviation,
 )
 from terrainwave.render.patches import Cancelled
-from terrainwave.render.scales import HeightScale, SlopeScale
+from terrainwave.render.scales import FLOAT32_ROUNDING, HeightScale, SlopeScale
 from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
 
 if TYPE_CHECKING:
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
 ROOTS_PER_SIDE = 2
 # μ of ε_l = μ g_l; they show 0.5 and 1.
 MU = 0.5
-_FLOAT32_ROUNDING = 2.0**-24
 
 
 class RegularBlock(NamedTuple):
@@ -209,7 +208,8 @@ class Batched(BoundedMode):
         else:
             full = Region(row * self._side, col * self._side, self._side, self._side)
             full = full.intersect(Region(0, 0, *self.terrain.shape))
-            heights = self._read(full)
+            # The inner vertices of the finest level are its samples.
+            heights = np.ascontiguousarray(vertices[1 : 1 + full.n_rows, 1 : 1 + full.n_cols])
             for coarse, surface in above:
                 shift = level - coarse.level
                 first = full.row - (coarse.row * self._side << shift)
@@ -262,7 +262,7 @@ class Batched(BoundedMode):
         if self.error == "paper":
             return MU * self.spacing * (1 << self._shift(piece.level))
         error = float(self._levels.errors[piece.level][piece.row, piece.col])
-        return error + 4 * self._largest * _FLOAT32_ROUNDING
+        return error + 4 * self._largest * FLOAT32_ROUNDING
 
     @property
     def spacing(self) -> float:
@@ -303,8 +303,7 @@ class Batched(BoundedMode):
         mask = ~np.isnan(samples)
         found = np.empty((self._side + 2, self._side + 2, 2), dtype=np.float32)
         slopes(np.where(mask, samples, 0), mask, 1, 1, found)
-        per_metre = self._slope_scale.per_metre(found / (1 << self._shift(piece.level)))
-        return self._slope_scale.as_float16(per_metre)
+        return self._slope_scale.texels(found / (1 << self._shift(piece.level)))
 
     # Each frame
 

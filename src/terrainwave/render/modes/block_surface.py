@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from terrainwave.render.layers import HEIGHTS, SLOPES, LayeredTextures
 from terrainwave.render.selection import View
 from terrainwave.render.shaders import TERRAIN_FRAGMENT
-from terrainwave.render.surface import OWN_UNIT
+from terrainwave.render.surface import OWN_UNIT, release_all, set_uniforms
 
 if TYPE_CHECKING:
     from terrainwave.render.modes.batched import RegularBlock
@@ -201,15 +201,16 @@ class BlockSurface:
         self._reach(n)
         self._instances.write(texels.tobytes(), viewport=(0, 0, 4, n))
         slopes, heights = self.store.layers.textures
-        for name, unit, texture in (
-            ("slopes", _SLOPES, slopes),
-            ("heights", _HEIGHTS, heights),
-            ("instances", _INSTANCES, self._instances),
-        ):
-            if name in self.program:
-                self.program[name] = unit
-            texture.use(unit)
-        self.program["side"] = float(self._side)
+        set_uniforms(
+            self.program,
+            {
+                "side": float(self._side), "slopes": _SLOPES, "heights": _HEIGHTS,
+                "instances": _INSTANCES,
+            },
+        )  # fmt: skip
+        slopes.use(_SLOPES)
+        heights.use(_HEIGHTS)
+        self._instances.use(_INSTANCES)
         self._array.render(moderngl.TRIANGLES, instances=n)
         return 1
 
@@ -225,8 +226,6 @@ class BlockSurface:
 
     def release(self) -> None:
         """Free the GPU's memory."""
-        for part in (
+        release_all(
             self._instances, self._array, self._places, self._triangles, self.program, self.store
-        ):  # fmt: skip
-            if part is not None:
-                part.release()
+        )  # fmt: skip

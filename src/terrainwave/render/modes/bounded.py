@@ -33,7 +33,7 @@ class BoundedMode(Mode):
         drawn = (table.errors[nodes] + morphs * table.morphs[nodes]) * view.exaggeration
         # A neighbour's error: within τ at the furthest point that it may share with this block,
         # or one that stands in for others.
-        low, high = boxes(table, view, nodes)
+        low, high = table.boxes(nodes, view.exaggeration)
         eye = view.camera.eye
         furthest = np.linalg.norm(np.maximum(np.abs(low - eye), np.abs(high - eye)), axis=1)
         beside = tau * MORPH_START * furthest / view.gamma
@@ -64,7 +64,7 @@ class BoundedMode(Mode):
         parents = table.parents[nodes]
         has_parent = parents >= 0
         above = np.where(has_parent, parents, 0)
-        low, high = boxes(table, view, above)
+        low, high = table.boxes(above, view.exaggeration)
         eye = view.camera.eye
         apart = np.maximum(np.maximum(low - eye, eye - high), 0.0)
         distances = np.maximum(np.linalg.norm(apart, axis=1), 1e-9)
@@ -75,11 +75,3 @@ class BoundedMode(Mode):
         errors = table.errors[nodes] * z_scale
         budget = np.clip((allowed - errors) / np.maximum(spread, 1e-12), 0.0, 1.0)
         return np.where(has_parent, np.minimum(shares, budget), 0.0)
-
-
-def boxes(
-    table: NodeTable, view: View, nodes: NDArray[np.int32]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lowest and highest corners of nodes as seen, with the exaggeration."""
-    scale = np.array([1.0, 1.0, view.exaggeration])
-    return table.low[nodes] * scale, table.high[nodes] * scale

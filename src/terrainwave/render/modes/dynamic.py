@@ -4,36 +4,19 @@ The heights are read, and their tree is built, once, in a worker.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.quadtree import Region
-from terrainwave.render.modes.whole import MAX_VERTICES, Drawn, Samples, WholeMode, eye_of
+from terrainwave.render.modes.whole import MAX_VERTICES, BuiltSamples, Drawn, WholeMode, eye_of
 from terrainwave.render.patches import Cancelled
-from terrainwave.render.selection import NodeInfo, NodeTable, Piece, View
+from terrainwave.render.selection import NodeTable, Piece, View
 from terrainwave.tri.dynamic import DynamicFrame, DynamicMesh
 
 # λ: vertices move to their parents' places while those have errors of τ / λ … τ.
 MORPH = 1.25
 PATCH = 256
-
-
-class BuiltMesh(NamedTuple):
-    """The samples of a level and the tree over them."""
-
-    samples: Samples
-    mesh: DynamicMesh
-    error: float
-    n_triangles: int = 0
-    base: float = 0.0
-    morph: float = 0.0
-
-    @property
-    def children(self) -> list[NodeInfo]:
-        """Return nothing: there is one piece."""
-        return []
 
 
 class Dynamic(WholeMode):
@@ -51,7 +34,7 @@ class Dynamic(WholeMode):
             " and measuring errors of all nodes" if error == "measured" else ""
         )
 
-    def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> BuiltMesh:
+    def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> BuiltSamples:
         """Return the samples and their tree."""
         samples = self.read(self.level, Region(0, 0, *self.shape))
         if is_cancelled():
@@ -63,7 +46,7 @@ class Dynamic(WholeMode):
             error=self.error,
             base_error=self.base_error,
         )
-        return BuiltMesh(samples, self._mesh, self.base_error)
+        return BuiltSamples(samples, self.base_error, self._mesh)
 
     @property
     def dynamic_mesh(self) -> DynamicMesh:

@@ -6,7 +6,7 @@ stands in for them. Vertices don't morph: what splits or merges is within τ bef
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from terrainwave.progress import ProgressCallback
 from terrainwave.quadtree import Region
 from terrainwave.render.camera import Camera
 from terrainwave.render.frame import Frame
-from terrainwave.render.modes.whole import Drawn, Samples, WholeMode, eye_of
+from terrainwave.render.modes.whole import BuiltSamples, Drawn, Samples, WholeMode, eye_of
 from terrainwave.render.selection import NodeInfo, NodeTable, Piece, View
 from terrainwave.tri.rqt_view import RestrictedFrame, RestrictedMesh
 
@@ -26,21 +26,6 @@ TILE = 256
 # The overview has every 16th sample at least: the file's own levels go on above it.
 _OVERVIEW_LEVELS = 4
 OVERVIEW = Piece(0, 0, 0)
-
-
-class BuiltTile(NamedTuple):
-    """Samples of the overview or of a tile, where they lie in the texture of slopes, and errors."""
-
-    samples: Samples
-    error: float
-    n_triangles: int = 0
-    base: float = 0.0
-    morph: float = 0.0
-
-    @property
-    def children(self) -> list[NodeInfo]:
-        """Return nothing: tiles are not replaced."""
-        return []
 
 
 class Rqt(WholeMode):
@@ -60,8 +45,7 @@ class Rqt(WholeMode):
         super().__init__(terrain, frame, error=error)
         self._overview_level = max(self.level - _OVERVIEW_LEVELS, 0)
         self._overview_stride = 1 << (self.level - self._overview_level)
-        blocks = terrain.grid.blocks(self._overview_level)
-        largest = max(terrain.block_error(block) for block in blocks)
+        largest = self._largest_error(self._overview_level)
         self._overview_error = max(largest * frame.metres[2], self.base_error)
         self._n_tiles = tuple(max(-(-(n - 1) // TILE), 1) for n in self.shape)
         self._mesh: RestrictedMesh | None = None
@@ -91,12 +75,12 @@ class Rqt(WholeMode):
             Region(0, 0, *self.shape)
         )
 
-    def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> BuiltTile:
+    def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> BuiltSamples:
         """Return the samples of the overview or of a tile."""
         if piece.level:
             samples = self.read(self.level, self._region(piece.row, piece.col))
             self._built[piece] = samples
-            return BuiltTile(samples, self.base_error)
+            return BuiltSamples(samples, self.base_error)
         shape = self.terrain.grid.level_shape(self._overview_level)
         samples = self.read(self._overview_level, Region(0, 0, *shape))
         low, high = (height * self.frame.metres[2] for height in self.frame.heights)
@@ -116,7 +100,7 @@ class Rqt(WholeMode):
         wide = samples._replace(
             region=Region(0, 0, *self.shape), slopes=samples.slopes[rows][:, cols]
         )
-        return BuiltTile(wide, self._overview_error)
+        return BuiltSamples(wide, self._overview_error)
 
     # Each frame
 
@@ -130,8 +114,7 @@ class Rqt(WholeMode):
             return first  # tiles are parts of what it brings
         order = super().wanted(table, view, tau, max_blocks, camera)
         order = order[order != first[0]]
-        scale = np.array([1.0, 1.0, view.exaggeration])
-        low, high = table.low[order] * scale, table.high[order] * scale
+        low, high = table.boxes(order, view.exaggeration)
         apart = np.maximum(np.maximum(low - camera.eye, camera.eye - high), 0.0)
         distances = np.linalg.norm(apart, axis=1)
         is_needed = self._overview_error * view.exaggeration * view.gamma > tau * distances

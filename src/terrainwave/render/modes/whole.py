@@ -4,7 +4,7 @@ One level of the file lies in memory: the finest whose sides are not above `MAX_
 measured error is added to errors.
 """
 
-import math
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from terrainwave.decoder import units_of
 from terrainwave.progress import ProgressCallback
 from terrainwave.quadtree import Region
-from terrainwave.render.camera import focal_length
+from terrainwave.render.camera import focal_length, slant
 from terrainwave.render.frame import Frame
 from terrainwave.render.kernels import slopes
 from terrainwave.render.modes.mode import Frames, Mode
-from terrainwave.render.scales import HeightScale, SlopeScale
+from terrainwave.render.scales import FLOAT32_ROUNDING, HeightScale, SlopeScale
 from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
-from terrainwave.tri.dynamic import Eye
+from terrainwave.tri.dynamic import DynamicMesh, Eye
 
 if TYPE_CHECKING:
     from terrainwave.terrain import Terrain
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 # A texture of slopes of this side takes 81 MiB.
 MAX_SIDE = 4608
 MAX_VERTICES = 4_000_000
-_FLOAT32_ROUNDING = 2.0**-24
 
 
 class Drawn(NamedTuple):
@@ -63,16 +62,36 @@ class Samples(NamedTuple):
     slopes: NDArray[np.float16]
 
 
+class BuiltSamples(NamedTuple):
+    """What `build` returns: samples and a bound for them, metres.
+
+    Parameters
+    ----------
+    mesh : DynamicMesh, optional
+        The tree over the samples, in the modes that follow its marks.
+    """
+
+    samples: Samples
+    error: float
+    mesh: DynamicMesh | None = None
+    n_triangles: int = 0
+    base: float = 0.0
+    morph: float = 0.0
+
+    @property
+    def children(self) -> list[NodeInfo]:
+        """Return nothing: these pieces are not replaced."""
+        return []
+
+
 def eye_of(view: View) -> Eye:
     """Return what errors on screen depend on."""
-    tangent = math.tan(math.radians(view.camera.fov) / 2)
-    slant = math.sqrt(1 + tangent**2 * (1 + view.viewport.aspect**2))
     return Eye(
         view.camera.eye,
         view.camera.forward,
         view.planes,
         focal_length(view.camera, view.viewport),
-        slant,
+        slant(view.camera, view.viewport),
         view.exaggeration,
     )
 
@@ -107,16 +126,20 @@ class WholeMode(Mode):
         self.drawn: Drawn | None = None
         self._scale, self._slope_scale = HeightScale.of(terrain, frame), SlopeScale(frame)
 
-    @property
+    @cached_property
     def base_error(self) -> float:
         """Return the largest distance of originals from the level's samples, metres."""
         terrain = self.terrain
         error = terrain.effective_error
         if self.level < terrain.n_levels - 1:
-            blocks = terrain.grid.blocks(self.level)
-            error = max(terrain.block_error(block) for block in blocks)
+            error = self._largest_error(self.level)
         largest = max(abs(height) for height in self.frame.heights)
-        return (error + largest * _FLOAT32_ROUNDING) * self.frame.metres[2]
+        return (error + largest * FLOAT32_ROUNDING) * self.frame.metres[2]
+
+    def _largest_error(self, level: int) -> float:
+        """Return the largest error of a level's blocks, in the file's unit."""
+        blocks = self.terrain.grid.blocks(level)
+        return max(self.terrain.block_error(block) for block in blocks)
 
     @property
     def sample_matrix(self) -> tuple[float, ...]:
@@ -164,8 +187,7 @@ class WholeMode(Mode):
         per_sample = found * (self._scale.per_quantum / terrain.grid.stride(level))
         here = region.slices_in(wide)
         heights = np.where(mask[here], self._scale.metres(quanta[here]), np.nan)
-        per_metre = self._slope_scale.per_metre(per_sample)
-        return Samples(region, heights, self._slope_scale.as_float16(per_metre))
+        return Samples(region, heights, self._slope_scale.texels(per_sample))
 
     # Each frame
 
