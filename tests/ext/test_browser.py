@@ -29,9 +29,10 @@ def twz(tmp_path_factory):
 def test_the_page_flies_over_the_terrain(twz):
     with served(make_app([str(twz)])) as address, chromium() as driver:
         driver.get(address)
-        wait_until(driver, "window.map && map.loaded() && map.areTilesLoaded()")
+        wait_until(driver, "window.terrainMap && terrainMap.loaded()")
+        wait_until(driver, "terrainMap.areTilesLoaded()")
         assert "± 8 m" in driver.find_element("id", "about").text
-        height = driver.execute_script("return map.queryTerrainElevation([8.25, 46.2])")
+        height = driver.execute_script("return terrainMap.queryTerrainElevation([8.25, 46.2])")
         assert 400 < height < 2600
         still = screenshot(driver)
         # Slopes in light and shade below the sky.
@@ -39,9 +40,9 @@ def test_the_page_flies_over_the_terrain(twz):
         assert ground.mean(axis=2).std() > 8
         assert len(np.unique(ground.reshape(-1, 3), axis=0)) > 2000
         driver.find_element("id", "fly").click()
-        wait_until(driver, "Math.abs(map.getBearing()) > 3")
+        wait_until(driver, "Math.abs(terrainMap.getBearing()) > 3")
         driver.find_element("id", "fly").click()
-        wait_until(driver, "map.areTilesLoaded()")
+        wait_until(driver, "terrainMap.areTilesLoaded()")
         assert (screenshot(driver) != still).mean() > 0.2
         driver.find_element("id", "map").click()
         wait_until(driver, "document.getElementById('place').textContent.includes('(± 8')")

@@ -28,7 +28,6 @@ const map = new Map({
 });
 map.addControl(new NavigationControl({ visualizePitch: true }), "top-right");
 map.addControl(new ScaleControl(), "bottom-right");
-window.map = map; // for the curious and for tests
 
 let shown = terrains[0];
 
@@ -125,3 +124,4 @@ map.on("click", async ({ lngLat }) => {
 });
 
 show(shown);
+window.terrainMap = map; // for the curious and for tests; #map is a window property already
