@@ -231,14 +231,11 @@ def _fit_stencil(plane: int, samples: _Samples, noise: float) -> FileStencil | N
     scale = samples.n_in_file / (_COST_PER_BIT * len(judged[1]))
     best, most_saved = None, 0.0
     for shift in _SHIFTS:
-        deltas = [
-            int(np.floor((w - b) / 2**shift + 0.5))
-            for w, b in zip(wanted, trained[base], strict=True)
-        ]
+        deltas = np.floor((wanted - trained[base]) / 2**shift + 0.5).astype(np.int64)
         deltas[missing] = 0
-        stencil = FileStencil(base, shift, tuple(deltas))
+        stencil = FileStencil(base, shift, tuple(deltas.tolist()))
         cost = stencil_cost(*judged, weights_of(plane, stencil), noise)
-        n_bits = 8 + sum(2 + abs(delta).bit_length() for delta in deltas)
+        n_bits = 8 + sum(2 + abs(delta).bit_length() for delta in stencil.deltas)
         saved = (costs[base] - cost) * scale - _WORTH * n_bits
         if saved > most_saved:
             best, most_saved = stencil, saved
@@ -274,7 +271,7 @@ def fit_weights(taps, goals, is_core, noise, n_turns, solution):
                 weighted = influence * values[k]
                 right[k] += weighted * goals[i]
                 line = normal[k]
-                for m in range(n_taps):
+                for m in range(k + 1):  # symmetric: the lower triangle will do
                     line[m] += weighted * values[m]
         trace = 0.0
         for k in range(n_taps):

@@ -4,6 +4,7 @@ A file's stencils stand after the trained ones of `tables.STENCILS`, its weights
 magnitude after those of `tables.E_WEIGHTS`.
 """
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -67,6 +68,7 @@ class Tables(NamedTuple):
 NO_TABLES = FileTables({plane: [] for plane in PLANES}, dict.fromkeys(PLANES))
 
 
+@cache
 def missing_tap(plane: int) -> int:
     """Return the tap whose weight follows from the others: the first of the core."""
     return [tuple(tap) for tap in TAPS[plane]].index(tuple(CORES[plane][0]))
@@ -83,16 +85,13 @@ def weights_of(plane: int, stencil: FileStencil) -> NDArray[np.int64]:
     trained = tables.STENCILS[plane]
     if stencil.base >= len(trained):
         raise CorruptStreamError(f"a stencil builds on set {stencil.base}, which does not exist")
-    weights = [
-        int(weight) + (delta << stencil.shift)
-        for weight, delta in zip(trained[stencil.base], stencil.deltas, strict=True)
-    ]
+    weights = trained[stencil.base] + (np.array(stencil.deltas, dtype=np.int64) << stencil.shift)
     missing = missing_tap(plane)
     weights[missing] = 0
-    weights[missing] = _WHOLE - sum(weights)
-    if max(abs(weight) for weight in weights) > _MAX_WEIGHT:
+    weights[missing] = _WHOLE - weights.sum()
+    if np.abs(weights).max() > _MAX_WEIGHT:
         raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond 2^15")
-    return np.array(weights, dtype=np.int64)
+    return weights
 
 
 def all_tables(added: FileTables) -> Tables:
@@ -178,6 +177,7 @@ def parse_parameters(section: bytes) -> FileTables:
     return found
 
 
+@cache
 def _core_taps(plane: int) -> list[bool]:
     core = {tuple(tap) for tap in CORES[plane]}
     return [tuple(tap) in core for tap in TAPS[plane]]
