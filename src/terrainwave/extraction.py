@@ -522,7 +522,7 @@ def _joined(
 
     A vertex is (row, column, height), in half samples of the full grid and 1/16 quanta.
     """
-    places, heights, corners, is_border, n_vertices = [], [], [], [], 0
+    places, heights, is_border = [], [], []
     for block, mesh in zip(blocks, meshes, strict=True):
         stride, side = grid.stride(block.level), 2 * grid.block
         rows = (block.row * side + mesh.rows.astype(np.int64)) * stride
@@ -533,18 +533,23 @@ def _joined(
         )
         places.append(rows << 32 | cols)
         heights.append(mesh.heights)
-        corners.append(mesh.triangles.astype(np.int64) + n_vertices)
-        n_vertices += len(rows)
     if not blocks:
         return np.empty((0, 3)), np.empty((0, 3), dtype=np.int32)
     place, height = np.concatenate(places), np.concatenate(heights)
-    number = np.arange(n_vertices)
+    number = np.arange(len(place))
     on_border = np.flatnonzero(np.concatenate(is_border))
     _, first, same = np.unique(place[on_border], return_index=True, return_inverse=True)
     number[on_border] = on_border[first][same.reshape(-1)]
-    is_kept = number == np.arange(n_vertices)
-    renumbered = np.cumsum(is_kept) - 1
-    triangles = renumbered[number[np.concatenate(corners)]].astype(np.int32)
+    is_kept = number == np.arange(len(place))
+    number = (np.cumsum(is_kept, dtype=np.int32) - 1)[number]
+    triangles = np.empty((sum(len(mesh.triangles) for mesh in meshes), 3), dtype=np.int32)
+    n_vertices = n_triangles = 0
+    for mesh in meshes:
+        beyond = n_triangles + len(mesh.triangles)
+        triangles[n_triangles:beyond] = number[n_vertices : n_vertices + len(mesh.rows)][
+            mesh.triangles
+        ]
+        n_vertices, n_triangles = n_vertices + len(mesh.rows), beyond
     place, height = place[is_kept], height[is_kept]
     vertices = np.stack([place >> 32, place & 0xFFFFFFFF, height], 1).astype(np.float64)
     return vertices, triangles

@@ -202,11 +202,15 @@ def _fit_quad(heights, levels, n_cols, at, tolerance):
 
 
 @kernel
-def _fit_cell(heights, root, rows, cols, z, me, top, bottom, left, right, tolerance, low, high):
+def _fit_cell(
+    heights, root, levels, rows, cols, z, me, top, bottom, left, right, are_single_known,
+    tolerance, low, high,
+):  # fmt: skip
     """Return the interval of heights of vertex `me` whose cluster is this rectangle of samples.
 
     All triangles that touch it are those of the quads around the rectangle. Empty, (1, 0), if one
-    of them has no area.
+    of them has no area. Quads of four samples that have not moved are left out where low and high
+    are what they allow: `are_single_known`.
     """
     row_0, col_0 = np.int64(rows[me]), np.int64(cols[me])
     for row in range(top - 1, bottom + 1):
@@ -214,6 +218,13 @@ def _fit_cell(heights, root, rows, cols, z, me, top, bottom, left, right, tolera
         for col in range(left - 1, right + 1, stride):
             a, b = root[row, col], root[row, col + 1]
             d, c = root[row + 1, col], root[row + 1, col + 1]
+            if are_single_known and (
+                levels[row, col] <= _FREE
+                and levels[row, col + 1] <= _FREE
+                and levels[row + 1, col] <= _FREE
+                and levels[row + 1, col + 1] <= _FREE
+            ):
+                continue
             for half in range(2):
                 # Of triangle a, b, c or a, c, d: the two vertices after `me`.
                 if half == 0:
@@ -274,7 +285,7 @@ def _merge_squares(
                     is_free &= levels[row, col] == _FREE
             if not is_free:
                 continue
-            verdict, low, high = 0, lowest, highest
+            verdict, low, high, are_known = 0, lowest, highest, False
             if side > 2:
                 # The middle against the corners: most cells that don't fit fail here.
                 a, b = np.int64(heights[top, left]), np.int64(heights[top, right])
@@ -289,16 +300,16 @@ def _merge_squares(
                 verdict, first, last = _fit_quad(
                     flat_heights, flat_levels, n_cols, top * n_cols + left, whole_tolerance
                 )
-                low, high = max(low, float(first)), min(high, float(last))
                 if verdict < 0:
                     continue
+                low, high, are_known = max(low, float(first)), min(high, float(last)), True
             me = root[top, left]
             _set_root(root, top, bottom, left, right, me)
             rows[me], cols[me] = top + bottom, left + right
             if verdict == 0:
                 low, high = _fit_cell(
-                    heights, root, rows, cols, z, me, top, bottom, left, right, tolerance, lowest,
-                    highest,
+                    heights, root, levels, rows, cols, z, me, top, bottom, left, right, are_known,
+                    tolerance, low, high,
                 )  # fmt: skip
             if low <= high:
                 z[me] = np.floor((low + high) * 0.5)
@@ -313,10 +324,30 @@ def _merge_squares(
 
 
 @kernel
+def _is_as_before(merged, top, bottom, left, right, before):
+    """Say whether nothing around a cell has merged since sweep `before` tried it.
+
+    In that sweep the cells above and to the left came before it, the others after it.
+    """
+    for col in range(left - 1, right + 2):
+        if merged[top - 1, col] > before or merged[bottom + 1, col] >= before:
+            return False
+    for row in range(top, bottom + 1):
+        if merged[row, left - 1] > before or merged[row, right + 1] >= before:
+            return False
+    return True
+
+
+@kernel
 def _merge_halves(
-    heights, root, levels, rows, cols, z, row_0, col_0, level, tolerance, lowest, highest
-):
-    """Try to merge the two halves of every cell of a level of the binary tree."""
+    heights, root, levels, merged, rows, cols, z, row_0, col_0, level, sweep, before, tolerance,
+    lowest, highest,
+):  # fmt: skip
+    """Try to merge the two halves of every cell of a level of the binary tree.
+
+    `merged` is the sweep in which a sample's cell last grew; `before`, the sweep that tried this
+    level last: a cell that failed there, and has all around it as it was, would fail again.
+    """
     n_rows, n_cols = heights.shape
     whole_tolerance = np.int64(tolerance)
     flat_heights, flat_levels = heights.reshape(-1), levels.reshape(-1)
@@ -339,7 +370,13 @@ def _merge_halves(
                 continue
             if levels[row_2, col_2] != level - 1:
                 continue
-            verdict, low, high = 0, lowest, highest
+            if (
+                merged[top, left] < before
+                and merged[row_2, col_2] < before
+                and _is_as_before(merged, top, bottom, left, right, before)
+            ):
+                continue
+            verdict, low, high, are_known = 0, lowest, highest, level == 1
             if level == 1:
                 verdict, first, last = _fit_pair(
                     flat_heights, flat_levels, n_cols, top * n_cols + left, whole_tolerance
@@ -353,13 +390,14 @@ def _merge_halves(
             rows[me], cols[me] = top + bottom, left + right
             if verdict == 0:
                 low, high = _fit_cell(
-                    heights, root, rows, cols, z, me, top, bottom, left, right, tolerance, lowest,
-                    highest,
+                    heights, root, levels, rows, cols, z, me, top, bottom, left, right, are_known,
+                    tolerance, low, high,
                 )  # fmt: skip
             if low <= high:
                 z[me] = np.floor((low + high) * 0.5)
                 levels[top, left] = level
                 levels[row_2, col_2] = level
+                merged[top : bottom + 1, left : right + 1] = sweep
             else:
                 rows[me], cols[me] = old_row, old_col
                 _set_root(root, row_2, bottom, col_2, right, other)
@@ -378,11 +416,15 @@ def _merge_cells(heights, root, levels, rows, cols, z, row_0, col_0, tolerance, 
     n_levels = 0
     while (1 << n_levels) < max(n_rows + row_0, n_cols + col_0) - 1:
         n_levels += 1
-    for _ in range(_PASSES):
+    merged = np.zeros(root.shape, dtype=np.uint8)
+    sweep = 0
+    for number in range(_PASSES):
         for level in range(1, 2 * n_levels + 1):
+            sweep += 1
+            before = sweep - 2 * n_levels if number else 0
             _merge_halves(
-                heights, root, levels, rows, cols, z, row_0, col_0, level, tolerance, lowest,
-                highest,
+                heights, root, levels, merged, rows, cols, z, row_0, col_0, level, sweep, before,
+                tolerance, lowest, highest,
             )  # fmt: skip
 
 
