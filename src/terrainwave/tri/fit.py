@@ -72,11 +72,14 @@ def fit_triangle(heights, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2, to
     step_2 = -(step_0 + step_1)
     rise = float(step_1) * z_1 + float(step_2) * z_2
     is_wide = last_col - first_col > 6
+    top, left = 2 * first_row, 2 * first_col
+    first_0 = (col_1 - left) * (row_2 - top) - (col_2 - left) * (row_1 - top)
+    first_1 = (col_2 - left) * (row_0 - top) - (col_0 - left) * (row_2 - top)
     for row in range(first_row, last_row + 1):
-        left = 2 * first_col
-        weight_0 = (col_1 - left) * (row_2 - 2 * row) - (col_2 - left) * (row_1 - 2 * row)
-        weight_1 = (col_2 - left) * (row_0 - 2 * row) - (col_0 - left) * (row_2 - 2 * row)
+        weight_0, weight_1 = first_0, first_1
         weight_2 = area - weight_0 - weight_1
+        first_0 += 2 * (col_2 - col_1)
+        first_1 += 2 * (col_0 - col_2)
         start, stop = first_col, last_col
         if is_wide:
             # From where to where the three weights are >= 0; quotients of integers below 2^26
