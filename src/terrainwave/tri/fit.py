@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
+from terrainwave._jit import inlined_kernel
 from terrainwave.tri.mesh import FRACTION_BITS
 
 _MAX_RANGE = 1 << 30
@@ -55,7 +55,7 @@ def scaled_heights(
     return values, Scale(base, bits, float(slack), float(lowest), float(highest))
 
 
-@kernel
+@inlined_kernel
 def fit_triangle(heights, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2, tolerance, low, high):
     """Narrow the interval of the height at vertex 0 to what the samples of a triangle allow.
 
