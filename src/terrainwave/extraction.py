@@ -541,14 +541,13 @@ def _joined(
     _, first, same = np.unique(place[on_border], return_index=True, return_inverse=True)
     number[on_border] = on_border[first][same.reshape(-1)]
     is_kept = number == np.arange(len(place))
-    number = (np.cumsum(is_kept, dtype=np.int32) - 1)[number]
+    renumbered = (np.cumsum(is_kept, dtype=np.int32) - 1)[number]
     triangles = np.empty((sum(len(mesh.triangles) for mesh in meshes), 3), dtype=np.int32)
     n_vertices = n_triangles = 0
     for mesh in meshes:
         beyond = n_triangles + len(mesh.triangles)
-        triangles[n_triangles:beyond] = number[n_vertices : n_vertices + len(mesh.rows)][
-            mesh.triangles
-        ]
+        own = renumbered[n_vertices : n_vertices + len(mesh.rows)]
+        triangles[n_triangles:beyond] = own[mesh.triangles]
         n_vertices, n_triangles = n_vertices + len(mesh.rows), beyond
     place, height = place[is_kept], height[is_kept]
     vertices = np.stack([place >> 32, place & 0xFFFFFFFF, height], 1).astype(np.float64)
