@@ -22,6 +22,7 @@ LAYERS = [
         "codes",
         "coding",
         "progress",
+        "schedule",
     },
     {"codec", "tri", "container", "raster_io", "metrics"},
     {

@@ -84,19 +84,23 @@ class TreeDecoder:
         self._in_flight: dict[Block, threading.Event] = {}
         self._lock = threading.Lock()
 
-    def prefetch(self, keys: Sequence[Block]) -> None:
+    def prefetch(self, keys: Sequence[Block]) -> list[Block]:
         """Fetch the payloads that decoding `keys` will need, in one call.
 
+        Returns the units to decode for them: each key after those above it that are not at hand.
         A damaged payload is left for `unit` to report, so that it costs no other unit.
         """
         needed: dict[Block, None] = {}
         for key in keys:
-            while key not in needed and self._cache.get(key) is None:
-                needed[key] = None
-                if key.is_root_key:
-                    break
+            chain = [key]
+            while not key.is_root_key and self._cache.get(key) is None:
                 key = unit_key(key)
-        self._fetch(list(needed))
+                if key in needed or self._cache.get(key) is not None:
+                    break
+                chain.append(key)
+            needed.update(dict.fromkeys(reversed(chain)))
+        self._fetch([key for key in needed if self._cache.get(key) is None])
+        return list(needed)
 
     def _fetch(self, keys: list[Block]) -> None:
         """Fetch payloads ahead of decoding, if there are several."""

@@ -1,9 +1,10 @@
 """`Terrain`: an open .twz file. Reading starts here."""
 
+import contextlib
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
@@ -27,6 +28,7 @@ from terrainwave.quadtree import Block, Grid, Region
 from terrainwave.quantum import Quantizer
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.resample import RESAMPLING, resample
+from terrainwave.schedule import run_after_parents
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -903,13 +905,12 @@ class Terrain:
         keys = units_of(self._grid, level, region)
         for first in range(0, len(keys), _BATCH):
             batch = keys[first : first + _BATCH]
-            decoder.prefetch(batch)
-            if len(batch) == 1 or self._n_threads == 1:
+            needed = decoder.prefetch(batch)
+            if len(needed) == 1 or self._n_threads == 1:
                 for key in batch:
                     fill(key)
             else:
-                for _ in self._submit(fill, batch):
-                    pass
+                self._run(_fill_or_decode(decoder, set(batch), fill), needed)
         return heights, mask
 
     def _bilinear(
@@ -948,7 +949,10 @@ class Terrain:
         heights = self._quantizer.dequantize(quanta[None, :])[0]
         return heights.astype(np.float64), valid
 
-    def _submit(self, fill: Callable[[Block], None], keys: list[Block]) -> Iterator[None]:
+    def _run(self, work: Callable[[Block], None], keys: list[Block]) -> None:
+        """Call `work` for every unit, those above it first, in the terrain's threads."""
+        from terrainwave.decoder import unit_key
+
         with self._lock:
             # A fork takes no threads along: its first read starts some.
             if self._executor is None or self._executor_pid != os.getpid():
@@ -956,10 +960,34 @@ class Terrain:
                     self._n_threads, thread_name_prefix="terrainwave"
                 )
                 self._executor_pid = os.getpid()
-        try:
-            return self._executor.map(fill, keys)
-        except RuntimeError as error:  # its threads have been stopped
-            raise StorageError(f"{self.name} is closed") from error
+            executor = self._executor
+
+        def submit(function: Callable[[Block], None], key: Block) -> Future[None]:
+            try:
+                return executor.submit(function, key)
+            except RuntimeError as error:  # its threads have been stopped
+                raise StorageError(f"{self.name} is closed") from error
+
+        run_after_parents(
+            submit, self._n_threads + 1, keys,
+            lambda key: None if key.is_root_key else unit_key(key), work,
+        )  # fmt: skip
+
+
+def _fill_or_decode(
+    decoder: "TreeDecoder", keys: set[Block], fill: Callable[[Block], None]
+) -> Callable[[Block], None]:
+    """Return a function that fills `keys` and decodes what is above them."""
+
+    def work(key: Block) -> None:
+        if key in keys:
+            fill(key)
+        else:
+            # What is damaged above a key is reported with it.
+            with contextlib.suppress(CorruptStreamError):
+                decoder.unit(key)
+
+    return work
 
 
 def _reopen(source: Any, cache_bytes: int, threads: int | None) -> Terrain:

@@ -42,8 +42,11 @@ class TileDecoder(TreeDecoder):
         self._tiles = UnitCache(cache_bytes // 2, _n_bytes)
         self._tile_locks: dict[Block, threading.Lock] = {}
 
-    def prefetch(self, keys: Sequence[Block]) -> None:
-        """Fetch the payloads of the tiles that decoding `keys` will need, in one call."""
+    def prefetch(self, keys: Sequence[Block]) -> list[Block]:
+        """Fetch the payloads of the tiles that decoding `keys` will need, in one call.
+
+        Returns the keys: a unit needs tiles and no other unit.
+        """
         needed: dict[Block, None] = {}
         for key in keys:
             tile: Block | None = self._layout.key_of(key)
@@ -51,6 +54,7 @@ class TileDecoder(TreeDecoder):
                 needed[tile] = None
                 tile = self._layout.above(tile)
         self._fetch(list(needed))
+        return list(keys)
 
     def _decode(self, key: Block) -> Decoded:
         tile_key = self._layout.key_of(key)
