@@ -14,13 +14,13 @@ from rasterio.warp import transform
 from scipy.interpolate import RegularGridInterpolator
 
 import terrainwave
+from terrainwave import tile_pyramid
 from terrainwave.cli import main
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.ext.serve import app as serving
 from terrainwave.ext.serve import tiling
 from terrainwave.ext.serve.app import make_app
 from terrainwave.globe import Globe
-from terrainwave.tile_pyramid import terrain_tile
 
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
 
@@ -150,13 +150,28 @@ def test_quantized_mesh_tiles_are_those_of_the_library(hilly):
         first = layer["available"][zoom][0]
         tile = client.get(f"/hills/mesh/{zoom}/{first['startX']}/{first['startY']}.terrain")
         lowest = Globe(terrain).height_range[0]
-        expected = terrain_tile(
+        expected = tile_pyramid.terrain_tile(
             terrain, zoom, first["startX"], first["startY"], void_height=lowest - 1
         )
         assert tile.content == expected
         assert float(tile.headers["x-tile-error"]) > 0
         assert client.get(f"/hills/mesh/{zoom}/0/0.terrain").status_code == 404
         assert client.get("/hills/mesh/1/4/0.terrain").status_code == 404
+
+
+def test_mesh_tiles_are_served_down_to_the_last_zoom_there_is(tmp_path):
+    west, south, side = 8.0, 46.0, 33e-7  # pixels of 1 cm
+    path = write_twz(tmp_path, hills(33, 33), (west, south, west + side, south + side), max_error=2)
+    with client_of(path) as client:
+        layer = client.get("/hills/mesh/layer.json").json()
+        assert layer["maxzoom"] == tile_pyramid.MAX_ZOOM > tiling.MAX_ZOOM
+        for zoom in (tile_pyramid.MAX_ZOOM - 1, tile_pyramid.MAX_ZOOM):
+            first = layer["available"][zoom][0]
+            address = f"/hills/mesh/{zoom}/{first['startX']}/{first['startY']}.terrain"
+            assert client.get(address).status_code == 200
+        beyond = client.get(f"/hills/mesh/{tile_pyramid.MAX_ZOOM + 1}/0/0.terrain")
+        assert beyond.status_code == 404
+        assert f"expected 0 … {tile_pyramid.MAX_ZOOM}" in beyond.json()["detail"]
 
 
 def test_tiles_off_the_terrain_are_empty(hilly):

@@ -218,7 +218,7 @@ def make_app(
     @app.get("/{name}/rgb/{z}/{x}/{y}.png")
     async def rgb(request: Request, name: str, z: int, x: int, y: int) -> Response:
         layer = find(name)
-        check_tile(z, x, y, 1 << min(max(z, 0), tiling.MAX_ZOOM))
+        check_tile(z, x, y, tiling.MAX_ZOOM)
         headers = tagged(request, layer)
         tile = await desk.do(tiling.rgb_tile, layer.globe, z, x, y)
         if tile is None:
@@ -234,8 +234,7 @@ def make_app(
     @app.get("/{name}/mesh/{z}/{x}/{y}.terrain")
     async def mesh(request: Request, name: str, z: int, x: int, y: int) -> Response:
         layer = find(name)
-        n_rows = 1 << min(max(z, 0), LAST_MESH_ZOOM)
-        check_tile(z, x, y, 2 * n_rows, n_rows)
+        check_tile(z, x, y, LAST_MESH_ZOOM, n_first=2)
         headers = tagged(request, layer)
         tile = await desk.do(layer.tiles.tile, z, x, y)
         if tile is None:
@@ -258,17 +257,17 @@ def make_app(
     return app
 
 
-def check_tile(z: int, x: int, y: int, n_columns: int, n_rows: int | None = None) -> None:
-    """Refuse an address outside the tile pyramid.
+def check_tile(z: int, x: int, y: int, last_zoom: int, n_first: int = 1) -> None:
+    """Refuse an address outside a tile pyramid with `n_first` tiles, side by side, on zoom 0.
 
     Raises
     ------
     HTTPException
         404, with one line that says what is expected.
     """
-    n_rows = n_columns if n_rows is None else n_rows
-    if not 0 <= z <= tiling.MAX_ZOOM:
-        raise HTTPException(404, f"found zoom {z}, expected 0 … {tiling.MAX_ZOOM}")
+    if not 0 <= z <= last_zoom:
+        raise HTTPException(404, f"found zoom {z}, expected 0 … {last_zoom}")
+    n_columns, n_rows = n_first << z, 1 << z
     if not (0 <= x < n_columns and 0 <= y < n_rows):
         raise HTTPException(
             404, f"found tile {x}/{y}, expected 0 … {n_columns - 1} / 0 … {n_rows - 1} at zoom {z}"
