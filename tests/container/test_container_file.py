@@ -20,8 +20,9 @@ from hypothesis import strategies as st
 
 from terrainwave.container.header import HEADER_SIZE
 from terrainwave.container.page import page_layout
+from terrainwave.container.ranges import ByteRange
 from terrainwave.container.reader import Container, open_container
-from terrainwave.container.source import BufferSource, ByteRange
+from terrainwave.container.source import BufferSource
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble, write_file
 from terrainwave.errors import StorageError
@@ -118,7 +119,8 @@ def test_opening_reads_the_first_16_kib_only():
 
 
 def test_a_deep_payload_costs_one_read_per_page_on_its_path_and_one_for_itself():
-    header = toy_header(17_000, 40)
+    noise = "".join(chr(code) for code in np.random.default_rng(1).integers(32, 126, 20_000))
+    header = toy_header(17_000, 40, metadata={"own": noise})  # all payloads beyond 16 KiB
     key = Block(9, 250, 0)
     source = Recording(toy_file(header))
     container = Container(source)
@@ -128,6 +130,18 @@ def test_a_deep_payload_costs_one_read_per_page_on_its_path_and_one_for_itself()
     source.reads.clear()
     assert container.payload(Block(9, 252, 0))
     assert len(source.reads) == 1
+
+
+def test_what_opening_has_read_is_not_read_again():
+    header = toy_header(300, 300)
+    data = toy_file(header)
+    assert len(data) < 16384
+    source = Recording(data)
+    container = Container(source)
+    source.reads.clear()
+    keys = header.grid.blocks(3)
+    assert container.payloads(keys) == [toy_payload(key) for key in keys]
+    assert source.reads == []
 
 
 def test_payloads_near_each_other_are_read_together():

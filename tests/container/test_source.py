@@ -6,18 +6,9 @@ import pickle
 import threading
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from terrainwave.container.source import (
-    MAX_GAP,
-    MAX_REQUEST,
-    BufferSource,
-    ByteRange,
-    FileSource,
-    merge_ranges,
-    open_source,
-)
+from terrainwave.container.ranges import ByteRange
+from terrainwave.container.source import BufferSource, FileSource, open_source
 from terrainwave.errors import StorageError, TruncatedStreamError
 
 DATA = bytes(range(256)) * 40
@@ -48,6 +39,8 @@ def test_many_ranges_come_in_the_order_asked(source):
     ranges = [ByteRange(500, 5), ByteRange(0, 0), ByteRange(3, 4), ByteRange(500, 5)]
     assert source.read_many(ranges) == [DATA[500:505], b"", DATA[3:7], DATA[500:505]]
     assert source.read_many([]) == []
+    assert source.read_spans(ranges) == source.read_many(ranges)
+    assert source.read_spans([]) == []
 
 
 @pytest.mark.parametrize(
@@ -58,6 +51,8 @@ def test_a_range_outside_is_truncated(source, wanted):
         source.read(*wanted)
     with pytest.raises(TruncatedStreamError, match="bytes"):
         source.read_many([ByteRange(*wanted)])
+    with pytest.raises(TruncatedStreamError, match="bytes"):
+        source.read_spans([ByteRange(*wanted)])
 
 
 def test_reading_a_closed_source_is_a_storage_error(source):
@@ -150,45 +145,3 @@ class Unseekable(io.RawIOBase):
 def test_a_pipe_is_no_source():
     with pytest.raises(StorageError, match="cannot seek"):
         open_source(Unseekable())
-
-
-def spans_of(ranges):
-    return [span for span, _ in merge_ranges(ranges)]
-
-
-def test_gaps_of_64_kib_in_all_are_bridged_and_more_are_not():
-    first, second = ByteRange(0, 10), ByteRange(10 + 65536, 5)
-    assert spans_of([first, second]) == [ByteRange(0, 65536 + 15)]
-    assert spans_of([first, ByteRange(11 + 65536, 5)]) == [first, ByteRange(11 + 65536, 5)]
-    third = ByteRange(second.end + 100, 5)  # the shorter gap is bridged
-    assert spans_of([first, second, third]) == [first, ByteRange(second.offset, 110)]
-
-
-def test_a_quarter_of_what_is_wanted_may_lie_in_gaps():
-    mib = 2**20
-    first = ByteRange(0, mib)
-    near, far = ByteRange(mib + 300_000, mib), ByteRange(mib + 600_000, mib)
-    assert spans_of([first, near]) == [ByteRange(0, 2 * mib + 300_000)]
-    assert spans_of([first, far]) == [first, far]
-    # However much is wanted, a gap above 512 KiB costs more than a request.
-    large, beyond = ByteRange(0, 8 * mib), ByteRange(8 * mib + MAX_GAP + 1, mib)
-    assert spans_of([large, beyond]) == [large, beyond]
-
-
-def test_empty_ranges_need_no_request():
-    assert spans_of([ByteRange(5, 0), ByteRange(90, 0)]) == []
-
-
-ranges = st.builds(ByteRange, st.integers(0, 2**27), st.integers(0, 2**24))
-
-
-@given(st.lists(ranges, max_size=30))
-def test_requests_cover_each_range_once_and_stay_below_16_mib(wanted):
-    merged = merge_ranges(wanted)
-    filled = [number for number, member in enumerate(wanted) if member.length]
-    assert sorted(n for _, members in merged for n in members) == filled
-    for span, members in merged:
-        for member in members:
-            assert span.offset <= wanted[member].offset
-            assert wanted[member].end <= span.end
-        assert span.length <= MAX_REQUEST or len(members) == 1

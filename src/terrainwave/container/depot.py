@@ -22,7 +22,8 @@ from terrainwave.container.page import (
     page_layout,
     unpack_page,
 )
-from terrainwave.container.reader import Segment, check_crc, segment_of_page
+from terrainwave.container.reader import check_crc
+from terrainwave.container.segment import Segment, segment_of_page
 from terrainwave.container.source import ByteSource, open_source
 from terrainwave.container.spool import storage_errors
 from terrainwave.quadtree import Block, Grid

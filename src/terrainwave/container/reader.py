@@ -9,64 +9,26 @@ import zlib
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from terrainwave.container.header import Extents, Header, unpack_header
 from terrainwave.container.metadata import unpack_metadata
 from terrainwave.container.page import (
-    Page,
-    PageLayout,
     describe_head,
     describe_key,
     empty_page,
     page_layout,
-    payload_starts,
     unpack_page,
 )
-from terrainwave.container.source import ByteRange, ByteSource, SourceLike, open_source
+from terrainwave.container.ranges import ByteRange
+from terrainwave.container.rounds import RoundReader
+from terrainwave.container.segment import Segment, page_and_payloads, segment_of_page
+from terrainwave.container.source import ByteSource, SourceLike, open_source
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError
 from terrainwave.quadtree import SEGMENT_LEVELS, Block, Grid
 
 FIRST_READ = 16 * 1024
-# Payloads that may be read without need between a page and wanted ones. More would save requests
-# where four segments meet, but cost more than half the bytes wanted there (benchmarks/remote.py).
-_MAX_UNWANTED = 2
-_MAX_AHEAD = 1024 * 1024
 _CHECK_BATCH = 4 * 1024 * 1024
-
-
-@dataclass(frozen=True)
-class Segment:
-    """An index page with the place of its segment in the file."""
-
-    head: Block | None
-    layout: PageLayout
-    page: Page
-    start: int
-    end: int
-    payload_starts: Sequence[int]
-    key_rows: dict[Block, int]
-    block_rows: dict[Block, int]
-    child_rows: dict[Block, int]
-    child_starts: Sequence[int]
-
-    def payload_range(self, row: int) -> ByteRange:
-        """Return where the payload in `row` of the page lies."""
-        return ByteRange(self.payload_starts[row], int(self.page.payload_lengths[row]))
-
-    def mesh_range(self, row: int) -> ByteRange:
-        """Return where the mesh in `row` of the page lies."""
-        return ByteRange(self.payload_range(row).end, int(self.page.mesh_lengths[row]))
-
-    def page_range(self, child: Block) -> ByteRange:
-        """Return where the page of `child` lies; of length 0 if the segment is absent."""
-        row = self.child_rows[child]
-        return ByteRange(self.child_starts[row], int(self.page.child_page_lengths[row]))
-
-    def child_range(self, child: Block) -> ByteRange:
-        """Return where the segment of `child` lies; of length 0 if it is absent."""
-        row = self.child_rows[child]
-        return ByteRange(self.child_starts[row], int(self.page.child_lengths[row]))
 
 
 class Container:
@@ -111,6 +73,7 @@ class Container:
         end = extents.top_start + extents.top_page_length
         if end > len(start):
             start += source.read(len(start), end - len(start))
+        self._start = start
         self.extents: Extents = extents
         self.header: Header = _with_sections(header, extents, start)
         self.grid: Grid = self.header.grid
@@ -249,24 +212,39 @@ class Container:
 
         Notes
         -----
-        Each missing level of index pages takes one `read_many`, which also brings payloads whose
-        place is known by then and, with several pages, wanted ones that follow them; one more
-        `read_many` brings the rest.
+        Each missing level of index pages takes one round of requests, which also brings payloads
+        whose place is known by then and wanted ones next to the pages; one more round brings the
+        rest. Which gaps are read is decided for all rounds together (`container.ranges`).
         """
         heads = {key: self._head_of(key) for key in keys}
-        known = self._known_segments(heads.values())
-        wanted: dict[Block | None, list[Block]] = {}
+        wanted: dict[Block | None, set[Block]] = {}
         for key, head in heads.items():
-            wanted.setdefault(head, []).append(key)
-        found: dict[Block, bytes] = {}  # all of a payload, or how it begins
+            wanted.setdefault(head, set()).add(key)
+        known = self._known_segments(wanted)
+        reader = RoundReader(self.source, self._start)
+        pages: list[ByteRange] = []
         with self._blaming_change():
             while missing := self._next_segments(wanted, known):
-                found.update(self._load_round(missing, wanted, known, found))
-            found.update(self._read_rest(heads, known, found))
+                spans = [
+                    page_and_payloads(
+                        parent, head, page_layout(self.grid, head), wanted.get(head, ())
+                    )
+                    for head, parent in missing.items()
+                ]
+                reader.fetch([*pages, *spans, *_payload_places(heads, known).values()])
+                loaded: dict[Block | None, Segment] = {}
+                for head, parent in missing.items():
+                    pages.append(parent.page_range(head))
+                    loaded[head] = self._unpack_segment(head, parent, reader.take(pages[-1]))
+                self._keep(loaded)
+                known.update(loaded)
+            places = _payload_places(heads, known)
+            reader.fetch([*pages, *places.values()])
+            payloads = {key: reader.take(place) for key, place in places.items()}
             for key, head in heads.items():
                 crcs = known[head].page.payload_crcs
-                check_crc(found[key], crcs[known[head].key_rows[key]], "payload", key)
-        return [found[key] for key in keys]
+                check_crc(payloads[key], crcs[known[head].key_rows[key]], "payload", key)
+        return [payloads[key] for key in keys]
 
     def _known_segments(self, heads: Iterable[Block | None]) -> dict[Block | None, Segment]:
         """Return those of the segments and of the ones above them that need not be read."""
@@ -293,63 +271,6 @@ class Container:
                     missing[head] = known[parent_head]
                 head = parent_head
         return missing
-
-    def _load_round(
-        self,
-        missing: Mapping[Block, Segment],
-        wanted: Mapping[Block | None, Sequence[Block]],
-        known: dict[Block | None, Segment],
-        found: Mapping[Block, bytes],
-    ) -> dict[Block, bytes]:
-        """Add `missing` segments to `known`; return payloads, or how they begin, of `wanted`."""
-        # One segment takes few requests anyway.
-        reads_ahead, spare = len(missing) > 1, min(_MAX_UNWANTED, len(missing) - 1)
-        spans = []
-        for head, parent in missing.items():
-            keys = wanted.get(head, ()) if reads_ahead else ()
-            layout = page_layout(self.grid, head)
-            spans.append(page_and_payloads(parent, head, layout, keys, spare))
-        ready = {key: head for head, keys in wanted.items() if head in known for key in keys}
-        payload_ranges = self._rest_ranges(ready, known, found)
-        parts = self.source.read_many([*spans, *payload_ranges.values()])
-        loaded: dict[Block | None, Segment] = {}
-        result: dict[Block, bytes] = {}
-        for (head, parent), data in zip(missing.items(), parts, strict=False):
-            page_bytes = data[: parent.page_range(head).length]
-            loaded[head] = segment = self._unpack_segment(head, parent, page_bytes)
-            for key in wanted.get(head, ()):
-                place = segment.payload_range(segment.key_rows[key])
-                result[key] = data[place.offset - segment.start : place.end - segment.start]
-        for key, data in zip(payload_ranges, parts[len(spans) :], strict=True):
-            result[key] = found.get(key, b"") + data
-        self._keep(loaded)
-        known.update(loaded)
-        return result
-
-    def _read_rest(
-        self,
-        heads: Mapping[Block, Block | None],
-        known: Mapping[Block | None, Segment],
-        found: Mapping[Block, bytes],
-    ) -> dict[Block, bytes]:
-        ranges = self._rest_ranges(heads, known, found)
-        data = self.source.read_many(list(ranges.values()))
-        return {key: found.get(key, b"") + rest for key, rest in zip(ranges, data, strict=True)}
-
-    def _rest_ranges(
-        self,
-        heads: Mapping[Block, Block | None],
-        known: Mapping[Block | None, Segment],
-        found: Mapping[Block, bytes],
-    ) -> dict[Block, ByteRange]:
-        """Return where what is not yet found of payloads lies."""
-        ranges = {}
-        for key, head in heads.items():
-            place = known[head].payload_range(known[head].key_rows[key])
-            n_found = len(found.get(key, b""))
-            if key not in found or n_found < place.length:
-                ranges[key] = ByteRange(place.offset + n_found, place.length - n_found)
-        return ranges
 
     def payload_lengths(self, keys: Sequence[Block]) -> list[int]:
         """Return the bytes of the payloads of `keys`."""
@@ -465,6 +386,7 @@ class Container:
 
     def close(self) -> None:
         """Close the source."""
+        self._start = b""
         self.source.close()
 
     def __enter__(self) -> "Container":
@@ -487,6 +409,17 @@ def open_container(source: SourceLike) -> Container:
         raise
 
 
+def _payload_places(
+    heads: Mapping[Block, Block | None], known: Mapping[Block | None, Segment]
+) -> dict[Block, ByteRange]:
+    """Return where payloads lie, of the keys whose segments are known."""
+    return {
+        key: known[head].payload_range(known[head].key_rows[key])
+        for key, head in heads.items()
+        if head in known
+    }
+
+
 def _with_sections(header: Header, extents: Extents, start: bytes) -> Header:
     """Return `header` with the metadata and the method's parameters, both checked."""
     metadata = start[extents.parameters_start - extents.metadata_length : extents.parameters_start]
@@ -496,53 +429,6 @@ def _with_sections(header: Header, extents: Extents, start: bytes) -> Header:
     if zlib.crc32(parameters) != extents.parameters_crc:
         raise CorruptStreamError("checksum of the method's parameters does not match")
     return replace(header, metadata=unpack_metadata(metadata), parameters=parameters)
-
-
-def segment_of_page(
-    head: Block | None, layout: PageLayout, page: Page, start: int, page_length: int, end: int
-) -> Segment:
-    """Return a page with the places of what it lists, from the segment's own place."""
-    child_starts, child_start = [], page.first_child
-    for length in page.child_lengths.tolist():
-        child_starts.append(child_start)
-        child_start += length
-    return Segment(
-        head=head,
-        layout=layout,
-        page=page,
-        start=start,
-        end=end,
-        payload_starts=payload_starts(page, start + page_length),
-        key_rows={key: row for row, key in enumerate(layout.keys)},
-        block_rows={block: row for row, block in enumerate(layout.blocks)},
-        child_rows={child: row for row, child in enumerate(layout.children)},
-        child_starts=child_starts,
-    )
-
-
-def page_and_payloads(
-    parent: Segment, head: Block, layout: PageLayout, wanted: Sequence[Block], spare: int
-) -> ByteRange:
-    """Return where the page of a segment and, probably, the first `wanted` payloads lie.
-
-    At most `spare` payloads between the first wanted ones are read as well. How long payloads are
-    stands in the page itself. They are taken to change by as much from each level to the next,
-    beginning with the one above the segment, so that together they are as long as the segment.
-    """
-    page, segment = parent.page_range(head), parent.child_range(head)
-    rows = {key: row for row, key in enumerate(layout.keys)}
-    n_ahead = 0
-    for n_wanted, row in enumerate(sorted(rows[key] for key in wanted)):
-        if row - n_wanted > spare:
-            break
-        n_ahead = row + 1
-    key_above = head.parent if head.level else Block(-1, head.row, head.col)
-    above = parent.payload_range(parent.key_rows[key_above]).length
-    depths = [key.level - head.level + 1 for key in layout.keys]
-    excess = above * len(depths) - (segment.length - page.length)
-    estimates = [max(0, above - excess * depth // sum(depths)) for depth in depths]
-    length = page.length + sum(estimates[:n_ahead])
-    return ByteRange(page.offset, min(length, segment.length, page.length + _MAX_AHEAD))
 
 
 def check_crc(data: bytes, crc: int, kind: str, key: Block) -> None:

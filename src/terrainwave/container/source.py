@@ -4,29 +4,10 @@ import io
 import os
 import threading
 from collections.abc import Callable, Sequence
-from itertools import groupby
-from typing import BinaryIO, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import BinaryIO, Protocol, TypeAlias, runtime_checkable
 
+from terrainwave.container.ranges import ByteRange, merge_ranges, split_merged
 from terrainwave.errors import StorageError, TruncatedStreamError
-
-# A request to a server a hundred milliseconds away costs as much time as some 500 KiB.
-MAX_GAP = 512 * 1024
-# Bytes in gaps that a set of ranges may cost in all: this share of what is wanted, or 64 KiB.
-_MAX_WASTE = 0.25
-_FREE_WASTE = 64 * 1024
-MAX_REQUEST = 16 * 1024 * 1024
-
-
-class ByteRange(NamedTuple):
-    """`length` bytes from `offset`."""
-
-    offset: int
-    length: int
-
-    @property
-    def end(self) -> int:
-        """Return the offset after the last byte."""
-        return self.offset + self.length
 
 
 @runtime_checkable
@@ -49,6 +30,10 @@ class ByteSource(Protocol):
         """Return the bytes of each range, in the order asked; near ones in one request."""
         ...
 
+    def read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
+        """Return the bytes of each range, in the order asked; each is one request."""
+        ...
+
     def check_unchanged(self) -> None:
         """Raise `StorageError` if the bytes are known to be others than when it was opened."""
         ...
@@ -59,66 +44,6 @@ class ByteSource(Protocol):
 
 
 SourceLike: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO | ByteSource
-
-
-class Merged(NamedTuple):
-    """A range to request, and the numbers of the wanted ranges inside it."""
-
-    span: ByteRange
-    members: list[int]
-
-
-def merge_ranges(ranges: Sequence[ByteRange]) -> list[Merged]:
-    """Return requests that cover `ranges`, in order of place, up to 16 MiB in one.
-
-    The shortest gaps are bridged first: those up to 512 KiB, all together not above a quarter
-    of the bytes that are wanted, or above 64 KiB where few are. Empty ranges need no request.
-    """
-    order = [number for number in range(len(ranges)) if ranges[number].length]
-    order.sort(key=lambda number: ranges[number])
-    max_gap = _longest_gap([ranges[number] for number in order])
-    merged: list[Merged] = []
-    for member in order:
-        wanted = ranges[member]
-        if merged:
-            span, members = merged[-1]
-            end = max(span.end, wanted.end)
-            if wanted.offset - span.end <= max_gap and end - span.offset <= MAX_REQUEST:
-                members.append(member)
-                merged[-1] = Merged(ByteRange(span.offset, end - span.offset), members)
-                continue
-        merged.append(Merged(wanted, [member]))
-    return merged
-
-
-def _longest_gap(ordered: Sequence[ByteRange]) -> int:
-    """Return the largest gap to bridge, so that all up to it do not cost too much."""
-    gaps, n_wanted, end = [], 0, 0
-    for wanted in ordered:
-        if n_wanted and end < wanted.offset <= end + MAX_GAP:
-            gaps.append(wanted.offset - end)
-        n_wanted += max(0, wanted.end - max(end, wanted.offset))
-        end = max(end, wanted.end)
-    allowed = max(_FREE_WASTE, int(_MAX_WASTE * n_wanted))
-    longest = 0
-    for gap, alike in groupby(sorted(gaps)):
-        allowed -= gap * len(list(alike))
-        if allowed < 0:
-            break
-        longest = gap
-    return longest
-
-
-def split_merged(
-    ranges: Sequence[ByteRange], merged: Sequence[Merged], spans: Sequence[bytes]
-) -> list[bytes]:
-    """Return the bytes of each of `ranges` out of the bytes of the requests that cover them."""
-    result = [b""] * len(ranges)
-    for (span, members), data in zip(merged, spans, strict=True):
-        for member in members:
-            first = ranges[member].offset - span.offset
-            result[member] = data[first : first + ranges[member].length]
-    return result
 
 
 class MergingSource:
@@ -140,6 +65,12 @@ class MergingSource:
             self._check_range(*wanted)
         merged = merge_ranges(ranges)
         return split_merged(ranges, merged, self._read_spans([span for span, _ in merged]))
+
+    def read_spans(self, spans: Sequence[ByteRange]) -> list[bytes]:
+        """Return the bytes of each range, in the order asked; side by side if they can be."""
+        for span in spans:
+            self._check_range(*span)
+        return self._read_spans(spans)
 
     def _check_range(self, offset: int, length: int) -> None:
         if offset < 0 or length < 0 or offset + length > self.size:

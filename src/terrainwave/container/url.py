@@ -22,12 +22,8 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 from urllib.parse import SplitResult, unquote, urljoin, urlsplit
 
-from terrainwave.container.source import (
-    ByteRange,
-    ByteSource,
-    FileSource,
-    MergingSource,
-)
+from terrainwave.container.ranges import ByteRange
+from terrainwave.container.source import ByteSource, FileSource, MergingSource
 from terrainwave.errors import StorageError, TerrainwaveError
 
 FIRST_REQUEST = 16 * 1024

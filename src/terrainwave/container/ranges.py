@@ -1,0 +1,167 @@
+"""Ranges of bytes: which requests to make for them, and what has come of them.
+
+A request to a server a hundred milliseconds away costs as much time as some 500 KiB, and storage
+is billed by the request. So gaps between wanted ranges are bridged, the shortest first: this gives
+the fewest requests that a number of unwanted bytes can buy.
+"""
+
+from bisect import bisect_right, insort
+from collections.abc import Iterator, Sequence
+from itertools import accumulate
+from typing import NamedTuple
+
+MAX_GAP = 512 * 1024
+MAX_REQUEST = 16 * 1024 * 1024
+# What a window should take, in all rounds (docs/decisions/0003).
+AIMED_REQUESTS = 12
+# Bytes in gaps, as a share of what is wanted: to be bridged in any case, and where that makes
+# requests as few as is aimed at. Where little is wanted, 64 KiB in any case.
+_WASTE, _MOST_WASTE = 0.25, 0.45
+_FREE_WASTE = 64 * 1024
+
+
+class ByteRange(NamedTuple):
+    """`length` bytes from `offset`."""
+
+    offset: int
+    length: int
+
+    @property
+    def end(self) -> int:
+        """Return the offset after the last byte."""
+        return self.offset + self.length
+
+
+class Budget(NamedTuple):
+    """What the requests of one round may cost.
+
+    `n_requests` is how many are aimed at; `waste` are bytes in gaps to bridge in any case,
+    `most_waste` where requests become so few by it.
+    """
+
+    n_requests: int
+    waste: int
+    most_waste: int
+
+
+def budget_of(n_wanted: int, n_requests: int = 0, n_wasted: int = 0) -> Budget:
+    """Return what is left for a round of a read.
+
+    Parameters
+    ----------
+    n_wanted : int
+        Bytes wanted of the whole read, earlier and later rounds included.
+    n_requests, n_wasted : int
+        Requests made and unwanted bytes fetched in earlier rounds.
+    """
+    waste = max(_FREE_WASTE, int(_WASTE * n_wanted))
+    most_waste = max(_FREE_WASTE, int(_MOST_WASTE * n_wanted))
+    return Budget(AIMED_REQUESTS - n_requests, waste - n_wasted, most_waste - n_wasted)
+
+
+class Merged(NamedTuple):
+    """A range to request, and the numbers of the wanted ranges inside it."""
+
+    span: ByteRange
+    members: list[int]
+
+
+def merge_ranges(ranges: Sequence[ByteRange], budget: Budget | None = None) -> list[Merged]:
+    """Return requests that cover `ranges`, in order of place, up to 16 MiB in one.
+
+    The shortest gaps are bridged, none above 512 KiB, within `budget`; by default that of these
+    ranges alone. Empty ranges need no request.
+    """
+    order = [number for number in range(len(ranges)) if ranges[number].length]
+    order.sort(key=lambda number: ranges[number])
+    runs: list[Merged] = []
+    for member in order:
+        wanted = ranges[member]
+        if not runs or not _extend(runs, wanted, [member], max_gap=0):
+            runs.append(Merged(wanted, [member]))
+    if budget is None:
+        budget = budget_of(sum(span.length for span, _ in runs))
+    bridged = _gaps_to_bridge([span for span, _ in runs], budget)
+    merged: list[Merged] = []
+    for number, (span, members) in enumerate(runs):
+        if number not in bridged or not _extend(merged, span, members, MAX_GAP):
+            merged.append(Merged(span, members))
+    return merged
+
+
+def _extend(merged: list[Merged], span: ByteRange, members: list[int], max_gap: int) -> bool:
+    """Say whether `span` fits into the last request; if so, it is in it from now on."""
+    last = merged[-1].span
+    end = max(last.end, span.end)
+    if span.offset - last.end > max_gap or end - last.offset > MAX_REQUEST:
+        return False
+    joined = ByteRange(last.offset, end - last.offset)
+    merged[-1] = Merged(joined, merged[-1].members + members)
+    return True
+
+
+def _gaps_to_bridge(runs: Sequence[ByteRange], budget: Budget) -> set[int]:
+    """Return the numbers of the runs to be joined to those before them."""
+    gaps = [(runs[number].offset - runs[number - 1].end, number) for number in range(1, len(runs))]
+    shortest = [(gap, number) for gap, number in sorted(gaps) if gap <= MAX_GAP]
+    costs = list(accumulate(gap for gap, _ in shortest))
+    n_bridged = bisect_right(costs, budget.waste)
+    n_aimed = len(runs) - budget.n_requests
+    if n_bridged < n_aimed <= len(costs) and costs[n_aimed - 1] <= budget.most_waste:
+        n_bridged = n_aimed
+    return {number for _, number in shortest[:n_bridged]}
+
+
+def split_merged(
+    ranges: Sequence[ByteRange], merged: Sequence[Merged], spans: Sequence[bytes]
+) -> list[bytes]:
+    """Return the bytes of each of `ranges` out of the bytes of the requests that cover them."""
+    result = [b""] * len(ranges)
+    for (span, members), data in zip(merged, spans, strict=True):
+        for member in members:
+            first = ranges[member].offset - span.offset
+            result[member] = data[first : first + ranges[member].length]
+    return result
+
+
+class FetchedBytes:
+    """Bytes of a file that have come so far, in pieces.
+
+    `n_bytes` is how many there are.
+    """
+
+    def __init__(self) -> None:
+        self.n_bytes = 0
+        self._pieces: list[tuple[int, bytes]] = []  # disjoint, in order of offset
+
+    def add(self, offset: int, data: bytes) -> None:
+        """Keep what was fetched from `offset` on; bytes that are here already stay as they are."""
+        for part in self.missing(ByteRange(offset, len(data))):
+            insort(self._pieces, (part.offset, data[part.offset - offset : part.end - offset]))
+            self.n_bytes += part.length
+
+    def missing(self, wanted: ByteRange) -> list[ByteRange]:
+        """Return the parts of a range that are not here, none of them empty."""
+        parts, pos = [], wanted.offset
+        for start, piece in self._overlapping(wanted):
+            if pos < start:
+                parts.append(ByteRange(pos, start - pos))
+            pos = start + len(piece)
+        if pos < wanted.end:
+            parts.append(ByteRange(pos, wanted.end - pos))
+        return parts
+
+    def take(self, wanted: ByteRange) -> bytes:
+        """Return the bytes of a range of which nothing is missing."""
+        return b"".join(
+            piece[max(0, wanted.offset - start) : wanted.end - start]
+            for start, piece in self._overlapping(wanted)
+        )
+
+    def _overlapping(self, wanted: ByteRange) -> Iterator[tuple[int, bytes]]:
+        first = bisect_right(self._pieces, wanted.offset, key=lambda piece: piece[0]) - 1
+        for start, piece in self._pieces[max(0, first) :]:
+            if start >= wanted.end:
+                break
+            if start + len(piece) > wanted.offset:
+                yield start, piece

@@ -1,0 +1,180 @@
+"""Which requests are made for ranges: all is covered, gaps are bridged within the budget."""
+
+from itertools import pairwise
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from terrainwave.container.ranges import (
+    AIMED_REQUESTS,
+    MAX_GAP,
+    MAX_REQUEST,
+    Budget,
+    ByteRange,
+    FetchedBytes,
+    budget_of,
+    merge_ranges,
+)
+
+KIB, MIB = 2**10, 2**20
+
+
+def spans_of(ranges, budget=None):
+    return [span for span, _ in merge_ranges(ranges, budget)]
+
+
+def n_bytes(ranges):
+    return sum(part.length for part in ranges)
+
+
+def in_a_row(length, gaps):
+    """Return ranges of one length with these gaps between them."""
+    found = [ByteRange(0, length)]
+    for gap in gaps:
+        found.append(ByteRange(found[-1].end + gap, length))
+    return found
+
+
+def test_gaps_of_64_kib_in_all_are_bridged_and_more_are_not():
+    first, second = ByteRange(0, 10), ByteRange(10 + 65536, 5)
+    assert spans_of([first, second]) == [ByteRange(0, 65536 + 15)]
+    assert spans_of([first, ByteRange(11 + 65536, 5)]) == [first, ByteRange(11 + 65536, 5)]
+    third = ByteRange(second.end + 100, 5)  # the shorter gap is bridged
+    assert spans_of([first, second, third]) == [first, ByteRange(second.offset, 110)]
+
+
+def test_a_quarter_of_what_is_wanted_may_lie_in_gaps():
+    first = ByteRange(0, MIB)
+    near, far = ByteRange(MIB + 300_000, MIB), ByteRange(MIB + 600_000, MIB)
+    assert spans_of([first, near]) == [ByteRange(0, 2 * MIB + 300_000)]
+    assert spans_of([first, far]) == [first, far]
+    # However much is wanted, a gap above 512 KiB costs more than a request.
+    large, beyond = ByteRange(0, 8 * MIB), ByteRange(8 * MIB + MAX_GAP + 1, MIB)
+    assert spans_of([large, beyond]) == [large, beyond]
+
+
+def test_more_may_lie_in_gaps_where_requests_become_few_by_it():
+    gaps = [60 * KIB] * 5 + [300 * KIB] * AIMED_REQUESTS  # 18 ranges
+    ranges = in_a_row(50 * KIB, gaps)
+    assert len(spans_of(ranges)) == 18 - 3  # a quarter of 900 KiB
+    budget = Budget(13, waste=225 * KIB, most_waste=300 * KIB)
+    assert len(spans_of(ranges, budget)) == 13
+    # Where the aim is too far, nothing is wasted on the way there.
+    assert len(spans_of(ranges, budget._replace(most_waste=299 * KIB))) == 18 - 3
+    assert len(spans_of(ranges, budget._replace(n_requests=12))) == 18 - 3
+
+
+def test_no_more_gaps_are_bridged_than_the_aim_needs():
+    ranges = in_a_row(100 * KIB, [100 * KIB] * AIMED_REQUESTS)  # 13 ranges
+    budget = Budget(AIMED_REQUESTS, waste=0, most_waste=10 * MIB)
+    assert len(spans_of(ranges, budget)) == AIMED_REQUESTS
+    assert spans_of(ranges, budget._replace(n_requests=13)) == ranges
+
+
+def test_what_earlier_rounds_took_is_gone_from_the_budget():
+    whole = budget_of(4 * MIB)
+    assert whole == (AIMED_REQUESTS, MIB, int(0.45 * 4 * MIB))
+    left = budget_of(4 * MIB, n_requests=5, n_wasted=MIB + 1)
+    assert left == (AIMED_REQUESTS - 5, -1, whole.most_waste - MIB - 1)
+    ranges = in_a_row(10, [1])
+    assert spans_of(ranges, left) == ranges
+    assert len(spans_of(ranges, left._replace(n_requests=1))) == 1
+
+
+def test_ranges_that_touch_or_overlap_are_one_request_whatever_the_budget():
+    nothing_left = Budget(0, -1, -1)
+    ranges = [ByteRange(0, 10), ByteRange(5, 10), ByteRange(15, 5), ByteRange(7, 2)]
+    assert spans_of(ranges, nothing_left) == [ByteRange(0, 20)]
+
+
+def test_empty_ranges_need_no_request():
+    assert spans_of([ByteRange(5, 0), ByteRange(90, 0)]) == []
+
+
+places = st.builds(ByteRange, st.integers(0, 2**27), st.integers(0, 2**24))
+budgets = st.builds(Budget, st.integers(-3, 20), st.integers(-9, 2**21), st.integers(-9, 2**22))
+
+
+@given(st.lists(places, max_size=30), st.none() | budgets)
+def test_requests_cover_each_range_once_and_stay_below_16_mib(wanted, budget):
+    merged = merge_ranges(wanted, budget)
+    filled = [number for number, member in enumerate(wanted) if member.length]
+    assert sorted(n for _, members in merged for n in members) == filled
+    for span, members in merged:
+        for member in members:
+            assert span.offset <= wanted[member].offset
+            assert wanted[member].end <= span.end
+        assert span.length <= MAX_REQUEST or len(members) == 1
+
+
+@given(
+    st.lists(st.integers(1, 40 * KIB), min_size=1, max_size=30),
+    st.lists(st.integers(1, 40 * KIB), min_size=30, max_size=30),
+    budgets,
+)
+def test_requests_are_disjoint_in_order_and_within_the_budget(lengths, gaps, budget):
+    ranges, end = [], 0
+    for length, gap in zip(lengths, gaps, strict=False):
+        ranges.append(ByteRange(end + gap, length))
+        end = ranges[-1].end
+    spans = spans_of(ranges[::-1], budget)
+    assert all(one.end < other.offset for one, other in pairwise(spans))
+    n_wasted = n_bytes(spans) - n_bytes(ranges)
+    assert n_wasted <= max(0, budget.waste, budget.most_waste)
+    if n_wasted > max(0, budget.waste):
+        assert len(spans) == budget.n_requests
+    # The fewest requests that the budget can buy: bridging the shortest gaps first.
+    costs = [sum(sorted(gaps[1 : len(ranges)])[:n]) for n in range(len(ranges))]
+    fewest = len(ranges) - max(
+        (n for n, cost in enumerate(costs) if cost <= budget.waste), default=0
+    )
+    if (
+        fewest > budget.n_requests >= 1
+        and costs[len(ranges) - budget.n_requests] <= budget.most_waste
+    ):
+        fewest = budget.n_requests
+    assert len(spans) == fewest
+
+
+def fetched(*pieces):
+    found = FetchedBytes()
+    for offset, data in pieces:
+        found.add(offset, data)
+    return found
+
+
+def test_missing_parts_lie_before_between_and_after_what_came():
+    here = fetched((10, b"abcde"), (20, b"fgh"))
+    assert here.missing(ByteRange(0, 30)) == [(0, 10), (15, 5), (23, 7)]
+    assert here.missing(ByteRange(11, 4)) == []
+    assert here.missing(ByteRange(14, 7)) == [(15, 5)]
+    assert here.missing(ByteRange(15, 5)) == [(15, 5)]
+    assert here.missing(ByteRange(12, 0)) == []
+
+
+def test_a_range_is_put_together_from_pieces_that_came_apart():
+    here = fetched((3, b"de"), (0, b"abc"), (5, b"f"))
+    assert here.take(ByteRange(1, 4)) == b"bcde"
+    assert here.take(ByteRange(0, 6)) == b"abcdef"
+    assert here.take(ByteRange(2, 0)) == b""
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 60), st.integers(0, 20)), max_size=8),
+    st.integers(0, 70),
+    st.integers(0, 20),
+)
+def test_pieces_may_overlap(pieces, offset, length):
+    data = bytes(range(90))
+    here = fetched(*((start, data[start : start + size]) for start, size in pieces))
+    known = {pos for start, size in pieces for pos in range(start, start + size)}
+    wanted = ByteRange(offset, length)
+    missing = here.missing(wanted)
+    assert here.n_bytes == len(known)
+    assert [p for part in missing for p in range(part.offset, part.end)] == [
+        pos for pos in range(offset, offset + length) if pos not in known
+    ]
+    assert all(part.length for part in missing)
+    for part in missing:
+        here.add(part.offset, data[part.offset : part.end])
+    assert here.take(wanted) == data[offset : offset + length]

@@ -1,0 +1,75 @@
+"""Reading in rounds: nothing is fetched twice, and all rounds share one budget."""
+
+import numpy as np
+import pytest
+
+from terrainwave.container.ranges import AIMED_REQUESTS, ByteRange
+from terrainwave.container.rounds import RoundReader
+from terrainwave.container.source import BufferSource
+
+KIB = 1024
+DATA = np.random.default_rng(1).bytes(4000 * KIB)
+
+
+class CountingSource(BufferSource):
+    def __init__(self):
+        super().__init__(DATA)
+        self.rounds = []
+
+    def read_spans(self, spans):
+        self.rounds.append(list(spans))
+        return super().read_spans(spans)
+
+
+@pytest.fixture
+def source():
+    return CountingSource()
+
+
+def of_data(place):
+    return DATA[place.offset : place.end]
+
+
+def apart(first, n_ranges, length, distance):
+    return [ByteRange(first + number * distance, length) for number in range(n_ranges)]
+
+
+def test_how_the_source_begins_is_not_fetched_again(source):
+    reader = RoundReader(source, DATA[:100])
+    inside, beyond = ByteRange(20, 80), ByteRange(90, 30)
+    reader.fetch([inside, beyond])
+    assert source.rounds == [[ByteRange(100, 20)]]
+    assert (reader.take(inside), reader.take(beyond)) == (of_data(inside), of_data(beyond))
+
+
+def test_later_rounds_fetch_only_what_is_missing(source):
+    reader = RoundReader(source, b"")
+    early, late = ByteRange(1000, 50), ByteRange(1040, 60)
+    reader.fetch([early])
+    reader.fetch([early, late])
+    reader.fetch([early, late])
+    assert source.rounds == [[early], [ByteRange(1050, 50)], []]
+    assert reader.take(late) == of_data(late)
+
+
+def test_requests_of_earlier_rounds_count(source):
+    reader = RoundReader(source, b"")
+    first = apart(0, 6, 60 * KIB, 200 * KIB)
+    reader.fetch(first)
+    assert len(source.rounds[0]) == 6
+    # 8 more would be 14 in all; 2 gaps of 110 KiB lie between a quarter and 45 % of 760 KiB.
+    second = apart(1300 * KIB, 8, 50 * KIB, 160 * KIB)
+    reader.fetch([*first, *second])
+    assert len(source.rounds[1]) == AIMED_REQUESTS - 6
+    assert all(reader.take(place) == of_data(place) for place in [*first, *second])
+
+
+def test_bytes_that_were_wasted_are_not_wasted_again(source):
+    second = apart(2000 * KIB, 2, 100 * KIB, 160 * KIB)  # 60 KiB between them
+    thrifty, wasteful = RoundReader(source, b""), RoundReader(source, b"")
+    thrifty.fetch([ByteRange(0, 10)])
+    thrifty.fetch([ByteRange(0, 10), *second])
+    assert len(source.rounds[1]) == 1
+    wasteful.fetch([ByteRange(0, 50 * KIB)])  # of which no more than ten bytes were needed
+    wasteful.fetch([ByteRange(0, 10), *second])
+    assert source.rounds[3] == second
