@@ -302,6 +302,17 @@ def segment_layout(grid, head):
     return keys, blocks, heads
 
 
+def file_order(keys):
+    """Return the keys of a segment in the order of their payloads in the file (§3.2)."""
+    first, second, third, fourth = (
+        [key for key in keys if key[0] == keys[0][0] + depth] for depth in range(4)
+    )
+    for upper in second:
+        first.append(upper)
+        first += [key for key in third if (key[1] >> 1, key[2] >> 1) == upper[1:]]
+    return first + fourth[::-1]
+
+
 def read_page(page, layout):
     """Return first_child and the columns of a page, each a list of integers (§3.3)."""
     counts = dict(zip("KBS", map(len, layout), strict=True))
@@ -370,7 +381,8 @@ def read_file(data):
                 first_children.append((first_child, len(next_row)))
             at += page_length
             require(not any(page.flags), "flags of a key", UnsupportedError)
-            for i, key in enumerate(keys):
+            for key in file_order(keys):
+                i = keys.index(key)
                 for kind in ("payload", "mesh"):
                     n = getattr(page, kind + "_length")[i]
                     require(n < 2**31, "length of a payload or mesh")

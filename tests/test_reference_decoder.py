@@ -29,6 +29,7 @@ from reference_decoder import (
     decode_mask,
     decode_payload,
     decode_units,
+    file_order,
     implied_void,
     read_file,
     segment_layout,
@@ -327,7 +328,7 @@ def assembled(file, **changes):
     page = bytes(8) + zlib.compress(columns)
     page = zlib.crc32(page).to_bytes(4, "little") + page
     metadata = deflate(json.dumps(file.metadata).encode(), DICTIONARY)
-    body = metadata + page + b"".join(payloads)
+    body = metadata + page + b"".join(file.payloads[key] for key in file_order(keys))
     fields = vars(file.header) | changes
     fields |= dict(
         file_size=128 + len(body),

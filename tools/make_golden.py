@@ -105,6 +105,10 @@ CASES = {
         (34, 37), "float64", 500, "nan", PLACE,
         {"max_error": 0.01, "method": "store", "mesh": "rqt"},
     ),
+    "store-int16-segments": (
+        (1100, 2), "int16", 60, "nodata", PLACE,
+        {"max_error": 3, "method": "store", "mesh": "none"},
+    ),
     "one-sample": ((1, 1), "int16", 100, "none", DEGREES, {"max_error": 0}),
     "one-row": ((1, 90), "float32", 100, "none", DEGREES, {"max_error": 0.5}),
     "all-void": ((70, 40), "int16", 100, "all", DEGREES, {"max_error": 1}),

@@ -194,7 +194,7 @@ class Grid:
         return Block(group.level - depth, group.row >> depth, group.col >> depth)
 
     def segment_groups(self, head: Block | None) -> list[Block]:
-        """Return the parents of the segment's groups in file order: level, then Morton."""
+        """Return the parents of the segment's groups in the page's order: level, then Morton."""
         if head is None:
             return [block for level in range(self.top_levels) for block in self.blocks(level)]
         found, layer = [], [head]

@@ -8,10 +8,12 @@ import pytest
 
 from terrainwave.container.page import (
     empty_page,
+    file_order,
     pack_columns,
     pack_page,
     page_layout,
     page_length,
+    payload_starts,
     unpack_page,
 )
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, UnsupportedVersionError
@@ -95,6 +97,46 @@ def test_keys_and_children_are_the_segments_of_the_quadtree(side):
         assert layout.children == grid.segment_children(head)
         heads += layout.children
     assert heads == list(grid.segment_heads())
+
+
+def test_payloads_lie_in_the_order_of_format_3_2():
+    grid = Grid(2000, 2000, 32)
+    keys = page_layout(grid, Block(2, 0, 0)).keys
+    order = [keys[row] for row in file_order(keys)]
+    assert order[0] == (2, 0, 0)
+    assert order[1:6] == [(3, 0, 0), (4, 0, 0), (4, 0, 1), (4, 1, 0), (4, 1, 1)]
+    assert order[6:8] == [(3, 0, 1), (4, 0, 2)]
+    assert order[16:21] == [(3, 1, 1), (4, 2, 2), (4, 2, 3), (4, 3, 2), (4, 3, 3)]
+    assert order[21:24] == [(5, 7, 7), (5, 7, 6), (5, 6, 7)]
+    assert order[-1] == (5, 0, 0)
+    assert sorted(order) == sorted(keys)
+
+
+@pytest.mark.parametrize(("side", "last"), [(30, -1), (60, 0), (100, 1), (250, 2)])
+def test_the_root_lies_first_and_the_fourth_level_of_the_top_segment_backwards(side, last):
+    keys = page_layout(Grid(side, side, 32), None).keys
+    order = [keys[row] for row in file_order(keys)]
+    assert order[-1].level == keys[-1].level == last
+    assert order == (keys if last < 2 else keys[:6] + keys[:5:-1])
+
+
+@pytest.mark.parametrize("head", [Block(3, 4, 2), Block(7, 66, 0), Block(7, 66, 35)])
+def test_segments_at_the_edge_have_an_order_as_well(head):
+    keys = page_layout(Grid(17_000, 9000, 16), head).keys
+    assert sorted(file_order(keys)) == list(range(len(keys)))
+
+
+def test_each_payload_begins_where_the_one_before_it_in_the_file_ends():
+    layout = page_layout(Grid(2000, 2000, 32), Block(2, 0, 0))
+    page = empty_page(layout)
+    page.payload_lengths[:] = np.arange(len(layout.keys)) + 10
+    page.mesh_lengths[::3] = 7
+    starts = payload_starts(page, layout.keys, 1000)
+    end = 1000
+    for row in file_order(layout.keys):
+        assert starts[row] == end
+        end += int(page.payload_lengths[row] + page.mesh_lengths[row])
+    assert end == 1000 + page.body_length
 
 
 def test_blocks_are_those_of_the_keys_in_their_order():

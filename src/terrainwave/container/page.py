@@ -4,7 +4,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,7 +23,7 @@ _MIN_PAGE = _PREFIX.size + 1
 
 
 class PageLayout(NamedTuple):
-    """What the page of a segment lists, in file order; it follows from the grid alone."""
+    """What the page of a segment lists, in its order; it follows from the grid alone."""
 
     keys: list[Block]
     blocks: list[Block]
@@ -258,8 +258,27 @@ def describe_key(key: Block) -> str:
     return f"group (level {key.level}, row {key.row}, col {key.col})"
 
 
-def payload_starts(page: Page, body_start: int) -> Sequence[int]:
+def file_order(keys: Sequence[Block]) -> list[int]:
+    """Return the rows of a page in the order in which payloads lie in the file (FORMAT.md §3.2).
+
+    `keys` are those of one segment. Keys of its second level have their children behind them and
+    the fourth level runs backwards: what a window needs then lies in fewer places.
+    """
+    layers: list[list[int]] = [[] for _ in range(SEGMENT_LEVELS)]
+    for row, key in enumerate(keys):
+        layers[key.level - keys[0].level].append(row)
+    first, second, third, fourth = layers
+    below: dict[Block, list[int]] = {keys[row]: [row] for row in second}
+    for row in third:
+        below[keys[row].parent].append(row)
+    return [*first, *chain.from_iterable(below.values()), *reversed(fourth)]
+
+
+def payload_starts(page: Page, keys: Sequence[Block], body_start: int) -> Sequence[int]:
     """Return the file offset of each key's payload; its mesh follows it (FORMAT.md §3.2)."""
-    lengths = page.payload_lengths.astype(np.int64) + page.mesh_lengths
-    starts: list[int] = (body_start + np.cumsum(lengths) - lengths).tolist()
-    return starts
+    order = file_order(keys)
+    lengths = (page.payload_lengths.astype(np.int64) + page.mesh_lengths)[order]
+    starts = np.empty(len(order), dtype=np.int64)
+    starts[order] = body_start + np.cumsum(lengths) - lengths
+    found: list[int] = starts.tolist()
+    return found

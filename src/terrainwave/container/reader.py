@@ -17,6 +17,7 @@ from terrainwave.container.page import (
     describe_head,
     describe_key,
     empty_page,
+    file_order,
     page_layout,
     unpack_page,
 )
@@ -360,12 +361,13 @@ class Container:
     def _check_payloads(self, segment: Segment) -> Iterator[str]:
         batch: list[int] = []
         size = 0
-        for row in range(len(segment.layout.keys)):
+        for row in file_order(segment.layout.keys):
             batch.append(row)
             size += segment.payload_range(row).length + segment.mesh_range(row).length
-            if size > _CHECK_BATCH or row + 1 == len(segment.layout.keys):
+            if size > _CHECK_BATCH:
                 yield from self._check_rows(segment, batch)
                 batch, size = [], 0
+        yield from self._check_rows(segment, batch)
 
     def _check_rows(self, segment: Segment, rows: Sequence[int]) -> Iterator[str]:
         payload_ranges = [segment.payload_range(row) for row in rows]

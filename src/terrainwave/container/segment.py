@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrainwave.container.page import Page, PageLayout, payload_starts
+from terrainwave.container.page import Page, PageLayout, file_order, payload_starts
 from terrainwave.container.ranges import ByteRange
 from terrainwave.quadtree import Block
 
@@ -63,7 +63,7 @@ def segment_of_page(
         page=page,
         start=start,
         end=end,
-        payload_starts=payload_starts(page, start + page_length),
+        payload_starts=payload_starts(page, layout.keys, start + page_length),
         key_rows={key: row for row, key in enumerate(layout.keys)},
         block_rows={block: row for row, block in enumerate(layout.blocks)},
         child_rows={child: row for row, child in enumerate(layout.children)},
@@ -82,7 +82,7 @@ def page_and_payloads(
     """
     page = parent.page_range(head)
     body_length = parent.child_range(head).length - page.length
-    keys = layout.keys
+    keys = [layout.keys[row] for row in file_order(layout.keys)]
     n_ahead = next((rank for rank, key in enumerate(keys) if key not in wanted), len(keys))
     if not n_ahead or not body_length:
         return page
