@@ -27,6 +27,7 @@ DOCUMENTS = (
     "docs/decisions/0004-step-by-what-finer-levels-need.md",
     "docs/decisions/0007-one-root-block.md",
     "docs/decisions/0009-tiles-of-several-levels.md",
+    "docs/decisions/0010-order-of-payloads.md",
 )
 PREDICTIVE = "terrainwave-predictive"
 FAST = "terrainwave-predictive-fast"
@@ -477,6 +478,26 @@ def systems_papers_table(results: Path) -> str:
     return "\n".join(lines)
 
 
+def remote_table(results: Path) -> str:
+    """Return what windows over http cost: medians and worst cases."""
+    lines = [
+        "| reader | level | window | windows | requests: centre | median | worst | rounds |"
+        " bytes / needed: median | worst |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    cases: dict[tuple[str, ...], dict[str, dict[str, str]]] = {}
+    for row in read_rows(results, "remote"):
+        case = row["reader"], row["level"], row["window"], row["n_windows"]
+        cases.setdefault(case, {})[row["statistic"]] = row
+    for (reader, level, side, n_windows), found in cases.items():
+        counts = [f"{float(found[name]['requests']):g}" for name in ("centre", "median", "worst")]
+        ratios = [f"{float(found[name]['ratio']):.2f}" for name in ("median", "worst")]
+        cells = [reader, level.replace("-", "−"), f"{side}²", n_windows, *counts]
+        cells += [f"{float(found['worst']['rounds']):g}", *ratios]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
 TABLES: dict[str, Callable[[Path], str]] = {
     "summary": summary_table,
     "methods": methods_table,
@@ -499,6 +520,7 @@ TABLES: dict[str, Callable[[Path], str]] = {
     "systems_modes": systems_modes_table,
     "systems_dynamic": systems_dynamic_table,
     "systems_papers": systems_papers_table,
+    "remote": remote_table,
 }
 REPORT = """# Measured
 

@@ -179,7 +179,7 @@ class Terrain:
         """Close the file and stop the threads."""
         if self._executor is not None:
             self._executor.shutdown()
-        self._source.close()
+        self._container.close()
 
     @cached_property
     def _parameters(self) -> CodecParameters:

@@ -10,9 +10,9 @@ from terrainwave.container.ranges import ByteRange
 from terrainwave.quadtree import Block
 
 # Payloads next to a page are read with it up to a size, and so much more of what they are
-# estimated to take: on the file of benchmarks/remote.py, first payloads are up to 11 % longer.
+# estimated to take: a payload that is longer than that costs a request of its own for the rest.
 _MAX_AHEAD = 1024 * 1024
-_MARGIN = 0.15
+_MARGIN = 0.25
 
 
 @dataclass(frozen=True)
