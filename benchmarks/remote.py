@@ -231,7 +231,7 @@ def _summary(
 ) -> tuple[float, ...]:
     """Return each number's statistic by itself."""
     columns = zip(*map(values_of, costs), strict=True)
-    return tuple(statistic(column) for column in columns)
+    return tuple(round(statistic(column), 4) for column in columns)
 
 
 if __name__ == "__main__":
