@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from terrainwave._jit import kernel
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.tri.budget import Pressure
 from terrainwave.tri.haar import (
     ERROR,
     FIRST,
@@ -48,8 +49,6 @@ INNER, ROOT, BELOW = 0, 1, 2
 _X, _Y, _Z, _FORWARD, _FOCAL, _SLANT, _Z_SCALE, _BASE, _REACH = 0, 1, 2, 3, 6, 7, 8, 9, 10
 _IS_BOUND, _MATRIX = 11, 12
 _FIRST_CAPACITY = 4096
-# Where there are too many vertices, τ is raised by steps; it sinks again by smaller ones.
-_PRESSURE, _RELIEF = 1.1, 1.02
 # Sides of a cell in the order of fans, and where the neighbour lies.
 _TOP, _LEFT, _BOTTOM, _RIGHT = 0, 1, 2, 3
 _DOWN, _ACROSS = (-1, 0, 1, 0), (0, -1, 0, 1)
@@ -81,6 +80,18 @@ class Eye(NamedTuple):
     focal: float
     slant: float
     z_scale: float = 1.0
+
+
+def check_update(tau: float, morph: float) -> None:
+    """Check what meshes that follow a camera are asked for.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If τ is not > 0 or λ is not >= 1.
+    """
+    if not tau > 0 or not morph >= 1:
+        raise InvalidHeightsError(f"found tau {tau} and morph {morph}, expected > 0 and >= 1")
 
 
 class DynamicFrame(NamedTuple):
@@ -167,7 +178,7 @@ class DynamicMesh:
         self._places = np.empty((4 * len(layout), 4))
         self._allocate(_FIRST_CAPACITY)
         self._is_marked = False
-        self._pressure = 1.0
+        self._pressure = Pressure()
 
     def _allocate(self, capacity: int) -> None:
         self._vertices = np.empty((capacity, 3))
@@ -200,7 +211,8 @@ class DynamicMesh:
             λ >= 1: vertices move to their parents' places while those have errors of τ / λ … τ.
             1: they jump.
         max_vertices : int, optional
-            Budget; τ is raised until it is kept. At least the number of patches.
+            Budget; τ is raised until it is kept. At least the number of patches. Nodes around the
+            eye are divided whatever it says.
         is_stepwise : bool
             Change by one height at most, as the paper does; the mesh may lag behind the view.
 
@@ -210,18 +222,16 @@ class DynamicMesh:
             If an argument is out of range.
         """
         n_patches = int(self.tree.layout[-1, N_ROWS] * self.tree.layout[-1, N_COLS])
-        if not tau > 0 or not morph >= 1:
-            raise InvalidHeightsError(f"found tau {tau} and morph {morph}, expected > 0 and >= 1")
+        check_update(tau, morph)
         if max_vertices is not None and max_vertices < n_patches:
             raise InvalidHeightsError(
                 f"found max_vertices {max_vertices}, expected at least one per patch: {n_patches}"
             )
         view = self._view(eye)
-        self._pressure = max(self._pressure / _RELIEF, 1.0)
+        self._pressure.relieve()
         n_touched, n_changed = self._mark(view, eye.planes, tau / morph, is_stepwise)
         n_vertices, n_voids = self._place(view, eye.planes, tau, morph)
-        while max_vertices is not None and n_vertices > max_vertices:
-            self._pressure *= _PRESSURE
+        while max_vertices is not None and n_vertices > max_vertices and self._pressure.rise():
             more = self._mark(view, eye.planes, tau / morph, False)
             n_touched, n_changed = n_touched + more[0], n_changed + more[1]
             n_vertices, n_voids = self._place(view, eye.planes, tau, morph)
@@ -229,7 +239,7 @@ class DynamicMesh:
             self.marks, self.tree.layout, self.tree.z, self._nodes, n_vertices, n_voids,
             self._vertex_of, self._is_mirrored, self._stack, self._triangles,
         )  # fmt: skip
-        used = tau * self._pressure
+        used = tau * self._pressure.factor
         return DynamicFrame(
             self._vertices[:n_vertices].copy(),
             self._triangles[:n_triangles].copy(),
@@ -245,7 +255,7 @@ class DynamicMesh:
         self, view: NDArray[np.float64], planes: NDArray[np.float64], tau: float, is_stepwise: bool
     ) -> tuple[int, int]:
         """Bring the marks up to date; return how many nodes were touched and changed."""
-        tree, tau = self.tree, tau * self._pressure
+        tree, tau = self.tree, tau * self._pressure.factor
         if not self._is_marked:
             self._is_marked = True
             mark_bottom_up(tree.layout, tree.z, tree.bounds, view, planes, tau, self.marks)
@@ -260,7 +270,7 @@ class DynamicMesh:
         self, view: NDArray[np.float64], planes: NDArray[np.float64], tau: float, morph: float
     ) -> tuple[int, int]:
         """Fill vertices and nodes of all roots; return how many have vertices, how many not."""
-        tree, tau = self.tree, tau * self._pressure
+        tree, tau = self.tree, tau * self._pressure.factor
         while True:
             n_vertices, n_voids = place_vertices(
                 tree.layout, tree.z, tree.bounds, self.marks, view, planes, tau / morph, tau,

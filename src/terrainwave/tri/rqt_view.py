@@ -20,6 +20,13 @@ front from coarse to fine finds all:
 Boxes are nested, too: where all is loaded, a vertex is active exactly where its own error on screen
 is above τ.
 
+Geomorphs, which the paper does not have: the surface drawn is the mean of those for all thresholds
+between τ / λ and τ. Vertices are split above τ / λ; one with the error ε is there for the share
+(ε - τ / λ) / (τ - τ / λ) of the thresholds, and lies where the others' triangles have it for the
+rest. So it begins on the edge that it splits and reaches its own height at τ. That changes nothing
+in what is promised: each of these surfaces is within its own threshold, so their mean is within τ.
+All of them are linear on the triangles drawn, so the mean is made at vertices alone (`rqt_morph`).
+
 Where a mesh ends, at voids and the raster's outline, it ends with whole triangles: a vertex whose
 triangles hold samples and voids has their size as its error. Such errors are stored negative.
 """
@@ -31,16 +38,22 @@ from numpy.typing import NDArray
 
 from terrainwave._jit import kernel
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.tri.dynamic import Eye
+from terrainwave.tri.budget import Pressure
+from terrainwave.tri.dynamic import Eye, check_update
 from terrainwave.tri.rqt import _neighbours
+from terrainwave.tri.rqt_morph import number_vertices, place_vertices
 from terrainwave.tri.triangle import area_of
 
 # Of a view as an array.
 _X, _Y, _Z, _FORWARD, _FOCAL, _SLANT, _Z_SCALE, _LOW, _HIGH = 0, 1, 2, 3, 6, 7, 8, 9, 10
 _IS_BOUND, _MATRIX = 11, 12
+# Of a plane of the view as an array: most of n·p + w over all boxes around x, y is
+# a x + b y + c + reach d.
+_ALONG_X, _ALONG_Y, _CONSTANT, _PER_REACH = 0, 1, 2, 3
 # Nodes that one vertex depends on and that are not active yet: at most a few of each stride.
 _MOST_DEPENDENCIES = 4096
 _FIRST_CAPACITY = 1 << 14
+_ROOM = 4 * _MOST_DEPENDENCIES  # for what depends on one vertex
 _ROUNDING = 2.0**-22
 _TINY = 1e-6  # what makes an error negative
 
@@ -62,6 +75,8 @@ class RestrictedFrame(NamedTuple):
         Vertices whose error on screen was computed.
     n_changed : int
         Vertices that were split or merged.
+    tau : float
+        Pixels; above what was asked for if the budget demands it.
     """
 
     vertices: NDArray[np.float64]
@@ -70,6 +85,7 @@ class RestrictedFrame(NamedTuple):
     n_active: int
     n_touched: int
     n_changed: int
+    tau: float
 
 
 class RestrictedMesh:
@@ -145,6 +161,7 @@ class RestrictedMesh:
         self._n_active = len(corners)
         self._vertex_of = np.empty(padded, dtype=np.int32)
         self._stack = np.empty((_MOST_DEPENDENCIES, 6), dtype=np.int64)
+        self._pressure = Pressure()
         for row in range(self.n_tiles[0]):
             for col in range(self.n_tiles[1]):
                 self._measure(row, col, stride, base_error)
@@ -203,67 +220,130 @@ class RestrictedMesh:
 
     # One frame
 
-    def update(self, eye: Eye, tau: float) -> RestrictedFrame:
+    def update(
+        self, eye: Eye, tau: float, *, morph: float = 1.0, max_vertices: int | None = None
+    ) -> RestrictedFrame:
         """Return the mesh for a view, within `tau` pixels where tiles are loaded.
+
+        Parameters
+        ----------
+        tau : float
+            Largest error on screen in pixels, > 0.
+        morph : float
+            λ >= 1: vertices move to their own heights while their errors go from τ / λ to τ. 1: they
+            jump.
+        max_vertices : int, optional
+            Budget; τ is raised until it is kept. At least the number of corners of tiles. Vertices
+            around the eye are split whatever it says.
 
         Raises
         ------
         InvalidHeightsError
-            If tau is not > 0.
+            If an argument is out of range.
         """
-        if not tau > 0:
-            raise InvalidHeightsError(f"found tau {tau}, expected > 0")
-        view = self._view(eye)
-        state = (self._errors, self._coarse_errors, self._strides, self.tile, self._is_active)
-        kept, n_touched, n_changed = merge_vertices(
-            *state, self._n_children, self._active, self._n_active, view, eye.planes, tau
-        )
-        self._n_active = kept
-        done = 0
+        check_update(tau, morph)
+        n_corners = (self.n_tiles[0] + 1) * (self.n_tiles[1] + 1)
+        if max_vertices is not None and max_vertices < n_corners:
+            raise InvalidHeightsError(
+                f"found max_vertices {max_vertices}, expected at least one per corner of a tile:"
+                f" {n_corners}"
+            )
+        view, planes = self._view(eye), self._planes(eye)
+        self._pressure.relieve()
+        n_touched = n_changed = 0
         while True:
+            threshold = tau * self._pressure.factor / morph
+            touched, changed = self._follow(view, planes, threshold, max_vertices)
+            n_touched, n_changed = n_touched + touched, n_changed + changed
+            if max_vertices is None or self._n_active <= max_vertices:
+                break
+            if not self._pressure.rise():
+                break
+        used = tau * self._pressure.factor
+        vertices, places = self._place(view, planes, used / morph, used)
+        return RestrictedFrame(
+            vertices, self._triangles(), places, self._n_active, n_touched, n_changed, used
+        )
+
+    def _follow(
+        self,
+        view: NDArray[np.float64],
+        planes: NDArray[np.float64],
+        threshold: float,
+        max_vertices: int | None,
+    ) -> tuple[int, int]:
+        """Merge and split, until there are too many; return how many were touched and changed."""
+        state = (self._errors, self._coarse_errors, self._strides, self.tile, self._is_active)
+        self._n_active, n_touched, n_changed = merge_vertices(
+            *state, self._n_children, self._active, self._n_active, view, planes, threshold
+        )
+        limit = np.iinfo(np.int64).max if max_vertices is None else max_vertices
+        done = 0
+        while done < self._n_active <= limit:
+            if self._n_active + _ROOM > len(self._active):
+                self._active = np.concatenate([self._active, np.empty_like(self._active)])
             done, self._n_active, touched, changed = split_vertices(
-                *state, self._n_children, self._active, done, self._n_active, view, eye.planes,
-                tau, self._stack,
+                *state, self._n_children, self._active, done, self._n_active, limit, view, planes,
+                threshold, self._stack,
             )  # fmt: skip
             n_touched, n_changed = n_touched + touched, n_changed + changed
-            if done == self._n_active:
-                break
-            self._active = np.concatenate([self._active, np.empty_like(self._active)])
-        return self._frame(eye, n_touched, n_changed)
+        return n_touched, n_changed
 
-    def _frame(self, eye: Eye, n_touched: int, n_changed: int) -> RestrictedFrame:
+    def _place(
+        self, view: NDArray[np.float64], planes: NDArray[np.float64], start: float, end: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """Return the vertices that are not void, and their samples; number them."""
+        n = self._n_active
+        active, shares, heights = self._active[:n], np.ones(n), np.empty(n)
+        number_vertices(active, self._z, self._vertex_of, heights)
+        if end > start:
+            fill_shares(
+                self._errors, self._coarse_errors, self._strides, self.tile, active,
+                self._vertex_of, view, planes, start, end, shares,
+            )  # fmt: skip
+        vertices, places = np.empty((n, 3)), np.empty((n, 2), dtype=np.int32)
+        count = place_vertices(
+            active, self._vertex_of, shares, heights, view[_MATRIX:], vertices, places
+        )
+        vertices[:, 2] *= view[_Z_SCALE]
+        return vertices[:count].copy(), places[:count].copy()
+
+    def _triangles(self) -> NDArray[np.int32]:
         triangles = np.empty((2 * self._n_active, 3), dtype=np.int32)
-        places = self._active[: self._n_active]
-        at = places[:, 0], places[:, 1]
-        z = self._z[at]
-        is_valid = ~np.isnan(z)
-        self._vertex_of[at] = np.where(is_valid, np.cumsum(is_valid) - 1, -1)
-        a, b, c, d, e, f = self._matrix
-        is_mirrored = a * e < b * d
+        a, b, _, d, e, _ = self._matrix
         count = draw_triangles(
-            self._z, self._is_active, self.tile, is_mirrored, self._vertex_of, self._stack,
+            self._z, self._is_active, self.tile, a * e < b * d, self._vertex_of, self._stack,
             triangles,
         )  # fmt: skip
-        rows, cols = places[is_valid].T.astype(np.float64)
-        vertices = np.column_stack(
-            [a * cols + b * rows + c, d * cols + e * rows + f, z[is_valid] * eye.z_scale]
-        )
-        return RestrictedFrame(
-            vertices, triangles[:count].copy(), places[is_valid].copy(), self._n_active, n_touched,
-            n_changed,
-        )  # fmt: skip
+        return triangles[:count].copy()
 
     def _view(self, eye: Eye) -> NDArray[np.float64]:
         numbers = (
             *eye.position, *eye.forward, eye.focal, eye.slant, eye.z_scale,
-            *sorted(height * eye.z_scale for height in self._heights), self._is_bound,
+            *self._limits(eye), self._is_bound,
         )  # fmt: skip
         return np.array([*numbers, *self._matrix], dtype=np.float64)
+
+    def _limits(self, eye: Eye) -> tuple[float, float]:
+        """Return the lowest and highest of all that is drawn."""
+        low, high = sorted(height * eye.z_scale for height in self._heights)
+        return low, high
+
+    def _planes(self, eye: Eye) -> NDArray[np.float64]:
+        """Return the view's planes for boxes that reach from the lowest to the highest height."""
+        a, b, _, d, e, _ = self._matrix
+        (low, high), normals = self._limits(eye), eye.planes[:, :3]
+        planes = np.empty((len(normals), 4))
+        planes[:, :2] = normals[:, :2]
+        planes[:, _CONSTANT] = np.maximum(normals[:, 2] * low, normals[:, 2] * high)
+        planes[:, _CONSTANT] += eye.planes[:, 3]
+        planes[:, _PER_REACH] = np.abs(normals[:, :2]) @ (abs(a) + abs(b), abs(d) + abs(e))
+        return planes
 
     def screen_error(self, eye: Eye, row: int, col: int) -> float:
         """Return a vertex's error on screen, pixels."""
         error = _known_error(row, col, self.tile, self._errors, self._coarse_errors, self._strides)
-        return float(screen_error(error, row, col, self.tile, self._view(eye), eye.planes))
+        return float(screen_error(error, row, col, self.tile, self._view(eye), self._planes(eye)))
 
 
 # Errors
@@ -413,9 +493,8 @@ def screen_error(error, row, col, tile, view, planes):
     half_z, away_z = (high - low) / 2, (high + low) / 2 - view[_Z]
     away_x, away_y = x - view[_X], y - view[_Y]
     for k in range(planes.shape[0]):
-        most = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2] * (low + half_z) + planes[k, 3]
-        most += abs(planes[k, 0]) * half_x + abs(planes[k, 1]) * half_y
-        if most + abs(planes[k, 2]) * half_z < 0:
+        most = planes[k, _ALONG_X] * x + planes[k, _ALONG_Y] * y + planes[k, _CONSTANT]
+        if most + planes[k, _PER_REACH] * reach < 0:
             return 0.0
     near_x, near_y = max(abs(away_x) - half_x, 0.0), max(abs(away_y) - half_y, 0.0)
     near_z = max(abs(away_z) - half_z, 0.0)
@@ -433,6 +512,37 @@ def screen_error(error, row, col, tile, view, planes):
     far_x, far_y, far_z = abs(away_x) + half_x, abs(away_y) + half_y, abs(away_z) + half_z
     farthest = np.sqrt(far_x * far_x + far_y * far_y + far_z * far_z)
     return view[_FOCAL] * error * min(farthest / depth, view[_SLANT]) / depth
+
+
+# Shares of thresholds
+
+
+@kernel
+def fill_shares(
+    errors, coarse_errors, strides, tile, active, vertex_of, view, planes, start, end, shares
+):
+    """Fill for which share of the thresholds between `start` and `end` each vertex is there.
+
+    Where one is, so is all that it depends on, which comes before it in `active`.
+    """
+    n_rows, n_cols = vertex_of.shape
+    shares[:] = 0.0
+    for number in range(active.shape[0] - 1, -1, -1):
+        row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
+        if row % tile == 0 and col % tile == 0:
+            shares[number] = 1.0
+            continue
+        share = shares[number]
+        if share < 1:
+            error = _known_error(row, col, tile, errors, coarse_errors, strides)
+            on_screen = screen_error(error, row, col, tile, view, planes)
+            share = max(share, min((on_screen - start) / (end - start), 1.0))
+            shares[number] = share
+        r2, c2, r3, c3 = _needs(row, col, tile)
+        for r, c in ((r2, c2), (r3, c3)):
+            if 0 <= r < n_rows and 0 <= c < n_cols:
+                needed = vertex_of[r, c]
+                shares[needed] = max(shares[needed], share)
 
 
 # Splits and merges
@@ -517,19 +627,17 @@ def merge_vertices(
 
 @kernel
 def split_vertices(
-    errors, coarse_errors, strides, tile, is_active, n_children, active, done, n_active, view,
-    planes, tau, stack,
+    errors, coarse_errors, strides, tile, is_active, n_children, active, done, n_active, limit,
+    view, planes, tau, stack,
 ):  # fmt: skip
     """Split what depends on active vertices where its error is above `tau`, and all it needs.
 
-    Goes on from the vertex number `done` while there is room in `active`. Return the next vertex,
-    how many are active, how many were touched and split.
+    Goes on from the vertex number `done` while there is room in `active` and no more than `limit`
+    are active. Return the next vertex, how many are active, how many were touched and split.
     """
     n_touched = n_changed = 0
     n_rows, n_cols = errors.shape
-    while done < n_active:
-        if n_active + 4 * stack.shape[0] > active.shape[0]:
-            return done, n_active, n_touched, n_changed
+    while done < n_active <= limit and n_active + _ROOM <= active.shape[0]:
         at_row, at_col = np.int64(active[done, 0]), np.int64(active[done, 1])
         done += 1
         for k in range(4):

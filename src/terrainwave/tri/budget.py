@@ -1,0 +1,29 @@
+"""A factor of τ that keeps meshes within a budget of vertices from frame to frame."""
+
+# Where there are too many vertices, τ is raised by steps; it sinks again by smaller ones.
+_RISE, _RELIEF = 1.1, 1.02
+# No view is shown coarser; what is around the eye has no error small enough.
+_LARGEST = 1e6
+
+
+class Pressure:
+    """A factor of τ, at least 1, that rises at once and sinks slowly.
+
+    Attributes
+    ----------
+    factor : float
+    """
+
+    def __init__(self) -> None:
+        self.factor = 1.0
+
+    def relieve(self) -> None:
+        """Let it sink by a step; once a frame."""
+        self.factor = max(self.factor / _RELIEF, 1.0)
+
+    def rise(self) -> bool:
+        """Raise it by a step; false if it is as large as it may be."""
+        if self.factor >= _LARGEST:
+            return False
+        self.factor *= _RISE
+        return True
