@@ -299,6 +299,13 @@ def test_the_budget_is_kept_and_tau_sinks_again():
     assert len(again.vertices) == len(free.vertices)
 
 
+def test_a_budget_that_cannot_be_kept_ends():
+    """The eye is among the heights: nodes around it have no error small enough."""
+    mesh = DynamicMesh(rough((16, 16)), sample_matrix=NORTH_UP, patch=16)
+    frame = mesh.update(eye_of(Camera((8, -8, 3), 0, -20, 60)), 1.0, max_vertices=1)
+    assert len(frame.vertices) > 1
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

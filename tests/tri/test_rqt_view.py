@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from tri.slow_dynamic import NORTH_UP, VIEWPORT, areas, cameras, eye_of, surfaces_at
@@ -105,13 +107,14 @@ def test_at_full_detail_voids_are_as_in_the_full_grid():
     assert len(frame.vertices) == 24
 
 
+@pytest.mark.parametrize("morph", [1.0, 1.25, 3.0])
 @pytest.mark.parametrize(("shape", "tile", "has_void"), SHAPES)
-def test_no_sample_is_further_than_tau_on_screen(shape, tile, has_void):
+def test_no_sample_is_further_than_tau_on_screen(shape, tile, has_void, morph):
     mesh, heights = mesh_of(shape, tile, has_void), heights_of(shape, has_void)
     largest, n_seen = 0.0, 0
     for tau in (2.0, 8.0):
         for camera in cameras(shape, 6, seed=3):
-            frame = mesh.update(eye_of(camera), tau)
+            frame = mesh.update(eye_of(camera), tau, morph=morph)
             for row, col in np.argwhere(~np.isnan(heights)).tolist():
                 at = np.array([[col, -row, heights[row, col]]])
                 pixel = project(camera, VIEWPORT, at)[0]
@@ -168,6 +171,104 @@ def test_a_view_that_stays_changes_nothing_and_touches_what_it_shows():
     assert frame.n_touched <= 3 * frame.n_active < 65 * 65
 
 
+# Morphs
+
+
+def surface_of(frame, shape, every=1):
+    """Heights of a mesh over samples; NaN where it has none."""
+    found = np.full(shape, np.nan)
+    for row, col in [*np.ndindex(shape)][::every]:
+        over = surfaces_at(frame, col, -row)
+        if len(over):
+            np.testing.assert_allclose(over, over[0], rtol=0, atol=1e-9)  # no crack
+            found[row, col] = over[0]
+    return found
+
+
+@pytest.mark.parametrize("error", ["measured", "paper"])
+def test_what_is_drawn_is_the_mean_of_the_surfaces_for_all_thresholds(error):
+    """Those change where a vertex's error is passed: the integral is a sum."""
+    shape, tau, morph = (9, 9), 12.0, 4.0
+    mesh, slow = (mesh_of(shape, 8, False, error=error) for _ in range(2))
+    n_between = 0
+    for camera in cameras(shape, 3, seed=5):
+        eye = eye_of(camera)._replace(planes=np.empty((0, 4)))
+        drawn = surface_of(mesh.update(eye, tau, morph=morph), shape)
+        errors = {slow.screen_error(eye, *place) for place, _ in vertices_below_corners(slow)}
+        inside = {error for error in errors if tau / morph < error < tau}
+        limits = np.array([tau / morph, *sorted(inside), tau])
+        mean = np.zeros(shape)
+        for low, high in pairwise(limits):
+            mean += (high - low) * surface_of(slow.update(eye, (low + high) / 2), shape)
+        np.testing.assert_allclose(drawn, mean / (tau - tau / morph), rtol=0, atol=1e-6)
+        n_between += len(inside)
+    assert n_between > 20
+
+
+def test_a_vertex_leaves_the_edge_it_splits_at_the_lower_threshold():
+    """By hand: a pit of 8 in the middle of a tile, between corners of 0."""
+    heights = np.zeros((3, 3))
+    heights[1, 1] = -8.0
+    mesh = RestrictedMesh((3, 3), RANGE, heights, tile=2, sample_matrix=NORTH_UP)
+    eye = eye_of(Camera((1, -400, 200), 0, -27, 40))._replace(planes=np.empty((0, 4)))
+    error = mesh.screen_error(eye, 1, 1)
+    for share in (1e-9, 0.25, 1.0):
+        # (error - τ/2) / (τ - τ/2) = share
+        frame = mesh.update(eye, 2 * error / (1 + share), morph=2.0)
+        middle = np.flatnonzero((frame.places == 1).all(axis=1))
+        assert frame.vertices[middle[0], 2] == pytest.approx(-8 * share, abs=1e-6)
+    assert mesh.update(eye, 2 * error * (1 + 1e-9), morph=2.0).n_active == 4
+
+
+def largest_jump(mesh, shape, n_steps, morph):
+    """The largest way that the surface over a sample moves in one step of a flight."""
+    jumps, before = [], None
+    for share in np.linspace(0, 1, n_steps):
+        # Nothing is out of view: there it may jump.
+        eye = eye_of(Camera((8 + 4 * share, -60 + 30 * share, 61), 0, -20, 40))
+        eye = eye._replace(planes=np.empty((0, 4)))
+        surface = surface_of(mesh.update(eye, 60.0, morph=morph), shape, every=7)
+        if before is not None:
+            jumps.append(float(np.nanmax(np.abs(surface - before))))
+        before = surface
+    return max(jumps)
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("error", ["measured", "paper"])
+def test_nothing_jumps_with_a_morph(error):
+    """A tenth of the step makes a tenth of the way; without a morph vertices jump all the same."""
+    shape = (17, 17)
+    coarse, fine, without = (
+        largest_jump(mesh_of(shape, 16, False, error=error), shape, n_steps, morph)
+        for n_steps, morph in ((17, 2.0), (161, 2.0), (161, 1.0))
+    )
+    assert fine < 0.25 * coarse
+    assert without > 4 * fine
+
+
+def test_the_budget_is_kept_and_tau_sinks_again():
+    mesh = mesh_of((33, 33), 16, False)
+    eye = eye_of(Camera((16, -16, 90), 0, -80, 60))
+    free = mesh.update(eye, 1.0, morph=1.25)
+    assert free.tau == 1.0
+    assert free.n_active > 200
+    tight = mesh.update(eye, 1.0, morph=1.25, max_vertices=100)
+    assert 9 < tight.n_active <= 100
+    assert tight.tau > 1.0
+    for _ in range(200):
+        again = mesh.update(eye, 1.0, morph=1.25, max_vertices=1100)
+    assert again.tau == 1.0
+    assert again.n_active == free.n_active
+
+
+def test_a_budget_that_cannot_be_kept_ends():
+    """The eye is among the heights: what is around it has no error small enough."""
+    mesh = mesh_of((17, 17), 16, False)
+    frame = mesh.update(eye_of(Camera((8, -8, 5), 0, -20, 60)), 1.0, max_vertices=4)
+    assert frame.n_active > 4
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -182,10 +283,15 @@ def test_what_is_no_raster_is_refused(options, words):
         RestrictedMesh((5, 5), RANGE, np.zeros((5, 5)), **options)
 
 
-def test_tau_and_tiles_are_checked():
+def test_options_and_tiles_are_checked():
     mesh = mesh_of((17, 17), 16, False)
+    eye = eye_of(Camera((0, 0, 9)))
     with pytest.raises(InvalidHeightsError, match="tau"):
-        mesh.update(eye_of(Camera((0, 0, 9))), 0.0)
+        mesh.update(eye, 0.0)
+    with pytest.raises(InvalidHeightsError, match="morph"):
+        mesh.update(eye, 1.0, morph=0.5)
+    with pytest.raises(InvalidHeightsError, match="corner of a tile: 4"):
+        mesh.update(eye, 1.0, max_vertices=3)
     with pytest.raises(InvalidHeightsError, match="tile of shape"):
         mesh.load(0, 0, np.zeros((4, 4)))
 

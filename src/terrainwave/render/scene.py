@@ -14,7 +14,7 @@ from terrainwave.render.camera import Camera, Viewport, predict
 from terrainwave.render.frame import Frame, frame_of
 from terrainwave.render.frustum import may_see
 from terrainwave.render.modes import mode_class
-from terrainwave.render.modes.mode import Frames, Mode
+from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode
 from terrainwave.render.paging import Pager
 from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Piece, Selection, View
 
@@ -92,7 +92,7 @@ class Scene:
         error: str = "measured",
         exaggeration: float = 1.0,
         radius: float | None = None,
-        max_triangles: int = 20_000_000,
+        max_triangles: int = MAX_TRIANGLES,
         target_ms: float | None = None,
         n_workers: int = 2,
         progress: ProgressCallback | None = None,
@@ -102,6 +102,7 @@ class Scene:
         self.mode: Mode = mode_class(mode)(terrain, self.frame, error=error, progress=progress)
         self.store = store
         self.table = NodeTable()
+        self.mode.max_triangles = max_triangles
         self.governor = ErrorGovernor(max_triangles, target_ms)
         self.timings = Timings()
         self.problems: dict[Piece, str] = {}

@@ -190,6 +190,11 @@ class DynamicMesh:
         """Return the number of nodes of all heights."""
         return len(self.marks)
 
+    @property
+    def least_vertices(self) -> int:
+        """Return how many vertices a view may have at least: one per patch."""
+        return int(self.tree.layout[-1, N_ROWS] * self.tree.layout[-1, N_COLS])
+
     # One frame
 
     def update(
@@ -211,8 +216,8 @@ class DynamicMesh:
             λ >= 1: vertices move to their parents' places while those have errors of τ / λ … τ.
             1: they jump.
         max_vertices : int, optional
-            Budget; τ is raised until it is kept. At least the number of patches. Nodes around the
-            eye are divided whatever it says.
+            Budget; τ is raised until it is kept. At least `least_vertices`. Nodes around the eye
+            are divided whatever it says.
         is_stepwise : bool
             Change by one height at most, as the paper does; the mesh may lag behind the view.
 
@@ -221,11 +226,11 @@ class DynamicMesh:
         InvalidHeightsError
             If an argument is out of range.
         """
-        n_patches = int(self.tree.layout[-1, N_ROWS] * self.tree.layout[-1, N_COLS])
         check_update(tau, morph)
-        if max_vertices is not None and max_vertices < n_patches:
+        if max_vertices is not None and max_vertices < self.least_vertices:
             raise InvalidHeightsError(
-                f"found max_vertices {max_vertices}, expected at least one per patch: {n_patches}"
+                f"found max_vertices {max_vertices}, expected at least one per patch:"
+                f" {self.least_vertices}"
             )
         view = self._view(eye)
         self._pressure.relieve()

@@ -1,8 +1,8 @@
 """Where the vertices of a restricted quadtree are drawn between two thresholds (`rqt_view`).
 
-Each vertex has the share of the thresholds for which it is there, no larger than the shares of those
-it depends on. For each threshold the vertices that are there have a triangulation of their own;
-drawn is the mean of these surfaces, at the vertices that are there for any threshold.
+Each vertex has the share of the thresholds for which it is there, no larger than the shares of
+those it depends on. For each threshold the vertices that are there have a triangulation of their
+own; drawn is the mean of these surfaces, at the vertices that are there for any threshold.
 
 Around a vertex v the triangulations differ in how far the triangles that hold it are split: T, the
 one beside the edge that v splits, is split for the share of v and is there for that of its top,
@@ -26,7 +26,7 @@ def number_vertices(active, z, vertex_of, heights):
 
 
 @kernel
-def place_vertices(active, vertex_of, shares, heights, matrix, vertices, places):
+def place_vertices(active, vertex_of, shares, heights, z_scale, matrix, vertices, places):
     """Fill vertices and the samples they come from; return how many are not void.
 
     `vertex_of` holds numbers of active vertices, and afterwards those of what was filled; -1 is
@@ -44,7 +44,7 @@ def place_vertices(active, vertex_of, shares, heights, matrix, vertices, places)
         places[count, 0], places[count, 1] = row, col
         vertices[count, 0] = matrix[0] * col + matrix[1] * row + matrix[2]
         vertices[count, 1] = matrix[3] * col + matrix[4] * row + matrix[5]
-        vertices[count, 2] = height
+        vertices[count, 2] = height * z_scale
         count += 1
     return count
 

@@ -52,7 +52,6 @@ _IS_BOUND, _MATRIX = 11, 12
 _ALONG_X, _ALONG_Y, _CONSTANT, _PER_REACH = 0, 1, 2, 3
 # Nodes that one vertex depends on and that are not active yet: at most a few of each stride.
 _MOST_DEPENDENCIES = 4096
-_FIRST_CAPACITY = 1 << 14
 _ROOM = 4 * _MOST_DEPENDENCIES  # for what depends on one vertex
 _ROUNDING = 2.0**-22
 _TINY = 1e-6  # what makes an error negative
@@ -156,15 +155,25 @@ class RestrictedMesh:
         self._is_active = np.zeros(padded, dtype=np.bool_)
         self._is_active[::tile, ::tile] = True
         corners = np.argwhere(self._is_active).astype(np.int32)
-        self._active = np.empty((_FIRST_CAPACITY + len(corners), 2), dtype=np.int32)
-        self._active[: len(corners)] = corners
-        self._n_active = len(corners)
+        self._active, self._n_active = corners, len(corners)
+        self._reserve()
         self._vertex_of = np.empty(padded, dtype=np.int32)
         self._stack = np.empty((_MOST_DEPENDENCIES, 6), dtype=np.int64)
         self._pressure = Pressure()
         for row in range(self.n_tiles[0]):
             for col in range(self.n_tiles[1]):
                 self._measure(row, col, stride, base_error)
+
+    def _reserve(self) -> None:
+        """Make room for twice the active vertices, in what updates fill again and again."""
+        capacity = 2 * (self._n_active + _ROOM)
+        active = np.empty((capacity, 2), dtype=np.int32)
+        active[: self._n_active] = self._active[: self._n_active]
+        self._active = active
+        self._shares, self._own_heights = np.empty(capacity), np.empty(capacity)
+        self._vertices = np.empty((capacity, 3))
+        self._places = np.empty((capacity, 2), dtype=np.int32)
+        self._triangles = np.empty((2 * capacity, 3), dtype=np.int32)
 
     # Tiles
 
@@ -220,6 +229,11 @@ class RestrictedMesh:
 
     # One frame
 
+    @property
+    def least_vertices(self) -> int:
+        """Return how many vertices there are always: the corners of tiles."""
+        return (self.n_tiles[0] + 1) * (self.n_tiles[1] + 1)
+
     def update(
         self, eye: Eye, tau: float, *, morph: float = 1.0, max_vertices: int | None = None
     ) -> RestrictedFrame:
@@ -230,11 +244,11 @@ class RestrictedMesh:
         tau : float
             Largest error on screen in pixels, > 0.
         morph : float
-            λ >= 1: vertices move to their own heights while their errors go from τ / λ to τ. 1: they
-            jump.
+            λ >= 1: vertices move to their own heights while their errors go from τ / λ to τ.
+            1: they jump.
         max_vertices : int, optional
-            Budget; τ is raised until it is kept. At least the number of corners of tiles. Vertices
-            around the eye are split whatever it says.
+            Budget; τ is raised until it is kept. At least `least_vertices`. Those around the eye
+            are split whatever it says.
 
         Raises
         ------
@@ -242,11 +256,10 @@ class RestrictedMesh:
             If an argument is out of range.
         """
         check_update(tau, morph)
-        n_corners = (self.n_tiles[0] + 1) * (self.n_tiles[1] + 1)
-        if max_vertices is not None and max_vertices < n_corners:
+        if max_vertices is not None and max_vertices < self.least_vertices:
             raise InvalidHeightsError(
                 f"found max_vertices {max_vertices}, expected at least one per corner of a tile:"
-                f" {n_corners}"
+                f" {self.least_vertices}"
             )
         view, planes = self._view(eye), self._planes(eye)
         self._pressure.relieve()
@@ -260,10 +273,16 @@ class RestrictedMesh:
             if not self._pressure.rise():
                 break
         used = tau * self._pressure.factor
-        vertices, places = self._place(view, planes, used / morph, used)
+        count = self._place(view, planes, used / morph, used)
+        a, b, _, d, e, _ = self._matrix
+        n_triangles = draw_triangles(
+            self._z, self._is_active, self.tile, a * e < b * d, self._vertex_of, self._stack,
+            self._triangles,
+        )  # fmt: skip
         return RestrictedFrame(
-            vertices, self._triangles(), places, self._n_active, n_touched, n_changed, used
-        )
+            self._vertices[:count].copy(), self._triangles[:n_triangles].copy(),
+            self._places[:count].copy(), self._n_active, n_touched, n_changed, used,
+        )  # fmt: skip
 
     def _follow(
         self,
@@ -281,7 +300,7 @@ class RestrictedMesh:
         done = 0
         while done < self._n_active <= limit:
             if self._n_active + _ROOM > len(self._active):
-                self._active = np.concatenate([self._active, np.empty_like(self._active)])
+                self._reserve()
             done, self._n_active, touched, changed = split_vertices(
                 *state, self._n_children, self._active, done, self._n_active, limit, view, planes,
                 threshold, self._stack,
@@ -291,31 +310,23 @@ class RestrictedMesh:
 
     def _place(
         self, view: NDArray[np.float64], planes: NDArray[np.float64], start: float, end: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-        """Return the vertices that are not void, and their samples; number them."""
+    ) -> int:
+        """Fill the vertices that are not void and their samples; return how many there are."""
         n = self._n_active
-        active, shares, heights = self._active[:n], np.ones(n), np.empty(n)
+        active, shares, heights = self._active[:n], self._shares[:n], self._own_heights[:n]
         number_vertices(active, self._z, self._vertex_of, heights)
         if end > start:
             fill_shares(
                 self._errors, self._coarse_errors, self._strides, self.tile, active,
                 self._vertex_of, view, planes, start, end, shares,
             )  # fmt: skip
-        vertices, places = np.empty((n, 3)), np.empty((n, 2), dtype=np.int32)
-        count = place_vertices(
-            active, self._vertex_of, shares, heights, view[_MATRIX:], vertices, places
-        )
-        vertices[:, 2] *= view[_Z_SCALE]
-        return vertices[:count].copy(), places[:count].copy()
-
-    def _triangles(self) -> NDArray[np.int32]:
-        triangles = np.empty((2 * self._n_active, 3), dtype=np.int32)
-        a, b, _, d, e, _ = self._matrix
-        count = draw_triangles(
-            self._z, self._is_active, self.tile, a * e < b * d, self._vertex_of, self._stack,
-            triangles,
+        else:
+            shares[:] = 1.0
+        count: int = place_vertices(
+            active, self._vertex_of, shares, heights, view[_Z_SCALE], view[_MATRIX:],
+            self._vertices, self._places,
         )  # fmt: skip
-        return triangles[:count].copy()
+        return count
 
     def _view(self, eye: Eye) -> NDArray[np.float64]:
         numbers = (
@@ -483,7 +494,7 @@ def screen_error(error, row, col, tile, view, planes):
         return 0.0
     both = row | col
     stride = min(both & -both, tile) if both else tile
-    is_centre = (row // stride) % 2 == 1 and (col // stride) % 2 == 1
+    is_centre = row & stride and col & stride and stride < tile
     reach = (3 if is_centre else 2) * stride
     x = view[_MATRIX] * col + view[_MATRIX + 1] * row + view[_MATRIX + 2]
     y = view[_MATRIX + 3] * col + view[_MATRIX + 4] * row + view[_MATRIX + 5]
@@ -529,7 +540,7 @@ def fill_shares(
     shares[:] = 0.0
     for number in range(active.shape[0] - 1, -1, -1):
         row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
-        if row % tile == 0 and col % tile == 0:
+        if _is_corner(row, col, tile):
             shares[number] = 1.0
             continue
         share = shares[number]
@@ -549,9 +560,15 @@ def fill_shares(
 
 
 @kernel
+def _is_corner(row, col, tile):
+    """Say whether a place is a corner of tiles; those are always vertices."""
+    return (row | col) & (tile - 1) == 0
+
+
+@kernel
 def _needs(row, col, tile):
     """Return the two vertices that one depends on; itself twice where it is a tile's corner."""
-    if row % tile == 0 and col % tile == 0:
+    if _is_corner(row, col, tile):
         return row, col, row, col
     both = row | col
     _, _, _, _, r2, c2, r3, c3 = _neighbours(row, col, both & -both)
@@ -563,8 +580,7 @@ def _child(row, col, tile, k):
     """Return the k-th of the four vertices that may depend on one; -1 where there is none."""
     both = row | col
     stride = min(both & -both, tile) if both else tile
-    is_corner = row % tile == 0 and col % tile == 0
-    if not is_corner and (row // stride) % 2 == 1 and (col // stride) % 2 == 1:
+    if not _is_corner(row, col, tile) and row & stride and col & stride:
         down, right = ((-1, 0), (0, -1), (1, 0), (0, 1))[k]
         return row + down * stride, col + right * stride
     half = stride // 2
@@ -605,7 +621,7 @@ def merge_vertices(
     n_touched = n_changed = 0
     for number in range(n_active - 1, -1, -1):
         row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
-        if n_children[row, col] or (row % tile == 0 and col % tile == 0):
+        if n_children[row, col] or _is_corner(row, col, tile):
             continue
         n_touched += 1
         error = _known_error(row, col, tile, errors, coarse_errors, strides)

@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.quadtree import Region
-from terrainwave.render.modes.whole import MAX_VERTICES, BuiltSamples, Drawn, WholeMode, eye_of
+from terrainwave.render.modes.whole import MORPH, BuiltSamples, Drawn, WholeMode, eye_of
 from terrainwave.render.patches import Cancelled
 from terrainwave.render.selection import NodeTable, Piece, View
 from terrainwave.tri.dynamic import DynamicFrame, DynamicMesh
 
-# λ: vertices move to their parents' places while those have errors of τ / λ … τ.
-MORPH = 1.25
 PATCH = 256
 
 
@@ -57,8 +55,9 @@ class Dynamic(WholeMode):
 
     def mesh(self, table: NodeTable, view: View, tau: float) -> tuple[Drawn, float]:
         """Return the mesh of a view, and its τ."""
-        found = self.dynamic_mesh.update(
-            eye_of(view), tau, morph=self.morph, max_vertices=MAX_VERTICES
+        mesh = self.dynamic_mesh
+        found = mesh.update(
+            eye_of(view), tau, morph=self.morph, max_vertices=self.max_vertices(mesh.least_vertices)
         )
         self.frame_mesh = found
         sizes: NDArray[np.int32] = found.nodes[:, 0]

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from terrainwave.terrain import Terrain
 
 ERRORS = ("measured", "paper")
+MAX_TRIANGLES = 20_000_000
 
 
 class Frames(NamedTuple):
@@ -80,10 +81,14 @@ class Mode(ABC):
         All finest pieces are drawn, as many at a time as the store holds.
     n_levels : int
         Of its pieces; level 0 is the coarsest.
+    max_triangles : int
+        Per frame, for modes that make their triangles in `frames`: they raise τ beyond it. Those
+        of pieces are counted by who selects them.
     """
 
     name: str
     is_partwise = False
+    max_triangles = MAX_TRIANGLES
 
     def __init__(
         self,

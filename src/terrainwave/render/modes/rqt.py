@@ -2,7 +2,7 @@
 
 From high up the overview alone is drawn: a coarse level of the file. Tiles are read and decoded by
 workers as they come into view with an overview that is not good enough; until then the overview
-stands in for them. Vertices don't morph: what splits or merges is within τ before and after.
+stands in for them.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,14 @@ from terrainwave.progress import ProgressCallback
 from terrainwave.quadtree import Region
 from terrainwave.render.camera import Camera
 from terrainwave.render.frame import Frame
-from terrainwave.render.modes.whole import BuiltSamples, Drawn, Samples, WholeMode, eye_of
+from terrainwave.render.modes.whole import (
+    MORPH,
+    BuiltSamples,
+    Drawn,
+    Samples,
+    WholeMode,
+    eye_of,
+)
 from terrainwave.render.selection import NodeInfo, NodeTable, Piece, View
 from terrainwave.tri.rqt_view import RestrictedFrame, RestrictedMesh
 
@@ -131,8 +138,10 @@ class Rqt(WholeMode):
             if node is not None and table.is_resident[node]:
                 samples = self._built.pop(piece)
                 mesh.load(piece.row, piece.col, samples.heights, self.base_error)
-        found = mesh.update(eye_of(view), tau)
+        found = mesh.update(
+            eye_of(view), tau, morph=MORPH, max_vertices=self.max_vertices(mesh.least_vertices)
+        )
         self.frame_mesh = found
         both = found.places[:, 0] | found.places[:, 1] | TILE
         sizes = np.log2(both & -both).astype(np.int32)
-        return Drawn(found.vertices, found.triangles, sizes), tau
+        return Drawn(found.vertices, found.triangles, sizes), found.tau

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 # A texture of slopes of this side takes 81 MiB.
 MAX_SIDE = 4608
 MAX_VERTICES = 4_000_000
+# λ: vertices move while errors go from τ / λ to τ.
+MORPH = 1.25
 
 
 class Drawn(NamedTuple):
@@ -202,6 +204,10 @@ class WholeMode(Mode):
         n_triangles = 0 if self.drawn is None else len(self.drawn.triangles)
         none = np.zeros(len(nodes))
         return Frames(nodes, selection.distances[:1], none, none, n_triangles, used, n_missing)
+
+    def max_vertices(self, least: int) -> int:
+        """Return the budget of a frame's mesh, which has less than two triangles per vertex."""
+        return max(min(self.max_triangles // 2, MAX_VERTICES), least)
 
     def mesh(self, table: NodeTable, view: View, tau: float) -> tuple[Drawn, float]:
         """Return the mesh of a view, and its τ."""
