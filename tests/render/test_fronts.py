@@ -72,6 +72,44 @@ def test_a_larger_tau_draws_fewer_triangles(small, mode):
         assert counts[0] > counts[1] > counts[2] > 0
 
 
+@pytest.mark.parametrize("mode", ["dynamic", "rqt", "vertex-texture"])
+def test_triangles_keep_to_their_limit_and_tau_says_so(small, mode):
+    with Scene(small, ListStore(), mode=mode, max_triangles=300) as scene:
+        camera = home(scene.frame.box, VIEWPORT)
+        frames = scene.settle(scene.view(camera, VIEWPORT, 0.5))
+        assert 30 < frames.n_triangles <= 300
+        assert frames.tau > 0.5
+        assert largest_error(scene, camera, 13) <= frames.tau
+        for _ in range(400):
+            frames = scene.update(scene.view(camera, VIEWPORT, 500.0))
+        assert frames.tau == 500.0
+
+
+def largest_jump(scene, n_steps):
+    """The largest way on screen that what is drawn over a sample moves in one step of a flight."""
+    rows, cols = (places.ravel() for places in np.mgrid[8:36:7, 8:46:6])
+    xy = scene.frame.samples_to_local(rows, cols)
+    top, jumps, before = float(scene.frame.box[1][2]), [], None
+    for share in np.linspace(0, 1, n_steps):
+        camera = Camera((100 * share, -1400 + 400 * share, top + 900), 0, -40, 70)
+        scene.settle(scene.view(camera, VIEWPORT, 60.0))
+        z = np.array([surfaces_at(scene.mode.drawn, *at)[0] for at in xy])
+        if before is not None:
+            a, b = (project(camera, VIEWPORT, np.column_stack([xy, at])) for at in (before, z))
+            jumps.append(float(np.linalg.norm((a - b)[:, :2], axis=1).max()))
+        before = z
+    return max(jumps)
+
+
+@pytest.mark.parametrize("mode", ["dynamic", "rqt", "vertex-texture"])
+def test_nothing_pops(small, mode):
+    """A tenth of a camera's step moves what is drawn a tenth as far."""
+    with Scene(small, ListStore(), mode=mode) as scene:
+        coarse, fine = (largest_jump(scene, n_steps) for n_steps in (9, 81))
+        assert fine < 0.3 * coarse
+        assert 0 < fine < 0.5  # without a morph: 4
+
+
 def test_from_high_up_the_overview_is_drawn_alone(monkeypatch):
     """Tiles come with the view, near ones first; what they replace stands in for them."""
     monkeypatch.setattr(rqt, "TILE", 16)
