@@ -31,7 +31,7 @@ def mesh_of(shape, tile, has_void, **options):
 
 def vertices_below_corners(mesh):
     """All places of the padded grid but the tiles' corners, with what they depend on."""
-    n_rows, n_cols = mesh._z.shape
+    n_rows, n_cols = mesh._is_active.shape
     for row, col in np.ndindex(n_rows, n_cols):
         if row % mesh.tile == 0 and col % mesh.tile == 0:
             continue
@@ -63,7 +63,9 @@ def test_by_coefficient_what_a_vertex_depends_on_is_split_with_it():
     heights = np.zeros((33, 33))
     heights[21, 9] = 8.0
     mesh = RestrictedMesh((33, 33), RANGE, heights, tile=32, sample_matrix=NORTH_UP, error="paper")
-    found = {place: float(mesh._errors[place]) for place, _ in vertices_below_corners(mesh)}
+    found = {
+        place: float(mesh._tiles._coarse_errors[place]) for place, _ in vertices_below_corners(mesh)
+    }
     assert found[21, 9] == 8
     assert found[1, 31] == 0
     eye = eye_of(Camera((16, -60, 100), 0, -45, 50))._replace(planes=np.empty((0, 4)))
@@ -145,7 +147,7 @@ def test_tiles_are_split_below_the_overview_once_they_are_loaded():
     frame = mesh.update(eye, 0.1)
     assert (frame.places % 4 == 0).all()
     assert len(frame.places) > 25
-    mesh.load(0, 1, heights[:17, 16:])
+    mesh.load(0, 1, mesh.measure(0, 1, heights[:17, 16:]))
     frame = mesh.update(eye, 0.1)
     is_fine = (frame.places % 4 != 0).any(axis=1)
     assert is_fine.sum() > 50
@@ -156,7 +158,7 @@ def test_tiles_are_split_below_the_overview_once_they_are_loaded():
         for col in range(2):
             if not mesh.is_loaded(row, col):
                 part = heights[16 * row : 16 * row + 17, 16 * col : 16 * col + 17]
-                mesh.load(row, col, part)
+                mesh.load(row, col, mesh.measure(row, col, part))
     again, expected = mesh.update(eye, 0.1), whole.update(eye, 0.1)
     fine = {tuple(place) for place in expected.places.tolist()}
     assert fine <= {tuple(place) for place in again.places.tolist()}
@@ -293,7 +295,7 @@ def test_options_and_tiles_are_checked():
     with pytest.raises(InvalidHeightsError, match="corner of a tile: 4"):
         mesh.update(eye, 1.0, max_vertices=3)
     with pytest.raises(InvalidHeightsError, match="tile of shape"):
-        mesh.load(0, 0, np.zeros((4, 4)))
+        mesh.measure(0, 0, np.zeros((4, 4)))
 
 
 def test_errors_are_not_below_the_distance_of_any_sample_from_the_triangles_that_are_split():
@@ -314,6 +316,6 @@ def test_errors_are_not_below_the_distance_of_any_sample_from_the_triangles_that
                 weights = np.linalg.solve(np.vstack([corners.T, np.ones(3)]), [*place, 1])
                 if weights.min() >= -1e-9:
                     worst = max(worst, abs(np.dot([*place, 1], plane) - heights[place]))
-        assert mesh._errors[row, col] >= worst * (1 - 1e-6)
-        n_equal += abs(mesh._errors[row, col] - worst) < 1e-4
+        assert mesh._tiles._coarse_errors[row, col] >= worst * (1 - 1e-6)
+        n_equal += abs(mesh._tiles._coarse_errors[row, col] - worst) < 1e-4
     assert n_equal > 100

@@ -240,6 +240,7 @@ class Scene:
             self._memory_factor *= _PRESSURE  # all that is here is needed: need less
             return
         table.describe(node, built)
+        self.mode.keep(table.pieces[node], built)
 
     # Everything, a part at a time
 
@@ -274,6 +275,7 @@ class Scene:
                 if not self.store.put(node, built):
                     break
                 self.table.describe(node, built)
+                self.mode.keep(self.table.pieces[node], built)
                 batch.append(node)
             if not batch:
                 raise LimitExceededError("a block does not fit the memory allowed for pictures")
@@ -289,4 +291,5 @@ class Scene:
 
     def _drop(self, node: int) -> None:
         self.store.drop(node)
+        self.mode.drop(self.table.pieces[node])
         self.table.is_resident[node] = False

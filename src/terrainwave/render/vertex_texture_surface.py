@@ -13,6 +13,7 @@ from terrainwave.render.selection import View
 from terrainwave.render.shaders import TERRAIN_FRAGMENT
 from terrainwave.render.surface import OWN_UNIT, release_all, set_uniforms
 from terrainwave.render.whole_surface import WholeStore
+from terrainwave.tri.dynamic import DynamicMesh
 from terrainwave.tri.haar import FIRST, HIGH, LOW, N_COLS, N_ROWS, HaarTree
 
 if TYPE_CHECKING:
@@ -139,7 +140,7 @@ class TreeStore(WholeStore):
     def put(self, node: int, built: "BuiltSamples") -> bool:
         """Upload slopes and nodes."""
         super().put(node, built)
-        if built.mesh is None:
+        if not isinstance(built.mesh, DynamicMesh):
             raise AssertionError("the mode builds a tree")
         tree = built.mesh.tree
         shapes = tree.layout[:, N_ROWS:]

@@ -52,12 +52,18 @@ void main() {
 
 
 class WholeStore:
-    """A `Store` of the slopes of one raster, which come at once or in parts."""
+    """A `Store` of the slopes of one raster, which come at once or in parts.
 
-    max_blocks = 1 << 20
+    Parameters
+    ----------
+    max_blocks : int
+        Parts whose heights the mode may hold at a time; slopes of all of them stay.
+    """
 
-    def __init__(self, context: Any, *, max_bytes: int) -> None:
+    def __init__(self, context: Any, *, max_bytes: int, max_blocks: int = 1) -> None:
         self._context, self._max_bytes = context, max_bytes
+        self.max_blocks = max_blocks
+        self._nodes: set[int] = set()
         self.slopes: Any = None
         self.side = 0
 
@@ -68,6 +74,9 @@ class WholeStore:
 
     def put(self, node: int, built: Any) -> bool:
         """Upload slopes; the first time, of all the raster."""
+        if len(self._nodes) == self.max_blocks:
+            return False
+        self._nodes.add(node)
         samples: Samples = built.samples
         if self.slopes is None:
             self._allocate(max(samples.slopes.shape[:2]))
@@ -92,7 +101,8 @@ class WholeStore:
         self.slopes.repeat_x = self.slopes.repeat_y = False
 
     def drop(self, node: int) -> None:
-        """Do nothing: slopes stay."""
+        """Make room for another part; slopes stay."""
+        self._nodes.remove(node)
 
     def release(self) -> None:
         """Free the GPU's memory."""
@@ -107,13 +117,15 @@ class WholeSurface:
     ----------
     context : moderngl.Context
         OpenGL 3.3 core or newer.
+    max_blocks : int
+        See `WholeStore`.
     """
 
     n_clip_distances = 0
 
-    def __init__(self, context: Any, *, max_bytes: int) -> None:
+    def __init__(self, context: Any, *, max_bytes: int, max_blocks: int = 1) -> None:
         self._context = context
-        self.store = WholeStore(context, max_bytes=max_bytes)
+        self.store = WholeStore(context, max_bytes=max_bytes, max_blocks=max_blocks)
         self.program = context.program(
             vertex_shader=_VERTEX_SHADER.strip(), fragment_shader=TERRAIN_FRAGMENT.strip()
         )

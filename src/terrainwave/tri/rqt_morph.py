@@ -14,15 +14,20 @@ import numpy as np
 
 from terrainwave._jit import kernel
 from terrainwave.tri.rqt import _neighbours
+from terrainwave.tri.rqt_tiles import height_of
 
 
 @kernel
-def number_vertices(active, z, vertex_of, heights):
+def number_vertices(
+    active, slot_of, tile_heights, coarse_heights, bits, step_bits, vertex_of, heights
+):
     """Fill the number of each active vertex, and its sample's height; NaN is void."""
     for number in range(active.shape[0]):
-        row, col = active[number, 0], active[number, 1]
+        row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
         vertex_of[row, col] = number
-        heights[number] = z[row, col]
+        heights[number] = height_of(
+            row, col, slot_of, tile_heights, coarse_heights, bits, step_bits
+        )
 
 
 @kernel

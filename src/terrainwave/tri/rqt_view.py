@@ -41,7 +41,9 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.tri.budget import Pressure
 from terrainwave.tri.dynamic import Eye, check_update
 from terrainwave.tri.rqt import _neighbours
+from terrainwave.tri.rqt_errors import is_corner, needs_of
 from terrainwave.tri.rqt_morph import number_vertices, place_vertices
+from terrainwave.tri.rqt_tiles import Tile, Tiles, height_of, is_known, known_error
 from terrainwave.tri.triangle import area_of
 
 # Of a view as an array.
@@ -53,8 +55,6 @@ _ALONG_X, _ALONG_Y, _CONSTANT, _PER_REACH = 0, 1, 2, 3
 # Nodes that one vertex depends on and that are not active yet: at most a few of each stride.
 _MOST_DEPENDENCIES = 4096
 _ROOM = 4 * _MOST_DEPENDENCIES  # for what depends on one vertex
-_ROUNDING = 2.0**-22
-_TINY = 1e-6  # what makes an error negative
 
 
 class RestrictedFrame(NamedTuple):
@@ -140,29 +140,33 @@ class RestrictedMesh:
         if error not in ("measured", "paper"):
             raise InvalidHeightsError(f"found error {error!r}, expected measured or paper")
         self.shape, self.tile, self.stride = shape, tile, stride
-        self.n_tiles = tuple(max(-(-(n - 1) // tile), 1) for n in shape)
-        padded = tuple(n * tile + 1 for n in self.n_tiles)
-        self._z = np.full(padded, np.nan, dtype=np.float32)
-        self._z[: shape[0] : stride, : shape[1] : stride] = overview
-        self._errors = np.zeros(padded, dtype=np.float32)
-        coarse = tuple((n - 1) // stride + 1 for n in padded)
-        self._coarse_errors = np.zeros(coarse, dtype=np.float32)
+        n_rows, n_cols = (max(-(-(n - 1) // tile), 1) for n in shape)
+        self.n_tiles = n_rows, n_cols
         self._is_bound = error == "measured"
+        self._tiles = Tiles(
+            self.n_tiles, tile, stride, overview, heights, self._is_bound, base_error
+        )
         self._heights = heights
         self._matrix = tuple(float(value) for value in sample_matrix)
-        self._strides = np.full(self.n_tiles, stride, dtype=np.int32)
+        padded = n_rows * tile + 1, n_cols * tile + 1
         self._n_children = np.zeros(padded, dtype=np.uint8)
         self._is_active = np.zeros(padded, dtype=np.bool_)
-        self._is_active[::tile, ::tile] = True
-        corners = np.argwhere(self._is_active).astype(np.int32)
-        self._active, self._n_active = corners, len(corners)
-        self._reserve()
         self._vertex_of = np.empty(padded, dtype=np.int32)
+        self._active, self._n_active = np.empty((0, 2), dtype=np.int32), 0
+        self._reset()
         self._stack = np.empty((_MOST_DEPENDENCIES, 6), dtype=np.int64)
         self._pressure = Pressure()
-        for row in range(self.n_tiles[0]):
-            for col in range(self.n_tiles[1]):
-                self._measure(row, col, stride, base_error)
+
+    def _reset(self) -> None:
+        """Merge all vertices but the corners of tiles."""
+        rows, cols = self._active[: self._n_active].T
+        self._is_active[rows, cols] = False
+        self._n_children[rows, cols] = 0
+        corners = np.indices((self.n_tiles[0] + 1, self.n_tiles[1] + 1)).reshape(2, -1).T
+        corners = corners * self.tile
+        self._is_active[corners[:, 0], corners[:, 1]] = True
+        self._active, self._n_active = corners.astype(np.int32), len(corners)
+        self._reserve()
 
     def _reserve(self) -> None:
         """Make room for twice the active vertices, in what updates fill again and again."""
@@ -186,17 +190,22 @@ class RestrictedMesh:
 
     def is_loaded(self, row: int, col: int) -> bool:
         """Say whether all samples of a tile are known."""
-        return bool(self._strides[row, col] == 1)
+        return self._tiles.is_loaded(row, col)
 
-    def load(
+    @property
+    def n_loaded(self) -> int:
+        """Return how many tiles are loaded."""
+        return self._tiles.n_loaded
+
+    def measure(
         self, row: int, col: int, heights: NDArray[np.floating], base_error: float = 0.0
-    ) -> None:
-        """Take all samples of a tile; those it shares with others too.
+    ) -> Tile:
+        """Return what `load` takes. Thread-safe.
 
         Parameters
         ----------
         heights : ndarray, shape `tile_shape`
-            NaN is void.
+            All samples of a tile, those it shares with others too; NaN is void.
         base_error : float
             Largest distance of these samples from what errors count from.
         """
@@ -204,28 +213,32 @@ class RestrictedMesh:
             raise InvalidHeightsError(
                 f"found a tile of shape {np.shape(heights)}, expected {self.tile_shape(row, col)}"
             )
-        first_row, first_col = row * self.tile, col * self.tile
-        n_rows, n_cols = np.shape(heights)
-        self._z[first_row : first_row + n_rows, first_col : first_col + n_cols] = heights
-        self._strides[row, col] = 1
-        self._measure(row, col, 1, base_error)
+        return self._tiles.measure(row, col, heights, base_error)
 
-    def _measure(self, row: int, col: int, stride: int, base_error: float) -> None:
-        """Take the errors of a tile's vertices, as far as every `stride`-th sample tells."""
-        z = self._z[::stride, ::stride]
-        errors = self._errors if stride == 1 else self._coarse_errors
-        side, base = self.tile // stride, base_error
-        first_row, first_col = row * side, col * side
-        base += float(np.abs(self._heights).max()) * _ROUNDING
-        if stride > 1:
-            part = z[first_row : first_row + side + 1, first_col : first_col + side + 1]
-            # What lies between a cell's bilinear surface and its two triangles.
-            twists = np.abs(part[:-1, :-1] - part[:-1, 1:] - part[1:, :-1] + part[1:, 1:])
-            base += float(np.max(twists, initial=0, where=~np.isnan(twists))) / 4
-        _measure_tile(
-            first_row, first_col, side, base if self._is_bound else 0.0, self._is_bound, z,
-            errors, self._stack,
+    def load(self, row: int, col: int, tile: Tile) -> None:
+        """Take all samples of a tile."""
+        self._tiles.load(row, col, tile)
+
+    def unload(self, row: int, col: int) -> None:
+        """Forget a tile but for what the overview has of it, and all vertices of the last view."""
+        self._tiles.unload(row, col)
+        self._reset()
+
+    def wanted_tiles(self, eye: Eye, tau: float) -> NDArray[np.int64]:
+        """Return the tiles that the overview does not show within `tau`: row and column of each.
+
+        Those with the largest error on screen come first. Tiles just out of view count: visible
+        vertices up to a stride of the overview away may depend on some on their borders.
+        """
+        if self.stride == 1:
+            return np.empty((0, 2), dtype=np.int64)
+        found = np.empty(self.n_tiles)
+        tile_errors_on_screen(
+            self._tiles.overview_errors, self.tile, self.stride, self._view(eye),
+            self._planes(eye), found,
         )  # fmt: skip
+        tiles = np.argwhere(found > tau)
+        return tiles[np.argsort(-found[found > tau], kind="stable")]
 
     # One frame
 
@@ -276,8 +289,8 @@ class RestrictedMesh:
         count = self._place(view, planes, used / morph, used)
         a, b, _, d, e, _ = self._matrix
         n_triangles = draw_triangles(
-            self._z, self._is_active, self.tile, a * e < b * d, self._vertex_of, self._stack,
-            self._triangles,
+            *self._tiles.known_heights, self._is_active, a * e < b * d, self._vertex_of,
+            self._stack, self._triangles,
         )  # fmt: skip
         return RestrictedFrame(
             self._vertices[:count].copy(), self._triangles[:n_triangles].copy(),
@@ -292,7 +305,7 @@ class RestrictedMesh:
         max_vertices: int | None,
     ) -> tuple[int, int]:
         """Merge and split, until there are too many; return how many were touched and changed."""
-        state = (self._errors, self._coarse_errors, self._strides, self.tile, self._is_active)
+        state = (*self._tiles.known_errors, self._is_active)
         self._n_active, n_touched, n_changed = merge_vertices(
             *state, self._n_children, self._active, self._n_active, view, planes, threshold
         )
@@ -314,11 +327,11 @@ class RestrictedMesh:
         """Fill the vertices that are not void and their samples; return how many there are."""
         n = self._n_active
         active, shares, heights = self._active[:n], self._shares[:n], self._own_heights[:n]
-        number_vertices(active, self._z, self._vertex_of, heights)
+        number_vertices(active, *self._tiles.known_heights, self._vertex_of, heights)
         if end > start:
             fill_shares(
-                self._errors, self._coarse_errors, self._strides, self.tile, active,
-                self._vertex_of, view, planes, start, end, shares,
+                *self._tiles.known_errors, active, self._vertex_of, view, planes, start, end,
+                shares,
             )  # fmt: skip
         else:
             shares[:] = 1.0
@@ -353,149 +366,35 @@ class RestrictedMesh:
 
     def screen_error(self, eye: Eye, row: int, col: int) -> float:
         """Return a vertex's error on screen, pixels."""
-        error = _known_error(row, col, self.tile, self._errors, self._coarse_errors, self._strides)
+        error = known_error(row, col, *self._tiles.known_errors)
         return float(screen_error(error, row, col, self.tile, self._view(eye), self._planes(eye)))
 
 
-# Errors
-
-
-@kernel
-def _measure_tile(first_row, first_col, side, base, is_bound, z, errors, stack):
-    """Widen the errors of a tile's vertices, finest first."""
-    stride = 1
-    while stride < side:
-        for is_centre in range(2):
-            for row in range(first_row, first_row + side + 1, stride):
-                is_odd = (row // stride) % 2 == 1
-                if is_centre and not is_odd:
-                    continue
-                start = first_col + (stride if is_centre or not is_odd else 0)
-                for col in range(start, first_col + side + 1, 2 * stride):
-                    _measure_vertex(
-                        row, col, stride, first_row, first_col, side, base, is_bound, z, errors
-                    )
-                    _widen_above(row, col, side, errors, stack)
-        stride *= 2
-
-
-@kernel
-def _measure_vertex(row, col, stride, first_row, first_col, side, base, is_bound, z, errors):
-    """Widen the error of one vertex by its triangles in a tile."""
-    r0, c0, r1, c1, r2, c2, r3, c3 = _neighbours(row, col, stride)
-    if not is_bound:
-        _widen(errors, row, col, _coefficient(row, col, r0, c0, r1, c1, r2, c2, r3, c3, z))
-        return
-    for r, c in ((r2, c2), (r3, c3)):
-        if _is_inside(r, c, first_row, first_col, side):
-            found = _distance(r0, c0, r1, c1, r, c, z)
-            found += -base if found < 0 else base
-            _widen(errors, row, col, found * (1 + _ROUNDING))
-
-
-@kernel
-def _widen_above(row, col, tile, errors, stack):
-    """Widen the errors of all that a vertex depends on, in other tiles too."""
-    stack[0, 0], stack[0, 1] = row, col
-    depth = 1
-    while depth > 0:
-        depth -= 1
-        row, col = stack[depth, 0], stack[depth, 1]
-        r2, c2, r3, c3 = _needs(row, col, tile)
-        for r, c in ((r2, c2), (r3, c3)):
-            if 0 <= r < errors.shape[0] and 0 <= c < errors.shape[1]:
-                if _widen(errors, r, c, np.float64(errors[row, col])):
-                    stack[depth, 0], stack[depth, 1] = r, c
-                    depth += 1
-
-
-@kernel
-def _is_inside(row, col, first_row, first_col, side):
-    """Say whether a place lies in a tile."""
-    return first_row <= row <= first_row + side and first_col <= col <= first_col + side
-
-
-@kernel
-def _widen(errors, row, col, error):
-    """Make an error no smaller than another, and negative where either is; say if it changed."""
-    before = errors[row, col]
-    larger = max(abs(np.float64(before)), abs(error))
-    errors[row, col] = -larger if before < 0 or error < 0 else larger
-    return errors[row, col] != before
-
-
-@kernel
-def _coefficient(row, col, r0, c0, r1, c1, r2, c2, r3, c3, z):
-    """Return |h - mean of its neighbours|; a negative number beside a void."""
-    total, count = 0.0, 0
-    for r, c in ((r0, c0), (r1, c1), (r2, c2), (r3, c3)):
-        if 0 <= r < z.shape[0] and 0 <= c < z.shape[1]:
-            total += z[r, c]
-            count += 1
-    detail = abs(z[row, col] - total / count)
-    if not np.isnan(detail):
-        return detail
-    is_void = np.isnan(z[row, col]) and np.isnan(z[r0, c0]) and np.isnan(z[r1, c1])
-    return 0.0 if is_void else -_TINY
-
-
-@kernel
-def _distance(r0, c0, r1, c1, r2, c2, z):
-    """Return the largest distance of samples from a triangle.
-
-    0 where all are void; where some are, the range of the others as a negative number.
-    """
-    area = np.float64(area_of(r0, c0, r1, c1, r2, c2))
-    n_void, largest, low, high = 0, 0.0, np.inf, -np.inf
-    top, bottom = min(r0, r1, r2), max(r0, r1, r2)
-    left, right = min(c0, c1, c2), max(c0, c1, c2)
-    z0, z1, z2 = np.float64(z[r0, c0]), np.float64(z[r1, c1]), np.float64(z[r2, c2])
-    for r in range(top, bottom + 1):
-        for c in range(left, right + 1):
-            one = area_of(r, c, r1, c1, r2, c2) / area
-            two = area_of(r0, c0, r, c, r2, c2) / area
-            three = 1 - one - two
-            if min(one, two, three) < -1e-9:
-                continue
-            if np.isnan(z[r, c]):
-                n_void += 1
-                continue
-            low, high = min(low, z[r, c]), max(high, z[r, c])
-            apart = abs(one * z0 + two * z1 + three * z2 - z[r, c])
-            if apart > largest:
-                largest = apart
-    if n_void:
-        return low - high - _TINY if high >= low else 0.0
-    return largest
-
-
-@kernel
-def _known_error(row, col, tile, errors, coarse_errors, strides):
-    """Return the error of a vertex: the overview's, too, where it touches tiles not loaded."""
-    error = np.float64(errors[row, col])
-    if _is_known(row, col, 1, strides, tile):
-        return error
-    step = tile // ((coarse_errors.shape[0] - 1) // strides.shape[0])
-    if row % step or col % step:
-        return error
-    coarse = np.float64(coarse_errors[row // step, col // step])
-    larger = max(abs(error), abs(coarse))
-    return -larger if min(error, coarse) < 0 else larger
+# Errors on screen
 
 
 @kernel
 def screen_error(error, row, col, tile, view, planes):
-    """Return the error on screen of a vertex with some error: f ε / d; 0 outside the view.
+    """Return the error on screen of a vertex with some error.
 
     The box reaches over all that may depend on the vertex: 3 strides each way for centres, 2 for
-    edges. Where errors are bounds, see `dynamic.screen_error`.
+    edges.
     """
-    if error == 0:
-        return 0.0
     both = row | col
     stride = min(both & -both, tile) if both else tile
     is_centre = row & stride and col & stride and stride < tile
-    reach = (3 if is_centre else 2) * stride
+    return error_in_box(error, row, col, (3 if is_centre else 2) * stride, view, planes)
+
+
+@kernel
+def error_in_box(error, row, col, reach, view, planes):
+    """Return the error on screen in a box around a place: f ε / d; 0 outside the view.
+
+    The box reaches over `reach` rows and columns each way. Where errors are bounds, see
+    `dynamic.screen_error`.
+    """
+    if error == 0:
+        return 0.0
     x = view[_MATRIX] * col + view[_MATRIX + 1] * row + view[_MATRIX + 2]
     y = view[_MATRIX + 3] * col + view[_MATRIX + 4] * row + view[_MATRIX + 5]
     half_x = (abs(view[_MATRIX]) + abs(view[_MATRIX + 1])) * reach
@@ -525,31 +424,46 @@ def screen_error(error, row, col, tile, view, planes):
     return view[_FOCAL] * error * min(farthest / depth, view[_SLANT]) / depth
 
 
+@kernel
+def tile_errors_on_screen(errors, tile, margin, view, planes, found):
+    """Fill the errors on screen of tiles; their boxes reach over `margin` rows and columns more."""
+    for row in range(errors.shape[0]):
+        for col in range(errors.shape[1]):
+            found[row, col] = error_in_box(
+                errors[row, col], (row + 0.5) * tile, (col + 0.5) * tile, tile / 2 + margin, view,
+                planes,
+            )  # fmt: skip
+
+
 # Shares of thresholds
 
 
 @kernel
 def fill_shares(
-    errors, coarse_errors, strides, tile, active, vertex_of, view, planes, start, end, shares
-):
+    slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits, active, vertex_of, view,
+    planes, start, end, shares,
+):  # fmt: skip
     """Fill for which share of the thresholds between `start` and `end` each vertex is there.
 
     Where one is, so is all that it depends on, which comes before it in `active`.
     """
     n_rows, n_cols = vertex_of.shape
+    tile = 1 << bits
     shares[:] = 0.0
     for number in range(active.shape[0] - 1, -1, -1):
         row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
-        if _is_corner(row, col, tile):
+        if is_corner(row, col, tile):
             shares[number] = 1.0
             continue
         share = shares[number]
         if share < 1:
-            error = _known_error(row, col, tile, errors, coarse_errors, strides)
+            error = known_error(
+                row, col, slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits
+            )
             on_screen = screen_error(error, row, col, tile, view, planes)
             share = max(share, min((on_screen - start) / (end - start), 1.0))
             shares[number] = share
-        r2, c2, r3, c3 = _needs(row, col, tile)
+        r2, c2, r3, c3 = needs_of(row, col, tile)
         for r, c in ((r2, c2), (r3, c3)):
             if 0 <= r < n_rows and 0 <= c < n_cols:
                 needed = vertex_of[r, c]
@@ -560,27 +474,11 @@ def fill_shares(
 
 
 @kernel
-def _is_corner(row, col, tile):
-    """Say whether a place is a corner of tiles; those are always vertices."""
-    return (row | col) & (tile - 1) == 0
-
-
-@kernel
-def _needs(row, col, tile):
-    """Return the two vertices that one depends on; itself twice where it is a tile's corner."""
-    if _is_corner(row, col, tile):
-        return row, col, row, col
-    both = row | col
-    _, _, _, _, r2, c2, r3, c3 = _neighbours(row, col, both & -both)
-    return r2, c2, r3, c3
-
-
-@kernel
 def _child(row, col, tile, k):
     """Return the k-th of the four vertices that may depend on one; -1 where there is none."""
     both = row | col
     stride = min(both & -both, tile) if both else tile
-    if not _is_corner(row, col, tile) and row & stride and col & stride:
+    if not is_corner(row, col, tile) and row & stride and col & stride:
         down, right = ((-1, 0), (0, -1), (1, 0), (0, 1))[k]
         return row + down * stride, col + right * stride
     half = stride // 2
@@ -590,48 +488,32 @@ def _child(row, col, tile, k):
 
 
 @kernel
-def _is_known(row, col, stride, strides, tile):
-    """Say whether all tiles that a place touches have samples of a stride."""
-    for r in range(max((row - 1) // tile, 0), min(row // tile, strides.shape[0] - 1) + 1):
-        for c in range(max((col - 1) // tile, 0), min(col // tile, strides.shape[1] - 1) + 1):
-            if strides[r, c] > stride:
-                return False
-    return True
-
-
-@kernel
 def merge_vertices(
-    errors,
-    coarse_errors,
-    strides,
-    tile,
-    is_active,
-    n_children,
-    active,
-    n_active,
-    view,
-    planes,
-    tau,
-):
+    slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits, is_active, n_children,
+    active, n_active, view, planes, tau,
+):  # fmt: skip
     """Merge vertices that nothing depends on and whose error is not above `tau`, the last first.
 
     Return how many are left, how many were touched and merged. What a merged vertex depended on was
     split before it and comes after it here.
     """
     n_touched = n_changed = 0
+    tile = 1 << bits
     for number in range(n_active - 1, -1, -1):
         row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
-        if n_children[row, col] or _is_corner(row, col, tile):
+        if n_children[row, col] or is_corner(row, col, tile):
             continue
         n_touched += 1
-        error = _known_error(row, col, tile, errors, coarse_errors, strides)
+        error = known_error(
+            row, col, slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits
+        )
         if screen_error(error, row, col, tile, view, planes) > tau:
             continue
         is_active[row, col] = False
         n_changed += 1
-        r2, c2, r3, c3 = _needs(row, col, tile)
+        r2, c2, r3, c3 = needs_of(row, col, tile)
         for r, c in ((r2, c2), (r3, c3)):
-            if 0 <= r < errors.shape[0] and 0 <= c < errors.shape[1]:
+            if 0 <= r < is_active.shape[0] and 0 <= c < is_active.shape[1]:
                 n_children[r, c] -= 1
     kept = 0
     for number in range(n_active):
@@ -643,8 +525,8 @@ def merge_vertices(
 
 @kernel
 def split_vertices(
-    errors, coarse_errors, strides, tile, is_active, n_children, active, done, n_active, limit,
-    view, planes, tau, stack,
+    slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits, is_active, n_children,
+    active, done, n_active, limit, view, planes, tau, stack,
 ):  # fmt: skip
     """Split what depends on active vertices where its error is above `tau`, and all it needs.
 
@@ -652,7 +534,8 @@ def split_vertices(
     are active. Return the next vertex, how many are active, how many were touched and split.
     """
     n_touched = n_changed = 0
-    n_rows, n_cols = errors.shape
+    n_rows, n_cols = is_active.shape
+    tile = 1 << bits
     while done < n_active <= limit and n_active + _ROOM <= active.shape[0]:
         at_row, at_col = np.int64(active[done, 0]), np.int64(active[done, 1])
         done += 1
@@ -661,11 +544,13 @@ def split_vertices(
             if row < 0 or col < 0 or row >= n_rows or col >= n_cols or is_active[row, col]:
                 continue
             n_touched += 1
-            error = _known_error(row, col, tile, errors, coarse_errors, strides)
+            error = known_error(
+                row, col, slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits
+            )
             if screen_error(error, row, col, tile, view, planes) <= tau:
                 continue
             n_more = _activate(
-                row, col, strides, tile, is_active, n_children, active, n_active, stack
+                row, col, slot_of, bits, step_bits, is_active, n_children, active, n_active, stack
             )
             n_active += n_more
             n_changed += n_more
@@ -673,7 +558,7 @@ def split_vertices(
 
 
 @kernel
-def _activate(row, col, strides, tile, is_active, n_children, active, n_active, stack):
+def _activate(row, col, slot_of, bits, step_bits, is_active, n_children, active, n_active, stack):
     """Append a vertex and all inactive ones that it needs; return how many, 0 if one is unknown.
 
     They are appended so that each comes after those it depends on.
@@ -684,10 +569,9 @@ def _activate(row, col, strides, tile, is_active, n_children, active, n_active, 
     while done < count:
         row, col = stack[done, 0], stack[done, 1]
         done += 1
-        both = row | col
-        if not _is_known(row, col, both & -both, strides, tile):
+        if not is_known(row, col, slot_of, bits, step_bits):
             return 0
-        r2, c2, r3, c3 = _needs(row, col, tile)
+        r2, c2, r3, c3 = needs_of(row, col, 1 << bits)
         for r, c in ((r2, c2), (r3, c3)):
             is_new = 0 <= r < n_rows and 0 <= c < n_cols and not is_active[r, c]
             for number in range(done, count):
@@ -703,7 +587,7 @@ def _activate(row, col, strides, tile, is_active, n_children, active, n_active, 
         is_active[row, col] = True
         active[n_active + n_new, 0], active[n_active + n_new, 1] = row, col
         n_new += 1
-        r2, c2, r3, c3 = _needs(row, col, tile)
+        r2, c2, r3, c3 = needs_of(row, col, 1 << bits)
         for r, c in ((r2, c2), (r3, c3)):
             if 0 <= r < n_rows and 0 <= c < n_cols:
                 n_children[r, c] += 1
@@ -714,11 +598,15 @@ def _activate(row, col, strides, tile, is_active, n_children, active, n_active, 
 
 
 @kernel
-def draw_triangles(z, is_active, tile, is_mirrored, vertex_of, stack, triangles):
+def draw_triangles(
+    slot_of, tile_heights, coarse_heights, bits, step_bits, is_active, is_mirrored, vertex_of,
+    stack, triangles,
+):  # fmt: skip
     """Fill the triangles of the active vertices; return how many there are."""
     count = 0
-    for row in range(0, z.shape[0] - 1, tile):
-        for col in range(0, z.shape[1] - 1, tile):
+    tile = 1 << bits
+    for row in range(0, is_active.shape[0] - 1, tile):
+        for col in range(0, is_active.shape[1] - 1, tile):
             half = tile // 2
             r0, c0, r1, c1, r2, c2, r3, c3 = _neighbours(row + half, col + half, half)
             stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = r0, c0, r1, c1
@@ -741,21 +629,28 @@ def draw_triangles(z, is_active, tile, is_mirrored, vertex_of, stack, triangles)
                     stack[depth + 1, 4], stack[depth + 1, 5] = r, c
                     depth += 2
                 elif is_whole:
-                    count = _add(
-                        r0, c0, r1, c1, r2, c2, is_mirrored, z, vertex_of, triangles, count
-                    )
+                    count = _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count)
                 else:
+                    # All four samples are known: a vertex of stride 1 touches their tile.
+                    r, c = min(r0, r1, r2), min(c0, c1, c2)
+                    valid = 0
+                    for k in range(4):
+                        height = height_of(
+                            r + (k >> 1), c + (k & 1), slot_of, tile_heights, coarse_heights, bits,
+                            step_bits,
+                        )  # fmt: skip
+                        valid |= (not np.isnan(height)) << k
                     count = _add_in_quad(
-                        r0, c0, r1, c1, r2, c2, is_mirrored, z, is_active, vertex_of, triangles,
-                        count,
+                        r0, c0, r1, c1, r2, c2, valid, is_mirrored, is_active, vertex_of,
+                        triangles, count,
                     )  # fmt: skip
     return count
 
 
 @kernel
-def _add(r0, c0, r1, c1, r2, c2, is_mirrored, z, vertex_of, triangles, count):
+def _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count):
     """Append a triangle without void corners; return how many there are then."""
-    if np.isnan(z[r0, c0]) or np.isnan(z[r1, c1]) or np.isnan(z[r2, c2]):
+    if vertex_of[r0, c0] < 0 or vertex_of[r1, c1] < 0 or vertex_of[r2, c2] < 0:
         return count
     if (area_of(r0, c0, r1, c1, r2, c2) > 0) == is_mirrored:
         r1, c1, r2, c2 = r2, c2, r1, c1
@@ -765,14 +660,18 @@ def _add(r0, c0, r1, c1, r2, c2, is_mirrored, z, vertex_of, triangles, count):
 
 
 @kernel
-def _add_in_quad(r0, c0, r1, c1, r2, c2, is_mirrored, z, is_active, vertex_of, triangles, count):
-    """Append one half of a quad of samples; the triangle of three that are valid with its first."""
+def _add_in_quad(
+    r0, c0, r1, c1, r2, c2, valid, is_mirrored, is_active, vertex_of, triangles, count
+):
+    """Append one half of a quad of samples; the triangle of three that are valid with its first.
+
+    `valid` has a bit for each corner, row by row, that is not void.
+    """
+    if valid == 15:
+        return _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count)
     top, left = min(r0, r1, r2), min(c0, c1, c2)
-    is_nw, is_ne = not np.isnan(z[top, left]), not np.isnan(z[top, left + 1])
-    is_sw, is_se = not np.isnan(z[top + 1, left]), not np.isnan(z[top + 1, left + 1])
-    n_valid = int(is_nw) + int(is_ne) + int(is_sw) + int(is_se)
-    if n_valid == 4:
-        return _add(r0, c0, r1, c1, r2, c2, is_mirrored, z, vertex_of, triangles, count)
+    is_nw, is_ne, is_sw, is_se = valid & 1, valid & 2, valid & 4, valid & 8
+    n_valid = int(is_nw != 0) + int(is_ne != 0) + int(is_sw != 0) + int(is_se != 0)
     n_top = int(r0 == top) + int(r1 == top) + int(r2 == top)
     if n_valid < 3 or n_top < 2 or not is_active[top : top + 2, left : left + 2].all():
         return count
@@ -780,4 +679,4 @@ def _add_in_quad(r0, c0, r1, c1, r2, c2, is_mirrored, z, is_active, vertex_of, t
     r0, c0 = (top, left) if is_nw else (top + 1, left + 1)
     r1, c1 = (top, left + 1) if is_ne else (top + 1, left)
     r2, c2 = (top + 1, left) if is_sw and is_ne else (top + 1, left + 1)
-    return _add(r0, c0, r1, c1, r2, c2, is_mirrored, z, vertex_of, triangles, count)
+    return _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count)

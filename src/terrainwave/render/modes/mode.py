@@ -135,6 +135,14 @@ class Mode(ABC):
             If the file is damaged there.
         """
 
+    # In the thread that draws, as pieces come and go
+
+    def keep(self, piece: Piece, built: Built) -> None:  # noqa: B027  most modes need not know
+        """Take what was built for a piece that has come to the store."""
+
+    def drop(self, piece: Piece) -> None:  # noqa: B027
+        """Forget a piece that has left the store."""
+
     # Each frame
 
     def gamma(self, camera: Camera, viewport: Viewport) -> float:

@@ -2,11 +2,12 @@
 
 From high up the overview alone is drawn: a coarse level of the file. Tiles are read and decoded by
 workers as they come into view with an overview that is not good enough; until then the overview
-stands in for them.
+stands in for them. Those out of view go where they are too many.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +20,12 @@ from terrainwave.render.modes.whole import (
     MORPH,
     BuiltSamples,
     Drawn,
-    Samples,
     WholeMode,
     eye_of,
 )
+from terrainwave.render.patches import Cancelled
 from terrainwave.render.selection import NodeInfo, NodeTable, Piece, View
+from terrainwave.tri.rqt_tiles import tile_bytes
 from terrainwave.tri.rqt_view import RestrictedFrame, RestrictedMesh
 
 if TYPE_CHECKING:
@@ -33,6 +35,8 @@ TILE = 256
 # The overview has every 16th sample at least: the file's own levels go on above it.
 _OVERVIEW_LEVELS = 4
 OVERVIEW = Piece(0, 0, 0)
+# Heights and errors of tiles; those that are needed least go first where there are more.
+MAX_TILE_BYTES = 128 << 20
 
 
 class Rqt(WholeMode):
@@ -56,7 +60,6 @@ class Rqt(WholeMode):
         self._overview_error = max(largest * frame.metres[2], self.base_error)
         self._n_tiles = tuple(max(-(-(n - 1) // TILE), 1) for n in self.shape)
         self._mesh: RestrictedMesh | None = None
-        self._built: dict[Piece, Samples] = {}
 
     # Pieces: the overview, and tiles beside it
 
@@ -83,15 +86,19 @@ class Rqt(WholeMode):
         )
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> BuiltSamples:
-        """Return the samples of the overview or of a tile."""
+        """Return the samples of the overview or of a tile, and what the mesh takes of them."""
         if piece.level:
             samples = self.read(self.level, self._region(piece.row, piece.col))
-            self._built[piece] = samples
-            return BuiltSamples(samples, self.base_error)
+            if is_cancelled():
+                raise Cancelled
+            tile = self._overview_mesh.measure(
+                piece.row, piece.col, samples.heights, self.base_error
+            )
+            return BuiltSamples(samples, self.base_error, tile=tile)
         shape = self.terrain.grid.level_shape(self._overview_level)
         samples = self.read(self._overview_level, Region(0, 0, *shape))
         low, high = (height * self.frame.metres[2] for height in self.frame.heights)
-        self._mesh = RestrictedMesh(
+        mesh = RestrictedMesh(
             self.shape,
             (min(low, high) - self._overview_error, max(low, high) + self._overview_error),
             samples.heights,
@@ -107,37 +114,45 @@ class Rqt(WholeMode):
         wide = samples._replace(
             region=Region(0, 0, *self.shape), slopes=samples.slopes[rows][:, cols]
         )
-        return BuiltSamples(wide, self._overview_error)
+        return BuiltSamples(wide, self._overview_error, mesh)
+
+    @property
+    def _overview_mesh(self) -> RestrictedMesh:
+        if self._mesh is None:
+            raise AssertionError("tiles are wanted once the overview is here")
+        return self._mesh
+
+    # As pieces come and go
+
+    def keep(self, piece: Piece, built: Any) -> None:
+        """Take the mesh of the overview, or a tile into it."""
+        if piece.level:
+            self._overview_mesh.load(piece.row, piece.col, built.tile)
+        else:
+            self._mesh = built.mesh
+
+    def drop(self, piece: Piece) -> None:
+        """Forget a tile."""
+        if piece.level:
+            self._overview_mesh.unload(piece.row, piece.col)
 
     # Each frame
 
     def wanted(
         self, table: NodeTable, view: View, tau: float, max_blocks: int, camera: Camera
     ) -> NDArray[np.int32]:
-        """Return the overview, and tiles in view in which it is not within τ; near ones first."""
+        """Return the overview, and tiles in which it is not within τ; the worst ones first."""
         overview = table.find(OVERVIEW)
-        first = np.array([0 if overview is None else overview], dtype=np.int32)
-        if not table.is_resident[first[0]]:
-            return first  # tiles are parts of what it brings
-        order = super().wanted(table, view, tau, max_blocks, camera)
-        order = order[order != first[0]]
-        low, high = table.boxes(order, view.exaggeration)
-        apart = np.maximum(np.maximum(low - camera.eye, camera.eye - high), 0.0)
-        distances = np.linalg.norm(apart, axis=1)
-        is_needed = self._overview_error * view.exaggeration * view.gamma > tau * distances
-        near = np.argsort(distances[is_needed], kind="stable")
-        return np.concatenate([first, order[is_needed][near]])
+        first = [] if overview is None else [overview]
+        if self._mesh is not None:
+            eye = eye_of(replace(view, camera=camera))
+            pieces = [Piece(1, *tile) for tile in self._mesh.wanted_tiles(eye, tau).tolist()]
+            first += [node for node in map(table.find, pieces) if node is not None]
+        return np.array(first, dtype=np.int32)
 
     def mesh(self, table: NodeTable, view: View, tau: float) -> tuple[Drawn, float]:
         """Return the mesh of a view, and its τ."""
-        mesh = self._mesh
-        if mesh is None:
-            return Drawn(np.empty((0, 3)), np.empty((0, 3), np.int32), np.empty(0, np.int32)), tau
-        for piece in list(self._built):
-            node = table.find(piece)
-            if node is not None and table.is_resident[node]:
-                samples = self._built.pop(piece)
-                mesh.load(piece.row, piece.col, samples.heights, self.base_error)
+        mesh = self._overview_mesh
         found = mesh.update(
             eye_of(view), tau, morph=MORPH, max_vertices=self.max_vertices(mesh.least_vertices)
         )
@@ -145,3 +160,12 @@ class Rqt(WholeMode):
         both = found.places[:, 0] | found.places[:, 1] | TILE
         sizes = np.log2(both & -both).astype(np.int32)
         return Drawn(found.vertices, found.triangles, sizes), found.tau
+
+    @staticmethod
+    def surface(context: Any, side: int, *, max_bytes: int) -> Any:
+        """Return a buffer for the mesh of a frame, and the program that draws it."""
+        from terrainwave.render.whole_surface import WholeSurface
+
+        return WholeSurface(
+            context, max_bytes=max_bytes, max_blocks=1 + MAX_TILE_BYTES // tile_bytes(TILE)
+        )

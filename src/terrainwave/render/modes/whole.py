@@ -20,6 +20,8 @@ from terrainwave.render.modes.mode import Frames, Mode
 from terrainwave.render.scales import FLOAT32_ROUNDING, HeightScale, SlopeScale
 from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
 from terrainwave.tri.dynamic import DynamicMesh, Eye
+from terrainwave.tri.rqt_tiles import Tile
+from terrainwave.tri.rqt_view import RestrictedMesh
 
 if TYPE_CHECKING:
     from terrainwave.terrain import Terrain
@@ -69,13 +71,16 @@ class BuiltSamples(NamedTuple):
 
     Parameters
     ----------
-    mesh : DynamicMesh, optional
-        The tree over the samples, in the modes that follow its marks.
+    mesh : DynamicMesh or RestrictedMesh, optional
+        Over the samples, or the overview of all.
+    tile : Tile, optional
+        Of a mesh over an overview.
     """
 
     samples: Samples
     error: float
-    mesh: DynamicMesh | None = None
+    mesh: DynamicMesh | RestrictedMesh | None = None
+    tile: Tile | None = None
     n_triangles: int = 0
     base: float = 0.0
     morph: float = 0.0
