@@ -223,10 +223,12 @@ def height_of(row, col, slot_of, tile_heights, coarse_heights, bits, step_bits):
 
     NaN is void.
     """
-    for r in range(max((row - 1) >> bits, 0), min(row >> bits, slot_of.shape[0] - 1) + 1):
-        for c in range(max((col - 1) >> bits, 0), min(col >> bits, slot_of.shape[1] - 1) + 1):
-            if slot_of[r, c] >= 0:
-                return np.float64(tile_heights[slot_of[r, c], row - (r << bits), col - (c << bits)])
+    if tile_heights.shape[0] > 0:
+        for r in range(max((row - 1) >> bits, 0), min(row >> bits, slot_of.shape[0] - 1) + 1):
+            for c in range(max((col - 1) >> bits, 0), min(col >> bits, slot_of.shape[1] - 1) + 1):
+                slot = slot_of[r, c]
+                if slot >= 0:
+                    return np.float64(tile_heights[slot, row - (r << bits), col - (c << bits)])
     return np.float64(coarse_heights[row >> step_bits, col >> step_bits])
 
 

@@ -48,7 +48,9 @@ from terrainwave.tri.triangle import area_of
 
 # Of a view as an array.
 _X, _Y, _Z, _FORWARD, _FOCAL, _SLANT, _Z_SCALE, _LOW, _HIGH = 0, 1, 2, 3, 6, 7, 8, 9, 10
-_IS_BOUND, _MATRIX = 11, 12
+# Whether errors are bounds; half the width of boxes along x and y, and how much less deep they
+# begin, by their reach; x and y of samples.
+_IS_BOUND, _WIDTH, _DEPTH_LESS, _MATRIX = 11, 12, 14, 15
 # Of a plane of the view as an array: most of n·p + w over all boxes around x, y is
 # a x + b y + c + reach d.
 _ALONG_X, _ALONG_Y, _CONSTANT, _PER_REACH = 0, 1, 2, 3
@@ -344,9 +346,15 @@ class RestrictedMesh:
     def _view(self, eye: Eye) -> NDArray[np.float64]:
         numbers = (
             *eye.position, *eye.forward, eye.focal, eye.slant, eye.z_scale,
-            *self._limits(eye), self._is_bound,
+            *self._limits(eye), self._is_bound, *self._widths(),
+            float(np.abs(eye.forward[:2]) @ self._widths()),
         )  # fmt: skip
         return np.array([*numbers, *self._matrix], dtype=np.float64)
+
+    def _widths(self) -> tuple[float, float]:
+        """Return how far a step of rows and columns goes along x and y."""
+        a, b, _, d, e, _ = self._matrix
+        return abs(a) + abs(b), abs(d) + abs(e)
 
     def _limits(self, eye: Eye) -> tuple[float, float]:
         """Return the lowest and highest of all that is drawn."""
@@ -355,13 +363,12 @@ class RestrictedMesh:
 
     def _planes(self, eye: Eye) -> NDArray[np.float64]:
         """Return the view's planes for boxes that reach from the lowest to the highest height."""
-        a, b, _, d, e, _ = self._matrix
         (low, high), normals = self._limits(eye), eye.planes[:, :3]
         planes = np.empty((len(normals), 4))
         planes[:, :2] = normals[:, :2]
         planes[:, _CONSTANT] = np.maximum(normals[:, 2] * low, normals[:, 2] * high)
         planes[:, _CONSTANT] += eye.planes[:, 3]
-        planes[:, _PER_REACH] = np.abs(normals[:, :2]) @ (abs(a) + abs(b), abs(d) + abs(e))
+        planes[:, _PER_REACH] = np.abs(normals[:, :2]) @ self._widths()
         return planes
 
     def screen_error(self, eye: Eye, row: int, col: int) -> float:
@@ -397,8 +404,7 @@ def error_in_box(error, row, col, reach, view, planes):
         return 0.0
     x = view[_MATRIX] * col + view[_MATRIX + 1] * row + view[_MATRIX + 2]
     y = view[_MATRIX + 3] * col + view[_MATRIX + 4] * row + view[_MATRIX + 5]
-    half_x = (abs(view[_MATRIX]) + abs(view[_MATRIX + 1])) * reach
-    half_y = (abs(view[_MATRIX + 3]) + abs(view[_MATRIX + 4])) * reach
+    half_x, half_y = view[_WIDTH] * reach, view[_WIDTH + 1] * reach
     low, high = view[_LOW], view[_HIGH]
     half_z, away_z = (high - low) / 2, (high + low) / 2 - view[_Z]
     away_x, away_y = x - view[_X], y - view[_Y]
@@ -417,8 +423,8 @@ def error_in_box(error, row, col, reach, view, planes):
     if view[_IS_BOUND] == 0:
         return view[_FOCAL] * error / distance
     depth = view[_FORWARD] * away_x + view[_FORWARD + 1] * away_y + view[_FORWARD + 2] * away_z
-    depth -= abs(view[_FORWARD]) * half_x + abs(view[_FORWARD + 1]) * half_y
-    depth = max(depth - abs(view[_FORWARD + 2]) * half_z, distance / view[_SLANT])
+    depth -= view[_DEPTH_LESS] * reach + abs(view[_FORWARD + 2]) * half_z
+    depth = max(depth, distance / view[_SLANT])
     far_x, far_y, far_z = abs(away_x) + half_x, abs(away_y) + half_y, abs(away_z) + half_z
     farthest = np.sqrt(far_x * far_x + far_y * far_y + far_z * far_z)
     return view[_FOCAL] * error * min(farthest / depth, view[_SLANT]) / depth
@@ -539,10 +545,16 @@ def split_vertices(
     while done < n_active <= limit and n_active + _ROOM <= active.shape[0]:
         at_row, at_col = np.int64(active[done, 0]), np.int64(active[done, 1])
         done += 1
+        if n_children[at_row, at_col] == 4:
+            continue
         for k in range(4):
             row, col = _child(at_row, at_col, tile, k)
             if row < 0 or col < 0 or row >= n_rows or col >= n_cols or is_active[row, col]:
                 continue
+            r, c, _, _ = needs_of(row, col, tile)
+            if (r != at_row or c != at_col) and 0 <= r < n_rows and 0 <= c < n_cols:
+                if is_active[r, c]:
+                    continue  # looked at from there
             n_touched += 1
             error = known_error(
                 row, col, slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits
