@@ -133,6 +133,56 @@ def test_from_high_up_the_overview_is_drawn_alone(monkeypatch):
         assert (scene.mode.frame_mesh.places % stride != 0).any()
 
 
+@pytest.fixture
+def tiled(monkeypatch):
+    """A terrain of many tiles, small enough to look at each sample."""
+    monkeypatch.setattr(rqt, "TILE", 16)
+    monkeypatch.setattr(rqt, "_OVERVIEW_LEVELS", 2)
+    with terrain_of(np.round(hills(120, 130, 3)).astype(np.int16), max_error=0) as terrain:
+        yield terrain
+
+
+def low_flight(scene, n_steps):
+    """Across the terrain, near enough to see few tiles."""
+    low, high = scene.frame.box
+    for share in np.linspace(0.1, 0.9, n_steps):
+        x, y = low[:2] + share * (high - low)[:2]
+        yield Camera((float(x), float(y), float(high[2]) + 300), 60 + 90 * share, -50, 25)
+
+
+def test_tiles_just_out_of_view_are_loaded_where_visible_vertices_need_them(tiled):
+    with Scene(tiled, ListStore(), mode="rqt") as scene:
+        n_tiles = int(np.prod(scene.mode._n_tiles))
+        for camera in low_flight(scene, 5):
+            frames = scene.settle(scene.view(camera, VIEWPORT, 1.0))
+            assert frames.tau == 1.0
+            assert largest_error(scene, camera, 11) <= 1.0
+        assert 4 < scene.mode._mesh.n_loaded < n_tiles
+
+
+def test_memory_for_tiles_keeps_to_its_limit_on_a_flight(tiled):
+    n_most = 12
+    with Scene(tiled, ListStore(max_blocks=1 + n_most), mode="rqt") as scene:
+        seen = set()
+        for camera in low_flight(scene, 12):
+            frames = scene.settle(scene.view(camera, VIEWPORT, 2.0))
+            loaded = np.argwhere(scene.mode._mesh._tiles._slot_of >= 0).tolist()
+            assert len(loaded) == len(scene.store.patches) - 1 <= n_most
+            assert scene.mode._mesh._tiles._slot_of.max() < n_most  # slots are used again
+            assert largest_error(scene, camera, 31) <= frames.tau
+            seen |= {tuple(tile) for tile in loaded}
+        assert len(seen) > 2 * n_most
+
+
+def test_tiles_that_do_not_fit_raise_tau(tiled):
+    with Scene(tiled, ListStore(max_blocks=4), mode="rqt") as scene:
+        camera = home(scene.frame.box, VIEWPORT)
+        frames = scene.settle(scene.view(camera, VIEWPORT, 0.2))
+        assert scene.mode._mesh.n_loaded <= 3
+        assert frames.tau > 0.2
+        assert largest_error(scene, camera, 31) <= frames.tau
+
+
 def test_a_raster_of_one_row_draws_nothing():
     heights = np.arange(9, dtype=np.int16)[None]
     with terrain_of(heights, max_error=0) as terrain:

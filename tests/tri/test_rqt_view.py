@@ -164,6 +164,57 @@ def test_tiles_are_split_below_the_overview_once_they_are_loaded():
     assert fine <= {tuple(place) for place in again.places.tolist()}
 
 
+def test_a_tile_that_goes_leaves_the_overview_and_comes_back_as_it_was():
+    shape, tile = (33, 33), 16
+    heights = heights_of(shape, False)
+    mesh = RestrictedMesh(
+        shape, RANGE, heights[::4, ::4], stride=4, tile=tile, sample_matrix=NORTH_UP
+    )
+    eye = eye_of(Camera((16, -16, 70), 0, -89, 90))
+    tiles = {}
+    for row, col in np.ndindex(2, 2):
+        part = heights[16 * row : 16 * row + 17, 16 * col : 16 * col + 17]
+        tiles[row, col] = mesh.measure(row, col, part)
+        mesh.load(row, col, tiles[row, col])
+    whole = mesh.update(eye, 0.1)
+    mesh.unload(0, 1)
+    assert mesh.n_loaded == 3
+    assert not mesh.is_loaded(0, 1)
+    frame = mesh.update(eye, 0.1)
+    is_inside = ((frame.places >= (0, 16)) & (frame.places <= (16, 32))).all(axis=1)
+    assert is_inside.sum() > 20
+    assert (frame.places[is_inside] % 4 == 0).all()
+    assert (areas(frame) > 0).all()
+    assert areas(frame).sum() == 2 * 32 * 32
+    mesh.load(0, 1, tiles[0, 1])
+    again = mesh.update(eye, 0.1)
+    assert {tuple(place) for place in again.places.tolist()} == {
+        tuple(place) for place in whole.places.tolist()
+    }
+
+
+def test_wanted_are_the_tiles_that_the_overview_does_not_show_the_worst_first():
+    """Against the errors by hand: a cell's twist is 8 / 4 beside the one spike of the overview."""
+    overview = np.zeros((9, 9))
+    overview[1, 5] = 8.0
+    mesh = RestrictedMesh(
+        (33, 33), (0.0, 8.0), overview, stride=4, tile=16, sample_matrix=NORTH_UP, base_error=1.0,
+        error="paper",
+    )  # fmt: skip
+    np.testing.assert_allclose(mesh._tiles.overview_errors, [[3, 3], [1, 1]], atol=1e-4)
+    eye = eye_of(Camera((30, -2, 100), 0, -89, 90))._replace(planes=np.empty((0, 4)))
+    assert mesh.wanted_tiles(eye, 1e-6).tolist()[:2] == [[0, 1], [0, 0]]
+    assert len(mesh.wanted_tiles(eye, 1e-6)) == 4
+    assert len(mesh.wanted_tiles(eye, 1e3)) == 0
+    # Out of view, but a stride or less away from it.
+    away = np.array([[0.0, 1.0, 0.0, 12.0]])  # y >= -12
+    rows = {row for row, _ in mesh.wanted_tiles(eye._replace(planes=away), 1e-6).tolist()}
+    assert rows == {0, 1}
+    further = np.array([[0.0, 1.0, 0.0, 11.0]])
+    rows = {row for row, _ in mesh.wanted_tiles(eye._replace(planes=further), 1e-6).tolist()}
+    assert rows == {0}
+
+
 def test_a_view_that_stays_changes_nothing_and_touches_what_it_shows():
     mesh = mesh_of((65, 65), 64, False)
     eye = eye_of(Camera((32, -80, 65), 0, -40, 40))
@@ -187,11 +238,26 @@ def surface_of(frame, shape, every=1):
     return found
 
 
+def partly_loaded(error):
+    """A mesh of four tiles, one of which is loaded: errors are not nested across its borders."""
+    shape = (9, 9)
+    heights = heights_of(shape, False)
+    mesh = RestrictedMesh(
+        shape, RANGE, heights[::2, ::2], stride=2, tile=4, sample_matrix=NORTH_UP, error=error
+    )
+    mesh.load(0, 1, mesh.measure(0, 1, heights[:5, 4:]))
+    return mesh
+
+
+@pytest.mark.parametrize("has_tiles", [False, True])
 @pytest.mark.parametrize("error", ["measured", "paper"])
-def test_what_is_drawn_is_the_mean_of_the_surfaces_for_all_thresholds(error):
+def test_what_is_drawn_is_the_mean_of_the_surfaces_for_all_thresholds(error, has_tiles):
     """Those change where a vertex's error is passed: the integral is a sum."""
     shape, tau, morph = (9, 9), 12.0, 4.0
-    mesh, slow = (mesh_of(shape, 8, False, error=error) for _ in range(2))
+    mesh, slow = (
+        partly_loaded(error) if has_tiles else mesh_of(shape, 8, False, error=error)
+        for _ in range(2)
+    )
     n_between = 0
     for camera in cameras(shape, 3, seed=5):
         eye = eye_of(camera)._replace(planes=np.empty((0, 4)))
