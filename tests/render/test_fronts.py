@@ -150,7 +150,7 @@ def low_flight(scene, n_steps):
         yield Camera((float(x), float(y), float(high[2]) + 300), 60 + 90 * share, -50, 25)
 
 
-def test_tiles_just_out_of_view_are_loaded_where_visible_vertices_need_them(tiled):
+def test_originals_are_within_tau_where_tiles_come_with_the_view(tiled):
     with Scene(tiled, ListStore(), mode="rqt") as scene:
         n_tiles = int(np.prod(scene.mode._n_tiles))
         for camera in low_flight(scene, 5):

@@ -253,7 +253,7 @@ def partly_loaded(error):
 @pytest.mark.parametrize("error", ["measured", "paper"])
 def test_what_is_drawn_is_the_mean_of_the_surfaces_for_all_thresholds(error, has_tiles):
     """Those change where a vertex's error is passed: the integral is a sum."""
-    shape, tau, morph = (9, 9), 12.0, 4.0
+    shape, tau, morph = (9, 9), 100.0, 16.0
     mesh, slow = (
         partly_loaded(error) if has_tiles else mesh_of(shape, 8, False, error=error)
         for _ in range(2)
