@@ -183,6 +183,17 @@ def test_tiles_that_do_not_fit_raise_tau(tiled):
         assert largest_error(scene, camera, 31) <= frames.tau
 
 
+def test_slopes_of_the_overview_are_spread_linearly(monkeypatch):
+    """A function that is linear between every fourth sample is kept; the last samples repeat."""
+    monkeypatch.setattr(rqt, "TILE", 4)
+    rows, cols = np.mgrid[0:10, 0:11]
+    expected = np.stack([rows + 2.0 * cols, 8.0 - cols], axis=-1)
+    found = rqt.spread_slopes(expected[::4, ::4].astype(np.float16), 4, (10, 11))
+    np.testing.assert_array_equal(found[:9, :9], expected[:9, :9])
+    np.testing.assert_array_equal(found[9], found[8])
+    np.testing.assert_array_equal(found[:, 10], found[:, 8])
+
+
 def test_a_raster_of_one_row_draws_nothing():
     heights = np.arange(9, dtype=np.int16)[None]
     with terrain_of(heights, max_error=0) as terrain:

@@ -39,6 +39,27 @@ OVERVIEW = Piece(0, 0, 0)
 MAX_TILE_BYTES = 128 << 20
 
 
+def spread_slopes(
+    slopes: NDArray[np.float16], stride: int, shape: tuple[int, int]
+) -> NDArray[np.float16]:
+    """Return slopes at all samples, linear between those at every `stride`-th."""
+    found = np.empty((*shape, 2), dtype=np.float16)
+    below, right = (np.arange(n) // stride for n in shape)
+    down, across = (
+        (np.arange(n) % stride / np.float32(stride)).astype(np.float32)[:, None] for n in shape
+    )
+    last_row, last_col = slopes.shape[0] - 1, slopes.shape[1] - 1
+    for start in range(0, shape[0], TILE):
+        rows = slice(start, start + TILE)
+        first, share = below[rows], down[rows, None]
+        part = slopes[first].astype(np.float32) * (1 - share)
+        part += slopes[np.minimum(first + 1, last_row)] * share
+        found[rows] = part[:, right] * (1 - across) + part[
+            :, np.minimum(right + 1, last_col)
+        ] * across  # fmt: skip
+    return found
+
+
 class Rqt(WholeMode):
     """A restricted quadtree over an overview and those tiles that the view needs."""
 
@@ -108,11 +129,9 @@ class Rqt(WholeMode):
             error=self.error,
             base_error=self._overview_error,
         )
-        # Slopes at all samples, as far as the overview knows them.
-        rows = np.minimum(np.arange(self.shape[0]) // self._overview_stride, shape[0] - 1)
-        cols = np.minimum(np.arange(self.shape[1]) // self._overview_stride, shape[1] - 1)
         wide = samples._replace(
-            region=Region(0, 0, *self.shape), slopes=samples.slopes[rows][:, cols]
+            region=Region(0, 0, *self.shape),
+            slopes=spread_slopes(samples.slopes, self._overview_stride, self.shape),
         )
         return BuiltSamples(wide, self._overview_error, mesh)
 
