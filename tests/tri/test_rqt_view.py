@@ -316,17 +316,17 @@ def test_nothing_jumps_with_a_morph(error):
 
 
 def test_the_budget_is_kept_and_tau_sinks_again():
-    mesh = mesh_of((33, 33), 16, False)
-    eye = eye_of(Camera((16, -16, 90), 0, -80, 60))
-    free = mesh.update(eye, 1.0, morph=1.25)
-    assert free.tau == 1.0
-    assert free.n_active > 200
-    tight = mesh.update(eye, 1.0, morph=1.25, max_vertices=100)
-    assert 9 < tight.n_active <= 100
-    assert tight.tau > 1.0
-    for _ in range(200):
-        again = mesh.update(eye, 1.0, morph=1.25, max_vertices=1100)
-    assert again.tau == 1.0
+    mesh = mesh_of((17, 17), 8, False)
+    eye = eye_of(Camera((8, -8, 90), 0, -80, 60))
+    free = mesh.update(eye, 4.0, morph=1.25)
+    assert free.tau == 4.0
+    assert free.n_active > 100
+    tight = mesh.update(eye, 4.0, morph=1.25, max_vertices=free.n_active - 20)
+    assert 9 < tight.n_active <= free.n_active - 20
+    assert 4.0 < tight.tau < 4.0 * 1.02**50
+    for _ in range(50):
+        again = mesh.update(eye, 4.0, morph=1.25, max_vertices=free.n_active)
+    assert again.tau == 4.0
     assert again.n_active == free.n_active
 
 
