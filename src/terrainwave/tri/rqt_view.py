@@ -155,6 +155,7 @@ class RestrictedMesh:
         self._is_active = np.zeros(padded, dtype=np.bool_)
         self._vertex_of = np.empty(padded, dtype=np.int32)
         self._active, self._n_active = np.empty((0, 2), dtype=np.int32), 0
+        self._on_screen = np.empty(0)
         self._reset()
         self._stack = np.empty((_MOST_DEPENDENCIES, 6), dtype=np.int64)
         self._pressure = Pressure()
@@ -168,6 +169,7 @@ class RestrictedMesh:
         corners = corners * self.tile
         self._is_active[corners[:, 0], corners[:, 1]] = True
         self._active, self._n_active = corners.astype(np.int32), len(corners)
+        self._on_screen = np.full(len(corners), np.nan)
         self._reserve()
 
     def _reserve(self) -> None:
@@ -176,6 +178,9 @@ class RestrictedMesh:
         active = np.empty((capacity, 2), dtype=np.int32)
         active[: self._n_active] = self._active[: self._n_active]
         self._active = active
+        on_screen = np.empty(capacity)
+        on_screen[: self._n_active] = self._on_screen[: self._n_active]
+        self._on_screen = on_screen
         self._shares, self._own_heights = np.empty(capacity), np.empty(capacity)
         self._vertices = np.empty((capacity, 3))
         self._places = np.empty((capacity, 2), dtype=np.int32)
@@ -309,16 +314,17 @@ class RestrictedMesh:
         """Merge and split, until there are too many; return how many were touched and changed."""
         state = (*self._tiles.known_errors, self._is_active)
         self._n_active, n_touched, n_changed = merge_vertices(
-            *state, self._n_children, self._active, self._n_active, view, planes, threshold
-        )
+            *state, self._n_children, self._active, self._on_screen, self._n_active, view, planes,
+            threshold,
+        )  # fmt: skip
         limit = np.iinfo(np.int64).max if max_vertices is None else max_vertices
         done = 0
         while done < self._n_active <= limit:
             if self._n_active + _ROOM > len(self._active):
                 self._reserve()
             done, self._n_active, touched, changed = split_vertices(
-                *state, self._n_children, self._active, done, self._n_active, limit, view, planes,
-                threshold, self._stack,
+                *state, self._n_children, self._active, self._on_screen, done, self._n_active,
+                limit, view, planes, threshold, self._stack,
             )  # fmt: skip
             n_touched, n_changed = n_touched + touched, n_changed + changed
         return n_touched, n_changed
@@ -332,8 +338,8 @@ class RestrictedMesh:
         number_vertices(active, *self._tiles.known_heights, self._vertex_of, heights)
         if end > start:
             fill_shares(
-                *self._tiles.known_errors, active, self._vertex_of, view, planes, start, end,
-                shares,
+                *self._tiles.known_errors, active, self._on_screen, self._vertex_of, view, planes,
+                start, end, shares,
             )  # fmt: skip
         else:
             shares[:] = 1.0
@@ -446,12 +452,13 @@ def tile_errors_on_screen(errors, tile, margin, view, planes, found):
 
 @kernel
 def fill_shares(
-    slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits, active, vertex_of, view,
-    planes, start, end, shares,
+    slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits, active, on_screen, vertex_of,
+    view, planes, start, end, shares,
 ):  # fmt: skip
     """Fill for which share of the thresholds between `start` and `end` each vertex is there.
 
-    Where one is, so is all that it depends on, which comes before it in `active`.
+    `on_screen` has errors that are computed already, else NaN. Where one vertex is, so is all that
+    it depends on, which comes before it in `active`.
     """
     n_rows, n_cols = vertex_of.shape
     tile = 1 << bits
@@ -463,11 +470,13 @@ def fill_shares(
             continue
         share = shares[number]
         if share < 1:
-            error = known_error(
-                row, col, slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits
-            )
-            on_screen = screen_error(error, row, col, tile, view, planes)
-            share = max(share, min((on_screen - start) / (end - start), 1.0))
+            found = on_screen[number]
+            if np.isnan(found):
+                error = known_error(
+                    row, col, slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits
+                )
+                found = screen_error(error, row, col, tile, view, planes)
+            share = max(share, min((found - start) / (end - start), 1.0))
             shares[number] = share
         r2, c2, r3, c3 = needs_of(row, col, tile)
         for r, c in ((r2, c2), (r3, c3)):
@@ -496,24 +505,27 @@ def _child(row, col, tile, k):
 @kernel
 def merge_vertices(
     slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits, is_active, n_children,
-    active, n_active, view, planes, tau,
+    active, on_screen, n_active, view, planes, tau,
 ):  # fmt: skip
     """Merge vertices that nothing depends on and whose error is not above `tau`, the last first.
 
-    Return how many are left, how many were touched and merged. What a merged vertex depended on was
-    split before it and comes after it here.
+    Fill the errors on screen that this takes, NaN elsewhere. Return how many are left, how many
+    were touched and merged. What a merged vertex depended on was split before it and comes after
+    it here.
     """
     n_touched = n_changed = 0
     tile = 1 << bits
     for number in range(n_active - 1, -1, -1):
         row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
+        on_screen[number] = np.nan
         if n_children[row, col] or is_corner(row, col, tile):
             continue
         n_touched += 1
         error = known_error(
             row, col, slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits
         )
-        if screen_error(error, row, col, tile, view, planes) > tau:
+        on_screen[number] = screen_error(error, row, col, tile, view, planes)
+        if on_screen[number] > tau:
             continue
         is_active[row, col] = False
         n_changed += 1
@@ -525,6 +537,7 @@ def merge_vertices(
     for number in range(n_active):
         if is_active[active[number, 0], active[number, 1]]:
             active[kept, 0], active[kept, 1] = active[number, 0], active[number, 1]
+            on_screen[kept] = on_screen[number]
             kept += 1
     return kept, n_touched, n_changed
 
@@ -532,7 +545,7 @@ def merge_vertices(
 @kernel
 def split_vertices(
     slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits, is_active, n_children,
-    active, done, n_active, limit, view, planes, tau, stack,
+    active, on_screen, done, n_active, limit, view, planes, tau, stack,
 ):  # fmt: skip
     """Split what depends on active vertices where its error is above `tau`, and all it needs.
 
@@ -559,12 +572,16 @@ def split_vertices(
             error = known_error(
                 row, col, slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits
             )
-            if screen_error(error, row, col, tile, view, planes) <= tau:
+            found = screen_error(error, row, col, tile, view, planes)
+            if found <= tau:
                 continue
             n_more = _activate(
                 row, col, slot_of, bits, step_bits, is_active, n_children, active, n_active, stack
             )
-            n_active += n_more
+            if n_more > 0:
+                on_screen[n_active : n_active + n_more] = np.nan
+                n_active += n_more
+                on_screen[n_active - 1] = found
             n_changed += n_more
     return done, n_active, n_touched, n_changed
 
