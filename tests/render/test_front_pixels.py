@@ -7,9 +7,11 @@ from render.test_fronts import cameras
 from scipy.spatial import KDTree
 
 from terrainwave.render.camera import top_view
+from terrainwave.render.modes import rqt
 from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.style import Style
 from terrainwave.render.vertex_texture_surface import VERTEX_SHADER
+from terrainwave.tri.rqt_tiles import tile_bytes
 
 pytestmark = [pytest.mark.gl, pytest.mark.large, pytest.mark.usefixtures("no_gl_errors")]
 
@@ -44,6 +46,32 @@ def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, mode):
                 assert (~loud(image) & outside).sum() == 0
                 counts.add(frames.n_triangles)
         assert len(counts) > 4
+
+
+def test_no_gap_shows_while_tiles_of_rqt_come_and_go(context, rough, monkeypatch):
+    n_most = 8
+    monkeypatch.setattr(rqt, "TILE", 16)
+    monkeypatch.setattr(rqt, "_OVERVIEW_LEVELS", 2)
+    monkeypatch.setattr(rqt, "MAX_TILE_BYTES", n_most * tile_bytes(16))
+    style = Style(background=LOUD, coloring="flat")
+    options = {"samples": 0, "context": context}
+    with (
+        Offscreen(rough, SIZE, mode="full", **options) as full,
+        Offscreen(rough, SIZE, mode="rqt", n_workers=1, **options) as coarse,
+    ):
+        counts = set()
+        for camera in cameras(full.scene.frame, 4, seed=5):
+            reference, _ = full.picture(camera, style)
+            inside = eroded(~loud(reference), 10)  # the overview is coarse
+            assert inside.sum() > 300
+            for _ in range(5):
+                image, _ = coarse.picture(camera, style, max_pixel_error=3.0, settle=False)
+                if coarse.scene.mode._mesh is not None:
+                    assert (loud(image) & inside).sum() == 0
+                    counts.add(coarse.scene.mode._mesh.n_loaded)
+                coarse.scene._pager.wait(5)
+        assert len(counts) > 2
+        assert max(counts) <= n_most
 
 
 @pytest.mark.parametrize("mode", MODES)

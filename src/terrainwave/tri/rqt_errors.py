@@ -51,7 +51,8 @@ def measure_tile(first_row, first_col, base, is_bound, z, errors):
     """Widen the errors of a tile's vertices, finest first, by what is in the tile.
 
     `z` and `errors` are those of the tile, whose first sample is at `first_row` and `first_col`:
-    these matter for which way its cells are cut.
+    these matter for which way its cells are cut. A coefficient on the tile's border takes the mean
+    of the neighbours inside.
     """
     side = z.shape[0] - 1
     stride = 1
