@@ -8,14 +8,22 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
-import reference_decoder
-from reference_decoder import DICTIONARY, NAMES, decode, decode_units, inflate, read_file
+from reference_decoder import cdf97 as reference_cdf97
+from reference_decoder import predictive, range_coder
+from reference_decoder.basics import inflate
+from reference_decoder.files import DICTIONARY, NAMES, read_file
+from reference_decoder.payloads import decode_mask
+from reference_decoder.units import decode, decode_units
 from twz import twz_bytes
 
 import terrainwave
 from terrainwave.codec import cdf97
 
-DOCUMENT = (Path(__file__).parents[1] / "docs" / "FORMAT.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[1] / "docs"
+DOCUMENT = (DOCS / "FORMAT.md").read_text(encoding="utf-8")
+EXAMPLE_OF_PREDICTIVE = (
+    (DOCS / "format-predictive.md").read_text(encoding="utf-8").partition("\n## P.11 ")[2]
+)
 ROOT_KEY = (-1, 0, 0)
 
 
@@ -23,32 +31,32 @@ def section(number):
     return re.search(rf"^### {re.escape(number)} .*?(?=^##)", DOCUMENT, re.M | re.S)[0]
 
 
-def rows(number):
-    """Return (bytes, meaning) of the rows of a section's table, checking the offsets."""
+def rows(text):
+    """Return (bytes, meaning) of the rows of a table, checking the offsets."""
     found = []
     offset = 0
-    for start, text, meaning in re.findall(
-        r"^\| (\d+) \| ([0-9a-f]{2}(?: [0-9a-f]{2})*) \| (.+) \|$", section(number), re.M
+    for start, data, meaning in re.findall(
+        r"^\| (\d+) \| ([0-9a-f]{2}(?: [0-9a-f]{2})*) \| (.+) \|$", text, re.M
     ):
         assert int(start) == offset
-        found.append((bytes.fromhex(text), meaning))
+        found.append((bytes.fromhex(data), meaning))
         offset += len(found[-1][0])
     return found
 
 
-def hexdump(number):
-    return b"".join(data for data, _ in rows(number))
+def hexdump(text):
+    return b"".join(data for data, _ in rows(text))
 
 
-def grid(name):
+def grid(name, document=DOCUMENT):
     """Return the numbers of a fenced block; 0 where it has a dot."""
-    text = re.search(rf"^```{name}\n(.*?)^```", DOCUMENT, re.M | re.S)[1]
+    text = re.search(rf"^```{name}\n(.*?)^```", document, re.M | re.S)[1]
     return np.array(
         [[int(cell.replace("·", "0")) for cell in line.split()] for line in text.splitlines()]
     )
 
 
-FILE = hexdump("9.2")
+FILE = hexdump(section("9.2"))
 HEIGHTS, DECODED = grid("heights"), grid("decoded")
 
 
@@ -98,7 +106,7 @@ def test_encoding_the_raster_gives_the_content_of_the_example():
 def test_rows_of_the_file_are_the_fields_of_the_header():
     header = read_file(FILE).header
     n_fields = 0
-    for (_, meaning), name in zip(rows("9.2"), NAMES, strict=False):
+    for (_, meaning), name in zip(rows(section("9.2")), NAMES, strict=False):
         if meaning.split()[0] == name and name not in ("magic", "padding", "tail", "reserved"):
             number = re.search(r"(?:0x[0-9A-F]+|−?[\d.]+)$|(?<= )−?\d+(?=:)", meaning)
             value = (
@@ -115,23 +123,23 @@ def test_deflated_sections_inflate_to_the_stated_content():
     text = inflate(section_bytes, 2**20, DICTIONARY).decode()
     assert text == re.search(r"^```json\n(.*?)\n```", section("9.3"), re.M | re.S)[1]
     assert json.loads(text).keys() == {"mask_kind", "nodata", "software"}
-    assert page_of(FILE) == (bytes(8), hexdump("9.4"))
+    assert page_of(FILE) == (bytes(8), hexdump(section("9.4")))
 
 
 def test_the_range_coder_has_the_stated_states_in_the_mask():
     states = []
 
-    class Recorder(reference_decoder.RangeDecoder):
+    class Recorder(range_coder.RangeDecoder):
         def bit(self, models, i):
             bit = super().bit(models, i)
             states.append((i, bit, self.range, self.code, self.position))
             return bit
 
     section_bytes = next(
-        data for data, meaning in rows("9.2") if meaning.startswith("mask section")
+        data for data, meaning in rows(section("9.2")) if meaning.startswith("mask section")
     )
-    with patch.object(reference_decoder, "RangeDecoder", Recorder):
-        reference_decoder.decode_mask(section_bytes, [[False] * 5 for _ in range(5)])
+    with patch.object(range_coder, "RangeDecoder", Recorder):
+        decode_mask(section_bytes, [[False] * 5 for _ in range(5)])
     table = re.findall(r"^\| (\d), (\d) \| (.*) \|$", section("9.5"), re.M)
     assert len(table) == 5
     for row, col, cells in table:
@@ -142,13 +150,13 @@ def test_coefficients_details_and_residuals_are_the_stated_ones():
     steps = []
 
     def recording(name):
-        function = getattr(reference_decoder, name)
+        function = getattr(reference_cdf97, name)
 
         def wrapper(*args):
             steps.append((args, function(*args)))
             return steps[-1][1]
 
-        return patch.object(reference_decoder, name, wrapper)
+        return patch.object(reference_cdf97, name, wrapper)
 
     with recording("decode_coefficients"), recording("inverse_transform"):
         ((_, quanta, valid),) = decode_units(read_file(FILE), 0)
@@ -180,7 +188,39 @@ def test_coefficients_details_and_residuals_are_the_stated_ones():
 @pytest.mark.parametrize("decoder", ["library", "reference"])
 def test_the_payload_of_method_store_is_the_stated_one(decoder):
     data = encoded("store")
-    assert read_file(data).payloads == {ROOT_KEY: hexdump("9.7")}
+    assert read_file(data).payloads == {ROOT_KEY: hexdump(section("9.7"))}
     with terrainwave.open(data) as terrain:
         found = terrain.read() if decoder == "library" else decode(data)[0]
     np.testing.assert_array_equal(found, grid("store"))
+
+
+def test_the_payload_of_method_predictive_is_the_stated_one():
+    data = encoded("predictive")
+    assert read_file(data).payloads == {ROOT_KEY: hexdump(EXAMPLE_OF_PREDICTIVE)}
+    with terrainwave.open(data) as terrain:
+        found = terrain.read()
+    np.testing.assert_array_equal(found, grid("decoded", EXAMPLE_OF_PREDICTIVE))
+    np.testing.assert_array_equal(found, decode(data)[0])
+
+
+def test_predictions_and_details_of_predictive_are_the_stated_ones():
+    coded = []
+
+    class Recorder(predictive.PlaneDecoder):
+        def expected(self, i, j, *rest):
+            coded.append([self.lattice.stride, self.plane, i, j])
+            return super().expected(i, j, *rest)
+
+        def decode_detail(self, e, core, near, p):
+            q = super().decode_detail(e, core, near, p)
+            height = np.clip(((p + 32) >> 6) + 3 * q, -36, 36)
+            coded[-1] += [p, e, q, height]
+            return q
+
+    with patch.object(predictive, "PlaneDecoder", Recorder):
+        decode(encoded("predictive"))
+    stated = re.findall(r"^\| (\d) \| ([HL]+) \| (.*) \|$", EXAMPLE_OF_PREDICTIVE, re.M)
+    assert [[int(stride), plane] for stride, plane, _ in stated] == [row[:2] for row in coded]
+    for (_, _, cells), (_, _, *numbers) in zip(stated, coded, strict=True):
+        cells = cells.replace("−", "-").replace(" |", ",").split(",")
+        assert [int(cell) for cell in cells] == numbers

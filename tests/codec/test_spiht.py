@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from codec.slow_spiht import Spiht, Stop
-from reference_decoder import Models, RangeDecoder
+from reference_decoder.range_coder import Models, RangeDecoder
+from reference_decoder.spiht import Spiht, Stop
 from strategies import terrain_like
 
 from terrainwave.codec.spiht import decode_field, encode_field, make_geometry

@@ -1,0 +1,67 @@
+"""What all parts share: errors, numbers, deflate (docs/FORMAT.md §1), text of the document."""
+
+import re
+import zlib
+from pathlib import Path
+
+DOCUMENT = (Path(__file__).parents[2] / "docs" / "FORMAT.md").read_text(encoding="utf-8")
+
+
+def fenced(name):
+    """Return the text of a fenced block of the document."""
+    return re.search(rf"^```{name}\n(.*?)^```", DOCUMENT, re.M | re.S)[1]
+
+
+class CorruptError(Exception):
+    """The bytes contradict the document (§1.2)."""
+
+
+class UnsupportedError(CorruptError):
+    """The bytes follow rules of a later version (§1.2)."""
+
+
+def require(condition, message, error=CorruptError):
+    if not condition:
+        raise error(message)
+
+
+def clamp(x, low, high):
+    return min(max(x, low), high)
+
+
+def ceil_div(a, b):
+    return -(-a // b)
+
+
+def at_or_zero(grid, i, j):
+    return grid[i][j] if 0 <= i < len(grid) and 0 <= j < len(grid[0]) else 0
+
+
+def zeros(n_rows, n_cols):
+    return [[0] * n_cols for _ in range(n_rows)]
+
+
+def inflate(data, limit, dictionary=None):
+    """Inflate one zlib stream that fills `data` exactly; a raw one with a preset dictionary."""
+    stream = zlib.decompressobj(-15, dictionary) if dictionary else zlib.decompressobj()
+    try:
+        content = stream.decompress(data, limit + 1)
+    except zlib.error as error:
+        raise CorruptError(str(error)) from None
+    require(len(content) <= limit, "inflates to more than its limit")
+    require(stream.eof, "deflated section ends early")
+    require(not stream.unused_data, "bytes after a deflated section")
+    return content
+
+
+def read_varint(data, at):
+    """Return a varint and the place after it."""
+    value = 0
+    for i in range(5):
+        require(at + i < len(data), "varint is cut off")
+        byte = data[at + i]
+        value |= (byte & 127) << (7 * i)
+        if byte < 128:
+            require(byte > 0 or i == 0, "varint is longer than it must be")
+            return value, at + i + 1
+    raise CorruptError("varint has a sixth byte")

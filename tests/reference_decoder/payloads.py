@@ -1,0 +1,147 @@
+"""Masks and the payload wrapper (docs/FORMAT.md §2.3, §5)."""
+
+import numpy as np
+
+from reference_decoder import range_coder
+from reference_decoder.basics import ceil_div, clamp, fenced, read_varint, require
+from reference_decoder.cdf97 import decode_cdf97
+from reference_decoder.files import DTYPES, METHODS
+from reference_decoder.predictive import decode_predictive
+from reference_decoder.range_coder import Models
+from reference_decoder.store import decode_store
+
+MASK_STARTS = [int(number) for number in fenced("starts").split()]  # §5.2
+DECODERS = {"store": decode_store, "cdf97": decode_cdf97, "predictive": decode_predictive}
+
+
+def implied_void(unit, parent_unit, parent_valid):
+    """Samples of the region that a void parent sample touches (§5.1)."""
+    n_rows, n_cols = unit.rows.n, unit.cols.n
+    if parent_unit is None:
+        return [[False] * n_cols for _ in range(n_rows)]
+
+    def touching(axis, parent_axis, i):
+        place = axis.first + i
+        return [
+            clamp(p, parent_axis.first, parent_axis.last) - parent_axis.first
+            for p in (place // 2, (place + 1) // 2)
+        ]
+
+    return [
+        [
+            not all(
+                parent_valid[i][j]
+                for i in touching(unit.rows, parent_unit.rows, r)
+                for j in touching(unit.cols, parent_unit.cols, c)
+            )
+            for c in range(n_cols)
+        ]
+        for r in range(n_rows)
+    ]
+
+
+def decode_mask(section, implied):
+    """§5.2."""
+    n_rows, n_cols = len(implied), len(implied[0])
+    valid = [[0] * n_cols for _ in range(n_rows)]
+
+    def at(grid, i, j):
+        return int(0 <= i < n_rows and 0 <= j < n_cols and bool(grid[i][j]))
+
+    decoder, models = range_coder.RangeDecoder(section), Models(576)
+    for i in range(576):
+        models.probability[i], models.count[i] = MASK_STARTS[i] << 14, 2
+    for i in range(n_rows):
+        for j in range(n_cols):
+            if implied[i][j]:
+                continue
+            c = 0
+            for di, dj in ((0, -1), (-1, 0), (-1, -1), (-1, 1), (0, -2), (-2, 0)):
+                c = 2 * c + at(valid, i + di, j + dj)
+            a = at(implied, i + 1, j) + at(implied, i, j + 1)
+            far = ((0, 2), (1, -1), (1, 1), (2, 0))
+            b = min(sum(at(implied, i + di, j + dj) for di, dj in far), 2)
+            valid[i][j] = decoder.bit(models, (c * 3 + a) * 3 + b)
+    decoder.end()
+    return valid
+
+
+def decode_payload(file, unit, payload, parent_unit, parent_heights, parent_valid):
+    """Return the final heights and the mask of a unit's region (§5.1)."""
+    h = file.header
+    n_rows, n_cols = unit.rows.n, unit.cols.n
+    if not payload:
+        return [[0] * n_cols for _ in range(n_rows)], [[0] * n_cols for _ in range(n_rows)]
+    implied = implied_void(unit, parent_unit, parent_valid)
+    flags, at = payload[0], 1
+    require(flags < 4, "flags of a payload")
+    sections = [None, None]
+    for bit in (0, 1):
+        if flags >> bit & 1:
+            n, at = read_varint(payload, at)
+            require(1 <= n <= len(payload) - at, "length of a mask or exception section")
+            sections[bit] = payload[at : at + n]
+            at += n
+    mask, exceptions = sections
+    valid = decode_mask(mask, implied) if mask else [[int(not x) for x in row] for row in implied]
+    require(any(map(any, valid)), "payload of a unit without valid samples")
+    decode_method = DECODERS[METHODS[h.method]]
+    heights = decode_method(file, unit, payload[at:], valid, parent_unit, parent_heights)
+    # 1.
+    heights = [[clamp(z, h.z_min, h.z_max) for z in row] for row in heights]
+    # 2.
+    taken = quanta_of_nodata(file)
+    n_met = 0
+    if taken:
+        a, b = taken
+        for r in range(n_rows):
+            for c in range(n_cols):
+                if valid[r][c] and a <= heights[r][c] <= b:
+                    is_down = False
+                    if exceptions is not None:
+                        require(n_met // 8 < len(exceptions), "length of the exception section")
+                        is_down = exceptions[n_met // 8] >> (7 - n_met % 8) & 1
+                    heights[r][c] = a - 1 if is_down else b + 1
+                    n_met += 1
+    if exceptions is not None:
+        require(len(exceptions) == ceil_div(n_met, 8), "length of the exception section")
+        last = int.from_bytes(exceptions, "big") & ((1 << (-n_met % 8)) - 1)
+        require(last == 0, "filling of the exception section")
+    return heights, valid
+
+
+def raw_height(h, k):
+    """Return the raw height of quantum number k, in the dtype of the file."""
+    dtype = np.dtype(DTYPES[h.dtype])
+    p = (h.base + k) * h.quantum_num
+    if dtype.kind == "f":
+        return dtype.type(float(p) / float(h.quantum_den))
+    nearest = p if h.quantum_den == 1 else round(float(p) / float(h.quantum_den))
+    limits = np.iinfo(dtype)
+    return dtype.type(clamp(nearest, int(limits.min), int(limits.max)))
+
+
+def nodata_in_dtype(file):
+    """Return the nodata value as a number of the file's dtype; None if there is none."""
+    nodata = file.metadata.get("nodata")
+    if nodata is None:
+        return None
+    with np.errstate(under="ignore"):
+        return np.dtype(DTYPES[file.header.dtype]).type(float(nodata))
+
+
+def quanta_of_nodata(file):
+    """Return the first and last quantum number in [z_min, z_max] that becomes nodata, or None."""
+    h, nodata = file.header, nodata_in_dtype(file)
+    if nodata is None or nodata != nodata:
+        return None
+
+    def first(is_reached):  # by bisection: raw heights never fall
+        low, high = h.z_min, h.z_max + 1
+        while low < high:
+            middle = (low + high) // 2
+            low, high = (low, middle) if is_reached(raw_height(h, middle)) else (middle + 1, high)
+        return low
+
+    a, b = first(lambda z: z >= nodata), first(lambda z: z > nodata) - 1
+    return (a, b) if a <= b else None
