@@ -435,6 +435,11 @@ class RandomCoder(RangeEncoder):
         super().mean_bit(models, a, b, bit)
         return bit
 
+    def mixed_bit(self, models, a, b, mixers, i):
+        bit = self._answer(models, a, b)
+        super().mixed_bit(models, a, b, mixers, i, bit)
+        return bit
+
     def raw(self, k):
         value = int(self.rng.integers(0, 1 << k))
         super().raw(value, k)

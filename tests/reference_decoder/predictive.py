@@ -8,7 +8,7 @@ import numpy as np
 
 from reference_decoder import range_coder
 from reference_decoder.basics import UnsupportedError, clamp, require, zeros
-from reference_decoder.range_coder import M, Models, bin_of, lg
+from reference_decoder.range_coder import M, Mixers, Models, bin_of, lg
 
 # Annex 1 (P.9): numbers alone.
 from terrainwave.codec import tables as annex
@@ -337,7 +337,7 @@ class PlaneDecoder:
         self.stencil, self.weights = stencil, weights
         self.scale, self.header = scale, header
         self.is_mixed, self.is_clamped = flags & 1, flags & 2
-        self.decoder, self.models = source
+        self.decoder, self.models, self.mixers = source
         self.parity = PARITY[plane]
         self.n_rows = (lattice.n_rows + 1 - self.parity[0]) // 2
         self.n_cols = (lattice.n_cols + 1 - self.parity[1]) // 2
@@ -455,6 +455,11 @@ class PlaneDecoder:
             return self.decoder.mean_bit(self.models, b, h)
         return self.decoder.bit(self.models, b)
 
+    def mixed_bit(self, b, h, mixer):
+        if self.is_mixed:
+            return self.decoder.mixed_bit(self.models, b, h, self.mixers, mixer)
+        return self.decoder.bit(self.models, b)
+
     def decode_detail(self, e, core, near, p):
         """Return q; `near` are the heights at W and N."""
         n, steps = self.header.step, self.scale.steps
@@ -485,7 +490,8 @@ class PlaneDecoder:
         side = min((steps(6 * abs(phi), -5) + 1) >> 1, 3)
         sigma = 3 + side if phi > 0 else 3 - side
         b = 9 * (9 * (7 * epsilon + sigma) + mu((c2 + c3) * 32 - p)) + mu((c1 + c4) * 32 - p)
-        is_up = self.bit(2640 + b, 5475 + 8 * (8 * (beta >> 2) + up) + down)
+        h = 5475 + 8 * (8 * (beta >> 2) + up) + down
+        is_up = self.mixed_bit(2640 + b, h, beta >> 2)
         size = 1 + self.decode_size(beta, rho, is_up, p, core, six)
         return size if is_up else -size
 
@@ -505,7 +511,8 @@ class PlaneDecoder:
             beyond = min(sum(t > ones for t in ahead), 5)
             here = min(sum(t == ones for t in ahead), 2)
             b = 6179 + 14 * (8 * beta + reach) + ones
-            if not self.bit(b, 11107 + 18 * (14 * beta + ones) + 3 * beyond + here):
+            h = 11107 + 18 * (14 * beta + ones) + 3 * beyond + here
+            if not self.mixed_bit(b, h, 11 + (beta >> 2)):
                 break
             ones += 1
         upper = ones
@@ -534,13 +541,13 @@ def decode_predictive(file, unit, payload, valid, parent_unit, parent_heights):
         shared.decode_shared()
         shared.take_parents()
         stride = 2
-    models = Models(N_DETAIL_MODELS, DETAIL_STARTS)
+    source = decoder, Models(N_DETAIL_MODELS, DETAIL_STARTS), Mixers(22)
     scale = Scale(file.header.step)
     while stride > 1:
         stride //= 2
         lattice = Lattice(unit, stride, shared.heights)
         for plane in PLANES:
-            decode_plane(file, lattice, plane, scale, flags, (decoder, models), valid, shared.known)
+            decode_plane(file, lattice, plane, scale, flags, source, valid, shared.known)
     decoder.end()
     return shared.heights
 

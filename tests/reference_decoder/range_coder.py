@@ -1,5 +1,7 @@
 """The range coder, magnitudes and bins (docs/FORMAT.md §6)."""
 
+import math
+
 from reference_decoder.basics import ceil_div, require
 
 M = 2**30  # the largest height in magnitude
@@ -39,6 +41,34 @@ class Models:
         self.count[i] = min(self.count[i] + 1, 254)
 
 
+def rounded(x):
+    return math.floor(x + 0.5)
+
+
+# Logits of probabilities, and probabilities of mixed logits (format-predictive.md P.1).
+LOGITS = [rounded(256 * math.log((2 * k + 1) / (2047 - 2 * k))) for k in range(1024)]
+MIXED = [rounded(65536 / (1 + math.exp((703 - 2 * k) / 64))) for k in range(704)]
+
+
+class Mixers:
+    """Pairs of weights (format-predictive.md P.1)."""
+
+    def __init__(self, n):
+        self.weights = [(32768, 32768)] * n
+
+    def mixed(self, models, a, b, i):
+        """Return m and the models' logits."""
+        logits = [LOGITS[models.probability[model] >> 12] for model in (a, b)]
+        x = sum(v * s for v, s in zip(self.weights[i], logits, strict=True)) >> 19
+        return MIXED[min(max(x, -352), 351) + 352], logits
+
+    def update(self, i, m, logits, bit):
+        self.weights[i] = tuple(
+            v + ((32768 - m * s) >> 16) + bit * s
+            for v, s in zip(self.weights[i], logits, strict=True)
+        )
+
+
 class RangeDecoder:
     """§6.2."""
 
@@ -76,6 +106,16 @@ class RangeDecoder:
         bit = self._split((self.range >> 16) * (mean | 1))
         models.update(a, bit)
         models.update(b, bit)
+        self._renormalise()
+        return bit
+
+    def mixed_bit(self, models, a, b, mixers, i):
+        """Read a bit by two models and a mixer (format-predictive.md P.1)."""
+        m, logits = mixers.mixed(models, a, b, i)
+        bit = self._split((self.range >> 16) * m)
+        models.update(a, bit)
+        models.update(b, bit)
+        mixers.update(i, m, logits, bit)
         self._renormalise()
         return bit
 
@@ -153,6 +193,14 @@ class RangeEncoder:
         self._split((self.range >> 16) * (mean | 1), bit)
         models.update(a, bit)
         models.update(b, bit)
+        self._renormalise()
+
+    def mixed_bit(self, models, a, b, mixers, i, bit):
+        m, logits = mixers.mixed(models, a, b, i)
+        self._split((self.range >> 16) * m, bit)
+        models.update(a, bit)
+        models.update(b, bit)
+        mixers.update(i, m, logits, bit)
         self._renormalise()
 
     def raw(self, value, k):
