@@ -44,6 +44,8 @@ _FIRST_LOG = 24
 N_E_BINS = 44
 N_RANGE_BINS = 8
 _N_FRAC_BINS = 4
+# Known neighbours whose places are looked at: four core values, west, north.
+N_SPOTS = 6
 _N_BALANCE = 7 * 4
 _N_BEYOND = 6 * 3
 # Low bits of magnitudes that are not coded, by E bin: magnitudes of about a quarter of E.
@@ -144,10 +146,16 @@ def encode_detail(
     first_b = UNARY_B + (e_bin * N_RANGE_BINS + range_bin) * N_UNARY
     first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
     n_ones = min(upper, N_UNARY)
+    beyond = cells = np.int64(0)
+    if spots is not None:
+        beyond, cells = cells_beyond(spots, positive, shift)
     for i in range(min(n_ones + 1, N_UNARY)):
         bit = 1 if i < n_ones else 0
         if spots is not None:
-            index_h = first_h + i * _N_BEYOND + beyond_context(spots, positive, shift, i)
+            here = cells & 15
+            beyond -= here
+            cells >>= 4
+            index_h = first_h + i * _N_BEYOND + min(beyond, 5) * 3 + min(here, 2)
             span, low = encode_mean_step(span, low, state, out, models, first_b + i, index_h, bit)
         else:
             span, low = encode_step(span, low, state, out, models, first_b + i, bit)
@@ -193,9 +201,15 @@ def decode_detail(
     first_b = UNARY_B + (e_bin * N_RANGE_BINS + range_bin) * N_UNARY
     first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
     upper = np.int64(0)
+    beyond = cells = np.int64(0)
+    if spots is not None:
+        beyond, cells = cells_beyond(spots, positive, shift)
     while upper < N_UNARY:
         if spots is not None:
-            index_h = first_h + upper * _N_BEYOND + beyond_context(spots, positive, shift, upper)
+            here = cells & 15
+            beyond -= here
+            cells >>= 4
+            index_h = first_h + upper * _N_BEYOND + min(beyond, 5) * 3 + min(here, 2)
             bit, span, code, pos = decode_mean_step(
                 span, code, pos, data, models, first_b + upper, index_h
             )
@@ -235,18 +249,17 @@ def decode_detail(
 
 
 @kernel
-def beyond_context(spots, positive, shift, i):
-    """Return the context of unary bit `i` from the indices of the known neighbours.
+def cells_beyond(spots, positive, shift):
+    """Return how many known neighbours lie on the detail's side, and how many in each unary cell.
 
-    How many lie beyond the cell in question, and how many in it.
+    The cells are packed into one integer, four bits each, the first lowest; the last, N_UNARY, is
+    for all further ones.
     """
-    beyond = here = 0
-    for k in range(spots.shape[0]):
-        spot = spots[k] if positive else -spots[k]
-        if spot > 0:
-            spot = (spot - 1) >> shift
-            if spot > i:
-                beyond += 1
-            elif spot == i:
-                here += 1
-    return min(beyond, 5) * 3 + min(here, 2)
+    beyond = cells = np.int64(0)
+    for k in range(N_SPOTS):
+        spot = np.int64(spots[k]) if positive else -np.int64(spots[k])
+        cell = min((max(spot, 1) - 1) >> shift, N_UNARY)
+        is_beyond = np.int64(1) if spot > 0 else np.int64(0)
+        beyond += is_beyond
+        cells += is_beyond << (4 * cell)
+    return beyond, cells

@@ -12,6 +12,7 @@ from terrainwave.codec.detail import (
     E_OFFSET,
     MAX_E,
     N_RANGE_BINS,
+    N_SPOTS,
     SIGN_B,
     SIGN_E_OF_BIN,
     SIGN_H,
@@ -253,7 +254,7 @@ def code_pass(
     `kinds` (VOID, CODED, KNOWN) and `target` have the plane's size without padding; known samples
     are in place. Fills ``errors[own]`` and ``activity[own]`` as well, whose padding must be 0.
     `rows` may be int32 where `fits_narrow` says so, for the same result in half the time. `spots`
-    is room for six integers, or None where each decision has one model only.
+    is room for N_SPOTS integers, or None where each decision has one model only.
     """
     n_rows, n_cols = kinds.shape
     plane, own_errors = planes[own], errors[own]
@@ -435,7 +436,7 @@ def code_pass(
                     spots[0], spots[1] = bottom - whole, lower[j] - whole
                     spots[2], spots[3] = upper[j] - whole, top - whole
                     spots[4], spots[5] = west - whole, northern[j] - whole
-                    for k in range(6):
+                    for k in range(N_SPOTS):
                         distance = in_steps(abs(spots[k]) + half, scale_shift, inverse, 0)
                         spots[k] = distance if spots[k] > 0 else -distance
                 if target is None:

@@ -19,7 +19,7 @@ from terrainwave.codec.border import (
     code_border,
     code_corner,
 )
-from terrainwave.codec.detail import N_DETAIL_MODELS
+from terrainwave.codec.detail import N_DETAIL_MODELS, N_SPOTS
 from terrainwave.codec.fitting import features_of, fit_features, fit_tables, windows_of
 from terrainwave.codec.lattice import (
     HH,
@@ -167,7 +167,7 @@ class _Workspace(threading.local):
             np.zeros((N_ROW_BUFFERS, n_cols), dtype=np.int32),
             np.zeros((N_ROW_BUFFERS, n_cols), dtype=np.int64),
         )
-        return _Scratch(planes, errors, activity, bends, rows, np.zeros(6, dtype=np.int64))
+        return _Scratch(planes, errors, activity, bends, rows, np.zeros(N_SPOTS, dtype=np.int64))
 
 
 _WORKSPACE = _Workspace()
