@@ -14,10 +14,10 @@ from terrainwave.coding.rangecoder import (
     N_PREFIX,
     N_UNARY,
     RANGE,
-    decode_mean_step,
+    decode_mixed_step,
     decode_raw,
     decode_step,
-    encode_mean_step,
+    encode_mixed_step,
     encode_raw,
     encode_step,
 )
@@ -68,6 +68,11 @@ UNARY_H = UNARY_B + N_E_BINS * N_RANGE_BINS * N_UNARY
 LOW_BITS = UNARY_H + N_E_BINS * N_UNARY * _N_BEYOND
 PREFIX = LOW_BITS + N_E_BINS * 16
 N_DETAIL_MODELS = PREFIX + N_PREFIX
+
+# Mixers, one for every four E bins.
+SIGN_MIXERS = 0
+UNARY_MIXERS = N_E_BINS >> 2
+N_MIXERS = 2 * UNARY_MIXERS
 
 # Largest magnitude any stream can give.
 MAX_DETAIL = 1 << 33
@@ -126,7 +131,7 @@ def range_bin_of(reach, e_range, log_range):
 
 @kernel
 def encode_detail(
-    span, low, state, out, models, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
+    span, low, state, out, models, mixers, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
     log_range, spots, detail,
 ):  # fmt: skip
     """Encode a detail known not to be 0; return the new (span, low).
@@ -136,7 +141,11 @@ def encode_detail(
     """
     positive = 1 if detail > 0 else 0
     if spots is not None:
-        span, low = encode_mean_step(span, low, state, out, models, sign_b, sign_h, positive)
+        mixer = SIGN_MIXERS + (e_bin >> 2)
+        span, low, mixers[0, mixer], mixers[1, mixer] = encode_mixed_step(
+            span, low, state, out, models, sign_b, sign_h, mixers[0, mixer], mixers[1, mixer],
+            positive,
+        )  # fmt: skip
     else:
         span, low = encode_step(span, low, state, out, models, sign_b, positive)
     shift = SHIFT_OF_E[e_bin]
@@ -146,6 +155,8 @@ def encode_detail(
     first_b = UNARY_B + (e_bin * N_RANGE_BINS + range_bin) * N_UNARY
     first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
     n_ones = min(upper, N_UNARY)
+    mixer = UNARY_MIXERS + (e_bin >> 2)
+    weight_b, weight_h = mixers[0, mixer], mixers[1, mixer]
     beyond = cells = np.int64(0)
     if spots is not None:
         beyond, cells = cells_beyond(spots, positive, shift)
@@ -156,9 +167,12 @@ def encode_detail(
             beyond -= here
             cells >>= 4
             index_h = first_h + i * _N_BEYOND + min(beyond, 5) * 3 + min(here, 2)
-            span, low = encode_mean_step(span, low, state, out, models, first_b + i, index_h, bit)
+            span, low, weight_b, weight_h = encode_mixed_step(
+                span, low, state, out, models, first_b + i, index_h, weight_b, weight_h, bit
+            )
         else:
             span, low = encode_step(span, low, state, out, models, first_b + i, bit)
+    mixers[0, mixer], mixers[1, mixer] = weight_b, weight_h
     if upper >= N_UNARY:
         rest = upper - N_UNARY + 1
         n_bits = 0
@@ -188,12 +202,15 @@ def encode_detail(
 
 @inlined_kernel
 def decode_detail(
-    span, code, pos, state, data, models, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
-    log_range, spots,
+    span, code, pos, state, data, models, mixers, e_bin, sign_b, sign_h, reach_b, reach_a,
+    e_range, log_range, spots,
 ):  # fmt: skip
     """Decode what `encode_detail` wrote; return (detail, span, code, pos)."""
     if spots is not None:
-        positive, span, code, pos = decode_mean_step(span, code, pos, data, models, sign_b, sign_h)
+        mixer = SIGN_MIXERS + (e_bin >> 2)
+        positive, span, code, pos, mixers[0, mixer], mixers[1, mixer] = decode_mixed_step(
+            span, code, pos, data, models, sign_b, sign_h, mixers[0, mixer], mixers[1, mixer]
+        )
     else:
         positive, span, code, pos = decode_step(span, code, pos, data, models, sign_b)
     shift = SHIFT_OF_E[e_bin]
@@ -201,6 +218,8 @@ def decode_detail(
     first_b = UNARY_B + (e_bin * N_RANGE_BINS + range_bin) * N_UNARY
     first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
     upper = np.int64(0)
+    mixer = UNARY_MIXERS + (e_bin >> 2)
+    weight_b, weight_h = mixers[0, mixer], mixers[1, mixer]
     beyond = cells = np.int64(0)
     if spots is not None:
         beyond, cells = cells_beyond(spots, positive, shift)
@@ -210,14 +229,15 @@ def decode_detail(
             beyond -= here
             cells >>= 4
             index_h = first_h + upper * _N_BEYOND + min(beyond, 5) * 3 + min(here, 2)
-            bit, span, code, pos = decode_mean_step(
-                span, code, pos, data, models, first_b + upper, index_h
+            bit, span, code, pos, weight_b, weight_h = decode_mixed_step(
+                span, code, pos, data, models, first_b + upper, index_h, weight_b, weight_h
             )
         else:
             bit, span, code, pos = decode_step(span, code, pos, data, models, first_b + upper)
         if bit == 0:
             break
         upper += 1
+    mixers[0, mixer], mixers[1, mixer] = weight_b, weight_h
     n_ones = upper
     if upper == N_UNARY:
         n_bits = np.int64(0)

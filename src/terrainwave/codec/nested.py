@@ -247,7 +247,7 @@ def _update_activity(errors, before, n_cols, after):
 @kernel
 def code_pass(
     target, kinds, planes, errors, activity, bends, own, geometry, weights, e_weights, clamp,
-    step, z_min, z_max, rows, spots, state, stream, models,
+    step, z_min, z_max, rows, spots, state, stream, models, mixers,
 ):  # fmt: skip
     """Encode a plane of `target`, or decode it where that is None, into ``planes[own]``.
 
@@ -441,13 +441,13 @@ def code_pass(
                         spots[k] = distance if spots[k] > 0 else -distance
                 if target is None:
                     detail, span, low, pos = decode_detail(
-                        span, low, pos, state, stream, models, e_bin, sign_b, sign_h,
+                        span, low, pos, state, stream, models, mixers, e_bin, sign_b, sign_h,
                         reach_b, reach_a, e_range, log_range, spots,
                     )  # fmt: skip
                     detail = min(max(detail, -most), most)
                 else:
                     span, low = encode_detail(
-                        span, low, state, stream, models, e_bin, sign_b, sign_h,
+                        span, low, state, stream, models, mixers, e_bin, sign_b, sign_h,
                         reach_b, reach_a, e_range, log_range, spots, detail,
                     )  # fmt: skip
                 west = min(max(whole + detail * step, z_min), z_max)
