@@ -254,7 +254,8 @@ def code_pass(
     `kinds` (VOID, CODED, KNOWN) and `target` have the plane's size without padding; known samples
     are in place. Fills ``errors[own]`` and ``activity[own]`` as well, whose padding must be 0.
     `rows` may be int32 where `fits_narrow` says so, for the same result in half the time. `spots`
-    is room for N_SPOTS integers, or None where each decision has one model only.
+    is room for N_SPOTS integers, or None where each decision has one model only. `models` and
+    `mixers` adapt.
     """
     n_rows, n_cols = kinds.shape
     plane, own_errors = planes[own], errors[own]

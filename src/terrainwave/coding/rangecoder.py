@@ -8,6 +8,10 @@ a fixed 1/32 (DESIGN.md §3.5: 0.7 % over entropy instead of 2.5 %).
 All quantities are non-negative and below 2**63 (range < 2**32, low < 2**33, products < 2**48), so
 signed 64-bit arithmetic is exact and equal in compiled and plain Python.
 
+A *mixed* bit has two models, whose probabilities are added as logits with weights that learn from
+every bit: the logistic mixing of PAQ7 (M. Mahoney, 2005), here with two inputs and in integers.
+Weights move by less than 2**11 a bit, products with them stay below 2**50.
+
 A *model* is one uint32: the probability of a one in the upper 22 bits, the number of bits seen in
 the lower 10. The coder uses the upper 16 bits of the probability.
 """
@@ -40,8 +44,8 @@ N_PREFIX = 32
 MAGNITUDE_MODELS = N_UNARY + N_PREFIX
 MAX_MAGNITUDE = N_UNARY + (1 << 32) - 2
 
-# Two models' probabilities are mixed as logits: of 10-bit probabilities in 1/256, of mixtures in
-# 1/32 from -11 to 11. A mixer is two weights in 1/65536.
+# Mixed bits: logits of 10-bit probabilities in 1/256, their mixtures in 1/32 from -11 to 11, the
+# weights in 1/65536.
 _LOGIT_BITS = 10
 _LOGIT_UNIT = 256
 _WEIGHT_BITS = 16
@@ -52,19 +56,19 @@ _MAX_MIXTURE = 11 * _MIXTURE_UNIT
 
 
 def _logits() -> NDArray[np.int16]:
-    """Return ln(p / (1 - p)) in the middle of each of 2**_LOGIT_BITS intervals of p."""
-    n = 1 << (_LOGIT_BITS + 1)
-    with localcontext(prec=16):  # decimals are the same on every machine
-        odds = [Decimal(k) / (n - k) for k in range(1, n, 2)]
-        return np.array([int(round(o.ln() * _LOGIT_UNIT)) for o in odds], dtype=np.int16)
+    """Return ln(p / (1 - p)) for the middle of each of 2**_LOGIT_BITS intervals of p."""
+    n = 2 << _LOGIT_BITS
+    with localcontext(prec=16):  # decimal numbers are the same on every machine
+        logits = [(Decimal(k) / (n - k)).ln() for k in range(1, n, 2)]
+        return np.array([int(round(_LOGIT_UNIT * logit)) for logit in logits], dtype=np.int16)
 
 
 def _probabilities() -> NDArray[np.uint16]:
-    """Return 1 / (1 + exp(-x)) in 1/65536, at least one, in the middle of each step of x."""
-    middles = range(1 - 2 * _MAX_MIXTURE, 2 * _MAX_MIXTURE, 2)
+    """Return 1 / (1 + exp(-x)) in 1/65536 for the middle of each step of a mixture x."""
+    doubled = range(1 - 2 * _MAX_MIXTURE, 2 * _MAX_MIXTURE, 2)
     with localcontext(prec=16):
-        odds = [(Decimal(-k) / (2 * _MIXTURE_UNIT)).exp() for k in middles]
-        return np.array([max(1, int(round((1 << 16) / (1 + o)))) for o in odds], dtype=np.uint16)
+        odds = [(Decimal(-x) / (2 * _MIXTURE_UNIT)).exp() for x in doubled]
+        return np.array([int(round((1 << 16) / (1 + odd))) for odd in odds], dtype=np.uint16)
 
 
 LOGITS = _logits()
@@ -189,7 +193,7 @@ def start_decoder(state, data):
     code = np.int64(0)
     for pos in range(4):
         byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
-        code = (code << 8) | byte
+        code = ((code << 8) | byte) & _MASK32
     state[RANGE] = _MASK32
     state[CODE] = code
     state[CACHE] = 0
@@ -362,7 +366,7 @@ def decode_mean_step(span, code, pos, data, models, first, second):
     models[second] = (other_prob << _COUNT_BITS) | min(other_count + 1, _COUNT_LIMIT)
     while span < _TOP:
         byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
-        code = (code << 8) | byte
+        code = ((code << 8) | byte) & _MASK32
         span <<= 8
         pos += 1
     return bit, span, code, pos
@@ -443,7 +447,7 @@ def decode_mixed_step(span, code, pos, data, models, first, second, weight, othe
     models[second] = (other_prob << _COUNT_BITS) | min(other_count + 1, _COUNT_LIMIT)
     while span < _TOP:
         byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
-        code = (code << 8) | byte
+        code = ((code << 8) | byte) & _MASK32
         span <<= 8
         pos += 1
     return bit, span, code, pos, weight, other_weight
