@@ -6,7 +6,7 @@ also keep accounts; production kernels stay as they are. See `tests/codec/test_i
 
 import json
 import sys
-from math import log2
+from math import exp, log, log2
 from pathlib import Path
 
 import numpy as np
@@ -30,33 +30,44 @@ class Accounts:
         By exact counting: a context's probability of a one is (w·p₀ + ones) / (w + seen), where p₀
         is its model's start and w = c + 1/2, c the start's count; nothing is forgotten or rounded.
         (The models do the same up to 254 bits seen; from there on they forget, and round always.)
-        Where two models vote, both ideals have the mean of the two probabilities.
+        Where two models vote, both ideals have the mean of the two probabilities, or the mixture of
+        their logits with the coder's weights.
     """
 
     def __init__(self):
         self.raw, self.own, self.ideal, self.n_decisions = 0, 0.0, 0.0, 0
         self._contexts = {}
 
-    def note(self, models, indices, before, bit):
-        """Add a decision with one or two models, given the models before it."""
+    def note(self, models, indices, before, bit, weights=None):
+        """Add a decision with one or two models, given the models and the weights before it."""
         self.n_decisions += 1
-        own = ideal = 0.0
+        own, ideal = [], []
         for index, model in zip(indices, before, strict=True):
             prob, count = (model >> 10) / _PROB_ONE, model & _COUNT_MASK
             context = self._contexts.setdefault(
                 (id(models), int(index)), [(count + 0.5) * prob, count + 0.5]
             )
-            own += prob / len(indices)
-            ideal += context[0] / context[1] / len(indices)
+            own.append(prob)
+            ideal.append(context[0] / context[1])
             context[0] += bit
             context[1] += 1
+        own, ideal = together(own, weights), together(ideal, weights)
         self.own -= log2(own if bit else 1 - own)
         self.ideal -= log2(ideal if bit else 1 - ideal)
+
+
+def together(probs, weights):
+    """Return the mean of probabilities or, with weights in 1/65536, the mixture of their logits."""
+    if weights is None:
+        return sum(probs) / len(probs)
+    logit = sum(w / 65536 * log(p / (1 - p)) for w, p in zip(weights, probs, strict=True))
+    return 1 / (1 + exp(-logit))
 
 
 def install(accounts):
     """Replace the decoder's steps by ones that keep accounts; before any codec is imported."""
     one, two, raw = rangecoder.decode_step, rangecoder.decode_mean_step, rangecoder.decode_raw
+    mixed = rangecoder.decode_mixed_step
 
     def decode_step(span, code, pos, data, models, index):
         before = [int(models[index])]
@@ -70,12 +81,19 @@ def install(accounts):
         accounts.note(models, [first, second], before, result[0])
         return result
 
+    def decode_mixed_step(span, code, pos, data, models, first, second, *weights):
+        before = [int(models[first]), int(models[second])]
+        result = mixed(span, code, pos, data, models, first, second, *weights)
+        accounts.note(models, [first, second], before, result[0], [int(w) for w in weights])
+        return result
+
     def decode_raw(state, data, n_bits):
         accounts.raw += int(n_bits)
         return raw(state, data, n_bits)
 
     rangecoder.decode_step = decode_step
     rangecoder.decode_mean_step = decode_mean_step
+    rangecoder.decode_mixed_step = decode_mixed_step
     rangecoder.decode_raw = decode_raw
 
 

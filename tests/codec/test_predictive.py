@@ -25,6 +25,7 @@ from terrainwave.codec.detail import (
     MAX_DETAIL,
     N_DETAIL_MODELS,
     N_E_BINS,
+    N_MIXERS,
     decode_detail,
     encode_detail,
     log8,
@@ -41,6 +42,7 @@ from terrainwave.coding.rangecoder import (
     RANGE,
     finish_decoder,
     finish_encoder,
+    new_mixers,
     start_decoder,
     start_encoder,
 )
@@ -184,7 +186,7 @@ def test_details_of_any_size_survive(mixed):
         for e in rng.integers(0, N_E_BINS, len(details))
     ]
     state, out = start_encoder(), np.zeros(10_000, dtype=np.uint8)
-    models = start_models(N_DETAIL_MODELS)
+    models, mixers = start_models(N_DETAIL_MODELS), new_mixers(N_MIXERS)
     scale = 100, log8(100)
     span, low = state[RANGE], state[LOW]
     for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
@@ -194,6 +196,7 @@ def test_details_of_any_size_survive(mixed):
             state,
             out,
             models,
+            mixers,
             e_bin,
             1300,
             1301,
@@ -207,7 +210,7 @@ def test_details_of_any_size_survive(mixed):
     data = out[: finish_encoder(state, out)].copy()
     state = np.zeros_like(state)
     start_decoder(state, data)
-    models = start_models(N_DETAIL_MODELS)
+    models, mixers = start_models(N_DETAIL_MODELS), new_mixers(N_MIXERS)
     span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
     for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
         found, span, code, pos = decode_detail(
@@ -217,6 +220,7 @@ def test_details_of_any_size_survive(mixed):
             state,
             data,
             models,
+            mixers,
             e_bin,
             1300,
             1301,

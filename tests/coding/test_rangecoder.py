@@ -1,3 +1,5 @@
+from math import exp, log
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -6,17 +8,27 @@ from hypothesis import strategies as st
 from terrainwave._jit import kernel
 from terrainwave._status import Status, raise_for_status
 from terrainwave.coding.rangecoder import (
+    BYTE_POS,
+    CODE,
+    LOGITS,
+    LOW,
     MAGNITUDE_MODELS,
     MAX_MAGNITUDE,
+    MODEL_START,
+    PROBABILITIES,
+    RANGE,
     STATE_SIZE,
     decode_bit,
     decode_magnitude,
+    decode_mixed_step,
     decode_raw,
     encode_bit,
     encode_magnitude,
+    encode_mixed_step,
     encode_raw,
     finish_decoder,
     finish_encoder,
+    new_mixers,
     new_models,
     start_decoder,
     start_encoder,
@@ -195,3 +207,105 @@ def test_a_full_output_is_counted_but_not_overrun():
     encode_bits(bits, contexts, new_models(8), state, out)
     assert finish_encoder(state, out) == len(whole)
     assert out.tolist() == whole[:5].tolist()
+
+
+# Mixed bits -------------------------------------------------------------------------------------
+
+
+@kernel
+def encode_mixed_bits(bits, contexts, renewed_every, models, mixers, state, out):
+    span, low = state[RANGE], state[LOW]
+    for i in range(bits.shape[0]):
+        first, second = contexts[i]
+        if renewed_every and i % renewed_every == 0:
+            models[second] = MODEL_START
+        span, low, mixers[0, 0], mixers[1, 0] = encode_mixed_step(
+            span, low, state, out, models, first, second, mixers[0, 0], mixers[1, 0], bits[i]
+        )
+    state[RANGE], state[LOW] = span, low
+
+
+@kernel
+def decode_mixed_bits(data, contexts, renewed_every, models, mixers, state, bits):
+    span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
+    for i in range(bits.shape[0]):
+        first, second = contexts[i]
+        if renewed_every and i % renewed_every == 0:
+            models[second] = MODEL_START
+        bits[i], span, code, pos, mixers[0, 0], mixers[1, 0] = decode_mixed_step(
+            span, code, pos, data, models, first, second, mixers[0, 0], mixers[1, 0]
+        )
+    state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
+
+
+def encoded_mixed(bits, contexts, n_models, renewed_every=0):
+    """Return the stream and the weights at its end."""
+    out = np.zeros(2 * len(bits) + 16, dtype=np.uint8)
+    state, mixers = start_encoder(), new_mixers(1)
+    encode_mixed_bits(bits, contexts, renewed_every, new_models(n_models), mixers, state, out)
+    return out[: finish_encoder(state, out)].copy(), mixers
+
+
+def decoded_mixed(data, contexts, n_models, renewed_every=0):
+    """Return the bits of a stream and the weights at its end."""
+    bits = np.zeros(len(contexts), dtype=np.uint8)
+    state, mixers = np.zeros(STATE_SIZE, dtype=np.int64), new_mixers(1)
+    start_decoder(state, data)
+    decode_mixed_bits(data, contexts, renewed_every, new_models(n_models), mixers, state, bits)
+    raise_for_status(*finish_decoder(state, data))
+    return bits, mixers
+
+
+def test_the_tables_are_the_nearest_integers_to_the_formulas():
+    # docs/format-predictive.md P.1; far enough from halves for any machine's logarithm.
+    logits = np.array([256 * log((2 * k + 1) / (2047 - 2 * k)) for k in range(1024)])
+    probabilities = np.array([65536 / (1 + exp((703 - 2 * k) / 64)) for k in range(704)])
+    for table, values in ((LOGITS, logits), (PROBABILITIES, probabilities)):
+        np.testing.assert_array_equal(table, np.rint(values))
+        assert np.abs(values - np.floor(values) - 0.5).min() > 1e-7
+    assert [int(LOGITS[k]) for k in (0, 511, 512, 1023)] == [-1952, -1, 1, 1952]
+    assert [int(PROBABILITIES[k]) for k in (0, 351, 352, 703)] == [1, 32512, 33024, 65535]
+
+
+def test_the_example_of_mixed_bits():
+    # docs/format-predictive.md P.1
+    bits = np.array([1, 0, 0, 1, 0] * 8, dtype=np.uint8)
+    contexts = np.tile(np.array([0, 1]), (40, 1))
+    data, mixers = encoded_mixed(bits, contexts, 2, renewed_every=5)
+    assert data.tobytes() == bytes.fromhex("7900f6a8d84fe7")
+    assert mixers.ravel().tolist() == [32270, 29784]
+    back, weights = decoded_mixed(data, contexts, 2, renewed_every=5)
+    assert back.tolist() == bits.tolist()
+    assert weights.tolist() == mixers.tolist()
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.booleans(), st.integers(0, 2), st.integers(3, 5)), max_size=200))
+def test_mixed_bits_come_back(decisions):
+    bits = np.array([bit for bit, _, _ in decisions], dtype=np.uint8)
+    contexts = np.array([at for _, *at in decisions], dtype=np.int64).reshape(-1, 2)
+    data, mixers = encoded_mixed(bits, contexts, 6)
+    back, weights = decoded_mixed(data, contexts, 6)
+    assert back.tolist() == bits.tolist()
+    assert weights.tolist() == mixers.tolist()
+
+
+def test_a_mixer_learns_which_model_to_trust():
+    # The second model of each bit is one of many that have seen nothing: the size must be near that
+    # of the first alone, and the weights must say so.
+    bits, contexts = skewed_bits(3, 4000)
+    noise = 8 + np.random.default_rng(3).integers(0, 900, len(bits))
+    data, mixers = encoded_mixed(bits, np.stack([contexts, noise], 1), 908)
+    assert len(data) < 1.03 * len(encoded(bits, contexts, 8))
+    assert mixers[0, 0] > 4 * abs(mixers[1, 0])
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=60))
+def test_any_bytes_give_mixed_bits_or_our_own_error(data):
+    contexts = np.arange(400).reshape(200, 2) % 5
+    try:
+        bits, _ = decoded_mixed(np.frombuffer(data, dtype=np.uint8).copy(), contexts, 5)
+    except (CorruptStreamError, TruncatedStreamError):
+        return
+    assert set(bits.tolist()) <= {0, 1}

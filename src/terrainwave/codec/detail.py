@@ -14,10 +14,10 @@ from terrainwave.coding.rangecoder import (
     N_PREFIX,
     N_UNARY,
     RANGE,
-    decode_mean_step,
+    decode_mixed_step,
     decode_raw,
     decode_step,
-    encode_mean_step,
+    encode_mixed_step,
     encode_raw,
     encode_step,
 )
@@ -44,6 +44,8 @@ _FIRST_LOG = 24
 N_E_BINS = 44
 N_RANGE_BINS = 8
 _N_FRAC_BINS = 4
+# Known neighbours whose places are looked at: four core values, west, north.
+N_SPOTS = 6
 _N_BALANCE = 7 * 4
 _N_BEYOND = 6 * 3
 # Low bits of magnitudes that are not coded, by E bin: magnitudes of about a quarter of E.
@@ -66,6 +68,11 @@ UNARY_H = UNARY_B + N_E_BINS * N_RANGE_BINS * N_UNARY
 LOW_BITS = UNARY_H + N_E_BINS * N_UNARY * _N_BEYOND
 PREFIX = LOW_BITS + N_E_BINS * 16
 N_DETAIL_MODELS = PREFIX + N_PREFIX
+
+# Mixers, one for every four E bins.
+SIGN_MIXERS = 0
+UNARY_MIXERS = N_E_BINS >> 2
+N_MIXERS = 2 * UNARY_MIXERS
 
 # Largest magnitude any stream can give.
 MAX_DETAIL = 1 << 33
@@ -124,7 +131,7 @@ def range_bin_of(reach, e_range, log_range):
 
 @kernel
 def encode_detail(
-    span, low, state, out, models, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
+    span, low, state, out, models, mixers, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
     log_range, spots, detail,
 ):  # fmt: skip
     """Encode a detail known not to be 0; return the new (span, low).
@@ -134,7 +141,11 @@ def encode_detail(
     """
     positive = 1 if detail > 0 else 0
     if spots is not None:
-        span, low = encode_mean_step(span, low, state, out, models, sign_b, sign_h, positive)
+        mixer = SIGN_MIXERS + (e_bin >> 2)
+        span, low, mixers[0, mixer], mixers[1, mixer] = encode_mixed_step(
+            span, low, state, out, models, sign_b, sign_h, mixers[0, mixer], mixers[1, mixer],
+            positive,
+        )  # fmt: skip
     else:
         span, low = encode_step(span, low, state, out, models, sign_b, positive)
     shift = SHIFT_OF_E[e_bin]
@@ -144,13 +155,24 @@ def encode_detail(
     first_b = UNARY_B + (e_bin * N_RANGE_BINS + range_bin) * N_UNARY
     first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
     n_ones = min(upper, N_UNARY)
+    mixer = UNARY_MIXERS + (e_bin >> 2)
+    weight_b, weight_h = mixers[0, mixer], mixers[1, mixer]
+    beyond = cells = np.int64(0)
+    if spots is not None:
+        beyond, cells = cells_beyond(spots, positive, shift)
     for i in range(min(n_ones + 1, N_UNARY)):
         bit = 1 if i < n_ones else 0
         if spots is not None:
-            index_h = first_h + i * _N_BEYOND + beyond_context(spots, positive, shift, i)
-            span, low = encode_mean_step(span, low, state, out, models, first_b + i, index_h, bit)
+            here = cells & 15
+            beyond -= here
+            cells >>= 4
+            index_h = first_h + i * _N_BEYOND + min(beyond, 5) * 3 + min(here, 2)
+            span, low, weight_b, weight_h = encode_mixed_step(
+                span, low, state, out, models, first_b + i, index_h, weight_b, weight_h, bit
+            )
         else:
             span, low = encode_step(span, low, state, out, models, first_b + i, bit)
+    mixers[0, mixer], mixers[1, mixer] = weight_b, weight_h
     if upper >= N_UNARY:
         rest = upper - N_UNARY + 1
         n_bits = 0
@@ -180,12 +202,15 @@ def encode_detail(
 
 @inlined_kernel
 def decode_detail(
-    span, code, pos, state, data, models, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
-    log_range, spots,
+    span, code, pos, state, data, models, mixers, e_bin, sign_b, sign_h, reach_b, reach_a,
+    e_range, log_range, spots,
 ):  # fmt: skip
     """Decode what `encode_detail` wrote; return (detail, span, code, pos)."""
     if spots is not None:
-        positive, span, code, pos = decode_mean_step(span, code, pos, data, models, sign_b, sign_h)
+        mixer = SIGN_MIXERS + (e_bin >> 2)
+        positive, span, code, pos, mixers[0, mixer], mixers[1, mixer] = decode_mixed_step(
+            span, code, pos, data, models, sign_b, sign_h, mixers[0, mixer], mixers[1, mixer]
+        )
     else:
         positive, span, code, pos = decode_step(span, code, pos, data, models, sign_b)
     shift = SHIFT_OF_E[e_bin]
@@ -193,17 +218,26 @@ def decode_detail(
     first_b = UNARY_B + (e_bin * N_RANGE_BINS + range_bin) * N_UNARY
     first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
     upper = np.int64(0)
+    mixer = UNARY_MIXERS + (e_bin >> 2)
+    weight_b, weight_h = mixers[0, mixer], mixers[1, mixer]
+    beyond = cells = np.int64(0)
+    if spots is not None:
+        beyond, cells = cells_beyond(spots, positive, shift)
     while upper < N_UNARY:
         if spots is not None:
-            index_h = first_h + upper * _N_BEYOND + beyond_context(spots, positive, shift, upper)
-            bit, span, code, pos = decode_mean_step(
-                span, code, pos, data, models, first_b + upper, index_h
+            here = cells & 15
+            beyond -= here
+            cells >>= 4
+            index_h = first_h + upper * _N_BEYOND + min(beyond, 5) * 3 + min(here, 2)
+            bit, span, code, pos, weight_b, weight_h = decode_mixed_step(
+                span, code, pos, data, models, first_b + upper, index_h, weight_b, weight_h
             )
         else:
             bit, span, code, pos = decode_step(span, code, pos, data, models, first_b + upper)
         if bit == 0:
             break
         upper += 1
+    mixers[0, mixer], mixers[1, mixer] = weight_b, weight_h
     n_ones = upper
     if upper == N_UNARY:
         n_bits = np.int64(0)
@@ -235,18 +269,17 @@ def decode_detail(
 
 
 @kernel
-def beyond_context(spots, positive, shift, i):
-    """Return the context of unary bit `i` from the indices of the known neighbours.
+def cells_beyond(spots, positive, shift):
+    """Return how many known neighbours lie on the detail's side, and how many in each unary cell.
 
-    How many lie beyond the cell in question, and how many in it.
+    The cells are packed into one integer, four bits each, the first lowest; the last, N_UNARY, is
+    for all further ones.
     """
-    beyond = here = 0
-    for k in range(spots.shape[0]):
-        spot = spots[k] if positive else -spots[k]
-        if spot > 0:
-            spot = (spot - 1) >> shift
-            if spot > i:
-                beyond += 1
-            elif spot == i:
-                here += 1
-    return min(beyond, 5) * 3 + min(here, 2)
+    beyond = cells = np.int64(0)
+    for k in range(N_SPOTS):
+        spot = np.int64(spots[k]) if positive else -np.int64(spots[k])
+        cell = min((max(spot, 1) - 1) >> shift, N_UNARY)
+        is_beyond = np.int64(1) if spot > 0 else np.int64(0)
+        beyond += is_beyond
+        cells += is_beyond << (4 * cell)
+    return beyond, cells

@@ -12,6 +12,7 @@ from terrainwave.codec.detail import (
     E_OFFSET,
     MAX_E,
     N_RANGE_BINS,
+    N_SPOTS,
     SIGN_B,
     SIGN_E_OF_BIN,
     SIGN_H,
@@ -246,14 +247,15 @@ def _update_activity(errors, before, n_cols, after):
 @kernel
 def code_pass(
     target, kinds, planes, errors, activity, bends, own, geometry, weights, e_weights, clamp,
-    step, z_min, z_max, rows, spots, state, stream, models,
+    step, z_min, z_max, rows, spots, state, stream, models, mixers,
 ):  # fmt: skip
     """Encode a plane of `target`, or decode it where that is None, into ``planes[own]``.
 
     `kinds` (VOID, CODED, KNOWN) and `target` have the plane's size without padding; known samples
     are in place. Fills ``errors[own]`` and ``activity[own]`` as well, whose padding must be 0.
     `rows` may be int32 where `fits_narrow` says so, for the same result in half the time. `spots`
-    is room for six integers, or None where each decision has one model only.
+    is room for N_SPOTS integers, or None where each decision has one model only. `models` and
+    `mixers` adapt.
     """
     n_rows, n_cols = kinds.shape
     plane, own_errors = planes[own], errors[own]
@@ -435,18 +437,18 @@ def code_pass(
                     spots[0], spots[1] = bottom - whole, lower[j] - whole
                     spots[2], spots[3] = upper[j] - whole, top - whole
                     spots[4], spots[5] = west - whole, northern[j] - whole
-                    for k in range(6):
+                    for k in range(N_SPOTS):
                         distance = in_steps(abs(spots[k]) + half, scale_shift, inverse, 0)
                         spots[k] = distance if spots[k] > 0 else -distance
                 if target is None:
                     detail, span, low, pos = decode_detail(
-                        span, low, pos, state, stream, models, e_bin, sign_b, sign_h,
+                        span, low, pos, state, stream, models, mixers, e_bin, sign_b, sign_h,
                         reach_b, reach_a, e_range, log_range, spots,
                     )  # fmt: skip
                     detail = min(max(detail, -most), most)
                 else:
                     span, low = encode_detail(
-                        span, low, state, stream, models, e_bin, sign_b, sign_h,
+                        span, low, state, stream, models, mixers, e_bin, sign_b, sign_h,
                         reach_b, reach_a, e_range, log_range, spots, detail,
                     )  # fmt: skip
                 west = min(max(whole + detail * step, z_min), z_max)

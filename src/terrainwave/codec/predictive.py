@@ -19,7 +19,7 @@ from terrainwave.codec.border import (
     code_border,
     code_corner,
 )
-from terrainwave.codec.detail import N_DETAIL_MODELS
+from terrainwave.codec.detail import N_DETAIL_MODELS, N_MIXERS, N_SPOTS
 from terrainwave.codec.fitting import features_of, fit_features, fit_tables, windows_of
 from terrainwave.codec.lattice import (
     HH,
@@ -66,6 +66,7 @@ from terrainwave.coding.rangecoder import (
     encode_raw,
     finish_decoder,
     finish_encoder,
+    new_mixers,
     start_decoder,
     start_encoder,
 )
@@ -103,6 +104,7 @@ class Coder(NamedTuple):
     state: NDArray[np.int64]
     stream: NDArray[np.uint8]
     models: NDArray[np.uint32]
+    mixers: NDArray[np.int64]
     border_models: NDArray[np.uint32]
     flags: int
     tables: Tables
@@ -167,7 +169,7 @@ class _Workspace(threading.local):
             np.zeros((N_ROW_BUFFERS, n_cols), dtype=np.int32),
             np.zeros((N_ROW_BUFFERS, n_cols), dtype=np.int64),
         )
-        return _Scratch(planes, errors, activity, bends, rows, np.zeros(6, dtype=np.int64))
+        return _Scratch(planes, errors, activity, bends, rows, np.zeros(N_SPOTS, dtype=np.int64))
 
 
 _WORKSPACE = _Workspace()
@@ -295,7 +297,7 @@ def _new_coder(
 ) -> Coder:
     return Coder(
         encoding, state, stream, tables.start_models(N_DETAIL_MODELS),
-        tables.start_border_models(N_BORDER_MODELS), flags, all_sets,
+        new_mixers(N_MIXERS), tables.start_border_models(N_BORDER_MODELS), flags, all_sets,
     )  # fmt: skip
 
 
@@ -462,7 +464,7 @@ def _run_pass(
         goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
         weights, e_weights, bool(coder.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
         scratch.rows.of(weights, e_weights), scratch.spots if coder.flags & _MIXED else None,
-        coder.state, coder.stream, coder.models,
+        coder.state, coder.stream, coder.models, coder.mixers,
     )  # fmt: skip
     if coder.seen is not None:
         coder.seen[own].append(
@@ -527,16 +529,16 @@ def _encode_smallest(
     # Bytes before this one are final.
     first = max(int(coder.state[BYTE_POS]), 0)
     arrays = [
-        coder.state, coder.models, coder.stream[first:],
+        coder.state, coder.models, coder.mixers, coder.stream[first:],
         scratch.planes[own], scratch.errors[own], scratch.activity[own],
     ]  # fmt: skip
-    start = [array.copy() for array in arrays[:2]] if len(choices) > 1 else []
+    start = [array.copy() for array in arrays[:3]] if len(choices) > 1 else []
     known = scratch.planes[own].copy() if len(choices) > 1 else scratch.planes[own]
     kept: list[NDArray[np.generic]] = []
     smallest = 1 << 62
     for n_left, choice in reversed(list(enumerate(choices))):
         if start and n_left < len(choices) - 1:
-            coder.state[:], coder.models[:] = start
+            coder.state[:], coder.models[:], coder.mixers[:] = start
             scratch.planes[own] = known
         code = choice.stencil_set * 4 + choice.e_class
         encode_raw(coder.state, coder.stream, code, _SET_BITS + 2)
@@ -546,7 +548,7 @@ def _encode_smallest(
         if n_bits <= smallest:
             smallest, kept = n_bits, []
             if n_left:
-                arrays[2] = coder.stream[first : max(int(coder.state[BYTE_POS]), first)]
+                arrays[3] = coder.stream[first : max(int(coder.state[BYTE_POS]), first)]
                 kept = [array.copy() for array in arrays]
     for array, values in zip(arrays, kept, strict=False):
         array[:] = values

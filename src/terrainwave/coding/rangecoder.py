@@ -8,6 +8,10 @@ a fixed 1/32 (DESIGN.md §3.5: 0.7 % over entropy instead of 2.5 %).
 All quantities are non-negative and below 2**63 (range < 2**32, low < 2**33, products < 2**48), so
 signed 64-bit arithmetic is exact and equal in compiled and plain Python.
 
+A *mixed* bit has two models, whose probabilities are added as logits with weights that learn from
+every bit: the logistic mixing of PAQ7 (M. Mahoney, 2005), here with two inputs and in integers.
+Weights move by less than 2**11 a bit, products with them stay below 2**50.
+
 A *model* is one uint32: the probability of a one in the upper 22 bits, the number of bits seen in
 the lower 10. The coder uses the upper 16 bits of the probability.
 """
@@ -15,7 +19,7 @@ the lower 10. The coder uses the upper 16 bits of the probability.
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
+from terrainwave._jit import inlined_kernel, kernel
 from terrainwave._status import Status
 
 # Indices into the state array (int64) of an encoder or a decoder.
@@ -38,10 +42,43 @@ N_PREFIX = 32
 MAGNITUDE_MODELS = N_UNARY + N_PREFIX
 MAX_MAGNITUDE = N_UNARY + (1 << 32) - 2
 
+# Mixed bits: logits of 10-bit probabilities in 1/256, their mixtures in 1/32 from -11 to 11, the
+# weights in 1/65536.
+_LOGIT_BITS = 10
+_LOGIT_UNIT = 256
+_WEIGHT_BITS = 16
+_HALF_WEIGHT = 1 << (_WEIGHT_BITS - 1)
+_MIXTURE_UNIT = 32
+_MIXTURE_SHIFT = _WEIGHT_BITS + 3
+_MAX_MIXTURE = 11 * _MIXTURE_UNIT
+
+
+def _logits() -> NDArray[np.int16]:
+    """Return ln(p / (1 - p)) for the middle of each of 2**_LOGIT_BITS intervals of p."""
+    doubled = np.arange(1, 2 << _LOGIT_BITS, 2)
+    logits = np.log(doubled / ((2 << _LOGIT_BITS) - doubled))
+    return np.rint(_LOGIT_UNIT * logits).astype(np.int16)
+
+
+def _probabilities() -> NDArray[np.uint16]:
+    """Return 1 / (1 + exp(-x)) in 1/65536 for the middle of each step of a mixture x."""
+    doubled = np.arange(1 - 2 * _MAX_MIXTURE, 2 * _MAX_MIXTURE, 2)
+    return np.rint((1 << 16) / (1 + np.exp(-doubled / (2 * _MIXTURE_UNIT)))).astype(np.uint16)
+
+
+# The same on every machine: no value lies so near a half that rounding could tell (P.1).
+LOGITS = _logits()
+PROBABILITIES = _probabilities()
+
 
 def new_models(n_models: int) -> NDArray[np.uint32]:
     """Return `n_models` models at their start: probability 1/2, nothing seen."""
     return np.full(n_models, MODEL_START, dtype=np.uint32)
+
+
+def new_mixers(n_mixers: int) -> NDArray[np.int64]:
+    """Return the weights of `n_mixers` mixers at their start, one half: shape (2, n_mixers)."""
+    return np.full((2, n_mixers), _HALF_WEIGHT, dtype=np.int64)
 
 
 def start_encoder() -> NDArray[np.int64]:
@@ -152,7 +189,7 @@ def start_decoder(state, data):
     code = np.int64(0)
     for pos in range(4):
         byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
-        code = (code << 8) | byte
+        code = ((code << 8) | byte) & _MASK32
     state[RANGE] = _MASK32
     state[CODE] = code
     state[CACHE] = 0
@@ -325,7 +362,88 @@ def decode_mean_step(span, code, pos, data, models, first, second):
     models[second] = (other_prob << _COUNT_BITS) | min(other_count + 1, _COUNT_LIMIT)
     while span < _TOP:
         byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
-        code = (code << 8) | byte
+        code = ((code << 8) | byte) & _MASK32
         span <<= 8
         pos += 1
     return bit, span, code, pos
+
+
+@kernel
+def encode_mixed_step(span, low, state, out, models, first, second, weight, other_weight, bit):
+    """Encode `bit` with two models mixed by their weights, adapt all four.
+
+    Return (span, low, weight, other_weight); see `encode_step`. The weights move down the slope of
+    the bit's cost.
+    """
+    first, second = np.uint64(first), np.uint64(second)
+    model, other = np.int64(models[first]), np.int64(models[second])
+    count, other_count = model & ((1 << _COUNT_BITS) - 1), other & ((1 << _COUNT_BITS) - 1)
+    prob, other_prob = model >> _COUNT_BITS, other >> _COUNT_BITS
+    logit = np.int64(LOGITS[np.uint64(prob >> (_PROB_BITS - _LOGIT_BITS))])
+    other_logit = np.int64(LOGITS[np.uint64(other_prob >> (_PROB_BITS - _LOGIT_BITS))])
+    mixture = (weight * logit + other_weight * other_logit) >> _MIXTURE_SHIFT
+    mixture = min(max(mixture, -_MAX_MIXTURE), _MAX_MIXTURE - 1)
+    mixed = np.int64(PROBABILITIES[np.uint64(mixture + _MAX_MIXTURE)])
+    bound = (span >> 16) * mixed
+    # What a zero does to the weights; a one adds the logits.
+    weight += (_HALF_WEIGHT - mixed * logit) >> _WEIGHT_BITS
+    other_weight += (_HALF_WEIGHT - mixed * other_logit) >> _WEIGHT_BITS
+    if bit:
+        span = bound
+        weight += logit
+        other_weight += other_logit
+        prob += (((1 << _PROB_BITS) - prob) * RATES[count]) >> 16
+        other_prob += (((1 << _PROB_BITS) - other_prob) * RATES[other_count]) >> 16
+    else:
+        low += bound
+        span -= bound
+        prob -= (prob * RATES[count]) >> 16
+        other_prob -= (other_prob * RATES[other_count]) >> 16
+    models[first] = (prob << _COUNT_BITS) | min(count + 1, _COUNT_LIMIT)
+    models[second] = (other_prob << _COUNT_BITS) | min(other_count + 1, _COUNT_LIMIT)
+    while span < _TOP:
+        span <<= 8
+        low = _shift_low(low, state, out)
+    return span, low, weight, other_weight
+
+
+@inlined_kernel
+def decode_mixed_step(span, code, pos, data, models, first, second, weight, other_weight):
+    """Decode one bit written by `encode_mixed_step`.
+
+    Return (bit, span, code, pos, weight, other_weight); see `decode_step`.
+    """
+    first, second = np.uint64(first), np.uint64(second)
+    model, other = np.int64(models[first]), np.int64(models[second])
+    count, other_count = model & ((1 << _COUNT_BITS) - 1), other & ((1 << _COUNT_BITS) - 1)
+    prob, other_prob = model >> _COUNT_BITS, other >> _COUNT_BITS
+    logit = np.int64(LOGITS[np.uint64(prob >> (_PROB_BITS - _LOGIT_BITS))])
+    other_logit = np.int64(LOGITS[np.uint64(other_prob >> (_PROB_BITS - _LOGIT_BITS))])
+    mixture = (weight * logit + other_weight * other_logit) >> _MIXTURE_SHIFT
+    mixture = min(max(mixture, -_MAX_MIXTURE), _MAX_MIXTURE - 1)
+    mixed = np.int64(PROBABILITIES[np.uint64(mixture + _MAX_MIXTURE)])
+    bound = (span >> 16) * mixed
+    # What a zero does to the weights; a one adds the logits.
+    weight += (_HALF_WEIGHT - mixed * logit) >> _WEIGHT_BITS
+    other_weight += (_HALF_WEIGHT - mixed * other_logit) >> _WEIGHT_BITS
+    if code < bound:
+        bit = 1
+        span = bound
+        weight += logit
+        other_weight += other_logit
+        prob += (((1 << _PROB_BITS) - prob) * RATES[count]) >> 16
+        other_prob += (((1 << _PROB_BITS) - other_prob) * RATES[other_count]) >> 16
+    else:
+        bit = 0
+        code -= bound
+        span -= bound
+        prob -= (prob * RATES[count]) >> 16
+        other_prob -= (other_prob * RATES[other_count]) >> 16
+    models[first] = (prob << _COUNT_BITS) | min(count + 1, _COUNT_LIMIT)
+    models[second] = (other_prob << _COUNT_BITS) | min(other_count + 1, _COUNT_LIMIT)
+    while span < _TOP:
+        byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
+        code = ((code << 8) | byte) & _MASK32
+        span <<= 8
+        pos += 1
+    return bit, span, code, pos, weight, other_weight
