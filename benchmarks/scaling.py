@@ -151,7 +151,7 @@ def run_cluster(source: Path, target: Path, n_workers: int, warm_up: Path) -> di
         remove(depot)
 
     with (
-        LocalCluster(n_workers, threads_per_worker=1, dashboard_address=None) as cluster,
+        LocalCluster(n_workers=n_workers, threads_per_worker=1, dashboard_address=None) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
         executor = executor_of(client)
