@@ -5,11 +5,14 @@ triangles of the same views once all blocks are here, at equal guaranteed error 
 of the same ground in files of two sizes; and the CPU's part of a frame with at least a thousand
 blocks in view. The rasters are the DEM, mirrored (`benchmarks.memory`). GPU times are the driver's,
 whose name is in the CSV: a software driver's say little about a GPU's. CPU times are of the drawing
-thread, by its own clock, so that other work on the machine is not in them.
+thread, by its own clock, so that other work on the machine is not in them; those of paging and of
+selection alone are by the wall clock. A stall is a frame whose CPU part takes more than a frame of
+60 Hz.
 
 Exit status: 0 good; 2 wrong usage.
 """
 
+import contextlib
 import json
 import sys
 import tempfile
@@ -42,6 +45,7 @@ SHARES = {"adaptive": 1.0, "batched": 0.25, "full": 0.01}
 # The ground that files of all sizes share, in samples from their first corner.
 SHARED_SAMPLES = 4096
 SAME_VIEW_FRAMES = 200
+STALL_MS = 1000 / 60
 
 
 @dataclass(frozen=True)
@@ -61,19 +65,43 @@ class Row:
     p99_frame: float
     median_cpu: float
     p99_cpu: float
+    median_page: float
+    median_select: float
+    median_submit: float
+    stalls: int
+    read_mib: float
     median_triangles: float
     median_blocks: float
     missing_frames: int
     gpu_mib: float
 
 
+class CountingFile:
+    """A file that counts the bytes read of it."""
+
+    def __init__(self, path: Path) -> None:
+        self.name = str(path)
+        self.n_read = 0
+        self._file = path.open("rb", buffering=0)
+        self.seek = self._file.seek
+        self.close = self._file.close
+
+    def read(self, length: int = -1) -> bytes:
+        """Return what the file gives."""
+        data = self._file.read(length)
+        self.n_read += len(data)
+        return data
+
+
 class Recorder:
     """What frames took and drew."""
 
-    def __init__(self, offscreen: Offscreen, tau: float) -> None:
-        self._offscreen, self._tau = offscreen, tau
+    def __init__(self, offscreen: Offscreen, tau: float, file: CountingFile) -> None:
+        self._offscreen, self._tau, self._file = offscreen, tau, file
+        self._n_read = file.n_read
         self._frame_ms: list[float] = []
         self._cpu_ms: list[float] = []
+        self._parts_ms: list[tuple[float, float, float]] = []
         self._drawn: list[tuple[int, int, int]] = []
 
     def frame(self, camera: Camera, *, draws: bool) -> None:
@@ -82,8 +110,12 @@ class Recorder:
         started, cpu = time.perf_counter(), time.thread_time()
         view = scene.view(camera, offscreen.viewport, self._tau)
         frames = scene.update(view)
+        updated = time.thread_time()
         offscreen.surface.instances(scene, view, frames).tobytes()
-        self._cpu_ms.append((time.thread_time() - cpu) * 1e3)
+        ended = time.thread_time()
+        self._cpu_ms.append((ended - cpu) * 1e3)
+        timings = scene.timings
+        self._parts_ms.append((timings.page, timings.select, (ended - updated) * 1e3))
         if draws:
             offscreen._target.use()
             offscreen.renderer.draw(view, frames, Style())
@@ -98,6 +130,7 @@ class Recorder:
         self._offscreen.context.finish()
         self._frame_ms.append((time.perf_counter() - started) * 1e3)
         self._cpu_ms.append(0.0)
+        self._parts_ms.append((0.0, 0.0, 0.0))
         self._drawn.append((frames.n_triangles, len(frames.nodes), frames.n_missing))
 
     def row(self, what: str, size: int) -> Row:
@@ -120,6 +153,9 @@ class Recorder:
             self._tau,
             len(self._drawn),
             *(round(number, 3) for number in numbers),
+            *(round(float(number), 3) for number in np.median(self._parts_ms, axis=0)),
+            sum(time > STALL_MS for time in self._cpu_ms),
+            round((self._file.n_read - self._n_read) / 2**20, 2),
             float(np.median(triangles)),
             float(np.median(blocks)),
             int((missing > 0).sum()),
@@ -140,11 +176,11 @@ def flight(frame: Frame) -> list[Camera]:
     ]  # fmt: skip
 
 
-def fly(offscreen: Offscreen, n_frames: int, tau: float, size: int) -> Row:
+def fly(offscreen: Offscreen, file: CountingFile, n_frames: int, tau: float, size: int) -> Row:
     """Return what a flight took; blocks that come late are not waited for."""
     cameras = flight(offscreen.scene.frame)
     offscreen.draw(cameras[0], Style(), max_pixel_error=tau)  # the first picture is not timed
-    recorder = Recorder(offscreen, tau)
+    recorder = Recorder(offscreen, tau, file)
     for number in range(n_frames):
         camera = along(cameras, number / max(n_frames - 1, 1))
         if offscreen.scene.mode.is_partwise:
@@ -154,15 +190,15 @@ def fly(offscreen: Offscreen, n_frames: int, tau: float, size: int) -> Row:
     return recorder.row("flight", size)
 
 
-def settled(offscreen: Offscreen, tau: float, size: int) -> Row:
+def settled(offscreen: Offscreen, file: CountingFile, tau: float, size: int) -> Row:
     """Return what the views at the keys draw once all that they need is here."""
-    recorder = Recorder(offscreen, tau)
+    recorder = Recorder(offscreen, tau, file)
     for camera in flight(offscreen.scene.frame):
         recorder.picture(camera)
     return recorder.row("views at the keys, settled", size)
 
 
-def same_view(offscreen: Offscreen, tau: float, size: int) -> Row:
+def same_view(offscreen: Offscreen, file: CountingFile, tau: float, size: int) -> Row:
     """Return the CPU's part of a view straight down on the ground that all files share."""
     scene, frame = offscreen.scene, offscreen.scene.frame
     ends = np.array([0.0, SHARED_SAMPLES - 1.0])
@@ -171,13 +207,13 @@ def same_view(offscreen: Offscreen, tau: float, size: int) -> Row:
     box = (np.array([*corners.min(axis=0), low[2]]), np.array([*corners.max(axis=0), high[2]]))
     camera = top_view(box, offscreen.viewport)
     scene.settle(scene.view(camera, offscreen.viewport, tau))
-    recorder = Recorder(offscreen, tau)
+    recorder = Recorder(offscreen, tau, file)
     for number in range(SAME_VIEW_FRAMES):
         recorder.frame(look(camera, 0.001 * (number % 2), 0), draws=False)
     return recorder.row("same view, CPU only", size)
 
 
-def many(offscreen: Offscreen, n_frames: int, size: int) -> Row | None:
+def many(offscreen: Offscreen, file: CountingFile, n_frames: int, size: int) -> Row | None:
     """Return the CPU's part (select, page, submit) with many blocks in view; nothing is drawn."""
     scene, camera = offscreen.scene, home(offscreen.scene.frame.box, offscreen.viewport)
     tau, n_blocks = 4.0, 0
@@ -186,7 +222,7 @@ def many(offscreen: Offscreen, n_frames: int, size: int) -> Row | None:
         tau *= 0.8
     if n_blocks < MANY_BLOCKS:
         return None
-    recorder = Recorder(offscreen, tau / 0.8)
+    recorder = Recorder(offscreen, tau / 0.8, file)
     for number in range(n_frames):
         recorder.frame(look(camera, 0.01 * number, 0), draws=False)
     return recorder.row("thousand blocks, CPU only", size)
@@ -219,8 +255,9 @@ def main(
         folder = work_dir or Path(temporary)
 
         def measured(side: int, mode: str, block: int = 256) -> None:
-            file = _file(dem, folder, side, block, max_error)
+            file = CountingFile(_file(dem, folder, side, block, max_error))
             with (
+                contextlib.closing(file),
                 terrainwave.open(file) as terrain,
                 Offscreen(
                     terrain, (width, height), mode=mode, samples=0, radius=radius
@@ -229,13 +266,13 @@ def main(
                 n = max(round(n_frames * SHARES[mode]), 2)
                 rows: list[Row | None] = []
                 if block != 256:
-                    rows.append(many(offscreen, n, side))
+                    rows.append(many(offscreen, file, n, side))
                 else:
-                    rows.append(fly(offscreen, n, tau, side))
+                    rows.append(fly(offscreen, file, n, tau, side))
                     if mode != "full":
-                        rows.append(settled(offscreen, tau, side))
+                        rows.append(settled(offscreen, file, tau, side))
                     if mode == "adaptive":
-                        rows.append(same_view(offscreen, tau, side))
+                        rows.append(same_view(offscreen, file, tau, side))
             for row in rows:
                 if row is not None:
                     sink.write(row)

@@ -371,20 +371,25 @@ def render_table(results: Path) -> str:
     """Return frames, CPU times and triangles of the viewer by mode; GPU times by the renderer."""
     lines = [
         "| what | samples | mode | blocks of | frames | CPU per frame, ms: median | 99 % |"
-        " frame, ms: median | triangles, median | blocks, median | GPU memory, MiB |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
+        " paging | selecting | submitting | stalls | frames/s: median | 1 % low |"
+        " triangles, median | blocks, median | read, MiB | GPU memory, MiB |",
+        "|" + 17 * "---|",
     ]
     rows = read_rows(results, "render")
     for row in rows:
         has_cpu = float(row["p99_cpu"]) > 0
-        cpu = [f"{float(row[name]):.2f}" if has_cpu else "–" for name in ("median_cpu", "p99_cpu")]
+        names = ("median_cpu", "p99_cpu", "median_page", "median_select", "median_submit")
+        cpu = [f"{float(row[name]):.2f}" if has_cpu else "–" for name in names]
         is_drawn = "CPU" not in row["what"]
-        frame = f"{float(row['median_frame']):.0f}" if is_drawn else "–"
+        rates = [
+            f"{1000 / float(row[name]):.3g}" if is_drawn else "–"
+            for name in ("median_frame", "p99_frame")
+        ]
         lines.append(
             f"| {row['what']} | {row['size']}² | {row['mode']} | {row['block']} | {row['frames']} |"
-            f" {cpu[0]} | {cpu[1]} | {frame} |"
+            f" {' | '.join(cpu)} | {row['stalls']} | {' | '.join(rates)} |"
             f" {float(row['median_triangles']):,.0f} | {float(row['median_blocks']):.0f} |"
-            f" {float(row['gpu_mib']):.0f} |"
+            f" {float(row['read_mib']):.1f} | {float(row['gpu_mib']):.0f} |"
         )
     renderers = sorted({row["renderer"] for row in rows})
     return "\n".join([*lines, "", f"Renderer: {', '.join(renderers)}."])
