@@ -154,7 +154,7 @@ class Recorder:
             len(self._drawn),
             *(round(number, 3) for number in numbers),
             *(round(float(number), 3) for number in np.median(self._parts_ms, axis=0)),
-            sum(time > STALL_MS for time in self._cpu_ms),
+            sum(milliseconds > STALL_MS for milliseconds in self._cpu_ms),
             round((self._file.n_read - self._n_read) / 2**20, 2),
             float(np.median(triangles)),
             float(np.median(blocks)),

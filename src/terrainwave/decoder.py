@@ -87,20 +87,20 @@ class TreeDecoder:
     def prefetch(self, keys: Sequence[Block]) -> list[Block]:
         """Fetch the payloads that decoding `keys` will need, in one call.
 
-        Returns the units to decode for them: each key after those above it that are not at hand.
-        A damaged payload is left for `unit` to report, so that it costs no other unit.
+        Returns the units that are not at hand, of the keys and all above them, each after those
+        above it. A damaged payload is left for `unit` to report, so that it costs no other unit.
         """
-        needed: dict[Block, None] = {}
+        missing: dict[Block, None] = {}
         for key in keys:
-            chain = [key]
-            while not key.is_root_key and self._cache.get(key) is None:
-                key = unit_key(key)
-                if key in needed or self._cache.get(key) is not None:
-                    break
+            chain = []
+            while key not in missing and self._cache.get(key) is None:
                 chain.append(key)
-            needed.update(dict.fromkeys(reversed(chain)))
-        self._fetch([key for key in needed if self._cache.get(key) is None])
-        return list(needed)
+                if key.is_root_key:
+                    break
+                key = unit_key(key)
+            missing.update(dict.fromkeys(reversed(chain)))
+        self._fetch(list(missing))
+        return list(missing)
 
     def _fetch(self, keys: list[Block]) -> None:
         """Fetch payloads ahead of decoding, if there are several."""

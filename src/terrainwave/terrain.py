@@ -905,7 +905,7 @@ class Terrain:
         keys = units_of(self._grid, level, region)
         for first in range(0, len(keys), _BATCH):
             batch = keys[first : first + _BATCH]
-            needed = decoder.prefetch(batch)
+            needed = list(dict.fromkeys([*decoder.prefetch(batch), *batch]))
             if len(needed) == 1 or self._n_threads == 1:
                 for key in batch:
                     fill(key)

@@ -45,7 +45,7 @@ class TileDecoder(TreeDecoder):
     def prefetch(self, keys: Sequence[Block]) -> list[Block]:
         """Fetch the payloads of the tiles that decoding `keys` will need, in one call.
 
-        Returns the keys: a unit needs tiles and no other unit.
+        Returns none: a unit needs tiles and no other unit.
         """
         needed: dict[Block, None] = {}
         for key in keys:
@@ -54,7 +54,7 @@ class TileDecoder(TreeDecoder):
                 needed[tile] = None
                 tile = self._layout.above(tile)
         self._fetch(list(needed))
-        return list(keys)
+        return []
 
     def _decode(self, key: Block) -> Decoded:
         tile_key = self._layout.key_of(key)

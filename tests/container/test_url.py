@@ -9,7 +9,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
-from container.toys import forge, toy_file, toy_header, toy_payload
+from container.toys import forge, paths_to_corner, toy_file, toy_header, toy_payload
 
 from terrainwave.container.page import empty_page, page_layout
 from terrainwave.container.ranges import ByteRange
@@ -352,12 +352,7 @@ def test_a_file_that_became_shorter_is_noticed(server):
 def corner_keys(grid):
     """Return the keys of the four groups that meet in the centre, and all above them."""
     half = 2 ** (grid.k_max - 2)
-    keys = {Block(grid.k_max - 1, row, col) for row in (half - 1, half) for col in (half - 1, half)}
-    for key in list(keys):
-        while key.level:
-            key = key.parent
-            keys.add(key)
-    return [Block(-1, 0, 0), *sorted(keys)]
+    return paths_to_corner(grid, half, half)
 
 
 def test_payloads_of_four_segments_take_two_rounds(server, monkeypatch):

@@ -4,7 +4,7 @@ import io
 
 import numpy as np
 import pytest
-from container.toys import toy_codes, toy_header
+from container.toys import paths_to_corner, toy_codes, toy_header
 
 from terrainwave.container.page import page_layout
 from terrainwave.container.ranges import AIMED_REQUESTS
@@ -12,7 +12,6 @@ from terrainwave.container.reader import Container
 from terrainwave.container.source import BufferSource
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
-from terrainwave.quadtree import Block
 
 # Mean bytes of payloads of levels -1 ... 5 of benchmarks/remote.py's file, rounded.
 MEAN_LENGTHS = (26_000, 64_000, 54_000, 44_000, 31_000, 18_000, 7_500)
@@ -45,16 +44,6 @@ def source(tmp_path_factory):
     out = io.BytesIO()
     assemble(out, header, spools)
     return Counting(out.getvalue())
-
-
-def paths_to_corner(grid, row, col):
-    """Return the keys of the four groups of the finest level that meet there, and all above."""
-    keys = {Block(grid.k_max - 1, r, c) for r in (row - 1, row) for c in (col - 1, col)}
-    for key in list(keys):
-        while key.level:
-            key = key.parent
-            keys.add(key)
-    return [Block(-1, 0, 0), *sorted(keys)]
 
 
 @pytest.mark.parametrize("row", [8, 16, 24])

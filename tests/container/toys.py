@@ -128,3 +128,13 @@ def everything_expected(grid: Grid) -> dict:
         for block in layout.blocks:
             found["codes", block] = toy_codes(block)
     return found
+
+
+def paths_to_corner(grid, row, col):
+    """Return the keys of the four groups of the finest level that meet there, and all above."""
+    keys = {Block(grid.k_max - 1, r, c) for r in (row - 1, row) for c in (col - 1, col)}
+    for key in list(keys):
+        while key.level:
+            key = key.parent
+            keys.add(key)
+    return [Block(-1, 0, 0), *sorted(keys)]

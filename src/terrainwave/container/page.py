@@ -29,6 +29,11 @@ class PageLayout(NamedTuple):
     blocks: list[Block]
     children: list[Block]
 
+    @property
+    def keys_in_file(self) -> list[Block]:
+        """Return the keys in the order in which their payloads lie in the file."""
+        return [self.keys[row] for row in file_order(self.keys)]
+
 
 def page_layout(grid: Grid, head: Block | None) -> PageLayout:
     """Return what the page of the segment of `head` lists (FORMAT.md §3.3).

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from terrainwave.container.page import Page, PageLayout, file_order, payload_starts
+from terrainwave.container.page import Page, PageLayout, payload_starts
 from terrainwave.container.ranges import ByteRange
 from terrainwave.quadtree import Block
 
@@ -82,7 +82,7 @@ def page_and_payloads(
     """
     page = parent.page_range(head)
     body_length = parent.child_range(head).length - page.length
-    keys = [layout.keys[row] for row in file_order(layout.keys)]
+    keys = layout.keys_in_file
     n_ahead = next((rank for rank, key in enumerate(keys) if key not in wanted), len(keys))
     if not n_ahead or not body_length:
         return page

@@ -17,7 +17,6 @@ from terrainwave.container.page import (
     PageLayout,
     describe_head,
     describe_key,
-    file_order,
     pack_columns,
     pack_page,
     page_layout,
@@ -154,7 +153,7 @@ def _chunks(
     """Yield the bytes of a segment whose children begin at `first_child` of the file."""
     if isinstance(segment, SegmentSpool):
         yield pack_page(part.columns, first_child)
-        yield from segment.chunks([layout.keys[row] for row in file_order(layout.keys)])
+        yield from segment.chunks(layout.keys_in_file)
         return
     stored = segment.chunks()
     yield with_first_child(next(stored), first_child)
