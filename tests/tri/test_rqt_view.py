@@ -6,7 +6,7 @@ from tri.slow_dynamic import NORTH_UP, VIEWPORT, areas, cameras, eye_of, surface
 
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.render.camera import Camera, project
-from terrainwave.tri.rqt import _neighbours
+from terrainwave.tri.rqt import neighbours
 from terrainwave.tri.rqt_view import RestrictedMesh
 
 RANGE = (-30.0, 60.0)
@@ -36,7 +36,7 @@ def vertices_below_corners(mesh):
         if row % mesh.tile == 0 and col % mesh.tile == 0:
             continue
         stride = (row | col) & -(row | col)
-        _, _, _, _, r2, c2, r3, c3 = _neighbours(row, col, stride)
+        _, _, _, _, r2, c2, r3, c3 = neighbours(row, col, stride)
         needs = [(r, c) for r, c in ((r2, c2), (r3, c3)) if 0 <= r < n_rows and 0 <= c < n_cols]
         yield (row, col), needs
 
@@ -370,7 +370,7 @@ def test_errors_are_not_below_the_distance_of_any_sample_from_the_triangles_that
     n_equal = 0
     for (row, col), needs in vertices_below_corners(mesh):
         stride = (row | col) & -(row | col)
-        r0, c0, r1, c1 = _neighbours(row, col, stride)[:4]
+        r0, c0, r1, c1 = neighbours(row, col, stride)[:4]
         worst = 0.0
         for top in needs:
             corners = np.array([[r0, c0], [r1, c1], top], dtype=float)

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from terrainwave._jit import kernel
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.tri.budget import Pressure
+from terrainwave.tri.budget import Pressure, check_budget
 from terrainwave.tri.haar import (
     ERROR,
     FIRST,
@@ -227,11 +227,7 @@ class DynamicMesh:
             If an argument is out of range.
         """
         check_update(tau, morph)
-        if max_vertices is not None and max_vertices < self.least_vertices:
-            raise InvalidHeightsError(
-                f"found max_vertices {max_vertices}, expected at least one per patch:"
-                f" {self.least_vertices}"
-            )
+        check_budget(max_vertices, self.least_vertices, "patch")
         view = self._view(eye)
         self._pressure.relieve()
         n_touched, n_changed = self._mark(view, eye.planes, tau / morph, is_stepwise)

@@ -140,7 +140,7 @@ def rqt_mesh(
 
 
 @kernel
-def _neighbours(row, col, s):
+def neighbours(row, col, s):
     """Return the ends of the edge that virtual vertex (row, col) of stride `s` splits.
 
     Then the tops of the two triangles beside it; these are what it depends on. Diagonals alternate
@@ -156,6 +156,13 @@ def _neighbours(row, col, s):
 
 
 @kernel
+def own_neighbours(row, col):
+    """Return the `neighbours` of a vertex at the stride that it has by its place; not (0, 0)."""
+    both = row | col
+    return neighbours(row, col, both & -both)
+
+
+@kernel
 def _select(heights, mask, tolerance, rows, cols, rule, selection):
     """Select from the finest vertices upwards; what is selected selects what it depends on."""
     n = rows.shape[0] - 1
@@ -167,7 +174,7 @@ def _select(heights, mask, tolerance, rows, cols, rule, selection):
                 if centres and not is_odd:
                     continue
                 for col in range(s if centres or not is_odd else 0, n + 1, 2 * s):
-                    r0, c0, r1, c1, r2, c2, r3, c3 = _neighbours(row, col, s)
+                    r0, c0, r1, c1, r2, c2, r3, c3 = neighbours(row, col, s)
                     second = 0 <= r2 <= n and 0 <= c2 <= n
                     third = 0 <= r3 <= n and 0 <= c3 <= n
                     if not selection[row, col]:
@@ -302,9 +309,7 @@ def _select_closed(selection, row, col, stack, depth):
         if selection[row, col]:
             continue
         selection[row, col] = 1
-        both = row | col
-        s = both & -both
-        _, _, _, _, r2, c2, r3, c3 = _neighbours(row, col, s)
+        _, _, _, _, r2, c2, r3, c3 = own_neighbours(row, col)
         for i, j in ((r2, c2), (r3, c3)):
             if 0 <= i <= n and 0 <= j <= n and not selection[i, j]:
                 stack[depth, 0], stack[depth, 1] = i, j

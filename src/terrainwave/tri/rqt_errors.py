@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._jit import kernel
-from terrainwave.tri.rqt import _neighbours
+from terrainwave.tri.rqt import neighbours, own_neighbours
 from terrainwave.tri.triangle import area_of
 
 _ROUNDING = 2.0**-22
@@ -38,8 +38,7 @@ def needs_of(row, col, tile):
     """Return the two vertices that one depends on; itself twice where it is a tile's corner."""
     if is_corner(row, col, tile):
         return row, col, row, col
-    both = row | col
-    _, _, _, _, r2, c2, r3, c3 = _neighbours(row, col, both & -both)
+    _, _, _, _, r2, c2, r3, c3 = own_neighbours(row, col)
     return r2, c2, r3, c3
 
 
@@ -72,7 +71,7 @@ def measure_tile(first_row, first_col, base, is_bound, z, errors):
 @kernel
 def _measure_vertex(row, col, stride, first_row, first_col, base, is_bound, z, errors):
     """Widen the error of one vertex by its triangles in a tile, and those it depends on by that."""
-    r0, c0, r1, c1, r2, c2, r3, c3 = _neighbours(row + first_row, col + first_col, stride)
+    r0, c0, r1, c1, r2, c2, r3, c3 = neighbours(row + first_row, col + first_col, stride)
     r0, r1, r2, r3 = r0 - first_row, r1 - first_row, r2 - first_row, r3 - first_row
     c0, c1, c2, c3 = c0 - first_col, c1 - first_col, c2 - first_col, c3 - first_col
     if not is_bound:

@@ -13,7 +13,7 @@ that of v and of its places on these triangles, weighted by the differences of s
 import numpy as np
 
 from terrainwave._jit import kernel
-from terrainwave.tri.rqt import _neighbours
+from terrainwave.tri.rqt import own_neighbours
 from terrainwave.tri.rqt_tiles import height_of
 
 
@@ -61,8 +61,7 @@ def _mean_height(active, number, vertex_of, shares, heights):
     if share >= 1 or np.isnan(own):
         return own
     row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
-    both = row | col
-    r0, c0, r1, c1, r2, c2, r3, c3 = _neighbours(row, col, both & -both)
+    r0, c0, r1, c1, r2, c2, r3, c3 = own_neighbours(row, col)
     if not (0 <= r2 < vertex_of.shape[0] and 0 <= c2 < vertex_of.shape[1]):
         r2, c2 = r3, c3  # both sides say the same
     mean = share * own
@@ -81,8 +80,7 @@ def _mean_height(active, number, vertex_of, shares, heights):
             return mean
         # The parent: its longest side was split by the top, and its own top is one of the others.
         row, col = np.int64(active[top, 0]), np.int64(active[top, 1])
-        both = row | col
-        r0, c0, r1, c1, r2, c2, r3, c3 = _neighbours(row, col, both & -both)
+        r0, c0, r1, c1, r2, c2, r3, c3 = own_neighbours(row, col)
         end, other_end = vertex_of[r0, c0], vertex_of[r1, c1]
         if second == end or second == other_end:
             first, second, of_first, of_second = second, first, of_second, of_first

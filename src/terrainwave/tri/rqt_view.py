@@ -38,9 +38,9 @@ from numpy.typing import NDArray
 
 from terrainwave._jit import kernel
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.tri.budget import Pressure
+from terrainwave.tri.budget import Pressure, check_budget
 from terrainwave.tri.dynamic import Eye, check_update
-from terrainwave.tri.rqt import _neighbours
+from terrainwave.tri.rqt import neighbours
 from terrainwave.tri.rqt_errors import is_corner, needs_of
 from terrainwave.tri.rqt_morph import number_vertices, place_vertices
 from terrainwave.tri.rqt_tiles import Tile, Tiles, height_of, is_known, known_error
@@ -276,11 +276,7 @@ class RestrictedMesh:
             If an argument is out of range.
         """
         check_update(tau, morph)
-        if max_vertices is not None and max_vertices < self.least_vertices:
-            raise InvalidHeightsError(
-                f"found max_vertices {max_vertices}, expected at least one per corner of a tile:"
-                f" {self.least_vertices}"
-            )
+        check_budget(max_vertices, self.least_vertices, "corner of a tile")
         view, planes = self._view(eye), self._planes(eye)
         self._pressure.relieve()
         n_touched = n_changed = 0
@@ -387,14 +383,20 @@ class RestrictedMesh:
 
 
 @kernel
+def _stride_of(row, col, tile):
+    """Return the stride that a vertex has by its place; that of a tile's corners is `tile`."""
+    both = row | col
+    return min(both & -both, tile) if both else tile
+
+
+@kernel
 def screen_error(error, row, col, tile, view, planes):
     """Return the error on screen of a vertex with some error.
 
     The box reaches over all that may depend on the vertex: 3 strides each way for centres, 2 for
     edges.
     """
-    both = row | col
-    stride = min(both & -both, tile) if both else tile
+    stride = _stride_of(row, col, tile)
     is_centre = row & stride and col & stride and stride < tile
     return error_in_box(error, row, col, (3 if is_centre else 2) * stride, view, planes)
 
@@ -491,8 +493,7 @@ def fill_shares(
 @kernel
 def _child(row, col, tile, k):
     """Return the k-th of the four vertices that may depend on one; -1 where there is none."""
-    both = row | col
-    stride = min(both & -both, tile) if both else tile
+    stride = _stride_of(row, col, tile)
     if not is_corner(row, col, tile) and row & stride and col & stride:
         down, right = ((-1, 0), (0, -1), (1, 0), (0, 1))[k]
         return row + down * stride, col + right * stride
@@ -637,7 +638,7 @@ def draw_triangles(
     for row in range(0, is_active.shape[0] - 1, tile):
         for col in range(0, is_active.shape[1] - 1, tile):
             half = tile // 2
-            r0, c0, r1, c1, r2, c2, r3, c3 = _neighbours(row + half, col + half, half)
+            r0, c0, r1, c1, r2, c2, r3, c3 = neighbours(row + half, col + half, half)
             stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = r0, c0, r1, c1
             stack[0, 4], stack[0, 5] = r2, c2
             stack[1, 0], stack[1, 1], stack[1, 2], stack[1, 3] = r0, c0, r1, c1
