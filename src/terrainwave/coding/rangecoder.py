@@ -122,6 +122,34 @@ def _shift_low(low, state, out):
     return (low & 0x00FFFFFF) << 8
 
 
+@inlined_kernel
+def _parts_of(model):
+    """Return the 22-bit probability and the count of a model."""
+    model = np.int64(model)
+    return model >> _COUNT_BITS, model & ((1 << _COUNT_BITS) - 1)
+
+
+@inlined_kernel
+def _adapted(prob, count, bit):
+    """Return the model of a probability and a count after a bit."""
+    if bit:
+        prob += (((1 << _PROB_BITS) - prob) * RATES[count]) >> 16
+    else:
+        prob -= (prob * RATES[count]) >> 16
+    return (prob << _COUNT_BITS) | min(count + 1, _COUNT_LIMIT)
+
+
+@inlined_kernel
+def _refilled(span, code, pos, data):
+    """Return span, code and pos with bytes of `data` taken in until the range is large enough."""
+    while span < _TOP:
+        byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
+        code = ((code << 8) | byte) & _MASK32
+        span <<= 8
+        pos += 1
+    return span, code, pos
+
+
 @kernel
 def encode_step(span, low, state, out, models, index, bit):
     """Encode `bit` (0 or 1) with ``models[index]``, adapt the model; return the new (span, low).
@@ -130,20 +158,14 @@ def encode_step(span, low, state, out, models, index, bit):
     them back into `state` before any other function of this module sees it.
     """
     index = np.uint64(index)
-    model = np.int64(models[index])
-    count = model & ((1 << _COUNT_BITS) - 1)
-    prob = model >> _COUNT_BITS
+    prob, count = _parts_of(models[index])
     bound = (span >> 16) * ((prob >> 6) | 1)
     if bit:
         span = bound
-        prob += (((1 << _PROB_BITS) - prob) * RATES[count]) >> 16
     else:
         low += bound
         span -= bound
-        prob -= (prob * RATES[count]) >> 16
-    if count < _COUNT_LIMIT:
-        count += 1
-    models[index] = (prob << _COUNT_BITS) | count
+    models[index] = _adapted(prob, count, bit)
     while span < _TOP:
         span <<= 8
         low = _shift_low(low, state, out)
@@ -205,27 +227,17 @@ def decode_step(span, code, pos, data, models, index):
     Bytes past the end of `data` read as zero; `finish_decoder` reports that.
     """
     index = np.uint64(index)
-    model = np.int64(models[index])
-    count = model & ((1 << _COUNT_BITS) - 1)
-    prob = model >> _COUNT_BITS
+    prob, count = _parts_of(models[index])
     bound = (span >> 16) * ((prob >> 6) | 1)
     if code < bound:
         bit = 1
         span = bound
-        prob += (((1 << _PROB_BITS) - prob) * RATES[count]) >> 16
     else:
         bit = 0
         code -= bound
         span -= bound
-        prob -= (prob * RATES[count]) >> 16
-    if count < _COUNT_LIMIT:
-        count += 1
-    models[index] = (prob << _COUNT_BITS) | count
-    while span < _TOP:
-        byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
-        code = ((code << 8) | byte) & _MASK32
-        span <<= 8
-        pos += 1
+    models[index] = _adapted(prob, count, bit)
+    span, code, pos = _refilled(span, code, pos, data)
     return bit, span, code, pos
 
 
@@ -318,21 +330,16 @@ def decode_magnitude(state, data, models, first):
 def encode_mean_step(span, low, state, out, models, first, second, bit):
     """Encode `bit` with the mean of two models' probabilities, adapt both; as `encode_step`."""
     first, second = np.uint64(first), np.uint64(second)
-    model, other = np.int64(models[first]), np.int64(models[second])
-    count, other_count = model & ((1 << _COUNT_BITS) - 1), other & ((1 << _COUNT_BITS) - 1)
-    prob, other_prob = model >> _COUNT_BITS, other >> _COUNT_BITS
+    prob, count = _parts_of(models[first])
+    other_prob, other_count = _parts_of(models[second])
     bound = (span >> 16) * (((prob + other_prob) >> 7) | 1)
     if bit:
         span = bound
-        prob += (((1 << _PROB_BITS) - prob) * RATES[count]) >> 16
-        other_prob += (((1 << _PROB_BITS) - other_prob) * RATES[other_count]) >> 16
     else:
         low += bound
         span -= bound
-        prob -= (prob * RATES[count]) >> 16
-        other_prob -= (other_prob * RATES[other_count]) >> 16
-    models[first] = (prob << _COUNT_BITS) | min(count + 1, _COUNT_LIMIT)
-    models[second] = (other_prob << _COUNT_BITS) | min(other_count + 1, _COUNT_LIMIT)
+    models[first] = _adapted(prob, count, bit)
+    models[second] = _adapted(other_prob, other_count, bit)
     while span < _TOP:
         span <<= 8
         low = _shift_low(low, state, out)
@@ -343,64 +350,58 @@ def encode_mean_step(span, low, state, out, models, first, second, bit):
 def decode_mean_step(span, code, pos, data, models, first, second):
     """Decode one bit written by `encode_mean_step`; as `decode_step`."""
     first, second = np.uint64(first), np.uint64(second)
-    model, other = np.int64(models[first]), np.int64(models[second])
-    count, other_count = model & ((1 << _COUNT_BITS) - 1), other & ((1 << _COUNT_BITS) - 1)
-    prob, other_prob = model >> _COUNT_BITS, other >> _COUNT_BITS
+    prob, count = _parts_of(models[first])
+    other_prob, other_count = _parts_of(models[second])
     bound = (span >> 16) * (((prob + other_prob) >> 7) | 1)
     if code < bound:
         bit = 1
         span = bound
-        prob += (((1 << _PROB_BITS) - prob) * RATES[count]) >> 16
-        other_prob += (((1 << _PROB_BITS) - other_prob) * RATES[other_count]) >> 16
     else:
         bit = 0
         code -= bound
         span -= bound
-        prob -= (prob * RATES[count]) >> 16
-        other_prob -= (other_prob * RATES[other_count]) >> 16
-    models[first] = (prob << _COUNT_BITS) | min(count + 1, _COUNT_LIMIT)
-    models[second] = (other_prob << _COUNT_BITS) | min(other_count + 1, _COUNT_LIMIT)
-    while span < _TOP:
-        byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
-        code = ((code << 8) | byte) & _MASK32
-        span <<= 8
-        pos += 1
+    models[first] = _adapted(prob, count, bit)
+    models[second] = _adapted(other_prob, other_count, bit)
+    span, code, pos = _refilled(span, code, pos, data)
     return bit, span, code, pos
+
+
+@inlined_kernel
+def _mixed(prob, other_prob, weight, other_weight):
+    """Return the 16-bit probability that two models and their weights give, and both logits."""
+    logit = np.int64(LOGITS[np.uint64(prob >> (_PROB_BITS - _LOGIT_BITS))])
+    other_logit = np.int64(LOGITS[np.uint64(other_prob >> (_PROB_BITS - _LOGIT_BITS))])
+    mixture = (weight * logit + other_weight * other_logit) >> _MIXTURE_SHIFT
+    mixture = min(max(mixture, -_MAX_MIXTURE), _MAX_MIXTURE - 1)
+    return np.int64(PROBABILITIES[np.uint64(mixture + _MAX_MIXTURE)]), logit, other_logit
+
+
+@inlined_kernel
+def _learned(weight, logit, mixed, bit):
+    """Return a weight moved down the slope of the bit's cost."""
+    return weight + ((_HALF_WEIGHT - mixed * logit) >> _WEIGHT_BITS) + (logit if bit else 0)
 
 
 @kernel
 def encode_mixed_step(span, low, state, out, models, first, second, weight, other_weight, bit):
     """Encode `bit` with two models mixed by their weights, adapt all four.
 
-    Return (span, low, weight, other_weight); see `encode_step`. The weights move down the slope of
-    the bit's cost.
+    Return (span, low, weight, other_weight); see `encode_step`.
     """
     first, second = np.uint64(first), np.uint64(second)
-    model, other = np.int64(models[first]), np.int64(models[second])
-    count, other_count = model & ((1 << _COUNT_BITS) - 1), other & ((1 << _COUNT_BITS) - 1)
-    prob, other_prob = model >> _COUNT_BITS, other >> _COUNT_BITS
-    logit = np.int64(LOGITS[np.uint64(prob >> (_PROB_BITS - _LOGIT_BITS))])
-    other_logit = np.int64(LOGITS[np.uint64(other_prob >> (_PROB_BITS - _LOGIT_BITS))])
-    mixture = (weight * logit + other_weight * other_logit) >> _MIXTURE_SHIFT
-    mixture = min(max(mixture, -_MAX_MIXTURE), _MAX_MIXTURE - 1)
-    mixed = np.int64(PROBABILITIES[np.uint64(mixture + _MAX_MIXTURE)])
+    prob, count = _parts_of(models[first])
+    other_prob, other_count = _parts_of(models[second])
+    mixed, logit, other_logit = _mixed(prob, other_prob, weight, other_weight)
     bound = (span >> 16) * mixed
-    # What a zero does to the weights; a one adds the logits.
-    weight += (_HALF_WEIGHT - mixed * logit) >> _WEIGHT_BITS
-    other_weight += (_HALF_WEIGHT - mixed * other_logit) >> _WEIGHT_BITS
     if bit:
         span = bound
-        weight += logit
-        other_weight += other_logit
-        prob += (((1 << _PROB_BITS) - prob) * RATES[count]) >> 16
-        other_prob += (((1 << _PROB_BITS) - other_prob) * RATES[other_count]) >> 16
     else:
         low += bound
         span -= bound
-        prob -= (prob * RATES[count]) >> 16
-        other_prob -= (other_prob * RATES[other_count]) >> 16
-    models[first] = (prob << _COUNT_BITS) | min(count + 1, _COUNT_LIMIT)
-    models[second] = (other_prob << _COUNT_BITS) | min(other_count + 1, _COUNT_LIMIT)
+    models[first] = _adapted(prob, count, bit)
+    models[second] = _adapted(other_prob, other_count, bit)
+    weight = _learned(weight, logit, mixed, bit)
+    other_weight = _learned(other_weight, other_logit, mixed, bit)
     while span < _TOP:
         span <<= 8
         low = _shift_low(low, state, out)
@@ -414,36 +415,20 @@ def decode_mixed_step(span, code, pos, data, models, first, second, weight, othe
     Return (bit, span, code, pos, weight, other_weight); see `decode_step`.
     """
     first, second = np.uint64(first), np.uint64(second)
-    model, other = np.int64(models[first]), np.int64(models[second])
-    count, other_count = model & ((1 << _COUNT_BITS) - 1), other & ((1 << _COUNT_BITS) - 1)
-    prob, other_prob = model >> _COUNT_BITS, other >> _COUNT_BITS
-    logit = np.int64(LOGITS[np.uint64(prob >> (_PROB_BITS - _LOGIT_BITS))])
-    other_logit = np.int64(LOGITS[np.uint64(other_prob >> (_PROB_BITS - _LOGIT_BITS))])
-    mixture = (weight * logit + other_weight * other_logit) >> _MIXTURE_SHIFT
-    mixture = min(max(mixture, -_MAX_MIXTURE), _MAX_MIXTURE - 1)
-    mixed = np.int64(PROBABILITIES[np.uint64(mixture + _MAX_MIXTURE)])
+    prob, count = _parts_of(models[first])
+    other_prob, other_count = _parts_of(models[second])
+    mixed, logit, other_logit = _mixed(prob, other_prob, weight, other_weight)
     bound = (span >> 16) * mixed
-    # What a zero does to the weights; a one adds the logits.
-    weight += (_HALF_WEIGHT - mixed * logit) >> _WEIGHT_BITS
-    other_weight += (_HALF_WEIGHT - mixed * other_logit) >> _WEIGHT_BITS
     if code < bound:
         bit = 1
         span = bound
-        weight += logit
-        other_weight += other_logit
-        prob += (((1 << _PROB_BITS) - prob) * RATES[count]) >> 16
-        other_prob += (((1 << _PROB_BITS) - other_prob) * RATES[other_count]) >> 16
     else:
         bit = 0
         code -= bound
         span -= bound
-        prob -= (prob * RATES[count]) >> 16
-        other_prob -= (other_prob * RATES[other_count]) >> 16
-    models[first] = (prob << _COUNT_BITS) | min(count + 1, _COUNT_LIMIT)
-    models[second] = (other_prob << _COUNT_BITS) | min(other_count + 1, _COUNT_LIMIT)
-    while span < _TOP:
-        byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
-        code = ((code << 8) | byte) & _MASK32
-        span <<= 8
-        pos += 1
+    models[first] = _adapted(prob, count, bit)
+    models[second] = _adapted(other_prob, other_count, bit)
+    weight = _learned(weight, logit, mixed, bit)
+    other_weight = _learned(other_weight, other_logit, mixed, bit)
+    span, code, pos = _refilled(span, code, pos, data)
     return bit, span, code, pos, weight, other_weight
