@@ -105,6 +105,25 @@ def test_an_existing_picture_is_kept_unless_told(file, tmp_path):
     assert done.exit_code == 0, done.output
 
 
+@pytest.mark.parametrize("arguments", [("view",), ("render", "x.png")])
+def test_a_missing_library_is_named_in_one_line(file, tmp_path, arguments):
+    """As for those who have installed terrainwave without its extra."""
+    command, *rest = arguments
+    code = (
+        "import sys\nsys.modules['moderngl'] = sys.modules['moderngl_window'] = None\n"
+        "from terrainwave.cli import main\nmain()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, command, file, *rest],
+        check=False, capture_output=True, text=True, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 1
+    said = done.stderr.strip().splitlines()[-1]
+    assert said.startswith("terrainwave: ")
+    assert "pip install 'terrainwave[view]'" in said
+    assert "Traceback" not in done.stderr
+
+
 @pytest.mark.parametrize("library", ["moderngl", "numba", "PIL"])
 def test_help_needs_no_heavy_library(library):
     code = (

@@ -12,7 +12,6 @@ from terrainwave.render.camera import format_camera
 from terrainwave.render.controls import HELP, Controls
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.overlay import Overlay, draw_overlay
 from terrainwave.render.pictures import choose_camera
 from terrainwave.render.scene import DEFAULT_MAX_BYTES
 
@@ -129,6 +128,8 @@ class Viewer:
         self._window = window
         self._offscreen = offscreen
         self.controls = controls
+        from terrainwave.render.overlay import Overlay  # late: moderngl
+
         self.overlay = Overlay(offscreen.context)
         self.cursor = (0, 0)
         self._times: deque[float] = deque(maxlen=60)
@@ -202,6 +203,8 @@ class Viewer:
         return self._offscreen.pick(x * ratio, y * ratio)
 
     def _update_overlay(self, frames: Frames) -> None:
+        from terrainwave.render.overlay import draw_overlay  # late: moderngl
+
         self._overlay_time = time.perf_counter()
         offscreen, controls = self._offscreen, self.controls
         viewport, scene = offscreen.viewport, offscreen.scene
