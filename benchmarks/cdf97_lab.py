@@ -14,7 +14,7 @@ from terrainwave.codec import units
 from terrainwave.codec.cdf97 import Cdf97
 from terrainwave.codec.refiner import GroupSpec, Sides
 from terrainwave.coding.filters import lowpass_analysis
-from terrainwave.quadtree import Block, Grid, Region
+from terrainwave.grid.quadtree import Block, Grid, Region
 
 
 def pyramid(heights: np.ndarray, grid: Grid) -> list[np.ndarray]:

@@ -2,7 +2,7 @@
 
 Every raster, mesh error and block size: heights within a quarter of the mesh error, stored meshes
 of all levels and meshes of the area (stored, and at several errors, one of them optimised) held
-against the original by `terrainwave.mesh_verification`, which knows nothing of the builder.
+against the original by `terrainwave.verification.meshes`, which knows nothing of the builder.
 Rasters of more than 513 samples a side are cropped to their middle. Writes a CSV.
 
 Exit status: 0 nothing wrong; 1 something is; 2 wrong usage.
@@ -22,7 +22,7 @@ from rasterio.windows import Window
 import terrainwave
 from benchmarks.rasters import find_rasters
 from benchmarks.report import CsvSink
-from terrainwave.mesh_verification import verify_meshes
+from terrainwave.verification.meshes import verify_meshes
 
 ERRORS = (1.0, 3.0, 10.0)
 BLOCKS = (64, 128, 256)

@@ -20,7 +20,7 @@ import click
 
 import terrainwave
 from benchmarks.report import CsvSink
-from terrainwave import quadtree
+from terrainwave.grid import quadtree
 
 BOUNDS = (1.0, 3.0, 10.0)
 ROOTS_WITHOUT_LEVELS = 1 << 31  # per side: as many as the longest raster has samples

@@ -133,8 +133,8 @@ def window_cost(server: RangeServer, window: tuple[int, int, int, int], level: i
 
 def needed_bytes(terrain, window: tuple[int, int, int, int], level: int) -> int:
     """Return the bytes of the payloads of the covering groups and of all above them."""
-    from terrainwave.decoder import unit_key, units_of
-    from terrainwave.quadtree import Region
+    from terrainwave.grid.quadtree import Region
+    from terrainwave.read.decoder import unit_key, units_of
 
     container = terrain._container
     counted = level % terrain.n_levels  # from the coarse end

@@ -18,7 +18,7 @@ import terrainwave
 from benchmarks.lists import ListCommand, ListOption
 from benchmarks.rasters import find_rasters
 from benchmarks.report import CsvSink
-from terrainwave import quadtree
+from terrainwave.grid import quadtree
 
 ROOTS = (1, 2, 4)
 

@@ -140,7 +140,7 @@ def run_cluster(source: Path, target: Path, n_workers: int, warm_up: Path) -> di
 
     import terrainwave
     from terrainwave.container.depot import Depot
-    from terrainwave.distribution import executor_of
+    from terrainwave.write.cluster import executor_of
 
     stored: Counter[str] = Counter()
     remove = Depot.remove
@@ -179,8 +179,8 @@ def run_cluster(source: Path, target: Path, n_workers: int, warm_up: Path) -> di
 
 def measure(raster: Path, size: int, runs: Sequence[str], folder: Path) -> list[Row]:
     """Return the rows of all runs; `SystemExit` if a file differs."""
-    from terrainwave.distribution import TASK_SAMPLES, task_level
-    from terrainwave.quadtree import Grid
+    from terrainwave.grid.quadtree import Grid
+    from terrainwave.write.cluster import TASK_SAMPLES, task_level
 
     source, warm_up = folder / "large.tif", folder / "small.tif"
     make_mirrored(raster, source, size, "tiled")
@@ -241,8 +241,8 @@ def _row(
 def extrapolate(row: Row) -> Extrapolation:
     """Return what a run on `LARGE` x `LARGE` samples would take, from one on a cluster."""
     from terrainwave.container.page import MAX_PAGE
-    from terrainwave.distribution import TASK_SAMPLES, task_level
-    from terrainwave.quadtree import Grid
+    from terrainwave.grid.quadtree import Grid
+    from terrainwave.write.cluster import TASK_SAMPLES, task_level
 
     grid = Grid(LARGE, LARGE, BLOCK)
     level = task_level(grid, TASK_SAMPLES)

@@ -33,13 +33,13 @@ EFFORTS = ("fast", "default")
 # Stage, module, name there. Functions of the same stage may call each other.
 STAGES = (
     ("read source", "terrainwave.raster_io.source", "RasterSource.read"),
-    ("scan", "terrainwave.quantum", "HeightScan.update"),
-    ("quanta", "terrainwave.quantum", "Quantizer.quantize"),
-    ("quanta", "terrainwave.quantum", "Quantizer.dequantize"),
-    ("pyramid", "terrainwave.pyramid", "Pyramid.build"),
-    ("pyramid", "terrainwave.pyramid", "Pyramid.heights"),
-    ("pyramid", "terrainwave.pyramid", "Pyramid.mask"),
-    ("measure", "terrainwave.encoder", "TreeEncoder._measure"),
+    ("scan", "terrainwave.grid.quantum", "HeightScan.update"),
+    ("quanta", "terrainwave.grid.quantum", "Quantizer.quantize"),
+    ("quanta", "terrainwave.grid.quantum", "Quantizer.dequantize"),
+    ("pyramid", "terrainwave.write.pyramid", "Pyramid.build"),
+    ("pyramid", "terrainwave.write.pyramid", "Pyramid.heights"),
+    ("pyramid", "terrainwave.write.pyramid", "Pyramid.mask"),
+    ("measure", "terrainwave.write.encoder", "TreeEncoder._measure"),
     ("mask", "terrainwave.codec.group", "encode_mask"),
     ("mask", "terrainwave.codec.group", "decode_mask"),
     ("borders", "terrainwave.codec.predictive", "code_border"),
@@ -50,9 +50,9 @@ STAGES = (
     ("choice", "terrainwave.codec.predictive", "_choose"),
     ("pass", "terrainwave.codec.predictive", "code_pass"),
     ("unit", "terrainwave.codec.predictive", "_code_unit"),
-    ("unit", "terrainwave.encoder", "encode_unit"),
-    ("unit", "terrainwave.decoder", "decode_unit"),
-    ("write", "terrainwave.compression", "assemble"),
+    ("unit", "terrainwave.write.encoder", "encode_unit"),
+    ("unit", "terrainwave.read.decoder", "decode_unit"),
+    ("write", "terrainwave.write.compress", "assemble"),
 )
 PARTS = ("taps", "core", "distances", "errors", "activity")
 
@@ -184,7 +184,7 @@ def stage_costs(task: Callable[[], object], n_runs: int) -> dict[str, float]:
 @contextmanager
 def _inline():
     with (
-        mock.patch("terrainwave.compression.ThreadPoolExecutor", Inline),
+        mock.patch("terrainwave.write.compress.ThreadPoolExecutor", Inline),
         mock.patch("terrainwave.terrain.ThreadPoolExecutor", Inline),
     ):
         yield

@@ -25,7 +25,7 @@ from terrainwave.codec.group import encode_unit
 from terrainwave.codec.registry import PYRAMIDS, refiner_by_name
 from terrainwave.codec.units import CodecParameters, unit_spec
 from terrainwave.coding.filters import lowpass_analysis
-from terrainwave.quadtree import Block, Grid
+from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.tri import agreement, rqt
 from terrainwave.tri.connect import loose_mesh, mesh_error, mesh_of_cut
 from terrainwave.tri.guarantee import guaranteed_cut

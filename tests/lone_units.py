@@ -5,7 +5,7 @@ import numpy as np
 from terrainwave.codec.refiner import GroupSpec, Sides
 from terrainwave.codec.units import CodecParameters, unit_spec
 from terrainwave.errors import CorruptStreamError
-from terrainwave.quadtree import Region
+from terrainwave.grid.quadtree import Region
 
 NOT_SHARED = Sides(False, False, False, False)
 ALL_SHARED = Sides(True, True, True, True)

@@ -9,9 +9,9 @@ from rasterio.transform import Affine
 from strategies import write_geotiff
 
 import terrainwave
-from terrainwave.mesh_checks import deviation
-from terrainwave.mesh_verification import Ruler, mesh_problems, must_be_covered, surface_of_mesh
-from terrainwave.quadtree import Region
+from terrainwave.grid.quadtree import Region
+from terrainwave.verification.checks import deviation
+from terrainwave.verification.meshes import Ruler, mesh_problems, must_be_covered, surface_of_mesh
 
 KINDS = (
     "smooth", "cliffs", "noise", "flat", "half sea", "spikes", "ramp", "steps", "rough patch",

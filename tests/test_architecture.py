@@ -9,65 +9,36 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "src" / "terrainwave"
 
-# Each group may import itself and the groups before it; `codec` and `tri` are siblings.
-LAYERS = [
-    {
-        "errors",
-        "_version",
-        "_jit",
-        "_status",
-        "quadtree",
-        "quantum",
-        "convert",
-        "codes",
-        "coding",
-        "progress",
-        "schedule",
-    },
-    {"codec", "tri", "container", "raster_io", "metrics"},
-    {
-        "spool",
-        "measure",
-        "pyramid",
-        "encoder",
-        "decoder",
-        "tile_encoder",
-        "tile_decoder",
-        "early",
-        "block_codes",
-        "border_states",
-        "job",
-        "meshing",
-        "mesh_sections",
-        "resample",
-        "level_errors",
-        "arguments",
-    },
-    {
-        "terrain",
-        "compression",
-        "decompression",
-        "distribution",
-        "local_passes",
-        "proof",
-        "subtrees",
-        "extraction",
-        "globe",
-        "height_tile",
-        "mesh_storage",
-        "patching",
-        "mesh_checks",
-        "mesh_verification",
-        "tile_pyramid",
-        "verification",
-    },
-    {"render", "ext"},
-    {"demo", "cli", "__main__"},
-]
-# Methods that hand a Terrain to a layer above, which they import when they are called.
-IMPORTED_LATE = {("terrain", "ext"), ("terrain", "render")}
-SIBLINGS = [{"codec", "tri"}, {"codec", "container"}, {"codec", "raster_io"}]
-MAY_OPEN_FILES = {"raster_io", "container", "cli", "demo", "spool", "verification", "_jit"}
+ROOT = {"errors", "progress", "arguments", "_version", "extras"}
+# What each room may import besides itself and ROOT, in the order of the data's path. Nothing else.
+CODING = ROOT | {"coding"}
+GRID = CODING | {"grid"}
+MAY_IMPORT = {
+    "errors": set(),
+    "_version": set(),
+    "progress": {"errors"},
+    "extras": {"errors"},
+    "arguments": {"errors", "container"},
+    "coding": ROOT,
+    "grid": CODING | {"codec"},
+    "codec": GRID,
+    "tri": CODING,
+    "container": ROOT | {"grid"},
+    "raster_io": ROOT | {"grid", "container"},
+    "read": GRID | {"codec", "container"},
+    "export": GRID | {"tri", "container", "raster_io", "read", "terrain"},
+    "mesh": GRID | {"codec", "tri", "container", "raster_io", "read", "export", "terrain"},
+    "write": GRID | {"codec", "tri", "container", "raster_io", "read", "mesh", "terrain"},
+    "globe": GRID | {"tri", "container", "raster_io", "read", "export", "mesh", "terrain"},
+    "render": GRID | {"tri", "container", "raster_io", "read", "export", "mesh", "terrain"},
+    "ext": ROOT | {"raster_io", "export", "mesh", "write", "globe", "render", "terrain"},
+    "terrain": GRID
+    | {"codec", "tri", "container", "raster_io", "read", "export", "mesh", "render", "ext"},
+    "verification": GRID | {"raster_io", "terrain"},
+}
+# Entrances: what users start may import all that is above.
+ENTRANCES = {"__init__", "cli", "__main__"}
+MAY_OPEN_FILES = {"raster_io", "container", "cli", "verification", "coding"}
 
 
 def modules():
@@ -79,42 +50,29 @@ def group_of(path):
     return relative.parts[0].removesuffix(".py")
 
 
-def imported_groups(path, *, late=True):
-    """Yield the groups a module imports; `late` also within functions."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for node in ast.walk(tree) if late else tree.body:
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("terrainwave"):
+def imported_groups(path):
+    """Yield the groups a module imports, within functions too."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "terrainwave":
             parts = node.module.split(".")
             yield from [parts[1]] if len(parts) > 1 else [alias.name for alias in node.names]
         elif isinstance(node, ast.Import):
-            yield from (
-                alias.name.split(".")[1]
-                for alias in node.names
-                if alias.name.startswith("terrainwave.")
-            )
+            for alias in node.names:
+                if alias.name.split(".")[0] == "terrainwave":
+                    yield (*alias.name.split("."), "__init__")[1]
 
 
-def layer_of(group):
-    return next((index for index, groups in enumerate(LAYERS) if group in groups), None)
-
-
-def test_every_module_has_a_layer():
-    groups = {group_of(path) for path in modules()} - {"__init__", "__pycache__"}
-    assert {group for group in groups if layer_of(group) is None} == set()
+def test_every_module_has_a_line():
+    assert {group_of(path) for path in modules()} - ENTRANCES <= set(MAY_IMPORT)
 
 
 @pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_module_imports_only_its_layer_and_those_below(path):
+def test_module_imports_only_what_its_room_may(path):
     group = group_of(path)
-    if group == "__init__":
+    if group in ENTRANCES:
         return
-    for other in imported_groups(path):
-        is_late = (group, other) in IMPORTED_LATE and other not in imported_groups(path, late=False)
-        if other == "__version__" or is_late:
-            continue
-        assert layer_of(other) is not None, f"{path.name} imports unknown {other}"
-        assert layer_of(other) <= layer_of(group), f"{group} must not import {other}"
-        assert not any({group, other} == pair for pair in SIBLINGS), f"{group} imports {other}"
+    others = set(imported_groups(path)) - {group}
+    assert others <= MAY_IMPORT[group]
 
 
 def test_files_are_opened_only_at_the_edge():

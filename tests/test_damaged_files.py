@@ -18,14 +18,14 @@ from twz import twz_bytes
 
 from terrainwave.container.page import empty_page, page_layout
 from terrainwave.container.reader import open_container
-from terrainwave.decoder import TreeDecoder
 from terrainwave.errors import (
     CorruptStreamError,
     LimitExceededError,
     TerrainwaveError,
     TruncatedStreamError,
 )
-from terrainwave.quadtree import Block
+from terrainwave.grid.quadtree import Block
+from terrainwave.read.decoder import TreeDecoder
 from terrainwave.terrain import Terrain
 
 HEIGHTS = terrain_like(131, 6, seed=8)  # four levels

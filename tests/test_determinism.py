@@ -11,9 +11,10 @@ import pytest
 from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
-from terrainwave import compression, pyramid
 from terrainwave.container.page import page_layout
 from terrainwave.container.reader import open_container
+from terrainwave.write import compress as compression
+from terrainwave.write import pyramid
 
 HEIGHTS = terrain_like(261, 70, seed=3)
 HEIGHTS[40:90, 20:60] = -32768
@@ -66,7 +67,7 @@ def test_the_order_of_units_and_windows_does_not_matter(monkeypatch, method, exp
 
 @pytest.mark.large
 def test_spooling_to_disk_does_not_matter(monkeypatch, method, expected):
-    monkeypatch.setattr("terrainwave.spool.MEMORY_LIMIT", 0)
+    monkeypatch.setattr("terrainwave.raster_io.temporary.MEMORY_LIMIT", 0)
     monkeypatch.setattr("terrainwave.container.spool._BUFFER", 100)
     monkeypatch.setattr("terrainwave.container.spool._KEPT", 100)
     assert twz_bytes(HEIGHTS, method=method, **options_of(method)) == expected

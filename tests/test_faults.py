@@ -10,21 +10,22 @@ import pytest
 from click.testing import CliRunner
 from strategies import terrain_like, write_geotiff
 
-from terrainwave import compression, decoder
 from terrainwave.cli import main
 from terrainwave.codec.refiner import Decoded
-from terrainwave.compression import compress
 from terrainwave.container.spool import SegmentSpool
-from terrainwave.decompression import decompress
 from terrainwave.errors import (
     BoundViolationError,
     CorruptStreamError,
     InvalidHeightsError,
     StorageError,
 )
+from terrainwave.export.geotiff import decompress
 from terrainwave.raster_io.source import RasterSource
-from terrainwave.spool import Spool
+from terrainwave.raster_io.temporary import Spool
+from terrainwave.read import decoder
 from terrainwave.terrain import Terrain
+from terrainwave.write import compress as compression
+from terrainwave.write.compress import compress
 
 HEIGHTS = terrain_like(9, 8)
 LARGE = terrain_like(300, 300)
@@ -57,7 +58,7 @@ def assert_untouched(target):
 @pytest.fixture
 def everything_on_disk(monkeypatch):
     """Make all temporary data go to files."""
-    monkeypatch.setattr("terrainwave.spool.MEMORY_LIMIT", 0)
+    monkeypatch.setattr("terrainwave.raster_io.temporary.MEMORY_LIMIT", 0)
     monkeypatch.setattr("terrainwave.container.spool._BUFFER", 0)
 
 
@@ -218,7 +219,7 @@ KILLED = """
 import sys, time
 import numpy as np
 from terrainwave import progress
-from terrainwave.compression import compress
+from terrainwave.write.compress import compress
 progress._INTERVAL = 0
 def stop(state):
     if state.stage == sys.argv[3]:

@@ -35,7 +35,7 @@ from terrainwave.codec.parameters import all_tables, parse_parameters
 from terrainwave.container.deflate import deflate
 from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.errors import CorruptStreamError
-from terrainwave.quadtree import Block
+from terrainwave.grid.quadtree import Block
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "FORMAT.md"
 

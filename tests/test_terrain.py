@@ -16,7 +16,6 @@ from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
 from terrainwave.codec.units import unit_spec
-from terrainwave.compression import compress
 from terrainwave.container.reader import open_container
 from terrainwave.errors import (
     CorruptStreamError,
@@ -24,9 +23,10 @@ from terrainwave.errors import (
     LimitExceededError,
     StorageError,
 )
-from terrainwave.quadtree import Block, Grid, Region
-from terrainwave.resample import resample
+from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.read.resample import resample
 from terrainwave.terrain import Terrain
+from terrainwave.write.compress import compress
 
 R, C = 261, 140  # five levels of blocks of 32
 HEIGHTS = terrain_like(R, C)

@@ -3,7 +3,7 @@
 import tempfile
 from pathlib import Path
 
-from terrainwave.compression import compress
+from terrainwave.write.compress import compress
 
 
 def twz_bytes(heights, **options):

@@ -40,7 +40,7 @@ from terrainwave.codec.units import CodecParameters, block_of_unit, unit_spec
 from terrainwave.codec.zerotree import N_TREE_MODELS
 from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.coding.rangecoder import new_models
-from terrainwave.quadtree import Grid
+from terrainwave.grid.quadtree import Grid
 
 N_SETS = 16
 N_SAMPLES = 600

@@ -31,7 +31,7 @@ from terrainwave.codec.units import (
     unit_spec,
 )
 from terrainwave.coding.rangecoder import new_models
-from terrainwave.quadtree import Grid
+from terrainwave.grid.quadtree import Grid
 
 SIDE = 1025
 BOUNDS = (0, 1, 3, 10)

@@ -23,14 +23,14 @@ from terrainwave.errors import (
 )
 
 if TYPE_CHECKING:
-    from terrainwave.compression import CompressResult, compress, compress_to_bytes
-    from terrainwave.decompression import decompress
-    from terrainwave.mesh_storage import store_meshes
-    from terrainwave.patching import PatchResult, patch
+    from terrainwave.export.geotiff import decompress
+    from terrainwave.export.mesh import Mesh
     from terrainwave.progress import Progress
     from terrainwave.terrain import Info, Terrain
-    from terrainwave.tri.mesh import Mesh
-    from terrainwave.verification import VerifyReport, verify
+    from terrainwave.verification.heights import VerifyReport, verify
+    from terrainwave.write.compress import CompressResult, compress, compress_to_bytes
+    from terrainwave.write.meshes import store_meshes
+    from terrainwave.write.patch import PatchResult, patch
 
 __all__ = [
     "BoundViolationError",
@@ -63,19 +63,19 @@ __all__ = [
 # Numba and rasterio are imported with the first of these that is used: `terrainwave --help` and
 # `import terrainwave` need neither.
 _LAZY = {
-    "CompressResult": "compression",
-    "compress": "compression",
-    "compress_to_bytes": "compression",
-    "decompress": "decompression",
-    "store_meshes": "mesh_storage",
-    "PatchResult": "patching",
-    "patch": "patching",
+    "CompressResult": "write.compress",
+    "compress": "write.compress",
+    "compress_to_bytes": "write.compress",
+    "decompress": "export.geotiff",
+    "store_meshes": "write.meshes",
+    "PatchResult": "write.patch",
+    "patch": "write.patch",
     "Progress": "progress",
     "Info": "terrain",
     "Terrain": "terrain",
-    "Mesh": "tri.mesh",
-    "VerifyReport": "verification",
-    "verify": "verification",
+    "Mesh": "export.mesh",
+    "VerifyReport": "verification.heights",
+    "verify": "verification.heights",
 }
 
 

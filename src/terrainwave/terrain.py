@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import EFFORTS
 from terrainwave.codec.units import CodecParameters, unit_spec
-from terrainwave.codes import decode_error, decode_range
+from terrainwave.container.codes import decode_error, decode_range
 from terrainwave.container.reader import Container
 from terrainwave.container.source import open_source
 from terrainwave.errors import (
@@ -24,20 +24,21 @@ from terrainwave.errors import (
     StorageError,
     UnsupportedVersionError,
 )
-from terrainwave.quadtree import Block, Grid, Region
-from terrainwave.quantum import Quantizer
+from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.grid.quantum import Quantizer
 from terrainwave.raster_io.info import RasterInfo
-from terrainwave.resample import RESAMPLING, resample
-from terrainwave.schedule import run_after_parents
+from terrainwave.read.resample import RESAMPLING, resample
+from terrainwave.read.schedule import run_after_parents
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from terrainwave.decoder import TreeDecoder
-    from terrainwave.meshing import BlockMesher
+    from terrainwave.export.mesh import Mesh
+    from terrainwave.mesh.blocks import BlockMesher
+    from terrainwave.read.decoder import TreeDecoder
     from terrainwave.render.static import Picture
     from terrainwave.render.style import Style
-    from terrainwave.tri.mesh import BlockMesh, Mesh
+    from terrainwave.tri.mesh import BlockMesh
 
 Window = tuple[int, int, int, int]
 DEFAULT_CACHE_BYTES = 256 << 20
@@ -196,7 +197,7 @@ class Terrain:
     @cached_property
     def _decoder(self) -> "TreeDecoder":
         # Imported when heights are first read: opening a file and `info` need no numba.
-        from terrainwave.tile_decoder import make_decoder
+        from terrainwave.read.tiles import make_decoder
 
         return make_decoder(
             self._container.header.method,
@@ -209,8 +210,8 @@ class Terrain:
 
     @cached_property
     def _mesher(self) -> "BlockMesher":
-        from terrainwave.mesh_sections import parts_of_blocks
-        from terrainwave.meshing import BlockMesher
+        from terrainwave.mesh.blocks import BlockMesher
+        from terrainwave.mesh.sections import parts_of_blocks
 
         header = self._container.header
         return BlockMesher(
@@ -553,9 +554,9 @@ class Terrain:
             )
         if not (np.isfinite(quality) and quality > 0):
             raise InvalidHeightsError(f"found quality {quality}, expected a number > 0")
-        from terrainwave.decoder import units_of
-        from terrainwave.early import EarlyPayloads
-        from terrainwave.tile_decoder import TileDecoder
+        from terrainwave.read.decoder import units_of
+        from terrainwave.read.early import EarlyPayloads
+        from terrainwave.read.tiles import TileDecoder
 
         max_bytes = int(quality * region.n_rows * region.n_cols / 8)
         payloads = EarlyPayloads(self._container, units_of(self._grid, level, region), max_bytes)
@@ -668,7 +669,7 @@ class Terrain:
         CorruptStreamError
             If a block is damaged.
         """
-        from terrainwave.extraction import Area, extract
+        from terrainwave.mesh.area import Area, extract
 
         index = self.level_index(level)
         region = self.region(window, bounds=bounds, level=level)
@@ -716,7 +717,7 @@ class Terrain:
         TerrainwaveError
             If xarray is not installed.
         """
-        from terrainwave.tri.export import need
+        from terrainwave.export.files import need
 
         need("xarray", extra="xarray")
         from terrainwave.ext.xarray_backend import terrain_dataset
@@ -900,7 +901,7 @@ class Terrain:
             mask[there] = unit.mask[here]
 
         # Imported late: numba.
-        from terrainwave.decoder import units_of
+        from terrainwave.read.decoder import units_of
 
         keys = units_of(self._grid, level, region)
         for first in range(0, len(keys), _BATCH):
@@ -951,7 +952,7 @@ class Terrain:
 
     def _run(self, work: Callable[[Block], None], keys: list[Block]) -> None:
         """Call `work` for every unit, those above it first, in the terrain's threads."""
-        from terrainwave.decoder import unit_key
+        from terrainwave.read.decoder import unit_key
 
         with self._lock:
             # A fork takes no threads along: its first read starts some.

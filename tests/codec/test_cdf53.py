@@ -10,7 +10,7 @@ from terrainwave.codec.cdf53 import PIECE, decode_tile, encode_tile, plane_cut, 
 from terrainwave.codec.tiles import TileLayout
 from terrainwave.container.reader import open_container
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TruncatedStreamError
-from terrainwave.quadtree import Block, Grid
+from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.terrain import Terrain
 
 HEIGHTS = terrain_like(150, 140, seed=5)

@@ -23,7 +23,7 @@ from terrainwave.codec.zerotree import mark_labels, node_offsets
 from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.coding.zerotrees import map_of_labels
 from terrainwave.errors import CorruptStreamError
-from terrainwave.quadtree import Grid
+from terrainwave.grid.quadtree import Grid
 
 
 def check(spec, parent, target, mask=None):

@@ -14,7 +14,7 @@ from terrainwave.codec.refiner import Decoded
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import CodecParameters, block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
-from terrainwave.quadtree import Block, Grid, Region
+from terrainwave.grid.quadtree import Block, Grid, Region
 
 STORE = refiner_by_name("store")
 BIG = 1 << 29

@@ -28,7 +28,7 @@ from terrainwave.codec.refiner import GroupSpec, Sides
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.tables import E_WEIGHTS, STENCILS
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
-from terrainwave.quadtree import Grid, Region
+from terrainwave.grid.quadtree import Grid, Region
 
 
 def stencil(plane, base=2, shift=3, seed=1):

@@ -47,7 +47,7 @@ from terrainwave.coding.rangecoder import (
     start_encoder,
 )
 from terrainwave.errors import CorruptStreamError
-from terrainwave.quadtree import Grid
+from terrainwave.grid.quadtree import Grid
 
 
 def coarse_of(target, step):

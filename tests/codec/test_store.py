@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from terrainwave.codec.refiner import GroupSpec, Sides
 from terrainwave.codec.store import Store
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
-from terrainwave.quadtree import Region
+from terrainwave.grid.quadtree import Region
 
 NOT_SHARED = Sides(False, False, False, False)
 

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from terrainwave._jit import kernel
-from terrainwave._status import Status, raise_for_status
+from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
     CODE,
@@ -33,6 +32,7 @@ from terrainwave.coding.rangecoder import (
     start_decoder,
     start_encoder,
 )
+from terrainwave.coding.status import Status, raise_for_status
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 
 

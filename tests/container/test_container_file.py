@@ -26,7 +26,7 @@ from terrainwave.container.source import BufferSource
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble, write_file
 from terrainwave.errors import StorageError
-from terrainwave.quadtree import Block, Grid
+from terrainwave.grid.quadtree import Block, Grid
 
 sides = st.integers(1, 700) | st.sampled_from(
     [1, 2, 32, 33, 34, 65, 129, 257, 513, 514, 1025, 2049]

@@ -20,7 +20,7 @@ from terrainwave.errors import (
     TerrainwaveError,
     TruncatedStreamError,
 )
-from terrainwave.quadtree import Block
+from terrainwave.grid.quadtree import Block
 
 HEADER = toy_header(1030, 2)  # k_max = 6: level 2's three blocks are heads of segments
 DATA = toy_file(HEADER)

@@ -10,7 +10,7 @@ from terrainwave.container import header as header_module
 from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import DTYPE_CODES, HEADER_SIZE, MAGIC, METHODS
 from terrainwave.container.page import empty_page, pack_columns, page_layout
-from terrainwave.quadtree import Block, Grid
+from terrainwave.grid.quadtree import Block, Grid
 
 ROOT = Path(__file__).parents[2]
 DOCUMENT = (ROOT / "docs" / "FORMAT.md").read_text(encoding="utf-8")

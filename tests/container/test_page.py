@@ -17,7 +17,7 @@ from terrainwave.container.page import (
     unpack_page,
 )
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, UnsupportedVersionError
-from terrainwave.quadtree import Block, Grid
+from terrainwave.grid.quadtree import Block, Grid
 
 GRID = Grid(2000, 1999, 32)  # k_max = 6: level 2's sixteen blocks are heads of segments
 TOP = page_layout(GRID, None)

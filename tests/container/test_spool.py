@@ -10,7 +10,7 @@ import pytest
 
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.errors import StorageError
-from terrainwave.quadtree import Block
+from terrainwave.grid.quadtree import Block
 
 
 def key(number):

@@ -16,7 +16,7 @@ from terrainwave.container.ranges import ByteRange
 from terrainwave.container.reader import open_container
 from terrainwave.container.source import open_source
 from terrainwave.errors import StorageError, TruncatedStreamError
-from terrainwave.quadtree import Block
+from terrainwave.grid.quadtree import Block
 
 BIG = 64 * 2**20
 

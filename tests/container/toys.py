@@ -17,7 +17,7 @@ from terrainwave.container.page import (
 from terrainwave.container.reader import open_container
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
-from terrainwave.quadtree import Block, Grid
+from terrainwave.grid.quadtree import Block, Grid
 
 
 def toy_header(n_rows=5, n_cols=5, block=32, **changes):

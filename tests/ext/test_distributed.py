@@ -8,9 +8,9 @@ from click.testing import CliRunner
 from strategies import terrain_like, write_geotiff
 
 from terrainwave.cli import main
-from terrainwave.compression import compress
 from terrainwave.errors import ClusterError
 from terrainwave.ext import distributed as ext_distributed
+from terrainwave.write.compress import compress
 
 OPTIONS = {"max_error": 1, "block": 32, "overwrite": True}
 # Two blocks of 512 samples a side, two rows of samples below them: four tasks.

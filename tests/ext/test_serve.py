@@ -14,13 +14,13 @@ from rasterio.warp import transform
 from scipy.interpolate import RegularGridInterpolator
 
 import terrainwave
-from terrainwave import tile_pyramid
 from terrainwave.cli import main
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.ext.serve import app as serving
-from terrainwave.ext.serve import tiling
 from terrainwave.ext.serve.app import make_app
-from terrainwave.globe import Globe
+from terrainwave.globe import cesium as tile_pyramid
+from terrainwave.globe import terrain_rgb as tiling
+from terrainwave.globe.lonlat import Globe
 
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from render.scenes import ListStore, hills, random_camera, terrain_of
 
-from terrainwave.quadtree import Region
+from terrainwave.grid.quadtree import Region
 from terrainwave.render.camera import Camera, Viewport, focal_length, home, project
 from terrainwave.render.modes.batched import MU
 from terrainwave.render.modes.block_surface import grid_mesh

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from render.scenes import hills
 
-from terrainwave.compression import compress
+from terrainwave.write.compress import compress
 
 pytestmark = [pytest.mark.gl, pytest.mark.large]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from terrainwave.tri.mesh import Mesh
+from terrainwave.export.mesh import Mesh
 
 
 def grid_mesh(heights, transform, *, valid=None, error=0.5, crs=None, units=None, **attributes):

@@ -15,14 +15,14 @@ import terrainwave
 from terrainwave.cli import main
 from terrainwave.container.publish import scratch_directory
 from terrainwave.container.writer import assemble
-from terrainwave.decoder import unit_key
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
-from terrainwave.mesh_sections import pack_section, unpack_section
-from terrainwave.mesh_storage import _copied, store_meshes
-from terrainwave.mesh_verification import verify_meshes
-from terrainwave.quadtree import Block
+from terrainwave.grid.quadtree import Block
+from terrainwave.mesh.sections import pack_section, unpack_section
+from terrainwave.read.decoder import unit_key
 from terrainwave.tri.agreement import border_of
 from terrainwave.tri.stored import STORED_KINDS
+from terrainwave.verification.meshes import verify_meshes
+from terrainwave.write.meshes import _copied, store_meshes
 
 N_EXAMPLES = 2 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else 15
 KINDS = sorted(STORED_KINDS)

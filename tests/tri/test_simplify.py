@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from terrainwave.mesh_checks import WHOLE, Surface, deviation, problems_of
 from terrainwave.tri.mesh import BlockMesh
 from terrainwave.tri.simplify import simplify
+from terrainwave.verification.checks import WHOLE, Surface, deviation, problems_of
 
 
 def fan(n_spokes):

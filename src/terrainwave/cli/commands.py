@@ -341,7 +341,7 @@ def _export_mesh(
 ) -> None:
     import terrainwave
     from terrainwave.container.publish import refuse_own_source
-    from terrainwave.tri.export import EXTENSIONS, prepare
+    from terrainwave.export.files import EXTENSIONS, prepare
 
     if options["window"] and options["bounds"]:
         raise click.UsageError("found both --window and --bounds, expected one of them")
@@ -382,7 +382,7 @@ def _mesh_for(
     Rounding in the file adds to a mesh's error: the mesh is made again with so much less.
     """
     from terrainwave.errors import InvalidHeightsError
-    from terrainwave.tri.export import file_rounding
+    from terrainwave.export.files import file_rounding
 
     first = surface = make(bound)
     if bound is None:
@@ -432,7 +432,7 @@ def _print_saved(saved: Any) -> None:
 def info(file: str, as_json: bool, errors: str | None) -> None:
     """Show what the file FILE (.twz) holds."""
     import terrainwave
-    from terrainwave.level_errors import level_errors
+    from terrainwave.mesh.level_errors import level_errors
 
     with reading(file), terrainwave.open(file) as terrain:
         summary = terrain.info()
@@ -545,7 +545,7 @@ def _print_meshes(report: Any) -> None:
 @main.command()
 def warmup() -> None:
     """Compile all kernels now, so that no later run has to (for container images)."""
-    from terrainwave.demo import compile_kernels
+    from terrainwave.cli.demo import compile_kernels
 
     announce_compiling()
     compile_kernels()
@@ -556,7 +556,7 @@ def warmup() -> None:
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 def demo(directory: str, quiet: bool) -> None:
     """Compress a real elevation model at four bounds, check each, draw a picture; in DIRECTORY."""
-    from terrainwave.demo import BOUNDS, run_demo
+    from terrainwave.cli.demo import BOUNDS, run_demo
 
     announce_compiling(quiet=quiet)
     with Bar(quiet=quiet) as bar:

@@ -204,7 +204,7 @@ def _rich_bar() -> Any:
 
 def announce_compiling(*, quiet: bool = False) -> None:
     """Say why the first run on a machine takes seconds, as soon as something is compiled."""
-    from terrainwave import _jit
+    from terrainwave.coding import jit as _jit
 
     def announce() -> None:
         click.echo("compiling kernels for this machine, once: this takes some seconds", err=True)

@@ -40,7 +40,7 @@ def tiles(
     Serve DIRECTORY over HTTP and give its address to CesiumTerrainProvider.fromUrl.
     """
     import terrainwave
-    from terrainwave.tile_pyramid import write_tiles
+    from terrainwave.globe.cesium import write_tiles
 
     announce_compiling(quiet=quiet)
     with (

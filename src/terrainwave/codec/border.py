@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
 from terrainwave.codec.refiner import GroupSpec
 from terrainwave.codec.zerotree import (
     BIN_OF_SUM,
@@ -21,6 +20,7 @@ from terrainwave.codec.zerotree import (
     encode_magnitude_at,
 )
 from terrainwave.coding.filters import MAX_HEIGHT, extend_line, synthesise_line
+from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     LOW,
     N_PREFIX,

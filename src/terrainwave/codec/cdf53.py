@@ -22,7 +22,7 @@ from terrainwave.codec.tiles import TileSpec
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.lifting53 import forward_transform, inverse_transform
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
-from terrainwave.quadtree import Region
+from terrainwave.grid.quadtree import Region
 
 HAS_MASKS = 1
 PIECE = 4096

@@ -9,8 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
-from terrainwave._status import raise_for_status
 from terrainwave.codec import tables97
 from terrainwave.codec.border import code_border
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
@@ -46,6 +44,7 @@ from terrainwave.coding.filters import (
     n_transforms,
     synthesise,
 )
+from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     STATE_SIZE,
     decode_raw,
@@ -55,6 +54,7 @@ from terrainwave.coding.rangecoder import (
     start_decoder,
     start_encoder,
 )
+from terrainwave.coding.status import raise_for_status
 from terrainwave.coding.zerotrees import JZTC, JZTR, map_of_labels
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 

@@ -6,7 +6,7 @@ relative to the prediction is the second opinion (DESIGN.md §3.2).
 
 import numpy as np
 
-from terrainwave._jit import inlined_kernel, kernel
+from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
     CODE,

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
 from terrainwave.codec import tables
 from terrainwave.codec.detail import log8
 from terrainwave.codec.lattice import CORES, PAD, TAPS, WEIGHT_BITS, Pass
@@ -47,7 +46,8 @@ from terrainwave.codec.parameters import (
     weights_of,
 )
 from terrainwave.codec.refiner import Heights, Mask
-from terrainwave.quadtree import Grid, Region
+from terrainwave.coding.jit import kernel
+from terrainwave.grid.quadtree import Grid, Region
 
 # Levels below the full grid that share a stencil.
 _CLASSES = ((0,), (1,), (2, 3, 4))

@@ -12,7 +12,7 @@ from terrainwave.codec.maskcoder import decode_mask, encode_mask
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
-from terrainwave.quadtree import Region
+from terrainwave.grid.quadtree import Region
 
 MASK_ALL_VALID, MASK_CODED = 0, 1
 _HAS_EXCEPTIONS = 0b10

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 
 PAD = 2  # samples around each plane: what the taps reach past its edge
 A, HH, HL, LH = 0, 1, 2, 3

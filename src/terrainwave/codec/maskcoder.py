@@ -10,9 +10,8 @@ import base64
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
-from terrainwave._status import Status, raise_for_status
 from terrainwave.codec.refiner import Mask
+from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
     CODE,
@@ -25,6 +24,7 @@ from terrainwave.coding.rangecoder import (
     start_decoder,
     start_encoder,
 )
+from terrainwave.coding.status import Status, raise_for_status
 
 # Contexts of what lies ahead: 0 … 2 of the near ones times 0, 1, 2 or more of the farther ones.
 _N_AHEAD = 9

@@ -6,7 +6,6 @@ does (the western tap and two errors) is added sample by sample while coding.
 
 import numpy as np
 
-from terrainwave._jit import kernel
 from terrainwave.codec.detail import (
     E_BITS,
     E_OFFSET,
@@ -27,6 +26,7 @@ from terrainwave.codec.detail import (
 )
 from terrainwave.codec.lattice import PAD, WEIGHT_BITS
 from terrainwave.coding.filters import MAX_HEIGHT
+from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
     LOW,

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._status import raise_for_status
 from terrainwave.codec import tables
 from terrainwave.codec.lattice import CORES, TAPS
 from terrainwave.codec.nested import N_FEATURES
@@ -27,6 +26,7 @@ from terrainwave.coding.rangecoder import (
     start_decoder,
     start_encoder,
 )
+from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 
 PLANES = (1, 2, 3)

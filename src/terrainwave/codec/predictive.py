@@ -11,8 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
-from terrainwave._status import raise_for_status
 from terrainwave.codec import tables
 from terrainwave.codec.border import (
     N_BORDER_MODELS,
@@ -57,6 +55,7 @@ from terrainwave.codec.parameters import (
     parse_parameters,
 )
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask, Sides
+from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
     PENDING,
@@ -70,9 +69,10 @@ from terrainwave.coding.rangecoder import (
     start_decoder,
     start_encoder,
 )
+from terrainwave.coding.status import raise_for_status
 from terrainwave.coding.zerotrees import grow_zero_trees
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
-from terrainwave.quadtree import Grid, Region
+from terrainwave.grid.quadtree import Grid, Region
 
 _MIXED, _CLAMP = 1, 2
 # A prediction's own fraction alone gives up to 16 of 32.

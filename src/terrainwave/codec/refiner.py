@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.quadtree import Grid, Region
+from terrainwave.grid.quadtree import Grid, Region
 
 Heights = NDArray[np.int32]
 Mask = NDArray[np.bool_]

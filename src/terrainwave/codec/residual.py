@@ -11,11 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
 from terrainwave.codec.detail import MAX_E, N_E_BINS, SHIFT_OF_E, contexts_of, log8
 from terrainwave.codec.nested import in_steps, step_scale
 from terrainwave.codec.zerotree import decode_magnitude_at, encode_magnitude_at
 from terrainwave.coding.filters import MAX_HEIGHT
+from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
     CODE,

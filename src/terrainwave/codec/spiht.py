@@ -22,8 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
-from terrainwave._status import raise_for_status
+from terrainwave.coding.jit import kernel
 from terrainwave.coding.lifting53 import level_shapes
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
@@ -40,6 +39,7 @@ from terrainwave.coding.rangecoder import (
     reset_encoder,
     start_decoder,
 )
+from terrainwave.coding.status import raise_for_status
 
 # Of a sound field, not shifted; more planes than shifts can make of it.
 _MAX_MAGNITUDE = 1 << 34

@@ -9,8 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
-from terrainwave._status import raise_for_status
+from terrainwave.coding.jit import kernel
 from terrainwave.coding.lifting53 import (
     HELD_BOTTOM,
     HELD_LEFT,
@@ -30,6 +29,7 @@ from terrainwave.coding.rangecoder import (
     start_decoder,
     start_encoder,
 )
+from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import InvalidHeightsError
 
 _N_CONTEXTS = 24

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from terrainwave.coding.lifting53 import HELD_BOTTOM, HELD_LEFT, HELD_RIGHT, HELD_TOP
-from terrainwave.quadtree import Block, Grid, Region
+from terrainwave.grid.quadtree import Block, Grid, Region
 
 # Tiles of this many cells per side, at least two blocks (Zheng, Wang, Wang: 1025 x 1025 samples).
 _TILE_LOG2 = 10

@@ -6,7 +6,7 @@ Their keys are those of `Grid.root_keys` and the parents of groups.
 from dataclasses import dataclass
 
 from terrainwave.codec.refiner import Decoded, GroupSpec, Sides
-from terrainwave.quadtree import Block, Grid, Region
+from terrainwave.grid.quadtree import Block, Grid, Region
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ transform t holds HL, LH and HH at its place; the root also LL.
 
 import numpy as np
 
-from terrainwave._jit import kernel
 from terrainwave.coding.filters import n_transforms
+from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
     CODE,

@@ -11,7 +11,7 @@ Bounds below assume heights of at most 2**30 quanta in magnitude.
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 
 MAX_HEIGHT = 1 << 30
 

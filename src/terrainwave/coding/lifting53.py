@@ -16,7 +16,7 @@ Fields are int64. A step at most doubles what it is given, in each direction.
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 
 # Which sides of a field are held.
 HELD_TOP, HELD_LEFT, HELD_BOTTOM, HELD_RIGHT = 1, 2, 4, 8

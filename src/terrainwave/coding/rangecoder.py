@@ -19,8 +19,8 @@ the lower 10. The coder uses the upper 16 bits of the probability.
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import inlined_kernel, kernel
-from terrainwave._status import Status
+from terrainwave.coding.jit import inlined_kernel, kernel
+from terrainwave.coding.status import Status
 
 # Indices into the state array (int64) of an encoder or a decoder.
 RANGE, LOW, CODE, CACHE, PENDING, BYTE_POS = 0, 1, 1, 2, 3, 4

@@ -14,7 +14,7 @@ tree without a significant node that holds it. It says everything about all node
 The finest nodes of a group are the samples of the block it refines, one to one.
 """
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 
 JZTR, JS, JZTC = 0, 1, 2
 

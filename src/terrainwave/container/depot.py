@@ -26,7 +26,7 @@ from terrainwave.container.reader import check_crc
 from terrainwave.container.segment import Segment, segment_of_page
 from terrainwave.container.source import ByteSource, open_source
 from terrainwave.container.spool import storage_errors
-from terrainwave.quadtree import Block, Grid
+from terrainwave.grid.quadtree import Block, Grid
 
 _OPEN_SOURCES = 32
 _CACHED_PAGES = 64

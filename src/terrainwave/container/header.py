@@ -13,7 +13,7 @@ from terrainwave.errors import (
     TruncatedStreamError,
     UnsupportedVersionError,
 )
-from terrainwave.quadtree import Grid
+from terrainwave.grid.quadtree import Grid
 
 MAGIC = b"\x89TWZ\r\n\x1a\n"  # as PNG's: a text-mode or 7-bit copy damages it visibly
 FORMAT_VERSION = 1

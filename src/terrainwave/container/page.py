@@ -13,7 +13,7 @@ from numpy.typing import DTypeLike, NDArray
 from terrainwave.container.deflate import deflate, inflate
 from terrainwave.container.header import MAX_PAGE
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
-from terrainwave.quadtree import SEGMENT_LEVELS, Block, Grid
+from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
 
 N_CODES = 4
 MAX_PAYLOAD = 2**31 - 1

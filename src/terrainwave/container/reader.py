@@ -26,7 +26,7 @@ from terrainwave.container.rounds import RoundReader
 from terrainwave.container.segment import Segment, page_and_payloads, segment_of_page
 from terrainwave.container.source import ByteSource, SourceLike, open_source
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError
-from terrainwave.quadtree import SEGMENT_LEVELS, Block, Grid
+from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
 
 FIRST_READ = 16 * 1024
 _CHECK_BATCH = 4 * 1024 * 1024

@@ -7,7 +7,7 @@ import numpy as np
 
 from terrainwave.container.page import Page, PageLayout, payload_starts
 from terrainwave.container.ranges import ByteRange
-from terrainwave.quadtree import Block
+from terrainwave.grid.quadtree import Block
 
 # Payloads next to a page are read with it up to a size, and so much more of what they are
 # estimated to take: a payload that is longer than that costs a request of its own for the rest.

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from terrainwave.container.page import page_layout
 from terrainwave.container.spool import SegmentSpool
-from terrainwave.quadtree import Block, Grid
+from terrainwave.grid.quadtree import Block, Grid
 
 
 class SpoolSink:

@@ -11,7 +11,7 @@ from typing import BinaryIO, NamedTuple
 
 from terrainwave.container.page import MAX_PAYLOAD, N_CODES
 from terrainwave.errors import StorageError, TerrainwaveError
-from terrainwave.quadtree import Block
+from terrainwave.grid.quadtree import Block
 
 _BUFFER = 64 * 1024  # while payloads arrive
 _KEPT = 4 * 1024  # after `finish`: many segments wait at the same time

@@ -25,7 +25,7 @@ from terrainwave.container.page import (
 )
 from terrainwave.container.publish import publish
 from terrainwave.container.spool import SegmentSpool, storage_errors
-from terrainwave.quadtree import Block, Grid
+from terrainwave.grid.quadtree import Block, Grid
 
 Spools = Mapping[Block | None, SegmentSpool]
 # A segment is spooled here, or stored where other machines put it.

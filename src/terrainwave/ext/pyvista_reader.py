@@ -2,8 +2,8 @@
 
 from typing import Any
 
+from terrainwave.export.frames import to_frame
 from terrainwave.terrain import Terrain
-from terrainwave.tri.frames import to_frame
 
 
 def read_twz(

@@ -8,8 +8,8 @@ from typing import Any
 
 import xarray as xr
 
-from terrainwave.compression import CompressResult, compress
 from terrainwave.ext.xarray_backend import TerrainwaveBackend
+from terrainwave.write.compress import CompressResult, compress
 
 __all__ = ["TerrainwaveAccessor", "TerrainwaveBackend"]
 

@@ -17,10 +17,10 @@ from zarr.core.array_spec import ArraySpec
 from zarr.core.buffer import Buffer, NDBuffer
 
 from terrainwave.arguments import check_effort
-from terrainwave.compression import compress_to_bytes
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
 from terrainwave.raster_io.info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
 from terrainwave.terrain import Terrain
+from terrainwave.write.compress import compress_to_bytes
 
 CODEC_NAME = "terrainwave"
 # Zarr codes several chunks at a time; a chunk as large as this is worth threads of its own.

@@ -8,7 +8,7 @@ import rasterio.shutil
 from rasterio._err import CPLE_BaseError
 from rasterio.errors import RasterioError
 
-from terrainwave.quadtree import Region
+from terrainwave.grid.quadtree import Region
 
 # GDAL's default block cache is 5 % of the machine's memory, which alone can break a memory limit.
 GDAL_CACHE_BYTES = 64 * 2**20

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.quadtree import Region
+from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.crs import format_crs
 from terrainwave.raster_io.dataset import DatasetBackend, open_dataset
 from terrainwave.raster_io.info import SUPPORTED_DTYPES, fit_nodata, stored_nodata

@@ -23,7 +23,7 @@ from terrainwave.errors import (
     CorruptStreamError,
     StorageError,
 )
-from terrainwave.quadtree import Region
+from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.gdal import (
     GDAL_ERRORS,
     SCAN_SAMPLES,

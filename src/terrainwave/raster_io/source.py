@@ -14,7 +14,7 @@ from terrainwave.errors import (
     InvalidHeightsError,
     TerrainwaveWarning,
 )
-from terrainwave.quadtree import Region
+from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.arrays import ArrayBackend, open_data_array
 from terrainwave.raster_io.dataset import DatasetBackend, open_dataset
 from terrainwave.raster_io.gdal import (

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.tri.frames import find_place, metres_per_unit
-from terrainwave.tri.mesh import Mesh
+from terrainwave.export.frames import find_place, metres_per_unit
+from terrainwave.export.mesh import Mesh
 
 if TYPE_CHECKING:
     from terrainwave.terrain import Terrain

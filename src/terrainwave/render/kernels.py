@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 
 # Rows of a frustum: inward planes (x, y, z, w), a point is inside where x·p + w >= 0.
 N_PLANES = 5

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.meshing import SideTolerances, border_lines
-from terrainwave.quadtree import Block, Region
+from terrainwave.grid.quadtree import Block, Region
+from terrainwave.mesh.blocks import SideTolerances, border_lines
 from terrainwave.render.frame import Frame
 from terrainwave.render.kernels import SKIRT_FLAG, border_edges, rasterize, slopes
 from terrainwave.render.scales import FLOAT32_ROUNDING, HeightScale, SlopeScale

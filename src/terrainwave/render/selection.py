@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.quadtree import Block
+from terrainwave.grid.quadtree import Block
 from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed
 from terrainwave.render.frustum import frustum_planes
 from terrainwave.render.kernels import priorities, select_nodes, wanted_nodes

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from terrainwave.container.publish import publish
 from terrainwave.errors import InvalidHeightsError, TerrainwaveError
+from terrainwave.export.files import need
 from terrainwave.render.frame import frame_of
-from terrainwave.tri.export import need
 
 if TYPE_CHECKING:
     from terrainwave.render.style import Style

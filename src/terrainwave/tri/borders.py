@@ -7,7 +7,7 @@ it and the same tolerance, so both find the same vertices, in any order and on a
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 
 # Vertices on borders keep within 7/10 of the tolerance, to leave some to the triangles beside them.
 _SHARE_NUM, _SHARE_DEN = 7, 10

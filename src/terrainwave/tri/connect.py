@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 from terrainwave.tri.labels import Cut, Trees, promote, root_along, set_node, void_edges
 from terrainwave.tri.labels import zero_tree_cut as _zero_tree_cut
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh

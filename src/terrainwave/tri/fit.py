@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import inlined_kernel
+from terrainwave.coding.jit import inlined_kernel
 from terrainwave.tri.mesh import FRACTION_BITS
 
 _MAX_RANGE = 1 << 30

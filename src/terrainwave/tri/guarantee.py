@@ -19,7 +19,7 @@ steps would fold that far more triangles are left.
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 from terrainwave.tri.labels import (
     Cut,
     Keep,

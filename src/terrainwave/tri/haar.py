@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 from terrainwave.errors import InvalidHeightsError
 
 # Rows of `HaarTree.layout`, one per height: first node, rows and columns of nodes.

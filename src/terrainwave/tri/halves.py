@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 from terrainwave.tri.fit import fit_triangle, scaled_heights
 from terrainwave.tri.mesh import BlockMesh
 

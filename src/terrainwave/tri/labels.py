@@ -19,7 +19,7 @@ triangle stay vertices in every cut (`void_edges`), so void edges are exact.
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 from terrainwave.coding.zerotrees import JS, JZTC, JZTR
 
 S, TR, TC = 0, 1, 2

@@ -14,8 +14,7 @@ relative to the tolerance, and how many of the nodes to the west and north are S
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
-from terrainwave._status import raise_for_status
+from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     STATE_SIZE,
     decode_bit,
@@ -26,6 +25,7 @@ from terrainwave.coding.rangecoder import (
     start_decoder,
     start_encoder,
 )
+from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.tri.labels import (
     Cut,

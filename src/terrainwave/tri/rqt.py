@@ -27,7 +27,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 from terrainwave.tri.connect import build_mesh, corner_of_quad, triangles_of_quad
 from terrainwave.tri.labels import Keep, top_height, void_edges
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh

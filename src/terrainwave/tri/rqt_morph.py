@@ -12,7 +12,7 @@ that of v and of its places on these triangles, weighted by the differences of s
 
 import numpy as np
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 from terrainwave.tri.rqt import own_neighbours
 from terrainwave.tri.rqt_tiles import height_of
 

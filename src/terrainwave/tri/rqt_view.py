@@ -36,7 +36,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.tri.budget import Pressure, check_budget
 from terrainwave.tri.dynamic import Eye, check_update

@@ -11,8 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
-from terrainwave._status import raise_for_status
+from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     STATE_SIZE,
     decode_bit,
@@ -23,6 +22,7 @@ from terrainwave.coding.rangecoder import (
     start_decoder,
     start_encoder,
 )
+from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError
 from terrainwave.tri.agreement import BorderVertices, border_of, border_of_cut
 from terrainwave.tri.connect import mesh_of_cut

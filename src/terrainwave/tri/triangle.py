@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 from terrainwave.tri.mesh import FRACTION_BITS
 
 MAX_SIDE = 4097

@@ -20,12 +20,13 @@ from fastapi.responses import FileResponse, JSONResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
-import terrainwave
+from terrainwave._version import __version__
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
-from terrainwave.ext.serve import tiling
-from terrainwave.globe import Globe
-from terrainwave.tile_pyramid import MAX_ZOOM as LAST_MESH_ZOOM
-from terrainwave.tile_pyramid import TilePyramid
+from terrainwave.globe import terrain_rgb as tiling
+from terrainwave.globe.cesium import MAX_ZOOM as LAST_MESH_ZOOM
+from terrainwave.globe.cesium import TilePyramid
+from terrainwave.globe.lonlat import Globe
+from terrainwave.terrain import Terrain
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 N_WAITING = 64
@@ -77,7 +78,7 @@ class Layer:
         self.name = name
         with ExitStack() as stack:
             try:
-                terrain = stack.enter_context(terrainwave.open(path))
+                terrain = stack.enter_context(Terrain(path))
                 self.globe = Globe(terrain)
                 self.tiles = TilePyramid(self.globe, void_height=tiling.void_height(self.globe))
             except (InvalidHeightsError, CorruptStreamError) as error:
@@ -101,7 +102,7 @@ class Layer:
             "columns": info.n_cols,
             "bits_per_sample": info.bits_per_sample,
             "method": info.method,
-            "version": terrainwave.__version__,
+            "version": __version__,
         }
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.level_errors import recursive_errors
+from terrainwave.mesh.level_errors import recursive_errors
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.render.frame import Frame
 from terrainwave.render.modes.bounded import BoundedMode

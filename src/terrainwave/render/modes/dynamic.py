@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.quadtree import Region
+from terrainwave.grid.quadtree import Region
 from terrainwave.render.modes.whole import MORPH, BuiltSamples, Drawn, WholeMode, eye_of
 from terrainwave.render.patches import Cancelled
 from terrainwave.render.selection import NodeTable, Piece, View

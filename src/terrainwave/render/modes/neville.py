@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import kernel
-from terrainwave.quadtree import Region
-from terrainwave.spool import TILE, Spool
+from terrainwave.coding.jit import kernel
+from terrainwave.grid.quadtree import Region
+from terrainwave.raster_io.temporary import TILE, Spool
 
 Heights = NDArray[np.float32]
 # Metres, NaN in voids; a region inside the finest level.

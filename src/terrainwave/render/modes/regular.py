@@ -9,7 +9,7 @@ before k, vertex N + 1 at N.
 
 import numpy as np
 
-from terrainwave._jit import kernel
+from terrainwave.coding.jit import kernel
 
 
 @kernel

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback
-from terrainwave.quadtree import Region
 from terrainwave.render.camera import Camera
 from terrainwave.render.frame import Frame
 from terrainwave.render.modes.whole import (

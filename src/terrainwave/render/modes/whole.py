@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.decoder import units_of
+from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback
-from terrainwave.quadtree import Region
+from terrainwave.read.decoder import units_of
 from terrainwave.render.camera import focal_length, slant
 from terrainwave.render.frame import Frame
 from terrainwave.render.kernels import slopes

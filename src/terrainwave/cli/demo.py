@@ -1,0 +1,199 @@
+"""What `terrainwave demo` and `terrainwave warmup` do."""
+
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import terrainwave
+from terrainwave.errors import BoundViolationError, StorageError, TerrainwaveError
+from terrainwave.progress import ProgressCallback
+from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.sink import RasterSink
+from terrainwave.verification.metrics import ErrorReport
+
+# Metres.
+BOUNDS = (0.0, 1.0, 3.0, 10.0)
+
+# The one that the picture shows: large enough to be seen.
+_DRAWN_BOUND = 10.0
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """Sizes and measured errors, by bound in metres."""
+
+    n_rows: int
+    n_cols: int
+    n_bytes: int
+    files: dict[float, terrainwave.CompressResult]
+    errors: dict[float, ErrorReport]
+    picture: str
+
+    def row(self, bound: float) -> list[str]:
+        """Return the cells of the printed table's row."""
+        file, errors = self.files[bound], self.errors[bound]
+        return [
+            f"{bound:g} m",
+            f"{file.n_bytes:,}",
+            f"{file.bits_per_sample:.3f}",
+            f"{self.n_bytes / file.n_bytes:.2f}",
+            f"{errors.max_error:g} m",
+            f"{errors.rmse:.3f} m",
+        ]
+
+
+def run_demo(
+    directory: str | os.PathLike[str], *, progress: ProgressCallback | None = None
+) -> DemoResult:
+    """Compress matplotlib's elevation model of the Jacksboro fault at each of `BOUNDS`.
+
+    Writes ``jacksboro.tif``, a .twz per bound and ``demo.png`` to `directory`, replacing those of
+    an earlier run.
+
+    Raises
+    ------
+    BoundViolationError
+        If a decoded height is outside its bound.
+    StorageError
+        If `directory` cannot be written.
+    TerrainwaveError
+        If matplotlib is missing.
+    """
+    folder = Path(directory)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"cannot make the directory {folder}: {error.strerror}") from error
+    heights, info = _load_heights()
+    original = folder / "jacksboro.tif"
+    with RasterSink(original, info, overwrite=True) as sink:
+        sink.write(0, 0, heights, np.ones(heights.shape, dtype=bool))
+    files, errors, decoded = {}, {}, heights
+    for bound in BOUNDS:
+        path = folder / f"jacksboro_{bound:g}m.twz"
+        files[bound] = terrainwave.compress(
+            original, path, max_error=bound, overwrite=True, progress=progress
+        )
+        report = terrainwave.verify(path, original)
+        if not report.ok or report.errors is None:
+            raise BoundViolationError(f"{path}: {'; '.join(report.problems)}")
+        errors[bound] = report.errors
+        if bound == _DRAWN_BOUND:
+            with terrainwave.open(path) as terrain:
+                decoded = terrain.read()
+    picture = folder / "demo.png"
+    _draw(heights, decoded, info, picture)
+    return DemoResult(
+        info.n_rows, info.n_cols, original.stat().st_size, files, errors, os.fspath(picture)
+    )
+
+
+def _load_heights() -> tuple[np.ndarray, RasterInfo]:
+    try:
+        from matplotlib import cbook
+    except ImportError as error:
+        raise TerrainwaveError(
+            "the demo needs matplotlib, for its elevation model and the picture: pip install"
+            " matplotlib"
+        ) from error
+    data: Any = cbook.get_sample_data("jacksboro_fault_dem.npz")
+    heights = data["elevation"].astype(np.int16)
+    n_rows, n_cols = heights.shape
+    # The file's dx, dy are pixel sizes in degrees, xmin and ymax the outer corner.
+    transform = (
+        float(data["dx"]),
+        0.0,
+        float(data["xmin"]),
+        0.0,
+        -float(data["dy"]),
+        float(data["ymax"]),
+    )
+    return heights, RasterInfo(
+        n_rows,
+        n_cols,
+        "int16",
+        crs="EPSG:4326",
+        transform=transform,
+        units="m",
+        area_or_point="Area",
+    )
+
+
+def _draw(heights: np.ndarray, decoded: np.ndarray, info: RasterInfo, picture: Path) -> None:
+    """Draw original, decoded and error side by side, hillshaded."""
+    from matplotlib.colors import LightSource
+    from matplotlib.figure import Figure
+
+    # A degree is 111 km of latitude; here, at 36.5 degrees north, 0.8 of that of longitude.
+    dy = abs(info.transform[4]) * 111_200
+    dx = info.transform[0] * 111_200 * np.cos(np.radians(info.transform[5]))
+    light = LightSource(azdeg=315, altdeg=45)
+    figure = Figure(figsize=(15, 4.4), layout="constrained", dpi=110)
+    axes = figure.subplots(1, 3)
+    limits: dict[str, Any] = {"vmin": heights.min(), "vmax": heights.max()}
+    bound = f"{_DRAWN_BOUND:g} m"
+    for axis, grid, title in (
+        (axes[0], heights, "original"),
+        (axes[1], decoded, f"decoded, every height within {bound}"),
+    ):
+        shaded = light.shade(
+            grid.astype(np.float64),
+            cmap=_ramp(),
+            blend_mode="soft",
+            vert_exag=1.5,
+            dx=dx,
+            dy=dy,
+            **limits,
+        )
+        axis.imshow(shaded)
+        axis.set_title(title)
+    error = decoded.astype(np.int32) - heights
+    image = axes[2].imshow(error, cmap="RdBu_r", vmin=-_DRAWN_BOUND, vmax=_DRAWN_BOUND)
+    axes[2].set_title("decoded − original")
+    figure.colorbar(image, ax=axes[2], shrink=0.8, label="m")
+    for axis in axes:
+        axis.set_xticks([])
+        axis.set_yticks([])
+    try:
+        figure.savefig(picture)
+    except OSError as error_:
+        raise StorageError(f"cannot write {picture}: {error_.strerror}") from error_
+
+
+def _ramp() -> Any:
+    import matplotlib
+
+    return matplotlib.colormaps["gist_earth"]
+
+
+def compile_kernels() -> None:
+    """Compress and read back small rasters, so that every kernel is compiled and cached."""
+    rows, cols = np.mgrid[0:70, 0:90]
+    hills = 100 * np.sin(rows / 9) * np.cos(cols / 7)
+    whole = hills.astype(np.int16)
+    whole[3, 3] = -32768
+    broken = hills.astype(np.float32)
+    broken[3, 3] = np.nan
+    with tempfile.TemporaryDirectory(prefix="terrainwave-") as folder:
+        path = Path(folder) / "warmup.twz"
+        for heights, nodata, max_error in (
+            (whole, -32768, 0.0),
+            (whole, -32768, 3.0),
+            (broken, None, 0.5),
+        ):
+            for method in ("auto", "store"):
+                terrainwave.compress(
+                    heights,
+                    path,
+                    max_error=max_error,
+                    nodata=nodata,
+                    method=method,
+                    block=32,
+                    overwrite=True,
+                )
+                with terrainwave.open(path) as terrain:
+                    terrain.read()

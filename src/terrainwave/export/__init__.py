@@ -1,0 +1,1 @@
+"""Heights and meshes in the formats of others."""

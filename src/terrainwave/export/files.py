@@ -1,0 +1,455 @@
+"""Meshes to files of other programs; trimesh, meshio and quantized-mesh-encoder write them."""
+
+import io
+import json
+import os
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._version import __version__
+from terrainwave.container.publish import check_target, publish, scratch
+from terrainwave.container.spool import storage_errors
+from terrainwave.errors import InvalidHeightsError, TerrainwaveError
+from terrainwave.export.frames import areas, find_place, metres_per_unit, steepest, to_frame
+from terrainwave.export.mesh import Mesh
+from terrainwave.export.solid import solidify
+
+_STL_HEADER = 80
+_VTK_TITLE = 255
+# Digits after the point of an OBJ file: of metres or feet, and of what may be degrees.
+_DIGITS = 5
+_DIGITS_OF_DEGREES = 10
+
+
+@dataclass(frozen=True)
+class SavedMesh:
+    """What was written.
+
+    Parameters
+    ----------
+    path : str
+    n_bytes, n_vertices, n_triangles : int
+        Those of a body include its walls and base.
+    error : float
+        No valid original sample under the mesh is vertically further from the surface in the file,
+        in `units`: the mesh's error and what the rounding of coordinates in the file can add.
+    rounding : float
+        The part of `error` that rounding can add.
+    units : str, optional
+        Unit of the .twz file's heights and of `error`; not of the file written, whose heights may
+        be scaled.
+    frame : str
+        ``"local"``, ``"native"`` or ``"ecef"``.
+    origin : tuple of float
+        What to add to the coordinates in the file to have those of the frame.
+    curvature : float
+        Metres that flat triangles can lie below the curved body between their vertices; in
+        geocentric coordinates only, and not part of `error`.
+    """
+
+    path: str
+    n_bytes: int
+    n_vertices: int
+    n_triangles: int
+    error: float
+    rounding: float
+    units: str | None
+    frame: str
+    origin: tuple[float, float, float]
+    curvature: float = 0.0
+
+
+def save_mesh(
+    mesh: Mesh,
+    path: str | os.PathLike[str],
+    *,
+    frame: str | None = None,
+    z_scale: float = 1.0,
+    solid: float | None = None,
+    radius: float | None = None,
+    overwrite: bool = False,
+) -> SavedMesh:
+    """Write a mesh; the extension of `path` tells the format.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    path : path
+        ``.ply``, ``.obj``, ``.vtu``, ``.vtk`` hold float64 or decimal coordinates; ``.stl``,
+        ``.glb``, ``.gltf`` hold float32, relative to an origin that is written beside them;
+        ``.terrain`` is one Cesium quantized-mesh tile over the mesh's bounds. The file appears
+        complete or not at all.
+    frame, z_scale, radius
+        As in `to_frame`.
+    solid : float, optional
+        Close the mesh with walls and a flat base at this height, in the file's unit.
+    overwrite : bool
+        Replace an existing file.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If the extension is none of the known ones or an option does not fit.
+    TerrainwaveError
+        If the package that writes the format is missing.
+    StorageError
+        If the file cannot be written.
+    """
+    extension = check_extension(path)
+    if extension == ".terrain":
+        _refuse_frame(frame, z_scale, solid)
+        need("quantized_mesh_encoder")
+        from terrainwave.export.quantized_mesh import save_tile
+
+        return save_tile(mesh, path, radius=radius, overwrite=overwrite)
+    writer = _WRITERS[extension]
+    need(writer.package)
+    framed, written, rounding = _to_write(mesh, extension, frame, z_scale, solid, radius)
+    about = describe(framed, mesh.error + rounding)
+    # Libraries count on numpy's own settings, which callers may have changed.
+    with np.errstate(all="ignore"):
+        data = writer.write(replace(framed, vertices=written), about, Path(path))
+    with publish(path, overwrite) as part, storage_errors(f"cannot write {path}"):
+        part.file.write(data)
+    return SavedMesh(
+        path=os.fspath(path),
+        n_bytes=len(data),
+        n_vertices=framed.n_vertices,
+        n_triangles=framed.n_triangles,
+        error=mesh.error + rounding,
+        rounding=rounding,
+        units=mesh.units,
+        frame=str(framed.attributes["frame"]["name"]),
+        origin=framed.origin,
+        curvature=_curvature(mesh, framed, radius),
+    )
+
+
+def file_rounding(
+    mesh: Mesh,
+    path: str | os.PathLike[str],
+    *,
+    frame: str | None = None,
+    z_scale: float = 1.0,
+    solid: float | None = None,
+    radius: float | None = None,
+) -> float:
+    """Return what rounding in the file adds to the mesh's error, without writing it.
+
+    The arguments are those of `save_mesh`; whoever has a bound to keep asks for a mesh that leaves
+    room for this.
+    """
+    extension = check_extension(path)
+    if extension == ".terrain":
+        _refuse_frame(frame, z_scale, solid)
+        from terrainwave.export.quantized_mesh import tile_rounding
+
+        return tile_rounding(mesh, radius=radius)
+    return _to_write(mesh, extension, frame, z_scale, solid, radius)[2]
+
+
+def _refuse_frame(frame: str | None, z_scale: float, solid: float | None) -> None:
+    if frame is not None or z_scale != 1 or solid is not None:
+        raise InvalidHeightsError(
+            "a .terrain tile has a frame of its own: found --frame, --z-scale or --solid"
+        )
+
+
+def _to_write(
+    mesh: Mesh,
+    extension: str,
+    frame: str | None,
+    z_scale: float,
+    solid: float | None,
+    radius: float | None,
+) -> tuple[Mesh, NDArray[np.float64], float]:
+    """Return the mesh in its frame, its vertices as the file holds them, and their rounding."""
+    whole = mesh if solid is None else solidify(mesh, solid)
+    framed = to_frame(whole, frame, z_scale=z_scale, radius=radius)
+    if _WRITERS[extension].is_float32:
+        framed = _recentred(framed)
+        written = framed.vertices.astype(np.float32).astype(np.float64)
+    else:
+        framed = replace(framed, vertices=framed.points, origin=(0.0, 0.0, 0.0))
+        written = framed.vertices
+        if extension == ".obj":
+            written = np.round(written, _obj_digits(framed))
+    return framed, written, _rounding(mesh, framed, written, radius)
+
+
+def check_extension(path: str | os.PathLike[str]) -> str:
+    """Return the extension of a path in small letters.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If no format has it.
+    """
+    extension = Path(path).suffix.lower()
+    if extension not in EXTENSIONS:
+        found = extension or "no extension"
+        raise InvalidHeightsError(
+            f"{os.fspath(path)}: found {found}, expected one of {', '.join(EXTENSIONS)}"
+        )
+    return extension
+
+
+def prepare(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
+    """Raise now what `save_mesh` would raise for this path: the mesh may take long to make.
+
+    Raises
+    ------
+    InvalidHeightsError, TerrainwaveError, StorageError
+        If the extension is unknown, its package missing, or the file exists and is to be kept.
+    """
+    extension = check_extension(path)
+    need("quantized_mesh_encoder" if extension == ".terrain" else _WRITERS[extension].package)
+    check_target(path, overwrite)
+
+
+def need(package: str, extra: str = "mesh") -> Any:
+    """Import an optional package.
+
+    Raises
+    ------
+    TerrainwaveError
+        If it is missing; the line says how to install it.
+    """
+    try:
+        return import_module(package)
+    except ImportError as error:
+        name = package.split(".")[0].replace("_", "-")
+        install = f"terrainwave[{extra}]" if extra else name
+        raise TerrainwaveError(f'this needs {name}: pip install "{install}"') from error
+
+
+def describe(mesh: Mesh, error: float) -> dict[str, Any]:
+    """Return what the file shall say about a mesh in a frame, as plain values for JSON."""
+    frame = {name: value for name, value in mesh.attributes["frame"].items() if value is not None}
+    about: dict[str, Any] = {"generator": f"terrainwave {__version__}", "origin": list(mesh.origin)}
+    about |= {"frame": frame, "error": error}
+    if mesh.units:
+        about["error_unit"] = mesh.units
+    if mesh.crs:
+        about["crs"] = mesh.crs
+    return about
+
+
+def _recentred(mesh: Mesh) -> Mesh:
+    """Return the mesh with its origin in its middle, so that float32 holds small numbers.
+
+    Heights stay as they are, except geocentric ones.
+    """
+    if mesh.attributes["frame"]["name"] != "native":
+        return mesh
+    left, bottom, right, top = mesh.bounds
+    x, y = (round((low + high) / 2, 3) for low, high in ((left, right), (bottom, top)))
+    shift = np.array([mesh.origin[0] - x, mesh.origin[1] - y, mesh.origin[2]])
+    return replace(mesh, vertices=mesh.vertices + shift, origin=(x, y, 0.0))
+
+
+def _rounding(
+    mesh: Mesh, framed: Mesh, written: NDArray[np.float64], radius: float | None
+) -> float:
+    """Return by how much the surface in the file can differ from the mesh's, in the file's unit.
+
+    A point of a triangle moves with its corners: horizontally by at most (dx, dy), vertically by
+    dz. Where it came to lie the surface is higher or lower by at most the steepest slopes on the
+    way: dz + max |∂z/∂x| dx + max |∂z/∂y| dy.
+    """
+    frame = framed.attributes["frame"]
+    moved = np.abs(written - framed.vertices).max(axis=0)
+    unit = 1.0 if frame["name"] == "native" else metres_per_unit(mesh.units)
+    at_joints = framed.attributes.get("solid", {}).get("moved", 0.0) * sum(steepest(mesh))
+    if frame["name"] == "ecef":
+        slope = _steepest_on(framed, find_place(mesh, radius=radius).ellipsoid)
+        rounding = float(np.linalg.norm(moved)) * (1 + slope)
+    else:
+        # A body's walls and base have none or a negative one.
+        if (areas(replace(framed, vertices=written)) > 0).sum() < (areas(framed) > 0).sum():
+            raise InvalidHeightsError(
+                "the format's float32 cannot hold the small triangles of a mesh this wide;"
+                " expected .ply, .obj or .vtu, or smaller --bounds"
+            )
+        slope_x, slope_y = steepest(framed)
+        rounding = float(moved[2] + slope_x * moved[0] + slope_y * moved[1])
+    return rounding / (unit * frame["z_scale"]) + at_joints
+
+
+def _steepest_on(mesh: Mesh, ellipsoid: Any) -> float:
+    """Return the largest slope of the triangles of a geocentric mesh that face outwards."""
+    corners = mesh.points[mesh.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    up = corners.mean(axis=1) / (1.0, 1.0, 1 - ellipsoid.e2)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    rise = (normals * up).sum(axis=1)
+    lengths = np.linalg.norm(normals, axis=1)
+    # Walls stand upright, up to their rounding.
+    faces_up = rise > 1e-6 * lengths
+    if not faces_up.any():
+        return 0.0
+    steepness = np.maximum((lengths[faces_up] / rise[faces_up]) ** 2 - 1, 0)
+    return float(np.sqrt(steepness.max()))
+
+
+def _curvature(mesh: Mesh, framed: Mesh, radius: float | None) -> float:
+    """Return how far flat triangles can lie below the curved body, in metres.
+
+    A circle of radius r around a triangle with edges up to L, r ≤ L/√3, sags by r²/2R at most.
+    """
+    if framed.attributes["frame"]["name"] != "ecef":
+        return 0.0
+    ellipsoid = find_place(mesh, radius=radius).ellipsoid
+    return longest_edge(framed) ** 2 / (6 * ellipsoid.axis * (1 - ellipsoid.e2))
+
+
+def longest_edge(mesh: Mesh) -> float:
+    """Return the length of the longest edge."""
+    corners = mesh.vertices[mesh.triangles]
+    edges = corners - np.roll(corners, 1, axis=1)
+    return float(np.linalg.norm(edges, axis=2).max())
+
+
+# The formats. Each function returns the bytes of a file.
+
+
+def to_trimesh(mesh: Mesh) -> Any:
+    """Return a `trimesh.Trimesh` with the mesh's vertices, relative to its origin."""
+    trimesh = need("trimesh")
+    return trimesh.Trimesh(vertices=mesh.vertices, faces=mesh.triangles, process=False)
+
+
+def to_pyvista(mesh: Mesh) -> Any:
+    """Return a `pyvista.PolyData` with the mesh's vertices, relative to its origin."""
+    pyvista = need("pyvista", extra="pyvista")
+    faces = np.empty((mesh.n_triangles, 4), dtype=np.int64)
+    faces[:, 0] = 3
+    faces[:, 1:] = mesh.triangles
+    return pyvista.PolyData(mesh.vertices, faces.ravel())
+
+
+def _one_line(about: dict[str, Any]) -> str:
+    return json.dumps(about, allow_nan=False)
+
+
+def _write_ply(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
+    out = io.BytesIO()
+    _meshio_mesh(mesh).write(out, file_format="ply")
+    # meshio's comment holds the time, which would make equal files differ.
+    header, end, body = out.getvalue().partition(b"end_header\n")
+    comment = f"comment terrainwave {_one_line(about)}\n".encode()
+    header = re.sub(rb"comment [^\n]*\n", lambda _: comment, header, count=1)
+    return header + end + body
+
+
+def _write_obj(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
+    from trimesh.exchange.obj import export_obj
+
+    header = f"terrainwave {_one_line(about)}"
+    text = export_obj(
+        to_trimesh(mesh), include_normals=False, digits=_obj_digits(mesh), header=header
+    )
+    return str(text).encode()
+
+
+def _obj_digits(mesh: Mesh) -> int:
+    width = float(np.ptp(mesh.vertices[:, 0]))
+    may_be_degrees = mesh.attributes["frame"]["name"] == "native" and width <= 360
+    return _DIGITS_OF_DEGREES if may_be_degrees else _DIGITS
+
+
+def _write_stl(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
+    from trimesh.exchange.stl import export_stl
+
+    data = bytes(export_stl(to_trimesh(mesh)))
+    # Not `solid`: that begins a text file. 80 bytes have room for the origin, not for more.
+    origin = " ".join(f"{value:.15g}" for value in about["frame"].get("centre", mesh.origin))
+    header = f"terrainwave origin {origin}".encode()[:_STL_HEADER]
+    return header.ljust(_STL_HEADER) + data[_STL_HEADER:]
+
+
+def _scene(mesh: Mesh, about: dict[str, Any]) -> Any:
+    trimesh = need("trimesh")
+    from trimesh.visual import TextureVisuals
+    from trimesh.visual.material import PBRMaterial
+
+    # glTF has y upwards: (x, y, z) to (x, z, −y) is a rotation, triangles keep their sense.
+    surface = to_trimesh(replace(mesh, vertices=mesh.vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)))
+    # Without a material viewers take polished metal.
+    material = PBRMaterial(
+        name="ground",
+        baseColorFactor=[0.75, 0.72, 0.66, 1.0],
+        metallicFactor=0.0,
+        roughnessFactor=1.0,
+        doubleSided=False,
+    )
+    surface.visual = TextureVisuals(material=material)
+    surface.metadata["terrainwave"] = about
+    return trimesh.Scene({"terrain": surface})
+
+
+def _write_glb(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
+    from trimesh.exchange.gltf import export_glb
+
+    return bytes(export_glb(_scene(mesh, about), include_normals=False))
+
+
+def _write_gltf(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
+    from trimesh.exchange.gltf import export_gltf
+
+    files = export_gltf(_scene(mesh, about), include_normals=False, embed_buffers=True)
+    return bytes(files["model.gltf"])
+
+
+def _meshio_mesh(mesh: Mesh) -> Any:
+    meshio = need("meshio")
+    return meshio.Mesh(np.ascontiguousarray(mesh.vertices), [("triangle", mesh.triangles)])
+
+
+def _write_vtu(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
+    data = _written_by_path(mesh, path, "vtu")
+    # XML forbids two dashes inside a comment.
+    comment = _one_line(about).replace("--", "-\\u002d")
+    start = data.index(b"<VTKFile")
+    return data[:start] + f"<!-- terrainwave {comment} -->\n".encode() + data[start:]
+
+
+def _write_vtk(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
+    version, _, rest = _written_by_path(mesh, path, "vtk").split(b"\n", 2)
+    title = f"terrainwave {_one_line(about)}"
+    if len(title) > _VTK_TITLE:
+        title = f"terrainwave {_one_line(about | {'crs': None})}"[:_VTK_TITLE]
+    return b"\n".join([version, title.encode(), rest])
+
+
+def _written_by_path(mesh: Mesh, path: Path, name: str) -> bytes:
+    """Let meshio write where it insists on a path."""
+    with scratch(path) as part, storage_errors(f"cannot write {path}"):
+        _meshio_mesh(mesh).write(part.path, file_format=name)
+        return part.path.read_bytes()
+
+
+@dataclass(frozen=True)
+class _Writer:
+    package: str
+    is_float32: bool
+    write: Callable[[Mesh, dict[str, Any], Path], bytes]
+
+
+_WRITERS = {
+    ".ply": _Writer("meshio", False, _write_ply),
+    ".obj": _Writer("trimesh", False, _write_obj),
+    ".stl": _Writer("trimesh", True, _write_stl),
+    ".glb": _Writer("trimesh", True, _write_glb),
+    ".gltf": _Writer("trimesh", True, _write_gltf),
+    ".vtu": _Writer("meshio", False, _write_vtu),
+    ".vtk": _Writer("meshio", False, _write_vtk),
+}
+EXTENSIONS = (*_WRITERS, ".terrain")

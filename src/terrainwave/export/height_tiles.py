@@ -1,0 +1,266 @@
+"""16-bit height tiles for game engines: raw little-endian (.r16) or PNG, with a JSON file beside.
+
+A tile's samples lie on the corners of its cells, the outermost on its edge, as engines want it:
+2ⁿ + 1 of them on a side. ``height = offset + scale * sample``.
+"""
+
+import json
+import math
+import os
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._version import __version__
+from terrainwave.container.publish import publish
+from terrainwave.container.spool import storage_errors
+from terrainwave.errors import InvalidHeightsError, LimitExceededError, StorageError
+from terrainwave.grid.quadtree import Region
+from terrainwave.progress import Reporter
+from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
+from terrainwave.raster_io.info import IDENTITY
+from terrainwave.terrain import Terrain
+
+EXTENSIONS = (".r16", ".png")
+MAX_SIZE = 16385
+_MAX_SAMPLES = MAX_SIZE**2
+_HIGHEST = 65535
+# Samples that are read at a time: 32 MiB of float64.
+_BAND_SAMPLES = 4 << 20
+
+
+def is_tile_size(size: int) -> bool:
+    """Say whether `size` is 2ⁿ + 1, from 3 to `MAX_SIZE`."""
+    return 3 <= size <= MAX_SIZE and (size - 1) & (size - 2) == 0
+
+
+class _Quantized(NamedTuple):
+    samples: NDArray[np.uint16]
+    scale: float
+    offset: float
+    error: float
+
+
+def write_height_tile(
+    terrain: Terrain,
+    path: str | os.PathLike[str],
+    region: Region,
+    *,
+    level: int,
+    size: int | str | None,
+    overwrite: bool,
+    reporter: Reporter,
+) -> str:
+    """Write a window as a 16-bit tile and its JSON; return the tile's path.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    path : path
+        Ends in ``.r16`` or ``.png``; the JSON has the same name with ``.json``. Both appear
+        complete or not at all.
+    region : Region
+        Of `level`; at least 2 x 2 samples.
+    level : int
+    size : int, "window" or None
+        Side of the tile, 2ⁿ + 1; the window is resampled bilinearly to this square, corner sample
+        to corner sample. ``"window"`` writes the window's samples as they are. None is as they are
+        where they form such a square, else the largest tile that is not larger than the window.
+    overwrite : bool
+    reporter : Reporter
+
+    Raises
+    ------
+    InvalidHeightsError, LimitExceededError
+        If the size or the window does not fit.
+    StorageError
+        If a file cannot be written.
+    """
+    shape = _tile_shape(region, size)
+    heights, valid = _read(terrain, region, level, shape, reporter)
+    scale, offset = terrain.raster_info.scale, terrain.raster_info.offset
+    heights = heights * scale + offset
+    tile = _quantize(heights, valid)
+    name = Path(path)
+    about = {"generator": f"terrainwave {__version__}", "file": name.name}
+    about |= _describe(terrain, region, level, shape, valid, tile)
+    if name.suffix.lower() == ".png":
+        data = _png(tile.samples, name)
+    else:
+        data = tile.samples.astype("<u2").tobytes()
+    text = json.dumps(about, indent=2, allow_nan=False) + "\n"
+    with publish(name.with_suffix(".json"), overwrite) as sidecar, publish(path, overwrite) as part:
+        with storage_errors(f"cannot write {path}"):
+            part.file.write(data)
+            sidecar.file.write(text.encode())
+    return os.fspath(path)
+
+
+def _tile_shape(region: Region, size: int | str | None) -> tuple[int, int]:
+    shorter = min(region.shape)
+    if shorter < 2:
+        raise InvalidHeightsError(
+            f"found a window of {region.n_rows} x {region.n_cols} samples, expected at least 2 x 2"
+        )
+    if size == "window":
+        if region.n_rows * region.n_cols > _MAX_SAMPLES:
+            raise LimitExceededError(
+                f"the window holds {region.n_rows} x {region.n_cols} samples, more than"
+                f" {MAX_SIZE} x {MAX_SIZE}: take a smaller one or a size"
+            )
+        return region.shape
+    if size is None:
+        power = 1 << (max(shorter - 1, 2).bit_length() - 1)
+        size = min(power + 1, MAX_SIZE)
+    if isinstance(size, str) or not is_tile_size(size):
+        raise InvalidHeightsError(
+            f"found size {size}, expected 2^n + 1 from 3 to {MAX_SIZE} (such as 1025) or window"
+        )
+    return size, size
+
+
+def _read(
+    terrain: Terrain, region: Region, level: int, shape: tuple[int, int], reporter: Reporter
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return heights and validity, resampled from corner to corner."""
+    rows = np.linspace(0, region.n_rows - 1, shape[0])
+    cols = np.linspace(0, region.n_cols - 1, shape[1])
+    heights, valid = np.empty(shape), np.empty(shape, dtype=bool)
+    for start, stop in _bands(rows, region.n_cols):
+        first = int(rows[start])
+        last = min(int(rows[stop - 1]) + 1, region.n_rows - 1)
+        part = Region(region.row + first, region.col, last - first + 1, region.n_cols)
+        found, is_valid = terrain.read_with_mask(part, level=level)
+        heights[start:stop], valid[start:stop] = _bilinear(
+            found.astype(np.float64), is_valid, rows[start:stop] - first, cols
+        )
+        reporter.report("decoding", stop * shape[1], shape[0] * shape[1], 0)
+    return heights, valid
+
+
+def _bands(rows: NDArray[np.float64], n_cols: int) -> Iterator[tuple[int, int]]:
+    """Yield runs of output rows whose input rows are few enough to be held."""
+    n_held = max(_BAND_SAMPLES // n_cols, 2)
+    start = 0
+    while start < len(rows):
+        stop = int(np.searchsorted(rows, rows[start] + n_held - 1, side="right"))
+        yield start, max(stop, start + 1)
+        start = max(stop, start + 1)
+
+
+def _bilinear(
+    heights: NDArray[np.float64],
+    valid: NDArray[np.bool_],
+    rows: NDArray[np.float64],
+    cols: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Interpolate between the valid ones of four neighbours; void where all of them are void."""
+    top, left = rows.astype(np.int64), cols.astype(np.int64)
+    below = np.minimum(top + 1, heights.shape[0] - 1)
+    right = np.minimum(left + 1, heights.shape[1] - 1)
+    down, across = (rows - top)[:, np.newaxis], (cols - left)[np.newaxis, :]
+    known = np.where(valid, heights, 0.0)
+    total, weights = np.zeros((len(rows), len(cols))), np.zeros((len(rows), len(cols)))
+    for at_rows, row_weight in ((top, 1 - down), (below, down)):
+        for at_cols, col_weight in ((left, 1 - across), (right, across)):
+            at = np.ix_(at_rows, at_cols)
+            weight = row_weight * col_weight * valid[at]
+            total += weight * known[at]
+            weights += weight
+    is_valid = weights > 1e-9
+    return np.divide(total, weights, out=total, where=is_valid), is_valid
+
+
+def _quantize(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> _Quantized:
+    """Spread the valid heights over 0 … 65535; voids take the lowest."""
+    if not valid.any():
+        return _Quantized(np.zeros(heights.shape, dtype=np.uint16), 1.0, 0.0, 0.0)
+    low, high = float(heights[valid].min()), float(heights[valid].max())
+    scale = (high - low) / _HIGHEST if high > low else 1.0
+    samples = np.rint((np.where(valid, heights, low) - low) / scale)
+    samples = np.clip(samples, 0, _HIGHEST).astype(np.uint16)
+    error = np.abs(low + scale * samples[valid] - heights[valid]).max()
+    return _Quantized(samples, scale, low, float(error))
+
+
+def _describe(
+    terrain: Terrain,
+    region: Region,
+    level: int,
+    shape: tuple[int, int],
+    valid: NDArray[np.bool_],
+    tile: _Quantized,
+) -> dict[str, Any]:
+    """Return the fields of the JSON file; docs/meshes.md lists them."""
+    raster = terrain.raster_info
+    is_resampled = shape != region.shape
+    is_full = terrain.level_index(level) == terrain.n_levels - 1
+    bound = terrain.effective_error if is_full else None
+    transform = _tile_transform(terrain.transform(level, region), region, shape)
+    a, b, _, d, e, _ = transform
+    return {
+        "rows": shape[0],
+        "columns": shape[1],
+        "sample": "uint16, little-endian, rows from the raster's first one",
+        "scale": tile.scale,
+        "offset": tile.offset,
+        "minimum": tile.offset,
+        "maximum": tile.offset + tile.scale * int(tile.samples.max()),
+        "unit": raster.units,
+        "n_void": int(valid.size - np.count_nonzero(valid)),
+        "void": "the lowest height",
+        "resampled": "bilinear" if is_resampled else None,
+        "level": terrain.level_index(level),
+        "error": {
+            "decoded": bound,
+            "quantisation": tile.error,
+            "sum": None if bound is None else bound + tile.error,
+        },
+        "crs": raster.crs,
+        "transform": None if raster.transform == IDENTITY else list(transform),
+        "pixel_size": [math.hypot(a, d), math.hypot(b, e)],
+        "bounds": _bounds(transform, shape),
+    }
+
+
+def _tile_transform(
+    transform: tuple[float, ...], region: Region, shape: tuple[int, int]
+) -> tuple[float, ...]:
+    """Return the affine of the tile's pixels, around its samples, from that of the region's."""
+    a, b, c, d, e, f = transform
+    by_col, by_row = (region.n_cols - 1) / (shape[1] - 1), (region.n_rows - 1) / (shape[0] - 1)
+    x, y = c + (a + b) / 2, f + (d + e) / 2  # of the first sample, which stays where it is
+    a, b, d, e = a * by_col, b * by_row, d * by_col, e * by_row
+    return a, b, x - (a + b) / 2, d, e, y - (d + e) / 2
+
+
+def _bounds(transform: tuple[float, ...], shape: tuple[int, int]) -> list[float]:
+    """Return left, bottom, right, top of the outermost samples: the edge of the landscape."""
+    a, b, c, d, e, f = transform
+    places = [
+        (a * col + b * row + c, d * col + e * row + f)
+        for row in (0.5, shape[0] - 0.5)
+        for col in (0.5, shape[1] - 0.5)
+    ]
+    xs, ys = zip(*places, strict=True)
+    return [min(xs), min(ys), max(xs), max(ys)]
+
+
+def _png(samples: NDArray[np.uint16], path: Path) -> bytes:
+    from rasterio.errors import NotGeoreferencedWarning
+    from rasterio.io import MemoryFile
+
+    profile = {"driver": "PNG", "count": 1, "dtype": "uint16"}
+    try:
+        with bounded_env(), warnings.catch_warnings(), MemoryFile() as memory:
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            rows, cols = samples.shape
+            with memory.open(height=rows, width=cols, **profile) as dataset:
+                dataset.write(samples, 1)
+            return bytes(memory.read())
+    except GDAL_ERRORS as error:
+        raise StorageError(f"cannot write {path}: {one_line(error)}") from error

@@ -1,0 +1,239 @@
+"""Cesium quantized-mesh tiles, encoded by quantized-mesh-encoder.
+
+A tile holds longitude, latitude and height in 1/32767 of its own extent. The mesh's error holds for
+the heights handed to the encoder; what this rounding adds is computed from the rounded vertices.
+"""
+
+import io
+import json
+import os
+import struct
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave._version import __version__
+from terrainwave.container.publish import publish
+from terrainwave.container.spool import storage_errors
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.export.files import SavedMesh, longest_edge, need
+from terrainwave.export.frames import (
+    EARTH,
+    Ellipsoid,
+    areas,
+    find_place,
+    geographic_points,
+    metres_per_unit,
+    steepest,
+)
+from terrainwave.export.mesh import Mesh
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+STEPS = 32767
+# Radii from the middle of the globe, of a point beyond all horizons.
+_FAR = 1e6
+
+
+class Tile(NamedTuple):
+    """The bytes of a tile and how far rounding can lift or lower its surface, in metres."""
+
+    data: bytes
+    rounding: float
+    n_vertices: int
+    n_triangles: int
+
+
+@dataclass(frozen=True)
+class Globe:
+    """A mesh in degrees and metres, and the ellipsoid these are counted on."""
+
+    mesh: Mesh
+    ellipsoid: Ellipsoid
+
+
+def on_globe(mesh: Mesh, *, radius: float | None = None) -> Globe:
+    """Return the mesh in longitude, latitude (degrees) and metres.
+
+    Meshes of the Earth go to WGS 84, which Cesium uses; others stay on their own body. Heights are
+    taken as above the ellipsoid.
+    """
+    from rasterio.crs import CRS
+
+    if not mesh.n_triangles:
+        raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
+    place = find_place(mesh, radius=radius)
+    is_earth = abs(place.ellipsoid.axis - EARTH.axis) < 2000
+    target = CRS.from_epsg(4326) if is_earth else None
+    points = geographic_points(mesh, place, target)
+    unit = metres_per_unit(mesh.units)
+    moved = replace(
+        mesh,
+        vertices=points,
+        origin=(0.0, 0.0, 0.0),
+        error=mesh.error * unit,
+        units="m",
+    )
+    if not (areas(moved) > 0).all():
+        raise InvalidHeightsError(
+            "in longitude and latitude some triangles turn over; a mesh across the date line or a"
+            " pole cannot be one tile: expected smaller --bounds"
+        )
+    return Globe(moved, EARTH if is_earth else place.ellipsoid)
+
+
+def encode_tile(globe: Globe, bounds: "Sequence[float]") -> Tile:
+    """Encode a mesh as one tile.
+
+    Parameters
+    ----------
+    globe : Globe
+        A mesh inside `bounds`.
+    bounds : (west, south, east, north)
+        Of the tile, in degrees.
+    """
+    points, triangles = _in_order_of_use(globe.mesh)
+    quantized, rounding, low, high = _quantize(points, triangles, bounds)
+    about = {"bounds": list(bounds), "geometricerror": globe.mesh.error + rounding}
+    data = tile_bytes(points, quantized, triangles, (low, high), globe.ellipsoid, about)
+    return Tile(data, rounding, len(points), len(triangles))
+
+
+def tile_bytes(
+    points: NDArray[np.float64],
+    quantized: NDArray[np.int16],
+    triangles: NDArray[np.int64],
+    heights: tuple[float, float],
+    ellipsoid: Ellipsoid,
+    about: dict[str, Any],
+) -> bytes:
+    """Return the bytes of a tile.
+
+    Parameters
+    ----------
+    points : ndarray of float64, shape (n_vertices, 3)
+        Longitude, latitude in degrees and height in metres, in the order of their first use.
+    quantized : ndarray of int16, shape (n_vertices, 3)
+        The same as the tile holds them: (u, v, h) in 0 … 32767.
+    triangles : ndarray of int64, shape (n_triangles, 3)
+        Counter-clockwise seen from above.
+    heights : tuple of float
+        What h = 0 and h = 32767 stand for; numbers that float32 has.
+    about : dict
+        For the metadata extension.
+    """
+    encoder = need("quantized_mesh_encoder.encode")
+    from quantized_mesh_encoder.ellipsoid import Ellipsoid as EncoderEllipsoid
+    from quantized_mesh_encoder.extensions import MetadataExtension
+
+    axis, e2 = ellipsoid
+    # `encode` itself takes positions as float32, nearly a metre at 180 degrees, and rounds down.
+    with np.errstate(all="ignore"):
+        header = encoder.compute_header(
+            points, "naive", ellipsoid=EncoderEllipsoid(a=axis, b=axis * float(np.sqrt(1 - e2)))
+        )
+        header |= dict(zip(("minimumHeight", "maximumHeight"), heights, strict=True))
+        header |= _occlusion_point(ellipsoid.geocentric(points), ellipsoid)
+        out = io.BytesIO()
+        encoder.encode_header(out, header)
+        encoder.write_vertices(out, quantized, len(quantized))
+        encoder.write_indices(out, triangles.astype(np.uint32), len(quantized))
+        encoder.write_edge_indices(out, quantized, len(quantized))
+        # The format wants the length before the text; from a dict the encoder leaves it out.
+        text = json.dumps({"generator": f"terrainwave {__version__}"} | about).encode()
+        out.write(MetadataExtension(data=struct.pack("<I", len(text)) + text).encode())
+    return out.getvalue()
+
+
+def _occlusion_point(points: NDArray[np.float64], ellipsoid: Ellipsoid) -> dict[str, float]:
+    """Return the point that is behind the horizon if all of the tile is.
+
+    Along the direction of the vertices' middle, on the ellipsoid scaled to a unit sphere, at the
+    largest 1 / (cos α cos β − sin α sin β), α the angle to a vertex and cos β = 1 / its distance
+    (Ring 2013, Computing the horizon occlusion point). There is none where α + β reaches a right
+    angle, as in tiles of half a globe: then a point so far out that it is hidden with their middle.
+    """
+    axes = np.array([1.0, 1.0, np.sqrt(1 - ellipsoid.e2)]) * ellipsoid.axis
+    scaled = points / axes
+    middle = (scaled.min(axis=0) + scaled.max(axis=0)) / 2
+    direction = middle / np.linalg.norm(middle)
+    distances = np.maximum(np.linalg.norm(scaled, axis=1), 1.0)
+    cos_alpha = np.clip(scaled @ direction / np.linalg.norm(scaled, axis=1), -1.0, 1.0)
+    angle = np.arccos(cos_alpha) + np.arccos(1 / distances)
+    far = 1 / max(float(np.cos(angle.max())), 1 / _FAR) if angle.max() < np.pi / 2 else _FAR
+    names = (f"horizonOcclusionPoint{axis}" for axis in "XYZ")
+    return dict(zip(names, (direction * far).tolist(), strict=True))
+
+
+def _in_order_of_use(mesh: Mesh) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return vertices in the order in which triangles first use them, as the format wants."""
+    used, first, places = np.unique(mesh.triangles.ravel(), return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    return mesh.points[used[order]], rank[places.ravel()].reshape(-1, 3)
+
+
+def _quantize(
+    points: NDArray[np.float64], triangles: NDArray[np.int64], bounds: "Sequence[float]"
+) -> tuple[NDArray[np.int16], float, float, float]:
+    """Return (u, v, h) in 0 … 32767, the rounding in metres, lowest and highest height."""
+    low = float(np.nextafter(np.float32(points[:, 2].min()), np.float32(-np.inf)))
+    high = float(np.nextafter(np.float32(points[:, 2].max()), np.float32(np.inf)))
+    start = np.array([bounds[0], bounds[1], low])
+    size = np.array([bounds[2], bounds[3], high]) - start
+    steps = np.clip(np.rint((points - start) / size * STEPS), 0, STEPS)
+    written = start + steps / STEPS * size
+    moved = np.abs(written - points).max(axis=0)
+    flat = Mesh(points, triangles.astype(np.int32), (0.0, 0.0, 0.0), 0.0)
+    slope_x, slope_y = steepest(flat)
+    rounding = float(moved[2] + slope_x * moved[0] + slope_y * moved[1])
+    return steps.astype(np.int16), rounding, low, high
+
+
+def save_tile(
+    mesh: Mesh,
+    path: str | os.PathLike[str],
+    *,
+    radius: float | None = None,
+    overwrite: bool = False,
+) -> SavedMesh:
+    """Write a mesh as one quantized-mesh tile over its own bounds.
+
+    The bounds, which a tile tells by its place in a tile set only, are in its metadata extension.
+    """
+    globe = on_globe(mesh, radius=radius)
+    tile = encode_tile(globe, globe.mesh.bounds)
+    with publish(path, overwrite) as part, storage_errors(f"cannot write {path}"):
+        part.file.write(tile.data)
+    rounding = tile.rounding / metres_per_unit(mesh.units)
+    return SavedMesh(
+        path=os.fspath(path),
+        n_bytes=len(tile.data),
+        n_vertices=tile.n_vertices,
+        n_triangles=tile.n_triangles,
+        error=mesh.error + rounding,
+        rounding=rounding,
+        units=mesh.units,
+        frame="ecef",
+        origin=(0.0, 0.0, 0.0),
+        curvature=curvature(globe),
+    )
+
+
+def tile_rounding(mesh: Mesh, *, radius: float | None = None) -> float:
+    """Return what `save_tile` would add to the mesh's error, in the file's unit."""
+    globe = on_globe(mesh, radius=radius)
+    points, triangles = _in_order_of_use(globe.mesh)
+    return _quantize(points, triangles, globe.mesh.bounds)[1] / metres_per_unit(mesh.units)
+
+
+def curvature(globe: Globe) -> float:
+    """Return how far flat triangles can lie below the curved body between vertices, in metres."""
+    axis, e2 = globe.ellipsoid
+    mesh = globe.mesh
+    vertices = globe.ellipsoid.geocentric(mesh.points)
+    return longest_edge(replace(mesh, vertices=vertices)) ** 2 / (6 * axis * (1 - e2))

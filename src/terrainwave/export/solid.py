@@ -1,0 +1,156 @@
+"""A closed body from a surface: walls down to a flat base, for printing."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.export.mesh import Mesh
+
+# How far a vertex that joins two corners is moved into each of them, as a share of the way to the
+# middle of a triangle there; halved while a triangle would turn over.
+_FIRST_SHARE = 1 / 1024
+_HALVINGS = 20
+
+
+def solidify(mesh: Mesh, base: float) -> Mesh:
+    """Close the mesh with walls along all its borders, those of voids too, and a flat base.
+
+    The base has the triangles of the surface, turned over. Where two parts of the surface touch
+    in one vertex only, the vertex is doubled and moved a little into each: the vertical edge below
+    it would else belong to four walls.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Counter-clockwise seen from above.
+    base : float
+        Height of the base in the file's unit; below the lowest vertex.
+
+    Returns
+    -------
+    mesh : Mesh
+        ``attributes["solid"]`` holds ``base`` and ``moved``: how far, in units of the CRS, a
+        doubled vertex was moved at most.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If the mesh is empty or `base` is not below it.
+    """
+    if not mesh.n_triangles:
+        raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
+    lowest = float(mesh.points[mesh.triangles.ravel(), 2].min())
+    if not base < lowest:
+        raise InvalidHeightsError(
+            f"found --solid {base:g}, expected less than the mesh's lowest height {lowest:g}"
+        )
+    vertices, triangles = _used_only(mesh.vertices, mesh.triangles)
+    vertices, triangles, moved = _split_joints(vertices, triangles)
+    n_top = len(vertices)
+    below = vertices.copy()
+    below[:, 2] = base - mesh.origin[2]
+    starts, ends = border_edges(triangles).T
+    walls = np.concatenate(
+        [
+            np.column_stack([ends, starts, starts + n_top]),
+            np.column_stack([ends, starts + n_top, ends + n_top]),
+        ]
+    )
+    bottom = triangles[:, ::-1] + n_top
+    return replace(
+        mesh,
+        vertices=np.concatenate([vertices, below]),
+        triangles=np.concatenate([triangles, walls, bottom]).astype(np.int32),
+        attributes=mesh.attributes | {"solid": {"base": float(base), "moved": moved}},
+    )
+
+
+def border_edges(triangles: NDArray[np.int32]) -> NDArray[np.int64]:
+    """Return the edges (start, end) that belong to one triangle only, in its direction."""
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    edges = edges.astype(np.int64)
+    size = int(edges.max()) + 1
+    forward, backward = edges[:, 0] * size + edges[:, 1], edges[:, 1] * size + edges[:, 0]
+    return edges[~np.isin(forward, backward)]
+
+
+def _used_only(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    used, places = np.unique(triangles, return_inverse=True)
+    return vertices[used], places.reshape(-1, 3).astype(np.int32)
+
+
+def _split_joints(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.int32], float]:
+    """Double the vertices at which several fans of triangles meet, and pull the fans apart."""
+    # On a surface whose borders don't touch, each vertex starts at most one border edge.
+    starts, counts = np.unique(border_edges(triangles)[:, 0], return_counts=True)
+    joints = starts[counts > 1]
+    if not joints.size:
+        return vertices, triangles, 0.0
+    triangles = triangles.copy()
+    around: dict[int, list[int]] = {int(joint): [] for joint in joints}
+    for index in np.flatnonzero(np.isin(triangles, joints).any(axis=1)):
+        for corner in triangles[index]:
+            if int(corner) in around:
+                around[int(corner)].append(int(index))
+    added: list[NDArray[np.float64]] = []
+    fans: list[tuple[int, list[int]]] = []
+    for joint, incident in around.items():
+        for number, fan in enumerate(_fans(triangles, joint, incident)):
+            vertex = int(joint)
+            if number:
+                vertex = len(vertices) + len(added)
+                added.append(vertices[joint])
+                for part in fan:
+                    triangles[part][triangles[part] == joint] = vertex
+            fans.append((vertex, fan))
+    vertices = np.concatenate([vertices, np.array(added).reshape(-1, 3)])
+    moved = [_pull_in(vertices, triangles, vertex, fan) for vertex, fan in fans]
+    return vertices, triangles, max(moved)
+
+
+def _fans(triangles: NDArray[np.int32], joint: int, incident: list[int]) -> list[list[int]]:
+    """Group the triangles around a vertex into those that hang together by edges."""
+    following: dict[int, tuple[int, int]] = {}
+    for index in incident:
+        a, b, c = (int(corner) for corner in triangles[index])
+        start, end = {a: (b, c), b: (c, a), c: (a, b)}[joint]
+        following[start] = (end, index)
+    ends = {end for end, _ in following.values()}
+    fans = []
+    for start in following:
+        if start in ends:
+            continue
+        fan: list[int] = []
+        at = start
+        while at in following:
+            at, index = following[at]
+            fan.append(index)
+        fans.append(fan)
+    return fans
+
+
+def _pull_in(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int32], vertex: int, fan: list[int]
+) -> float:
+    """Move a vertex horizontally into the middle triangle of its fan; return how far.
+
+    No triangle may turn over.
+    """
+    old = vertices[vertex, :2].copy()
+    middle = vertices[triangles[fan[len(fan) // 2]], :2].mean(axis=0)
+    share = _FIRST_SHARE
+    for _ in range(_HALVINGS):
+        vertices[vertex, :2] = old + share * (middle - old)
+        corners = vertices[triangles[fan], :2]
+        along, across = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        if (along[:, 0] * across[:, 1] > along[:, 1] * across[:, 0]).all():
+            return float(np.abs(vertices[vertex, :2] - old).max())
+        share /= 2
+    vertices[vertex, :2] = old
+    return 0.0

@@ -1,0 +1,1 @@
+"""A terrain in longitude and latitude, and tiles of it."""

@@ -1,0 +1,364 @@
+"""A terrain on its globe: heights at longitudes and latitudes, and where its samples lie.
+
+Between samples heights are bilinear, past the last sample of a coarse level they go on linearly, as
+in a block's error (FORMAT.md §4.4). The outermost half pixel has the heights of the outermost
+samples. A raster around the whole globe goes on from its last column to its first.
+"""
+
+import math
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.export.frames import (
+    EARTH,
+    Ellipsoid,
+    geographic_base,
+    metres_per_unit,
+    place_of,
+    transform_where_possible,
+)
+from terrainwave.grid.quadtree import Block
+from terrainwave.raster_io.info import IDENTITY
+
+if TYPE_CHECKING:
+    from rasterio.crs import CRS
+
+    from terrainwave.terrain import Terrain
+
+Numbers = NDArray[np.float64]
+Places = tuple[Numbers, Numbers]
+
+# Degrees by which a place may miss itself on the way to the raster's CRS and back.
+_SAME_PLACE = 1e-6
+# Of a pixel: what rounding may put beyond the raster's edge.
+_AT_EDGE = 1e-6
+# Columns that may lie unused between two used ones before they are read apart.
+_MAX_GAP = 256
+# Points along each side of the raster, and inside it, that tell what part of the globe it covers.
+_N_ALONG, _N_INSIDE = 129, 17
+# Of an extent: how far a side may bulge between those points.
+_BULGE = 0.01
+_POLE = 90.0
+
+
+class Window(NamedTuple):
+    """Samples of a level: rows from `row` on, the columns `columns` in ascending order.
+
+    `heights` in metres, float64, and `valid` have shape (n_rows, n_columns).
+    """
+
+    level: int
+    row: int
+    columns: NDArray[np.int64]
+    heights: Numbers
+    valid: NDArray[np.bool_]
+
+
+class Extent(NamedTuple):
+    """What part of the globe a raster covers, in degrees; `east` may be beyond 180."""
+
+    west: float
+    south: float
+    east: float
+    north: float
+
+    def holds(self, lon: Numbers, lat: Numbers) -> NDArray[np.bool_]:
+        """Say which places are in it or, as its sides may bulge a little, close by."""
+        slack = _BULGE * max(self.east - self.west, self.north - self.south)
+        beyond_west = np.mod(lon - self.west + slack, 360)
+        return (
+            (beyond_west <= self.east - self.west + 2 * slack)
+            & (lat >= self.south - slack)
+            & (lat <= self.north + slack)
+        )
+
+
+class Globe:
+    """A terrain in longitude and latitude in degrees, heights in metres.
+
+    Rasters of the Earth are on WGS 84, others on the geographic system of their own CRS.
+
+    Parameters
+    ----------
+    terrain : Terrain
+    radius : float, optional
+        Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If the raster has no place on a globe.
+    """
+
+    def __init__(self, terrain: "Terrain", *, radius: float | None = None) -> None:
+        raster = terrain.raster_info
+        is_placed = raster.transform != IDENTITY
+        place = place_of(raster.crs, terrain.bounds, is_placed=is_placed, radius=radius)
+        if not place.is_geographic and place.crs is None:
+            raise InvalidHeightsError(
+                "the raster has no coordinate reference system: it has no place on a globe"
+            )
+        a, b, _, d, e, _ = raster.transform
+        if a * e - b * d == 0:
+            raise InvalidHeightsError("the affine transform cannot be inverted")
+        self.terrain = terrain
+        self._place = place
+        is_earth = abs(place.ellipsoid.axis - EARTH.axis) < 2000
+        self.ellipsoid: Ellipsoid = EARTH if is_earth else place.ellipsoid
+        self._crs = place.crs
+        self._globe_crs = self._system(is_earth)
+        self._metres = metres_per_unit(raster.units)
+        turn = 360 / (abs(a) * place.unit) if a else math.inf
+        self._is_whole_turn = (
+            place.is_geographic and b == d == 0 and abs(turn - terrain.shape[1]) < 0.01
+        )
+
+    def _system(self, is_earth: bool) -> "CRS | None":
+        """Return the geographic system of the globe; None if the raster is in it already."""
+        from rasterio.crs import CRS
+
+        if self._crs is None or (self._place.is_geographic and not is_earth):
+            return None
+        system = CRS.from_epsg(4326) if is_earth else geographic_base(self._crs)
+        return None if self._crs == system else system
+
+    # Places
+
+    def to_samples(self, lon: Numbers, lat: Numbers) -> Places:
+        """Return fractional rows and columns of the full grid; NaN outside the raster's pixels.
+
+        Parameters
+        ----------
+        lon, lat : ndarray of float64, shape (n_places,)
+            Degrees; each result depends on its place alone.
+        """
+        if self._globe_crs is None:
+            return self._to_samples(lon, lat)
+        rows, cols = np.full(lon.shape, np.nan), np.full(lon.shape, np.nan)
+        near = self.extent.holds(lon, lat)
+        if near.any():
+            rows[near], cols[near] = self._to_samples(lon[near], lat[near])
+        return rows, cols
+
+    def _to_samples(self, lon: Numbers, lat: Numbers) -> Places:
+        xy = np.stack([lon, lat], axis=1)
+        if self._globe_crs is not None and self._crs is not None:
+            xy = transform_where_possible(xy, self._globe_crs, self._crs)
+        else:
+            xy = xy / self._place.unit
+        if self._place.is_geographic:
+            turn = 360 / self._place.unit
+            start = self._centre_x - turn / 2
+            xy[:, 0] = start + np.mod(xy[:, 0] - start, turn)
+        a, b, c, d, e, f = self.terrain.raster_info.transform
+        with np.errstate(all="ignore"):
+            x, y = xy[:, 0] - c, xy[:, 1] - f
+            rows = (a * y - d * x) / (a * e - b * d) - 0.5
+            cols = (e * x - b * y) / (a * e - b * d) - 0.5
+            rows, is_row = _clamped(rows, self.terrain.shape[0])
+            if self._is_whole_turn:
+                is_col = np.isfinite(cols)
+            else:
+                cols, is_col = _clamped(cols, self.terrain.shape[1])
+        inside = is_row & is_col
+        if self._globe_crs is not None and inside.any():
+            # Projections give places to points of the other side of the globe too.
+            inside[inside] = self._come_back(rows[inside], cols[inside], lon[inside], lat[inside])
+        return np.where(inside, rows, np.nan), np.where(inside, cols, np.nan)
+
+    @cached_property
+    def _centre_x(self) -> float:
+        left, _, right, _ = self.terrain.bounds
+        return (left + right) / 2
+
+    def _come_back(
+        self, rows: Numbers, cols: Numbers, lon: Numbers, lat: Numbers
+    ) -> NDArray[np.bool_]:
+        """Say which places their samples lead back to; clamping moves by half a pixel at most."""
+        found_lon, found_lat = self.from_samples(rows, cols)
+        slack = max(_SAME_PLACE, math.degrees(2 * self.pixel / self.ellipsoid.axis))
+        apart = np.abs(np.mod(found_lon - lon + 180, 360) - 180) * np.cos(np.radians(lat))
+        near: NDArray[np.bool_] = (apart < slack) & (np.abs(found_lat - lat) < slack)
+        return near
+
+    def from_samples(self, rows: Numbers, cols: Numbers) -> Places:
+        """Return longitudes and latitudes of fractional rows and columns of the full grid."""
+        a, b, c, d, e, f = self.terrain.raster_info.transform
+        x = a * (cols + 0.5) + b * (rows + 0.5) + c
+        y = d * (cols + 0.5) + e * (rows + 0.5) + f
+        if self._globe_crs is not None and self._crs is not None:
+            xy = transform_where_possible(np.stack([x, y], axis=1), self._crs, self._globe_crs)
+            return xy[:, 0], xy[:, 1]
+        return x * self._place.unit, y * self._place.unit
+
+    @cached_property
+    def pixel(self) -> float:
+        """Return the smaller distance of neighbouring samples in the raster's middle, metres."""
+        row, col = ((size - 1) / 2 for size in self.terrain.shape)
+        lon, lat = self.from_samples(
+            np.array([row, row + 0.5, row]), np.array([col, col, col + 0.5])
+        )
+        if not (np.isfinite(lon).all() and np.isfinite(lat).all()):
+            raise InvalidHeightsError(
+                "the raster's middle has no longitude and latitude in its coordinate reference"
+                " system"
+            )
+        places = self.ellipsoid.geocentric(np.stack([lon, lat, np.zeros(3)], axis=1))
+        return 2 * float(np.linalg.norm(places[1:] - places[0], axis=1).min())
+
+    @cached_property
+    def extent(self) -> Extent:
+        """Return what part of the globe the raster's pixels cover."""
+        n_rows, n_cols = self.terrain.shape
+        along, inside = np.linspace(-0.5, 0.5, _N_ALONG), np.linspace(-0.5, 0.5, _N_INSIDE)
+        first, last = np.full(_N_ALONG, -0.5), np.full(_N_ALONG, 0.5)
+        down, across = np.meshgrid(inside, inside)
+        rows = np.concatenate([along, along, first, last, down.ravel()])
+        cols = np.concatenate([first, last, along, along, across.ravel()])
+        rows, cols = (n_rows - 1) / 2 + n_rows * rows, (n_cols - 1) / 2 + n_cols * cols
+        lon, lat = self.from_samples(rows, cols)
+        known = np.isfinite(lon) & np.isfinite(lat)
+        if not known.any():
+            raise InvalidHeightsError("the raster has no place in longitude and latitude")
+        middle = self.from_samples(np.array([(n_rows - 1) / 2]), np.array([(n_cols - 1) / 2]))[0][0]
+        # Longitudes as they go on from the middle, across the antimeridian too.
+        if self._globe_crs is not None:
+            lon = middle + np.mod(lon - middle + 180, 360) - 180
+        west, east = float(lon[known].min()), float(lon[known].max())
+        south, north = float(lat[known].min()), float(lat[known].max())
+        if not self._place.is_geographic:
+            rows, _ = self._to_samples(np.zeros(2), np.array([-_POLE, _POLE]))
+            has_south, has_north = np.isfinite(rows)
+            south, north = (-_POLE if has_south else south), (_POLE if has_north else north)
+            if has_south or has_north:
+                west, east = -180.0, 180.0
+        if self._is_whole_turn or east - west >= 360 - _SAME_PLACE:
+            west, east = -180.0, 180.0
+        shift = 360 * math.floor((west + 180) / 360)
+        return Extent(west - shift, max(south, -_POLE), east - shift, min(north, _POLE))
+
+    # Heights
+
+    @property
+    def effective_error(self) -> float:
+        """Return the bound that holds at samples of the full grid, in metres."""
+        return self.terrain.effective_error * self._metres
+
+    def level_for(self, spacing: float) -> int:
+        """Return the coarsest level whose samples are at most `spacing` metres apart."""
+        steps = math.floor(math.log2(max(spacing / self.pixel * (1 + 1e-6), 1.0)))
+        return max(self.terrain.grid.k_max - steps, 0)
+
+    def heights_at(self, rows: Numbers, cols: Numbers, level: int) -> tuple[Numbers, Window | None]:
+        """Return the bilinear heights of a level at places of `to_samples`, and what was read.
+
+        Returns
+        -------
+        heights : ndarray of float64, shape (n_places,)
+            Metres; NaN at places that are NaN, and where a sample needed is void. Each depends on
+            its place alone.
+        window : Window or None
+            The samples that the heights come from; None if no place is in the raster.
+        """
+        heights = np.full(rows.shape, np.nan)
+        inside = np.isfinite(rows)
+        if not inside.any():
+            return heights, None
+        stride, grid = self.terrain.grid.stride(level), self.terrain.grid
+        n_rows, n_cols = grid.level_shape(level)
+        row, col = rows[inside] / stride, cols[inside] / stride
+        # The last cell goes on linearly, to a weight of up to 2.
+        top = np.clip(np.floor(row).astype(np.int64), 0, max(n_rows - 2, 0))
+        down = row - top if n_rows > 1 else np.zeros_like(row)
+        if self._is_whole_turn:
+            left, right, across = self._around(col, n_cols, stride)
+        else:
+            left = np.clip(np.floor(col).astype(np.int64), 0, max(n_cols - 2, 0))
+            across = col - left if n_cols > 1 else np.zeros_like(col)
+            right = np.minimum(left + 1, n_cols - 1)
+        bottom = np.minimum(top + 1, n_rows - 1)
+        window = self._read(level, int(top.min()), int(bottom.max()), np.union1d(left, right))
+        total, is_void = np.zeros(row.shape), np.zeros(row.shape, dtype=np.bool_)
+        for at_row, row_weight in ((top, 1 - down), (bottom, down)):
+            for at_col, col_weight in ((left, 1 - across), (right, across)):
+                at = at_row - window.row, np.searchsorted(window.columns, at_col)
+                weight = row_weight * col_weight
+                total += np.where(window.valid[at], window.heights[at], 0.0) * weight
+                is_void |= ~window.valid[at] & (weight != 0)
+        heights[inside] = np.where(is_void, np.nan, total)
+        return heights, window
+
+    def _around(
+        self, col: Numbers, n_cols: int, stride: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], Numbers]:
+        """Return the columns left and right of places, the last one's neighbour being the first."""
+        turn = self.terrain.shape[1] / stride
+        col = np.mod(col, turn)
+        left = np.minimum(np.floor(col).astype(np.int64), n_cols - 1)
+        is_last = left == n_cols - 1
+        across = np.where(is_last, (col - left) / (turn - (n_cols - 1)), col - left)
+        return left, np.where(is_last, 0, left + 1), across
+
+    def _read(self, level: int, top: int, bottom: int, needed: NDArray[np.int64]) -> Window:
+        parts = np.split(needed, np.flatnonzero(np.diff(needed) > _MAX_GAP) + 1)
+        columns, heights, valid = [], [], []
+        for part in parts:
+            first, n_cols = int(part[0]), int(part[-1] - part[0]) + 1
+            found, is_valid = self.terrain.read_with_mask(
+                (top, first, bottom - top + 1, n_cols), level=level
+            )
+            columns.append(np.arange(first, first + n_cols))
+            heights.append(found)
+            valid.append(is_valid)
+        raster = self.terrain.raster_info
+        mask = np.concatenate(valid, axis=1)
+        known = np.where(mask, np.concatenate(heights, axis=1), 0).astype(np.float64)
+        metres = (known * raster.scale + raster.offset) * self._metres
+        return Window(level, top, np.concatenate(columns), metres, mask)
+
+    def places_of(self, window: Window) -> tuple[Places, Numbers]:
+        """Return longitudes and latitudes of a window's valid samples, and their heights."""
+        stride = self.terrain.grid.stride(window.level)
+        rows, cols = np.nonzero(window.valid)
+        full_rows = stride * (rows + window.row).astype(np.float64)
+        full_cols = stride * window.columns[cols].astype(np.float64)
+        places = self.from_samples(full_rows, full_cols)
+        return places, window.heights[rows, cols]
+
+    def heights_error(self, window: Window) -> float:
+        """Return how far originals can be from the bilinear surface of a window, in metres."""
+        grid, terrain = self.terrain.grid, self.terrain
+        if window.level == grid.k_max:
+            return self.effective_error
+        last = grid.level_blocks(window.level)
+        bottom = window.row + len(window.heights) - 1
+        block_rows = range(
+            min(window.row // grid.block, last[0] - 1), min(bottom // grid.block, last[0] - 1) + 1
+        )
+        block_cols = np.unique(np.minimum(window.columns // grid.block, last[1] - 1)).tolist()
+        errors = [
+            terrain.block_error(Block(window.level, row, col))
+            for row in block_rows
+            for col in block_cols
+        ]
+        return max(errors) * self._metres
+
+    @cached_property
+    def height_range(self) -> tuple[float, float]:
+        """Return the lowest and highest decoded height in metres; (0, 0) without any."""
+        info = self.terrain.info()
+        if info.minimum is None or info.maximum is None:
+            return 0.0, 0.0
+        low, high = sorted((info.minimum * self._metres, info.maximum * self._metres))
+        return low, high
+
+
+def _clamped(places: Numbers, n_samples: int) -> tuple[Numbers, NDArray[np.bool_]]:
+    """Return places moved onto the outermost samples, and which are at most half a pixel away."""
+    limit = 0.5 + _AT_EDGE
+    inside = (places >= -limit) & (places <= n_samples - 1 + limit)
+    return np.clip(places, 0, n_samples - 1), inside

@@ -1,0 +1,191 @@
+"""Terrain-RGB tiles in Web Mercator, their errors, and the TileJSON that describes them.
+
+A pixel of a terrain-RGB tile holds a height in steps of 0.1 m:
+height = -10000 + (R * 65536 + G * 256 + B) * 0.1 (Mapbox Terrain-RGB v1).
+"""
+
+import io
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.globe.lonlat import Globe
+
+TILE_SIZE = 256
+MAX_ZOOM = 22
+# The largest latitude of the square Web Mercator world.
+MAX_LATITUDE = math.degrees(math.atan(math.sinh(math.pi)))
+
+VOID_DEPTH = 1.0
+
+_STEP = 0.1
+_LOWEST = -10000.0
+_HIGHEST_CODE = (1 << 24) - 1
+
+
+@dataclass(frozen=True)
+class RgbTile:
+    """A terrain-RGB tile.
+
+    Attributes
+    ----------
+    png : bytes
+        `TILE_SIZE` pixels square, RGB.
+    error : float
+        Metres. Largest distance found between the tile's bilinear surface, rounded to 0.1 m, and
+        the bilinear surface of the decoded samples it was made from, at the tile's pixels and
+        halfway between them: resampling to Web Mercator and rounding.
+    terrain_error : float
+        Metres. No original under the tile is further from the bilinear surface of those decoded
+        samples (measured when the file was written, `Terrain.block_error`).
+    level : int
+        The resolution level of the samples, counted from 0.
+    """
+
+    png: bytes
+    error: float
+    terrain_error: float
+    level: int
+
+
+def longitudes_of(z: int, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return degrees of fractional tile columns."""
+    return x / (1 << z) * 360.0 - 180.0
+
+
+def latitudes_of(z: int, y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return degrees of fractional tile rows; row 0 is the north (XYZ, not TMS)."""
+    return np.degrees(np.arctan(np.sinh(math.pi * (1 - 2 * y / (1 << z)))))
+
+
+def column_of(z: int, longitude: float) -> float:
+    """Return the fractional tile column of a longitude."""
+    return (longitude + 180.0) / 360.0 * (1 << z)
+
+
+def row_of(z: int, latitude: float) -> float:
+    """Return the fractional tile row of a latitude, clipped to the square world."""
+    latitude = min(max(latitude, -MAX_LATITUDE), MAX_LATITUDE)
+    return (1 - math.asinh(math.tan(math.radians(latitude))) / math.pi) / 2 * (1 << z)
+
+
+def pixel_size(globe: Globe, z: int, latitude: float) -> float:
+    """Return the size in metres of a tile's pixel at a latitude."""
+    around = 2 * math.pi * globe.ellipsoid.axis
+    return around * math.cos(math.radians(latitude)) / (TILE_SIZE << z)
+
+
+def max_zoom(globe: Globe) -> int:
+    """Return the first zoom whose pixels are not larger than the terrain's, in its middle."""
+    latitude = (globe.extent.south + globe.extent.north) / 2
+    zooms = range(MAX_ZOOM)
+    return next((z for z in zooms if pixel_size(globe, z, latitude) <= globe.pixel), MAX_ZOOM)
+
+
+def meets(globe: Globe, z: int, x: int, y: int) -> bool:
+    """Say whether a tile touches the terrain's bounds."""
+    west, south, east, north = globe.extent
+    if not row_of(z, north) < y + 1 or not row_of(z, south) > y:
+        return False
+    first, last = column_of(z, west), column_of(z, east)
+    turn = 1 << z
+    return any(first < x + 1 + k * turn and last > x + k * turn for k in (-1, 0, 1))
+
+
+def level_for(globe: Globe, z: int, y: int) -> int:
+    """Return the coarsest level that is not coarser than the tile's pixels, counted from 0."""
+    _, south, _, north = globe.extent
+    latitude = min(max(float(latitudes_of(z, np.array(y + 0.5))), south), north)
+    latitude = min(max(latitude, -MAX_LATITUDE), MAX_LATITUDE)
+    return globe.level_for(pixel_size(globe, z, latitude))
+
+
+def rgb_tile(globe: Globe, z: int, x: int, y: int) -> RgbTile | None:
+    """Return the terrain-RGB tile z/x/y (XYZ, Web Mercator), or None where there is no terrain.
+
+    Parameters
+    ----------
+    globe : Globe
+    z, x, y : int
+        0 ≤ z ≤ `MAX_ZOOM`, 0 ≤ x, y < 2^z.
+
+    Notes
+    -----
+    A height depends on its place and z alone, so that neighbouring tiles continue each other.
+    The format has no void: pixels without heights are `VOID_DEPTH` below the terrain's lowest.
+    """
+    if not meets(globe, z, x, y):
+        return None
+    level = level_for(globe, z, y)
+    # Pixel centres are the odd places of a grid twice as fine, which is what errors are taken at.
+    fine = np.arange(2 * TILE_SIZE - 1) / (2 * TILE_SIZE) + 0.5 / TILE_SIZE
+    longitudes, latitudes = np.meshgrid(longitudes_of(z, x + fine), latitudes_of(z, y + fine))
+    rows, cols = globe.to_samples(longitudes.ravel(), latitudes.ravel())
+    found, window = globe.heights_at(rows, cols, level)
+    surface = found.reshape(longitudes.shape)
+    heights = surface[::2, ::2]
+    if window is None or np.isnan(heights).all():
+        return None
+    rounded = np.rint((heights - _LOWEST) / _STEP) * _STEP + _LOWEST
+    void = void_height(globe)
+    codes = np.rint((np.where(np.isnan(heights), void, heights) - _LOWEST) / _STEP)
+    return RgbTile(
+        png=_png(np.clip(codes, 0, _HIGHEST_CODE).astype(np.uint32)),
+        error=_largest_distance(rounded, surface),
+        terrain_error=globe.heights_error(window),
+        level=level,
+    )
+
+
+def void_height(globe: Globe) -> float:
+    """Return the height in metres that stands for voids."""
+    return globe.height_range[0] - VOID_DEPTH
+
+
+def _largest_distance(tile: NDArray[np.float64], surface: NDArray[np.float64]) -> float:
+    """Return the largest distance of the tile's bilinear surface from `surface`, twice as fine."""
+    drawn = np.empty_like(surface)
+    drawn[::2, ::2] = tile
+    drawn[::2, 1::2] = (tile[:, :-1] + tile[:, 1:]) / 2
+    drawn[1::2] = (drawn[:-2:2] + drawn[2::2]) / 2
+    distances = np.abs(drawn - surface)
+    return float(np.nanmax(distances)) if np.isfinite(distances).any() else 0.0
+
+
+def _png(codes: NDArray[np.uint32]) -> bytes:
+    from PIL import Image
+
+    pixels = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=-1).astype(np.uint8)
+    out = io.BytesIO()
+    Image.fromarray(pixels, "RGB").save(out, "PNG", compress_level=4)
+    return out.getvalue()
+
+
+def tile_json(globe: Globe, url: str, name: str) -> dict[str, object]:
+    """Return the TileJSON 3.0 of a terrain's terrain-RGB tiles.
+
+    Parameters
+    ----------
+    globe : Globe
+    url : str
+        Of a tile, with ``{z}``, ``{x}`` and ``{y}`` in it.
+    name : str
+        What clients may show.
+    """
+    west, south, east, north = globe.extent
+    last = max_zoom(globe)
+    return {
+        "tilejson": "3.0.0",
+        "name": name,
+        "scheme": "xyz",
+        "tiles": [url],
+        "minzoom": 0,
+        "maxzoom": last,
+        "bounds": [west, max(south, -MAX_LATITUDE), min(east, 180.0), min(north, MAX_LATITUDE)],
+        "center": [(west + east) / 2, (south + north) / 2, max(last - 3, 0)],
+        "encoding": "mapbox",
+        "tileSize": TILE_SIZE,
+        "format": "png",
+    }

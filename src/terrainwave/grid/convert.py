@@ -1,0 +1,102 @@
+"""Kernels of `quantum` and `pyramid`: raw heights to quanta and back (FORMAT.md §2.3), fills."""
+
+import numpy as np
+
+from terrainwave.coding.jit import kernel
+
+# Stands for a void in the input of `push`.
+UNKNOWN = -(1 << 31)
+
+
+@kernel
+def quantize_integers(raw, valid, numerator, base, quanta):
+    """Divide multiples of `numerator`; 2-D arrays."""
+    if numerator == 1:  # the usual case, without a division
+        for row in range(raw.shape[0]):
+            for col in range(raw.shape[1]):
+                quantum = np.int64(raw[row, col]) - base
+                quanta[row, col] = quantum if valid[row, col] else 0
+        return
+    for row in range(raw.shape[0]):
+        for col in range(raw.shape[1]):
+            if valid[row, col]:
+                quanta[row, col] = np.int64(raw[row, col]) // numerator - base
+            else:
+                quanta[row, col] = 0
+
+
+@kernel
+def quantize_floats(raw, valid, numerator, denominator, base, quanta):
+    """Round to the grid, ties to even; 2-D arrays."""
+    for row in range(raw.shape[0]):
+        for col in range(raw.shape[1]):
+            if valid[row, col]:
+                multiple = (
+                    np.float64(raw[row, col]) * np.float64(denominator) / np.float64(numerator)
+                )
+                quanta[row, col] = np.int64(np.rint(multiple)) - base
+            else:
+                quanta[row, col] = 0
+
+
+@kernel
+def dequantize_integers(quanta, numerator, denominator, base, low, high, out):
+    """Fill `out` with whole heights; ties of a fractional quantum go to even. 2-D arrays.
+
+    The header's limits keep (base + k) * numerator below 2^63.
+    """
+    if numerator == 1 and denominator == 1:
+        for row in range(quanta.shape[0]):
+            for col in range(quanta.shape[1]):
+                out[row, col] = min(max(np.int64(quanta[row, col]) + base, low), high)
+        return
+    for row in range(quanta.shape[0]):
+        for col in range(quanta.shape[1]):
+            height = (np.int64(quanta[row, col]) + base) * numerator
+            if denominator != 1:
+                height = np.int64(np.rint(np.float64(height) / np.float64(denominator)))
+            out[row, col] = min(max(height, low), high)
+
+
+@kernel
+def dequantize_floats(quanta, numerator, denominator, base, out):
+    """Fill `out` with the quotients, rounded to float64 and then to its own type. 2-D arrays."""
+    for row in range(quanta.shape[0]):
+        for col in range(quanta.shape[1]):
+            product = (np.int64(quanta[row, col]) + base) * numerator
+            out[row, col] = np.float64(product) / np.float64(denominator)
+
+
+@kernel
+def push(fine, values, known):
+    """Average what is known of a level around each sample of the level above.
+
+    Sample (i, j) of `values` lies on ``fine[2 i + 1, 2 j + 1]``; weights are (1, 2, 1) both ways.
+    Samples of `fine` (int32) that are UNKNOWN count for nothing; without any other the result is
+    0 and not `known`.
+    """
+    for i in range(values.shape[0]):
+        above, here, below = fine[2 * i], fine[2 * i + 1], fine[2 * i + 2]
+        for j in range(values.shape[1]):
+            total = weight = np.int64(0)
+            for k in range(3):
+                column = 2 * j + k
+                factor = 1 + (k & 1)
+                part = share = np.int64(0)
+                if above[column] != UNKNOWN:
+                    part += above[column]
+                    share += 1
+                if here[column] != UNKNOWN:
+                    part += 2 * np.int64(here[column])
+                    share += 2
+                if below[column] != UNKNOWN:
+                    part += below[column]
+                    share += 1
+                total += factor * part
+                weight += factor * share
+            if weight == 16:
+                values[i, j], known[i, j] = total >> 4, True
+            elif weight > 0:
+                values[i, j], known[i, j] = total // weight, True
+            else:
+                values[i, j], known[i, j] = 0, False

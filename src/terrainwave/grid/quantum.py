@@ -1,0 +1,324 @@
+"""The vertical quantum p, the odd step n, raw heights to quanta and back (FORMAT.md §2.3).
+
+A raw height (as stored in the raster, before scale and offset) is ``(base + k) * p`` with an int32
+number of quanta ``k``. On a *true grid* every sample is such a multiple exactly; otherwise p is a
+power of two well below the bound and rounding to it is charged to the bound as `rho`.
+"""
+
+import math
+from bisect import bisect_left, bisect_right
+from dataclasses import dataclass
+from decimal import ROUND_CEILING, Context, Decimal
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import InvalidHeightsError
+
+MAX_QUANTA = 1 << 30
+# An exact quotient needs numerators below 2^53 (the float64 significand).
+_MAX_NUMERATOR = 1 << 53
+# Rounding to p = 2^-FINE_BITS * bound costs less than 0.01 bit per sample; COARSE_BITS is the
+# least that is accepted.
+_FINE_BITS, _COARSE_BITS = 9, 5
+# Keep (|base| + 2^31) * p below 2^63, and both parts of p in their fields (FORMAT.md §4.1).
+_MAX_HEIGHT = 1 << 59
+_FINEST_QUANTUM, _COARSEST_QUANTUM = Fraction(1, 1 << 62), Fraction(1 << 31)
+
+_FOOT = Fraction(3048, 10000)
+GRID_CANDIDATES = tuple(
+    sorted(
+        {Fraction(1, 10**d) for d in range(7)}
+        | {Fraction(1, 2**m) for m in range(1, 11)}
+        | {_FOOT / 10**d for d in range(4)},
+        reverse=True,
+    )
+)
+
+
+def as_fraction(value: float) -> Fraction:
+    """Return the decimal number a person would read in `value`: 0.1 gives 1/10."""
+    return Fraction(repr(float(value)))
+
+
+@dataclass(frozen=True)
+class Quantizer:
+    """Raw heights to quanta and back.
+
+    Attributes
+    ----------
+    dtype : str
+        Type of the raw heights.
+    numerator, denominator : int
+        The quantum p in raw units.
+    base : int
+        Raw height of quantum 0, in quanta.
+    step : int
+        Odd quantiser width n, in quanta; decoded heights lie within ``(step - 1) / 2`` quanta.
+    rho : float
+        What rounding to the grid and to `dtype` may add, in raw units; 0 on a true grid.
+    z_min, z_max : int
+        Smallest and largest quantum of the valid samples.
+    """
+
+    dtype: str
+    numerator: int
+    denominator: int
+    base: int
+    step: int
+    rho: float
+    z_min: int
+    z_max: int
+
+    @property
+    def quantum(self) -> float:
+        """Return p in raw units."""
+        return self.numerator / self.denominator
+
+    @property
+    def effective_error(self) -> float:
+        """Return the bound that holds, in raw units: ``(step - 1) / 2 * p + rho``."""
+        return float((self.step >> 1) * Fraction(self.numerator, self.denominator)) + self.rho
+
+    @property
+    def lost(self) -> int:
+        """Return what rounding to quanta loses of each height, in quanta, rounded up."""
+        return int(-(-Fraction(self.rho) * self.denominator // self.numerator))
+
+    def quantize(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[np.int32]:
+        """Return the quanta of `raw`, shape as given; 0 where not `valid`. Copies."""
+        from terrainwave.grid import convert
+
+        quanta = np.empty(raw.shape, dtype=np.int32)
+        # Integers too far apart for their own grid are rounded to a coarser one, as floats are.
+        if np.dtype(self.dtype).kind in "iu" and self.rho == 0:
+            convert.quantize_integers(raw, valid, self.numerator, self.base, quanta)
+        else:
+            convert.quantize_floats(raw, valid, self.numerator, self.denominator, self.base, quanta)
+        return quanta
+
+    def dequantize(
+        self, quanta: NDArray[np.int32], out: NDArray[np.generic] | None = None
+    ) -> NDArray[np.generic]:
+        """Return the raw heights of `quanta` in `dtype`, clipped to its range; in `out` if given.
+
+        Integers are exact; floats are the correctly rounded float64 quotient, cast. Both are the
+        same on every machine.
+        """
+        # Imported here: what reads only a header needs no numba.
+        from terrainwave.grid import convert
+
+        if out is None:
+            out = np.empty(quanta.shape, dtype=self.dtype)
+        if out.dtype.kind in "iu":
+            limits = np.iinfo(np.dtype(self.dtype))
+            convert.dequantize_integers(
+                quanta, self.numerator, self.denominator, self.base, limits.min, limits.max, out
+            )
+        else:
+            convert.dequantize_floats(quanta, self.numerator, self.denominator, self.base, out)
+        return out
+
+    def quanta_of_value(self, value: float | int | None) -> tuple[int, int]:
+        """Return the closed interval of quanta that give `value`; (0, -1) if there is none."""
+        if value is None or not math.isfinite(value):
+            return 0, -1
+        if np.dtype(self.dtype).kind == "f":  # nodata 0.1 of float32's means the one nearest to it
+            with np.errstate(over="ignore", under="ignore"):
+                value = float(np.dtype(self.dtype).type(value))
+        # Heights grow with quanta. A search, as an untrusted header may make all of 2^30 quanta
+        # give one value.
+        quanta = range(self.z_min, self.z_max + 1)
+        first = bisect_left(quanta, value, key=self.height_of)
+        end = bisect_right(quanta, value, lo=first, key=self.height_of)
+        return (quanta[first], quanta[end - 1]) if first < end else (0, -1)
+
+    def height_of(self, quantum: int) -> float | int:
+        """Return the raw height of one quantum, as `dequantize` does."""
+        product = (quantum + self.base) * self.numerator
+        if np.dtype(self.dtype).kind == "f":
+            height = np.float64(product) / np.float64(self.denominator)
+            return float(np.dtype(self.dtype).type(height))
+        if self.denominator != 1:
+            product = int(np.rint(np.float64(product) / np.float64(self.denominator)))
+        limits = np.iinfo(np.dtype(self.dtype))
+        return min(max(product, int(limits.min)), int(limits.max))
+
+
+# Integers whose common divisor is found at a time: of most rasters it is 1 after the first.
+_GCD_CHUNK = 4096
+
+
+class HeightScan:
+    """Range, validity and vertical quantum of a raster, gathered window by window.
+
+    Call `update` with every window once, then `quantizer`.
+    """
+
+    def __init__(self, dtype: str) -> None:
+        self.dtype = dtype
+        self.n_valid = 0
+        self.n_samples = 0
+        self.minimum: float | int = math.inf
+        self.maximum: float | int = -math.inf
+        self._gcd = 0
+        self._candidates = list(GRID_CANDIDATES)
+
+    @property
+    def has_voids(self) -> bool:
+        """Say whether any sample seen so far is not valid."""
+        return self.n_valid < self.n_samples
+
+    def update(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> None:
+        """Take one window into account."""
+        self.n_samples += raw.size
+        heights = raw.ravel() if valid.all() else raw[valid]
+        self.n_valid += heights.size
+        if heights.size == 0:
+            return
+        self.minimum = min(self.minimum, heights.min().item())
+        self.maximum = max(self.maximum, heights.max().item())
+        if heights.dtype.kind in "iu":
+            for first in range(0, heights.size, _GCD_CHUNK):
+                if self._gcd == 1:
+                    break
+                part = heights[first : first + _GCD_CHUNK].astype(np.int64)
+                self._gcd = int(np.gcd(self._gcd, np.gcd.reduce(part)))
+        else:
+            self._narrow_candidates(heights)
+
+    def merge(self, other: "HeightScan") -> None:
+        """Take in what another scan has seen of the same raster."""
+        self.n_samples += other.n_samples
+        self.n_valid += other.n_valid
+        self.minimum = min(self.minimum, other.minimum)
+        self.maximum = max(self.maximum, other.maximum)
+        self._gcd = math.gcd(self._gcd, other._gcd)
+        self._candidates = [p for p in self._candidates if p in other._candidates]
+
+    def _narrow_candidates(self, heights: NDArray[np.generic]) -> None:
+        wide = heights.astype(np.float64)
+        passed: list[Fraction] = []
+        for p in self._candidates:
+            # A multiple of p that holds implies p: both name the same rational numbers.
+            if any((q / p).denominator == 1 for q in passed) or _on_grid(heights, wide, p):
+                passed.append(p)
+        self._candidates = passed
+
+    def true_quantum(self) -> Fraction | None:
+        """Return p if every valid sample is a multiple of it exactly, else None."""
+        if self.n_valid == 0:
+            return Fraction(1)
+        if np.dtype(self.dtype).kind in "iu":
+            return Fraction(max(self._gcd, 1))
+        if not self._candidates:
+            return None
+        p = self._candidates[0]
+        is_binary = p.denominator & (p.denominator - 1) == 0
+        # Below twice the spacing of the floats themselves every float is "on" a decimal grid.
+        if not is_binary and p < 2 * as_fraction(self._output_ulp()):
+            return None
+        return p
+
+    def _output_ulp(self) -> float:
+        """Return the spacing of `dtype` at the largest absolute height; 0 for integers."""
+        if np.dtype(self.dtype).kind != "f":
+            return 0.0
+        largest = max(abs(self.minimum), abs(self.maximum))
+        return float(np.spacing(np.dtype(self.dtype).type(largest)))
+
+    def quantizer(self, max_error: Fraction) -> Quantizer:
+        """Choose p, base and step for a bound in raw units.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If the bound cannot be kept: 0 without a true grid, or below what the range of the
+            heights leaves to 30 bits. The message names the smallest possible bound.
+        """
+        if self.n_valid == 0:
+            return Quantizer(self.dtype, 1, 1, 0, 1, 0.0, 0, 0)
+        span = as_fraction(self.maximum) - as_fraction(self.minimum)
+        p = self.true_quantum()
+        if p is not None and span / p < MAX_QUANTA and self._fits(p):
+            return self._with_quantum(p, max_error, Fraction(0))
+        return self._continuous(span, max_error)
+
+    def _fits(self, p: Fraction) -> bool:
+        return self._largest() / p * p.numerator < _MAX_NUMERATOR
+
+    def _largest(self) -> Fraction:
+        """Return the largest absolute height."""
+        return max(abs(as_fraction(self.minimum)), abs(as_fraction(self.maximum)))
+
+    def _continuous(self, span: Fraction, max_error: Fraction) -> Quantizer:
+        largest = self._largest()
+        if largest > _MAX_HEIGHT:
+            raise InvalidHeightsError(
+                f"found a height of {float(largest):g} in magnitude, expected at most"
+                f" {float(_MAX_HEIGHT):g}; if it marks voids, declare it with --nodata"
+            )
+        half_ulp = as_fraction(self._output_ulp()) / 2
+        # The finest p whose numbers of quanta fit 30 bits; both ends are rounded.
+        finest = max(_power_of_two_above(span / (MAX_QUANTA - 2)), _FINEST_QUANTUM)
+        smallest = max(finest * (1 << _COARSE_BITS), 4 * half_ulp)
+        if max_error < smallest:
+            raise InvalidHeightsError(
+                "these heights lie on no common vertical grid, so they cannot be stored losslessly"
+                f" or this exactly: found max_error {float(max_error):g}, expected at least"
+                f" {_rounded_up(smallest)} (raw units); give a larger --max-error"
+            )
+        # A bound beyond the range buys nothing, and heights must be exact in float64 before they
+        # are rounded to the output's type.
+        p = _power_of_two_above(min(max_error, max(span, smallest))) / (1 << _FINE_BITS)
+        p = max(min(p, _COARSEST_QUANTUM), finest, _power_of_two_above(largest / _MAX_NUMERATOR))
+        return self._with_quantum(p, max_error, p / 2 + half_ulp)
+
+    def _with_quantum(self, p: Fraction, max_error: Fraction, rho: Fraction) -> Quantizer:
+        low = round(as_fraction(self.minimum) / p)
+        high = round(as_fraction(self.maximum) / p)
+        base = low + (high - low) // 2
+        # A bound beyond the range buys nothing; the cap keeps the step within its field.
+        half = min(math.floor((max_error - rho) / p), high - low)
+        return Quantizer(
+            self.dtype,
+            p.numerator,
+            p.denominator,
+            base,
+            2 * half + 1,
+            float(rho),
+            low - base,
+            high - base,
+        )
+
+
+def _on_grid(heights: NDArray[np.generic], wide: NDArray[np.float64], p: Fraction) -> bool:
+    # A cheap look at a few samples first: most grids fail at once.
+    for part, part_wide in ((heights[:64], wide[:64]), (heights, wide)):
+        multiples = part_wide * p.denominator / p.numerator
+        if not (np.abs(multiples) < _MAX_NUMERATOR / max(p.numerator, 1)).all():
+            return False
+        products = np.rint(multiples) * p.numerator  # exact: below 2^53
+        values = (products / p.denominator).astype(heights.dtype)
+        if not np.array_equal(values, part):
+            return False
+    return True
+
+
+def _rounded_up(value: Fraction) -> str:
+    """Return a decimal number of six digits that is not below `value`: a bound to type in."""
+    upward = Context(prec=6, rounding=ROUND_CEILING)
+    return f"{float(upward.divide(Decimal(value.numerator), Decimal(value.denominator))):g}"
+
+
+def _power_of_two_above(value: Fraction) -> Fraction:
+    """Return the smallest power of two >= value (0 for 0)."""
+    if value <= 0:
+        return Fraction(0)
+    power = Fraction(1)
+    while power < value:
+        power *= 2
+    while power / 2 >= value:
+        power /= 2
+    return power

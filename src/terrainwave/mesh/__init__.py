@@ -1,0 +1,1 @@
+"""Meshes of the blocks of a file, their stored parts, one mesh over any area."""

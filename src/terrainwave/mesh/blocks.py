@@ -1,0 +1,302 @@
+"""Meshes of blocks from decoded heights, and their measured errors (DESIGN §3.9, §5).
+
+A block's mesh follows from its decoded samples, the voids beside it, the error codes of the index
+and, for the kinds of `tri.stored`, the block's bytes in the mesh sections.
+"""
+
+import math
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.container.codes import decode_error, encode_error
+from terrainwave.container.header import MAX_MESH_TOLERANCE
+from terrainwave.errors import CorruptStreamError
+from terrainwave.grid.measure import with_outside
+from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.read.decoder import TreeDecoder
+from terrainwave.tri.borders import beside_void, line_vertices
+from terrainwave.tri.halves import Lines, triangulate
+from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
+from terrainwave.tri.stored import STORED_KINDS, has_triangles
+from terrainwave.tri.surface import largest_deviation
+
+# Of a coarse block's error against the originals, the share its mesh may add (Y10 §2.8).
+_MESH_SHARE = 4
+_MAX_TOLERANCE = 1 << 40
+_CACHED_MESHES = 64
+
+ErrorCode = Callable[[Block], int]
+Originals = Callable[[Region], tuple[Heights, Mask]]
+
+
+class BlockSamples(NamedTuple):
+    """The samples of a block with what its mesh has to know of its surroundings.
+
+    `locked` are the samples that are void or beside a void, on either side of a border.
+    """
+
+    heights: Heights
+    mask: Mask
+    locked: Mask
+
+
+class SideTolerances(NamedTuple):
+    """Tolerances of a block's border lines, in 1/16 quanta."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+
+
+class BlockMesher:
+    """The stored mesh of any block of a file.
+
+    Parameters
+    ----------
+    error_code : callable
+        The index's error code of a block.
+    tolerance : int
+        Tolerance on the finest level, in 1/16 quanta.
+    has_voids : bool
+        Whether the raster may have voids; if so, neighbours are decoded for their masks.
+    kind : str
+        ``"halves"`` or one of `tri.stored.STORED_KINDS`.
+    part : callable, optional
+        The stored bytes of a block's mesh; kinds other than halves need them.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        decoder: TreeDecoder,
+        error_code: ErrorCode,
+        tolerance: int,
+        *,
+        has_voids: bool,
+        kind: str = "halves",
+        part: Callable[[Block], bytes] | None = None,
+    ) -> None:
+        self._grid = grid
+        self._decoder = decoder
+        self._error_code = error_code
+        self._tolerance = tolerance
+        self._has_voids = has_voids
+        self.kind = kind
+        self._part = part
+
+    def tolerance(self, block: Block) -> int:
+        """Return the tolerance of a block's mesh against its samples: Err_Tri, in 1/16 quanta.
+
+        The finest level's, doubled from level to level, or a quarter of the block's own error if
+        that is more (Yusov & Turlapov 2010, §2.8).
+        """
+        if block.level == self._grid.k_max:
+            return self._tolerance
+        own = (decode_error(self._error_code(block)) << FRACTION_BITS) // _MESH_SHARE
+        return min(max(self._tolerance * self._grid.stride(block.level), own), _MAX_TOLERANCE)
+
+    def side_tolerances(self, block: Block) -> SideTolerances:
+        """Return the tolerance of each border line: the smaller one of the two blocks beside it."""
+        own = self.tolerance(block)
+        if block.level == self._grid.k_max:
+            return SideTolerances(own, own, own, own)
+        found = []
+        for row, col in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            beside = Block(block.level, block.row + row, block.col + col)
+            found.append(min(own, self.tolerance(beside)) if self._grid.contains(beside) else own)
+        return SideTolerances(*found)
+
+    def samples(self, block: Block) -> BlockSamples:
+        """Return the samples of a block, reaching past the raster's edge where the block does.
+
+        Outside samples continue the last two rows or columns linearly, as in the block's error
+        (FORMAT.md §4.4), and are valid where the last ones are.
+        """
+        grid = self._grid
+        region = grid.block_region(block)
+        n_rows, n_cols = self._full_shape(block)
+        if self._has_voids:
+            level_shape = grid.level_shape(block.level)
+            wide = grid.block_region(block, 1).intersect(Region(0, 0, *level_shape))
+            heights, mask = self._decoder.window(block.level, wide)
+            inner = region.slices_in(wide)
+            padding = (
+                (region.row == wide.row, wide.row + wide.n_rows == region.row + region.n_rows),
+                (region.col == wide.col, wide.col + wide.n_cols == region.col + region.n_cols),
+            )
+            beyond = np.pad(mask, np.array(padding, dtype=int), constant_values=True)
+            heights = heights[inner]
+        else:
+            heights, _ = self._decoder.window(block.level, region)
+            beyond = np.ones((region.n_rows + 2, region.n_cols + 2), dtype=np.bool_)
+        heights = with_outside(np.ascontiguousarray(heights), n_rows, n_cols)
+        beyond = _with_outside_mask(beyond, n_rows - region.n_rows)
+        beyond = _with_outside_mask(beyond.T, n_cols - region.n_cols).T
+        mask = np.ascontiguousarray(beyond[1:-1, 1:-1])
+        return BlockSamples(heights, mask, beside_void(beyond))
+
+    def _full_shape(self, block: Block) -> tuple[int, int]:
+        """Return the block's numbers of samples with those past the raster's edge."""
+        grid, stride = self._grid, self._grid.stride(block.level)
+        n_rows = min(grid.block, -(-(grid.n_rows - 1) // stride) - block.row * grid.block) + 1
+        n_cols = min(grid.block, -(-(grid.n_cols - 1) // stride) - block.col * grid.block) + 1
+        return n_rows, n_cols
+
+    def has_mesh(self, block: Block) -> bool:
+        """Say whether the block's samples have triangles; decodes only where there may be voids."""
+        if self._has_voids:
+            return has_triangles(self.samples(block).mask)
+        return min(self._full_shape(block)) > 1
+
+    def mesh(self, block: Block) -> BlockMesh:
+        """Return the block's stored mesh; places count from the block's first sample.
+
+        Raises
+        ------
+        CorruptStreamError
+            If the stored bytes of the mesh are damaged.
+        """
+        samples = self.samples(block)
+        if self.kind in STORED_KINDS:
+            return self._stored_mesh(block, samples)
+        lines = border_lines(samples, self.side_tolerances(block), self._grid.block)
+        return triangulate(*samples, lines, self.tolerance(block))
+
+    def _stored_mesh(self, block: Block, samples: BlockSamples) -> BlockMesh:
+        if self._part is None:
+            raise ValueError(f"meshes of kind {self.kind} have stored bytes")
+        data = self._part(block)
+        if not has_triangles(samples.mask):
+            if data:
+                raise CorruptStreamError(f"{block} has no mesh, but bytes of one")
+            return no_mesh()
+        return STORED_KINDS[self.kind].mesh(samples, self.tolerance(block), data)
+
+
+def _with_outside_mask(beyond: Mask, n_outside: int) -> Mask:
+    """Let outside rows be as the last one inside; `beyond` has an apron, True where nothing is."""
+    if not n_outside:
+        return beyond
+    last = np.repeat(beyond[-2:-1], n_outside, axis=0)
+    return np.concatenate([beyond[:-1], last, np.ones_like(beyond[-1:])])
+
+
+def border_lines(
+    samples: BlockSamples,
+    tolerances: SideTolerances,
+    side: int,
+    offset: tuple[int, int] = (0, 0),
+) -> Lines:
+    """Return the vertices of the four border lines of a rectangle of samples.
+
+    `offset` is the place of its first sample in its block of `side` cells.
+    """
+
+    def line(at: tuple[int | slice, int | slice], tolerance: int, start: int) -> NDArray[np.bool_]:
+        heights = samples.heights[at].astype(np.int64) << FRACTION_BITS
+        forced = np.ascontiguousarray(samples.locked[at])
+        found: NDArray[np.bool_] = line_vertices(heights, forced, start, side, tolerance)
+        return found
+
+    every = slice(None)
+    return Lines(
+        top=line((0, every), tolerances.top, offset[1]),
+        bottom=line((-1, every), tolerances.bottom, offset[1]),
+        left=line((every, 0), tolerances.left, offset[0]),
+        right=line((every, -1), tolerances.right, offset[0]),
+    )
+
+
+def mesh_tolerance(error: Fraction, quantum: Fraction) -> int:
+    """Return an error as the tolerance that a header holds: in 1/16 quanta, rounded down."""
+    return min(int(error / quantum * (1 << FRACTION_BITS)), MAX_MESH_TOLERANCE)
+
+
+# Measured errors
+
+
+def mesh_codes(errors: dict[Block, int], lost: Fraction) -> dict[Block, int]:
+    """Return the codes of measured errors, in 1/16 quanta, each with `lost` quanta added."""
+    return {
+        block: encode_error(math.ceil(Fraction(error, 1 << FRACTION_BITS) + lost))
+        for block, error in errors.items()
+    }
+
+
+def measure_meshes(
+    grid: Grid,
+    mesher: BlockMesher,
+    originals: Originals,
+    executor: Executor,
+    on_samples: Callable[[int], None],
+    blocks: list[Block] | None = None,
+) -> dict[Block, int]:
+    """Return how far the valid originals under each block are from its mesh, in 1/16 quanta.
+
+    One walk over the full grid in windows; every window measures the meshes of its finest blocks
+    and of all their ancestors. Blocks without a mesh are left out. With `blocks`, some of the
+    finest level, only the originals under these.
+    """
+    meshes = _Meshes(mesher)
+    found: dict[Block, int] = {}
+    lock = threading.Lock()
+
+    def measure(block: Block) -> None:
+        region = grid.block_region(block)
+        heights, mask = originals(region)
+        errors = {}
+        above = block
+        while mask.any():
+            mesh = meshes.get(above)
+            if len(mesh.triangles):
+                stride = grid.stride(above.level)
+                first = above.row * grid.block * stride, above.col * grid.block * stride
+                errors[above] = largest_deviation(
+                    mesh, stride, heights, mask, region.row - first[0], region.col - first[1]
+                )
+            if above.level == 0:
+                break
+            above = above.parent
+        with lock:
+            for key, error in errors.items():
+                found[key] = max(found.get(key, 0), error)
+        on_samples(region.n_rows * region.n_cols)
+
+    for _ in executor.map(measure, grid.blocks(grid.k_max) if blocks is None else blocks):
+        pass
+    return found
+
+
+class _Meshes:
+    """The meshes of blocks under work, each made once; least recently used dropped first."""
+
+    def __init__(self, mesher: BlockMesher) -> None:
+        self._mesher = mesher
+        self._meshes: OrderedDict[Block, Future[BlockMesh]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, block: Block) -> BlockMesh:
+        with self._lock:
+            future = self._meshes.get(block)
+            is_mine = future is None
+            if future is None:
+                future = self._meshes[block] = Future()
+            self._meshes.move_to_end(block)
+            while len(self._meshes) > _CACHED_MESHES:
+                self._meshes.popitem(last=False)
+        if is_mine:
+            try:
+                future.set_result(self._mesher.mesh(block))
+            except BaseException as error:
+                future.set_exception(error)
+                raise
+        return future.result()

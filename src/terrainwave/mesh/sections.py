@@ -1,0 +1,171 @@
+"""Mesh sections: the bytes of meshes beside the payloads they go with (FORMAT.md §4.5)."""
+
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Executor
+from functools import lru_cache
+
+from terrainwave.codec.varint import decode_varint, encode_varint
+from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.mesh.blocks import BlockMesher
+from terrainwave.read.decoder import TreeDecoder, unit_key
+from terrainwave.tri.agreement import BorderVertices, Position, agree
+from terrainwave.tri.stored import STORED_KINDS, Draft
+
+_CACHED_SECTIONS = 64
+
+
+def pack_section(parts: list[bytes]) -> bytes:
+    """Return the section of a key: the parts of its blocks, each after its length.
+
+    A section all of whose parts are empty is empty, so that void areas take no bytes.
+    """
+    if not any(parts):
+        return b""
+    return b"".join(encode_varint(len(part)) + part for part in parts)
+
+
+def unpack_section(data: bytes, n_parts: int) -> list[bytes]:
+    """Undo `pack_section`.
+
+    Raises
+    ------
+    CorruptStreamError
+        If a length is beyond the section's end, bytes are left over, or all lengths are 0.
+    """
+    if not data:
+        return [b""] * n_parts
+    parts, byte_pos = [], 0
+    for _ in range(n_parts):
+        length, byte_pos = decode_varint(data, byte_pos)
+        if length > len(data) - byte_pos:
+            raise TruncatedStreamError(
+                f"a mesh of {length} bytes begins {len(data) - byte_pos} bytes before the end of"
+                " its section"
+            )
+        parts.append(data[byte_pos : byte_pos + length])
+        byte_pos += length
+    if byte_pos != len(data):
+        raise CorruptStreamError(f"{len(data) - byte_pos} bytes left over after the last mesh")
+    if not any(parts):
+        raise CorruptStreamError("a mesh section has bytes, but no meshes")
+    return parts
+
+
+def parts_of_blocks(grid: Grid, section: Callable[[Block], bytes]) -> Callable[[Block], bytes]:
+    """Return what gives the bytes of a block's mesh, from what gives the sections of keys."""
+
+    @lru_cache(_CACHED_SECTIONS)
+    def parts(key: Block) -> dict[Block, bytes]:
+        blocks = grid.key_blocks(key)
+        return dict(zip(blocks, unpack_section(section(key), len(blocks)), strict=True))
+
+    return lambda block: parts(unit_key(block))[block]
+
+
+def make_sections(
+    grid: Grid,
+    mesher: BlockMesher,
+    executor: Executor,
+    on_samples: Callable[[int], None],
+    levels: Iterable[int] | None = None,
+) -> dict[Block, bytes]:
+    """Return the mesh sections of all keys that have one.
+
+    Parameters
+    ----------
+    mesher : BlockMesher
+        For samples, tolerances and the kind of meshes.
+    on_samples : callable
+        Told how many samples of the full grid have a mesh, now and then.
+    levels : iterable of int, optional
+        Levels of blocks to mesh; all by default.
+
+    Notes
+    -----
+    Blocks of a level agree on their borders in rounds (`tri.agreement`), so that one level's drafts
+    are held at a time, packed: for rasters of up to some hundred million samples. The sections
+    themselves are held as well. The bytes don't depend on the executor.
+    """
+    if mesher.kind not in STORED_KINDS:
+        return {}
+    parts: dict[Block, bytes] = {}
+    for level in range(grid.k_max + 1) if levels is None else levels:
+        parts |= _level_parts(grid, mesher, level, executor, on_samples)
+    return sections_of_parts(grid, parts)
+
+
+def make_meshes(
+    grid: Grid,
+    decoder: TreeDecoder,
+    error_code: Callable[[Block], int],
+    tolerance: int,
+    *,
+    has_voids: bool,
+    kind: str,
+    executor: Executor,
+    on_samples: Callable[[int], None],
+) -> tuple[BlockMesher, dict[Block, bytes]]:
+    """Return what has all meshes of a file that has none yet, and the sections it will have.
+
+    The arguments are those of `BlockMesher` and `make_sections`.
+    """
+    sections: dict[Block, bytes] = {}
+    mesher = BlockMesher(
+        grid,
+        decoder,
+        error_code,
+        tolerance,
+        has_voids=has_voids,
+        kind=kind,
+        part=parts_of_blocks(grid, lambda key: sections.get(key, b"")),
+    )
+    sections.update(make_sections(grid, mesher, executor, on_samples))
+    return mesher, sections
+
+
+def sections_of_parts(grid: Grid, parts: Mapping[Block, bytes]) -> dict[Block, bytes]:
+    """Return the sections, by key, that hold the parts of blocks; empty ones are left out."""
+    sections: dict[Block, list[bytes]] = {}
+    for block, part in parts.items():
+        key = unit_key(block)
+        blocks = grid.key_blocks(key)
+        sections.setdefault(key, [b""] * len(blocks))[blocks.index(block)] = part
+    packed = {key: pack_section(found) for key, found in sections.items()}
+    return {key: section for key, section in packed.items() if section}
+
+
+def _level_parts(
+    grid: Grid,
+    mesher: BlockMesher,
+    level: int,
+    executor: Executor,
+    on_samples: Callable[[int], None],
+) -> dict[Block, bytes]:
+    """Return the bytes of the meshes of one level."""
+    kind = STORED_KINDS[mesher.kind]
+
+    def draft(position: Position, demanded: BorderVertices | None) -> Draft:
+        block = Block(level, *position)
+        return kind.draft(mesher.samples(block), mesher.tolerance(block), demanded)
+
+    def encode(position: Position) -> bytes:
+        block = Block(level, *position)
+        return kind.encode(mesher.samples(block), mesher.tolerance(block), drafts[position])
+
+    blocks = grid.blocks(level)
+    is_meshed = executor.map(mesher.has_mesh, blocks)
+    positions = [
+        (block.row, block.col)
+        for block, has_mesh in zip(blocks, is_meshed, strict=True)
+        if has_mesh
+    ]
+    drafts, _ = agree(positions, draft, lambda found: found.border, executor.map)
+    found = {}
+    for position, part in zip(positions, executor.map(encode, positions), strict=True):
+        block = Block(level, *position)
+        found[block] = part
+        if level == grid.k_max:
+            region = grid.block_region(block)
+            on_samples(region.n_rows * region.n_cols)
+    return found

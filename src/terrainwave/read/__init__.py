@@ -1,0 +1,1 @@
+"""Heights out of a file: units decoded on demand, parts of streams, resampling."""

@@ -1,0 +1,205 @@
+"""Decode units on demand, each from its ancestors alone, through a bounded cache."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from terrainwave.codec.group import decode_unit
+from terrainwave.codec.refiner import Decoded, Heights, Mask, Refiner
+from terrainwave.codec.units import CodecParameters, block_of_unit, unit_spec
+from terrainwave.errors import CorruptStreamError
+from terrainwave.grid.quadtree import Block, Grid, Region, morton
+
+# Payloads held between being fetched and being decoded.
+_MAX_FETCHED = 1024
+
+
+_Unit = TypeVar("_Unit")
+
+
+class UnitCache(Generic[_Unit]):
+    """Least recently used decoded units or tiles, up to a number of bytes; thread-safe."""
+
+    def __init__(self, max_bytes: int, n_bytes_of: Callable[[_Unit], int]) -> None:
+        self._max_bytes = max_bytes
+        self._n_bytes_of = n_bytes_of
+        self._n_bytes = 0
+        self._units: OrderedDict[Block, _Unit] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, key: Block) -> _Unit | None:
+        """Return the unit if it is here."""
+        with self._lock:
+            unit = self._units.get(key)
+            if unit is not None:
+                self._units.move_to_end(key)
+            return unit
+
+    def put(self, key: Block, unit: _Unit) -> None:
+        """Keep the unit, dropping the least recently used ones beyond the limit."""
+        with self._lock:
+            if key in self._units:
+                return
+            self._units[key] = unit
+            self._n_bytes += self._n_bytes_of(unit)
+            while self._n_bytes > self._max_bytes and len(self._units) > 1:
+                _, dropped = self._units.popitem(last=False)
+                self._n_bytes -= self._n_bytes_of(dropped)
+
+
+def _n_bytes(unit: Decoded) -> int:
+    return (
+        unit.heights.nbytes + unit.mask.nbytes + (0 if unit.labels is None else unit.labels.nbytes)
+    )
+
+
+class TreeDecoder:
+    """Decoded units of a file, by key.
+
+    Parameters
+    ----------
+    refiner : Refiner or None
+        None where a subclass decodes without one.
+    payloads : callable
+        Returns the checked payloads of several units, near ones in one request.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        refiner: Refiner | None,
+        parameters: CodecParameters,
+        payloads: Callable[[Sequence[Block]], list[bytes]],
+        cache_bytes: int,
+    ) -> None:
+        self._grid = grid
+        self._refiner = refiner
+        self._parameters = parameters
+        self._payloads = payloads
+        self._cache = UnitCache(cache_bytes, _n_bytes)
+        self._fetched: dict[Block, bytes] = {}
+        self._in_flight: dict[Block, threading.Event] = {}
+        self._lock = threading.Lock()
+
+    def prefetch(self, keys: Sequence[Block]) -> list[Block]:
+        """Fetch the payloads that decoding `keys` will need, in one call.
+
+        Returns the units that are not at hand, of the keys and all above them, each after those
+        above it. A damaged payload is left for `unit` to report, so that it costs no other unit.
+        """
+        missing: dict[Block, None] = {}
+        for key in keys:
+            chain = []
+            while key not in missing and self._cache.get(key) is None:
+                chain.append(key)
+                if key.is_root_key:
+                    break
+                key = unit_key(key)
+            missing.update(dict.fromkeys(reversed(chain)))
+        self._fetch(list(missing))
+        return list(missing)
+
+    def _fetch(self, keys: list[Block]) -> None:
+        """Fetch payloads ahead of decoding, if there are several."""
+        if len(keys) < 2:
+            return
+        try:
+            payloads = self._payloads(keys)
+        except CorruptStreamError:
+            return
+        with self._lock:
+            if len(self._fetched) > _MAX_FETCHED:  # left over where another thread was quicker
+                self._fetched.clear()
+            self._fetched.update(zip(keys, payloads, strict=True))
+
+    def unit(self, key: Block) -> Decoded:
+        """Return the decoded unit `key`; its ancestors are decoded as needed.
+
+        Raises
+        ------
+        CorruptStreamError
+            If its payload or one above it is damaged; the message names the unit.
+        """
+        while True:
+            found = self._cache.get(key)
+            if found is not None:
+                return found
+            with self._lock:
+                other = self._in_flight.get(key)
+                if other is None:
+                    mine = self._in_flight[key] = threading.Event()
+                    break
+            other.wait()  # another thread decodes it; ancestors never wait for descendants
+        try:
+            unit = self._decode(key)
+            self._cache.put(key, unit)
+            return unit
+        finally:
+            with self._lock:
+                del self._in_flight[key]
+            mine.set()
+
+    def _payload(self, key: Block) -> bytes:
+        """Return the payload of a unit, fetched now unless it has been."""
+        with self._lock:
+            payload = self._fetched.pop(key, None)
+        return self._payloads([key])[0] if payload is None else payload
+
+    def _decode(self, key: Block) -> Decoded:
+        assert self._refiner is not None
+        parent = None if key.is_root_key else self.block(key)
+        spec = unit_spec(self._grid, self._parameters, key)
+        payload = self._payload(key)
+        try:
+            return decode_unit(self._refiner, spec, parent, payload)
+        except CorruptStreamError as exc:
+            raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
+
+    def window(self, level: int, region: Region) -> tuple[Heights, Mask]:
+        """Return decoded heights and validity of any region inside a level."""
+        heights = np.zeros(region.shape, dtype=np.int32)
+        mask = np.zeros(region.shape, dtype=np.bool_)
+        for key in units_of(self._grid, level, region):
+            spec, unit = unit_spec(self._grid, self._parameters, key), self.unit(key)
+            part = spec.core.intersect(region)
+            there, here = part.slices_in(region), part.slices_in(spec.region)
+            heights[there], mask[there] = unit.heights[here], unit.mask[here]
+        return heights, mask
+
+    def block(self, block: Block) -> Decoded:
+        """Return the decoded heights of a block, with its apron if the file has one."""
+        key = unit_key(block)
+        spec = unit_spec(self._grid, self._parameters, key)
+        return block_of_unit(self._grid, spec, self.unit(key), block)
+
+
+def units_of(grid: Grid, level: int, region: Region) -> list[Block]:
+    """Return the keys of the units that hold a region of a level, in Morton order."""
+    side = grid.block if level == 0 else 2 * grid.block
+    n_rows, n_cols = grid.level_blocks(max(level - 1, 0))
+    # The last sample of the last unit lies on a border without a unit beyond it.
+    rows = range(
+        min(region.row // side, n_rows - 1),
+        min((region.row + region.n_rows - 1) // side, n_rows - 1) + 1,
+    )
+    cols = range(
+        min(region.col // side, n_cols - 1),
+        min((region.col + region.n_cols - 1) // side, n_cols - 1) + 1,
+    )
+    keys = [Block(level - 1, row, col) for row in rows for col in cols]
+    return sorted(keys, key=lambda key: morton(key.row, key.col))
+
+
+def unit_key(block: Block) -> Block:
+    """Return the key of the unit that holds `block`."""
+    return Block(-1, block.row, block.col) if block.level == 0 else block.parent
+
+
+def unit_name(key: Block) -> str:
+    """Return what messages call the unit."""
+    if key.is_root_key:
+        return f"root block (row {key.row}, column {key.col})"
+    return f"the group below block (level {key.level}, row {key.row}, column {key.col})"

@@ -1,0 +1,122 @@
+"""Reading files of method cdf53 in part: how much of which tile (format-cdf53.md, C.7)."""
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+
+from terrainwave.codec.cdf53 import (
+    TileHead,
+    finest_position,
+    packed_length,
+    plane_cut,
+    prefix_length,
+    unpack_head,
+)
+from terrainwave.codec.tiles import TileLayout
+from terrainwave.container.reader import Container
+from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+from terrainwave.grid.quadtree import Block
+from terrainwave.read.decoder import unit_name
+
+# Bytes of each payload that are read to see its head; more where that is longer.
+_FIRST_READ = 512
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A tile whose head has been read."""
+
+    start: bytes
+    head: TileHead
+    n_head: int
+    n_below: int
+
+    def n_bytes(self, position: float) -> int:
+        """Return the bytes of the payload to be read for a position (`plane_cut`)."""
+        kept = plane_cut(self.head.ends, self.head.n_stream, position - self.n_below)
+        return max(len(self.start), self.n_head + prefix_length(kept, self.head.n_stream))
+
+
+class EarlyPayloads:
+    """The beginnings of payloads that make the best surface of so many bytes.
+
+    Parameters
+    ----------
+    keys : iterable of Block
+        Keys of the units that are wanted.
+    max_bytes : int
+        Bytes to read of payloads; the heads of all tiles are read in any case.
+
+    Notes
+    -----
+    `n_bytes` is what has been read of payloads. Memory: those bytes.
+    """
+
+    def __init__(self, container: Container, keys: Iterable[Block], max_bytes: int) -> None:
+        self._container = container
+        self._layout = TileLayout(container.grid)
+        self.n_bytes = 0
+        parts = self._read_heads(self._tiles_above(keys))
+        position = _search(parts.values(), max_bytes)
+        self._payloads = self._read_rest(parts, position)
+
+    def __call__(self, keys: Sequence[Block]) -> list[bytes]:
+        """Return what was read of the payloads of `keys`; nothing of those without."""
+        return [self._payloads.get(key, b"") for key in keys]
+
+    def _tiles_above(self, keys: Iterable[Block]) -> list[Block]:
+        """Return the tiles that hold units, and those above them, once each."""
+        found: dict[Block, None] = {}
+        for unit in keys:
+            key: Block | None = self._layout.key_of(unit)
+            while key is not None and key not in found:
+                found[key] = None
+                key = self._layout.above(key)
+        return list(found)
+
+    def _read_heads(self, keys: list[Block]) -> dict[Block, _Part]:
+        lengths = dict(zip(keys, self._container.payload_lengths(keys), strict=True))
+        keys = [key for key in keys if lengths[key]]
+        starts = dict.fromkeys(keys, b"")
+        parts: dict[Block, _Part] = {}
+        n_first = _FIRST_READ
+        while len(parts) < len(keys):
+            missing = [key for key in keys if key not in parts]
+            ends = {key: min(n_first, lengths[key]) for key in missing}
+            self._read_on(starts, ends)
+            for key in missing:
+                spec = self._layout.spec(key)
+                try:
+                    head, n_head = unpack_head(spec, starts[key])
+                except TruncatedStreamError:
+                    if ends[key] == lengths[key]:
+                        raise
+                    continue
+                if n_head + packed_length(head.n_stream) != lengths[key]:
+                    raise CorruptStreamError(
+                        f"the tile of {unit_name(key)} is damaged: it takes {lengths[key]} bytes,"
+                        f" not {n_head + packed_length(head.n_stream)}"
+                    )
+                parts[key] = _Part(starts[key], head, n_head, spec.n_below)
+            n_first *= 4
+        return parts
+
+    def _read_rest(self, parts: dict[Block, _Part], position: float) -> dict[Block, bytes]:
+        payloads = {key: part.start for key, part in parts.items()}
+        self._read_on(payloads, {key: part.n_bytes(position) for key, part in parts.items()})
+        return payloads
+
+    def _read_on(self, payloads: dict[Block, bytes], ends: dict[Block, int]) -> None:
+        """Lengthen the beginnings of payloads up to `ends`, near ones in one request."""
+        keys = [key for key, end in ends.items() if end > len(payloads[key])]
+        parts = [(key, len(payloads[key]), ends[key]) for key in keys]
+        for key, data in zip(keys, self._container.payload_parts(parts), strict=True):
+            payloads[key] += data
+            self.n_bytes += len(data)
+
+
+def _search(parts: Collection[_Part], max_bytes: int) -> float:
+    """Return the finest position at which `parts` take at most `max_bytes`."""
+    coarsest = max((part.head.n_planes + part.n_below for part in parts), default=0)
+    return finest_position(
+        lambda position: sum(part.n_bytes(position) for part in parts), float(coarsest), max_bytes
+    )

@@ -1,0 +1,146 @@
+"""Resample windows to a given shape, reading no more of the file than that needs."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import InvalidHeightsError, LimitExceededError
+from terrainwave.grid.quadtree import Grid, Region
+
+RESAMPLING = ("nearest", "bilinear", "average")
+
+# Samples that averaging holds at a time: 32 MiB of float64, several times over.
+_BAND_SAMPLES = 4 << 20
+
+# Returns heights and validity of a region of the level `shift` steps coarser than the one asked.
+ReadLevel = Callable[[int, Region], tuple[NDArray[Any], NDArray[np.bool_]]]
+
+
+def resample(
+    read: ReadLevel,
+    region: Region,
+    out_shape: tuple[int, int],
+    method: str,
+    level: int,
+    grid: Grid,
+    max_bytes: int,
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return heights and validity of `region` of `level`, resampled to `out_shape`.
+
+    Output pixel i covers the samples from ``i * scale`` to ``(i + 1) * scale``, as in rasterio.
+    ``nearest`` and ``bilinear`` take samples of the coarsest level that is not coarser than the
+    output; ``average`` is the mean of the valid samples that each output pixel covers.
+    """
+    n_rows, n_cols = (int(size) for size in out_shape)
+    if n_rows < 1 or n_cols < 1:
+        raise InvalidHeightsError(f"found out_shape {tuple(out_shape)}, expected at least (1, 1)")
+    if method == "average":
+        return _average(read, region, (n_rows, n_cols), max_bytes)
+    row_scale, col_scale = region.n_rows / n_rows, region.n_cols / n_cols
+    shift = min(max(int(math.log2(max(min(row_scale, col_scale), 1.0))), 0), level)
+    rows = (region.row + (np.arange(n_rows) + 0.5) * row_scale - 0.5) / (1 << shift)
+    cols = (region.col + (np.arange(n_cols) + 0.5) * col_scale - 0.5) / (1 << shift)
+    shape = grid.level_shape(level - shift)
+    if method == "nearest":
+        return _nearest(read, shift, rows, cols, shape)
+    return _bilinear(read, shift, rows, cols, shape)
+
+
+def _window(rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Region:
+    return Region(
+        int(rows.min()),
+        int(cols.min()),
+        int(rows.max() - rows.min()) + 1,
+        int(cols.max() - cols.min()) + 1,
+    )
+
+
+def _nearest(
+    read: ReadLevel,
+    shift: int,
+    rows: NDArray[np.float64],
+    cols: NDArray[np.float64],
+    shape: tuple[int, int],
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    at_rows = np.clip(np.floor(rows + 0.5), 0, shape[0] - 1).astype(np.int64)
+    at_cols = np.clip(np.floor(cols + 0.5), 0, shape[1] - 1).astype(np.int64)
+    window = _window(at_rows, at_cols)
+    heights, valid = read(shift, window)
+    at = np.ix_(at_rows - window.row, at_cols - window.col)
+    return heights[at], valid[at]
+
+
+def _bilinear(
+    read: ReadLevel,
+    shift: int,
+    rows: NDArray[np.float64],
+    cols: NDArray[np.float64],
+    shape: tuple[int, int],
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    rows, cols = np.clip(rows, 0, shape[0] - 1), np.clip(cols, 0, shape[1] - 1)
+    top, left = np.floor(rows).astype(np.int64), np.floor(cols).astype(np.int64)
+    below, right = np.minimum(top + 1, shape[0] - 1), np.minimum(left + 1, shape[1] - 1)
+    window = _window(np.concatenate([top, below]), np.concatenate([left, right]))
+    heights, valid = read(shift, window)
+    down, across = (rows - top)[:, None], (cols - left)[None, :]
+    total, weights = np.zeros((rows.size, cols.size)), np.zeros((rows.size, cols.size))
+    for at_rows, row_weight in ((top, 1 - down), (below, down)):
+        for at_cols, col_weight in ((left, 1 - across), (right, across)):
+            at = np.ix_(at_rows - window.row, at_cols - window.col)
+            weight = row_weight * col_weight * valid[at]
+            total += weight * heights[at]
+            weights += weight
+    return _weighted(total, weights, heights.dtype)
+
+
+def _average(
+    read: ReadLevel, region: Region, out_shape: tuple[int, int], max_bytes: int
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Average in bands of input rows, so that the window is never held whole."""
+    n_rows, n_cols = out_shape
+    row_edges = np.linspace(0, region.n_rows, n_rows + 1)
+    col_edges = np.linspace(0, region.n_cols, n_cols + 1)
+    if region.n_cols * 8 > max_bytes:
+        raise LimitExceededError(
+            f"one row of {region.n_cols:,} samples is more than max_bytes = {max_bytes:,}"
+        )
+    rows_per_band = max(1, _BAND_SAMPLES // max(region.n_cols, n_cols))
+    total, weights = np.zeros(out_shape), np.zeros(out_shape)
+    for start in range(0, region.n_rows, rows_per_band):
+        stop = min(start + rows_per_band, region.n_rows)
+        heights, valid = read(
+            0, Region(region.row + start, region.col, stop - start, region.n_cols)
+        )
+        # The output rows that the band meets, each with its part of the band.
+        first = int(np.searchsorted(row_edges, start, side="right")) - 1
+        last = int(np.searchsorted(row_edges, stop, side="left"))
+        edges = np.clip(row_edges[first : last + 1], start, stop) - start
+        known = np.where(valid, heights, 0).astype(np.float64)
+        total[first:last] += _integrate(edges, _integrate(col_edges, known.T).T)
+        known = valid.astype(np.float64)
+        weights[first:last] += _integrate(edges, _integrate(col_edges, known.T).T)
+    return _weighted(total, weights, heights.dtype)
+
+
+def _integrate(edges: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Integrate the first axis of piecewise constant `values` between the edges."""
+    n_samples = values.shape[0]
+    cumulated = np.zeros((n_samples + 1, *values.shape[1:]))
+    np.cumsum(values, axis=0, out=cumulated[1:])
+    whole = np.minimum(np.floor(edges).astype(np.int64), n_samples)
+    part = (edges - whole)[:, None]
+    beyond = values[np.minimum(whole, n_samples - 1)]
+    at_edges = cumulated[whole] + part * beyond
+    result: NDArray[np.float64] = np.diff(at_edges, axis=0)
+    return result
+
+
+def _weighted(
+    total: NDArray[np.float64], weights: NDArray[np.float64], dtype: np.dtype[Any]
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    valid = weights > 1e-9
+    means = np.divide(total, weights, out=np.zeros_like(total), where=valid)
+    return (np.rint(means) if dtype.kind in "iu" else means).astype(dtype), valid

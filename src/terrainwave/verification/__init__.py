@@ -1,0 +1,1 @@
+"""Comparison of files with their originals; knows nothing of what made them."""

@@ -1,0 +1,446 @@
+"""Check independently that every decoded height is within the bound of the original.
+
+Shares nothing with the encoder: the original is read by rasterio alone (not `raster_io`), the
+decoded heights come from an ordinary `Terrain`, and what is valid is decided here anew. Memory
+holds a few windows.
+"""
+
+import math
+import os
+import warnings
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import rasterio
+from rasterio.crs import CRS
+from rasterio.enums import MaskFlags
+from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
+from rasterio.windows import Window
+
+from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
+from terrainwave.progress import Progress, ProgressCallback
+from terrainwave.raster_io.crs import parse_crs
+from terrainwave.verification.metrics import ErrorReport, ErrorSum
+
+if TYPE_CHECKING:
+    from terrainwave.verification.meshes import MeshReport
+
+# Samples per window, and its height where the original is striped: windows of few rows would make
+# the decoder run the same blocks again and again.
+_WINDOW_SAMPLES = 4 * 2**20
+_WINDOW_SIDE = 2048
+_WINDOW_ROWS = 256
+
+_GDAL_CACHE_BYTES = 64 * 2**20
+
+# Problems of one kind are listed up to this number, then counted.
+_MAX_LISTED = 10
+
+# An integer bound of 8 quanta stored as 0.1 * 8 may read 7.999999999999999 quanta.
+_SLACK = Fraction(1, 10**9)
+
+
+@dataclass(frozen=True)
+class VerifyReport:
+    """What `verify` found.
+
+    Attributes
+    ----------
+    path, original : str or None
+        The files compared; `original` is None if the file was only checked by itself.
+    bound : float
+        The bound that every sample was held to, in physical units.
+    max_error, effective_error : float
+        The bound asked for at compression, and the one the file states to hold.
+    errors : ErrorReport or None
+        What was measured; None without an original.
+    problems : tuple of str
+        One sentence each; empty if all is well.
+    mesh : MeshReport or None
+        What was checked of the meshes, if that was asked for.
+    """
+
+    path: str
+    original: str | None
+    bound: float
+    max_error: float
+    effective_error: float
+    errors: ErrorReport | None
+    problems: tuple[str, ...]
+    mesh: "MeshReport | None" = None
+
+    @property
+    def ok(self) -> bool:
+        """Tell whether no problem was found."""
+        return not self.problems
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as plain values for JSON, with ``"ok"``."""
+        return {"ok": self.ok, **asdict(self), "problems": list(self.problems)}
+
+
+def verify(
+    twz: str | os.PathLike[str],
+    original: str | os.PathLike[str] | None = None,
+    *,
+    max_error: float | None = None,
+    band: int = 1,
+    nodata: float | None = None,
+    mesh: bool = False,
+    threads: int | None = None,
+    progress: ProgressCallback | None = None,
+) -> VerifyReport:
+    """Check a .twz file against the raster it was made of, or by itself.
+
+    With `original`: every sample must be within the bound, void where the original is void and
+    only there, and size, type, nodata, CRS, transform, units, scale and offset must be the same.
+    Without: all checksums are checked and every block of every level is decoded.
+
+    Parameters
+    ----------
+    twz : path
+        The file to check.
+    original : path, optional
+        The raster it was made of.
+    max_error : float, optional
+        Hold the file to this bound, in physical units, instead of its own.
+    band : int
+        The band of `original` that was compressed.
+    nodata : float, optional
+        The nodata value given at compression, where it differs from the raster's own.
+    mesh : bool
+        Check all meshes too: that each covers its area once without gaps, folds and T-junctions,
+        that neighbours fit, and that no sample is further from a mesh than it states.
+    threads : int, optional
+        Threads that decode; the number of processors by default.
+    progress : callable, optional
+        Called with a `Progress` after each window, in samples.
+
+    Returns
+    -------
+    VerifyReport
+        Problems in its `problems`, not as exceptions, wherever the file could be opened.
+
+    Raises
+    ------
+    TerrainwaveError
+        If one of the files cannot be opened at all.
+
+    Notes
+    -----
+    The bound is the file's effective error, which is at most the one asked for. Integer heights are
+    compared in whole steps, exactly. Float heights on a decimal grid are stored as the float
+    nearest to k*p, which is not k*p itself: two of them are each up to half an ulp off, so their
+    difference may exceed the bound by one ulp of the larger without any sample having left its
+    place. One ulp of the stored type is therefore allowed, only for float files on such a grid and
+    a bound above 0; a bound of 0 means equal, and continuous floats get no allowance.
+    """
+    from terrainwave.terrain import Terrain
+
+    with Terrain(twz, threads=threads) as terrain:
+        if original is None:
+            problems = tuple(terrain.check())
+            bound = _bound(terrain, max_error)
+            report = _report(terrain, twz, None, bound, None, problems)
+            return _with_meshes(report, terrain, None, progress) if mesh else report
+        with _open_original(original) as dataset:
+            if not 1 <= band <= dataset.count:
+                raise InvalidHeightsError(
+                    f"band {band} does not exist, {original} has {dataset.count}"
+                )
+            comparison = _Comparison(terrain, dataset, band, nodata, max_error)
+            report = comparison.run(twz, original, progress)
+            if not mesh or report.errors is None:  # of another size or type
+                return report
+            return _with_meshes(report, terrain, comparison.read_original, progress)
+
+
+def _with_meshes(
+    report: VerifyReport, terrain: Any, read: Any, progress: ProgressCallback | None
+) -> VerifyReport:
+    """Add the checks of meshes to a report, unless the heights can't be read."""
+    # Imported here: numba.
+    from terrainwave.verification.meshes import verify_meshes
+
+    checked, problems = verify_meshes(
+        terrain, None if read is None else lambda region: read(*region), progress
+    )
+    return replace(report, mesh=checked, problems=(*report.problems, *problems))
+
+
+def _bound(terrain: Any, max_error: float | None) -> float:
+    if max_error is not None:
+        return float(max_error)
+    return float(terrain.effective_error)
+
+
+def _report(
+    terrain: Any,
+    twz: Any,
+    original: Any,
+    bound: float,
+    errors: ErrorReport | None,
+    problems: tuple[str, ...],
+) -> VerifyReport:
+    return VerifyReport(
+        path=os.fspath(twz),
+        original=None if original is None else os.fspath(original),
+        bound=bound,
+        max_error=terrain.max_error,
+        effective_error=terrain.effective_error,
+        errors=errors,
+        problems=problems,
+    )
+
+
+def _open_original(path: str | os.PathLike[str]) -> Any:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            return rasterio.open(path)
+    except UnicodeEncodeError as error:
+        raise StorageError(
+            f"{path}: the name is not UTF-8, which GDAL expects; rename the file"
+        ) from error
+    except RasterioIOError as error:
+        if "://" not in os.fspath(path) and not os.path.exists(path):
+            raise StorageError(f"{path}: no such file") from error
+        raise StorageError(f"{path} is not a raster that GDAL can read: {error}") from error
+
+
+class _Comparison:
+    """A decoded file beside its original."""
+
+    def __init__(
+        self,
+        terrain: Any,
+        dataset: Any,
+        band: int,
+        nodata: float | None,
+        max_error: float | None,
+    ) -> None:
+        self._terrain = terrain
+        self._dataset = dataset
+        self._band = band
+        self._dtype = np.dtype(dataset.dtypes[band - 1])
+        declared = dataset.nodatavals[band - 1]
+        self._nodata = declared if nodata is None else nodata
+        self._scale = float(dataset.scales[band - 1])
+        self._bound = _bound(terrain, max_error)
+        flags = dataset.mask_flag_enums[band - 1]
+        self._has_mask = MaskFlags.all_valid not in flags and flags != [MaskFlags.nodata]
+
+    def run(self, twz: Any, original: Any, progress: ProgressCallback | None) -> VerifyReport:
+        terrain = self._terrain
+        problems = list(self._compare_metadata())
+        errors = None
+        shape = self._dataset.height, self._dataset.width
+        if tuple(terrain.shape) == shape and np.dtype(terrain.dtype) == self._dtype:
+            errors, found = self._compare_heights(progress)
+            problems += found
+        return _report(terrain, twz, original, self._bound, errors, tuple(problems))
+
+    def _compare_metadata(self) -> Iterator[str]:
+        terrain, dataset, index = self._terrain, self._dataset, self._band - 1
+        info = terrain.info()
+        if terrain.effective_error > terrain.max_error * (1 + 1e-12):
+            yield (
+                f"the file states an effective error of {terrain.effective_error}, above the"
+                f" {terrain.max_error} it was asked for"
+            )
+        pairs = [
+            ("size", tuple(terrain.shape), (dataset.height, dataset.width)),
+            ("type", np.dtype(terrain.dtype).name, self._dtype.name),
+            ("units", info.units or None, dataset.units[index] or None),
+            ("scale", float(info.scale), self._scale),
+            ("offset", float(info.offset), float(dataset.offsets[index])),
+            ("description", info.description or None, dataset.descriptions[index] or None),
+            # Area is GDAL's default, and not kept by a GeoTIFF that lies nowhere.
+            ("AREA_OR_POINT", info.area_or_point or "Area", self._area_or_point()),
+        ]
+        for name, found, expected in pairs:
+            if found != expected:
+                yield f"{name} is {found!r}, the original's is {expected!r}"
+        if not _same_nodata(terrain.nodata, self._nodata, self._dtype):
+            yield f"nodata is {terrain.nodata!r}, the original's is {self._nodata!r}"
+        found, expected = tuple(terrain.transform())[:6], tuple(dataset.transform)[:6]
+        if found != expected:
+            yield f"the transform is {found}, the original's is {expected}"
+        yield from _compare_crs(terrain.crs, dataset.crs)
+
+    def _area_or_point(self) -> str:
+        return str(self._dataset.tags().get("AREA_OR_POINT", "Area"))
+
+    def _compare_heights(self, progress: ProgressCallback | None) -> tuple[ErrorReport, list[str]]:
+        errors = ErrorSum(self._scale)
+        beyond = _Worst()
+        unreadable: list[str] = []
+        n_taken = n_done = 0
+        total = self._dataset.height * self._dataset.width
+        for row, col, n_rows, n_cols in self._windows():
+            original, valid = self.read_original(row, col, n_rows, n_cols)
+            try:
+                decoded = self._terrain.read(window=(row, col, n_rows, n_cols), masked=True)
+            except TerrainwaveError as error:
+                unreadable.append(f"{_place(row, col, n_rows, n_cols)} cannot be decoded: {error}")
+                continue
+            heights, decoded_valid = np.ma.getdata(decoded), ~np.ma.getmaskarray(decoded)
+            differences = errors.add(row, col, original, heights, valid, decoded_valid)
+            allowed = self._allowed(original, heights, valid & decoded_valid)
+            beyond.add(row, col, differences, allowed)
+            n_taken += int(np.count_nonzero(self._is_nodata(heights) & decoded_valid))
+            n_done += n_rows * n_cols
+            if progress is not None:
+                progress(Progress("verify", n_done, total, n_done * self._dtype.itemsize))
+        report = errors.report()
+        return report, [
+            *_shortened(unreadable),
+            *self._mask_problems(report, n_taken),
+            *beyond.problems(self._scale, self._bound),
+        ]
+
+    def _mask_problems(self, report: ErrorReport, n_taken: int) -> Iterator[str]:
+        if report.n_mask_differences:
+            yield (
+                f"{report.n_mask_differences} samples are void in one of the two and valid in the"
+                " other"
+            )
+        if n_taken:
+            yield f"{n_taken} valid samples decode to the nodata value {self._nodata!r}"
+
+    def _allowed(self, original: np.ndarray, decoded: np.ndarray, both: np.ndarray) -> Any:
+        """Return the largest allowed unscaled difference, a number or one per sample."""
+        scale = Fraction(repr(self._scale)) if self._scale else Fraction(1)
+        bound = Fraction(repr(self._bound)) / abs(scale)
+        if self._dtype.kind != "f":
+            return float(math.floor(bound + _SLACK))
+        allowed = float(bound)
+        # Division by the scale may have rounded down.
+        if self._scale != 1:
+            allowed = math.nextafter(allowed, math.inf)
+        if self._bound == 0 or self._terrain.info().rounding_error > 0:
+            return allowed
+        # Voids may hold NaN and infinities, which have no ulp.
+        zeros = np.zeros(both.shape, self._dtype)
+        largest = np.maximum(
+            np.abs(np.where(both, original, zeros)), np.abs(np.where(both, decoded, zeros))
+        )
+        return allowed + np.spacing(largest).astype(np.float64)
+
+    def read_original(
+        self, row: int, col: int, n_rows: int, n_cols: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return raw heights and validity of a window of the original."""
+        window = Window(col, row, n_cols, n_rows)
+        try:
+            with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES):
+                heights = self._dataset.read(self._band, window=window)
+                valid = ~self._is_nodata(heights)
+                if self._has_mask:
+                    valid &= self._dataset.read_masks(self._band, window=window) > 0
+        except RasterioError as error:
+            raise StorageError(
+                f"the original cannot be read: {_place(row, col, n_rows, n_cols)}"
+            ) from error
+        if self._dtype.kind == "f":
+            valid &= ~np.isnan(heights)
+        return heights, valid
+
+    def _is_nodata(self, heights: np.ndarray) -> np.ndarray:
+        if self._nodata is None or math.isnan(self._nodata):
+            return np.zeros(heights.shape, dtype=bool)
+        if self._dtype.kind == "f":
+            return heights == _as_stored(self._nodata, self._dtype)
+        # Compared as float64, which holds every sample of our integer types: a nodata value out of
+        # the type's range equals none of them.
+        return heights.astype(np.float64) == float(self._nodata)
+
+    def _windows(self) -> Iterator[tuple[int, int, int, int]]:
+        """Yield windows that suit both sides: squares for tiles, wide strips for strips."""
+        n_rows, n_cols = self._dataset.height, self._dataset.width
+        block_cols = self._dataset.block_shapes[self._band - 1][1]
+        if block_cols >= n_cols:
+            cols = min(n_cols, _WINDOW_SAMPLES // _WINDOW_ROWS)
+            rows = max(_WINDOW_SAMPLES // cols // _WINDOW_ROWS, 1) * _WINDOW_ROWS
+        else:
+            rows = cols = _WINDOW_SIDE
+        for row in range(0, n_rows, rows):
+            for col in range(0, n_cols, cols):
+                yield row, col, min(rows, n_rows - row), min(cols, n_cols - col)
+
+
+class _Worst:
+    """Counts samples beyond what is allowed and keeps the one furthest beyond."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._excess = 0.0
+        self._row = self._col = 0
+        self._difference = 0.0
+
+    def add(self, row: int, col: int, differences: np.ndarray, allowed: Any) -> None:
+        if np.ndim(allowed) == 0 and differences.max() <= allowed:
+            return
+        excess = differences - allowed
+        self._count += int(np.count_nonzero(excess > 0))
+        at = int(np.argmax(excess))
+        if excess.flat[at] > self._excess:
+            self._excess = float(excess.flat[at])
+            at_row, at_col = divmod(at, excess.shape[1])
+            self._row, self._col = row + at_row, col + at_col
+            self._difference = float(differences.flat[at])
+
+    def problems(self, scale: float, bound: float) -> Iterator[str]:
+        if self._count:
+            samples = "1 sample is" if self._count == 1 else f"{self._count} samples are"
+            yield (
+                f"{samples} further from the original than {bound:.17g}; the worst, at row"
+                f" {self._row}, column {self._col}, by {self._difference * abs(scale):.17g}"
+            )
+
+
+def _place(row: int, col: int, n_rows: int, n_cols: int) -> str:
+    return f"rows {row} to {row + n_rows - 1}, columns {col} to {col + n_cols - 1}"
+
+
+def _shortened(problems: list[str]) -> list[str]:
+    if len(problems) <= _MAX_LISTED:
+        return problems
+    return [*problems[:_MAX_LISTED], f"… and {len(problems) - _MAX_LISTED} more windows like these"]
+
+
+def _as_stored(nodata: float, dtype: np.dtype[Any]) -> Any:
+    """Return the float that a file of `dtype` holds where it means `nodata`."""
+    with np.errstate(over="ignore", under="ignore"):
+        return np.float64(nodata).astype(dtype)
+
+
+def _same_nodata(found: Any, expected: Any, dtype: np.dtype[Any]) -> bool:
+    if expected is not None and dtype.kind != "f":
+        limits = np.iinfo(dtype)
+        # No sample can equal such a value; the file rightly has none.
+        if not (math.isfinite(expected) and limits.min <= expected <= limits.max):
+            expected = None
+        elif expected != int(expected):
+            expected = None
+    if found is None or expected is None:
+        return found is None and expected is None
+    if math.isnan(found) or math.isnan(expected):
+        return math.isnan(found) and math.isnan(expected)
+    return bool(_as_stored(found, dtype) == _as_stored(expected, dtype))
+
+
+def _compare_crs(found: Any, expected: CRS | None) -> Iterator[str]:
+    if not found or not expected:
+        if bool(found) != bool(expected):
+            yield f"the CRS is {found or 'missing'}, the original's is {expected or 'missing'}"
+        return
+    # Equal by WKT: rasterio's == calls systems the same whose ellipsoids differ in late digits.
+    # A string is from the file, hence parse_crs: rasterio would follow a URL in it.
+    found = parse_crs(found) if isinstance(found, str) else found
+    if found is None or found.to_wkt() != expected.to_wkt():
+        found_text = "not understood" if found is None else found.to_wkt()
+        yield f"the CRS is {found_text}, the original's is {expected.to_wkt()}"

@@ -1,0 +1,1 @@
+"""Making and changing files: from raster to payloads, meshes and index."""

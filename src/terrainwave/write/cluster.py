@@ -1,0 +1,434 @@
+"""`compress` on many machines: shares out the tasks of `subtrees` and puts their results together.
+
+What a cluster must be able to do is `submit(function, *arguments)` and give a future back: a dask
+client, a pool of processes or of threads. It sees tasks of a few kB and results of a few kB;
+heights and payloads go through a depot that all machines see. The levels above the tasks, 1 / 256
+of the samples with the default size, are coded here. Bytes are those of `local_passes`.
+"""
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor, Future, as_completed
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from terrainwave.codec.refiner import FittingRefiner, Heights, Mask, Refiner
+from terrainwave.codec.registry import PYRAMIDS, refiner_by_name
+from terrainwave.container.depot import Depot, StoredSegment
+from terrainwave.container.page import N_CODES
+from terrainwave.container.sink import SpoolSink
+from terrainwave.container.writer import store_segments
+from terrainwave.errors import ClusterError, InvalidHeightsError
+from terrainwave.grid.measure import BlockStats
+from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.grid.quantum import HeightScan
+from terrainwave.mesh.blocks import mesh_codes
+from terrainwave.mesh.sections import make_sections
+from terrainwave.progress import Reporter
+from terrainwave.raster_io.source import RasterSource
+from terrainwave.raster_io.temporary import Spool
+from terrainwave.read.decoder import TreeDecoder
+from terrainwave.tri.stored import STORED_KINDS
+from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, set_codes
+from terrainwave.write.encoder import Stats, TreeEncoder
+from terrainwave.write.job import Job
+from terrainwave.write.local import Coded
+from terrainwave.write.proof import measured_error
+from terrainwave.write.pyramid import Base, Part, Pyramid
+from terrainwave.write.subtrees import (
+    ABOVE,
+    TOP,
+    EncodedSubtree,
+    RasterPlace,
+    Site,
+    draft_subtree,
+    encode_subtree,
+    finish_subtree,
+    make_levels,
+    mesher_of,
+    own_region,
+    prove_region,
+    push_levels,
+    scan_region,
+    spool_of,
+)
+
+# Samples under a task's block, at least: 4096 x 4096.
+TASK_SAMPLES = 1 << 24
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def task_level(grid: Grid, task_samples: int) -> int | None:
+    """Return the level of the blocks whose subtrees are tasks: the finest with enough samples.
+
+    None if all of the raster is in the top segment.
+    """
+    levels = grid.segment_levels()
+    for level in reversed(levels):
+        if (grid.block * grid.stride(level)) ** 2 >= task_samples:
+            return level
+    return levels[0] if levels else None
+
+
+def shared_raster(src: Any, band: int, nodata: float | None) -> RasterPlace:
+    """Return the raster as other machines open it.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If it is no path or URL, and no list of them.
+    """
+    sources = src if isinstance(src, list | tuple) else (src,)
+    if not all(isinstance(source, str | os.PathLike) for source in sources):
+        raise InvalidHeightsError(
+            f"found a {type(src).__name__}; expected the path or URL of a raster that every worker"
+            " of the cluster can read"
+        )
+    paths = [os.fspath(source) for source in sources]
+    found = tuple(os.path.abspath(path) if os.path.exists(path) else path for path in paths)
+    return RasterPlace(found, band, nodata)
+
+
+def executor_of(client: Any) -> Executor:
+    """Return what takes tasks: of a dask client its executor; executors as they are."""
+    if isinstance(client, Executor):
+        return client
+    if hasattr(client, "get_executor"):
+        # Not pure: a second run must not get the first one's results.
+        executor: Executor = client.get_executor(pure=False)
+        return executor
+    raise InvalidHeightsError(
+        f"found a {type(client).__name__} as client, expected a dask.distributed.Client or a"
+        " concurrent.futures.Executor"
+    )
+
+
+def run_tasks(
+    cluster: Executor, function: Callable[..., Result], tasks: Mapping[Item, tuple[Any, ...]]
+) -> Iterator[tuple[Item, Result]]:
+    """Yield (item, result) of every task as it is done; `tasks` are arguments by item.
+
+    Raises
+    ------
+    TerrainwaveError
+        What a task raised, or `ClusterError` if workers were lost with it too often. Tasks that
+        have not begun are cancelled then.
+    """
+    futures = {cluster.submit(function, *tasks[item]): item for item in tasks}
+    try:
+        for future in as_completed(futures):
+            yield futures[future], _result(future)
+    finally:
+        for future in futures:
+            future.cancel()
+
+
+# What dask and concurrent.futures raise where workers die or are taken away.
+_LOST = {"KilledWorker", "BrokenProcessPool", "FutureCancelledError"}
+
+
+def _result(future: "Future[Result]") -> Result:
+    error = None if future.cancelled() else future.exception()
+    if future.cancelled() or type(error).__name__ in _LOST:
+        raise ClusterError(
+            "the cluster has lost a task: its workers, or the scheduler, ended while it ran; look"
+            " at their logs, and give workers more memory if that is why"
+        ) from error
+    return future.result()
+
+
+@dataclass
+class DistributedPasses:
+    """The passes of `compress`, shared out over a cluster.
+
+    Parameters
+    ----------
+    executor : Executor
+        Threads here, for the levels above the tasks.
+    directory : Path
+        For temporary files here.
+    """
+
+    cluster: Executor
+    raster: RasterPlace
+    source: RasterSource
+    grid: Grid
+    level: int
+    depot: Depot
+    directory: Path
+    executor: Executor
+    reporter: Reporter
+
+    def scan(self) -> HeightScan:
+        """Return range, validity and vertical quantum of every sample."""
+        whole = HeightScan(self.source.info.dtype)
+        count = self._counter("scanning")
+        tasks = {region: (self.raster, region) for region in self._own_regions()}
+        for region, found in run_tasks(self.cluster, scan_region, tasks):
+            whole.merge(found)
+            count(region.n_rows * region.n_cols)
+        return whole
+
+    def encode(self, job: Job, method: str) -> Coded:
+        """Code all units; segments below the tasks' blocks are stored in the depot."""
+        site = Site(self.raster, self.depot, job, self.level, method)
+        top = self._top_pyramid(site)
+        try:
+            refiner = refiner_by_name(method)
+            if isinstance(refiner, FittingRefiner) and job.n_valid:
+                refiner = refiner.fitted(job.grid, job.parameters.step, *self._targets(site, top))
+                site = replace(site, tables=refiner.parameters)
+            sink = SpoolSink(job.grid, site.top_heads(), self.directory)
+            encoder = TreeEncoder(
+                job.grid, refiner, job.parameters, top, sink, lambda n_samples: None, self.level
+            )
+            encoder.run(self.executor)
+        finally:
+            top.close()
+        found = self._encode_below(site, sink)
+        codes = _TopCodes(site, sink, found)
+        codes.set({})
+        segments = found.segments
+        if job.mesh != "none":
+            segments = self._mesh(site, refiner, codes)
+        n_bytes = sink.n_bytes + found.n_bytes + len(site.tables)
+        return Coded(method, site.tables, {**sink.spools, **segments}, n_bytes, job)
+
+    def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
+        """Decode the file from disk and compare every sample; return the largest error."""
+        assert not isinstance(path, bytes)  # what has a client is written to disk
+        site = Site(self.raster, self.depot, job, self.level, "store")
+        count = self._counter("proving")
+        tasks = {region: (site, os.path.abspath(path), region) for region in self._own_regions()}
+        largest = 0.0
+        for region, error in run_tasks(self.cluster, prove_region, tasks):
+            largest = max(largest, error)
+            count(region.n_rows * region.n_cols)
+        return measured_error(largest, job.quantizer, job.raw_bound)
+
+    def close(self) -> None:
+        """Delete what tasks have left in the depot."""
+        self.depot.remove()
+
+    def _own_regions(self) -> list[Region]:
+        return [own_region(self.grid, head) for head in self.grid.blocks(self.level)]
+
+    # Levels
+
+    def _top_pyramid(self, site: Site) -> Pyramid:
+        """Return the levels from that of the tasks' blocks up."""
+        shape = site.grid.level_shape(site.level)
+        heights = Spool(shape, np.int32, self.directory)
+        base = Base(site.shift, heights)
+        if site.job.has_voids:
+            base = self._pushed_base(site, heights)
+        top = Pyramid(
+            self.source,
+            site.job.quantizer,
+            site.grid,
+            kind=PYRAMIDS[site.method],
+            has_voids=site.job.has_voids,
+            directory=self.directory,
+            executor=self.executor,
+            base=base,
+        )
+        if site.job.has_voids:
+            top.push()
+            top.pull()
+            for head in site.grid.blocks(site.level):
+                region, fills = self._fills(site, top, site.grid.full_region(head))
+                site.depot.save(
+                    site.name("fills", head), heights=fills, origin=np.array(region[:2])
+                )
+        count = self._counter("making levels")
+        for head, _ in run_tasks(self.cluster, make_levels, self._each(site)):
+            found = site.depot.load(site.name("heights", head))
+            heights.write(site.grid.block_region(head), found["heights"])
+            count(_n_samples(site, head))
+        top.make_heights(lambda done, total: None)
+        return top
+
+    def _pushed_base(self, site: Site, heights: Spool) -> Base:
+        """Return the base of the top levels, its heights still missing."""
+        names = ("mask", "pushed", "known")
+        spools = [
+            Spool(heights.shape, dtype, self.directory) for dtype in (np.bool_, np.int32, np.bool_)
+        ]
+        for head, _ in run_tasks(self.cluster, push_levels, self._each(site)):
+            found = site.depot.load(site.name("pushed", head))
+            for name, spool in zip(names, spools, strict=True):
+                spool.write(site.grid.block_region(head), found[name])
+        return Base(site.shift, heights, *spools)
+
+    def _fills(self, site: Site, top: Pyramid, region: Region) -> tuple[Region, Heights]:
+        """Return the fills that a part over a region of the full grid needs, and their place."""
+        level_shape = site.grid.level_shape(site.level)
+        wanted = Part(region, site.shift).fill_region(site.shift)
+        wanted = wanted.intersect(Region(0, 0, *level_shape))
+        return wanted, top.fills(site.shift, wanted)
+
+    def _targets(
+        self, site: Site, top: Pyramid
+    ) -> tuple[Callable[[int, Region], Heights], Callable[[int, Region], Mask]]:
+        """Return what gives targets and validity of small regions of any level."""
+
+        @lru_cache(1)
+        def below(level: int, region: Region) -> tuple[Heights, Mask]:
+            shift = site.grid.k_max - level
+            row, col, n_rows, n_cols = region
+            full = Region(
+                row << shift, col << shift, (n_rows - 1 << shift) + 1, (n_cols - 1 << shift) + 1
+            )
+            part = site.pyramid(self.source, full, self.directory, self.executor)
+            try:
+                if site.job.has_voids:
+                    at, fills = self._fills(site, top, full)
+                    part.push()
+                    part.pull(spool_of(fills, (at.row, at.col), self.directory))
+                part.make_heights(lambda done, total: None)
+                return part.heights(level, region), part.mask(level, region)
+            finally:
+                part.close()
+
+        def heights(level: int, region: Region) -> Heights:
+            return top.heights(level, region) if level <= site.level else below(level, region)[0]
+
+        def mask(level: int, region: Region) -> Mask:
+            return top.mask(level, region) if level <= site.level else below(level, region)[1]
+
+        return heights, mask
+
+    # Payloads
+
+    def _encode_below(self, site: Site, sink: SpoolSink) -> "_Below":
+        """Have the groups below the tasks' blocks coded."""
+        _set_no_codes(site.grid, sink)
+        self._store_top(site, ABOVE, sink)
+        count = self._counter("encoding")
+        found = _Below()
+        for head, encoded in run_tasks(self.cluster, encode_subtree, self._each(site)):
+            found.take(site, encoded)
+            count(_n_samples(site, head))
+        return found
+
+    def _store_top(self, site: Site, stage: str, sink: SpoolSink) -> None:
+        store_segments(site.depot, site.top_name(stage), site.grid, site.top_heads(), sink.spools)
+
+    # Meshes
+
+    def _mesh(
+        self, site: Site, refiner: Refiner, codes: "_TopCodes"
+    ) -> dict[Block | None, StoredSegment]:
+        """Have meshes made and measured; return where the finished segments lie."""
+        job, grid, sink = site.job, site.grid, codes.sink
+        decoder = TreeDecoder(grid, refiner, job.parameters, sink.payloads, _CACHE_BYTES)
+        mesher = mesher_of(site, decoder, lambda block: codes.errors.get(block, 0))
+        sections = make_sections(
+            grid, mesher, self.executor, lambda n_samples: None, range(site.level + 1)
+        )
+        sink.set_meshes(sections)
+        self._store_top(site, TOP, sink)
+        rounds = self._agree(site) if job.mesh in STORED_KINDS else {}
+        count = self._counter("measuring meshes")
+        tasks = {head: (site, head, rounds.get(head)) for head in grid.blocks(site.level)}
+        segments: dict[Block | None, StoredSegment] = {}
+        errors: dict[Block, int] = {}
+        for head, finished in run_tasks(self.cluster, finish_subtree, tasks):
+            segments |= zip(grid.segment_heads_below(head), finished.places, strict=True)
+            for block, error in finished.ancestors.items():
+                errors[block] = max(errors.get(block, 0), error)
+            count(_n_samples(site, head))
+        codes.set(mesh_codes(errors, Fraction(job.lost)))
+        return segments
+
+    def _agree(self, site: Site) -> dict[Block, int]:
+        """Let subtrees agree on border vertices; return each one's last round that changed it."""
+        heads = site.grid.blocks(site.level)
+        last: dict[Block, int] = {}
+        late = heads
+        number = 0
+        while late:
+            tasks = {
+                head: (site, head, {near: last[near] for near in _cross(head, last)}, number)
+                for head in late
+            }
+            count = self._counter(f"making meshes, round {number + 1}")
+            changed = []
+            for head, has_changed in run_tasks(self.cluster, draft_subtree, tasks):
+                count(_n_samples(site, head))
+                if has_changed:
+                    changed.append(head)
+            last |= dict.fromkeys(changed, number)
+            late = sorted({near for head in changed for near in _cross(head, last)})
+            number += 1
+        return last
+
+    def _each(self, site: Site) -> dict[Block, tuple[Site, Block]]:
+        return {head: (site, head) for head in site.grid.blocks(site.level)}
+
+    def _counter(self, stage: str) -> Callable[[int], None]:
+        itemsize = np.dtype(self.source.info.dtype).itemsize
+        return self.reporter.counter(stage, self.grid.n_rows * self.grid.n_cols, itemsize)
+
+
+_CACHE_BYTES = 128 << 20
+
+
+@dataclass
+class _Below:
+    """What tasks have told of the groups they coded, put together."""
+
+    segments: dict[Block | None, StoredSegment] = field(default_factory=dict)
+    stats: Stats = field(default_factory=dict)
+    boxes: dict[Block, Box] = field(default_factory=dict)
+    n_bytes: int = 0
+
+    def take(self, site: Site, encoded: EncodedSubtree) -> None:
+        heads = site.grid.segment_heads_below(encoded.head)
+        self.segments |= zip(heads, encoded.places, strict=True)
+        for block, found in encoded.ancestors.items():
+            self.stats.setdefault(block, BlockStats()).merge(found)
+        if encoded.box is not None:
+            self.boxes[encoded.head] = encoded.box
+        self.n_bytes += encoded.n_bytes
+
+
+class _TopCodes:
+    """The codes of the blocks above and at the beginning of the tasks."""
+
+    def __init__(self, site: Site, sink: SpoolSink, below: _Below) -> None:
+        quantizer = site.job.quantizer
+        self.sink = sink
+        self.errors = error_codes(below.stats, site.job.lost)
+        self._grid = site.grid
+        self._whole = quantizer.z_min, quantizer.z_max
+        self._boxes = enclosing_boxes(below.stats, self.errors, self._whole, below.boxes)
+
+    def set(self, mesh_errors: Mapping[Block, int]) -> None:
+        """Give every block its box and errors."""
+        set_codes(self._grid, self.sink.spools, self._whole, self._boxes, self.errors, mesh_errors)
+
+
+def _set_no_codes(grid: Grid, sink: SpoolSink) -> None:
+    for spool in sink.spools.values():
+        for key in spool.keys():
+            spool.set_codes(key, bytes(N_CODES * len(grid.key_blocks(key))))
+
+
+def _n_samples(site: Site, head: Block) -> int:
+    region = own_region(site.grid, head)
+    return region.n_rows * region.n_cols
+
+
+def _cross(head: Block, known: Mapping[Block, int]) -> list[Block]:
+    """Return a block and the four beside it, those of them that are in `known`."""
+    level, row, col = head
+    places = ((row, col), (row - 1, col), (row + 1, col), (row, col - 1), (row, col + 1))
+    return [Block(level, *place) for place in places if Block(level, *place) in known]

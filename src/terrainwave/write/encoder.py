@@ -1,0 +1,187 @@
+"""Pass B: code the units top down in a closed loop, depth first (DESIGN §3.10).
+
+A unit needs its parent's decoded block and nothing else, so the tree is walked with only the chain
+of decoded ancestors in memory, and subtrees run side by side, in threads of one process or on many
+machines. Nothing here depends on the order.
+"""
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Executor
+from typing import NamedTuple, Protocol
+
+from terrainwave.codec.group import encode_unit
+from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
+from terrainwave.codec.units import (
+    CodecParameters,
+    block_of_unit,
+    unit_spec,
+)
+from terrainwave.grid.measure import BlockStats, measure_block, measure_samples
+from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.write.pyramid import Pyramid
+
+# The first levels are walked breadth first until there are this many subtrees to share out.
+_MIN_SUBTREES = 8
+
+Stats = dict[Block, BlockStats]
+
+
+class PayloadSink(Protocol):
+    """Where finished payloads go; called from several threads, in any order."""
+
+    def __call__(self, key: Block, payload: bytes) -> None:
+        """Take the payload of the unit `key`."""
+        ...
+
+
+class _Ancestor(NamedTuple):
+    block: Block
+    region: Region
+    heights: Heights
+
+
+class TreeEncoder:
+    """Encode all units of a raster, or those above a level, or those of a subtree.
+
+    Parameters
+    ----------
+    refiner : Refiner or None
+        None where a subclass codes without one.
+    on_samples : callable
+        Called with the number of full-grid samples whose unit is finished, from any thread.
+    last_level : int, optional
+        The finest level of blocks that is coded; by default all are.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        refiner: Refiner | None,
+        parameters: CodecParameters,
+        pyramid: Pyramid,
+        sink: PayloadSink,
+        on_samples: Callable[[int], None],
+        last_level: int | None = None,
+    ) -> None:
+        self._grid = grid
+        self._refiner = refiner
+        self._parameters = parameters
+        self._pyramid = pyramid
+        self._sink = sink
+        self._on_samples = on_samples
+        self._last_level = grid.k_max if last_level is None else last_level
+        self._stats: Stats = {}
+        self._lock = threading.Lock()
+        self._is_stopped = False
+
+    def run(self, executor: Executor) -> Stats:
+        """Encode all down to the last level; return range and measured error of every block.
+
+        Without the finest level nothing is measured.
+        """
+        starts: list[tuple[Block, Decoded | None, list[_Ancestor]]]
+        starts = [(key, None, []) for key in self._grid.root_keys()]
+        try:
+            while starts and len(starts) < _MIN_SUBTREES:
+                following = executor.map(lambda start: self._encode_unit(*start), starts)
+                starts = [start for children in following for start in children]
+            for _ in executor.map(lambda start: self._encode_subtree(*start), starts):
+                pass
+        except BaseException:
+            # Ctrl-C, a full disk: subtrees that run in other threads end at their next unit.
+            self._is_stopped = True
+            raise
+        return self._stats
+
+    def run_subtree(self, head: Block, decoded: Callable[[Block], Decoded]) -> Stats:
+        """Encode the groups of `head` and of all blocks below it, in this thread.
+
+        `decoded` returns `head` and its ancestors as decoded before. What is returned of ancestors
+        is what the originals below `head` tell of them.
+        """
+        chain = []
+        for level in range(head.level + 1):
+            block = Block(level, head.row >> head.level - level, head.col >> head.level - level)
+            chain.append(self._ancestor(block, decoded(block)))
+        self._encode_subtree(head, decoded(head), chain)
+        return self._stats
+
+    def _encode_subtree(self, key: Block, parent: Decoded | None, chain: list[_Ancestor]) -> None:
+        for start in self._encode_unit(key, parent, chain):
+            if not self._is_stopped:
+                self._encode_subtree(*start)
+
+    def _encode_unit(
+        self, key: Block, parent: Decoded | None, chain: list[_Ancestor]
+    ) -> list[tuple[Block, Decoded, list[_Ancestor]]]:
+        """Encode one unit; return what is to be encoded below it."""
+        grid = self._grid
+        spec = unit_spec(grid, self._parameters, key)
+        target = self._pyramid.heights(spec.level, spec.region)
+        mask = self._pyramid.mask(spec.level, spec.region)
+        payload, decoded = self.code_unit(key, spec, parent, target, mask)
+        self._sink(key, payload)
+        blocks = grid.key_blocks(key)
+        parts = [block_of_unit(grid, spec, decoded, block) for block in blocks]
+        if spec.level == grid.k_max:
+            core = spec.core.slices_in(spec.region)
+            is_measured = self.measured(spec.core, mask[core])
+            self._measure(spec, blocks, chain, target[core], is_measured, decoded)
+            self._on_samples(spec.core.n_rows * spec.core.n_cols)
+            return []
+        if spec.level == self._last_level:
+            return []
+        return [
+            (block, part, [*chain, self._ancestor(block, part)])
+            for block, part in zip(blocks, parts, strict=True)
+        ]
+
+    def code_unit(
+        self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
+    ) -> tuple[bytes, Decoded]:
+        """Return the payload of a unit and what it decodes to."""
+        assert self._refiner is not None
+        return encode_unit(self._refiner, spec, parent, target, mask)
+
+    def measured(self, region: Region, mask: Mask) -> Mask:
+        """Return which samples of a region of the full grid are originals: all valid ones."""
+        return mask
+
+    def _ancestor(self, block: Block, decoded: Decoded) -> _Ancestor:
+        """Return the samples of a decoded block, without its apron."""
+        region = self._grid.block_region(block)
+        framed = self._grid.block_region(block, 1 if self._parameters.rings == 3 else 0)
+        return _Ancestor(block, region, decoded.heights[region.slices_in(framed)])
+
+    def _measure(
+        self,
+        spec: GroupSpec,
+        blocks: list[Block],
+        chain: list[_Ancestor],
+        originals: Heights,
+        mask: Mask,
+        decoded: Decoded,
+    ) -> None:
+        """Update the statistics of the finest blocks of a unit and of all their ancestors."""
+        grid = self._grid
+        found: Stats = {}
+        whole = BlockStats()
+        for block in blocks:
+            region = grid.block_region(block)
+            at = region.slices_in(spec.core)
+            heights = decoded.heights[region.slices_in(spec.region)]
+            found[block] = measure_samples(originals[at], mask[at], heights)
+            # Blocks share a row or column of samples.
+            whole.merge(found[block])
+        for ancestor in chain:
+            stride = grid.stride(ancestor.block.level)
+            row = spec.core.row - ancestor.region.row * stride
+            col = spec.core.col - ancestor.region.col * stride
+            error = 0
+            if not whole.is_empty:
+                error = measure_block(ancestor.heights, stride, originals, mask, row, col)
+            found[ancestor.block] = BlockStats(whole.z_low, whole.z_high, error)
+        with self._lock:
+            for block, stats in found.items():
+                self._stats.setdefault(block, BlockStats()).merge(stats)

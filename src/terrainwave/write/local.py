@@ -1,0 +1,334 @@
+"""The three passes of `compress` over a raster, in threads of this process (DESIGN §3.10)."""
+
+import os
+import shutil
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.codec.refiner import FittingRefiner
+from terrainwave.codec.registry import PYRAMIDS, refiner_by_name
+from terrainwave.container.depot import StoredSegment
+from terrainwave.container.sink import SpoolSink
+from terrainwave.container.spool import SegmentSpool
+from terrainwave.errors import StorageError
+from terrainwave.grid.quadtree import Block, Region
+from terrainwave.grid.quantum import HeightScan
+from terrainwave.mesh.blocks import measure_meshes, mesh_codes
+from terrainwave.mesh.sections import make_meshes
+from terrainwave.progress import Reporter
+from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.source import RasterSource
+from terrainwave.raster_io.temporary import Spool
+from terrainwave.read.tiles import make_decoder
+from terrainwave.terrain import Terrain
+from terrainwave.write.boxes import enclosing_boxes, error_codes, set_codes
+from terrainwave.write.encoder import Stats, TreeEncoder
+from terrainwave.write.job import Job
+from terrainwave.write.proof import allowed_error, compare_window, measured_error, proof_windows
+from terrainwave.write.pyramid import Pyramid, SourceWindows
+
+_MESH_CACHE_BYTES = 128 << 20
+
+
+@dataclass
+class LocalPasses:
+    """The passes over `source`, in the threads of `executor`; large data in `directory`."""
+
+    source: RasterSource
+    directory: Path
+    executor: Executor
+    reporter: Reporter
+    _windows: "Windows | None" = None
+
+    @property
+    def windows(self) -> "Windows":
+        """Return the raster's windows; there are some once it has been scanned."""
+        assert self._windows is not None
+        return self._windows
+
+    def scan(self) -> HeightScan:
+        """Return range, validity and vertical quantum of every sample."""
+        self._windows, scan = scan_source(self.source, self.directory, self.reporter)
+        return scan
+
+    def encode(self, job: Job, method: str) -> "Coded":
+        """Code all units into one spool per segment."""
+        return encode(job, method, self.windows, self.directory, self.executor, self.reporter)
+
+    def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
+        """Decode the file from disk and compare every sample; return the largest error."""
+        return prove(path, job, self.windows, self.executor, self.reporter)
+
+    def close(self) -> None:
+        """Delete temporary data."""
+        if self._windows is not None:
+            self._windows.close()
+
+
+# Pass A
+
+
+class Windows(SourceWindows):
+    """The source's windows; those of striped sources are spooled in tiles during the scan.
+
+    A narrow window of a striped raster decodes whole strips, once for every window beside it.
+    """
+
+    def __init__(self, source: RasterSource, directory: Path) -> None:
+        self._source = source
+        self._shape = source.info.n_rows, source.info.n_cols
+        self._directory = directory
+        self._heights: Spool | None = None
+        self._voids: Spool | None = None
+        if source.is_striped:
+            self._heights = Spool(self._shape, source.info.dtype, directory)
+
+    def scan(self) -> Iterator[tuple[NDArray[Any], NDArray[np.bool_]]]:
+        """Yield (heights, validity), once over the whole raster in the source's order."""
+        for region in self._source.blocks():
+            heights, valid = self._source.read(*region)
+            if self._heights is not None:
+                self._heights.write(region, heights)
+                if self._voids is None and not valid.all():
+                    self._voids = Spool(self._shape, np.bool_, self._directory)
+                if self._voids is not None:
+                    self._voids.write(region, ~valid)
+            yield heights, valid
+
+    def read(
+        self, row: int, col: int, n_rows: int, n_cols: int
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return raw heights and validity of a window."""
+        if self._heights is None:
+            return self._source.read(row, col, n_rows, n_cols)
+        region = Region(row, col, n_rows, n_cols)
+        if self._voids is None:
+            return self._heights.read(region), np.ones(region.shape, dtype=np.bool_)
+        return self._heights.read(region), ~self._voids.read(region)
+
+    def close(self) -> None:
+        """Delete the spools."""
+        for spool in (self._heights, self._voids):
+            if spool is not None:
+                spool.close()
+
+
+def scan_source(
+    source: RasterSource, directory: Path, reporter: Reporter
+) -> tuple[Windows, HeightScan]:
+    """Read the source once: range, validity and vertical quantum of every sample."""
+    info = source.info
+    _check_free_space(info, directory, source.is_striped)
+    scan = HeightScan(info.dtype)
+    windows = Windows(source, directory)
+    total = info.n_rows * info.n_cols
+    for heights, valid in windows.scan():
+        scan.update(heights, valid)
+        n_bytes = scan.n_samples * np.dtype(info.dtype).itemsize
+        reporter.report("scanning", scan.n_samples, total, n_bytes)
+    return windows, scan
+
+
+def _check_free_space(info: RasterInfo, directory: Path, is_striped: bool) -> None:
+    """Refuse to begin what the temporary directory cannot hold."""
+    n_samples = info.n_rows * info.n_cols
+    needed = n_samples * 4 // 3 + (info.n_bytes if is_striped else 0)
+    free = shutil.disk_usage(directory).free
+    if needed > free:
+        raise StorageError(
+            f"temporary data need about {needed / 1e9:.1f} GB, {directory.parent} has"
+            f" {free / 1e9:.1f} GB free: name another directory with --temp-dir"
+        )
+
+
+# Pass B
+
+
+@dataclass
+class Coded:
+    """What coding a raster has made: method, tables, segments, bytes of payloads and tables.
+
+    `job` is the one that was coded; that of an embedded file has got its measured error.
+    """
+
+    method: str
+    parameters: bytes
+    segments: dict[Block | None, SegmentSpool | StoredSegment]
+    n_bytes: int
+    job: Job
+
+    def close(self) -> None:
+        """Delete the spools."""
+        for segment in self.segments.values():
+            if isinstance(segment, SegmentSpool):
+                segment.close()
+
+
+def smaller(first: Coded, second: Coded) -> Coded:
+    """Return the smaller one; the other is closed."""
+    kept, dropped = (first, second) if first.n_bytes <= second.n_bytes else (second, first)
+    dropped.close()
+    return kept
+
+
+def encode(
+    job: Job,
+    method: str,
+    source: SourceWindows,
+    directory: Path,
+    executor: Executor,
+    reporter: Reporter,
+) -> Coded:
+    """Code all units into one spool per segment."""
+    pyramid = Pyramid(
+        source,
+        job.quantizer,
+        job.grid,
+        kind=PYRAMIDS[method],
+        has_voids=job.has_voids,
+        directory=directory,
+        executor=executor,
+    )
+    try:
+        itemsize = np.dtype(job.info.dtype).itemsize
+        pyramid.build(
+            lambda done, total: reporter.report("making levels", done, total, done * itemsize)
+        )
+        sink = SpoolSink(job.grid, job.grid.segment_heads(), directory)
+        total = job.grid.n_rows * job.grid.n_cols
+        n_units = job.grid.n_units()
+        done = 0
+        lock = threading.Lock()
+
+        def on_samples(n_samples: int) -> None:
+            nonlocal done
+            with lock:
+                done = min(done + n_samples, total)
+                reporter.report(
+                    "encoding",
+                    done,
+                    total,
+                    done * itemsize,
+                    n_bytes_out=sink.n_bytes,
+                    n_units=sink.n_units,
+                    n_units_total=n_units,
+                    n_levels=job.grid.k_max + 1,
+                )
+
+        section = b""
+        if method == "cdf53":
+            # Imported here: compiling costs seconds that other methods need not pay.
+            from terrainwave.write.tiles import encode_tiles
+
+            stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
+        else:
+            section, stats = _encode_units(job, method, pyramid, sink, on_samples, executor)
+        if job.is_embedded:
+            job = job.with_measured(_finest_error(job, stats))
+        errors = error_codes(stats, job.lost)
+        mesh_errors = _mesh_errors(job, method, section, pyramid, sink, errors, executor, reporter)
+    finally:
+        pyramid.close()
+    whole = job.quantizer.z_min, job.quantizer.z_max
+    boxes = enclosing_boxes(stats, errors, whole, {})
+    set_codes(job.grid, sink.spools, whole, boxes, errors, mesh_errors)
+    return Coded(method, section, {**sink.spools}, sink.n_bytes + len(section), job)
+
+
+def _encode_units(
+    job: Job,
+    method: str,
+    pyramid: Pyramid,
+    sink: SpoolSink,
+    on_samples: Callable[[int], None],
+    executor: Executor,
+) -> tuple[bytes, Stats]:
+    """Code every unit; return the method's tables and what was measured."""
+    parameters, section = job.parameters, b""
+    refiner = refiner_by_name(method)
+    if isinstance(refiner, FittingRefiner) and job.n_valid:
+        refiner = refiner.fitted(job.grid, parameters.step, pyramid.heights, pyramid.mask)
+        section = refiner.parameters
+    encoder = TreeEncoder(job.grid, refiner, parameters, pyramid, sink, on_samples)
+    return section, encoder.run(executor)
+
+
+def _finest_error(job: Job, stats: Stats) -> int:
+    """Return the largest error of the finest blocks, in quanta."""
+    k_max = job.grid.k_max
+    return max((found.error for block, found in stats.items() if block.level == k_max), default=0)
+
+
+def _mesh_errors(
+    job: Job,
+    method: str,
+    section: bytes,
+    pyramid: Pyramid,
+    sink: SpoolSink,
+    errors: dict[Block, int],
+    executor: Executor,
+    reporter: Reporter,
+) -> dict[Block, int]:
+    """Return the error code of every block's mesh, measured against the originals."""
+    if job.mesh == "none":
+        return {}
+    grid = job.grid
+    decoder = make_decoder(method, section, grid, job.parameters, sink.payloads, _MESH_CACHE_BYTES)
+    size = grid.n_rows * grid.n_cols, np.dtype(job.info.dtype).itemsize
+    mesher, sections = make_meshes(
+        grid,
+        decoder,
+        lambda block: errors.get(block, 0),
+        job.mesh_tolerance,
+        has_voids=job.has_voids,
+        kind=job.mesh,
+        executor=executor,
+        on_samples=reporter.counter("making meshes", *size),
+    )
+    sink.set_meshes(sections)
+    count = reporter.counter("measuring meshes", *size)
+    found = measure_meshes(grid, mesher, pyramid.originals, executor, count)
+    return mesh_codes(found, Fraction(job.lost))
+
+
+# Pass C
+
+
+def prove(
+    path: str | os.PathLike[str] | bytes,
+    job: Job,
+    source: SourceWindows,
+    executor: Executor,
+    reporter: Reporter,
+) -> float:
+    """Decode the file from disk and compare every sample and the mask; return the largest error.
+
+    Raises
+    ------
+    BoundViolationError
+        If a sample is further than the bound from the original, or valid where that is void.
+    """
+    grid = job.grid
+    regions = proof_windows(grid)
+    allowed = allowed_error(job.quantizer, job.raw_bound)
+    largest = 0.0
+    with Terrain(path, threads=1) as terrain:
+
+        def compare(region: Region) -> float:
+            return compare_window(terrain, source, region, allowed)
+
+        done = 0
+        for region, error in zip(regions, executor.map(compare, regions), strict=True):
+            largest = max(largest, error)
+            done += region.n_rows * region.n_cols
+            n_bytes = done * np.dtype(job.info.dtype).itemsize
+            reporter.report("proving", done, grid.n_rows * grid.n_cols, n_bytes)
+    return measured_error(largest, job.quantizer, job.raw_bound)

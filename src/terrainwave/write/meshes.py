@@ -1,0 +1,173 @@
+"""Add meshes to a finished file, without coding its heights again."""
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from terrainwave.arguments import check_threads, checked_error, checked_mesh
+from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.container.page import N_CODES
+from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
+from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.writer import assemble
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.grid.quadtree import Block, Region
+from terrainwave.grid.quantum import as_fraction
+from terrainwave.mesh.blocks import (
+    Originals,
+    measure_meshes,
+    mesh_codes,
+    mesh_tolerance,
+)
+from terrainwave.mesh.sections import make_meshes
+from terrainwave.progress import ProgressCallback, Reporter
+from terrainwave.raster_io.source import RasterSource
+from terrainwave.terrain import Terrain
+
+
+def store_meshes(
+    src: str | os.PathLike[str],
+    dst: str | os.PathLike[str],
+    *,
+    mesh: str = "auto",
+    mesh_error: float | None = None,
+    original: Any = None,
+    threads: int | None = None,
+    overwrite: bool = False,
+    progress: ProgressCallback | None = None,
+) -> str:
+    """Write a .twz file with meshes of all its blocks; return its path.
+
+    Parameters
+    ----------
+    src : path or URL
+        A .twz file, with or without meshes.
+    dst : path
+        The file to make. It appears complete or not at all.
+    mesh : str
+        ``"halves"``, ``"zerotree"``, ``"rqt"`` or ``"auto"`` (halves), as in `compress`.
+    mesh_error : float, optional
+        As in `compress`.
+    original : path, dataset or array, optional
+        The raster the file was made of: errors of meshes are then measured against it. Without,
+        they are those against the decoded heights plus the file's own bound: true as well, and a
+        little larger.
+    threads : int, optional
+        All processors by default; the bytes don't depend on it.
+    overwrite : bool
+        Replace an existing `dst`.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If an option cannot be used, or `original` is not what the file was made of.
+    CorruptStreamError
+        If the file is damaged; `dst` is untouched.
+    StorageError
+        If something cannot be read or written, or `dst` is `src`; `dst` is untouched.
+    """
+    kind, error = checked_mesh(mesh, or_none=False), checked_error("mesh_error", mesh_error)
+    check_threads(threads)
+    refuse_own_source(src, dst)
+    n_threads = threads or os.cpu_count() or 1
+    reporter = Reporter(progress)
+    with (
+        publish(dst, overwrite=overwrite) as part,
+        Terrain(src, threads=1) as terrain,
+        scratch_directory(Path(dst).absolute().parent, Path(dst).name) as directory,
+        ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
+    ):
+        container = terrain._container
+        header = replace(
+            container.header,
+            mesh=kind,
+            mesh_tolerance=_tolerance(terrain, error),
+        )
+        grid = header.grid
+        size = grid.n_rows * grid.n_cols, terrain.dtype.itemsize
+        mesher, sections = make_meshes(
+            grid,
+            terrain._decoder,
+            lambda block: container.codes(block)[2],
+            header.mesh_tolerance,
+            has_voids=terrain.raster_info.mask_kind != "none",
+            kind=header.mesh,
+            executor=executor,
+            on_samples=reporter.counter("making meshes", *size),
+        )
+        originals, lost = _originals(terrain, original)
+        count = reporter.counter("measuring meshes", *size)
+        codes = mesh_codes(measure_meshes(grid, mesher, originals, executor, count), lost)
+        spools = _copied(terrain, codes, directory, sections)
+        assemble(part.file, header, spools)
+        for spool in spools.values():
+            spool.close()
+    return os.fspath(dst)
+
+
+def _tolerance(terrain: Terrain, mesh_error: float | None) -> int:
+    """Return the tolerance of the finest meshes in 1/16 quanta, rounded down."""
+    header = terrain._container.header
+    if mesh_error is None:
+        error = max(Fraction(header.effective_bound), header.quantum)
+    else:
+        error = as_fraction(mesh_error) / abs(as_fraction(terrain.raster_info.scale))
+    return mesh_tolerance(error, header.quantum)
+
+
+def _originals(terrain: Terrain, original: Any) -> tuple[Originals, Fraction]:
+    """Return what meshes are measured against, and what to add to errors, in quanta."""
+    header, level = terrain._container.header, terrain.n_levels - 1
+    rho = Fraction(header.rho) / header.quantum
+    if original is None:
+        decoder = terrain._decoder
+        return lambda region: decoder.window(level, region), (header.step >> 1) + rho
+    source, quantizer = RasterSource(original), terrain._quantizer
+    if (source.info.n_rows, source.info.n_cols) != terrain.shape:
+        raise InvalidHeightsError(
+            f"found an original of {source.info.n_rows} x {source.info.n_cols} samples, expected"
+            f" {terrain.shape[0]} x {terrain.shape[1]}"
+        )
+
+    def read(region: Region) -> tuple[Heights, Mask]:
+        raw, valid = source.read(*region)
+        heights = quantizer.quantize(raw, valid)
+        decoded, mask = terrain._decoder.window(level, region)
+        apart = np.abs(heights.astype(np.int64) - decoded)[valid & mask].max(initial=0)
+        if not np.array_equal(valid, mask) or apart > header.step >> 1:
+            raise InvalidHeightsError(
+                f"the original does not fit the file in the window {tuple(region)}: expected the"
+                " raster that it was made of"
+            )
+        return heights, valid
+
+    return read, rho
+
+
+def _copied(
+    terrain: Terrain,
+    mesh_codes: dict[Block, int],
+    directory: Path,
+    sections: Mapping[Block, bytes] | None = None,
+) -> dict[Block | None, SegmentSpool]:
+    """Return the file's payloads with new codes and mesh sections (None: its own)."""
+    container, grid = terrain._container, terrain.grid
+    spools: dict[Block | None, SegmentSpool] = {}
+    for head in grid.segment_heads():
+        spool = spools[head] = SegmentSpool(directory)
+        segment = container.segment(head)
+        for key in segment.layout.keys:
+            codes = bytearray()
+            for block in grid.key_blocks(key):
+                row = segment.page.codes[segment.block_rows[block]]
+                codes += bytes(row[: N_CODES - 1]) + bytes([mesh_codes.get(block, 0)])
+            mesh = container.mesh(key) if sections is None else sections.get(key, b"")
+            spool.add(key, container.payload(key), codes=bytes(codes), mesh=mesh)
+        spool.finish()
+    return spools

@@ -1,0 +1,564 @@
+"""Bring a file up to date with a newer raster of all or part of its area. Start at `patch`.
+
+A file does not hold its originals, so that a group's source counts as changed where the decoded
+heights are no longer within the bound of the new raster, or voids differ. Such groups, and those
+whose parent's decoded heights have changed, are coded again with the file's own parameters; a
+sample whose prediction is as it was gets its old height again, as only one multiple of the step is
+within the bound. All other payloads are copied.
+"""
+
+import os
+from collections.abc import Mapping
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.arguments import check_threads
+from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
+from terrainwave.codec.registry import refiner_by_name
+from terrainwave.codec.units import block_of_unit
+from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
+from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
+from terrainwave.container.sink import SpoolSink
+from terrainwave.container.writer import assemble
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.mesh.blocks import measure_meshes, mesh_codes
+from terrainwave.mesh.sections import make_meshes
+from terrainwave.progress import ProgressCallback, Reporter
+from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.source import RasterSource
+from terrainwave.raster_io.temporary import Spool
+from terrainwave.read.decoder import TreeDecoder, unit_key
+from terrainwave.terrain import Terrain
+from terrainwave.write.boxes import Box, enclosing_boxes
+from terrainwave.write.encoder import Stats, TreeEncoder
+from terrainwave.write.proof import allowed_error, compare_window, measured_error, proof_windows
+from terrainwave.write.pyramid import Pyramid
+
+_CACHE_BYTES = 128 << 20
+_WINDOW = 512
+# Beyond the raster's edge two rows or columns are continued, in both directions: 3 x 3 times what a
+# sample changes.
+_CONTINUED = 9
+# Of a pixel: how far from the file's samples those of a raster may lie.
+_MISALIGNED = 1e-3
+
+
+@dataclass(frozen=True)
+class PatchResult:
+    """What `patch` did; errors in physical units, measured where the new raster is."""
+
+    path: str
+    n_bytes: int
+    n_recoded: int
+    n_copied: int
+    effective_error: float
+    measured_error: float
+    units: str | None
+
+
+def patch(
+    path: str | os.PathLike[str],
+    src: Any,
+    *,
+    band: int = 1,
+    nodata: float | None = None,
+    temp_dir: str | os.PathLike[str] | None = None,
+    threads: int | None = None,
+    progress: ProgressCallback | None = None,
+) -> PatchResult:
+    """Code the groups of a .twz file again whose heights differ in `src`; copy all others.
+
+    Parameters
+    ----------
+    path : path
+        A file of method predictive. It is replaced at the end; whoever has it open keeps the old
+        one. It stays as it is if nothing differs.
+    src : path, rasterio dataset, ndarray or xarray DataArray
+        The new heights: all or part of the file's area, on its grid and in its CRS and type. An
+        array without a place covers all.
+    band, nodata, temp_dir, threads, progress
+        As in `compress`.
+
+    Returns
+    -------
+    PatchResult
+        With the numbers of coded units (groups and the root block) coded again and copied.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If `src` does not fit the file, or a change reaches heights that it does not cover.
+    BoundViolationError
+        If the proof fails; the file is untouched.
+
+    Notes
+    -----
+    The proof decodes the whole result: where `src` is, every sample is within the bound of it; all
+    others have exactly the height they had. Takes about the time of decoding and measuring the
+    whole file, and that of coding what differs.
+    """
+    check_threads(threads)
+    refuse_own_source(src, path)
+    final = Path(os.path.realpath(path))
+    with (
+        Terrain(final, threads=1) as terrain,
+        RasterSource(src, band=band, nodata=nodata) as source,
+        scratch_directory(temp_dir or final.parent, final.name) as directory,
+        ThreadPoolExecutor(threads or os.cpu_count() or 1, "terrainwave") as executor,
+    ):
+        if terrain.info().method != "predictive":
+            raise InvalidHeightsError(
+                f"{path} has method {terrain.info().method}; only files of method predictive can be"
+                " patched: compress the whole raster again"
+            )
+        merged = _Merged(terrain, source, _place(terrain.raster_info, source.info))
+        merged.check()
+        patcher = _Patcher(terrain, merged, directory, executor, Reporter(progress))
+        n_recoded, n_copied = patcher.code()
+        error = 0.0
+        if patcher.is_changed:
+            with publish(final, overwrite=True) as part:
+                assemble(part.file, terrain._container.header, patcher.sink.spools)
+                error = patcher.prove(part.path)
+        else:
+            error = patcher.prove(final)
+        patcher.close()
+    return PatchResult(
+        path=os.fspath(path),
+        n_bytes=os.path.getsize(final),
+        n_recoded=n_recoded,
+        n_copied=n_copied,
+        effective_error=terrain.effective_error,
+        measured_error=error * abs(terrain.raster_info.scale),
+        units=terrain.raster_info.units,
+    )
+
+
+def _place(info: RasterInfo, new: RasterInfo) -> Region:
+    """Return the samples of a file that a raster covers.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If it does not lie on the file's grid, or is of another kind.
+    """
+    for name in ("dtype", "scale", "offset"):
+        expected, found = getattr(info, name), getattr(new, name)
+        if found != expected:
+            raise InvalidHeightsError(f"the new raster's {name} is {found}, expected {expected}")
+    if new.crs != info.crs and new.rasterio_crs() != info.rasterio_crs():
+        raise InvalidHeightsError(
+            f"the new raster's CRS is {new.crs}, expected that of the file, {info.crs}"
+        )
+    a, b, c, d, e, f = info.transform
+    pixel = max(abs(a), abs(b), abs(d), abs(e))
+    sizes = zip(new.transform, info.transform, strict=True)
+    linear = [abs(one - other) for i, (one, other) in enumerate(sizes) if i not in (2, 5)]
+    x, y = new.transform[2] - c, new.transform[5] - f
+    determinant = a * e - b * d
+    col, row = (x * e - y * b) / determinant, (y * a - x * d) / determinant
+    n_longest = max(new.n_rows, new.n_cols)
+    is_aligned = max(linear) * n_longest < _MISALIGNED * pixel
+    is_aligned &= max(abs(col - round(col)), abs(row - round(row))) < _MISALIGNED
+    if not is_aligned:
+        raise InvalidHeightsError(
+            "the new raster does not lie on the file's grid: found the transform"
+            f" {new.transform}, expected {info.transform} moved by whole pixels"
+        )
+    place = Region(round(row), round(col), new.n_rows, new.n_cols)
+    if place.intersect(Region(0, 0, info.n_rows, info.n_cols)) != place:
+        raise InvalidHeightsError(
+            f"the new raster reaches beyond the file: it begins at row {place.row}, column"
+            f" {place.col} and has {new.n_rows} x {new.n_cols} samples of"
+            f" {info.n_rows} x {info.n_cols}; cut it"
+        )
+    return place
+
+
+class _Merged:
+    """The new raster where it is, the file's decoded heights elsewhere."""
+
+    def __init__(self, terrain: Terrain, source: RasterSource, place: Region) -> None:
+        self._terrain = terrain
+        self._source = source
+        self.place = place
+
+    def covers(self, region: Region) -> bool:
+        """Say whether the new raster covers a region of the full grid."""
+        return region.intersect(self.place) == region
+
+    def read(
+        self, row: int, col: int, n_rows: int, n_cols: int
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return raw heights and validity of a window."""
+        region = Region(row, col, n_rows, n_cols)
+        part = region.intersect(self.place)
+        if part == region:
+            return self._new(region)
+        heights, valid = self._terrain.read_with_mask(region)
+        heights, valid = heights.copy(), valid.copy()
+        if part.n_rows and part.n_cols:
+            at = part.slices_in(region)
+            heights[at], valid[at] = self._new(part)
+        return heights, valid
+
+    def _new(self, region: Region) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        row, col = region.row - self.place.row, region.col - self.place.col
+        return self._source.read(row, col, *region.shape)
+
+    def check(self) -> None:
+        """Raise `InvalidHeightsError` unless the file's quanta can hold all new heights."""
+        quantizer, info = self._terrain._quantizer, self._terrain.raster_info
+        header = self._terrain._container.header
+        low, high = (quantizer.height_of(number) for number in (header.z_min, header.z_max))
+        for window in _windows(self.place):
+            raw, valid = self._new(window)
+            if info.mask_kind == "none" and not valid.all():
+                raise InvalidHeightsError(
+                    "the new raster has voids, and the file has no way to mark them: compress the"
+                    " whole raster again"
+                )
+            heights = raw[valid].astype(np.float64)
+            if heights.size == 0:
+                continue
+            slack = quantizer.quantum / 2 if quantizer.rho else 0.0
+            if (
+                header.z_min > header.z_max
+                or heights.min() < low - slack
+                or (heights.max() > high + slack)
+            ):
+                raise InvalidHeightsError(
+                    f"the new raster has heights from {heights.min():g} to {heights.max():g}, the"
+                    f" file can hold {low:g} to {high:g} (stored units): compress the whole raster"
+                    " again"
+                )
+            decoded = quantizer.dequantize(quantizer.quantize(raw, valid))
+            if not quantizer.rho and not np.array_equal(decoded[valid], raw[valid]):
+                raise InvalidHeightsError(
+                    "the new raster has heights that are no multiples of the file's vertical step"
+                    f" {quantizer.quantum:g} (stored units): round them, or compress the whole"
+                    " raster again"
+                )
+
+
+def _windows(region: Region) -> list[Region]:
+    return [
+        Region(row, col, _WINDOW, _WINDOW).intersect(region)
+        for row in range(region.row, region.row + region.n_rows, _WINDOW)
+        for col in range(region.col, region.col + region.n_cols, _WINDOW)
+    ]
+
+
+class _PatchEncoder(TreeEncoder):
+    """Walks a file's units, and codes those again that no longer hold."""
+
+    def __init__(self, terrain: Terrain, merged: _Merged, own: "_OwnSamples", *rest: Any) -> None:
+        self._terrain = terrain
+        self._merged = merged
+        self._own = own
+        # Largest change of each block's decoded heights, in quanta, where anything changed.
+        self.changes: dict[Block, int] = {}
+        self.recoded: set[Block] = set()
+        header = terrain._container.header
+        refiner = refiner_by_name(header.method, header.parameters)
+        super().__init__(terrain.grid, refiner, terrain._parameters, *rest)
+
+    def code_unit(
+        self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
+    ) -> tuple[bytes, Decoded]:
+        """Return the unit's old payload, or a new one where that no longer holds."""
+        old = self._terrain._decoder.unit(key)
+        stored = self._terrain._container.payload(key)
+        if key not in self.changes and self._holds(spec, old, target, mask):
+            return stored, old
+        payload, decoded = super().code_unit(key, spec, parent, target, mask)
+        if payload == stored and key not in self.changes:
+            return stored, old
+        self.recoded.add(key)
+        for block in self._grid.key_blocks(key):
+            before, after = (
+                block_of_unit(self._grid, spec, unit, block) for unit in (old, decoded)
+            )
+            change = int(np.abs(after.heights.astype(np.int64) - before.heights).max())
+            if change or not np.array_equal(before.mask, after.mask):
+                self.changes[block] = change
+        return payload, decoded
+
+    def _holds(self, spec: GroupSpec, old: Decoded, target: Heights, mask: Mask) -> bool:
+        """Say whether a unit decodes to within the bound of the targets."""
+        if not np.array_equal(old.mask, mask):
+            return False
+        own = mask & self._own.mask(spec.level, spec.region)
+        if (np.abs(target.astype(np.int64) - old.heights) > spec.half)[own].any():
+            return False
+        # Of a height that was clipped the old multiple of the step is not known.
+        clipped = (old.heights == spec.z_min) | (old.heights == spec.z_max)
+        return spec.step == 1 or not (clipped & own & (target != old.heights)).any()
+
+    def measured(self, region: Region, mask: Mask) -> Mask:
+        """Return which samples of a region are known originals."""
+        return _inside(self._merged, region, mask)
+
+
+def _inside(merged: _Merged, region: Region, mask: Mask) -> Mask:
+    if merged.covers(region):
+        return mask
+    known = np.zeros_like(mask)
+    part = region.intersect(merged.place)
+    if part.n_rows and part.n_cols:
+        at = part.slices_in(region)
+        known[at] = mask[at]
+    return known
+
+
+class _OwnSamples:
+    """Which samples of the levels are valid in the full grid, and not only beside valid ones."""
+
+    def __init__(self, pyramid: Pyramid, grid: Grid, directory: Path, has_voids: bool) -> None:
+        self._grid = grid
+        self._spools: list[Spool] = []
+        if not has_voids:
+            return
+        for level in range(grid.k_max, -1, -1):
+            spool = Spool(grid.level_shape(level), np.bool_, directory)
+            for window in _windows(spool.region):
+                if level == grid.k_max:
+                    spool.write(window, pyramid.originals(window)[1])
+                    continue
+                row, col, n_rows, n_cols = window
+                finer = Region(2 * row, 2 * col, 2 * n_rows - 1, 2 * n_cols - 1)
+                spool.write(window, self._spools[-1].read(finer)[::2, ::2])
+            self._spools.append(spool)
+
+    def mask(self, level: int, region: Region) -> Mask:
+        """Return the validity of a region's own samples."""
+        if not self._spools:
+            return np.ones(region.shape, dtype=np.bool_)
+        return self._spools[self._grid.k_max - level].read(region)
+
+    def close(self) -> None:
+        for spool in self._spools:
+            spool.close()
+
+
+class _Patcher:
+    """The passes over a file that is patched."""
+
+    def __init__(
+        self,
+        terrain: Terrain,
+        merged: _Merged,
+        directory: Path,
+        executor: Executor,
+        reporter: Reporter,
+    ) -> None:
+        self._terrain = terrain
+        self._container = terrain._container
+        self._grid = terrain.grid
+        self._merged = merged
+        self._executor = executor
+        self._reporter = reporter
+        self._has_voids = terrain.raster_info.mask_kind != "none"
+        quantizer = terrain._quantizer
+        self._whole = quantizer.z_min, quantizer.z_max
+        self._lost = quantizer.lost
+        self.sink = SpoolSink(self._grid, self._grid.segment_heads(), directory)
+        self._pyramid = Pyramid(
+            merged,
+            quantizer,
+            self._grid,
+            kind="nested",
+            has_voids=self._has_voids,
+            directory=directory,
+            executor=executor,
+        )
+        self._directory = directory
+        self.is_changed = False
+
+    def code(self) -> tuple[int, int]:
+        """Fill the sink; return how many units were coded again, and how many copied."""
+        self._pyramid.build(lambda done, total: None)
+        own = _OwnSamples(self._pyramid, self._grid, self._directory, self._has_voids)
+        encoder = _PatchEncoder(
+            self._terrain, self._merged, own, self._pyramid, self.sink, self._count("patching")
+        )
+        stats = encoder.run(self._executor)
+        own.close()
+        errors, boxes = self._codes(stats, encoder.changes)
+        mesh_errors = self._mesh(encoder.changes, errors)
+        is_any_new = self._set_codes(errors, boxes, mesh_errors)
+        self.is_changed = bool(encoder.recoded) or is_any_new
+        return len(encoder.recoded), self._grid.n_units() - len(encoder.recoded)
+
+    def _count(self, stage: str) -> Any:
+        shape = self._grid.n_rows * self._grid.n_cols
+        return self._reporter.counter(stage, shape, self._terrain.dtype.itemsize)
+
+    def _codes(
+        self, stats: Stats, changes: Mapping[Block, int]
+    ) -> tuple[dict[Block, int], dict[Block, Box]]:
+        """Return error codes and boxes; where originals are not known, the old ones hold as well.
+
+        A surface is nowhere further from originals than it was, and by how much it has moved.
+        """
+        errors: dict[Block, int] = {}
+        below: dict[Block, Box] = {}
+        for block, found in stats.items():
+            old = self._container.codes(block)
+            errors[block] = 0 if found.is_empty else encode_error(found.error + self._lost)
+            if self._merged.covers(self._grid.full_region(block)):
+                continue
+            moved = _CONTINUED * changes.get(block, 0)
+            errors[block] = max(errors[block], encode_error(decode_error(old[2]) + moved))
+            if any(old[:3]) or moved or not found.is_empty:
+                below[block] = self._terrain._box_quanta(block)
+        return errors, enclosing_boxes(stats, errors, self._whole, below)
+
+    def _mesh(self, changes: Mapping[Block, int], errors: Mapping[Block, int]) -> dict[Block, int]:
+        """Make all meshes again and measure them; return the codes of their errors."""
+        header, grid = self._container.header, self._grid
+        if header.mesh == "none":
+            return {}
+        refiner = refiner_by_name(header.method, header.parameters)
+        decoder = TreeDecoder(
+            grid, refiner, self._terrain._parameters, self.sink.payloads, _CACHE_BYTES
+        )
+        mesher, sections = make_meshes(
+            grid,
+            decoder,
+            lambda block: errors.get(block, 0),
+            header.mesh_tolerance,
+            has_voids=self._has_voids,
+            kind=header.mesh,
+            executor=self._executor,
+            on_samples=self._count("making meshes"),
+        )
+        self.sink.set_meshes(sections)
+
+        def known(region: Region) -> tuple[Heights, Mask]:
+            heights, mask = self._pyramid.originals(region)
+            return heights, _inside(self._merged, region, mask)
+
+        count = self._count("measuring meshes")
+        measured = measure_meshes(grid, mesher, known, self._executor, count)
+        codes = mesh_codes(measured, Fraction(self._lost))
+        moved = self._moved_meshes(changes, errors, sections)
+        open_blocks = {
+            block for block in errors if not self._merged.covers(grid.full_region(block))
+        }
+        for block in open_blocks - moved:
+            codes[block] = max(codes.get(block, 0), self._container.codes(block)[3])
+        if moved & open_blocks:
+            # Decoded heights stand in for originals that are not known.
+            measured = measure_meshes(
+                grid, mesher, self._pyramid.originals, self._executor, lambda n_samples: None
+            )
+            away = mesh_codes(measured, Fraction((header.step >> 1) + self._lost))
+            for block in moved & open_blocks & set(away):
+                codes[block] = max(codes.get(block, 0), away[block])
+        return codes
+
+    def _moved_meshes(
+        self,
+        changes: Mapping[Block, int],
+        errors: Mapping[Block, int],
+        sections: Mapping[Block, bytes],
+    ) -> set[Block]:
+        """Return the blocks whose mesh may be another one than it was."""
+        grid = self._grid
+        causes = set(changes)
+        causes |= {block for block in errors if errors[block] != self._container.codes(block)[2]}
+        moved = {
+            Block(level, row + down, col + right)
+            for level, row, col in causes
+            for down in (-1, 0, 1)
+            for right in (-1, 0, 1)
+        }
+        for block in errors:
+            key = unit_key(block)
+            if sections.get(key, b"") != self._container.mesh(key):
+                moved.add(block)
+        return {block for block in moved if grid.contains(block)}
+
+    def _set_codes(
+        self,
+        errors: Mapping[Block, int],
+        boxes: Mapping[Block, Box],
+        mesh_errors: Mapping[Block, int],
+    ) -> bool:
+        """Give every block its codes, the old ones where they say the same; tell of any new one."""
+        is_any_new = False
+        for spool in self.sink.spools.values():
+            before: dict[Block, Box] = {}
+            after: dict[Block, Box] = {}
+            for key in sorted(spool.keys()):
+                was_outer, outer = before.get(key, self._whole), after.get(key, self._whole)
+                codes = bytearray()
+                for block in self._grid.key_blocks(key):
+                    old = self._container.codes(block)
+                    before[block] = decode_range(old[0], old[1], *was_outer)
+                    box = boxes.get(block)
+                    # Coding a box that has been coded may widen it.
+                    is_same = outer == was_outer and box == before[block]
+                    ends = old[:2] if is_same else encode_range(*(box or outer), *outer)
+                    after[block] = decode_range(*ends, *outer)
+                    new = (*ends, errors.get(block, 0), mesh_errors.get(block, 0))
+                    is_any_new |= new != old
+                    codes += bytes(new)
+                spool.set_codes(key, bytes(codes))
+        return is_any_new
+
+    def prove(self, path: str | os.PathLike[str]) -> float:
+        """Decode the result; return the largest error where the new raster is, in raw units.
+
+        Raises
+        ------
+        BoundViolationError
+            If a sample is further than the bound from the new raster.
+        InvalidHeightsError
+            If a sample elsewhere is not as it was.
+        """
+        quantizer, bound = self._terrain._quantizer, self._container.header.max_error
+        allowed = allowed_error(quantizer, bound)
+        count = self._count("proving")
+        with Terrain(path, threads=1) as result:
+
+            def compare(region: Region) -> float:
+                part = region.intersect(self._merged.place)
+                largest = 0.0
+                if part.n_rows and part.n_cols:
+                    largest = compare_window(result, self._merged, part, allowed)
+                if part != region:
+                    self._compare_rest(result, region)
+                count(region.n_rows * region.n_cols)
+                return largest
+
+            largest = max(self._executor.map(compare, proof_windows(self._grid)))
+        return measured_error(largest, quantizer, bound)
+
+    def _compare_rest(self, result: Terrain, region: Region) -> None:
+        """Raise unless the samples that the new raster does not cover are as they were."""
+        (before, was_valid), (after, is_valid) = (
+            terrain.read_with_mask(region) for terrain in (self._terrain, result)
+        )
+        same = was_valid & is_valid & (before == after) | ~was_valid & ~is_valid
+        same |= _inside(self._merged, region, np.ones(region.shape, dtype=np.bool_))
+        if not same.all():
+            row, col = np.argwhere(~same)[0] + (region.row, region.col)
+            raise InvalidHeightsError(
+                f"the change also moves heights that the new raster does not cover, as at row"
+                f" {row}, column {col}; expected a raster that reaches further beyond the change"
+            )
+
+    def close(self) -> None:
+        """Delete temporary data."""
+        self._pyramid.close()
+        for spool in self.sink.spools.values():
+            spool.close()

@@ -1,0 +1,407 @@
+"""Target heights and masks of every level, made in one pass over the source (pass A).
+
+Levels are counted here by `shift`: 0 is the full grid, shift j has every 2^j-th sample. All values
+are int32 quanta and pure functions of the raster: neither window sizes nor threads change them.
+
+* Low-pass pyramid: Yusov & Turlapov 2010, §2.1: normalised CDF 9/7 analysis, symmetric at the
+  raster's edge, rounded to quanta on every level.
+* Low-pass pyramid of the reversible 5/3 wavelet, in tiles: format-cdf53.md, C.3. It counts in
+  steps, and its heights may leave the raster's range.
+* Nested pyramid: the full grid's own samples.
+* Voids are filled by push-pull: coarse levels average what is valid, fine ones interpolate it.
+
+The levels of a part of the raster can be made from that part alone, with a frame around it, and the
+fills of one coarse level (`Part`); those above a level from that level alone (`Base`). Values are
+the same: that is how machines share a raster.
+"""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.codec.tiles import TileLayout
+from terrainwave.coding.filters import lowpass_analysis
+from terrainwave.coding.lifting53 import lowpass_window
+from terrainwave.grid.convert import UNKNOWN, push
+from terrainwave.grid.quadtree import Grid, Region
+from terrainwave.grid.quantum import Quantizer
+from terrainwave.raster_io.temporary import Spool
+
+TILE = 512  # samples per side of the windows in which levels are made
+_PUSH_HALO, _LOWPASS_HALO, _LOWPASS53_HALO = 1, 4, 2
+# Stands for a void among heights, which are far from it.
+_UNKNOWN = np.int32(UNKNOWN)
+
+
+class SourceWindows(Protocol):
+    """What the pyramid needs of a raster."""
+
+    def read(
+        self, row: int, col: int, n_rows: int, n_cols: int
+    ) -> tuple[NDArray[np.generic], NDArray[np.bool_]]:
+        """Return raw heights and validity of a window."""
+        ...
+
+
+class Part(NamedTuple):
+    """A region of the full grid whose levels down to `shift` are made, each with an apron of 1.
+
+    The frames grow from level to level by what a window of the next coarser one reaches: 5 samples
+    in a low-pass window, 2 in a mask's, 1 in a push; one more where a frame's first or last row has
+    not the parity of the next level's.
+    """
+
+    region: Region
+    shift: int
+
+    def heights_region(self, shift: int, is_framed: bool) -> Region:
+        """Return where heights and masks of a level are made."""
+        scale = 1 << self.shift - shift
+        return self._framed(shift, 7 * scale - 6 if is_framed else 2 * scale - 1)
+
+    def fill_region(self, shift: int) -> Region:
+        """Return where the fills of a level are needed."""
+        return self._framed(shift, 7 << self.shift - shift)
+
+    def push_region(self, shift: int) -> Region:
+        """Return where known heights are pushed to on a level."""
+        return self._framed(shift, (9 << self.shift - shift) - 2)
+
+    def _framed(self, shift: int, margin: int) -> Region:
+        """Return the region on a level with a margin around it; may reach past the raster."""
+        row, col, n_rows, n_cols = self.region
+        first_row, first_col = (row >> shift) - margin, (col >> shift) - margin
+        last_row = -(-(row + n_rows - 1) >> shift) + margin
+        last_col = -(-(col + n_cols - 1) >> shift) + margin
+        return Region(first_row, first_col, last_row - first_row + 1, last_col - first_col + 1)
+
+
+class Base(NamedTuple):
+    """What a pyramid above one level is made of; the last three only where there are voids.
+
+    `pushed` holds the averages of valid samples where there are any: where `known` says so.
+    """
+
+    shift: int
+    heights: Spool
+    masks: Spool | None = None
+    pushed: Spool | None = None
+    known: Spool | None = None
+
+
+class Pyramid:
+    """Targets of all levels of a raster; the finest is read from the source when asked for.
+
+    Parameters
+    ----------
+    kind : str
+        ``"lowpass"``, ``"lowpass53"`` or ``"nested"``.
+    has_voids : bool
+        Whether any sample of the raster is void; without voids no masks and fills are kept.
+    directory : Path
+        Where levels too large for memory are spooled.
+    executor : Executor
+        Makes the windows of a level side by side.
+    part : Part, optional
+        Make the levels of a part of the raster, of any kind but ``"lowpass53"``; where there are
+        voids `pull` needs its coarsest fills.
+    base : Base, optional
+        Make the levels above that of `base`; below it there is nothing to ask for.
+    """
+
+    def __init__(
+        self,
+        source: SourceWindows,
+        quantizer: Quantizer,
+        grid: Grid,
+        *,
+        kind: str,
+        has_voids: bool,
+        directory: Path,
+        executor: Executor,
+        part: Part | None = None,
+        base: Base | None = None,
+    ) -> None:
+        self._source = source
+        self._quantizer = quantizer
+        self._grid = grid
+        self._kind = kind
+        self._has_voids = has_voids
+        self._directory = directory
+        self._executor = executor
+        self._part = part
+        self._heights: dict[int, Spool] = {}
+        self._masks: dict[int, Spool] = {}
+        self._fills: dict[int, Spool] = {}
+        self._known: dict[int, Spool] = {}
+        self._first = 0
+        self._last = grid.k_max if part is None else part.shift
+        if base is not None:
+            self._first = base.shift
+            self._heights[base.shift] = base.heights
+            if base.masks is not None and base.pushed is not None and base.known is not None:
+                self._masks[base.shift] = base.masks
+                self._fills[base.shift], self._known[base.shift] = base.pushed, base.known
+
+    def build(self, report: Callable[[int, int], None]) -> None:
+        """Make every level below the full grid; `report` gets (samples done, samples in all)."""
+        if self._has_voids:
+            self.push()
+            self.pull()
+        self.make_heights(report)
+
+    def push(self) -> None:
+        """Make the masks of all levels, and average valid heights up to one sample."""
+        self._build_masks()
+        shift = self._first
+        while shift < self._last or (self._part is None and max(self._shape(shift)) > 1):
+            shift += 1
+            region = self._inside(shift, self._part.push_region(shift) if self._part else None)
+            self._fills[shift] = self._new_spool(region, np.int32)
+            self._known[shift] = self._new_spool(region, np.bool_)
+            for window in _windows(region):
+                values, known = self._pushed(shift, window)
+                self._fills[shift].write(window, values)
+                self._known[shift].write(window, known)
+
+    def pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
+        """Return averages of valid heights and where they are known, before `pull`."""
+        return self._fills[shift].read(region), self._known[shift].read(region)
+
+    def pull(self, coarsest: Spool | None = None) -> None:
+        """Interpolate from the coarsest level down where nothing is known.
+
+        A part needs the fills of its coarsest level, where it would not know enough by itself.
+        """
+        if not self._fills:  # a raster of one sample
+            return
+        top = max(self._fills)
+        if coarsest is not None:
+            self._fills[top].close()
+            self._fills[top] = coarsest
+        for finer in range(top - 1, max(self._first - 1, 0), -1):
+            region = self._inside(finer, self._part.fill_region(finer) if self._part else None)
+            for window in _windows(region):
+                known = self._known[finer].read(window)
+                if not known.all():
+                    values = self._fills[finer].read(window)
+                    values[~known] = self._pulled(finer, window)[~known]
+                    self._fills[finer].write(window, values)
+        for spool in self._known.values():
+            spool.close()
+
+    def fills(self, shift: int, region: Region) -> Heights:
+        """Return the heights given to voids on a level, after `pull`."""
+        return self._fills[shift].read(region)
+
+    def make_heights(self, report: Callable[[int, int], None]) -> None:
+        """Make the heights of every level above the full grid, after the fills of voids."""
+        regions = {shift: self._heights_region(shift) for shift in self._level_shifts()}
+        total = sum(region.n_rows * region.n_cols for region in regions.values())
+        done = 0
+        make = {
+            "lowpass": self._lowpass_window,
+            "lowpass53": self._lowpass53_window,
+            "nested": self._nested_window,
+        }[self._kind]
+        for shift, region in regions.items():
+            spool = self._heights[shift] = self._new_spool(region, np.int32)
+            self._for_each_window(spool, partial(make, shift))
+            done += region.n_rows * region.n_cols
+            report(done, total)
+
+    def close(self) -> None:
+        """Delete the spools."""
+        for spools in (self._heights, self._masks, self._fills, self._known):
+            for spool in spools.values():
+                spool.close()
+
+    def heights(self, level: int, region: Region) -> Heights:
+        """Return the target heights of a region of a level; voids hold their fill."""
+        return self._read_heights(self._grid.k_max - level, region)
+
+    def steps(self, level: int, region: Region) -> Heights:
+        """Return heights of the pyramid of the 5/3 wavelet, which is made of whole steps."""
+        heights = self.heights(level, region)
+        if level == self._grid.k_max and self._quantizer.step > 1:
+            # Rounded to the nearest; the step is odd.
+            heights = (heights + (self._quantizer.step >> 1)) // self._quantizer.step
+        return heights
+
+    def mask(self, level: int, region: Region) -> Mask:
+        """Return which samples of a region of a level are valid.
+
+        A coarse sample is valid iff any full-grid sample of the cells touching it is.
+        """
+        shift = self._grid.k_max - level
+        if not self._has_voids:
+            return np.ones(region.shape, dtype=np.bool_)
+        if shift == 0:
+            return self.originals(region)[1]
+        return self._masks[shift].read(region)
+
+    def originals(self, region: Region) -> tuple[Heights, Mask]:
+        """Return quanta and validity of the full grid, 0 in voids."""
+        raw, valid = self._source.read(*region)
+        return self._quantizer.quantize(raw, valid), valid
+
+    def _level_shifts(self) -> range:
+        return range(self._first + 1, self._last + 1)
+
+    def _heights_region(self, shift: int) -> Region:
+        is_framed = self._has_voids or self._kind == "lowpass"
+        return self._inside(
+            shift, self._part.heights_region(shift, is_framed) if self._part else None
+        )
+
+    def _inside(self, shift: int, region: Region | None) -> Region:
+        """Return what of a region of a level lies inside the raster; None: the whole level."""
+        whole = Region(0, 0, *self._shape(shift))
+        return whole if region is None else region.intersect(whole)
+
+    def _new_spool(self, region: Region, dtype: DTypeLike) -> Spool:
+        return Spool(region.shape, dtype, self._directory, (region.row, region.col))
+
+    def _shape(self, shift: int) -> tuple[int, int]:
+        return (self._grid.n_rows - 1 >> shift) + 1, (self._grid.n_cols - 1 >> shift) + 1
+
+    def _read_heights(self, shift: int, region: Region) -> Heights:
+        if shift:
+            return self._heights[shift].read(region)
+        quanta, valid = self.originals(region)
+        if self._has_voids and not valid.all():
+            fill = self._pulled(0, region)
+            quanta[~valid] = fill[~valid]
+        return quanta
+
+    def _around(self, shift: int, region: Region, halo: int) -> Region:
+        """Return a region of the level above `shift` on that level, and `halo` samples around."""
+        return Region(
+            2 * region.row - halo,
+            2 * region.col - halo,
+            2 * region.n_rows + 2 * halo,
+            2 * region.n_cols + 2 * halo,
+        ).intersect(Region(0, 0, *self._shape(shift)))
+
+    def _lowpass53_window(self, shift: int, region: Region) -> Heights:
+        fine = self._around(shift - 1, region, _LOWPASS53_HALO)
+        return lowpass_window(
+            self.steps(self._grid.k_max - (shift - 1), fine),
+            (fine.row, fine.col),
+            self._shape(shift - 1),
+            (region.row, region.col),
+            region.shape,
+            *TileLayout(self._grid).lowpass_tiles(self._grid.k_max - (shift - 1)),
+        )
+
+    def _lowpass_window(self, shift: int, region: Region) -> Heights:
+        shape = self._shape(shift - 1)
+        fine = self._around(shift - 1, region, _LOWPASS_HALO)
+        heights = lowpass_analysis(
+            self._read_heights(shift - 1, fine),
+            (fine.row, fine.col),
+            shape,
+            (region.row, region.col),
+            region.shape,
+        )
+        # Filtering may overshoot; decoded heights are clamped to the range, so targets are too.
+        return np.clip(heights, self._quantizer.z_min, self._quantizer.z_max, out=heights)
+
+    def _nested_window(self, shift: int, region: Region) -> Heights:
+        fine = Region(2 * region.row, 2 * region.col, 2 * region.n_rows - 1, 2 * region.n_cols - 1)
+        return self._read_heights(shift - 1, fine)[::2, ::2]
+
+    def _build_masks(self) -> None:
+        for shift in self._level_shifts():
+            spool = self._masks[shift] = self._new_spool(self._heights_region(shift), np.bool_)
+            # The first step reaches two samples far: a cell of shift 1 spans two full-grid cells.
+            reach = 2 if shift == 1 else 1
+            self._for_each_window(spool, partial(self._mask_window, shift, reach))
+
+    def _mask_window(self, shift: int, reach: int, region: Region) -> Mask:
+        level = self._grid.k_max - (shift - 1)
+        fine = self._gather(lambda window: self.mask(level, window), shift - 1, region, reach)
+        touched = np.zeros(region.shape, dtype=np.bool_)
+        for row in range(2 * reach + 1):
+            for col in range(2 * reach + 1):
+                touched |= fine[
+                    row : row + 2 * region.n_rows : 2, col : col + 2 * region.n_cols : 2
+                ][: region.n_rows, : region.n_cols]
+        return touched
+
+    def _pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
+        def read(window: Region) -> Heights:
+            values, known = self.originals(window) if shift == 1 else self.pushed(shift - 1, window)
+            return np.where(known, values, _UNKNOWN)
+
+        fine = self._gather(read, shift - 1, region, _PUSH_HALO)
+        values = np.empty(region.shape, dtype=np.int32)
+        known = np.empty(region.shape, dtype=np.bool_)
+        push(fine, values, known)
+        return values, known
+
+    def _pulled(self, shift: int, region: Region) -> Heights:
+        """Interpolate the filled level above at the places of `region`."""
+        if shift + 1 not in self._fills:  # a raster of one sample has no level above
+            return np.zeros(region.shape, dtype=np.int32)
+        coarse = self._fills[shift + 1]
+        rows = np.arange(region.row, region.row + region.n_rows)
+        cols = np.arange(region.col, region.col + region.n_cols)
+        shape = self._shape(shift + 1)
+        last_row, last_col = shape[0] - 1, shape[1] - 1
+        row_end, col_end = (
+            min(int(rows[-1] + 1 >> 1), last_row),
+            min(int(cols[-1] + 1 >> 1), last_col),
+        )
+        outer = Region(region.row >> 1, region.col >> 1, 0, 0)
+        outer = Region(outer.row, outer.col, row_end - outer.row + 1, col_end - outer.col + 1)
+        known = coarse.read(outer).astype(np.int64)
+        above, below = (rows >> 1) - outer.row, np.minimum(rows + 1 >> 1, last_row) - outer.row
+        left, right = (cols >> 1) - outer.col, np.minimum(cols + 1 >> 1, last_col) - outer.col
+        pairs = known[above] + known[below]
+        return (pairs[:, left] + pairs[:, right] + 2 >> 2).astype(np.int32)
+
+    def _gather(
+        self,
+        read: Callable[[Region], NDArray[Any]],
+        shift: int,
+        coarse: Region,
+        halo: int,
+    ) -> NDArray[Any]:
+        """Return level `shift` around the samples of the region `coarse` of the level above.
+
+        Row 2 i + halo of the result lies on row ``coarse.row + i``; places past the raster's edge
+        repeat its border.
+        """
+        n_rows, n_cols = self._shape(shift)
+        rows = np.clip(_halo_places(coarse.row, coarse.n_rows, halo), 0, n_rows - 1)
+        cols = np.clip(_halo_places(coarse.col, coarse.n_cols, halo), 0, n_cols - 1)
+        window = Region(
+            int(rows.min()), int(cols.min()), int(np.ptp(rows)) + 1, int(np.ptp(cols)) + 1
+        )
+        values = read(window)
+        if rows.size == window.n_rows and cols.size == window.n_cols:
+            return values
+        return values[rows - window.row][:, cols - window.col]
+
+    def _for_each_window(self, spool: Spool, make: Callable[[Region], NDArray[np.generic]]) -> None:
+        for _ in self._executor.map(
+            lambda region: spool.write(region, make(region)), _windows(spool.region)
+        ):
+            pass
+
+
+def _windows(region: Region) -> Iterator[Region]:
+    for row in range(region.row, region.row + region.n_rows, TILE):
+        for col in range(region.col, region.col + region.n_cols, TILE):
+            yield Region(row, col, TILE, TILE).intersect(region)
+
+
+def _halo_places(first: int, n: int, halo: int) -> NDArray[np.intp]:
+    return np.arange(2 * first - halo, 2 * (first + n - 1) + halo + 1)

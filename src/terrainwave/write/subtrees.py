@@ -1,0 +1,420 @@
+"""What one machine does of a compression: tasks over the subtree below one block.
+
+A task reads a part of the raster and what other tasks have left in the depot, leaves its own
+results there and returns a few numbers: whoever shares out the tasks (`distribution`) sees no
+heights and no payloads. A task can be run again, and gives the same bytes. It works in one thread;
+memory is bounded by the subtree's levels in spools of 8 MiB each, the rest on the machine's disk.
+"""
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from terrainwave.codec.refiner import Refiner
+from terrainwave.codec.registry import PYRAMIDS, refiner_by_name
+from terrainwave.container.depot import Depot, StoredSegment, StoredSegments
+from terrainwave.container.page import N_CODES
+from terrainwave.container.sink import SpoolSink
+from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.writer import store_segments, stored_places
+from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.grid.quantum import HeightScan
+from terrainwave.mesh.blocks import BlockMesher, measure_meshes, mesh_codes
+from terrainwave.mesh.border_states import BorderState, draft_blocks, encode_parts
+from terrainwave.mesh.sections import parts_of_blocks, sections_of_parts
+from terrainwave.raster_io.source import RasterSource
+from terrainwave.raster_io.temporary import Spool
+from terrainwave.read.decoder import TreeDecoder
+from terrainwave.terrain import Terrain
+from terrainwave.tri.stored import STORED_KINDS
+from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, set_codes
+from terrainwave.write.encoder import Stats, TreeEncoder
+from terrainwave.write.job import Job
+from terrainwave.write.proof import allowed_error, compare_window, proof_windows
+from terrainwave.write.pyramid import Part, Pyramid
+
+_CACHE_BYTES = 64 << 20
+_SCAN_SIDE = 2048
+ABOVE, CODED, TOP, FINISHED = "above", "coded", "top", "finished"
+
+
+@dataclass(frozen=True)
+class RasterPlace:
+    """A raster, or a mosaic of several, that every machine can open."""
+
+    paths: tuple[str, ...]
+    band: int
+    nodata: float | None
+
+    def open(self) -> RasterSource:
+        """Open it; notes have been issued where the run began."""
+        source = self.paths[0] if len(self.paths) == 1 else list(self.paths)
+        return RasterSource(source, band=self.band, nodata=self.nodata, warn=False)
+
+
+@dataclass(frozen=True)
+class Site:
+    """What the tasks of a run share.
+
+    `level` is that of the blocks whose subtrees are tasks; method and tables are those of `store`
+    until they are known.
+    """
+
+    raster: RasterPlace
+    depot: Depot
+    job: Job
+    level: int
+    method: str
+    tables: bytes = b""
+
+    @property
+    def grid(self) -> Grid:
+        """Return the quadtree."""
+        return self.job.grid
+
+    @property
+    def shift(self) -> int:
+        """Return how many levels lie below the blocks that tasks begin at."""
+        return self.grid.k_max - self.level
+
+    def refiner(self) -> Refiner:
+        """Return the refiner with the file's tables."""
+        return refiner_by_name(self.method, self.tables)
+
+    def name(self, stage: str, head: Block) -> str:
+        """Return the name of what a task has left in the depot."""
+        return f"{self.method}-{stage}-{head.level}-{head.row}-{head.col}"
+
+    def top_name(self, stage: str) -> str:
+        """Return the name of the segments above all tasks."""
+        return f"{self.method}-{stage}"
+
+    def top_heads(self) -> list[Block | None]:
+        """Return the heads of the segments above all tasks, parents first."""
+        heads = list(self.grid.segment_heads())
+        return [head for head in heads if head is None or head.level < self.level]
+
+    def segments(self, stage: str, top_stage: str) -> StoredSegments:
+        """Return the segments that tasks have left in a stage, with those above them."""
+
+        @cache
+        def top() -> dict[Block | None, StoredSegment]:
+            return stored_places(self.depot, self.top_name(top_stage), self.top_heads())
+
+        @cache
+        def below(start: Block) -> dict[Block | None, StoredSegment]:
+            heads: list[Block | None] = [*self.grid.segment_heads_below(start)]
+            return stored_places(self.depot, self.name(stage, start), heads)
+
+        def place(head: Block | None) -> StoredSegment:
+            if head is None or head.level < self.level:
+                return top()[head]
+            depth = head.level - self.level
+            return below(Block(self.level, head.row >> depth, head.col >> depth))[head]
+
+        return StoredSegments(self.grid, place)
+
+    def pyramid(
+        self, source: RasterSource, region: Region, directory: Path, executor: Executor
+    ) -> Pyramid:
+        """Return the pyramid of a part of the raster, of which nothing is made yet."""
+        return Pyramid(
+            source,
+            self.job.quantizer,
+            self.grid,
+            kind=PYRAMIDS[self.method],
+            has_voids=self.job.has_voids,
+            directory=directory,
+            executor=executor,
+            part=Part(region, self.shift),
+        )
+
+
+def own_region(grid: Grid, head: Block) -> Region:
+    """Return the full grid's samples under a block without those of the next block's border."""
+    row, col, n_rows, n_cols = grid.full_region(head)
+    if grid.contains(Block(head.level, head.row + 1, head.col)):
+        n_rows -= 1
+    if grid.contains(Block(head.level, head.row, head.col + 1)):
+        n_cols -= 1
+    return Region(row, col, n_rows, n_cols)
+
+
+def spool_of(values: np.ndarray, origin: tuple[int, int], directory: Path) -> Spool:
+    """Return an array as a spool that begins at `origin`."""
+    spool = Spool((values.shape[0], values.shape[1]), values.dtype, directory, origin)
+    spool.write(spool.region, values)
+    return spool
+
+
+class _Bench(NamedTuple):
+    """What a task works with."""
+
+    source: RasterSource
+    directory: Path
+    executor: Executor
+
+
+@contextmanager
+def _bench(raster: RasterPlace) -> Iterator[_Bench]:
+    with (
+        raster.open() as source,
+        tempfile.TemporaryDirectory(prefix="terrainwave-", ignore_cleanup_errors=True) as directory,
+        ThreadPoolExecutor(1) as executor,
+    ):
+        yield _Bench(source, Path(directory), executor)
+
+
+# Pass A
+
+
+def scan_region(raster: RasterPlace, region: Region) -> HeightScan:
+    """Return range, validity and vertical quantum of the heights in a region."""
+    with raster.open() as source:
+        scan = HeightScan(source.info.dtype)
+        for row in range(region.row, region.row + region.n_rows, _SCAN_SIDE):
+            for col in range(region.col, region.col + region.n_cols, _SCAN_SIDE):
+                window = Region(row, col, _SCAN_SIDE, _SCAN_SIDE).intersect(region)
+                scan.update(*source.read(*window))
+    return scan
+
+
+def push_levels(site: Site, head: Block) -> None:
+    """Leave the mask of a subtree's coarsest level and the averages of its valid samples."""
+    with _bench(site.raster) as bench:
+        pyramid = site.pyramid(bench.source, site.grid.full_region(head), *bench[1:])
+        pyramid.push()
+        region = site.grid.block_region(head)
+        pushed, known = pyramid.pushed(site.shift, region)
+        mask = pyramid.mask(site.level, region)
+        pyramid.close()
+    site.depot.save(site.name("pushed", head), mask=mask, pushed=pushed, known=known)
+
+
+def make_levels(site: Site, head: Block) -> None:
+    """Leave the target heights of a subtree's coarsest level."""
+    with _built_pyramid(site, head) as (pyramid, _):
+        heights = pyramid.heights(site.level, site.grid.block_region(head))
+    site.depot.save(site.name("heights", head), heights=heights)
+
+
+@contextmanager
+def _built_pyramid(site: Site, head: Block) -> Iterator[tuple[Pyramid, _Bench]]:
+    """Give the levels of a subtree."""
+    with _bench(site.raster) as bench:
+        pyramid = site.pyramid(bench.source, site.grid.full_region(head), *bench[1:])
+        try:
+            if site.job.has_voids:
+                fills = site.depot.load(site.name("fills", head))
+                row, col = fills["origin"].tolist()
+                pyramid.push()
+                pyramid.pull(spool_of(fills["heights"], (row, col), bench.directory))
+            pyramid.make_heights(lambda done, total: None)
+            yield pyramid, bench
+        finally:
+            pyramid.close()
+
+
+# Pass B
+
+
+class EncodedSubtree(NamedTuple):
+    """What a task tells of the groups it has coded.
+
+    `ancestors` are what the originals below tell of the subtree's head and the blocks above it,
+    `box` what the head's box must enclose, None if all is void.
+    """
+
+    head: Block
+    places: tuple[StoredSegment, ...]
+    ancestors: Stats
+    box: Box | None
+    n_bytes: int
+
+
+def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
+    """Code all groups of a subtree; their segments lie in the depot afterwards."""
+    job, grid = site.job, site.grid
+    refiner = site.refiner()
+    heads: list[Block | None] = [*grid.segment_heads_below(head)]
+    with (
+        _built_pyramid(site, head) as (pyramid, bench),
+        site.segments(CODED, ABOVE) as above,
+    ):
+        decoder = TreeDecoder(grid, refiner, job.parameters, above.payloads, _CACHE_BYTES)
+        sink = SpoolSink(grid, heads, bench.directory)
+        encoder = TreeEncoder(grid, refiner, job.parameters, pyramid, sink, lambda n_samples: None)
+        stats = encoder.run_subtree(head, decoder.block)
+        own = {block: found for block, found in stats.items() if block.level > head.level}
+        ancestors = {block: found for block, found in stats.items() if block not in own}
+        errors = error_codes(own, job.lost)
+        whole = job.quantizer.z_min, job.quantizer.z_max
+        boxes = enclosing_boxes(own, errors, whole, {})
+        box = boxes.pop(head, None)
+        set_codes(grid, sink.spools, whole, boxes, errors, {})
+        places = store_segments(site.depot, site.name(CODED, head), grid, heads, sink.spools)
+    return EncodedSubtree(head, tuple(places.values()), ancestors, box, sink.n_bytes)
+
+
+# Meshes
+
+
+class FinishedSubtree(NamedTuple):
+    """What a task tells of the meshes it has made: errors of ancestors in 1/16 quanta."""
+
+    head: Block
+    places: tuple[StoredSegment, ...]
+    ancestors: dict[Block, int]
+
+
+def mesher_of(
+    site: Site,
+    decoder: TreeDecoder,
+    error_code: Callable[[Block], int],
+    part: Callable[[Block], bytes] | None = None,
+) -> BlockMesher:
+    """Return what makes the meshes of the file."""
+    job = site.job
+    return BlockMesher(
+        site.grid,
+        decoder,
+        error_code,
+        job.mesh_tolerance,
+        has_voids=job.has_voids,
+        kind=job.mesh,
+        part=part,
+    )
+
+
+@contextmanager
+def _stored_mesher(
+    site: Site, part: Callable[[StoredSegments], Callable[[Block], bytes]] | None = None
+) -> Iterator[tuple[BlockMesher, StoredSegments]]:
+    """Give a mesher over the segments that tasks have coded."""
+    with site.segments(CODED, TOP) as stored:
+        decoder = TreeDecoder(
+            site.grid, site.refiner(), site.job.parameters, stored.payloads, _CACHE_BYTES
+        )
+        parts = None if part is None else part(stored)
+        yield mesher_of(site, decoder, lambda block: stored.codes(block)[2], parts), stored
+
+
+def draft_subtree(site: Site, head: Block, rounds: dict[Block, int], number: int) -> bool:
+    """Make a round of drafts of a subtree's meshes (`tri.agreement`); return whether any changed.
+
+    `rounds` are the numbers of the last rounds that changed something, of this subtree and those
+    beside it; empty in the first round. What has changed lies in the depot.
+    """
+    states = {
+        start: BorderState.from_arrays(site.depot.load(_state_name(site, start, last)))
+        for start, last in rounds.items()
+    }
+    with _stored_mesher(site) as (mesher, _):
+        if not states:
+            blocks = [
+                block
+                for level in range(head.level + 1, site.grid.k_max + 1)
+                for block in site.grid.descendants(head, level)
+            ]
+            own = draft_blocks(mesher, dict.fromkeys(blocks))
+        else:
+            own = states.pop(head)
+            late = own.late_blocks(states.values())
+            if not late:
+                return False
+            own = own.updated(draft_blocks(mesher, dict(late)))
+    site.depot.save(_state_name(site, head, number), **own.to_arrays())
+    return True
+
+
+def _state_name(site: Site, head: Block, number: int) -> str:
+    return site.name(f"borders{number}", head)
+
+
+def finish_subtree(site: Site, head: Block, last_round: int | None) -> FinishedSubtree:
+    """Make and measure the meshes of a subtree; its finished segments lie in the depot afterwards.
+
+    `last_round` is that of `draft_subtree` that changed something here; None for meshes without
+    stored bytes.
+    """
+    grid = site.grid
+    sections: dict[Block, bytes] = {}
+
+    def parts(stored: StoredSegments) -> Callable[[Block], bytes]:
+        def section(key: Block) -> bytes:
+            return stored.mesh(key) if key.level < head.level else sections.get(key, b"")
+
+        return parts_of_blocks(grid, section)
+
+    with _bench(site.raster) as bench, _stored_mesher(site, parts) as (mesher, stored):
+        if site.job.mesh in STORED_KINDS:
+            state = BorderState.from_arrays(
+                site.depot.load(_state_name(site, head, last_round or 0))
+            )
+            sections.update(sections_of_parts(grid, encode_parts(mesher, state)))
+        originals = site.pyramid(bench.source, grid.full_region(head), *bench[1:]).originals
+        found = measure_meshes(
+            grid,
+            mesher,
+            originals,
+            bench.executor,
+            lambda n_samples: None,
+            grid.descendants(head, grid.k_max),
+        )
+        own = {block: error for block, error in found.items() if block.level > head.level}
+        codes = mesh_codes(own, Fraction(site.job.lost))
+        heads: list[Block | None] = [*grid.segment_heads_below(head)]
+        spools = _finished_spools(grid, heads, stored, sections, codes, bench.directory)
+        places = store_segments(site.depot, site.name(FINISHED, head), grid, heads, spools)
+    ancestors = {block: error for block, error in found.items() if block not in own}
+    return FinishedSubtree(head, tuple(places.values()), ancestors)
+
+
+def _finished_spools(
+    grid: Grid,
+    heads: list[Block | None],
+    stored: StoredSegments,
+    sections: dict[Block, bytes],
+    codes: dict[Block, int],
+    directory: Path,
+) -> dict[Block | None, SegmentSpool]:
+    """Return stored segments with meshes and the codes of their errors."""
+    spools: dict[Block | None, SegmentSpool] = {}
+    for head in heads:
+        spool = spools[head] = SegmentSpool(directory)
+        for key in grid.segment_groups(head):
+            rows = bytearray()
+            for block in grid.key_blocks(key):
+                rows += bytes(stored.codes(block)[: N_CODES - 1]) + bytes([codes.get(block, 0)])
+            (payload,) = stored.payloads([key])
+            spool.add(key, payload, codes=bytes(rows), mesh=sections.get(key, b""))
+        spool.finish()
+    return spools
+
+
+# Pass C
+
+
+def prove_region(site: Site, path: str | os.PathLike[str], region: Region) -> float:
+    """Return the largest difference between a finished file and the raster, in raw units.
+
+    Raises
+    ------
+    BoundViolationError
+        If a sample is further than the bound from the original, or valid where that is void.
+    """
+    allowed = allowed_error(site.job.quantizer, site.job.raw_bound)
+    with site.raster.open() as source, Terrain(path, threads=1) as terrain:
+        return max(
+            compare_window(terrain, source, window, allowed)
+            for window in proof_windows(site.grid, region)
+        )

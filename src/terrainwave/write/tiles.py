@@ -1,0 +1,289 @@
+"""Pass B of method cdf53: code tiles, cut their streams, measure what they decode to."""
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Executor
+from contextlib import closing
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from terrainwave.codec.cdf53 import (
+    CodedTile,
+    LevelHeights,
+    decode_tile,
+    encode_tile,
+    finest_position,
+    packed_length,
+    plane_cut,
+    unpack_tile,
+)
+from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
+from terrainwave.codec.tiles import TileLayout, TileSpec
+from terrainwave.codec.units import CodecParameters
+from terrainwave.container.spool import SegmentSpool
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.read.tiles import final_heights
+from terrainwave.write.encoder import PayloadSink, Stats, TreeEncoder
+from terrainwave.write.job import Job
+from terrainwave.write.pyramid import Pyramid
+
+# Halvings of a search by errors, which decodes everything each time.
+_ERROR_STEPS = 9
+# What a file is thought to take beside its payloads, in bytes: for itself and for each unit.
+_FILE_BYTES, _UNIT_BYTES = 600, 24
+
+
+# The key of a tile that is to be decoded, and its head's block.
+_Start = tuple[Block, LevelHeights | None]
+
+
+def encode_tiles(
+    job: Job,
+    pyramid: Pyramid,
+    sink: PayloadSink,
+    directory: Path,
+    on_samples: Callable[[int], None],
+    executor: Executor,
+) -> Stats:
+    """Code every tile, cut where the job says so; return what was measured."""
+    parameters = job.parameters
+    coder = TileCoder(pyramid)
+    if not job.is_embedded:
+        return TileEncoder(job.grid, parameters, pyramid, coder, sink, on_samples).run(executor)
+    with closing(EmbeddedSource(coder, job.grid, directory)) as source:
+        source.code(executor, on_samples)
+        if job.rate is not None:
+            source.cut_to_size(_payload_bytes(job, job.rate))
+        elif job.psnr is not None:
+            span = parameters.z_max - parameters.z_min
+            source.cut_to_error(span**2 * 10.0 ** (-job.psnr / 10), parameters, executor)
+        return TileEncoder(job.grid, parameters, pyramid, source, sink, on_samples).run(executor)
+
+
+def _payload_bytes(job: Job, rate: float) -> int:
+    """Return the bytes that a file of `rate` bits per sample has for payloads."""
+    n_samples = job.grid.n_rows * job.grid.n_cols
+    return int(rate * n_samples / 8) - _FILE_BYTES - _UNIT_BYTES * job.grid.n_units()
+
+
+class TileSource(Protocol):
+    """Where the payload of a tile comes from, once the tile above is decoded."""
+
+    def __call__(self, spec: TileSpec, outer: LevelHeights | None) -> bytes:
+        """Return the payload; empty if nothing in the tile is valid."""
+        ...
+
+
+class TileEncoder(TreeEncoder):
+    """Encode all tiles of a raster; a `TreeEncoder` to those who use it."""
+
+    def __init__(
+        self,
+        grid: Grid,
+        parameters: CodecParameters,
+        pyramid: Pyramid,
+        source: TileSource,
+        sink: PayloadSink,
+        on_samples: Callable[[int], None],
+    ) -> None:
+        super().__init__(grid, None, parameters, pyramid, sink, on_samples)
+        self._layout = TileLayout(grid)
+        self._source = source
+        # Decoded tiles with units to come, and how many; the heads of tiles to come.
+        self._tiles: dict[Block, list[LevelHeights]] = {}
+        self._n_units: dict[Block, int] = {}
+        self._heads: dict[Block, LevelHeights] = {}
+
+    def code_unit(
+        self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
+    ) -> tuple[bytes, Decoded]:
+        """Return a tile's payload with its first unit, and nothing with the others."""
+        tile_key = self._layout.key_of(key)
+        payload = self._begin(key) if key == tile_key else b""
+        level = self._tiles[tile_key][key.level + 1 - max(tile_key.level + 1, 0)]
+        decoded = final_heights(level.part(spec.region), self._parameters)
+        with self._lock:
+            self._n_units[tile_key] -= 1
+            if not self._n_units[tile_key]:
+                del self._tiles[tile_key], self._n_units[tile_key]
+        return payload, decoded
+
+    def _begin(self, key: Block) -> bytes:
+        """Code a tile and keep what it decodes to."""
+        spec = self._layout.spec(key)
+        outer = None if spec.is_root else self._heads[key]
+        payload = self._source(spec, outer)
+        levels = decode_tile(spec, outer, payload)
+        with self._lock:
+            self._heads.pop(key, None)
+            self._tiles[key] = levels
+            self._n_units[key] = self._layout.n_units(key)
+            for head in self._layout.below(key):
+                part = levels[-1].part(self._grid.block_region(head))
+                self._heads[head] = LevelHeights(part.region, part.heights.copy(), part.mask.copy())
+        return payload
+
+
+class TileCoder:
+    """Codes the tiles of a raster without loss."""
+
+    def __init__(self, pyramid: Pyramid) -> None:
+        self._pyramid = pyramid
+
+    def __call__(self, spec: TileSpec, outer: LevelHeights | None) -> bytes:
+        """Return the whole payload of a tile (`TileSource`)."""
+        coded = self.code(spec)
+        return b"" if coded is None else coded.payload()
+
+    def code(self, spec: TileSpec) -> CodedTile | None:
+        """Return a coded tile; None if nothing in it is valid."""
+        levels = range(max(spec.first, 0), spec.last + 1)
+        masks = [
+            self._pyramid.mask(level, region)
+            for level, region in zip(levels, spec.regions, strict=True)
+        ]
+        outer_mask = None
+        if spec.outer is not None:
+            outer_mask = self._pyramid.mask(spec.key.level, spec.outer)
+        return encode_tile(spec, self._pyramid.steps(spec.last, spec.region), masks, outer_mask)
+
+    def target(self, spec: TileSpec) -> tuple[Heights, Mask]:
+        """Return the heights, in quanta, and validity of a tile of full-grid samples."""
+        return (
+            self._pyramid.heights(spec.last, spec.region),
+            self._pyramid.mask(spec.last, spec.region),
+        )
+
+
+class EmbeddedSource:
+    """Streams of all tiles, coded once, to be cut at one quality.
+
+    Call `code` first, then set `position` by `cut_to_size` or `cut_to_error`.
+    """
+
+    def __init__(self, coder: TileCoder, grid: Grid, directory: Path) -> None:
+        self._coder = coder
+        self._grid = grid
+        self._layout = TileLayout(grid)
+        self._spool = SegmentSpool(directory)
+        self._streams: dict[Block, tuple[int, tuple[int, ...], int, int]] = {}
+        self.position = 0.0
+
+    def close(self) -> None:
+        """Delete the spool."""
+        self._spool.close()
+
+    def code(self, executor: Executor, on_samples: Callable[[int], None]) -> None:
+        """Code every tile of the raster."""
+        lock = threading.Lock()
+
+        def code(key: Block) -> None:
+            spec = self._layout.spec(key)
+            coded = self._coder.code(spec)
+            if coded is not None:
+                payload = coded.payload()
+                total = len(coded.stream)
+                n_head = len(payload) - packed_length(total)
+                with lock:
+                    self._spool.add(key, payload)
+                    self._streams[key] = n_head, coded.head.ends, total, spec.n_below
+            on_samples(0 if spec.n_below else spec.region.n_rows * spec.region.n_cols)
+
+        for _ in executor.map(code, self._layout.keys()):
+            pass
+
+    def __call__(self, spec: TileSpec, outer: LevelHeights | None) -> bytes:
+        """Return the payload cut at `position` (`TileSource`)."""
+        if spec.key not in self._streams:
+            return b""
+        return self._whole(spec).payload(self._cut(spec.key, self.position))
+
+    def _whole(self, spec: TileSpec) -> CodedTile:
+        return unpack_tile(spec, next(self._spool.chunks([spec.key])))
+
+    def _cut(self, key: Block, position: float) -> int:
+        """Return how many bytes of a tile's stream are kept."""
+        _, ends, total, n_below = self._streams[key]
+        return plane_cut(ends, total, position - n_below)
+
+    def n_bytes(self, position: float) -> int:
+        """Return the bytes of all payloads cut at `position`."""
+        return sum(
+            n_head + packed_length(self._cut(key, position))
+            for key, (n_head, *_) in self._streams.items()
+        )
+
+    @property
+    def _coarsest(self) -> float:
+        """Return the position at which nothing of any stream is left."""
+        return max(
+            (len(ends) + n_below for _, ends, _, n_below in self._streams.values()), default=0.0
+        )
+
+    def cut_to_size(self, max_bytes: int) -> None:
+        """Set `position` to the finest one at which all payloads take at most `max_bytes`.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If the heads alone take more.
+        """
+        coarsest = float(self._coarsest)
+        if self.n_bytes(coarsest) > max_bytes:
+            raise InvalidHeightsError(
+                f"found a rate that leaves {max(max_bytes, 0):,} bytes for heights, expected at"
+                f" least {self.n_bytes(coarsest):,}: give a larger --rate"
+            )
+        self.position = finest_position(self.n_bytes, coarsest, max_bytes)
+
+    def cut_to_error(
+        self, mean_square: float, parameters: CodecParameters, executor: Executor
+    ) -> None:
+        """Set `position` to a coarse one at which the mean square error is at most that."""
+        low, high = 0.0, float(self._coarsest)
+        for _ in range(_ERROR_STEPS):
+            middle = (low + high) / 2
+            if self.mean_square_error(middle, parameters, executor) <= mean_square:
+                low = middle
+            else:
+                high = middle
+        self.position = low
+
+    def mean_square_error(
+        self, position: float, parameters: CodecParameters, executor: Executor
+    ) -> float:
+        """Return the mean square error of valid samples in quanta, cut at `position`."""
+        self.position = position
+
+        def compare(start: _Start) -> tuple[int, int, list[_Start]]:
+            return self._decode_and_compare(*start, parameters)
+
+        root = Block(-1, 0, 0)
+        starts: list[_Start] = [(root, None)] if root in self._streams else []
+        total = n_valid = 0
+        while starts:
+            following: list[_Start] = []
+            for squares, count, below in executor.map(compare, starts):
+                total, n_valid = total + squares, n_valid + count
+                following += below
+            starts = following
+        return total / max(n_valid, 1)
+
+    def _decode_and_compare(
+        self, key: Block, outer: LevelHeights | None, parameters: CodecParameters
+    ) -> tuple[int, int, list[_Start]]:
+        """Return the sum of squares and the number of valid samples, and the tiles below."""
+        spec = self._layout.spec(key)
+        finest = decode_tile(spec, outer, self(spec, outer))[-1]
+        if spec.n_below:
+            below = [
+                (head, finest.part(self._grid.block_region(head)))
+                for head in self._layout.below(key)
+            ]
+            return 0, 0, [(head, part) for head, part in below if head in self._streams]
+        target, mask = self._coder.target(spec)
+        errors = final_heights(finest, parameters).heights[mask].astype(np.int64) - target[mask]
+        return int(np.dot(errors, errors)), int(np.count_nonzero(mask)), []

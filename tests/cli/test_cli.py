@@ -1,0 +1,673 @@
+"""Commands, their output, and the exit status."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import rasterio
+from click.testing import CliRunner
+from rasterio.transform import Affine
+from strategies import read_geotiff, terrain_like, write_geotiff
+
+import terrainwave
+from terrainwave.cli import main
+from terrainwave.cli import output as cli_output
+from terrainwave.cli.output import Bar, plain
+from terrainwave.errors import CorruptStreamError, StorageError
+from terrainwave.mesh.level_errors import level_errors
+from terrainwave.progress import Progress
+
+HOSTILE = "<script>alert(1)</script>\x1b]8;;http://x\x07[link=http://x]z[/link]\u202e\nnext"
+
+
+def run(*args):
+    """Run a command in this process; errors must have become a line and a status."""
+    result = CliRunner().invoke(main, [str(arg) for arg in args], prog_name="terrainwave")
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+def start(*args, **options):
+    """Start a command in a process of its own."""
+    program = "import sys; from terrainwave.cli import main; main(prog_name='terrainwave')"
+    return subprocess.Popen(
+        [sys.executable, "-c", program, *map(str, args)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+        env=os.environ
+        | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "PYTHONIOENCODING": "utf-8"},
+        **options,
+    )
+
+
+def one_line(result, status):
+    """Return the one line of stderr of a failed command."""
+    assert result.exit_code == status, result.output
+    assert result.stdout == ""
+    lines = result.stderr.splitlines()
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("terrainwave")
+    return lines[0]
+
+
+@pytest.fixture
+def dem(tmp_path):
+    heights = terrain_like(150, 140)
+    heights[5:9, 30:40] = -32768
+    return write_geotiff(
+        tmp_path / "dem.tif",
+        heights,
+        nodata=-32768,
+        crs="EPSG:32611",
+        transform=Affine(30, 0, 4e5, 0, -30, 4e6),
+        units=("m",),
+    )
+
+
+@pytest.fixture
+def twz(tmp_path, dem):
+    path = tmp_path / "dem.twz"
+    terrainwave.compress(dem, path, max_error=1, method="store", block=32)
+    return path
+
+
+# --- the main job ------------------------------------------------------------------------------
+
+
+def test_compress_verify_decompress_info_work_together(tmp_path, dem):
+    twz, back = tmp_path / "out.twz", tmp_path / "back.tif"
+    done = run("compress", dem, twz, "--max-error", 1, "--method", "store", "--block", 32)
+    assert done.exit_code == 0, done.output
+    assert "bits/sample" in done.stdout
+    assert "asked 1, guaranteed 1, measured 1 m" in done.stdout
+    done = run("verify", twz, dem)
+    assert (done.exit_code, done.stdout.splitlines()[-1]) == (0, "ok")
+    done = run("decompress", twz, back)
+    assert done.exit_code == 0, done.output
+    original, valid, profile = read_geotiff(dem)
+    heights, back_valid, back_profile = read_geotiff(back)
+    np.testing.assert_array_equal(back_valid, valid)
+    assert np.abs(heights[valid].astype(int) - original[valid]).max() == 1
+    for name in ("nodata", "crs", "transform", "dtype"):
+        assert back_profile[name] == profile[name]
+    done = run("info", twz)
+    assert done.exit_code == 0
+    assert "150 rows x 140 columns, int16" in done.stdout
+    assert "EPSG:32611" in done.stdout
+
+
+def test_nothing_but_the_result_is_printed_in_a_pipe(tmp_path, dem):
+    process = start("compress", dem, tmp_path / "a.twz", "--max-error", 2, "--method", "store")
+    stdout, stderr = process.communicate(timeout=300)
+    assert process.returncode == 0, stderr
+    assert "\x1b" not in stdout + stderr
+    assert len(stdout.splitlines()) == 2
+    assert all(line.startswith("compiling kernels") for line in stderr.splitlines())
+
+
+def test_quiet_prints_nothing(tmp_path, dem):
+    done = run("compress", dem, tmp_path / "a.twz", "--max-error", 2, "--method", "store", "-q")
+    assert (done.exit_code, done.output) == (0, "")
+
+
+def test_compress_prints_json(tmp_path, dem):
+    target = tmp_path / "a.twz"
+    done = run("compress", dem, target, "--max-error", 2.5, "--method", "store", "--json")
+    fields = json.loads(done.stdout)
+    assert fields["n_bytes"] == target.stat().st_size
+    assert (fields["max_error"], fields["effective_error"]) == (2.5, 2)
+    assert fields["method"] == "store"
+
+
+def test_options_of_compress_reach_the_file(tmp_path, dem):
+    target = tmp_path / "a.twz"
+    options = "--method store --block 64 --effort fast --border-rings 3 --nodata 100 --threads 1"
+    done = run("compress", dem, target, *options.split(), "--temp-dir", tmp_path, "--no-verify")
+    assert done.exit_code == 0, done.output
+    assert "not checked" in done.stdout
+    fields = json.loads(run("info", target, "--json").stdout)
+    assert (fields["block"], fields["effort"], fields["border_rings"]) == (64, "fast", 3)
+    assert fields["nodata"] == 100
+
+
+@pytest.mark.parametrize("option", [["--no-mesh"], ["--mesh", "none"]])
+def test_no_mesh_is_accepted(tmp_path, dem, option):
+    done = run("compress", dem, tmp_path / "a.twz", "--method", "store", *option)
+    assert done.exit_code == 0, done.output
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--rate", 1, "--psnr", 40, "--method", "cdf53"], "found --rate and --psnr"),
+        (["--rate", 1, "--max-error", 2, "--method", "cdf53"], "found --max-error and --rate"),
+        (["--psnr", 40], "found --psnr without --method cdf53"),
+        (["--rate", 0, "--method", "cdf53"], "found 0, expected a finite number > 0"),
+        (["--method", "cdf53", "--scheduler", "x"], "found --scheduler and --method cdf53"),
+    ],
+)
+def test_options_that_exclude_each_other_are_wrong_usage(tmp_path, dem, options, message):
+    result = run("compress", dem, tmp_path / "out.twz", *options)
+    assert message in one_line(result, 2)
+
+
+@pytest.mark.large
+def test_a_file_of_cdf53_is_cut_checked_and_read_in_part(tmp_path, dem):
+    target = tmp_path / "cut.twz"
+    assert run("compress", dem, target, "--method", "cdf53", "--psnr", 40).exit_code == 0
+    assert run("verify", target, dem).exit_code == 0
+    part = tmp_path / "part.tif"
+    assert run("decompress", target, part, "--quality", 1).exit_code == 0
+    assert part.stat().st_size > 0
+
+
+def test_band_is_chosen_and_the_default_is_noted(tmp_path):
+    layers = np.stack([np.full((40, 40), value, "int16") for value in (1, 2, 3)])
+    path = write_geotiff(tmp_path / "rgb.tif", layers, photometric="MINISBLACK")
+    target = tmp_path / "a.twz"
+    done = run("compress", path, target, "--method", "store")
+    assert done.exit_code == 0
+    assert "note: " in done.stderr
+    assert "3 bands; using band 1 (choose with --band)" in done.stderr
+    assert done.output.count("3 bands") == 1
+    done = run("compress", path, target, "--method", "store", "--band", 3, "--overwrite")
+    assert done.exit_code == 0
+    assert "bands" not in done.stderr
+    with terrainwave.open(target) as terrain:
+        assert (terrain.read() == 3).all()
+
+
+# --- decompress --------------------------------------------------------------------------------
+
+
+def test_decompress_window_bounds_and_level(tmp_path, twz):
+    with terrainwave.open(twz) as terrain:
+        whole, half = terrain.read(), terrain.read(level=-2)
+    window, bounds, level = (tmp_path / f"{name}.tif" for name in ("window", "bounds", "level"))
+    assert run("decompress", twz, window, "--window", "10,20,30,40").exit_code == 0
+    np.testing.assert_array_equal(read_geotiff(window)[0], whole[10:40, 20:60])
+    box = f"{4e5 + 20 * 30},{4e6 - 40 * 30},{4e5 + 60 * 30},{4e6 - 10 * 30}"
+    assert run("decompress", twz, bounds, "--bounds", box).exit_code == 0
+    np.testing.assert_array_equal(read_geotiff(bounds)[0], whole[10:40, 20:60])
+    assert read_geotiff(bounds)[2]["transform"] == Affine(30, 0, 4e5 + 600, 0, -30, 4e6 - 300)
+    assert run("decompress", twz, level, "--level", -2).exit_code == 0
+    np.testing.assert_array_equal(read_geotiff(level)[0], half)
+
+
+def test_decompress_makes_a_cog(tmp_path, twz):
+    assert run("decompress", twz, tmp_path / "a.tif", "--cog", "--threads", 2).exit_code == 0
+    with rasterio.open(tmp_path / "a.tif") as dataset:
+        assert dataset.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+
+
+def test_window_and_bounds_together_are_wrong_usage(tmp_path, twz):
+    args = ["--window", "0,0,1,1", "--bounds", "0,0,1,1"]
+    assert "expected one of them" in one_line(run("decompress", twz, tmp_path / "a.tif", *args), 2)
+
+
+# --- info --------------------------------------------------------------------------------------
+
+
+def test_info_json_is_complete(twz):
+    fields = json.loads(run("info", twz, "--json", "--errors", "measured").stdout)
+    assert (fields["n_rows"], fields["n_cols"]) == (150, 140)
+    assert (fields["max_error"], fields["units"]) == (1, "m")
+    assert fields["crs"] == "EPSG:32611"
+    assert len(fields["level_errors"]) == fields["n_levels"]
+
+
+def test_unknown_unit_is_said(tmp_path):
+    path = write_geotiff(tmp_path / "a.tif", terrain_like(40, 40))
+    target = tmp_path / "a.twz"
+    assert "(unit unknown)" in run("compress", path, target, "--method", "store").stdout
+    assert "(unit unknown)" in run("info", target).stdout
+
+
+def test_recursive_errors_are_never_below_the_measured_ones(tmp_path):
+    target = tmp_path / "a.twz"
+    terrainwave.compress(terrain_like(300, 200), target, max_error=2, method="store", block=32)
+    measured, recursive = (
+        run("info", target, "--errors", kind).stdout.splitlines()[-6:]  # a head and five levels
+        for kind in ("measured", "recursive")
+    )
+    assert measured[0].split() == ["level", "rows", "columns", "largest", "error"]
+    for below, above in zip(measured[1:], recursive[1:], strict=True):
+        assert below.split()[:3] == above.split()[:3]
+        assert float(below.split()[3]) <= float(above.split()[3])
+    assert float(measured[-1].split()[3]) == 2
+
+
+def test_recursive_error_of_a_spike_is_its_distance_from_the_interpolation(tmp_path):
+    # Lossless; level -2 holds every second sample, all 0, and the spike at (1, 1) is 8 off.
+    heights = np.zeros((200, 200), "int16")
+    heights[1, 1] = 8
+    target = tmp_path / "a.twz"
+    terrainwave.compress(heights, target, max_error=0, method="store", block=32)
+    with terrainwave.open(target) as terrain:
+        coarse = terrain.read(level=-2)
+        errors = level_errors(terrain, "recursive")
+    assert errors[-1] == 0
+    corner = np.abs(heights[1, 1] - coarse[:2, :2].mean())
+    assert errors[-2] >= corner > 0
+
+
+# --- verify ------------------------------------------------------------------------------------
+
+
+def test_verify_exits_1_where_a_height_is_beyond_the_bound(dem, twz):
+    done = run("verify", twz, dem, "--max-error", 0.5)
+    assert done.exit_code == 1
+    assert "further from the original than 0.5" in done.stdout
+    assert done.stdout.splitlines()[-1] == "not ok"
+
+
+def test_verify_prints_json(dem, twz):
+    done = run("verify", twz, dem, "--json")
+    fields = json.loads(done.stdout)
+    assert done.exit_code == 0
+    assert fields["ok"] is True
+    assert fields["errors"]["max_error"] == 1
+    done = run("verify", twz, dem, "--json", "--max-error", 0)
+    assert (done.exit_code, json.loads(done.stdout)["ok"]) == (1, False)
+
+
+def test_infinite_numbers_are_strings_in_json(tmp_path):
+    heights = terrain_like(40, 40, "float32")
+    heights[0, 0] = np.inf
+    path = write_geotiff(tmp_path / "a.tif", heights)
+    target = tmp_path / "a.twz"
+    options = ["--nodata", "inf", "--max-error", 1, "--method", "store"]
+    assert run("compress", path, target, *options).exit_code == 0
+    assert json.loads(run("info", target, "--json").stdout)["nodata"] == "inf"
+    done = run("verify", target, path, "--json")  # --nodata is not given: valid and infinite
+    assert done.exit_code == 1
+    assert json.loads(done.stdout)["ok"] is False
+    assert run("verify", target, path, "--nodata", "inf").exit_code == 0
+
+
+def test_verify_without_an_original_finds_a_damaged_block(twz):
+    assert run("verify", twz).exit_code == 0
+    data = bytearray(twz.read_bytes())
+    data[-20] ^= 1
+    twz.write_bytes(data)
+    done = run("verify", twz)
+    assert done.exit_code == 1
+    assert "problem: " in done.stdout
+
+
+# --- mistakes ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", ["compress", "decompress", "info", "verify"])
+def test_missing_file_is_one_line(tmp_path, command):
+    target = [tmp_path / "out"] if command in ("compress", "decompress") else []
+    line = one_line(run(command, tmp_path / "nowhere", *target), 1)
+    assert "nowhere" in line
+
+
+@pytest.mark.parametrize("command", ["compress", "decompress", "info", "verify"])
+def test_directory_is_one_line(tmp_path, command):
+    target = [tmp_path / "out"] if command in ("compress", "decompress") else []
+    assert str(tmp_path) in one_line(run(command, tmp_path, *target), 1)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems refuse such names themselves")
+def test_a_name_that_is_no_text_is_one_line(tmp_path, dem, twz):
+    name = tmp_path / os.fsdecode(b"a\xff.tif")
+    name.write_bytes(dem.read_bytes())
+    for command, source, target in (
+        ("compress", name, tmp_path / "b.twz"),
+        ("verify", twz, name),
+        ("decompress", twz, tmp_path / os.fsdecode(b"b\xff.tif")),
+    ):
+        assert "UTF-8" in one_line(run(command, source, target), 1)
+    assert sorted(os.listdir(tmp_path)) == sorted(["dem.tif", "dem.twz", name.name])
+
+
+@pytest.mark.parametrize("url", ["http://[bad/x.twz", "http://host:port/x.twz", "http://h:99999/x"])
+def test_a_malformed_url_is_one_line(url):
+    assert "is not a URL" in one_line(run("info", url), 1)
+
+
+def test_tif_given_to_info_is_one_line(dem):
+    line = one_line(run("info", dem), 1)
+    assert "found a TIFF, expected a .twz file" in line
+    assert str(dem) in line
+
+
+def test_twz_given_to_compress_is_one_line(tmp_path, twz):
+    line = one_line(run("compress", twz, tmp_path / "b.twz"), 1)
+    assert "already a terrainwave file" in line
+
+
+def test_text_given_to_compress_is_one_line(tmp_path):
+    path = tmp_path / "notes.txt"
+    path.write_text("hello", encoding="utf-8")
+    line = one_line(run("compress", path, tmp_path / "b.twz"), 1)
+    assert "not a raster" in line
+
+
+def test_existing_target_is_refused(dem, twz):
+    before = twz.read_bytes()
+    line = one_line(run("compress", dem, twz, "--method", "store"), 1)
+    assert "already exists" in line
+    assert "--overwrite" in line
+    assert twz.read_bytes() == before
+    assert run("compress", dem, twz, "--method", "store", "--overwrite", "-q").exit_code == 0
+    assert twz.read_bytes() != before
+
+
+@pytest.mark.parametrize("command", ["compress", "decompress"])
+@pytest.mark.parametrize("by_link", [False, True])
+def test_a_target_that_is_the_source_is_refused(tmp_path, dem, twz, command, by_link):
+    source = dem if command == "compress" else twz
+    before = source.read_bytes()
+    target = source
+    if by_link:
+        target = tmp_path / "link"
+        os.link(source, target)
+    assert "expected another name" in one_line(run(command, source, target, "--overwrite"), 1)
+    assert source.read_bytes() == before
+
+
+def test_an_open_dataset_is_not_replaced_by_its_compressed_self(dem):
+    before = dem.read_bytes()
+    with rasterio.open(dem) as dataset, pytest.raises(StorageError, match="another name"):
+        terrainwave.compress(dataset, dem, max_error=5, overwrite=True)
+    assert dem.read_bytes() == before
+
+
+@pytest.mark.parametrize("command", ["compress", "decompress"])
+def test_target_in_a_missing_directory_is_one_line(tmp_path, dem, twz, command):
+    source = dem if command == "compress" else twz
+    line = one_line(run(command, source, tmp_path / "no" / "such" / "file"), 1)
+    assert "no directory" in line
+
+
+@pytest.mark.parametrize("bound", ["-1", "nan", "inf", "one", "1m"])
+def test_wrong_bound_is_wrong_usage(tmp_path, dem, bound):
+    line = one_line(run("compress", dem, tmp_path / "a.twz", "--max-error", bound), 2)
+    assert f"'--max-error': found {bound}, expected a finite number >= 0" in line
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "expected"),
+    [
+        ("--block", "100", "expected one of 32, 64"),
+        ("--block", "16", "expected one of 32, 64"),
+        ("--method", "zip", "'auto'"),
+        ("--effort", "huge", "'best'"),
+        ("--border-rings", "2", "'3'"),
+        ("--nodata", "none", "expected a number or nan"),
+        ("--band", "0", "x>=1"),
+        ("--threads", "0", "x>=1"),
+        ("--mesh", "rtin", "'halves'"),
+        ("--mesh-error", "-1", "expected a finite number >= 0"),
+        ("--colour", "red", "No such option"),
+    ],
+)
+def test_wrong_option_value_is_wrong_usage(tmp_path, dem, option, value, expected):
+    assert expected in one_line(run("compress", dem, tmp_path / "a.twz", option, value), 2)
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("--window", "1,2,3"), ("--window", "1,2,3,4.5"), ("--bounds", "1,2,3,nan")],
+)
+def test_wrong_window_is_wrong_usage(tmp_path, twz, option, value):
+    line = one_line(run("decompress", twz, tmp_path / "a.tif", option, value), 2)
+    assert f"found {value}, expected four" in line
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "expected"),
+    [
+        ("--level", "99", "found level 99, expected 0 …"),
+        ("--window", "500,0,1,1", "does not meet the level's"),
+        ("--bounds", "1e6,1e6,2e6,2e6", "does not meet the level's"),
+    ],
+)
+def test_part_that_is_not_there_is_wrong_usage(tmp_path, twz, option, value, expected):
+    line = one_line(run("decompress", twz, tmp_path / "a.tif", option, value), 2)
+    assert expected in line
+    assert not (tmp_path / "a.tif").exists()
+
+
+def test_a_nodata_value_of_400_digits_is_one_line(tmp_path, dem):
+    line = one_line(run("compress", dem, tmp_path / "b.twz", "--nodata", "9" * 400), 1)
+    assert "outside int16" in line
+    assert len(line) < 200
+
+
+@pytest.mark.parametrize("scale", [np.nan, np.inf, 0.0, 1e-305])
+def test_a_scale_that_gives_no_heights_is_one_line(tmp_path, scale):
+    source = write_geotiff(tmp_path / "a.tif", terrain_like(9, 9), bands={"scales": scale})
+    line = one_line(run("compress", source, tmp_path / "a.twz", "--max-error", "1e9"), 1)
+    assert "scale is" in line
+    assert os.listdir(tmp_path) == ["a.tif"]
+
+
+def test_band_that_is_not_there_is_one_line(tmp_path, dem):
+    line = one_line(run("compress", dem, tmp_path / "a.twz", "--band", 4), 1)
+    assert "band 4 does not exist, the file has 1 band" in line
+
+
+def test_missing_argument_is_wrong_usage():
+    assert "Missing argument" in one_line(run("compress", "a.tif"), 2)
+
+
+def test_no_command_shows_the_commands():
+    done = run()
+    assert done.exit_code == 2
+    assert "compress" in done.stderr
+
+
+# --- output that nobody takes
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pipes there break differently")
+@pytest.mark.parametrize("option", [(), ("--json",)])
+def test_a_closed_pipe_ends_quietly(twz, option):
+    process = start("info", twz, *option)
+    process.stdout.close()
+    assert process.stderr.read() == ""
+    assert process.wait(60) == 1
+    process.stderr.close()
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+@pytest.mark.parametrize("option", [(), ("--json",)])
+def test_a_full_disk_under_stdout_is_one_line(twz, option):
+    program = "import sys; from terrainwave.cli import main; main(prog_name='terrainwave')"
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", program, "info", twz, *option],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+            timeout=60,
+        )
+    assert done.stderr == "terrainwave: No space left on device\n"
+    assert done.returncode == 1
+
+
+# --- interruption ------------------------------------------------------------------------------
+
+
+def test_interruption_is_one_line_and_status_130(tmp_path, dem, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(terrainwave, "compress", interrupted, raising=False)
+    line = one_line_of_interruption(run("compress", dem, tmp_path / "a.twz"))
+    assert line.endswith("interrupted; the target is untouched")
+
+
+def one_line_of_interruption(result):
+    assert result.exit_code == 130
+    return result.stderr.strip().splitlines()[-1]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
+def test_ctrl_c_leaves_the_target_and_nothing_else(tmp_path):
+    rng = np.random.default_rng(0)
+    source = write_geotiff(tmp_path / "a.tif", rng.integers(0, 9999, (1500, 1500)).astype("int16"))
+    target = tmp_path / "a.twz"
+    target.write_bytes(b"mine")
+    process = start("compress", source, target, "--overwrite", "--max-error", 1)
+    deadline = time.monotonic() + 120
+    while len(os.listdir(tmp_path)) < 3 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=300)
+    assert process.returncode == 130, stderr
+    assert stderr.splitlines()[-1] == "terrainwave: interrupted; the target is untouched"
+    assert target.read_bytes() == b"mine"
+    assert sorted(os.listdir(tmp_path)) == ["a.tif", "a.twz"]
+
+
+def test_lack_of_memory_is_one_line(tmp_path, dem, monkeypatch):
+    def greedy(*_, **__):
+        raise MemoryError
+
+    monkeypatch.setattr(terrainwave, "compress", greedy, raising=False)
+    assert "out of memory" in one_line(run("compress", dem, tmp_path / "a.twz"), 1)
+
+
+# --- strings from files ------------------------------------------------------------------------
+
+
+def test_control_characters_are_taken_out():
+    assert plain(HOSTILE) == "<script>alert(1)</script>]8;;http://x[link=http://x]z[/link] next"
+
+
+def test_hostile_strings_in_a_file_reach_the_terminal_as_plain_text(tmp_path):
+    hostile = HOSTILE.replace("\n", " ")
+    path = write_geotiff(
+        tmp_path / "a.tif", terrain_like(40, 40), units=(hostile,), bands={"descriptions": hostile}
+    )
+    target = tmp_path / "a.twz"
+    done = run("compress", path, target, "--method", "store")
+    shown = run("info", target)
+    assert (done.exit_code, shown.exit_code) == (0, 0), done.output
+    for text in (done.output, shown.output):
+        assert "\x1b" not in text
+        assert "\x07" not in text
+        assert "\u202e" not in text
+    assert "[link=http://x]" in shown.output.replace("\n", "")
+
+
+def test_hostile_error_message_is_one_plain_line(tmp_path, monkeypatch):
+    def refuse(*_, **__):
+        raise CorruptStreamError(HOSTILE)
+
+    path = tmp_path / "a.twz"
+    path.write_bytes(b"\x89TWZ")
+    monkeypatch.setattr(terrainwave, "open", refuse)
+    assert "\x1b" not in one_line(run("info", path), 1)
+
+
+# --- progress ----------------------------------------------------------------------------------
+
+
+def test_progress_bar_is_drawn_on_a_terminal_only(monkeypatch):
+    class Terminal:
+        def isatty(self):
+            return True
+
+        def __getattr__(self, name):
+            return getattr(sys.__stderr__, name)
+
+    assert Bar()._bar is None
+    monkeypatch.setattr(cli_output.sys, "stderr", Terminal())
+    assert Bar(quiet=True)._bar is None
+    bar = Bar()
+    assert bar._bar is not None
+    bar._bar.console.file = open(os.devnull, "w", encoding="utf-8")
+    with bar:
+        bar(Progress("scanning", 5, 10))
+        bar(Progress("encoding", 3, 9, n_bytes_in=1000, n_bytes_out=100))
+    task = bar._bar.tasks[0]
+    assert (task.description, task.completed, task.total) == ("encoding", 3, 9)
+    assert task.fields["ratio"] == "10.0:1"
+    bar._bar.console.file.close()
+
+
+@pytest.mark.large  # plain Python compiles nothing
+def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path, dem):
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    command = [sys.executable, "-m", "terrainwave", "compress", str(dem), "--method", "store"]
+    told = []
+    for name in ("a.twz", "b.twz"):
+        done = subprocess.run(
+            [*command, str(tmp_path / name)], env=env, capture_output=True, text=True, check=True
+        )
+        told.append(done.stderr.count("compiling kernels for this machine, once"))
+        assert "compiling" not in done.stdout
+    assert told == [1, 0]
+
+
+# --- starting quickly --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("args", [["--help"], ["--version"], ["compress", "--help"]])
+def test_help_imports_neither_numba_nor_rasterio(args):
+    program = f"""
+import sys
+from terrainwave.cli import main
+try:
+    main({args!r}, prog_name="terrainwave")
+except SystemExit as end:
+    loaded = [name for name in ("numba", "rasterio", "numpy", "rich") if name in sys.modules]
+    sys.exit(end.code or (str(loaded) if loaded else 0))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+    )
+    assert done.returncode == 0, done.stderr
+    assert "terrainwave" in done.stdout
+
+
+def test_every_command_has_help():
+    for name in main.commands:
+        done = run(name, "--help")
+        assert done.exit_code == 0
+        assert "Usage: terrainwave" in done.stdout
+
+
+# --- demo and warmup ---------------------------------------------------------------------------
+
+
+@pytest.mark.large
+def test_demo_checks_and_draws(tmp_path):
+    done = run("demo", tmp_path / "demo")
+    assert done.exit_code == 0, done.output
+    assert sorted(os.listdir(tmp_path / "demo")) == [
+        "demo.png",
+        "jacksboro.tif",
+        "jacksboro_0m.twz",
+        "jacksboro_10m.twz",
+        "jacksboro_1m.twz",
+        "jacksboro_3m.twz",
+    ]
+    assert "344 x 403 heights" in done.stdout
+    assert (tmp_path / "demo" / "demo.png").read_bytes()[:4] == b"\x89PNG"
+    # Again, over its own files.
+    assert run("demo", tmp_path / "demo", "--quiet").output == ""
+
+
+def test_warmup_compresses_and_reads_back():
+    done = run("warmup")
+    assert done.exit_code == 0, done.output

@@ -1,0 +1,361 @@
+"""`terrainwave mesh` and height tiles on the command line: words, numbers, exit status."""
+
+import json
+import sys
+
+import meshio
+import numpy as np
+import pytest
+import trimesh
+from click.testing import CliRunner
+from rasterio.transform import Affine
+from strategies import terrain_like, write_geotiff
+from tri.meshes import grid_mesh
+
+import terrainwave
+from terrainwave.cli import main
+from terrainwave.export.files import EXTENSIONS
+from terrainwave.terrain import Terrain
+
+
+def run(*args):
+    """Run a command in this process; errors must have become a line and a status."""
+    result = CliRunner().invoke(main, [str(arg) for arg in args], prog_name="terrainwave")
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+def one_line(result, status):
+    """Return the one line of stderr of a failed command."""
+    assert result.exit_code == status, result.output
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    return line
+
+
+def make(tmp_path, **profile):
+    options = {"crs": "EPSG:32611", "transform": Affine(30, 0, 4e5, 0, -30, 4e6)} | profile
+    write_geotiff(tmp_path / "dem.tif", terrain_like(33, 20), units=("m",), **options)
+    path = tmp_path / "dem.twz"
+    terrainwave.compress(tmp_path / "dem.tif", path, max_error=0, method="store", block=32)
+    return path
+
+
+@pytest.fixture
+def twz(tmp_path):
+    return make(tmp_path)
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Let `Terrain.mesh` give two triangles per cell; return the options it was called with."""
+    asked = {}
+
+    def mesh(self, **options):
+        asked.update(options)
+        heights = self.read(options["window"], bounds=options["bounds"])
+        return grid_mesh(
+            heights, self.transform(), error=0.5, crs=self.crs, units=self.raster_info.units
+        )
+
+    monkeypatch.setattr(Terrain, "mesh", mesh, raising=False)
+    return asked
+
+
+def test_mesh_prints_what_was_written(tmp_path, twz, asked):
+    target = tmp_path / "area.ply"
+    result = run("mesh", twz, target)
+    assert result.exit_code == 0, result.output
+    first, second = result.stdout.splitlines()
+    n_bytes = target.stat().st_size
+    assert first == f"{target}: 1,216 triangles, 660 vertices, {n_bytes:,} bytes"
+    assert second == "guaranteed error 0.5 m, frame native"
+
+
+def test_options_reach_the_mesh(tmp_path, twz, asked):
+    options = "--max-error 2 --max-triangles 99 --level -2 --window 0,0,5,6 --no-optimise"
+    assert run("mesh", twz, tmp_path / "a.ply", *options.split()).exit_code == 0
+    assert asked == {
+        "max_error": 2.0,
+        "max_triangles": 99,
+        "level": -2,
+        "window": (0, 0, 5, 6),
+        "bounds": None,
+        "optimise": 0,
+    }
+
+
+def test_defaults_of_the_mesh(tmp_path, twz, asked):
+    assert run("mesh", twz, tmp_path / "a.ply", "--bounds", "400000,3999800,400200,4000000")
+    assert asked == {
+        "max_error": None,
+        "max_triangles": None,
+        "level": -1,
+        "window": None,
+        "bounds": (400000.0, 3999800.0, 400200.0, 4000000.0),
+        "optimise": 1,
+    }
+
+
+def test_frame_and_z_scale_reach_the_file(tmp_path, twz, asked):
+    target = tmp_path / "a.ply"
+    assert run("mesh", twz, target, "--frame", "local", "--z-scale", "2").exit_code == 0
+    points = meshio.read(target).points
+    assert np.abs(points[:, 0]).max() == pytest.approx(9.5 * 30)
+    assert points[:, 2].max() == pytest.approx(2 * terrain_like(33, 20).max())
+
+
+def test_solid_makes_a_closed_body(tmp_path, twz, asked):
+    assert run("mesh", twz, tmp_path / "a.stl", "--solid", "-50").exit_code == 0
+    body = trimesh.load(tmp_path / "a.stl")
+    assert body.is_watertight
+    assert body.bounds[0][2] == -50
+
+
+def test_json_of_mesh_is_complete(tmp_path, twz, asked):
+    target = tmp_path / "a.glb"
+    result = run("mesh", twz, target, "--json")
+    found = json.loads(result.stdout)
+    assert found["path"] == str(target)
+    assert found["n_triangles"] == 1216
+    assert found["units"] == "m"
+    assert found["error"] == 0.5 + found["rounding"]
+    assert found["origin"] == pytest.approx([4e5 + 300, 4e6 - 495, 0])
+
+
+def test_quiet_prints_nothing(tmp_path, twz, asked):
+    assert run("mesh", twz, tmp_path / "a.ply", "--quiet").output == ""
+
+
+def test_guess_of_degrees_is_a_note(tmp_path, asked):
+    path = make(tmp_path, crs=None, transform=Affine(0.01, 0, 10, 0, -0.01, 45))
+    result = run("mesh", path, tmp_path / "a.ply", "--radius", "1737400")
+    assert result.exit_code == 0, result.output
+    (note,) = result.stderr.splitlines()
+    assert note.startswith("note: ")
+    assert "1.7374e+06 m" in note
+    assert "frame local" in result.stdout
+
+
+def test_curvature_of_a_geocentric_mesh_is_a_note(tmp_path, twz, asked):
+    result = run("mesh", twz, tmp_path / "a.ply", "--frame", "ecef")
+    (note,) = result.stderr.splitlines()
+    assert "below the curved body" in note
+
+
+# Wrong usage
+
+
+@pytest.mark.parametrize("name", ["area.xyz", "area"])
+def test_an_unknown_extension_is_wrong_usage(tmp_path, twz, asked, name):
+    line = one_line(run("mesh", twz, tmp_path / name), 2)
+    assert all(extension in line for extension in EXTENSIONS)
+    assert asked == {}
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--z-scale -1", "found -1, expected a finite number > 0"),
+        ("--z-scale 0", "found 0, expected a finite number > 0"),
+        ("--radius moon", "found moon, expected a finite number > 0"),
+        ("--solid deep", "found deep, expected a finite number"),
+        ("--max-error -1", "found -1, expected a finite number >= 0"),
+        ("--max-triangles 0", "0 is not in the range"),
+        ("--frame world", "'local', 'native', 'ecef'"),
+        ("--window 1,2,3", "four whole numbers"),
+        ("--window 0,0,5,5 --bounds 1,2,3,4", "both --window and --bounds"),
+    ],
+)
+def test_wrong_options_are_one_line(tmp_path, twz, asked, options, words):
+    assert words in one_line(run("mesh", twz, tmp_path / "a.ply", *options.split()), 2)
+    assert not (tmp_path / "a.ply").exists()
+
+
+def test_a_tile_with_a_frame_is_wrong_usage(tmp_path, twz, asked):
+    line = one_line(run("mesh", twz, tmp_path / "a.terrain", "--frame", "ecef"), 2)
+    assert "frame of its own" in line
+
+
+# Failures
+
+
+def test_an_existing_target_is_refused_before_the_work(tmp_path, twz, asked):
+    (tmp_path / "a.ply").write_text("mine")
+    line = one_line(run("mesh", twz, tmp_path / "a.ply"), 1)
+    assert "already exists" in line
+    assert asked == {}
+    assert run("mesh", twz, tmp_path / "a.ply", "--overwrite").exit_code == 0
+
+
+def test_a_missing_package_is_told_before_the_work(tmp_path, twz, asked, monkeypatch):
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    line = one_line(run("mesh", twz, tmp_path / "a.stl"), 1)
+    assert line == 'terrainwave: this needs trimesh: pip install "terrainwave[mesh]"'
+    assert asked == {}
+
+
+def test_a_base_above_the_ground_is_refused(tmp_path, twz, asked):
+    line = one_line(run("mesh", twz, tmp_path / "a.stl", "--solid", "1000"), 1)
+    assert "found --solid 1000, expected less than the mesh's lowest height" in line
+    assert not (tmp_path / "a.stl").exists()
+
+
+def test_a_raster_instead_of_a_file_is_named(tmp_path, twz, asked):
+    line = one_line(run("mesh", tmp_path / "dem.tif", tmp_path / "a.ply"), 1)
+    assert "found a TIFF, expected a .twz file" in line
+
+
+def test_the_file_itself_is_no_target(tmp_path, twz, asked):
+    source = tmp_path / "dem.ply"
+    twz.rename(source)
+    assert "is the file to be read" in one_line(run("mesh", source, source, "--overwrite"), 1)
+
+
+# The bound holds for the file, not only for the mesh
+
+
+def with_error(monkeypatch, smallest):
+    """Let `Terrain.mesh` reach any error asked for, down to `smallest`; return those asked for."""
+    asked = []
+
+    def mesh(self, max_error, **options):
+        asked.append(max_error)
+        if max_error < smallest:
+            raise terrainwave.InvalidHeightsError("too small")
+        return grid_mesh(self.read() / 7, self.transform(), error=max_error, crs=self.crs)
+
+    monkeypatch.setattr(Terrain, "mesh", mesh)
+    return asked
+
+
+@pytest.mark.parametrize("name", ["a.stl", "a.glb", "a.terrain"])
+def test_mesh_leaves_room_for_rounding(tmp_path, twz, monkeypatch, name):
+    asked = with_error(monkeypatch, smallest=0.5)
+    found = json.loads(run("mesh", twz, tmp_path / name, "--max-error", "2", "--json").stdout)
+    assert 1.9 < found["error"] <= 2
+    assert len(asked) == 2
+    assert asked[1] < 2 - found["rounding"]
+
+
+def test_a_mesh_that_fits_is_made_once(tmp_path, twz, monkeypatch):
+    asked = with_error(monkeypatch, smallest=0.5)
+    assert run("mesh", twz, tmp_path / "a.ply", "--max-error", "2").stderr == ""
+    assert asked == [2.0]
+
+
+def test_a_bound_that_rounding_breaks_is_told(tmp_path, twz, monkeypatch):
+    with_error(monkeypatch, smallest=2.0)
+    result = run("mesh", twz, tmp_path / "a.stl", "--max-error", "2")
+    assert result.exit_code == 0
+    assert "note: rounding of coordinates in the file adds" in result.stderr
+    assert (tmp_path / "a.stl").exists()
+
+
+# Meshes of real files
+
+
+def test_mesh_of_a_file_with_voids_is_within_its_bound_and_closes(tmp_path):
+    heights = terrain_like(70, 90).astype("float64")
+    heights[20:25, 30:41] = heights[25:30, 41:44] = -32768
+    write_geotiff(
+        tmp_path / "dem.tif", heights, nodata=-32768, transform=Affine(30, 0, 4e5, 0, -30, 4e6)
+    )
+    path = tmp_path / "dem.twz"
+    terrainwave.compress(tmp_path / "dem.tif", path, max_error=1, block=32)
+    found = json.loads(run("mesh", path, tmp_path / "a.ply", "--max-error", "6", "--json").stdout)
+    assert found["error"] <= 6 + found["rounding"]
+    surface = meshio.read(tmp_path / "a.ply")
+    points, triangles = surface.points, surface.cells_dict["triangle"]
+    a, b, c = (points[triangles[:, corner]] for corner in range(3))
+    n_covered = 0
+    for row in range(1, 69):
+        for col in range(1, 89):
+            x, y = 4e5 + 30 * (col + 0.5), 4e6 - 30 * (row + 0.5)
+            height = surface_height(a, b, c, x, y)
+            if heights[row, col] == -32768:
+                assert height is None
+            elif height is not None:
+                n_covered += 1
+                assert abs(height - heights[row, col]) <= found["error"] + 1e-6
+    assert n_covered > 5700
+    assert run("mesh", path, tmp_path / "b.stl", "--solid", "-100").exit_code == 0
+    assert trimesh.load(tmp_path / "b.stl").is_watertight
+
+
+def surface_height(a, b, c, x, y):
+    """Return the height of the triangles (a, b, c) at (x, y); None where none is."""
+    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
+    at_b = ((x - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (y - a[:, 1])) / area
+    at_c = ((b[:, 0] - a[:, 0]) * (y - a[:, 1]) - (x - a[:, 0]) * (b[:, 1] - a[:, 1])) / area
+    inside = (at_b >= -1e-9) & (at_c >= -1e-9) & (at_b + at_c <= 1 + 1e-9)
+    if not inside.any():
+        return None
+    index = np.flatnonzero(inside)[0]
+    weights = np.array([1 - at_b[index] - at_c[index], at_b[index], at_c[index]])
+    return float(weights @ [a[index, 2], b[index, 2], c[index, 2]])
+
+
+def test_an_array_without_a_place_is_not_taken_for_degrees(tmp_path):
+    terrainwave.compress(terrain_like(40, 50), tmp_path / "dem.twz", max_error=0, block=32)
+    result = run("mesh", tmp_path / "dem.twz", tmp_path / "a.ply")
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+    assert "frame native" in result.stdout
+
+
+def test_store_adds_meshes_to_a_copy(tmp_path):
+    terrainwave.compress(terrain_like(70, 80), tmp_path / "dem.twz", block=32, mesh="none")
+    result = run("mesh", "--store", tmp_path / "dem.twz", tmp_path / "out.twz", "--mesh-error", "2")
+    assert result.exit_code == 0, result.output
+    n_bytes = (tmp_path / "out.twz").stat().st_size
+    assert result.stdout == f"{tmp_path / 'out.twz'}: {n_bytes:,} bytes, with meshes\n"
+    with terrainwave.open(tmp_path / "out.twz") as terrain:
+        assert terrain.mesh_kind == "halves"
+        assert terrain.info().mesh_tolerance == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--store --frame local --solid 3", "found --frame, --solid with --store"),
+        ("--mesh halves", "found --mesh without --store"),
+        ("--mesh-error 2", "found --mesh-error without --store"),
+        ("--store --mesh none", "expected one of auto, halves, zerotree, rqt"),
+        ("--store --mesh rqt3", "rqt3"),
+    ],
+)
+def test_options_of_store_and_export_do_not_mix(tmp_path, twz, options, words):
+    assert words in one_line(run("mesh", twz, tmp_path / "out.twz", *options.split()), 2)
+    assert not (tmp_path / "out.twz").exists()
+
+
+# Height tiles
+
+
+@pytest.mark.parametrize("name", ["tile.r16", "tile.png"])
+def test_decompress_writes_a_height_tile(tmp_path, twz, name):
+    result = run("decompress", twz, tmp_path / name, "--size", "17")
+    assert result.exit_code == 0, result.output
+    assert str(tmp_path / name) in result.stdout
+    about = json.loads((tmp_path / "tile.json").read_text())
+    assert (about["rows"], about["columns"]) == (17, 17)
+
+
+def test_window_as_size_keeps_the_window(tmp_path, twz):
+    assert run("decompress", twz, tmp_path / "t.r16", "--size", "window").exit_code == 0
+    assert (tmp_path / "t.r16").stat().st_size == 2 * 33 * 20
+
+
+@pytest.mark.parametrize(
+    ("target", "options", "words"),
+    [
+        ("t.r16", "--size 1024", "found 1024, expected 2^n + 1"),
+        ("t.r16", "--size big", "found big, expected 2^n + 1"),
+        ("t.png", "--cog", "cannot be a COG"),
+        ("t.tif", "--size 65", "--size is for height tiles"),
+    ],
+)
+def test_wrong_options_of_a_tile_are_one_line(tmp_path, twz, target, options, words):
+    assert words in one_line(run("decompress", twz, tmp_path / target, *options.split()), 2)
+    assert not (tmp_path / target).exists()

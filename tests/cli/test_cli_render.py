@@ -1,0 +1,134 @@
+"""terrainwave render, and what view and render say of wrong options."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from render.scenes import hills
+
+from terrainwave.cli import main
+from terrainwave.write.compress import compress
+
+pytestmark = [pytest.mark.gl, pytest.mark.large]
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("render") / "hills.twz"
+    compress(np.round(hills(150, 210, 1)).astype(np.int16), path, block=32)
+    return str(path)
+
+
+def run(*arguments):
+    return CliRunner().invoke(main, [str(part) for part in arguments])
+
+
+def pixels(path):
+    from matplotlib.image import imread
+
+    return np.round(imread(path)[..., :3] * 255).astype(int)
+
+
+def test_a_picture_and_what_was_drawn(file, tmp_path):
+    picture, stats = tmp_path / "a.png", tmp_path / "a.json"
+    done = run("render", file, picture, "--size", "200x150", "--stats", stats,
+               "--max-pixel-error", "2")  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert pixels(picture).shape == (150, 200, 3)
+    said = json.loads(stats.read_text())
+    assert said["max_pixel_error"] == 2.0
+    assert said["n_triangles"] > 100
+    assert said["n_draw_calls"] == 1
+    assert f"--camera {said['camera']}" in done.output
+
+
+def test_the_printed_camera_gives_the_same_picture(file, tmp_path):
+    stats = tmp_path / "a.json"
+    run("render", file, tmp_path / "a.png", "--size", "120x90", "--stats", stats)
+    camera = json.loads(stats.read_text())["camera"]
+    done = run("render", file, tmp_path / "b.png", "--size", "120x90", f"--camera={camera}")
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_full_and_adaptive_pictures_are_alike(file, tmp_path):
+    for mode in ("full", "adaptive"):
+        done = run("render", file, tmp_path / f"{mode}.png", "--size", "200x150", "--mode", mode,
+                   "--max-pixel-error", "0.5")  # fmt: skip
+        assert done.exit_code == 0, done.output
+    apart = np.abs(pixels(tmp_path / "full.png") - pixels(tmp_path / "adaptive.png"))
+    assert apart.mean() < 2
+
+
+def test_a_flight_writes_numbered_pictures(file, tmp_path):
+    keys = ["100,40,500,0,-40,50", "120,60,450,30,-35,50"]
+    path = tmp_path / "flight.json"
+    path.write_text(json.dumps(keys))
+    done = run("render", file, tmp_path / "f.png", "--size", "64x48", "--flight", path,
+               "--frames", "3", "--quiet")  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert sorted(p.name for p in tmp_path.glob("f-*.png")) == [
+        "f-0000.png", "f-0001.png", "f-0002.png",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("options", "words", "status"),
+    [
+        (["--size", "12"], "1920x1280", 2),
+        (["--camera", "1,2"], "x,y,z,heading,pitch,fov", 1),
+        (["--sun", "1"], "two numbers", 2),
+        (["--mode", "best"], "adaptive", 2),
+        (["--background", "red"], "hexadecimal", 2),
+        (["--radius", "0"], "--radius", 2),
+        (["--size", "200000x2"], "pixels", 1),
+        (["--bounds", "5,5,1,1"], "left < right", 1),
+    ],
+)
+def test_a_wrong_option_is_one_line(file, tmp_path, options, words, status):
+    done = run("render", file, tmp_path / "x.png", *options)
+    assert done.exit_code == status
+    lines = [line for line in done.output.splitlines() if not line.startswith("compiling")]
+    assert len(lines) == 1
+    assert words in lines[0]
+    assert not (tmp_path / "x.png").exists()
+
+
+def test_an_existing_picture_is_kept_unless_told(file, tmp_path):
+    (tmp_path / "x.png").write_text("mine")
+    assert run("render", file, tmp_path / "x.png", "--size", "20x20").exit_code == 1
+    assert (tmp_path / "x.png").read_text() == "mine"
+    done = run("render", file, tmp_path / "x.png", "--size", "20x20", "--overwrite")
+    assert done.exit_code == 0, done.output
+
+
+@pytest.mark.parametrize("arguments", [("view",), ("render", "x.png")])
+def test_a_missing_library_is_named_in_one_line(file, tmp_path, arguments):
+    """As for those who have installed terrainwave without its extra."""
+    command, *rest = arguments
+    code = (
+        "import sys\nsys.modules['moderngl'] = sys.modules['moderngl_window'] = None\n"
+        "from terrainwave.cli import main\nmain()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, command, file, *rest],
+        check=False, capture_output=True, text=True, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 1
+    said = done.stderr.strip().splitlines()[-1]
+    assert said.startswith("terrainwave: ")
+    assert "pip install 'terrainwave[view]'" in said
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("library", ["moderngl", "numba", "PIL"])
+def test_help_needs_no_heavy_library(library):
+    code = (
+        "import sys\nfrom click.testing import CliRunner\nfrom terrainwave.cli import main\n"
+        "CliRunner().invoke(main, ['render', '--help'])\n"
+        f"sys.exit({library!r} in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,195 @@
+"""Back to GeoTIFF and COG: heights, masks, metadata, places."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.transform import Affine
+from strategies import read_geotiff, terrain_like, write_geotiff
+
+from terrainwave.errors import InvalidHeightsError, StorageError
+from terrainwave.export.geotiff import decompress
+from terrainwave.terrain import Terrain
+from terrainwave.write.compress import compress
+
+HEIGHTS = terrain_like(261, 140)
+HEIGHTS[100:150, 20:90] = -32768
+TRANSFORM = Affine(10.0, 0.0, 1000.0, 0.0, -10.0, 5000.0)
+PROFILE = {"transform": TRANSFORM, "crs": "EPSG:32633", "nodata": -32768}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """Return a folder with dem.tif and its lossless dem.twz with nested levels."""
+    folder = tmp_path_factory.mktemp("files")
+    write_geotiff(folder / "dem.tif", HEIGHTS, **PROFILE)
+    compress(folder / "dem.tif", folder / "dem.twz", max_error=0, method="store", block=32)
+    return folder
+
+
+def back_from(files, tmp_path, **options):
+    """Decompress; return (heights, valid, profile)."""
+    path = decompress(files / "dem.twz", tmp_path / "back.tif", threads=1, **options)
+    return read_geotiff(path)
+
+
+def round_trip(tmp_path, source, **options):
+    """Compress and decompress a GeoTIFF; return the path of the result."""
+    compress(source, tmp_path / "dem.twz", block=32, threads=1, **options)
+    return decompress(tmp_path / "dem.twz", tmp_path / "back.tif", threads=1)
+
+
+def test_heights_and_voids_come_back(files, tmp_path):
+    heights, valid, _ = back_from(files, tmp_path)
+    np.testing.assert_array_equal(heights, HEIGHTS)
+    np.testing.assert_array_equal(valid, HEIGHTS != -32768)
+
+
+@pytest.mark.parametrize("name", ["transform", "crs", "nodata", "dtype", "width", "height"])
+def test_what_the_profile_says_comes_back(files, tmp_path, name):
+    _, _, profile = back_from(files, tmp_path)
+    assert profile[name] == read_geotiff(files / "dem.tif")[2][name]
+
+
+def test_tags_of_the_band_come_back(tmp_path):
+    source = write_geotiff(
+        tmp_path / "dem.tif",
+        np.array([[1, 2], [3, 4]], dtype="int16"),
+        units=("foot",),
+        tags={"AREA_OR_POINT": "Point"},
+        bands={"scales": 0.25, "offsets": -3.0, "descriptions": "bare earth"},
+        **PROFILE,
+    )
+    with rasterio.open(round_trip(tmp_path, source, max_error=0)) as dataset:
+        found = dataset.units, dataset.scales, dataset.offsets, dataset.descriptions
+        assert found == (("foot",), (0.25,), (-3.0,), ("bare earth",))
+        assert dataset.tags()["AREA_OR_POINT"] == "Point"
+
+
+def test_an_internal_mask_comes_back(tmp_path):
+    heights = np.arange(12, dtype="uint8").reshape(3, 4)
+    mask = np.arange(12).reshape(3, 4) % 5 != 2
+    source = write_geotiff(tmp_path / "dem.tif", heights, mask=mask)
+    found, valid, profile = read_geotiff(round_trip(tmp_path, source, max_error=0))
+    np.testing.assert_array_equal(valid, mask)
+    np.testing.assert_array_equal(found[mask], heights[mask])
+    assert profile["nodata"] is None
+
+
+def test_nan_comes_back(tmp_path):
+    heights = np.array([[1.5, np.nan], [np.nan, 2.25]], dtype="float32")
+    source = write_geotiff(tmp_path / "dem.tif", heights)
+    np.testing.assert_array_equal(
+        read_geotiff(round_trip(tmp_path, source, max_error=0))[0], heights
+    )
+
+
+# Windows, bounds, levels; places by hand
+
+
+@pytest.mark.parametrize(
+    ("options", "at", "transform"),
+    [
+        ({"window": (7, 3, 20, 30)}, np.s_[7:27, 3:33], (10, 0, 1030, 0, -10, 4930)),
+        ({"window": (250, 130, 99, 99)}, np.s_[250:, 130:], (10, 0, 2300, 0, -10, 2500)),
+        ({"bounds": (1030, 4900, 1050, 4930)}, np.s_[7:10, 3:5], (10, 0, 1030, 0, -10, 4930)),
+        # The first centre stays at (1005, 4995): pixels of 20 m begin at 995 and 5005.
+        ({"level": -2}, np.s_[::2, ::2], (20, 0, 995, 0, -20, 5005)),
+        ({"level": -3}, np.s_[::4, ::4], (40, 0, 985, 0, -40, 5015)),
+        (
+            {"level": -2, "window": (5, 3, 8, 9)},
+            np.s_[10:26:2, 6:24:2],
+            (20, 0, 1055, 0, -20, 4905),
+        ),
+    ],
+)
+def test_a_part_has_its_heights_and_its_place(files, tmp_path, options, at, transform):
+    heights, _, profile = back_from(files, tmp_path, **options)
+    # A coarse sample beside valid ones is valid, and filled, though the raster is void there.
+    known = HEIGHTS[at] != -32768
+    assert heights.shape == known.shape
+    np.testing.assert_array_equal(heights[known], HEIGHTS[at][known])
+    assert tuple(profile["transform"])[:6] == transform
+
+
+def test_a_part_outside_the_raster_is_refused(files, tmp_path):
+    with pytest.raises(InvalidHeightsError, match="does not meet"):
+        back_from(files, tmp_path, window=(300, 0, 5, 5))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("n_samples", [1, 64 * 64, 10_000])
+def test_the_size_of_windows_does_not_matter(files, tmp_path, monkeypatch, n_samples):
+    monkeypatch.setattr("terrainwave.export.geotiff._WINDOW_SAMPLES", n_samples)
+    heights, _, _ = back_from(files, tmp_path, window=(13, 5, 240, 130))
+    np.testing.assert_array_equal(heights, HEIGHTS[13:253, 5:135])
+
+
+def test_an_existing_target_is_refused(files, tmp_path):
+    (tmp_path / "back.tif").write_bytes(b"precious")
+    with pytest.raises(StorageError, match="exists"):
+        back_from(files, tmp_path)
+    assert (tmp_path / "back.tif").read_bytes() == b"precious"
+
+
+def test_an_existing_target_is_replaced_when_asked(files, tmp_path):
+    (tmp_path / "back.tif").write_bytes(b"not precious")
+    heights, _, _ = back_from(files, tmp_path, overwrite=True)
+    np.testing.assert_array_equal(heights, HEIGHTS)
+
+
+def test_progress_ends_with_all_samples(files, tmp_path):
+    seen = []
+    back_from(files, tmp_path, progress=seen.append)
+    assert (seen[-1].done, seen[-1].total) == (261 * 140, 261 * 140)
+
+
+# COG
+
+LARGE = terrain_like(1100, 1060, dtype="float32", seed=2)
+
+
+@pytest.fixture(scope="module")
+def cog(tmp_path_factory):
+    """Return (decoded heights, path of the COG); the file's levels are low-pass filtered."""
+    folder = tmp_path_factory.mktemp("cog")
+    compress(LARGE, folder / "dem.twz", max_error=0.5, method="cdf97")
+    with Terrain(folder / "dem.twz") as terrain:
+        decoded = terrain.read()
+    return decoded, decompress(folder / "dem.twz", folder / "dem.tif", cog=True)
+
+
+@pytest.mark.large
+def test_a_cog_is_one(cog):
+    with rasterio.open(cog[1]) as dataset:
+        assert dataset.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+
+
+@pytest.mark.large
+def test_a_cog_holds_the_decoded_grid(cog):
+    np.testing.assert_array_equal(read_geotiff(cog[1])[0], cog[0])
+
+
+@pytest.mark.large
+def test_overviews_of_a_cog_are_averages_of_the_decoded_grid(cog):
+    decoded, path = cog
+    with rasterio.open(path) as dataset:
+        assert dataset.overviews(1)[0] == 2
+    with rasterio.open(path, overview_level=0) as dataset:
+        overview = dataset.read(1)
+    means = decoded.reshape(550, 2, 530, 2).mean(axis=(1, 3), dtype="float64")
+    np.testing.assert_allclose(overview, means, rtol=1e-6)
+
+
+@pytest.mark.large
+def test_a_cog_leaves_nothing_beside_it(cog):
+    assert sorted(path.name for path in Path(cog[1]).parent.iterdir()) == ["dem.tif", "dem.twz"]
+
+
+@pytest.mark.large
+def test_a_cog_keeps_voids(files, tmp_path):
+    path = decompress(files / "dem.twz", tmp_path / "cog.tif", cog=True)
+    heights, valid, _ = read_geotiff(path)
+    np.testing.assert_array_equal(heights, HEIGHTS)
+    np.testing.assert_array_equal(valid, HEIGHTS != -32768)

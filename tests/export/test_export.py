@@ -1,0 +1,526 @@
+"""Meshes in files: what other programs read back, origins, rounding, whole files or none."""
+
+import json
+import re
+import sys
+from dataclasses import replace
+
+import meshio
+import numpy as np
+import pytest
+import trimesh
+from quantized_mesh import metadata, read_tile
+from tri.meshes import grid_mesh, hills
+
+from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
+from terrainwave.export import files as export
+from terrainwave.export.files import EXTENSIONS, save_mesh
+from terrainwave.export.frames import areas, steepest, to_frame
+from terrainwave.export.mesh import Mesh
+
+UTM = (30.0, 0.0, 400000.0, 0.0, -30.0, 4000000.0)
+SECONDS = (1 / 3600, 0.0, 10.0, 0.0, -1 / 3600, 45.0)
+FORMATS = [name for name in EXTENSIONS if name != ".terrain"]
+DOUBLES = [".ply", ".obj", ".vtu", ".vtk"]
+FLOATS = [".stl", ".glb", ".gltf"]
+
+
+def utm_mesh(**options):
+    return grid_mesh(hills(7, 9), UTM, crs="EPSG:32633", units="m", **options)
+
+
+def read_back(path):
+    """Return (points, triangles) with z upwards, by a reader that is not ours."""
+    if path.suffix in (".ply", ".vtu", ".vtk"):
+        found = meshio.read(path)
+        return found.points, found.cells_dict["triangle"]
+    found = trimesh.load(path, process=False, force="mesh")
+    points = np.asarray(found.vertices)
+    if path.suffix in (".glb", ".gltf"):
+        points = points[:, [0, 2, 1]] * (1, -1, 1)
+    return points, np.asarray(found.faces)
+
+
+def corners(points, triangles):
+    return points[triangles].reshape(-1, 9)
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_triangles_come_back_in_order_and_sense(tmp_path, suffix):
+    mesh = utm_mesh()
+    saved = save_mesh(mesh, tmp_path / f"area{suffix}")
+    points, triangles = read_back(tmp_path / f"area{suffix}")
+    found = corners(points + np.asarray(saved.origin), triangles)
+    np.testing.assert_allclose(found, corners(mesh.points, mesh.triangles), rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_local_metres_come_back(tmp_path, suffix):
+    mesh = grid_mesh(hills(7, 9), SECONDS, crs="EPSG:4326")
+    save_mesh(mesh, tmp_path / f"area{suffix}")
+    points, triangles = read_back(tmp_path / f"area{suffix}")
+    local = to_frame(mesh)
+    np.testing.assert_allclose(
+        corners(points, triangles), corners(local.points, local.triangles), rtol=0, atol=1e-4
+    )
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_ecef_comes_back_and_faces_outwards(tmp_path, suffix):
+    mesh = grid_mesh(hills(7, 9), SECONDS, crs="EPSG:4326")
+    saved = save_mesh(mesh, tmp_path / f"area{suffix}", frame="ecef")
+    points, triangles = read_back(tmp_path / f"area{suffix}")
+    points = points + np.asarray(saved.origin)
+    expected = to_frame(mesh, "ecef")
+    np.testing.assert_allclose(
+        corners(points, triangles),
+        corners(expected.points, expected.triangles),
+        rtol=0,
+        atol=1e-4,
+    )
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_result_counts_what_is_in_the_file(tmp_path, suffix):
+    path = tmp_path / f"area{suffix}"
+    saved = save_mesh(utm_mesh(), path)
+    assert saved.n_bytes == path.stat().st_size
+    assert (saved.n_vertices, saved.n_triangles) == (63, 2 * 6 * 8)
+    assert saved.path == str(path)
+
+
+@pytest.mark.parametrize("suffix", EXTENSIONS)
+def test_equal_meshes_give_equal_files(tmp_path, suffix):
+    for name in ("one", "two"):
+        save_mesh(utm_mesh(), tmp_path / f"{name}{suffix}")
+    assert (tmp_path / f"one{suffix}").read_bytes() == (tmp_path / f"two{suffix}").read_bytes()
+
+
+@pytest.mark.parametrize("suffix", EXTENSIONS)
+def test_nothing_else_is_left_in_the_folder(tmp_path, suffix):
+    save_mesh(utm_mesh(), tmp_path / f"area{suffix}")
+    assert [path.name for path in tmp_path.iterdir()] == [f"area{suffix}"]
+
+
+@pytest.mark.parametrize("suffix", FLOATS)
+def test_float32_formats_count_from_an_origin_and_reach_a_millimetre(tmp_path, suffix):
+    mesh = utm_mesh()
+    saved = save_mesh(mesh, tmp_path / f"area{suffix}")
+    assert saved.origin == pytest.approx((400000 + 4.5 * 30, 4000000 - 3.5 * 30, 0))
+    points, _ = read_back(tmp_path / f"area{suffix}")
+    assert np.abs(points[:, :2]).max() == pytest.approx(4 * 30)
+    assert saved.rounding < 1e-3
+
+
+# What the files say about themselves
+
+
+def about(path):
+    """Return the JSON that the file carries."""
+    if path.suffix == ".glb":
+        found = trimesh.load(path, force="mesh").metadata["terrainwave"]
+    elif path.suffix == ".gltf":
+        found = json.loads(path.read_text())["meshes"][0]["extras"]["terrainwave"]
+    else:
+        (text,) = re.findall(rb"terrainwave (\{.*\})", path.read_bytes())
+        found = json.loads(text)
+    return found
+
+
+@pytest.mark.parametrize("suffix", [name for name in FORMATS if name != ".stl"])
+def test_file_tells_frame_origin_crs_and_error(tmp_path, suffix):
+    saved = save_mesh(utm_mesh(), tmp_path / f"area{suffix}")
+    found = about(tmp_path / f"area{suffix}")
+    assert found["origin"] == list(saved.origin)
+    assert found["frame"]["name"] == "native"
+    assert found["crs"] == "EPSG:32633"
+    assert found["error"] == saved.error
+    assert found["error_unit"] == "m"
+
+
+def test_stl_tells_its_origin(tmp_path):
+    save_mesh(utm_mesh(), tmp_path / "area.stl")
+    header = (tmp_path / "area.stl").read_bytes()[:80]
+    assert header.rstrip() == b"terrainwave origin 400135 3999895 0"
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_hostile_crs_cannot_add_lines_or_elements(tmp_path, suffix):
+    mesh = utm_mesh(error=0.0)
+    mesh = replace(mesh, crs=None, units="m\nelement vertex 5\n--><x> \u2028")
+    path = tmp_path / f"area{suffix}"
+    save_mesh(mesh, path)
+    points, triangles = read_back(path)
+    assert len(triangles) == mesh.n_triangles
+    assert np.isfinite(points).all()
+
+
+def test_gltf_looks_upwards_along_y(tmp_path):
+    mesh = utm_mesh()
+    save_mesh(mesh, tmp_path / "area.glb")
+    found = np.asarray(trimesh.load(tmp_path / "area.glb", force="mesh").vertices)
+    np.testing.assert_allclose(found[:, 1], mesh.points[:, 2], atol=1e-4)
+    # north is away from the viewer: −z
+    assert np.corrcoef(found[:, 2], mesh.points[:, 1])[0, 1] == pytest.approx(-1)
+
+
+# Errors
+
+
+def surface_height(points, triangles, x, y):
+    """Return the height of a surface at (x, y), by the barycentric coordinates of all triangles."""
+    a, b, c = (points[triangles[:, corner]] for corner in range(3))
+    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
+    at_b = (x - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (y - a[:, 1])
+    at_c = (b[:, 0] - a[:, 0]) * (y - a[:, 1]) - (x - a[:, 0]) * (b[:, 1] - a[:, 1])
+    at_b, at_c = at_b / area, at_c / area
+    inside = (at_b >= -1e-12) & (at_c >= -1e-12) & (at_b + at_c <= 1 + 1e-12)
+    index = np.flatnonzero(inside)[0]
+    weights = np.array([1 - at_b[index] - at_c[index], at_b[index], at_c[index]])
+    return float(weights @ points[triangles[index], 2])
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj"])
+@pytest.mark.parametrize("z_scale", [1.0, 40.0])
+def test_error_covers_what_rounding_did(tmp_path, suffix, z_scale):
+    # A wide, steep mesh: a tenth of a metre is what float32 knows at 1000 km.
+    mesh = grid_mesh(50 * hills(9, 9) + 1 / 3, (3e5, 0, 0, 0, -3e5, 0), error=0.0)
+    path = tmp_path / f"area{suffix}"
+    saved = save_mesh(mesh, path, frame="native", z_scale=z_scale)
+    points, triangles = read_back(path)
+    points = (points + np.asarray(saved.origin)) / (1, 1, z_scale)
+    rng = np.random.default_rng(3)
+    left, bottom, right, top = mesh.bounds
+    for x, y in rng.uniform((left + 1, bottom + 1), (right - 1, top - 1), (200, 2)):
+        there = surface_height(points, triangles, x, y)
+        original = surface_height(mesh.points, mesh.triangles, x, y)
+        assert abs(there - original) <= saved.rounding
+    # Half a float32 step at 15000 is 2^-11, at 1.2e6 m 2^-4, times slopes of some 1/300.
+    assert 0 < saved.rounding < 2e-3
+    assert saved.error == saved.rounding
+
+
+def test_error_covers_horizontal_rounding_alone(tmp_path):
+    # Whole heights are exact in float32, sevenths are not.
+    row, col = np.mgrid[:5, :6]
+    mesh = grid_mesh(1000.0 * (col % 2) + row, (8 / 7, 0, 1 / 3, 0, -8 / 7, 0), error=0.0)
+    saved = save_mesh(mesh, tmp_path / "area.stl", frame="native")
+    points, triangles = read_back(tmp_path / "area.stl")
+    points = points + np.asarray(saved.origin)
+    there = [
+        abs(surface_height(points, triangles, x, y) - surface_height(*of(mesh), x, y))
+        for x, y in np.random.default_rng(4).uniform((1, -5), (6, -1), (300, 2))
+    ]
+    assert 1e-6 < max(there) <= saved.rounding
+
+
+def of(mesh):
+    return mesh.points, mesh.triangles
+
+
+def test_rounding_is_added_to_the_error_in_the_files_unit(tmp_path):
+    mesh = utm_mesh(error=2.0)
+    feet = replace(mesh, units="ft")
+    saved = save_mesh(feet, tmp_path / "area.stl", frame="local")
+    assert saved.units == "ft"
+    assert saved.error == 2.0 + saved.rounding
+    # Half a float32 step at up to 300 ft in metres (below 128 m: 2^-18 m), and slopes of it.
+    assert 0 < saved.rounding < 2.0**-17 / 0.3048
+
+
+def test_triangles_below_float32_are_refused(tmp_path):
+    mesh = grid_mesh(hills(3, 3), (1e-3, 0, 0, 0, -1e-3, 0))
+    far = grid_mesh(hills(3, 3), (1e-3, 0, 1e6, 0, -1e-3, 1e6))
+    both = Mesh(
+        np.concatenate([mesh.points, far.points]),
+        np.concatenate([mesh.triangles, far.triangles + 9]).astype(np.int32),
+        (0.0, 0.0, 0.0),
+        0.0,
+    )
+    with pytest.raises(InvalidHeightsError, match=r"\.ply, \.obj or \.vtu"):
+        save_mesh(both, tmp_path / "area.stl")
+    assert list(tmp_path.iterdir()) == []
+    save_mesh(both, tmp_path / "area.ply")
+
+
+def test_curvature_of_a_wide_geocentric_mesh_is_told(tmp_path):
+    mesh = grid_mesh(0 * hills(2, 2), (0.3, 0, 10, 0, -0.3, 45), crs="EPSG:4326")
+    saved = save_mesh(mesh, tmp_path / "area.ply", frame="ecef")
+    # the middle of the longest edge lies L²/8R below the ellipsoid
+    points = to_frame(mesh, "ecef").points
+    edge = max(np.linalg.norm(points[0] - points[3]), np.linalg.norm(points[1] - points[2]))
+    assert edge**2 / (8 * 6367000) < saved.curvature < edge**2 / (5 * 6367000)
+
+
+# Whole files or none
+
+
+@pytest.mark.parametrize("name", ["area.txt", "area", "area.tif", "ply"])
+def test_an_unknown_extension_names_the_known_ones(tmp_path, name):
+    with pytest.raises(InvalidHeightsError) as caught:
+        save_mesh(utm_mesh(), tmp_path / name)
+    assert all(known in str(caught.value) for known in EXTENSIONS)
+
+
+def test_capital_extensions_are_known(tmp_path):
+    save_mesh(utm_mesh(), tmp_path / "AREA.PLY")
+    assert (tmp_path / "AREA.PLY").read_bytes()[:4] == b"ply\n"
+
+
+@pytest.mark.parametrize("suffix", EXTENSIONS)
+def test_an_existing_file_is_kept_without_overwrite(tmp_path, suffix):
+    path = tmp_path / f"area{suffix}"
+    path.write_bytes(b"mine")
+    with pytest.raises(StorageError, match="already exists"):
+        save_mesh(utm_mesh(), path)
+    assert path.read_bytes() == b"mine"
+    save_mesh(utm_mesh(), path, overwrite=True)
+    assert path.read_bytes() != b"mine"
+
+
+@pytest.mark.parametrize(("suffix", "package"), [(".ply", "meshio"), (".glb", "trimesh")])
+def test_a_missing_package_is_one_line_that_says_what_to_install(
+    tmp_path, monkeypatch, suffix, package
+):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(TerrainwaveError, match=package) as caught:
+        save_mesh(utm_mesh(), tmp_path / f"area{suffix}")
+    assert 'pip install "terrainwave[mesh]"' in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_writer_that_fails_leaves_nothing(tmp_path, monkeypatch):
+    def fail(*args):
+        raise MemoryError
+
+    writer = replace(export._WRITERS[".ply"], write=fail)
+    monkeypatch.setitem(export._WRITERS, ".ply", writer)
+    with pytest.raises(MemoryError):
+        save_mesh(utm_mesh(), tmp_path / "area.ply")
+    assert list(tmp_path.iterdir()) == []
+
+
+# Bodies
+
+
+def voids():
+    """Return validity of 9 x 10 samples: a hole, two holes that touch at a corner, a bay."""
+    valid = np.ones((9, 10), dtype=bool)
+    valid[4, 4] = False
+    valid[6, 6] = False  # with the one above: cells around meet in one vertex
+    valid[0, 7:9] = False
+    return valid
+
+
+@pytest.mark.parametrize("suffix", [".stl", ".obj", ".glb", ".ply"])
+@pytest.mark.parametrize("frame", ["native", "local"])
+def test_solid_is_watertight_in_the_file(tmp_path, suffix, frame):
+    mesh = grid_mesh(hills(9, 10), UTM, valid=voids(), crs="EPSG:32633")
+    save_mesh(mesh, tmp_path / f"body{suffix}", frame=frame, solid=50.0)
+    # As slicers do, trimesh merges vertices at equal places here.
+    body = trimesh.load(tmp_path / f"body{suffix}", force="mesh")
+    assert body.is_watertight
+    assert body.is_winding_consistent
+    assert body.volume > 0
+
+
+def test_volume_of_a_solid_is_that_below_the_surface():
+    mesh = grid_mesh(np.full((3, 4), 10.0), (2.0, 0, 0, 0, -2.0, 0))
+    body = export.solidify(mesh, 4.0)
+    # 3 x 2 cells of 2 x 2, 6 high
+    assert body.to_trimesh().volume == pytest.approx(6 * 4 * 6)
+    assert body.points[:, 2].min() == 4.0
+
+
+def test_solid_follows_z_scale_and_feet():
+    mesh = grid_mesh(np.full((3, 4), 10.0), (2.0, 0, 0, 0, -2.0, 0), units="ft", is_placed=False)
+    body = to_frame(export.solidify(mesh, 4.0), "local", z_scale=3)
+    assert np.unique(body.points[:, 2]) == pytest.approx([4 * 0.3048 * 3, 10 * 0.3048 * 3])
+
+
+def test_parts_that_touch_in_one_vertex_are_pulled_apart_a_little(tmp_path):
+    valid = np.ones((5, 5), dtype=bool)
+    valid[0, 3:] = valid[1, 4] = False
+    valid[3:, 0] = valid[4, 1] = False
+    valid[1, 3] = valid[3, 1] = True
+    # Four cells meet in the middle sample; two of them, at opposite corners, are void.
+    heights = hills(5, 5)
+    mesh = grid_mesh(heights, (1.0, 0, 0, 0, -1.0, 0), valid=valid)
+    touching = Mesh(
+        mesh.vertices,
+        mesh.triangles[[is_kept(mesh, triangle) for triangle in mesh.triangles]],
+        mesh.origin,
+        mesh.error,
+    )
+    body = export.solidify(touching, 0.0)
+    assert 0 < body.attributes["solid"]["moved"] < 1e-3
+    assert body.to_trimesh().is_watertight
+    merged = trimesh.Trimesh(body.vertices, body.triangles, process=True)
+    assert merged.is_watertight
+    assert (areas(body)[: touching.n_triangles] > 0).all()
+    # The vertex of the upper left part has moved into it, the other one into the other.
+    cells = body.points[body.triangles[: touching.n_triangles], :2]
+    is_joint = (np.abs(cells - (2.5, -2.5)) < 0.01).all(axis=2)
+    is_upper_left = cells[:, :, 0].mean(axis=1) < 2.5
+    assert (cells[is_upper_left][is_joint[is_upper_left]] @ (1, -1) < 5).all()
+    assert (cells[~is_upper_left][is_joint[~is_upper_left]] @ (1, -1) > 5).all()
+    saved = save_mesh(touching, tmp_path / "body.ply", frame="native", solid=0.0)
+    assert saved.rounding == pytest.approx(
+        body.attributes["solid"]["moved"] * sum(steepest(touching))
+    )
+
+
+def is_kept(mesh, triangle):
+    """Say whether a triangle lies in the upper left or the lower right quarter around (2, 2)."""
+    col, row = mesh.points[triangle, 0].mean() - 0.5, -mesh.points[triangle, 1].mean() - 0.5
+    return (row < 2) == (col < 2)
+
+
+@pytest.mark.parametrize("base", [101.0, 1e9, float("nan")])
+def test_a_base_that_is_not_below_is_refused(tmp_path, base):
+    mesh = grid_mesh(np.full((3, 3), 101.0), UTM)
+    with pytest.raises(InvalidHeightsError, match="lowest height 101"):
+        save_mesh(mesh, tmp_path / "body.stl", solid=base)
+
+
+# Other programs' objects
+
+
+def test_to_trimesh_has_the_vertices_and_triangles():
+    mesh = utm_mesh()
+    found = mesh.to_trimesh()
+    np.testing.assert_array_equal(found.vertices, mesh.vertices)
+    np.testing.assert_array_equal(found.faces, mesh.triangles)
+
+
+def test_to_pyvista_says_what_is_missing(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyvista", None)
+    with pytest.raises(TerrainwaveError, match=r'pip install "terrainwave\[pyvista\]"'):
+        utm_mesh().to_pyvista()
+
+
+def test_to_pyvista_gives_the_surface():
+    mesh = utm_mesh()
+    surface = mesh.to_pyvista()
+    np.testing.assert_array_equal(surface.points, mesh.vertices)
+    np.testing.assert_array_equal(surface.regular_faces, mesh.triangles)
+    # 6 x 8 cells of 30 m, seen from above.
+    flat = surface.copy()
+    flat.points[:, 2] = 0
+    assert flat.area == pytest.approx(6 * 8 * 30**2)
+
+
+# Quantized-mesh tiles, read by the format's own rules
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:4258"])
+def test_tile_holds_the_surface_within_its_stated_error(tmp_path, crs):
+    mesh = grid_mesh(hills(7, 9), SECONDS, crs=crs, error=0.0)
+    saved = save_mesh(mesh, tmp_path / "area.terrain")
+    header, u, v, h, triangles, _, extensions = read_tile((tmp_path / "area.terrain").read_bytes())
+    west, south, east, north = metadata(extensions)["bounds"]
+    assert (west, south, east, north) == pytest.approx(mesh.bounds, abs=1e-9)
+    height = header["low"] + h / 32767 * (header["high"] - header["low"])
+    points = np.stack(
+        [west + u / 32767 * (east - west), south + v / 32767 * (north - south), height], axis=-1
+    )
+    rng = np.random.default_rng(5)
+    for x, y in rng.uniform((west, south), (east, north), (200, 2)):
+        x, y = np.clip((x, y), (west + 1e-7, south + 1e-7), (east - 1e-7, north - 1e-7))
+        there = surface_height(points, triangles, x, y)
+        assert abs(there - surface_height(mesh.points, mesh.triangles, x, y)) <= saved.error
+    # Half a step of each axis, times the steepest slopes.
+    steps = np.array([north - south, east - west, np.ptp(mesh.points[:, 2]) + 1e-3]) / 32767
+    slopes = np.array([*steepest(mesh)[::-1], 1.0])
+    assert 0 < saved.error <= 0.5 * (steps @ slopes)
+    assert triangles.max() == len(u) - 1
+
+
+def test_tile_names_the_vertices_of_its_edges(tmp_path):
+    save_mesh(grid_mesh(hills(7, 9), SECONDS, crs="EPSG:4326"), tmp_path / "area.terrain")
+    _, u, v, _, _, (west, south, east, north), _ = read_tile(
+        (tmp_path / "area.terrain").read_bytes()
+    )
+    assert [len(edge) for edge in (west, south, east, north)] == [7, 9, 7, 9]
+    assert (u[west] == 0).all()
+    assert (v[south] == 0).all()
+    assert (u[east] == 32767).all()
+    assert (v[north] == 32767).all()
+
+
+def test_tile_lies_where_its_points_are(tmp_path):
+    mesh = grid_mesh(hills(7, 9), SECONDS, crs="EPSG:4326", units="m")
+    save_mesh(mesh, tmp_path / "area.terrain")
+    header, *_ = read_tile((tmp_path / "area.terrain").read_bytes())
+    points = to_frame(mesh, "ecef").points
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    assert [header["x"], header["y"], header["z"]] == pytest.approx(centre.tolist(), abs=1e-3)
+    sphere = np.array([header["sx"], header["sy"], header["sz"]])
+    assert np.linalg.norm(points - sphere, axis=1).max() <= header["radius"] + 1e-3
+
+
+def test_tile_of_a_projected_mesh_in_feet_is_in_degrees_and_metres(tmp_path):
+    mesh = grid_mesh(hills(7, 9), UTM, crs="EPSG:32633", units="ft", error=1.0)
+    saved = save_mesh(mesh, tmp_path / "area.terrain")
+    header, *_ = read_tile((tmp_path / "area.terrain").read_bytes())
+    assert header["low"] == pytest.approx(mesh.points[:, 2].min() * 0.3048, abs=1e-3)
+    assert saved.units == "ft"
+    assert 1.0 < saved.error < 1.1
+
+
+@pytest.mark.parametrize("share", [0.4, 0.6])
+def test_tile_heights_enclose_those_of_the_mesh(tmp_path, share):
+    step = 2.0**-17  # of float32 at 100; rounding to the nearest goes either way
+    heights = np.array([[100 + share * step, 110], [120 - share * step, 120 + share * step]])
+    save_mesh(grid_mesh(heights, SECONDS, crs="EPSG:4326"), tmp_path / "area.terrain")
+    header, *_ = read_tile((tmp_path / "area.terrain").read_bytes())
+    assert header["low"] <= heights.min()
+    assert header["high"] >= heights.max()
+
+
+def test_rounding_of_a_tile_in_feet_is_told_in_feet(tmp_path):
+    metres = save_mesh(grid_mesh(hills(5, 5), UTM, crs="EPSG:32633"), tmp_path / "m.terrain")
+    feet = grid_mesh(hills(5, 5) / 0.3048, UTM, crs="EPSG:32633", units="ft")
+    assert save_mesh(feet, tmp_path / "ft.terrain").rounding == pytest.approx(
+        metres.rounding / 0.3048
+    )
+
+
+def test_tile_with_a_frame_is_refused(tmp_path):
+    with pytest.raises(InvalidHeightsError, match="frame of its own"):
+        save_mesh(utm_mesh(), tmp_path / "area.terrain", frame="local")
+
+
+# Pictures
+
+
+@pytest.mark.parametrize("wireframe", [False, True])
+def test_plot_draws_every_triangle(wireframe):
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    mesh = utm_mesh()
+    ax = mesh.plot(wireframe=wireframe)
+    (faces,) = ax.collections
+    assert len(faces.get_paths()) == mesh.n_triangles
+    ax.figure.canvas.draw()
+    assert ax.get_xlim() == pytest.approx((mesh.bounds[0], mesh.bounds[2]))
+    plt.close(ax.figure)
+
+
+def test_a_slope_towards_the_light_is_brighter():
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    row, col = np.mgrid[:3, :3]
+    colours = []
+    for sign in (1, -1):  # falling towards the north-west, and away from it
+        ax = grid_mesh(10.0 * sign * (row + col), UTM, units="m").plot(cmap="gray")
+        (faces,) = ax.collections
+        colours.append(faces.get_facecolor()[:, :3].mean())
+        plt.close(ax.figure)
+    assert colours[0] > colours[1]

@@ -1,0 +1,269 @@
+"""Frames: metres of degrees, feet, geocentric coordinates; numbers by hand or from geodesy."""
+
+import math
+
+import numpy as np
+import pytest
+from rasterio.crs import CRS
+from tri.meshes import grid_mesh, hills
+
+from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
+from terrainwave.export.frames import (
+    EARTH,
+    areas,
+    ellipsoid_of,
+    find_place,
+    metres_per_unit,
+    steepest,
+    to_frame,
+)
+from terrainwave.export.mesh import Mesh
+
+UTM = (30.0, 0.0, 400000.0, 0.0, -30.0, 4000000.0)
+SECONDS = (1 / 3600, 0.0, 10.0, 0.0, -1 / 3600, 45.0)
+FOOT_US = 1200 / 3937
+
+
+def degrees(**options):
+    return grid_mesh(hills(9, 11), SECONDS, crs="EPSG:4326", units="m", **options)
+
+
+def extent(mesh):
+    return mesh.points.max(axis=0) - mesh.points.min(axis=0)
+
+
+def test_radii_at_45_degrees_are_those_of_wgs84():
+    # M and N of WGS 84 at 45 degrees, as tables of the ellipsoid give them
+    assert EARTH.radii(45.0) == pytest.approx((6367381.816, 6388838.290), abs=0.001)
+
+
+def test_a_degree_of_latitude_at_the_equator_is_110_574_m():
+    meridian, normal = EARTH.radii(0.0)
+    assert math.radians(meridian) == pytest.approx(110574.276, abs=0.01)
+    assert math.radians(normal) == pytest.approx(111319.491, abs=0.01)
+
+
+def test_degrees_become_metres_of_east_and_north():
+    local = to_frame(degrees())
+    meridian, normal = EARTH.radii(45 - 4.5 / 3600)
+    second = math.radians(1 / 3600)
+    width = 10 * second * normal * math.cos(math.radians(45 - 4.5 / 3600))
+    assert extent(local)[:2] == pytest.approx([width, 8 * second * meridian], rel=1e-9)
+
+
+def test_local_coordinates_are_counted_from_the_middle():
+    local = to_frame(degrees())
+    low, high = local.points.min(axis=0), local.points.max(axis=0)
+    assert (low + high)[:2] == pytest.approx([0, 0], abs=1e-6)
+    assert local.attributes["frame"]["centre"] == pytest.approx([10 + 5.5 / 3600, 45 - 4.5 / 3600])
+
+
+def test_local_heights_stay_heights():
+    mesh = degrees()
+    np.testing.assert_allclose(to_frame(mesh).points[:, 2], mesh.points[:, 2])
+
+
+@pytest.mark.parametrize(("crs", "frame"), [("EPSG:4326", "local"), ("EPSG:32633", "native")])
+def test_the_default_is_local_for_degrees_and_native_else(crs, frame):
+    mesh = grid_mesh(hills(3, 3), SECONDS, crs=crs)
+    assert to_frame(mesh).attributes["frame"]["name"] == frame
+
+
+def test_native_is_the_crs():
+    mesh = grid_mesh(hills(4, 5), UTM, crs="EPSG:32633", units="ft")
+    np.testing.assert_allclose(to_frame(mesh, "native").points, mesh.points)
+
+
+@pytest.mark.parametrize(
+    ("units", "metres"),
+    [
+        ("ft", 0.3048),
+        ("foot", 0.3048),
+        ("[ft]", 0.3048),
+        ("US survey foot", FOOT_US),
+        ("ftUS", FOOT_US),
+        ("metre", 1.0),
+        ("", 1.0),
+        (None, 1.0),
+    ],
+)
+def test_vertical_units_are_known(units, metres):
+    assert metres_per_unit(units) == pytest.approx(metres, rel=1e-12)
+
+
+def test_an_unknown_vertical_unit_is_told():
+    with pytest.warns(TerrainwaveWarning, match="'fathom' is not known"):
+        assert metres_per_unit("fathom") == 1
+
+
+@pytest.mark.parametrize("frame", ["local", "ecef"])
+def test_feet_become_metres_and_the_error_stays_in_feet(frame):
+    feet = grid_mesh(3 * hills(5, 5), SECONDS, crs="EPSG:4326", units="foot", error=4.0)
+    metres = grid_mesh(3 * 0.3048 * hills(5, 5), SECONDS, crs="EPSG:4326", units="m")
+    found = to_frame(feet, frame)
+    np.testing.assert_allclose(found.points, to_frame(metres, frame).points, rtol=0, atol=1e-8)
+    assert found.error == 4.0
+
+
+def test_state_plane_feet_become_metres():
+    # EPSG:2229 counts in US survey feet
+    mesh = grid_mesh(hills(4, 5), UTM, crs="EPSG:2229", units="m")
+    assert extent(to_frame(mesh, "local"))[:2] == pytest.approx(
+        [4 * 30 * FOOT_US, 3 * 30 * FOOT_US]
+    )
+
+
+def test_z_scale_multiplies_heights():
+    mesh = grid_mesh(hills(4, 5), UTM, crs="EPSG:32633")
+    for frame in ("native", "local"):
+        found = to_frame(mesh, frame, z_scale=2.5).points[:, 2]
+        np.testing.assert_allclose(found, 2.5 * mesh.points[:, 2])
+
+
+@pytest.mark.parametrize("z_scale", [-1.0, 0.0, math.nan, math.inf])
+def test_a_z_scale_that_is_not_positive_is_refused(z_scale):
+    with pytest.raises(InvalidHeightsError, match="z-scale"):
+        to_frame(degrees(), z_scale=z_scale)
+
+
+@pytest.mark.parametrize("radius", [-1.0, 0.0, math.nan])
+def test_a_radius_that_is_not_positive_is_refused(radius):
+    with pytest.raises(InvalidHeightsError, match="radius"):
+        to_frame(degrees(), radius=radius)
+
+
+def test_a_radius_for_metres_is_refused():
+    mesh = grid_mesh(hills(4, 5), UTM, crs="EPSG:32633")
+    with pytest.raises(InvalidHeightsError, match="not degrees"):
+        to_frame(mesh, "local", radius=1737400.0)
+
+
+@pytest.mark.parametrize("transform", [SECONDS, (1 / 3600, 0, 10, 0, 1 / 3600, 45)])
+@pytest.mark.parametrize("frame", ["local", "native"])
+def test_triangles_stay_counter_clockwise(transform, frame):
+    mesh = grid_mesh(hills(5, 6), transform, crs="EPSG:4326")
+    assert (areas(to_frame(mesh, frame)) > 0).all()
+
+
+def test_ecef_triangles_face_outwards():
+    found = to_frame(degrees(), "ecef")
+    corners = found.points[found.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((normals * corners.mean(axis=1)).sum(axis=1) > 0).all()
+
+
+def test_ecef_of_points_known_by_hand():
+    b = 6356752.314245
+    points = np.array([[0.0, 0.0, 100.0], [90.0, 0.0, 0.0], [7.0, 90.0, 10.0]])
+    expected = [[6378237.0, 0, 0], [0, 6378137.0, 0], [0, 0, b + 10]]
+    np.testing.assert_allclose(EARTH.geocentric(points), expected, rtol=0, atol=1e-5)
+
+
+def test_ecef_agrees_with_proj():
+    from rasterio.warp import transform
+
+    mesh = degrees()
+    x, y, z = transform(CRS.from_epsg(4979), CRS.from_epsg(4978), *mesh.points.T)
+    np.testing.assert_allclose(
+        to_frame(mesh, "ecef").points, np.array([x, y, z]).T, rtol=0, atol=1e-5
+    )
+
+
+def test_ecef_of_a_projected_mesh_goes_through_its_geographic_system():
+    from rasterio.warp import transform
+
+    mesh = grid_mesh(hills(6, 5), UTM, crs="EPSG:32633", units="m")
+    lon, lat = transform(CRS.from_epsg(32633), CRS.from_epsg(4326), *mesh.points.T[:2])
+    expected = EARTH.geocentric(np.column_stack([lon, lat, mesh.points[:, 2]]))
+    np.testing.assert_allclose(to_frame(mesh, "ecef").points, expected, rtol=0, atol=1e-4)
+
+
+def test_ecef_without_a_crs_is_refused():
+    with pytest.raises(InvalidHeightsError, match="no coordinate reference system"):
+        to_frame(grid_mesh(hills(3, 3), UTM), "ecef")
+
+
+MOON = (
+    'GEOGCS["Moon 2000",DATUM["D_Moon_2000",SPHEROID["Moon_2000_IAU_IAG",1737400,0]],'
+    'PRIMEM["Reference_Meridian",0],UNIT["degree",0.0174532925199433]]'
+)
+
+
+def test_the_ellipsoid_comes_from_the_crs():
+    assert ellipsoid_of(CRS.from_wkt(MOON)) == (1737400.0, 0.0)
+    # Clarke 1866 through NAD27: a = 6378206.4 m, b = 6356583.8 m
+    axis, e2 = ellipsoid_of(CRS.from_epsg(4267))
+    assert axis == 6378206.4
+    assert axis * math.sqrt(1 - e2) == pytest.approx(6356583.8, abs=0.01)
+
+
+def test_an_ellipsoid_in_feet_becomes_metres():
+    wkt = (
+        'GEODCRS["in feet",DATUM["D",ELLIPSOID["E",20925832,300,LENGTHUNIT["foot",0.3048]]],'
+        'CS[ellipsoidal,2],AXIS["lat",north],AXIS["lon",east],'
+        'ANGLEUNIT["degree",0.0174532925199433]]'
+    )
+    assert ellipsoid_of(CRS.from_wkt(wkt)).axis == pytest.approx(20925832 * 0.3048, rel=1e-12)
+
+
+def test_a_moon_in_degrees_is_scaled_by_its_own_radius():
+    mesh = grid_mesh(hills(3, 4), (0.1, 0, 10, 0, -0.1, 0.15), crs=MOON)
+    assert extent(to_frame(mesh))[:2] == pytest.approx(
+        [0.3 * math.radians(1737400), 0.2 * math.radians(1737400)], rel=1e-9
+    )
+
+
+def test_a_projection_of_mars_goes_back_to_its_own_sphere():
+    mars = CRS.from_proj4("+proj=eqc +lat_ts=0 +lon_0=0 +a=3396190 +b=3396190 +units=m")
+    mesh = grid_mesh(hills(3, 3), (1000, 0, 0, 0, -1000, 0), crs=mars.to_wkt(), units="m")
+    distance = np.linalg.norm(to_frame(mesh, "ecef").points, axis=1)
+    np.testing.assert_allclose(distance, 3396190 + mesh.points[:, 2], rtol=0, atol=1e-3)
+
+
+def test_degrees_are_guessed_and_told_without_a_crs():
+    mesh = grid_mesh(hills(5, 5), SECONDS)
+    with pytest.warns(TerrainwaveWarning, match="on the Earth"):
+        found = to_frame(mesh)
+    np.testing.assert_allclose(found.points, to_frame(degrees_like(mesh)).points)
+
+
+def degrees_like(mesh):
+    return Mesh(mesh.vertices, mesh.triangles, mesh.origin, mesh.error, crs="EPSG:4326")
+
+
+def test_a_radius_takes_the_place_of_the_earth():
+    mesh = grid_mesh(hills(3, 4), (0.1, 0, 10, 0, -0.1, 0.15))
+    with pytest.warns(TerrainwaveWarning, match="on a sphere of 1.7374e"):
+        found = to_frame(mesh, radius=1737400)
+    assert extent(found)[0] == pytest.approx(0.3 * math.radians(1737400), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "mesh", [grid_mesh(hills(3, 3), UTM), grid_mesh(hills(3, 3), SECONDS, is_placed=False)]
+)
+def test_what_cannot_be_degrees_is_left_as_it_is(mesh):
+    assert to_frame(mesh).attributes["frame"]["name"] == "native"
+    assert not find_place(mesh).is_geographic
+
+
+def test_the_pole_has_no_local_frame():
+    mesh = grid_mesh(hills(3, 3), (1e-4, 0, 0, 0, -1e-4, 90.0), crs="EPSG:4326")
+    with pytest.raises(InvalidHeightsError, match="longitude have no length"):
+        to_frame(mesh)
+
+
+def test_an_unknown_frame_is_refused():
+    with pytest.raises(InvalidHeightsError, match="local, native, ecef"):
+        to_frame(degrees(), "geocentric")
+
+
+def test_an_empty_mesh_is_refused():
+    empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int32), (0, 0, 0), 0.0)
+    with pytest.raises(InvalidHeightsError, match="empty"):
+        to_frame(empty)
+
+
+def test_slopes_of_a_plane_are_its_own():
+    row, col = np.mgrid[:3, :4]
+    mesh = grid_mesh(2.0 * col - 3.0 * row, (1.0, 0, 0, 0, -1.0, 0))
+    assert steepest(mesh) == pytest.approx((2.0, 3.0))

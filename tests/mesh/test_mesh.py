@@ -1,0 +1,408 @@
+"""Are meshes watertight, once over their area and within what they state? Checked by other code."""
+
+import json
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mesh_cases import (
+    KINDS,
+    VOIDS,
+    area_problems,
+    cases,
+    make_case,
+    reader,
+    terrain,
+    validity,
+    write_case,
+)
+
+import terrainwave
+from terrainwave.cli import main
+from terrainwave.container.publish import scratch_directory
+from terrainwave.container.writer import assemble
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.grid.quadtree import Block, Region
+from terrainwave.mesh import area as extraction
+from terrainwave.tri.borders import beside_void
+from terrainwave.tri.halves import Lines, triangulate
+from terrainwave.tri.simplify import simplify
+from terrainwave.verification.meshes import verify_meshes
+from terrainwave.write.meshes import _copied, store_meshes
+
+N_EXAMPLES = 3 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else 15
+
+
+def full_region(grid, level, window):
+    """Return what a window of a level covers of the full grid."""
+    row, col, n_rows, n_cols = window
+    stride = grid.stride(level)
+    return Region(
+        row * stride,
+        col * stride,
+        min((n_rows - 1) * stride, grid.n_rows - 1 - row * stride) + 1,
+        min((n_cols - 1) * stride, grid.n_cols - 1 - col * stride) + 1,
+    )
+
+
+# Everything at once
+
+
+@given(case=cases(max_side=100))
+@settings(max_examples=N_EXAMPLES)
+def test_all_meshes_of_a_file_are_right(case, tmp_path_factory):
+    path = write_case(case, tmp_path_factory.mktemp("all"))
+    with terrainwave.open(path, threads=1) as terrain:
+        report, problems = verify_meshes(terrain, reader(case))
+        assert problems == []
+        assert report.against == "original"
+        for level in report.levels:
+            assert level.measured_error <= level.stored_error * (1 + 1e-9) + terrain.info().quantum
+        assert verify_meshes(terrain)[1] == []
+
+
+@given(case=cases(max_side=130), data=st.data())
+@settings(max_examples=N_EXAMPLES)
+def test_a_mesh_of_any_window_level_and_error_is_right(case, data, tmp_path_factory):
+    path = write_case(case, tmp_path_factory.mktemp("window"))
+    with terrainwave.open(path, threads=1) as terrain:
+        grid, info = terrain.grid, terrain.info()
+        for _ in range(3):
+            level = data.draw(st.sampled_from([grid.k_max, grid.k_max, *range(grid.k_max)]))
+            n_rows, n_cols = terrain.level_shape(level)
+            if min(n_rows, n_cols) < 2:
+                continue
+            row, col = data.draw(st.integers(0, n_rows - 2)), data.draw(st.integers(0, n_cols - 2))
+            window = (
+                row, col, data.draw(st.integers(2, n_rows - row)),
+                data.draw(st.integers(2, n_cols - col)),
+            )  # fmt: skip
+            share = data.draw(st.sampled_from([None, 0.0, 0.001, 0.01, 0.05, 0.3, 1.0]))
+            error = None
+            if share is not None:
+                error = terrain.effective_error + share * (info.maximum - info.minimum)
+            sweeps = data.draw(st.sampled_from([0, 1, 3]))
+            region = full_region(grid, level, window)
+            if min(region.shape) < 2:
+                continue
+            try:
+                mesh = terrain.mesh(window, level=level, max_error=error, optimise=sweeps)
+            except InvalidHeightsError as problem:
+                is_refused = "max_error" in str(problem)  # coarse levels can't reach any error
+            else:
+                is_refused = False
+            if is_refused:
+                assert level < grid.k_max
+                assert error is not None
+                continue
+            of_one_level = level if error is None or level == 0 else None
+            assert area_problems(terrain, case, mesh, region, of_one_level, error) == []
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("share", [4, 1])
+@pytest.mark.parametrize("void", ["none", "disc", "corners"])
+def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypatch):
+    """With `share` 1 coarse blocks are taken that may then fail, and are split again."""
+    levels = []
+    assemble_all = extraction._Extractor._assemble
+
+    def spy(extractor, cut, built):
+        levels.append({block.level for block in cut})
+        return assemble_all(extractor, cut, built)
+
+    monkeypatch.setattr(extraction._Extractor, "_assemble", spy)
+    monkeypatch.setattr(extraction, "_COARSE_SHARE", share)
+    for seed, shape in ((2, (300, 400)), (5, (385, 289)), (7, (513, 170))):
+        case = make_case(
+            "graded", void, shape, seed, dtype="int32", amplitude=1e6, block=32, max_error=3,
+            mesh="none", method="predictive",
+        )  # fmt: skip
+        path = write_case(case, tmp_path)
+        with terrainwave.open(path) as terrain:
+            for error, sweeps in ((600, 0), (1500, 1), (4000, 0), (9000, 0), (20000, 2)):
+                for window in (None, (37, 3, 200, 160)):
+                    region = Region(*(window or (0, 0, *shape)))
+                    mesh = terrain.mesh(window, max_error=error, optimise=sweeps)
+                    assert area_problems(terrain, case, mesh, region, None, error) == []
+    assert max(map(len, levels)) >= (3 if void == "none" else 2)
+
+
+@pytest.mark.large
+@pytest.mark.parametrize(("shape", "is_beside_finer"), [((257, 225), True), ((300, 214), False)])
+def test_coarse_blocks_reach_the_rasters_edge(shape, is_beside_finer, tmp_path, monkeypatch):
+    """Beside finer ones where the coarse level has samples on the edge; 214 - 1 is odd."""
+    found = []
+    assemble_all = extraction._Extractor._assemble
+
+    def spy(extractor, cut, built):
+        grid = extractor._grid
+        for block in cut:
+            reach = grid.block * grid.stride(block.level)
+            on_edge = (block.col + 1) * reach >= grid.n_cols - 1
+            if block.level < grid.k_max and on_edge:
+                sides = {side for side, _ in extractor._finer(cut, block)}
+                found.append(bool(sides & {"top", "bottom"}))
+        return assemble_all(extractor, cut, built)
+
+    monkeypatch.setattr(extraction._Extractor, "_assemble", spy)
+    for kind, seed in (("graded", 2), ("rough patch", 5), ("smooth", 3)):
+        case = make_case(
+            kind, "none", shape, seed, dtype="int32", amplitude=1e6, block=32, max_error=3,
+            mesh="none", method="predictive",
+        )  # fmt: skip
+        path = write_case(case, tmp_path)
+        with terrainwave.open(path) as terrain:
+            for error in (1500, 9000, 40000, 4e5, 4e6):
+                mesh = terrain.mesh(max_error=error)
+                region = Region(0, 0, *shape)
+                assert area_problems(terrain, case, mesh, region, None, error) == []
+            # Any height will do: the root block alone.
+            assert mesh.n_triangles <= 2 * 33 * 33
+    assert found
+    assert any(found) == is_beside_finer
+
+
+# Windows
+
+
+def test_an_edge_through_a_corner_of_the_window_leaves_no_sliver(tmp_path):
+    """The crossing was computed beside the corner: a vertex on another one, a triangle of none."""
+    case = make_case(
+        "flat", "corners", (197, 38), 41468, dtype="uint16", amplitude=9000.0, transform=2,
+        scale=0.1, offset=100.0, max_error=4.5, mesh_error=0.0, block=64, method="store",
+    )  # fmt: skip
+    with terrainwave.open(write_case(case, tmp_path), threads=1) as terrain:
+        for row in range(0, 120, 7):
+            for sweeps in (0, 4):
+                region = Region(row, 7, 76, 6)
+                mesh = terrain.mesh(tuple(region), max_error=0, optimise=sweeps)
+                assert area_problems(terrain, case, mesh, region, terrain.grid.k_max, 0) == []
+
+
+def test_bounds_name_the_same_mesh_as_their_window(tmp_path):
+    case = make_case("smooth", "disc", (90, 100), 3, transform=1, max_error=2, block=32)
+    with terrainwave.open(write_case(case, tmp_path)) as terrain:
+        a, _, c, _, e, f = case.transform
+        bounds = (c + 20 * a, f + 70 * e, c + 60 * a, f + 10 * e)
+        one, other = (
+            terrain.mesh(bounds=bounds, max_error=5),
+            terrain.mesh((10, 20, 60, 40), max_error=5),
+        )
+        assert np.array_equal(one.points, other.points)
+        assert area_problems(terrain, case, one, Region(10, 20, 60, 40), None, 5) == []
+        left, bottom, right, top = one.bounds
+        assert (left, right) == (c + 20.5 * a, c + 59.5 * a)
+        assert (bottom, top) == (f + 69.5 * e, f + 10.5 * e)
+
+
+# What can't be had
+
+
+def test_an_error_below_the_files_is_refused(tmp_path):
+    case = make_case("smooth", "none", (80, 70), 1, max_error=5, block=32)
+    with terrainwave.open(write_case(case, tmp_path)) as terrain:
+        with pytest.raises(InvalidHeightsError, match=r"max_error 4\.9, expected at least 5"):
+            terrain.mesh(max_error=4.9)
+        assert terrain.mesh(max_error=5).error <= 5
+        with pytest.raises(InvalidHeightsError, match="max_triangles"):
+            terrain.mesh(max_triangles=1)
+
+
+def test_the_stated_error_of_a_file_can_be_asked_for(tmp_path):
+    """As float64 it may be less than the exact one."""
+    case = make_case(
+        "steps", "none", (24, 32), 62027, dtype="float64", amplitude=5e4, scale=-2.0, offset=100.0,
+        max_error=5000.0, block=64, method="store",
+    )  # fmt: skip
+    with terrainwave.open(write_case(case, tmp_path)) as terrain:
+        mesh = terrain.mesh(max_error=terrain.effective_error)
+        assert mesh.error <= terrain.effective_error * (1 + 1e-12)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 70), (90, 1)])
+def test_a_single_line_of_samples_has_no_mesh(shape, tmp_path):
+    case = make_case("smooth", "none", shape, 1, max_error=1, block=32)
+    path = write_case(case, tmp_path)
+    with terrainwave.open(path) as terrain:
+        with pytest.raises(InvalidHeightsError, match="at least 2 x 2"):
+            terrain.mesh(max_error=10)
+        report, problems = verify_meshes(terrain, reader(case))
+        assert problems == []
+        assert report.areas == ()
+
+
+@pytest.mark.parametrize("n_most", [64, 300, 700])
+def test_a_budget_of_triangles_is_kept(n_most, tmp_path):
+    case = make_case("smooth", "none", (100, 100), 1, max_error=1, block=32)
+    with terrainwave.open(write_case(case, tmp_path)) as terrain:
+        mesh = terrain.mesh(max_triangles=n_most)
+        assert mesh.n_triangles <= n_most
+        assert area_problems(terrain, case, mesh, Region(0, 0, 100, 100), None) == []
+        finer = terrain.mesh(max_triangles=4 * n_most)
+        assert finer.error <= mesh.error
+
+
+def test_a_budget_does_not_hide_an_error_that_cannot_be_had(tmp_path):
+    case = make_case("smooth", "none", (100, 100), 1, max_error=5, block=32)
+    with terrainwave.open(write_case(case, tmp_path)) as terrain:
+        with pytest.raises(InvalidHeightsError, match="expected at least 5"):
+            terrain.mesh(max_triangles=10**6, max_error=1)
+
+
+@pytest.mark.parametrize("kind", ["smooth", "noise", "cliffs"])
+def test_a_budget_on_a_coarse_level(kind, tmp_path):
+    """Small errors, which the level can't reach, ended the search."""
+    case = make_case(kind, "none", (100, 100), 1, max_error=5, block=32)
+    with terrainwave.open(write_case(case, tmp_path)) as terrain:
+        for level, n_most in ((0, 2000), (1, 100), (1, 400)):
+            mesh = terrain.mesh(level=level, max_triangles=n_most)
+            assert 0 < mesh.n_triangles <= n_most
+            of_one_level = level if level == 0 else None
+            window = (0, 0, *terrain.level_shape(level))
+            region = full_region(terrain.grid, level, window)
+            assert area_problems(terrain, case, mesh, region, of_one_level) == []
+
+
+# The same everywhere
+
+
+def test_any_number_of_threads_gives_the_same_bytes_and_meshes(tmp_path):
+    case = make_case("half sea", "disc", (200, 170), 4, max_error=2, block=32)
+    found = []
+    for threads in (1, 3):
+        case.options["threads"] = threads
+        path = write_case(case, tmp_path)
+        with terrainwave.open(path, threads=threads) as terrain:
+            meshes = [terrain.mesh(max_error=e, optimise=s) for e, s in ((3, 1), (25, 0))]
+        found.append((path.read_bytes(), meshes))
+    assert found[0][0] == found[1][0]
+    for one, other in zip(found[0][1], found[1][1], strict=True):
+        assert np.array_equal(one.vertices, other.vertices)
+        assert np.array_equal(one.triangles, other.triangles)
+        assert one.error == other.error
+
+
+def kernel_meshes():
+    """Return meshes that the kernels of `tri` make of hard terrains, as lists."""
+    found = []
+    for kind, void in zip(KINDS, (*VOIDS, "none"), strict=True):
+        heights = (300 * terrain(kind, (23, 27), 3)).astype(np.int32)
+        beyond = np.ones((25, 29), bool)
+        beyond[1:-1, 1:-1] = mask = validity(void, heights.shape, 3)
+        locked = beside_void(beyond)
+        lines = [np.ones(n, bool) for n in (27, 27, 23, 23)]
+        mesh = triangulate(heights, mask, locked, Lines(*lines), 16 * 20, (3, 5))
+        for result in (mesh, simplify(mesh, heights, mask, 16 * 20, 3)):
+            found.append([values.tolist() for values in result])
+    return found
+
+
+def test_kernels_give_the_same_meshes_as_plain_python():
+    code = "import json, sys, test_mesh; json.dump(test_mesh.kernel_meshes(), sys.stdout)"
+    environment = os.environ | {
+        "NUMBA_DISABLE_JIT": "1",
+        "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+    }
+    ran = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, check=True, text=True,
+        cwd=os.path.dirname(__file__),
+    )  # fmt: skip
+    assert json.loads(ran.stdout) == kernel_meshes()
+
+
+# What `verify --mesh` finds
+
+
+def with_mesh_code(path, target, block, code):
+    """Write a file whose index states another error code of a block's mesh."""
+    with terrainwave.open(path, threads=1) as terrain, target.open("wb") as file:
+        container = terrain._container
+        codes = {block: code}
+        for one in (b for level in range(terrain.n_levels) for b in terrain.grid.blocks(level)):
+            codes.setdefault(one, container.codes(one)[3])
+        with scratch_directory(target.parent, "codes") as directory:
+            spools = _copied(terrain, codes, directory)
+            assemble(file, replace(container.header), spools)
+            for spool in spools.values():
+                spool.close()
+    return target
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_an_understated_error_is_found(level, tmp_path):
+    case = make_case("rough patch", "none", (100, 100), 2, amplitude=900.0, max_error=3, block=32)
+    path = write_case(case, tmp_path)
+    with terrainwave.open(path) as terrain:
+        block = max(
+            (b for b in terrain.grid.blocks(level)),
+            key=lambda b: terrain._container.codes(b)[3],
+        )
+        code = terrain._container.codes(block)[3]
+    assert terrainwave.verify(path, tmp_path / "case.tif", mesh=True).ok
+    less = with_mesh_code(path, tmp_path / "less.twz", block, code - 9)
+    report = terrainwave.verify(less, tmp_path / "case.tif", mesh=True)
+    assert any(
+        f"mesh of block {tuple(block)}" in problem and "stated error" in problem
+        for problem in report.problems
+    )
+    assert terrainwave.verify(less, tmp_path / "case.tif").ok  # heights are fine
+    same = with_mesh_code(path, tmp_path / "same.twz", block, code)
+    assert same.read_bytes() == path.read_bytes()
+
+
+def test_without_the_original_an_error_far_too_small_is_found(tmp_path):
+    case = make_case("noise", "none", (70, 70), 2, amplitude=900.0, max_error=1, block=32)
+    path = write_case(case, tmp_path)
+    assert terrainwave.verify(path, mesh=True).ok
+    less = with_mesh_code(path, tmp_path / "less.twz", Block(0, 0, 0), 1)
+    assert "stated error" in " ".join(terrainwave.verify(less, mesh=True).problems)
+
+
+def test_meshes_stored_later_are_checked_too(tmp_path):
+    case = make_case("smooth", "disc", (90, 100), 3, max_error=2, block=32, mesh="none")
+    path = write_case(case, tmp_path)
+    report, problems = None, None
+    with terrainwave.open(path) as terrain:
+        report, problems = verify_meshes(terrain, reader(case))
+    assert problems == []
+    assert report.levels == ()  # only meshes of the area
+    store_meshes(path, tmp_path / "later.twz", mesh_error=7)
+    assert terrainwave.verify(tmp_path / "later.twz", tmp_path / "case.tif", mesh=True).ok
+
+
+def test_the_command_prints_a_report_and_sets_the_status(tmp_path):
+    case = make_case("noise", "corners", (70, 70), 2, amplitude=900.0, max_error=1, block=32)
+    path = write_case(case, tmp_path)
+    original = str(tmp_path / "case.tif")
+    good = CliRunner().invoke(main, ["verify", "--mesh", "--json", str(path), original])
+    assert good.exit_code == 0
+    report = json.loads(good.stdout)
+    assert report["mesh"]["against"] == "original"
+    assert [level["level"] for level in report["mesh"]["levels"]] == [0, 1, 2]
+    for level in report["mesh"]["levels"]:
+        assert 0 < level["measured_error"] <= level["stored_error"]
+    for area in report["mesh"]["areas"]:
+        assert area["measured_error"] <= area["stated_error"]
+    shown = CliRunner().invoke(main, ["verify", "--mesh", "--quiet", str(path)])
+    assert (shown.exit_code, shown.stdout) == (0, "")
+    less = with_mesh_code(path, tmp_path / "less.twz", Block(1, 0, 0), 1)
+    bad = CliRunner().invoke(main, ["verify", "--mesh", str(less), original])
+    assert bad.exit_code == 1
+    assert "problem: mesh of block (1, 0, 0)" in bad.stdout
+    assert "stated error" in bad.stdout
+
+
+def test_meshes_may_be_asked_for_by_several_threads(tmp_path):
+    case = make_case("half sea", "none", (150, 150), 2, max_error=1, block=32)
+    with terrainwave.open(write_case(case, tmp_path), threads=2) as terrain:
+        with ThreadPoolExecutor(3) as executor:
+            meshes = list(executor.map(lambda _: terrain.mesh(max_error=30), range(4)))
+    assert all(np.array_equal(meshes[0].vertices, mesh.vertices) for mesh in meshes)

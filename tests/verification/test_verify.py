@@ -1,0 +1,304 @@
+"""Does `verify` find what is wrong, and nothing where nothing is?"""
+
+import json
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.transform import Affine
+from strategies import terrain_like, write_geotiff
+
+import terrainwave
+from terrainwave.errors import CorruptStreamError, InvalidHeightsError, StorageError
+from terrainwave.verification.heights import verify
+from terrainwave.verification.metrics import ErrorSum
+
+
+class FakeTerrain:
+    """Stands in for an open .twz file; decodes to whatever it is given."""
+
+    def __init__(self, heights, valid=None, *, max_error=0.0, effective_error=None, **changes):
+        self.heights = heights
+        self.valid = np.ones(heights.shape, bool) if valid is None else np.asarray(valid)
+        self.shape, self.dtype = heights.shape, heights.dtype
+        self.max_error = max_error
+        self.effective_error = max_error if effective_error is None else effective_error
+        self.nodata = changes.pop("nodata", None)
+        self.crs = changes.pop("crs", None)
+        self._transform = Affine(*changes.pop("transform", (1, 0, 0, 0, 1, 0)))
+        self.bad_row = changes.pop("bad_row", None)
+        self.problems = changes.pop("problems", ())
+        fields = {
+            "units": None,
+            "scale": 1.0,
+            "offset": 0.0,
+            "description": None,
+            "area_or_point": "Area",
+            "rounding_error": 0.05,
+        }
+        self._info = SimpleNamespace(**(fields | changes))
+
+    def info(self):
+        return self._info
+
+    def transform(self, level=-1, window=None):
+        return self._transform
+
+    def check(self):
+        yield from self.problems
+
+    def read(self, window=None, *, masked=False, level=-1):
+        row, col, n_rows, n_cols = window
+        if self.bad_row is not None and row <= self.bad_row < row + n_rows:
+            raise CorruptStreamError("block (3, 0, 0) is damaged")
+        part = np.s_[row : row + n_rows, col : col + n_cols]
+        return np.ma.MaskedArray(self.heights[part], ~self.valid[part])
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+
+@pytest.fixture
+def compare(tmp_path, monkeypatch):
+    """Return a function that verifies a fake decoded file against a real original."""
+
+    def run(original, terrain, *, mask=None, options=None, **profile):
+        monkeypatch.setattr(terrainwave, "open", lambda _, **__: terrain, raising=False)
+        profile = {"tags": {"AREA_OR_POINT": "Area"}, **profile}
+        path = write_geotiff(tmp_path / "a.tif", original, mask=mask, **profile)
+        return verify("a.twz", path, **(options or {}))
+
+    return run
+
+
+def test_equal_heights_are_fine(compare):
+    heights = terrain_like(300, 400)
+    report = compare(heights, FakeTerrain(heights))
+    assert report.ok, report.problems
+    assert report.errors.n_valid == heights.size
+    assert (report.errors.max_error, report.errors.rmse) == (0, 0)
+    assert report.errors.worst_row is None
+
+
+def test_difference_at_the_bound_is_fine_and_one_above_is_named(compare):
+    heights = terrain_like(300, 400)
+    decoded = heights.copy()
+    decoded[123, 45] += 3
+    assert compare(heights, FakeTerrain(decoded, max_error=3.0)).ok
+    report = compare(heights, FakeTerrain(decoded, max_error=2.0))
+    assert report.problems == (
+        "1 sample is further from the original than 2; the worst, at row 123, column 45, by 3",
+    )
+    assert report.errors.max_error == 3
+    assert report.errors.rmse == pytest.approx(3 / math.sqrt(heights.size))
+
+
+def test_effective_error_is_the_bound(compare):
+    heights = terrain_like(9, 9)
+    decoded = heights + np.int16(1)
+    report = compare(heights, FakeTerrain(decoded, max_error=1.5, effective_error=0.0))
+    assert "81 samples are further from the original than 0" in report.problems[0]
+
+
+def test_effective_error_that_lost_a_digit_still_allows_its_whole_steps(compare):
+    heights = terrain_like(9, 9)
+    stated = 0.29999999999999993  # three steps of 0.1, rounded down somewhere
+    terrain = FakeTerrain(heights + np.int16(3), max_error=0.3, effective_error=stated, scale=0.1)
+    assert compare(heights, terrain, bands={"scales": 0.1}).ok
+
+
+def test_effective_error_above_the_asked_one_is_a_problem(compare):
+    heights = terrain_like(9, 9)
+    report = compare(heights, FakeTerrain(heights, max_error=1.0, effective_error=2.0))
+    assert "effective error of 2.0, above the 1.0" in report.problems[0]
+
+
+def test_other_bound_can_be_asked_for(compare):
+    heights = terrain_like(9, 9)
+    terrain = FakeTerrain(heights + np.int16(1), max_error=5.0)
+    assert not compare(heights, terrain, options={"max_error": 0.5}).ok
+
+
+@pytest.mark.parametrize(("bound", "ok"), [(0.3, True), (0.29, False), (0.8, True)])
+def test_bound_is_physical_and_exact_after_scale(compare, bound, ok):
+    # 3 * 0.1 is above 0.3 in floating point: integers are compared in whole steps.
+    heights = terrain_like(9, 9)
+    terrain = FakeTerrain(heights + np.int16(3), max_error=bound, scale=0.1)
+    report = compare(heights, terrain, bands={"scales": 0.1})
+    assert report.ok is ok, report.problems
+    assert report.errors.max_error == pytest.approx(0.3)
+
+
+def test_decimal_floats_are_allowed_one_ulp_of_their_type(compare):
+    # float32(1000.4) - float32(1000.3) is 0.10004, though both stand for whole decimetres.
+    original = np.array([[1000.3]], "float32")
+    decoded = np.array([[1000.4]], "float32")
+    assert float(decoded[0, 0]) - float(original[0, 0]) > 0.1
+    assert compare(original, FakeTerrain(decoded, max_error=0.1, rounding_error=0.0)).ok
+    assert not compare(original, FakeTerrain(decoded, max_error=0.1)).ok
+    further = np.nextafter(np.nextafter(decoded, np.float32(2000)), np.float32(2000))
+    assert not compare(original, FakeTerrain(further, max_error=0.1, rounding_error=0.0)).ok
+
+
+def test_lossless_floats_are_allowed_nothing(compare):
+    original = np.array([[1000.2]], "float32")
+    decoded = np.nextafter(original, np.float32(0))
+    assert not compare(original, FakeTerrain(decoded, max_error=0.0, rounding_error=0.0)).ok
+
+
+def test_mask_differences_are_counted(compare):
+    heights = terrain_like(10, 10)
+    heights[2, 3] = -1
+    valid = heights != -1
+    fine = FakeTerrain(heights, valid, nodata=-1)
+    assert compare(heights, fine, nodata=-1).ok
+    valid = valid.copy()
+    valid[5, 5] = False
+    report = compare(heights, FakeTerrain(heights, valid, nodata=-1), nodata=-1)
+    assert report.problems == ("1 samples are void in one of the two and valid in the other",)
+    assert report.errors.n_mask_differences == 1
+
+
+def test_nan_and_internal_mask_count_as_void(compare):
+    heights = terrain_like(4, 4, "float32")
+    heights[0, 0] = np.nan
+    mask = np.ones((4, 4), bool)
+    mask[1, 1] = False
+    valid = mask.copy()
+    valid[0, 0] = False
+    assert compare(heights, FakeTerrain(heights, valid), mask=mask).ok
+    assert not compare(heights, FakeTerrain(heights, mask), mask=mask).ok
+
+
+def test_valid_sample_that_decodes_to_nodata_is_a_problem(compare):
+    heights = terrain_like(4, 4)
+    decoded = heights.copy()
+    decoded[0, 0] = -5
+    terrain = FakeTerrain(decoded, max_error=1000.0, nodata=-5)
+    report = compare(heights, terrain, nodata=-5)
+    assert report.problems == ("1 valid samples decode to the nodata value -5.0",)
+
+
+def test_decoded_nan_among_valid_samples_is_beyond_any_bound(compare):
+    heights = terrain_like(4, 4, "float32")
+    decoded = heights.copy()
+    decoded[3, 2] = np.nan
+    report = compare(heights, FakeTerrain(decoded, max_error=1000.0))
+    assert "row 3, column 2" in report.problems[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"units": "ft"}, "units is 'ft', the original's is None"),
+        ({"scale": 2.0}, "scale is 2.0"),
+        ({"offset": 2.0}, "offset is 2.0"),
+        ({"description": "z"}, "description is 'z'"),
+        ({"area_or_point": "Point"}, "AREA_OR_POINT is 'Point'"),
+        ({"nodata": 7}, "nodata is 7, the original's is None"),
+        ({"transform": (2, 0, 0, 0, 2, 0)}, "the transform is (2.0,"),
+        ({"crs": "EPSG:4326"}, "the CRS is EPSG:4326, the original's is missing"),
+    ],
+)
+def test_changed_metadata_are_a_problem(compare, changes, problem):
+    heights = terrain_like(4, 4)
+    report = compare(heights, FakeTerrain(heights, **changes))
+    assert len(report.problems) == 1
+    assert problem in report.problems[0]
+
+
+def test_crs_is_compared_by_its_definition(compare):
+    heights = terrain_like(4, 4)
+    nearly = rasterio.CRS.from_epsg(32611).to_wkt().replace("298.257223563", "298.257223564")
+    assert compare(heights, FakeTerrain(heights, crs="EPSG:32611"), crs="EPSG:32611").ok
+    report = compare(heights, FakeTerrain(heights, crs=nearly), crs="EPSG:32611")
+    assert "298.257223564" in report.problems[0]
+
+
+def test_other_shape_or_type_is_reported_without_comparing_heights(compare):
+    heights = terrain_like(4, 5)
+    report = compare(heights, FakeTerrain(heights[:, :4]))
+    assert report.problems == ("size is (4, 4), the original's is (4, 5)",)
+    assert report.errors is None
+    report = compare(heights, FakeTerrain(heights.astype("int32")))
+    assert "type is 'int32'" in report.problems[0]
+
+
+@pytest.mark.parametrize("layout", [{}, {"tiled": True, "blockxsize": 64, "blockysize": 64}])
+def test_undecodable_window_is_named_and_the_rest_is_compared(compare, layout, monkeypatch):
+    monkeypatch.setattr("terrainwave.verification.heights._WINDOW_SAMPLES", 256 * 500)
+    monkeypatch.setattr("terrainwave.verification.heights._WINDOW_SIDE", 256)
+    heights = terrain_like(700, 500)
+    decoded = heights.copy()
+    decoded[699, 499] += 9
+    terrain = FakeTerrain(decoded, max_error=1.0, bad_row=300)
+    report = compare(heights, terrain, **layout)
+    assert report.problems[0].startswith("rows 256 to 511, columns 0 to ")
+    assert "block (3, 0, 0) is damaged" in report.problems[0]
+    assert "row 699, column 499, by 9" in report.problems[-1]
+    assert report.errors.n_valid == heights.size - 256 * 500
+
+
+def test_progress_reaches_the_total(compare):
+    heights = terrain_like(30, 40)
+    seen = []
+    compare(heights, FakeTerrain(heights), options={"progress": seen.append})
+    assert (seen[-1].done, seen[-1].total) == (1200, 1200)
+
+
+def test_nodata_given_at_compression_and_band_are_taken_over(compare):
+    layers = np.stack([terrain_like(4, 4), terrain_like(4, 4, seed=1)])
+    heights = layers[1].copy()
+    heights[0, 0] = 0
+    layers[1] = heights
+    terrain = FakeTerrain(heights, heights != 0, nodata=0)
+    assert compare(layers, terrain, options={"band": 2, "nodata": 0}).ok
+    with pytest.raises(InvalidHeightsError, match="band 3 does not exist"):
+        compare(layers, terrain, options={"band": 3})
+
+
+def test_without_an_original_the_file_checks_itself(monkeypatch):
+    terrain = FakeTerrain(terrain_like(4, 4), problems=["block (1, 0, 0) is damaged"])
+    monkeypatch.setattr(terrainwave, "open", lambda _, **__: terrain, raising=False)
+    report = verify("a.twz")
+    assert not report.ok
+    assert report.problems == ("block (1, 0, 0) is damaged",)
+    assert report.errors is None
+
+
+def test_report_is_plain_data(compare):
+    heights = terrain_like(4, 4)
+    fields = json.loads(json.dumps(compare(heights, FakeTerrain(heights)).to_dict()))
+    assert fields["ok"] is True
+    assert fields["errors"]["n_valid"] == 16
+
+
+def test_missing_original_is_named(tmp_path, monkeypatch):
+    terrain = FakeTerrain(terrain_like(4, 4))
+    monkeypatch.setattr(terrainwave, "open", lambda _, **__: terrain, raising=False)
+    with pytest.raises(StorageError, match="no such file"):
+        verify("a.twz", tmp_path / "a.tif")
+
+
+def test_errors_are_summed_over_windows_in_any_order():
+    original = np.zeros((4, 6), "uint8")
+    decoded = np.array([[0, 0, 2, 0, 0, 0]] * 4, "uint8")
+    decoded[3, 5] = 200
+    valid = np.ones((4, 6), bool)
+    valid[0, 2] = False
+    total = ErrorSum(scale=-0.5)
+    for row in (2, 0):
+        part = np.s_[row : row + 2]
+        total.add(row, 0, original[part], decoded[part], valid[part], np.ones((2, 6), bool))
+    report = total.report()
+    # 23 samples valid in both; three of them 2 off, one 200 off; everything halved.
+    assert report.n_valid == 23
+    assert report.max_error == 100
+    assert (report.worst_row, report.worst_col) == (3, 5)
+    assert report.rmse == pytest.approx(math.sqrt((3 * 4 + 200**2) / 23) / 2)
+    assert report.n_mask_differences == 1

@@ -1,0 +1,213 @@
+"""Files that are patched hold the new raster; what did not change is copied."""
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from strategies import terrain_like, write_geotiff
+from twz import twz_bytes
+
+import terrainwave
+from terrainwave.cli import main
+from terrainwave.container.reader import open_container
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.terrain import Terrain
+from terrainwave.write.patch import patch
+
+NODATA = -32768
+HEIGHTS = terrain_like(140, 100, seed=11)
+TRANSFORM = (2.0, 0.0, 1000.0, 0.0, -2.0, 5000.0)
+
+
+def changed(heights, row=60, col=20, side=9):
+    """Return heights with a hollow; their range stays as it is."""
+    heights = heights.copy()
+    part = heights[row : row + side, col : col + side]
+    part[:] = (part.astype(np.int64) + int(heights.max())) // 2
+    return heights
+
+
+def with_voids(heights):
+    heights = heights.copy()
+    heights[30:50, 60:90] = NODATA
+    return heights
+
+
+@pytest.fixture
+def file(tmp_path):
+    """Return what makes a file of heights."""
+
+    def make(heights, **options):
+        path = tmp_path / "dem.twz"
+        path.write_bytes(twz_bytes(heights, **options))
+        return path
+
+    return make
+
+
+def copied_units(before, after):
+    """Return the keys whose payloads are the same."""
+    with open_container(before) as old, open_container(after) as new:
+        keys = [*old.grid.root_keys()]
+        keys += [key for level in range(old.grid.k_max) for key in old.grid.blocks(level)]
+        return {key for key in keys if old.payload(key) == new.payload(key)}, set(keys)
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("mesh", ["none", "halves", "zerotree", "rqt"])
+def test_a_lossless_file_becomes_that_of_the_new_raster(file, mesh):
+    path = file(HEIGHTS, max_error=0, mesh=mesh)
+    result = patch(path, changed(HEIGHTS))
+    assert path.read_bytes() == twz_bytes(changed(HEIGHTS), max_error=0, mesh=mesh)
+    assert (result.n_recoded, result.n_copied) == (5, 5)
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("max_error", [0, 3])
+@pytest.mark.parametrize("new", [with_voids(HEIGHTS), changed(with_voids(HEIGHTS))])
+@pytest.mark.parametrize("old", [with_voids(changed(HEIGHTS)), with_voids(HEIGHTS[::-1])])
+def test_the_result_is_within_the_bound_and_true(file, tmp_path, max_error, new, old):
+    path = file(old, max_error=max_error, nodata=NODATA)
+    write_geotiff(tmp_path / "new.tif", new, nodata=NODATA)
+    before = path.read_bytes()
+    result = patch(path, tmp_path / "new.tif")
+    report = terrainwave.verify(path, tmp_path / "new.tif", mesh=True)
+    assert report.ok, report
+    copied, units = copied_units(before, path.read_bytes())
+    assert (result.n_copied, result.n_recoded) == (len(copied), len(units - copied))
+    assert result.measured_error <= max_error
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("rings", [1, 3])
+def test_the_same_raster_changes_nothing(file, rings):
+    path = file(with_voids(HEIGHTS), max_error=3, nodata=NODATA, border_rings=rings)
+    before, time = path.read_bytes(), path.stat().st_mtime_ns
+    result = patch(path, with_voids(HEIGHTS), nodata=NODATA)
+    assert (result.n_recoded, path.stat().st_mtime_ns) == (0, time)
+    assert path.read_bytes() == before
+
+
+def part_of(heights, path, row, col, n_rows, n_cols):
+    """Write a window of heights with its place."""
+    transform = (2.0, 0.0, 1000.0 + 2 * col, 0.0, -2.0, 5000.0 - 2 * row)
+    window = heights[row : row + n_rows, col : col + n_cols]
+    write_geotiff(path, window, transform=transform, crs="EPSG:32610")
+
+
+@pytest.fixture
+def placed(tmp_path):
+    """Return what makes a file with a place, of the bound given."""
+    write_geotiff(tmp_path / "old.tif", HEIGHTS, transform=TRANSFORM, crs="EPSG:32610")
+
+    def make(max_error):
+        path = tmp_path / "dem.twz"
+        path.write_bytes(twz_bytes(tmp_path / "old.tif", max_error=max_error))
+        return path
+
+    return make
+
+
+@pytest.mark.large
+def test_a_part_is_taken_where_it_is_and_the_rest_stays(placed, tmp_path):
+    placed = placed(0)
+    part_of(changed(HEIGHTS), tmp_path / "new.tif", 30, 5, 80, 70)
+    result = patch(placed, tmp_path / "new.tif")
+    assert result.n_recoded > 0
+    write_geotiff(tmp_path / "all.tif", changed(HEIGHTS), transform=TRANSFORM, crs="EPSG:32610")
+    report = terrainwave.verify(placed, tmp_path / "all.tif", mesh=True)
+    assert report.ok, report
+
+
+@pytest.mark.large
+def test_a_change_that_moves_heights_outside_of_a_part_is_refused(placed, tmp_path):
+    # Predictions reach beyond the part, and what is not known must not move.
+    placed = placed(2)
+    before = placed.read_bytes()
+    part_of(changed(HEIGHTS), tmp_path / "new.tif", 58, 18, 13, 13)
+    with pytest.raises(InvalidHeightsError, match="reaches further beyond the change"):
+        patch(placed, tmp_path / "new.tif")
+    assert placed.read_bytes() == before
+
+
+@pytest.mark.large
+def test_a_part_of_the_same_raster_changes_nothing(placed, tmp_path):
+    placed = placed(2)
+    before = placed.read_bytes()
+    part_of(HEIGHTS, tmp_path / "new.tif", 30, 5, 80, 70)
+    assert patch(placed, tmp_path / "new.tif").n_recoded == 0
+    assert placed.read_bytes() == before
+
+
+@pytest.mark.large
+def test_readers_keep_the_old_file(file):
+    path = file(HEIGHTS, max_error=0)
+    with Terrain(path) as terrain:
+        patch(path, changed(HEIGHTS))
+        np.testing.assert_array_equal(terrain.read(), HEIGHTS)
+    with Terrain(path) as terrain:
+        np.testing.assert_array_equal(terrain.read(), changed(HEIGHTS))
+
+
+SMALL = HEIGHTS[:9, :8]
+
+
+@pytest.mark.parametrize(
+    ("new", "message"),
+    [
+        (SMALL.astype("int32"), "dtype is int32, expected int16"),
+        (np.full((9, 8), SMALL.max() + 5, "int16"), r"file can hold .* compress the whole raster"),
+        (terrain_like(10, 8), "reaches beyond the file: it begins at row 0"),
+        (np.ma.masked_less(SMALL, SMALL.mean()), "has voids, and the file has no way"),
+    ],
+)
+def test_what_the_file_cannot_hold_is_refused(file, new, message):
+    path = file(SMALL, max_error=1)
+    before = path.read_bytes()
+    with pytest.raises(InvalidHeightsError, match=message):
+        patch(path, new)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [
+        ({"crs": "EPSG:32611"}, "CRS is EPSG:32611, expected that of the file, EPSG:32610"),
+        ({"transform": (2, 0, 1001, 0, -2, 5000)}, "does not lie on the file's grid"),
+        ({"transform": (1, 0, 1000, 0, -1, 5000)}, "does not lie on the file's grid"),
+        ({"transform": (2, 0, 998, 0, -2, 5000)}, r"begins at row 0, column -1 and has 9 x 8"),
+    ],
+)
+def test_another_place_is_refused(tmp_path, place, message):
+    own = {"crs": "EPSG:32610", "transform": TRANSFORM}
+    write_geotiff(tmp_path / "old.tif", SMALL, **own)
+    write_geotiff(tmp_path / "new.tif", SMALL, **own | place)
+    (tmp_path / "dem.twz").write_bytes(twz_bytes(tmp_path / "old.tif", max_error=1))
+    with pytest.raises(InvalidHeightsError, match=message):
+        patch(tmp_path / "dem.twz", tmp_path / "new.tif")
+
+
+@pytest.mark.parametrize("method", ["cdf53", "store"])
+def test_other_methods_are_refused_with_advice(tmp_path, file, method):
+    path = file(SMALL, method=method)
+    write_geotiff(tmp_path / "new.tif", SMALL)
+    result = CliRunner().invoke(main, ["patch", str(path), str(tmp_path / "new.tif")])
+    assert result.exit_code == 1
+    assert "only files of method predictive can be patched: compress the whole" in result.stderr
+
+
+def test_heights_between_the_files_steps_are_refused(file):
+    heights = SMALL.astype("float32")
+    path = file(heights, max_error=0)
+    heights[3, 3] += 0.25
+    with pytest.raises(InvalidHeightsError, match="no multiples of the file's vertical step 1 "):
+        patch(path, heights)
+
+
+@pytest.mark.large
+def test_the_command_prints_both_counts(tmp_path, file):
+    path = file(HEIGHTS, max_error=0)
+    write_geotiff(tmp_path / "new.tif", changed(HEIGHTS))
+    result = CliRunner().invoke(main, ["patch", str(path), str(tmp_path / "new.tif")])
+    assert result.exit_code == 0
+    assert "units coded again," in result.output
+    assert "max error guaranteed 0, measured 0" in result.output
