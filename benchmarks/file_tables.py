@@ -61,7 +61,7 @@ def main(directory: Path, only, out: Path) -> None:
                 )
                 used = time.process_time() - start
                 with terrainwave.Terrain(target) as terrain:
-                    n_parameters = len(terrain._container.header.parameters)
+                    n_parameters = len(terrain.header.parameters)
                 row = [paths[0].stem, max_error, variant, result.n_bytes, n_parameters]
                 sink.writerow([*row, f"{used:.2f}"])
                 file.flush()

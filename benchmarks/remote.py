@@ -136,7 +136,7 @@ def needed_bytes(terrain, window: tuple[int, int, int, int], level: int) -> int:
     from terrainwave.grid.quadtree import Region
     from terrainwave.read.decoder import unit_key, units_of
 
-    container = terrain._container
+    container = terrain.container
     counted = level % terrain.n_levels  # from the coarse end
     keys = set(units_of(container.grid, counted, Region(*window)))
     for key in list(keys):

@@ -143,7 +143,7 @@ def measure_grid(dem: Path, folder: Path) -> Iterator[GridRow]:
                 with terrainwave.open(file) as terrain:
                     n_rows, n_cols = terrain.shape
                     per_byte = 8 / (n_rows * n_cols)
-                    pages = [found.page for found in terrain._container.present_segments()]
+                    pages = [found.page for found in terrain.container.present_segments()]
                     heights, labels = (
                         sum(int(getattr(page, name).sum()) for page in pages)
                         for name in ("payload_lengths", "mesh_lengths")

@@ -622,7 +622,7 @@ def check_units(data):
     with terrainwave.open(data) as terrain:
         for level in range(file.grid.k_max + 1):
             for unit, heights, valid in decode_units(file, level):
-                decoded = terrain._decoder.unit(Block(*unit.key))
+                decoded = terrain.decoder.unit(Block(*unit.key))
                 np.testing.assert_array_equal(decoded.mask, np.array(valid) == 1)
                 np.testing.assert_array_equal(decoded.heights, heights)
 

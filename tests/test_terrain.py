@@ -232,7 +232,7 @@ def test_bounds_in_the_wrong_order_are_refused(terrain, bounds):
 def test_bounds_that_cannot_be_placed_are_refused(bounds, transform):
     data = twz_bytes(HEIGHTS, max_error=0, method="store")
     with Terrain(data) as terrain:
-        terrain._raster = replace(terrain._raster, transform=tuple(map(float, transform)))
+        terrain._raster = replace(terrain.raster_info, transform=tuple(map(float, transform)))
         with pytest.raises(InvalidHeightsError):
             terrain.read(bounds=bounds)
         assert np.isnan(terrain.sample([(np.inf, 1e308)])).all()
@@ -463,7 +463,7 @@ def test_the_cache_stays_within_its_limit(store_data):
     with Terrain(store_data, cache_bytes=50_000, threads=2) as terrain:
         for _ in range(2):
             terrain.read()
-        cache = terrain._decoder._cache
+        cache = terrain.decoder._cache
         kept = sum(u.heights.nbytes + u.mask.nbytes for u in cache._units.values())
         assert 0 < kept <= 50_000
 
@@ -748,7 +748,7 @@ def all_keys(grid):
 def assert_neighbours_agree(data, seed):
     """Decode every unit by itself, in shuffled order; compare the samples that units share."""
     with Terrain(data, cache_bytes=0, threads=1) as terrain:
-        grid, decoder = terrain.grid, terrain._decoder
+        grid, decoder = terrain.grid, terrain.decoder
         shape = (grid.k_max + 1, *terrain.shape)
         heights, mask, count = (
             np.zeros(shape, np.int32),
@@ -758,7 +758,7 @@ def assert_neighbours_agree(data, seed):
         keys = all_keys(grid)
         n_shared = 0
         for index in np.random.default_rng(seed).permutation(len(keys)):
-            spec = unit_spec(grid, terrain._parameters, keys[index])
+            spec = unit_spec(grid, terrain.parameters, keys[index])
             unit = decoder.unit(keys[index])
             at = (spec.level, *spec.region.slices_in(Region(0, 0, *terrain.shape)))
             seen = count[at] > 0

@@ -25,8 +25,9 @@ from terrainwave.errors import (
 if TYPE_CHECKING:
     from terrainwave.export.geotiff import decompress
     from terrainwave.export.mesh import Mesh
+    from terrainwave.file import Info
     from terrainwave.progress import Progress
-    from terrainwave.terrain import Info, Terrain
+    from terrainwave.terrain import Terrain
     from terrainwave.verification.heights import VerifyReport, verify
     from terrainwave.write.compress import CompressResult, compress, compress_to_bytes
     from terrainwave.write.meshes import store_meshes
@@ -71,7 +72,7 @@ _LAZY = {
     "PatchResult": "write.patch",
     "patch": "write.patch",
     "Progress": "progress",
-    "Info": "terrain",
+    "Info": "file",
     "Terrain": "terrain",
     "Mesh": "export.mesh",
     "VerifyReport": "verification.heights",

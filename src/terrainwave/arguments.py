@@ -2,12 +2,13 @@
 
 import math
 
-from terrainwave.container.header import MESHES
 from terrainwave.errors import InvalidHeightsError
 
 # In the order in which files number them.
 EFFORTS = ("fast", "default", "best")
-# Meshes that files store; "auto" is the first.
+# Kinds of meshes, in the order in which files number them.
+MESHES = ("none", "halves", "zerotree", "rqt")
+# Those that files store; "auto" is the first.
 STORED_MESHES = tuple(mesh for mesh in MESHES if mesh != "none")
 
 

@@ -114,16 +114,16 @@ class File:
         with Terrain(data, threads=1) as terrain:
             self.grid = grid = terrain.grid
             self.blocks = [b for level in range(grid.k_max + 1) for b in grid.blocks(level)]
-            quantizer = terrain._quantizer
+            quantizer = terrain.quantizer
             self.quantum = Fraction(quantizer.numerator, quantizer.denominator)
             self.base, self.whole = quantizer.base, (quantizer.z_min, quantizer.z_max)
             apron = 1 if options.get("border_rings") == 3 else 0
-            units = {b: terrain._decoder.block(b) for b in self.blocks}
+            units = {b: terrain.decoder.block(b) for b in self.blocks}
             at = {b: grid.block_region(b).slices_in(grid.block_region(b, apron)) for b in units}
             self.decoded = {b: unit.heights[at[b]] for b, unit in units.items()}
             self.masks = {b: unit.mask[at[b]] for b, unit in units.items()}
             self.stored = {b: terrain.block_error(b) for b in self.blocks}
-            self.codes = {b: terrain._container.codes(b) for b in self.blocks}
+            self.codes = {b: terrain.container.codes(b) for b in self.blocks}
 
     def true_error(self, block):
         """Return the largest distance of the originals from the decoded surface, in raw units."""

@@ -324,7 +324,7 @@ def test_kernels_give_the_same_meshes_as_plain_python():
 def with_mesh_code(path, target, block, code):
     """Write a file whose index states another error code of a block's mesh."""
     with terrainwave.open(path, threads=1) as terrain, target.open("wb") as file:
-        container = terrain._container
+        container = terrain.container
         codes = {block: code}
         for one in (b for level in range(terrain.n_levels) for b in terrain.grid.blocks(level)):
             codes.setdefault(one, container.codes(one)[3])
@@ -343,9 +343,9 @@ def test_an_understated_error_is_found(level, tmp_path):
     with terrainwave.open(path) as terrain:
         block = max(
             (b for b in terrain.grid.blocks(level)),
-            key=lambda b: terrain._container.codes(b)[3],
+            key=lambda b: terrain.container.codes(b)[3],
         )
-        code = terrain._container.codes(block)[3]
+        code = terrain.container.codes(block)[3]
     assert terrainwave.verify(path, tmp_path / "case.tif", mesh=True).ok
     less = with_mesh_code(path, tmp_path / "less.twz", block, code - 9)
     report = terrainwave.verify(less, tmp_path / "case.tif", mesh=True)

@@ -5,6 +5,7 @@ import pytest
 from render.scenes import ListStore, drawn_heights, hills, random_camera, terrain_of
 
 from terrainwave.errors import CorruptStreamError
+from terrainwave.mesh.sections import mesher_of
 from terrainwave.render.camera import Camera, Viewport, fly, home, look, project
 from terrainwave.render.scene import Scene
 from terrainwave.render.selection import Piece
@@ -99,7 +100,7 @@ def test_paper_errors_follow_equations_2_and_3():
 
         for level in range(terrain.n_levels):
             for block in grid.blocks(level):
-                tolerance = terrain._mesher.tolerance(block) / 16 * terrain.info().quantum
+                tolerance = mesher_of(terrain).tolerance(block) / 16 * terrain.info().quantum
                 error = builder.error(Piece(*block))
                 assert error == pytest.approx(appr(block) + tolerance)
                 # What is measured is less: an upper bound stays one.

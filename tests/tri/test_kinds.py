@@ -199,7 +199,7 @@ def test_a_section_of_wrong_lengths_is_corrupt(data):
 def with_section(path, target, key, section):
     """Write a file with another mesh section of a key, checksums and all."""
     with terrainwave.open(path, threads=1) as terrain, target.open("wb") as file:
-        container = terrain._container
+        container = terrain.container
         codes = {block: container.codes(block)[3] for block in blocks_of(terrain)}
         with scratch_directory(target.parent, "section") as directory:
             spools = _copied(terrain, codes, directory)
@@ -218,9 +218,9 @@ def test_hostile_sections_give_a_mesh_or_a_clear_error(kind, tmp_path):
     rng = np.random.default_rng(0)
     n_refused = 0
     with terrainwave.open(path) as terrain:
-        block = next(b for b in blocks_of(terrain)[::-1] if terrain._container.mesh(unit_key(b)))
+        block = next(b for b in blocks_of(terrain)[::-1] if terrain.container.mesh(unit_key(b)))
         key = unit_key(block)
-        section = terrain._container.mesh(key)
+        section = terrain.container.mesh(key)
         heights = terrain.read()
     assert with_section(path, tmp_path / "same.twz", key, section).read_bytes() == path.read_bytes()
     flipped = []

@@ -17,7 +17,7 @@ def rough(shape, seed=0):
 
 def header_of(path) -> Header:
     with terrainwave.Terrain(path) as terrain:
-        return terrain._container.header
+        return terrain.header
 
 
 @pytest.mark.large

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
 
+from terrainwave.arguments import MESHES
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidHeightsError,
@@ -20,7 +21,6 @@ FORMAT_VERSION = 1
 HEADER_SIZE = 128
 
 METHODS = ("store", "cdf97", "predictive", "cdf53")
-MESHES = ("none", "halves", "zerotree", "rqt")
 # Codes 2 (int8) and 5 (uint32) are reserved.
 DTYPE_CODES = {"uint8": 1, "uint16": 3, "int16": 4, "int32": 6, "float32": 7, "float64": 8}
 KNOWN_FEATURES = 0

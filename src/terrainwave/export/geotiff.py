@@ -10,10 +10,10 @@ from terrainwave.container.publish import refuse_own_source
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.export.height_tiles import EXTENSIONS as TILE_EXTENSIONS
 from terrainwave.export.height_tiles import write_height_tile
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.sink import RasterSink
-from terrainwave.terrain import Terrain
 
 # Samples of one window: whole rows of groups where they fit, 32 MiB of float64.
 _WINDOW_SAMPLES = 4 << 20
@@ -79,7 +79,7 @@ def decompress(
             f" {' or '.join(TILE_EXTENSIONS)}"
         )
     refuse_own_source(src, dst)
-    with Terrain(src, threads=threads) as terrain:
+    with TerrainFile(src, threads=threads) as terrain:
         region = terrain.region(window, bounds=bounds, level=level)
         if is_tile:
             return write_height_tile(

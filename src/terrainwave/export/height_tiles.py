@@ -19,11 +19,11 @@ from terrainwave._version import __version__
 from terrainwave.container.publish import publish
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidHeightsError, LimitExceededError, StorageError
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 from terrainwave.raster_io.info import IDENTITY
-from terrainwave.terrain import Terrain
 
 EXTENSIONS = (".r16", ".png")
 MAX_SIZE = 16385
@@ -46,7 +46,7 @@ class _Quantized(NamedTuple):
 
 
 def write_height_tile(
-    terrain: Terrain,
+    terrain: TerrainFile,
     path: str | os.PathLike[str],
     region: Region,
     *,
@@ -59,7 +59,7 @@ def write_height_tile(
 
     Parameters
     ----------
-    terrain : Terrain
+    terrain : TerrainFile
     path : path
         Ends in ``.r16`` or ``.png``; the JSON has the same name with ``.json``. Both appear
         complete or not at all.
@@ -124,7 +124,7 @@ def _tile_shape(region: Region, size: int | str | None) -> tuple[int, int]:
 
 
 def _read(
-    terrain: Terrain, region: Region, level: int, shape: tuple[int, int], reporter: Reporter
+    terrain: TerrainFile, region: Region, level: int, shape: tuple[int, int], reporter: Reporter
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return heights and validity, resampled from corner to corner."""
     rows = np.linspace(0, region.n_rows - 1, shape[0])
@@ -188,7 +188,7 @@ def _quantize(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> _Quanti
 
 
 def _describe(
-    terrain: Terrain,
+    terrain: TerrainFile,
     region: Region,
     level: int,
     shape: tuple[int, int],

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import TerrainwaveError
+from terrainwave.file import TerrainFile
 from terrainwave.render.png import encode_png
 from terrainwave.render.ramps import N_COLORS, ramp_colors
-from terrainwave.terrain import Terrain
 
 # Pixels of the picture's longer side.
 _SIDE = 320
@@ -26,7 +26,7 @@ _STEEP = 0.8
 _LONGEST_TEXT = 200
 
 
-def terrain_html(terrain: Terrain) -> str:
+def terrain_html(terrain: TerrainFile) -> str:
     """Return the HTML that a notebook shows: picture, size, bound, levels and place."""
     try:
         data = base64.b64encode(encode_png(picture(terrain))).decode()
@@ -47,7 +47,7 @@ def terrain_html(terrain: Terrain) -> str:
     )
 
 
-def _rows(terrain: Terrain) -> list[tuple[str, str]]:
+def _rows(terrain: TerrainFile) -> list[tuple[str, str]]:
     info = terrain.info()
     unit = info.units or "(unit unknown)"
     crs = info.crs or "none"
@@ -76,7 +76,7 @@ def _escaped(text: object) -> str:
     return html.escape(printable)
 
 
-def picture(terrain: Terrain) -> NDArray[np.uint8]:
+def picture(terrain: TerrainFile) -> NDArray[np.uint8]:
     """Return a shaded relief with north up, uint8 (n_rows, n_cols, 3), voids light grey.
 
     Raises

@@ -3,7 +3,9 @@
 from typing import Any
 
 from terrainwave.export.frames import to_frame
-from terrainwave.terrain import Terrain
+from terrainwave.export.mesh import Mesh
+from terrainwave.file import TerrainFile
+from terrainwave.mesh.area import mesh_area
 
 
 def read_twz(
@@ -43,12 +45,14 @@ def read_twz(
     CorruptStreamError, StorageError
         If the file is damaged or cannot be read.
     """
-    with Terrain(path) as terrain:
+    with TerrainFile(path) as terrain:
         if max_error is None and max_triangles is None and terrain.mesh_kind == "none":
             max_error = terrain.effective_error + terrain.info().quantum
-        mesh = terrain.mesh(
-            window, bounds=bounds, level=level, max_error=max_error, max_triangles=max_triangles
-        )
+        found = mesh_area(
+            terrain, window, bounds=bounds, level=level, max_error=max_error,
+            max_triangles=max_triangles,
+        )  # fmt: skip
+        mesh = Mesh(*found)
         placed = to_frame(mesh, frame, z_scale=z_scale)
         surface = placed.to_pyvista()
         surface.point_data["heights"] = mesh.points[:, 2]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
 
-from terrainwave.terrain import DEFAULT_CACHE_BYTES, Terrain
+from terrainwave.file import DEFAULT_CACHE_BYTES, TerrainFile
 
 VARIABLE = "heights"
 GRID_MAPPING = "spatial_ref"
@@ -73,7 +73,7 @@ class TerrainwaveBackend(BackendEntrypoint):
         cache_bytes, threads
             As for `Terrain`.
         """
-        terrain = Terrain(filename_or_obj, cache_bytes=cache_bytes, threads=threads)
+        terrain = TerrainFile(filename_or_obj, cache_bytes=cache_bytes, threads=threads)
         try:
             dataset = terrain_dataset(terrain, level, mask_and_scale=mask_and_scale)
             dataset = dataset.drop_vars(_names(drop_variables), errors="ignore")
@@ -96,7 +96,7 @@ class TerrainwaveBackend(BackendEntrypoint):
 
         The levels share one open file and its cache; the root ``/`` holds what they share.
         """
-        terrain = Terrain(filename_or_obj, cache_bytes=cache_bytes, threads=threads)
+        terrain = TerrainFile(filename_or_obj, cache_bytes=cache_bytes, threads=threads)
         try:
             groups = {"/": xr.Dataset(attrs={"n_levels": terrain.n_levels})}
             for level in range(terrain.n_levels):
@@ -114,7 +114,7 @@ class TerrainwaveBackend(BackendEntrypoint):
         """Return the tree of `open_groups_as_dict`."""
         groups = self.open_groups_as_dict(filename_or_obj, **options)
         tree = xr.DataTree.from_dict(groups)
-        tree.set_close(groups["/"]._close)
+        tree.set_close(groups["/"].close)
         return tree
 
 
@@ -125,7 +125,7 @@ def _names(names: str | Iterable[str] | None) -> list[str]:
 
 
 def terrain_dataset(
-    terrain: Terrain, level: int = -1, *, mask_and_scale: bool = True
+    terrain: TerrainFile, level: int = -1, *, mask_and_scale: bool = True
 ) -> xr.Dataset:
     """Return a level of an open file as a lazy dataset; it lives as long as `terrain` is open.
 
@@ -158,7 +158,7 @@ def terrain_dataset(
     return xr.Dataset({VARIABLE: variable}, coords=_coordinates(terrain, index))
 
 
-def _packing(terrain: Terrain) -> dict[str, Any]:
+def _packing(terrain: TerrainFile) -> dict[str, Any]:
     """Return what turns stored into physical values, by the names of the CF conventions."""
     raster = terrain.raster_info
     packing: dict[str, Any] = {}
@@ -169,7 +169,7 @@ def _packing(terrain: Terrain) -> dict[str, Any]:
     return packing
 
 
-def _coordinates(terrain: Terrain, level: int) -> dict[str, xr.Variable]:
+def _coordinates(terrain: TerrainFile, level: int) -> dict[str, xr.Variable]:
     a, b, c, d, e, f = terrain.transform(level)
     crs = terrain.raster_info.rasterio_crs()
     reference: dict[str, Any] = {"GeoTransform": " ".join(map(repr, (c, a, b, f, d, e)))}
@@ -202,7 +202,7 @@ def _axis_attributes(crs: Any) -> tuple[dict[str, str], dict[str, str]]:
 class _LazyHeights(BackendArray):
     """A level of a file, of which a window is read when it is indexed."""
 
-    def __init__(self, terrain: Terrain, level: int, *, mask_and_scale: bool) -> None:
+    def __init__(self, terrain: TerrainFile, level: int, *, mask_and_scale: bool) -> None:
         raster = terrain.raster_info
         self._terrain = terrain
         self._level = level

@@ -18,8 +18,8 @@ from zarr.core.buffer import Buffer, NDBuffer
 
 from terrainwave.arguments import check_effort
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
+from terrainwave.file import TerrainFile
 from terrainwave.raster_io.info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
-from terrainwave.terrain import Terrain
 from terrainwave.write.compress import compress_to_bytes
 
 CODEC_NAME = "terrainwave"
@@ -128,7 +128,9 @@ class TerrainwaveCodec(ArrayBytesCodec):
         dtype = np.dtype(chunk_spec.dtype.to_native_dtype())
         shape = _grid_shape(chunk_spec.shape)
         try:
-            with Terrain(chunk_data.to_bytes(), threads=_n_threads(math.prod(shape))) as terrain:
+            with TerrainFile(
+                chunk_data.to_bytes(), threads=_n_threads(math.prod(shape))
+            ) as terrain:
                 # Before anything is allocated: the array's metadata are trusted, the chunk is not.
                 if (terrain.shape, terrain.dtype) != (shape, dtype.newbyteorder("=")):
                     raise CorruptStreamError(

@@ -35,7 +35,7 @@ from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.surface import deviation_at_points
 
 if TYPE_CHECKING:
-    from terrainwave.terrain import Terrain
+    from terrainwave.file import TerrainFile
 
 # Cells along a tile's side.
 CELLS = 128
@@ -124,7 +124,7 @@ class TilePyramid:
 
     Parameters
     ----------
-    terrain : Terrain or Globe
+    terrain : TerrainFile or Globe
         Stays open and belongs to the caller.
     void_height : float
         Height in metres above the ellipsoid of voids and of what the raster does not cover.
@@ -149,7 +149,7 @@ class TilePyramid:
 
     def __init__(
         self,
-        terrain: "Terrain | Globe",
+        terrain: "TerrainFile | Globe",
         *,
         void_height: float = 0.0,
         cells: int = CELLS,
@@ -524,13 +524,13 @@ def _in_order_of_use(mesh: BlockMesh) -> BlockMesh:
 
 
 def terrain_tile(
-    terrain: "Terrain", zoom: int, x: int, y: int, *, void_height: float = 0.0
+    terrain: "TerrainFile", zoom: int, x: int, y: int, *, void_height: float = 0.0
 ) -> bytes | None:
     """Return one quantized-mesh tile of a terrain; None if there is none.
 
     Parameters
     ----------
-    terrain : Terrain
+    terrain : TerrainFile
     zoom, x, y : int
         TMS: x from longitude -180 eastwards, y from latitude -90 northwards.
     void_height : float
@@ -553,7 +553,7 @@ def terrain_tile(
     return None if tile is None else tile.data
 
 
-def layer_json(terrain: "Terrain", *, attribution: str = "") -> dict[str, Any]:
+def layer_json(terrain: "TerrainFile", *, attribution: str = "") -> dict[str, Any]:
     """Return what ``layer.json`` of a terrain's tiles holds, as plain values."""
     return TilePyramid(terrain).layer(attribution=attribution)
 
@@ -584,7 +584,7 @@ class ZoomSummary:
 
 
 def write_tiles(
-    terrain: "Terrain",
+    terrain: "TerrainFile",
     directory: str | os.PathLike[str],
     *,
     max_zoom: int | None = None,
@@ -600,7 +600,7 @@ def write_tiles(
 
     Parameters
     ----------
-    terrain : Terrain
+    terrain : TerrainFile
     directory : path
         ``{z}/{x}/{y}.terrain`` and ``layer.json``; it appears complete or not at all.
     max_zoom : int, optional

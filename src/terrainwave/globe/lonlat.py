@@ -27,7 +27,7 @@ from terrainwave.raster_io.info import IDENTITY
 if TYPE_CHECKING:
     from rasterio.crs import CRS
 
-    from terrainwave.terrain import Terrain
+    from terrainwave.file import TerrainFile
 
 Numbers = NDArray[np.float64]
 Places = tuple[Numbers, Numbers]
@@ -84,7 +84,7 @@ class Globe:
 
     Parameters
     ----------
-    terrain : Terrain
+    terrain : TerrainFile
     radius : float, optional
         Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
 
@@ -94,7 +94,7 @@ class Globe:
         If the raster has no place on a globe.
     """
 
-    def __init__(self, terrain: "Terrain", *, radius: float | None = None) -> None:
+    def __init__(self, terrain: "TerrainFile", *, radius: float | None = None) -> None:
         raster = terrain.raster_info
         is_placed = raster.transform != IDENTITY
         place = place_of(raster.crs, terrain.bounds, is_placed=is_placed, radius=radius)

@@ -3,9 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.coding.jit import kernel
+
+Heights = NDArray[np.int32]
+Mask = NDArray[np.bool_]
 
 
 @dataclass

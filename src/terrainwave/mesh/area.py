@@ -8,29 +8,27 @@ grids its vertices are samples of the finer block too, and the coarse mesh's err
 samples between them. So no gap is stitched and no error added.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.container.codes import decode_error
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.export.mesh import Mesh
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import as_fraction
-from terrainwave.mesh.blocks import BlockMesher, BlockSamples, SideTolerances, border_lines
+from terrainwave.mesh.blocks import BlockSamples, SideTolerances, border_lines
+from terrainwave.mesh.sections import mesher_of
 from terrainwave.raster_io.info import IDENTITY
 from terrainwave.tri.halves import Lines, triangulate
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.simplify import simplify
 from terrainwave.tri.surface import deviation_from_bilinear, largest_deviation
-
-if TYPE_CHECKING:
-    from terrainwave.terrain import Terrain
 
 # Coarse blocks whose heights take at most this share of the error asked for are not refined.
 _COARSE_SHARE = 4
@@ -68,8 +66,8 @@ class _Built(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Area:
-    """What part of a terrain to mesh, and how: the arguments of `Terrain.mesh`.
+class _Area:
+    """What part of a terrain to mesh, and how.
 
     `region` is in samples of `level`; `sweeps` counts sweeps of collapses.
     """
@@ -79,21 +77,49 @@ class Area:
     sweeps: int = 0
 
 
-def extract(
-    terrain: "Terrain",
-    area: Area,
-    max_error: float | None,
-    max_triangles: int | None,
-    n_threads: int,
-) -> Mesh:
-    """Return the mesh of `Terrain.mesh`; errors in physical units.
+class PlacedMesh(NamedTuple):
+    """A mesh in world coordinates; fields as of `export.mesh.Mesh`."""
 
-    Raises
-    ------
-    InvalidHeightsError
-        If the error asked for is less than the file's own, or can't be reached.
-    """
-    with ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor:
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    origin: tuple[float, float, float]
+    error: float
+    crs: str | None
+    units: str | None
+    attributes: dict[str, Any]
+
+    @property
+    def n_triangles(self) -> int:
+        """Return the number of triangles."""
+        return len(self.triangles)
+
+
+def mesh_area(
+    terrain: TerrainFile,
+    window: Any = None,
+    *,
+    bounds: Sequence[float] | None = None,
+    level: int = -1,
+    max_error: float | None = None,
+    max_triangles: int | None = None,
+    optimise: int = 0,
+) -> PlacedMesh:
+    """Return the mesh of `Terrain.mesh`, where arguments and errors are told."""
+    index = terrain.level_index(level)
+    region = terrain.region(window, bounds=bounds, level=level)
+    if min(region.shape) < 2:
+        raise InvalidHeightsError(
+            f"found an area of {region.n_rows} x {region.n_cols} samples, expected at least"
+            " 2 x 2: a mesh lies between samples"
+        )
+    if max_triangles is not None and max_triangles < 1:
+        raise InvalidHeightsError(f"found max_triangles {max_triangles}, expected at least 1")
+    if max_error is not None and not (np.isfinite(max_error) and max_error >= 0):
+        raise InvalidHeightsError(f"found max_error {max_error}, expected a number >= 0")
+    if optimise < 0:
+        raise InvalidHeightsError(f"found optimise {optimise}, expected 0 or more sweeps")
+    area = _Area(region, index, int(optimise))
+    with ThreadPoolExecutor(terrain.n_threads, thread_name_prefix="terrainwave") as executor:
         extractor = _Extractor(terrain, area, executor)
         if max_triangles is not None:
             return extractor.within_budget(max_triangles, max_error)
@@ -101,11 +127,11 @@ def extract(
 
 
 class _Extractor:
-    def __init__(self, terrain: "Terrain", area: Area, executor: ThreadPoolExecutor) -> None:
-        header = terrain._container.header
+    def __init__(self, terrain: TerrainFile, area: _Area, executor: ThreadPoolExecutor) -> None:
+        header = terrain.header
         self._terrain, self._header, self._area = terrain, header, area
-        self._grid: Grid = terrain.grid
-        self._mesher: BlockMesher = terrain._mesher
+        self._grid = terrain.grid
+        self._mesher = mesher_of(terrain)
         self._executor = executor
         self._scale = abs(as_fraction(terrain.raster_info.scale))
         self._quantum = header.quantum * self._scale  # physical height of one quantum
@@ -120,7 +146,7 @@ class _Extractor:
     def _heights_error(self, block: Block) -> Fraction:
         if block.level == self._grid.k_max:
             return self._coded
-        return Fraction(decode_error(self._terrain._container.codes(block)[2]))
+        return Fraction(decode_error(self._terrain.container.codes(block)[2]))
 
     def _smallest_error(self) -> Fraction:
         """Return what no error asked for may be less than."""
@@ -138,7 +164,7 @@ class _Extractor:
     def _stored_piece(self, block: Block) -> _Piece:
         mesher = self._mesher
         tolerance = mesher.tolerance(block)
-        error = Fraction(decode_error(self._terrain._container.codes(block)[3]))
+        error = Fraction(decode_error(self._terrain.container.codes(block)[3]))
         if block.level == self._grid.k_max and (self._area.sweeps or not self._has_meshes):
             error = self._coded + Fraction(tolerance, 1 << FRACTION_BITS)
         return _Piece(tolerance, mesher.side_tolerances(block), self._heights_error(block), error)
@@ -193,7 +219,7 @@ class _Extractor:
 
     def _is_usable(self, block: Block, error: Fraction) -> bool:
         """Say whether a coarse block's stored mesh may stand beside finer ones."""
-        if self._terrain._pyramid != "nested":
+        if self._terrain.pyramid != "nested":
             return False
         return self._heights_error(block) * _COARSE_SHARE <= error
 
@@ -358,7 +384,7 @@ class _Extractor:
             mesh = triangulate(*samples, lines, tolerance)
         return _Built(mesh, None)
 
-    def mesh(self, max_error: float | None) -> Mesh:
+    def mesh(self, max_error: float | None) -> PlacedMesh:
         """Return the mesh for an error in physical units, or that of the stored meshes."""
         if max_error is None:
             return self._stored_mesh()
@@ -376,7 +402,7 @@ class _Extractor:
             )
         return max(as_fraction(max_error) / self._quantum, smallest)
 
-    def _stored_mesh(self) -> Mesh:
+    def _stored_mesh(self) -> PlacedMesh:
         level = self._area.level
         if not self._has_meshes:
             if level < self._grid.k_max:
@@ -396,7 +422,7 @@ class _Extractor:
         built = dict(zip(blocks, self._executor.map(build, blocks), strict=True))
         return self._assemble(cut, built)
 
-    def _mesh_within(self, error: Fraction) -> Mesh:
+    def _mesh_within(self, error: Fraction) -> PlacedMesh:
         cut, level = self._cut(error), self._area.level
         built = self._build_all(cut)
         while True:
@@ -414,7 +440,7 @@ class _Extractor:
             self._close(cut, error)
             built = self._build_all(cut)
 
-    def _mesh_if_reached(self, error: Fraction) -> Mesh | None:
+    def _mesh_if_reached(self, error: Fraction) -> PlacedMesh | None:
         """Return the mesh for an error in quanta; None if a coarse level can't keep to it."""
         try:
             return self._mesh_within(error)
@@ -426,7 +452,7 @@ class _Extractor:
         found = self._executor.map(lambda block: self._build(cut, block), blocks)
         return dict(zip(blocks, found, strict=True))
 
-    def within_budget(self, max_triangles: int, max_error: float | None) -> Mesh:
+    def within_budget(self, max_triangles: int, max_error: float | None) -> PlacedMesh:
         """Return the mesh of the smallest error, up to 2 %, that has at most `max_triangles`."""
         high = self._largest_error()
         if max_error is not None:
@@ -459,7 +485,7 @@ class _Extractor:
         header = self._header
         return Fraction(2 * (header.z_max - header.z_min) + 2) + self._smallest_error()
 
-    def _assemble(self, cut: dict[Block, _Piece], built: dict[Block, _Built]) -> Mesh:
+    def _assemble(self, cut: dict[Block, _Piece], built: dict[Block, _Built]) -> PlacedMesh:
         blocks = sorted(cut)
         meshes = [built[block].mesh for block in blocks]
         vertices, triangles = _joined(self._grid, blocks, meshes)
@@ -481,9 +507,9 @@ class _Extractor:
 
     def _placed(
         self, vertices: NDArray[np.float64], triangles: NDArray[np.int32], error: float
-    ) -> Mesh:
+    ) -> PlacedMesh:
         """Return the mesh in world coordinates, counter-clockwise seen from above."""
-        terrain, raster = self._terrain, self._terrain.raster_info
+        crs, raster = self._terrain.crs, self._terrain.raster_info
         a, b, c, d, e, f = raster.transform
         first_row, last_row, first_col, last_col = self._limits()
         row_0, col_0 = (first_row + last_row) // 4, (first_col + last_col) // 4
@@ -505,7 +531,7 @@ class _Extractor:
         )
         # An array without a place: its columns and rows are no degrees.
         attributes = {"is_placed": raster.transform != IDENTITY}
-        return Mesh(points, triangles, origin, error, terrain.crs, raster.units, attributes)
+        return PlacedMesh(points, triangles, origin, error, crs, raster.units, attributes)
 
 
 _TOWARDS = {"top": (-1, 0), "bottom": (1, 0), "left": (0, -1), "right": (0, 1)}

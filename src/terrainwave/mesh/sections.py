@@ -6,6 +6,7 @@ from functools import lru_cache
 
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.mesh.blocks import BlockMesher
 from terrainwave.read.decoder import TreeDecoder, unit_key
@@ -169,3 +170,17 @@ def _level_parts(
             region = grid.block_region(block)
             on_samples(region.n_rows * region.n_cols)
     return found
+
+
+def mesher_of(file: TerrainFile) -> BlockMesher:
+    """Return what makes the stored mesh of any block of an open file."""
+    header = file.header
+    return BlockMesher(
+        file.grid,
+        file.decoder,
+        lambda block: file.container.codes(block)[2],
+        header.mesh_tolerance,
+        has_voids=file.raster_info.mask_kind != "none",
+        kind=header.mesh,
+        part=parts_of_blocks(file.grid, file.container.mesh),
+    )

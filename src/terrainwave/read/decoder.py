@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terrainwave.codec.group import decode_unit
 from terrainwave.codec.refiner import Decoded, Heights, Mask, Refiner
@@ -75,7 +76,7 @@ class TreeDecoder:
         payloads: Callable[[Sequence[Block]], list[bytes]],
         cache_bytes: int,
     ) -> None:
-        self._grid = grid
+        self.grid = grid
         self._refiner = refiner
         self._parameters = parameters
         self._payloads = payloads
@@ -151,29 +152,59 @@ class TreeDecoder:
     def _decode(self, key: Block) -> Decoded:
         assert self._refiner is not None
         parent = None if key.is_root_key else self.block(key)
-        spec = unit_spec(self._grid, self._parameters, key)
+        spec = unit_spec(self.grid, self._parameters, key)
         payload = self._payload(key)
         try:
             return decode_unit(self._refiner, spec, parent, payload)
         except CorruptStreamError as exc:
             raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
 
+    def keys(self, level: int, region: Region) -> list[Block]:
+        """Return the keys of the units that hold a region of a level, in Morton order."""
+        return units_of(self.grid, level, region)
+
+    def part(self, key: Block, region: Region) -> tuple[tuple[slice, slice], Decoded]:
+        """Return what a unit holds of a region of its level, and where it lies in the region.
+
+        The heights and the mask are views.
+        """
+        unit = self.unit(key)
+        spec = unit_spec(self.grid, self._parameters, key)
+        common = spec.core.intersect(region)
+        here = common.slices_in(spec.region)
+        return common.slices_in(region), Decoded(unit.heights[here], unit.mask[here], None)
+
     def window(self, level: int, region: Region) -> tuple[Heights, Mask]:
         """Return decoded heights and validity of any region inside a level."""
         heights = np.zeros(region.shape, dtype=np.int32)
         mask = np.zeros(region.shape, dtype=np.bool_)
-        for key in units_of(self._grid, level, region):
-            spec, unit = unit_spec(self._grid, self._parameters, key), self.unit(key)
-            part = spec.core.intersect(region)
-            there, here = part.slices_in(region), part.slices_in(spec.region)
-            heights[there], mask[there] = unit.heights[here], unit.mask[here]
+        for key in self.keys(level, region):
+            there, unit = self.part(key, region)
+            heights[there], mask[there] = unit.heights, unit.mask
+        return heights, mask
+
+    def samples(
+        self, level: int, rows: NDArray[np.int64], cols: NDArray[np.int64]
+    ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+        """Return heights and validity at single samples of a level, which must lie inside it."""
+        side = self.grid.block if level == 0 else 2 * self.grid.block
+        n_rows, n_cols = self.grid.level_blocks(max(level - 1, 0))
+        unit_rows = np.minimum(rows // side, n_rows - 1)
+        unit_cols = np.minimum(cols // side, n_cols - 1)
+        heights, mask = np.zeros(rows.size, dtype=np.int32), np.zeros(rows.size, dtype=np.bool_)
+        for row, col in sorted(set(zip(unit_rows.tolist(), unit_cols.tolist(), strict=True))):
+            key = Block(level - 1, row, col)
+            spec, unit = unit_spec(self.grid, self._parameters, key), self.unit(key)
+            here = (unit_rows == row) & (unit_cols == col)
+            at = rows[here] - spec.region.row, cols[here] - spec.region.col
+            heights[here], mask[here] = unit.heights[at], unit.mask[at]
         return heights, mask
 
     def block(self, block: Block) -> Decoded:
         """Return the decoded heights of a block, with its apron if the file has one."""
         key = unit_key(block)
-        spec = unit_spec(self._grid, self._parameters, key)
-        return block_of_unit(self._grid, spec, self.unit(key), block)
+        spec = unit_spec(self.grid, self._parameters, key)
+        return block_of_unit(self.grid, spec, self.unit(key), block)
 
 
 def units_of(grid: Grid, level: int, region: Region) -> list[Block]:

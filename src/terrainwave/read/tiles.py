@@ -62,7 +62,7 @@ class TileDecoder(TreeDecoder):
             raise CorruptStreamError(
                 f"{unit_name(key)} is damaged: it has a payload, which is its tile's to hold"
             )
-        region = unit_spec(self._grid, self._parameters, key).region
+        region = unit_spec(self.grid, self._parameters, key).region
         tile = self._tile(tile_key)
         level = tile[key.level + 1 - max(tile_key.level + 1, 0)]
         return final_heights(level.part(region), self._parameters)

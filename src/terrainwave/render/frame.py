@@ -12,7 +12,7 @@ from terrainwave.export.frames import find_place, metres_per_unit
 from terrainwave.export.mesh import Mesh
 
 if TYPE_CHECKING:
-    from terrainwave.terrain import Terrain
+    from terrainwave.file import TerrainFile
 
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
@@ -86,7 +86,7 @@ class Frame:
 
 
 def frame_of(
-    terrain: "Terrain", *, radius: float | None = None, exaggeration: float = 1.0
+    terrain: "TerrainFile", *, radius: float | None = None, exaggeration: float = 1.0
 ) -> Frame:
     """Return the frame of a terrain.
 

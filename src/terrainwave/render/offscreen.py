@@ -13,9 +13,9 @@ from terrainwave.render.scene import DEFAULT_MAX_BYTES, Scene
 from terrainwave.render.selection import View
 
 if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
     from terrainwave.raster_io.drape import Drape
     from terrainwave.render.style import Style
-    from terrainwave.terrain import Terrain
 
 _HELP = (
     "terrainwave render needs EGL and an OpenGL 3.3 driver; on Debian and Ubuntu: apt-get install"
@@ -66,7 +66,7 @@ class Offscreen:
 
     def __init__(
         self,
-        terrain: "Terrain",
+        terrain: "TerrainFile",
         size: tuple[int, int],
         *,
         mode: str = "adaptive",
@@ -95,7 +95,7 @@ class Offscreen:
         self._drawn: tuple[View, tuple[float, float]] | None = None
         self.resize(size)
 
-    def _read_drape(self, terrain: "Terrain", path: str, max_bytes: int) -> "Drape":
+    def _read_drape(self, terrain: "TerrainFile", path: str, max_bytes: int) -> "Drape":
         from terrainwave.raster_io.drape import read_drape
 
         return read_drape(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.mesh.blocks import SideTolerances, border_lines
+from terrainwave.mesh.sections import mesher_of
 from terrainwave.render.frame import Frame
 from terrainwave.render.kernels import SKIRT_FLAG, border_edges, rasterize, slopes
 from terrainwave.render.scales import FLOAT32_ROUNDING, HeightScale, SlopeScale
@@ -27,7 +28,7 @@ from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.surface import deviation_from_bilinear
 
 if TYPE_CHECKING:
-    from terrainwave.terrain import Terrain
+    from terrainwave.file import TerrainFile
 
 # col and row in half samples of the block's level (the column's top bit marks skirts); height and
 # height of the parent's surface above the patch's base, metres.
@@ -98,7 +99,7 @@ class PatchBuilder:
 
     def __init__(
         self,
-        terrain: "Terrain",
+        terrain: "TerrainFile",
         frame: Frame,
         *,
         recursive: list[NDArray[np.float64]] | None = None,
@@ -106,6 +107,7 @@ class PatchBuilder:
         self._terrain = terrain
         self._frame = frame
         self._recursive = recursive
+        self._mesher = mesher_of(terrain)
         self._scale = HeightScale.of(terrain, frame)
         self._slope_scale = SlopeScale(frame)
         self._meshes: OrderedDict[Piece, BlockMesh] = OrderedDict()
@@ -155,7 +157,7 @@ class PatchBuilder:
         return self._terrain.effective_error * self._frame.metres[2] + tolerance
 
     def _variant_tolerance(self, variant: int) -> int:
-        own = max(self._terrain._container.header.mesh_tolerance, 1 << FRACTION_BITS)
+        own = max(self._terrain.header.mesh_tolerance, 1 << FRACTION_BITS)
         return own << _VARIANT_BITS * variant
 
     def info(self, piece: Piece) -> NodeInfo:
@@ -183,7 +185,7 @@ class PatchBuilder:
         per_unit = self._frame.metres[2]
         if self._recursive is None and terrain.mesh_kind != "none":
             return terrain.mesh_error(block) * per_unit
-        tolerance = terrain._mesher.tolerance(block) / (1 << FRACTION_BITS)
+        tolerance = self._mesher.tolerance(block) / (1 << FRACTION_BITS)
         return self._heights_error(block) * per_unit + tolerance * abs(self._scale.per_quantum)
 
     def _heights_error(self, block: Block) -> float:
@@ -211,7 +213,7 @@ class PatchBuilder:
         return found
 
     def _triangulate(self, piece: Piece) -> BlockMesh:
-        mesher, block = self._terrain._mesher, piece.block
+        mesher, block = self._mesher, piece.block
         if not piece.variant:
             return mesher.mesh(block)
         tolerance = self._variant_tolerance(piece.variant)
@@ -270,7 +272,7 @@ class PatchBuilder:
     def _derived_error(self, block: Block, mesh: BlockMesh) -> float:
         """Return a bound for a mesh that the file says nothing about."""
         terrain = self._terrain
-        samples = terrain._mesher.samples(block)
+        samples = self._mesher.samples(block)
         stride = terrain.grid.stride(block.level)
         apart = deviation_from_bilinear(mesh, stride, samples.heights, samples.mask)
         bilinear = terrain.block_error(block) * self._frame.metres[2]
@@ -304,7 +306,7 @@ class PatchBuilder:
         inner = grid.block_region(block)
         near = grid.block_region(block, 1).intersect(level)
         wide = grid.block_region(block, 2).intersect(level)
-        heights, mask = terrain._decoder.window(block.level, wide)
+        heights, mask = terrain.decoder.window(block.level, wide)
         found = np.empty((near.n_rows, near.n_cols, 2), dtype=np.float32)
         slopes(heights, mask, near.row - wide.row, near.col - wide.col, found)
         per_sample = found.astype(np.float64)

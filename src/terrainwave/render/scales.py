@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from terrainwave.render.frame import Frame
 
 if TYPE_CHECKING:
-    from terrainwave.terrain import Terrain
+    from terrainwave.file import TerrainFile
 
 # Half of float32's spacing, relative.
 FLOAT32_ROUNDING = 2.0**-24
@@ -33,9 +33,9 @@ class HeightScale:
     zero: float
 
     @classmethod
-    def of(cls, terrain: "Terrain", frame: Frame) -> Self:
+    def of(cls, terrain: "TerrainFile", frame: Frame) -> Self:
         """Return the scale of a file."""
-        header, raster = terrain._container.header, terrain.raster_info
+        header, raster = terrain.header, terrain.raster_info
         quantum = header.quantum.numerator / header.quantum.denominator
         per_unit = frame.metres[2]
         return cls(

@@ -19,7 +19,7 @@ from terrainwave.render.paging import Pager
 from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Piece, Selection, View
 
 if TYPE_CHECKING:
-    from terrainwave.terrain import Terrain
+    from terrainwave.file import TerrainFile
 
 DEFAULT_MAX_BYTES = 512 << 20
 _UPLOADS_PER_FRAME = 4
@@ -61,7 +61,7 @@ class Scene:
 
     Parameters
     ----------
-    terrain : Terrain
+    terrain : TerrainFile
     store : Store
     mode : str
         One of `terrainwave.render.modes.MODES`.
@@ -85,7 +85,7 @@ class Scene:
 
     def __init__(
         self,
-        terrain: "Terrain",
+        terrain: "TerrainFile",
         store: Store,
         *,
         mode: str = "adaptive",

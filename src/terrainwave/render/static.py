@@ -15,8 +15,8 @@ from terrainwave.export.files import need
 from terrainwave.render.frame import frame_of
 
 if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
     from terrainwave.render.style import Style
-    from terrainwave.terrain import Terrain
 
 # Samples along the longer side of a map: more than a figure has pixels.
 _MAP_SIDE = 1200
@@ -53,7 +53,7 @@ class Picture:
             part.file.write(self._repr_png_())
 
 
-def plot(terrain: "Terrain", ax: Any, *, cmap: str, shade: float, bounds: Any) -> Any:
+def plot(terrain: "TerrainFile", ax: Any, *, cmap: str, shade: float, bounds: Any) -> Any:
     """Draw a map; see `Terrain.plot`."""
     pyplot = need("matplotlib.pyplot", extra="demo")
     colors = need("matplotlib.colors", extra="demo")
@@ -93,7 +93,7 @@ def plot(terrain: "Terrain", ax: Any, *, cmap: str, shade: float, bounds: Any) -
 
 
 def view(
-    terrain: "Terrain",
+    terrain: "TerrainFile",
     *,
     size: tuple[int, int],
     camera: str | None,

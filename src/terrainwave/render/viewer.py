@@ -16,8 +16,8 @@ from terrainwave.render.pictures import choose_camera
 from terrainwave.render.scene import DEFAULT_MAX_BYTES
 
 if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
     from terrainwave.render.style import Style
-    from terrainwave.terrain import Terrain
 
 _OVERLAY_SECONDS = 0.2
 _NO_WINDOW = (
@@ -29,7 +29,7 @@ _LEFT, _RIGHT = 1, 2
 
 
 def run(
-    terrain: "Terrain",
+    terrain: "TerrainFile",
     *,
     size: tuple[int, int],
     camera: str | None,

@@ -108,7 +108,7 @@ class Ruler:
     """Heights of a file in 1/16 quanta, by the numbers of its header alone."""
 
     def __init__(self, terrain: Any) -> None:
-        header, info = terrain._container.header, terrain.info()
+        header, info = terrain.header, terrain.info()
         self._numerator, self._denominator = header.quantum.numerator, header.quantum.denominator
         self._base = int(header.base)
         self._is_grid = header.rho == 0

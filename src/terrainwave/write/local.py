@@ -19,6 +19,7 @@ from terrainwave.container.depot import StoredSegment
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.errors import StorageError
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.mesh.blocks import measure_meshes, mesh_codes
@@ -28,7 +29,6 @@ from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.tiles import make_decoder
-from terrainwave.terrain import Terrain
 from terrainwave.write.boxes import enclosing_boxes, error_codes, set_codes
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
@@ -320,7 +320,7 @@ def prove(
     regions = proof_windows(grid)
     allowed = allowed_error(job.quantizer, job.raw_bound)
     largest = 0.0
-    with Terrain(path, threads=1) as terrain:
+    with TerrainFile(path, threads=1) as terrain:
 
         def compare(region: Region) -> float:
             return compare_window(terrain, source, region, allowed)

@@ -17,6 +17,7 @@ from terrainwave.container.publish import publish, refuse_own_source, scratch_di
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import as_fraction
 from terrainwave.mesh.blocks import (
@@ -28,7 +29,6 @@ from terrainwave.mesh.blocks import (
 from terrainwave.mesh.sections import make_meshes
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.source import RasterSource
-from terrainwave.terrain import Terrain
 
 
 def store_meshes(
@@ -79,11 +79,11 @@ def store_meshes(
     reporter = Reporter(progress)
     with (
         publish(dst, overwrite=overwrite) as part,
-        Terrain(src, threads=1) as terrain,
+        TerrainFile(src, threads=1) as terrain,
         scratch_directory(Path(dst).absolute().parent, Path(dst).name) as directory,
         ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
     ):
-        container = terrain._container
+        container = terrain.container
         header = replace(
             container.header,
             mesh=kind,
@@ -93,7 +93,7 @@ def store_meshes(
         size = grid.n_rows * grid.n_cols, terrain.dtype.itemsize
         mesher, sections = make_meshes(
             grid,
-            terrain._decoder,
+            terrain.decoder,
             lambda block: container.codes(block)[2],
             header.mesh_tolerance,
             has_voids=terrain.raster_info.mask_kind != "none",
@@ -111,9 +111,9 @@ def store_meshes(
     return os.fspath(dst)
 
 
-def _tolerance(terrain: Terrain, mesh_error: float | None) -> int:
+def _tolerance(terrain: TerrainFile, mesh_error: float | None) -> int:
     """Return the tolerance of the finest meshes in 1/16 quanta, rounded down."""
-    header = terrain._container.header
+    header = terrain.header
     if mesh_error is None:
         error = max(Fraction(header.effective_bound), header.quantum)
     else:
@@ -121,14 +121,14 @@ def _tolerance(terrain: Terrain, mesh_error: float | None) -> int:
     return mesh_tolerance(error, header.quantum)
 
 
-def _originals(terrain: Terrain, original: Any) -> tuple[Originals, Fraction]:
+def _originals(terrain: TerrainFile, original: Any) -> tuple[Originals, Fraction]:
     """Return what meshes are measured against, and what to add to errors, in quanta."""
-    header, level = terrain._container.header, terrain.n_levels - 1
+    header, level = terrain.header, terrain.n_levels - 1
     rho = Fraction(header.rho) / header.quantum
     if original is None:
-        decoder = terrain._decoder
+        decoder = terrain.decoder
         return lambda region: decoder.window(level, region), (header.step >> 1) + rho
-    source, quantizer = RasterSource(original), terrain._quantizer
+    source, quantizer = RasterSource(original), terrain.quantizer
     if (source.info.n_rows, source.info.n_cols) != terrain.shape:
         raise InvalidHeightsError(
             f"found an original of {source.info.n_rows} x {source.info.n_cols} samples, expected"
@@ -138,7 +138,7 @@ def _originals(terrain: Terrain, original: Any) -> tuple[Originals, Fraction]:
     def read(region: Region) -> tuple[Heights, Mask]:
         raw, valid = source.read(*region)
         heights = quantizer.quantize(raw, valid)
-        decoded, mask = terrain._decoder.window(level, region)
+        decoded, mask = terrain.decoder.window(level, region)
         apart = np.abs(heights.astype(np.int64) - decoded)[valid & mask].max(initial=0)
         if not np.array_equal(valid, mask) or apart > header.step >> 1:
             raise InvalidHeightsError(
@@ -151,13 +151,13 @@ def _originals(terrain: Terrain, original: Any) -> tuple[Originals, Fraction]:
 
 
 def _copied(
-    terrain: Terrain,
+    terrain: TerrainFile,
     mesh_codes: dict[Block, int],
     directory: Path,
     sections: Mapping[Block, bytes] | None = None,
 ) -> dict[Block | None, SegmentSpool]:
     """Return the file's payloads with new codes and mesh sections (None: its own)."""
-    container, grid = terrain._container, terrain.grid
+    container, grid = terrain.container, terrain.grid
     spools: dict[Block | None, SegmentSpool] = {}
     for head in grid.segment_heads():
         spool = spools[head] = SegmentSpool(directory)

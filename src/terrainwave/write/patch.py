@@ -27,6 +27,7 @@ from terrainwave.container.publish import publish, refuse_own_source, scratch_di
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.mesh.blocks import measure_meshes, mesh_codes
 from terrainwave.mesh.sections import make_meshes
@@ -35,7 +36,6 @@ from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder, unit_key
-from terrainwave.terrain import Terrain
 from terrainwave.write.boxes import Box, enclosing_boxes
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.proof import allowed_error, compare_window, measured_error, proof_windows
@@ -108,7 +108,7 @@ def patch(
     refuse_own_source(src, path)
     final = Path(os.path.realpath(path))
     with (
-        Terrain(final, threads=1) as terrain,
+        TerrainFile(final, threads=1) as terrain,
         RasterSource(src, band=band, nodata=nodata) as source,
         scratch_directory(temp_dir or final.parent, final.name) as directory,
         ThreadPoolExecutor(threads or os.cpu_count() or 1, "terrainwave") as executor,
@@ -125,7 +125,7 @@ def patch(
         error = 0.0
         if patcher.is_changed:
             with publish(final, overwrite=True) as part:
-                assemble(part.file, terrain._container.header, patcher.sink.spools)
+                assemble(part.file, terrain.header, patcher.sink.spools)
                 error = patcher.prove(part.path)
         else:
             error = patcher.prove(final)
@@ -185,7 +185,7 @@ def _place(info: RasterInfo, new: RasterInfo) -> Region:
 class _Merged:
     """The new raster where it is, the file's decoded heights elsewhere."""
 
-    def __init__(self, terrain: Terrain, source: RasterSource, place: Region) -> None:
+    def __init__(self, terrain: TerrainFile, source: RasterSource, place: Region) -> None:
         self._terrain = terrain
         self._source = source
         self.place = place
@@ -215,8 +215,8 @@ class _Merged:
 
     def check(self) -> None:
         """Raise `InvalidHeightsError` unless the file's quanta can hold all new heights."""
-        quantizer, info = self._terrain._quantizer, self._terrain.raster_info
-        header = self._terrain._container.header
+        quantizer, info = self._terrain.quantizer, self._terrain.raster_info
+        header = self._terrain.header
         low, high = (quantizer.height_of(number) for number in (header.z_min, header.z_max))
         for window in _windows(self.place):
             raw, valid = self._new(window)
@@ -259,23 +259,25 @@ def _windows(region: Region) -> list[Region]:
 class _PatchEncoder(TreeEncoder):
     """Walks a file's units, and codes those again that no longer hold."""
 
-    def __init__(self, terrain: Terrain, merged: _Merged, own: "_OwnSamples", *rest: Any) -> None:
+    def __init__(
+        self, terrain: TerrainFile, merged: _Merged, own: "_OwnSamples", *rest: Any
+    ) -> None:
         self._terrain = terrain
         self._merged = merged
         self._own = own
         # Largest change of each block's decoded heights, in quanta, where anything changed.
         self.changes: dict[Block, int] = {}
         self.recoded: set[Block] = set()
-        header = terrain._container.header
+        header = terrain.header
         refiner = refiner_by_name(header.method, header.parameters)
-        super().__init__(terrain.grid, refiner, terrain._parameters, *rest)
+        super().__init__(terrain.grid, refiner, terrain.parameters, *rest)
 
     def code_unit(
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
     ) -> tuple[bytes, Decoded]:
         """Return the unit's old payload, or a new one where that no longer holds."""
-        old = self._terrain._decoder.unit(key)
-        stored = self._terrain._container.payload(key)
+        old = self._terrain.decoder.unit(key)
+        stored = self._terrain.container.payload(key)
         if key not in self.changes and self._holds(spec, old, target, mask):
             return stored, old
         payload, decoded = super().code_unit(key, spec, parent, target, mask)
@@ -353,20 +355,20 @@ class _Patcher:
 
     def __init__(
         self,
-        terrain: Terrain,
+        terrain: TerrainFile,
         merged: _Merged,
         directory: Path,
         executor: Executor,
         reporter: Reporter,
     ) -> None:
         self._terrain = terrain
-        self._container = terrain._container
+        self._container = terrain.container
         self._grid = terrain.grid
         self._merged = merged
         self._executor = executor
         self._reporter = reporter
         self._has_voids = terrain.raster_info.mask_kind != "none"
-        quantizer = terrain._quantizer
+        quantizer = terrain.quantizer
         self._whole = quantizer.z_min, quantizer.z_max
         self._lost = quantizer.lost
         self.sink = SpoolSink(self._grid, self._grid.segment_heads(), directory)
@@ -418,7 +420,7 @@ class _Patcher:
             moved = _CONTINUED * changes.get(block, 0)
             errors[block] = max(errors[block], encode_error(decode_error(old[2]) + moved))
             if any(old[:3]) or moved or not found.is_empty:
-                below[block] = self._terrain._box_quanta(block)
+                below[block] = self._terrain.box_quanta(block)
         return errors, enclosing_boxes(stats, errors, self._whole, below)
 
     def _mesh(self, changes: Mapping[Block, int], errors: Mapping[Block, int]) -> dict[Block, int]:
@@ -428,7 +430,7 @@ class _Patcher:
             return {}
         refiner = refiner_by_name(header.method, header.parameters)
         decoder = TreeDecoder(
-            grid, refiner, self._terrain._parameters, self.sink.payloads, _CACHE_BYTES
+            grid, refiner, self._terrain.parameters, self.sink.payloads, _CACHE_BYTES
         )
         mesher, sections = make_meshes(
             grid,
@@ -525,10 +527,10 @@ class _Patcher:
         InvalidHeightsError
             If a sample elsewhere is not as it was.
         """
-        quantizer, bound = self._terrain._quantizer, self._container.header.max_error
+        quantizer, bound = self._terrain.quantizer, self._container.header.max_error
         allowed = allowed_error(quantizer, bound)
         count = self._count("proving")
-        with Terrain(path, threads=1) as result:
+        with TerrainFile(path, threads=1) as result:
 
             def compare(region: Region) -> float:
                 part = region.intersect(self._merged.place)
@@ -543,7 +545,7 @@ class _Patcher:
             largest = max(self._executor.map(compare, proof_windows(self._grid)))
         return measured_error(largest, quantizer, bound)
 
-    def _compare_rest(self, result: Terrain, region: Region) -> None:
+    def _compare_rest(self, result: TerrainFile, region: Region) -> None:
         """Raise unless the samples that the new raster does not cover are as they were."""
         (before, was_valid), (after, is_valid) = (
             terrain.read_with_mask(region) for terrain in (self._terrain, result)

@@ -3,9 +3,9 @@
 import numpy as np
 
 from terrainwave.errors import BoundViolationError
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.quantum import Quantizer
-from terrainwave.terrain import Terrain
 from terrainwave.write.pyramid import SourceWindows
 
 _OUR_FAULT = (
@@ -28,7 +28,7 @@ def proof_windows(grid: Grid, within: Region | None = None) -> list[Region]:
 
 
 def compare_window(
-    terrain: Terrain, source: SourceWindows, region: Region, allowed: float
+    terrain: TerrainFile, source: SourceWindows, region: Region, allowed: float
 ) -> float:
     """Return the largest error in a window, in raw units.
 

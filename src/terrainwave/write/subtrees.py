@@ -26,6 +26,7 @@ from terrainwave.container.page import N_CODES
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import store_segments, stored_places
+from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.mesh.blocks import BlockMesher, measure_meshes, mesh_codes
@@ -34,7 +35,6 @@ from terrainwave.mesh.sections import parts_of_blocks, sections_of_parts
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder
-from terrainwave.terrain import Terrain
 from terrainwave.tri.stored import STORED_KINDS
 from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, set_codes
 from terrainwave.write.encoder import Stats, TreeEncoder
@@ -413,7 +413,7 @@ def prove_region(site: Site, path: str | os.PathLike[str], region: Region) -> fl
         If a sample is further than the bound from the original, or valid where that is void.
     """
     allowed = allowed_error(site.job.quantizer, site.job.raw_bound)
-    with site.raster.open() as source, Terrain(path, threads=1) as terrain:
+    with site.raster.open() as source, TerrainFile(path, threads=1) as terrain:
         return max(
             compare_window(terrain, source, window, allowed)
             for window in proof_windows(site.grid, region)

@@ -22,11 +22,11 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from terrainwave._version import __version__
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
+from terrainwave.file import TerrainFile
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.cesium import MAX_ZOOM as LAST_MESH_ZOOM
 from terrainwave.globe.cesium import TilePyramid
 from terrainwave.globe.lonlat import Globe
-from terrainwave.terrain import Terrain
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 N_WAITING = 64
@@ -78,7 +78,7 @@ class Layer:
         self.name = name
         with ExitStack() as stack:
             try:
-                terrain = stack.enter_context(Terrain(path))
+                terrain = stack.enter_context(TerrainFile(path))
                 self.globe = Globe(terrain)
                 self.tiles = TilePyramid(self.globe, void_height=tiling.void_height(self.globe))
             except (InvalidHeightsError, CorruptStreamError) as error:

@@ -14,8 +14,8 @@ from terrainwave.render.patches import Patch, PatchBuilder
 from terrainwave.render.selection import NodeInfo, Piece
 
 if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
     from terrainwave.render.patch_surface import PatchSurface
-    from terrainwave.terrain import Terrain
 
 
 class Adaptive(BoundedMode):
@@ -28,7 +28,7 @@ class Adaptive(BoundedMode):
 
     def __init__(
         self,
-        terrain: "Terrain",
+        terrain: "TerrainFile",
         frame: Frame,
         *,
         error: str = "measured",

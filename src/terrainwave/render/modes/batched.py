@@ -40,8 +40,8 @@ from terrainwave.render.scales import FLOAT32_ROUNDING, HeightScale, SlopeScale
 from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
 
 if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
     from terrainwave.render.modes.block_surface import BlockSurface
-    from terrainwave.terrain import Terrain
 
 # The quadtrees of the list (TQL) per side; theirs are as many as regions.
 ROOTS_PER_SIDE = 2
@@ -91,7 +91,7 @@ class Batched(BoundedMode):
 
     def __init__(
         self,
-        terrain: "Terrain",
+        terrain: "TerrainFile",
         frame: Frame,
         *,
         error: str = "measured",
@@ -160,8 +160,8 @@ class Batched(BoundedMode):
         """Return heights of the full grid, metres above the middle of the file's range."""
         terrain = self.terrain
         level = terrain.n_levels - 1
-        terrain._decoder.prefetch(units_of(terrain.grid, level, region))
-        quanta, mask = terrain._decoder.window(level, region)
+        terrain.decoder.prefetch(units_of(terrain.grid, level, region))
+        quanta, mask = terrain.decoder.window(level, region)
         return np.where(mask, self._scale.metres(quanta) - self._middle, np.nan).astype(np.float32)
 
     def _samples(self, piece: Piece, apron: int, *, replicate: bool) -> Heights:
@@ -184,7 +184,7 @@ class Batched(BoundedMode):
     def _measure(self, count: Callable[[int], None]) -> _Levels:
         levels = _Levels([self._blocks(level) for level in range(self.n_levels)])
         roots = self._root_pieces()
-        with ThreadPoolExecutor(min(self.terrain._n_threads, len(roots))) as executor:
+        with ThreadPoolExecutor(min(self.terrain.n_threads, len(roots))) as executor:
             for _ in executor.map(lambda root: self._measure_below(root, [], levels, count), roots):
                 pass
         return levels

@@ -25,8 +25,8 @@ from terrainwave.render.frame import Frame
 from terrainwave.render.selection import Built, NodeInfo, NodeTable, Piece, Selection, View
 
 if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
     from terrainwave.render.surface import Surface
-    from terrainwave.terrain import Terrain
 
 ERRORS = ("measured", "paper")
 MAX_TRIANGLES = 20_000_000
@@ -65,7 +65,7 @@ class Mode(ABC):
 
     Parameters
     ----------
-    terrain : Terrain
+    terrain : TerrainFile
     frame : Frame
         Local metres; its exaggeration is not used: the GPU applies it.
     error : {"measured", "paper"}
@@ -92,7 +92,7 @@ class Mode(ABC):
 
     def __init__(
         self,
-        terrain: "Terrain",
+        terrain: "TerrainFile",
         frame: Frame,
         *,
         error: str = "measured",

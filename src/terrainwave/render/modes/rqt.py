@@ -29,7 +29,7 @@ from terrainwave.tri.rqt_tiles import tile_bytes
 from terrainwave.tri.rqt_view import RestrictedFrame, RestrictedMesh
 
 if TYPE_CHECKING:
-    from terrainwave.terrain import Terrain
+    from terrainwave.file import TerrainFile
 
 TILE = 256
 # The overview has every 16th sample at least: the file's own levels go on above it.
@@ -68,7 +68,7 @@ class Rqt(WholeMode):
 
     def __init__(
         self,
-        terrain: "Terrain",
+        terrain: "TerrainFile",
         frame: Frame,
         *,
         error: str = "measured",

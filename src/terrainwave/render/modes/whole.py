@@ -24,7 +24,7 @@ from terrainwave.tri.rqt_tiles import Tile
 from terrainwave.tri.rqt_view import RestrictedMesh
 
 if TYPE_CHECKING:
-    from terrainwave.terrain import Terrain
+    from terrainwave.file import TerrainFile
 
 # A texture of slopes of this side takes 81 MiB.
 MAX_SIDE = 4608
@@ -118,7 +118,7 @@ class WholeMode(Mode):
 
     def __init__(
         self,
-        terrain: "Terrain",
+        terrain: "TerrainFile",
         frame: Frame,
         *,
         error: str = "measured",
@@ -187,8 +187,8 @@ class WholeMode(Mode):
         whole = Region(0, 0, *terrain.grid.level_shape(level))
         wide = Region(region.row - 1, region.col - 1, region.n_rows + 2, region.n_cols + 2)
         wide = wide.intersect(whole)
-        terrain._decoder.prefetch(units_of(terrain.grid, level, wide))
-        quanta, mask = terrain._decoder.window(level, wide)
+        terrain.decoder.prefetch(units_of(terrain.grid, level, wide))
+        quanta, mask = terrain.decoder.window(level, wide)
         found = np.empty((region.n_rows, region.n_cols, 2), dtype=np.float32)
         slopes(quanta, mask, region.row - wide.row, region.col - wide.col, found)
         per_sample = found * (self._scale.per_quantum / terrain.grid.stride(level))

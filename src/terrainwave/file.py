@@ -1,0 +1,604 @@
+"""`TerrainFile`: an open .twz file and its heights. Reading starts here."""
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.arguments import EFFORTS
+from terrainwave.codec.units import CodecParameters
+from terrainwave.container.codes import decode_error, decode_range
+from terrainwave.container.header import Header
+from terrainwave.container.reader import Container
+from terrainwave.container.source import open_source
+from terrainwave.errors import (
+    InvalidHeightsError,
+    LimitExceededError,
+    UnsupportedVersionError,
+)
+from terrainwave.grid.quadtree import Block, Region
+from terrainwave.grid.quantum import Quantizer
+from terrainwave.raster_io.info import RasterInfo
+from terrainwave.read.places import region_of_bounds, region_of_window, to_samples
+from terrainwave.read.resample import RESAMPLING, resample
+
+if TYPE_CHECKING:
+    from terrainwave.read.decoder import TreeDecoder
+    from terrainwave.read.windows import WindowReader
+
+Window = tuple[int, int, int, int]
+DEFAULT_CACHE_BYTES = 256 << 20
+DEFAULT_MAX_BYTES = 4 << 30
+
+
+@dataclass(frozen=True)
+class Info:
+    """What a .twz file says about itself; errors are in physical units."""
+
+    path: str
+    n_bytes: int
+    n_rows: int
+    n_cols: int
+    dtype: str
+    bits_per_sample: float
+    ratio: float
+    max_error: float
+    effective_error: float
+    quantum: float
+    rounding_error: float
+    units: str | None
+    method: str
+    effort: str
+    block: int
+    border_rings: int
+    mesh: str
+    mesh_tolerance: float
+    n_levels: int
+    level_shapes: tuple[tuple[int, int], ...]
+    crs: str | None
+    transform: tuple[float, ...]
+    bounds: tuple[float, float, float, float]
+    nodata: float | int | None
+    scale: float
+    offset: float
+    area_or_point: str | None
+    description: str | None
+    minimum: float | None
+    maximum: float | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values; what JSON cannot say becomes a string."""
+        fields = asdict(self)
+        if isinstance(self.nodata, float) and not np.isfinite(self.nodata):
+            fields["nodata"] = str(self.nodata)
+        return fields
+
+
+class EarlyHeights(NamedTuple):
+    """Heights and validity of a window, and the bytes of payloads that were read for them."""
+
+    heights: NDArray[Any]
+    valid: NDArray[np.bool_]
+    n_bytes: int
+
+
+class TerrainFile:
+    """An open .twz file: windows of heights at any level, decoded on demand.
+
+    Parameters
+    ----------
+    source : path, URL, bytes or binary file object
+        What to read. Opening reads the header and the first index page only.
+    cache_bytes : int
+        Decoded heights kept in memory, least recently used dropped first.
+    threads : int, optional
+        Threads that decode; the number of processors by default.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If `threads` is below 1.
+    CorruptStreamError, UnsupportedVersionError
+        If the bytes are not a .twz file this version reads.
+    StorageError
+        If the file or URL cannot be read.
+
+    Notes
+    -----
+    Thread-safe. Picklable if opened by path or URL. A context manager.
+    """
+
+    def __init__(
+        self, source: Any, *, cache_bytes: int = DEFAULT_CACHE_BYTES, threads: int | None = None
+    ) -> None:
+        if threads is not None and threads < 1:
+            raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
+        self._arguments = (source, cache_bytes, threads)
+        self._source = open_source(source)
+        try:
+            self.container = Container(self._source)
+            header = self.container.header
+            if header.parameters and header.method != "predictive":
+                raise UnsupportedVersionError(
+                    f"the file has parameters for method {header.method}, which this terrainwave"
+                    " does not know: install a newer one"
+                )
+            # Null means the same as a key that is missing (FORMAT.md §4.2).
+            known = {name: value for name, value in header.metadata.items() if value is not None}
+            known |= {"n_rows": header.n_rows, "n_cols": header.n_cols, "dtype": header.dtype}
+            self._raster = RasterInfo.from_metadata(known)
+        except BaseException:
+            self._source.close()
+            raise
+        self.name = source if isinstance(source, str | os.PathLike) else "<bytes>"
+        self.grid = header.grid
+        self.quantizer = Quantizer(
+            dtype=header.dtype,
+            numerator=header.quantum.numerator,
+            denominator=header.quantum.denominator,
+            base=header.base,
+            step=header.step,
+            rho=header.rho,
+            z_min=header.z_min,
+            z_max=header.z_max,
+        )
+        self._cache_bytes = cache_bytes
+        self.n_threads = threads or os.cpu_count() or 1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self.close()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        source, cache_bytes, threads = self._arguments
+        if not isinstance(source, str | os.PathLike):
+            raise TypeError("only what was opened by path or URL can be pickled")
+        return partial(type(self), cache_bytes=cache_bytes, threads=threads), (source,)
+
+    def close(self) -> None:
+        """Close the file and stop the threads."""
+        if "_windows" in self.__dict__:
+            self._windows.close()
+        self.container.close()
+
+    @cached_property
+    def parameters(self) -> CodecParameters:
+        """Return what all coded units of the file have in common."""
+        header = self.header
+        return CodecParameters(
+            step=header.step,
+            z_min=header.z_min,
+            z_max=header.z_max,
+            forbidden=self.quantizer.quanta_of_value(self._raster.nodata),
+            rings=header.border_rings,
+            effort=header.effort,
+        )
+
+    @cached_property
+    def decoder(self) -> "TreeDecoder":
+        """Return what decodes the file's units, through its cache; heights are in quanta."""
+        # Imported when heights are first read: opening a file and `info` need no numba.
+        from terrainwave.read.tiles import make_decoder
+
+        return make_decoder(
+            self.header.method,
+            self.header.parameters,
+            self.grid,
+            self.parameters,
+            self.container.payloads,
+            self._cache_bytes,
+        )
+
+    @cached_property
+    def _windows(self) -> "WindowReader":
+        from terrainwave.read.windows import WindowReader
+
+        return WindowReader(str(self.name), self.quantizer, self.n_threads)
+
+    # What the file says.
+
+    @property
+    def pyramid(self) -> str:
+        """Return of what heights coarse levels are made (`codec.registry.PYRAMIDS`)."""
+        from terrainwave.codec.registry import PYRAMIDS
+
+        return PYRAMIDS[self.header.method]
+
+    @property
+    def header(self) -> Header:
+        """Return the file's header (FORMAT.md §4), in raw units."""
+        return self.container.header
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Return the numbers of rows and columns of the full grid."""
+        return self.grid.n_rows, self.grid.n_cols
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Return the type of the heights as stored in the source raster."""
+        return np.dtype(self._raster.dtype)
+
+    @property
+    def raster_info(self) -> RasterInfo:
+        """Return what the source raster said about itself."""
+        return self._raster
+
+    @property
+    def nodata(self) -> int | float | None:
+        """Return the source's nodata value, if it declared one."""
+        return self._raster.nodata
+
+    @property
+    def crs(self) -> str | None:
+        """Return the coordinate reference system as ``AUTH:CODE`` or WKT2."""
+        return self._raster.crs
+
+    @property
+    def n_levels(self) -> int:
+        """Return the number of resolution levels; level 0 is the coarsest, -1 the full grid."""
+        return self.grid.k_max + 1
+
+    @property
+    def max_error(self) -> float:
+        """Return the bound that was asked for, in physical units (after scale and offset)."""
+        return self.header.max_error * abs(self._raster.scale)
+
+    @property
+    def effective_error(self) -> float:
+        """Return the bound that holds, in physical units; at most `max_error`."""
+        return self.header.effective_bound * abs(self._raster.scale)
+
+    def level_index(self, level: int) -> int:
+        """Return `level` counted from 0; negative levels count from the full grid, as Python does.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If there is no such level.
+        """
+        index = level + self.n_levels if level < 0 else level
+        if not 0 <= index < self.n_levels:
+            raise InvalidHeightsError(
+                f"found level {level}, expected 0 … {self.n_levels - 1}"
+                f" or -1 (full) … -{self.n_levels}"
+            )
+        return index
+
+    def level_shape(self, level: int = -1) -> tuple[int, int]:
+        """Return the numbers of rows and columns of a level."""
+        return self.grid.level_shape(self.level_index(level))
+
+    def transform(self, level: int = -1, window: Window | None = None) -> tuple[float, ...]:
+        """Return the affine transform (a, b, c, d, e, f) of a level or of a window of it.
+
+        Levels are samples at positions: the centre of the first pixel is the same on every level,
+        the pixel grows by 2^j. x = a * col + b * row + c at pixel corners, as rasterio counts.
+        """
+        a, b, c, d, e, f = self._raster.transform
+        stride = self.grid.stride(self.level_index(level))
+        shift = (1 - stride) / 2  # from the corner of the full grid's first pixel to the level's
+        row, col = (0, 0) if window is None else window[:2]
+        corner_col, corner_row = shift + col * stride, shift + row * stride
+        return (
+            a * stride, b * stride, c + a * corner_col + b * corner_row,
+            d * stride, e * stride, f + d * corner_col + e * corner_row,
+        )  # fmt: skip
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Return (left, bottom, right, top) of the raster's pixels in its CRS."""
+        a, b, c, d, e, f = self._raster.transform
+        n_rows, n_cols = self.shape
+        xs = [c + a * col + b * row for row in (0, n_rows) for col in (0, n_cols)]
+        ys = [f + d * col + e * row for row in (0, n_rows) for col in (0, n_cols)]
+        return min(xs), min(ys), max(xs), max(ys)
+
+    def info(self) -> Info:
+        """Return a summary of the file, from its header alone."""
+        header, raster = self.header, self._raster
+        n_samples = header.n_rows * header.n_cols
+        quantum = self.quantizer.quantum * abs(raster.scale)
+        has_heights = header.z_min <= header.z_max
+        physical = [
+            self.quantizer.height_of(quantum) * raster.scale + raster.offset
+            for quantum in (header.z_min, header.z_max)
+        ]
+        return Info(
+            path=str(self.name),
+            n_bytes=self._source.size,
+            n_rows=header.n_rows,
+            n_cols=header.n_cols,
+            dtype=header.dtype,
+            bits_per_sample=8 * self._source.size / n_samples,
+            ratio=n_samples * self.dtype.itemsize / self._source.size,
+            max_error=self.max_error,
+            effective_error=self.effective_error,
+            quantum=quantum,
+            rounding_error=self.quantizer.rho * abs(raster.scale),
+            units=raster.units,
+            method=header.method,
+            effort=EFFORTS[min(header.effort, len(EFFORTS) - 1)],
+            block=header.block,
+            border_rings=header.border_rings,
+            mesh=header.mesh,
+            mesh_tolerance=header.mesh_tolerance / 16 * quantum,
+            n_levels=self.n_levels,
+            level_shapes=tuple(self.grid.level_shape(level) for level in range(self.n_levels)),
+            crs=raster.crs,
+            transform=tuple(raster.transform),
+            bounds=self.bounds,
+            nodata=raster.nodata,
+            scale=raster.scale,
+            offset=raster.offset,
+            area_or_point=raster.area_or_point,
+            description=raster.description,
+            minimum=min(physical) if has_heights else None,
+            maximum=max(physical) if has_heights else None,
+        )
+
+    def block_error(self, block: Block) -> float:
+        """Return the stored measured error of a block's bilinear surface, in physical units.
+
+        No valid original under the block is further from the bilinear interpolation of its
+        decoded samples (DESIGN §3.9).
+        """
+        code = self.container.codes(block)[2]
+        return decode_error(code) * self.quantizer.quantum * abs(self._raster.scale)
+
+    def block_box(self, block: Block) -> tuple[float, float]:
+        """Return lowest and highest height of a block and all below it, in physical units.
+
+        Every original under the block lies between, and so does the bilinear surface of each block
+        at or below it. A block without valid samples has the box of its parent.
+        """
+        header, scale = self.header, self._raster.scale
+        low, high = self.box_quanta(block)
+        unit = header.quantum.numerator / header.quantum.denominator * scale
+        ends = [(quanta + header.base) * unit + self._raster.offset for quanta in (low, high)]
+        return min(ends), max(ends)
+
+    def box_quanta(self, block: Block) -> tuple[int, int]:
+        """Return a block's lowest and highest height as the index states them, in quanta."""
+        header = self.header
+        outer = (header.z_min, header.z_max) if block.level == 0 else self.box_quanta(block.parent)
+        below, above = self.container.codes(block)[:2]
+        return decode_range(below, above, *outer)
+
+    @property
+    def mesh_kind(self) -> str:
+        """Return the kind of the file's meshes, ``"none"`` if it has none."""
+        return self.header.mesh
+
+    def mesh_error(self, block: Block) -> float:
+        """Return the stored measured error of a block's mesh, in physical units.
+
+        No valid original that the mesh covers is further from it.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If the file has no meshes.
+        """
+        if self.mesh_kind == "none":
+            raise InvalidHeightsError("the file has no meshes: add them with terrainwave mesh")
+        code = self.container.codes(block)[3]
+        return decode_error(code) * self.quantizer.quantum * abs(self._raster.scale)
+
+    def level_errors(self) -> list[float]:
+        """Return the largest stored error of the blocks of each level, the coarsest level first."""
+        codes = [0] * self.n_levels
+        for segment in self.container.present_segments():
+            for block, row in segment.block_rows.items():
+                codes[block.level] = max(codes[block.level], int(segment.page.codes[row, 2]))
+        unit = self.quantizer.quantum * abs(self._raster.scale)
+        return [decode_error(code) * unit for code in codes]
+
+    # Heights.
+
+    def read(
+        self,
+        window: Any = None,
+        *,
+        bounds: Sequence[float] | None = None,
+        level: int = -1,
+        out_shape: tuple[int, int] | None = None,
+        resampling: str = "nearest",
+        masked: bool = False,
+        on_error: str = "raise",
+        max_bytes: int = DEFAULT_MAX_BYTES,
+    ) -> NDArray[Any]:
+        """Read heights in the file's dtype, the void value in voids.
+
+        Parameters
+        ----------
+        window : tuple (row, col, n_rows, n_cols) or rasterio Window, optional
+            Part of the level to read, in samples of that level; clipped to it.
+        bounds : (left, bottom, right, top), optional
+            Instead of `window`: the pixels that touch this rectangle, in the CRS.
+        level : int
+            Resolution level: -1 the full grid, -2 half, …; 0 the coarsest.
+        out_shape : tuple of int, optional
+            Resample the window to this shape.
+        resampling : str
+            ``"nearest"``, ``"bilinear"`` or ``"average"``; used with `out_shape`.
+        masked : bool
+            Return a masked array, as rasterio does.
+        on_error : str
+            ``"raise"``, or ``"mask"``: a damaged block reads as void and the rest is returned.
+        max_bytes : int
+            Refuse a larger result.
+
+        Returns
+        -------
+        heights : ndarray, shape (n_rows, n_cols)
+            A copy. On the full grid every valid sample is within `effective_error` of the original;
+            of floats on a decimal grid (0.1, 0.01 …) this holds for the decimal numbers, and the
+            floats nearest to two of them may differ by one float spacing more.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If an argument is out of range or the window misses the level.
+        LimitExceededError
+            If the result would be larger than `max_bytes`.
+        CorruptStreamError
+            If a block is damaged and `on_error` is ``"raise"``; the message names it.
+        """
+        if on_error not in ("raise", "mask"):
+            raise InvalidHeightsError(f"found on_error {on_error!r}, expected 'raise' or 'mask'")
+        if resampling not in RESAMPLING:
+            raise InvalidHeightsError(
+                f"found resampling {resampling!r}, expected one of {', '.join(RESAMPLING)}"
+            )
+        index = self.level_index(level)
+        region = self.region(window, bounds=bounds, level=level)
+        self._check_size(out_shape or region.shape, max_bytes)
+        if out_shape is None:
+            heights, valid = self._windows.read(self.decoder, index, region, on_error)
+        else:
+            heights, valid = resample(
+                lambda shift, part: self._windows.read(self.decoder, index - shift, part, on_error),
+                region,
+                out_shape,
+                resampling,
+                index,
+                self.grid,
+                max_bytes,
+            )
+        heights[~valid] = self._raster.void_value
+        if masked:
+            fill = None if self._raster.nodata is None else self.dtype.type(self._raster.nodata)
+            return np.ma.MaskedArray(heights, mask=~valid, fill_value=fill)
+        return heights
+
+    def read_with_mask(
+        self, window: Any = None, *, level: int = -1, on_error: str = "raise"
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return heights and validity of a window of a level; arguments as in `read`.
+
+        What `read` cannot tell: a raster with a mask of its own may hold any value in its voids.
+        """
+        region = self.region(window, level=level)
+        heights, valid = self._windows.read(self.decoder, self.level_index(level), region, on_error)
+        heights[~valid] = self._raster.void_value
+        return heights, valid
+
+    def read_early(
+        self, window: Any = None, *, quality: float, level: int = -1, on_error: str = "raise"
+    ) -> "EarlyHeights":
+        """Return the best heights of a window that so many bits per sample give.
+
+        Parameters
+        ----------
+        window, level, on_error
+            As in `read`.
+        quality : float
+            Bits per sample of the window to read of payloads; > 0. The heads of all tiles needed
+            are read in any case.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If the file is not of method cdf53, whose streams alone can be read in part, or
+            `quality` is out of range.
+        """
+        header, index = self.header, self.level_index(level)
+        region = self.region(window, level=level)
+        if header.method != "cdf53":
+            raise InvalidHeightsError(
+                f"found quality and a file of method {header.method}, expected one of method cdf53:"
+                " other streams cannot be read in part"
+            )
+        if not (np.isfinite(quality) and quality > 0):
+            raise InvalidHeightsError(f"found quality {quality}, expected a number > 0")
+        from terrainwave.read.decoder import units_of
+        from terrainwave.read.early import EarlyPayloads
+        from terrainwave.read.tiles import TileDecoder
+
+        max_bytes = int(quality * region.n_rows * region.n_cols / 8)
+        payloads = EarlyPayloads(self.container, units_of(self.grid, index, region), max_bytes)
+        decoder = TileDecoder(
+            self.grid, self.parameters, payloads, self._cache_bytes, are_prefixes=True
+        )
+        heights, valid = self._windows.read(decoder, index, region, on_error)
+        heights[~valid] = self._raster.void_value
+        return EarlyHeights(heights, valid, payloads.n_bytes)
+
+    def region(
+        self, window: Any = None, *, bounds: Sequence[float] | None = None, level: int = -1
+    ) -> Region:
+        """Return the part of a level that a window or bounds name, clipped to the level.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If both are given, one is malformed, or they miss the level.
+        """
+        index = self.level_index(level)
+        n_rows, n_cols = self.grid.level_shape(index)
+        whole = Region(0, 0, n_rows, n_cols)
+        if bounds is not None:
+            if window is not None:
+                raise InvalidHeightsError("found both window and bounds, expected one of them")
+            asked = region_of_bounds(bounds, self.transform(index))
+        elif window is None:
+            asked = whole
+        else:
+            asked = region_of_window(window)
+        region = asked.intersect(whole)
+        if region.n_rows <= 0 or region.n_cols <= 0:
+            raise InvalidHeightsError(
+                f"the window (row {asked.row}, column {asked.col}, {asked.n_rows} x {asked.n_cols})"
+                f" does not meet the level's {n_rows} x {n_cols} samples"
+            )
+        return region
+
+    def sample(
+        self, points: Iterable[tuple[float, float]] | NDArray[np.float64], *, level: int = -1
+    ) -> NDArray[np.float64]:
+        """Return bilinear heights at world coordinates, in physical units.
+
+        Parameters
+        ----------
+        points : sequence of (x, y), or array of shape (n_points, 2)
+            Places in the file's CRS.
+
+        Returns
+        -------
+        heights : ndarray of float64, shape (n_points,)
+            NaN outside the outermost samples and where a sample needed is void. The error bound
+            holds at samples, not between them.
+        """
+        listed = points if isinstance(points, np.ndarray) else list(points)
+        places = np.asarray(listed, dtype=np.float64).reshape(-1, 2)
+        index = self.level_index(level)
+        rows, cols = to_samples(places, self.transform(index))
+        n_rows, n_cols = self.grid.level_shape(index)
+        inside = (rows >= 0) & (rows <= n_rows - 1) & (cols >= 0) & (cols <= n_cols - 1)
+        heights = np.full(len(places), np.nan)
+        if inside.any():
+            raw, is_void = self._windows.bilinear(self.decoder, index, rows[inside], cols[inside])
+            physical = raw * self._raster.scale + self._raster.offset
+            heights[inside] = np.where(is_void, np.nan, physical)
+        return heights
+
+    def check(self) -> Iterator[str]:
+        """Check all checksums and decode every unit; yield what is wrong, in plain words."""
+        from terrainwave.read.check import check_units
+
+        return check_units(self.container, self.decoder)
+
+    def _check_size(self, shape: tuple[int, int], max_bytes: int) -> None:
+        n_bytes = int(shape[0]) * int(shape[1]) * self.dtype.itemsize
+        if n_bytes > max_bytes:
+            raise LimitExceededError(
+                f"the window holds {shape[0]} x {shape[1]} samples, {n_bytes:,} bytes; more than"
+                f" max_bytes = {max_bytes:,}: read a smaller window or a coarser level"
+            )

@@ -1,0 +1,136 @@
+"""Windows and places of a level as users get them: units decoded in threads, quanta converted."""
+
+import contextlib
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import CorruptStreamError, StorageError
+from terrainwave.grid.quadtree import Block, Region
+from terrainwave.grid.quantum import Quantizer
+from terrainwave.read.decoder import TreeDecoder, unit_key
+from terrainwave.read.schedule import run_after_parents
+
+# Payloads fetched ahead of decoding, in one coalesced request.
+_BATCH = 64
+
+
+class WindowReader:
+    """Reads through a decoder, with the threads of one open file.
+
+    Parameters
+    ----------
+    name : str
+        What messages call the file.
+    n_threads : int
+        Threads that decode; none are started for one.
+    """
+
+    def __init__(self, name: str, quantizer: Quantizer, n_threads: int) -> None:
+        self._name = name
+        self._quantizer = quantizer
+        self._dtype = np.dtype(quantizer.dtype)
+        self._n_threads = n_threads
+        self._executor: ThreadPoolExecutor | None = None
+        self._executor_pid = 0
+        self._lock = threading.Lock()
+
+    def close(self) -> None:
+        """Stop the threads."""
+        if self._executor is not None:
+            self._executor.shutdown()
+
+    def read(
+        self, decoder: TreeDecoder, level: int, region: Region, on_error: str = "raise"
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return raw heights and validity of a region of a level.
+
+        With `on_error` ``"mask"``, damaged units read as void.
+        """
+        heights = np.zeros(region.shape, dtype=self._dtype)
+        mask = np.zeros(region.shape, dtype=np.bool_)
+
+        def fill(key: Block) -> None:
+            try:
+                there, unit = decoder.part(key, region)
+            except CorruptStreamError:
+                if on_error == "raise":
+                    raise
+                return
+            self._quantizer.dequantize(unit.heights, heights[there])
+            mask[there] = unit.mask
+
+        keys = decoder.keys(level, region)
+        for first in range(0, len(keys), _BATCH):
+            batch = keys[first : first + _BATCH]
+            needed = list(dict.fromkeys([*decoder.prefetch(batch), *batch]))
+            if len(needed) == 1 or self._n_threads == 1:
+                for key in batch:
+                    fill(key)
+            else:
+                self._run(_fill_or_decode(decoder, set(batch), fill), needed)
+        return heights, mask
+
+    def bilinear(
+        self,
+        decoder: TreeDecoder,
+        level: int,
+        rows: NDArray[np.float64],
+        cols: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+        """Return bilinear raw heights at places inside a level, and where a void takes part."""
+        n_rows, n_cols = decoder.grid.level_shape(level)
+        top, left = np.floor(rows).astype(np.int64), np.floor(cols).astype(np.int64)
+        down, right = rows - top, cols - left
+        total, is_void = np.zeros(rows.size), np.zeros(rows.size, dtype=np.bool_)
+        for row, row_weight in ((top, 1 - down), (np.minimum(top + 1, n_rows - 1), down)):
+            for col, col_weight in ((left, 1 - right), (np.minimum(left + 1, n_cols - 1), right)):
+                quanta, valid = decoder.samples(level, row, col)
+                heights = self._quantizer.dequantize(quanta[None, :])[0].astype(np.float64)
+                weight = row_weight * col_weight
+                total += np.where(valid, heights, 0.0) * weight
+                is_void |= ~valid & (weight > 0)
+        return total, is_void
+
+    def _run(self, work: Callable[[Block], None], keys: list[Block]) -> None:
+        """Call `work` for every unit, those above it first, in the threads."""
+        with self._lock:
+            # A fork takes no threads along: its first read starts some.
+            if self._executor is None or self._executor_pid != os.getpid():
+                self._executor = ThreadPoolExecutor(
+                    self._n_threads, thread_name_prefix="terrainwave"
+                )
+                self._executor_pid = os.getpid()
+            executor = self._executor
+
+        def submit(function: Callable[[Block], None], key: Block) -> Future[None]:
+            try:
+                return executor.submit(function, key)
+            except RuntimeError as error:  # its threads have been stopped
+                raise StorageError(f"{self._name} is closed") from error
+
+        run_after_parents(
+            submit, self._n_threads + 1, keys,
+            lambda key: None if key.is_root_key else unit_key(key), work,
+        )  # fmt: skip
+
+
+def _fill_or_decode(
+    decoder: "TreeDecoder", keys: set[Block], fill: Callable[[Block], None]
+) -> Callable[[Block], None]:
+    """Return a function that fills `keys` and decodes what is above them."""
+
+    def work(key: Block) -> None:
+        if key in keys:
+            fill(key)
+        else:
+            # What is damaged above a key is reported with it.
+            with contextlib.suppress(CorruptStreamError):
+                decoder.unit(key)
+
+    return work
