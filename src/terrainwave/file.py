@@ -169,7 +169,7 @@ class TerrainFile:
 
     @cached_property
     def parameters(self) -> CodecParameters:
-        """Return what all coded units of the file have in common."""
+        """Return the parameters that all coded units of the file share."""
         header = self.header
         return CodecParameters(
             step=header.step,
@@ -182,7 +182,7 @@ class TerrainFile:
 
     @cached_property
     def decoder(self) -> "TreeDecoder":
-        """Return what decodes the file's units, through its cache; heights are in quanta."""
+        """Return the decoder of the file's units, with its cache; heights are in quanta."""
         # Imported when heights are first read: opening a file and `info` need no numba.
         from terrainwave.read.tiles import make_decoder
 
@@ -227,7 +227,7 @@ class TerrainFile:
 
     @property
     def raster_info(self) -> RasterInfo:
-        """Return what the source raster said about itself."""
+        """Return the source raster's description: size, type, nodata, place, units."""
         return self._raster
 
     @property

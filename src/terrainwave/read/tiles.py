@@ -110,7 +110,7 @@ def _n_bytes(tile: Tile) -> int:
 
 
 def final_heights(level: LevelHeights, parameters: CodecParameters) -> Decoded:
-    """Return what users get of a level: quanta in the raster's range, off the nodata value.
+    """Return a level's final heights: quanta in the raster's range, off the nodata value.
 
     A height that would read as nodata goes up, or down where there is no room (format-cdf53.md,
     C.6).
