@@ -241,7 +241,7 @@ def _coverage(rows, cols, triangles, tolerance, pieces):
 
 
 def pieces_of_mask(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return the area a mesh of all samples covers: quads of four valid samples, triangles of three.
+    """Return what a mesh of all samples covers: quads of four valid samples, triangles of three.
 
     Parameters
     ----------

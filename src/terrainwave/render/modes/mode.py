@@ -105,7 +105,7 @@ class Mode(ABC):
 
     @classmethod
     def preparation(cls, error: str) -> str | None:
-        """Name the work that takes long when the mode begins, as "building …"; None if nothing does."""
+        """Name the long work when the mode begins, as "building …"; None if there is none."""
         return None
 
     def close(self) -> None:  # noqa: B027  most modes have nothing to close
