@@ -1,4 +1,4 @@
-# make demo | make test | make bench | make clean
+# make demo | make test | make test-all | make bench | make clean
 # All targets set up their own virtual environment in .venv; see CONTRIBUTING.md.
 
 PYTHON ?= python3
@@ -9,13 +9,17 @@ DATA ?=
 BIN := $(VENV)/bin
 # Absolute: tests change their directory.
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS)
+# A file stays with one worker: what it compiles, the other one loads.
+COMPILED := $(PYTEST) --dist loadfile
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test system lint test-compiled test-bounds test-python coverage bench clean
+.PHONY: help demo test test-all system lint test-compiled test-full test-bounds test-python coverage bench clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
-	@echo "make test            everything CI does: format, lint, types, the tests three ways"
+	@echo "make test            what to run before a commit: format, lint, types, the tests, compiled"
+	@echo "make test-all        what CI runs besides: long tests, browsers, clusters, notebooks, and"
+	@echo "                     the kernels with bounds checked and as plain Python"
 	@echo "make coverage        the tests as plain Python, with the lines they miss"
 	@echo "make bench DATA=DIR  compare with other codecs on the rasters in DIR: what is not measured yet;"
 	@echo "                     AGAIN='predictive speeds' anew, ONLY='cdf97' that alone"
@@ -49,7 +53,7 @@ demo: $(VENV)/.installed-demo
 	$(BIN)/terrainwave demo demo
 
 # What tests of pictures and pages need; nothing happens where all of it is there.
-system: tests/ext/node_modules/.installed
+system:
 	@sh tools/install_system.sh
 
 # The lock file would name a registry: versions are exact in package.json instead.
@@ -58,7 +62,10 @@ tests/ext/node_modules/.installed: tests/ext/package.json
 	npm install --prefix tests/ext --no-package-lock --no-audit --no-fund --loglevel error
 	@touch $@
 
-test: lint test-compiled test-bounds test-python
+test: lint test-compiled
+
+# What `make test` leaves out.
+test-all: test-full test-bounds test-python
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
@@ -68,14 +75,18 @@ lint: $(VENV)/.installed-dev
 # Numba's cache does not notice edits in a callee's file: each run gets its own, empty one.
 test-compiled: $(VENV)/.installed-dev system
 	@cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && \
-	NUMBA_CACHE_DIR="$$cache" $(PYTEST)
+	NUMBA_CACHE_DIR="$$cache" $(COMPILED) -m "not full"
+
+test-full: $(VENV)/.installed-dev system tests/ext/node_modules/.installed
+	@cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && \
+	NUMBA_CACHE_DIR="$$cache" $(COMPILED) -m "full or hypothesis" --hypothesis-profile=full
 
 test-bounds: $(VENV)/.installed-dev system
 	@cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && \
-	NUMBA_CACHE_DIR="$$cache" NUMBA_BOUNDSCHECK=1 $(PYTEST)
+	NUMBA_CACHE_DIR="$$cache" NUMBA_BOUNDSCHECK=1 $(COMPILED) -m kernels --hypothesis-profile=full
 
 test-python: $(VENV)/.installed-dev
-	NUMBA_DISABLE_JIT=1 $(PYTEST) -m "not large"
+	NUMBA_DISABLE_JIT=1 $(PYTEST) --dist worksteal -m "kernels and not large"
 
 coverage: $(VENV)/.installed-dev
 	$(BIN)/coverage erase

@@ -1,7 +1,11 @@
-"""What holds for every test: errors of numpy, examples of hypothesis, no skips in CI."""
+"""What holds for every test: errors of numpy, examples of hypothesis, markers, no skips in CI."""
 
 import importlib.util
 import os
+import sys
+from contextlib import contextmanager
+from functools import wraps
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +14,7 @@ from hypothesis import HealthCheck, settings
 # A silent overflow in an encoder is a broken bound in a file.
 np.seterr(all="raise")
 
+TESTS = Path(__file__).parent
 IN_CI = os.environ.get("CI", "").lower() in {"1", "true"}
 WITHOUT_JIT = os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"}
 
@@ -21,9 +26,62 @@ _COMMON = settings(
     print_blob=True,
     suppress_health_check=[HealthCheck.too_slow],
 )
-settings.register_profile("compiled", _COMMON, max_examples=60)
-settings.register_profile("python", _COMMON, max_examples=10)
-settings.load_profile("python" if WITHOUT_JIT else "compiled")
+# `make test-all` draws full ones, of what `make test` has drawn fast (--hypothesis-profile=full).
+settings.register_profile("full", _COMMON, max_examples=60)
+settings.register_profile("fast", _COMMON, max_examples=10)
+settings.load_profile("fast")
+
+# Tests in which no kernel of ours does what is tested: they run once, compiled. All others are
+# marked `kernels`, and run with bounds checked and as plain Python, too.
+WITHOUT_KERNELS = {
+    "benchmarks", "cli", "container", "ext", "raster_io",
+    "test_architecture.py", "test_docs.py", "test_examples.py", "test_faults.py",
+    "test_format_example.py", "test_window.py",
+}  # fmt: skip
+
+
+def pytest_configure(config):
+    """Let workers compile each kernel once, where they share a cache."""
+    if hasattr(config, "workerinput") and "NUMBA_CACHE_DIR" in os.environ and not WITHOUT_JIT:
+        _compile_in_turns(Path(os.environ["NUMBA_CACHE_DIR"]))
+
+
+def _compile_in_turns(cache):
+    """Make a worker that needs a kernel which another one compiles wait, and load it.
+
+    Callees are compiled inside of their callers', and callers' locks are taken first: no deadlock.
+    """
+    if sys.platform == "win32":
+        return
+    import fcntl
+
+    from numba.core.compiler_lock import global_compiler_lock
+    from numba.core.dispatcher import Dispatcher
+
+    held = set()
+    compile_one = Dispatcher.compile
+
+    @contextmanager
+    def turn(name):
+        if name in held:  # it calls itself
+            yield
+            return
+        with open(cache / f"{name}.lock", "w", encoding="utf-8") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            held.add(name)
+            try:
+                yield
+            finally:
+                held.remove(name)
+
+    @wraps(compile_one)
+    def compile_in_turn(self, signature):
+        # Numba's own lock, between threads, comes first for the same reason.
+        with global_compiler_lock, turn(f"{self.py_func.__module__}.{self.py_func.__qualname__}"):
+            return compile_one(self, signature)
+
+    cache.mkdir(parents=True, exist_ok=True)
+    Dispatcher.compile = compile_in_turn
 
 
 def pytest_report_header(config):
@@ -44,7 +102,10 @@ def _why_no_gl() -> str:
 
 
 def pytest_collection_modifyitems(config, items):
-    """Leave out the tests that need OpenGL where it cannot be had."""
+    """Mark what holds kernels; leave out the tests that need OpenGL where it cannot be had."""
+    for item in items:
+        if WITHOUT_KERNELS.isdisjoint(item.path.relative_to(TESTS).parts):
+            item.add_marker("kernels")
     if not _why_no_gl():
         return
     left_out = [item for item in items if item.get_closest_marker("gl")]

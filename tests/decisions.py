@@ -1,7 +1,8 @@
 """Decode one payload in plain Python and add up what its decisions should have cost.
 
 Run as a program, with NUMBA_DISABLE_JIT=1, so that the coder's steps can be replaced by ones that
-also keep accounts; production kernels stay as they are. See `tests/codec/test_ideal_length.py`.
+also keep accounts; production kernels stay as they are. It reads the path of a case a line, and
+answers with a line. See `tests/codec/test_ideal_length.py`.
 """
 
 import json
@@ -35,6 +36,10 @@ class Accounts:
     """
 
     def __init__(self):
+        self.clear()
+
+    def clear(self):
+        """Begin anew, for another payload."""
         self.raw, self.own, self.ideal, self.n_decisions = 0, 0.0, 0.0, 0
         self._contexts = {}
 
@@ -97,10 +102,8 @@ def install(accounts):
     rangecoder.decode_raw = decode_raw
 
 
-def main(case):
+def decode_case(case, accounts):
     """Decode ``case.bin`` as ``case.json`` says; print the accounts as JSON."""
-    accounts = Accounts()
-    install(accounts)
     from lone_units import lone_spec
 
     from terrainwave.codec.registry import refiner_by_name
@@ -110,10 +113,14 @@ def main(case):
     parent = np.load(f"{case}.npy") if options["has_parent"] else None
     spec = lone_spec(tuple(options["shape"]), options["step"], parent=options["has_parent"])
     mask = np.ones(options["shape"], dtype=bool)
+    accounts.clear()
     heights, _ = refiner.decode(spec, parent, mask, Path(f"{case}.bin").read_bytes())
     found = {name: getattr(accounts, name) for name in ("raw", "own", "ideal", "n_decisions")}
-    print(json.dumps(found | {"checksum": int(heights.astype(np.int64).sum())}))
+    print(json.dumps(found | {"checksum": int(heights.astype(np.int64).sum())}), flush=True)
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    steps_of_cases = Accounts()
+    install(steps_of_cases)
+    for line in sys.stdin:
+        decode_case(line.rstrip("\n"), steps_of_cases)

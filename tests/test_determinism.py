@@ -92,6 +92,7 @@ def test_a_second_run_gives_the_same_bytes():
     assert twz_bytes(heights, **OPTIONS) == first
 
 
+@pytest.mark.full
 @pytest.mark.large
 def test_other_processes_and_hash_seeds_give_the_same_bytes(tmp_path, expected, method):
     np.save(tmp_path / "heights.npy", HEIGHTS)

@@ -68,6 +68,7 @@ def test_commands_that_are_only_shown_exist():
                 assert name in main.commands, f"{page.name}: terrainwave {name}"
 
 
+@pytest.mark.full
 @pytest.mark.large
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebooks_run(path, tmp_path):
@@ -76,6 +77,7 @@ def test_notebooks_run(path, tmp_path):
     NotebookClient(notebook, timeout=600, resources={"metadata": {"path": tmp_path}}).execute()
 
 
+@pytest.mark.full
 @pytest.mark.large
 def test_the_site_builds_without_a_warning(tmp_path):
     done = subprocess.run(

@@ -239,7 +239,14 @@ def kill_at(stage, source, target):
 
 
 @pytest.mark.large
-@pytest.mark.parametrize("stage", ["scanning", "encoding", "proving"])
+@pytest.mark.parametrize(
+    "stage",
+    [
+        pytest.param("scanning", marks=pytest.mark.full),
+        "encoding",
+        pytest.param("proving", marks=pytest.mark.full),
+    ],
+)
 def test_after_a_kill_the_target_is_as_it_was_and_the_next_run_cleans_up(stage, target, tmp_path):
     np.save(tmp_path / "heights.npy", LARGE)
     kill_at(stage, tmp_path / "heights.npy", target)

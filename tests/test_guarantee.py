@@ -163,7 +163,7 @@ def test_the_bound_and_the_mask_hold_on_tiny_rasters(case, max_error, options):
 
 
 @pytest.mark.large
-@settings(max_examples=300)
+@settings(max_examples=5 * settings.default.max_examples)
 @given(cases(medium), st.sampled_from(MAX_ERRORS), options)
 def test_the_bound_and_the_mask_hold_on_several_blocks(case, max_error, options):
     data, bound = encode(case, max_error, **options)

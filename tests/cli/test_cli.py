@@ -601,6 +601,7 @@ def test_progress_bar_is_drawn_on_a_terminal_only(monkeypatch):
     bar._bar.console.file.close()
 
 
+@pytest.mark.full
 @pytest.mark.large  # plain Python compiles nothing
 def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path, dem):
     env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}

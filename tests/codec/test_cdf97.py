@@ -1,6 +1,7 @@
 """The `cdf97` refiner: the bound, the borders, damage."""
 
 import dataclasses
+from functools import cache
 
 import numpy as np
 import pytest
@@ -156,6 +157,7 @@ def test_neighbours_decode_the_same_bits_in_any_order(size, rings, has_voids):
 # Damage ----------------------------------------------------------------------------------------
 
 
+@cache
 def small_payload():
     target = terrain((21, 18))
     spec = lone_spec(target.shape, 5, 0, Sides(True, False, False, True))
@@ -195,11 +197,8 @@ def test_every_flipped_byte_gives_heights_or_our_own_error():
 
 @given(st.binary(max_size=80), st.booleans(), st.sampled_from([1, 3, 1001, (1 << 29) + 1]))
 def test_any_bytes_give_heights_or_our_own_error(payload, has_parent, step):
-    spec, parent, mask, _ = SMALL
+    spec, parent, mask, _ = small_payload()
     spec = dataclasses.replace(spec, step=step)
     if not has_parent:
         spec, parent = dataclasses.replace(spec, parent_region=None), None
     check_damaged(Cdf97(), spec, parent, mask, payload)
-
-
-SMALL = small_payload()

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from functools import cache
 
 import numpy as np
 import pytest
@@ -285,6 +286,7 @@ def test_neighbours_decode_the_same_bits_in_any_order(size, rings, has_voids):
 # Damage ----------------------------------------------------------------------------------------
 
 
+@cache
 def small_payload():
     target = terrain((21, 18))
     spec = lone_spec(target.shape, 5, 1, Sides(True, False, False, True))
@@ -329,14 +331,11 @@ def test_flipped_bytes_in_a_large_unit_give_heights_or_our_own_error():
 
 @given(st.binary(max_size=80), st.booleans(), st.sampled_from([1, 3, 1001, (1 << 29) + 1]))
 def test_any_bytes_give_heights_or_our_own_error(payload, has_parent, step):
-    spec, parent, mask, _ = SMALL
+    spec, parent, mask, _ = small_payload()
     spec = dataclasses.replace(spec, step=step)
     if not has_parent:
         spec, parent = dataclasses.replace(spec, parent_region=None), None
     check_damaged(Predictive(), spec, parent, mask, payload)
-
-
-SMALL = small_payload()
 
 
 # Zero trees ------------------------------------------------------------------------------------

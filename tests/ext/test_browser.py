@@ -18,6 +18,8 @@ HERE = Path(__file__).parent
 CESIUM = HERE / "node_modules" / "cesium" / "Build" / "Cesium"
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
 
+pytestmark = pytest.mark.full
+
 
 @pytest.fixture(scope="module")
 def twz(tmp_path_factory):

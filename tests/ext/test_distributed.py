@@ -18,6 +18,7 @@ HEIGHTS = terrain_like(514, 600, seed=3)
 
 pytestmark = [
     pytest.mark.large,
+    pytest.mark.full,
     # A killed worker leaves open what it had open.
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),

@@ -89,26 +89,29 @@ def drawn_heights(scene, frames, shape):
         found = np.full(
             (min(grid.block * stride, shape[0] - 1 - first_row) + 1,
              min(grid.block * stride, shape[1] - 1 - first_col) + 1), np.nan)  # fmt: skip
-        for triangle in patch.triangles[: patch.n_surface]:
-            _fill(found, rows[triangle], cols[triangle], z[triangle])
+        triangles = patch.triangles[: patch.n_surface]
+        _fill(found, rows[triangles], cols[triangles], z[triangles])
         inside = np.argwhere(~np.isnan(found))
         yield inside[:, 0] + first_row, inside[:, 1] + first_col, found[tuple(inside.T)]
 
 
 def _fill(found, rows, cols, z):
-    """Set the samples in one triangle, whose corners are in half samples."""
-    top, bottom = -(-rows.min() // 2), min(rows.max() // 2, found.shape[0] - 1)
-    left, right = -(-cols.min() // 2), min(cols.max() // 2, found.shape[1] - 1)
-    if top > bottom or left > right:
-        return
-    r, c = 2 * np.arange(top, bottom + 1)[:, None], 2 * np.arange(left, right + 1)[None, :]
+    """Set the samples in triangles, whose corners are in half samples; arrays of shape (n, 3)."""
+    top, bottom = -(-rows.min(1) // 2), np.minimum(rows.max(1) // 2, found.shape[0] - 1)
+    left, right = -(-cols.min(1) // 2), np.minimum(cols.max(1) // 2, found.shape[1] - 1)
+    n_rows, n_cols = np.maximum(bottom - top + 1, 0), np.maximum(right - left + 1, 0)
+    # All samples in the triangles' boxes, one box after the other.
+    n_samples = n_rows * n_cols
+    of = np.repeat(np.arange(len(rows)), n_samples)
+    number = np.arange(len(of)) - np.repeat(np.cumsum(n_samples) - n_samples, n_samples)
+    row, col = top[of] + number // n_cols[of], left[of] + number % n_cols[of]
+    r, c, rows, cols, z = 2 * row, 2 * col, rows[of].T, cols[of].T, z[of].T
     area = (cols[1] - cols[0]) * (rows[2] - rows[0]) - (cols[2] - cols[0]) * (rows[1] - rows[0])
     one = (c - cols[0]) * (rows[2] - rows[0]) - (cols[2] - cols[0]) * (r - rows[0])
     two = (cols[1] - cols[0]) * (r - rows[0]) - (c - cols[0]) * (rows[1] - rows[0])
     inside = (one >= 0) & (two >= 0) & (one + two <= area)
     surface = z[0] + (one * (z[1] - z[0]) + two * (z[2] - z[0])) / area
-    part = found[top : bottom + 1, left : right + 1]
-    part[inside] = surface[inside]
+    found[row[inside], col[inside]] = surface[inside]
 
 
 def random_camera(rng, scene):

@@ -11,7 +11,7 @@ from render.scenes import hills
 
 from terrainwave.write.compress import compress
 
-pytestmark = [pytest.mark.gl, pytest.mark.large]
+pytestmark = [pytest.mark.gl, pytest.mark.large, pytest.mark.full]
 
 
 @pytest.fixture(scope="module")
