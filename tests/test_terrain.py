@@ -758,7 +758,7 @@ def assert_neighbours_agree(data, seed):
         keys = all_keys(grid)
         n_shared = 0
         for index in np.random.default_rng(seed).permutation(len(keys)):
-            spec = unit_spec(grid, terrain.parameters, keys[index])
+            spec = unit_spec(grid, terrain.header.codec_parameters, keys[index])
             unit = decoder.unit(keys[index])
             at = (spec.level, *spec.region.slices_in(Region(0, 0, *terrain.shape)))
             seen = count[at] > 0
