@@ -10,13 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from containers import open_container
 from rasterio.transform import Affine
 from rasterio.windows import Window
 from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
 from terrainwave.codec.units import unit_spec
-from terrainwave.container.reader import open_container
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidHeightsError,
