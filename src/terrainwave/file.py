@@ -154,7 +154,7 @@ class TerrainFile:
 
     @cached_property
     def decoder(self) -> "TreeDecoder":
-        """Return what decodes the file's units, through its cache; heights are in quanta."""
+        """Return the decoder of the file's units, with its cache; heights are in quanta."""
         # Imported when heights are first read: opening a file and `info` need no numba.
         from terrainwave.read.tiles import make_decoder
 
@@ -175,7 +175,7 @@ class TerrainFile:
 
     @property
     def quantizer(self) -> Quantizer:
-        """Return what makes raw heights of the file's quanta."""
+        """Return the quantizer of the file's heights."""
         return self.header.quantizer
 
     @property
@@ -195,7 +195,7 @@ class TerrainFile:
 
     @property
     def raster_info(self) -> RasterInfo:
-        """Return what the source raster said about itself."""
+        """Return the source raster's description: size, type, nodata, place, units."""
         return self._raster
 
     @property

@@ -50,7 +50,7 @@ class Reporter:
             self._callback(Progress(stage, done, total, n_bytes_in, **more))
 
     def counter(self, stage: str, total: int, itemsize: int) -> Callable[[int], None]:
-        """Return what counts samples of `itemsize` bytes as they are done, from any thread."""
+        """Return a counter of finished samples of `itemsize` bytes, to call from any thread."""
         lock = threading.Lock()
         done = 0
 

@@ -16,6 +16,7 @@ from strategies import terrain_like, write_geotiff
 
 import terrainwave
 from terrainwave.ext import xarray_backend
+from terrainwave.file import TerrainFile
 
 # rioxarray 0.19 multiplies transforms, which affine 3 will deprecate.
 pytestmark = pytest.mark.filterwarnings("ignore:Use .@. matmul:PendingDeprecationWarning")
@@ -64,13 +65,13 @@ class CountedReads:
 
     def __init__(self, monkeypatch):
         self.windows = []
-        read = terrainwave.Terrain.read_with_mask
+        read = TerrainFile.read_with_mask
 
         def counting(terrain, window=None, **options):
             self.windows.append(tuple(window))
             return read(terrain, window, **options)
 
-        monkeypatch.setattr(terrainwave.Terrain, "read_with_mask", counting)
+        monkeypatch.setattr(TerrainFile, "read_with_mask", counting)
 
 
 KEYS = [

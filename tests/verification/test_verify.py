@@ -10,7 +10,6 @@ import rasterio
 from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
-import terrainwave
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, StorageError
 from terrainwave.verification.heights import verify
 from terrainwave.verification.metrics import ErrorSum
@@ -68,7 +67,7 @@ def compare(tmp_path, monkeypatch):
     """Return a function that verifies a fake decoded file against a real original."""
 
     def run(original, terrain, *, mask=None, options=None, **profile):
-        monkeypatch.setattr(terrainwave, "open", lambda _, **__: terrain, raising=False)
+        monkeypatch.setattr("terrainwave.terrain.Terrain", lambda _, **__: terrain)
         profile = {"tags": {"AREA_OR_POINT": "Area"}, **profile}
         path = write_geotiff(tmp_path / "a.tif", original, mask=mask, **profile)
         return verify("a.twz", path, **(options or {}))
@@ -264,7 +263,7 @@ def test_nodata_given_at_compression_and_band_are_taken_over(compare):
 
 def test_without_an_original_the_file_checks_itself(monkeypatch):
     terrain = FakeTerrain(terrain_like(4, 4), problems=["block (1, 0, 0) is damaged"])
-    monkeypatch.setattr(terrainwave, "open", lambda _, **__: terrain, raising=False)
+    monkeypatch.setattr("terrainwave.terrain.Terrain", lambda _, **__: terrain)
     report = verify("a.twz")
     assert not report.ok
     assert report.problems == ("block (1, 0, 0) is damaged",)
@@ -280,7 +279,7 @@ def test_report_is_plain_data(compare):
 
 def test_missing_original_is_named(tmp_path, monkeypatch):
     terrain = FakeTerrain(terrain_like(4, 4))
-    monkeypatch.setattr(terrainwave, "open", lambda _, **__: terrain, raising=False)
+    monkeypatch.setattr("terrainwave.terrain.Terrain", lambda _, **__: terrain)
     with pytest.raises(StorageError, match="no such file"):
         verify("a.twz", tmp_path / "a.tif")
 

@@ -332,7 +332,7 @@ class _Encoder:
 
 
 def _kinds(mask: Mask, is_known: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return what each sample is to the residual coder: `VOID`, `CODED` or `KNOWN`."""
+    """Classify each sample for the residual coder: `VOID`, `CODED` or `KNOWN`."""
     kinds = np.where(mask, np.uint8(CODED), np.uint8(VOID))
     np.copyto(kinds, KNOWN, where=is_known)
     return kinds

@@ -104,7 +104,7 @@ class TileLayout:
         return count
 
     def spec(self, key: Block) -> TileSpec:
-        """Return what the coder of tile `key` is told."""
+        """Return the spec of tile `key`."""
         grid = self.grid
         head = Block(0, 0, 0) if key.is_root_key else key
         first = key.level + 1

@@ -93,7 +93,7 @@ class Depot:
             np.savez(file, **arrays)
 
     def load(self, name: str) -> dict[str, NDArray[Any]]:
-        """Return what `save` stored.
+        """Return the arrays that `save` stored.
 
         Raises
         ------

@@ -116,7 +116,7 @@ class Header:
 
     @cached_property
     def quantizer(self) -> Quantizer:
-        """Return what makes raw heights of the file's quanta."""
+        """Return the quantizer of the file's heights."""
         return Quantizer(
             dtype=self.dtype,
             numerator=self.quantum.numerator,
@@ -130,7 +130,7 @@ class Header:
 
     @cached_property
     def codec_parameters(self) -> CodecParameters:
-        """Return what all coded units of the file have in common."""
+        """Return the parameters that all coded units of the file share."""
         nodata = self.metadata.get("nodata")
         # A string stands for NaN or an infinity, which no quantum gives.
         number = nodata if isinstance(nodata, int | float) else None

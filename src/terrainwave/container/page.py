@@ -36,7 +36,7 @@ class PageLayout(NamedTuple):
 
 
 def page_layout(grid: Grid, head: Block | None) -> PageLayout:
-    """Return what the page of the segment of `head` lists (FORMAT.md §3.3).
+    """List the keys on the page of the segment of `head` (FORMAT.md §3.3).
 
     At most 85 keys, 340 blocks and 256 children, whatever the size of the grid.
     """

@@ -45,7 +45,7 @@ class Budget(NamedTuple):
 
 
 def budget_of(n_wanted: int, n_requests: int = 0, n_wasted: int = 0) -> Budget:
-    """Return what is left for a round of a read.
+    """Return the budget left for a round of a read.
 
     Parameters
     ----------

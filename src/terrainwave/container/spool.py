@@ -136,7 +136,7 @@ class SegmentSpool:
             self._path, self._buffer, self._entries = None, bytearray(), {}
 
     def keys(self) -> list[Block]:
-        """Return what has been added."""
+        """Return the keys of all entries so far."""
         return list(self._entries)
 
     def entry(self, key: Block) -> Entry:

@@ -132,7 +132,7 @@ def store_segments(
 def stored_places(
     depot: Depot, name: str, heads: Sequence[Block | None]
 ) -> dict[Block | None, StoredSegment]:
-    """Return what `store_segments` has returned for the same name and heads."""
+    """Return the result of `store_segments` for the same name and heads."""
     places, offset = {}, 0
     lengths = depot.load(_index_name(name))["lengths"].tolist()
     for head, (of_page, length) in zip(heads, lengths, strict=True):

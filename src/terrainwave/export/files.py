@@ -141,7 +141,7 @@ def file_rounding(
     solid: float | None = None,
     radius: float | None = None,
 ) -> float:
-    """Return what rounding in the file adds to the mesh's error, without writing it.
+    """Return the error that rounding in the file adds to the mesh's, without writing it.
 
     The arguments are those of `save_mesh`; whoever has a bound to keep asks for a mesh that leaves
     room for this.
@@ -231,7 +231,7 @@ def need(package: str, extra: str = "mesh") -> Any:
 
 
 def describe(mesh: Mesh, error: float) -> dict[str, Any]:
-    """Return what the file shall say about a mesh in a frame, as plain values for JSON."""
+    """Describe a mesh in a frame, as plain values for the file's JSON."""
     frame = {name: value for name, value in mesh.attributes["frame"].items() if value is not None}
     about: dict[str, Any] = {"generator": f"terrainwave {__version__}", "origin": list(mesh.origin)}
     about |= {"frame": frame, "error": error}

@@ -48,14 +48,14 @@ class Tile(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Globe:
+class GeographicMesh:
     """A mesh in degrees and metres, and the ellipsoid these are counted on."""
 
     mesh: Mesh
     ellipsoid: Ellipsoid
 
 
-def on_globe(mesh: Mesh, *, radius: float | None = None) -> Globe:
+def on_globe(mesh: Mesh, *, radius: float | None = None) -> GeographicMesh:
     """Return the mesh in longitude, latitude (degrees) and metres.
 
     Meshes of the Earth go to WGS 84, which Cesium uses; others stay on their own body. Heights are
@@ -82,15 +82,15 @@ def on_globe(mesh: Mesh, *, radius: float | None = None) -> Globe:
             "in longitude and latitude some triangles turn over; a mesh across the date line or a"
             " pole cannot be one tile: expected smaller --bounds"
         )
-    return Globe(moved, EARTH if is_earth else place.ellipsoid)
+    return GeographicMesh(moved, EARTH if is_earth else place.ellipsoid)
 
 
-def encode_tile(globe: Globe, bounds: "Sequence[float]") -> Tile:
+def encode_tile(globe: GeographicMesh, bounds: "Sequence[float]") -> Tile:
     """Encode a mesh as one tile.
 
     Parameters
     ----------
-    globe : Globe
+    globe : GeographicMesh
         A mesh inside `bounds`.
     bounds : (west, south, east, north)
         Of the tile, in degrees.
@@ -225,13 +225,13 @@ def save_tile(
 
 
 def tile_rounding(mesh: Mesh, *, radius: float | None = None) -> float:
-    """Return what `save_tile` would add to the mesh's error, in the file's unit."""
+    """Return the error that `save_tile` would add to the mesh's, in the file's unit."""
     globe = on_globe(mesh, radius=radius)
     points, triangles = _in_order_of_use(globe.mesh)
     return _quantize(points, triangles, globe.mesh.bounds)[1] / metres_per_unit(mesh.units)
 
 
-def curvature(globe: Globe) -> float:
+def curvature(globe: GeographicMesh) -> float:
     """Return how far flat triangles can lie below the curved body between vertices, in metres."""
     axis, e2 = globe.ellipsoid
     mesh = globe.mesh

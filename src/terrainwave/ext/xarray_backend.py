@@ -159,7 +159,7 @@ def terrain_dataset(
 
 
 def _packing(terrain: TerrainFile) -> dict[str, Any]:
-    """Return what turns stored into physical values, by the names of the CF conventions."""
+    """Return the attributes that turn stored into physical values, named by the CF conventions."""
     raster = terrain.raster_info
     packing: dict[str, Any] = {}
     if raster.nodata is not None:
@@ -222,7 +222,7 @@ class _LazyHeights(BackendArray):
         )
 
     def _read(self, key: tuple[int | slice, ...]) -> NDArray[Any]:
-        """Return what numpy would for whole numbers and slices."""
+        """Index as numpy does, by whole numbers and slices."""
         axes = [_Axis(part, size) for part, size in zip(key, self.shape, strict=True)]
         row, col = axes
         if row.n and col.n:

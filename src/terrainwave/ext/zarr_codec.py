@@ -85,7 +85,7 @@ class TerrainwaveCodec(ArrayBytesCodec):
         return cls(**configuration)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what array metadata say of the codec."""
+        """Return the codec's entry in array metadata."""
         configuration: dict[str, Any] = {"max_error": self.max_error}
         if self.nodata is not None:
             configuration["nodata"] = self.nodata

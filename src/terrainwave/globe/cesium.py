@@ -175,7 +175,7 @@ class TilePyramid:
 
     @property
     def extent(self) -> Extent:
-        """Return what part of the globe has heights."""
+        """Return the part of the globe that has heights."""
         return self.globe.extent
 
     def _cell_size(self, zoom: int) -> float:
@@ -246,7 +246,7 @@ class TilePyramid:
         version: str = "1.0.0",
         attribution: str = "",
     ) -> dict[str, Any]:
-        """Return what ``layer.json`` holds, as plain values.
+        """Return the content of ``layer.json``, as plain values.
 
         Cesium takes a metadata extension in tiles for part of what tells which tiles there are:
         ``metadataAvailability`` says that the root tiles tell it for all zooms.
@@ -351,7 +351,7 @@ class TilePyramid:
         return float(known.mean()) if len(known) else math.nan
 
     def _edge_step(self, zoom: int) -> int:
-        """Return what heights on edges are multiples of, in units: a power of two.
+        """Return the quantum of heights on edges, in units: a power of two.
 
         Every tile of the zoom can tell them, whatever its lowest and highest height.
         """
@@ -554,7 +554,7 @@ def terrain_tile(
 
 
 def layer_json(terrain: "TerrainFile", *, attribution: str = "") -> dict[str, Any]:
-    """Return what ``layer.json`` of a terrain's tiles holds, as plain values."""
+    """Return the content of ``layer.json`` for a terrain's tiles, as plain values."""
     return TilePyramid(terrain).layer(attribution=attribution)
 
 

@@ -83,7 +83,7 @@ class Quantizer:
 
     @property
     def lost(self) -> int:
-        """Return what rounding to quanta loses of each height, in quanta, rounded up."""
+        """Return the largest loss by rounding to quanta, in quanta, rounded up."""
         return int(-(-Fraction(self.rho) * self.denominator // self.numerator))
 
     def quantize(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[np.int32]:

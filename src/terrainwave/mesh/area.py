@@ -58,7 +58,7 @@ class _Piece(NamedTuple):
     error: Fraction
 
 
-class _Built(NamedTuple):
+class _MeshedBlock(NamedTuple):
     """A block's mesh and its error against the originals in quanta; None: it can't keep to it."""
 
     mesh: BlockMesh
@@ -149,7 +149,7 @@ class _Extractor:
         return Fraction(decode_error(self._terrain.container.codes(block)[2]))
 
     def _smallest_error(self) -> Fraction:
-        """Return what no error asked for may be less than."""
+        """Return the smallest error that may be asked for."""
         if self._area.level == self._grid.k_max:
             return self._coded
         return max(self._heights_error(block) for block in self._blocks(self._area.level))
@@ -361,7 +361,7 @@ class _Extractor:
             lines = lines._replace(**{side: own})
         return lines
 
-    def _build(self, cut: dict[Block, _Piece], block: Block) -> _Built:
+    def _build(self, cut: dict[Block, _Piece], block: Block) -> _MeshedBlock:
         samples = self._samples.get(block) or self._mesher.samples(block)
         piece, lines = cut[block], self._lines(cut, block, samples)
         mesh = triangulate(*samples, lines, piece.tolerance)
@@ -373,16 +373,16 @@ class _Extractor:
             measured = largest_deviation(mesh, 1, samples.heights, samples.mask, 0, 0)
             # Samples on a coarser neighbour's border keep to the error, not to the tolerance.
             found = piece.heights_error + Fraction(measured, 1 << FRACTION_BITS)
-            return _Built(mesh, min(found, piece.error))
+            return _MeshedBlock(mesh, min(found, piece.error))
         stride, tolerance = self._grid.stride(block.level), piece.tolerance
         for _ in range(_TRIES):
             measured = deviation_from_bilinear(mesh, stride, samples.heights, samples.mask)
             if measured <= piece.tolerance:
                 found = piece.heights_error + Fraction(measured, 1 << FRACTION_BITS)
-                return _Built(mesh, found)
+                return _MeshedBlock(mesh, found)
             tolerance = tolerance * piece.tolerance // (measured + measured // 16)
             mesh = triangulate(*samples, lines, tolerance)
-        return _Built(mesh, None)
+        return _MeshedBlock(mesh, None)
 
     def mesh(self, max_error: float | None) -> PlacedMesh:
         """Return the mesh for an error in physical units, or that of the stored meshes."""
@@ -415,8 +415,8 @@ class _Extractor:
         if level == self._grid.k_max and self._area.sweeps:
             return self._assemble(cut, self._build_all(cut))
 
-        def build(block: Block) -> _Built:
-            return _Built(self._mesher.mesh(block), cut[block].error)
+        def build(block: Block) -> _MeshedBlock:
+            return _MeshedBlock(self._mesher.mesh(block), cut[block].error)
 
         blocks = sorted(cut)
         built = dict(zip(blocks, self._executor.map(build, blocks), strict=True))
@@ -447,7 +447,7 @@ class _Extractor:
         except _UnreachableError:
             return None
 
-    def _build_all(self, cut: dict[Block, _Piece]) -> dict[Block, _Built]:
+    def _build_all(self, cut: dict[Block, _Piece]) -> dict[Block, _MeshedBlock]:
         blocks = sorted(cut)
         found = self._executor.map(lambda block: self._build(cut, block), blocks)
         return dict(zip(blocks, found, strict=True))
@@ -485,7 +485,7 @@ class _Extractor:
         header = self._header
         return Fraction(2 * (header.z_max - header.z_min) + 2) + self._smallest_error()
 
-    def _assemble(self, cut: dict[Block, _Piece], built: dict[Block, _Built]) -> PlacedMesh:
+    def _assemble(self, cut: dict[Block, _Piece], built: dict[Block, _MeshedBlock]) -> PlacedMesh:
         blocks = sorted(cut)
         meshes = [built[block].mesh for block in blocks]
         vertices, triangles = _joined(self._grid, blocks, meshes)

@@ -54,7 +54,7 @@ def unpack_section(data: bytes, n_parts: int) -> list[bytes]:
 
 
 def parts_of_blocks(grid: Grid, section: Callable[[Block], bytes]) -> Callable[[Block], bytes]:
-    """Return what gives the bytes of a block's mesh, from what gives the sections of keys."""
+    """Turn a reader of sections, by key, into one of the bytes of a block's mesh."""
 
     @lru_cache(_CACHED_SECTIONS)
     def parts(key: Block) -> dict[Block, bytes]:
@@ -107,7 +107,7 @@ def make_meshes(
     executor: Executor,
     on_samples: Callable[[int], None],
 ) -> tuple[BlockMesher, dict[Block, bytes]]:
-    """Return what has all meshes of a file that has none yet, and the sections it will have.
+    """Return the mesher of a file that has no meshes yet, and the sections it will have.
 
     The arguments are those of `BlockMesher` and `make_sections`.
     """
@@ -173,7 +173,7 @@ def _level_parts(
 
 
 def mesher_of(file: TerrainFile) -> BlockMesher:
-    """Return what makes the stored mesh of any block of an open file."""
+    """Return the mesher of an open file, for the stored mesh of any block."""
     header = file.header
     return BlockMesher(
         file.grid,

@@ -165,7 +165,7 @@ class TreeDecoder:
         return units_of(self.grid, level, region)
 
     def part(self, key: Block, region: Region) -> tuple[tuple[slice, slice], Decoded]:
-        """Return what a unit holds of a region of its level, and where it lies in the region.
+        """Return the part of a unit inside a region of its level, and where it lies in the region.
 
         The heights and the mask are views.
         """
@@ -231,7 +231,7 @@ def unit_key(block: Block) -> Block:
 
 
 def unit_name(key: Block) -> str:
-    """Return what messages call the unit."""
+    """Name the unit for messages."""
     if key.is_root_key:
         return f"root block (row {key.row}, column {key.col})"
     return f"the group below block (level {key.level}, row {key.row}, column {key.col})"

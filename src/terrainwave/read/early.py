@@ -60,7 +60,7 @@ class EarlyPayloads:
         self._payloads = self._read_rest(parts, position)
 
     def __call__(self, keys: Sequence[Block]) -> list[bytes]:
-        """Return what was read of the payloads of `keys`; nothing of those without."""
+        """Return the bytes read of the payloads of `keys`; none of those without."""
         return [self._payloads.get(key, b"") for key in keys]
 
     def _tiles_above(self, keys: Iterable[Block]) -> list[Block]:

@@ -96,7 +96,7 @@ class TileDecoder(TreeDecoder):
 def make_decoder(
     header: Header, payloads: Callable[[Sequence[Block]], list[bytes]], cache_bytes: int
 ) -> TreeDecoder:
-    """Return what decodes the units of a file that has this header."""
+    """Return the decoder of a file that has this header."""
     if METHODS[header.method].is_tiled:
         return TileDecoder(header.grid, header.codec_parameters, payloads, cache_bytes)
     refiner = refiner_by_name(header.method, header.parameters)
@@ -108,7 +108,7 @@ def _n_bytes(tile: Tile) -> int:
 
 
 def final_heights(level: LevelHeights, parameters: CodecParameters) -> Decoded:
-    """Return what users get of a level: quanta in the raster's range, off the nodata value.
+    """Return a level's final heights: quanta in the raster's range, off the nodata value.
 
     A height that would read as nodata goes up, or down where there is no room (format-cdf53.md,
     C.6).

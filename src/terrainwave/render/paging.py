@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from terrainwave.render.patches import Cancelled
 
 
-class Built(NamedTuple):
+class Outcome(NamedTuple):
     """A result, or why there is none."""
 
     key: Any
@@ -47,7 +47,7 @@ class Pager:
         self._max_ready = max_ready
         self._queue: deque[Hashable] = deque()
         self._running: dict[Hashable, _Running] = {}
-        self._ready: deque[Built] = deque()
+        self._ready: deque[Outcome] = deque()
         self._ready_keys: set[Hashable] = set()
         self._changed = threading.Condition()
         self._is_closed = False
@@ -72,7 +72,7 @@ class Pager:
             )
             self._changed.notify_all()
 
-    def take(self, max_items: int) -> list[Built]:
+    def take(self, max_items: int) -> list[Outcome]:
         """Return finished results, at most `max_items`; never waits for work."""
         with self._changed:
             found = [self._ready.popleft() for _ in range(min(max_items, len(self._ready)))]
@@ -126,11 +126,11 @@ class Pager:
                     self._ready_keys.add(key)
                 self._changed.notify_all()
 
-    def _attempt(self, key: Hashable, running: _Running) -> Built | None:
+    def _attempt(self, key: Hashable, running: _Running) -> Outcome | None:
         try:
             value = self._build(key, lambda: not running.is_wanted)
         except Cancelled:
             return None
         except Exception as error:  # noqa: BLE001  the thread that draws decides what it means
-            return Built(key, None, error)
-        return Built(key, value, None)
+            return Outcome(key, None, error)
+        return Outcome(key, value, None)

@@ -120,14 +120,14 @@ class PatchBuilder:
         return [self._first(block, math.inf) for block in self._terrain.grid.blocks(0)]
 
     def children(self, piece: Piece) -> list[NodeInfo]:
-        """Return what replaces a piece: its next variant, or the blocks one level finer."""
+        """Return the children of a piece: its next variant, or the blocks one level finer."""
         if piece.variant:
             return [self.info(piece._replace(variant=piece.variant - 1))]
         error = self.error(piece)
         return [self._first(child, error) for child in self._terrain.grid.children(piece.block)]
 
     def parent(self, piece: Piece) -> Piece | None:
-        """Return what a piece replaces, None for a root."""
+        """Return the parent of a piece, None for a root."""
         if piece.level == self._terrain.n_levels - 1:
             next_one = piece._replace(variant=piece.variant + 1)
             above = Piece(*piece.block.parent) if piece.level else None

@@ -92,7 +92,7 @@ def fly_through(
 def statistics(
     offscreen: Offscreen, camera: Camera, frames: Frames, seconds: float
 ) -> dict[str, Any]:
-    """Return what was drawn and what it took, as plain values."""
+    """Return the statistics of a drawn picture, as plain values."""
     scene, info = offscreen.scene, offscreen.context.info
     return {
         "renderer": str(info["GL_RENDERER"]),

@@ -158,7 +158,7 @@ class Scene:
         return frames
 
     def settle(self, view: View, *, timeout: float = 600.0) -> Frames:
-        """Return what to draw once all that the view needs is here; waits for the workers.
+        """Return the settled frame: all that the view needs is here; waits for the workers.
 
         Raises
         ------
@@ -184,7 +184,7 @@ class Scene:
         return self.mode.wanted(self.table, view, tau, self.store.max_blocks, camera)
 
     def _spare(self, view: View, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return what to have besides `wanted`, as much as there is room for."""
+        """Return the pieces to have besides `wanted`, as many as there is room for."""
         spare = self.mode.spare(self.table, view, self.store.max_blocks)
         spare = spare[~np.isin(spare, wanted)]
         return spare[: self.store.max_blocks - len(wanted)]
@@ -195,7 +195,7 @@ class Scene:
         return [piece for piece in pieces if piece not in self.problems]
 
     def _ahead(self, view: View, tau: float) -> list[Piece]:
-        """Return what the next view will need, if all of this one's is here."""
+        """Return the pieces the next view will need, if all of this one's are here."""
         if self._last_camera is None or self._last_camera.position == view.camera.position:
             return []
         camera = predict(self._last_camera, view.camera)

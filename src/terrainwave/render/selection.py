@@ -50,7 +50,7 @@ class Built(Protocol):
 
     @property
     def children(self) -> list[NodeInfo]:
-        """Return what replaces the piece; read in the worker, so that drawing never reads."""
+        """Return the piece's children; read in the worker, so that drawing never reads."""
 
     @property
     def n_triangles(self) -> int:

@@ -237,7 +237,7 @@ class Viewer:
 
 
 def _key_names(keys: Any) -> dict[Any, str]:
-    """Return what `Controls` calls the keys of a backend: their codes differ."""
+    """Map a backend's key codes to the names that `Controls` knows."""
     names = {getattr(keys, letter.upper()): letter for letter in "abcdehlnopqrstw"}
     others = {
         "ESCAPE": "escape", "TAB": "tab", "HOME": "home", "COMMA": "comma", "PERIOD": "period",

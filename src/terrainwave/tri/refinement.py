@@ -114,7 +114,7 @@ def decode_refinement(
 
 
 def bits_per_sample(data: bytes, shape: tuple[int, int]) -> float:
-    """Return what Yusov & Turlapov 2010, tables 1 and 2, give as the size of a triangulation.
+    """Return a triangulation's bits per sample, as Yusov & Turlapov 2010, tables 1 and 2.
 
     They report 0.036 to 0.208 bits per sample at 1, 3 and 10 m.
     """

@@ -130,14 +130,14 @@ class Tiles:
 
     @property
     def known_errors(self) -> tuple[object, ...]:
-        """Return what `known_error` takes besides a place."""
+        """Return the arguments of `known_error` besides a place."""
         return (
             self._slot_of, self._errors, self._fine_errors, self._coarse_errors, *self._bits
         )  # fmt: skip
 
     @property
     def known_heights(self) -> tuple[object, ...]:
-        """Return what `height_of` takes besides a place."""
+        """Return the arguments of `height_of` besides a place."""
         return self._slot_of, self._heights, self._coarse_heights, *self._bits
 
     @property

@@ -207,7 +207,7 @@ class RestrictedMesh:
     def measure(
         self, row: int, col: int, heights: NDArray[np.floating], base_error: float = 0.0
     ) -> Tile:
-        """Return what `load` takes. Thread-safe.
+        """Build the argument of `load`. Thread-safe.
 
         Parameters
         ----------

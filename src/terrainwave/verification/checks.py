@@ -156,7 +156,7 @@ def _deviation(
 def coverage(
     surface: Surface, shape: tuple[int, int]
 ) -> tuple[NDArray[np.uint8], int, tuple[int, int] | None]:
-    """Return what is covered of each quad, and how many places around samples are covered twice.
+    """Measure how much of each quad is covered, and how many places around samples are twice.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def pieces_of_mask(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
 
 
 def refined_pieces(pieces: NDArray[np.uint8], stride: int) -> NDArray[np.uint8]:
-    """Return what is covered of the quads of a grid `stride` times finer."""
+    """Spread areas covered over the quads of a grid `stride` times finer."""
     row, col = np.indices((stride, stride))
     table = np.zeros((16, stride, stride), dtype=np.uint8)
     table[WHOLE] = WHOLE

@@ -258,7 +258,7 @@ def _snapped(values: NDArray[np.float64]) -> NDArray[Any]:
 
 
 def area_pieces(terrain: Any, region: Region, level: int) -> NDArray[np.uint8]:
-    """Return what the samples of a level span of the full grid's quads in `region`."""
+    """Count the full grid's quads in `region` that samples of a level span."""
     grid = terrain.grid
     stride = grid.stride(level)
     n_rows, n_cols = grid.level_shape(level)

@@ -87,7 +87,7 @@ class ErrorSum:
         return differences
 
     def report(self) -> ErrorReport:
-        """Return what was found so far."""
+        """Return the report so far."""
         worst_row, worst_col = self._worst or (None, None)
         return ErrorReport(
             n_valid=self._n_valid,

@@ -96,7 +96,7 @@ def shared_raster(src: Any, band: int, nodata: float | None) -> RasterPlace:
 
 
 def executor_of(client: Any) -> Executor:
-    """Return what takes tasks: of a dask client its executor; executors as they are."""
+    """Return an executor: that of a dask client, executors as they are."""
     if isinstance(client, Executor):
         return client
     if hasattr(client, "get_executor"):
@@ -276,7 +276,7 @@ class DistributedPasses:
     def _targets(
         self, site: Site, top: Pyramid
     ) -> tuple[Callable[[int, Region], Heights], Callable[[int, Region], Mask]]:
-        """Return what gives targets and validity of small regions of any level."""
+        """Return a reader of targets and validity, for small regions of any level."""
 
         @lru_cache(1)
         def below(level: int, region: Region) -> tuple[Heights, Mask]:

@@ -217,7 +217,7 @@ def compress_to_bytes(
     verify: bool = True,
     threads: int | None = None,
 ) -> bytes:
-    """Return what `compress` would write, as bytes; `Terrain` opens them as it opens a file.
+    """Compress to bytes instead of a file; `Terrain` opens them as it opens a file.
 
     For arrays that fit memory: chunks of a store, cells of a database. The options, the bound and
     the errors are those of `compress`, but that no meshes are made unless they are asked for.

@@ -75,7 +75,7 @@ class Job:
 
     @property
     def lost(self) -> int:
-        """Return what rounding to quanta loses of each height, in quanta, rounded up."""
+        """Return the largest loss by rounding to quanta, in quanta, rounded up."""
         return self.quantizer.lost
 
     @property
@@ -92,7 +92,7 @@ class Job:
 
     @property
     def parameters(self) -> CodecParameters:
-        """Return what all units have in common."""
+        """Return the parameters that all units share."""
         options = self.options
         return CodecParameters.of(
             self.quantizer, self.info.nodata, options.border_rings, options.effort_number

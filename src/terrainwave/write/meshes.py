@@ -122,7 +122,7 @@ def _tolerance(terrain: TerrainFile, mesh_error: float | None) -> int:
 
 
 def _originals(terrain: TerrainFile, original: Any) -> tuple[Originals, Fraction]:
-    """Return what meshes are measured against, and what to add to errors, in quanta."""
+    """Return the heights that meshes are measured against, and the quanta to add to errors."""
     header, level = terrain.header, terrain.n_levels - 1
     rho = Fraction(header.rho) / header.quantum
     if original is None:

@@ -105,7 +105,7 @@ class Options:
 
     @property
     def notes(self) -> list[str]:
-        """Return what a user should know of the options before anything is read."""
+        """Return remarks on options that change nothing."""
         if self.effort == "default" or self.coding.effort:
             return []
         return [f"effort {self.effort} changes nothing: method {self.method} has no efforts"]

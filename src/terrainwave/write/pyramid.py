@@ -261,7 +261,7 @@ class Pyramid:
         )
 
     def _inside(self, shift: int, region: Region | None) -> Region:
-        """Return what of a region of a level lies inside the raster; None: the whole level."""
+        """Return the part of a region of a level inside the raster; None: the whole level."""
         whole = Region(0, 0, *self._shape(shift))
         return whole if region is None else region.intersect(whole)
 

@@ -280,7 +280,7 @@ def mesher_of(
     error_code: Callable[[Block], int],
     part: Callable[[Block], bytes] | None = None,
 ) -> BlockMesher:
-    """Return what makes the meshes of the file."""
+    """Return the mesher of the file."""
     job = site.job
     return BlockMesher(
         site.grid,

@@ -88,7 +88,7 @@ class Layer:
         self.tag = hashlib.sha256(repr((name, self.info.n_bytes, self.info)).encode()).hexdigest()
 
     def describe(self) -> dict[str, object]:
-        """Return what the page shows of the file; no path."""
+        """Describe the file for the page; no path."""
         info, (lowest, highest) = self.info, self.globe.height_range
         return {
             "name": self.name,

@@ -57,7 +57,7 @@ class Adaptive(BoundedMode):
         return self.builder.roots()
 
     def children(self, piece: Piece) -> list[NodeInfo]:
-        """Return what replaces a piece: its next variant, or the blocks one level finer."""
+        """Return the children of a piece: its next variant, or the blocks one level finer."""
         return self.builder.children(piece)
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Patch:

@@ -27,7 +27,7 @@ class Dynamic(WholeMode):
 
     @classmethod
     def preparation(cls, error: str) -> str | None:
-        """Return what takes long before the first picture."""
+        """Name the work before the first picture."""
         return "reading the heights" + (
             " and measuring errors of all nodes" if error == "measured" else ""
         )

@@ -105,7 +105,7 @@ class Mode(ABC):
 
     @classmethod
     def preparation(cls, error: str) -> str | None:
-        """Return what takes long when the mode begins, as "building …"; None if nothing does."""
+        """Name the long work when the mode begins, as "building …"; None if there is none."""
         return None
 
     def close(self) -> None:  # noqa: B027  most modes have nothing to close
@@ -119,13 +119,13 @@ class Mode(ABC):
 
     @abstractmethod
     def children(self, piece: Piece) -> list[NodeInfo]:
-        """Return what replaces a piece, all at once; at most four. Thread-safe."""
+        """Return a piece's children, which replace it all at once; at most four. Thread-safe."""
 
     # In worker threads
 
     @abstractmethod
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Built:
-        """Return what is drawn for a piece. Thread-safe.
+        """Build what is drawn for a piece. Thread-safe.
 
         Raises
         ------
@@ -161,7 +161,7 @@ class Mode(ABC):
         return table.wanted(view, max_blocks, tau, camera)
 
     def spare(self, table: NodeTable, view: View, max_blocks: int) -> NDArray[np.int32]:
-        """Return what else to have in memory once all that is wanted is here."""
+        """Return the pieces to have besides, once all that is wanted is here."""
         return np.empty(0, dtype=np.int32)
 
     @abstractmethod

@@ -92,7 +92,7 @@ class BuiltSamples(NamedTuple):
 
 
 def eye_of(view: View) -> Eye:
-    """Return what errors on screen depend on."""
+    """Return the numbers that errors on screen depend on."""
     return Eye(
         view.camera.eye,
         view.camera.forward,
