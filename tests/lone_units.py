@@ -3,8 +3,9 @@
 import numpy as np
 
 from terrainwave.codec.refiner import GroupSpec, Sides
-from terrainwave.codec.units import CodecParameters, unit_spec
+from terrainwave.codec.units import unit_spec
 from terrainwave.errors import CorruptStreamError
+from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Region
 
 NOT_SHARED = Sides(False, False, False, False)

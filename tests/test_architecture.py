@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from terrainwave.names import METHODS
+
 PACKAGE = Path(__file__).parent.parent / "src" / "terrainwave"
 
-ROOT = {"errors", "progress", "arguments", "_version", "extras"}
+ROOT = {"errors", "progress", "names", "arguments", "_version", "extras"}
 # What each room may import besides itself, in the order of the data's path: rooms above it, and
 # none beside it. Nothing else, within functions neither.
 GRID = ROOT | {"coding", "grid"}
@@ -18,7 +20,8 @@ MAY_IMPORT = {
     "_version": set(),
     "progress": {"errors"},
     "extras": {"errors"},
-    "arguments": {"errors"},
+    "names": set(),
+    "arguments": {"errors", "names"},
     "coding": ROOT,
     "grid": ROOT | {"coding"},
     "codec": GRID,
@@ -101,6 +104,22 @@ def test_private_attributes_stay_in_their_module():
 
 def _is_own(node):
     return isinstance(node, ast.Attribute) and getattr(node.value, "id", "") in ("self", "cls")
+
+
+def test_only_the_table_of_methods_knows_them_by_name():
+    """What a method can do is a property of `names.Method`; nobody asks for its name."""
+    for path in modules():
+        if group_of(path) == "names":
+            continue
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        own = {id(node.value) for node in ast.walk(tree) if _is_name_of_refiner(node)}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and node.value in METHODS and id(node) not in own:
+                raise AssertionError(f"{path.name}:{node.lineno} has the name {node.value!r}")
+
+
+def _is_name_of_refiner(node):
+    return isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "name"
 
 
 def test_files_are_opened_only_at_the_edge():

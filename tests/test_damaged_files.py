@@ -12,13 +12,13 @@ from functools import cache
 import numpy as np
 import pytest
 from container.toys import forge, toy_header
+from containers import open_container
 from hypothesis import given
 from hypothesis import strategies as st
 from strategies import terrain_like
 from twz import twz_bytes
 
 from terrainwave.container.page import empty_page, page_layout
-from terrainwave.container.reader import open_container
 from terrainwave.errors import (
     CorruptStreamError,
     LimitExceededError,

@@ -8,11 +8,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from containers import open_container
 from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
 from terrainwave.container.page import page_layout
-from terrainwave.container.reader import open_container
 from terrainwave.write import compress as compression
 from terrainwave.write import pyramid
 

@@ -10,13 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from containers import open_container
 from rasterio.transform import Affine
 from rasterio.windows import Window
 from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
 from terrainwave.codec.units import unit_spec
-from terrainwave.container.reader import open_container
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidHeightsError,
@@ -758,7 +758,7 @@ def assert_neighbours_agree(data, seed):
         keys = all_keys(grid)
         n_shared = 0
         for index in np.random.default_rng(seed).permutation(len(keys)):
-            spec = unit_spec(grid, terrain.parameters, keys[index])
+            spec = unit_spec(grid, terrain.header.codec_parameters, keys[index])
             unit = decoder.unit(keys[index])
             at = (spec.level, *spec.region.slices_in(Region(0, 0, *terrain.shape)))
             seen = count[at] > 0

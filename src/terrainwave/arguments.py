@@ -3,13 +3,10 @@
 import math
 
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.names import DEFAULT_METHOD, EFFORTS, METHODS, STORED_MESHES
 
-# In the order in which files number them.
-EFFORTS = ("fast", "default", "best")
-# Kinds of meshes, in the order in which files number them.
-MESHES = ("none", "halves", "zerotree", "rqt")
-# Those that files store; "auto" is the first.
-STORED_MESHES = tuple(mesh for mesh in MESHES if mesh != "none")
+# Cells on a side of a block.
+BLOCKS = (32, 64, 128, 256, 512, 1024)
 
 
 def checked_error(name: str, error: float | None) -> float | None:
@@ -29,6 +26,19 @@ def checked_error(name: str, error: float | None) -> float | None:
     if not (math.isfinite(number) and number >= 0):
         raise InvalidHeightsError(f"found {name} {error}, expected a finite number >= 0")
     return number
+
+
+def checked_method(name: str) -> str:
+    """Return the name of the method that a name stands for.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If there is no such method.
+    """
+    if name != "auto" and name not in METHODS:
+        raise InvalidHeightsError(f"found method {name!r}, expected auto, {', '.join(METHODS)}")
+    return DEFAULT_METHOD.name if name == "auto" else name
 
 
 def check_effort(effort: str) -> None:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import EFFORTS
-from terrainwave.codec.units import CodecParameters
+from terrainwave.codec.registry import check_parameters
 from terrainwave.container.codes import decode_error, decode_range
 from terrainwave.container.header import Header
 from terrainwave.container.reader import Container
@@ -18,10 +17,10 @@ from terrainwave.container.source import open_source
 from terrainwave.errors import (
     InvalidHeightsError,
     LimitExceededError,
-    UnsupportedVersionError,
 )
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
+from terrainwave.names import EFFORTS, METHODS, methods_that
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.read.places import region_of_bounds, region_of_window, to_samples
 from terrainwave.read.resample import RESAMPLING, resample
@@ -122,11 +121,7 @@ class TerrainFile:
         try:
             self.container = Container(self._source)
             header = self.container.header
-            if header.parameters and header.method != "predictive":
-                raise UnsupportedVersionError(
-                    f"the file has parameters for method {header.method}, which this terrainwave"
-                    " does not know: install a newer one"
-                )
+            check_parameters(header.method, header.parameters)
             # Null means the same as a key that is missing (FORMAT.md §4.2).
             known = {name: value for name, value in header.metadata.items() if value is not None}
             known |= {"n_rows": header.n_rows, "n_cols": header.n_cols, "dtype": header.dtype}
@@ -136,16 +131,6 @@ class TerrainFile:
             raise
         self.name = source if isinstance(source, str | os.PathLike) else "<bytes>"
         self.grid = header.grid
-        self.quantizer = Quantizer(
-            dtype=header.dtype,
-            numerator=header.quantum.numerator,
-            denominator=header.quantum.denominator,
-            base=header.base,
-            step=header.step,
-            rho=header.rho,
-            z_min=header.z_min,
-            z_max=header.z_max,
-        )
         self._cache_bytes = cache_bytes
         self.n_threads = threads or os.cpu_count() or 1
 
@@ -168,32 +153,12 @@ class TerrainFile:
         self.container.close()
 
     @cached_property
-    def parameters(self) -> CodecParameters:
-        """Return the parameters that all coded units of the file share."""
-        header = self.header
-        return CodecParameters(
-            step=header.step,
-            z_min=header.z_min,
-            z_max=header.z_max,
-            forbidden=self.quantizer.quanta_of_value(self._raster.nodata),
-            rings=header.border_rings,
-            effort=header.effort,
-        )
-
-    @cached_property
     def decoder(self) -> "TreeDecoder":
         """Return the decoder of the file's units, with its cache; heights are in quanta."""
         # Imported when heights are first read: opening a file and `info` need no numba.
         from terrainwave.read.tiles import make_decoder
 
-        return make_decoder(
-            self.header.method,
-            self.header.parameters,
-            self.grid,
-            self.parameters,
-            self.container.payloads,
-            self._cache_bytes,
-        )
+        return make_decoder(self.header, self.container.payloads, self._cache_bytes)
 
     @cached_property
     def _windows(self) -> "WindowReader":
@@ -205,10 +170,13 @@ class TerrainFile:
 
     @property
     def pyramid(self) -> str:
-        """Return of what heights coarse levels are made (`codec.registry.PYRAMIDS`)."""
-        from terrainwave.codec.registry import PYRAMIDS
+        """Return of what heights coarse levels are made (`names.Method.pyramid`)."""
+        return METHODS[self.header.method].pyramid
 
-        return PYRAMIDS[self.header.method]
+    @property
+    def quantizer(self) -> Quantizer:
+        """Return the quantizer of the file's heights."""
+        return self.header.quantizer
 
     @property
     def header(self) -> Header:
@@ -511,9 +479,10 @@ class TerrainFile:
         """
         header, index = self.header, self.level_index(level)
         region = self.region(window, level=level)
-        if header.method != "cdf53":
+        if not METHODS[header.method].is_cuttable:
+            fit = methods_that(lambda method: method.is_cuttable)
             raise InvalidHeightsError(
-                f"found quality and a file of method {header.method}, expected one of method cdf53:"
+                f"found quality and a file of method {header.method}, expected one of method {fit}:"
                 " other streams cannot be read in part"
             )
         if not (np.isfinite(quality) and quality > 0):
@@ -525,7 +494,7 @@ class TerrainFile:
         max_bytes = int(quality * region.n_rows * region.n_cols / 8)
         payloads = EarlyPayloads(self.container, units_of(self.grid, index, region), max_bytes)
         decoder = TileDecoder(
-            self.grid, self.parameters, payloads, self._cache_bytes, are_prefixes=True
+            self.grid, header.codec_parameters, payloads, self._cache_bytes, are_prefixes=True
         )
         heights, valid = self._windows.read(decoder, index, region, on_error)
         heights[~valid] = self._raster.void_value

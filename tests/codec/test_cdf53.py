@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from containers import open_container
 from strategies import terrain_like
 from twz import twz_bytes
 
 from terrainwave.codec import tiles
 from terrainwave.codec.cdf53 import PIECE, decode_tile, encode_tile, plane_cut, unpack_head
 from terrainwave.codec.tiles import TileLayout
-from terrainwave.container.reader import open_container
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TruncatedStreamError
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.terrain import Terrain

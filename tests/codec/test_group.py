@@ -12,8 +12,9 @@ from strategies import valid_masks
 from terrainwave.codec.group import decode_unit, encode_unit, implied_voids
 from terrainwave.codec.refiner import Decoded
 from terrainwave.codec.registry import refiner_by_name
-from terrainwave.codec.units import CodecParameters, block_of_unit, unit_spec
+from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
+from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 
 STORE = refiner_by_name("store")

@@ -15,16 +15,17 @@ from container.toys import (
     toy_payload,
     toy_spools,
 )
+from containers import open_container
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from terrainwave.container.header import HEADER_SIZE
 from terrainwave.container.page import page_layout
 from terrainwave.container.ranges import ByteRange
-from terrainwave.container.reader import Container, open_container
+from terrainwave.container.reader import Container
 from terrainwave.container.source import BufferSource
 from terrainwave.container.spool import SegmentSpool
-from terrainwave.container.writer import assemble, write_file
+from terrainwave.container.writer import assemble
 from terrainwave.errors import StorageError
 from terrainwave.grid.quadtree import Block, Grid
 
@@ -226,7 +227,7 @@ def test_eight_threads_read_what_one_reads():
 def test_a_container_of_a_path_can_be_pickled(tmp_path):
     header = toy_header(300, 300)
     path = tmp_path / "a.twz"
-    write_file(path, header, toy_spools(header.grid, tmp_path))
+    path.write_bytes(toy_file(header))
     with (
         open_container(path) as container,
         pickle.loads(pickle.dumps(container)) as copy,
@@ -238,7 +239,7 @@ def test_a_container_of_a_path_can_be_pickled(tmp_path):
 def test_a_closed_container_says_so(tmp_path):
     header = toy_header()
     path = tmp_path / "a.twz"
-    write_file(path, header, toy_spools(header.grid, tmp_path))
+    path.write_bytes(toy_file(header))
     container = open_container(path)
     container.close()
     container.close()

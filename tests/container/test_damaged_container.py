@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from container.toys import forge, toy_file, toy_header, toy_payload
+from containers import open_container
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -14,7 +15,6 @@ from terrainwave.container.deflate import deflate
 from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import MAGIC
 from terrainwave.container.page import empty_page, pack_columns, pack_page, page_layout
-from terrainwave.container.reader import open_container
 from terrainwave.errors import (
     CorruptStreamError,
     TerrainwaveError,

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from terrainwave.container.header import (
     DTYPE_CODES,
     HEADER_SIZE,
-    METHODS,
     Extents,
     Header,
     pack_header,
@@ -26,6 +25,7 @@ from terrainwave.errors import (
     TruncatedStreamError,
     UnsupportedVersionError,
 )
+from terrainwave.names import METHODS
 
 EXTENTS = Extents(5000, 100, 0xDEADBEEF, 20, 7, 300)
 
@@ -48,7 +48,7 @@ headers = st.builds(
     n_cols=st.integers(1, 2**25),
     block=st.sampled_from([32, 64, 128, 256, 512, 1024]),
     border_rings=st.sampled_from([1, 3]),
-    method=st.sampled_from(METHODS),
+    method=st.sampled_from(list(METHODS)),
     dtype=st.sampled_from(sorted(DTYPE_CODES)),
     effort=st.integers(0, 9),
     quantum=st.builds(Fraction, st.integers(1, 2**20), st.integers(1, 2**62)),

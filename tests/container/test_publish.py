@@ -6,15 +6,14 @@ import signal
 import subprocess
 import sys
 import textwrap
-from pathlib import Path
 
 import pytest
 from container.toys import toy_header, toy_spools
+from containers import open_container
 
 from terrainwave.container import publish as publish_module
 from terrainwave.container.publish import publish, remove_stale_parts, scratch_directory
-from terrainwave.container.reader import open_container
-from terrainwave.container.writer import assemble, write_file
+from terrainwave.container.writer import assemble
 from terrainwave.errors import StorageError
 
 OLD = b"the old file"
@@ -359,14 +358,6 @@ def test_a_part_taken_away_before_its_lock_is_made_again(target, monkeypatch):
         part.file.write(b"new")
     assert len(taken) == 2
     assert target.read_bytes() == b"new"
-
-
-def test_write_file_publishes_a_sound_file(target, tmp_path):
-    header = toy_header(300, 300)
-    extents = write_file(target, header, toy_spools(header.grid, tmp_path), overwrite=True)
-    assert Path(target).stat().st_size == extents.file_size
-    with open_container(target) as container:
-        assert list(container.check()) == []
 
 
 def test_a_scratch_directory_is_removed_at_the_end(tmp_path):

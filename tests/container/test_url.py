@@ -10,10 +10,10 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import numpy as np
 import pytest
 from container.toys import forge, paths_to_corner, toy_file, toy_header, toy_payload
+from containers import open_container
 
 from terrainwave.container.page import empty_page, page_layout
 from terrainwave.container.ranges import ByteRange
-from terrainwave.container.reader import open_container
 from terrainwave.container.source import open_source
 from terrainwave.errors import StorageError, TruncatedStreamError
 from terrainwave.grid.quadtree import Block

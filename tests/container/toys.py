@@ -6,6 +6,8 @@ import zlib
 from dataclasses import replace
 from fractions import Fraction
 
+from containers import open_container
+
 from terrainwave.container.header import Extents, Header, pack_header
 from terrainwave.container.metadata import pack_metadata
 from terrainwave.container.page import (
@@ -14,7 +16,6 @@ from terrainwave.container.page import (
     page_layout,
     page_length,
 )
-from terrainwave.container.reader import open_container
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import assemble
 from terrainwave.grid.quadtree import Block, Grid

@@ -7,7 +7,8 @@ import numpy as np
 
 from terrainwave.render.camera import Camera, Viewport, project
 from terrainwave.render.frustum import frustum_planes
-from terrainwave.tri.dynamic import Eye
+from terrainwave.tri.dynamic import Eye, screen_error
+from terrainwave.tri.haar import N_ROWS
 
 VIEWPORT = Viewport(320, 240)
 NORTH_UP = (1.0, 0.0, 0.0, 0.0, -1.0, 0.0)
@@ -35,6 +36,18 @@ def cameras(shape, n, seed=1):
     return [random_camera(rng, shape) for _ in range(n)]
 
 
+def screen_errors(mesh, eye, height):
+    """The errors on screen of all nodes of a height >= 1, pixels."""
+    tree = mesh.tree
+    errors = np.empty(tuple(tree.layout[height, N_ROWS:].tolist()))
+    view = mesh._view(eye)
+    for row, col in np.ndindex(errors.shape):
+        errors[row, col] = screen_error(
+            height, row, col, tree.layout, tree.z, tree.bounds, view, eye.planes
+        )
+    return errors
+
+
 def roots_of_samples(mesh, eye, tau):
     """The root of each sample (§3.4): the highest node that is good enough, as all below it are."""
     top = mesh.tree.top
@@ -42,7 +55,7 @@ def roots_of_samples(mesh, eye, tau):
     for height in range(1, top + 1):
         below = is_good[height - 1]
         children = [below[r::2, c::2] for r in (0, 1) for c in (0, 1)]
-        good = mesh.screen_errors(eye, height) < tau
+        good = screen_errors(mesh, eye, height) < tau
         is_good[height] = np.logical_and.reduce([good, *children])
     rows, cols = is_good[0].shape
     return {

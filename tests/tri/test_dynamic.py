@@ -9,6 +9,7 @@ from tri.slow_dynamic import (
     eye_of,
     pixel_errors,
     roots_of_samples,
+    screen_errors,
     snapped,
     surfaces_at,
     triangles_of,
@@ -280,7 +281,7 @@ def test_what_heights_are_off_by_counts():
         for base in (0.5, 0.0)
     )
     eye = eye_of(Camera((8, -30, 12), 0, -20, 40))
-    errors, without = (found.screen_errors(eye, 2) for found in (mesh, exact))
+    errors, without = (screen_errors(found, eye, 2) for found in (mesh, exact))
     assert (errors > without).sum() > 4
     assert (errors >= without).all()
 
@@ -358,7 +359,7 @@ def test_children_lie_at_their_parent_when_it_merges():
     heights[1, 1] = 1.0
     mesh = DynamicMesh(heights, sample_matrix=NORTH_UP, patch=4)
     eye = eye_of(Camera((1.5, -40, 20), 0, -25, 40))
-    error = mesh.screen_errors(eye, 1)[0, 0]
+    error = screen_errors(mesh, eye, 1)[0, 0]
     for share in (0.0, 0.25, 1.0):
         # (error − τ/2) / (τ − τ/2) = share
         tau = 2 * error / (1 + share) * (1 - 1e-9)
@@ -377,7 +378,7 @@ def test_errors_on_screen_bound_what_a_step_in_a_box_moves():
     first = int(mesh.tree.layout[1, 0])
     n_checked = 0
     for camera in cameras((16, 16), 20, seed=8):
-        errors = mesh.screen_errors(eye_of(camera), 2)
+        errors = screen_errors(mesh, eye_of(camera), 2)
         for row, col in np.ndindex(4, 4):
             node = int(mesh.tree.layout[2, 0]) + 4 * row + col - first
             error, low, high = mesh.tree.bounds[node]

@@ -6,9 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from tri import slow
 
-from terrainwave.coding.zerotrees import JS, JZTC, JZTR
 from terrainwave.tri import labels
-from terrainwave.tri.labels import TC, TR, S
 
 
 @pytest.mark.parametrize(
@@ -44,7 +42,7 @@ def test_merging_stops_at_two_by_two(shape, height):
     assert labels.top_height(*shape) == height == slow.top_height(shape)
 
 
-def test_labels_of_a_hand_worked_block():
+def test_the_cut_at_the_zero_trees_of_a_hand_worked_block():
     # 5 x 5 samples as Y10 figure 6: one significant finest node, (1, 2); all others as large as
     # they get. Height 1 pairs rows and columns (0 1)(2 3)(4), height 2 (0-3)(4).
     trees = np.array(
@@ -57,15 +55,6 @@ def test_labels_of_a_hand_worked_block():
         ],
         dtype=np.uint8,
     )
-    assert labels.node_labels(trees, 0)[1, 2] == JS
-    assert labels.node_labels(trees, 0)[1, 3] == JZTR
-    assert labels.node_labels(trees, 1).tolist() == [
-        [JZTR, JS, JZTC],
-        [JZTR, JZTR, JZTC],
-        [JZTC, JZTC, JZTC],
-    ]
-    assert labels.node_labels(trees, 2).tolist() == [[JS, JZTR], [JZTR, JZTR]]
-    assert labels.node_labels(trees, 3).tolist() == [[JS]]
     cut = labels.zero_tree_cut(trees, np.zeros((5, 5), dtype=bool))
     assert cut.tolist() == [
         [1, 1, 0, 0, 2],
@@ -74,8 +63,6 @@ def test_labels_of_a_hand_worked_block():
         [1, 1, 1, 1, 2],
         [2, 2, 2, 2, 2],
     ]
-    assert labels.node_states(cut, 1).tolist() == [[TR, S, TC], [TR, TR, TC], [TC, TC, TC]]
-    assert labels.node_states(cut, 2).tolist() == [[S, TR], [TR, TR]]
 
 
 @given(terrain=slow.terrains(), data=st.data())

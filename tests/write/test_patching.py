@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from containers import open_container
 from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.container.reader import open_container
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.terrain import Terrain
 from terrainwave.write.patch import patch

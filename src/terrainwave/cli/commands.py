@@ -12,7 +12,6 @@ from typing import Any
 import click
 
 from terrainwave._version import __version__
-from terrainwave.arguments import EFFORTS, STORED_MESHES
 from terrainwave.cli.options import (
     BlockSide,
     Bound,
@@ -32,10 +31,14 @@ from terrainwave.cli.output import (
     print_table,
     reading,
 )
+from terrainwave.names import DEFAULT_METHOD, EFFORTS, METHODS, STORED_MESHES, Method, methods_that
 
 THREADS = click.IntRange(min=1)
-METHODS = click.Choice(["auto", "predictive", "cdf97", "cdf53", "store"])
-MESHES = click.Choice(["auto", *STORED_MESHES, "none"])
+METHOD = click.Choice(["auto", *METHODS])
+CUTTABLE = methods_that(lambda method: method.is_cuttable)
+_EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if method.effort]
+EFFORT = f"How much is tried: {'; '.join(_EFFORTS)}; the others have one way."
+MESH = click.Choice(["auto", *STORED_MESHES, "none"])
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -64,11 +67,13 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
     help="Largest allowed error, in the raster's vertical unit; 0 is lossless."
     " Default: lossless where the heights have a vertical step, else 0.01.",
 )
-@click.option("--rate", type=Positive(), help="With --method cdf53: bits per sample.")
-@click.option("--psnr", type=Positive(), help="With --method cdf53: decibels to reach.")
-@click.option("--method", type=METHODS, default="auto", show_default=True)
+@click.option("--rate", type=Positive(), help=f"With --method {CUTTABLE}: bits per sample.")
+@click.option("--psnr", type=Positive(), help=f"With --method {CUTTABLE}: decibels to reach.")
+@click.option("--method", type=METHOD, default="auto", show_default=True)
 @click.option("--block", type=BlockSide(), default=256, show_default=True, help="Cells per side.")
-@click.option("--effort", type=click.Choice(EFFORTS), default="default", show_default=True)
+@click.option(
+    "--effort", type=click.Choice(EFFORTS), default="default", show_default=True, help=EFFORT
+)
 @click.option("--nodata", type=Nodata(), help="Replaces the raster's own nodata value.")
 @click.option("--band", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--border-rings", type=click.Choice(["1", "3"]), default="1", show_default=True)
@@ -79,7 +84,7 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
     help="Share the work out to a dask cluster whose workers see SOURCE and TARGET.",
 )
 @click.option("--no-verify", is_flag=True, help="Skip decoding and comparing every sample.")
-@click.option("--mesh", type=MESHES, default="auto", show_default=True, help="Triangulation.")
+@click.option("--mesh", type=MESH, default="auto", show_default=True, help="Triangulation.")
 @click.option("--no-mesh", is_flag=True, help="Same as --mesh none.")
 @click.option(
     "--mesh-error",
@@ -108,9 +113,12 @@ def compress(
     """
     import terrainwave
 
-    _check_goals(options)
-    if scheduler is not None and options["method"] == "cdf53":
-        raise click.UsageError("found --scheduler and --method cdf53, expected one of them")
+    method = METHODS.get(options["method"], DEFAULT_METHOD)
+    _check_goals(method, options)
+    if scheduler is not None and not method.is_clusterable:
+        raise click.UsageError(
+            f"found --scheduler and --method {method.name}, expected one of them"
+        )
     announce_compiling(quiet=quiet)
     with _cluster(scheduler) as client, Bar(quiet=quiet) as bar:
         result = terrainwave.compress(
@@ -129,14 +137,14 @@ def compress(
         _print_result(result)
 
 
-def _check_goals(options: dict[str, Any]) -> None:
+def _check_goals(method: Method, options: dict[str, Any]) -> None:
     """Refuse goals of `compress` that exclude each other."""
     given = [name for name in ("max_error", "rate", "psnr") if options[name] is not None]
     names = " and ".join(f"--{name}".replace("_", "-") for name in given)
     if len(given) > 1:
         raise click.UsageError(f"found {names}, expected one of them")
-    if given and given != ["max_error"] and options["method"] != "cdf53":
-        raise click.UsageError(f"found {names} without --method cdf53, expected --max-error")
+    if given and given != ["max_error"] and not method.is_cuttable:
+        raise click.UsageError(f"found {names} without --method {CUTTABLE}, expected --max-error")
 
 
 def _cluster(scheduler: str | None) -> AbstractContextManager[Any]:
@@ -200,7 +208,7 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
 @click.option(
     "--quality",
     type=Positive(),
-    help="Of a file of method cdf53: read only so many bits per sample.",
+    help=f"Of a file of method {CUTTABLE}: read only so many bits per sample.",
 )
 @click.option("--cog", is_flag=True, help="Make a cloud-optimised GeoTIFF.")
 @click.option(
@@ -271,7 +279,7 @@ def decompress(source: str, target: str, quiet: bool, **options: Any) -> None:
 @click.option(
     "--store", is_flag=True, help="Make a copy of FILE with meshes stored in it; TARGET is a .twz."
 )
-@click.option("--mesh", "kind", type=MESHES, help="With --store: triangulation.")
+@click.option("--mesh", "kind", type=MESH, help="With --store: triangulation.")
 @click.option("--mesh-error", type=Bound(), help="With --store: as for compress.")
 @click.option("--original", help="With --store: the raster, to measure errors against.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")

@@ -10,6 +10,7 @@ import numpy as np
 
 import terrainwave
 from terrainwave.errors import BoundViolationError, StorageError, TerrainwaveError
+from terrainwave.names import PLAIN_METHOD
 from terrainwave.progress import ProgressCallback
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.sink import RasterSink
@@ -185,7 +186,7 @@ def compile_kernels() -> None:
             (whole, -32768, 3.0),
             (broken, None, 0.5),
         ):
-            for method in ("auto", "store"):
+            for method in ("auto", PLAIN_METHOD.name):
                 terrainwave.compress(
                     heights,
                     path,

@@ -5,7 +5,8 @@ from typing import Any
 
 import click
 
-BLOCKS = (32, 64, 128, 256, 512, 1024)
+from terrainwave.arguments import BLOCKS
+
 TILE_SIZES = tuple(2**n + 1 for n in range(1, 15))
 
 

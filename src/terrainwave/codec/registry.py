@@ -1,18 +1,16 @@
-"""The refiners by name; each is imported when it is asked for."""
+"""The refiners by the names of their methods; each is imported when it is asked for."""
+
+from importlib import import_module
 
 from terrainwave.codec.refiner import Refiner
-from terrainwave.errors import InvalidHeightsError, UnsupportedVersionError
-
-METHODS = ("predictive", "cdf97", "cdf53", "store")
-# Of what heights each method makes coarse levels (`pyramid.Pyramid`).
-PYRAMIDS = {"predictive": "nested", "cdf97": "lowpass", "cdf53": "lowpass53", "store": "nested"}
-DEFAULT_METHOD = "predictive"
+from terrainwave.errors import UnsupportedVersionError
+from terrainwave.names import METHODS
 
 
 def refiner_by_name(name: str, parameters: bytes = b"") -> Refiner:
     """Return the refiner of a file's method, with the `parameters` of its header.
 
-    Method cdf53 has none: its units are tiles (`codec.tiles`).
+    Methods of tiles have none (`names.Method.is_tiled`).
 
     Raises
     ------
@@ -21,39 +19,30 @@ def refiner_by_name(name: str, parameters: bytes = b"") -> Refiner:
     CorruptStreamError
         If the parameters contradict FORMAT.md.
     """
-    if name == "predictive":
-        from terrainwave.codec.predictive import Predictive
+    if name not in METHODS:
+        raise UnsupportedVersionError(
+            f"the file uses method {name!r}; this terrainwave has {', '.join(METHODS)}:"
+            " install a newer one"
+        )
+    method = METHODS[name]
+    check_parameters(name, parameters)
+    assert method.refiner is not None, f"method {name} codes tiles"
+    module, kind = method.refiner.split(".")
+    made = getattr(import_module(f"terrainwave.codec.{module}"), kind)
+    refiner: Refiner = made(parameters) if method.has_parameters else made()
+    return refiner
 
-        return Predictive(parameters)
-    if parameters and name in METHODS:
+
+def check_parameters(name: str, parameters: bytes) -> None:
+    """Refuse parameters of a method that has none.
+
+    Raises
+    ------
+    UnsupportedVersionError
+        If there are.
+    """
+    if parameters and not METHODS[name].has_parameters:
         raise UnsupportedVersionError(
             f"the file has parameters for method {name}, which this terrainwave does not know:"
             " install a newer one"
         )
-    if name == "store":
-        from terrainwave.codec.store import Store
-
-        return Store()
-    if name == "cdf97":
-        from terrainwave.codec.cdf97 import Cdf97
-
-        return Cdf97()
-    raise UnsupportedVersionError(
-        f"the file uses method {name!r}; this terrainwave has {', '.join(METHODS)}:"
-        " install a newer one"
-    )
-
-
-def check_method(name: str) -> str:
-    """Return `name` if it can be encoded with; ``"auto"`` becomes the default.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If there is no such method.
-    """
-    if name == "auto":
-        return DEFAULT_METHOD
-    if name not in METHODS:
-        raise InvalidHeightsError(f"found method {name!r}, expected auto, {', '.join(METHODS)}")
-    return name

@@ -3,22 +3,9 @@
 Their keys are those of `Grid.root_keys` and the parents of groups.
 """
 
-from dataclasses import dataclass
-
 from terrainwave.codec.refiner import Decoded, GroupSpec, Sides
+from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
-
-
-@dataclass(frozen=True)
-class CodecParameters:
-    """What all units of a file have in common; fields as in `GroupSpec`."""
-
-    step: int
-    z_min: int
-    z_max: int
-    forbidden: tuple[int, int]
-    rings: int
-    effort: int
 
 
 def unit_core(grid: Grid, key: Block) -> Region:

@@ -6,21 +6,24 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cached_property
 
-from terrainwave.arguments import MESHES
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidHeightsError,
     TruncatedStreamError,
     UnsupportedVersionError,
 )
+from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
+from terrainwave.grid.quantum import Quantizer
+from terrainwave.names import MESHES, METHODS
 
 MAGIC = b"\x89TWZ\r\n\x1a\n"  # as PNG's: a text-mode or 7-bit copy damages it visibly
 FORMAT_VERSION = 1
 HEADER_SIZE = 128
 
-METHODS = ("store", "cdf97", "predictive", "cdf53")
+_METHOD_NAMES = {method.number: method.name for method in METHODS.values()}
 # Codes 2 (int8) and 5 (uint32) are reserved.
 DTYPE_CODES = {"uint8": 1, "uint16": 3, "int16": 4, "int32": 6, "float32": 7, "float64": 8}
 KNOWN_FEATURES = 0
@@ -57,7 +60,7 @@ class Header:
     border_rings : int
         1 or 3 (DESIGN §3.3).
     method : str
-        One of `METHODS`.
+        One of `names.METHODS`.
     dtype : str
         Data type of the source and of `read`, one of `DTYPE_CODES`.
     effort : int
@@ -74,7 +77,7 @@ class Header:
     max_error, effective_bound, rho : float
         The bound asked for, the bound that holds, the share of it lost to rounding; raw units.
     mesh : str
-        The triangulation of every block, one of `MESHES`.
+        The triangulation of every block, one of `names.MESHES`.
     mesh_tolerance : int
         Its tolerance on the finest level, in 1/16 quanta; 0 without meshes.
     features : int
@@ -110,6 +113,28 @@ class Header:
     def grid(self) -> Grid:
         """Return the quadtree over the raster."""
         return Grid(self.n_rows, self.n_cols, self.block)
+
+    @cached_property
+    def quantizer(self) -> Quantizer:
+        """Return the quantizer of the file's heights."""
+        return Quantizer(
+            dtype=self.dtype,
+            numerator=self.quantum.numerator,
+            denominator=self.quantum.denominator,
+            base=self.base,
+            step=self.step,
+            rho=self.rho,
+            z_min=self.z_min,
+            z_max=self.z_max,
+        )
+
+    @cached_property
+    def codec_parameters(self) -> CodecParameters:
+        """Return the parameters that all coded units of the file share."""
+        nodata = self.metadata.get("nodata")
+        # A string stands for NaN or an infinity, which no quantum gives.
+        number = nodata if isinstance(nodata, int | float) else None
+        return CodecParameters.of(self.quantizer, number, self.border_rings, self.effort)
 
 
 @dataclass(frozen=True)
@@ -163,7 +188,7 @@ def pack_header(header: Header, extents: Extents) -> bytes:
         header.n_cols,
         header.block.bit_length() - 1,
         header.border_rings,
-        METHODS.index(header.method),
+        METHODS[header.method].number,
         DTYPE_CODES[header.dtype],
         header.effort,
         MESHES.index(header.mesh),
@@ -230,7 +255,7 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
         raise UnsupportedVersionError("a reserved field of the header is not 0")
     if not MIN_BLOCK_LOG2 <= block_log2 <= MAX_BLOCK_LOG2:
         raise CorruptStreamError(f"log2 of the block size is {block_log2}, not 5 ... 10 (byte 32)")
-    if method >= len(METHODS):
+    if method not in _METHOD_NAMES:
         raise UnsupportedVersionError(f"unknown method {method} (byte 34)")
     if mesh >= len(MESHES):
         raise UnsupportedVersionError(f"unknown mesh {mesh} (byte 37)")
@@ -246,7 +271,7 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
         n_cols=n_cols,
         block=1 << block_log2,
         border_rings=rings,
-        method=METHODS[method],
+        method=_METHOD_NAMES[method],
         dtype=names[dtype],
         effort=effort,
         quantum=Fraction(numerator, denominator),

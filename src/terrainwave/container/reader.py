@@ -24,7 +24,7 @@ from terrainwave.container.page import (
 from terrainwave.container.ranges import ByteRange
 from terrainwave.container.rounds import RoundReader
 from terrainwave.container.segment import Segment, page_and_payloads, segment_of_page
-from terrainwave.container.source import ByteSource, SourceLike, open_source
+from terrainwave.container.source import ByteSource
 from terrainwave.errors import CorruptStreamError, TerrainwaveError, TruncatedStreamError
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
 
@@ -399,16 +399,6 @@ class Container:
 
     def __reduce__(self) -> tuple[type["Container"], tuple[ByteSource, int]]:
         return Container, (self.source, self._cached_segments)
-
-
-def open_container(source: SourceLike) -> Container:
-    """Return a `Container` of a path, URL, bytes or binary file object (see `open_source`)."""
-    opened = open_source(source)
-    try:
-        return Container(opened)
-    except BaseException:
-        opened.close()
-        raise
 
 
 def _payload_places(

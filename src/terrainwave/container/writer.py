@@ -1,6 +1,5 @@
 """Put a file together from its segments (FORMAT.md §3.2)."""
 
-import os
 import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,7 +22,6 @@ from terrainwave.container.page import (
     page_length,
     with_first_child,
 )
-from terrainwave.container.publish import publish
 from terrainwave.container.spool import SegmentSpool, storage_errors
 from terrainwave.grid.quadtree import Block, Grid
 
@@ -202,14 +200,3 @@ def _page(grid: Grid, layout: PageLayout, spool: SegmentSpool, children: list[_P
         child_page_lengths=np.array([part.page_length for part in children], dtype=np.uint32),
         child_lengths=np.array([part.length for part in children], dtype=np.uint64),
     )
-
-
-def write_file(
-    target: str | os.PathLike[str], header: Header, spools: Spools, overwrite: bool = False
-) -> Extents:
-    """Write a whole file to the path `target`, which appears complete or not at all.
-
-    For a proof before it appears, use `publish` and `assemble` themselves.
-    """
-    with publish(target, overwrite) as part:
-        return assemble(part.file, header, spools)

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-MAX_ROOTS_PER_SIDE = 1
 ROOT_LEVEL = -1
 SEGMENT_LEVELS = 4
 
@@ -87,7 +86,7 @@ class Grid:
     def __post_init__(self) -> None:
         cells = max(self.n_rows, self.n_cols) - 1
         k_max = 0
-        while _ceil_shift(cells, k_max) > MAX_ROOTS_PER_SIDE * self.block:
+        while _ceil_shift(cells, k_max) > self.block:
             k_max += 1
         object.__setattr__(self, "k_max", k_max)
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from terrainwave.codec.group import decode_unit
 from terrainwave.codec.refiner import Decoded, Heights, Mask, Refiner
-from terrainwave.codec.units import CodecParameters, block_of_unit, unit_spec
+from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
+from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region, morton
 
 # Payloads held between being fetched and being decoded.

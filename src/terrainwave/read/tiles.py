@@ -9,9 +9,12 @@ from terrainwave.codec.cdf53 import LevelHeights, decode_tile
 from terrainwave.codec.refiner import Decoded
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.tiles import TileLayout
-from terrainwave.codec.units import CodecParameters, unit_spec
+from terrainwave.codec.units import unit_spec
+from terrainwave.container.header import Header
 from terrainwave.errors import CorruptStreamError
+from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.names import METHODS
 from terrainwave.read.decoder import TreeDecoder, UnitCache, unit_name
 
 Tile = list[LevelHeights]
@@ -91,18 +94,13 @@ class TileDecoder(TreeDecoder):
 
 
 def make_decoder(
-    method: str,
-    section: bytes,
-    grid: Grid,
-    parameters: CodecParameters,
-    payloads: Callable[[Sequence[Block]], list[bytes]],
-    cache_bytes: int,
+    header: Header, payloads: Callable[[Sequence[Block]], list[bytes]], cache_bytes: int
 ) -> TreeDecoder:
-    """Return the decoder of a file's method; `section` holds the method's own parameters."""
-    if method == "cdf53":
-        return TileDecoder(grid, parameters, payloads, cache_bytes)
-    refiner = refiner_by_name(method, section)
-    return TreeDecoder(grid, refiner, parameters, payloads, cache_bytes)
+    """Return the decoder of a file that has this header."""
+    if METHODS[header.method].is_tiled:
+        return TileDecoder(header.grid, header.codec_parameters, payloads, cache_bytes)
+    refiner = refiner_by_name(header.method, header.parameters)
+    return TreeDecoder(header.grid, refiner, header.codec_parameters, payloads, cache_bytes)
 
 
 def _n_bytes(tile: Tile) -> int:

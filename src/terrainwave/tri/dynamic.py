@@ -294,18 +294,6 @@ class DynamicMesh:
         fill_root_heights(self.tree.layout, self.marks, self._stack, found)
         return found
 
-    def screen_errors(self, eye: Eye, height: int) -> NDArray[np.float64]:
-        """Return the errors on screen of all nodes of a height >= 1, pixels."""
-        tree = self.tree
-        shape = tuple(tree.layout[height, N_ROWS:].tolist())
-        errors = np.empty(shape)
-        view = self._view(eye)
-        for row, col in np.ndindex(shape):
-            errors[row, col] = screen_error(
-                height, row, col, tree.layout, tree.z, tree.bounds, view, eye.planes
-            )
-        return errors
-
 
 # Errors on screen
 

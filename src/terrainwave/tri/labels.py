@@ -20,9 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.coding.zerotrees import JS, JZTC, JZTR
-
-S, TR, TC = 0, 1, 2
 
 Trees = NDArray[np.uint8]
 Cut = NDArray[np.uint8]
@@ -67,26 +64,6 @@ def second_child(first, n, height):
     """Return the first sample of the second child along an axis; `first` itself if it has one."""
     second = first + (1 << (height - 1))
     return second if first < n - 1 and second < n - 1 else first
-
-
-def node_labels(trees: Trees, height: int) -> NDArray[np.uint8]:
-    """Return JZTR, JS or JZTC of all nodes of a height, as the codec's node grids lie.
-
-    There the last row and column are not nodes of their own (`coding.zerotrees`).
-    """
-    first = trees[:: 1 << height, :: 1 << height].astype(np.int64)
-    significant = first == 0 if height == 0 else first <= height
-    labels = np.where(first == height + 1, JZTR, JZTC)
-    return np.where(significant, JS, labels).astype(np.uint8)
-
-
-def node_states(cut: Cut, height: int) -> NDArray[np.uint8]:
-    """Return S, TR or TC of all nodes of a height."""
-    n_rows, n_cols = cut.shape
-    rows = [first_sample(i, n_rows, height) for i in range(axis_nodes(n_rows, height))]
-    cols = [first_sample(j, n_cols, height) for j in range(axis_nodes(n_cols, height))]
-    found = cut[np.ix_(rows, cols)]
-    return np.where(found < height, S, np.where(found == height, TR, TC)).astype(np.uint8)
 
 
 def void_edges(mask: NDArray[np.bool_]) -> Keep:

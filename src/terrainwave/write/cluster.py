@@ -18,7 +18,6 @@ from typing import Any, TypeVar
 import numpy as np
 
 from terrainwave.codec.refiner import FittingRefiner, Heights, Mask, Refiner
-from terrainwave.codec.registry import PYRAMIDS, refiner_by_name
 from terrainwave.container.depot import Depot, StoredSegment
 from terrainwave.container.page import N_CODES
 from terrainwave.container.sink import SpoolSink
@@ -176,12 +175,12 @@ class DistributedPasses:
             count(region.n_rows * region.n_cols)
         return whole
 
-    def encode(self, job: Job, method: str) -> Coded:
+    def encode(self, job: Job) -> Coded:
         """Code all units; segments below the tasks' blocks are stored in the depot."""
-        site = Site(self.raster, self.depot, job, self.level, method)
+        site = Site(self.raster, self.depot, job, self.level)
         top = self._top_pyramid(site)
         try:
-            refiner = refiner_by_name(method)
+            refiner = site.refiner()
             if isinstance(refiner, FittingRefiner) and job.n_valid:
                 refiner = refiner.fitted(job.grid, job.parameters.step, *self._targets(site, top))
                 site = replace(site, tables=refiner.parameters)
@@ -196,15 +195,15 @@ class DistributedPasses:
         codes = _TopCodes(site, sink, found)
         codes.set({})
         segments = found.segments
-        if job.mesh != "none":
+        if job.options.mesh != "none":
             segments = self._mesh(site, refiner, codes)
         n_bytes = sink.n_bytes + found.n_bytes + len(site.tables)
-        return Coded(method, site.tables, {**sink.spools, **segments}, n_bytes, job)
+        return Coded(site.tables, {**sink.spools, **segments}, n_bytes, job)
 
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
         """Decode the file from disk and compare every sample; return the largest error."""
         assert not isinstance(path, bytes)  # what has a client is written to disk
-        site = Site(self.raster, self.depot, job, self.level, "store")
+        site = Site(self.raster, self.depot, job, self.level)
         count = self._counter("proving")
         tasks = {region: (site, os.path.abspath(path), region) for region in self._own_regions()}
         largest = 0.0
@@ -233,7 +232,7 @@ class DistributedPasses:
             self.source,
             site.job.quantizer,
             site.grid,
-            kind=PYRAMIDS[site.method],
+            kind=site.job.options.coding.pyramid,
             has_voids=site.job.has_voids,
             directory=self.directory,
             executor=self.executor,
@@ -335,7 +334,7 @@ class DistributedPasses:
         )
         sink.set_meshes(sections)
         self._store_top(site, TOP, sink)
-        rounds = self._agree(site) if job.mesh in STORED_KINDS else {}
+        rounds = self._agree(site) if job.options.mesh in STORED_KINDS else {}
         count = self._counter("measuring meshes")
         tasks = {head: (site, head, rounds.get(head)) for head in grid.blocks(site.level)}
         segments: dict[Block | None, StoredSegment] = {}

@@ -7,25 +7,20 @@ disk with the ordinary decoder and compares every sample. Memory stays flat in a
 
 import io
 import os
-import sys
 import tempfile
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import closing
-from dataclasses import dataclass, field, replace
-from fractions import Fraction
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
 
-from terrainwave.arguments import EFFORTS, check_effort, check_threads, checked_error, checked_mesh
-from terrainwave.codec.registry import check_method
 from terrainwave.container.depot import Depot
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.quadtree import Grid
-from terrainwave.grid.quantum import HeightScan, Quantizer, as_fraction
+from terrainwave.names import PLAIN_METHOD
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.cluster import (
     TASK_SAMPLES,
@@ -34,105 +29,10 @@ from terrainwave.write.cluster import (
     shared_raster,
     task_level,
 )
-from terrainwave.write.job import Job, scale_of
+from terrainwave.write.job import settled
 from terrainwave.write.local import LocalPasses, smaller
+from terrainwave.write.options import Options
 from terrainwave.write.subtrees import RasterPlace
-
-DEFAULT_MAX_ERROR = 0.01
-BLOCKS = (32, 64, 128, 256, 512, 1024)
-# Heights on no grid are rounded to their range / 2^18 or so before a stream of them is cut.
-_FINE_BITS = 18
-
-
-@dataclass(frozen=True)
-class Options:
-    """Checked options of `compress`; errors are raised where they are made."""
-
-    max_error: float | None
-    rate: float | None
-    psnr: float | None
-    method: str
-    block: int
-    effort: int
-    border_rings: int
-    mesh: str
-    mesh_error: float | None
-    verify: bool
-    n_threads: int
-
-    @property
-    def is_embedded(self) -> bool:
-        """Say whether streams are cut by size or mean error, not by a bound."""
-        return self.rate is not None or self.psnr is not None
-
-    @classmethod
-    def checked(
-        cls,
-        max_error: float | None,
-        rate: float | None,
-        psnr: float | None,
-        method: str,
-        block: int,
-        effort: str,
-        border_rings: int,
-        mesh: str,
-        mesh_error: float | None,
-        verify: bool,
-        threads: int | None,
-    ) -> "Options":
-        """Return the options, or raise `InvalidHeightsError` naming what was found and expected."""
-        bound = checked_error("max_error", max_error)
-        method = check_method(method)
-        _check_embedded(max_error, rate, psnr, method)
-        if block not in BLOCKS:
-            raise InvalidHeightsError(
-                f"found block {block}, expected one of {', '.join(map(str, BLOCKS))}"
-            )
-        check_effort(effort)
-        if border_rings not in (1, 3):
-            raise InvalidHeightsError(f"found border_rings {border_rings}, expected 1 or 3")
-        if border_rings != 1 and method == "cdf53":
-            raise InvalidHeightsError(
-                f"found border_rings {border_rings} and method cdf53, expected border_rings 1"
-            )
-        kind = checked_mesh(mesh, or_none=True)
-        check_threads(threads)
-        return cls(
-            max_error=bound,
-            rate=rate,
-            psnr=psnr,
-            method=method,
-            block=block,
-            effort=EFFORTS.index(effort),
-            border_rings=border_rings,
-            mesh=kind,
-            mesh_error=checked_error("mesh_error", mesh_error),
-            verify=verify,
-            n_threads=threads or os.cpu_count() or 1,
-        )
-
-
-def _check_embedded(
-    max_error: float | None, rate: float | None, psnr: float | None, method: str
-) -> None:
-    """Raise `InvalidHeightsError` unless at most one of three goals is given, and fits."""
-    goals = {"max_error": max_error, "rate": rate, "psnr": psnr}
-    given = [name for name, goal in goals.items() if goal is not None]
-    if len(given) > 1:
-        raise InvalidHeightsError(
-            f"found {' and '.join(given)}, expected one of them: a stream is cut in one place"
-        )
-    for name in ("rate", "psnr"):
-        goal = checked_error(name, goals[name])
-        if goal is None:
-            continue
-        if goal == 0:
-            raise InvalidHeightsError(f"found {name} 0, expected a number > 0")
-        if method != "cdf53":
-            raise InvalidHeightsError(
-                f"found {name} and method {method}, expected method cdf53: the others keep a bound"
-                " (max_error) instead"
-            )
 
 
 @dataclass(frozen=True)
@@ -175,7 +75,7 @@ def compress(
     threads: int | None = None,
     overwrite: bool = False,
     client: Any = None,
-    task_samples: int = TASK_SAMPLES,
+    task_samples: int | None = None,
     progress: ProgressCallback | None = None,
 ) -> CompressResult:
     """Compress a raster to a .twz file in which every valid sample is within `max_error`.
@@ -202,7 +102,8 @@ def compress(
     block : int
         Cells per side of a block: 32, 64, … 1024.
     effort : str
-        ``"fast"``, ``"default"`` or ``"best"``.
+        ``"fast"``, ``"default"`` or ``"best"``: how many ways of coding methods predictive and
+        cdf97 try. The others have one.
     nodata : float, optional
         Replaces the raster's own nodata value.
     band : int, optional
@@ -230,8 +131,8 @@ def compress(
     client : dask.distributed.Client or concurrent.futures.Executor, optional
         Shares the work out: to the workers of a cluster, which must be able to read the path `src`
         and `dst`. The bytes are the same. Not with method cdf53.
-    task_samples : int
-        With `client`: samples that a task has at least.
+    task_samples : int, optional
+        With `client`: samples that a task has at least, by default 4096 x 4096.
     progress : callable, optional
         Called with a `Progress` now and then, from one thread at a time.
 
@@ -250,31 +151,35 @@ def compress(
     -----
     O(n_rows * n_cols) time; memory O(threads * block^2 * levels), whatever the size of the raster.
     """
-    options = Options.checked(
-        max_error,
-        rate,
-        psnr,
-        method,
-        block,
-        effort,
-        border_rings,
-        mesh,
-        mesh_error,
-        verify,
-        threads,
+    options = Options(
+        max_error=max_error,
+        rate=rate,
+        psnr=psnr,
+        method=method,
+        block=block,
+        effort=effort,
+        border_rings=border_rings,
+        mesh=mesh,
+        mesh_error=mesh_error,
+        verify=verify,
+        threads=threads,
     )
     cluster = None
     if client is not None:
-        if options.method == "cdf53":
+        if not options.coding.is_clusterable:
             raise InvalidHeightsError(
-                "found method cdf53 and a client, expected another method: only one machine codes"
-                " the tiles of cdf53"
+                f"found method {options.method} and a client, expected another method: only one"
+                f" machine codes the tiles of {options.method}"
             )
         is_remote = temp_dir is not None and "://" in os.fspath(temp_dir)
         raster = shared_raster(src, band, nodata)
         url = temp_dir if is_remote else None
-        cluster = _Cluster(executor_of(client), raster, url, task_samples)
+        cluster = _Cluster(executor_of(client), raster, url, task_samples or TASK_SAMPLES)
         temp_dir = None if is_remote else temp_dir
+    elif task_samples is not None:
+        raise InvalidHeightsError(
+            f"found task_samples {task_samples} without a client, expected both or none of them"
+        )
     refuse_own_source(src, dst)
     with (
         publish(dst, overwrite=overwrite) as part,
@@ -296,7 +201,7 @@ def compress(
         measured_error=written.measured_error,
         units=source.info.units,
         method=written.method,
-        notes=[*source.notes, *written.notes],
+        notes=[*options.notes, *source.notes, *written.notes],
     )
 
 
@@ -317,8 +222,14 @@ def compress_to_bytes(
     For arrays that fit memory: chunks of a store, cells of a database. The options, the bound and
     the errors are those of `compress`, but that no meshes are made unless they are asked for.
     """
-    options = Options.checked(
-        max_error, None, None, method, block, effort, 1, mesh, None, verify, threads
+    options = Options(
+        max_error=max_error,
+        method=method,
+        block=block,
+        effort=effort,
+        mesh=mesh,
+        verify=verify,
+        threads=threads,
     )
     file = io.BytesIO()
     with (
@@ -357,35 +268,22 @@ def _write(
     with ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor:
         with closing(_passes(source, grid, directory, executor, reporter, cluster)) as passes:
             scan = passes.scan()
-            bound, quantizer, notes = _settled(options, scan, source.info)
-            job = Job(
-                info=source.info,
-                quantizer=quantizer,
-                grid=grid,
-                bound=bound,
-                effort=options.effort,
-                border_rings=options.border_rings,
-                mesh=options.mesh,
-                mesh_error=options.mesh_error,
-                n_valid=scan.n_valid,
-                rate=options.rate,
-                psnr=options.psnr,
-            )
-            coded = passes.encode(job, options.method)
+            job, notes = settled(options, scan, source.info)
+            coded = passes.encode(job)
             is_large = coded.n_bytes > source.info.n_bytes and not options.is_embedded
-            if is_large and options.method != "store":
-                coded = smaller(coded, passes.encode(job, "store"))
-                if coded.method == "store":
+            if is_large and options.coding != PLAIN_METHOD:
+                coded = smaller(coded, passes.encode(job.with_method(PLAIN_METHOD)))
+                if coded.job.options.coding == PLAIN_METHOD:
                     notes.append("the heights do not compress: stored as they are")
             job = coded.job
-            assemble(file, job.header(coded.method, coded.parameters), coded.segments)
+            assemble(file, job.header(coded.parameters), coded.segments)
             measured = None
             if options.verify:
                 measured = passes.prove(path or cast(io.BytesIO, file).getvalue(), job)
             coded.close()
     scale = abs(source.info.scale)
     return _Written(
-        method=coded.method,
+        method=job.options.method,
         max_error=float(job.bound),
         effective_error=min(job.effective_error * scale, float(job.bound)),
         measured_error=None if measured is None else measured * scale,
@@ -434,78 +332,3 @@ def _depot_root(url: str | os.PathLike[str] | None, directory: Path) -> str:
     depot = directory.absolute() / "depot"
     depot.mkdir()
     return str(depot)
-
-
-def _settled(
-    options: Options, scan: HeightScan, info: RasterInfo
-) -> tuple[Fraction, Quantizer, list[str]]:
-    """Return the bound in physical units, the quantizer, and what a user should know of them."""
-    bound, notes = Fraction(0), list[str]()
-    if options.is_embedded:
-        quantizer = _fine_quantizer(scan)
-    else:
-        bound, notes = _choose_bound(options.max_error, scan, info)
-        quantizer = scan.quantizer(_raw_bound(bound, info))
-    if options.method == "cdf53":
-        quantizer = _with_room_for_nodata(quantizer, info)
-    return bound, quantizer, notes
-
-
-def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:
-    """Return a bound in the units of stored values."""
-    raw_bound = bound / scale_of(info)
-    if raw_bound > sys.float_info.max:
-        raise InvalidHeightsError(
-            f"found max_error {float(bound):g} and a raster whose scale is {info.scale:g}, expected"
-            " a max_error that is a finite number of its stored units"
-        )
-    return raw_bound
-
-
-def _with_room_for_nodata(quantizer: Quantizer, info: RasterInfo) -> Quantizer:
-    """Return a quantizer whose bound still holds where a height gives way to the nodata value.
-
-    Method cdf53 moves it past all quanta of that value, to one side (format-cdf53.md, C.6).
-    """
-    first, last = quantizer.quanta_of_value(info.nodata)
-    room = last - first + 1
-    half = quantizer.step >> 1
-    return replace(quantizer, step=2 * max(half - room, 0) + 1) if room > 0 else quantizer
-
-
-def _fine_quantizer(scan: HeightScan) -> Quantizer:
-    """Return a quantizer for heights whose error is not chosen by a bound.
-
-    The vertical quantum where there is one, else one far below what a cut stream tells.
-    """
-    if scan.true_quantum() is not None:
-        try:
-            return scan.quantizer(Fraction(0))
-        except InvalidHeightsError:  # the range takes more than 30 bits of it
-            pass
-    error = (as_fraction(scan.maximum) - as_fraction(scan.minimum)) / (1 << _FINE_BITS)
-    for _ in range(_FINE_BITS):
-        try:
-            return scan.quantizer(error)
-        except InvalidHeightsError:
-            error *= 2
-    return scan.quantizer(error)
-
-
-def _choose_bound(
-    max_error: float | None, scan: HeightScan, info: RasterInfo
-) -> tuple[Fraction, list[str]]:
-    if max_error is not None:
-        return as_fraction(max_error), []
-    p = scan.true_quantum()
-    unit = info.units or "(unit unknown)"
-    if p is not None:
-        physical = float(p * scale_of(info))
-        return Fraction(0), [
-            f"no --max-error given: lossless, as all heights are multiples of {physical:g} {unit};"
-            " --max-error E makes the file smaller"
-        ]
-    return as_fraction(DEFAULT_MAX_ERROR), [
-        f"no --max-error given: {DEFAULT_MAX_ERROR} {unit}, as the heights lie on no vertical grid;"
-        " choose with --max-error E"
-    ]

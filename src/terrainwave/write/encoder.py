@@ -12,12 +12,9 @@ from typing import NamedTuple, Protocol
 
 from terrainwave.codec.group import encode_unit
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
-from terrainwave.codec.units import (
-    CodecParameters,
-    block_of_unit,
-    unit_spec,
-)
+from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.grid.measure import BlockStats, measure_block, measure_samples
+from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.write.pyramid import Pyramid
 

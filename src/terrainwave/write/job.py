@@ -1,17 +1,27 @@
-"""What every pass over a raster has to know, and the header that follows from it."""
+"""`Job`: what every pass over a raster has to know, and the header that follows from it.
+
+`settled` makes it of `Options` and of what a scan has found.
+"""
 
 import math
+import sys
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from terrainwave._version import __version__
-from terrainwave.codec.units import CodecParameters
 from terrainwave.container.header import Header
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
-from terrainwave.grid.quantum import Quantizer, as_fraction
+from terrainwave.grid.quantum import HeightScan, Quantizer, as_fraction
 from terrainwave.mesh.blocks import mesh_tolerance
+from terrainwave.names import Method
 from terrainwave.raster_io.info import RasterInfo
+from terrainwave.write.options import Options
+
+DEFAULT_MAX_ERROR = 0.01
+# Heights on no grid are rounded to their range / 2^18 or so before a stream of them is cut.
+_FINE_BITS = 18
 
 
 @dataclass(frozen=True)
@@ -20,37 +30,23 @@ class Job:
 
     Attributes
     ----------
+    options : Options
+        What was asked for.
     bound : Fraction
-        The bound asked for, in physical units; of an embedded file 0 until it has been measured.
-    effort, border_rings, mesh : int, int, str
-        As in the file's header.
-    mesh_error : float, optional
-        As in `compress`.
+        The bound that follows, in physical units; of an embedded file 0 until it has been measured.
     n_valid : int
         Samples of the raster that are valid.
-    rate, psnr : float, optional
-        As in `compress`.
     measured : float, optional
         The error of an embedded file, once it is known; in raw units.
     """
 
+    options: Options
     info: RasterInfo
-    quantizer: Quantizer
     grid: Grid
     bound: Fraction
-    effort: int
-    border_rings: int
-    mesh: str
-    mesh_error: float | None
+    quantizer: Quantizer
     n_valid: int
-    rate: float | None = None
-    psnr: float | None = None
     measured: float | None = None
-
-    @property
-    def is_embedded(self) -> bool:
-        """Say whether streams are cut by size or mean error, not by a bound."""
-        return self.rate is not None or self.psnr is not None
 
     @property
     def effective_error(self) -> float:
@@ -62,6 +58,10 @@ class Job:
         # That of a bounded file whose steps have this half.
         measured = replace(self.quantizer, step=2 * error + 1).effective_error
         return replace(self, measured=measured, bound=as_fraction(measured) * scale_of(self.info))
+
+    def with_method(self, method: Method) -> "Job":
+        """Return the job with another method; all that is settled stays."""
+        return replace(self, options=replace(self.options, method=method.name))
 
     @property
     def has_voids(self) -> bool:
@@ -82,30 +82,25 @@ class Job:
     def mesh_tolerance(self) -> int:
         """Return the tolerance of the finest meshes in 1/16 quanta, rounded down; 0 without."""
         quantizer = self.quantizer
-        if self.mesh == "none":
+        if self.options.mesh == "none":
             return 0
-        if self.mesh_error is None:
+        if self.options.mesh_error is None:
             error = max(Fraction(self.effective_error), Fraction(quantizer.quantum))
         else:
-            error = as_fraction(self.mesh_error) / scale_of(self.info)
+            error = as_fraction(self.options.mesh_error) / scale_of(self.info)
         return mesh_tolerance(error, Fraction(quantizer.numerator, quantizer.denominator))
 
     @property
     def parameters(self) -> CodecParameters:
         """Return the parameters that all units share."""
-        quantizer = self.quantizer
-        return CodecParameters(
-            step=quantizer.step,
-            z_min=quantizer.z_min,
-            z_max=quantizer.z_max,
-            forbidden=quantizer.quanta_of_value(self.info.nodata),
-            rings=self.border_rings,
-            effort=self.effort,
+        options = self.options
+        return CodecParameters.of(
+            self.quantizer, self.info.nodata, options.border_rings, options.effort_number
         )
 
-    def header(self, method: str, parameters: bytes) -> Header:
-        """Return the header of a file coded with `method`, whose tables are `parameters`."""
-        quantizer, info = self.quantizer, self.info
+    def header(self, parameters: bytes) -> Header:
+        """Return the header of the file; `parameters` are the tables of its method."""
+        options, quantizer, info = self.options, self.quantizer, self.info
         plain = RasterInfo(info.n_rows, info.n_cols, info.dtype).to_metadata()
         # Only what is not as it would be anyway; size and type are in the header itself.
         metadata = {key: value for key, value in info.to_metadata().items() if value != plain[key]}
@@ -114,10 +109,10 @@ class Job:
             n_rows=info.n_rows,
             n_cols=info.n_cols,
             block=self.grid.block,
-            border_rings=self.border_rings,
-            method=method,
+            border_rings=options.border_rings,
+            method=options.method,
             dtype=info.dtype,
-            effort=self.effort,
+            effort=options.effort_number,
             quantum=Fraction(quantizer.numerator, quantizer.denominator),
             base=quantizer.base,
             step=quantizer.step,
@@ -126,7 +121,7 @@ class Job:
             max_error=self.raw_bound,
             effective_bound=min(self.effective_error, self.raw_bound),
             rho=quantizer.rho,
-            mesh=self.mesh,
+            mesh=options.mesh,
             mesh_tolerance=self.mesh_tolerance,
             metadata={**metadata, "software": f"terrainwave {__version__}"},
             parameters=parameters,
@@ -147,3 +142,83 @@ def scale_of(info: RasterInfo) -> Fraction:
             " its metadata"
         )
     return abs(as_fraction(info.scale))
+
+
+def settled(options: Options, scan: HeightScan, info: RasterInfo) -> tuple[Job, list[str]]:
+    """Return the job for a raster that has been scanned, and what a user should know of it.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If the bound cannot be kept, or the raster's scale is none.
+    """
+    bound, notes = Fraction(0), list[str]()
+    if options.is_embedded:
+        quantizer = _fine_quantizer(scan)
+    else:
+        bound, notes = _choose_bound(options.max_error, scan, info)
+        quantizer = scan.quantizer(_raw_bound(bound, info))
+    if options.coding.is_tiled:
+        quantizer = _with_room_for_nodata(quantizer, info)
+    grid = Grid(info.n_rows, info.n_cols, options.block)
+    return Job(options, info, grid, bound, quantizer, scan.n_valid), notes
+
+
+def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:
+    """Return a bound in the units of stored values."""
+    raw_bound = bound / scale_of(info)
+    if raw_bound > sys.float_info.max:
+        raise InvalidHeightsError(
+            f"found max_error {float(bound):g} and a raster whose scale is {info.scale:g}, expected"
+            " a max_error that is a finite number of its stored units"
+        )
+    return raw_bound
+
+
+def _with_room_for_nodata(quantizer: Quantizer, info: RasterInfo) -> Quantizer:
+    """Return a quantizer whose bound still holds where a height gives way to the nodata value.
+
+    Methods of tiles move it past all quanta of that value, to one side (format-cdf53.md, C.6).
+    """
+    first, last = quantizer.quanta_of_value(info.nodata)
+    room = last - first + 1
+    half = quantizer.step >> 1
+    return replace(quantizer, step=2 * max(half - room, 0) + 1) if room > 0 else quantizer
+
+
+def _fine_quantizer(scan: HeightScan) -> Quantizer:
+    """Return a quantizer for heights whose error is not chosen by a bound.
+
+    The vertical quantum where there is one, else one far below what a cut stream tells.
+    """
+    if scan.true_quantum() is not None:
+        try:
+            return scan.quantizer(Fraction(0))
+        except InvalidHeightsError:  # the range takes more than 30 bits of it
+            pass
+    error = (as_fraction(scan.maximum) - as_fraction(scan.minimum)) / (1 << _FINE_BITS)
+    for _ in range(_FINE_BITS):
+        try:
+            return scan.quantizer(error)
+        except InvalidHeightsError:
+            error *= 2
+    return scan.quantizer(error)
+
+
+def _choose_bound(
+    max_error: float | None, scan: HeightScan, info: RasterInfo
+) -> tuple[Fraction, list[str]]:
+    if max_error is not None:
+        return as_fraction(max_error), []
+    p = scan.true_quantum()
+    unit = info.units or "(unit unknown)"
+    if p is not None:
+        physical = float(p * scale_of(info))
+        return Fraction(0), [
+            f"no --max-error given: lossless, as all heights are multiples of {physical:g} {unit};"
+            " --max-error E makes the file smaller"
+        ]
+    return as_fraction(DEFAULT_MAX_ERROR), [
+        f"no --max-error given: {DEFAULT_MAX_ERROR} {unit}, as the heights lie on no vertical grid;"
+        " choose with --max-error E"
+    ]

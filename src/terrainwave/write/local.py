@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.refiner import FittingRefiner
-from terrainwave.codec.registry import PYRAMIDS, refiner_by_name
+from terrainwave.codec.registry import refiner_by_name
 from terrainwave.container.depot import StoredSegment
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
@@ -59,9 +59,9 @@ class LocalPasses:
         self._windows, scan = scan_source(self.source, self.directory, self.reporter)
         return scan
 
-    def encode(self, job: Job, method: str) -> "Coded":
+    def encode(self, job: Job) -> "Coded":
         """Code all units into one spool per segment."""
-        return encode(job, method, self.windows, self.directory, self.executor, self.reporter)
+        return encode(job, self.windows, self.directory, self.executor, self.reporter)
 
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
         """Decode the file from disk and compare every sample; return the largest error."""
@@ -154,12 +154,11 @@ def _check_free_space(info: RasterInfo, directory: Path, is_striped: bool) -> No
 
 @dataclass
 class Coded:
-    """What coding a raster has made: method, tables, segments, bytes of payloads and tables.
+    """What coding a raster has made: tables, segments, bytes of payloads and tables.
 
     `job` is the one that was coded; that of an embedded file has got its measured error.
     """
 
-    method: str
     parameters: bytes
     segments: dict[Block | None, SegmentSpool | StoredSegment]
     n_bytes: int
@@ -181,7 +180,6 @@ def smaller(first: Coded, second: Coded) -> Coded:
 
 def encode(
     job: Job,
-    method: str,
     source: SourceWindows,
     directory: Path,
     executor: Executor,
@@ -192,7 +190,7 @@ def encode(
         source,
         job.quantizer,
         job.grid,
-        kind=PYRAMIDS[method],
+        kind=job.options.coding.pyramid,
         has_voids=job.has_voids,
         directory=directory,
         executor=executor,
@@ -224,28 +222,27 @@ def encode(
                 )
 
         section = b""
-        if method == "cdf53":
+        if job.options.coding.is_tiled:
             # Imported here: compiling costs seconds that other methods need not pay.
             from terrainwave.write.tiles import encode_tiles
 
             stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
         else:
-            section, stats = _encode_units(job, method, pyramid, sink, on_samples, executor)
-        if job.is_embedded:
+            section, stats = _encode_units(job, pyramid, sink, on_samples, executor)
+        if job.options.is_embedded:
             job = job.with_measured(_finest_error(job, stats))
         errors = error_codes(stats, job.lost)
-        mesh_errors = _mesh_errors(job, method, section, pyramid, sink, errors, executor, reporter)
+        mesh_errors = _mesh_errors(job, section, pyramid, sink, errors, executor, reporter)
     finally:
         pyramid.close()
     whole = job.quantizer.z_min, job.quantizer.z_max
     boxes = enclosing_boxes(stats, errors, whole, {})
     set_codes(job.grid, sink.spools, whole, boxes, errors, mesh_errors)
-    return Coded(method, section, {**sink.spools}, sink.n_bytes + len(section), job)
+    return Coded(section, {**sink.spools}, sink.n_bytes + len(section), job)
 
 
 def _encode_units(
     job: Job,
-    method: str,
     pyramid: Pyramid,
     sink: SpoolSink,
     on_samples: Callable[[int], None],
@@ -253,7 +250,7 @@ def _encode_units(
 ) -> tuple[bytes, Stats]:
     """Code every unit; return the method's tables and what was measured."""
     parameters, section = job.parameters, b""
-    refiner = refiner_by_name(method)
+    refiner = refiner_by_name(job.options.method)
     if isinstance(refiner, FittingRefiner) and job.n_valid:
         refiner = refiner.fitted(job.grid, parameters.step, pyramid.heights, pyramid.mask)
         section = refiner.parameters
@@ -269,7 +266,6 @@ def _finest_error(job: Job, stats: Stats) -> int:
 
 def _mesh_errors(
     job: Job,
-    method: str,
     section: bytes,
     pyramid: Pyramid,
     sink: SpoolSink,
@@ -278,10 +274,10 @@ def _mesh_errors(
     reporter: Reporter,
 ) -> dict[Block, int]:
     """Return the error code of every block's mesh, measured against the originals."""
-    if job.mesh == "none":
+    if job.options.mesh == "none":
         return {}
     grid = job.grid
-    decoder = make_decoder(method, section, grid, job.parameters, sink.payloads, _MESH_CACHE_BYTES)
+    decoder = make_decoder(job.header(section), sink.payloads, _MESH_CACHE_BYTES)
     size = grid.n_rows * grid.n_cols, np.dtype(job.info.dtype).itemsize
     mesher, sections = make_meshes(
         grid,
@@ -289,7 +285,7 @@ def _mesh_errors(
         lambda block: errors.get(block, 0),
         job.mesh_tolerance,
         has_voids=job.has_voids,
-        kind=job.mesh,
+        kind=job.options.mesh,
         executor=executor,
         on_samples=reporter.counter("making meshes", *size),
     )

@@ -31,11 +31,13 @@ from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.mesh.blocks import measure_meshes, mesh_codes
 from terrainwave.mesh.sections import make_meshes
+from terrainwave.names import METHODS, methods_that
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
-from terrainwave.read.decoder import TreeDecoder, unit_key
+from terrainwave.read.decoder import unit_key
+from terrainwave.read.tiles import make_decoder
 from terrainwave.write.boxes import Box, enclosing_boxes
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.proof import allowed_error, compare_window, measured_error, proof_windows
@@ -113,10 +115,12 @@ def patch(
         scratch_directory(temp_dir or final.parent, final.name) as directory,
         ThreadPoolExecutor(threads or os.cpu_count() or 1, "terrainwave") as executor,
     ):
-        if terrain.info().method != "predictive":
+        method = METHODS[terrain.header.method]
+        if not method.is_patchable:
+            fit = methods_that(lambda method: method.is_patchable)
             raise InvalidHeightsError(
-                f"{path} has method {terrain.info().method}; only files of method predictive can be"
-                " patched: compress the whole raster again"
+                f"{path} has method {method.name}; only files of method {fit} can be patched:"
+                " compress the whole raster again"
             )
         merged = _Merged(terrain, source, _place(terrain.raster_info, source.info))
         merged.check()
@@ -270,7 +274,7 @@ class _PatchEncoder(TreeEncoder):
         self.recoded: set[Block] = set()
         header = terrain.header
         refiner = refiner_by_name(header.method, header.parameters)
-        super().__init__(terrain.grid, refiner, terrain.parameters, *rest)
+        super().__init__(terrain.grid, refiner, header.codec_parameters, *rest)
 
     def code_unit(
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
@@ -376,7 +380,7 @@ class _Patcher:
             merged,
             quantizer,
             self._grid,
-            kind="nested",
+            kind=terrain.pyramid,
             has_voids=self._has_voids,
             directory=directory,
             executor=executor,
@@ -428,10 +432,7 @@ class _Patcher:
         header, grid = self._container.header, self._grid
         if header.mesh == "none":
             return {}
-        refiner = refiner_by_name(header.method, header.parameters)
-        decoder = TreeDecoder(
-            grid, refiner, self._terrain.parameters, self.sink.payloads, _CACHE_BYTES
-        )
+        decoder = make_decoder(header, self.sink.payloads, _CACHE_BYTES)
         mesher, sections = make_meshes(
             grid,
             decoder,

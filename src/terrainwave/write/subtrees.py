@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terrainwave.codec.refiner import Refiner
-from terrainwave.codec.registry import PYRAMIDS, refiner_by_name
+from terrainwave.codec.registry import refiner_by_name
 from terrainwave.container.depot import Depot, StoredSegment, StoredSegments
 from terrainwave.container.page import N_CODES
 from terrainwave.container.sink import SpoolSink
@@ -65,15 +65,13 @@ class RasterPlace:
 class Site:
     """What the tasks of a run share.
 
-    `level` is that of the blocks whose subtrees are tasks; method and tables are those of `store`
-    until they are known.
+    `level` is that of the blocks whose subtrees are tasks; `tables` are empty until they are known.
     """
 
     raster: RasterPlace
     depot: Depot
     job: Job
     level: int
-    method: str
     tables: bytes = b""
 
     @property
@@ -88,15 +86,15 @@ class Site:
 
     def refiner(self) -> Refiner:
         """Return the refiner with the file's tables."""
-        return refiner_by_name(self.method, self.tables)
+        return refiner_by_name(self.job.options.method, self.tables)
 
     def name(self, stage: str, head: Block) -> str:
         """Return the name of what a task has left in the depot."""
-        return f"{self.method}-{stage}-{head.level}-{head.row}-{head.col}"
+        return f"{self.job.options.method}-{stage}-{head.level}-{head.row}-{head.col}"
 
     def top_name(self, stage: str) -> str:
         """Return the name of the segments above all tasks."""
-        return f"{self.method}-{stage}"
+        return f"{self.job.options.method}-{stage}"
 
     def top_heads(self) -> list[Block | None]:
         """Return the heads of the segments above all tasks, parents first."""
@@ -131,7 +129,7 @@ class Site:
             source,
             self.job.quantizer,
             self.grid,
-            kind=PYRAMIDS[self.method],
+            kind=self.job.options.coding.pyramid,
             has_voids=self.job.has_voids,
             directory=directory,
             executor=executor,
@@ -290,7 +288,7 @@ def mesher_of(
         error_code,
         job.mesh_tolerance,
         has_voids=job.has_voids,
-        kind=job.mesh,
+        kind=job.options.mesh,
         part=part,
     )
 
@@ -356,7 +354,7 @@ def finish_subtree(site: Site, head: Block, last_round: int | None) -> FinishedS
         return parts_of_blocks(grid, section)
 
     with _bench(site.raster) as bench, _stored_mesher(site, parts) as (mesher, stored):
-        if site.job.mesh in STORED_KINDS:
+        if site.job.options.mesh in STORED_KINDS:
             state = BorderState.from_arrays(
                 site.depot.load(_state_name(site, head, last_round or 0))
             )

@@ -21,9 +21,9 @@ from terrainwave.codec.cdf53 import (
 )
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.tiles import TileLayout, TileSpec
-from terrainwave.codec.units import CodecParameters
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.read.tiles import final_heights
 from terrainwave.write.encoder import PayloadSink, Stats, TreeEncoder
@@ -49,17 +49,17 @@ def encode_tiles(
     executor: Executor,
 ) -> Stats:
     """Code every tile, cut where the job says so; return what was measured."""
-    parameters = job.parameters
+    options, parameters = job.options, job.parameters
     coder = TileCoder(pyramid)
-    if not job.is_embedded:
+    if not options.is_embedded:
         return TileEncoder(job.grid, parameters, pyramid, coder, sink, on_samples).run(executor)
     with closing(EmbeddedSource(coder, job.grid, directory)) as source:
         source.code(executor, on_samples)
-        if job.rate is not None:
-            source.cut_to_size(_payload_bytes(job, job.rate))
-        elif job.psnr is not None:
+        if options.rate is not None:
+            source.cut_to_size(_payload_bytes(job, options.rate))
+        elif options.psnr is not None:
             span = parameters.z_max - parameters.z_min
-            source.cut_to_error(span**2 * 10.0 ** (-job.psnr / 10), parameters, executor)
+            source.cut_to_error(span**2 * 10.0 ** (-options.psnr / 10), parameters, executor)
         return TileEncoder(job.grid, parameters, pyramid, source, sink, on_samples).run(executor)
 
 

@@ -1,0 +1,30 @@
+"""What all coded units of a file have in common (FORMAT.md §2.4)."""
+
+from dataclasses import dataclass
+from typing import Self
+
+from terrainwave.grid.quantum import Quantizer
+
+
+@dataclass(frozen=True)
+class CodecParameters:
+    """What all units of a file have in common; fields as in `codec.refiner.GroupSpec`."""
+
+    step: int
+    z_min: int
+    z_max: int
+    forbidden: tuple[int, int]
+    rings: int
+    effort: int
+
+    @classmethod
+    def of(cls, quantizer: Quantizer, nodata: float | int | None, rings: int, effort: int) -> Self:
+        """Return the parameters of heights with a nodata value, in raw units, if there is one."""
+        return cls(
+            step=quantizer.step,
+            z_min=quantizer.z_min,
+            z_max=quantizer.z_max,
+            forbidden=quantizer.quanta_of_value(nodata),
+            rings=rings,
+            effort=effort,
+        )

@@ -1,0 +1,78 @@
+"""What files number by name: methods, kinds of meshes, efforts; and what each method can do.
+
+A new method is a module in `codec` and a line in `METHODS`; no other module knows one by its name.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+# In the order in which files number them.
+EFFORTS = ("fast", "default", "best")
+# Kinds of meshes, in the order in which files number them.
+MESHES = ("none", "halves", "zerotree", "rqt")
+# Those that files store; "auto" is the first.
+STORED_MESHES = tuple(mesh for mesh in MESHES if mesh != "none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """A method, as everything outside of its own module sees it.
+
+    Attributes
+    ----------
+    name, number : str, int
+        What users call it, and what stands for it in a file's header (FORMAT.md §4.1).
+    refiner : str, optional
+        Module and class in `codec` that code its units; None where these are gathered in tiles of
+        several levels (`codec.tiles`), which have no aprons.
+    pyramid : str
+        Of what heights coarse levels are made (`write.pyramid`): every second sample, averages of
+        the 9/7 filter or of the reversible 5/3.
+    effort : str
+        How many of what the efforts try; empty where all give the same bytes.
+    is_cuttable : bool
+        Its streams can end early: at a rate, at a mean error, or where a reader has enough.
+    is_clusterable : bool
+        A part of the raster can be coded without the rest, on another machine.
+    is_patchable : bool
+        A unit can be coded again so that heights that still hold come back as they were.
+    has_parameters : bool
+        The file's header may hold tables for all of its units.
+    """
+
+    name: str
+    number: int
+    refiner: str | None = None
+    pyramid: str = "nested"
+    effort: str = ""
+    is_cuttable: bool = False
+    is_clusterable: bool = True
+    is_patchable: bool = False
+    has_parameters: bool = False
+
+    @property
+    def is_tiled(self) -> bool:
+        """Say whether its units are gathered in tiles."""
+        return self.refiner is None
+
+
+# In the order in which they are named to users; the first is the default.
+METHODS = {
+    method.name: method
+    for method in (
+        Method(name="predictive", number=2, refiner="predictive.Predictive", has_parameters=True,
+               is_patchable=True, effort="1, 2 or 8 sets of weights"),
+        Method(name="cdf97", number=1, refiner="cdf97.Cdf97", pyramid="lowpass",
+               effort="1, up to 3 or up to 7 steps"),
+        Method(name="cdf53", number=3, pyramid="lowpass53", is_cuttable=True, is_clusterable=False),
+        Method(name="store", number=0, refiner="store.Store"),
+    )
+}  # fmt: skip
+DEFAULT_METHOD = METHODS["predictive"]
+# Takes heights that no method makes smaller.
+PLAIN_METHOD = METHODS["store"]
+
+
+def methods_that(can: Callable[[Method], bool]) -> str:
+    """Return the names of the methods that can do something, as messages say them."""
+    return " or ".join(method.name for method in METHODS.values() if can(method))

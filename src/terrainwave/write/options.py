@@ -1,0 +1,111 @@
+"""`Options`: what `compress` is asked for, checked where it is made and handed on whole."""
+
+import os
+from dataclasses import dataclass
+
+from terrainwave.arguments import (
+    BLOCKS,
+    check_effort,
+    check_threads,
+    checked_error,
+    checked_mesh,
+    checked_method,
+)
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.names import EFFORTS, METHODS, Method, methods_that
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of `compress`, which says what they mean; "auto" has become what it stands for.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If one of them, or two together, cannot be; the message says what was found and expected.
+    """
+
+    max_error: float | None = None
+    rate: float | None = None
+    psnr: float | None = None
+    method: str = "auto"
+    block: int = 256
+    effort: str = "default"
+    border_rings: int = 1
+    mesh: str = "auto"
+    mesh_error: float | None = None
+    verify: bool = True
+    threads: int | None = None
+
+    def __post_init__(self) -> None:
+        settled = {
+            "max_error": checked_error("max_error", self.max_error),
+            "method": checked_method(self.method),
+            "rate": checked_error("rate", self.rate),
+            "psnr": checked_error("psnr", self.psnr),
+            "mesh": checked_mesh(self.mesh, or_none=True),
+            "mesh_error": checked_error("mesh_error", self.mesh_error),
+        }
+        for name, value in settled.items():
+            object.__setattr__(self, name, value)
+        self._check_goals()
+        if self.block not in BLOCKS:
+            raise InvalidHeightsError(
+                f"found block {self.block}, expected one of {', '.join(map(str, BLOCKS))}"
+            )
+        check_effort(self.effort)
+        if self.border_rings not in (1, 3):
+            raise InvalidHeightsError(f"found border_rings {self.border_rings}, expected 1 or 3")
+        if self.border_rings != 1 and self.coding.is_tiled:
+            raise InvalidHeightsError(
+                f"found border_rings {self.border_rings} and method {self.method}, expected"
+                " border_rings 1"
+            )
+        check_threads(self.threads)
+
+    def _check_goals(self) -> None:
+        """Raise `InvalidHeightsError` unless at most one of three goals is given, and fits."""
+        goals = {"max_error": self.max_error, "rate": self.rate, "psnr": self.psnr}
+        given = [name for name, goal in goals.items() if goal is not None]
+        if len(given) > 1:
+            raise InvalidHeightsError(
+                f"found {' and '.join(given)}, expected one of them: a stream is cut in one place"
+            )
+        if not self.is_embedded:
+            return
+        (name,) = given
+        if goals[name] == 0:
+            raise InvalidHeightsError(f"found {name} 0, expected a number > 0")
+        if not self.coding.is_cuttable:
+            fit = methods_that(lambda method: method.is_cuttable)
+            raise InvalidHeightsError(
+                f"found {name} and method {self.method}, expected method {fit}: the others keep a"
+                " bound (max_error) instead"
+            )
+
+    @property
+    def coding(self) -> Method:
+        """Return the method that `method` names."""
+        return METHODS[self.method]
+
+    @property
+    def effort_number(self) -> int:
+        """Return the effort as files number it."""
+        return EFFORTS.index(self.effort)
+
+    @property
+    def is_embedded(self) -> bool:
+        """Say whether streams are cut by size or mean error, not by a bound."""
+        return self.rate is not None or self.psnr is not None
+
+    @property
+    def n_threads(self) -> int:
+        """Return how many threads encode."""
+        return self.threads or os.cpu_count() or 1
+
+    @property
+    def notes(self) -> list[str]:
+        """Return remarks on options that change nothing."""
+        if self.effort == "default" or self.coding.effort:
+            return []
+        return [f"effort {self.effort} changes nothing: method {self.method} has no efforts"]

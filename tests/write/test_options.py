@@ -1,0 +1,60 @@
+"""`Options` are checked where they are made, and say what they stand for."""
+
+import pytest
+from strategies import terrain_like, write_geotiff
+
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.write.compress import compress
+from terrainwave.write.options import Options
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"max_error": -1}, "found max_error -1, expected a finite number >= 0"),
+        ({"mesh_error": "a"}, "found mesh_error a, expected a finite number >= 0"),
+        ({"method": "zip"}, "found method 'zip', expected auto, predictive, cdf97, cdf53, store"),
+        ({"block": 100}, "found block 100, expected one of 32, 64, 128, 256, 512, 1024"),
+        ({"effort": "most"}, "found effort 'most', expected one of fast, default, best"),
+        ({"border_rings": 2}, "found border_rings 2, expected 1 or 3"),
+        ({"border_rings": 3, "method": "cdf53"}, "found border_rings 3 and method cdf53"),
+        ({"mesh": "rtin"}, "found mesh 'rtin'"),
+        ({"threads": 0}, "found 0 threads, expected at least 1"),
+        ({"max_error": 1, "rate": 1, "method": "cdf53"}, "found max_error and rate"),
+        ({"rate": 0, "method": "cdf53"}, "found rate 0, expected a number > 0"),
+        ({"psnr": float("nan"), "method": "cdf53"}, "found psnr nan, expected a finite number"),
+        ({"rate": 1}, "found rate and method predictive, expected method cdf53: the others"),
+    ],
+)
+def test_what_cannot_be_is_refused_where_options_are_made(options, message):
+    with pytest.raises(InvalidHeightsError, match=message):
+        Options(**options)
+
+
+def test_options_are_what_names_and_numbers_stand_for():
+    options = Options(max_error="2", effort="best", threads=3)
+    assert (options.max_error, options.method, options.mesh) == (2.0, "predictive", "halves")
+    assert (options.effort_number, options.n_threads, options.is_embedded) == (2, 3, False)
+
+
+@pytest.mark.parametrize("method", ["store", "cdf53"])
+def test_a_method_without_efforts_says_so(tmp_path, method):
+    heights = terrain_like(33, 33)
+    for effort, n_notes in (("best", 1), ("default", 0)):
+        result = compress(
+            heights, tmp_path / f"{effort}.twz", max_error=1, method=method, effort=effort
+        )
+        assert len(result.notes) == n_notes
+    note = f"effort best changes nothing: method {method} has no efforts"
+    assert Options(method=method, effort="best").notes == [note]
+
+
+def test_efforts_that_a_method_has_need_no_note():
+    assert Options(effort="best").notes == []
+
+
+def test_a_size_of_tasks_is_refused_where_there_are_none(tmp_path):
+    write_geotiff(tmp_path / "dem.tif", terrain_like(33, 33))
+    with pytest.raises(InvalidHeightsError, match="found task_samples 5 without a client"):
+        compress(tmp_path / "dem.tif", tmp_path / "dem.twz", task_samples=5)
+    assert not (tmp_path / "dem.twz").exists()
