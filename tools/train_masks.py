@@ -47,8 +47,7 @@ def count(masks):
         n_rows, n_cols = mask.shape
         padded = np.zeros((n_rows + 2, n_cols + 3), dtype=np.bool_)
         padded[2:, 2:-1] = mask
-        ahead = np.zeros((n_rows + 2, n_cols + 3), dtype=np.uint8)
-        pad_implied(implied, ahead)
+        ahead = pad_implied(implied)
         contexts = np.zeros(n_cols, dtype=np.int64)
         for row in range(n_rows):
             row_contexts(padded, ahead, row, contexts)

@@ -196,11 +196,11 @@ class Recorder:
             )
             self.passes.append((own, features.astype(np.float32), details.astype(np.float32)))
 
-    def new_coder(self, *args):
-        """Stand in for `predictive._new_coder`."""
-        coder = _REAL_CODER(*args)
-        self.models.append((coder.models, coder.border_models))
-        return coder
+    def new_unit(self, *args):
+        """Stand in for `predictive._new_unit`."""
+        unit = _REAL_UNIT(*args)
+        self.models.append((unit.coder.models, unit.border.models))
+        return unit
 
     def run(self, heights, mask, step, effort=1):
         """Encode all units of a raster."""
@@ -266,7 +266,7 @@ def train_models(rasters):
     """Return the mean states of the models: probability (22 bits), spread, weight."""
     recorder = Recorder()
     tables.start_models = tables.start_border_models = new_models  # nothing from older tables
-    predictive._new_coder = recorder.new_coder
+    predictive._new_unit = recorder.new_unit
     starts = np.concatenate(
         [tables.start_models(N_DETAIL_MODELS), tables.start_border_models(N_BORDER_MODELS)]
     )
@@ -284,7 +284,7 @@ def train_models(rasters):
                 sums[1] += count * probability
                 sums[2] += count * probability**2
                 sums[3] += count > 0
-    predictive._new_coder = _REAL_CODER
+    predictive._new_unit = _REAL_UNIT
     return sums
 
 
@@ -352,7 +352,7 @@ FIRST_GUESS[[nested.F_W, nested.F_N, nested.F_NEAR, nested.F_TWIST, nested.F_CON
     40, 30, 30, 12, 1,
 )  # fmt: skip
 
-_REAL_PASS, _REAL_CODER = predictive.code_pass, predictive._new_coder
+_REAL_PASS, _REAL_UNIT = predictive.code_pass, predictive._new_unit
 
 
 def main():

@@ -27,8 +27,7 @@ from terrainwave.codec.detail import (
     N_DETAIL_MODELS,
     N_E_BINS,
     N_MIXERS,
-    decode_detail,
-    encode_detail,
+    code_detail,
     log8,
 )
 from terrainwave.codec.lattice import PAD, TAPS, fill_frame, merge, plane_sizes, split
@@ -37,15 +36,13 @@ from terrainwave.codec.predictive import Predictive, _Rows
 from terrainwave.codec.refiner import Sides
 from terrainwave.codec.tables import E_WEIGHTS, STENCILS, start_models
 from terrainwave.coding.rangecoder import (
-    BYTE_POS,
-    CODE,
-    LOW,
-    RANGE,
     finish_decoder,
     finish_encoder,
+    new_decoder,
+    new_encoder,
     new_mixers,
-    start_decoder,
-    start_encoder,
+    put_back,
+    take_out,
 )
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Grid
@@ -186,54 +183,27 @@ def test_details_of_any_size_survive(mixed):
         (int(e), *(int(reach) for reach in rng.integers(0, 5000, 2)), rng.integers(-9, 9, 6))
         for e in rng.integers(0, N_E_BINS, len(details))
     ]
-    state, out = start_encoder(), np.zeros(10_000, dtype=np.uint8)
-    models, mixers = start_models(N_DETAIL_MODELS), new_mixers(N_MIXERS)
+    out = np.zeros(10_000, dtype=np.uint8)
+    coder, mixers = new_encoder(out, start_models(N_DETAIL_MODELS)), new_mixers(N_MIXERS)
     scale = 100, log8(100)
-    span, low = state[RANGE], state[LOW]
+    at = take_out(coder)
     for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
-        span, low = encode_detail(
-            span,
-            low,
-            state,
-            out,
-            models,
-            mixers,
-            e_bin,
-            1300,
-            1301,
-            up,
-            down,
-            *scale,
-            spots if mixed else None,
-            detail,
+        coded, at = code_detail(
+            at, coder, mixers, e_bin, 1300, 1301, up, down, *scale, spots if mixed else None, detail
         )
-    state[RANGE], state[LOW] = span, low
-    data = out[: finish_encoder(state, out)].copy()
-    state = np.zeros_like(state)
-    start_decoder(state, data)
-    models, mixers = start_models(N_DETAIL_MODELS), new_mixers(N_MIXERS)
-    span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
+        assert coded == detail
+    put_back(at, coder)
+    data = out[: finish_encoder(coder.state, out)].tobytes()
+    coder, mixers = new_decoder(data, start_models(N_DETAIL_MODELS)), new_mixers(N_MIXERS)
+    at = take_out(coder)
     for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
-        found, span, code, pos = decode_detail(
-            span,
-            code,
-            pos,
-            state,
-            data,
-            models,
-            mixers,
-            e_bin,
-            1300,
-            1301,
-            up,
-            down,
-            *scale,
-            spots if mixed else None,
+        coded, at = code_detail(
+            at, coder, mixers, e_bin, 1300, 1301, up, down, *scale, spots if mixed else None, 0
         )
-        assert found == detail
-        assert abs(found) <= MAX_DETAIL + 1
-    state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
-    assert finish_decoder(state, data)[0] == 0
+        assert coded == detail
+        assert abs(coded) <= MAX_DETAIL + 1
+    put_back(at, coder)
+    assert finish_decoder(coder.state, coder.stream)[0] == 0
 
 
 @pytest.mark.parametrize("effort", [0, 1, 2])

@@ -16,11 +16,10 @@ from terrainwave.codec.residual import (
     open_loop_costs,
 )
 from terrainwave.coding.rangecoder import (
-    STATE_SIZE,
     finish_decoder,
     finish_encoder,
-    start_decoder,
-    start_encoder,
+    new_decoder,
+    new_encoder,
 )
 
 NO_PREDICTION = np.zeros((4, N_TERMS), dtype=np.int32)
@@ -37,12 +36,13 @@ def framed(base):
 def encode(target, kinds, base, step, weights, heights=None):
     """Return the stream and the heights it stands for."""
     heights = np.zeros_like(target) if heights is None else heights.copy()
-    state, out = start_encoder(), np.zeros(4096, dtype=np.uint8)
+    out = np.zeros(4096, dtype=np.uint8)
+    coder = new_encoder(out, tables97.start_residual_models())
     code_residuals(
         target, heights, kinds, base, step, weights, tables97.E_WEIGHTS,
-        new_scratch(target.shape[1]), state, out, tables97.start_residual_models(),
+        new_scratch(target.shape[1]), coder,
     )  # fmt: skip
-    return out[: finish_encoder(state, out)], heights
+    return out[: finish_encoder(coder.state, out)], heights
 
 
 def residuals_of(errors, step):
@@ -80,13 +80,10 @@ def test_decoding_gives_what_was_encoded_with_voids_and_known_samples():
     start = np.where(kinds == KNOWN, target + 1, 0).astype(np.int32)
     weights = tables97.TERM_WEIGHTS[-1]
     stream, heights = encode(target, kinds, base, 5, weights, start)
-    back, state = start.copy(), np.zeros(STATE_SIZE, dtype=np.int64)
-    start_decoder(state, stream)
-    code_residuals(
-        None, back, kinds, base, 5, weights, tables97.E_WEIGHTS, new_scratch(12), state, stream,
-        tables97.start_residual_models(),
-    )  # fmt: skip
-    assert finish_decoder(state, stream)[0] == 0
+    back = start.copy()
+    coder = new_decoder(stream.tobytes(), tables97.start_residual_models())
+    code_residuals(None, back, kinds, base, 5, weights, tables97.E_WEIGHTS, new_scratch(12), coder)
+    assert finish_decoder(coder.state, coder.stream)[0] == 0
     np.testing.assert_array_equal(back, heights)
     assert np.abs(heights - target)[kinds == CODED].max() <= 2
     np.testing.assert_array_equal(heights[kinds == KNOWN], target[kinds == KNOWN] + 1)

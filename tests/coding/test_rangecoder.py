@@ -14,19 +14,20 @@ from terrainwave.coding.rangecoder import (
     MAGNITUDE_MODELS,
     MAX_MAGNITUDE,
     MODEL_START,
+    N_UNARY,
     PROBABILITIES,
     RANGE,
     STATE_SIZE,
-    decode_bit,
-    decode_magnitude,
+    code_bit,
+    code_magnitude,
     decode_mixed_step,
     decode_raw,
-    encode_bit,
-    encode_magnitude,
     encode_mixed_step,
     encode_raw,
     finish_decoder,
     finish_encoder,
+    new_decoder,
+    new_encoder,
     new_mixers,
     new_models,
     start_decoder,
@@ -37,32 +38,25 @@ from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 
 
 @kernel
-def encode_bits(bits, contexts, models, state, out):
+def code_bits(bits, contexts, coder, coded):
     for i in range(bits.shape[0]):
-        encode_bit(state, out, models, contexts[i], bits[i])
-
-
-@kernel
-def decode_bits(data, contexts, models, state, bits):
-    for i in range(bits.shape[0]):
-        bits[i] = decode_bit(state, data, models, contexts[i])
+        coded[i] = code_bit(coder, contexts[i], np.int64(bits[i]))
 
 
 def encoded(bits, contexts, n_models):
     out = np.zeros(2 * len(bits) + 16, dtype=np.uint8)
-    state = start_encoder()
-    encode_bits(bits, contexts, new_models(n_models), state, out)
-    n_bytes = finish_encoder(state, out)
+    coder = new_encoder(out, new_models(n_models))
+    code_bits(bits, contexts, coder, np.zeros_like(bits))
+    n_bytes = finish_encoder(coder.state, out)
     assert n_bytes <= out.shape[0]
     return out[:n_bytes].copy()
 
 
 def decoded(data, contexts, n_models):
     bits = np.zeros(len(contexts), dtype=np.uint8)
-    state = np.zeros(STATE_SIZE, dtype=np.int64)
-    start_decoder(state, data)
-    decode_bits(data, contexts, new_models(n_models), state, bits)
-    raise_for_status(*finish_decoder(state, data))
+    coder = new_decoder(data, new_models(n_models))
+    code_bits(bits, contexts, coder, bits)
+    raise_for_status(*finish_decoder(coder.state, coder.stream))
     return bits
 
 
@@ -175,37 +169,35 @@ def test_any_bytes_give_bits_or_our_own_error(data):
 @given(st.lists(st.integers(0, MAX_MAGNITUDE) | st.integers(0, 40), max_size=60))
 def test_magnitudes_and_raw_bits_come_back(values):
     out = np.zeros(4096, dtype=np.uint8)
-    models, state = new_models(MAGNITUDE_MODELS), start_encoder()
+    coder = new_encoder(out, new_models(MAGNITUDE_MODELS))
     for value in values:
-        encode_magnitude(state, out, models, 0, value)
-        encode_raw(state, out, value, 33)
-    data = out[: finish_encoder(state, out)]
-    models = new_models(MAGNITUDE_MODELS)
-    start_decoder(state, data)
+        assert code_magnitude(coder, 0, N_UNARY, 0, value) == value
+        assert code_magnitude(coder, 0, N_UNARY, 3, value) == value
+        encode_raw(coder.state, out, value, 33)
+    data = out[: finish_encoder(coder.state, out)].tobytes()
+    coder = new_decoder(data, new_models(MAGNITUDE_MODELS))
     for value in values:
-        assert decode_magnitude(state, data, models, 0) == value
-        assert decode_raw(state, data, 33) == value
-    assert finish_decoder(state, data) == (Status.OK, len(data))
+        assert code_magnitude(coder, 0, N_UNARY, 0, 0) == value
+        assert code_magnitude(coder, 0, N_UNARY, 3, 0) == value
+        assert decode_raw(coder.state, coder.stream, 33) == value
+    assert finish_decoder(coder.state, coder.stream) == (Status.OK, len(data))
 
 
 @settings(deadline=None)  # the first example compiles
 @given(st.binary(max_size=40))
 def test_any_bytes_give_a_bounded_magnitude(data):
-    state = np.zeros(STATE_SIZE, dtype=np.int64)
-    data = np.frombuffer(data, dtype=np.uint8)
-    start_decoder(state, data)
-    models = new_models(MAGNITUDE_MODELS)
+    coder = new_decoder(data, new_models(MAGNITUDE_MODELS))
     for _ in range(20):
-        assert 0 <= decode_magnitude(state, data, models, 0) <= MAX_MAGNITUDE
+        assert 0 <= code_magnitude(coder, 0, N_UNARY, 0, 0) <= MAX_MAGNITUDE
 
 
 def test_a_full_output_is_counted_but_not_overrun():
     bits, contexts = skewed_bits(5, 400)
     whole = encoded(bits, contexts, 8)
     out = np.zeros(5, dtype=np.uint8)
-    state = start_encoder()
-    encode_bits(bits, contexts, new_models(8), state, out)
-    assert finish_encoder(state, out) == len(whole)
+    coder = new_encoder(out, new_models(8))
+    code_bits(bits, contexts, coder, np.zeros_like(bits))
+    assert finish_encoder(coder.state, out) == len(whole)
     assert out.tolist() == whole[:5].tolist()
 
 

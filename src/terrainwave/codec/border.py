@@ -12,24 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.refiner import GroupSpec
-from terrainwave.codec.zerotree import (
-    BIN_OF_SUM,
-    N_BINS,
-    SUM_LIMIT,
-    decode_magnitude_at,
-    encode_magnitude_at,
-)
+from terrainwave.codec.zerotree import BIN_OF_SUM, N_BINS, SUM_LIMIT
 from terrainwave.coding.filters import MAX_HEIGHT, extend_line, synthesise_line
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
-    LOW,
     N_PREFIX,
     N_UNARY,
-    RANGE,
-    decode_bit,
-    decode_raw,
-    encode_bit,
-    encode_raw,
+    Coder,
+    code_bit,
+    code_magnitude,
+    code_raw,
 )
 
 # Models: a zero flag and unary steps for each (pass, context bin). Passes: even and odd samples;
@@ -39,6 +31,8 @@ _MAG_MODELS = _N_PASSES * N_BINS
 _PREFIX_MODELS = _MAG_MODELS + _N_PASSES * N_BINS * N_UNARY
 N_BORDER_MODELS = _PREFIX_MODELS + _N_PASSES * N_PREFIX
 _EVEN, _ODD, _ROOT = 0, 1, 2
+# The context sum of corner samples and of those on the fixed grid, which have no neighbours yet.
+_ALONE = 16
 
 _SYNTHESIS_BITS = 14
 
@@ -105,11 +99,9 @@ def code_border(
     parent: NDArray[np.int32] | None,
     target: NDArray[np.int32] | None,
     mask: NDArray[np.bool_],
+    coder: Coder,
     heights: NDArray[np.int32],
     is_known: NDArray[np.bool_],
-    state: NDArray[np.int64],
-    stream: NDArray[np.uint8],
-    models: NDArray[np.uint32],
     *,
     is_nested: bool,
 ) -> None:
@@ -120,41 +112,36 @@ def code_border(
     low-pass level.
     """
     plan = plan_border(spec)
-    encoding = target is not None
-    source = heights if target is None else target
     above = None if parent is None else _Parent(spec, parent, is_nested)
-    streams = state, stream, models
     for row, col in plan.corners:
-        prediction, is_coded = 0, bool(mask[row, col])
-        if above is not None:
+        goal = None if target is None else int(target[row, col])
+        is_coded = bool(mask[row, col])
+        if above is None:
+            heights[row, col] = code_root_sample(goal, is_coded, spec.step, coder)
+        else:
             prediction, is_inherited = above.predict_corner(row, col)
             is_coded = is_coded and not is_inherited
-        heights[row, col] = code_corner(
-            encoding, prediction, int(source[row, col]), is_coded, above is None, spec.step,
-            *streams,
-        )  # fmt: skip
+            heights[row, col] = _code_corner(goal, prediction, is_coded, spec.step, coder)
         is_known[row, col] = True
     for line in plan.lines:
         if line.first >= line.stop:
             continue
         at = slice(line.start, line.start + line.n)
         index = (at, line.place) if line.is_column else (line.place, at)
-        goal = np.ascontiguousarray(source[index])
+        goals = None if target is None else np.ascontiguousarray(target[index])
         coded = mask[index].copy()
         # Only what lies before `first` and after `stop` is looked at: corner samples.
         decoded = heights[index].astype(np.int64)
         if above is None:
             known = np.ones(line.n, dtype=np.bool_)
             known[line.first : line.stop] = False
-            _code_closed_line(encoding, goal, coded, known, spec.step, decoded, *streams)
+            mags = np.zeros(line.n, dtype=np.int64)
+            _code_closed_line(goals, coded, known, spec.step, coder, mags, decoded)
         else:
             predicted, is_inherited = above.predict_line(line)
             if is_inherited:
                 coded[::2] = False
-            _code_line(
-                encoding, predicted, goal, coded, spec.step, line.first, line.stop, decoded,
-                *streams,
-            )  # fmt: skip
+            _code_line(goals, predicted, coded, spec.step, line.first, line.stop, coder, decoded)
         inner = slice(line.start + line.first, line.start + line.stop)
         index = (inner, line.place) if line.is_column else (line.place, inner)
         heights[index] = decoded[line.first : line.stop]
@@ -212,34 +199,15 @@ def _predict_line(extended, n_parent, predicted):
 
 
 @kernel
-def _code_symbol(encoding, value, pass_, sums, state, stream, models):
-    """Encode or decode a signed value: zero flag, magnitude, sign; return it."""
-    bin_ = np.int64(BIN_OF_SUM[min(sums, SUM_LIMIT)])
-    zero = pass_ * N_BINS + bin_
+def _code_index(index, pass_, sums, coder):
+    """Code a signed index: zero flag, magnitude, sign; return it."""
+    zero = pass_ * N_BINS + np.int64(BIN_OF_SUM[min(sums, SUM_LIMIT)])
+    if not code_bit(coder, zero, np.int64(index != 0)):
+        return np.int64(0)
     first = _MAG_MODELS + zero * N_UNARY
     prefix = _PREFIX_MODELS + pass_ * N_PREFIX
-    if encoding:
-        encode_bit(state, stream, models, zero, 1 if value != 0 else 0)
-        if value != 0:
-            state[RANGE], state[LOW] = encode_magnitude_at(
-                state[RANGE],
-                state[LOW],
-                state,
-                stream,
-                models,
-                first,
-                prefix,
-                np.int64(0),
-                abs(value) - 1,
-            )
-            encode_raw(state, stream, 1 if value < 0 else 0, np.int64(1))
-        return value
-    if not decode_bit(state, stream, models, zero):
-        return np.int64(0)
-    value = decode_magnitude_at(state, stream, models, first, prefix, np.int64(0)) + 1
-    if decode_raw(state, stream, np.int64(1)):
-        return -value
-    return value
+    mag = code_magnitude(coder, first, prefix, np.int64(0), abs(index) - 1) + 1
+    return -mag if code_raw(coder, np.int64(1), np.int64(index < 0)) else mag
 
 
 @kernel
@@ -258,29 +226,33 @@ def _rebuild(prediction, index, step):
 
 
 @kernel
-def code_corner(encoding, prediction, target, is_valid, is_root, step, state, stream, models):
-    """Encode or decode one corner sample; return its decoded height."""
+def code_root_sample(goal, is_coded, step, coder):
+    """Encode a sample on the fixed grid, or decode it where `goal` is None; return its height."""
     index = np.int64(0)
-    if is_valid:
-        if encoding:
-            index = (
-                np.int64(target) // step if is_root else _quantum_index(target - prediction, step)
-            )
-        pass_ = _ROOT if is_root else _EVEN
-        index = _code_symbol(encoding, index, pass_, np.int64(16), state, stream, models)
-    if is_root:
-        return _rebuild(np.int64(step >> 1), index, step)
+    if is_coded:
+        if goal is not None:
+            index = np.int64(goal) // step
+        index = _code_index(index, np.int64(_ROOT), np.int64(_ALONE), coder)
+    return _rebuild(np.int64(step >> 1), index, step)
+
+
+@kernel
+def _code_corner(goal, prediction, is_coded, step, coder):
+    """Encode a predicted corner sample, or decode it where `goal` is None; return its height."""
+    index = np.int64(0)
+    if is_coded:
+        if goal is not None:
+            index = _quantum_index(goal - prediction, step)
+        index = _code_index(index, np.int64(_EVEN), np.int64(_ALONE), coder)
     return _rebuild(np.int64(prediction), index, step)
 
 
 @kernel
-def _code_line(
-    encoding, predicted, target, mask, step, first, stop, decoded, state, stream, models
-):
-    """Encode or decode samples `first` to `stop` - 1 of a line into `decoded` (int64).
+def _code_line(goals, predicted, mask, step, first, stop, coder, decoded):
+    """Encode samples `first` to `stop` - 1 of a line, or decode where `goals` is None.
 
-    Even samples first, then odd ones, each corrected by what its neighbours' errors of prediction
-    turned out to be.
+    Fills `decoded` (int64). Even samples first, then odd ones, each corrected by what its
+    neighbours' errors of prediction turned out to be.
     """
     n = decoded.shape[0]
     for phase in range(2):
@@ -300,11 +272,9 @@ def _code_line(
                 if 0 < i < n - 1:
                     bend = abs(predicted[i - 1] - 2 * predicted[i] + predicted[i + 1])
                 sums = 4 * near + min(8 * bend // step, 1024)
-                if encoding:
-                    index = _quantum_index(target[i] - prediction, step)
-                index = _code_symbol(
-                    encoding, index, phase, min(sums, SUM_LIMIT), state, stream, models
-                )
+                if goals is not None:
+                    index = _quantum_index(goals[i] - prediction, step)
+                index = _code_index(index, phase, sums, coder)
             decoded[i] = _rebuild(prediction, index, step)
             before_last = last
             last = min(abs(int(index)), 255)
@@ -332,61 +302,68 @@ def _interpolate_line(pairs, predicted):
 
 
 @kernel
-def _code_closed_line(encoding, target, mask, known, step, decoded, state, stream, models):
-    """Encode or decode the unknown samples of a line into `decoded`, coarse to fine.
+def _code_closed_line(goals, mask, known, step, coder, mags, decoded):
+    """Encode the unknown samples of a line, or decode where `goals` is None, coarse to fine.
 
-    Samples 0 and the last multiple of the largest stride that are not known lie on the fixed grid.
+    Fills `decoded`; `mags` is zeros. Samples 0 and the last multiple of the largest stride that are
+    not known lie on the fixed grid.
     """
     n = decoded.shape[0]
-    mags = np.zeros(n, dtype=np.int64)
     top = 1
     while top < n - 1:
         top *= 2
     for i in range(0, n, top):
         if not known[i]:
-            decoded[i] = code_corner(
-                encoding, np.int64(0), target[i], mask[i], True, step, state, stream, models
-            )
+            index = np.int64(0)
+            if mask[i]:
+                if goals is not None:
+                    index = np.int64(goals[i]) // step
+                index = _code_index(index, np.int64(_ROOT), np.int64(_ALONE), coder)
+            decoded[i] = _rebuild(np.int64(step >> 1), index, step)
     stride = top >> 1
     while stride > 0:
         pass_ = _ROOT + (0 if stride > 2 else 3 - stride)
         for i in range(stride, n, 2 * stride):
             if known[i]:
                 continue
-            left, right = i - stride, i + stride
-            near = 2 * mags[left]
-            bend = np.int64(0)
-            prediction = decoded[left]
-            before = left - 2 * stride
-            if right < n:
-                prediction = (decoded[left] + decoded[right] + 1) >> 1
-                near = mags[left] + mags[right]
-                after = right + 2 * stride
-                if before >= 0 and after < n:
-                    outer = decoded[before] + decoded[after]
-                    inner = decoded[left] + decoded[right]
-                    prediction = (9 * inner - outer + 8) >> 4
-                    bend = abs(outer - inner)
-                elif before >= 0 or after < n:
-                    third = decoded[before] if before >= 0 else decoded[after]
-                    near_one = decoded[left] if before >= 0 else decoded[right]
-                    far_one = decoded[right] if before >= 0 else decoded[left]
-                    bend = 2 * abs(third - 2 * near_one + far_one)
-                    prediction = (3 * far_one + 6 * near_one - third + 4) >> 3
-                else:
-                    bend = abs(decoded[left] - decoded[right])
-            elif before >= 0:
-                prediction += (decoded[left] - decoded[before]) >> 1
-                bend = abs(decoded[left] - decoded[before])
-            last = mags[i - 2 * stride] if i >= 2 * stride else near
+            prediction, bend = _predict_between(decoded, i, stride)
             index = np.int64(0)
             if mask[i]:
+                near = mags[i - stride] + mags[i + stride if i + stride < n else i - stride]
+                last = mags[i - 2 * stride] if i >= 2 * stride else near
                 sums = 2 * near + 2 * last + min(2 * bend // step, 1024)
-                if encoding:
-                    index = _quantum_index(target[i] - prediction, step)
-                index = _code_symbol(
-                    encoding, index, pass_, min(sums, SUM_LIMIT), state, stream, models
-                )
+                if goals is not None:
+                    index = _quantum_index(goals[i] - prediction, step)
+                index = _code_index(index, pass_, sums, coder)
             decoded[i] = _rebuild(prediction, index, step)
             mags[i] = min(abs(index), 255)
         stride >>= 1
+
+
+@kernel
+def _predict_between(decoded, i, stride):
+    """Predict sample `i` of a line from every `2 * stride`-th around it; return how they bend too.
+
+    From two on each side where there are, else from three, two or one.
+    """
+    n = decoded.shape[0]
+    near_left, right = decoded[i - stride], i + stride
+    has_far_left = i - 3 * stride >= 0
+    if right >= n:
+        if not has_far_left:
+            return near_left, np.int64(0)
+        slope = near_left - decoded[i - 3 * stride]
+        return near_left + (slope >> 1), abs(slope)
+    near_right = decoded[right]
+    has_far_right = right + 2 * stride < n
+    if has_far_left and has_far_right:
+        outer = decoded[i - 3 * stride] + decoded[right + 2 * stride]
+        inner = near_left + near_right
+        return (9 * inner - outer + 8) >> 4, abs(outer - inner)
+    if has_far_left or has_far_right:
+        third = decoded[i - 3 * stride if has_far_left else right + 2 * stride]
+        beside = near_left if has_far_left else near_right
+        opposite = near_right if has_far_left else near_left
+        bend = 2 * abs(third - 2 * beside + opposite)
+        return (3 * opposite + 6 * beside - third + 4) >> 3, bend
+    return (near_left + near_right + 1) >> 1, abs(near_left - near_right)

@@ -28,10 +28,14 @@ from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.codec.zerotree import (
     FRAME_COLS,
     FRAME_ROWS,
+    HH,
+    HL,
+    LH,
+    LL,
+    Bands,
+    Nodes,
     choose_along,
-    decode_tree,
-    dequantize,
-    encode_tree,
+    code_tree,
     mark_labels,
     measure_roughness,
     node_offsets,
@@ -46,13 +50,11 @@ from terrainwave.coding.filters import (
 )
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
-    STATE_SIZE,
-    decode_raw,
-    encode_raw,
+    code_raw,
     finish_decoder,
     finish_encoder,
-    start_decoder,
-    start_encoder,
+    new_decoder,
+    new_encoder,
 )
 from terrainwave.coding.status import raise_for_status
 from terrainwave.coding.zerotrees import JZTC, JZTR, map_of_labels
@@ -98,10 +100,7 @@ class Workspace(NamedTuple):
     field: NDArray[np.int64]
     low: NDArray[np.int64]
     high: NDArray[np.int64]
-    offsets: NDArray[np.int64]
-    mags: NDArray[np.uint8]
-    spread: NDArray[np.int64]
-    rough: NDArray[np.int64]
+    nodes: Nodes
     base: NDArray[np.int64]
     rows: Scratch
 
@@ -109,15 +108,19 @@ class Workspace(NamedTuple):
 def _workspace(shape: tuple[int, int]) -> Workspace:
     rows, cols = (shape[0] + 1) >> 1, (shape[1] + 1) >> 1
     offsets = np.zeros(32, dtype=np.int64)
-    node_offsets(*shape, offsets)
+    n_levels = node_offsets(*shape, offsets)
+    nodes = Nodes(
+        offsets,
+        np.empty(offsets[n_levels], dtype=np.uint8),
+        np.zeros((rows, cols), dtype=np.int64),
+        np.zeros((2, 3, rows + FRAME_ROWS, cols + FRAME_COLS), dtype=np.uint8),
+        np.zeros((3, rows, cols), dtype=np.int64),
+    )
     return Workspace(
         np.zeros(shape, dtype=np.int64),
         np.zeros(cols + 3, dtype=np.int64),
         np.zeros(cols + 3, dtype=np.int64),
-        offsets,
-        np.zeros((2, 3, rows + FRAME_ROWS, cols + FRAME_COLS), dtype=np.uint8),
-        np.zeros((3, rows, cols), dtype=np.int64),
-        np.zeros((rows, cols), dtype=np.int64),
+        nodes,
         np.zeros((shape[0] + 2 * FRAME, shape[1] + 2 * FRAME), dtype=np.int64),
         new_scratch(shape[1]),
     )
@@ -145,51 +148,40 @@ class Cdf97:
             If the payload contradicts FORMAT.md; `TruncatedStreamError` if it is too short.
         """
         coding, start = _read_header(payload)
-        # Writable, so that encoder and decoder share one compiled border kernel.
-        data = np.frombuffer(payload, dtype=np.uint8)[start:].copy()
-        state = np.zeros(STATE_SIZE, dtype=np.int64)
-        start_decoder(state, data)
-        models = tables97.start_border_models()
+        border = new_decoder(payload[start:], tables97.start_border_models())
         heights, is_known = _predict(spec, parent)
         core = spec.core.slices_in(spec.region)
         prediction = heights[core].copy()  # as it is before shared lines are written
-        code_border(
-            spec, parent, None, mask, heights, is_known, state, data, models, is_nested=False
-        )
+        code_border(spec, parent, None, mask, border, heights, is_known, is_nested=False)
         inner = np.ascontiguousarray(heights[core])
         trees = None
         if coding.flags & _IS_RAW:
             coded = mask[core] & ~is_known[core]
-            _decode_raw_heights(
-                coding.raw_base, coding.raw_width, spec.step, coded, state, data, inner
+            _code_raw_heights(
+                None, coding.raw_base, coding.raw_width, spec.step, coded, border, inner
             )
         else:
             work = _workspace(inner.shape)
             _measure_parent(spec, parent, work)
-            n_levels = n_transforms(*inner.shape)
-            labels = np.full(work.offsets[n_levels], JZTC, dtype=np.uint8)
-            labels[0] = JZTR
+            _no_labels(work.nodes.labels)
             if coding.flags & _HAS_COEFFS:
-                steps, limits = _band_steps(spec.step, coding, n_levels)
-                decode_tree(
-                    work.field, steps, limits, coding.offset, coding.along, work.rough,
-                    work.offsets, labels, work.mags, work.spread, state, data,
-                    tables97.start_tree_models(),
-                )  # fmt: skip
+                bands = _bands(spec.step, coding, n_transforms(*inner.shape))
+                coder = border._replace(models=tables97.start_tree_models())
+                code_tree(None, work.field, bands, work.nodes, coder)
                 inverse_transform(work.field, work.low, work.high)
             _fill_base(prediction, work.field, work.base)
             if spec.wants_labels:
-                trees = _zero_trees(work.offsets, labels, inner.shape)
+                trees = _zero_trees(work.nodes, inner.shape)
             if coding.flags & _HAS_RESIDUALS:
                 frame_base(work.base)
                 code_residuals(
                     None, inner, _kinds(mask[core], is_known[core]), work.base, spec.step,
-                    tables97.TERM_WEIGHTS[coding.term_set], tables97.E_WEIGHTS, work.rows, state,
-                    data, tables97.start_residual_models(),
+                    tables97.TERM_WEIGHTS[coding.term_set], tables97.E_WEIGHTS, work.rows,
+                    border._replace(models=tables97.start_residual_models()),
                 )  # fmt: skip
             else:
                 _round_base(work.base, is_known[core], inner)
-        raise_for_status(*finish_decoder(state, data))
+        raise_for_status(*finish_decoder(border.state, border.stream))
         heights[core] = inner
         return heights, trees
 
@@ -205,12 +197,9 @@ class _Encoder:
         self.core = core = spec.core.slices_in(spec.region)
         self.prediction = self.heights[core].copy()  # as it is before shared lines are written
         self.out = np.empty(5 * target.size + 1024, dtype=np.uint8)
-        self.state = start_encoder()
-        code_border(
-            spec, parent, target, mask, self.heights, is_known, self.state, self.out,
-            tables97.start_border_models(), is_nested=False,
-        )  # fmt: skip
-        self.border_state = self.state.copy()
+        self.coder = new_encoder(self.out, tables97.start_border_models())
+        code_border(spec, parent, target, mask, self.coder, self.heights, is_known, is_nested=False)
+        self.border_state = self.coder.state.copy()
         self.is_known = np.ascontiguousarray(is_known[core])
         self.coded = mask[core] & ~self.is_known
         # The coefficients aim at the originals on the shared lines too: the decoded lines carry
@@ -245,7 +234,8 @@ class _Encoder:
         heights[self.core] = inner
         if labels is None or not self.spec.wants_labels:
             return payload, heights, None
-        return payload, heights, _zero_trees(self.work.offsets, labels, inner.shape)
+        nodes = self.work.nodes._replace(labels=labels)
+        return payload, heights, _zero_trees(nodes, inner.shape)
 
     def attempt(self, step_code: int) -> None:
         """Encode with this step, 0 for no coefficients; keep the result if it costs least.
@@ -254,22 +244,20 @@ class _Encoder:
         """
         coding = Coding(0, step_code)
         spec, work = self.spec, self.work
-        state = self.state
+        state = self.coder.state
         state[:] = self.border_state
-        labels = np.full(work.offsets[self.n_levels], JZTC, dtype=np.uint8)
-        labels[0] = JZTR
+        labels = work.nodes.labels
+        _no_labels(labels)
         work.field[:] = 0
         if step_code:
-            steps, limits = _band_steps(spec.step, coding, self.n_levels)
-            largest = _quantize(self.detail, steps, limits, coding.offset, self.quants, work.field)
-            if largest > MAX_INDEX:
+            bands = _bands(spec.step, coding, self.n_levels)
+            if _quantize(self.detail, bands.steps, self.quants) > MAX_INDEX:
                 return
-            if mark_labels(self.quants, work.offsets, labels) or self.quants[0, 0]:
+            if mark_labels(self.quants, work.nodes.offsets, labels) or self.quants[0, 0]:
                 coding = coding._replace(flags=_HAS_COEFFS, along=choose_along(self.quants))
-                encode_tree(
-                    self.quants, coding.along, work.rough, work.offsets, labels, work.mags,
-                    work.spread, state, self.out, tables97.start_tree_models(),
-                )  # fmt: skip
+                bands = bands._replace(along=coding.along)
+                coder = self.coder._replace(models=tables97.start_tree_models())
+                code_tree(self.quants, work.field, bands, work.nodes, coder)
                 inverse_transform(work.field, work.low, work.high)
         inner = self.start.copy()
         _fill_base(self.prediction, work.field, work.base)
@@ -282,8 +270,8 @@ class _Encoder:
             )
             code_residuals(
                 self.target, inner, self.kinds, work.base, spec.step,
-                tables97.TERM_WEIGHTS[coding.term_set], tables97.E_WEIGHTS, work.rows, state,
-                self.out, tables97.start_residual_models(),
+                tables97.TERM_WEIGHTS[coding.term_set], tables97.E_WEIGHTS, work.rows,
+                self.coder._replace(models=tables97.start_residual_models()),
             )  # fmt: skip
         n_bytes = finish_encoder(state, self.out)
         header = _write_header(coding)
@@ -296,7 +284,7 @@ class _Encoder:
         if self.best is None or cost < self.least:
             self.least = cost
             self.n_bits = n_bits
-            self.best = (header + self.out[:n_bytes].tobytes(), inner, labels)
+            self.best = (header + self.out[:n_bytes].tobytes(), inner, labels.copy())
 
     def _choose_terms(self) -> int:
         """Return the set of weights that suits the framed base best, by errors on some rows."""
@@ -320,12 +308,10 @@ class _Encoder:
         assert self.best is not None
         if len(self.best[0]) < (width * valid.size) >> 3:
             return
-        self.state[:] = self.border_state
+        self.coder.state[:] = self.border_state
         inner = self.start.copy()
-        _encode_raw_heights(
-            base, width, spec.step, self.coded, self.state, self.out, self.target, inner
-        )
-        n_bytes = finish_encoder(self.state, self.out)
+        _code_raw_heights(self.target, base, width, spec.step, self.coded, self.coder, inner)
+        n_bytes = finish_encoder(self.coder.state, self.out)
         header = _write_header(Coding(_IS_RAW, raw_width=width, raw_base=base))
         if n_bytes + len(header) < len(self.best[0]):
             self.best = (header + self.out[:n_bytes].tobytes(), inner, None)
@@ -338,13 +324,19 @@ def _kinds(mask: Mask, is_known: NDArray[np.bool_]) -> NDArray[np.uint8]:
     return kinds
 
 
-def _zero_trees(offsets: NDArray[np.int64], labels: Labels, shape: tuple[int, int]) -> Labels:
+def _no_labels(labels: Labels) -> None:
+    """Set the labels of nodes that hold nothing, in place."""
+    labels[:] = JZTC
+    labels[0] = JZTR
+
+
+def _zero_trees(nodes: Nodes, shape: tuple[int, int]) -> Labels:
     """Return the map of zero trees (`coding.zerotrees`) of the labels of all node grids."""
     trees = np.empty(((shape[0] + 1) >> 1, (shape[1] + 1) >> 1), dtype=np.uint8)
-    if labels[0] == JZTR:
+    if nodes.labels[0] == JZTR:
         trees[:] = n_transforms(*shape)
         return trees
-    map_of_labels(labels, offsets, n_transforms(*shape), trees)
+    map_of_labels(nodes.labels, nodes.offsets, n_transforms(*shape), trees)
     return trees
 
 
@@ -365,7 +357,7 @@ def _predict(spec: GroupSpec, parent: Heights | None) -> tuple[Heights, NDArray[
 
 
 def _measure_parent(spec: GroupSpec, parent: Heights | None, work: Workspace) -> None:
-    """Fill `work.rough`; zeros in a root block."""
+    """Fill the roughness of the nodes; zeros in a root block."""
     if parent is not None:
         assert spec.parent_region is not None
         measure_roughness(
@@ -373,14 +365,12 @@ def _measure_parent(spec: GroupSpec, parent: Heights | None, work: Workspace) ->
             (spec.core.row >> 1) - spec.parent_region.row,
             (spec.core.col >> 1) - spec.parent_region.col,
             spec.step,
-            work.rough,
+            work.nodes.rough,
         )
 
 
-def _band_steps(
-    step: int, coding: Coding, n_levels: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the quantiser step and the largest useful index of each (transform, band)."""
+def _bands(step: int, coding: Coding, n_levels: int) -> Bands:
+    """Return how a payload's coefficients are quantised."""
     steps = np.empty((n_levels, 4), dtype=np.int64)
     limits = np.empty((n_levels, 4), dtype=np.int64)
     for t in range(n_levels):
@@ -389,7 +379,7 @@ def _band_steps(
             value = (base << FRACTION_BITS) * int(BAND_GAINS[t, band]) // (_STEP_UNIT * 2 * 4096)
             steps[t, band] = min(max(value, 1), MAX_COEFF)
             limits[t, band] = MAX_COEFF // int(steps[t, band]) + 1
-    return steps, limits
+    return Bands(steps, limits, coding.offset, coding.along)
 
 
 def _write_header(coding: Coding) -> bytes:
@@ -445,8 +435,8 @@ def _read_header(payload: bytes) -> tuple[Coding, int]:
 
 
 @kernel
-def _quantize(detail, steps, limits, offset, quants, recon):
-    """Fill `quants` with indices of `detail`, `recon` with their values; return the largest index.
+def _quantize(detail, steps, quants):
+    """Fill `quants` with indices of `detail`; return the largest index.
 
     An index rounds up from 0.58 on: 2-5 % smaller than from 0.5 (DESIGN.md §3.1).
     """
@@ -466,34 +456,23 @@ def _quantize(detail, steps, limits, offset, quants, recon):
             cols_low = ((n_cols - 1) >> (t + 1)) + 1
             if t == t_row or (t == count - 1 and t_row == count):
                 # High in y: LH left of cols_low; the root's LL in a row that is never high.
-                band = 2 if t == t_row else 0
-                found = _quantize_run(
-                    detail[row, :cols_low], steps[t, band], limits[t, band], offset if band else 0,
-                    quants[row, :cols_low], recon[row, :cols_low],
-                )  # fmt: skip
-                largest = max(largest, found)
-            band = 3 if t == t_row else 1
-            found = _quantize_run(
-                detail[row, cols_low:cols], steps[t, band], limits[t, band], offset,
-                quants[row, cols_low:cols], recon[row, cols_low:cols],
-            )  # fmt: skip
-            largest = max(largest, found)
+                step = steps[t, LH if t == t_row else LL]
+                largest = max(largest, _quantize_run(detail[row], 0, cols_low, step, quants[row]))
+            step = steps[t, HH if t == t_row else HL]
+            largest = max(largest, _quantize_run(detail[row], cols_low, cols, step, quants[row]))
     return largest
 
 
 @kernel
-def _quantize_run(detail, step, limit, offset, quants, recon):
+def _quantize_run(detail, first, stop, step, quants):
     """Quantise part of a row that belongs to one band; return the largest index."""
     bias = (step * 27) >> 6
     largest = np.int64(0)
-    for i in range(detail.shape[0]):
+    for i in range(first, stop):
         value = detail[i]
         index = (abs(value) + bias) // step
         largest = max(largest, index)
-        if value < 0:
-            index = -index
-        quants[i] = min(max(index, -MAX_INDEX), MAX_INDEX)
-        recon[i] = dequantize(index, step, limit, offset)
+        quants[i] = min(index, MAX_INDEX) if value >= 0 else max(-index, -MAX_INDEX)
     return largest
 
 
@@ -533,21 +512,17 @@ def _round_base(base, is_known, heights):
 
 
 @kernel
-def _encode_raw_heights(base, width, step, coded, state, out, target, heights):
-    """Write round((target - base) / step) in `width` bits each; fill `heights`."""
-    for row in range(target.shape[0]):
-        for col in range(target.shape[1]):
-            if coded[row, col]:
-                index = (np.int64(target[row, col]) - base + (step >> 1)) // step
-                encode_raw(state, out, index, width)
-                heights[row, col] = min(base + index * step, MAX_HEIGHT)
+def _code_raw_heights(target, base, width, step, coded, coder, heights):
+    """Encode round((target - base) / step) in `width` bits each, or decode where `target` is None.
 
-
-@kernel
-def _decode_raw_heights(base, width, step, coded, state, data, heights):
-    """Undo `_encode_raw_heights`."""
+    Fills `heights`.
+    """
+    most = 2 * MAX_HEIGHT // step + 1
     for row in range(heights.shape[0]):
         for col in range(heights.shape[1]):
             if coded[row, col]:
-                index = min(decode_raw(state, data, width), 2 * MAX_HEIGHT // step + 1)
+                index = np.int64(0)
+                if target is not None:
+                    index = (np.int64(target[row, col]) - base + (step >> 1)) // step
+                index = min(code_raw(coder, width, index), most)
                 heights[row, col] = min(base + index * step, MAX_HEIGHT)

@@ -8,18 +8,11 @@ import numpy as np
 
 from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.coding.rangecoder import (
-    BYTE_POS,
-    CODE,
-    LOW,
     N_PREFIX,
     N_UNARY,
-    RANGE,
-    decode_mixed_step,
-    decode_raw,
-    decode_step,
-    encode_mixed_step,
-    encode_raw,
-    encode_step,
+    code_mixed_step,
+    code_raw_step,
+    code_step,
 )
 
 # Expected magnitudes are in 1/256 step; their logarithm counts eighths of an octave.
@@ -129,143 +122,95 @@ def range_bin_of(reach, e_range, log_range):
     return min((log8(reach + e_range) - log_range) >> 2, N_RANGE_BINS - 1)
 
 
-@kernel
-def encode_detail(
-    span, low, state, out, models, mixers, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
-    log_range, spots, detail,
-):  # fmt: skip
-    """Encode a detail known not to be 0; return the new (span, low).
+@inlined_kernel
+def code_detail(
+    at, coder, mixers, e_bin, sign_b, sign_h, reach_b, reach_a, e_range, log_range, spots, detail
+):
+    """Code a detail known not to be 0; return (detail, at).
 
     `reach_b` and `reach_a` are the distances to the highest and the lowest core value; `spots` the
-    indices of the known neighbours, None where each decision has one model only.
+    indices of the known neighbours, None where each decision has one model only. Inlined into a
+    loop that has all of the arguments at hand.
     """
-    positive = 1 if detail > 0 else 0
+    positive = np.int64(detail > 0)
     if spots is not None:
         mixer = SIGN_MIXERS + (e_bin >> 2)
-        span, low, mixers[0, mixer], mixers[1, mixer] = encode_mixed_step(
-            span, low, state, out, models, sign_b, sign_h, mixers[0, mixer], mixers[1, mixer],
-            positive,
-        )  # fmt: skip
+        weights = mixers[0, mixer], mixers[1, mixer]
+        positive, at, weights = code_mixed_step(at, coder, sign_b, sign_h, weights, positive)
+        mixers[0, mixer], mixers[1, mixer] = weights
     else:
-        span, low = encode_step(span, low, state, out, models, sign_b, positive)
+        positive, at = code_step(at, coder, sign_b, positive)
     shift = SHIFT_OF_E[e_bin]
-    value = np.int64(abs(detail)) - 1
-    upper = value >> shift
+    size = np.int64(abs(detail)) - 1
     range_bin = range_bin_of(reach_b if positive else reach_a, e_range, log_range)
-    first_b = UNARY_B + (e_bin * N_RANGE_BINS + range_bin) * N_UNARY
-    first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
-    n_ones = min(upper, N_UNARY)
-    mixer = UNARY_MIXERS + (e_bin >> 2)
-    weight_b, weight_h = mixers[0, mixer], mixers[1, mixer]
-    beyond = cells = np.int64(0)
-    if spots is not None:
-        beyond, cells = cells_beyond(spots, positive, shift)
-    for i in range(min(n_ones + 1, N_UNARY)):
-        bit = 1 if i < n_ones else 0
-        if spots is not None:
-            here = cells & 15
-            beyond -= here
-            cells >>= 4
-            index_h = first_h + i * _N_BEYOND + min(beyond, 5) * 3 + min(here, 2)
-            span, low, weight_b, weight_h = encode_mixed_step(
-                span, low, state, out, models, first_b + i, index_h, weight_b, weight_h, bit
-            )
-        else:
-            span, low = encode_step(span, low, state, out, models, first_b + i, bit)
-    mixers[0, mixer], mixers[1, mixer] = weight_b, weight_h
-    if upper >= N_UNARY:
-        rest = upper - N_UNARY + 1
-        n_bits = 0
-        while rest >> (n_bits + 1):
-            n_bits += 1
-        for i in range(n_bits):
-            span, low = encode_step(span, low, state, out, models, PREFIX + i, 1)
-        if n_bits < N_PREFIX - 1:
-            span, low = encode_step(span, low, state, out, models, PREFIX + n_bits, 0)
-        state[RANGE], state[LOW] = span, low
-        encode_raw(state, out, rest, n_bits)
-        span, low = state[RANGE], state[LOW]
-    for place in range(shift - 1, -1, -1):
-        bit = (value >> place) & 1
-        depth = shift - 1 - place
-        if depth < 2:
-            index = LOW_BITS + e_bin * 16 + min(n_ones, 3) * 4
-            if depth == 1:
-                index += 1 + ((value >> (place + 1)) & 1)
-            span, low = encode_step(span, low, state, out, models, index, bit)
-        else:
-            state[RANGE], state[LOW] = span, low
-            encode_raw(state, out, value & ((1 << (place + 1)) - 1), place + 1)
-            return state[RANGE], state[LOW]
-    return span, low
+    n_ones, at = _code_unary(
+        at, coder, mixers, e_bin, range_bin, spots, positive, shift, size >> shift
+    )
+    upper = n_ones
+    if n_ones == N_UNARY:
+        rest, at = _code_rest(at, coder, (size >> shift) - N_UNARY + 1)
+        upper += rest - 1
+    size, at = _code_low_bits(at, coder, e_bin, n_ones, shift, upper, size)
+    size = min(size, MAX_DETAIL) + 1
+    return size if positive else -size, at
 
 
 @inlined_kernel
-def decode_detail(
-    span, code, pos, state, data, models, mixers, e_bin, sign_b, sign_h, reach_b, reach_a,
-    e_range, log_range, spots,
-):  # fmt: skip
-    """Decode what `encode_detail` wrote; return (detail, span, code, pos)."""
-    if spots is not None:
-        mixer = SIGN_MIXERS + (e_bin >> 2)
-        positive, span, code, pos, mixers[0, mixer], mixers[1, mixer] = decode_mixed_step(
-            span, code, pos, data, models, sign_b, sign_h, mixers[0, mixer], mixers[1, mixer]
-        )
-    else:
-        positive, span, code, pos = decode_step(span, code, pos, data, models, sign_b)
-    shift = SHIFT_OF_E[e_bin]
-    range_bin = range_bin_of(reach_b if positive else reach_a, e_range, log_range)
+def _code_unary(at, coder, mixers, e_bin, range_bin, spots, positive, shift, upper):
+    """Code the unary part of a size's upper bits; return (its ones, at)."""
     first_b = UNARY_B + (e_bin * N_RANGE_BINS + range_bin) * N_UNARY
     first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
-    upper = np.int64(0)
     mixer = UNARY_MIXERS + (e_bin >> 2)
-    weight_b, weight_h = mixers[0, mixer], mixers[1, mixer]
+    weights = mixers[0, mixer], mixers[1, mixer]
     beyond = cells = np.int64(0)
     if spots is not None:
         beyond, cells = cells_beyond(spots, positive, shift)
-    while upper < N_UNARY:
+    n_ones = np.int64(0)
+    while n_ones < N_UNARY:
+        bit = np.int64(upper > n_ones)
         if spots is not None:
             here = cells & 15
             beyond -= here
             cells >>= 4
-            index_h = first_h + upper * _N_BEYOND + min(beyond, 5) * 3 + min(here, 2)
-            bit, span, code, pos, weight_b, weight_h = decode_mixed_step(
-                span, code, pos, data, models, first_b + upper, index_h, weight_b, weight_h
-            )
+            index_h = first_h + n_ones * _N_BEYOND + min(beyond, 5) * 3 + min(here, 2)
+            bit, at, weights = code_mixed_step(at, coder, first_b + n_ones, index_h, weights, bit)
         else:
-            bit, span, code, pos = decode_step(span, code, pos, data, models, first_b + upper)
+            bit, at = code_step(at, coder, first_b + n_ones, bit)
         if bit == 0:
             break
-        upper += 1
-    mixers[0, mixer], mixers[1, mixer] = weight_b, weight_h
-    n_ones = upper
-    if upper == N_UNARY:
-        n_bits = np.int64(0)
-        while n_bits < N_PREFIX - 1:
-            bit, span, code, pos = decode_step(span, code, pos, data, models, PREFIX + n_bits)
-            if bit == 0:
-                break
-            n_bits += 1
-        state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
-        rest = (np.int64(1) << n_bits) | decode_raw(state, data, n_bits)
-        span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
-        upper += rest - 1
+        n_ones += 1
+    mixers[0, mixer], mixers[1, mixer] = weights
+    return n_ones, at
+
+
+@kernel
+def _code_rest(at, coder, rest):
+    """Code what is beyond the unary part, 1 or more, as Exp-Golomb; return (rest, at)."""
+    n_bits = np.int64(0)
+    while n_bits < N_PREFIX - 1:
+        bit, at = code_step(at, coder, PREFIX + n_bits, np.int64(rest >> (n_bits + 1) > 0))
+        if bit == 0:
+            break
+        n_bits += 1
+    raw, at = code_raw_step(at, coder, n_bits, rest)
+    return (np.int64(1) << n_bits) | raw, at
+
+
+@inlined_kernel
+def _code_low_bits(at, coder, e_bin, n_ones, shift, upper, size):
+    """Code the `shift` bits of a size below `upper`, two with models; return (size, at)."""
     value = upper
     for place in range(shift - 1, -1, -1):
         depth = shift - 1 - place
-        if depth < 2:
-            index = LOW_BITS + e_bin * 16 + min(n_ones, 3) * 4
-            if depth == 1:
-                index += 1 + (value & 1)
-            bit, span, code, pos = decode_step(span, code, pos, data, models, index)
-            value = (value << 1) | bit
-        else:
-            state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
-            value = (value << (place + 1)) | decode_raw(state, data, place + 1)
-            span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
-            break
-    value = min(value, MAX_DETAIL) + 1
-    return value if positive else -value, span, code, pos
+        if depth == 2:
+            raw, at = code_raw_step(at, coder, place + 1, size)
+            return (value << (place + 1)) | raw, at
+        index = LOW_BITS + e_bin * 16 + min(n_ones, 3) * 4
+        if depth == 1:
+            index += 1 + (value & 1)
+        bit, at = code_step(at, coder, index, (size >> place) & 1)
+        value = (value << 1) | bit
+    return value, at
 
 
 @kernel

@@ -6,6 +6,7 @@ already known to be void: along an outline these say where it goes.
 """
 
 import base64
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,18 +14,15 @@ from numpy.typing import NDArray
 from terrainwave.codec.refiner import Mask
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
-    BYTE_POS,
-    CODE,
-    LOW,
-    RANGE,
-    decode_step,
-    encode_step,
+    code_step,
     finish_decoder,
     finish_encoder,
-    start_decoder,
-    start_encoder,
+    new_decoder,
+    new_encoder,
+    put_back,
+    take_out,
 )
-from terrainwave.coding.status import Status, raise_for_status
+from terrainwave.coding.status import raise_for_status
 
 # Contexts of what lies ahead: 0 … 2 of the near ones times 0, 1, 2 or more of the farther ones.
 _N_AHEAD = 9
@@ -57,9 +55,10 @@ def encode_mask(mask: Mask, implied: Mask) -> bytes:
     mask, implied : ndarray of bool, shape (n_rows, n_cols)
         Valid samples, and samples known to be void without a bit.
     """
-    state = start_encoder()
     out = np.empty(_BYTES_PER_SAMPLE * mask.size + 8, dtype=np.uint8)
-    n_bytes = _encode_mask(mask, implied, state, out, start_models())
+    coder = new_encoder(out, start_models())
+    _code_mask(mask, implied, coder, *_surroundings(implied))
+    n_bytes = finish_encoder(coder.state, out)
     return out[:n_bytes].tobytes()
 
 
@@ -71,17 +70,37 @@ def decode_mask(data: bytes, implied: Mask) -> Mask:
     CorruptStreamError
         If the bytes are not exactly one mask.
     """
-    mask = np.zeros(implied.shape, dtype=np.bool_)
-    stream: NDArray[np.uint8] = np.frombuffer(data, dtype=np.uint8)
-    state = start_encoder()
-    status, byte_pos = _decode_mask(stream, implied, state, start_models(), mask)
-    raise_for_status(status, byte_pos)
-    return mask
+    coder = new_decoder(data, start_models())
+    surroundings = _surroundings(implied)
+    _code_mask(None, implied, coder, *surroundings)
+    raise_for_status(*finish_decoder(coder.state, coder.stream))
+    return surroundings.padded[2:, 2:-1].copy()
 
 
 def start_models() -> NDArray[np.uint32]:
     """Return fresh models with the trained start values."""
     return _START_MODELS.copy()
+
+
+class _Surroundings(NamedTuple):
+    """What `row_contexts` takes and fills, before a sample is coded."""
+
+    ahead: NDArray[np.uint8]
+    contexts: NDArray[np.int64]
+    padded: NDArray[np.bool_]
+
+
+def _surroundings(implied: Mask) -> _Surroundings:
+    n_rows, n_cols = implied.shape
+    padded = np.zeros((n_rows + 2, n_cols + 3), dtype=np.bool_)
+    return _Surroundings(pad_implied(implied), np.empty(n_cols, dtype=np.int64), padded)
+
+
+def pad_implied(implied: Mask) -> NDArray[np.uint8]:
+    """Return the `ahead` of `row_contexts`."""
+    ahead = np.zeros((implied.shape[0] + 2, implied.shape[1] + 3), dtype=np.uint8)
+    ahead[:-2, 1:-2] = implied
+    return ahead
 
 
 @kernel
@@ -108,59 +127,22 @@ def row_contexts(padded, ahead, row, contexts):
 
 
 @kernel
-def pad_implied(implied, ahead):
-    """Fill `ahead` (uint8) for `row_contexts`."""
+def _code_mask(mask, implied, coder, ahead, contexts, padded):
+    """Encode `mask` in raster order, or decode where it is None; either way into `padded`."""
     n_rows, n_cols = implied.shape
-    for row in range(n_rows):
-        for col in range(n_cols):
-            ahead[row, col + 1] = implied[row, col]
-
-
-@kernel
-def _encode_mask(mask, implied, state, out, models):
-    """Encode in raster order; return the number of bytes."""
-    n_rows, n_cols = mask.shape
-    padded = np.zeros((n_rows + 2, n_cols + 3), dtype=np.bool_)
-    ahead = np.zeros((n_rows + 2, n_cols + 3), dtype=np.uint8)
-    pad_implied(implied, ahead)
-    contexts = np.empty(n_cols, dtype=np.int64)
-    span, low = state[RANGE], state[LOW]
-    for row in range(n_rows):
-        row_contexts(padded, ahead, row, contexts)
-        west = west2 = np.int64(0)
-        for col in range(n_cols):
-            bit = np.int64(mask[row, col])
-            if not implied[row, col]:
-                model = contexts[col] + (32 * west + 2 * west2) * _N_AHEAD
-                span, low = encode_step(span, low, state, out, models, model, bit)
-            padded[row + 2, col + 2] = mask[row, col]
-            west2, west = west, bit
-    state[RANGE], state[LOW] = span, low
-    return finish_encoder(state, out)
-
-
-@kernel
-def _decode_mask(data, implied, state, models, mask):
-    """Fill `mask`; return (status, position)."""
-    n_rows, n_cols = mask.shape
-    padded = np.zeros((n_rows + 2, n_cols + 3), dtype=np.bool_)
-    ahead = np.zeros((n_rows + 2, n_cols + 3), dtype=np.uint8)
-    pad_implied(implied, ahead)
-    contexts = np.empty(n_cols, dtype=np.int64)
-    start_decoder(state, data)
-    span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
+    at = take_out(coder)
     for row in range(n_rows):
         row_contexts(padded, ahead, row, contexts)
         west = west2 = np.int64(0)
         for col in range(n_cols):
             bit = np.int64(0)
             if not implied[row, col]:
+                if mask is not None:
+                    bit = np.int64(mask[row, col])
                 model = contexts[col] + (32 * west + 2 * west2) * _N_AHEAD
-                bit, span, code, pos = decode_step(span, code, pos, data, models, model)
-                mask[row, col] = bit == 1
+                bit, at = code_step(at, coder, model, bit)
             padded[row + 2, col + 2] = bit == 1
             west2, west = west, bit
-        if pos > data.shape[0] + 4:
-            return Status.TRUNCATED, data.shape[0]
-    state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
-    return finish_decoder(state, data)
+        if mask is None and at[2] > coder.stream.shape[0] + 4:
+            break  # `finish_decoder` says so
+    put_back(at, coder)

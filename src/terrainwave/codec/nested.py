@@ -17,9 +17,8 @@ from terrainwave.codec.detail import (
     SIGN_H,
     ZERO_B,
     ZERO_H,
+    code_detail,
     contexts_of,
-    decode_detail,
-    encode_detail,
     log8,
     middle_bin,
     range_bin_of,
@@ -29,7 +28,7 @@ from terrainwave.coding.filters import MAX_HEIGHT
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
-    LOW,
+    POINT,
     RANGE,
     decode_mean_step,
     decode_step,
@@ -247,14 +246,14 @@ def _update_activity(errors, before, n_cols, after):
 @kernel
 def code_pass(
     target, kinds, planes, errors, activity, bends, own, geometry, weights, e_weights, clamp,
-    step, z_min, z_max, rows, spots, state, stream, models, mixers,
+    step, z_min, z_max, rows, spots, coder, mixers,
 ):  # fmt: skip
     """Encode a plane of `target`, or decode it where that is None, into ``planes[own]``.
 
     `kinds` (VOID, CODED, KNOWN) and `target` have the plane's size without padding; known samples
     are in place. Fills ``errors[own]`` and ``activity[own]`` as well, whose padding must be 0.
     `rows` may be int32 where `fits_narrow` says so, for the same result in half the time. `spots`
-    is room for N_SPOTS integers, or None where each decision has one model only. `models` and
+    is room for N_SPOTS integers, or None where each decision has one model only. `coder` and
     `mixers` adapt.
     """
     n_rows, n_cols = kinds.shape
@@ -279,9 +278,8 @@ def code_pass(
     for k in range(n_fractions):
         bin_of_fraction[k] = min(in_steps(np.int64(k), scale_shift, inverse, 3 - P_BITS), 3)
         error_of_fraction[k] = in_steps(np.int64(k), scale_shift, inverse, 5 - P_BITS)
-    span = state[RANGE]
-    low = state[LOW]  # CODE when decoding
-    pos = state[BYTE_POS]
+    state, stream, models = coder.state, coder.stream, coder.models
+    span, point, pos = state[RANGE], state[POINT], state[BYTE_POS]
     _frame_own(plane, core, planes, -1, n_cols)
     for row in range(n_rows):
         _frame_own(plane, core, planes, row, n_cols)
@@ -389,11 +387,11 @@ def code_pass(
             detail = np.int64(0)
             if target is None:
                 if spots is not None:
-                    bit, span, low, pos = decode_mean_step(
-                        span, low, pos, stream, models, zero_b, zero_h
+                    bit, span, point, pos = decode_mean_step(
+                        span, point, pos, stream, models, zero_b, zero_h
                     )
                 else:
-                    bit, span, low, pos = decode_step(span, low, pos, stream, models, zero_b)
+                    bit, span, point, pos = decode_step(span, point, pos, stream, models, zero_b)
                 is_zero = bit == 0
             else:
                 off = np.int64(target[row, j]) - whole
@@ -404,11 +402,11 @@ def code_pass(
                     if off < 0:
                         detail = -detail
                 if spots is not None:
-                    span, low = encode_mean_step(
-                        span, low, state, stream, models, zero_b, zero_h, bit
+                    span, point = encode_mean_step(
+                        span, point, state, stream, models, zero_b, zero_h, bit
                     )
                 else:
-                    span, low = encode_step(span, low, state, stream, models, zero_b, bit)
+                    span, point = encode_step(span, point, state, stream, models, zero_b, bit)
             if is_zero:
                 west = whole
                 error = error_of_fraction[np.uint64(abs(fraction))]
@@ -440,17 +438,11 @@ def code_pass(
                     for k in range(N_SPOTS):
                         distance = in_steps(abs(spots[k]) + half, scale_shift, inverse, 0)
                         spots[k] = distance if spots[k] > 0 else -distance
-                if target is None:
-                    detail, span, low, pos = decode_detail(
-                        span, low, pos, state, stream, models, mixers, e_bin, sign_b, sign_h,
-                        reach_b, reach_a, e_range, log_range, spots,
-                    )  # fmt: skip
-                    detail = min(max(detail, -most), most)
-                else:
-                    span, low = encode_detail(
-                        span, low, state, stream, models, mixers, e_bin, sign_b, sign_h,
-                        reach_b, reach_a, e_range, log_range, spots, detail,
-                    )  # fmt: skip
+                detail, (span, point, pos) = code_detail(
+                    (span, point, pos), coder, mixers, e_bin, sign_b, sign_h, reach_b, reach_a,
+                    e_range, log_range, spots, detail,
+                )  # fmt: skip
+                detail = min(max(detail, -most), most)
                 west = min(max(whole + detail * step, z_min), z_max)
                 distance = abs((west << P_BITS) - value)
                 error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
@@ -461,7 +453,7 @@ def code_pass(
         _update_activity(
             here_errors, activity[own, row + PAD - 1], n_cols, activity[own, row + PAD]
         )
-    state[RANGE], state[LOW] = span, low
+    state[RANGE], state[POINT] = span, point
     if target is None:
         state[BYTE_POS] = pos
 

@@ -15,16 +15,16 @@ from terrainwave.codec.lattice import CORES, TAPS
 from terrainwave.codec.nested import N_FEATURES
 from terrainwave.coding.rangecoder import (
     MAGNITUDE_MODELS,
-    STATE_SIZE,
-    decode_magnitude,
+    N_UNARY,
+    Coder,
+    code_magnitude,
     decode_raw,
-    encode_magnitude,
     encode_raw,
     finish_decoder,
     finish_encoder,
+    new_decoder,
+    new_encoder,
     new_models,
-    start_decoder,
-    start_encoder,
 )
 from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
@@ -108,16 +108,22 @@ def all_tables(added: FileTables) -> Tables:
 
 
 def is_empty(added: FileTables) -> bool:
-    """Return whether there is nothing to store."""
+    """Say whether there is nothing to store."""
     return not any(added.stencils[p] or added.e_weights[p] is not None for p in PLANES)
+
+
+def _code_magnitude(coder: Coder, first: int, value: int = 0) -> int:
+    """Code a value, which a decoder ignores; return it."""
+    return int(code_magnitude(coder, first, first + N_UNARY, 0, value))
 
 
 def pack_parameters(added: FileTables) -> bytes:
     """Return the parameters section; no bytes if there is nothing to store."""
     if is_empty(added):
         return b""
-    state, out = start_encoder(), np.zeros(1 << 16, dtype=np.uint8)
-    models = new_models(3 * MAGNITUDE_MODELS)
+    out = np.zeros(1 << 16, dtype=np.uint8)
+    coder = new_encoder(out, new_models(3 * MAGNITUDE_MODELS))
+    state = coder.state
     for plane in PLANES:
         encode_raw(state, out, len(added.stencils[plane]), 4)
         missing = missing_tap(plane)
@@ -129,14 +135,14 @@ def pack_parameters(added: FileTables) -> bytes:
                 if tap == missing:
                     continue
                 first = _CORE if is_core[tap] else _OTHER
-                encode_magnitude(state, out, models, first, abs(delta))
+                _code_magnitude(coder, first, abs(delta))
                 if delta:
                     encode_raw(state, out, int(delta < 0), 1)
         features = added.e_weights[plane]
         encode_raw(state, out, int(features is not None), 1)
         if features is not None:
             for weight in features:
-                encode_magnitude(state, out, models, _FEATURE, int(weight))
+                _code_magnitude(coder, _FEATURE, int(weight))
     n_bytes = finish_encoder(state, out)
     return bytes([_LAYOUT]) + out[:n_bytes].tobytes()
 
@@ -158,23 +164,21 @@ def parse_parameters(section: bytes) -> FileTables:
             f"the tables of the file have layout {section[0]}, which this terrainwave does not"
             " know: install a newer one"
         )
-    data = np.frombuffer(section, dtype=np.uint8)[1:].copy()
-    state = np.zeros(STATE_SIZE, dtype=np.int64)
-    start_decoder(state, data)
-    models = new_models(3 * MAGNITUDE_MODELS)
-    found = FileTables({plane: [] for plane in PLANES}, dict.fromkeys(PLANES))
+    coder = new_decoder(section[1:], new_models(3 * MAGNITUDE_MODELS))
+    state, data = coder.state, coder.stream
+    added = FileTables({plane: [] for plane in PLANES}, dict.fromkeys(PLANES))
     for plane in PLANES:
         n_sets = int(decode_raw(state, data, 4))
         if n_sets + len(tables.STENCILS[plane]) > MAX_SETS:
             raise CorruptStreamError(f"{n_sets} stencils for plane {plane} are too many")
         for _ in range(n_sets):
-            stencil = _parse_stencil(state, data, models, plane)
+            stencil = _parse_stencil(coder, plane)
             weights_of(plane, stencil)  # checks them
-            found.stencils[plane].append(stencil)
+            added.stencils[plane].append(stencil)
         if decode_raw(state, data, 1):
-            found.e_weights[plane] = _parse_features(state, data, models)
+            added.e_weights[plane] = _parse_features(coder)
     raise_for_status(*finish_decoder(state, data))
-    return found
+    return added
 
 
 @cache
@@ -183,9 +187,8 @@ def _core_taps(plane: int) -> list[bool]:
     return [tuple(tap) in core for tap in TAPS[plane]]
 
 
-def _parse_stencil(
-    state: NDArray[np.int64], data: NDArray[np.uint8], models: NDArray[np.uint32], plane: int
-) -> FileStencil:
+def _parse_stencil(coder: Coder, plane: int) -> FileStencil:
+    state, data = coder.state, coder.stream
     base = int(decode_raw(state, data, 4))
     shift = int(decode_raw(state, data, 3))
     deltas = []
@@ -193,7 +196,7 @@ def _parse_stencil(
     for tap, is_core in enumerate(_core_taps(plane)):
         delta = 0
         if tap != missing:
-            delta = int(decode_magnitude(state, data, models, _CORE if is_core else _OTHER))
+            delta = _code_magnitude(coder, _CORE if is_core else _OTHER)
             if delta > 2 * _MAX_WEIGHT:
                 raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond 2^15")
             if delta and decode_raw(state, data, 1):
@@ -202,10 +205,8 @@ def _parse_stencil(
     return FileStencil(base, shift, tuple(deltas))
 
 
-def _parse_features(
-    state: NDArray[np.int64], data: NDArray[np.uint8], models: NDArray[np.uint32]
-) -> NDArray[np.int64]:
-    weights = [int(decode_magnitude(state, data, models, _FEATURE)) for _ in range(N_FEATURES)]
+def _parse_features(coder: Coder) -> NDArray[np.int64]:
+    weights = [_code_magnitude(coder, _FEATURE) for _ in range(N_FEATURES)]
     if max(weights) > MAX_FEATURE_WEIGHT:
         raise CorruptStreamError(f"a feature weighs {max(weights)}, more than 2^12")
     return np.array(weights, dtype=np.int64)

@@ -12,11 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec import tables
-from terrainwave.codec.border import (
-    N_BORDER_MODELS,
-    code_border,
-    code_corner,
-)
+from terrainwave.codec.border import N_BORDER_MODELS, code_border, code_root_sample
 from terrainwave.codec.detail import N_DETAIL_MODELS, N_MIXERS, N_SPOTS
 from terrainwave.codec.fitting import features_of, fit_features, fit_tables, windows_of
 from terrainwave.codec.lattice import (
@@ -60,14 +56,14 @@ from terrainwave.coding.rangecoder import (
     BYTE_POS,
     PENDING,
     RANGE,
-    STATE_SIZE,
+    Coder,
     decode_raw,
     encode_raw,
     finish_decoder,
     finish_encoder,
+    new_decoder,
+    new_encoder,
     new_mixers,
-    start_decoder,
-    start_encoder,
 )
 from terrainwave.coding.status import raise_for_status
 from terrainwave.coding.zerotrees import grow_zero_trees
@@ -97,15 +93,12 @@ _MAX_KEPT = 1 << 20
 _Seen = dict[int, list[tuple[NDArray[np.float64], NDArray[np.float64]]]]
 
 
-class Coder(NamedTuple):
-    """The state of one payload being written (`encoding`) or read."""
+class _Unit(NamedTuple):
+    """One payload being written or read: what codes details and shared lines, and its tables."""
 
-    encoding: bool
-    state: NDArray[np.int64]
-    stream: NDArray[np.uint8]
-    models: NDArray[np.uint32]
+    coder: Coder
     mixers: NDArray[np.int64]
-    border_models: NDArray[np.uint32]
+    border: Coder
     flags: int
     tables: Tables
     seen: _Seen | None = None
@@ -206,8 +199,9 @@ class Predictive:
         """Return the payload and the heights `decode` makes of it."""
         flags = _CLAMP | (_MIXED if spec.effort else 0)
         out = np.empty(6 * target.size + 1024, dtype=np.uint8)
-        coder = _new_coder(True, start_encoder(), out, flags, self._tables)
-        heights, trees = _code_unit(spec, parent, target, mask, coder)
+        coder = new_encoder(out, tables.start_models(N_DETAIL_MODELS))
+        unit = _new_unit(coder, flags, self._tables)
+        heights, trees = _code_unit(spec, parent, target, mask, unit)
         n_bytes = finish_encoder(coder.state, out)
         return bytes([flags]) + out[:n_bytes].tobytes(), heights, trees
 
@@ -225,13 +219,10 @@ class Predictive:
             raise TruncatedStreamError("the payload is empty")
         if payload[0] & ~(_MIXED | _CLAMP):
             raise CorruptStreamError(f"payload flags {payload[0]:#x} are not defined")
-        # Writable, so that encoder and decoder share compiled kernels.
-        data = np.frombuffer(payload, dtype=np.uint8)[1:].copy()
-        state = np.zeros(STATE_SIZE, dtype=np.int64)
-        start_decoder(state, data)
-        coder = _new_coder(False, state, data, payload[0], self._tables)
-        heights, trees = _code_unit(spec, parent, None, mask, coder)
-        raise_for_status(*finish_decoder(state, data))
+        coder = new_decoder(payload[1:], tables.start_models(N_DETAIL_MODELS))
+        unit = _new_unit(coder, payload[0], self._tables)
+        heights, trees = _code_unit(spec, parent, None, mask, unit)
+        raise_for_status(*finish_decoder(coder.state, coder.stream))
         return heights, trees
 
 
@@ -277,32 +268,25 @@ def _code_window(
         1, region, region, None, Sides(False, False, False, False), step, low, high, (1, 0), 1, 0
     )
     out = np.empty(6 * target.size + 1024, dtype=np.uint8)
-    coder = _new_coder(True, start_encoder(), out, _CLAMP | _MIXED, all_sets)._replace(seen=seen)
+    coder = new_encoder(out, tables.start_models(N_DETAIL_MODELS))
+    unit = _new_unit(coder, _CLAMP | _MIXED, all_sets, seen)
     kinds = np.where(mask, CODED, VOID).astype(np.uint8)
     coarse = np.ascontiguousarray(target[::2, ::2])
     padded = np.zeros((coarse.shape[0] + 2 * PAD, coarse.shape[1] + 2 * PAD), dtype=np.int32)
     fill_noisy(coarse, padded, step)
     heights = np.zeros_like(target)
     heights[::2, ::2] = padded[PAD:-PAD, PAD:-PAD]
-    _code_lattice(heights, kinds, target, spec, coder)
+    _code_lattice(heights, kinds, target, spec, unit)
     return 8 * finish_encoder(coder.state, out)
 
 
-def _new_coder(
-    encoding: bool,
-    state: NDArray[np.int64],
-    stream: NDArray[np.uint8],
-    flags: int,
-    all_sets: Tables,
-) -> Coder:
-    return Coder(
-        encoding, state, stream, tables.start_models(N_DETAIL_MODELS),
-        new_mixers(N_MIXERS), tables.start_border_models(N_BORDER_MODELS), flags, all_sets,
-    )  # fmt: skip
+def _new_unit(coder: Coder, flags: int, all_sets: Tables, seen: _Seen | None = None) -> _Unit:
+    border = coder._replace(models=tables.start_border_models(N_BORDER_MODELS))
+    return _Unit(coder, new_mixers(N_MIXERS), border, flags, all_sets, seen)
 
 
 def _code_unit(
-    spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask, coder: Coder
+    spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask, unit: _Unit
 ) -> tuple[Heights, Labels | None]:
     """Encode `target`, or decode where it is None.
 
@@ -310,9 +294,8 @@ def _code_unit(
     """
     heights = np.zeros(spec.region.shape, dtype=np.int32)
     is_known = np.zeros(spec.region.shape, dtype=np.bool_)
-    streams = coder.state, coder.stream, coder.border_models
     core = spec.core.slices_in(spec.region)
-    code_border(spec, parent, target, mask, heights, is_known, *streams, is_nested=True)
+    code_border(spec, parent, target, mask, unit.border, heights, is_known, is_nested=True)
     inner = np.ascontiguousarray(heights[core])
     kinds = mask[core].astype(np.uint8)  # CODED or VOID
     if any(spec.shared):
@@ -323,13 +306,13 @@ def _code_unit(
         stride = 1
         while stride < max(inner.shape) - 1:
             stride *= 2
-        _code_corners(inner, kinds, goal, stride, spec.step, coder)
+        _code_corners(inner, kinds, goal, stride, spec.step, unit.border)
         while stride > 1:
             stride >>= 1
             at = slice(None, None, stride)
             part = np.ascontiguousarray(inner[at, at])
             goal_part = None if goal is None else goal[at, at]
-            _code_lattice(part, np.ascontiguousarray(kinds[at, at]), goal_part, spec, coder)
+            _code_lattice(part, np.ascontiguousarray(kinds[at, at]), goal_part, spec, unit)
             inner[at, at] = part
     else:
         assert spec.parent_region is not None
@@ -337,7 +320,7 @@ def _code_unit(
         col = (spec.core.col >> 1) - spec.parent_region.col
         n_rows, n_cols = plane_sizes(inner.shape)[A]
         inner[::2, ::2] = parent[row : row + n_rows, col : col + n_cols]
-        errors = _code_lattice(inner, kinds, goal, spec, coder)
+        errors = _code_lattice(inner, kinds, goal, spec, unit)
         if spec.wants_labels:
             trees = np.empty((n_rows, n_cols), dtype=np.uint8)
             mark_significant(errors, *inner.shape, trees)
@@ -359,11 +342,8 @@ def _code_corners(
     for row in range(0, inner.shape[0], stride):
         for col in range(0, inner.shape[1], stride):
             if kinds[row, col] != KNOWN:
-                value = 0 if goal is None else int(goal[row, col])
-                inner[row, col] = code_corner(
-                    coder.encoding, 0, value, kinds[row, col] == CODED, True, step, coder.state,
-                    coder.stream, coder.border_models,
-                )  # fmt: skip
+                height = None if goal is None else int(goal[row, col])
+                inner[row, col] = code_root_sample(height, kinds[row, col] == CODED, step, coder)
 
 
 def _code_lattice(
@@ -371,7 +351,7 @@ def _code_lattice(
     kinds: NDArray[np.uint8],
     goal: Heights | None,
     spec: GroupSpec,
-    coder: Coder,
+    unit: _Unit,
 ) -> NDArray[np.int32]:
     """Code the three passes of a lattice; `heights` holds the coarse and the known samples.
 
@@ -397,7 +377,7 @@ def _code_lattice(
         if 0 in sizes[own]:
             continue
         row_parity, col_parity = parity(own)
-        stencils = coder.tables.stencils[own]
+        stencils = unit.tables.stencils[own]
         own_kinds = np.empty(sizes[own], dtype=np.uint8)
         take_plane(kinds, row_parity, col_parity, own_kinds)
         own_goal = None
@@ -406,17 +386,17 @@ def _code_lattice(
         choice = Choice(0, _N_CLASSES - 1)
         has_header = shape[0] * shape[1] >= _MIN_CHOICE
         if has_header and own_goal is not None:
-            choices = _choose(own_goal, own_kinds, geometry, spec, scratch, coder)
-            _encode_smallest(own_goal, own_kinds, geometry, choices, spec, scratch, coder)
+            choices = _choose(own_goal, own_kinds, geometry, spec, scratch, unit)
+            _encode_smallest(own_goal, own_kinds, geometry, choices, spec, scratch, unit)
         else:
             if has_header:
-                code = int(decode_raw(coder.state, coder.stream, _SET_BITS + 2))
+                code = int(decode_raw(unit.coder.state, unit.coder.stream, _SET_BITS + 2))
                 choice = Choice(code >> 2, code & 3)
                 if choice.stencil_set >= len(stencils) or choice.e_class >= len(
-                    coder.tables.e_weights[own]
+                    unit.tables.e_weights[own]
                 ):
                     raise CorruptStreamError(f"stencil set and contexts {code} do not exist")
-            _run_pass(own_goal, own_kinds, geometry, choice, spec, scratch, coder)
+            _run_pass(own_goal, own_kinds, geometry, choice, spec, scratch, unit)
         fill_frame(planes[own], row_parity, col_parity, *shape)
         fill_frame(errors[own], row_parity, col_parity, *shape)
         fill_frame(activity[own], row_parity, col_parity, *shape)
@@ -454,23 +434,23 @@ def _run_pass(
     choice: Choice,
     spec: GroupSpec,
     scratch: _Scratch,
-    coder: Coder,
+    unit: _Unit,
 ) -> None:
     """Encode or decode one plane with the tables chosen."""
     own = geometry.plane
-    weights = coder.tables.stencils[own][choice.stencil_set]
-    e_weights = coder.tables.e_weights[own][choice.e_class]
+    weights = unit.tables.stencils[own][choice.stencil_set]
+    e_weights = unit.tables.e_weights[own][choice.e_class]
     code_pass(
         goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
-        weights, e_weights, bool(coder.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
-        scratch.rows.of(weights, e_weights), scratch.spots if coder.flags & _MIXED else None,
-        coder.state, coder.stream, coder.models, coder.mixers,
+        weights, e_weights, bool(unit.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
+        scratch.rows.of(weights, e_weights), scratch.spots if unit.flags & _MIXED else None,
+        unit.coder, unit.mixers,
     )  # fmt: skip
-    if coder.seen is not None:
-        coder.seen[own].append(
+    if unit.seen is not None:
+        unit.seen[own].append(
             features_of(
                 kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, geometry,
-                weights, bool(coder.flags & _CLAMP), spec.step,
+                weights, bool(unit.flags & _CLAMP), spec.step,
             )
         )  # fmt: skip
 
@@ -481,7 +461,7 @@ def _choose(
     geometry: Pass,
     spec: GroupSpec,
     scratch: _Scratch,
-    coder: Coder,
+    unit: _Unit,
 ) -> list[Choice]:
     """Return the stencil sets and classes of contexts to try on a plane, the likeliest first.
 
@@ -494,9 +474,9 @@ def _choose(
     found = [
         open_loop_cost(
             goal, kinds, planes, own, geometry, weights, spec.step, every,
-            scratch.rows.of(weights, coder.tables.e_weights[own][0]),
+            scratch.rows.of(weights, unit.tables.e_weights[own][0]),
         )
-        for weights in coder.tables.stencils[own]
+        for weights in unit.tables.stencils[own]
     ]  # fmt: skip
     planes[own] = saved
     ranking = sorted(range(len(found)), key=lambda k: found[k][0])
@@ -505,7 +485,7 @@ def _choose(
     limit = base + (found[ranking[0]][0] - base) * _CLOSE[spec.effort] // 100
     ranking = [k for k in ranking[: _N_TRIALS[spec.effort]] if found[k][0] <= limit]
     # A file's own weights take the place of the last class.
-    last = len(coder.tables.e_weights[own]) - 1
+    last = len(unit.tables.e_weights[own]) - 1
     classes = {k: sum(found[k][1] >= edge for edge in CLASS_LIMITS) for k in ranking}
     return [Choice(k, last if classes[k] == _N_CLASSES - 1 else classes[k]) for k in ranking] or [
         Choice(0, _N_CLASSES - 1)
@@ -519,7 +499,7 @@ def _encode_smallest(
     choices: list[Choice],
     spec: GroupSpec,
     scratch: _Scratch,
-    coder: Coder,
+    unit: _Unit,
 ) -> None:
     """Encode a plane and the choice it is coded with: the one of `choices` that takes least.
 
@@ -527,9 +507,9 @@ def _encode_smallest(
     """
     own = geometry.plane
     # Bytes before this one are final.
-    first = max(int(coder.state[BYTE_POS]), 0)
+    first = max(int(unit.coder.state[BYTE_POS]), 0)
     arrays = [
-        coder.state, coder.models, coder.mixers, coder.stream[first:],
+        unit.coder.state, unit.coder.models, unit.mixers, unit.coder.stream[first:],
         scratch.planes[own], scratch.errors[own], scratch.activity[own],
     ]  # fmt: skip
     start = [array.copy() for array in arrays[:3]] if len(choices) > 1 else []
@@ -538,17 +518,17 @@ def _encode_smallest(
     smallest = 1 << 62
     for n_left, choice in reversed(list(enumerate(choices))):
         if start and n_left < len(choices) - 1:
-            coder.state[:], coder.models[:], coder.mixers[:] = start
+            unit.coder.state[:], unit.coder.models[:], unit.mixers[:] = start
             scratch.planes[own] = known
         code = choice.stencil_set * 4 + choice.e_class
-        encode_raw(coder.state, coder.stream, code, _SET_BITS + 2)
-        _run_pass(goal, kinds, geometry, choice, spec, scratch, coder)
-        n_bits = 8 * int(coder.state[BYTE_POS] + coder.state[PENDING])
-        n_bits -= int(coder.state[RANGE]).bit_length()
+        encode_raw(unit.coder.state, unit.coder.stream, code, _SET_BITS + 2)
+        _run_pass(goal, kinds, geometry, choice, spec, scratch, unit)
+        n_bits = 8 * int(unit.coder.state[BYTE_POS] + unit.coder.state[PENDING])
+        n_bits -= int(unit.coder.state[RANGE]).bit_length()
         if n_bits <= smallest:
             smallest, kept = n_bits, []
             if n_left:
-                arrays[3] = coder.stream[first : max(int(coder.state[BYTE_POS]), first)]
+                arrays[3] = unit.coder.stream[first : max(int(unit.coder.state[BYTE_POS]), first)]
                 kept = [array.copy() for array in arrays]
     for array, values in zip(arrays, kept, strict=False):
         array[:] = values

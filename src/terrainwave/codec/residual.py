@@ -13,16 +13,15 @@ from numpy.typing import NDArray
 
 from terrainwave.codec.detail import MAX_E, N_E_BINS, SHIFT_OF_E, contexts_of, log8
 from terrainwave.codec.nested import in_steps, step_scale
-from terrainwave.codec.zerotree import decode_magnitude_at, encode_magnitude_at
 from terrainwave.coding.filters import MAX_HEIGHT
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
-    CODE,
-    LOW,
     N_PREFIX,
     N_UNARY,
+    POINT,
     RANGE,
+    code_magnitude_step,
     decode_step,
     encode_step,
 )
@@ -201,9 +200,7 @@ def _sign_context(signs, above_signs, col, side):
 
 
 @kernel
-def code_residuals(
-    target, heights, kinds, base, step, weights, e_weights, scratch, state, stream, models
-):
+def code_residuals(target, heights, kinds, base, step, weights, e_weights, scratch, coder):
     """Encode `target` (int32), or decode where it is None, into `heights`, row by row.
 
     `base` is framed; `weights` (4, N_TERMS) int32 are those of the phases 2 (row & 1) + (col & 1).
@@ -229,9 +226,8 @@ def code_residuals(
     for k in range(n_fractions):
         bin_of_fraction[k] = min(in_steps(np.int64(k), scale_shift, inverse, 3 - BASE_BITS), 3)
         error_of_fraction[k] = in_steps(np.int64(k), scale_shift, inverse, _ERROR_BITS - BASE_BITS)
-    span = state[RANGE]
-    low = state[LOW]  # CODE when decoding
-    pos = state[BYTE_POS]
+    state, stream, models = coder.state, coder.stream, coder.models
+    span, point, pos = state[RANGE], state[POINT], state[BYTE_POS]
     for row in range(n_rows):
         here, above, above2 = errors[row % 3], errors[(row + 2) % 3], errors[(row + 1) % 3]
         here_mags, above_mags = mags[row % 3], mags[(row + 2) % 3]
@@ -261,14 +257,14 @@ def code_residuals(
                 zero += bin_of_fraction[np.uint64(abs(fraction))]
                 residual = np.int64(0)
                 if target is None:
-                    bit, span, low, pos = decode_step(span, low, pos, stream, models, zero)
+                    bit, span, point, pos = decode_step(span, point, pos, stream, models, zero)
                 else:
                     error = np.int64(target[row, j]) - height
                     if abs(error) > half:
                         residual = (abs(error) + half) // step
                     bit = 1 if residual else 0
                     sign = np.int64(-1 if error < 0 else 1)
-                    span, low = encode_step(span, low, state, stream, models, zero, bit)
+                    span, point = encode_step(span, point, state, stream, models, zero, bit)
                 if bit:
                     sixth = in_steps(6 * abs(fraction), scale_shift, inverse, 1 - BASE_BITS)
                     sixth = min((sixth + 1) >> 1, 3)
@@ -277,19 +273,17 @@ def code_residuals(
                     first = _MAG_MODELS + e_bin * N_UNARY
                     prefix = np.int64(_PREFIX_MODELS)
                     if target is None:
-                        bit, span, low, pos = decode_step(span, low, pos, stream, models, index)
+                        bit, span, point, pos = decode_step(span, point, pos, stream, models, index)
                         sign = np.int64(1 - 2 * bit)
-                        state[RANGE], state[CODE], state[BYTE_POS] = span, low, pos
-                        residual = decode_magnitude_at(
-                            state, stream, models, first, prefix, SHIFT_OF_E[e_bin]
+                        residual, (span, point, pos) = code_magnitude_step(
+                            (span, point, pos), coder, first, prefix, SHIFT_OF_E[e_bin], residual
                         )
                         residual = min(residual + 1, most)
-                        span, low, pos = state[RANGE], state[CODE], state[BYTE_POS]
                     else:
                         bit = 1 if sign < 0 else 0
-                        span, low = encode_step(span, low, state, stream, models, index, bit)
-                        span, low = encode_magnitude_at(
-                            span, low, state, stream, models, first, prefix, SHIFT_OF_E[e_bin],
+                        span, point = encode_step(span, point, state, stream, models, index, bit)
+                        _, (span, point, pos) = code_magnitude_step(
+                            (span, point, pos), coder, first, prefix, SHIFT_OF_E[e_bin],
                             residual - 1,
                         )  # fmt: skip
                     height = min(max(height + sign * residual * step, -MAX_HEIGHT), MAX_HEIGHT)
@@ -313,7 +307,7 @@ def code_residuals(
             here[j + FRAME] = west
             here_mags[j + FRAME] = mag
             here_signs[j + FRAME] = sign
-    state[RANGE], state[LOW] = span, low
+    state[RANGE], state[POINT] = span, point
     if target is None:
         state[BYTE_POS] = pos
 

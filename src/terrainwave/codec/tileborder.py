@@ -19,15 +19,14 @@ from terrainwave.coding.lifting53 import (
 )
 from terrainwave.coding.rangecoder import (
     MAGNITUDE_MODELS,
-    decode_magnitude,
-    decode_raw,
-    encode_magnitude,
-    encode_raw,
+    N_UNARY,
+    code_magnitude,
+    code_raw,
     finish_decoder,
     finish_encoder,
+    new_decoder,
+    new_encoder,
     new_models,
-    start_decoder,
-    start_encoder,
 )
 from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import InvalidHeightsError
@@ -56,15 +55,15 @@ def encode_borders(field: NDArray[np.int64], n_transforms: int, held: int) -> by
     """Return the stream of the coefficients of `border_lines` and set them to zero."""
     lines = list(border_lines(field, n_transforms, held))
     n_coefficients = sum(line.size for line in lines)
-    state, models = start_encoder(), new_models(_N_CONTEXTS * MAGNITUDE_MODELS)
     stream = np.empty(16 + 16 * n_coefficients, dtype=np.uint8)
+    coder = new_encoder(stream, new_models(_N_CONTEXTS * MAGNITUDE_MODELS))
     for line in lines:
         values = line.copy()
         if np.abs(values).max(initial=0) > _MAX_COEFFICIENT:
             raise InvalidHeightsError("found heights too far apart for method cdf53")
-        _encode_line(values, state, stream, models)
+        _code_line(values, coder, np.empty_like(values))
         line[:] = 0
-    return stream[: finish_encoder(state, stream)].tobytes()
+    return stream[: finish_encoder(coder.state, stream)].tobytes()
 
 
 def decode_borders(stream: bytes, field: NDArray[np.int64], n_transforms: int, held: int) -> None:
@@ -75,14 +74,12 @@ def decode_borders(stream: bytes, field: NDArray[np.int64], n_transforms: int, h
     CorruptStreamError
         If the stream does not end where its last coefficient does.
     """
-    data = np.frombuffer(stream, dtype=np.uint8).copy()
-    state, models = start_encoder(), new_models(_N_CONTEXTS * MAGNITUDE_MODELS)
-    start_decoder(state, data)
+    coder = new_decoder(stream, new_models(_N_CONTEXTS * MAGNITUDE_MODELS))
     for line in border_lines(field, n_transforms, held):
         values = np.empty(line.size, dtype=np.int64)
-        _decode_line(values, state, data, models)
+        _code_line(None, coder, values)
         line[:] = values
-    raise_for_status(*finish_decoder(state, data))
+    raise_for_status(*finish_decoder(coder.state, coder.stream))
 
 
 @kernel
@@ -95,21 +92,15 @@ def _context(last, before):
 
 
 @kernel
-def _encode_line(values, state, stream, models):
-    last = before = np.int64(0)
+def _code_line(goal, coder, values):
+    """Encode the coefficients `goal`, or decode where it is None; either way into `values`."""
+    last = before = value = np.int64(0)
     for at in range(values.shape[0]):
-        magnitude = abs(values[at])
-        encode_magnitude(state, stream, models, _context(last, before), magnitude)
-        if magnitude:
-            encode_raw(state, stream, 1 if values[at] < 0 else 0, 1)
-        last, before = magnitude, last
-
-
-@kernel
-def _decode_line(values, state, data, models):
-    last = before = np.int64(0)
-    for at in range(values.shape[0]):
-        magnitude = np.int64(decode_magnitude(state, data, models, _context(last, before)))
-        is_negative = magnitude > 0 and decode_raw(state, data, 1) == 1
-        values[at] = -magnitude if is_negative else magnitude
+        if goal is not None:
+            value = goal[at]
+        first = _context(last, before)
+        magnitude = code_magnitude(coder, first, first + N_UNARY, np.int64(0), abs(value))
+        values[at] = magnitude
+        if magnitude and code_raw(coder, np.int64(1), np.int64(value < 0)):
+            values[at] = -magnitude
         last, before = magnitude, last

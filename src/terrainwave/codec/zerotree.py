@@ -7,21 +7,23 @@ Node grids halve, rounding up, from the finest (half the region) to 1 x 1. A nod
 transform t holds HL, LH and HH at its place; the root also LL.
 """
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from terrainwave.coding.filters import n_transforms
-from terrainwave.coding.jit import kernel
+from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.coding.rangecoder import (
-    BYTE_POS,
-    CODE,
-    LOW,
     N_PREFIX,
     N_UNARY,
-    RANGE,
-    decode_raw,
-    decode_step,
-    encode_raw,
-    encode_step,
+    code_bit,
+    code_magnitude_step,
+    code_raw,
+    code_raw_step,
+    code_step,
+    put_back,
+    take_out,
 )
 from terrainwave.coding.zerotrees import JS, JZTC, JZTR
 
@@ -73,6 +75,37 @@ _ROUGH_GAIN = 4
 ROUGH_LIMIT = 1024
 
 
+# Bands as arguments of kernels.
+LL, HL, LH, HH = (np.int64(band) for band in range(4))
+
+
+class Bands(NamedTuple):
+    """What quantises coefficients: ``steps[t, band]`` and ``limits[t, band]``, the largest index.
+
+    `offset` pulls a magnitude towards zero, in 1/64 of a step. `along` is that of `choose_along`.
+    """
+
+    steps: NDArray[np.int64]
+    limits: NDArray[np.int64]
+    offset: int
+    along: int
+
+
+class Nodes(NamedTuple):
+    """What there is for each node of the grids, which begin at `offsets` (`node_offsets`).
+
+    `labels` of all; `rough` (rows, cols) is what the parent says about the finest nodes. Scratch
+    for the finest grid: `mags` (2, 3, rows + FRAME_ROWS, cols + FRAME_COLS), `spread` (3, rows,
+    cols).
+    """
+
+    offsets: NDArray[np.int64]
+    labels: NDArray[np.uint8]
+    rough: NDArray[np.int64]
+    mags: NDArray[np.uint8]
+    spread: NDArray[np.int64]
+
+
 @kernel
 def node_offsets(n_rows, n_cols, offsets):
     """Fill `offsets` with the start of each node grid in a flat array; return their number.
@@ -101,16 +134,16 @@ def mark_labels(quants, offsets, labels):
         for i in range(rows):
             low_row = quants[(2 * i) << t]
             for j in range(cols):
-                found = j < high_cols and low_row[cols + j] != 0
-                if i < high_rows and not found:
+                is_js = j < high_cols and low_row[cols + j] != 0
+                if i < high_rows and not is_js:
                     high_row = quants[(2 * i + 1) << t]
-                    found = high_row[j] != 0 or (j < high_cols and high_row[cols + j] != 0)
-                if level < count - 1 and not found:
+                    is_js = high_row[j] != 0 or (j < high_cols and high_row[cols + j] != 0)
+                if level < count - 1 and not is_js:
                     for ci in range(2 * i, min(2 * i + 2, child_rows)):
                         for cj in range(2 * j, min(2 * j + 2, child_cols)):
                             child = offsets[level + 1] + ci * child_cols + cj
-                            found = found or labels[child] == JS
-                labels[offsets[level] + i * cols + j] = JS if found else JZTR
+                            is_js = is_js or labels[child] == JS
+                labels[offsets[level] + i * cols + j] = JS if is_js else JZTR
     n_significant = 0
     for level in range(count):
         t = count - 1 - level
@@ -171,306 +204,145 @@ def _label_context(sums, west, north, level_class):
 
 
 @kernel
-def encode_magnitude_at(span, low, state, out, models, first, prefix, shift, value):
-    """Encode `value` >= 0: its upper bits unary then Exp-Golomb, `shift` lower bits raw."""
-    upper = value >> shift
-    n_ones = min(upper, N_UNARY)
-    for index in range(n_ones):
-        span, low = encode_step(span, low, state, out, models, first + index, np.int64(1))
-    if n_ones < N_UNARY:
-        span, low = encode_step(span, low, state, out, models, first + n_ones, np.int64(0))
-    else:
-        rest = upper - N_UNARY + 1
-        n_bits = 0
-        while rest >> (n_bits + 1):
-            n_bits += 1
-        for index in range(n_bits):
-            span, low = encode_step(span, low, state, out, models, prefix + index, np.int64(1))
-        if n_bits < N_PREFIX - 1:
-            span, low = encode_step(span, low, state, out, models, prefix + n_bits, np.int64(0))
-        value = (rest << shift) | (value & ((1 << shift) - 1))
-        shift += n_bits
-    state[RANGE] = span
-    state[LOW] = low
-    encode_raw(state, out, value, shift)
-    return state[RANGE], state[LOW]
+def code_tree(goal, field, bands, nodes, coder):
+    """Encode the indices `goal`, or decode where it is None, coarse to fine, HL, LH, HH of a node.
 
-
-@kernel
-def decode_magnitude_at(state, data, models, first, prefix, shift):
-    """Decode a value written by `encode_magnitude_at`; any bytes give less than 2**(33 + shift).
-
-    Takes and leaves the coder in `state`.
-    """
-    span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
-    upper = 0
-    bit = 1
-    while upper < N_UNARY and bit:
-        bit, span, code, pos = decode_step(span, code, pos, data, models, first + upper)
-        upper += bit
-    n_bits = 0
-    if upper == N_UNARY and bit:
-        while n_bits < N_PREFIX - 1 and bit:
-            bit, span, code, pos = decode_step(span, code, pos, data, models, prefix + n_bits)
-            n_bits += bit
-    state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
-    raw = decode_raw(state, data, n_bits + shift)
-    if upper < N_UNARY:
-        return (upper << shift) | raw
-    rest = ((np.int64(1) << (n_bits + shift)) | raw) - (np.int64(1) << shift)
-    return (np.int64(N_UNARY) << shift) + rest
-
-
-@kernel
-def encode_tree(quants, along, rough, offsets, labels, mags, spread, state, out, models):
-    """Encode labels and coefficients, coarse to fine, row by row, HL, LH, HH at each node.
-
-    `rough` (rows, cols) is what the parent says about the finest nodes. `mags` (2, 3, rows + 3,
-    cols + 4) and `spread` (3, rows, cols) are scratch for the finest node grid.
-    """
-    n_rows, n_cols = quants.shape
-    count = n_transforms(n_rows, n_cols)
-    span, low = state[RANGE], state[LOW]
-    span, low = _encode_signed(span, low, state, out, models, quants[0, 0])
-    clear_planes(mags[0], np.int64(1), np.int64(1))
-    clear_planes(mags[1], np.int64(1), np.int64(1))
-    for level in range(count):
-        t = count - 1 - level
-        rows, cols = ((n_rows - 1) >> (t + 1)) + 1, ((n_cols - 1) >> (t + 1)) + 1
-        high_rows, high_cols = (((n_rows - 1) >> t) + 1) >> 1, (((n_cols - 1) >> t) + 1) >> 1
-        parent_rows, parent_cols = ((n_rows - 1) >> (t + 2)) + 1, ((n_cols - 1) >> (t + 2)) + 1
-        spread_parents(mags[(level + 1) & 1], parent_rows, parent_cols, spread)
-        plane = mags[level & 1]
-        clear_planes(plane, rows, cols)
-        weights_1 = WEIGHTS[3 if along & 1 and t == 0 else 0]
-        weights_2 = WEIGHTS[4 if along & 2 and t == 0 else 1]
-        weights_3 = WEIGHTS[2]
-        for i in range(rows):
-            low_row = quants[(2 * i) << t]
-            high_row = quants[min((2 * i + 1) << t, n_rows - 1)]
-            for j in range(cols):
-                node = offsets[level] + i * cols + j
-                label = labels[node]
-                if label == JZTC:
-                    continue
-                sum_1 = spread[0, i >> 1, j >> 1] + _causal_sum(
-                    plane[0, i + 2], plane[0, i + 1], plane[0, i], j, weights_1
-                )
-                sum_2 = spread[1, i >> 1, j >> 1] + _causal_sum(
-                    plane[1, i + 2], plane[1, i + 1], plane[1, i], j, weights_2
-                )
-                sum_3 = spread[2, i >> 1, j >> 1] + _causal_sum(
-                    plane[2, i + 2], plane[2, i + 1], plane[2, i], j, weights_3
-                )
-                if t == 0:
-                    hint = rough[i, j]
-                    sum_1 += hint
-                    sum_2 += hint
-                    sum_3 += hint >> 1
-                west = labels[node - 1] if j > 0 else JZTR
-                north = labels[node - cols] if i > 0 else JZTR
-                index = _label_context((sum_1 + sum_2 + sum_3) >> 1, west, north, min(t, 4))
-                span, low = encode_step(span, low, state, out, models, index, label)
-                if label != JS:
-                    continue
-                mag_1 = mag_2 = 0
-                if j < high_cols:
-                    quant = low_row[cols + j]
-                    span, low = _encode_coeff(
-                        span, low, state, out, models, np.int64(0), t, sum_1, quant, np.int64(1)
-                    )
-                    mag_1 = min(abs(quant), MAX_MAG)
-                    plane[0, i + 2, j + 2] = mag_1
-                if i < high_rows:
-                    quant = high_row[j]
-                    sum_2 += _W_SIBLING * mag_1
-                    span, low = _encode_coeff(
-                        span, low, state, out, models, np.int64(1), t, sum_2, quant, np.int64(1)
-                    )
-                    mag_2 = min(abs(quant), MAX_MAG)
-                    plane[1, i + 2, j + 2] = mag_2
-                    if j < high_cols:
-                        quant = high_row[cols + j]
-                        sum_3 += _W_SIBLING * (mag_1 + mag_2)
-                        open_ = 1 if t > 0 or mag_1 + mag_2 > 0 else 0
-                        span, low = _encode_coeff(
-                            span, low, state, out, models, np.int64(2), t, sum_3, quant, open_
-                        )
-                        plane[2, i + 2, j + 2] = min(abs(quant), MAX_MAG)
-    state[RANGE], state[LOW] = span, low
-
-
-@kernel
-def _encode_coeff(span, low, state, out, models, band, t, sums, quant, is_open):
-    """Encode one coefficient; one that must be non-zero (`is_open` 0) has no zero flag."""
-    bin_ = np.int64(BIN_OF_SUM[min(sums >> 1, SUM_LIMIT)])
-    if is_open:
-        index = _ZERO_MODELS + (min(t, 3) * 3 + band) * N_BINS + bin_
-        span, low = encode_step(span, low, state, out, models, index, 1 if quant != 0 else 0)
-        if quant == 0:
-            return span, low
-    first = _MAG_MODELS + ((min(t, 1) * 3 + band) * N_BINS + bin_) * N_UNARY
-    mag = np.int64(abs(quant)) - 1
-    prefix = _PREFIX_MODELS + band * N_PREFIX
-    span, low = encode_magnitude_at(
-        span, low, state, out, models, first, prefix, SHIFT_OF_BIN[bin_], mag
-    )
-    state[RANGE], state[LOW] = span, low
-    encode_raw(state, out, 1 if quant < 0 else 0, np.int64(1))
-    return state[RANGE], state[LOW]
-
-
-@kernel
-def _encode_signed(span, low, state, out, models, value):
-    """Encode the root's LL: Exp-Golomb of |value| + 1 with an adaptive prefix, then a sign."""
-    rest = np.int64(abs(value)) + 1
-    n_bits = 0
-    while rest >> (n_bits + 1):
-        n_bits += 1
-    for index in range(n_bits):
-        span, low = encode_step(span, low, state, out, models, _LL_MODELS + index, np.int64(1))
-    if n_bits < 31:
-        span, low = encode_step(span, low, state, out, models, _LL_MODELS + n_bits, np.int64(0))
-    state[RANGE], state[LOW] = span, low
-    encode_raw(state, out, rest, n_bits)
-    if value != 0:
-        encode_raw(state, out, 1 if value < 0 else 0, np.int64(1))
-    return state[RANGE], state[LOW]
-
-
-@kernel
-def _decode_signed(state, data, models):
-    """Decode a value written by `_encode_signed`: less than 2**32 in magnitude."""
-    span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
-    n_bits, bit = 0, 1
-    while n_bits < 31 and bit:
-        bit, span, code, pos = decode_step(span, code, pos, data, models, _LL_MODELS + n_bits)
-        n_bits += bit
-    state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
-    value = ((np.int64(1) << n_bits) | decode_raw(state, data, n_bits)) - 1
-    if value != 0 and decode_raw(state, data, np.int64(1)):
-        return -value
-    return value
-
-
-@kernel
-def decode_tree(
-    field,
-    steps,
-    limits,
-    offset,
-    along,
-    rough,
-    offsets,
-    labels,
-    mags,
-    spread,
-    state,
-    data,
-    models,
-):
-    """Decode what `encode_tree` wrote into `labels` and, dequantised, into `field` (int64, zeros).
-
-    ``steps[t, band]`` and ``limits[t, band]``: quantiser step and largest index used; `offset`
-    pulls a magnitude towards zero, in 1/64 of a step.
+    Either way `field` (int64, zeros) becomes the dequantised coefficients. An encoder's labels are
+    those of `mark_labels`; a decoder fills them.
     """
     n_rows, n_cols = field.shape
     count = n_transforms(n_rows, n_cols)
-    value = _decode_signed(state, data, models)
-    field[0, 0] = dequantize(value, steps[count - 1, 0], limits[count - 1, 0], np.int64(0))
-    clear_planes(mags[0], np.int64(1), np.int64(1))
-    clear_planes(mags[1], np.int64(1), np.int64(1))
-    span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
+    quant = np.int64(0) if goal is None else np.int64(goal[0, 0])
+    quant = _code_signed(quant, coder)
+    field[0, 0] = dequantize(
+        quant, bands.steps[count - 1, 0], bands.limits[count - 1, 0], np.int64(0)
+    )
+    clear_planes(nodes.mags[0], np.int64(1), np.int64(1))
+    clear_planes(nodes.mags[1], np.int64(1), np.int64(1))
     for level in range(count):
         t = count - 1 - level
-        rows, cols = ((n_rows - 1) >> (t + 1)) + 1, ((n_cols - 1) >> (t + 1)) + 1
-        high_rows, high_cols = (((n_rows - 1) >> t) + 1) >> 1, (((n_cols - 1) >> t) + 1) >> 1
         parent_rows, parent_cols = ((n_rows - 1) >> (t + 2)) + 1, ((n_cols - 1) >> (t + 2)) + 1
-        spread_parents(mags[(level + 1) & 1], parent_rows, parent_cols, spread)
-        plane = mags[level & 1]
-        clear_planes(plane, rows, cols)
-        weights_1 = WEIGHTS[3 if along & 1 and t == 0 else 0]
-        weights_2 = WEIGHTS[4 if along & 2 and t == 0 else 1]
-        weights_3 = WEIGHTS[2]
-        for i in range(rows):
-            low_row = field[(2 * i) << t]
-            high_row = field[min((2 * i + 1) << t, n_rows - 1)]
-            for j in range(cols):
-                node = offsets[level] + i * cols + j
-                if level > 0:
-                    parent = offsets[level - 1] + (i >> 1) * parent_cols + (j >> 1)
-                    if labels[parent] != JS:
-                        labels[node] = JZTC
-                        continue
-                sum_1 = spread[0, i >> 1, j >> 1] + _causal_sum(
-                    plane[0, i + 2], plane[0, i + 1], plane[0, i], j, weights_1
-                )
-                sum_2 = spread[1, i >> 1, j >> 1] + _causal_sum(
-                    plane[1, i + 2], plane[1, i + 1], plane[1, i], j, weights_2
-                )
-                sum_3 = spread[2, i >> 1, j >> 1] + _causal_sum(
-                    plane[2, i + 2], plane[2, i + 1], plane[2, i], j, weights_3
-                )
-                if t == 0:
-                    hint = rough[i, j]
-                    sum_1 += hint
-                    sum_2 += hint
-                    sum_3 += hint >> 1
-                west = labels[node - 1] if j > 0 else JZTR
-                north = labels[node - cols] if i > 0 else JZTR
-                index = _label_context((sum_1 + sum_2 + sum_3) >> 1, west, north, min(t, 4))
-                label, span, code, pos = decode_step(span, code, pos, data, models, index)
-                labels[node] = label
-                if label != JS:
-                    continue
-                mag_1 = mag_2 = 0
-                if j < high_cols:
-                    value, span, code, pos = _decode_coeff(
-                        span, code, pos, state, data, models, np.int64(0), t, sum_1, np.int64(1)
-                    )
-                    if value:
-                        low_row[cols + j] = dequantize(value, steps[t, 1], limits[t, 1], offset)
-                        mag_1 = min(abs(value), MAX_MAG)
-                        plane[0, i + 2, j + 2] = mag_1
-                if i < high_rows:
-                    sum_2 += _W_SIBLING * mag_1
-                    value, span, code, pos = _decode_coeff(
-                        span, code, pos, state, data, models, np.int64(1), t, sum_2, np.int64(1)
-                    )
-                    if value:
-                        high_row[j] = dequantize(value, steps[t, 2], limits[t, 2], offset)
-                        mag_2 = min(abs(value), MAX_MAG)
-                        plane[1, i + 2, j + 2] = mag_2
-                    if j < high_cols:
-                        sum_3 += _W_SIBLING * (mag_1 + mag_2)
-                        open_ = 1 if t > 0 or mag_1 + mag_2 > 0 else 0
-                        value, span, code, pos = _decode_coeff(
-                            span, code, pos, state, data, models, np.int64(2), t, sum_3, open_
-                        )
-                        if value:
-                            high_row[cols + j] = dequantize(
-                                value, steps[t, 3], limits[t, 3], offset
-                            )
-                            plane[2, i + 2, j + 2] = min(abs(value), MAX_MAG)
-    state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
+        spread_parents(nodes.mags[(level + 1) & 1], parent_rows, parent_cols, nodes.spread)
+        _code_level(goal, field, level, t, bands, nodes, coder)
 
 
 @kernel
-def _decode_coeff(span, code, pos, state, data, models, band, t, sums, is_open):
-    """Decode one coefficient's index."""
+def _code_level(goal, field, level, t, bands, nodes, coder):
+    """Code the nodes of one grid, that of transform `t`, row by row."""
+    n_rows, n_cols = field.shape
+    rows, cols = ((n_rows - 1) >> (t + 1)) + 1, ((n_cols - 1) >> (t + 1)) + 1
+    parent_cols = ((n_cols - 1) >> (t + 2)) + 1
+    labels, offsets, spread, plane = (
+        nodes.labels,
+        nodes.offsets,
+        nodes.spread,
+        nodes.mags[level & 1],
+    )
+    clear_planes(plane, rows, cols)
+    weights_1 = WEIGHTS[3 if bands.along & 1 and t == 0 else 0]
+    weights_2 = WEIGHTS[4 if bands.along & 2 and t == 0 else 1]
+    weights_3 = WEIGHTS[2]
+    at = take_out(coder)
+    for i in range(rows):
+        for j in range(cols):
+            node = offsets[level] + i * cols + j
+            if level > 0:
+                parent = offsets[level - 1] + (i >> 1) * parent_cols + (j >> 1)
+                if labels[parent] != JS:
+                    labels[node] = JZTC
+                    continue
+            sum_1 = spread[0, i >> 1, j >> 1] + _causal_sum(
+                plane[0, i + 2], plane[0, i + 1], plane[0, i], j, weights_1
+            )
+            sum_2 = spread[1, i >> 1, j >> 1] + _causal_sum(
+                plane[1, i + 2], plane[1, i + 1], plane[1, i], j, weights_2
+            )
+            sum_3 = spread[2, i >> 1, j >> 1] + _causal_sum(
+                plane[2, i + 2], plane[2, i + 1], plane[2, i], j, weights_3
+            )
+            if t == 0:
+                hint = nodes.rough[i, j]
+                sum_1 += hint
+                sum_2 += hint
+                sum_3 += hint >> 1
+            west = labels[node - 1] if j > 0 else JZTR
+            north = labels[node - cols] if i > 0 else JZTR
+            index = _label_context((sum_1 + sum_2 + sum_3) >> 1, west, north, min(t, 4))
+            label, at = code_step(at, coder, index, np.int64(labels[node]))
+            labels[node] = label
+            if label == JS:
+                at = _code_node(at, coder, goal, field, t, i, j, bands, plane, sum_1, sum_2, sum_3)
+    put_back(at, coder)
+
+
+@inlined_kernel
+def _code_node(at, coder, goal, field, t, i, j, bands, plane, sum_1, sum_2, sum_3):
+    """Code the coefficients that node (i, j) has; return `at`.
+
+    Inlined into its only caller, so its many arguments cost nothing.
+    """
+    n_rows, n_cols = field.shape
+    cols = ((n_cols - 1) >> (t + 1)) + 1
+    high_rows, high_cols = (((n_rows - 1) >> t) + 1) >> 1, (((n_cols - 1) >> t) + 1) >> 1
+    is_open = np.int64(1)
+    mag_1 = mag_2 = np.int64(0)
+    if j < high_cols:
+        place = (2 * i) << t, cols + j
+        quant, at = _code_coeff(at, coder, goal, field, place, bands, HL, t, sum_1, is_open)
+        mag_1 = min(abs(quant), MAX_MAG)
+        plane[0, i + 2, j + 2] = mag_1
+    if i < high_rows:
+        sum_2 += _W_SIBLING * mag_1
+        place = (2 * i + 1) << t, j
+        quant, at = _code_coeff(at, coder, goal, field, place, bands, LH, t, sum_2, is_open)
+        mag_2 = min(abs(quant), MAX_MAG)
+        plane[1, i + 2, j + 2] = mag_2
+        if j < high_cols:
+            sum_3 += _W_SIBLING * (mag_1 + mag_2)
+            is_open = np.int64(t > 0 or mag_1 + mag_2 > 0)
+            place = (2 * i + 1) << t, cols + j
+            quant, at = _code_coeff(at, coder, goal, field, place, bands, HH, t, sum_3, is_open)
+            plane[2, i + 2, j + 2] = min(abs(quant), MAX_MAG)
+    return at
+
+
+@kernel
+def _code_coeff(at, coder, goal, field, place, bands, band, t, sums, is_open):
+    """Code one coefficient; one that must be non-zero (`is_open` 0) has no zero flag.
+
+    Return its index and `at`.
+    """
+    quant = np.int64(0) if goal is None else np.int64(goal[place])
     bin_ = np.int64(BIN_OF_SUM[min(sums >> 1, SUM_LIMIT)])
     if is_open:
-        index = _ZERO_MODELS + (min(t, 3) * 3 + band) * N_BINS + bin_
-        bit, span, code, pos = decode_step(span, code, pos, data, models, index)
+        index = _ZERO_MODELS + (min(t, 3) * 3 + band - 1) * N_BINS + bin_
+        bit, at = code_step(at, coder, index, np.int64(quant != 0))
         if not bit:
-            return np.int64(0), span, code, pos
-    first = _MAG_MODELS + ((min(t, 1) * 3 + band) * N_BINS + bin_) * N_UNARY
-    state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
-    prefix = _PREFIX_MODELS + band * N_PREFIX
-    value = decode_magnitude_at(state, data, models, first, prefix, SHIFT_OF_BIN[bin_]) + 1
-    if decode_raw(state, data, np.int64(1)):
-        value = -value
-    return value, state[RANGE], state[CODE], state[BYTE_POS]
+            return np.int64(0), at
+    first = _MAG_MODELS + ((min(t, 1) * 3 + band - 1) * N_BINS + bin_) * N_UNARY
+    prefix = _PREFIX_MODELS + (band - 1) * N_PREFIX
+    mag, at = code_magnitude_step(at, coder, first, prefix, SHIFT_OF_BIN[bin_], abs(quant) - 1)
+    is_negative, at = code_raw_step(at, coder, np.int64(1), np.int64(quant < 0))
+    quant = -(mag + 1) if is_negative else mag + 1
+    field[place] = dequantize(quant, bands.steps[t, band], bands.limits[t, band], bands.offset)
+    return quant, at
+
+
+@kernel
+def _code_signed(value, coder):
+    """Code the root's LL: Exp-Golomb of |value| + 1 with an adaptive prefix, then a sign.
+
+    Any bytes decode to less than 2**32 in magnitude.
+    """
+    rest = abs(value) + 1
+    n_bits, bit = np.int64(0), np.int64(1)
+    while n_bits < 31 and bit:
+        bit = code_bit(coder, _LL_MODELS + n_bits, np.int64(rest >> (n_bits + 1) > 0))
+        n_bits += bit
+    mag = ((np.int64(1) << n_bits) | code_raw(coder, n_bits, rest)) - 1
+    if mag != 0 and code_raw(coder, np.int64(1), np.int64(value < 0)):
+        return -mag
+    return mag
 
 
 @kernel

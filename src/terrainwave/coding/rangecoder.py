@@ -16,14 +16,18 @@ A *model* is one uint32: the probability of a one in the upper 22 bits, the numb
 the lower 10. The coder uses the upper 16 bits of the probability.
 """
 
+from typing import Literal, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.coding.status import Status
 
-# Indices into the state array (int64) of an encoder or a decoder.
-RANGE, LOW, CODE, CACHE, PENDING, BYTE_POS = 0, 1, 1, 2, 3, 4
+# Indices into the state array (int64) of an encoder or a decoder. The *point* is an encoder's LOW,
+# the lower end of its range, or a decoder's CODE, how far the code lies above that end.
+RANGE, POINT, CACHE, PENDING, BYTE_POS = 0, 1, 2, 3, 4
+LOW = CODE = POINT
 STATE_SIZE = 5
 
 _TOP = 1 << 24
@@ -69,6 +73,33 @@ def _probabilities() -> NDArray[np.uint16]:
 # The same on every machine: no value lies so near a half that rounding could tell (P.1).
 LOGITS = _logits()
 PROBABILITIES = _probabilities()
+
+
+class Coder(NamedTuple):
+    """What encodes or decodes: its state, the bytes written or read, the models that adapt.
+
+    `is_encoder` is None in a decoder, so that numba compiles what takes a coder for each of the two
+    and leaves out what the other does.
+    """
+
+    state: NDArray[np.int64]
+    stream: NDArray[np.uint8]
+    models: NDArray[np.uint32]
+    is_encoder: Literal[True] | None
+
+
+def new_encoder(stream: NDArray[np.uint8], models: NDArray[np.uint32]) -> Coder:
+    """Return what encodes into `stream`, from its start."""
+    return Coder(start_encoder(), stream, models, True)
+
+
+def new_decoder(data: bytes, models: NDArray[np.uint32]) -> Coder:
+    """Return what decodes `data`, from their start."""
+    # A copy that can be written to: types of what only an encoder does are inferred as well.
+    stream = np.frombuffer(data, dtype=np.uint8).copy()
+    state = np.zeros(STATE_SIZE, dtype=np.int64)
+    start_decoder(state, stream)
+    return Coder(state, stream, models, None)
 
 
 def new_models(n_models: int) -> NDArray[np.uint32]:
@@ -154,7 +185,7 @@ def _refilled(span, code, pos, data):
 def encode_step(span, low, state, out, models, index, bit):
     """Encode `bit` (0 or 1) with ``models[index]``, adapt the model; return the new (span, low).
 
-    For hot loops, which keep RANGE and LOW in locals (half the time of `encode_bit`) and must put
+    For hot loops, which keep RANGE and LOW in locals (half the time of `code_bit`) and must put
     them back into `state` before any other function of this module sees it.
     """
     index = np.uint64(index)
@@ -170,12 +201,6 @@ def encode_step(span, low, state, out, models, index, bit):
         span <<= 8
         low = _shift_low(low, state, out)
     return span, low
-
-
-@kernel
-def encode_bit(state, out, models, index, bit):
-    """Encode `bit` (0 or 1) with ``models[index]`` and adapt the model."""
-    state[RANGE], state[LOW] = encode_step(state[RANGE], state[LOW], state, out, models, index, bit)
 
 
 @kernel
@@ -223,7 +248,7 @@ def start_decoder(state, data):
 def decode_step(span, code, pos, data, models, index):
     """Decode one bit with ``models[index]``, adapt the model; return (bit, span, code, pos).
 
-    For hot loops, which keep RANGE, CODE and BYTE_POS in locals (half the time of `decode_bit`).
+    For hot loops, which keep RANGE, CODE and BYTE_POS in locals (half the time of `code_bit`).
     Bytes past the end of `data` read as zero; `finish_decoder` reports that.
     """
     index = np.uint64(index)
@@ -239,15 +264,6 @@ def decode_step(span, code, pos, data, models, index):
     models[index] = _adapted(prob, count, bit)
     span, code, pos = _refilled(span, code, pos, data)
     return bit, span, code, pos
-
-
-@kernel
-def decode_bit(state, data, models, index):
-    """Decode one bit with ``models[index]`` and adapt the model."""
-    bit, state[RANGE], state[CODE], state[BYTE_POS] = decode_step(
-        state[RANGE], state[CODE], state[BYTE_POS], data, models, index
-    )
-    return bit
 
 
 @kernel
@@ -285,45 +301,6 @@ def finish_decoder(state, data):
     if needed < data.shape[0]:
         return Status.TRAILING, needed
     return Status.OK, needed
-
-
-@kernel
-def encode_magnitude(state, out, models, first, value):
-    """Encode `value` (0 to MAX_MAGNITUDE) with the MAGNITUDE_MODELS models from `first`.
-
-    Unary up to N_UNARY adaptive bits; the rest + 1 as Exp-Golomb, its prefix adaptive and its
-    mantissa raw.
-    """
-    n_ones = min(value, N_UNARY)
-    for index in range(n_ones):
-        encode_bit(state, out, models, first + index, 1)
-    if n_ones < N_UNARY:
-        encode_bit(state, out, models, first + n_ones, 0)
-        return
-    rest = value - N_UNARY + 1
-    n_bits = 0
-    while rest >> (n_bits + 1):
-        n_bits += 1
-    for index in range(n_bits):
-        encode_bit(state, out, models, first + N_UNARY + index, 1)
-    if n_bits < N_PREFIX - 1:
-        encode_bit(state, out, models, first + N_UNARY + n_bits, 0)
-    encode_raw(state, out, rest, n_bits)
-
-
-@kernel
-def decode_magnitude(state, data, models, first):
-    """Decode a value written by `encode_magnitude`; any bytes give 0 to MAX_MAGNITUDE."""
-    value = 0
-    while value < N_UNARY:
-        if not decode_bit(state, data, models, first + value):
-            return value
-        value += 1
-    n_bits = 0
-    while n_bits < N_PREFIX - 1 and decode_bit(state, data, models, first + N_UNARY + n_bits):
-        n_bits += 1
-    rest = (np.int64(1) << n_bits) | decode_raw(state, data, n_bits)
-    return value + rest - 1
 
 
 @kernel
@@ -432,3 +409,114 @@ def decode_mixed_step(span, code, pos, data, models, first, second, weight, othe
     other_weight = _learned(other_weight, other_logit, mixed, bit)
     span, code, pos = _refilled(span, code, pos, data)
     return bit, span, code, pos, weight, other_weight
+
+
+# One text for encoder and decoder: what is to be coded is an argument, which a decoder ignores, and
+# what was coded is returned. Loops keep `at`, which is (RANGE, POINT, BYTE_POS), out of the state;
+# an encoder's BYTE_POS is idle there.
+
+
+@inlined_kernel
+def take_out(coder):
+    """Return what a loop keeps out of a coder's state."""
+    state = coder.state
+    return state[RANGE], state[POINT], state[BYTE_POS]
+
+
+@inlined_kernel
+def put_back(at, coder):
+    """Undo `take_out`."""
+    state = coder.state
+    state[RANGE], state[POINT] = at[0], at[1]
+    if coder.is_encoder is None:
+        state[BYTE_POS] = at[2]
+
+
+@inlined_kernel
+def code_step(at, coder, index, bit):
+    """Code one bit with ``models[index]``; return (bit, at)."""
+    span, point, pos = at
+    if coder.is_encoder is None:
+        bit, span, point, pos = decode_step(span, point, pos, coder.stream, coder.models, index)
+    else:
+        span, point = encode_step(span, point, coder.state, coder.stream, coder.models, index, bit)
+    return bit, (span, point, pos)
+
+
+@inlined_kernel
+def code_mixed_step(at, coder, first, second, weights, bit):
+    """Code one bit with two models mixed by `weights`; return (bit, at, weights)."""
+    span, point, pos = at
+    weight, other = weights
+    if coder.is_encoder is None:
+        bit, span, point, pos, weight, other = decode_mixed_step(
+            span, point, pos, coder.stream, coder.models, first, second, weight, other
+        )
+    else:
+        span, point, weight, other = encode_mixed_step(
+            span, point, coder.state, coder.stream, coder.models, first, second, weight, other, bit
+        )
+    return bit, (span, point, pos), (weight, other)
+
+
+@inlined_kernel
+def code_raw_step(at, coder, n_bits, value):
+    """Code the lowest `n_bits` bits of a value, unpredicted; return (value, at)."""
+    put_back(at, coder)
+    value = code_raw(coder, n_bits, value)
+    return value, take_out(coder)
+
+
+@kernel
+def code_magnitude_step(at, coder, first, prefix, shift, value):
+    """Code a value (0 to MAX_MAGNITUDE); return (value, at).
+
+    The `shift` lowest bits are raw. What is above is unary with the N_UNARY models from `first` on;
+    the rest + 1 Exp-Golomb, with the N_PREFIX models from `prefix` on and a raw mantissa. Any bytes
+    decode to less than 2**(33 + shift).
+    """
+    upper = value >> shift
+    n_ones = np.int64(0)
+    bit = np.int64(1)
+    while bit and n_ones < N_UNARY:
+        bit, at = code_step(at, coder, first + n_ones, np.int64(upper > n_ones))
+        n_ones += bit
+    n_bits = np.int64(0)
+    rest = upper - N_UNARY + 1
+    # Begins only where all of the unary bits are ones.
+    while bit and n_bits < N_PREFIX - 1:
+        bit, at = code_step(at, coder, prefix + n_bits, np.int64(rest >> (n_bits + 1) > 0))
+        n_bits += bit
+    base = np.int64(N_UNARY - 1) << shift
+    raw, at = code_raw_step(at, coder, n_bits + shift, value - base)
+    if n_ones < N_UNARY:
+        return (n_ones << shift) | raw, at
+    return base + ((np.int64(1) << (n_bits + shift)) | raw), at
+
+
+# The same for what is coded now and then, which leaves all in the state.
+
+
+@inlined_kernel
+def code_raw(coder, n_bits, value):
+    """Code the lowest `n_bits` bits of a value, unpredicted; return it, those bits only."""
+    if coder.is_encoder is None:
+        return decode_raw(coder.state, coder.stream, n_bits)
+    encode_raw(coder.state, coder.stream, value, n_bits)
+    return value & ((np.int64(1) << n_bits) - 1)
+
+
+@kernel
+def code_bit(coder, index, bit):
+    """Code one bit with ``models[index]``; return it."""
+    bit, at = code_step(take_out(coder), coder, index, bit)
+    put_back(at, coder)
+    return bit
+
+
+@kernel
+def code_magnitude(coder, first, prefix, shift, value):
+    """Code a value (0 to MAX_MAGNITUDE) as `code_magnitude_step` does; return it."""
+    value, at = code_magnitude_step(take_out(coder), coder, first, prefix, shift, value)
+    put_back(at, coder)
+    return value

@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
-    STATE_SIZE,
-    decode_bit,
-    encode_bit,
+    code_bit,
     finish_decoder,
     finish_encoder,
+    new_decoder,
+    new_encoder,
     new_models,
-    start_decoder,
-    start_encoder,
 )
 from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
@@ -102,13 +100,11 @@ def decode_refinement(
         raise TruncatedStreamError("refinement labels are empty")
     if data[0] not in (BY_HEIGHT, BY_ROUGHNESS):
         raise CorruptStreamError(f"contexts {data[0]} of refinement labels are not defined")
-    stream = np.frombuffer(data, dtype=np.uint8)[1:].copy()
-    state = np.zeros(STATE_SIZE, dtype=np.int64)
-    start_decoder(state, stream)
+    coder = new_decoder(data[1:], new_models(_N_MODELS))
     cut = np.empty(mask.shape, dtype=np.uint8)
     ceiling, rough = _side_information(heights, mask, tolerance, trees, data[0])
-    _code_labels(cut, None, ceiling, rough, state, stream, new_models(_N_MODELS))
-    raise_for_status(*finish_decoder(state, stream))
+    _code_labels(cut, None, ceiling, rough, coder)
+    raise_for_status(*finish_decoder(coder.state, coder.stream))
     promote(cut)
     return cut
 
@@ -130,11 +126,11 @@ def _encode(
     kind: int,
 ) -> bytes:
     ceiling, rough = _side_information(heights, mask, tolerance, trees, kind)
-    state = start_encoder()
     out = np.empty(cut.size + 64, dtype=np.uint8)
+    coder = new_encoder(out, new_models(_N_MODELS))
     reached = np.empty(cut.shape, dtype=np.uint8)
-    _code_labels(reached, cut, ceiling, rough, state, out, new_models(_N_MODELS))
-    return out[: finish_encoder(state, out)].tobytes()
+    _code_labels(reached, cut, ceiling, rough, coder)
+    return out[: finish_encoder(coder.state, out)].tobytes()
 
 
 def _side_information(
@@ -208,7 +204,7 @@ def _measure_roughness(heights, mask, tolerance, sums, rough):
 
 
 @kernel
-def _code_labels(reached, cut, ceiling, rough, state, stream, models):
+def _code_labels(reached, cut, ceiling, rough, coder):
     """Encode the labels of `cut`, or decode where it is None; `reached` becomes the cut."""
     n_rows, n_cols = reached.shape
     top = top_height(n_rows, n_cols)
@@ -237,10 +233,8 @@ def _code_labels(reached, cut, ceiling, rough, state, stream, models):
                         if i > 0 and reached[row_north, col] < height:
                             n_split += 1
                         index = (height * _N_ROUGH + np.int64(rough[height, i, j])) * 3 + n_split
-                    if cut is None:
-                        splits = decode_bit(state, stream, models, index) == 1
-                    else:
+                    if cut is not None:
                         splits = cut[row, col] < height
-                        encode_bit(state, stream, models, index, 1 if splits else 0)
+                    splits = code_bit(coder, index, np.int64(splits)) == 1
                 if splits:
                     set_node(reached, row, col, height, height - 1)

@@ -13,14 +13,12 @@ from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
-    STATE_SIZE,
-    decode_bit,
-    encode_bit,
+    code_bit,
     finish_decoder,
     finish_encoder,
+    new_decoder,
+    new_encoder,
     new_models,
-    start_decoder,
-    start_encoder,
 )
 from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError
@@ -128,9 +126,10 @@ class Rqt:
         known, wanted = own.keep(shape), draft.border.keep(shape)
         if np.array_equal(known, wanted):
             return b""
-        state, out = start_encoder(), np.empty(4 * sum(shape) + 64, dtype=np.uint8)
-        _code_border(known, wanted, state, out, new_models(_N_MODELS))
-        return out[: finish_encoder(state, out)].tobytes()
+        out = np.empty(4 * sum(shape) + 64, dtype=np.uint8)
+        coder = new_encoder(out, new_models(_N_MODELS))
+        _code_border(known, wanted, coder)
+        return out[: finish_encoder(coder.state, out)].tobytes()
 
     def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
         """Return the mesh with the border vertices of the block itself and of `data`."""
@@ -139,11 +138,9 @@ class Rqt:
         if data:
             found = border_of(vertices_of(selection, mask.shape)).keep(mask.shape)
             n_own = np.count_nonzero(found)
-            stream = np.frombuffer(data, dtype=np.uint8).copy()
-            state = np.zeros(STATE_SIZE, dtype=np.int64)
-            start_decoder(state, stream)
-            _code_border(found, None, state, stream, new_models(_N_MODELS))
-            raise_for_status(*finish_decoder(state, stream))
+            coder = new_decoder(data, new_models(_N_MODELS))
+            _code_border(found, None, coder)
+            raise_for_status(*finish_decoder(coder.state, coder.stream))
             if np.count_nonzero(found) == n_own:
                 raise CorruptStreamError("border vertices take bytes, but there are none")
             keep = samples.locked | found
@@ -155,7 +152,7 @@ STORED_KINDS: dict[str, StoredKind] = {"zerotree": Zerotree(), "rqt": Rqt()}
 
 
 @kernel
-def _code_border(flags, wanted, state, stream, models):
+def _code_border(flags, wanted, coder):
     """Encode which border samples are vertices, or decode where `wanted` is None.
 
     `flags`, shape (n_rows, n_cols), holds those known to be, and becomes all. Lines in the order
@@ -182,9 +179,7 @@ def _code_border(flags, wanted, state, stream, models):
                     index += 1
                 if flags[row + after * down, col + after * right]:
                     index += 1
-                if wanted is None:
-                    flags[i, j] = decode_bit(state, stream, models, index) == 1
-                else:
+                if wanted is not None:
                     flags[i, j] = wanted[i, j]
-                    encode_bit(state, stream, models, index, 1 if wanted[i, j] else 0)
+                flags[i, j] = code_bit(coder, index, np.int64(flags[i, j])) == 1
             log -= 1
