@@ -118,7 +118,7 @@ class Terrain(TerrainFile):
         TerrainwaveError
             If xarray is not installed.
         """
-        from terrainwave.export.files import need
+        from terrainwave.extras import need
 
         need("xarray", extra="xarray")
         from terrainwave.ext.xarray_backend import terrain_dataset

@@ -120,7 +120,7 @@ def test_a_missing_library_is_named_in_one_line(file, tmp_path, arguments):
     assert done.returncode == 1
     said = done.stderr.strip().splitlines()[-1]
     assert said.startswith("terrainwave: ")
-    assert "pip install 'terrainwave[view]'" in said
+    assert 'pip install "terrainwave[view]"' in said
     assert "Traceback" not in done.stderr
 
 

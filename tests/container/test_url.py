@@ -15,7 +15,7 @@ from containers import open_container
 from terrainwave.container.page import empty_page, page_layout
 from terrainwave.container.ranges import ByteRange
 from terrainwave.container.source import open_source
-from terrainwave.errors import StorageError, TruncatedStreamError
+from terrainwave.errors import StorageError, TerrainwaveError, TruncatedStreamError
 from terrainwave.grid.quadtree import Block
 
 BIG = 64 * 2**20
@@ -533,5 +533,5 @@ def test_any_failure_of_a_file_system_is_a_storage_error(memory, monkeypatch):
 
 def test_without_fsspec_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "fsspec", None)
-    with pytest.raises(StorageError, match="pip install fsspec"):
+    with pytest.raises(TerrainwaveError, match=r'pip install "terrainwave\[remote\]"'):
         open_source("s3://bucket/a.twz")

@@ -1,18 +1,20 @@
 """Frames: metres of degrees, feet, geocentric coordinates; numbers by hand or from geodesy."""
 
 import math
+import sys
 
 import numpy as np
 import pytest
 from rasterio.crs import CRS
 from tri.meshes import grid_mesh, hills
 
-from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
+from terrainwave.errors import InvalidHeightsError, TerrainwaveError, TerrainwaveWarning
 from terrainwave.export.frames import (
     EARTH,
     areas,
     ellipsoid_of,
     find_place,
+    geographic_base,
     metres_per_unit,
     steepest,
     to_frame,
@@ -204,6 +206,40 @@ def test_an_ellipsoid_in_feet_becomes_metres():
         'ANGLEUNIT["degree",0.0174532925199433]]'
     )
     assert ellipsoid_of(CRS.from_wkt(wkt)).axis == pytest.approx(20925832 * 0.3048, rel=1e-12)
+
+
+TOWGS84 = "+proj=utm +zone=33 +ellps=bessel +towgs84=598.1,73.7,418.2,0.202,0.045,-2.455,6.7"
+
+
+@pytest.mark.parametrize(
+    "crs", [CRS.from_epsg(7415), CRS.from_proj4(TOWGS84)], ids=["compound", "bound"]
+)
+def test_an_ellipsoid_and_a_base_are_found_within_other_systems(crs):
+    # Bessel 1841: a = 6377397.155 m, 1/f = 299.1528128
+    flattening = 1 / 299.1528128
+    assert ellipsoid_of(crs).axis == 6377397.155
+    assert ellipsoid_of(crs).e2 == pytest.approx(flattening * (2 - flattening), rel=1e-9)
+    assert geographic_base(crs).is_geographic
+    assert ellipsoid_of(geographic_base(crs)) == ellipsoid_of(crs)
+
+
+def test_the_base_is_flat_and_in_the_registry_where_the_crs_is():
+    assert geographic_base(CRS.from_epsg(32633)).to_epsg() == 4326
+    assert geographic_base(CRS.from_epsg(27700)).to_epsg() == 4277
+
+
+def test_a_local_system_has_the_ellipsoid_of_the_earth_and_no_base():
+    crs = CRS.from_wkt('LOCAL_CS["a quarry",UNIT["metre",1]]')
+    assert ellipsoid_of(crs) == EARTH
+    with pytest.raises(InvalidHeightsError, match="no longitudes and latitudes behind it"):
+        geographic_base(crs)
+
+
+def test_without_pyproj_a_crs_is_one_line_with_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    with pytest.raises(TerrainwaveError, match=r'needs pyproj: pip install "terrainwave\[mesh\]"'):
+        to_frame(degrees())
+    assert to_frame(degrees(), "native").n_triangles
 
 
 def test_a_moon_in_degrees_is_scaled_by_its_own_radius():

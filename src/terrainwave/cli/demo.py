@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 
 import terrainwave
-from terrainwave.errors import BoundViolationError, StorageError, TerrainwaveError
+from terrainwave.errors import BoundViolationError, StorageError
+from terrainwave.extras import need
 from terrainwave.names import PLAIN_METHOD
 from terrainwave.progress import ProgressCallback
 from terrainwave.raster_io.info import RasterInfo
@@ -94,14 +95,8 @@ def run_demo(
 
 
 def _load_heights() -> tuple[np.ndarray, RasterInfo]:
-    try:
-        from matplotlib import cbook
-    except ImportError as error:
-        raise TerrainwaveError(
-            "the demo needs matplotlib, for its elevation model and the picture: pip install"
-            " matplotlib"
-        ) from error
-    data: Any = cbook.get_sample_data("jacksboro_fault_dem.npz")
+    cbook = need("matplotlib.cbook", extra="demo", purpose="the demo")
+    data = cbook.get_sample_data("jacksboro_fault_dem.npz")
     heights = data["elevation"].astype(np.int16)
     n_rows, n_cols = heights.shape
     # The file's dx, dy are pixel sizes in degrees, xmin and ymax the outer corner.

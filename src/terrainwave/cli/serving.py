@@ -2,13 +2,13 @@
 
 import socket
 import webbrowser
-from typing import Any
 
 import click
 
 from terrainwave.cli.commands import main
 from terrainwave.cli.output import announce_compiling, print_note
 from terrainwave.errors import StorageError
+from terrainwave.extras import need
 
 
 @main.command()
@@ -38,7 +38,11 @@ def serve(
     Open the printed address in a browser. MapLibre reads NAME/tiles.json, CesiumJS NAME/mesh,
     NAME/height?lon=…&lat=… answers a height; NAME is the file's name without its ending.
     """
-    uvicorn, make_app = _load()
+    uvicorn = need("uvicorn", extra="serve", purpose="serve")
+    for package in ("fastapi", "PIL"):
+        need(package, extra="serve", purpose="serve")
+    from terrainwave.ext.serve.app import make_app
+
     announce_compiling(quiet=quiet)
     named = tuple(name for name in (host, *hosts) if name not in ("0.0.0.0", "::"))
     app = make_app(list(files), hosts=named, cors=cors, n_decoding=n_decoding)
@@ -53,23 +57,6 @@ def serve(
     config = uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=2)
     with listener:
         uvicorn.Server(config).run(sockets=[listener])
-
-
-def _load() -> tuple[Any, Any]:
-    """Return uvicorn and `make_app`.
-
-    Raises
-    ------
-    StorageError
-        If a package of the extra is missing.
-    """
-    try:
-        import uvicorn
-
-        from terrainwave.ext.serve.app import make_app
-    except ModuleNotFoundError as error:
-        raise StorageError(f"serve needs {error.name}: pip install 'terrainwave[serve]'") from error
-    return uvicorn, make_app
 
 
 def _listen(host: str, port: int) -> socket.socket:

@@ -2,37 +2,78 @@
 
 import hashlib
 import os
-from collections.abc import Callable
-from pathlib import Path
+import re
+from collections.abc import Callable, Iterable, Iterator
+from functools import lru_cache
 from typing import Any
 
-from numba import njit
+from numba import njit, types
 from numba.core import event
 
 # Numba does not notice edits in a callee's file; switch caching off while editing.
 _CACHE = os.environ.get("TERRAINWAVE_NUMBA_CACHE", "1") != "0"
 
-_KERNEL_PACKAGES = ("coding", "grid", "codec", "tri", "verification")
+# The directory that holds the package.
+_ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
+
+# An import at the start of a line: a kernel sees no other. The literal start makes the search fast.
+_IMPORT = re.compile(r"\nfrom (terrainwave[\w.]*) import (\([^)]*\)|[^\n#]*)")
+_NAME = re.compile(r"(\w+)(?: as \w+)?")
 
 
-def _kernel_source_hash() -> str:
-    """Return a digest of every source file that may hold a kernel or a constant of one."""
-    root = Path(__file__).parents[1]
+def sources_of(path: str) -> list[str]:
+    """List the files whose text can change what the kernels of one file compute, sorted.
+
+    The file itself, what it imports from the package, and so on. Imports within functions and
+    under TYPE_CHECKING don't count: no kernel sees what they name.
+    """
+    found: set[str] = set()
+    waiting = [os.path.abspath(path)]
+    while waiting:
+        path = waiting.pop()
+        if path not in found:
+            found.add(path)
+            waiting.extend(_read(path)[1])
+    return sorted(found)
+
+
+@lru_cache(None)
+def _digest(path: str) -> str:
+    """Return a digest of `sources_of` a file, as they are when the process first asks."""
     digest = hashlib.sha256()
-    for path in sorted(p for d in _KERNEL_PACKAGES for p in root.glob(f"{d}/*.py")):
-        digest.update(path.name.encode("utf-8"))
-        digest.update(path.read_bytes())
+    for source in sources_of(path):
+        digest.update(_read(source)[0])
     return digest.hexdigest()
 
 
-_SOURCE_HASH = _kernel_source_hash() if _CACHE else ""
+@lru_cache(None)
+def _read(path: str) -> tuple[bytes, list[str]]:
+    """Return the digest of a file's text, and the files of the package that it imports."""
+    with open(path, "rb") as file:
+        data = file.read()
+    text = "\n" + data.decode("utf-8")
+    imported = [
+        source for match in _IMPORT.finditer(text) for source in _files_of(match[1], match[2])
+    ]
+    return hashlib.sha256(data).digest(), imported
+
+
+def _files_of(module: str, names: str) -> Iterator[str]:
+    """Yield the files that ``from module import names`` takes its names from."""
+    place = os.path.join(_ROOT, *module.split("."))
+    if os.path.isfile(f"{place}.py"):
+        yield f"{place}.py"
+        return
+    for name in _NAME.findall(names):
+        is_module = os.path.isfile(os.path.join(place, f"{name}.py"))
+        yield os.path.join(place, f"{name}.py" if is_module else "__init__.py")
 
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile `function` with the project's options; plain Python under NUMBA_DISABLE_JIT.
 
     A stale compiled kernel is a broken bound, and numba's cache key holds only the kernel's own
-    file. The stamp of each cache entry is therefore extended by a digest of all kernel sources.
+    file. The stamp of each cache entry is therefore extended by a digest of `sources_of` that file.
     """
     return _compile(function, is_inlined=False)
 
@@ -53,18 +94,43 @@ def _compile(function: Callable[..., Any], *, is_inlined: bool) -> Any:
             dispatcher = njit(cache=True, **options)(function)
             _extend_cache_stamp(dispatcher)
             return dispatcher
-        except (RuntimeError, AttributeError):
-            # No writable place for the cache (read-only home), or a numba that stores its stamp
-            # elsewhere: compile in every process rather than risk a stale kernel.
+        except (RuntimeError, AttributeError, OSError):
+            # No writable place for the cache (read-only home), no source to read (a zip), or a
+            # numba that stores its stamp elsewhere: compile in every process rather than risk a
+            # stale kernel.
             pass
     return njit(cache=False, **options)(function)
 
 
 def _extend_cache_stamp(dispatcher: Any) -> None:
+    """Let a cache entry hold only while the sources of the kernel do.
+
+    In compiled code the fields of a named tuple are places. A kernel may be given one whose class
+    its own file does not import, so the names of the fields go into the entry's key.
+    """
     if not hasattr(dispatcher, "_cache"):
         return  # NUMBA_DISABLE_JIT: the function itself
-    cache_file = dispatcher._cache._cache_file
-    cache_file._source_stamp = (cache_file._source_stamp, _SOURCE_HASH)
+    cache = dispatcher._cache
+    cache_file = cache._cache_file
+    digest = _digest(dispatcher.py_func.__code__.co_filename)
+    cache_file._source_stamp = (cache_file._source_stamp, digest)
+    index_key = cache._index_key
+
+    def extended(signature: Any, codegen: Any) -> tuple[Any, ...]:
+        arguments = getattr(signature, "args", signature)
+        return (*index_key(signature, codegen), *_fields_of(arguments))
+
+    cache._index_key = extended
+
+
+def _fields_of(arguments: Iterable[Any]) -> Iterator[tuple[str, ...]]:
+    """Yield the names of fields of each named tuple among types of arguments, or in one."""
+    for argument in arguments:
+        inner = argument.type if isinstance(argument, types.Optional) else argument
+        is_tuple = isinstance(inner, types.BaseTuple)
+        if is_tuple:
+            yield getattr(inner, "fields", ())
+            yield from _fields_of(inner)
 
 
 class _FirstCompilation(event.Listener):

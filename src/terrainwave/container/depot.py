@@ -26,6 +26,7 @@ from terrainwave.container.reader import check_crc
 from terrainwave.container.segment import Segment, segment_of_page
 from terrainwave.container.source import ByteSource, open_source
 from terrainwave.container.spool import storage_errors
+from terrainwave.extras import need
 from terrainwave.grid.quadtree import Block, Grid
 
 _OPEN_SOURCES = 32
@@ -118,9 +119,8 @@ class Depot:
 
 def _filesystem(root: str) -> tuple[Any, str]:
     """Return fsspec's file system of a path or URL and the path in it."""
-    from fsspec.core import url_to_fs
-
-    filesystem, path = url_to_fs(root)
+    fsspec = need("fsspec.core", extra="distributed", purpose="a cluster")
+    filesystem, path = fsspec.url_to_fs(root)
     return filesystem, path
 
 

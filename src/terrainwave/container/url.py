@@ -25,6 +25,7 @@ from urllib.parse import SplitResult, unquote, urljoin, urlsplit
 from terrainwave.container.ranges import ByteRange
 from terrainwave.container.source import ByteSource, FileSource, MergingSource
 from terrainwave.errors import StorageError, TerrainwaveError
+from terrainwave.extras import need
 
 FIRST_REQUEST = 16 * 1024
 TIMEOUT = 30.0  # seconds without a byte
@@ -310,10 +311,7 @@ class FsspecSource(MergingSource):
     def __init__(self, url: str, version: str | None = None) -> None:
         self._url = url
         self.name = _display_name(url)
-        try:
-            import fsspec
-        except ImportError:
-            raise StorageError(f"reading {self.name} needs fsspec: pip install fsspec") from None
+        fsspec = need("fsspec", extra="remote", purpose=f"reading {self.name}")
         self._fs, self._path = self._call(fsspec.core.url_to_fs, url)
         info = self._info()
         if info.get("size") is None:

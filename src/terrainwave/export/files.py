@@ -6,7 +6,6 @@ import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,14 @@ from numpy.typing import NDArray
 from terrainwave._version import __version__
 from terrainwave.container.publish import check_target, publish, scratch
 from terrainwave.container.spool import storage_errors
-from terrainwave.errors import InvalidHeightsError, TerrainwaveError
+from terrainwave.errors import InvalidHeightsError
 from terrainwave.export.frames import areas, find_place, metres_per_unit, steepest, to_frame
 from terrainwave.export.mesh import Mesh
 from terrainwave.export.solid import solidify
+from terrainwave.extras import need
 
+# Installs what writes the files.
+_EXTRA = "mesh"
 _STL_HEADER = 80
 _VTK_TITLE = 255
 # Digits after the point of an OBJ file: of metres or feet, and of what may be degrees.
@@ -105,12 +107,12 @@ def save_mesh(
     extension = check_extension(path)
     if extension == ".terrain":
         _refuse_frame(frame, z_scale, solid)
-        need("quantized_mesh_encoder")
+        need("quantized_mesh_encoder", extra=_EXTRA)
         from terrainwave.export.quantized_mesh import save_tile
 
         return save_tile(mesh, path, radius=radius, overwrite=overwrite)
     writer = _WRITERS[extension]
-    need(writer.package)
+    need(writer.package, extra=_EXTRA)
     framed, written, rounding = _to_write(mesh, extension, frame, z_scale, solid, radius)
     about = describe(framed, mesh.error + rounding)
     # Libraries count on numpy's own settings, which callers may have changed.
@@ -210,24 +212,10 @@ def prepare(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
         If the extension is unknown, its package missing, or the file exists and is to be kept.
     """
     extension = check_extension(path)
-    need("quantized_mesh_encoder" if extension == ".terrain" else _WRITERS[extension].package)
+    is_tile = extension == ".terrain"
+    package = "quantized_mesh_encoder" if is_tile else _WRITERS[extension].package
+    need(package, extra=_EXTRA)
     check_target(path, overwrite)
-
-
-def need(package: str, extra: str = "mesh") -> Any:
-    """Import an optional package.
-
-    Raises
-    ------
-    TerrainwaveError
-        If it is missing; the line says how to install it.
-    """
-    try:
-        return import_module(package)
-    except ImportError as error:
-        name = package.split(".")[0].replace("_", "-")
-        install = f"terrainwave[{extra}]" if extra else name
-        raise TerrainwaveError(f'this needs {name}: pip install "{install}"') from error
 
 
 def describe(mesh: Mesh, error: float) -> dict[str, Any]:
@@ -322,7 +310,7 @@ def longest_edge(mesh: Mesh) -> float:
 
 def to_trimesh(mesh: Mesh) -> Any:
     """Return a `trimesh.Trimesh` with the mesh's vertices, relative to its origin."""
-    trimesh = need("trimesh")
+    trimesh = need("trimesh", extra=_EXTRA)
     return trimesh.Trimesh(vertices=mesh.vertices, faces=mesh.triangles, process=False)
 
 
@@ -376,7 +364,7 @@ def _write_stl(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
 
 
 def _scene(mesh: Mesh, about: dict[str, Any]) -> Any:
-    trimesh = need("trimesh")
+    trimesh = need("trimesh", extra=_EXTRA)
     from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
 
@@ -409,7 +397,7 @@ def _write_gltf(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
 
 
 def _meshio_mesh(mesh: Mesh) -> Any:
-    meshio = need("meshio")
+    meshio = need("meshio", extra=_EXTRA)
     return meshio.Mesh(np.ascontiguousarray(mesh.vertices), [("triangle", mesh.triangles)])
 
 

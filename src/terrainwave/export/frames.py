@@ -1,7 +1,7 @@
 """Coordinate frames of exported meshes: the CRS itself, local metres, geocentric metres."""
 
+import contextlib
 import math
-import re
 import warnings
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.export.mesh import Mesh
+from terrainwave.extras import need
 
 if TYPE_CHECKING:
     from rasterio.crs import CRS
@@ -32,12 +33,6 @@ _METRES = {
     "survey foot": _SURVEY_FOOT, "foot (us survey)": _SURVEY_FOOT, "sftus": _SURVEY_FOOT,
     "yd": 0.9144, "yard": 0.9144,
 }  # fmt: skip
-
-# A name in quotes ("" stands for one), the semi-major axis, the inverse flattening (0: a sphere).
-_ELLIPSOID = re.compile(
-    r'(?:SPHEROID|ELLIPSOID)\["(?:[^"]|"")*",\s*([-+0-9.eE]+),\s*([-+0-9.eE]+)'
-    r'(?:,\s*LENGTHUNIT\["(?:[^"]|"")*",\s*([-+0-9.eE]+))?'
-)
 
 
 class Ellipsoid(NamedTuple):
@@ -170,21 +165,31 @@ def _guess(
 
 
 def ellipsoid_of(crs: "CRS") -> Ellipsoid:
-    """Return the ellipsoid that the WKT of a CRS names; WGS 84 where it names none."""
+    """Return the ellipsoid of a CRS; WGS 84 where it has none.
+
+    Raises
+    ------
+    TerrainwaveError
+        If pyproj is missing: rasterio does not say.
+    """
+    found = _by_pyproj(crs)
+    ellipsoid = None if found is None else found.ellipsoid
+    if ellipsoid is None or not ellipsoid.semi_major_metre > 0:
+        return EARTH
+    inverse = ellipsoid.inverse_flattening  # 0: a sphere
+    flattening = 1 / inverse if inverse > 1 else 0.0
+    return Ellipsoid(ellipsoid.semi_major_metre, flattening * (2 - flattening))
+
+
+def _by_pyproj(crs: "CRS") -> Any:
+    """Return pyproj's CRS, or None if it does not read what rasterio writes."""
     from rasterio.errors import CRSError
 
+    pyproj = need("pyproj", extra="mesh", purpose="a coordinate reference system")
     for version in ("WKT2_2019", "WKT1_GDAL"):
-        try:
-            found = _ELLIPSOID.search(crs.to_wkt(version=version))
-        except CRSError:
-            continue
-        if found:
-            axis = float(found[1]) * float(found[3] or 1)
-            inverse = float(found[2])
-            if axis > 0:
-                flattening = 1 / inverse if inverse > 1 else 0.0
-                return Ellipsoid(axis, flattening * (2 - flattening))
-    return EARTH
+        with contextlib.suppress(CRSError, pyproj.exceptions.CRSError):
+            return pyproj.CRS.from_wkt(crs.to_wkt(version=version))
+    return None
 
 
 def _metres_of_crs(crs: "CRS") -> float:
@@ -344,29 +349,14 @@ def geographic_points(mesh: Mesh, place: Place, target: "CRS | None" = None) -> 
 def geographic_base(crs: "CRS") -> "CRS":
     """Return the geographic CRS that a projected or compound CRS is based on."""
     from rasterio.crs import CRS
-    from rasterio.errors import CRSError
 
-    try:
-        wkt = str(crs.to_wkt(version="WKT1_GDAL"))
-        start = wkt.index("GEOGCS[")
-        return CRS.from_wkt(_balanced(wkt[start:]))
-    except (CRSError, ValueError) as error:
+    found = _by_pyproj(crs)
+    base = None if found is None else found.geodetic_crs
+    if base is None or not base.is_geographic:
         raise InvalidHeightsError(
             "the coordinate reference system has no longitudes and latitudes behind it"
-        ) from error
-
-
-def _balanced(text: str) -> str:
-    """Return the start of a WKT up to the bracket that closes its first one."""
-    depth, is_quoted = 0, False
-    for index, char in enumerate(text):
-        if char == '"':
-            is_quoted = not is_quoted
-        elif not is_quoted and char in "[]":
-            depth += 1 if char == "[" else -1
-            if depth == 0:
-                return text[: index + 1]
-    raise ValueError("a bracket is not closed")
+        )
+    return CRS.from_wkt(base.to_2d().to_wkt())
 
 
 def _transform(xy: NDArray[np.float64], source: "CRS", target: "CRS") -> NDArray[np.float64]:

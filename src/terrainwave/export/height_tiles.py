@@ -20,10 +20,10 @@ from terrainwave.container.publish import publish
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidHeightsError, LimitExceededError, StorageError
 from terrainwave.file import TerrainFile
+from terrainwave.grid.affine import IDENTITY, bounds
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
-from terrainwave.raster_io.info import IDENTITY
 
 EXTENSIONS = (".r16", ".png")
 MAX_SIZE = 16385
@@ -223,7 +223,7 @@ def _describe(
         "crs": raster.crs,
         "transform": None if raster.transform == IDENTITY else list(transform),
         "pixel_size": [math.hypot(a, d), math.hypot(b, e)],
-        "bounds": _bounds(transform, shape),
+        "bounds": list(bounds(transform, shape, inset=0.5)),
     }
 
 
@@ -236,18 +236,6 @@ def _tile_transform(
     x, y = c + (a + b) / 2, f + (d + e) / 2  # of the first sample, which stays where it is
     a, b, d, e = a * by_col, b * by_row, d * by_col, e * by_row
     return a, b, x - (a + b) / 2, d, e, y - (d + e) / 2
-
-
-def _bounds(transform: tuple[float, ...], shape: tuple[int, int]) -> list[float]:
-    """Return left, bottom, right, top of the outermost samples: the edge of the landscape."""
-    a, b, c, d, e, f = transform
-    places = [
-        (a * col + b * row + c, d * col + e * row + f)
-        for row in (0.5, shape[0] - 0.5)
-        for col in (0.5, shape[1] - 0.5)
-    ]
-    xs, ys = zip(*places, strict=True)
-    return [min(xs), min(ys), max(xs), max(ys)]
 
 
 def _png(samples: NDArray[np.uint16], path: Path) -> bytes:

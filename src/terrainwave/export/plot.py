@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
-from terrainwave.export.files import need
 from terrainwave.export.frames import areas, find_place, metres_per_unit
 from terrainwave.export.mesh import Mesh
+from terrainwave.extras import need
 
 # From the north-west, 45 degrees above the horizon, as maps are lit.
 _LIGHT = np.array([-0.5, 0.5, math.sqrt(0.5)])

@@ -18,7 +18,7 @@ from terrainwave._version import __version__
 from terrainwave.container.publish import publish
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.export.files import SavedMesh, longest_edge, need
+from terrainwave.export.files import SavedMesh, longest_edge
 from terrainwave.export.frames import (
     EARTH,
     Ellipsoid,
@@ -29,6 +29,7 @@ from terrainwave.export.frames import (
     steepest,
 )
 from terrainwave.export.mesh import Mesh
+from terrainwave.extras import need
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -125,7 +126,7 @@ def tile_bytes(
     about : dict
         For the metadata extension.
     """
-    encoder = need("quantized_mesh_encoder.encode")
+    encoder = need("quantized_mesh_encoder.encode", extra="mesh")
     from quantized_mesh_encoder.ellipsoid import Ellipsoid as EncoderEllipsoid
     from quantized_mesh_encoder.extensions import MetadataExtension
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from terrainwave._version import __version__
 from terrainwave.errors import ClusterError
+from terrainwave.extras import need
 
 _TIMEOUT = 15.0  # seconds
 
@@ -23,18 +24,15 @@ def connected(address: str) -> Iterator[Any]:
     ------
     ClusterError
         If nothing answers there, it has no workers, or they have another terrainwave.
+    TerrainwaveError
+        If dask.distributed is not installed.
     """
-    try:
-        from distributed import Client
-        from distributed.comm.addressing import get_address_host_port
-    except ImportError as error:
-        raise ClusterError(
-            "dask.distributed is not installed: pip install 'terrainwave[distributed]'"
-        ) from error
+    distributed = need("distributed", extra="distributed", purpose="a cluster")
+    addressing = need("distributed.comm.addressing", extra="distributed", purpose="a cluster")
     try:
         # A client whose connection fails prints a traceback when it is collected.
-        socket.create_connection(get_address_host_port(address), _TIMEOUT).close()
-        client = Client(address, timeout=_TIMEOUT, set_as_default=False)
+        socket.create_connection(addressing.get_address_host_port(address), _TIMEOUT).close()
+        client = distributed.Client(address, timeout=_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise ClusterError(
             f"no dask scheduler answers at {address}; expected the address that dask scheduler"

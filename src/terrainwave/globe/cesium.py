@@ -24,8 +24,8 @@ from terrainwave.arguments import check_threads
 from terrainwave.container.publish import publish_directory
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.export.files import need
 from terrainwave.export.quantized_mesh import STEPS, tile_bytes
+from terrainwave.extras import need
 from terrainwave.globe.lonlat import Extent, Globe, Window
 from terrainwave.mesh.blocks import BlockSamples, SideTolerances, border_lines
 from terrainwave.progress import ProgressCallback, Reporter
@@ -625,7 +625,7 @@ def write_tiles(
     TerrainwaveError
         If quantized-mesh-encoder is missing.
     """
-    need("quantized_mesh_encoder")
+    need("quantized_mesh_encoder", extra="mesh")
     pyramid = TilePyramid(
         terrain, void_height=void_height, cells=cells, radius=radius, max_zoom=max_zoom
     )

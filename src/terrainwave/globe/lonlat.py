@@ -21,8 +21,8 @@ from terrainwave.export.frames import (
     place_of,
     transform_where_possible,
 )
+from terrainwave.grid.affine import IDENTITY, determinant, places_to_samples, samples_to_places
 from terrainwave.grid.quadtree import Block
-from terrainwave.raster_io.info import IDENTITY
 
 if TYPE_CHECKING:
     from rasterio.crs import CRS
@@ -102,8 +102,7 @@ class Globe:
             raise InvalidHeightsError(
                 "the raster has no coordinate reference system: it has no place on a globe"
             )
-        a, b, _, d, e, _ = raster.transform
-        if a * e - b * d == 0:
+        if determinant(raster.transform) == 0:
             raise InvalidHeightsError("the affine transform cannot be inverted")
         self.terrain = terrain
         self._place = place
@@ -112,6 +111,7 @@ class Globe:
         self._crs = place.crs
         self._globe_crs = self._system(is_earth)
         self._metres = metres_per_unit(raster.units)
+        a, b, _, d, _, _ = raster.transform
         turn = 360 / (abs(a) * place.unit) if a else math.inf
         self._is_whole_turn = (
             place.is_geographic and b == d == 0 and abs(turn - terrain.shape[1]) < 0.01
@@ -154,11 +154,8 @@ class Globe:
             turn = 360 / self._place.unit
             start = self._centre_x - turn / 2
             xy[:, 0] = start + np.mod(xy[:, 0] - start, turn)
-        a, b, c, d, e, f = self.terrain.raster_info.transform
         with np.errstate(all="ignore"):
-            x, y = xy[:, 0] - c, xy[:, 1] - f
-            rows = (a * y - d * x) / (a * e - b * d) - 0.5
-            cols = (e * x - b * y) / (a * e - b * d) - 0.5
+            rows, cols = places_to_samples(self.terrain.raster_info.transform, xy[:, 0], xy[:, 1])
             rows, is_row = _clamped(rows, self.terrain.shape[0])
             if self._is_whole_turn:
                 is_col = np.isfinite(cols)
@@ -187,9 +184,7 @@ class Globe:
 
     def from_samples(self, rows: Numbers, cols: Numbers) -> Places:
         """Return longitudes and latitudes of fractional rows and columns of the full grid."""
-        a, b, c, d, e, f = self.terrain.raster_info.transform
-        x = a * (cols + 0.5) + b * (rows + 0.5) + c
-        y = d * (cols + 0.5) + e * (rows + 0.5) + f
+        x, y = samples_to_places(self.terrain.raster_info.transform, rows, cols)
         if self._globe_crs is not None and self._crs is not None:
             xy = transform_where_possible(np.stack([x, y], axis=1), self._crs, self._globe_crs)
             return xy[:, 0], xy[:, 1]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.extras import need
 from terrainwave.globe.lonlat import Globe
 
 TILE_SIZE = 256
@@ -155,11 +156,10 @@ def _largest_distance(tile: NDArray[np.float64], surface: NDArray[np.float64]) -
 
 
 def _png(codes: NDArray[np.uint32]) -> bytes:
-    from PIL import Image
-
+    image = need("PIL.Image", extra="serve", purpose="a terrain-RGB tile")
     pixels = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=-1).astype(np.uint8)
     out = io.BytesIO()
-    Image.fromarray(pixels, "RGB").save(out, "PNG", compress_level=4)
+    image.fromarray(pixels, "RGB").save(out, "PNG", compress_level=4)
     return out.getvalue()
 
 

@@ -20,11 +20,17 @@ from numpy.typing import NDArray
 from terrainwave.container.codes import decode_error
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.file import TerrainFile
+from terrainwave.grid.affine import (
+    IDENTITY,
+    determinant,
+    pixels_to_places,
+    samples_to_places,
+    without_shift,
+)
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import as_fraction
 from terrainwave.mesh.blocks import BlockSamples, SideTolerances, border_lines
 from terrainwave.mesh.sections import mesher_of
-from terrainwave.raster_io.info import IDENTITY
 from terrainwave.tri.halves import Lines, triangulate
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.simplify import simplify
@@ -510,25 +516,19 @@ class _Extractor:
     ) -> PlacedMesh:
         """Return the mesh in world coordinates, counter-clockwise seen from above."""
         crs, raster = self._terrain.crs, self._terrain.raster_info
-        a, b, c, d, e, f = raster.transform
         first_row, last_row, first_col, last_col = self._limits()
         row_0, col_0 = (first_row + last_row) // 4, (first_col + last_col) // 4
         rows, cols = vertices[:, 0] / 2 - row_0, vertices[:, 1] / 2 - col_0
         quanta = vertices[:, 2] / (1 << FRACTION_BITS)
         numerator, denominator = self._header.quantum.numerator, self._header.quantum.denominator
         heights = (quanta + self._header.base) * numerator / denominator
-        points = np.stack(
-            [a * cols + b * rows, d * cols + e * rows, heights * raster.scale + raster.offset], 1
-        )
-        if a * e - b * d > 0:
+        x, y = pixels_to_places(without_shift(raster.transform), rows, cols)
+        points = np.stack([x, y, heights * raster.scale + raster.offset], 1)
+        if determinant(raster.transform) > 0:
             triangles = np.ascontiguousarray(triangles)
         else:
             triangles = np.ascontiguousarray(triangles[:, ::-1])
-        origin = (
-            a * (col_0 + 0.5) + b * (row_0 + 0.5) + c,
-            d * (col_0 + 0.5) + e * (row_0 + 0.5) + f,
-            0.0,
-        )
+        origin = (*samples_to_places(raster.transform, float(row_0), float(col_0)), 0.0)
         # An array without a place: its columns and rows are no degrees.
         attributes = {"is_placed": raster.transform != IDENTITY}
         return PlacedMesh(points, triangles, origin, error, crs, raster.units, attributes)

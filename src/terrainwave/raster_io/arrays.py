@@ -10,8 +10,8 @@ from rasterio.crs import CRS
 from terrainwave.errors import (
     InvalidHeightsError,
 )
+from terrainwave.grid.affine import IDENTITY
 from terrainwave.raster_io.crs import format_crs, parse_crs
-from terrainwave.raster_io.info import IDENTITY
 
 
 class ArrayBackend:

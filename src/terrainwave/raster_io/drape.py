@@ -1,7 +1,6 @@
 """An orthophoto, warped to the grid of a terrain, as one picture for a texture."""
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +13,7 @@ from rasterio.vrt import WarpedVRT
 from rasterio.warp import transform, transform_bounds
 
 from terrainwave.errors import InvalidHeightsError, StorageError
+from terrainwave.grid.affine import Transform, determinant, pixels_to_places, places_to_pixels
 from terrainwave.raster_io.crs import parse_crs
 from terrainwave.raster_io.dataset import open_dataset
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
@@ -46,7 +46,7 @@ def read_drape(
     path: str,
     *,
     crs: str | None,
-    affine: Sequence[float],
+    affine: Transform,
     shape: tuple[int, int],
     max_side: int,
     max_bytes: int,
@@ -59,7 +59,7 @@ def read_drape(
         Bands grey or red, green, blue, each with an alpha band or not, or a palette; 8 bits.
     crs : str, optional
         Of the grid, as `parse_crs` reads it.
-    affine : sequence of float
+    affine : tuple of float
         a, b, c, d, e, f of the grid: x = a col + b row + c.
     shape : tuple of int
         Rows and columns of the grid.
@@ -74,19 +74,20 @@ def read_drape(
         If it cannot be read.
     """
     grid_crs = parse_crs(crs)
-    grid = rasterio.Affine(*affine[:6])
+    if determinant(affine) == 0:
+        raise InvalidHeightsError("the terrain's affine transform cannot be inverted")
     with bounded_env(), open_dataset(path) as photo:
         _check(path, photo, grid_crs)
         # Where neither says what its coordinates are, any projected system does for both.
         photo_crs, grid_crs = photo.crs or _ANY_CRS, grid_crs or _ANY_CRS
         try:
-            col, row, n_cols, n_rows = _overlap(path, photo, photo_crs, grid_crs, grid, shape)
+            col, row, n_cols, n_rows = _overlap(path, photo, photo_crs, grid_crs, affine, shape)
             middle = col + n_cols / 2, row + n_rows / 2
-            finer = _texels_per_pixel(photo, photo_crs, grid_crs, grid, *middle)
+            finer = _texels_per_pixel(photo, photo_crs, grid_crs, affine, *middle)
             width, height = _size(n_cols * finer, n_rows * finer, max_side, max_bytes)
-            a, b, _, d, e, _ = grid[:6]
+            a, b, _, d, e, _ = affine
             along, down = n_cols / width, n_rows / height  # pixels of the grid per texel
-            x, y = _apply(grid, col, row)
+            x, y = pixels_to_places(affine, row, col)
             placed = rasterio.Affine(a * along, b * down, x, d * along, e * down, y)
             pixels = _warped(photo, photo_crs, grid_crs, placed, width, height)
         except (*GDAL_ERRORS, CRSError) as error:
@@ -115,21 +116,15 @@ def _check(path: str, photo: Any, grid_crs: Any) -> None:
         )
 
 
-def _apply(affine: Any, x: float, y: float) -> tuple[float, float]:
-    """Return where an affine transform puts a place; its operators differ between versions."""
-    a, b, c, d, e, f = affine[:6]
-    return a * x + b * y + c, d * x + e * y + f
-
-
 def _overlap(
-    path: str, photo: Any, photo_crs: Any, grid_crs: Any, grid: Any, shape: tuple[int, int]
+    path: str, photo: Any, photo_crs: Any, grid_crs: Any, grid: Transform, shape: tuple[int, int]
 ) -> tuple[float, float, float, float]:
     """Return column, row, columns and rows of the grid that the photo covers."""
     left, bottom, right, top = transform_bounds(
         photo_crs, grid_crs, *photo.bounds, densify_pts=_DENSITY
     )
-    corners = [_apply(~grid, x, y) for x in (left, right) for y in (bottom, top)]
-    cols, rows = [corner[0] for corner in corners], [corner[1] for corner in corners]
+    corners = [places_to_pixels(grid, x, y) for x in (left, right) for y in (bottom, top)]
+    rows, cols = zip(*corners, strict=True)
     col, row = max(math.floor(min(cols)), 0), max(math.floor(min(rows)), 0)
     n_cols = min(math.ceil(max(cols)), shape[1]) - col
     n_rows = min(math.ceil(max(rows)), shape[0]) - row
@@ -142,15 +137,17 @@ def _overlap(
 
 
 def _texels_per_pixel(
-    photo: Any, photo_crs: Any, grid_crs: Any, grid: Any, col: float, row: float
+    photo: Any, photo_crs: Any, grid_crs: Any, grid: Transform, col: float, row: float
 ) -> float:
     """Return how many pixels of the photo lie along one of the grid, near a place of it."""
-    places = [_apply(grid, col + right, row + down) for right, down in ((0, 0), (1, 0), (0, 1))]
+    near = ((row, col), (row, col + 1), (row + 1, col))
+    places = [pixels_to_places(grid, *pixel) for pixel in near]
     xs, ys = transform(grid_crs, photo_crs, *zip(*places, strict=True))
-    (x_0, y_0), (x_1, y_1), (x_2, y_2) = (
-        _apply(~photo.transform, x, y) for x, y in zip(xs, ys, strict=True)
+    placed = tuple(photo.transform)[:6]
+    (row_0, col_0), (row_1, col_1), (row_2, col_2) = (
+        places_to_pixels(placed, x, y) for x, y in zip(xs, ys, strict=True)
     )
-    area = abs((x_1 - x_0) * (y_2 - y_0) - (x_2 - x_0) * (y_1 - y_0))
+    area = abs((col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0))
     return math.sqrt(area) if math.isfinite(area) and area > 0 else 1.0
 
 

@@ -7,10 +7,9 @@ from typing import Any, Self
 import numpy as np
 
 from terrainwave.errors import CorruptStreamError
+from terrainwave.grid.affine import IDENTITY
 
 SUPPORTED_DTYPES = ("uint8", "int16", "uint16", "int32", "float32", "float64")
-
-IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True)

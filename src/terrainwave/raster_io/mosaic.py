@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from rasterio.crs import CRS
 
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.grid.affine import determinant, of_window, places_to_pixels
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.crs import format_crs
 from terrainwave.raster_io.dataset import DatasetBackend, open_dataset
@@ -247,9 +248,9 @@ def _crs_name(crs: CRS | None) -> str:
 
 def _place(first: _Description, other: _Description) -> tuple[int, int]:
     """Return row and column of `other`'s first pixel on the grid of `first`."""
-    a, b, c, d, e, f = first.transform
-    determinant = a * e - b * d
-    if not all(map(math.isfinite, (*first.transform, *other.transform))) or determinant == 0:
+    a, b, _, d, e, _ = first.transform
+    is_finite = all(map(math.isfinite, (*first.transform, *other.transform)))
+    if not is_finite or determinant(first.transform) == 0:
         raise InvalidHeightsError(
             f"{first.name} and {other.name}: their transforms do not say where they lie"
         )
@@ -268,8 +269,7 @@ def _place(first: _Description, other: _Description) -> tuple[int, int]:
             " turned); expected one resolution: resample first, for example gdalwarp -tr"
             f" {resolution} -tap"
         )
-    x, y = other.transform[2] - c, other.transform[5] - f
-    col, row = (e * x - b * y) / determinant, (a * y - d * x) / determinant
+    row, col = places_to_pixels(first.transform, other.transform[2], other.transform[5])
     if max(abs(col - round(col)), abs(row - round(row))) > _TOLERANCE:
         raise InvalidHeightsError(
             f"{other.name}: its pixels lie {abs(col - round(col)):.3g} columns and"
@@ -283,12 +283,12 @@ def _corner_transform(
     found: Sequence[_Description], places: Sequence[tuple[int, int]], top: int, left: int
 ) -> tuple[float, ...]:
     """Return the mosaic's transform; exactly as the files have it, where they are not rotated."""
-    a, b, c, d, e, f = found[0].transform
+    a, b, _, d, e, _ = found[0].transform
     if (b, d) == (0, 0):
         x = next(one.transform[2] for one, (_, col) in zip(found, places) if col == left)
         y = next(one.transform[5] for one, (row, _) in zip(found, places) if row == top)
         return a, b, x, d, e, y
-    return a, b, c + a * left + b * top, d, e, f + d * left + e * top
+    return of_window(found[0].transform, top, left)
 
 
 def covered_samples(regions: Sequence[Region]) -> int:

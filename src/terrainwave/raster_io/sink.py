@@ -23,6 +23,7 @@ from terrainwave.errors import (
     CorruptStreamError,
     StorageError,
 )
+from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.gdal import (
     GDAL_ERRORS,
@@ -31,7 +32,7 @@ from terrainwave.raster_io.gdal import (
     one_line,
     scan_windows,
 )
-from terrainwave.raster_io.info import IDENTITY, RasterInfo, stored_nodata
+from terrainwave.raster_io.info import RasterInfo, stored_nodata
 
 _TILE = 512
 

@@ -14,6 +14,7 @@ from terrainwave.errors import (
     InvalidHeightsError,
     TerrainwaveWarning,
 )
+from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.arrays import ArrayBackend, open_data_array
 from terrainwave.raster_io.dataset import DatasetBackend, open_dataset
@@ -22,7 +23,6 @@ from terrainwave.raster_io.gdal import (
     scan_windows,
 )
 from terrainwave.raster_io.info import (
-    IDENTITY,
     SUPPORTED_DTYPES,
     RasterInfo,
     fit_nodata,

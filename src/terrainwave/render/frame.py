@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.export.frames import find_place, metres_per_unit
 from terrainwave.export.mesh import Mesh
+from terrainwave.grid.affine import IDENTITY, pixels_to_places, samples_to_places
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
-
-_IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -56,8 +55,7 @@ class Frame:
 
     def samples_to_local(self, rows: NDArray[Any], cols: NDArray[Any]) -> NDArray[np.float64]:
         """Return local x, y of full-grid samples, shape (n, 2)."""
-        a, b, c, d, e, f = self.sample_matrix
-        return np.column_stack([a * cols + b * rows + c, d * cols + e * rows + f])
+        return np.column_stack(pixels_to_places(self.sample_matrix, rows, cols))
 
     def to_local(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return local metres of (x, y, height) in the file's CRS and unit."""
@@ -99,16 +97,12 @@ def frame_of(
         If an option is out of range.
     """
     raster = terrain.raster_info
-    a, b, c, d, e, f = raster.transform
+    a, b, _, d, e, _ = raster.transform
     n_rows, n_cols = terrain.shape
-    rows, cols = np.array([0, 0, n_rows - 1, n_rows - 1]), np.array([0, n_cols - 1, 0, n_cols - 1])
-    corners = np.column_stack(
-        [
-            a * (cols + 0.5) + b * (rows + 0.5) + c,
-            d * (cols + 0.5) + e * (rows + 0.5) + f,
-            np.zeros(4),
-        ]
-    )
+    rows = np.array([0, 0, n_rows - 1, n_rows - 1], dtype=np.float64)
+    cols = np.array([0, n_cols - 1, 0, n_cols - 1], dtype=np.float64)
+    x, y = samples_to_places(raster.transform, rows, cols)
+    corners = np.column_stack([x, y, np.zeros(4)])
     outline = Mesh(
         corners,
         np.array([[0, 1, 2], [1, 3, 2]], dtype=np.int32),
@@ -116,13 +110,13 @@ def frame_of(
         0.0,
         terrain.crs,
         raster.units,
-        {"is_placed": tuple(raster.transform) != _IDENTITY},
+        {"is_placed": tuple(raster.transform) != IDENTITY},
     )
     place = find_place(outline, radius=radius)
     left, bottom, right, top = outline.bounds
-    x, y = (left + right) / 2, (bottom + top) / 2
+    centre_x, centre_y = (left + right) / 2, (bottom + top) / 2
     if place.is_geographic:
-        latitude = min(max(y * place.unit, -89.9), 89.9)
+        latitude = min(max(centre_y * place.unit, -89.9), 89.9)
         meridian, normal = place.ellipsoid.radii(latitude)
         per_x = math.radians(place.unit) * normal * math.cos(math.radians(latitude))
         per_y = math.radians(place.unit) * meridian
@@ -132,13 +126,13 @@ def frame_of(
     matrix = (
         a * per_x,
         b * per_x,
-        (corners[0, 0] - x) * per_x,
+        (corners[0, 0] - centre_x) * per_x,
         d * per_y,
         e * per_y,
-        (corners[0, 1] - y) * per_y,
+        (corners[0, 1] - centre_y) * per_y,
     )
     frame = Frame(
-        (x, y),
+        (centre_x, centre_y),
         (per_x, per_y, metres_per_unit(raster.units)),
         matrix,
         terrain.shape,

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import TerrainwaveError
+from terrainwave.extras import need
 from terrainwave.render.camera import Camera, Viewport, ray
 from terrainwave.render.modes import mode_class
 from terrainwave.render.modes.mode import Frames
@@ -33,10 +34,7 @@ def create_context() -> Any:
     TerrainwaveError
         If moderngl or a driver is missing; one line that says what to install.
     """
-    try:
-        import moderngl
-    except ImportError as error:
-        raise TerrainwaveError("pictures need moderngl: pip install 'terrainwave[view]'") from error
+    moderngl = need("moderngl", extra="view", purpose="drawing")
     problems = []
     backends: tuple[dict[str, Any], ...] = ({"backend": "egl"}, {})
     for options in backends:

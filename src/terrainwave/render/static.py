@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from terrainwave.container.publish import publish
 from terrainwave.errors import InvalidHeightsError, TerrainwaveError
-from terrainwave.export.files import need
+from terrainwave.extras import need
 from terrainwave.render.frame import frame_of
 
 if TYPE_CHECKING:

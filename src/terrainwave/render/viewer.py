@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from terrainwave.errors import TerrainwaveError
+from terrainwave.extras import need
 from terrainwave.render.camera import format_camera
 from terrainwave.render.controls import HELP, Controls
 from terrainwave.render.modes.mode import Frames
@@ -46,15 +47,7 @@ def run(
     TerrainwaveError
         If there is no display or no OpenGL 3.3; one line that says what to do.
     """
-    try:
-        import moderngl_window
-    except ImportError as error:
-        raise TerrainwaveError(
-            "a window needs moderngl-window: pip install 'terrainwave[view]'; a picture needs no"
-            " window: terrainwave render FILE PICTURE.png"
-        ) from error
-
-    toolkit: Any = moderngl_window
+    toolkit: Any = need("moderngl_window", extra="view", purpose="a window")
 
     class Config(toolkit.WindowConfig):  # type: ignore[misc]
         gl_version = (3, 3)

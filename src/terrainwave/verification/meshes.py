@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import CorruptStreamError, TerrainwaveError
+from terrainwave.grid.affine import determinant, places_to_pixels, places_to_samples, without_shift
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.progress import Progress, ProgressCallback
 from terrainwave.verification.checks import (
@@ -232,18 +233,14 @@ def surface_of_mesh(terrain: Any, mesh: Any, region: Region) -> Surface:
 
     Integers where all vertices lie on half samples, else floats: where it was cut.
     """
-    a, b, c, d, e, f = terrain.raster_info.transform
-    x, y, _ = mesh.origin
+    transform = terrain.raster_info.transform
     # The place of the origin's pixel centre, first: vertices are near it, so nothing is lost.
-    determinant = a * e - b * d
-    first = np.array([x - c, y - f])
-    centre_col = (e * first[0] - b * first[1]) / determinant - 0.5
-    centre_row = (a * first[1] - d * first[0]) / determinant - 0.5
-    right, up = mesh.vertices[:, 0], mesh.vertices[:, 1]
-    cols = 2 * ((e * right - b * up) / determinant + round(centre_col) - region.col)
-    rows = 2 * ((a * up - d * right) / determinant + round(centre_row) - region.row)
+    centre_row, centre_col = places_to_samples(transform, *mesh.origin[:2])
+    down, right = places_to_pixels(without_shift(transform), *mesh.vertices[:, :2].T)
+    cols = 2 * (right + round(centre_col) - region.col)
+    rows = 2 * (down + round(centre_row) - region.row)
     heights = Ruler(terrain).of_physical(mesh.vertices[:, 2] + mesh.origin[2])
-    triangles = mesh.triangles if determinant > 0 else mesh.triangles[:, ::-1]
+    triangles = mesh.triangles if determinant(transform) > 0 else mesh.triangles[:, ::-1]
     surface = Surface(_snapped(rows), _snapped(cols), _snapped(heights), triangles)
     if not all((values == np.rint(values)).all() for values in surface[:3]):
         return surface
@@ -477,8 +474,7 @@ class MeshVerification:
     # Meshes of areas
 
     def _plans(self) -> Iterator[tuple[float | None, int]]:
-        a, b, _, d, e, _ = self._terrain.raster_info.transform
-        if min(self._terrain.shape) < 2 or a * e == b * d:
+        if min(self._terrain.shape) < 2 or determinant(self._terrain.raster_info.transform) == 0:
             return  # no area, or no place in the world
         yield None, 0
         bound, quantum = self._terrain.effective_error, self._ruler.quantum

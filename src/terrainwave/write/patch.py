@@ -28,6 +28,7 @@ from terrainwave.container.sink import SpoolSink
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.file import TerrainFile
+from terrainwave.grid.affine import places_to_pixels
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.mesh.blocks import measure_meshes, mesh_codes
 from terrainwave.mesh.sections import make_meshes
@@ -161,13 +162,11 @@ def _place(info: RasterInfo, new: RasterInfo) -> Region:
         raise InvalidHeightsError(
             f"the new raster's CRS is {new.crs}, expected that of the file, {info.crs}"
         )
-    a, b, c, d, e, f = info.transform
+    a, b, _, d, e, _ = info.transform
     pixel = max(abs(a), abs(b), abs(d), abs(e))
     sizes = zip(new.transform, info.transform, strict=True)
     linear = [abs(one - other) for i, (one, other) in enumerate(sizes) if i not in (2, 5)]
-    x, y = new.transform[2] - c, new.transform[5] - f
-    determinant = a * e - b * d
-    col, row = (x * e - y * b) / determinant, (y * a - x * d) / determinant
+    row, col = places_to_pixels(info.transform, new.transform[2], new.transform[5])
     n_longest = max(new.n_rows, new.n_cols)
     is_aligned = max(linear) * n_longest < _MISALIGNED * pixel
     is_aligned &= max(abs(col - round(col)), abs(row - round(row))) < _MISALIGNED
