@@ -11,7 +11,7 @@ from terrainwave.names import METHODS
 
 PACKAGE = Path(__file__).parent.parent / "src" / "terrainwave"
 
-ROOT = {"errors", "progress", "names", "arguments", "_version", "extras"}
+ROOT = {"errors", "progress", "names", "arguments", "_version", "extras", "cache"}
 # What each room may import besides itself, in the order of the data's path: rooms above it, and
 # none beside it. Nothing else, within functions neither.
 GRID = ROOT | {"coding", "grid"}
@@ -21,6 +21,7 @@ MAY_IMPORT = {
     "progress": {"errors"},
     "extras": {"errors"},
     "names": set(),
+    "cache": set(),
     "arguments": {"errors", "names"},
     "coding": ROOT,
     "grid": ROOT | {"coding"},

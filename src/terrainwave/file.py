@@ -18,6 +18,7 @@ from terrainwave.errors import (
     InvalidHeightsError,
     LimitExceededError,
 )
+from terrainwave.grid.affine import bounds, of_level
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.names import EFFORTS, METHODS, methods_that
@@ -249,24 +250,14 @@ class TerrainFile:
         Levels are samples at positions: the centre of the first pixel is the same on every level,
         the pixel grows by 2^j. x = a * col + b * row + c at pixel corners, as rasterio counts.
         """
-        a, b, c, d, e, f = self._raster.transform
         stride = self.grid.stride(self.level_index(level))
-        shift = (1 - stride) / 2  # from the corner of the full grid's first pixel to the level's
         row, col = (0, 0) if window is None else window[:2]
-        corner_col, corner_row = shift + col * stride, shift + row * stride
-        return (
-            a * stride, b * stride, c + a * corner_col + b * corner_row,
-            d * stride, e * stride, f + d * corner_col + e * corner_row,
-        )  # fmt: skip
+        return of_level(self._raster.transform, stride, row, col)
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
         """Return (left, bottom, right, top) of the raster's pixels in its CRS."""
-        a, b, c, d, e, f = self._raster.transform
-        n_rows, n_cols = self.shape
-        xs = [c + a * col + b * row for row in (0, n_rows) for col in (0, n_cols)]
-        ys = [f + d * col + e * row for row in (0, n_rows) for col in (0, n_cols)]
-        return min(xs), min(ys), max(xs), max(ys)
+        return bounds(self._raster.transform, self.shape)
 
     def info(self) -> Info:
         """Return a summary of the file, from its header alone."""

@@ -4,6 +4,7 @@ import math
 import sys
 
 import numpy as np
+import pyproj
 import pytest
 from rasterio.crs import CRS
 from tri.meshes import grid_mesh, hills
@@ -226,6 +227,8 @@ def test_an_ellipsoid_and_a_base_are_found_within_other_systems(crs):
 def test_the_base_is_flat_and_in_the_registry_where_the_crs_is():
     assert geographic_base(CRS.from_epsg(32633)).to_epsg() == 4326
     assert geographic_base(CRS.from_epsg(27700)).to_epsg() == 4277
+    with_heights = pyproj.CRS.from_epsg(32633).to_3d()
+    assert geographic_base(CRS.from_wkt(with_heights.to_wkt())).to_epsg() == 4326
 
 
 def test_a_local_system_has_the_ellipsoid_of_the_earth_and_no_base():

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.grid.affine import Transform, determinant, places_to_samples
 from terrainwave.grid.quadtree import Region
-
-Affine = tuple[float, ...]
 
 
 def region_of_window(window: Any) -> Region:
@@ -34,7 +33,7 @@ def region_of_window(window: Any) -> Region:
     return Region(row, col, n_rows, n_cols)
 
 
-def region_of_bounds(bounds: Sequence[float], transform: Affine) -> Region:
+def region_of_bounds(bounds: Sequence[float], transform: Transform) -> Region:
     """Return the samples whose pixels touch (left, bottom, right, top), not clipped.
 
     Raises
@@ -62,7 +61,7 @@ def region_of_bounds(bounds: Sequence[float], transform: Affine) -> Region:
 
 
 def to_samples(
-    places: NDArray[np.float64], transform: Affine
+    places: NDArray[np.float64], transform: Transform
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return fractional (rows, cols) of world coordinates; integers are pixel centres.
 
@@ -71,14 +70,11 @@ def to_samples(
     InvalidHeightsError
         If the transform has no inverse.
     """
-    a, b, c, d, e, f = transform
-    determinant = a * e - b * d
-    if determinant == 0:
+    if determinant(transform) == 0:
         raise InvalidHeightsError("the affine transform cannot be inverted; read by window instead")
     # Extreme numbers of a file or a caller become NaN or infinite: no place in the raster.
     with np.errstate(all="ignore"):
-        x, y = places[:, 0] - c, places[:, 1] - f
-        return (a * y - d * x) / determinant - 0.5, (e * x - b * y) / determinant - 0.5
+        return places_to_samples(transform, places[:, 0], places[:, 1])
 
 
 def _round_half_up(value: float) -> int:
