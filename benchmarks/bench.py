@@ -1,137 +1,127 @@
 """All measurements in one command: ``make bench DATA=DIR``, ``python -m benchmarks.bench DIR``.
 
 Sizes and errors of terrainwave and its peers at equal bounds, then speeds beside SPERR, then the
-tables in the documents, a Markdown file and the plot. What the CSVs already hold is not measured
-again: a run that was stopped goes on where it was. After a change of a codec, name its CSV:
-``--again predictive speeds``.
+tables in the documents, ``bench.md`` and the plot. A run that was stopped goes on where it was.
+After a change of a codec, name its CSV: ``--again predictive speeds``.
 
 Exit status: 0 good; 1 if a codec broke a bound or failed; 2 wrong usage.
 """
 
-import tempfile
-import time
-import warnings
-from dataclasses import dataclass
+import shutil
+from collections import defaultdict
+from collections.abc import Iterable
 from pathlib import Path
 
 import click
-from rasterio.errors import NotGeoreferencedWarning
-from rich.console import Console
+import matplotlib as mpl
 
-from benchmarks import plots, speeds, tables
-from benchmarks.codecs import is_worth_trying, load_codecs, measure_or_explain
-from benchmarks.lists import ListCommand, ListOption
-from benchmarks.machine import pin_to_one_core
-from benchmarks.measure import Timing
-from benchmarks.peers import Codec
-from benchmarks.rasters import Forms, find_rasters, load_raster, make_forms
-from benchmarks.report import CsvSink, make_console, read_cases
+mpl.use("Agg")
+import matplotlib.pyplot as plt
 
-BOUNDS = (0.0, 0.1, 0.5, 1.0, 3.0, 10.0)
-PARTS = ("predictive", "cdf97", "peers", "speeds")
-PEERS = ("sperr", "sz3", "sz3-interp", "jxl-e9", "cog-overviews")
-RESULTS = Path("benchmarks/results")
+from benchmarks import common, tables
+from benchmarks.codecs import (
+    BOUNDS,
+    exit_with_failures,
+    measure_missing,
+    measure_speeds,
+    read_cases,
+)
+from benchmarks.peers import make_codecs
 
-
-@dataclass(frozen=True)
-class Family:
-    """Codecs that share a CSV: names for `make_codecs`, our methods among them."""
-
-    names: tuple[str, ...]
-    methods: tuple[str, ...] = ()
-
-
+# Codecs that share a CSV: names for `make_codecs`, and our methods.
 FAMILIES = {
-    "predictive": Family(("terrainwave",), ("predictive", "predictive-fast", "predictive-best")),
-    "cdf97": Family(("terrainwave",), ("cdf97",)),
-    "peers": Family(PEERS),
+    "predictive": (["terrainwave"], ["predictive", "predictive-fast", "predictive-best"]),
+    "cdf97": (["terrainwave"], ["cdf97"]),
+    "peers": (["sperr", "sz3", "sz3-interp", "jxl-e9", "cog-overviews"], []),
+    "speeds": (["sperr", "terrainwave"], ["predictive-fast", "predictive", "cdf97"]),
 }
+PART = click.Choice(FAMILIES)
+# Ours strong, the others quiet; the order is that of the legend.
+STYLES = {
+    "terrainwave-predictive": {"color": "#d1495b", "linewidth": 2.2, "marker": "o"},
+    "terrainwave-predictive-fast": {"color": "#d1495b", "linewidth": 0.9, "linestyle": ":"},
+    "terrainwave-predictive-best": {"color": "#d1495b", "linewidth": 0.9, "linestyle": "--"},
+    "terrainwave-cdf97": {"color": "#edae49", "linewidth": 1.6, "marker": "o"},
+    "jxl-e9": {"color": "#30638e"},
+    "sz3": {"color": "#00798c"},
+    "sz3-interp": {"color": "#00798c", "linestyle": ":"},
+    "sperr": {"color": "#003d5b", "linestyle": "--"},
+    "cog-overviews": {"color": "#8d96a3"},
+}
+# Lossless stands at 0.05.
+X_TICKS = {0.05: "0", 0.1: "0.1", 0.5: "0.5", 1: "1", 3: "3", 10: "10"}
+N_COLS = 4
+
+Curves = dict[str, dict[str, list[tuple[float, float]]]]
 
 
-@click.command(cls=ListCommand, help=__doc__)
-@click.argument("places", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
-@click.option(
-    "--only",
-    "parts",
-    cls=ListOption,
-    type=click.Choice(PARTS),
-    default=PARTS,
-    help="Which parts to measure; the documents are always made.",
-)
-@click.option(
-    "--again",
-    cls=ListOption,
-    type=click.Choice(PARTS),
-    help="Parts whose CSV is thrown away first.",
-)
-@click.option("--max-error", "bounds", cls=ListOption, type=float, default=BOUNDS)
-@click.option("--runs", type=click.IntRange(min=1), default=1, show_default=True)
-@click.option("--results", type=click.Path(path_type=Path), default=RESULTS, show_default=True)
-def main(places, parts, again, bounds, runs, results) -> None:
+def read_curves(paths: Iterable[Path]) -> Curves:
+    """Return (bound, bits per sample) by raster and codec, in order of the bound."""
+    curves: Curves = defaultdict(lambda: defaultdict(list))
+    for path in paths:
+        for row in common.read_rows(path):
+            if not row["problem"]:
+                point = row["max_error"], row["bits_per_sample"]
+                curves[row["raster"]][row["codec"]].append(point)
+    return curves
+
+
+def draw(curves: Curves, results: Path) -> None:
+    """Write ``rates.png`` among the results, and for the documents if they are the repository's."""
+    n_rows = -(-(len(curves) + 1) // N_COLS)
+    figure, axes = plt.subplots(n_rows, N_COLS, figsize=(16, 3.4 * n_rows), layout="constrained")
+    panels = list(axes.flat)
+    drawn = {}
+    for panel, (raster, by_codec) in zip(panels, sorted(curves.items()), strict=False):
+        for codec, style in STYLES.items():
+            points = sorted(by_codec.get(codec, []))
+            if points:
+                bounds = [max(bound, 0.05) for bound, _ in points]
+                bits = [rate for _, rate in points]
+                (drawn[codec],) = panel.plot(
+                    bounds, bits, **{"linewidth": 1.2, "marker": ".", **style}
+                )
+        panel.set(xscale="log", yscale="log", xlabel="max error, m", ylabel="bits per sample")
+        panel.set_xticks(list(X_TICKS), list(X_TICKS.values()))
+        panel.xaxis.set_minor_formatter("")
+        panel.yaxis.set_major_formatter("{x:g}")
+        # At 2 and 5 times a power of ten.
+        panel.yaxis.set_minor_formatter(lambda y, _: f"{y:g}" if f"{y:e}"[0] in "25" else "")
+        panel.set_title(raster, fontsize=9)
+        panel.grid(alpha=0.3, which="both")
+    for panel in panels[len(curves) :]:
+        panel.axis("off")
+    names = [codec for codec in STYLES if codec in drawn]
+    panels[len(curves)].legend([drawn[name] for name in names], names, loc="center", fontsize=11)
+    figure.savefig(results / "rates.png", dpi=80)
+    plt.close(figure)
+    if results.resolve() == common.RESULTS:
+        shutil.copyfile(results / "rates.png", common.IMAGES / "rates.png")
+
+
+@common.command()
+@common.rasters_argument
+@common.option("--only", "parts", cls=common.ListOption, type=PART, default=[*FAMILIES])
+@click.option("--again", cls=common.ListOption, type=PART, help="Throw away first.")
+@common.bounds_option(*BOUNDS)
+@common.option("--runs", type=common.COUNT, default=1)
+def main(paths, parts, again, bounds, runs, folder, out) -> None:
     """Measure what is missing; write CSVs, tables and the plot."""
-    console = make_console()
-    warnings.simplefilter("ignore", NotGeoreferencedWarning)
-    if not pin_to_one_core():
-        console.print("cannot pin to one core here: some codecs may use more")
-    paths = find_rasters(list(places))
-    if not paths:
-        raise click.UsageError("no GeoTIFFs there")
+    common.pin_to_one_core()
     for part in again:
-        (results / f"{part}.csv").unlink(missing_ok=True)
-    n_failed = 0
-    with tempfile.TemporaryDirectory() as folder:
-        for part in parts:
-            if part == "speeds":
-                speeds.measure_all(console, paths, results, Path(folder))
-            else:
-                n_failed += measure_family(console, part, paths, bounds, runs, results, folder)
-    for document in tables.write_all(results):
-        console.print(f"wrote {document}", markup=False)
-    plots.draw(plots.read_curves([results / f"{name}.csv" for name in FAMILIES]), results)
-    console.print(f"{n_failed} failed; {results}", markup=False)
-    raise SystemExit(1 if n_failed else 0)
-
-
-def measure_family(console: Console, part, paths, bounds, runs, results, folder) -> int:
-    """Measure what the family's CSV lacks; return how many cases failed."""
-    family = FAMILIES[part]
-    codecs = load_codecs(console, family.names, family.methods, Path(folder))
-    out = results / f"{part}.csv"
-    done = read_cases(out)
-    n_failed = 0
-    with CsvSink(out, append=True) as sink:
-        for path in paths:
-            raster = load_raster(path)
-            missing = [
-                (codec, bound)
-                for bound in bounds
-                for codec in codecs
-                if is_worth_trying(raster, bound, bounds)
-                and (raster.name, bound, codec.name) not in done
-            ]
-            if not missing:
-                continue
-            forms = make_forms(raster)  # takes long where there are voids
-            for codec, bound in missing:
-                n_failed += measure_case(console, codec, forms, bound, Timing(runs), sink)
-    return n_failed
-
-
-def measure_case(
-    console: Console, codec: Codec, forms: Forms, bound: float, timing: Timing, sink: CsvSink
-) -> bool:
-    """Measure one case, write and print its row; return whether it failed."""
-    begin = time.perf_counter()
-    row = measure_or_explain(codec, forms, bound, timing)
-    sink.write(row)
-    found = row.problem or f"{row.bits_per_sample:.4f} bit/sample, error {row.measured_error:g}"
-    console.print(
-        f"{row.raster} at {bound:g}, {codec.name}: {found} ({time.perf_counter() - begin:.0f} s)",
-        markup=False,
-        highlight=False,
-        style="red" if row.failed else None,
-    )
-    return row.failed
+        (out / f"{part}.csv").unlink(missing_ok=True)
+    rows = []
+    for part in parts:
+        codecs, file = make_codecs(*FAMILIES[part], folder), out / f"{part}.csv"
+        if part == "speeds":
+            common.write_rows(file, measure_speeds(paths, out, codecs), append=True)
+            continue
+        cases = measure_missing(paths, codecs, bounds, runs, read_cases(file))
+        rows += common.write_rows(file, cases, append=True)
+    for document in tables.write_all(out):
+        click.echo(f"wrote {document}")
+    draw(read_curves(out / f"{name}.csv" for name in ("predictive", "cdf97", "peers")), out)
+    exit_with_failures(rows)
 
 
 if __name__ == "__main__":

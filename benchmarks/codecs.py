@@ -1,143 +1,257 @@
 """Compare codecs at equal error bounds: ``python -m benchmarks.codecs --help``.
 
+`measure_speeds` is the part `speeds` of ``benchmarks.bench``: at low rates, processor time on one
+core, the codecs in turns; terrainwave goes through files, SPERR stays in memory.
+
 Exit status: 0 good; 1 if a codec broke a bound or failed; 2 wrong usage.
 """
 
-import tempfile
-import warnings
-from dataclasses import replace
+import math
+import time
+from collections import namedtuple
+from collections.abc import Collection, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import click
-from rasterio.errors import NotGeoreferencedWarning
-from rich.console import Console
+import numpy as np
 
-from benchmarks.lists import ListCommand, ListOption
-from benchmarks.machine import pin_to_one_core
-from benchmarks.measure import Row, Timing, measure, row_head
-from benchmarks.peers import NAMES, Codec, make_codecs
-from benchmarks.rasters import Forms, Raster, find_rasters, load_raster, make_forms
-from benchmarks.report import CsvSink, make_console, print_rows, print_summary
+from benchmarks import common
+from benchmarks.peers import NAMES, Codec, make_codecs, stored_size
+from benchmarks.rasters import Forms, Raster, load_raster, make_forms, with_nan, without_nan
 
+BOUNDS = (0.0, 0.1, 0.5, 1.0, 3.0, 10.0)  # of all that docs/benchmarks.md compares
+# Speeds are of rasters and bounds at which `predictive` takes few bits.
+MIN_SAMPLES = 1_000_000
+MAX_BITS = 1.0
+SPEED_RUNS, SPEED_PATIENCE = 5, 40.0
+PATIENCE = 60.0  # seconds after which no further run is begun
+NOT_POSSIBLE = "not possible"
+OWN_MASK = "own mask"
+NAN = "NaN"
 
-@click.command(cls=ListCommand)
-@click.argument("places", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
-@click.option(
-    "--max-error",
-    "max_errors",
-    cls=ListOption,
-    type=click.FloatRange(min=0),
-    default=(0.0, 1.0, 3.0, 10.0),
-    help="Bounds, in the rasters' units. 0 is left out where heights are on no grid.",
+# One line of the CSV. Errors are in the raster's units, speeds in 10^6 samples/s. `bits_per_sample`
+# counts every sample of the grid, voids too. `n_runs` is how many runs the speeds are the median
+# of; the first run of each is never among them. `problem` is empty, or says what went wrong; the
+# figures may be missing then.
+Row = namedtuple(
+    "Row",
+    "raster n_rows n_cols dtype valid_share quantum codec max_error n_bytes bits_per_sample "
+    "measured_error rmse encode_speed decode_speed n_runs fill margin problem",
+    defaults=(None,) * 7 + ("", None, ""),
 )
-@click.option(
-    "--codecs",
-    "names",
-    cls=ListOption,
-    type=click.Choice(NAMES),
-    default=NAMES,
-    help="Which codecs; all that are installed by default.",
+# Distance of decoded heights from the originals, over valid samples.
+Errors = namedtuple("Errors", "measured_error rmse problem")
+# One setting of a codec: which fill, which margin, what came of it.
+Trial = namedtuple("Trial", "codec max_error raster fill margin stored n_bytes errors")
+# One line of ``speeds.csv``; speeds in 10^6 samples/s of processor time.
+SpeedRow = namedtuple(
+    "SpeedRow", "raster max_error codec n_samples bits_per_sample encode_speed decode_speed n_runs"
 )
-@click.option(
-    "--method",
-    "methods",
-    cls=ListOption,
-    default=("cdf97", "store"),
-    help="terrainwave's methods.",
-)
-@click.option("--crop", type=click.IntRange(min=1), help="Use the upper left N × N samples.")
-@click.option(
-    "--runs",
-    type=click.IntRange(min=1),
-    default=3,
-    show_default=True,
-    help="Timed runs, after one that is discarded.",
-)
-@click.option(
-    "--patience",
-    type=float,
-    default=60.0,
-    show_default=True,
-    help="Seconds after which no further run is begun.",
-)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    default=Path("benchmarks/results/codecs.csv"),
-    show_default=True,
-)
-def main(places, max_errors, names, methods, crop, runs, patience, out) -> None:
-    """Compare codecs on the GeoTIFFs in PLACES (files or directories)."""
-    console = make_console()
-    warnings.simplefilter("ignore", NotGeoreferencedWarning)
-    if not pin_to_one_core():
-        console.print("cannot pin to one core here: some codecs may use more")
-    paths = find_rasters(list(places))
-    if not paths:
-        raise click.UsageError("no GeoTIFFs there")
-    timing = Timing(runs, patience)
-    with tempfile.TemporaryDirectory() as folder, CsvSink(out) as sink:
-        codecs = load_codecs(console, names, methods, Path(folder))
-        rows: list[Row] = []
-        for path in paths:
-            raster = load_raster(path, crop)
-            found = list(measure_raster(raster, codecs, max_errors, timing, sink))
-            if found:
-                print_rows(console, found)
-            rows += found
-    print_summary(console, rows)
-    failed = [row for row in rows if row.failed]
-    for row in failed:
-        line = f"{row.raster} at {row.max_error:g}, {row.codec}: {row.problem}"
-        console.print(line, style="red", markup=False)
-    console.print(f"{len(rows)} cases, {len(failed)} failed; {out}", markup=False)
-    raise SystemExit(1 if failed else 0)
 
 
-def load_codecs(console: Console, names, methods, folder: Path) -> list[Codec]:
-    """Return the codecs named; say which of them are not installed."""
-    codecs: list[Codec] = []
-    for name in names:
-        try:
-            codecs += make_codecs(name, list(methods), folder)
-        except ImportError as error:
-            console.print(f"{name}: not installed ({error})", style="yellow", markup=False)
-    if not codecs:
-        raise click.UsageError("none of the codecs is installed")
-    return codecs
+def has_failed(row: Row) -> bool:
+    """Return whether something is wrong; a case a codec is not made for is not."""
+    return bool(row.problem) and not row.problem.startswith(NOT_POSSIBLE)
 
 
-def measure_raster(raster: Raster, codecs, max_errors, timing: Timing, sink: CsvSink):
-    """Yield the rows of one raster, writing each to `sink` as it comes."""
-    forms = make_forms(raster)
-    for max_error in max_errors:
-        if not is_worth_trying(raster, max_error, max_errors):
-            continue
-        for codec in codecs:
-            row = measure_or_explain(codec, forms, max_error, timing)
-            sink.write(row)
-            yield row
-
-
-def is_worth_trying(raster: Raster, max_error: float, max_errors) -> bool:
-    """Return False for 0 on no grid, and for 0.1 on integers where 0 is tried anyway."""
-    if max_error == 0:
-        return raster.quantum > 0
-    return not (raster.is_integer and max_error < 1 and 0 in max_errors)
-
-
-def measure_or_explain(codec: Codec, forms: Forms, max_error: float, timing: Timing) -> Row:
-    """Measure; a codec that raises becomes a row that says so."""
+def measure(codec: Codec, forms: Forms, max_error: float, n_runs: int) -> Row:
+    """Return the row of one case, its bound checked by decoding; it says if the codec raised."""
+    raster = forms.raster
+    valid_share = round(float(raster.mask.mean()), 6)
+    row = Row(
+        raster.name, *raster.heights.shape, raster.heights.dtype.name, valid_share,
+        raster.quantum, codec.name, max_error,
+    )  # fmt: skip
+    reason = codec.refuses(raster, max_error)
+    if reason:
+        return row._replace(problem=f"{NOT_POSSIBLE}: {reason}")
     try:
-        return measure(codec, forms, max_error, timing)
+        return Row(*row[:8], *_figures(codec, forms, max_error, n_runs))
     except Exception as error:  # noqa: BLE001 - one codec's fault must not end the others'
-        row = Row(**row_head(forms.raster, codec.name, max_error))
-        return replace(row, problem=explain(error))
+        return row._replace(problem=f"FAILED: {type(error).__name__}: {error}")
 
 
-def explain(error: Exception) -> str:
-    """Return what a row says about a codec that raised."""
-    return f"FAILED: {type(error).__name__}: {error}"
+def _figures(codec: Codec, forms: Forms, max_error: float, n_runs: int) -> tuple:
+    best = best_trial(codec, forms, max_error)
+    encode, decode = time_trials([best], n_runs, patience=PATIENCE, clock=time.perf_counter)
+    n_samples = forms.raster.heights.size
+    speeds = (_round_to(n_samples / timed.seconds / 1e6, 3) for timed in (encode, decode))
+    return (
+        best.n_bytes, round(8 * best.n_bytes / n_samples, 5), best.errors.measured_error,
+        _round_to(best.errors.rmse, 5), *speeds, encode.n_runs, best.fill, best.margin,
+        best.errors.problem,
+    )  # fmt: skip
+
+
+def time_trials(trials: Sequence[Trial], n_runs: int, **how) -> list[common.Timed]:
+    """Return what encoding and decoding of each trial take, in turns; all are warm."""
+    tasks = []
+    for codec, max_error, raster, _fill, margin, stored, *_ in trials:
+        codec.prepare(raster)
+        tasks += [
+            partial(codec.encode, raster, max_error, margin),
+            partial(codec.decode, stored, raster, max_error),
+        ]
+    return common.take_turns(lambda: tasks, n_runs, **how)
+
+
+def best_trial(codec: Codec, forms: Forms, max_error: float) -> Trial:
+    """Return the smallest trial that keeps the bound; the last one if none does.
+
+    These runs also warm the codec up: they compile and load what it needs.
+    """
+    trials = []
+    for fill, filled, extra in _forms_for(codec, forms):
+        codec.prepare(filled)
+        for margin in codec.margins:
+            stored = codec.encode(filled, max_error, margin)
+            decoded = codec.decode(stored, filled, max_error)
+            errors = _errors_of(codec, forms.raster, fill, decoded, max_error)
+            n_bytes = stored_size(stored) + extra
+            trials.append(Trial(codec, max_error, filled, fill, margin, stored, n_bytes, errors))
+            if not errors.problem:
+                break
+    kept = [trial for trial in trials if not trial.errors.problem]
+    return min(kept, key=lambda trial: trial.n_bytes) if kept else trials[-1]
+
+
+def _forms_for(codec: Codec, forms: Forms) -> Iterator[tuple[str, Raster, int]]:
+    if codec.knows_voids:
+        yield OWN_MASK, forms.raster, 0
+        return
+    for name, filled in forms.fills:
+        yield name, filled, forms.mask_bytes
+    if codec.takes_nan and not forms.raster.mask.all():
+        yield NAN, with_nan(forms.raster), 0
+
+
+def _errors_of(
+    codec: Codec, raster: Raster, fill: str, decoded: np.ndarray, max_error: float
+) -> Errors:
+    if fill != NAN:
+        return compare(raster, decoded, max_error, check_voids=codec.knows_voids)
+    valid = without_nan(decoded, raster)
+    if valid is None:
+        return Errors(math.inf, math.inf, "MASK DIFFERS")
+    return compare(raster, valid, max_error, check_voids=False)
+
+
+def compare(raster: Raster, decoded: np.ndarray, max_error: float, *, check_voids: bool) -> Errors:
+    """Compare every valid sample, in float64; with `check_voids` the mask, too."""
+    if decoded.shape != raster.heights.shape or decoded.dtype != raster.heights.dtype:
+        return Errors(math.inf, math.inf, f"decoded to {decoded.dtype} {decoded.shape}")
+    difference = raster.valid.astype(np.float64) - decoded[raster.mask].astype(np.float64)
+    measured_error = float(np.abs(difference).max(initial=0.0))
+    rmse = math.sqrt(float(np.mean(difference**2))) if difference.size else 0.0
+    problem = ""
+    # `not <=`: a NaN among the decoded heights must fail.
+    if not measured_error <= max_error + raster.slack:
+        problem = f"BOUND VIOLATED: {measured_error!r}"
+    elif check_voids and not _has_same_voids(raster, decoded):
+        problem = "MASK DIFFERS"
+    return Errors(measured_error, rmse, problem)
+
+
+def _has_same_voids(raster: Raster, decoded: np.ndarray) -> bool:
+    is_nan = raster.nodata is None or math.isnan(raster.nodata)
+    is_void = np.isnan(decoded) if is_nan else decoded == raster.nodata
+    return bool(np.array_equal(is_void, ~raster.mask))
+
+
+def _round_to(number: float, n_digits: int) -> float:
+    return float(f"{number:.{n_digits}g}")
+
+
+def read_cases(path: Path) -> set[tuple[str, float, str]]:
+    """Return the (raster, bound, codec) a CSV holds; none if there is no such file."""
+    return {(row["raster"], row["max_error"], row["codec"]) for row in common.read_rows(path)}
+
+
+def is_worth_trying(raster: Raster, bound: float, bounds: Sequence[float]) -> bool:
+    """Return False for 0 on no grid, and for 0.1 on integers where 0 is tried anyway."""
+    if bound == 0:
+        return raster.quantum > 0
+    return not (raster.is_integer and bound < 1 and 0 in bounds)
+
+
+def measure_missing(
+    paths: Sequence[Path], codecs: Sequence[Codec], bounds: Sequence[float], n_runs: int,
+    done: Collection[tuple[str, float, str]] = (), crop: int | None = None,
+) -> Iterator[Row]:  # fmt: skip
+    """Yield the cases that are not done."""
+    for path in paths:
+        raster = load_raster(path, crop)
+        missing = [
+            (codec, bound)
+            for bound in bounds
+            for codec in codecs
+            if is_worth_trying(raster, bound, bounds)
+            and (raster.name, bound, codec.name) not in done
+        ]
+        forms = make_forms(raster) if missing else None  # takes long where there are voids
+        for codec, bound in missing:
+            yield measure(codec, forms, bound, n_runs)
+
+
+def measure_speeds(
+    paths: Sequence[Path], results: Path, codecs: Sequence[Codec]
+) -> Iterator[SpeedRow]:
+    """Yield the speeds that ``speeds.csv`` lacks."""
+    last = codecs[-1].name
+    done = {case[:2] for case in read_cases(results / "speeds.csv") if case[2] == last}
+    cases = [
+        case
+        for row in common.read_rows(results / "predictive.csv")
+        if (case := (row["raster"], row["max_error"])) not in done
+        and row["codec"] == "terrainwave-predictive"
+        and not row["problem"]
+        and row["bits_per_sample"] <= MAX_BITS
+        and row["n_rows"] * row["n_cols"] >= MIN_SAMPLES
+        and not (row["dtype"].startswith("int") and 0 < row["max_error"] < 1)
+    ]
+    for path in paths:
+        bounds = [bound for raster, bound in cases if raster == path.stem]
+        forms = make_forms(load_raster(path)) if bounds else None
+        for bound in bounds:
+            # The best trial warms everything up and checks the bound.
+            trials = [best_trial(codec, forms, bound) for codec in codecs]
+            times = iter(time_trials(trials, SPEED_RUNS, patience=SPEED_PATIENCE))
+            for trial, encode, decode in zip(trials, times, times, strict=True):
+                if trial.errors.problem:
+                    raise RuntimeError(f"{path.stem}, {trial.codec.name}: {trial.errors}")
+                n = trial.raster.heights.size
+                yield SpeedRow(
+                    path.stem, bound, trial.codec.name, n, round(8 * trial.n_bytes / n, 5),
+                    round(n / encode.seconds / 1e6, 2), round(n / decode.seconds / 1e6, 2),
+                    encode.n_runs,
+                )  # fmt: skip
+
+
+def exit_with_failures(rows: Sequence[Row]) -> None:
+    """Say what failed; exit with 1 if anything did."""
+    failed = [row for row in rows if has_failed(row)]
+    for row in failed:
+        click.echo(f"{row.raster} at {row.max_error:g}, {row.codec}: {row.problem}")
+    click.echo(f"{len(rows)} cases, {len(failed)} failed")
+    raise SystemExit(bool(failed))
+
+
+@common.command("codecs.csv")
+@common.rasters_argument
+@common.bounds_option(0.0, 1.0, 3.0, 10.0)
+@common.option("--codecs", "names", cls=common.ListOption, type=click.Choice(NAMES), default=NAMES)
+@common.option(
+    "--method", "methods", cls=common.ListOption, default=("cdf97", "store"), help="terrainwave's."
+)
+@common.crop_option
+@common.option("--runs", type=common.COUNT, default=3, help="Timed, after one that is not.")
+def main(paths, bounds, names, methods, crop, runs, folder, out) -> None:
+    """Compare codecs."""
+    common.pin_to_one_core()
+    codecs = make_codecs(names, methods, folder)
+    cases = measure_missing(paths, codecs, bounds, runs, crop=crop)
+    exit_with_failures(common.write_rows(out, cases))
 
 
 if __name__ == "__main__":

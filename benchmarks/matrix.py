@@ -1,203 +1,171 @@
-"""Compress, verify and read every raster at many bounds: ``python -m benchmarks.matrix DIR``.
+"""Check every raster at many bounds by independent code: ``python -m benchmarks.matrix DIR``.
 
-Each result is read back and compared with rasterio and numpy alone: every valid sample, the
-mask, dtype, shape, transform and CRS. Exit status: 0 good; 1 any violation; 2 wrong usage.
+Files: each is compressed with the proof, read back and compared with rasterio and numpy alone:
+every valid sample and the mask; decompressed to a GeoTIFF dtype, shape, transform and CRS, too.
+
+Meshes, with ``--meshes``: heights within a quarter of the mesh error, stored meshes of all levels
+and meshes of the area (stored, and at several errors, one of them optimised) held against the
+original by `terrainwave.verification.meshes`, which knows nothing of the builder. Rasters of more
+than 513 samples a side are cropped to their middle.
+
+Exit status: 0 nothing wrong; 1 something is; 2 wrong usage.
 """
 
-import math
-import tempfile
 import time
-import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import namedtuple
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import click
 import numpy as np
 import rasterio
-from rasterio.errors import NotGeoreferencedWarning
 
 import terrainwave
-from benchmarks.lists import ListCommand, ListOption
-from benchmarks.measure import compare
-from benchmarks.rasters import Raster, find_rasters, load_raster, write_geotiff
-from benchmarks.report import CsvSink
+from benchmarks import common
+from benchmarks.codecs import compare
+from benchmarks.rasters import Raster, load_raster, middle, write_geotiff
+from terrainwave.verification.meshes import verify_meshes
 
 BOUNDS = (0.5, 1.0, 3.0, 10.0)
 BOUNDS_OF_FLOATS = (0.1, 0.5)
+MESH_ERRORS = (1.0, 3.0, 10.0)
+MESH_BLOCKS = (64, 128, 256)
+MESH_SIDE = 513
 
-
-@dataclass(frozen=True)
-class Case:
-    """What is tried."""
-
-    raster: Raster
-    source: Path
-    max_error: float
-    block: int
-    method: str
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of the CSV; `problem` is empty where all is well."""
-
-    raster: str
-    n_rows: int
-    n_cols: int
-    dtype: str
-    max_error: float
-    block: int
-    method: str
-    n_bytes: int | None = None
-    bits_per_sample: float | None = None
-    measured_error: float | None = None
-    compress_s: float | None = None
-    read_s: float | None = None
-    problem: str = ""
+# One file; `problem` is empty where all is well.
+Row = namedtuple(
+    "Row",
+    "raster n_rows n_cols dtype max_error block method n_bytes bits_per_sample measured_error "
+    "compress_s read_s problem",
+    defaults=(None,) * 5 + ("",),
+)
+# One file's meshes: what was found wrong, 0 expected, and how large they are. `violations` are
+# samples' bounds broken, `folds` triangles turned over or areas covered twice, `cracks` all else.
+# `stored_triangles` of the finest level, `area_triangles` of ``Terrain.mesh(max_error=error)``,
+# which took `seconds` of processor time; `worst_share` is the largest measured over stated error.
+MeshRow = namedtuple(
+    "MeshRow",
+    "raster n_rows n_cols void_share error block violations cracks folds stored_triangles "
+    "area_triangles worst_share seconds check_seconds",
+)
+WRONG, WRONG_MESHES = slice(12, 13), slice(6, 9)  # columns that tell what is wrong
 
 
 def bounds_for(raster: Raster) -> list[float]:
     """Return the bounds to try: 0 only where the heights lie on a grid."""
-    bounds = set(BOUNDS)
-    if raster.quantum:
-        bounds.add(0.0)
-    if not raster.is_integer:
-        bounds.update(BOUNDS_OF_FLOATS)
-    return sorted(bounds)
+    bounds = {*BOUNDS, *([0.0] if raster.quantum else [])}
+    return sorted(bounds if raster.is_integer else bounds.union(BOUNDS_OF_FLOATS))
 
 
-def make_cases(
-    paths: list[Path], blocks: list[int], methods: list[str], crop: int | None, folder: Path
-) -> Iterator[Case]:
-    """Yield all cases, raster by raster; a cropped raster is written to `folder`."""
-    for path in paths:
-        raster = load_raster(path, crop)
-        source = path
-        if crop:
-            source = folder / path.name
-            write_geotiff(raster, source)
-        for method in methods:
-            for max_error in bounds_for(raster):
-                for block in blocks:
-                    yield Case(raster, source, max_error, block, method)
+def check_file(
+    raster: Raster, source: Path, target: Path, max_error: float, block: int, method: str
+) -> Row:
+    """Compress, read and compare; whatever is raised becomes a row."""
+    head = Row(
+        raster.name, *raster.heights.shape, raster.heights.dtype.name, max_error, block, method
+    )
 
+    def compress() -> None:
+        terrainwave.compress(
+            source, target, max_error=max_error, method=method, block=block, overwrite=True
+        )
 
-def run_case(case: Case, folder: Path, *, with_geotiff: bool, strict: bool) -> Row:
-    """Compress, read and compare one case; whatever is raised becomes a row."""
-    n_rows, n_cols = case.raster.heights.shape
-    head = {
-        "raster": case.raster.name,
-        "n_rows": n_rows,
-        "n_cols": n_cols,
-        "dtype": case.raster.heights.dtype.name,
-        "max_error": case.max_error,
-        "block": case.block,
-        "method": case.method,
-    }
-    target = folder / "matrix.twz"
-    try:
-        compress_s = _seconds(_compress, case, target)
-        start = time.perf_counter()
+    def read() -> np.ndarray:
         with terrainwave.open(target) as terrain:
-            decoded = terrain.read()
-        read_s = time.perf_counter() - start
-        errors = compare(case.raster, decoded, case.max_error, check_voids=True)
-        problems = [errors.problem]
-        if strict and errors.measured_error > case.max_error:
-            problems.append(f"above the bound by {errors.measured_error - case.max_error:.3g}")
-        if with_geotiff:
-            problems.append(_compare_geotiff(case, target, folder / "matrix.tif"))
+            return terrain.read()
+
+    try:
+        written, found = common.take_turns(lambda: (compress, read), 1, clock=time.perf_counter)
+        errors = compare(raster, found.result, max_error, check_voids=True)
+        problems = [errors.problem, _compare_geotiff(raster, source, target, max_error)]
     except Exception as error:  # noqa: BLE001 - the other cases must run
-        return Row(**head, problem=f"FAILED: {type(error).__name__}: {error}")
+        return head._replace(problem=f"FAILED: {type(error).__name__}: {error}")
     n_bytes = target.stat().st_size
     return Row(
-        **head,
-        n_bytes=n_bytes,
-        bits_per_sample=round(8 * n_bytes / decoded.size, 5),
-        measured_error=errors.measured_error,
-        compress_s=round(compress_s, 3),
-        read_s=round(read_s, 3),
-        problem="; ".join(filter(None, problems)),
-    )
+        *head[:7], n_bytes, round(8 * n_bytes / raster.heights.size, 5), errors.measured_error,
+        round(written.seconds, 3), round(found.seconds, 3), "; ".join(filter(None, problems)),
+    )  # fmt: skip
 
 
-def _seconds(function, *args) -> float:
-    start = time.perf_counter()
-    function(*args)
-    return time.perf_counter() - start
-
-
-def _compress(case: Case, target: Path) -> None:
-    terrainwave.compress(
-        case.source,
-        target,
-        max_error=case.max_error,
-        method=case.method,
-        block=case.block,
-        verify=True,
-        overwrite=True,
-    )
-
-
-def _compare_geotiff(case: Case, target: Path, back: Path) -> str:
+def _compare_geotiff(raster: Raster, source: Path, target: Path, max_error: float) -> str:
     """Decompress to a GeoTIFF; return how it differs from the source, or ""."""
-    back.unlink(missing_ok=True)
-    terrainwave.decompress(target, back)
-    with rasterio.open(back) as found, rasterio.open(case.source) as source:
+    back = target.with_suffix(".tif")
+    terrainwave.decompress(target, back, overwrite=True)
+    with rasterio.open(back) as found, rasterio.open(source) as original:
         for name in ("transform", "crs", "dtypes", "shape"):
-            if getattr(found, name) != getattr(source, name):
+            if getattr(found, name) != getattr(original, name):
                 return f"GeoTIFF: {name} is {getattr(found, name)!r}"
-        if not np.array_equal(found.dataset_mask() > 0, case.raster.mask):
+        if not np.array_equal(found.dataset_mask() > 0, raster.mask):
             return "GeoTIFF: mask differs"
-        heights = found.read(1)
-    errors = compare(case.raster, heights, case.max_error, check_voids=False)
-    return f"GeoTIFF: {errors.problem}" if errors.problem else ""
+        problem = compare(raster, found.read(1), max_error, check_voids=False).problem
+    return f"GeoTIFF: {problem}" if problem else ""
 
 
-def format_row(row: Row) -> str:
-    """Return the line that is printed for a case."""
-    case = f"{row.raster:38} {row.method:10} block {row.block:4} bound {row.max_error:<5g}"
-    if row.n_bytes is None or row.measured_error is None:
-        return f"{case} {row.problem}"
-    figures = f"{row.bits_per_sample:8.4f} bit/sample  measured {row.measured_error:<10.7g}"
-    times = f"{row.compress_s:7.2f} s  {row.read_s:6.2f} s"
-    return f"{case} {figures} {times}  {row.problem or 'ok'}"
+def check_meshes(raster: Raster, source: Path, path: Path, error: float, block: int) -> MeshRow:
+    """Compress, mesh and check one case; print all problems."""
+    terrainwave.compress(
+        source, path, max_error=error / 4, mesh_error=error, block=block, verify=False,
+        overwrite=True,
+    )  # fmt: skip
+
+    def original(region) -> tuple[np.ndarray, np.ndarray]:
+        rows = slice(region.row, region.row + region.n_rows)
+        cols = slice(region.col, region.col + region.n_cols)
+        return raster.heights[rows, cols], raster.mask[rows, cols]
+
+    with terrainwave.open(path, threads=1) as terrain:
+        tasks = partial(verify_meshes, terrain, original), partial(terrain.mesh, max_error=error)
+        checked, meshed = common.take_turns(lambda: tasks, 1)
+    report, problems = checked.result
+    stated = [(level.measured_error, level.stored_error) for level in report.levels]
+    stated += [(area.measured_error, area.stated_error) for area in report.areas]
+    violations = sum("further from it" in problem for problem in problems)
+    folds = sum("turned over" in problem or "twice" in problem for problem in problems)
+    for problem in problems:
+        click.echo(f"  {problem}")
+    return MeshRow(
+        raster.name, *raster.heights.shape, round(float((~raster.mask).mean()), 4), error, block,
+        violations, len(problems) - violations - folds, folds, report.levels[-1].n_triangles,
+        meshed.result.n_triangles,
+        round(max((measured / bound for measured, bound in stated if bound), default=0.0), 4),
+        round(meshed.seconds, 3), round(checked.seconds, 1),
+    )  # fmt: skip
 
 
-@click.command(cls=ListCommand)
-@click.argument("places", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
-@click.option("--block", "blocks", cls=ListOption, type=int, default=(64, 256))
-@click.option("--method", "methods", cls=ListOption, default=("auto",))
-@click.option("--crop", type=click.IntRange(min=1), help="Use the upper left N × N samples.")
-@click.option("--geotiff", "with_geotiff", is_flag=True, help="Also decompress and compare.")
-@click.option("--strict", is_flag=True, help="No ulp of allowance on decimal grids of floats.")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    default=Path("benchmarks/results/matrix.csv"),
-    show_default=True,
-)
-def main(places, blocks, methods, crop, with_geotiff, strict, out) -> None:
-    """Check the error bound on the GeoTIFFs in PLACES (files or directories)."""
-    warnings.simplefilter("ignore", NotGeoreferencedWarning)
-    paths = find_rasters(list(places))
-    if not paths:
-        raise click.UsageError("no GeoTIFFs there")
-    n_cases = n_failed = 0
-    worst = -math.inf
-    with tempfile.TemporaryDirectory() as name, CsvSink(out, Row) as sink:
-        folder = Path(name)
-        for case in make_cases(paths, blocks, methods, crop, folder):
-            row = run_case(case, folder, with_geotiff=with_geotiff, strict=strict)
-            sink.write(row)
-            click.echo(format_row(row))
-            n_cases += 1
-            n_failed += bool(row.problem)
-            if row.measured_error is not None:
-                worst = max(worst, row.measured_error - row.max_error)
-    click.echo(f"{n_cases} cases, {n_failed} failed, measured - bound <= {worst:.3g}; {out}")
-    raise SystemExit(1 if n_failed else 0)
+def cases(
+    paths: Sequence[Path], meshes: bool, blocks, methods, folder: Path
+) -> Iterator[Row | MeshRow]:
+    """Yield the rows of all rasters or, for meshes, of their middle."""
+    middle_file, target = folder / "middle.tif", folder / "a.twz"
+    for path in paths:
+        with rasterio.open(path) as dataset:
+            raster = load_raster(path, window=middle(dataset.shape, MESH_SIDE) if meshes else None)
+        if meshes:
+            write_geotiff(raster, middle_file)
+            for error in MESH_ERRORS:
+                for block in blocks or MESH_BLOCKS:
+                    yield check_meshes(raster, middle_file, target, error, block)
+            continue
+        for method in methods:
+            for max_error in bounds_for(raster):
+                for block in blocks or (64, 256):
+                    yield check_file(raster, path, target, max_error, block, method)
+
+
+@common.command("matrix.csv")
+@common.rasters_argument
+@click.option("--meshes", is_flag=True, help="Check meshes, into mesh_matrix.csv.")
+@click.option("--block", "blocks", cls=common.ListOption, type=int)
+@common.option("--method", "methods", cls=common.ListOption, default=("auto",))
+def main(paths, meshes, blocks, methods, folder, out) -> None:
+    """Check the bounds."""
+    found = cases(paths, meshes, blocks, methods, folder)
+    rows = common.write_rows(out.with_name(f"mesh_{out.name}") if meshes else out, found)
+    wrong = WRONG_MESHES if meshes else WRONG
+    n_failed = sum(any(row[wrong]) for row in rows)
+    click.echo(f"{len(rows)} cases, {n_failed} failed")
+    raise SystemExit(n_failed > 0)
 
 
 if __name__ == "__main__":

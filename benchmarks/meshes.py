@@ -1,85 +1,68 @@
 """Count triangles beside greedy Delaunay: ``python -m benchmarks.meshes DIR``.
 
-Heights are lossless, so that no codec's error is in either mesh; both keep every sample within the
-error. pydelatin sees the whole raster at once; ours is `Terrain.mesh` over blocks of 256 cells.
-Rasters of more than 2049 samples a side are cropped to their middle, voids set to the lowest height
-for both. Writes two CSVs: triangles, and seconds on 4096 x 4096 samples.
+`Terrain.mesh` over blocks of 256 cells beside pydelatin, which sees the whole raster at once, on
+lossless heights. Rasters of more than 2049 samples a side are cropped to their middle, voids set to
+the lowest height for both. Seconds on 4096 x 4096 samples go into ``meshes_large.csv``.
 
-Exit status: 0 good; 2 wrong usage.
+``--papers``: into ``zerotree_mesh.csv``, of crops of 513 x 513 samples as blocks of 256 cells that
+agree on borders: triangles of `zerotree` (Yusov & Turlapov 2010, Algorithm I without zero trees)
+with the bits of its labels, of the restricted quadtree by true errors and by details, of pydelatin.
 """
 
-import math
-import sys
-import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections import namedtuple
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from statistics import median
 
 import click
 import numpy as np
+from pydelatin import Delatin
 
 import terrainwave
-from benchmarks.memory import make_mirrored
-from benchmarks.report import CsvSink
+from benchmarks import common
+from benchmarks.rasters import middle, mirrored_file, whole_units
+from terrainwave.tri import agreement, rqt
+from terrainwave.tri.connect import mesh_error, mesh_of_cut
+from terrainwave.tri.guarantee import guaranteed_cut
+from terrainwave.tri.refinement import encode_refinement
 
-RASTERS = (
-    "srtm1_bigtujunga",
-    "usgs_san_joaquin_30m",
-    "srtm3_aconcagua_S33W071",
-    "srtm1_olympic_peninsula",
-    "moon_gld100_apennines_256ppd",
-)
+# The rasters, and where the crops of `--papers` begin: on land and away from voids.
+CROPS = {
+    "srtm1_bigtujunga": (60, 300),
+    "usgs_san_joaquin_30m": (40, 40),
+    "srtm3_aconcagua_S33W071": (80, 80),
+    "srtm1_olympic_peninsula": (700, 1400),
+    "moon_gld100_apennines_256ppd": (1500, 600),
+}
+CROP_SIDE, BLOCK = 513, 256
 LARGE = "moon_gld100_apennines_256ppd"
-ERRORS = (3.0, 10.0, 30.0)
+LARGE_SIDE, LARGE_ERROR = 4096, 10.0
+ERRORS = (3, 10, 30)
 MAX_SIDE = 2049
-LARGE_SIDE = 4096
-N_RUNS = 5
+N_RUNS, N_LARGE_RUNS = 5, 3
+
+# One line of the table of triangles; angles in degrees, speeds in Msamples/s of one thread.
+Row = namedtuple(
+    "Row",
+    "raster n_rows n_cols error delatin halves optimised ratio optimised_ratio halves_speed "
+    "optimised_speed halves_min_angle optimised_min_angle optimised_share_below_5",
+)  # fmt: skip
+
+# One line of the table of seconds.
+LargeRow = namedtuple("LargeRow", "raster size error sweeps threads triangles seconds")
+
+# One line about the papers' meshes; bits per sample, metres, Msamples/s of one thread.
+PaperRow = namedtuple(
+    "PaperRow",
+    "raster error delatin zerotree zerotree_ratio zerotree_bits zerotree_rounds "
+    "zerotree_speed rqt rqt_ratio rqt_rounds rqt_speed rqt_by_detail rqt_by_detail_error",
+)  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Row:
-    """One line of the table of triangles; angles in degrees, speeds in Msamples/s of one thread."""
-
-    raster: str
-    n_rows: int
-    n_cols: int
-    error: float
-    delatin: int
-    halves: int
-    optimised: int
-    ratio: float
-    optimised_ratio: float
-    halves_speed: float
-    optimised_speed: float
-    halves_min_angle: float
-    optimised_min_angle: float
-    optimised_share_below_5: float
-
-
-@dataclass(frozen=True)
-class LargeRow:
-    """One line of the table of seconds."""
-
-    raster: str
-    size: int
-    error: float
-    sweeps: int
-    threads: int
-    triangles: int
-    seconds: float
-
-
-def read_middle(path: Path) -> np.ndarray:
-    """Return the middle of a raster in whole units, voids as the lowest height."""
-    import rasterio
-
-    with rasterio.open(path) as dataset:
-        heights = dataset.read(1, masked=True)
-    heights = np.rint(heights.filled(heights.min())).astype(np.int32)
-    top, left = (max(side - MAX_SIDE, 0) // 2 for side in heights.shape)
-    return np.ascontiguousarray(heights[top : top + MAX_SIDE, left : left + MAX_SIDE])
+def n_delatin(heights: np.ndarray, error: float) -> int:
+    """Return the triangles of greedy Delaunay."""
+    return len(Delatin(heights.astype(np.float32), max_error=error).triangles)
 
 
 def smallest_angles(mesh: terrainwave.Mesh) -> np.ndarray:
@@ -90,89 +73,123 @@ def smallest_angles(mesh: terrainwave.Mesh) -> np.ndarray:
     return np.degrees(np.arccos(np.clip((b * b + c * c - a * a) / (2 * b * c), -1, 1)))
 
 
-def timed(make: Callable[[], terrainwave.Mesh]) -> tuple[terrainwave.Mesh, float]:
-    """Return a result and the CPU seconds it took, the median of some runs."""
-    seconds = []
-    for _ in range(N_RUNS):
-        start = time.process_time()
-        mesh = make()
-        seconds.append(time.process_time() - start)
-    return mesh, median(seconds)
-
-
-def measure(name: str, heights: np.ndarray, directory: Path, sink: CsvSink) -> list[Row]:
-    """Measure one raster at all errors."""
-    from pydelatin import Delatin
-
-    path = directory / f"{name}.twz"
+def measure(name: str, heights: np.ndarray, folder: Path) -> Iterator[Row]:
+    """Yield the rows of one raster."""
+    path = folder / f"{name}.twz"
     terrainwave.compress(heights, path, max_error=0, verify=False, overwrite=True)
-    rows = []
     with terrainwave.open(path, threads=1, cache_bytes=1 << 30) as terrain:
         terrain.read()  # so that speeds are those of meshing
         for error in ERRORS:
-            plain, seconds = timed(lambda error=error: terrain.mesh(max_error=error))
-            swept, longer = timed(lambda error=error: terrain.mesh(max_error=error, optimise=1))
-            greedy = Delatin(heights.astype(np.float32), max_error=error).triangles
-            angles = smallest_angles(swept)
-            row = Row(
-                name,
-                *heights.shape,
-                error,
-                len(greedy),
-                plain.n_triangles,
-                swept.n_triangles,
-                round(plain.n_triangles / len(greedy), 4),
-                round(swept.n_triangles / len(greedy), 4),
-                round(heights.size / seconds / 1e6, 2),
-                round(heights.size / longer / 1e6, 2),
-                round(float(smallest_angles(plain).min()), 2),
-                round(float(angles.min()), 2),
-                round(float((angles < 5).mean()), 5),
-            )
-            sink.write(row)
-            print(row, flush=True)
-            rows.append(row)
-    return rows
+            tasks = [partial(terrain.mesh, max_error=error, optimise=n) for n in (0, 1)]
+            plain, swept = common.take_turns(lambda tasks=tasks: tasks, N_RUNS)
+            counts = [found.result.n_triangles for found in (plain, swept)]
+            greedy = n_delatin(heights, error)
+            angles = smallest_angles(swept.result)
+            yield Row(
+                name, *heights.shape, float(error), greedy, *counts,
+                *(round(count / greedy, 4) for count in counts),
+                *(round(heights.size / found.seconds / 1e6, 2) for found in (plain, swept)),
+                round(float(smallest_angles(plain.result).min()), 2),
+                round(float(angles.min()), 2), round(float((angles < 5).mean()), 5),
+            )  # fmt: skip
 
 
-def measure_large(source: Path, directory: Path, sink: CsvSink) -> None:
-    """Measure `Terrain.mesh` of 4096 x 4096 samples, decoding included."""
-    raster, path = directory / "large.tif", directory / "large.twz"
-    make_mirrored(source, raster, LARGE_SIDE, "tiled")
-    terrainwave.compress(raster, path, max_error=1, verify=False, overwrite=True)
+def measure_large(source: Path, folder: Path) -> Iterator[LargeRow]:
+    """Yield the seconds of `Terrain.mesh` on a large raster, decoding included."""
+    path = mirrored_file(source, LARGE_SIDE, folder, max_error=1)
     for sweeps in (0, 1):
-        found, seconds = [], []
-        for _ in range(3):
-            with terrainwave.open(path, threads=2) as terrain:
-                start = time.perf_counter()
-                found.append(terrain.mesh(max_error=10, optimise=sweeps).n_triangles)
-                seconds.append(time.perf_counter() - start)
-        row = LargeRow(
-            source.stem, LARGE_SIDE, 10.0, sweeps, 2, found[0], round(median(seconds), 2)
+
+        def fresh(sweeps=sweeps):
+            terrain = terrainwave.open(path, threads=2)
+            return [partial(terrain.mesh, max_error=LARGE_ERROR, optimise=sweeps)]
+
+        (found,) = common.take_turns(fresh, N_LARGE_RUNS, clock=time.perf_counter)
+        n_triangles = found.result.n_triangles
+        yield LargeRow(
+            source.stem, LARGE_SIDE, LARGE_ERROR, sweeps, 2, n_triangles, round(found.seconds, 2)
         )
-        sink.write(row)
-        print(row, flush=True)
 
 
-@click.command(help=__doc__)
-@click.argument("directory", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), default="benchmarks/results/meshes.csv")
-def main(directory: Path, out: Path) -> None:
+def measure_papers(name: str, heights: np.ndarray, error: int) -> PaperRow:
+    """Return the row of a crop at one error."""
+    tolerance = 16 * error
+    mask = np.ones((BLOCK + 1, BLOCK + 1), dtype=bool)
+    starts = range(0, CROP_SIDE - 1, BLOCK)
+    blocks = {
+        (i // BLOCK, j // BLOCK): np.ascontiguousarray(heights[i:, j:][: BLOCK + 1, : BLOCK + 1])
+        for i in starts
+        for j in starts
+    }
+
+    def agreed(triangulate, border, make_mesh):
+        """Return results by block, triangles, largest error in sixteenths, rounds, speed."""
+
+        def one(at, keep):
+            kept = None if keep is None else keep.keep(mask.shape)
+            return triangulate(blocks[at], mask, keep=kept)
+
+        start = time.process_time()
+        found, n_rounds = agreement.agree(list(blocks), one, border)
+        speed = round(heights.size / (time.process_time() - start) / 1e6, 1)
+        meshes = {at: make_mesh(blocks[at], mask, result) for at, result in found.items()}
+        largest = max(mesh_error(blocks[at], mesh) for at, mesh in meshes.items())
+        return found, sum(len(mesh.triangles) for mesh in meshes.values()), largest, n_rounds, speed
+
+    def selected(rule: str):
+        return agreed(
+            partial(rqt.select_vertices, tolerance=tolerance, rule=rule),
+            lambda selection: agreement.border_of(rqt.vertices_of(selection, mask.shape)),
+            rqt.rqt_mesh,
+        )
+
+    cut = partial(guaranteed_cut, tolerance=tolerance)
+    cuts, n_zerotree, largest, *zerotree = agreed(cut, agreement.border_of_cut, mesh_of_cut)
+    labels = [encode_refinement(cut, blocks[at], mask, tolerance) for at, cut in cuts.items()]
+    _, n_rqt, largest_of_rqt, *by_error = selected("by_error")
+    assert max(largest, largest_of_rqt) <= tolerance
+    _, n_by_detail, largest_by_detail, *_ = selected("by_detail")
+    greedy = n_delatin(heights, error)
+    bits = 8 * sum(map(len, labels)) / heights.size
+    return PaperRow(
+        name, error, greedy, n_zerotree, round(n_zerotree / greedy, 3), round(bits, 4), *zerotree,
+        n_rqt, round(n_rqt / greedy, 3), *by_error, n_by_detail, largest_by_detail / 16,
+    )  # fmt: skip
+
+
+def paper_rows(directory: Path) -> Iterator[PaperRow]:
+    """Yield the rows of all crops."""
+    noise = np.random.default_rng(0).integers(0, 9, (CROP_SIDE, CROP_SIDE), np.int32)
+    measure_papers("compiles", noise, 3)
+    for name, corner in CROPS.items():
+        heights = whole_units(directory / f"{name}.tif")
+        row, col = (min(at, n - CROP_SIDE) for at, n in zip(corner, heights.shape))
+        crop = np.ascontiguousarray(heights[row : row + CROP_SIDE, col : col + CROP_SIDE])
+        for error in ERRORS:
+            yield measure_papers(name, crop, error)
+
+
+def mesh_rows(directory: Path, folder: Path) -> Iterator[Row]:
+    """Yield the rows of all rasters."""
+    terrainwave.compress(np.zeros((300, 300), np.int16), folder / "w.twz", max_error=0)
+    terrainwave.open(folder / "w.twz").mesh(max_error=1, optimise=1)  # compiles
+    for name in CROPS:
+        heights = whole_units(directory / f"{name}.tif")
+        window = middle(heights.shape, MAX_SIDE).toslices()
+        yield from measure(name, np.ascontiguousarray(heights[window]), folder)
+
+
+@common.command("meshes.csv")
+@common.directory_argument
+@click.option("--papers", is_flag=True, help="The papers' meshes, into zerotree_mesh.csv.")
+def main(directory: Path, papers: bool, folder: Path, out: Path) -> None:
     """Measure, print and write the CSVs."""
-    rows: list[Row] = []
-    with tempfile.TemporaryDirectory() as name, CsvSink(out, Row) as sink:
-        scratch = Path(name)
-        terrainwave.compress(np.zeros((300, 300), np.int16), scratch / "w.twz", max_error=0)
-        terrainwave.open(scratch / "w.twz").mesh(max_error=1, optimise=1)  # compiles
-        for raster in RASTERS:
-            rows += measure(raster, read_middle(directory / f"{raster}.tif"), scratch, sink)
-        for field in ("ratio", "optimised_ratio"):
-            values = [getattr(row, field) for row in rows]
-            mean = math.exp(math.fsum(map(math.log, values)) / len(values))
-            print(f"{field}: geometric mean {mean:.4f}, largest {max(values):.4f}")
-        with CsvSink(out.with_name("meshes_large.csv"), LargeRow) as large:
-            measure_large(directory / f"{LARGE}.tif", scratch, large)
+    if papers:
+        common.write_rows(out.with_name("zerotree_mesh.csv"), paper_rows(directory))
+        return
+    common.write_rows(out, mesh_rows(directory, folder))
+    large = measure_large(directory / f"{LARGE}.tif", folder)
+    common.write_rows(out.with_name("meshes_large.csv"), large)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

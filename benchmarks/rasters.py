@@ -1,10 +1,11 @@
 """Rasters as benchmarks need them: heights, mask, vertical quantum, fills for voids.
 
-Nothing here uses terrainwave: what checks the package must not depend on it.
+What checks the package must not depend on it: only `mirrored_file` uses terrainwave.
 """
 
 import math
 import zlib
+from collections import namedtuple
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,34 +15,20 @@ import rasterio
 from rasterio.windows import Window
 from scipy import ndimage
 
+# Rows written at a time: one row of tiles, or this many strips of one row.
+CHUNK = 512
 # Decimal and dyadic steps that heights are published in, metres and feet.
 QUANTA = (1.0, 0.5, 0.25, 0.125, 0.1, 0.05, 0.01, 0.001)
 
 
 @dataclass(frozen=True)
 class Raster:
-    """One band of heights.
+    """One band of heights; `transform` and `crs` as in rasterio, copied to files."""
 
-    Attributes
-    ----------
-    name : str
-        File name without its ending.
-    heights : ndarray, shape (n_rows, n_cols)
-        In the file's dtype; whatever the file holds where `mask` is False.
-    mask : ndarray of bool, shape (n_rows, n_cols)
-        True where the sample is valid.
-    quantum : float
-        The heights are whole multiples of it; 0 if they are on no known grid.
-    nodata : float or None
-        The file's nodata value.
-    transform, crs
-        As in rasterio; copied to files, otherwise unused.
-    """
-
-    name: str
-    heights: np.ndarray
-    mask: np.ndarray
-    quantum: float
+    name: str  # file name without its ending
+    heights: np.ndarray  # (n_rows, n_cols), the file's dtype; anything where `mask` is False
+    mask: np.ndarray  # (n_rows, n_cols) of bool, True where the sample is valid
+    quantum: float  # the heights are whole multiples of it; 0 if they are on no known grid
     nodata: float | None
     transform: object
     crs: object
@@ -53,15 +40,12 @@ class Raster:
 
     @property
     def slack(self) -> float:
-        """What decimal numbers in binary floats may add to an error: one ulp.
+        """What decimal numbers in binary floats may add to an error: half an ulp of each of two.
 
-        Both the original and the decoded height stand for a multiple of the quantum;
-        on a grid of 0.01 neither is exact, and their difference may be half an ulp
-        of each off. 0 for integers, dyadic quanta and heights on no grid.
+        0 for integers, dyadic quanta and heights on no grid.
         """
-        if self.is_integer or not self.quantum or _is_power_of_two(self.quantum):
-            return 0.0
-        return self.ulp
+        is_dyadic = math.frexp(self.quantum)[0] == 0.5
+        return 0.0 if self.is_integer or not self.quantum or is_dyadic else self.ulp
 
     @property
     def ulp(self) -> float:
@@ -76,26 +60,17 @@ class Raster:
         return self.heights[self.mask]
 
 
-def _is_power_of_two(number: float) -> bool:
-    return math.frexp(number)[0] == 0.5
-
-
-def find_rasters(places: list[Path]) -> list[Path]:
-    """List the GeoTIFFs given: files themselves, directories' sorted by name."""
-    found: list[Path] = []
-    for place in places:
-        found += sorted(place.glob("*.tif")) if place.is_dir() else [place]
-    return found
-
-
-def load_raster(path: Path, crop: int | None = None) -> Raster:
-    """Read band 1 of `path`, or its upper left `crop` x `crop` samples."""
+def load_raster(path: Path, crop: int | None = None, window: Window | None = None) -> Raster:
+    """Read band 1 of `path`, its upper left `crop` x `crop` samples, or a window of it."""
     with rasterio.open(path) as source:
         n_rows, n_cols = source.shape
-        window = Window(0, 0, min(crop or n_cols, n_cols), min(crop or n_rows, n_rows))
+        window = window or Window(0, 0, min(crop or n_cols, n_cols), min(crop or n_rows, n_rows))
         heights = source.read(1, window=window)
         mask = source.dataset_mask(window=window) > 0
-        nodata, transform, crs = source.nodata, source.transform, source.crs
+        nodata, crs = source.nodata, source.crs
+        a, b, c, d, e, f = source.transform[:6]
+        x, y = (one * window.col_off + two * window.row_off for one, two in ((a, b), (d, e)))
+        transform = rasterio.Affine(a, b, c + x, d, e, f + y)
     if heights.dtype.kind == "f":
         mask &= np.isfinite(heights)
     quantum = detect_quantum(heights[mask])
@@ -117,19 +92,66 @@ def detect_quantum(valid: np.ndarray) -> float:
 def write_geotiff(raster: Raster, path: Path) -> None:
     """Write `raster` uncompressed and tiled: a source that costs little to read."""
     n_rows, n_cols = raster.heights.shape
-    profile = {
-        "driver": "GTiff",
-        "count": 1,
-        "height": n_rows,
-        "width": n_cols,
-        "dtype": raster.heights.dtype.name,
-        "nodata": raster.nodata,
-        "transform": raster.transform,
-        "crs": raster.crs,
-        "tiled": True,
-    }
-    with rasterio.open(path, "w", **profile) as sink:
+    with rasterio.open(
+        path, "w", driver="GTiff", count=1, height=n_rows, width=n_cols, tiled=True,
+        dtype=raster.heights.dtype.name, nodata=raster.nodata, transform=raster.transform,
+        crs=raster.crs,
+    ) as sink:  # fmt: skip
         sink.write(raster.heights, 1)
+
+
+def make_mirrored(source: Path, target: Path, size: int, layout: str = "tiled") -> None:
+    """Write a `size` x `size` raster that repeats `source`, every second time mirrored.
+
+    Continuous everywhere, so that it compresses like real ground.
+    """
+    with rasterio.open(source) as dataset:
+        heights = dataset.read(1)
+        profile = {name: dataset.profile[name] for name in ("nodata", "crs", "transform", "dtype")}
+    rows, columns = (_mirrored_indices(size, period) for period in heights.shape)
+    profile |= {"driver": "GTiff", "count": 1, "height": size, "width": size, "BIGTIFF": "IF_SAFER"}
+    is_tiled = layout == "tiled"
+    profile |= {"tiled": is_tiled, "blockysize": CHUNK if is_tiled else 1}
+    if is_tiled:
+        profile["blockxsize"] = CHUNK
+    with rasterio.Env(GDAL_CACHEMAX=64), rasterio.open(target, "w", **profile) as sink:
+        for top in range(0, size, CHUNK):
+            part = heights[np.ix_(rows[top : top + CHUNK], columns)]
+            sink.write(part, 1, window=Window(0, top, size, part.shape[0]))
+
+
+def _mirrored_indices(n: int, period: int) -> np.ndarray:
+    """Return 0, 1, ... period-1, period-2, ... 1, 0, 1, ...: `n` of them."""
+    turn = max(1, 2 * (period - 1))
+    position = np.arange(n) % turn
+    return np.minimum(position, turn - position) % period
+
+
+def mirrored_file(dem: Path, size: int, folder: Path, **options) -> Path:
+    """Return a mirrored raster compressed with these options, made if it is not there."""
+    import terrainwave
+
+    source = folder / f"{dem.stem}-{size}.tif"
+    words = "-".join(map(str, options.values()))
+    target = folder / f"{source.stem}-{words}.twz"
+    if not target.exists():
+        if not source.exists():
+            make_mirrored(dem, source, size)
+        terrainwave.compress(source, target, verify=False, **options)
+    return target
+
+
+def whole_units(path: Path) -> np.ndarray:
+    """Return a raster in whole units, voids as the lowest height."""
+    with rasterio.open(path) as dataset:
+        heights = dataset.read(1, masked=True)
+    return np.rint(heights.filled(heights.min())).astype(np.int32)
+
+
+def middle(shape: tuple[int, int], side: int) -> Window:
+    """Return the window of the middle, at most `side` samples a side."""
+    n_rows, n_cols = (min(length, side) for length in shape)
+    return Window((shape[1] - n_cols) // 2, (shape[0] - n_rows) // 2, n_cols, n_rows)
 
 
 # --- voids: peers without a mask get the best of several fills, and pay for the mask ---
@@ -143,25 +165,19 @@ def void_fills(raster: Raster) -> Iterator[tuple[str, Raster]]:
     if raster.mask.all() or not raster.mask.any():
         yield "none", raster
         return
-    nearest = _nearest_fill(raster)
+    places = ndimage.distance_transform_edt(
+        ~raster.mask, return_distances=False, return_indices=True
+    )
+    nearest = raster.heights[tuple(places)]
     smooth = _smooth_fill(raster, nearest)
     constant = raster.heights.dtype.type(np.median(raster.valid))
-    for name, fill in (
-        ("nearest", nearest),
-        ("smooth", smooth.astype(raster.heights.dtype)),
-        ("constant", constant),
-    ):
-        filled = np.where(raster.mask, raster.heights, fill)
-        yield name, replace(raster, heights=filled)
+    fills = {"nearest": nearest, "smooth": smooth.astype(nearest.dtype), "constant": constant}
+    for name, fill in fills.items():
+        yield name, replace(raster, heights=np.where(raster.mask, raster.heights, fill))
 
 
-@dataclass(frozen=True)
-class Forms:
-    """A raster with what codecs without masks need; made once, since smooth fills are slow."""
-
-    raster: Raster
-    fills: tuple[tuple[str, Raster], ...]
-    mask_bytes: int
+# A raster with what codecs without masks need; made once, since smooth fills are slow.
+Forms = namedtuple("Forms", "raster fills mask_bytes")
 
 
 def make_forms(raster: Raster) -> Forms:
@@ -179,14 +195,6 @@ def without_nan(decoded: np.ndarray, raster: Raster) -> np.ndarray | None:
     if not np.array_equal(np.isnan(decoded), ~raster.mask):
         return None
     return np.where(raster.mask, decoded, 0).astype(raster.heights.dtype)
-
-
-def _nearest_fill(raster: Raster) -> np.ndarray:
-    """Return the heights with each void sample given its nearest valid height."""
-    nearest = ndimage.distance_transform_edt(
-        ~raster.mask, return_distances=False, return_indices=True
-    )
-    return raster.heights[tuple(nearest)]
 
 
 def _smooth_fill(raster: Raster, nearest: np.ndarray) -> np.ndarray:

@@ -9,46 +9,72 @@ from click.testing import CliRunner
 
 pytest.importorskip("matplotlib")
 
-from benchmarks.report import CsvSink, read_cases
-from benchmarks.speeds import Row
-from benchmarks.tables import cases_table, speeds_table
+from benchmarks.codecs import SpeedRow, read_cases
+from benchmarks.common import take_turns, write_rows
+from benchmarks.tables import markdown
 
 
 def speed_row(codec, encode):
-    return Row("hill", 3.0, codec, 10**6, 0.5, encode, 2 * encode, 1)
+    return SpeedRow("hill", 3.0, codec, 10**6, 0.5, encode, 2 * encode, 1)
 
 
-def test_a_sink_that_appends_keeps_rows_and_remembers_the_machine(tmp_path):
+def test_rows_that_are_appended_keep_others_and_remember_the_machine(tmp_path):
     path = tmp_path / "speeds.csv"
     for codec in ("sperr", "terrainwave-cdf97"):
-        with CsvSink(path, Row, append=True) as sink:
-            sink.write(speed_row(codec, 1.0))
+        write_rows(path, [speed_row(codec, 1.0)], append=True)
     assert read_cases(path) == {("hill", 3.0, "sperr"), ("hill", 3.0, "terrainwave-cdf97")}
     before = path.read_bytes()
-    with CsvSink(path, Row, append=True):
-        pass
+    write_rows(path, [], append=True)
     assert path.read_bytes() == before
 
 
+def test_rows_that_are_not_appended_take_the_place_of_others(tmp_path):
+    path = tmp_path / "speeds.csv"
+    for codec in ("sperr", "terrainwave-cdf97"):
+        write_rows(path, [speed_row(codec, 1.0)])
+    assert read_cases(path) == {("hill", 3.0, "terrainwave-cdf97")}
+
+
 def test_speeds_are_told_beside_sperr_with_geometric_means(tmp_path):
-    with CsvSink(tmp_path / "speeds.csv", Row) as sink:
-        for codec, speed in (
-            ("terrainwave-predictive-fast", 8.0),
-            ("terrainwave-predictive", 4.0),
-            ("terrainwave-cdf97", 1.6),
-            ("sperr", 16.0),
-        ):
-            sink.write(speed_row(codec, speed))
-    assert speeds_table(tmp_path).splitlines()[-1] == (
+    speeds = {
+        "terrainwave-predictive-fast": 8.0,
+        "terrainwave-predictive": 4.0,
+        "terrainwave-cdf97": 1.6,
+        "sperr": 16.0,
+    }
+    write_rows(tmp_path / "speeds.csv", [speed_row(*item) for item in speeds.items()])
+    assert markdown("speeds", tmp_path).splitlines()[-1] == (
         "| / SPERR | | 0.50 | 0.25 | 0.10 | 1.00 | 0.50 | 0.25 | 0.10 | 1.00 |"
     )
+
+
+def test_a_table_says_what_was_not_measured(tmp_path):
+    heading = "raster,renderer,camera,mode,tau,triangles,submitted,cpu_ms,frame_ms,first_bytes,"
+    line = "hill,a driver,low,full,2.0,1234,1234,,12.3,5000,"
+    (tmp_path / "systems_modes.csv").write_text(f"{heading}frame_bytes\n{line}\n")
+    found = markdown("systems_modes", tmp_path).splitlines()
+    assert found[2] == "| low | full | 1,234 | 1,234 | – | 12 | 5 | – |"
+    assert found[-1] == "Renderer: a driver. τ kept: 2 pixels."
+
+
+def test_tasks_take_turns_and_stop_when_patience_ends():
+    clock = iter(range(100))
+    calls = []
+
+    def tasks():
+        calls.append("round")
+        return [lambda: calls.append("a"), lambda: calls.append("b")]
+
+    found = take_turns(tasks, 5, patience=4, clock=lambda: next(clock))
+    assert calls == ["round", "a", "b"] * 2
+    assert [(timed.seconds, timed.n_runs) for timed in found] == [(1, 2), (1, 2)]
 
 
 @pytest.mark.large
 def test_a_second_run_measures_nothing_again(tmp_path, monkeypatch):
     from benchmarks import bench
 
-    monkeypatch.setattr(bench, "pin_to_one_core", lambda: True)
+    monkeypatch.setattr(bench.common, "pin_to_one_core", lambda: None)
     rows, cols = np.mgrid[:60, :70]
     heights = (rows * cols // 40).astype(np.int16)
     profile = {"driver": "GTiff", "count": 1, "height": 60, "width": 70, "dtype": "int16"}
@@ -56,7 +82,7 @@ def test_a_second_run_measures_nothing_again(tmp_path, monkeypatch):
     with rasterio.open(tmp_path / "hill.tif", "w", **profile, transform=transform) as sink:
         sink.write(heights, 1)
     results = tmp_path / "results"
-    args = [str(tmp_path), "--only", "cdf97", "--max-error", "0", "3", "--results", str(results)]
+    args = [str(tmp_path), "--only", "cdf97", "--max-error", "0", "3", "--out", str(results)]
     first = CliRunner().invoke(bench.main, args)
     assert first.exit_code == 0, first.output
     with (results / "cdf97.csv").open(newline="") as file:
@@ -65,6 +91,6 @@ def test_a_second_run_measures_nothing_again(tmp_path, monkeypatch):
     again = CliRunner().invoke(bench.main, args)
     assert again.exit_code == 0, again.output
     assert (results / "cdf97.csv").read_bytes() == before
-    assert "hill at" not in again.output
-    assert cases_table(results).count("\n") == 1  # without predictive and peers: no case
+    assert "hill," not in again.output
+    assert markdown("cases", results).count("\n") == 1  # without predictive and peers: no case
     assert (results / "rates.png").stat().st_size > 0

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.lists import repeat_option_names
-from benchmarks.measure import compare
+from benchmarks.codecs import compare
+from benchmarks.common import repeat_option_names
 from benchmarks.peers import dequantize_indices, float_bound, quantize_indices, snap_to_grid
 from benchmarks.rasters import Raster, detect_quantum, mask_bytes, void_fills
 

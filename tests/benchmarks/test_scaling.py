@@ -1,10 +1,11 @@
 """What the measurement of clusters says of larger rasters."""
 
-from benchmarks.scaling import CountingExecutor, InlineExecutor, Row, extrapolate
+from benchmarks.common import InlineExecutor
+from benchmarks.scaling import CountingExecutor, Row, extrapolate
 
 
 def row(**more):
-    zeros = dict.fromkeys(Row.__annotations__, 0)
+    zeros = dict.fromkeys(Row._fields, 0)
     return Row(**zeros | {"run": "2 workers", "n_tasks": 4, "n_calls": 20} | more)
 
 

@@ -1,0 +1,273 @@
+"""What every benchmark shares: command lines, CSVs with the machine beside them, clocks, means.
+
+Imports little: `benchmarks.memory` must stay small before it measures another process.
+"""
+
+import csv
+import functools
+import json
+import math
+import os
+import platform
+import re
+import statistics
+import subprocess
+import tempfile
+import time
+import warnings
+from collections import namedtuple
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Executor, Future
+from contextlib import ExitStack
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import click
+
+ROOT = Path(__file__).parent.parent
+RESULTS = ROOT / "benchmarks" / "results"
+IMAGES = ROOT / "docs" / "images"
+PACKAGES = (
+    "terrainwave", "numpy", "numba", "scipy", "rasterio", "imagecodecs", "pysz", "xarray", "zarr",
+)  # fmt: skip
+
+# --- command lines ---
+
+
+class ListOption(click.Option):
+    """An option that takes every value up to the next option: ``--max-error 0 1 3``."""
+
+    def __init__(self, *args, **kwargs) -> None:
+        super().__init__(*args, multiple=True, **kwargs)
+
+
+class Command(click.Command):
+    """A command whose `ListOption` values need not repeat the option's name."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Write ``--x 1 2`` as ``--x 1 --x 2`` before click sees it.
+
+        A list ends at the next option or at ``--``.
+        """
+        options = [param for param in self.params if isinstance(param, ListOption)]
+        lists = {name for option in options for name in option.opts}
+        return super().parse_args(ctx, repeat_option_names(args, lists) if lists else args)
+
+
+def repeat_option_names(args: list[str], lists: set[str]) -> list[str]:
+    """Return `args` with the name of each option in `lists` before each of its values."""
+    repeated: list[str] = []
+    name = ""
+    for arg, following in zip(args, [*args[1:], "--"]):
+        if arg in lists:
+            name = arg
+            if following.startswith("--"):
+                repeated.append(arg)  # without a value: click says so
+            continue
+        name = "" if arg.startswith("--") else name
+        repeated += [name, arg] if name else [arg]
+    return [arg for arg in repeated if arg != "--"]
+
+
+def command(out: str = "", base: str = "benchmarks/results") -> Callable[[Callable], click.Command]:
+    """Return a decorator: a command with its module's docstring as help.
+
+    It passes `out`, a CSV or a directory, and `folder`, an existing directory for files.
+    """
+
+    def decorate(function: Callable) -> click.Command:
+        @functools.wraps(function)
+        def run(work: Path | None, **more) -> None:
+            warnings.filterwarnings("ignore", message="Dataset has no geotransform")
+            with tempfile.TemporaryDirectory() as temporary:
+                folder = work or Path(temporary)
+                folder.mkdir(parents=True, exist_ok=True)
+                function(folder=folder, **more)
+
+        shown = f"{base}/{out}"
+        run = option("--out", type=FILE, default=ROOT / base / out, show_default=shown)(run)
+        run = click.option("--work", type=FILE, help="Keep the files that are made here.")(run)
+        return click.command(cls=Command, help=function.__globals__["__doc__"])(run)
+
+    return decorate
+
+
+def list_rasters(_context, _parameter, places: Sequence[Path]) -> list[Path]:
+    """Return the GeoTIFFs at places: files themselves, directories' sorted by name."""
+    found: list[Path] = []
+    for place in places:
+        found += sorted(place.glob("*.tif")) if place.is_dir() else [place]
+    if not found:
+        raise click.UsageError("no GeoTIFFs there")
+    return found
+
+
+def bounds_option(*default: float) -> Callable[[Callable], Callable]:
+    """Return ``--max-error``, a list of bounds in the rasters' units."""
+    bound = click.FloatRange(min=0)
+    return option("--max-error", "bounds", cls=ListOption, type=bound, default=default)
+
+
+def option(*names: str, **more: Any) -> Callable[[Callable], Callable]:
+    """Return an option that shows its default."""
+    return click.option(*names, **{"show_default": True} | more)
+
+
+COUNT = click.IntRange(min=1)
+FILE = click.Path(path_type=Path)
+EXISTING = click.Path(exists=True, path_type=Path)
+# `paths`: the GeoTIFFs at places, files or directories.
+rasters_argument = click.argument(
+    "paths", nargs=-1, required=True, type=EXISTING, callback=list_rasters, metavar="PLACES..."
+)
+dem_argument = click.argument("dem", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+directory_argument = click.argument(
+    "directory", type=click.Path(exists=True, file_okay=False, path_type=Path)
+)
+crop_option = option("--crop", type=COUNT, help="Use the upper left N x N samples.")
+
+# --- results ---
+
+
+def write_rows(path: Path, rows: Iterable[Any], *, append: bool = False) -> list:
+    """Write named tuples to a CSV as they come, with a JSON about the machine; print, return them.
+
+    With `append`, rows that are there stay, and the JSON lists what wrote them under "earlier".
+    Files are touched with the first row only.
+    """
+    goes_on = append and path.exists()
+    written: list = []
+    with ExitStack() as stack:
+        for row in rows:
+            if not written:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                _write_machine(path.with_suffix(".json"), goes_on)
+                mode = "a" if goes_on else "w"
+                file = stack.enter_context(path.open(mode, newline="", encoding="utf-8"))
+                writer = csv.writer(file, lineterminator="\n")
+                if not goes_on:
+                    writer.writerow(row._fields)
+                click.echo(f"{path.name}: {','.join(row._fields)}")
+            writer.writerow(row)
+            file.flush()
+            click.echo(",".join(map(str, row)))
+            written.append(row)
+    return written
+
+
+def _write_machine(path: Path, goes_on: bool) -> None:
+    machine = describe_machine()
+    if goes_on and path.exists():
+        before = json.loads(path.read_text(encoding="utf-8"))
+        earlier = before.pop("earlier", []) + ([before] if before != machine else [])
+        machine |= {"earlier": earlier} if earlier else {}
+    path.write_text(json.dumps(machine, indent=2) + "\n", encoding="utf-8")
+
+
+def read_rows(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a CSV, numbers as such; none if there is no such file."""
+    if not path.exists():
+        return []
+    with path.open(encoding="utf-8", newline="") as file:
+        return [{name: _number(text) for name, text in row.items()} for row in csv.DictReader(file)]
+
+
+def _number(text: str) -> int | float | str:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def geometric_mean(values: Sequence[float]) -> float:
+    """Return the geometric mean of positive numbers."""
+    return math.exp(math.fsum(map(math.log, values)) / len(values))
+
+
+# --- the machine ---
+
+
+def describe_machine() -> dict[str, Any]:
+    """Return machine, versions and commit, ready for JSON; no host name, no paths."""
+    import rasterio
+
+    installed = sorted(metadata.distributions(), key=lambda found: found.name)
+    return {
+        "processor": _processor(),
+        "n_cores": os.cpu_count(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+        "gdal": rasterio.__gdal_version__,
+        "packages": {found.name: found.version for found in installed if found.name in PACKAGES},
+        "commit": _commit(),
+    }
+
+
+def pin_to_one_core() -> None:
+    """Keep this process, and what it starts, on one core: libraries start threads unasked."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    else:
+        click.echo("cannot pin to one core here: some codecs may use more")
+
+
+def _processor() -> str:
+    try:
+        names = re.findall(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
+    except OSError:
+        names = []
+    return names[0] if names else platform.processor()
+
+
+def _commit() -> str | None:
+    """Return the commit of this checkout, with "+" if tracked files were changed."""
+    git = ["git", "-C", str(ROOT)]
+    try:
+        commit, changed = (
+            subprocess.check_output([*git, *line.split()], text=True, stderr=subprocess.DEVNULL)
+            for line in ("rev-parse --short=12 HEAD", "status --porcelain --untracked-files=no")
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return commit.strip() + ("+" if changed else "")
+
+
+# --- runs ---
+
+
+class InlineExecutor(Executor):
+    """Runs a task where it is submitted: no threads, one clock."""
+
+    def submit(self, function, /, *arguments) -> Future:
+        """Run a task."""
+        future: Future = Future()
+        future.set_result(function(*arguments))
+        return future
+
+
+# The median seconds of some runs, how many they were, and what the last one returned.
+Timed = namedtuple("Timed", "seconds n_runs result")
+
+
+def take_turns(
+    tasks: Callable[[], Sequence[Callable[[], Any]]], n_rounds: int, *,
+    patience: float = math.inf, clock: Callable[[], float] = time.process_time,
+) -> list[Timed]:  # fmt: skip
+    """Return what tasks took that ran in turns, so that all see the same machine.
+
+    `tasks` is called before each round and gives the functions to run; what it does is not timed.
+    No round but the first begins when the tasks have taken `patience` seconds.
+    """
+    seconds: list[list[float]] = []
+    while not seconds or (len(seconds) < n_rounds and math.fsum(map(sum, seconds)) < patience):
+        found, results = [], []
+        for task in tasks():
+            start = clock()
+            results.append(task())
+            found.append(clock() - start)
+        seconds.append(found)
+    medians = [statistics.median(column) for column in zip(*seconds)]
+    return [Timed(median, len(seconds), result) for median, result in zip(medians, results)]
