@@ -18,9 +18,9 @@ from terrainwave.cli import main
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.ext.serve import app as serving
 from terrainwave.ext.serve.app import make_app
+from terrainwave.globe import cesium as tile_pyramid
+from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
-from terrainwave.globe.lonlat import cesium as tile_pyramid
-from terrainwave.globe.lonlat import terrain_rgb as tiling
 
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
 

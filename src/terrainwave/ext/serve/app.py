@@ -23,10 +23,10 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 from terrainwave._version import __version__
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
 from terrainwave.file import TerrainFile
+from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.cesium import MAX_ZOOM as LAST_MESH_ZOOM
 from terrainwave.globe.cesium import TilePyramid
 from terrainwave.globe.lonlat import Globe
-from terrainwave.globe.lonlat import terrain_rgb as tiling
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 N_WAITING = 64
