@@ -9,7 +9,7 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "src" / "terrainwave"
 
-ROOT = {"errors", "progress", "arguments", "_version", "extras"}
+ROOT = {"errors", "progress", "arguments", "_version", "extras", "cache"}
 # What each room may import besides itself and ROOT, in the order of the data's path. Nothing else.
 CODING = ROOT | {"coding"}
 GRID = CODING | {"grid"}
@@ -18,6 +18,7 @@ MAY_IMPORT = {
     "_version": set(),
     "progress": {"errors"},
     "extras": {"errors"},
+    "cache": set(),
     "arguments": {"errors", "container"},
     "coding": ROOT,
     "grid": CODING | {"codec"},

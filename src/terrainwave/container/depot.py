@@ -7,7 +7,6 @@ page's `first_child` is 0, as nobody knows offsets in the file yet.
 import io
 import os
 import secrets
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.cache import Cache
 from terrainwave.container.page import (
     describe_head,
     empty_page,
@@ -136,8 +136,10 @@ class StoredSegments:
     def __init__(self, grid: Grid, place: Callable[[Block | None], StoredSegment]) -> None:
         self._grid = grid
         self._place = place
-        self._sources: OrderedDict[str, ByteSource] = OrderedDict()
-        self._segments: OrderedDict[Block | None, Segment] = OrderedDict()
+        self._sources: Cache[str, ByteSource] = Cache(
+            _OPEN_SOURCES, drop=lambda source: source.close()
+        )
+        self._segments: Cache[Block | None, Segment] = Cache(_CACHED_PAGES)
 
     def payloads(self, keys: Sequence[Block]) -> list[bytes]:
         """Return the payloads of `keys`; raise `CorruptStreamError` if a checksum is wrong."""
@@ -156,8 +158,7 @@ class StoredSegments:
 
     def close(self) -> None:
         """Close all sources."""
-        while self._sources:
-            self._sources.popitem()[1].close()
+        self._sources.clear()
 
     def __enter__(self) -> "StoredSegments":
         return self
@@ -180,25 +181,16 @@ class StoredSegments:
         return data
 
     def _segment(self, head: Block | None) -> Segment:
-        found = self._segments.get(head)
-        if found is None:
-            layout, place = page_layout(self._grid, head), self._place(head)
-            page = empty_page(layout)
-            if place.length:
-                data = self._source(place.path).read(place.offset, place.page_length)
-                page = unpack_page(data, layout, f"the page of {describe_head(head)}")
-            end = place.offset + place.length
-            found = segment_of_page(head, layout, page, place.offset, place.page_length, end)
-            self._segments[head] = found
-            if len(self._segments) > _CACHED_PAGES:
-                self._segments.popitem(last=False)
-        self._segments.move_to_end(head)
-        return found
+        return self._segments.get_or_make(head, lambda: self._load(head))
+
+    def _load(self, head: Block | None) -> Segment:
+        layout, place = page_layout(self._grid, head), self._place(head)
+        page = empty_page(layout)
+        if place.length:
+            data = self._source(place.path).read(place.offset, place.page_length)
+            page = unpack_page(data, layout, f"the page of {describe_head(head)}")
+        end = place.offset + place.length
+        return segment_of_page(head, layout, page, place.offset, place.page_length, end)
 
     def _source(self, path: str) -> ByteSource:
-        if path not in self._sources:
-            self._sources[path] = open_source(path)
-            if len(self._sources) > _OPEN_SOURCES:
-                self._sources.popitem(last=False)[1].close()
-        self._sources.move_to_end(path)
-        return self._sources[path]
+        return self._sources.get_or_make(path, lambda: open_source(path))

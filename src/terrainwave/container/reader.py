@@ -4,13 +4,12 @@ Untrusted bytes are believed in this order: magic, version, header and its check
 size, metadata, index pages and where their segments lie, checksums of payloads (FORMAT.md §3.5).
 """
 
-import threading
 import zlib
-from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 
+from terrainwave.cache import Cache
 from terrainwave.container.header import Extents, Header, unpack_header
 from terrainwave.container.metadata import unpack_metadata
 from terrainwave.container.page import (
@@ -60,8 +59,7 @@ class Container:
     def __init__(self, source: ByteSource, cached_segments: int = 256) -> None:
         self.source = source
         self._cached_segments = cached_segments
-        self._lock = threading.Lock()
-        self._segments: OrderedDict[Block, Segment] = OrderedDict()
+        self._segments: Cache[Block, Segment] = Cache(cached_segments)
         start = source.read(0, min(FIRST_READ, source.size))
         header, extents = unpack_header(start)
         if source.size < extents.file_size:
@@ -107,15 +105,12 @@ class Container:
         """Return the indices of several segments; missing pages of a level in one `read_many`."""
         found: dict[Block | None, Segment] = {}
         missing: list[Block] = []
-        with self._lock:
-            for head in heads:
-                if head is None:
-                    found[None] = self._top
-                elif head in self._segments:
-                    self._segments.move_to_end(head)
-                    found[head] = self._segments[head]
-                else:
-                    missing.append(head)
+        for head in heads:
+            segment = self._top if head is None else self._segments.get(head)
+            if segment is not None:
+                found[head] = segment
+            elif head is not None:
+                missing.append(head)
         if missing:
             found.update(self._load(list(dict.fromkeys(missing))))
         return found
@@ -135,12 +130,9 @@ class Container:
         return loaded
 
     def _keep(self, loaded: Mapping[Block | None, Segment]) -> None:
-        with self._lock:
-            for head, segment in loaded.items():
-                if head is not None:
-                    self._segments[head] = segment
-            while len(self._segments) > self._cached_segments:
-                self._segments.popitem(last=False)
+        for head, segment in loaded.items():
+            if head is not None:
+                self._segments.put(head, segment)
 
     @contextmanager
     def _blaming_change(self) -> Iterator[None]:
@@ -250,14 +242,13 @@ class Container:
     def _known_segments(self, heads: Iterable[Block | None]) -> dict[Block | None, Segment]:
         """Return those of the segments and of the ones above them that need not be read."""
         known: dict[Block | None, Segment] = {None: self._top}
-        with self._lock:
-            for head in set(heads):
-                above = head
-                while above is not None and above not in known:
-                    if above in self._segments:
-                        self._segments.move_to_end(above)
-                        known[above] = self._segments[above]
-                    above = self._parent_head(above)
+        for head in set(heads):
+            above = head
+            while above is not None and above not in known:
+                segment = self._segments.get(above)
+                if segment is not None:
+                    known[above] = segment
+                above = self._parent_head(above)
         return known
 
     def _next_segments(

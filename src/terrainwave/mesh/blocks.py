@@ -6,15 +6,16 @@ and, for the kinds of `tri.stored`, the block's bytes in the mesh sections.
 
 import math
 import threading
-from collections import OrderedDict
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor
 from fractions import Fraction
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.cache import Cache
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.codes import decode_error, encode_error
 from terrainwave.container.header import MAX_MESH_TOLERANCE
@@ -246,7 +247,7 @@ def measure_meshes(
     and of all their ancestors. Blocks without a mesh are left out. With `blocks`, some of the
     finest level, only the originals under these.
     """
-    meshes = _Meshes(mesher)
+    meshes: Cache[Block, BlockMesh] = Cache(_CACHED_MESHES)
     found: dict[Block, int] = {}
     lock = threading.Lock()
 
@@ -256,7 +257,7 @@ def measure_meshes(
         errors = {}
         above = block
         while mask.any():
-            mesh = meshes.get(above)
+            mesh = meshes.get_or_make(above, partial(mesher.mesh, above))
             if len(mesh.triangles):
                 stride = grid.stride(above.level)
                 first = above.row * grid.block * stride, above.col * grid.block * stride
@@ -274,29 +275,3 @@ def measure_meshes(
     for _ in executor.map(measure, grid.blocks(grid.k_max) if blocks is None else blocks):
         pass
     return found
-
-
-class _Meshes:
-    """The meshes of blocks under work, each made once; least recently used dropped first."""
-
-    def __init__(self, mesher: BlockMesher) -> None:
-        self._mesher = mesher
-        self._meshes: OrderedDict[Block, Future[BlockMesh]] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def get(self, block: Block) -> BlockMesh:
-        with self._lock:
-            future = self._meshes.get(block)
-            is_mine = future is None
-            if future is None:
-                future = self._meshes[block] = Future()
-            self._meshes.move_to_end(block)
-            while len(self._meshes) > _CACHED_MESHES:
-                self._meshes.popitem(last=False)
-        if is_mine:
-            try:
-                future.set_result(self._mesher.mesh(block))
-            except BaseException as error:
-                future.set_exception(error)
-                raise
-        return future.result()

@@ -1,7 +1,6 @@
 """Several rasters of one grid as one: what a mosaic or its missing parts read as."""
 
 import math
-from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -9,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 
+from terrainwave.cache import Cache
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import determinant, of_window, places_to_pixels
 from terrainwave.grid.quadtree import Region
@@ -78,7 +78,7 @@ class MosaicBackend:
 
     def __init__(self, sources: Sequence[Any], band: int, nodata: int | float | None) -> None:
         self._band = band
-        self._open: OrderedDict[str, DatasetBackend] = OrderedDict()
+        self._open: Cache[str, DatasetBackend] = Cache(_MAX_OPEN, drop=DatasetBackend.close)
         found = [self._describe(source) for source in sources]
         first = found[0]
         for other in found[1:]:
@@ -142,12 +142,9 @@ class MosaicBackend:
         if hasattr(source, "read_masks"):
             return DatasetBackend(source, self._band, owned=False)
         path = str(source)
-        if path not in self._open:
-            while len(self._open) >= _MAX_OPEN:
-                self._open.popitem(last=False)[1].close()
-            self._open[path] = DatasetBackend(open_dataset(path), self._band, owned=True)
-        self._open.move_to_end(path)
-        return self._open[path]
+        return self._open.get_or_make(
+            path, lambda: DatasetBackend(open_dataset(path), self._band, owned=True)
+        )
 
     def notes(self) -> Iterator[str]:
         """Yield what is left out or was chosen, one sentence each."""
@@ -212,8 +209,7 @@ class MosaicBackend:
 
     def close(self) -> None:
         """Close what was opened here."""
-        while self._open:
-            self._open.popitem()[1].close()
+        self._open.clear()
 
 
 def _check_alike(first: _Description, other: _Description) -> None:

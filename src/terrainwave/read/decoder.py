@@ -1,12 +1,11 @@
 """Decode units on demand, each from its ancestors alone, through a bounded cache."""
 
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from typing import Generic, TypeVar
 
 import numpy as np
 
+from terrainwave.cache import Cache
 from terrainwave.codec.group import decode_unit
 from terrainwave.codec.refiner import Decoded, Heights, Mask, Refiner
 from terrainwave.codec.units import CodecParameters, block_of_unit, unit_spec
@@ -15,39 +14,6 @@ from terrainwave.grid.quadtree import Block, Grid, Region, morton
 
 # Payloads held between being fetched and being decoded.
 _MAX_FETCHED = 1024
-
-
-_Unit = TypeVar("_Unit")
-
-
-class UnitCache(Generic[_Unit]):
-    """Least recently used decoded units or tiles, up to a number of bytes; thread-safe."""
-
-    def __init__(self, max_bytes: int, n_bytes_of: Callable[[_Unit], int]) -> None:
-        self._max_bytes = max_bytes
-        self._n_bytes_of = n_bytes_of
-        self._n_bytes = 0
-        self._units: OrderedDict[Block, _Unit] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def get(self, key: Block) -> _Unit | None:
-        """Return the unit if it is here."""
-        with self._lock:
-            unit = self._units.get(key)
-            if unit is not None:
-                self._units.move_to_end(key)
-            return unit
-
-    def put(self, key: Block, unit: _Unit) -> None:
-        """Keep the unit, dropping the least recently used ones beyond the limit."""
-        with self._lock:
-            if key in self._units:
-                return
-            self._units[key] = unit
-            self._n_bytes += self._n_bytes_of(unit)
-            while self._n_bytes > self._max_bytes and len(self._units) > 1:
-                _, dropped = self._units.popitem(last=False)
-                self._n_bytes -= self._n_bytes_of(dropped)
 
 
 def _n_bytes(unit: Decoded) -> int:
@@ -79,9 +45,8 @@ class TreeDecoder:
         self._refiner = refiner
         self._parameters = parameters
         self._payloads = payloads
-        self._cache = UnitCache(cache_bytes, _n_bytes)
+        self._cache: Cache[Block, Decoded] = Cache(cache_bytes, size_of=_n_bytes)
         self._fetched: dict[Block, bytes] = {}
-        self._in_flight: dict[Block, threading.Event] = {}
         self._lock = threading.Lock()
 
     def prefetch(self, keys: Sequence[Block]) -> list[Block]:
@@ -123,24 +88,8 @@ class TreeDecoder:
         CorruptStreamError
             If its payload or one above it is damaged; the message names the unit.
         """
-        while True:
-            found = self._cache.get(key)
-            if found is not None:
-                return found
-            with self._lock:
-                other = self._in_flight.get(key)
-                if other is None:
-                    mine = self._in_flight[key] = threading.Event()
-                    break
-            other.wait()  # another thread decodes it; ancestors never wait for descendants
-        try:
-            unit = self._decode(key)
-            self._cache.put(key, unit)
-            return unit
-        finally:
-            with self._lock:
-                del self._in_flight[key]
-            mine.set()
+        # Ancestors never wait for descendants.
+        return self._cache.get_or_make(key, lambda: self._decode(key))
 
     def _payload(self, key: Block) -> bytes:
         """Return the payload of a unit, fetched now unless it has been."""

@@ -1,10 +1,10 @@
 """Decode files whose units are gathered in tiles (method cdf53), on demand, through a cache."""
 
-import threading
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from terrainwave.cache import Cache
 from terrainwave.codec.cdf53 import LevelHeights, decode_tile
 from terrainwave.codec.refiner import Decoded
 from terrainwave.codec.registry import refiner_by_name
@@ -12,7 +12,7 @@ from terrainwave.codec.tiles import TileLayout
 from terrainwave.codec.units import CodecParameters, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Block, Grid
-from terrainwave.read.decoder import TreeDecoder, UnitCache, unit_name
+from terrainwave.read.decoder import TreeDecoder, unit_name
 
 Tile = list[LevelHeights]
 
@@ -39,8 +39,7 @@ class TileDecoder(TreeDecoder):
         super().__init__(grid, None, parameters, payloads, cache_bytes // 2)
         self._layout = TileLayout(grid)
         self._are_prefixes = are_prefixes
-        self._tiles = UnitCache(cache_bytes // 2, _n_bytes)
-        self._tile_locks: dict[Block, threading.Lock] = {}
+        self._tiles: Cache[Block, Tile] = Cache(cache_bytes // 2, size_of=_n_bytes)
 
     def prefetch(self, keys: Sequence[Block]) -> list[Block]:
         """Fetch the payloads of the tiles that decoding `keys` will need, in one call.
@@ -69,14 +68,8 @@ class TileDecoder(TreeDecoder):
 
     def _tile(self, key: Block) -> Tile:
         """Return a decoded tile; those above it are decoded as needed."""
-        with self._lock:
-            lock = self._tile_locks.setdefault(key, threading.Lock())
-        with lock:  # tiles above never wait for those below
-            found = self._tiles.get(key)
-            if found is None:
-                found = self._decode_tile(key)
-                self._tiles.put(key, found)
-            return found
+        # Tiles above never wait for those below.
+        return self._tiles.get_or_make(key, lambda: self._decode_tile(key))
 
     def _decode_tile(self, key: Block) -> Tile:
         spec = self._layout.spec(key)

@@ -8,14 +8,13 @@ Runs in worker threads; needs no GPU.
 """
 
 import math
-import threading
-from collections import OrderedDict
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.cache import Cache
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.mesh.blocks import SideTolerances, border_lines
 from terrainwave.render.frame import Frame
@@ -108,8 +107,7 @@ class PatchBuilder:
         self._recursive = recursive
         self._scale = HeightScale.of(terrain, frame)
         self._slope_scale = SlopeScale(frame)
-        self._meshes: OrderedDict[Piece, BlockMesh] = OrderedDict()
-        self._lock = threading.Lock()
+        self._meshes: Cache[Piece, BlockMesh] = Cache(_CACHED_MESHES)
 
     # What the index says
 
@@ -198,17 +196,7 @@ class PatchBuilder:
 
     def mesh(self, piece: Piece) -> BlockMesh:
         """Return the mesh of a piece; the last ones are kept."""
-        with self._lock:
-            found = self._meshes.get(piece)
-            if found is not None:
-                self._meshes.move_to_end(piece)
-                return found
-        found = self._triangulate(piece)
-        with self._lock:
-            self._meshes[piece] = found
-            while len(self._meshes) > _CACHED_MESHES:
-                self._meshes.popitem(last=False)
-        return found
+        return self._meshes.get_or_make(piece, lambda: self._triangulate(piece))
 
     def _triangulate(self, piece: Piece) -> BlockMesh:
         mesher, block = self._terrain._mesher, piece.block

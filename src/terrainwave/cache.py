@@ -1,0 +1,100 @@
+"""The one cache: least recently used values, up to a number of them or of bytes."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Generic, TypeVar
+
+Key = TypeVar("Key", bound=Hashable)
+Value = TypeVar("Value")
+
+
+class Cache(Generic[Key, Value]):
+    """Values by key; those not asked for longest go first. Thread-safe.
+
+    Parameters
+    ----------
+    limit : int
+        Largest sum of sizes. One value stays, whatever its size.
+    size_of : callable, optional
+        Size of a value, the same each time; by default each counts 1.
+    drop : callable, optional
+        Called with each value that goes, such as to close it.
+    """
+
+    def __init__(
+        self,
+        limit: int,
+        *,
+        size_of: Callable[[Value], int] = lambda value: 1,
+        drop: Callable[[Value], None] = lambda value: None,
+    ) -> None:
+        self._limit = limit
+        self._size_of = size_of
+        self._drop = drop
+        self._size = 0
+        self._values: OrderedDict[Key, Value] = OrderedDict()
+        self._in_work: dict[Key, threading.Event] = {}
+        self._lock = threading.Lock()
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def get(self, key: Key) -> Value | None:
+        """Return the value if it is here."""
+        with self._lock:
+            return self._take(key)
+
+    def _take(self, key: Key) -> Value | None:
+        value = self._values.get(key)
+        if value is not None:
+            self._values.move_to_end(key)
+        return value
+
+    def put(self, key: Key, value: Value) -> None:
+        """Keep a value; one that is here already stays instead, as they are equal."""
+        dropped = []
+        with self._lock:
+            if self._take(key) is not None:
+                return
+            self._values[key] = value
+            self._size += self._size_of(value)
+            while self._size > self._limit and len(self._values) > 1:
+                dropped.append(self._values.popitem(last=False)[1])
+                self._size -= self._size_of(dropped[-1])
+        for one in dropped:
+            self._drop(one)
+
+    def get_or_make(self, key: Key, make: Callable[[], Value]) -> Value:
+        """Return the value, made now if it is not here.
+
+        Threads that ask for one that is being made wait for it; where that failed, the next one
+        tries. `make` may ask for other keys, if no two wait for each other.
+        """
+        while True:
+            with self._lock:
+                value = self._take(key)
+                if value is not None:
+                    return value
+                other = self._in_work.get(key)
+                if other is None:
+                    mine = self._in_work[key] = threading.Event()
+                    break
+            other.wait()
+        try:
+            value = make()
+            self.put(key, value)
+            return value
+        finally:
+            with self._lock:
+                del self._in_work[key]
+            mine.set()
+
+    def clear(self) -> None:
+        """Drop all values."""
+        with self._lock:
+            dropped = list(self._values.values())
+            self._values.clear()
+            self._size = 0
+        for one in dropped:
+            self._drop(one)
