@@ -238,3 +238,21 @@ def test_slices_index_an_array_that_covers_the_outer_region():
     outer = Region(10, 20, 4, 5)
     array = np.arange(20).reshape(4, 5)
     assert array[Region(11, 22, 2, 3).slices_in(outer)].tolist() == [[7, 8, 9], [12, 13, 14]]
+
+
+@given(region=regions, n_rows=st.integers(1, 4), n_cols=st.integers(1, 4), is_aligned=st.booleans())
+def test_tiles_cover_a_region_once_in_the_order_of_rows(region, n_rows, n_cols, is_aligned):
+    covered = np.zeros(region.shape, dtype=np.int64)
+    tiles = list(region.tiles(n_rows, n_cols, is_aligned=is_aligned))
+    for tile in tiles:
+        assert 0 < tile.n_rows <= n_rows
+        assert 0 < tile.n_cols <= n_cols
+        covered[tile.slices_in(region)] += 1
+    assert (covered == 1).all()
+    assert tiles == sorted(tiles)
+
+
+def test_tiles_begin_at_the_corner_or_at_multiples_of_their_size():
+    region = Region(3, 0, 4, 5)
+    assert list(region.tiles(4, 3)) == [Region(3, 0, 4, 3), Region(3, 3, 4, 2)]
+    assert list(region.tiles(4, 5, is_aligned=True)) == [Region(3, 0, 1, 5), Region(4, 0, 3, 5)]

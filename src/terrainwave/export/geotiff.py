@@ -10,7 +10,6 @@ from terrainwave.container.publish import refuse_own_source
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.export.height_tiles import EXTENSIONS as TILE_EXTENSIONS
 from terrainwave.export.height_tiles import write_height_tile
-from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.sink import RasterSink
 from terrainwave.terrain import Terrain
@@ -100,7 +99,11 @@ def decompress(
         total = region.n_rows * region.n_cols
         done = 0
         with RasterSink(dst, info, cog=cog, overwrite=overwrite, n_threads=threads or 1) as sink:
-            for part in _windows(region, 2 * terrain.grid.block):
+            side = 2 * terrain.grid.block
+            n_rows = max(side, _WINDOW_SAMPLES // max(region.n_cols, 1) // side * side)
+            n_cols = max(side, _WINDOW_SAMPLES // n_rows // side * side)
+            # Along the borders of groups, so that each is decoded once.
+            for part in region.tiles(n_rows, n_cols, is_aligned=True):
                 if quality is None:
                     heights, valid = terrain.read_with_mask(part, level=level)
                 else:
@@ -109,14 +112,3 @@ def decompress(
                 done += part.n_rows * part.n_cols
                 reporter.report("decoding", done, total, done * heights.dtype.itemsize)
     return os.fspath(dst)
-
-
-def _windows(region: Region, side: int) -> list[Region]:
-    """Cut a region along the borders of groups, so that each group is decoded once."""
-    n_rows = max(side, _WINDOW_SAMPLES // max(region.n_cols, 1) // side * side)
-    n_cols = max(side, _WINDOW_SAMPLES // n_rows // side * side)
-    return [
-        Region(row, col, n_rows, n_cols).intersect(region)
-        for row in range(region.row // n_rows * n_rows, region.row + region.n_rows, n_rows)
-        for col in range(region.col // n_cols * n_cols, region.col + region.n_cols, n_cols)
-    ]

@@ -39,6 +39,20 @@ class Region(NamedTuple):
         n_cols = min(self.col + self.n_cols, other.col + other.n_cols) - col
         return Region(row, col, max(n_rows, 0), max(n_cols, 0))
 
+    def tiles(self, n_rows: int, n_cols: int, *, is_aligned: bool = False) -> Iterator["Region"]:
+        """Yield the parts of this region, row by row, of so many rows and columns at most.
+
+        They begin at its corner or, aligned, at the multiples of their size: then the first ones
+        may be smaller, too.
+        """
+        if not (self.n_rows and self.n_cols):
+            return
+        top = self.row // n_rows * n_rows if is_aligned else self.row
+        left = self.col // n_cols * n_cols if is_aligned else self.col
+        for row in range(top, self.row + self.n_rows, n_rows):
+            for col in range(left, self.col + self.n_cols, n_cols):
+                yield Region(row, col, n_rows, n_cols).intersect(self)
+
 
 class Block(NamedTuple):
     """Block (level, row, col) of the quadtree, counted in blocks of its level."""

@@ -44,6 +44,4 @@ def scan_windows(
     elif cols == n_cols:
         rows = min(n_rows, max(max_samples // (rows * n_cols), 1) * rows)
     # One row of blocks at a time, also where the rows of a huge block are taken in several parts.
-    for row in range(0, n_rows, rows):
-        for col in range(0, n_cols, cols):
-            yield Region(row, col, min(rows, n_rows - row), min(cols, n_cols - col))
+    yield from Region(0, 0, n_rows, n_cols).tiles(rows, cols)

@@ -21,6 +21,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOEr
 from rasterio.windows import Window
 
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
+from terrainwave.grid.quadtree import Region
 from terrainwave.progress import Progress, ProgressCallback
 from terrainwave.raster_io.crs import parse_crs
 from terrainwave.verification.metrics import ErrorReport, ErrorSum
@@ -358,7 +359,7 @@ class _Comparison:
         # the type's range equals none of them.
         return heights.astype(np.float64) == float(self._nodata)
 
-    def _windows(self) -> Iterator[tuple[int, int, int, int]]:
+    def _windows(self) -> Iterator[Region]:
         """Yield windows that suit both sides: squares for tiles, wide strips for strips."""
         n_rows, n_cols = self._dataset.height, self._dataset.width
         block_cols = self._dataset.block_shapes[self._band - 1][1]
@@ -367,9 +368,7 @@ class _Comparison:
             rows = max(_WINDOW_SAMPLES // cols // _WINDOW_ROWS, 1) * _WINDOW_ROWS
         else:
             rows = cols = _WINDOW_SIDE
-        for row in range(0, n_rows, rows):
-            for col in range(0, n_cols, cols):
-                yield row, col, min(rows, n_rows - row), min(cols, n_cols - col)
+        yield from Region(0, 0, n_rows, n_cols).tiles(rows, cols)
 
 
 class _Worst:

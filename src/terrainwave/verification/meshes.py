@@ -484,14 +484,8 @@ class MeshVerification:
 
     def _windows(self) -> Iterator[Region]:
         n_rows, n_cols = self._terrain.shape
-        for row in range(0, n_rows - 1, _WINDOW_SIDE):
-            for col in range(0, n_cols - 1, _WINDOW_SIDE):
-                yield Region(
-                    row,
-                    col,
-                    min(_WINDOW_SIDE + 1, n_rows - row),
-                    min(_WINDOW_SIDE + 1, n_cols - col),
-                )
+        for cells in Region(0, 0, n_rows - 1, n_cols - 1).tiles(_WINDOW_SIDE, _WINDOW_SIDE):
+            yield Region(cells.row, cells.col, cells.n_rows + 1, cells.n_cols + 1)
 
     def _check_areas(self, max_error: float | None, optimise: int) -> AreaMeshes:
         n_windows = n_triangles = 0

@@ -217,7 +217,7 @@ class _Merged:
         quantizer, info = self._terrain._quantizer, self._terrain.raster_info
         header = self._terrain._container.header
         low, high = (quantizer.height_of(number) for number in (header.z_min, header.z_max))
-        for window in _windows(self.place):
+        for window in self.place.tiles(_WINDOW, _WINDOW):
             raw, valid = self._new(window)
             if info.mask_kind == "none" and not valid.all():
                 raise InvalidHeightsError(
@@ -245,14 +245,6 @@ class _Merged:
                     f" {quantizer.quantum:g} (stored units): round them, or compress the whole"
                     " raster again"
                 )
-
-
-def _windows(region: Region) -> list[Region]:
-    return [
-        Region(row, col, _WINDOW, _WINDOW).intersect(region)
-        for row in range(region.row, region.row + region.n_rows, _WINDOW)
-        for col in range(region.col, region.col + region.n_cols, _WINDOW)
-    ]
 
 
 class _PatchEncoder(TreeEncoder):
@@ -327,7 +319,7 @@ class _OwnSamples:
             return
         for level in range(grid.k_max, -1, -1):
             spool = Spool(grid.level_shape(level), np.bool_, directory)
-            for window in _windows(spool.region):
+            for window in spool.region.tiles(_WINDOW, _WINDOW):
                 if level == grid.k_max:
                     spool.write(window, pyramid.originals(window)[1])
                     continue

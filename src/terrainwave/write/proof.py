@@ -18,13 +18,8 @@ _PROOF_SIDE = 512
 
 def proof_windows(grid: Grid, within: Region | None = None) -> list[Region]:
     """Return windows that cover the full grid, or the region `within`, once."""
-    row, col, n_rows, n_cols = within or Region(0, 0, grid.n_rows, grid.n_cols)
     side = max(2 * grid.block, _PROOF_SIDE)
-    return [
-        Region(top, left, min(side, row + n_rows - top), min(side, col + n_cols - left))
-        for top in range(row, row + n_rows, side)
-        for left in range(col, col + n_cols, side)
-    ]
+    return list((within or Region(0, 0, grid.n_rows, grid.n_cols)).tiles(side, side))
 
 
 def compare_window(

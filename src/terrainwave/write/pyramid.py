@@ -15,7 +15,7 @@ fills of one coarse level (`Part`); those above a level from that level alone (`
 the same: that is how machines share a raster.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
@@ -165,7 +165,7 @@ class Pyramid:
             region = self._inside(shift, self._part.push_region(shift) if self._part else None)
             self._fills[shift] = self._new_spool(region, np.int32)
             self._known[shift] = self._new_spool(region, np.bool_)
-            for window in _windows(region):
+            for window in region.tiles(TILE, TILE):
                 values, known = self._pushed(shift, window)
                 self._fills[shift].write(window, values)
                 self._known[shift].write(window, known)
@@ -187,7 +187,7 @@ class Pyramid:
             self._fills[top] = coarsest
         for finer in range(top - 1, max(self._first - 1, 0), -1):
             region = self._inside(finer, self._part.fill_region(finer) if self._part else None)
-            for window in _windows(region):
+            for window in region.tiles(TILE, TILE):
                 known = self._known[finer].read(window)
                 if not known.all():
                     values = self._fills[finer].read(window)
@@ -392,15 +392,9 @@ class Pyramid:
 
     def _for_each_window(self, spool: Spool, make: Callable[[Region], NDArray[np.generic]]) -> None:
         for _ in self._executor.map(
-            lambda region: spool.write(region, make(region)), _windows(spool.region)
+            lambda region: spool.write(region, make(region)), spool.region.tiles(TILE, TILE)
         ):
             pass
-
-
-def _windows(region: Region) -> Iterator[Region]:
-    for row in range(region.row, region.row + region.n_rows, TILE):
-        for col in range(region.col, region.col + region.n_cols, TILE):
-            yield Region(row, col, TILE, TILE).intersect(region)
 
 
 def _halo_places(first: int, n: int, halo: int) -> NDArray[np.intp]:

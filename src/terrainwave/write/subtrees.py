@@ -181,10 +181,8 @@ def scan_region(raster: RasterPlace, region: Region) -> HeightScan:
     """Return range, validity and vertical quantum of the heights in a region."""
     with raster.open() as source:
         scan = HeightScan(source.info.dtype)
-        for row in range(region.row, region.row + region.n_rows, _SCAN_SIDE):
-            for col in range(region.col, region.col + region.n_cols, _SCAN_SIDE):
-                window = Region(row, col, _SCAN_SIDE, _SCAN_SIDE).intersect(region)
-                scan.update(*source.read(*window))
+        for window in region.tiles(_SCAN_SIDE, _SCAN_SIDE):
+            scan.update(*source.read(*window))
     return scan
 
 

@@ -100,15 +100,13 @@ class NevillePyramid:
             spool.close()
 
     def _fill(self, level: int, count: Callable[[int], None]) -> None:
-        n_rows, n_cols = self.shapes[level]
-        for row in range(0, n_rows, TILE):
-            for col in range(0, n_cols, TILE):
-                part = Region(row, col, min(TILE, n_rows - row), min(TILE, n_cols - col))
-                window = Region(2 * row - 1, 2 * col - 1, 2 * part.n_rows + 2, 2 * part.n_cols + 2)
-                coarse = np.empty(part.shape, dtype=np.float32)
-                filter_rows(self.window(level - 1, window, replicate=True), coarse)
-                self._spools[level - 1].write(part, coarse)
-                count(4 * part.n_rows * part.n_cols)
+        for part in Region(0, 0, *self.shapes[level]).tiles(TILE, TILE):
+            row, col, n_rows, n_cols = part
+            window = Region(2 * row - 1, 2 * col - 1, 2 * n_rows + 2, 2 * n_cols + 2)
+            coarse = np.empty(part.shape, dtype=np.float32)
+            filter_rows(self.window(level - 1, window, replicate=True), coarse)
+            self._spools[level - 1].write(part, coarse)
+            count(4 * n_rows * n_cols)
 
     def window(self, level: int, region: Region, *, replicate: bool) -> Heights:
         """Return heights of a region, which may reach past the level's edges.
