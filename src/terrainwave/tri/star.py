@@ -1,0 +1,185 @@
+"""The interval of heights that a cell's vertex may take, from the triangles around the cell.
+
+They are few and the same everywhere: their shapes, and the shares of their samples, are kept in a
+table, without which they take two divisions a sample.
+"""
+
+import numpy as np
+
+from terrainwave._jit import inlined_kernel, kernel
+from terrainwave.tri.fit import fit_triangle
+from terrainwave.tri.workspace import (
+    N_SLOTS_LOG2,
+    N_STEPS,
+    N_USED,
+    OFFSETS,
+    TABLE,
+    col_of,
+    heights_at,
+    places_at,
+    row_of,
+    vertices_at,
+)
+
+# A triangle's key: how far its two other vertices are from the first, each of the four distances
+# -32 … 31 half samples, and whether the first lies on a sample's row and column. The bit above
+# tells it from an empty slot. So twice the area, in half samples, is at most 2 * 32 * 32.
+_REACH, _REACH_BITS = 32, 6
+_IS_KEY = 1 << (4 * _REACH_BITS + 2)
+_HASH = 0x9E3779B1  # 2^32 over the golden ratio
+
+# A program: its first step and, in the low bits, how many it has; or a triangle without one.
+_COUNT_BITS = 6
+_MAX_STEPS = (1 << _COUNT_BITS) - 1
+_NO_PROGRAM = -1
+
+# Programs find the bounds (h * area - w_1 * z_1 - w_2 * z_2 -+ tolerance * area) / w_0 in float64.
+# With heights and tolerances up to 2^24, each of h * area / w_0, the two w * z / w_0 together and
+# tolerance * area / w_0 is at most 2^35, and roundings of ratios, products and sums move a bound by
+# less than 16 * 2^-53 * 2^35 = 2^-14. Widened by 2^-13, it is less than 2^-12 outside the true one
+# and never inside; and that, a multiple of 1 / w_0, is whole or 2^-11 or more inside the next
+# whole number. So both have the same ceiling, or floor. Greater heights take `fit_triangle`.
+MAX_PROGRAM_HEIGHT = float(1 << 24)
+_MARGIN = 2.0**-13
+
+
+@inlined_kernel
+def fit_star(
+    work, ratios, plane, pitch, has_table, top, bottom, left, right, tolerance, low, high
+):  # fmt: skip
+    """Return the interval of heights of a vertex whose cell is this rectangle of samples.
+
+    Its triangles are those between the centre and two neighbours on the ring of samples around the
+    cell; two corners of the ring touch no triangle of the cell. Empty if a triangle has no area.
+    The other four numbers are the places on the ring, from the cell's first sample, of the
+    triangles that have raised `low` and lowered `high` last.
+    """
+    row_0, col_0 = top + bottom, left + right
+    width, height = right - left + 1, bottom - top + 1
+    heights, places, vertices = heights_at(plane), places_at(plane), vertices_at(plane)
+    home = top * pitch + left
+    at = home - pitch - 1
+    place = np.int64(work[np.uint64(places + at)])
+    row_1, col_1, z_1 = row_of(place), col_of(place), float(work[np.uint64(vertices + at)])
+    start = at
+    low_1 = low_2 = high_1 = high_2 = at
+    for side in range(4):
+        # To the right, down, to the left, up; then past the corner that is left out.
+        step, count = 1, width
+        at_next = at
+        if side == 1:
+            step, count, at_next = pitch, height + 1, at + 1
+        elif side == 2:
+            step = -1
+        elif side == 3:
+            step, count, at_next = -pitch, height + 1, at - 1
+        at = at_next
+        for _ in range(count):
+            at += step
+            found = np.int64(work[np.uint64(places + at)])
+            if found == place:
+                continue
+            row_2, col_2 = row_of(found), col_of(found)
+            z_2 = float(work[np.uint64(vertices + at)])
+            area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
+            if area <= 0:
+                low, high = 1.0, 0.0
+                low_1 = high_1 = start
+                low_2 = high_2 = at
+                break
+            new_low, new_high = _fit_any(
+                work, ratios, heights, pitch, has_table, row_0, col_0, row_1, col_1, z_1, row_2,
+                col_2, z_2, tolerance, low, high,
+            )  # fmt: skip
+            if new_low > low:
+                low_1, low_2 = start, at
+            if new_high < high:
+                high_1, high_2 = start, at
+            low, high = new_low, new_high
+            if low > high:
+                break
+            place, start, row_1, col_1, z_1 = found, at, row_2, col_2, z_2
+        if low > high:
+            break
+    return np.ceil(low), np.floor(high), low_1 - home, low_2 - home, high_1 - home, high_2 - home
+
+
+@inlined_kernel
+def _fit_any(
+    work, ratios, heights, pitch, has_table, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2,
+    tolerance, low, high,
+):  # fmt: skip
+    """Narrow an interval by a triangle's program, or by looking at its samples."""
+    program = np.int64(_NO_PROGRAM)
+    if has_table:
+        program = _find_program(work, ratios, pitch, row_0, col_0, row_1, col_1, row_2, col_2)
+    if program >= 0:
+        at = heights + (row_0 >> 1) * pitch + (col_0 >> 1)
+        first = program >> _COUNT_BITS
+        for step in range(first, first + (program & _MAX_STEPS)):
+            offset = np.int64(work[np.uint64(OFFSETS + step)])
+            ratio = ratios[np.uint64(3 * step)]
+            middle = float(work[np.uint64(at + offset)]) * ratio
+            middle -= ratios[np.uint64(3 * step + 1)] * z_1
+            middle -= ratios[np.uint64(3 * step + 2)] * z_2
+            slack = tolerance * ratio + _MARGIN
+            low = middle - slack if middle - slack > low else low
+            high = middle + slack if middle + slack < high else high
+    else:
+        # A bound stays as it is, not rounded, unless this triangle moves it.
+        first_low, first_high = np.ceil(low), np.floor(high)
+        new_low, new_high = fit_triangle(
+            work, heights, pitch, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2, tolerance,
+            first_low, first_high,
+        )  # fmt: skip
+        low = new_low if new_low > first_low else low
+        high = new_high if new_high < first_high else high
+    return low, high
+
+
+@inlined_kernel
+def _find_program(work, ratios, pitch, row_0, col_0, row_1, col_1, row_2, col_2):
+    """Return the program of a triangle, written now if its slot is empty; negative if none."""
+    down_1, right_1 = row_1 - row_0 + _REACH, col_1 - col_0 + _REACH
+    down_2, right_2 = row_2 - row_0 + _REACH, col_2 - col_0 + _REACH
+    program = np.int64(_NO_PROGRAM)
+    if (down_1 | right_1 | down_2 | right_2) >> _REACH_BITS == 0:
+        key = (down_1 << _REACH_BITS | right_1) << _REACH_BITS | down_2
+        key = (key << _REACH_BITS | right_2) << 2 | (row_0 & 1) << 1 | (col_0 & 1) | _IS_KEY
+        slot = TABLE + 2 * (((key * _HASH) & 0xFFFFFFFF) >> (32 - N_SLOTS_LOG2))
+        known = work[np.uint64(slot)]
+        if known == key:
+            program = np.int64(work[np.uint64(slot + 1)])
+        elif known == 0:
+            program = _write_program(
+                work, ratios, pitch, slot, key, row_0, col_0, row_1, col_1, row_2, col_2
+            )
+    return program
+
+
+@kernel
+def _write_program(work, ratios, pitch, slot, key, row_0, col_0, row_1, col_1, row_2, col_2):
+    """Write the steps of a triangle into the table: a sample and three ratios of weights each."""
+    area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
+    first = np.int64(work[N_USED])
+    count = 0
+    for row in range((min(row_0, row_1, row_2) + 1) >> 1, (max(row_0, row_1, row_2) >> 1) + 1):
+        for col in range((min(col_0, col_1, col_2) + 1) >> 1, (max(col_0, col_1, col_2) >> 1) + 1):
+            weight_0 = (col_1 - 2 * col) * (row_2 - 2 * row) - (col_2 - 2 * col) * (row_1 - 2 * row)
+            weight_1 = (col_2 - 2 * col) * (row_0 - 2 * row) - (col_0 - 2 * col) * (row_2 - 2 * row)
+            weight_2 = area - weight_0 - weight_1
+            if weight_0 <= 0 or weight_1 < 0 or weight_2 < 0:
+                continue
+            step = first + count
+            if count == _MAX_STEPS or step == N_STEPS:
+                work[slot], work[slot + 1] = key, _NO_PROGRAM
+                return np.int64(_NO_PROGRAM)
+            work[OFFSETS + step] = (row - (row_0 >> 1)) * pitch + col - (col_0 >> 1)
+            ratios[3 * step] = float(area) / float(weight_0)
+            ratios[3 * step + 1] = float(weight_1) / float(weight_0)
+            ratios[3 * step + 2] = float(weight_2) / float(weight_0)
+            count += 1
+    program = first << _COUNT_BITS | count
+    work[slot], work[slot + 1] = key, program
+    work[N_USED] = first + count
+    return program
