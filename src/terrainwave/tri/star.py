@@ -61,6 +61,8 @@ def fit_star(
     at = home - pitch - 1
     place = np.int64(work[np.uint64(places + at)])
     row_1, col_1, z_1 = row_of(place), col_of(place), float(work[np.uint64(vertices + at)])
+    centre = heights + (row_0 >> 1) * pitch + (col_0 >> 1)
+    place_0 = _IS_KEY | (row_0 & 1) << 1 | (col_0 & 1)
     start = at
     low_1 = low_2 = high_1 = high_2 = at
     for side in range(4):
@@ -87,15 +89,38 @@ def fit_star(
                 low_1 = high_1 = start
                 low_2 = high_2 = at
                 break
-            new_low, new_high = _fit_any(
-                work, ratios, heights, pitch, has_table, row_0, col_0, row_1, col_1, z_1, row_2,
-                col_2, z_2, tolerance, low, high,
-            )  # fmt: skip
+            program = np.int64(_NO_PROGRAM)
+            key = _key_of(row_1 - row_0, col_1 - col_0, row_2 - row_0, col_2 - col_0, place_0)
+            if has_table and key:
+                slot = _slot_of(key)
+                known = work[np.uint64(slot)]
+                if known == key:
+                    program = np.int64(work[np.uint64(slot + 1)])
+                elif known == 0:
+                    program = _write_program(
+                        work, ratios, pitch, slot, key, row_0, col_0, row_1, col_1, row_2, col_2
+                    )
+            new_low, new_high = low, high
+            if program >= 0:
+                first = program >> _COUNT_BITS
+                for k in range(first, first + (program & _MAX_STEPS)):
+                    offset = np.int64(work[np.uint64(OFFSETS + k)])
+                    ratio = ratios[np.uint64(3 * k)]
+                    middle = float(work[np.uint64(centre + offset)]) * ratio
+                    middle -= ratios[np.uint64(3 * k + 1)] * z_1
+                    middle -= ratios[np.uint64(3 * k + 2)] * z_2
+                    slack = tolerance * ratio + _MARGIN
+                    new_low = middle - slack if middle - slack > new_low else new_low
+                    new_high = middle + slack if middle + slack < new_high else new_high
+            else:
+                new_low, new_high = _fit_by_quotients(
+                    work, heights, pitch, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2,
+                    tolerance, low, high,
+                )  # fmt: skip
             if new_low > low:
-                low_1, low_2 = start, at
+                low, low_1, low_2 = new_low, start, at
             if new_high < high:
-                high_1, high_2 = start, at
-            low, high = new_low, new_high
+                high, high_1, high_2 = new_high, start, at
             if low > high:
                 break
             place, start, row_1, col_1, z_1 = found, at, row_2, col_2, z_2
@@ -104,57 +129,36 @@ def fit_star(
     return np.ceil(low), np.floor(high), low_1 - home, low_2 - home, high_1 - home, high_2 - home
 
 
-@inlined_kernel
-def _fit_any(
-    work, ratios, heights, pitch, has_table, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2,
-    tolerance, low, high,
-):  # fmt: skip
-    """Narrow an interval by a triangle's program, or by looking at its samples."""
-    program = np.int64(_NO_PROGRAM)
-    if has_table:
-        program = _find_program(work, ratios, pitch, row_0, col_0, row_1, col_1, row_2, col_2)
-    if program >= 0:
-        at = heights + (row_0 >> 1) * pitch + (col_0 >> 1)
-        first = program >> _COUNT_BITS
-        for step in range(first, first + (program & _MAX_STEPS)):
-            offset = np.int64(work[np.uint64(OFFSETS + step)])
-            ratio = ratios[np.uint64(3 * step)]
-            middle = float(work[np.uint64(at + offset)]) * ratio
-            middle -= ratios[np.uint64(3 * step + 1)] * z_1
-            middle -= ratios[np.uint64(3 * step + 2)] * z_2
-            slack = tolerance * ratio + _MARGIN
-            low = middle - slack if middle - slack > low else low
-            high = middle + slack if middle + slack < high else high
-    else:
-        # A bound stays as it is, not rounded, unless this triangle moves it.
-        first_low, first_high = np.ceil(low), np.floor(high)
-        new_low, new_high = fit_triangle(
-            work, heights, pitch, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2, tolerance,
-            first_low, first_high,
-        )  # fmt: skip
-        low = new_low if new_low > first_low else low
-        high = new_high if new_high < first_high else high
-    return low, high
+@kernel
+def _fit_by_quotients(
+    work, heights, pitch, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2, tolerance, low, high
+):
+    """Narrow an interval by the samples of a triangle; a bound that it doesn't move stays as is."""
+    first_low, first_high = np.ceil(low), np.floor(high)
+    new_low, new_high = fit_triangle(
+        work, heights, pitch, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2, tolerance,
+        first_low, first_high,
+    )  # fmt: skip
+    return new_low if new_low > first_low else low, new_high if new_high < first_high else high
 
 
 @inlined_kernel
-def _find_program(work, ratios, pitch, row_0, col_0, row_1, col_1, row_2, col_2):
-    """Return the program of a triangle, written now if its slot is empty; negative if none."""
-    down_1, right_1 = row_1 - row_0 + _REACH, col_1 - col_0 + _REACH
-    down_2, right_2 = row_2 - row_0 + _REACH, col_2 - col_0 + _REACH
-    program = np.int64(_NO_PROGRAM)
+def _key_of(down_1, right_1, down_2, right_2, place_0):
+    """Return the key of a triangle, 0 if it is too large to have one."""
+    down_1, right_1, down_2, right_2 = (
+        down_1 + _REACH, right_1 + _REACH, down_2 + _REACH, right_2 + _REACH
+    )  # fmt: skip
+    key = np.int64(0)
     if (down_1 | right_1 | down_2 | right_2) >> _REACH_BITS == 0:
-        key = (down_1 << _REACH_BITS | right_1) << _REACH_BITS | down_2
-        key = (key << _REACH_BITS | right_2) << 2 | (row_0 & 1) << 1 | (col_0 & 1) | _IS_KEY
-        slot = TABLE + 2 * (((key * _HASH) & 0xFFFFFFFF) >> (32 - N_SLOTS_LOG2))
-        known = work[np.uint64(slot)]
-        if known == key:
-            program = np.int64(work[np.uint64(slot + 1)])
-        elif known == 0:
-            program = _write_program(
-                work, ratios, pitch, slot, key, row_0, col_0, row_1, col_1, row_2, col_2
-            )
-    return program
+        key = (down_1 << _REACH_BITS | right_1) << 2 * _REACH_BITS
+        key = (key | down_2 << _REACH_BITS | right_2) << 2 | place_0
+    return key
+
+
+@inlined_kernel
+def _slot_of(key):
+    """Return where the slot of a key begins."""
+    return TABLE + 2 * (((key * _HASH) & 0xFFFFFFFF) >> (32 - N_SLOTS_LOG2))
 
 
 @kernel
