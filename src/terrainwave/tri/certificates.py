@@ -9,6 +9,7 @@ import numpy as np
 from terrainwave._jit import inlined_kernel
 from terrainwave.tri.workspace import refusals_at, sweeps_at
 
+NO_TEST = 0
 _LEVEL_BITS = 8
 # Places on the ring, from the cell's first sample, are kept in 16 bits each.
 _PLACE_BITS = 16
@@ -16,14 +17,21 @@ _MASK, _SIGN = (1 << _PLACE_BITS) - 1, 1 << (_PLACE_BITS - 1)
 
 
 @inlined_kernel
-def write_refusal(work, plane, pitch, at, level, sweep, height, low_1, low_2, high_1, high_2):
-    """Note the triangles that refuse a cell of `height` rows: `fit_star` tells their places."""
+def test_of(level, sweep):
+    """Return the number of a level's tests in a sweep."""
+    return sweep << _LEVEL_BITS | level
+
+
+@inlined_kernel
+def write_refusal(work, plane, pitch, at, height, test, low_1, low_2, high_1, high_2):
+    """Note which test has refused a cell of `height` rows, and its triangles' places on the ring.
+
+    NO_TEST if it was not refused; nothing is noted of cells so large that places don't fit.
+    """
     refusal = refusals_at(plane) + at
-    work[np.uint64(refusal)] = 0
-    if (height + 2) * pitch < _SIGN:
-        work[np.uint64(refusal)] = sweep << _LEVEL_BITS | level
-        work[np.uint64(refusal + plane)] = np.int32(low_1 << _PLACE_BITS | low_2 & _MASK)
-        work[np.uint64(refusal + 2 * plane)] = np.int32(high_1 << _PLACE_BITS | high_2 & _MASK)
+    work[np.uint64(refusal)] = test if (height + 2) * pitch < _SIGN else NO_TEST
+    work[np.uint64(refusal + plane)] = low_1 << _PLACE_BITS | low_2 & _MASK
+    work[np.uint64(refusal + 2 * plane)] = high_1 << _PLACE_BITS | high_2 & _MASK
 
 
 @inlined_kernel

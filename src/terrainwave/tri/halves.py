@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._jit import inlined_kernel, kernel
-from terrainwave.tri.certificates import refusal_stands, write_refusal
+from terrainwave.tri.certificates import refusal_stands, test_of
 from terrainwave.tri.fit import scale_of
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.star import MAX_PROGRAM_HEIGHT, fit_star
 from terrainwave.tri.workspace import (
     FREE,
+    HIGH,
+    LOW,
     MEMORY,
     fill_workspace,
     finished_mesh,
@@ -33,7 +35,8 @@ from terrainwave.tri.workspace import (
     vertices_at,
 )
 
-_FAR = np.int64(1) << 32
+# More than any interval of heights: no condition.
+_FAR = np.int64(1) << 40
 _PASSES = 2
 # Levels of the cells that are tried whole, before halves: 8 x 8, 4 x 4 and 2 x 2 samples.
 _WHOLE_LEVELS = (6, 4, 2)
@@ -93,7 +96,7 @@ def triangulate(
     )  # fmt: skip
     has_table = max(-scale.lowest, scale.highest, scale.tolerance) <= MAX_PROGRAM_HEIGHT
     _merge_cells(
-        space.work, space.ratios, space.plane, space.pitch, n_rows, n_cols, *offset, has_table,
+        space.work, space.floats, space.plane, space.pitch, n_rows, n_cols, *offset, has_table,
         scale.tolerance, scale.lowest, scale.highest,
     )  # fmt: skip
     base, shift = scale.base << FRACTION_BITS, FRACTION_BITS - scale.bits
@@ -121,11 +124,6 @@ def _ceil_half(value):
 
 
 @inlined_kernel
-def _is_unmoved(work, at):
-    return work[np.uint64(at)] <= FREE
-
-
-@inlined_kernel
 def _wide(work, at):
     return np.int64(work[np.uint64(at)])
 
@@ -139,26 +137,20 @@ def _fit_pair(work, plane, pitch, at, tolerance):
     conditions; -1: they can't be met; 0: look at the whole star, which gives the same intervals.
     """
     own, level = heights_at(plane) + at, levels_at(plane) + at
-    slack = 3 * tolerance
-    low, high = -_FAR, _FAR
-    verdict = 1
-    if _is_unmoved(work, level - 1):
-        first = 3 * _wide(work, own) - _wide(work, own - 1)
-        low, high = _ceil_half(first - slack), (first + slack) >> 1
-    else:
-        verdict = 0
-    if _is_unmoved(work, level + 2):
-        second = 3 * _wide(work, own + 1) - _wide(work, own + 2)
-        low = max(low, _ceil_half(second - slack))
-        high = min(high, (second + slack) >> 1)
-    else:
-        verdict = 0
-    for k in range(3):
-        if not (_is_unmoved(work, level - pitch - 1 + k) and _is_unmoved(work, level + pitch + k)):
-            verdict = 0
-    if low > high:
-        verdict = -1
-    return verdict, low, high
+    above, below = level - pitch, level + pitch
+    left, right = _wide(work, level - 1), _wide(work, level + 2)
+    first = 3 * _wide(work, own) - _wide(work, own - 1)
+    second = 3 * _wide(work, own + 1) - _wide(work, own + 2)
+    slack_1 = 3 * tolerance if left <= FREE else _FAR
+    slack_2 = 3 * tolerance if right <= FREE else _FAR
+    low = max(first - slack_1, second - slack_2)
+    high = min(first + slack_1, second + slack_2)
+    low, high = _ceil_half(low), high >> 1
+    most = max(left, right)
+    most = max(most, _wide(work, above - 1), _wide(work, above), _wide(work, above + 1))
+    most = max(most, _wide(work, below), _wide(work, below + 1), _wide(work, below + 2))
+    verdict = 1 if most <= FREE else 0
+    return verdict if low <= high else -1, low, high
 
 
 @inlined_kernel
@@ -169,40 +161,29 @@ def _fit_quad(work, plane, pitch, at, tolerance):
     triangles, with weight 1/2 of the new height and 1/4 of each of two samples.
     """
     own, level = heights_at(plane) + at, levels_at(plane) + at
-    low, high = -2 * _FAR, 2 * _FAR
-    verdict = 1
-    if _is_unmoved(work, level - pitch - 1):
-        twice = 3 * _wide(work, own) - _wide(work, own - pitch - 1)
-        low, high = twice - 3 * tolerance, twice + 3 * tolerance
-    else:
-        verdict = 0
-    if _is_unmoved(work, level + 2 * pitch + 2):
-        twice = 3 * _wide(work, own + pitch + 1) - _wide(work, own + 2 * pitch + 2)
-        low, high = max(low, twice - 3 * tolerance), min(high, twice + 3 * tolerance)
-    else:
-        verdict = 0
-    if _is_unmoved(work, level - pitch + 1) and _is_unmoved(work, level + 2):
-        twice = 4 * _wide(work, own + 1) - _wide(work, own - pitch + 1) - _wide(work, own + 2)
-        low, high = max(low, twice - 4 * tolerance), min(high, twice + 4 * tolerance)
-    else:
-        verdict = 0
-    if _is_unmoved(work, level + pitch - 1) and _is_unmoved(work, level + 2 * pitch):
-        twice = 4 * _wide(work, own + pitch) - _wide(work, own + pitch - 1)
-        twice -= _wide(work, own + 2 * pitch)
-        low, high = max(low, twice - 4 * tolerance), min(high, twice + 4 * tolerance)
-    else:
-        verdict = 0
-    if not (
-        _is_unmoved(work, level - pitch)
-        and _is_unmoved(work, level - 1)
-        and _is_unmoved(work, level + pitch + 2)
-        and _is_unmoved(work, level + 2 * pitch + 1)
-    ):
-        verdict = 0
+    own_2, level_2 = own + pitch, level + pitch
+    above, below = level - pitch, level_2 + pitch
+    upper_left, lower_right = _wide(work, above - 1), _wide(work, below + 2)
+    upper_right = max(_wide(work, above + 1), _wide(work, level + 2))
+    lower_left = max(_wide(work, level_2 - 1), _wide(work, below))
+    twice = 3 * _wide(work, own) - _wide(work, own - pitch - 1)
+    slack = 3 * tolerance if upper_left <= FREE else _FAR
+    low, high = twice - slack, twice + slack
+    twice = 3 * _wide(work, own_2 + 1) - _wide(work, own_2 + pitch + 2)
+    slack = 3 * tolerance if lower_right <= FREE else _FAR
+    low, high = max(low, twice - slack), min(high, twice + slack)
+    twice = 4 * _wide(work, own + 1) - _wide(work, own - pitch + 1) - _wide(work, own + 2)
+    slack = 4 * tolerance if upper_right <= FREE else _FAR
+    low, high = max(low, twice - slack), min(high, twice + slack)
+    twice = 4 * _wide(work, own_2) - _wide(work, own_2 - 1) - _wide(work, own_2 + pitch)
+    slack = 4 * tolerance if lower_left <= FREE else _FAR
+    low, high = max(low, twice - slack), min(high, twice + slack)
     low, high = _ceil_half(low), high >> 1
-    if low > high:
-        verdict = -1
-    return verdict, low, high
+    most = max(upper_left, lower_right, upper_right, lower_left)
+    most = max(most, _wide(work, above), _wide(work, level - 1))
+    most = max(most, _wide(work, level_2 + 2), _wide(work, below + 1))
+    verdict = 1 if most <= FREE else 0
+    return verdict if low <= high else -1, low, high
 
 
 @inlined_kernel
@@ -271,7 +252,7 @@ def _move(work, plane, pitch, top, bottom, left, right, place, height, sweep):
 
 @kernel
 def _sweep_cells(
-    work, ratios, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep, before,
+    work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep, before,
     is_whole, tolerance, lowest, highest,
 ):  # fmt: skip
     """Try to merge every cell of a level of the binary tree, of two halves or of single samples.
@@ -315,24 +296,21 @@ def _sweep_cells(
                 ):
                     continue
             verdict, low, high = 0, lowest, highest
+            is_quad = is_whole and level == 2 and bottom > top and right > left
             if level == 1:
                 verdict, first, last = _fit_pair(work, plane, pitch, at, whole_tolerance)
                 low, high = max(low, float(first)), min(high, float(last))
-            elif is_whole and level == 2 and bottom > top and right > left:
+            elif is_quad:
                 verdict, first, last = _fit_quad(work, plane, pitch, at, whole_tolerance)
                 low, high = max(low, float(first)), min(high, float(last))
             if verdict < 0:
                 continue
             if verdict == 0:
-                low, high, low_1, low_2, high_1, high_2 = fit_star(
-                    work, ratios, plane, pitch, has_table, top, bottom, left, right, tolerance,
-                    lowest, highest,
+                fit_star(
+                    work, floats, plane, pitch, has_table, top, bottom, left, right,
+                    level == 1 or is_quad, tolerance, low, high, test_of(level, sweep),
                 )  # fmt: skip
-                if low > high:
-                    write_refusal(
-                        work, plane, pitch, at, level, sweep, bottom - top + 1, low_1, low_2,
-                        high_1, high_2,
-                    )  # fmt: skip
+                low, high = floats[LOW], floats[HIGH]
             vertex = np.floor((low + high) * 0.5)
             if low > high or vertex > _MAX_INT32:
                 continue
@@ -351,7 +329,7 @@ def _sweep_cells(
 
 @kernel
 def _merge_cells(
-    work, ratios, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, tolerance, lowest, highest
+    work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, tolerance, lowest, highest
 ):
     """Merge samples into cells: whole squares first, then halves from the finest up."""
     if n_rows < 3 or n_cols < 3:
@@ -360,7 +338,7 @@ def _merge_cells(
     for level in _WHOLE_LEVELS:
         sweep += 1
         _sweep_cells(
-            work, ratios, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep, 0,
+            work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep, 0,
             True, tolerance, lowest, highest,
         )  # fmt: skip
     n_levels = 0
@@ -371,6 +349,6 @@ def _merge_cells(
             sweep += 1
             before = sweep - 2 * n_levels if number else 0
             _sweep_cells(
-                work, ratios, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep,
+                work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep,
                 before, False, tolerance, lowest, highest,
             )  # fmt: skip

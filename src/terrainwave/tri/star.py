@@ -7,15 +7,21 @@ table, without which they take two divisions a sample.
 import numpy as np
 
 from terrainwave._jit import inlined_kernel, kernel
+from terrainwave.tri.certificates import NO_TEST, write_refusal
 from terrainwave.tri.fit import fit_triangle
 from terrainwave.tri.workspace import (
+    FREE,
+    HIGH,
+    LOW,
     N_SLOTS_LOG2,
     N_STEPS,
     N_USED,
     OFFSETS,
+    RATIOS,
     TABLE,
     col_of,
     heights_at,
+    levels_at,
     places_at,
     row_of,
     vertices_at,
@@ -35,7 +41,7 @@ _NO_PROGRAM = -1
 
 # Programs find the bounds (h * area - w_1 * z_1 - w_2 * z_2 -+ tolerance * area) / w_0 in float64.
 # With heights and tolerances up to 2^24, each of h * area / w_0, the two w * z / w_0 together and
-# tolerance * area / w_0 is at most 2^35, and roundings of ratios, products and sums move a bound by
+# tolerance * area / w_0 is at most 2^35, and roundings of floats, products and sums move a bound by
 # less than 16 * 2^-53 * 2^35 = 2^-14. Widened by 2^-13, it is less than 2^-12 outside the true one
 # and never inside; and that, a multiple of 1 / w_0, is whole or 2^-11 or more inside the next
 # whole number. So both have the same ceiling, or floor. Greater heights take `fit_triangle`.
@@ -45,24 +51,30 @@ _MARGIN = 2.0**-13
 
 @inlined_kernel
 def fit_star(
-    work, ratios, plane, pitch, has_table, top, bottom, left, right, tolerance, low, high
+    work, floats, plane, pitch, has_table, top, bottom, left, right, are_unmoved_known, tolerance,
+    low, high, test,
 ):  # fmt: skip
-    """Return the interval of heights of a vertex whose cell is this rectangle of samples.
+    """Find the interval of heights of a vertex whose cell is this rectangle of samples.
 
     Its triangles are those between the centre and two neighbours on the ring of samples around the
     cell; two corners of the ring touch no triangle of the cell. Empty if a triangle has no area.
-    The other four numbers are the places on the ring, from the cell's first sample, of the
-    triangles that have raised `low` and lowered `high` last.
+    Triangles of two samples that have not moved are left out where low and high are what they
+    allow: `are_unmoved_known`. If the interval is empty, the refusal by this `test`, and the places
+    on the ring of the triangles that have raised `low` and lowered `high` last, are noted.
+    The interval is written to ``floats[LOW]`` and ``floats[HIGH]``: arrays that are used last in a
+    branch cost reference counts.
     """
     row_0, col_0 = top + bottom, left + right
     width, height = right - left + 1, bottom - top + 1
     heights, places, vertices = heights_at(plane), places_at(plane), vertices_at(plane)
+    levels = levels_at(plane)
     home = top * pitch + left
+    centre = heights + (row_0 >> 1) * pitch + (col_0 >> 1)
+    place_0 = _IS_KEY | (row_0 & 1) << 1 | (col_0 & 1)
     at = home - pitch - 1
     place = np.int64(work[np.uint64(places + at)])
     row_1, col_1, z_1 = row_of(place), col_of(place), float(work[np.uint64(vertices + at)])
-    centre = heights + (row_0 >> 1) * pitch + (col_0 >> 1)
-    place_0 = _IS_KEY | (row_0 & 1) << 1 | (col_0 & 1)
+    is_known_1 = are_unmoved_known and work[np.uint64(levels + at)] <= FREE
     start = at
     low_1 = low_2 = high_1 = high_2 = at
     for side in range(4):
@@ -80,9 +92,14 @@ def fit_star(
             at += step
             found = np.int64(work[np.uint64(places + at)])
             if found == place:
+                is_known_1 = False  # a vertex that a border line's samples share
                 continue
+            is_known_2 = are_unmoved_known and work[np.uint64(levels + at)] <= FREE
             row_2, col_2 = row_of(found), col_of(found)
             z_2 = float(work[np.uint64(vertices + at)])
+            if is_known_1 and is_known_2:
+                place, start, row_1, col_1, z_1 = found, at, row_2, col_2, z_2
+                continue
             area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
             if area <= 0:
                 low, high = 1.0, 0.0
@@ -98,17 +115,17 @@ def fit_star(
                     program = np.int64(work[np.uint64(slot + 1)])
                 elif known == 0:
                     program = _write_program(
-                        work, ratios, pitch, slot, key, row_0, col_0, row_1, col_1, row_2, col_2
+                        work, floats, pitch, slot, key, row_0, col_0, row_1, col_1, row_2, col_2
                     )
             new_low, new_high = low, high
             if program >= 0:
                 first = program >> _COUNT_BITS
                 for k in range(first, first + (program & _MAX_STEPS)):
                     offset = np.int64(work[np.uint64(OFFSETS + k)])
-                    ratio = ratios[np.uint64(3 * k)]
+                    ratio = floats[np.uint64(RATIOS + 3 * k)]
                     middle = float(work[np.uint64(centre + offset)]) * ratio
-                    middle -= ratios[np.uint64(3 * k + 1)] * z_1
-                    middle -= ratios[np.uint64(3 * k + 2)] * z_2
+                    middle -= floats[np.uint64(RATIOS + 3 * k + 1)] * z_1
+                    middle -= floats[np.uint64(RATIOS + 3 * k + 2)] * z_2
                     slack = tolerance * ratio + _MARGIN
                     new_low = middle - slack if middle - slack > new_low else new_low
                     new_high = middle + slack if middle + slack < new_high else new_high
@@ -124,9 +141,17 @@ def fit_star(
             if low > high:
                 break
             place, start, row_1, col_1, z_1 = found, at, row_2, col_2, z_2
+            is_known_1 = is_known_2
         if low > high:
             break
-    return np.ceil(low), np.floor(high), low_1 - home, low_2 - home, high_1 - home, high_2 - home
+    low, high = np.ceil(low), np.floor(high)
+    floats[LOW], floats[HIGH] = low, high
+    if low <= high or are_unmoved_known:
+        test = NO_TEST
+    write_refusal(
+        work, plane, pitch, home, height, test, low_1 - home, low_2 - home, high_1 - home,
+        high_2 - home,
+    )  # fmt: skip
 
 
 @kernel
@@ -162,7 +187,7 @@ def _slot_of(key):
 
 
 @kernel
-def _write_program(work, ratios, pitch, slot, key, row_0, col_0, row_1, col_1, row_2, col_2):
+def _write_program(work, floats, pitch, slot, key, row_0, col_0, row_1, col_1, row_2, col_2):
     """Write the steps of a triangle into the table: a sample and three ratios of weights each."""
     area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
     first = np.int64(work[N_USED])
@@ -179,9 +204,9 @@ def _write_program(work, ratios, pitch, slot, key, row_0, col_0, row_1, col_1, r
                 work[slot], work[slot + 1] = key, _NO_PROGRAM
                 return np.int64(_NO_PROGRAM)
             work[OFFSETS + step] = (row - (row_0 >> 1)) * pitch + col - (col_0 >> 1)
-            ratios[3 * step] = float(area) / float(weight_0)
-            ratios[3 * step + 1] = float(weight_1) / float(weight_0)
-            ratios[3 * step + 2] = float(weight_2) / float(weight_0)
+            floats[RATIOS + 3 * step] = float(area) / float(weight_0)
+            floats[RATIOS + 3 * step + 1] = float(weight_1) / float(weight_0)
+            floats[RATIOS + 3 * step + 2] = float(weight_2) / float(weight_0)
             count += 1
     program = first << _COUNT_BITS | count
     work[slot], work[slot + 1] = key, program

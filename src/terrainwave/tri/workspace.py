@@ -20,6 +20,8 @@ TABLE = 0
 N_USED = TABLE + (2 << N_SLOTS_LOG2)
 OFFSETS = N_USED + 8
 _PLANES = OFFSETS + N_STEPS
+# In floats: the interval that a test has found, and three ratios per step.
+LOW, HIGH, RATIOS = 0, 1, 2
 
 # Planes, by sample: its height; the place of its vertex (`pack_place`) and the vertex's height; its
 # cell's level; the sweep in which its cell last grew. At a cell's first sample: which test has
@@ -43,13 +45,13 @@ _MAX_KEPT = 1 << 19
 class Workspace(NamedTuple):
     """A thread's arrays for rectangles of up to `plane` samples, `pitch` from row to row.
 
-    `ratios` are three numbers per step of a program; the others take a mesh before it is copied.
+    `work` and `floats` have named places; the others take a mesh before it is copied.
     """
 
     pitch: int
     plane: int
     work: NDArray[np.int32]
-    ratios: NDArray[np.float64]
+    floats: NDArray[np.float64]
     rows: NDArray[np.int32]
     cols: NDArray[np.int32]
     heights: NDArray[np.int64]
@@ -82,7 +84,7 @@ def _new_workspace(pitch: int, plane: int) -> Workspace:
         pitch,
         plane,
         work,
-        ratios=np.empty(3 * N_STEPS, dtype=np.float64),
+        floats=np.empty(RATIOS + 3 * N_STEPS, dtype=np.float64),
         rows=np.empty(plane, dtype=np.int32),
         cols=np.empty(plane, dtype=np.int32),
         heights=np.empty(plane, dtype=np.int64),
