@@ -23,30 +23,43 @@ def test_of(level, sweep):
 
 
 @inlined_kernel
-def write_refusal(work, plane, pitch, at, height, test, low_1, low_2, high_1, high_2):
-    """Note which test has refused a cell of `height` rows, and its triangles' places on the ring.
-
-    NO_TEST if it was not refused; nothing is noted of cells so large that places don't fit.
-    """
-    refusal = refusals_at(plane) + at
-    work[np.uint64(refusal)] = test if (height + 2) * pitch < _SIGN else NO_TEST
-    work[np.uint64(refusal + plane)] = low_1 << _PLACE_BITS | low_2 & _MASK
-    work[np.uint64(refusal + 2 * plane)] = high_1 << _PLACE_BITS | high_2 & _MASK
+def ring_pair(home, start, at):
+    """Return two places on the ring as one number, from the first sample of a cell, `home`."""
+    return (start - home) << _PLACE_BITS | (at - home) & _MASK
 
 
 @inlined_kernel
-def refusal_stands(work, plane, pitch, at, level, top, bottom, left):
+def write_refusal(work, plane, pitch, home, height, test, low_pair, high_pair):
+    """Note which test has refused a cell of `height` rows, and its triangles' places on the ring.
+
+    NO_TEST if it was not refused, or is so large that places don't fit.
+    """
+    refusal = refusals_at(plane) + home
+    work[np.uint64(refusal)] = test if (height + 2) * pitch < _SIGN else NO_TEST
+    work[np.uint64(refusal + plane)] = low_pair
+    work[np.uint64(refusal + 2 * plane)] = high_pair
+
+
+@inlined_kernel
+def refusing_pairs(work, plane, home):
+    """Return the two pairs of places that were noted last."""
+    refusal = refusals_at(plane) + home
+    low_pair = np.int64(work[np.uint64(refusal + plane)])
+    return low_pair, np.int64(work[np.uint64(refusal + 2 * plane)])
+
+
+@inlined_kernel
+def refusal_stands(work, plane, pitch, home, level, top, bottom, left):
     """Say whether what has refused this cell of a level, if it was refused, is as it was."""
-    refusal = refusals_at(plane) + at
+    refusal = refusals_at(plane) + home
     noted = np.int64(work[np.uint64(refusal)])
     stands = noted & ((1 << _LEVEL_BITS) - 1) == level
     if stands:
         sweep = noted >> _LEVEL_BITS
-        for k in range(2):
-            pair = np.int64(work[np.uint64(refusal + (k + 1) * plane)])
+        for pair in refusing_pairs(work, plane, home):
             first, second = pair >> _PLACE_BITS, ((pair & _MASK) ^ _SIGN) - _SIGN
-            if _has_grown(work, plane, pitch, at + first, sweep, top, bottom, left) or _has_grown(
-                work, plane, pitch, at + second, sweep, top, bottom, left
+            if _has_grown(work, plane, pitch, home + first, sweep, top, bottom, left) or _has_grown(
+                work, plane, pitch, home + second, sweep, top, bottom, left
             ):
                 stands = False
     return stands

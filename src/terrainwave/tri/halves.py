@@ -19,7 +19,7 @@ from terrainwave._jit import inlined_kernel, kernel
 from terrainwave.tri.certificates import refusal_stands, test_of
 from terrainwave.tri.fit import scale_of
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
-from terrainwave.tri.star import MAX_PROGRAM_HEIGHT, fit_star
+from terrainwave.tri.star import MAX_PROGRAM_HEIGHT, fit_rest, fit_star
 from terrainwave.tri.workspace import (
     FREE,
     HIGH,
@@ -306,10 +306,17 @@ def _sweep_cells(
             if verdict < 0:
                 continue
             if verdict == 0:
-                fit_star(
+                floats[LOW], floats[HIGH] = low, high
+                test = test_of(level, sweep)
+                n_others = fit_star(
                     work, floats, plane, pitch, has_table, top, bottom, left, right,
-                    level == 1 or is_quad, tolerance, low, high, test_of(level, sweep),
+                    level == 1 or is_quad, tolerance, test, None,
                 )  # fmt: skip
+                if n_others and floats[LOW] <= floats[HIGH]:
+                    fit_rest(
+                        work, floats, plane, pitch, has_table, top, bottom, left, right,
+                        level == 1 or is_quad, tolerance, test,
+                    )  # fmt: skip
                 low, high = floats[LOW], floats[HIGH]
             vertex = np.floor((low + high) * 0.5)
             if low > high or vertex > _MAX_INT32:

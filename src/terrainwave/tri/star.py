@@ -7,7 +7,7 @@ table, without which they take two divisions a sample.
 import numpy as np
 
 from terrainwave._jit import inlined_kernel, kernel
-from terrainwave.tri.certificates import NO_TEST, write_refusal
+from terrainwave.tri.certificates import NO_TEST, refusing_pairs, ring_pair, write_refusal
 from terrainwave.tri.fit import fit_triangle
 from terrainwave.tri.workspace import (
     FREE,
@@ -52,17 +52,21 @@ _MARGIN = 2.0**-13
 @inlined_kernel
 def fit_star(
     work, floats, plane, pitch, has_table, top, bottom, left, right, are_unmoved_known, tolerance,
-    low, high, test,
+    test, rest,
 ):  # fmt: skip
-    """Find the interval of heights of a vertex whose cell is this rectangle of samples.
+    """Narrow the interval of heights of a vertex whose cell is this rectangle of samples.
 
     Its triangles are those between the centre and two neighbours on the ring of samples around the
-    cell; two corners of the ring touch no triangle of the cell. Empty if a triangle has no area.
-    Triangles of two samples that have not moved are left out where low and high are what they
-    allow: `are_unmoved_known`. If the interval is empty, the refusal by this `test`, and the places
-    on the ring of the triangles that have raised `low` and lowered `high` last, are noted.
-    The interval is written to ``floats[LOW]`` and ``floats[HIGH]``: arrays that are used last in a
-    branch cost reference counts.
+    cell; two corners of the ring touch no triangle of the cell. Triangles of two samples that have
+    not moved are left out where the interval is what they allow: `are_unmoved_known`.
+
+    The interval is ``floats[LOW]`` to ``floats[HIGH]``, empty if a triangle has no area. Then the
+    refusal by this `test` is noted, with the places on the ring of the triangles that have raised
+    and lowered it last.
+
+    Takes the triangles with programs and returns how many others there are if `rest` is None, or
+    takes these others. Arrays are used last outside of branches, and no kernel is called that is
+    not inlined, as either would cost reference counts at every star.
     """
     row_0, col_0 = top + bottom, left + right
     width, height = right - left + 1, bottom - top + 1
@@ -76,11 +80,15 @@ def fit_star(
     row_1, col_1, z_1 = row_of(place), col_of(place), float(work[np.uint64(vertices + at)])
     is_known_1 = are_unmoved_known and work[np.uint64(levels + at)] <= FREE
     start = at
-    low_1 = low_2 = high_1 = high_2 = at
+    low, high = floats[LOW], floats[HIGH]
+    if rest is None:
+        low_pair = high_pair = ring_pair(home, at, at)
+    else:
+        low_pair, high_pair = refusing_pairs(work, plane, home)
+    n_others = 0
     for side in range(4):
         # To the right, down, to the left, up; then past the corner that is left out.
-        step, count = 1, width
-        at_next = at
+        step, count, at_next = 1, width, at
         if side == 1:
             step, count, at_next = pitch, height + 1, at + 1
         elif side == 2:
@@ -97,49 +105,47 @@ def fit_star(
             is_known_2 = are_unmoved_known and work[np.uint64(levels + at)] <= FREE
             row_2, col_2 = row_of(found), col_of(found)
             z_2 = float(work[np.uint64(vertices + at)])
-            if is_known_1 and is_known_2:
-                place, start, row_1, col_1, z_1 = found, at, row_2, col_2, z_2
-                continue
-            area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
-            if area <= 0:
-                low, high = 1.0, 0.0
-                low_1 = high_1 = start
-                low_2 = high_2 = at
-                break
-            program = np.int64(_NO_PROGRAM)
-            key = _key_of(row_1 - row_0, col_1 - col_0, row_2 - row_0, col_2 - col_0, place_0)
-            if has_table and key:
-                slot = _slot_of(key)
-                known = work[np.uint64(slot)]
-                if known == key:
-                    program = np.int64(work[np.uint64(slot + 1)])
-                elif known == 0:
-                    program = _write_program(
-                        work, floats, pitch, slot, key, row_0, col_0, row_1, col_1, row_2, col_2
-                    )
-            new_low, new_high = low, high
-            if program >= 0:
-                first = program >> _COUNT_BITS
-                for k in range(first, first + (program & _MAX_STEPS)):
-                    offset = np.int64(work[np.uint64(OFFSETS + k)])
-                    ratio = floats[np.uint64(RATIOS + 3 * k)]
-                    middle = float(work[np.uint64(centre + offset)]) * ratio
-                    middle -= floats[np.uint64(RATIOS + 3 * k + 1)] * z_1
-                    middle -= floats[np.uint64(RATIOS + 3 * k + 2)] * z_2
-                    slack = tolerance * ratio + _MARGIN
-                    new_low = middle - slack if middle - slack > new_low else new_low
-                    new_high = middle + slack if middle + slack < new_high else new_high
-            else:
-                new_low, new_high = _fit_by_quotients(
-                    work, heights, pitch, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2,
-                    tolerance, low, high,
-                )  # fmt: skip
-            if new_low > low:
-                low, low_1, low_2 = new_low, start, at
-            if new_high < high:
-                high, high_1, high_2 = new_high, start, at
-            if low > high:
-                break
+            if not (is_known_1 and is_known_2):
+                area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
+                program = np.int64(_NO_PROGRAM)
+                key = _key_of(row_1 - row_0, col_1 - col_0, row_2 - row_0, col_2 - col_0, place_0)
+                if has_table and key:
+                    slot = _slot_of(key)
+                    if work[np.uint64(slot)] == key:
+                        program = np.int64(work[np.uint64(slot + 1)])
+                new_low, new_high = low, high
+                if area <= 0:
+                    new_low, new_high = np.inf, -np.inf
+                elif rest is None:
+                    if program < 0:
+                        n_others += 1
+                    else:
+                        first = program >> _COUNT_BITS
+                        for k in range(first, first + (program & _MAX_STEPS)):
+                            offset = np.int64(work[np.uint64(OFFSETS + k)])
+                            ratio = floats[np.uint64(RATIOS + 3 * k)]
+                            middle = float(work[np.uint64(centre + offset)]) * ratio
+                            middle -= floats[np.uint64(RATIOS + 3 * k + 1)] * z_1
+                            middle -= floats[np.uint64(RATIOS + 3 * k + 2)] * z_2
+                            slack = tolerance * ratio + _MARGIN
+                            least, most = middle - slack, middle + slack
+                            new_low = least if least > new_low else new_low
+                            new_high = most if most < new_high else new_high
+                elif program < 0:
+                    if has_table and key and work[np.uint64(slot)] == 0:
+                        _write_program(
+                            work, floats, pitch, slot, key, row_0, col_0, row_1, col_1, row_2, col_2
+                        )
+                    new_low, new_high = fit_triangle(
+                        work, heights, pitch, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2,
+                        tolerance, low, high,
+                    )  # fmt: skip
+                if new_low > low:
+                    low, low_pair = new_low, ring_pair(home, start, at)
+                if new_high < high:
+                    high, high_pair = new_high, ring_pair(home, start, at)
+                if low > high:
+                    break
             place, start, row_1, col_1, z_1 = found, at, row_2, col_2, z_2
             is_known_1 = is_known_2
         if low > high:
@@ -148,23 +154,20 @@ def fit_star(
     floats[LOW], floats[HIGH] = low, high
     if low <= high or are_unmoved_known:
         test = NO_TEST
-    write_refusal(
-        work, plane, pitch, home, height, test, low_1 - home, low_2 - home, high_1 - home,
-        high_2 - home,
-    )  # fmt: skip
+    write_refusal(work, plane, pitch, home, height, test, low_pair, high_pair)
+    return n_others
 
 
 @kernel
-def _fit_by_quotients(
-    work, heights, pitch, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2, tolerance, low, high
-):
-    """Narrow an interval by the samples of a triangle; a bound that it doesn't move stays as is."""
-    first_low, first_high = np.ceil(low), np.floor(high)
-    new_low, new_high = fit_triangle(
-        work, heights, pitch, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2, tolerance,
-        first_low, first_high,
+def fit_rest(
+    work, floats, plane, pitch, has_table, top, bottom, left, right, are_unmoved_known, tolerance,
+    test,
+):  # fmt: skip
+    """Narrow an interval by the triangles that `fit_star` has left out, and write programs."""
+    fit_star(
+        work, floats, plane, pitch, has_table, top, bottom, left, right, are_unmoved_known,
+        tolerance, test, True,
     )  # fmt: skip
-    return new_low if new_low > first_low else low, new_high if new_high < first_high else high
 
 
 @inlined_kernel
@@ -202,13 +205,11 @@ def _write_program(work, floats, pitch, slot, key, row_0, col_0, row_1, col_1, r
             step = first + count
             if count == _MAX_STEPS or step == N_STEPS:
                 work[slot], work[slot + 1] = key, _NO_PROGRAM
-                return np.int64(_NO_PROGRAM)
+                return
             work[OFFSETS + step] = (row - (row_0 >> 1)) * pitch + col - (col_0 >> 1)
             floats[RATIOS + 3 * step] = float(area) / float(weight_0)
             floats[RATIOS + 3 * step + 1] = float(weight_1) / float(weight_0)
             floats[RATIOS + 3 * step + 2] = float(weight_2) / float(weight_0)
             count += 1
-    program = first << _COUNT_BITS | count
-    work[slot], work[slot + 1] = key, program
+    work[slot], work[slot + 1] = key, first << _COUNT_BITS | count
     work[N_USED] = first + count
-    return program
