@@ -49,32 +49,35 @@ def refusing_pairs(work, plane, home):
 
 
 @inlined_kernel
-def refusal_stands(work, plane, pitch, home, level, top, bottom, left):
+def refusal_stands(work, plane, pitch, home, height, level):
     """Say whether what has refused this cell of a level, if it was refused, is as it was."""
     refusal = refusals_at(plane) + home
     noted = np.int64(work[np.uint64(refusal)])
     stands = noted & ((1 << _LEVEL_BITS) - 1) == level
     if stands:
         sweep = noted >> _LEVEL_BITS
-        for pair in refusing_pairs(work, plane, home):
-            first, second = pair >> _PLACE_BITS, ((pair & _MASK) ^ _SIGN) - _SIGN
-            if _has_grown(work, plane, pitch, home + first, sweep, top, bottom, left) or _has_grown(
-                work, plane, pitch, home + second, sweep, top, bottom, left
-            ):
-                stands = False
+        low_pair, high_pair = refusing_pairs(work, plane, home)
+        stands = not (
+            _has_grown(work, plane, pitch, home, height, low_pair >> _PLACE_BITS, sweep)
+            or _has_grown(work, plane, pitch, home, height, _second_of(low_pair), sweep)
+            or _has_grown(work, plane, pitch, home, height, high_pair >> _PLACE_BITS, sweep)
+            or _has_grown(work, plane, pitch, home, height, _second_of(high_pair), sweep)
+        )
     return stands
 
 
 @inlined_kernel
-def _has_grown(work, plane, pitch, at, sweep, top, bottom, left):
-    """Say whether a cell on the ring has grown since a test in a sweep.
+def _second_of(pair):
+    return ((pair & _MASK) ^ _SIGN) - _SIGN
 
-    In the same sweep those above the tested cell, and those left of it, had grown before the test.
+
+@inlined_kernel
+def _has_grown(work, plane, pitch, home, height, place, sweep):
+    """Say whether the cell at a place on the ring has grown since a test in a sweep.
+
+    In the same sweep, those above and the one to the left, which the ring meets in its last row,
+    had grown before the test.
     """
-    last = np.int64(work[np.uint64(sweeps_at(plane) + at)])
-    has_grown = last > sweep
-    if last == sweep:
-        row = at // pitch
-        col = at - row * pitch
-        has_grown = not (row < top or (row <= bottom and col < left))
-    return has_grown
+    last = work[np.uint64(sweeps_at(plane) + home + place)]
+    was_before = place < -1 or place == (height - 1) * pitch - 1
+    return last > sweep or (last == sweep and not was_before)

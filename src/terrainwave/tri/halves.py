@@ -253,13 +253,14 @@ def _move(work, plane, pitch, top, bottom, left, right, place, height, sweep):
 @kernel
 def _sweep_cells(
     work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep, before,
-    is_whole, tolerance, lowest, highest,
+    tolerance, lowest, highest,
 ):  # fmt: skip
     """Try to merge every cell of a level of the binary tree, of two halves or of single samples.
 
     A sample's sweep is the one in which its cell last grew; `before`, the sweep that tried this
     level last: a cell that failed there, and has all around it as it was, would fail again.
     """
+    is_whole = sweep <= len(_WHOLE_LEVELS)
     whole_tolerance = np.int64(tolerance)
     levels = levels_at(plane)
     width, height = 1 << ((level + 1) >> 1), 1 << (level >> 1)
@@ -291,7 +292,7 @@ def _sweep_cells(
                     continue
                 if work[np.uint64(levels + other)] != level - 1:
                     continue
-                if refusal_stands(work, plane, pitch, at, level, top, bottom, left) or (
+                if refusal_stands(work, plane, pitch, at, bottom - top + 1, level) or (
                     _is_as_before(work, plane, pitch, at, other, top, bottom, left, right, before)
                 ):
                     continue
@@ -341,21 +342,17 @@ def _merge_cells(
     """Merge samples into cells: whole squares first, then halves from the finest up."""
     if n_rows < 3 or n_cols < 3:
         return  # border lines alone
-    sweep = 0
-    for level in _WHOLE_LEVELS:
-        sweep += 1
-        _sweep_cells(
-            work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep, 0,
-            True, tolerance, lowest, highest,
-        )  # fmt: skip
     n_levels = 0
     while (1 << n_levels) < max(n_rows + row_0, n_cols + col_0) - 1:
         n_levels += 1
-    for number in range(_PASSES):
-        for level in range(1, 2 * n_levels + 1):
-            sweep += 1
-            before = sweep - 2 * n_levels if number else 0
-            _sweep_cells(
-                work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep,
-                before, False, tolerance, lowest, highest,
-            )  # fmt: skip
+    n_whole = len(_WHOLE_LEVELS)
+    for sweep in range(1, n_whole + _PASSES * 2 * n_levels + 1):
+        level, before = (sweep - n_whole - 1) % (2 * n_levels) + 1, sweep - 2 * n_levels
+        if sweep <= n_whole:
+            level = _WHOLE_LEVELS[sweep - 1]
+        if before <= n_whole:
+            before = 0
+        _sweep_cells(
+            work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep,
+            before, tolerance, lowest, highest,
+        )  # fmt: skip
