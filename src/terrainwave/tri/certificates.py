@@ -35,9 +35,10 @@ def write_refusal(work, plane, pitch, home, height, test, low_pair, high_pair):
     NO_TEST if it was not refused, or is so large that places don't fit.
     """
     refusal = refusals_at(plane) + home
+    if test != NO_TEST:
+        work[np.uint64(refusal + plane)] = low_pair
+        work[np.uint64(refusal + 2 * plane)] = high_pair
     work[np.uint64(refusal)] = test if (height + 2) * pitch < _SIGN else NO_TEST
-    work[np.uint64(refusal + plane)] = low_pair
-    work[np.uint64(refusal + 2 * plane)] = high_pair
 
 
 @inlined_kernel

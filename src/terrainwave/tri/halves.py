@@ -30,7 +30,6 @@ from terrainwave.tri.workspace import (
     heights_at,
     levels_at,
     pack_place,
-    places_at,
     sweeps_at,
     vertices_at,
 )
@@ -213,40 +212,31 @@ def _is_free(work, plane, pitch, top, bottom, left, right):
 
 
 @inlined_kernel
-def _is_as_before(work, plane, pitch, at, other, top, bottom, left, right, before):
-    """Say whether nothing in and around a cell has merged since sweep `before` tried it.
+def _is_as_before(work, plane, pitch, top, bottom, left, right, before):
+    """Say whether nothing around a cell has merged since sweep `before` tried it.
 
-    In that sweep the cells above and to the left came before it, the others after it. `at` and
-    `other` are the first samples of its halves.
+    In that sweep the cells above and to the left came before it, the others after it.
     """
-    sweeps = sweeps_at(plane)
-    is_same = work[np.uint64(sweeps + at)] < before and work[np.uint64(sweeps + other)] < before
-    if is_same:
-        above, below = sweeps + (top - 1) * pitch, sweeps + (bottom + 1) * pitch
-        for col in range(left - 1, right + 2):
-            if work[np.uint64(above + col)] > before or work[np.uint64(below + col)] >= before:
-                is_same = False
-                break
-    if is_same:
-        for row in range(top, bottom + 1):
-            beside = sweeps + row * pitch
-            if (
-                work[np.uint64(beside + left - 1)] > before
-                or work[np.uint64(beside + right + 1)] >= before
-            ):
-                is_same = False
-                break
-    return is_same
+    above = sweeps_at(plane) + (top - 1) * pitch
+    below = sweeps_at(plane) + (bottom + 1) * pitch
+    last_before = last_after = np.int32(0)
+    for col in range(left - 1, right + 2):
+        last_before = max(last_before, work[np.uint64(above + col)])
+        last_after = max(last_after, work[np.uint64(below + col)])
+    for beside in range(above + pitch, below, pitch):
+        last_before = max(last_before, work[np.uint64(beside + left - 1)])
+        last_after = max(last_after, work[np.uint64(beside + right + 1)])
+    return last_before <= before and last_after < before
 
 
 @inlined_kernel
 def _move(work, plane, pitch, top, bottom, left, right, place, height, sweep):
     """Let the samples of a cell share a vertex."""
-    places, vertices, sweeps = places_at(plane), vertices_at(plane), sweeps_at(plane)
+    vertices, sweeps = vertices_at(plane), sweeps_at(plane)
     for row in range(top, bottom + 1):
         for at in range(row * pitch + left, row * pitch + right + 1):
-            work[np.uint64(places + at)] = place
-            work[np.uint64(vertices + at)] = height
+            work[np.uint64(vertices + 2 * at)] = place
+            work[np.uint64(vertices + 2 * at + 1)] = height
             work[np.uint64(sweeps + at)] = sweep
 
 
@@ -262,7 +252,7 @@ def _sweep_cells(
     """
     is_whole = sweep <= len(_WHOLE_LEVELS)
     whole_tolerance = np.int64(tolerance)
-    levels = levels_at(plane)
+    levels, sweeps = levels_at(plane), sweeps_at(plane)
     width, height = 1 << ((level + 1) >> 1), 1 << (level >> 1)
     for cell_row in range((row_0 + 1) // height * height, row_0 + n_rows - 1, height):
         top, bottom = max(cell_row - row_0, 1), min(cell_row + height - 1 - row_0, n_rows - 2)
@@ -270,7 +260,15 @@ def _sweep_cells(
             left, right = max(cell_col - col_0, 1), min(cell_col + width - 1 - col_0, n_cols - 2)
             at = top * pitch + left
             other = at
-            if is_whole:
+            is_quad = is_whole and level == 2 and bottom > top and right > left
+            if is_quad:
+                own = levels + at
+                if (
+                    work[np.uint64(own)] | work[np.uint64(own + 1)]
+                    | work[np.uint64(own + pitch)] | work[np.uint64(own + pitch + 1)]
+                ) != FREE:
+                    continue
+            elif is_whole:
                 if level > 2 and not _is_near_plane(
                     work, plane, pitch, top, bottom, left, right, whole_tolerance
                 ):
@@ -292,12 +290,15 @@ def _sweep_cells(
                     continue
                 if work[np.uint64(levels + other)] != level - 1:
                     continue
-                if refusal_stands(work, plane, pitch, at, bottom - top + 1, level) or (
-                    _is_as_before(work, plane, pitch, at, other, top, bottom, left, right, before)
+                if level > 1 and refusal_stands(work, plane, pitch, at, bottom - top + 1, level):
+                    continue
+                if (
+                    work[np.uint64(sweeps + at)] < before
+                    and work[np.uint64(sweeps + other)] < before
+                    and _is_as_before(work, plane, pitch, top, bottom, left, right, before)
                 ):
                     continue
             verdict, low, high = 0, lowest, highest
-            is_quad = is_whole and level == 2 and bottom > top and right > left
             if level == 1:
                 verdict, first, last = _fit_pair(work, plane, pitch, at, whole_tolerance)
                 low, high = max(low, float(first)), min(high, float(last))
@@ -309,14 +310,14 @@ def _sweep_cells(
             if verdict == 0:
                 floats[LOW], floats[HIGH] = low, high
                 test = test_of(level, sweep)
-                n_others = fit_star(
+                n_others, low_pair, high_pair = fit_star(
                     work, floats, plane, pitch, has_table, top, bottom, left, right,
                     level == 1 or is_quad, tolerance, test, None,
                 )  # fmt: skip
                 if n_others and floats[LOW] <= floats[HIGH]:
                     fit_rest(
                         work, floats, plane, pitch, has_table, top, bottom, left, right,
-                        level == 1 or is_quad, tolerance, test,
+                        level == 1 or is_quad, tolerance, test, low_pair, high_pair,
                     )  # fmt: skip
                 low, high = floats[LOW], floats[HIGH]
             vertex = np.floor((low + high) * 0.5)

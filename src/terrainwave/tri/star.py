@@ -7,7 +7,7 @@ table, without which they take two divisions a sample.
 import numpy as np
 
 from terrainwave._jit import inlined_kernel, kernel
-from terrainwave.tri.certificates import NO_TEST, refusing_pairs, ring_pair, write_refusal
+from terrainwave.tri.certificates import NO_TEST, ring_pair, write_refusal
 from terrainwave.tri.fit import fit_triangle
 from terrainwave.tri.workspace import (
     FREE,
@@ -22,7 +22,6 @@ from terrainwave.tri.workspace import (
     col_of,
     heights_at,
     levels_at,
-    places_at,
     row_of,
     vertices_at,
 )
@@ -70,21 +69,20 @@ def fit_star(
     """
     row_0, col_0 = top + bottom, left + right
     width, height = right - left + 1, bottom - top + 1
-    heights, places, vertices = heights_at(plane), places_at(plane), vertices_at(plane)
-    levels = levels_at(plane)
+    heights, vertices, levels = heights_at(plane), vertices_at(plane), levels_at(plane)
     home = top * pitch + left
     centre = heights + (row_0 >> 1) * pitch + (col_0 >> 1)
     place_0 = _IS_KEY | (row_0 & 1) << 1 | (col_0 & 1)
     at = home - pitch - 1
-    place = np.int64(work[np.uint64(places + at)])
-    row_1, col_1, z_1 = row_of(place), col_of(place), float(work[np.uint64(vertices + at)])
+    place = np.int64(work[np.uint64(vertices + 2 * at)])
+    row_1, col_1, z_1 = row_of(place), col_of(place), float(work[np.uint64(vertices + 2 * at + 1)])
     is_known_1 = are_unmoved_known and work[np.uint64(levels + at)] <= FREE
     start = at
     low, high = floats[LOW], floats[HIGH]
     if rest is None:
         low_pair = high_pair = ring_pair(home, at, at)
     else:
-        low_pair, high_pair = refusing_pairs(work, plane, home)
+        low_pair, high_pair = rest
     n_others = 0
     for side in range(4):
         # To the right, down, to the left, up; then past the corner that is left out.
@@ -98,13 +96,13 @@ def fit_star(
         at = at_next
         for _ in range(count):
             at += step
-            found = np.int64(work[np.uint64(places + at)])
+            found = np.int64(work[np.uint64(vertices + 2 * at)])
             if found == place:
                 is_known_1 = False  # a vertex that a border line's samples share
                 continue
             is_known_2 = are_unmoved_known and work[np.uint64(levels + at)] <= FREE
             row_2, col_2 = row_of(found), col_of(found)
-            z_2 = float(work[np.uint64(vertices + at)])
+            z_2 = float(work[np.uint64(vertices + 2 * at + 1)])
             if not (is_known_1 and is_known_2):
                 area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
                 program = np.int64(_NO_PROGRAM)
@@ -155,18 +153,18 @@ def fit_star(
     if low <= high or are_unmoved_known:
         test = NO_TEST
     write_refusal(work, plane, pitch, home, height, test, low_pair, high_pair)
-    return n_others
+    return n_others, low_pair, high_pair
 
 
 @kernel
 def fit_rest(
     work, floats, plane, pitch, has_table, top, bottom, left, right, are_unmoved_known, tolerance,
-    test,
+    test, low_pair, high_pair,
 ):  # fmt: skip
     """Narrow an interval by the triangles that `fit_star` has left out, and write programs."""
     fit_star(
         work, floats, plane, pitch, has_table, top, bottom, left, right, are_unmoved_known,
-        tolerance, test, True,
+        tolerance, test, (low_pair, high_pair),
     )  # fmt: skip
 
 
@@ -200,7 +198,7 @@ def _write_program(work, floats, pitch, slot, key, row_0, col_0, row_1, col_1, r
             weight_0 = (col_1 - 2 * col) * (row_2 - 2 * row) - (col_2 - 2 * col) * (row_1 - 2 * row)
             weight_1 = (col_2 - 2 * col) * (row_0 - 2 * row) - (col_0 - 2 * col) * (row_2 - 2 * row)
             weight_2 = area - weight_0 - weight_1
-            if weight_0 <= 0 or weight_1 < 0 or weight_2 < 0:
+            if weight_0 <= 0 or weight_1 < 0 or weight_2 < 0 or (weight_1 == 0 and weight_2 > 0):
                 continue
             step = first + count
             if count == _MAX_STEPS or step == N_STEPS:

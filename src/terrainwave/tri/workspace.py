@@ -27,7 +27,7 @@ LOW, HIGH, RATIOS = 0, 1, 2
 # cell's level; the sweep in which its cell last grew. At a cell's first sample: which test has
 # refused it last, and the samples that this rests on (`certificates`). Numbers of vertices take the
 # refusals' plane in the end.
-_HEIGHT, _PLACE, _VERTEX, _LEVEL, _SWEEP, _REFUSAL, _LOW_SIDE, _HIGH_SIDE = range(8)
+_HEIGHT, _VERTEX, _LEVEL, _SWEEP, _REFUSAL = 0, 1, 3, 4, 5
 _N_PLANES = 8
 
 # Levels of single samples that have not moved, of those that never do, and of those of border lines
@@ -102,14 +102,8 @@ def heights_at(plane):
 
 
 @inlined_kernel
-def places_at(plane):
-    """Return where the plane of vertices' places begins."""
-    return _PLANES + _PLACE * plane
-
-
-@inlined_kernel
 def vertices_at(plane):
-    """Return where the plane of vertices' heights begins."""
+    """Return where the plane of vertices begins: two numbers per sample, a place and a height."""
     return _PLANES + _VERTEX * plane
 
 
@@ -156,7 +150,7 @@ def fill_workspace(heights, mask, locked, top, bottom, left, right, base, bits, 
     The four lines say which of their samples are vertices.
     """
     n_rows, n_cols = heights.shape
-    places, vertices, levels = places_at(plane), vertices_at(plane), levels_at(plane)
+    vertices, levels = vertices_at(plane), levels_at(plane)
     sweeps, refusals = sweeps_at(plane), refusals_at(plane)
     for row in range(n_rows):
         is_line = row == 0 or row == n_rows - 1
@@ -168,8 +162,8 @@ def fill_workspace(heights, mask, locked, top, bottom, left, right, base, bits, 
                 place = np.int32(pack_place(2 * row, 2 * col))
             at = first + col
             work[np.uint64(heights_at(plane) + at)] = height
-            work[np.uint64(places + at)] = place
-            work[np.uint64(vertices + at)] = height
+            work[np.uint64(vertices + 2 * at)] = place
+            work[np.uint64(vertices + 2 * at + 1)] = height
             work[np.uint64(levels + at)] = LOCKED if is_line or locked[row, col] else FREE
             work[np.uint64(sweeps + at)] = 0
             work[np.uint64(refusals + at)] = 0
@@ -187,8 +181,9 @@ def fill_workspace(heights, mask, locked, top, bottom, left, right, base, bits, 
             if line[k]:
                 last = at
             else:
-                work[np.uint64(places + at)] = work[np.uint64(places + last)]
-                work[np.uint64(vertices + at)] = work[np.uint64(vertices + last)]
+                for k_1 in range(2):
+                    shared = work[np.uint64(vertices + 2 * last + k_1)]
+                    work[np.uint64(vertices + 2 * at + k_1)] = shared
                 work[np.uint64(levels + at)] = MERGED
 
 
@@ -201,7 +196,7 @@ def read_mesh(work, plane, pitch, n_rows, n_cols, base, shift, rows, cols, heigh
     and border lines share the vertex before them. Vertices' heights in 1/16 quanta:
     ``(height << shift) + base``.
     """
-    places, vertices, numbers = places_at(plane), vertices_at(plane), refusals_at(plane)
+    vertices, numbers = vertices_at(plane), refusals_at(plane)
     n_vertices = 0
     n_triangles = 0
     for row in range(n_rows):
@@ -212,17 +207,17 @@ def read_mesh(work, plane, pitch, n_rows, n_cols, base, shift, rows, cols, heigh
         a = d = np.int64(VOID)
         for col in range(n_cols):
             at = first + col
-            place = np.int64(work[np.uint64(places + at)])
+            place = np.int64(work[np.uint64(vertices + 2 * at)])
             if place == VOID:
                 number = np.int64(VOID)
             elif col == 0 or place != last:
-                if row and place == work[np.uint64(places + at - pitch)]:
+                if row and place == work[np.uint64(vertices + 2 * (at - pitch))]:
                     number = np.int64(work[np.uint64(numbers + at - pitch)])
                 else:
                     number = np.int64(n_vertices)
                     rows[n_vertices] = row_of(place)
                     cols[n_vertices] = col_of(place)
-                    vertex = np.int64(work[np.uint64(vertices + at)])
+                    vertex = np.int64(work[np.uint64(vertices + 2 * at + 1)])
                     heights[n_vertices] = (vertex << shift) + base
                     n_vertices += 1
             work[np.uint64(numbers + at)] = number
