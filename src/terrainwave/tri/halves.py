@@ -6,8 +6,9 @@ the interval that keeps every sample of its star within the tolerance. Derived f
 and the tolerance alone, so it costs no bits.
 
 Everything is exact: heights are integers, and where float64 holds quotients of them it is said why
-they round to the right integer; so every machine finds the same mesh. The mesh starts as the full grid with merged borders and stays a height
-field that covers the samples once, as no step may make a triangle of area <= 0.
+they round to the right integer; so every machine finds the same mesh. The mesh starts as the full
+grid with merged borders and stays a height field that covers the samples once, as no step may make
+a triangle of area <= 0.
 """
 
 from typing import NamedTuple
@@ -212,6 +213,14 @@ def _is_free(work, plane, pitch, top, bottom, left, right):
 
 
 @inlined_kernel
+def _is_free_quad(work, plane, pitch, at):
+    """Do what `_is_free` does for 2 x 2 samples."""
+    upper, lower = levels_at(plane) + at, levels_at(plane) + at + pitch
+    taken = work[np.uint64(upper)] | work[np.uint64(upper + 1)]
+    return taken | work[np.uint64(lower)] | work[np.uint64(lower + 1)] == FREE
+
+
+@inlined_kernel
 def _is_as_before(work, plane, pitch, top, bottom, left, right, before):
     """Say whether nothing around a cell has merged since sweep `before` tried it.
 
@@ -262,11 +271,7 @@ def _sweep_cells(
             other = at
             is_quad = is_whole and level == 2 and bottom > top and right > left
             if is_quad:
-                own = levels + at
-                if (
-                    work[np.uint64(own)] | work[np.uint64(own + 1)]
-                    | work[np.uint64(own + pitch)] | work[np.uint64(own + pitch + 1)]
-                ) != FREE:
+                if not _is_free_quad(work, plane, pitch, at):
                     continue
             elif is_whole:
                 if level > 2 and not _is_near_plane(
@@ -320,9 +325,11 @@ def _sweep_cells(
                         level == 1 or is_quad, tolerance, test, low_pair, high_pair,
                     )  # fmt: skip
                 low, high = floats[LOW], floats[HIGH]
-            vertex = np.floor((low + high) * 0.5)
-            if low > high or vertex > _MAX_INT32:
+            if low > high:
                 continue
+            vertex = np.floor((low + high) * 0.5)
+            if vertex > _MAX_INT32:
+                continue  # of a range of 2^31 quanta, and a tolerance of a half of it
             if is_whole:
                 for row in range(top, bottom + 1):
                     for col in range(left, right + 1):

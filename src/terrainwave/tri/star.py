@@ -1,7 +1,7 @@
 """The interval of heights that a cell's vertex may take, from the triangles around the cell.
 
-They are few and the same everywhere: their shapes, and the shares of their samples, are kept in a
-table, without which they take two divisions a sample.
+Most of these have one of a few shapes. A table keeps, by shape, the samples of a triangle and their
+ratios of weights: its program. Triangles without one take divisions at every sample.
 """
 
 import numpy as np
@@ -189,7 +189,10 @@ def _slot_of(key):
 
 @kernel
 def _write_program(work, floats, pitch, slot, key, row_0, col_0, row_1, col_1, row_2, col_2):
-    """Write the steps of a triangle into the table: a sample and three ratios of weights each."""
+    """Write the steps of a triangle into the table: a sample and three ratios of weights each.
+
+    Samples on the edge to the triangle's last vertex are left to the next triangle of the star.
+    """
     area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
     first = np.int64(work[N_USED])
     count = 0
