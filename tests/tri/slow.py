@@ -206,3 +206,110 @@ def zero_trees(draw, shape):
                 if trees[row, col] == 0 and not significant[at].any():
                     trees[at] = height + 1
     return trees
+
+
+def halves(heights, mask, locked, lines, tolerance, offset=(0, 0)):
+    """The mesh of `tri.halves` as sets of samples, trying every cell in both passes.
+
+    Returns (rows, cols, heights, triangles) as lists; intervals are of whole numbers of a unit, a
+    sixteenth of a quantum or, for more than 2^30 of these, a quantum.
+    """
+    n_rows, n_cols = heights.shape
+    h = {(r, c): int(heights[r, c]) for r in range(n_rows) for c in range(n_cols) if mask[r, c]}
+    if min(heights.shape) < 2 or not h:
+        return [], [], [], []
+    low, high = min(h.values()), max(h.values())
+    base, unit = (low + high) >> 1, 16 if (high - low) * 16 < 1 << 30 else 1
+    slack = min(tolerance * unit // 16, 1 << 30)
+    h = {p: (value - base) * unit for p, value in h.items()}
+    limits = (low - base) * unit - slack, (high - base) * unit + slack
+    # Of each sample, the first of its cell; of a cell, its vertex's doubled place and its height.
+    cell = {p: p for p in h}
+    place, z = {(r, c): (2 * r, 2 * c) for r, c in h}, dict(h)
+    free = {p for p in h if not locked[p] and 0 < p[0] < n_rows - 1 and 0 < p[1] < n_cols - 1}
+    sides = [[(0, c) for c in range(n_cols)], [(n_rows - 1, c) for c in range(n_cols)]]
+    sides += [[(r, 0) for r in range(n_rows)], [(r, n_cols - 1) for r in range(n_rows)]]
+    for side, is_vertex in zip(sides, lines, strict=True):
+        for before, p, stays in zip(side, side[1:], is_vertex[1:], strict=False):
+            if not stays:
+                cell[p] = cell[before]
+    grid = full_grid(mask)
+
+    def interval(samples, centre):
+        """Return the whole heights for the vertex of these samples, empty if an area is not > 0."""
+        least, most = limits
+        for t in grid:
+            if sum(p in samples for p in t) != 1:
+                continue
+            while t[0] not in samples:
+                t = (*t[1:], t[0])
+            p_1, p_2 = cell[t[1]], cell[t[2]]
+            if p_1 == p_2:
+                continue
+            corners = centre, place[p_1], place[p_2]
+            whole = area(corners)
+            if whole <= 0:
+                return 1, 0
+            for r in range(min(p[0] for p in corners) // 2, max(p[0] for p in corners) // 2 + 1):
+                for c in range(
+                    min(p[1] for p in corners) // 2, max(p[1] for p in corners) // 2 + 1
+                ):
+                    at = 2 * r, 2 * c
+                    w_0, w_1 = area((at, *corners[1:])), area((corners[0], at, corners[2]))
+                    w_2 = whole - w_0 - w_1
+                    if w_0 > 0 and w_1 >= 0 and w_2 >= 0:
+                        rest = h[r, c] * whole - w_1 * z[p_1] - w_2 * z[p_2]
+                        least = max(least, -((slack * whole - rest) // w_0))
+                        most = min(most, (rest + slack * whole) // w_0)
+        return least, most
+
+    def cells(height, width):
+        for row in range(-offset[0] % height - height, n_rows, height):
+            for col in range(-offset[1] % width - width, n_cols, width):
+                rows = range(max(row, 1), min(row + height, n_rows - 1))
+                cols = range(max(col, 1), min(col + width, n_cols - 1))
+                if rows and cols:
+                    yield row, col, [(r, c) for r in rows for c in cols]
+
+    def merge(samples):
+        (top, left), (bottom, right) = samples[0], samples[-1]
+        centre = top + bottom, left + right
+        least, most = interval(set(samples), centre)
+        if least <= most:
+            place[samples[0]], z[samples[0]] = centre, (least + most) // 2
+            cell.update(dict.fromkeys(samples, samples[0]))
+        return least <= most
+
+    whole = {p: 0 for p in free}  # levels by sample
+    for level in (6, 4, 2):
+        for _, _, samples in cells(1 << level // 2, 1 << level // 2):
+            if any(whole.get(p) != 0 for p in samples):
+                continue
+            (top, left), (bottom, right) = samples[0], samples[-1]
+            a, b, c, d = h[top, left], h[top, right], h[bottom, right], h[bottom, left]
+            middle = h[(top + bottom) // 2, (left + right) // 2]
+            is_near = abs(a + c - b - d) <= 4 * slack
+            is_near = is_near and abs(4 * middle - a - b - c - d) <= 8 * slack
+            if (level == 2 or is_near) and merge(samples):
+                whole.update(dict.fromkeys(samples, level))
+    n_levels = (max(n_rows + offset[0], n_cols + offset[1]) - 2).bit_length()
+    for level in [*range(1, 2 * n_levels + 1)] * 2:
+        height, width = 1 << level // 2, 1 << (level + 1) // 2
+        for row, col, samples in cells(height, width):
+            middle = (row, col + width // 2) if level % 2 else (row + height // 2, col)
+            first = [p for p in samples if p[0] < middle[0] or p[1] < middle[1]]
+            second = [p for p in samples if p not in first]
+            halves = [half for half in (first, second) if half]
+            if any(whole.get(p) != level - 1 for half in halves for p in half):
+                continue
+            if len(halves) == 1 or merge(samples):
+                whole.update(dict.fromkeys(samples, level))
+    found = collapsed(grid, cell)
+    used = sorted({p for t in found for p in t})
+    number = {p: k for k, p in enumerate(used)}
+    return (
+        [place[p][0] for p in used],
+        [place[p][1] for p in used],
+        [z[p] * (16 // unit) + 16 * base for p in used],
+        [[number[p] for p in t] for t in found],
+    )

@@ -13,6 +13,8 @@ from terrainwave.coding.jit import inlined_kernel
 from terrainwave.tri.mesh import FRACTION_BITS
 
 _MAX_RANGE = 1 << 30
+# Columns of a triangle up to which it pays to look at all samples of its rectangle.
+_NARROW = 6
 
 
 class Scale(NamedTuple):
@@ -38,30 +40,41 @@ class Scale(NamedTuple):
         return whole.astype(np.float64)
 
 
-def scaled_heights(
-    heights: NDArray[np.int32], mask: NDArray[np.bool_], tolerance: int
-) -> tuple[NDArray[np.int32], Scale]:
-    """Return heights as values, and the scale; `tolerance` is in 1/16 quanta.
+def scale_of(lowest: int, highest: int, tolerance: int) -> Scale:
+    """Return the scale for valid heights between two, in quanta; `tolerance` is in 1/16 quanta.
 
     Sixteenths of a quantum where the range of valid heights leaves room for them, else whole ones.
     """
-    valid = heights[mask]
-    low, high = int(valid.min()), int(valid.max())
-    base = (low + high) >> 1
-    bits = FRACTION_BITS if (high - low) << FRACTION_BITS < _MAX_RANGE else 0
+    base = (lowest + highest) >> 1
+    bits = FRACTION_BITS if (highest - lowest) << FRACTION_BITS < _MAX_RANGE else 0
     slack = min(tolerance >> (FRACTION_BITS - bits), _MAX_RANGE)
-    lowest, highest = ((low - base) << bits) - slack, ((high - base) << bits) + slack
-    values = ((heights.astype(np.int64) - base) << bits).astype(np.int32)
-    return values, Scale(base, bits, float(slack), float(lowest), float(highest))
+    least, most = ((lowest - base) << bits) - slack, ((highest - base) << bits) + slack
+    return Scale(base, bits, float(slack), float(least), float(most))
+
+
+def scaled_heights(
+    heights: NDArray[np.int32], mask: NDArray[np.bool_], tolerance: int
+) -> tuple[NDArray[np.int32], Scale]:
+    """Return heights as values, and the scale; `tolerance` is in 1/16 quanta."""
+    valid = heights[mask]
+    scale = scale_of(int(valid.min()), int(valid.max()), tolerance)
+    values = ((heights.astype(np.int64) - scale.base) << scale.bits).astype(np.int32)
+    return values, scale
 
 
 @inlined_kernel
-def fit_triangle(heights, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2, tolerance, low, high):
+def fit_triangle(
+    heights, start, pitch, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2, tolerance, low, high
+):
     """Narrow the interval of the height at vertex 0 to what the samples of a triangle allow.
 
-    Places are doubled. Returns an empty interval (1, 0) if nothing is left. Samples on the edge
-    opposite to vertex 0 don't depend on its height: they are those of a triangle beyond the edge
-    too, or of a border.
+    Heights are flat: sample (row, col) is number ``start + row * pitch + col``. Places are doubled.
+    The interval is one of whole numbers; low > high, any two, if nothing is left. Samples on the
+    edge opposite to vertex 0 don't depend on its height: they are those of a triangle beyond the
+    edge too, or of a border.
+
+    Quotients of integers n / d, |n| < 2^53, round to the right floor and ceiling: they are 1 / d or
+    more from any integer that they don't equal, and rounding moves them by less.
     """
     area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
     scale = float(area)
@@ -71,7 +84,7 @@ def fit_triangle(heights, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2, to
     step_0, step_1 = -2 * (row_2 - row_1), -2 * (row_0 - row_2)
     step_2 = -(step_0 + step_1)
     rise = float(step_1) * z_1 + float(step_2) * z_2
-    is_wide = last_col - first_col > 6
+    is_wide = last_col - first_col > _NARROW
     top, left = 2 * first_row, 2 * first_col
     first_0 = (col_1 - left) * (row_2 - top) - (col_2 - left) * (row_1 - top)
     first_1 = (col_2 - left) * (row_0 - top) - (col_0 - left) * (row_2 - top)
@@ -80,45 +93,42 @@ def fit_triangle(heights, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2, to
         weight_2 = area - weight_0 - weight_1
         first_0 += 2 * (col_2 - col_1)
         first_1 += 2 * (col_0 - col_2)
-        start, stop = first_col, last_col
+        skip, most = 0, last_col - first_col
         if is_wide:
-            # From where to where the three weights are >= 0; quotients of integers below 2^26
-            # round to the right floor.
-            skip, most = 0, last_col - first_col
-            for weight, step in ((weight_0, step_0), (weight_1, step_1), (weight_2, step_2)):
-                if step > 0:
-                    if weight < 0:
-                        skip = max(skip, int(np.ceil(float(-weight) / float(step))))
-                elif weight < 0:
-                    most = -1
-                elif step < 0:
-                    most = min(most, int(np.floor(float(weight) / float(-step))))
-            start, stop = first_col + skip, first_col + most
+            # From where to where no weight is negative, and that of vertex 0 is none.
+            skip, most = _cut(weight_0 - 1, step_0, skip, most)
+            skip, most = _cut(weight_1, step_1, skip, most)
+            skip, most = _cut(weight_2, step_2, skip, most)
             weight_0 += skip * step_0
             weight_1 += skip * step_1
             weight_2 += skip * step_2
-        is_inside = False
         fixed = float(weight_1) * z_1 + float(weight_2) * z_2
-        for col in range(start, stop + 1):
-            if (weight_0 | weight_1 | weight_2) >= 0:
-                is_inside = True
-                if weight_0 > 0:
-                    rest = float(heights[row, col]) * scale - fixed
-                    share = float(weight_0)
-                    if rest - slack > low * share:
-                        low = np.ceil((rest - slack) / share)
-                        if low * share < rest - slack:
-                            low += 1.0
-                    if rest + slack < high * share:
-                        high = np.floor((rest + slack) / share)
-                        if high * share > rest + slack:
-                            high -= 1.0
-            elif is_inside:
-                break
+        at = start + row * pitch + first_col
+        for col in range(at + skip, at + most + 1):
+            if weight_0 > 0 and (weight_1 | weight_2) >= 0:
+                rest = float(heights[np.uint64(col)]) * scale - fixed
+                share = float(weight_0)
+                if rest - slack > low * share:
+                    low = np.ceil((rest - slack) / share)
+                if rest + slack < high * share:
+                    high = np.floor((rest + slack) / share)
             weight_0 += step_0
             weight_1 += step_1
             weight_2 += step_2
             fixed += rise
         if low > high:
-            return 1.0, 0.0
+            break
     return low, high
+
+
+@inlined_kernel
+def _cut(weight, step, skip, most):
+    """Shorten the places `skip` … `most` to those where weight + place * step >= 0."""
+    if step > 0:
+        if weight < 0:
+            skip = max(skip, int(np.ceil(float(-weight) / float(step))))
+    elif weight < 0:
+        most = -1
+    elif step < 0:
+        most = min(most, int(np.floor(float(weight) / float(-step))))
+    return skip, most

@@ -5,9 +5,10 @@ tree) as well as in fours, the vertex of a cell lies at its centre, and its heig
 the interval that keeps every sample of its star within the tolerance. Derived from decoded heights
 and the tolerance alone, so it costs no bits.
 
-Everything is exact: heights are integers held in float64 (|products| < 2^53), so that every
-machine finds the same mesh. The mesh starts as the full grid with merged borders and stays a height
-field that covers the samples once, as no step may make a triangle of area <= 0.
+Everything is exact: heights are integers, and where float64 holds quotients of them it is said why
+they round to the right integer; so every machine finds the same mesh. The mesh starts as the full
+grid with merged borders and stays a height field that covers the samples once, as no step may make
+a triangle of area <= 0.
 """
 
 from typing import NamedTuple
@@ -15,18 +16,31 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.coding.jit import kernel
-from terrainwave.tri.fit import fit_triangle, scaled_heights
-from terrainwave.tri.mesh import BlockMesh
+from terrainwave.coding.jit import inlined_kernel, kernel
+from terrainwave.tri.certificates import refusal_stands, test_of
+from terrainwave.tri.fit import scale_of
+from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
+from terrainwave.tri.star import MAX_PROGRAM_HEIGHT, fit_rest, fit_star
+from terrainwave.tri.workspace import (
+    FREE,
+    HIGH,
+    LOW,
+    MEMORY,
+    fill_workspace,
+    finished_mesh,
+    heights_at,
+    levels_at,
+    pack_place,
+    sweeps_at,
+    vertices_at,
+)
 
-# Levels of merged cells: single samples, samples that stay as they are, those of border lines that
-# are no vertices. Up to _FREE a sample has not moved.
-_FREE, _LOCKED, _MERGED = 0, -1, 127
-_VOID = -1
-_FAR = np.int64(1) << 32
+# More than any interval of heights: no condition.
+_FAR = np.int64(1) << 40
 _PASSES = 2
-# Sides of the cells that are tried whole, before halves.
-_SQUARES = (8, 4, 2)
+# Levels of the cells that are tried whole, before halves: 8 x 8, 4 x 4 and 2 x 2 samples.
+_WHOLE_LEVELS = (6, 4, 2)
+_MAX_INT32 = float((1 << 31) - 1)
 
 
 class Lines(NamedTuple):
@@ -66,439 +80,287 @@ def triangulate(
 
     Notes
     -----
-    O(n log n) for n samples; about 100 ns per sample.
+    O(n log n) for n samples. Each thread keeps some 5 MB for the next mesh.
     """
     n_rows, n_cols = heights.shape
-    if n_rows < 2 or n_cols < 2 or not mask.any():
-        return _empty()
-    scaled, scale = scaled_heights(heights, mask, tolerance)
-    root = np.arange(n_rows * n_cols, dtype=np.int32).reshape(heights.shape)
-    root[~mask] = _VOID
-    levels = np.where(locked, _LOCKED, _FREE).astype(np.int8)
-    levels[[0, -1]] = levels[:, [0, -1]] = _LOCKED
-    _merge_border(root, levels, lines.top, lines.bottom, lines.left, lines.right)
-    rows, cols = _double_places(n_rows, n_cols)
-    z = scaled.ravel().astype(np.float64)
-    _merge_cells(
-        scaled, root, levels, rows, cols, z, offset[0], offset[1], scale.tolerance,
-        scale.lowest, scale.highest,
+    if n_rows < 2 or n_cols < 2:
+        return no_mesh()
+    n_valid, least, most = _valid_range(heights, mask)
+    if not n_valid:
+        return no_mesh()
+    scale = scale_of(least, most, tolerance)
+    space = MEMORY.workspace(n_rows, n_cols)
+    fill_workspace(
+        heights, mask, locked, lines.top, lines.bottom, lines.left, lines.right, scale.base,
+        scale.bits, space.work, space.plane, space.pitch,
     )  # fmt: skip
-    triangles = np.empty((_count_triangles(root), 3), dtype=np.int32)
-    _fill_triangles(root, triangles)
-    used, triangles = _used_vertices(triangles, n_rows * n_cols)
-    places = rows[used].astype(np.int32), cols[used].astype(np.int32)
-    return BlockMesh(*places, scale.to_mesh(z[used]), triangles)
-
-
-def _empty() -> BlockMesh:
-    none = np.empty(0, dtype=np.int32)
-    return BlockMesh(none, none, none.astype(np.int64), none.reshape(0, 3))
-
-
-def _double_places(n_rows: int, n_cols: int) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
-    rows = np.repeat(2 * np.arange(n_rows, dtype=np.int16), n_cols)
-    return rows, np.tile(2 * np.arange(n_cols, dtype=np.int16), n_rows)
+    has_table = max(-scale.lowest, scale.highest, scale.tolerance) <= MAX_PROGRAM_HEIGHT
+    _merge_cells(
+        space.work, space.floats, space.plane, space.pitch, n_rows, n_cols, *offset, has_table,
+        scale.tolerance, scale.lowest, scale.highest,
+    )  # fmt: skip
+    base, shift = scale.base << FRACTION_BITS, FRACTION_BITS - scale.bits
+    has_voids = n_valid < n_rows * n_cols
+    return finished_mesh(space, (n_rows, n_cols), base, shift, has_voids=has_voids)
 
 
 @kernel
-def _merge_border(root, levels, top, bottom, left, right):
-    """Let the samples of border lines that are no vertices share the vertex before them."""
-    n_rows, n_cols = root.shape
-    for row, line in ((0, top), (n_rows - 1, bottom)):
-        last = root[row, 0]
-        for col in range(n_cols):
-            if line[col]:
-                last = root[row, col]
-            else:
-                root[row, col] = last
-                levels[row, col] = _MERGED
-    for col, line in ((0, left), (n_cols - 1, right)):
-        last = root[0, col]
-        for row in range(n_rows):
-            if line[row]:
-                last = root[row, col]
-            else:
-                root[row, col] = last
-                levels[row, col] = _MERGED
+def _valid_range(heights, mask):
+    """Return the number of valid samples, the lowest and the highest."""
+    count = 0
+    lowest, highest = np.int32((1 << 31) - 1), np.int32(-(1 << 31))
+    for row in range(heights.shape[0]):
+        for col in range(heights.shape[1]):
+            if mask[row, col]:
+                count += 1
+                lowest = min(lowest, heights[row, col])
+                highest = max(highest, heights[row, col])
+    return count, np.int64(lowest), np.int64(highest)
 
 
-@kernel
+@inlined_kernel
 def _ceil_half(value):
     return -(-value >> 1)
 
 
-@kernel
-def _fit_pair(heights, levels, n_cols, at, tolerance):
-    """Return (verdict, low, high) for merging the samples `at` and `at` + 1 of flat arrays.
+@inlined_kernel
+def _wide(work, at):
+    return np.int64(work[np.uint64(at)])
+
+
+@inlined_kernel
+def _fit_pair(work, plane, pitch, at, tolerance):
+    """Return (verdict, low, high) for merging the samples `at` and `at` + 1.
 
     Each of the two lies on the edge from the new vertex, between them, to the sample beyond it, if
     that has not moved: 2/3 of the new height and 1/3 of that sample's. Verdict 1: these are all
     conditions; -1: they can't be met; 0: look at the whole star, which gives the same intervals.
     """
-    slack = 3 * tolerance
-    low, high = -_FAR, _FAR
-    verdict = 1
-    if levels[at - 1] <= _FREE:
-        first = 3 * np.int64(heights[at]) - heights[at - 1]
-        low, high = _ceil_half(first - slack), (first + slack) >> 1
-    else:
-        verdict = 0
-    if levels[at + 2] <= _FREE:
-        second = 3 * np.int64(heights[at + 1]) - heights[at + 2]
-        low = max(low, _ceil_half(second - slack))
-        high = min(high, (second + slack) >> 1)
-    else:
-        verdict = 0
-    if low > high:
-        return -1, low, high
-    for k in range(3):
-        if not (levels[at - n_cols - 1 + k] <= _FREE and levels[at + n_cols + k] <= _FREE):
-            verdict = 0
-    return verdict, low, high
+    own, level = heights_at(plane) + at, levels_at(plane) + at
+    above, below = level - pitch, level + pitch
+    left, right = _wide(work, level - 1), _wide(work, level + 2)
+    first = 3 * _wide(work, own) - _wide(work, own - 1)
+    second = 3 * _wide(work, own + 1) - _wide(work, own + 2)
+    slack_1 = 3 * tolerance if left <= FREE else _FAR
+    slack_2 = 3 * tolerance if right <= FREE else _FAR
+    low = max(first - slack_1, second - slack_2)
+    high = min(first + slack_1, second + slack_2)
+    low, high = _ceil_half(low), high >> 1
+    most = max(left, right)
+    most = max(most, _wide(work, above - 1), _wide(work, above), _wide(work, above + 1))
+    most = max(most, _wide(work, below), _wide(work, below + 1), _wide(work, below + 2))
+    verdict = 1 if most <= FREE else 0
+    return verdict if low <= high else -1, low, high
 
 
-@kernel
-def _fit_quad(heights, levels, n_cols, at, tolerance):
+@inlined_kernel
+def _fit_quad(work, plane, pitch, at, tolerance):
     """Return (verdict, low, high) for merging the 2 x 2 samples from `at` on; see `_fit_pair`.
 
     The upper left and lower right sample lie on edges to the samples beyond them; the other two in
     triangles, with weight 1/2 of the new height and 1/4 of each of two samples.
     """
-    low, high = -2 * _FAR, 2 * _FAR
-    verdict = 1
-    if levels[at - n_cols - 1] <= _FREE:
-        twice = 3 * np.int64(heights[at]) - heights[at - n_cols - 1]
-        low, high = twice - 3 * tolerance, twice + 3 * tolerance
-    else:
-        verdict = 0
-    if levels[at + 2 * n_cols + 2] <= _FREE:
-        twice = 3 * np.int64(heights[at + n_cols + 1]) - heights[at + 2 * n_cols + 2]
-        low, high = max(low, twice - 3 * tolerance), min(high, twice + 3 * tolerance)
-    else:
-        verdict = 0
-    if levels[at - n_cols + 1] <= _FREE and levels[at + 2] <= _FREE:
-        twice = 4 * np.int64(heights[at + 1]) - heights[at - n_cols + 1]
-        twice -= heights[at + 2]
-        low, high = max(low, twice - 4 * tolerance), min(high, twice + 4 * tolerance)
-    else:
-        verdict = 0
-    if levels[at + n_cols - 1] <= _FREE and levels[at + 2 * n_cols] <= _FREE:
-        twice = 4 * np.int64(heights[at + n_cols]) - heights[at + n_cols - 1]
-        twice -= heights[at + 2 * n_cols]
-        low, high = max(low, twice - 4 * tolerance), min(high, twice + 4 * tolerance)
-    else:
-        verdict = 0
+    own, level = heights_at(plane) + at, levels_at(plane) + at
+    own_2, level_2 = own + pitch, level + pitch
+    above, below = level - pitch, level_2 + pitch
+    upper_left, lower_right = _wide(work, above - 1), _wide(work, below + 2)
+    upper_right = max(_wide(work, above + 1), _wide(work, level + 2))
+    lower_left = max(_wide(work, level_2 - 1), _wide(work, below))
+    twice = 3 * _wide(work, own) - _wide(work, own - pitch - 1)
+    slack = 3 * tolerance if upper_left <= FREE else _FAR
+    low, high = twice - slack, twice + slack
+    twice = 3 * _wide(work, own_2 + 1) - _wide(work, own_2 + pitch + 2)
+    slack = 3 * tolerance if lower_right <= FREE else _FAR
+    low, high = max(low, twice - slack), min(high, twice + slack)
+    twice = 4 * _wide(work, own + 1) - _wide(work, own - pitch + 1) - _wide(work, own + 2)
+    slack = 4 * tolerance if upper_right <= FREE else _FAR
+    low, high = max(low, twice - slack), min(high, twice + slack)
+    twice = 4 * _wide(work, own_2) - _wide(work, own_2 - 1) - _wide(work, own_2 + pitch)
+    slack = 4 * tolerance if lower_left <= FREE else _FAR
+    low, high = max(low, twice - slack), min(high, twice + slack)
     low, high = _ceil_half(low), high >> 1
-    if low > high:
-        return -1, low, high
-    if not (
-        levels[at - n_cols] <= _FREE
-        and levels[at - 1] <= _FREE
-        and levels[at + n_cols + 2] <= _FREE
-        and levels[at + 2 * n_cols + 1] <= _FREE
-    ):
-        verdict = 0
-    return verdict, low, high
+    most = max(upper_left, lower_right, upper_right, lower_left)
+    most = max(most, _wide(work, above), _wide(work, level - 1))
+    most = max(most, _wide(work, level_2 + 2), _wide(work, below + 1))
+    verdict = 1 if most <= FREE else 0
+    return verdict if low <= high else -1, low, high
 
 
-@kernel
-def _fit_cell(
-    heights, root, levels, rows, cols, z, me, top, bottom, left, right, are_single_known,
-    tolerance, low, high,
-):  # fmt: skip
-    """Return the interval of heights of vertex `me` whose cluster is this rectangle of samples.
+@inlined_kernel
+def _is_near_plane(work, plane, pitch, top, bottom, left, right, tolerance):
+    """Say whether a cell's corners, and its middle, are as near to a plane as its samples must be.
 
-    All triangles that touch it are those of the quads around the rectangle. Empty, (1, 0), if one
-    of them has no area. Quads of four samples that have not moved are left out where low and high
-    are what they allow: `are_single_known`.
+    Most cells of more than 2 x 2 samples that don't fit fail here.
     """
-    row_0, col_0 = np.int64(rows[me]), np.int64(cols[me])
-    for row in range(top - 1, bottom + 1):
-        stride = right - left + 1 if top <= row < bottom else 1
-        for col in range(left - 1, right + 1, stride):
-            a, b = root[row, col], root[row, col + 1]
-            d, c = root[row + 1, col], root[row + 1, col + 1]
-            if are_single_known and (
-                levels[row, col] <= _FREE
-                and levels[row, col + 1] <= _FREE
-                and levels[row + 1, col] <= _FREE
-                and levels[row + 1, col + 1] <= _FREE
-            ):
-                continue
-            for half in range(2):
-                # Of triangle a, b, c or a, c, d: the two vertices after `me`.
-                if half == 0:
-                    if a == b or b == c:
-                        continue
-                    p_1 = b if a == me else (c if b == me else a)
-                    p_2 = c if a == me else (a if b == me else b)
-                    if a != me and b != me and c != me:
-                        continue
-                else:
-                    if c == d or d == a:
-                        continue
-                    p_1 = c if a == me else (d if c == me else a)
-                    p_2 = d if a == me else (a if c == me else c)
-                    if a != me and c != me and d != me:
-                        continue
-                if a == c or a < 0 or c < 0 or p_1 < 0 or p_2 < 0:
-                    continue
-                row_1, col_1 = np.int64(rows[p_1]), np.int64(cols[p_1])
-                row_2, col_2 = np.int64(rows[p_2]), np.int64(cols[p_2])
-                if (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0) <= 0:
-                    return 1.0, 0.0
-                low, high = fit_triangle(
-                    heights, row_0, col_0, row_1, col_1, z[p_1], row_2, col_2, z[p_2], tolerance,
-                    low, high,
-                )  # fmt: skip
-                if low > high:
-                    return low, high
-    return low, high
+    heights = heights_at(plane)
+    a, b = _wide(work, heights + top * pitch + left), _wide(work, heights + top * pitch + right)
+    d = _wide(work, heights + bottom * pitch + left)
+    c = _wide(work, heights + bottom * pitch + right)
+    middle = _wide(work, heights + ((top + bottom) >> 1) * pitch + ((left + right) >> 1))
+    bend = abs(4 * middle - a - b - c - d)
+    return abs(a + c - b - d) <= 4 * tolerance and bend <= 8 * tolerance
 
 
-@kernel
-def _set_root(root, top, bottom, left, right, value):
+@inlined_kernel
+def _is_free(work, plane, pitch, top, bottom, left, right):
+    """Say whether no sample of a cell has merged or must stay."""
+    levels = levels_at(plane)
+    taken = np.int32(0)
     for row in range(top, bottom + 1):
-        for col in range(left, right + 1):
-            root[row, col] = value
+        for at in range(row * pitch + left, row * pitch + right + 1):
+            taken |= work[np.uint64(levels + at)]
+    return taken == FREE
 
 
-@kernel
-def _merge_squares(
-    heights, root, levels, rows, cols, z, row_0, col_0, side, tolerance, lowest, highest
-):
-    """Try whole cells of `side` x `side` single samples, before they are tried in halves."""
-    n_rows, n_cols = heights.shape
-    whole_tolerance = np.int64(tolerance)
-    flat_heights, flat_levels = heights.reshape(-1), levels.reshape(-1)
-    level = 0
-    while side >> level > 1:
-        level += 1
-    level *= 2
-    for cell_row in range((row_0 + 1) // side * side, row_0 + n_rows - 1, side):
-        top, bottom = max(cell_row - row_0, 1), min(cell_row + side - 1 - row_0, n_rows - 2)
-        for cell_col in range((col_0 + 1) // side * side, col_0 + n_cols - 1, side):
-            left, right = max(cell_col - col_0, 1), min(cell_col + side - 1 - col_0, n_cols - 2)
-            is_free = True
-            for row in range(top, bottom + 1):
-                for col in range(left, right + 1):
-                    is_free &= levels[row, col] == _FREE
-            if not is_free:
-                continue
-            verdict, low, high, are_known = 0, lowest, highest, False
-            if side > 2:
-                # The middle against the corners: most cells that don't fit fail here.
-                a, b = np.int64(heights[top, left]), np.int64(heights[top, right])
-                d, c = np.int64(heights[bottom, left]), np.int64(heights[bottom, right])
-                middle = 4 * np.int64(heights[(top + bottom) >> 1, (left + right) >> 1])
-                if (
-                    abs(a + c - b - d) > 4 * whole_tolerance
-                    or abs(middle - a - b - c - d) > 8 * whole_tolerance
-                ):
-                    continue
-            elif bottom > top and right > left:
-                verdict, first, last = _fit_quad(
-                    flat_heights, flat_levels, n_cols, top * n_cols + left, whole_tolerance
-                )
-                if verdict < 0:
-                    continue
-                low, high, are_known = max(low, float(first)), min(high, float(last)), True
-            me = root[top, left]
-            _set_root(root, top, bottom, left, right, me)
-            rows[me], cols[me] = top + bottom, left + right
-            if verdict == 0:
-                low, high = _fit_cell(
-                    heights, root, levels, rows, cols, z, me, top, bottom, left, right, are_known,
-                    tolerance, low, high,
-                )  # fmt: skip
-            if low <= high:
-                z[me] = np.floor((low + high) * 0.5)
-                for row in range(top, bottom + 1):
-                    for col in range(left, right + 1):
-                        levels[row, col] = level
-            else:
-                rows[me], cols[me] = 2 * top, 2 * left
-                for row in range(top, bottom + 1):
-                    for col in range(left, right + 1):
-                        root[row, col] = row * n_cols + col
+@inlined_kernel
+def _is_free_quad(work, plane, pitch, at):
+    """Do what `_is_free` does for 2 x 2 samples."""
+    upper, lower = levels_at(plane) + at, levels_at(plane) + at + pitch
+    taken = work[np.uint64(upper)] | work[np.uint64(upper + 1)]
+    return taken | work[np.uint64(lower)] | work[np.uint64(lower + 1)] == FREE
 
 
-@kernel
-def _is_as_before(merged, top, bottom, left, right, before):
+@inlined_kernel
+def _is_as_before(work, plane, pitch, top, bottom, left, right, before):
     """Say whether nothing around a cell has merged since sweep `before` tried it.
 
     In that sweep the cells above and to the left came before it, the others after it.
     """
+    above = sweeps_at(plane) + (top - 1) * pitch
+    below = sweeps_at(plane) + (bottom + 1) * pitch
+    last_before = last_after = np.int32(0)
     for col in range(left - 1, right + 2):
-        if merged[top - 1, col] > before or merged[bottom + 1, col] >= before:
-            return False
+        last_before = max(last_before, work[np.uint64(above + col)])
+        last_after = max(last_after, work[np.uint64(below + col)])
+    for beside in range(above + pitch, below, pitch):
+        last_before = max(last_before, work[np.uint64(beside + left - 1)])
+        last_after = max(last_after, work[np.uint64(beside + right + 1)])
+    return last_before <= before and last_after < before
+
+
+@inlined_kernel
+def _move(work, plane, pitch, top, bottom, left, right, place, height, sweep):
+    """Let the samples of a cell share a vertex."""
+    vertices, sweeps = vertices_at(plane), sweeps_at(plane)
     for row in range(top, bottom + 1):
-        if merged[row, left - 1] > before or merged[row, right + 1] >= before:
-            return False
-    return True
+        for at in range(row * pitch + left, row * pitch + right + 1):
+            work[np.uint64(vertices + 2 * at)] = place
+            work[np.uint64(vertices + 2 * at + 1)] = height
+            work[np.uint64(sweeps + at)] = sweep
 
 
 @kernel
-def _merge_halves(
-    heights, root, levels, merged, rows, cols, z, row_0, col_0, level, sweep, before, tolerance,
-    lowest, highest,
+def _sweep_cells(
+    work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep, before,
+    tolerance, lowest, highest,
 ):  # fmt: skip
-    """Try to merge the two halves of every cell of a level of the binary tree.
+    """Try to merge every cell of a level of the binary tree, of two halves or of single samples.
 
-    `merged` is the sweep in which a sample's cell last grew; `before`, the sweep that tried this
+    A sample's sweep is the one in which its cell last grew; `before`, the sweep that tried this
     level last: a cell that failed there, and has all around it as it was, would fail again.
     """
-    n_rows, n_cols = heights.shape
+    is_whole = sweep <= len(_WHOLE_LEVELS)
     whole_tolerance = np.int64(tolerance)
-    flat_heights, flat_levels = heights.reshape(-1), levels.reshape(-1)
+    levels, sweeps = levels_at(plane), sweeps_at(plane)
     width, height = 1 << ((level + 1) >> 1), 1 << (level >> 1)
-    is_odd = level & 1
     for cell_row in range((row_0 + 1) // height * height, row_0 + n_rows - 1, height):
         top, bottom = max(cell_row - row_0, 1), min(cell_row + height - 1 - row_0, n_rows - 2)
         for cell_col in range((col_0 + 1) // width * width, col_0 + n_cols - 1, width):
-            left = max(cell_col - col_0, 1)
-            if levels[top, left] != level - 1:
-                continue
-            right = min(cell_col + width - 1 - col_0, n_cols - 2)
-            row_2, col_2 = top, left
-            if is_odd:
-                col_2 = max(cell_col + (width >> 1) - col_0, left)
-            else:
-                row_2 = max(cell_row + (height >> 1) - row_0, top)
-            if row_2 > bottom or col_2 > right or (row_2, col_2) == (top, left):
-                levels[top, left] = level  # one half lies outside: the other is the whole
-                continue
-            if levels[row_2, col_2] != level - 1:
-                continue
-            if (
-                merged[top, left] < before
-                and merged[row_2, col_2] < before
-                and _is_as_before(merged, top, bottom, left, right, before)
-            ):
-                continue
-            verdict, low, high, are_known = 0, lowest, highest, level == 1
-            if level == 1:
-                verdict, first, last = _fit_pair(
-                    flat_heights, flat_levels, n_cols, top * n_cols + left, whole_tolerance
-                )
-                if verdict < 0:
+            left, right = max(cell_col - col_0, 1), min(cell_col + width - 1 - col_0, n_cols - 2)
+            at = top * pitch + left
+            other = at
+            is_quad = is_whole and level == 2 and bottom > top and right > left
+            if is_quad:
+                if not _is_free_quad(work, plane, pitch, at):
                     continue
-                low, high = max(low, float(first)), min(high, float(last))
-            me, other = root[top, left], root[row_2, col_2]
-            old_row, old_col = rows[me], cols[me]
-            _set_root(root, row_2, bottom, col_2, right, me)
-            rows[me], cols[me] = top + bottom, left + right
-            if verdict == 0:
-                low, high = _fit_cell(
-                    heights, root, levels, rows, cols, z, me, top, bottom, left, right, are_known,
-                    tolerance, low, high,
-                )  # fmt: skip
-            if low <= high:
-                z[me] = np.floor((low + high) * 0.5)
-                levels[top, left] = level
-                levels[row_2, col_2] = level
-                merged[top : bottom + 1, left : right + 1] = sweep
+            elif is_whole:
+                if level > 2 and not _is_near_plane(
+                    work, plane, pitch, top, bottom, left, right, whole_tolerance
+                ):
+                    continue
+                if not _is_free(work, plane, pitch, top, bottom, left, right):
+                    continue
             else:
-                rows[me], cols[me] = old_row, old_col
-                _set_root(root, row_2, bottom, col_2, right, other)
-
-
-@kernel
-def _merge_cells(heights, root, levels, rows, cols, z, row_0, col_0, tolerance, lowest, highest):
-    """Merge samples into cells: whole squares first, then halves from the finest up."""
-    n_rows, n_cols = heights.shape
-    if n_rows < 3 or n_cols < 3:
-        return  # border lines alone
-    for side in _SQUARES:
-        _merge_squares(
-            heights, root, levels, rows, cols, z, row_0, col_0, side, tolerance, lowest, highest
-        )
-    n_levels = 0
-    while (1 << n_levels) < max(n_rows + row_0, n_cols + col_0) - 1:
-        n_levels += 1
-    merged = np.zeros(root.shape, dtype=np.uint8)
-    sweep = 0
-    for number in range(_PASSES):
-        for level in range(1, 2 * n_levels + 1):
-            sweep += 1
-            before = sweep - 2 * n_levels if number else 0
-            _merge_halves(
-                heights, root, levels, merged, rows, cols, z, row_0, col_0, level, sweep, before,
-                tolerance, lowest, highest,
+                if work[np.uint64(levels + at)] != level - 1:
+                    continue
+                row_2, col_2 = top, left
+                if level & 1:
+                    col_2 = max(cell_col + (width >> 1) - col_0, left)
+                else:
+                    row_2 = max(cell_row + (height >> 1) - row_0, top)
+                other = row_2 * pitch + col_2
+                if row_2 > bottom or col_2 > right or other == at:
+                    # One half lies outside: the other is the whole.
+                    work[np.uint64(levels + at)] = level
+                    continue
+                if work[np.uint64(levels + other)] != level - 1:
+                    continue
+                if level > 1 and refusal_stands(work, plane, pitch, at, bottom - top + 1, level):
+                    continue
+                if (
+                    work[np.uint64(sweeps + at)] < before
+                    and work[np.uint64(sweeps + other)] < before
+                    and _is_as_before(work, plane, pitch, top, bottom, left, right, before)
+                ):
+                    continue
+            verdict, low, high = 0, lowest, highest
+            if level == 1:
+                verdict, first, last = _fit_pair(work, plane, pitch, at, whole_tolerance)
+                low, high = max(low, float(first)), min(high, float(last))
+            elif is_quad:
+                verdict, first, last = _fit_quad(work, plane, pitch, at, whole_tolerance)
+                low, high = max(low, float(first)), min(high, float(last))
+            if verdict < 0:
+                continue
+            if verdict == 0:
+                floats[LOW], floats[HIGH] = low, high
+                test = test_of(level, sweep)
+                n_others, low_pair, high_pair = fit_star(
+                    work, floats, plane, pitch, has_table, top, bottom, left, right,
+                    level == 1 or is_quad, tolerance, test, None,
+                )  # fmt: skip
+                if n_others and floats[LOW] <= floats[HIGH]:
+                    fit_rest(
+                        work, floats, plane, pitch, has_table, top, bottom, left, right,
+                        level == 1 or is_quad, tolerance, test, low_pair, high_pair,
+                    )  # fmt: skip
+                low, high = floats[LOW], floats[HIGH]
+            if low > high:
+                continue
+            vertex = np.floor((low + high) * 0.5)
+            if vertex > _MAX_INT32:
+                continue  # of a range of 2^31 quanta, and a tolerance of a half of it
+            if is_whole:
+                for row in range(top, bottom + 1):
+                    for col in range(left, right + 1):
+                        work[np.uint64(levels + row * pitch + col)] = level
+            else:
+                work[np.uint64(levels + at)] = level
+                work[np.uint64(levels + other)] = level
+            _move(
+                work, plane, pitch, top, bottom, left, right,
+                np.int32(pack_place(top + bottom, left + right)), np.int32(vertex), sweep,
             )  # fmt: skip
 
 
 @kernel
-def _triangles_of(a, b, c, d):
-    """Return the vertices of the up to two triangles of a quad, -1 where there is none."""
-    n_voids = (1 if a < 0 else 0) + (1 if b < 0 else 0) + (1 if c < 0 else 0) + (1 if d < 0 else 0)
-    if n_voids > 1:
-        return -1, -1, -1, -1, -1, -1
-    if a < 0:
-        return b, c, d, -1, -1, -1
-    if b < 0:
-        return a, c, d, -1, -1, -1
-    if c < 0:
-        return a, b, d, -1, -1, -1
-    if d < 0:
-        return a, b, c, -1, -1, -1
-    return a, b, c, a, c, d
-
-
-@kernel
-def _count_triangles(root):
-    count = 0
-    for row in range(root.shape[0] - 1):
-        for col in range(root.shape[1] - 1):
-            a, b, c, d, e, f = _triangles_of(
-                root[row, col], root[row, col + 1], root[row + 1, col + 1], root[row + 1, col]
-            )
-            count += 1 if a >= 0 and a != b and b != c and a != c else 0
-            count += 1 if d >= 0 and d != e and e != f and d != f else 0
-    return count
-
-
-@kernel
-def _fill_triangles(root, triangles):
-    count = 0
-    for row in range(root.shape[0] - 1):
-        for col in range(root.shape[1] - 1):
-            a, b, c, d, e, f = _triangles_of(
-                root[row, col], root[row, col + 1], root[row + 1, col + 1], root[row + 1, col]
-            )
-            if a >= 0 and a != b and b != c and a != c:
-                triangles[count, 0], triangles[count, 1], triangles[count, 2] = a, b, c
-                count += 1
-            if d >= 0 and d != e and e != f and d != f:
-                triangles[count, 0], triangles[count, 1], triangles[count, 2] = d, e, f
-                count += 1
-
-
-def _used_vertices(
-    triangles: NDArray[np.int32], n_samples: int
-) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Return the vertices that triangles use in order, and the triangles by their new numbers."""
-    number = np.zeros(n_samples, dtype=np.int32)
-    return _number_vertices(triangles, number), triangles
-
-
-@kernel
-def _number_vertices(triangles, number):
-    for t in range(triangles.shape[0]):
-        for k in range(3):
-            number[triangles[t, k]] = 1
-    count = 0
-    for vertex in range(number.shape[0]):
-        if number[vertex]:
-            number[vertex] = count
-            count += 1
-        else:
-            number[vertex] = -1
-    used = np.empty(count, dtype=np.int64)
-    for vertex in range(number.shape[0]):
-        if number[vertex] >= 0:
-            used[number[vertex]] = vertex
-    for t in range(triangles.shape[0]):
-        for k in range(3):
-            triangles[t, k] = number[triangles[t, k]]
-    return used
+def _merge_cells(
+    work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, tolerance, lowest, highest
+):
+    """Merge samples into cells: whole squares first, then halves from the finest up."""
+    if n_rows < 3 or n_cols < 3:
+        return  # border lines alone
+    n_levels = 0
+    while (1 << n_levels) < max(n_rows + row_0, n_cols + col_0) - 1:
+        n_levels += 1
+    n_whole = len(_WHOLE_LEVELS)
+    for sweep in range(1, n_whole + _PASSES * 2 * n_levels + 1):
+        level, before = (sweep - n_whole - 1) % (2 * n_levels) + 1, sweep - 2 * n_levels
+        if sweep <= n_whole:
+            level = _WHOLE_LEVELS[sweep - 1]
+        if before <= n_whole:
+            before = 0
+        _sweep_cells(
+            work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep,
+            before, tolerance, lowest, highest,
+        )  # fmt: skip

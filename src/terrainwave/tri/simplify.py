@@ -47,8 +47,8 @@ def simplify(
     z = scale.of_mesh(mesh.heights)
     triangles = mesh.triangles.copy()
     is_alive = _sweep(
-        values, mesh.rows, mesh.cols, z, triangles, scale.tolerance, scale.lowest, scale.highest,
-        n_sweeps, min_thickness,
+        values.ravel(), values.shape[1], mesh.rows, mesh.cols, z, triangles, scale.tolerance,
+        scale.lowest, scale.highest, n_sweeps, min_thickness,
     )  # fmt: skip
     triangles = triangles[is_alive]
     is_used = np.zeros(len(z), dtype=np.bool_)
@@ -119,7 +119,9 @@ def _is_thick(rows, cols, triangles, star, n, v, u, least):
 
 
 @kernel
-def _fit_star(values, rows, cols, z, triangles, star, n, centre, u, without, tolerance, low, high):
+def _fit_star(
+    values, n_cols, rows, cols, z, triangles, star, n, centre, u, without, tolerance, low, high
+):
     """Narrow the interval of u's height by the star of `centre`, moved onto u."""
     row_0, col_0 = np.int64(rows[u]), np.int64(cols[u])
     for i in range(n):
@@ -127,8 +129,8 @@ def _fit_star(values, rows, cols, z, triangles, star, n, centre, u, without, tol
             continue
         a, b = _others(triangles, star[i], centre)
         low, high = fit_triangle(
-            values, row_0, col_0, np.int64(rows[a]), np.int64(cols[a]), z[a], np.int64(rows[b]),
-            np.int64(cols[b]), z[b], tolerance, low, high,
+            values, 0, n_cols, row_0, col_0, np.int64(rows[a]), np.int64(cols[a]), z[a],
+            np.int64(rows[b]), np.int64(cols[b]), z[b], tolerance, low, high,
         )  # fmt: skip
         if low > high:
             break
@@ -184,7 +186,9 @@ def _boundary_vertices(triangles, stars, degrees):
 
 
 @kernel
-def _sweep(values, rows, cols, z, triangles, tolerance, lowest, highest, n_sweeps, min_thickness):
+def _sweep(
+    values, n_cols, rows, cols, z, triangles, tolerance, lowest, highest, n_sweeps, min_thickness
+):
     """Collapse in place; return which triangles are left."""
     n_vertices = rows.shape[0]
     # While v's triangles are handed to u, the two that vanish may still be in u's list.
@@ -210,8 +214,8 @@ def _sweep(values, rows, cols, z, triangles, tolerance, lowest, highest, n_sweep
                 continue
             is_waiting[v] = False
             u = _collapse_target(
-                values, rows, cols, z, triangles, stars, degrees, is_fixed, v, tolerance, lowest,
-                highest, min_thickness,
+                values, n_cols, rows, cols, z, triangles, stars, degrees, is_fixed, v, tolerance,
+                lowest, highest, min_thickness,
             )  # fmt: skip
             if u < 0:
                 continue
@@ -240,8 +244,8 @@ def _sweep(values, rows, cols, z, triangles, tolerance, lowest, highest, n_sweep
 
 @kernel
 def _collapse_target(
-    values, rows, cols, z, triangles, stars, degrees, is_fixed, v, tolerance, lowest, highest,
-    min_thickness,
+    values, n_cols, rows, cols, z, triangles, stars, degrees, is_fixed, v, tolerance, lowest,
+    highest, min_thickness,
 ):  # fmt: skip
     """Return the first neighbour that v can move onto, its height set; -1 if there is none."""
     least = min(min_thickness, _thinnest(rows, cols, triangles, stars[v], degrees[v]))
@@ -257,14 +261,15 @@ def _collapse_target(
         if is_fixed[u]:
             low, high = z[u], z[u]
         low, high = _fit_star(
-            values, rows, cols, z, triangles, stars[v], degrees[v], v, u, u, tolerance, low, high
-        )
+            values, n_cols, rows, cols, z, triangles, stars[v], degrees[v], v, u, u, tolerance, low,
+            high,
+        )  # fmt: skip
         if low > high:
             continue
         if not is_fixed[u]:
             low, high = _fit_star(
-                values, rows, cols, z, triangles, stars[u], degrees[u], u, u, v, tolerance, low,
-                high,
+                values, n_cols, rows, cols, z, triangles, stars[u], degrees[u], u, u, v, tolerance,
+                low, high,
             )  # fmt: skip
             if low > high:
                 continue

@@ -1,0 +1,305 @@
+"""The memory in which `halves` makes a mesh: one int32 array with named places, one per thread.
+
+Kernels take it whole, with unsigned offsets: every array argument and every slice of an inner loop
+would cost reference counts. Sample (row, col) is number ``row * pitch + col`` of each plane.
+"""
+
+import threading
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.coding.jit import inlined_kernel, kernel
+from terrainwave.tri.mesh import BlockMesh
+
+# The table of triangles (`star`): pairs of a key and a program, how many steps programs have, and
+# the samples of the steps.
+N_SLOTS_LOG2, N_STEPS = 15, 1 << 16
+TABLE = 0
+N_USED = TABLE + (2 << N_SLOTS_LOG2)
+OFFSETS = N_USED + 8
+_PLANES = OFFSETS + N_STEPS
+# In floats: the interval that a test has found, and three ratios per step.
+LOW, HIGH, RATIOS = 0, 1, 2
+
+# Planes, by sample: its height; the place of its vertex (`pack_place`) and the vertex's height; its
+# cell's level; the sweep in which its cell last grew. At a cell's first sample: which test has
+# refused it last, and the samples that this rests on (`certificates`). Numbers of vertices take the
+# refusals' plane in the end.
+_HEIGHT, _VERTEX, _LEVEL, _SWEEP, _REFUSAL = 0, 1, 3, 4, 5
+_N_PLANES = 8
+
+# Levels of single samples that have not moved, of those that never do, and of those of border lines
+# that are no vertices. Up to FREE a sample has not moved.
+FREE, LOCKED, MERGED = 0, -1, 127
+VOID = -1
+
+# Rows of the workspace have 8 samples more than a power of two: neighbours in a column don't share
+# a line of the cache.
+_MIN_CELLS, _PADDING = 256, 8
+# Samples up to which a thread keeps its memory for the next mesh.
+_MAX_KEPT = 1 << 19
+
+
+class Workspace(NamedTuple):
+    """A thread's arrays for rectangles of up to `plane` samples, `pitch` from row to row.
+
+    `work` and `floats` have named places; the others take a mesh before it is copied.
+    """
+
+    pitch: int
+    plane: int
+    work: NDArray[np.int32]
+    floats: NDArray[np.float64]
+    rows: NDArray[np.int32]
+    cols: NDArray[np.int32]
+    heights: NDArray[np.int64]
+    triangles: NDArray[np.int32]
+
+
+class _Memory(threading.local):
+    """The workspace of a thread, which keeps the table of triangles from mesh to mesh."""
+
+    def __init__(self) -> None:
+        self._kept: Workspace | None = None
+
+    def workspace(self, n_rows: int, n_cols: int) -> Workspace:
+        """Return a workspace for a rectangle; its planes hold anything."""
+        pitch = max(_MIN_CELLS, 1 << (n_cols - 2).bit_length()) + _PADDING
+        plane = n_rows * pitch
+        kept = self._kept
+        if kept is not None and kept.pitch == pitch and kept.plane >= plane:
+            return kept
+        found = _new_workspace(pitch, max(plane, pitch * pitch))
+        if found.plane <= _MAX_KEPT:
+            self._kept = found
+        return found
+
+
+def _new_workspace(pitch: int, plane: int) -> Workspace:
+    work = np.empty(_PLANES + _N_PLANES * plane, dtype=np.int32)
+    work[:OFFSETS] = 0
+    return Workspace(
+        pitch,
+        plane,
+        work,
+        floats=np.empty(RATIOS + 3 * N_STEPS, dtype=np.float64),
+        rows=np.empty(plane, dtype=np.int32),
+        cols=np.empty(plane, dtype=np.int32),
+        heights=np.empty(plane, dtype=np.int64),
+        triangles=np.empty((2 * plane, 3), dtype=np.int32),
+    )
+
+
+MEMORY = _Memory()
+
+
+@inlined_kernel
+def heights_at(plane):
+    """Return where the plane of heights begins."""
+    return _PLANES + _HEIGHT * plane
+
+
+@inlined_kernel
+def vertices_at(plane):
+    """Return where the plane of vertices begins: two numbers per sample, a place and a height."""
+    return _PLANES + _VERTEX * plane
+
+
+@inlined_kernel
+def levels_at(plane):
+    """Return where the plane of cells' levels begins."""
+    return _PLANES + _LEVEL * plane
+
+
+@inlined_kernel
+def sweeps_at(plane):
+    """Return where the plane of cells' last sweeps begins."""
+    return _PLANES + _SWEEP * plane
+
+
+@inlined_kernel
+def refusals_at(plane):
+    """Return where the three planes of refusals begin."""
+    return _PLANES + _REFUSAL * plane
+
+
+@inlined_kernel
+def pack_place(row, col):
+    """Return a place, in half samples, as one number."""
+    return (row << 16) | col
+
+
+@inlined_kernel
+def row_of(place):
+    """Return the row of a packed place."""
+    return place >> 16
+
+
+@inlined_kernel
+def col_of(place):
+    """Return the column of a packed place."""
+    return place & 0xFFFF
+
+
+@kernel
+def fill_workspace(heights, mask, locked, top, bottom, left, right, base, bits, work, plane, pitch):
+    """Let every valid sample be a vertex, and those of border lines share the vertex before them.
+
+    The four lines say which of their samples are vertices.
+    """
+    n_rows, n_cols = heights.shape
+    vertices, levels = vertices_at(plane), levels_at(plane)
+    sweeps, refusals = sweeps_at(plane), refusals_at(plane)
+    for row in range(n_rows):
+        is_line = row == 0 or row == n_rows - 1
+        first = row * pitch
+        for col in range(n_cols):
+            height, place = np.int32(0), np.int32(VOID)
+            if mask[row, col]:
+                height = np.int32((np.int64(heights[row, col]) - base) << bits)
+                place = np.int32(pack_place(2 * row, 2 * col))
+            at = first + col
+            work[np.uint64(heights_at(plane) + at)] = height
+            work[np.uint64(vertices + 2 * at)] = place
+            work[np.uint64(vertices + 2 * at + 1)] = height
+            work[np.uint64(levels + at)] = LOCKED if is_line or locked[row, col] else FREE
+            work[np.uint64(sweeps + at)] = 0
+            work[np.uint64(refusals + at)] = 0
+        work[np.uint64(levels + first)] = LOCKED
+        work[np.uint64(levels + first + n_cols - 1)] = LOCKED
+    for line, start, step in (
+        (top, 0, 1),
+        (bottom, (n_rows - 1) * pitch, 1),
+        (left, 0, pitch),
+        (right, n_cols - 1, pitch),
+    ):
+        last = start
+        for k in range(line.shape[0]):
+            at = start + k * step
+            if line[k]:
+                last = at
+            else:
+                for k_1 in range(2):
+                    shared = work[np.uint64(vertices + 2 * last + k_1)]
+                    work[np.uint64(vertices + 2 * at + k_1)] = shared
+                work[np.uint64(levels + at)] = MERGED
+
+
+@kernel
+def read_mesh(work, plane, pitch, n_rows, n_cols, base, shift, rows, cols, heights, triangles):
+    """Write the mesh of a workspace; return the numbers of vertices and triangles.
+
+    Vertices in the order of their first samples, triangles in that of their quads. A sample's
+    vertex has its number from the sample to the left or above, or is new: cells are rectangles,
+    and border lines share the vertex before them. Vertices' heights in 1/16 quanta:
+    ``(height << shift) + base``.
+    """
+    vertices, numbers = vertices_at(plane), refusals_at(plane)
+    n_vertices = 0
+    n_triangles = 0
+    for row in range(n_rows):
+        first = row * pitch
+        last = np.int64(VOID)
+        number = np.int64(VOID)
+        # Of the quad whose lower right corner is at hand: a, b in the upper row; d, c below.
+        a = d = np.int64(VOID)
+        for col in range(n_cols):
+            at = first + col
+            place = np.int64(work[np.uint64(vertices + 2 * at)])
+            if place == VOID:
+                number = np.int64(VOID)
+            elif col == 0 or place != last:
+                if row and place == work[np.uint64(vertices + 2 * (at - pitch))]:
+                    number = np.int64(work[np.uint64(numbers + at - pitch)])
+                else:
+                    number = np.int64(n_vertices)
+                    rows[n_vertices] = row_of(place)
+                    cols[n_vertices] = col_of(place)
+                    vertex = np.int64(work[np.uint64(vertices + 2 * at + 1)])
+                    heights[n_vertices] = (vertex << shift) + base
+                    n_vertices += 1
+            work[np.uint64(numbers + at)] = number
+            last = place
+            if row == 0:
+                continue
+            b, c = np.int64(work[np.uint64(numbers + at - pitch)]), number
+            if col == 0:
+                a, d = b, c
+                continue
+            if (a | b | c | d) >= 0:
+                if a != c:
+                    if a != b and b != c:
+                        n_triangles = _write_triangle(triangles, n_triangles, a, b, c)
+                    if c != d and d != a:
+                        n_triangles = _write_triangle(triangles, n_triangles, a, c, d)
+            else:
+                p, q, s = _valid_corners(a, b, c, d)
+                if p >= 0 and p != q and q != s and p != s:
+                    n_triangles = _write_triangle(triangles, n_triangles, p, q, s)
+            a, d = b, c
+    return n_vertices, n_triangles
+
+
+@inlined_kernel
+def _write_triangle(triangles, n, a, b, c):
+    triangles[n, 0], triangles[n, 1], triangles[n, 2] = a, b, c
+    return n + 1
+
+
+@inlined_kernel
+def _valid_corners(a, b, c, d):
+    """Return the three corners of a quad with one void, -1 if there are more voids."""
+    n_voids = (1 if a < 0 else 0) + (1 if b < 0 else 0) + (1 if c < 0 else 0) + (1 if d < 0 else 0)
+    if n_voids > 1:
+        a = b = c = np.int64(VOID)
+    elif a < 0:
+        a, b, c = b, c, d
+    elif b < 0:
+        b, c = c, d
+    elif c < 0:
+        c = d
+    return a, b, c
+
+
+@kernel
+def drop_unused(n_vertices, n_triangles, rows, cols, heights, triangles, number):
+    """Take out the vertices of no triangle, as voids leave them; return how many stay.
+
+    In place; `number` is scratch memory.
+    """
+    for vertex in range(n_vertices):
+        number[vertex] = 0
+    for t in range(n_triangles):
+        for k in range(3):
+            number[triangles[t, k]] = 1
+    count = 0
+    for vertex in range(n_vertices):
+        if number[vertex]:
+            number[vertex] = count
+            rows[count], cols[count] = rows[vertex], cols[vertex]
+            heights[count] = heights[vertex]
+            count += 1
+    for t in range(n_triangles):
+        for k in range(3):
+            triangles[t, k] = number[triangles[t, k]]
+    return count
+
+
+def finished_mesh(
+    space: Workspace, shape: tuple[int, int], base: int, shift: int, *, has_voids: bool
+) -> BlockMesh:
+    """Return the mesh of a workspace, copied; `base` and `shift` as for `read_mesh`."""
+    arrays = space.rows, space.cols, space.heights, space.triangles
+    n_vertices, n_triangles = read_mesh(
+        space.work, space.plane, space.pitch, *shape, base, shift, *arrays
+    )
+    if has_voids:
+        n_vertices = drop_unused(n_vertices, n_triangles, *arrays, space.work[_PLANES:])
+    return BlockMesh(
+        space.rows[:n_vertices].copy(),
+        space.cols[:n_vertices].copy(),
+        space.heights[:n_vertices].copy(),
+        space.triangles[:n_triangles].copy(),
+    )
