@@ -133,7 +133,7 @@ class Terrain:
         try:
             self._container = Container(self._source)
             header = self._container.header
-            if header.parameters and header.method != "predictive":
+            if header.parameters and header.method not in ("predictive", "rapid"):
                 raise UnsupportedVersionError(
                     f"the file has parameters for method {header.method}, which this terrainwave"
                     " does not know: install a newer one"

@@ -34,7 +34,7 @@ from terrainwave.cli.output import (
 )
 
 THREADS = click.IntRange(min=1)
-METHODS = click.Choice(["auto", "predictive", "cdf97", "cdf53", "store"])
+METHODS = click.Choice(["auto", "predictive", "rapid", "cdf97", "cdf53", "store"])
 MESHES = click.Choice(["auto", *STORED_MESHES, "none"])
 
 

@@ -17,6 +17,7 @@ from terrainwave.codec.rapid_border import code_shared, plan_lines
 from terrainwave.codec.rapid_code import (
     BIT_POS,
     COUNT,
+    N_SYMBOLS,
     SPARE_BITS,
     SPARE_WORDS,
     WORD_POS,
@@ -31,7 +32,7 @@ from terrainwave.codec.rapid_lattice import (
     load_weights,
 )
 from terrainwave.codec.rapid_magnitude import scale_of, scaled_features
-from terrainwave.codec.rapid_parameters import FileTables, pack_parameters, parse_parameters
+from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_parameters
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.rans import N_STATES, STATE_START, encode_symbols
@@ -43,6 +44,7 @@ _WIDE, _SINGLE = 1, 2
 _MANY_SAMPLES = 1 << 14
 _NONE_KNOWN = Known(0, 0, 0, 0)
 _NO_LOG = np.zeros(1, dtype=np.uint8)
+_NO_FREQS = np.zeros((1, 1), dtype=np.uint32)
 _NO_WORDS = np.zeros(SPARE_WORDS, dtype=np.uint16)
 _LIMIT32 = (1 << 31) - 64
 _MOST_NARROW_STEP = 1 << 24
@@ -87,6 +89,13 @@ class Rapid:
         self.parameters = parameters
         self._tables = parse_parameters(parameters)
 
+    @classmethod
+    def with_tables(cls, tables: Tables) -> "Rapid":
+        """Return a refiner with tables that have not been packed."""
+        refiner = cls()
+        refiner._tables = tables
+        return refiner
+
     @cached_property
     def _widest(self) -> int:
         """The largest sum of absolute weights of a stencil."""
@@ -111,17 +120,39 @@ class Rapid:
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and the heights `decode` makes of it."""
-        flags = _SINGLE if target.size < _MANY_SAMPLES else 0
-        if self._is_wide(spec, parent, target[mask]):
-            flags |= _WIDE
-        payload, heights, _ = self.encode_logged(spec, parent, target, mask, flags)
+        flags = self._flags(spec, parent, target, mask)
+        n_states = 1 if flags & _SINGLE else N_STATES
+        heights, streams = self._encode(spec, parent, target, mask, flags)
+        n_symbols, n_bits = int(streams.places[COUNT]), int(streams.places[BIT_POS])
+        words = np.empty(n_symbols, dtype=np.uint16)
+        n_words = encode_symbols(
+            streams.contexts_log, streams.symbols_log, n_symbols,
+            self._tables.packed_freqs(spec.step), n_states, words, streams.states,
+        )  # fmt: skip
+        raw = streams.raw[: (n_bits + 31) // 32].astype("<u4").tobytes()
+        payload = (
+            bytes([flags])
+            + encode_varint(n_words)
+            + streams.states[:n_states].astype("<u4").tobytes()
+            + words[n_symbols - n_words :].astype("<u2").tobytes()
+            + raw[: (n_bits + 7) // 8]
+        )
         return payload, heights, None
 
-    def encode_logged(
+    def log(self, spec: GroupSpec, target: Heights, mask: Mask, n: int) -> NDArray[np.int64]:
+        """Return contexts and symbols of the first `n` symbols of a unit: N_SYMBOLS·c + s."""
+        _, streams = self._encode(spec, None, target, mask, self._flags(spec, None, target, mask))
+        contexts, symbols = streams.contexts_log[:n], streams.symbols_log[:n]
+        return contexts.astype(np.int64) * N_SYMBOLS + symbols
+
+    def _flags(self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask) -> int:
+        is_wide = self._is_wide(spec, parent, target if mask.all() else target[mask])
+        return (_WIDE if is_wide else 0) | (_SINGLE if target.size < _MANY_SAMPLES else 0)
+
+    def _encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask, flags: int
-    ) -> tuple[bytes, Heights, Streams]:
-        """Return the payload, its heights, and what has been coded."""
-        n_states = 1 if flags & _SINGLE else N_STATES
+    ) -> tuple[Heights, Streams]:
+        """Return decoded heights, and the logs of what is to be written."""
         n = target.size
         streams = Streams(
             places=np.zeros(3, dtype=np.int64),
@@ -129,27 +160,15 @@ class Rapid:
             words=_NO_WORDS,
             n_words=0,
             states=np.zeros(N_STATES, dtype=np.uint64),
-            n_states=n_states,
+            n_states=N_STATES,
             raw=np.zeros(2 * n + SPARE_BITS // 32, dtype=np.uint32),
             n_bits=1 << 40,
+            freqs=self._tables.packed_freqs(spec.step),
             contexts_log=np.empty(n, dtype=np.uint8),
             symbols_log=np.empty(n, dtype=np.uint8),
         )
-        heights = self._code(spec, parent, np.ascontiguousarray(target), mask, flags, streams)
-        n_symbols, n_bits = int(streams.places[COUNT]), int(streams.places[BIT_POS])
-        words = np.empty(n_symbols, dtype=np.uint16)
-        n_words = encode_symbols(
-            streams.contexts_log, streams.symbols_log, n_symbols,
-            self._tables.packed_freqs(spec.step), n_states, words, streams.states,
-        )  # fmt: skip
-        payload = (
-            bytes([flags])
-            + encode_varint(n_words)
-            + streams.states[:n_states].astype("<u4").tobytes()
-            + words[n_symbols - n_words :].astype("<u2").tobytes()
-            + streams.raw.astype("<u4").tobytes()[: (n_bits + 7) // 8]
-        )
-        return payload, heights, streams
+        target = np.ascontiguousarray(target)
+        return self._code(spec, parent, target, mask, flags, streams), streams
 
     def decode(
         self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
@@ -197,6 +216,7 @@ class Rapid:
             n_states=n_states,
             raw=raw.astype(np.uint32, copy=False),
             n_bits=8 * n_raw,
+            freqs=_NO_FREQS,
             contexts_log=_NO_LOG,
             symbols_log=_NO_LOG,
         )
@@ -323,5 +343,3 @@ def _check_end(streams: Streams) -> None:
     if bit_pos % 8 and int(streams.raw[bit_pos >> 5]) >> (bit_pos & 31):
         raise CorruptStreamError("the last byte of raw bits is not filled with 0")
 
-
-__all__ = ["FileTables", "Rapid"]

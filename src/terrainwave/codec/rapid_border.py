@@ -127,7 +127,7 @@ def _clamped(height, origin, m, scale):
     return m.dtype.type(min(max(np.int64(height) - origin, scale.low), scale.high))
 
 
-@inlined_kernel
+@kernel
 def _code_corners(
     goal, valid, has_void, out, parent, corners, first, n, origin, workspace, scale, s
 ):
@@ -152,7 +152,7 @@ def _code_corners(
         out[corners[first + j, 0]] = m[RESULT + np.uint64(j)] + origin
 
 
-@inlined_kernel
+@kernel
 def _code_prepared(goal, n, has_void, workspace, scale, s):
     """Code `n` samples that have been predicted into `RESULT`."""
     m = workspace.m
@@ -162,7 +162,7 @@ def _code_prepared(goal, n, has_void, workspace, scale, s):
     code_span(goal, m, 0, n, RESULT, has_void, scale, s)
 
 
-@inlined_kernel
+@kernel
 def _code_line(goal, valid, has_void, out, parent, lines, line, origin, workspace, scale, s):
     """Code a line: even samples from the two parent lines, where they aren't one; then odd ones."""
     m = workspace.m
@@ -225,7 +225,7 @@ def _mirror_line(m, n):
     m[LINE + np.uint64(n + 1)] = m[LINE + np.uint64(max(n - 3, 0))]
 
 
-@inlined_kernel
+@kernel
 def _code_places(goal, valid, has_void, out, start, step, n, origin, workspace, scale, s):
     """Code `n` predicted samples that lie at every `step`-th place of `out` from `start` on."""
     m = workspace.m

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import inlined_kernel
+from terrainwave._jit import inlined_kernel, kernel
 from terrainwave.codec.rapid_layout import (
     CONTEXT,
     DETAIL,
@@ -25,6 +25,7 @@ from terrainwave.coding.rans import N_STATES, decode_row, decode_symbol
 # Symbols: an escape, then the upper parts of details, -30 … 31.
 ESCAPE, ZERO, N_SYMBOLS = 0, 31, 63
 ESCAPE_BITS = 33
+_FREQ_MASK = np.uint32(0xFFFF)
 _MASK32 = np.uint64(0xFFFFFFFF)
 # Contexts from this one on have low bits (bin 18 is the first).
 _FIRST_RAW = 4 * 18
@@ -40,7 +41,8 @@ WORD_POS, BIT_POS, COUNT = 0, 1, 2
 class Streams(NamedTuple):
     """What a unit's symbols and raw bits are read from, or what they are logged in.
 
-    Decoding uses `slots`, `words`, `n_words`, `states`, `n_states`; encoding the logs. `n_bits` of
+    Decoding uses `slots`, `words`, `n_words`, `states`, `n_states`; encoding `freqs` and the
+    logs. `n_bits` of
     raw bits can be there; the arrays have as much to spare as a row may read.
     """
 
@@ -52,6 +54,7 @@ class Streams(NamedTuple):
     n_states: int
     raw: NDArray[np.uint32]
     n_bits: int
+    freqs: NDArray[np.uint32]
     contexts_log: NDArray[np.uint8]
     symbols_log: NDArray[np.uint8]
 
@@ -62,7 +65,7 @@ def low_bits(context):
     return max((context >> 3) - _LAST_WITHOUT, 0)
 
 
-@inlined_kernel
+@kernel
 def code_span(goal, m, first, stop, to, has_void, scale, s):
     """Encode or decode samples ``first`` … ``stop - 1`` of a row; their heights go to `to`.
 
@@ -88,7 +91,7 @@ def code_span(goal, m, first, stop, to, has_void, scale, s):
         m[to + k] = min(max(height, low), high)
 
 
-@inlined_kernel
+@kernel
 def note_errors(m, n, own, scale):
     """Fill the errors of a row whose heights begin at `own`."""
     cast, shift = m.dtype.type, scale.error_shift
@@ -99,7 +102,7 @@ def note_errors(m, n, own, scale):
         m[to + k] = min(cast(error >> shift), cast(MOST_ERROR))
 
 
-@inlined_kernel
+@kernel
 def _read_symbols(m, at, n, has_void, s):
     """Decode `SYMBOL`, and `DETAIL` but for raw bits."""
     cast = m.dtype.type
@@ -129,7 +132,7 @@ def _read_symbols(m, at, n, has_void, s):
         m[k + DETAIL] = cast(m[k + SYMBOL] - ZERO)
 
 
-@inlined_kernel
+@kernel
 def _quantize(m, at, n, has_void, scale, s):
     """Fill `DETAIL` and `SYMBOL` from `GOAL`; log the symbols."""
     cast = m.dtype.type
@@ -149,7 +152,9 @@ def _quantize(m, at, n, has_void, scale, s):
         k = at + np.uint64(j)
         upper = cast(m[k + DETAIL] >> cast(low_bits(m[k + CONTEXT])))
         is_near = (upper > -ZERO) and (upper <= ZERO)
-        m[k + SYMBOL] = cast(upper + ZERO) if is_near else cast(ESCAPE)
+        symbol = upper + ZERO if is_near else ESCAPE
+        freq = s.freqs[m[k + CONTEXT], symbol] & _FREQ_MASK
+        m[k + SYMBOL] = cast(symbol if freq > 0 else ESCAPE)
     count = s.places[COUNT]
     if not has_void:
         for j in range(n):
@@ -167,7 +172,7 @@ def _quantize(m, at, n, has_void, scale, s):
     s.places[COUNT] = count
 
 
-@inlined_kernel
+@kernel
 def _needs_raw(m, at, n):
     """Return whether a row has raw bits: a context with low bits, or an escape."""
     cast = m.dtype.type
@@ -179,7 +184,7 @@ def _needs_raw(m, at, n):
     return most >= _FIRST_RAW or least == ESCAPE
 
 
-@inlined_kernel
+@kernel
 def _code_raw(goal, m, at, n, has_void, scale, s):
     """Write or read the raw bits of a row and complete `DETAIL`."""
     cast = m.dtype.type

@@ -198,7 +198,7 @@ def _fill_empty_planes(m, at, n_odd, n_odd_cols):
         fill_empty(m, at, HL, 1)
 
 
-@inlined_kernel
+@kernel
 def _finish_row(
     goal, valid, has_void, out, grid, origin, plane, at, row, n_rows, n, shape,
     known, workspace, scale, s,
@@ -229,7 +229,7 @@ def _finish_row(
     surround(m, own, row, n_rows, n)
 
 
-@inlined_kernel
+@kernel
 def _load_known(m, own, out, start, step, origin, first, stop, scale):
     """Take known samples of a row from `out`."""
     cast = m.dtype.type

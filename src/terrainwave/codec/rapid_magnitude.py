@@ -8,7 +8,7 @@ features come in units of about the step, so that no sum passes 2**31.
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import inlined_kernel
+from terrainwave._jit import inlined_kernel, kernel
 from terrainwave.codec.lattice import HH, HL, LH
 from terrainwave.codec.rapid_layout import (
     ABOVE_HH,
@@ -80,7 +80,7 @@ def scaled_features(weights: NDArray[np.int64], scale: Scale) -> NDArray[np.int6
     return (((weights << shifts) // units) + 128) >> 8
 
 
-@inlined_kernel
+@kernel
 def expect_hh(m, at, n, scale):
     """Fill `EXPECTED` for a row of HH."""
     cast, w = m.dtype.type, FEATURE[HH]
@@ -98,7 +98,7 @@ def expect_hh(m, at, n, scale):
         m[np.uint64(j) + EXPECTED] = min(cast(total >> _EXPECTED_SHIFT), cast(_MOST_EXPECTED))
 
 
-@inlined_kernel
+@kernel
 def expect_hl(m, at, n, scale):
     """Fill `EXPECTED` for a row of HL."""
     cast, w = m.dtype.type, FEATURE[HL]
@@ -124,7 +124,7 @@ def expect_hl(m, at, n, scale):
         m[np.uint64(j) + EXPECTED] = min(cast(total >> _EXPECTED_SHIFT), cast(_MOST_EXPECTED))
 
 
-@inlined_kernel
+@kernel
 def expect_lh(m, at, n, scale):
     """Fill `EXPECTED` for a row of LH."""
     cast, w = m.dtype.type, FEATURE[LH]
@@ -151,7 +151,7 @@ def expect_lh(m, at, n, scale):
         m[np.uint64(j) + EXPECTED] = min(cast(total >> _EXPECTED_SHIFT), cast(_MOST_EXPECTED))
 
 
-@inlined_kernel
+@kernel
 def expect_on_line(m, n, scale):
     """Fill `EXPECTED` for samples that are predicted from a line or from corners alone."""
     cast = m.dtype.type
@@ -161,7 +161,7 @@ def expect_on_line(m, n, scale):
         m[k] = min(cast(m[k] >> _EXPECTED_SHIFT), cast(_MOST_EXPECTED))
 
 
-@inlined_kernel
+@kernel
 def _expect_ranges(m, n, w, scale):
     """Start `EXPECTED` with the features that need nothing coded before."""
     cast, shift, most = m.dtype.type, scale.range_shift, m.dtype.type(scale.most_range)
@@ -173,7 +173,7 @@ def _expect_ranges(m, n, w, scale):
         m[k + EXPECTED] = cast(c0 + c4 * wide + c5 * twist)
 
 
-@inlined_kernel
+@kernel
 def round_predictions(m, n, scale):
     """Clamp `PREDICTED` to the core's range; fill `WHOLE` and `SIDE`."""
     cast = m.dtype.type
@@ -194,7 +194,7 @@ def round_predictions(m, n, scale):
             m[k + SIDE] = cast(16 * m[k + SUM] - m[k + PREDICTED])
 
 
-@inlined_kernel
+@kernel
 def fill_contexts(m, reals, bits_of_reals, n, scale):
     """Fill `CONTEXT` from `EXPECTED` and `SIDE`.
 

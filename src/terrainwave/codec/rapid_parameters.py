@@ -1,20 +1,73 @@
 """Tables of a file of method `rapid`, and their bytes (format-rapid.md, R.10)."""
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave._status import raise_for_status
 from terrainwave.codec import rapid_tables
 from terrainwave.codec.lattice import HH, HL, LH
 from terrainwave.codec.rapid_code import ESCAPE, N_SYMBOLS
 from terrainwave.codec.rapid_layout import CORES, MAX_TAPS, TAPS
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS
+from terrainwave.coding.rangecoder import (
+    MAGNITUDE_MODELS,
+    STATE_SIZE,
+    decode_bit,
+    decode_magnitude,
+    decode_raw,
+    encode_bit,
+    encode_magnitude,
+    encode_raw,
+    finish_decoder,
+    finish_encoder,
+    new_models,
+    start_decoder,
+    start_encoder,
+)
 from terrainwave.coding.rans import N_SLOTS, slots_of
+from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 
 N_CLASSES = 4  # levels: the finest, the next two, all coarser ones
 PLANES = (HH, HL, LH)
 WHOLE = 4096
+MAX_WEIGHT = (1 << 15) - 1
+SHIFTS = (0, 2, 3, 4, 5)
+_LAYOUT = 1
+_K_MAX_BITS, _FAMILY_BITS, _FEATURE_BITS, _BASE_BITS, _SHIFT_BITS = 5, 2, 1, 4, 3
+# Models: magnitudes of core taps and of other taps; six groups for frequencies; a flag.
+_CORE, _OTHER, _FREQ = 0, MAGNITUDE_MODELS, 2 * MAGNITUDE_MODELS
+_OWN = 8 * MAGNITUDE_MODELS
+_N_MODELS = _OWN + 2
+_EXACT = 32  # frequencies below have a code each; above, 16 codes an octave
+MAX_CODE = 127
+
+
+class FileStencil(NamedTuple):
+    """A stencil as a file stores it: trained set `base`, plus ``deltas * 2**shift`` if there are.
+
+    The weight of `missing_tap` follows from the others, whose sum with it is 4096.
+    """
+
+    base: int
+    shift: int = 0
+    deltas: tuple[int, ...] = ()
+
+
+class FileTables(NamedTuple):
+    """What a file brings along.
+
+    `stencils` by class and plane; `codes` of the frequencies of contexts that have their own, by
+    context; `family` and `features` are the trained tables they build on.
+    """
+
+    k_max: int
+    family: int
+    features: int
+    stencils: tuple[tuple[FileStencil, ...], ...]
+    codes: dict[int, NDArray[np.int64]]
 
 
 class Tables:
@@ -29,46 +82,259 @@ class Tables:
         Weights in 2**-24 per step: of the planes, then of lines.
     """
 
-    def __init__(
-        self,
-        k_max: int,
-        stencils: NDArray[np.int64],
-        features: NDArray[np.int64],
-        freqs: NDArray[np.int64] | None,
-    ) -> None:
-        self.k_max = k_max
-        self.stencils = stencils
-        self.features = features
-        self._freqs = freqs
+    def __init__(self, file: FileTables | None) -> None:
+        self._file = file
+        self.k_max = 0 if file is None else file.k_max
+        self.features = rapid_tables.FEATURES[0 if file is None else file.features]
+        self.stencils = np.zeros((N_CLASSES, len(PLANES), MAX_TAPS), dtype=np.int64)
+        for which in range(N_CLASSES):
+            for index, plane in enumerate(PLANES):
+                stencil = FileStencil(0) if file is None else file.stencils[which][index]
+                weights = weights_of(plane, stencil)
+                self.stencils[which, index, : len(weights)] = weights
         self._built: dict[int, tuple[NDArray[np.uint32], NDArray[np.uint32]]] = {}
 
-    def freqs(self, step: int) -> NDArray[np.int64]:
-        """Return the frequencies of symbols, shape (N_CONTEXTS, N_SYMBOLS)."""
-        return rapid_tables.default_freqs(step) if self._freqs is None else self._freqs
-
     def slots(self, step: int) -> NDArray[np.uint32]:
-        """Return the decoder's table."""
+        """Return the decoder's table of frequencies."""
         return self._build(step)[0]
 
     def packed_freqs(self, step: int) -> NDArray[np.uint32]:
-        """Return the encoder's table."""
+        """Return the encoder's: of each context and symbol, the sum of those before and its own."""
         return self._build(step)[1]
 
     def _build(self, step: int) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-        family = rapid_tables.family_of(step)
+        family = rapid_tables.family_of(step) if self._file is None else self._file.family
         if family not in self._built:
-            freqs = self.freqs(step)
+            freqs = default_freqs(family).copy()
+            for context, codes in ({} if self._file is None else self._file.codes).items():
+                freqs[context] = freqs_of(codes, rest_symbol(family, context))
             before = np.cumsum(freqs, 1) - freqs
             self._built[family] = slots_of(freqs), (before << 16 | freqs).astype(np.uint32)
         return self._built[family]
 
 
-FileTables = Tables
-def parse_parameters(section):
-    st = np.zeros((4, 3, 23), np.int64)
-    for p in range(3):
-        for c in range(4):
-            w = rapid_tables.STENCILS[p + 1][0]
-            st[c, p, : len(w)] = w
-    return Tables(0, st, rapid_tables.FEATURES[0], None)
-def pack_parameters(t): return b""
+@cache
+def missing_tap(plane: int) -> int:
+    """Return the tap whose weight follows from the others: the first of the core."""
+    return TAPS[plane].index(CORES[plane][0])
+
+
+@cache
+def core_taps(plane: int) -> list[bool]:
+    """Return of each tap whether it is one of the core."""
+    return [tap in CORES[plane] for tap in TAPS[plane]]
+
+
+def weights_of(plane: int, stencil: FileStencil) -> NDArray[np.int64]:
+    """Return the weights of a file's stencil.
+
+    Raises
+    ------
+    CorruptStreamError
+        If the set does not exist or a weight is out of range.
+    """
+    trained = rapid_tables.STENCILS[plane]
+    if stencil.base >= len(trained):
+        raise CorruptStreamError(f"a stencil builds on set {stencil.base}, which does not exist")
+    weights: NDArray[np.int64] = trained[stencil.base].astype(np.int64)
+    if stencil.deltas:
+        weights += np.array(stencil.deltas, dtype=np.int64) << stencil.shift
+        missing = missing_tap(plane)
+        weights[missing] = 0
+        weights[missing] = WHOLE - weights.sum()
+        if np.abs(weights).max() > MAX_WEIGHT:
+            raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond 2^15")
+    return weights
+
+
+# Frequencies ------------------------------------------------------------------------------------
+
+
+def code_of(freq: int) -> int:
+    """Return the code of the frequencies around `freq`."""
+    if freq < _EXACT:
+        return freq
+    shift = freq.bit_length() - 5
+    return _EXACT + 16 * (shift - 1) + (freq >> shift) - 16
+
+
+def freq_of(code: int) -> int:
+    """Return the frequency that a code stands for: `code_of` undone but for its rounding."""
+    if code < _EXACT:
+        return code
+    shift = ((code - _EXACT) >> 4) + 1
+    return ((16 + (code & 15)) << shift) + (1 << shift >> 1)
+
+
+_FREQ_OF_CODE = np.array([freq_of(code) for code in range(MAX_CODE + 1)], dtype=np.int64)
+
+
+def freqs_of(codes: NDArray[np.int64], rest: int) -> NDArray[np.int64]:
+    """Return the frequencies of one context; that of symbol `rest` is what the others leave.
+
+    Raises
+    ------
+    CorruptStreamError
+        If they leave nothing, or the escape is impossible.
+    """
+    freqs = _FREQ_OF_CODE[codes]
+    freqs[rest] = 0
+    freqs[rest] = N_SLOTS - freqs.sum()
+    if freqs[rest] < 1 or freqs[ESCAPE] < 1:
+        raise CorruptStreamError("the frequencies of a context do not fit")
+    return freqs
+
+
+@cache
+def default_codes(family: int) -> NDArray[np.int64]:
+    """Return the trained codes of all contexts."""
+    return rapid_tables.default_codes()[family].astype(np.int64)
+
+
+def rest_symbol(family: int, context: int) -> int:
+    """Return the symbol whose frequency is not stored: the likeliest of the trained ones."""
+    return int(default_codes(family)[context].argmax())
+
+
+@cache
+def default_freqs(family: int) -> NDArray[np.int64]:
+    """Return the trained frequencies, shape (N_CONTEXTS, N_SYMBOLS)."""
+    codes = default_codes(family)
+    return np.stack([freqs_of(codes[c], rest_symbol(family, c)) for c in range(N_CONTEXTS)])
+
+
+# Bytes ------------------------------------------------------------------------------------------
+
+
+def pack_parameters(tables: FileTables) -> bytes:
+    """Return the parameters section."""
+    state, out = start_encoder(), np.zeros(1 << 16, dtype=np.uint8)
+    models = new_models(_N_MODELS)
+    for value, n_bits in (
+        (tables.k_max, _K_MAX_BITS), (tables.family, _FAMILY_BITS), (tables.features, _FEATURE_BITS)
+    ):  # fmt: skip
+        encode_raw(state, out, value, n_bits)
+    for row in tables.stencils:
+        for plane, stencil in zip(PLANES, row, strict=True):
+            encode_raw(state, out, stencil.base, _BASE_BITS)
+            encode_raw(state, out, int(bool(stencil.deltas)), 1)
+            if not stencil.deltas:
+                continue
+            encode_raw(state, out, stencil.shift, _SHIFT_BITS)
+            for tap, delta in enumerate(stencil.deltas):
+                if tap == missing_tap(plane):
+                    continue
+                first = _CORE if core_taps(plane)[tap] else _OTHER
+                encode_magnitude(state, out, models, first, abs(delta))
+                if delta:
+                    encode_raw(state, out, int(delta < 0), 1)
+    was_own = 0
+    for context in range(N_CONTEXTS):
+        is_own = int(context in tables.codes)
+        encode_bit(state, out, models, _OWN + was_own, is_own)
+        was_own = is_own
+        if not is_own:
+            continue
+        trained = default_codes(tables.family)[context]
+        rest = rest_symbol(tables.family, context)
+        last = 0
+        for symbol in range(N_SYMBOLS):
+            if symbol == rest:
+                continue
+            change = int(tables.codes[context][symbol] - trained[symbol])
+            encode_magnitude(state, out, models, _freq_models(trained[symbol], last), abs(change))
+            if change and trained[symbol]:
+                encode_raw(state, out, int(change < 0), 1)
+            last = abs(change)
+    n_bytes = finish_encoder(state, out)
+    return bytes([_LAYOUT]) + out[:n_bytes].tobytes()
+
+
+def parse_parameters(section: bytes) -> Tables:
+    """Undo `pack_parameters`, trusting nothing; no bytes stand for trained tables alone.
+
+    Raises
+    ------
+    UnsupportedVersionError
+        If the layout is not known.
+    CorruptStreamError
+        If a value is out of range or the section does not end where it should.
+    """
+    if not section:
+        return Tables(None)
+    if section[0] != _LAYOUT:
+        raise UnsupportedVersionError(
+            f"the tables of the file have layout {section[0]}, which this terrainwave does not"
+            " know: install a newer one"
+        )
+    data = np.frombuffer(section, dtype=np.uint8)[1:].copy()
+    state = np.zeros(STATE_SIZE, dtype=np.int64)
+    start_decoder(state, data)
+    models = new_models(_N_MODELS)
+    k_max = int(decode_raw(state, data, _K_MAX_BITS))
+    family = int(decode_raw(state, data, _FAMILY_BITS))
+    features = int(decode_raw(state, data, _FEATURE_BITS))
+    if family >= rapid_tables.N_FAMILIES or features >= len(rapid_tables.FEATURES):
+        raise CorruptStreamError(f"trained tables {family}, {features} do not exist")
+    stencils = tuple(
+        tuple(_parse_stencil(state, data, models, plane) for plane in PLANES)
+        for _ in range(N_CLASSES)
+    )
+    codes = {}
+    was_own = 0
+    for context in range(N_CONTEXTS):
+        was_own = int(decode_bit(state, data, models, _OWN + was_own))
+        if was_own:
+            codes[context] = _parse_codes(state, data, models, family, context)
+            freqs_of(codes[context], rest_symbol(family, context))  # checks them
+    raise_for_status(*finish_decoder(state, data))
+    return Tables(FileTables(k_max, family, features, stencils, codes))
+
+
+def _freq_models(trained: int, last: int) -> int:
+    """Return the first model of a change: by whether the symbol is usual, and the last change."""
+    group = 3 * int(trained > 0) + min(int(last).bit_length(), 2)
+    return _FREQ + group * MAGNITUDE_MODELS
+
+
+def _parse_stencil(
+    state: NDArray[np.int64], data: NDArray[np.uint8], models: NDArray[np.uint32], plane: int
+) -> FileStencil:
+    base = int(decode_raw(state, data, _BASE_BITS))
+    if not decode_raw(state, data, 1):
+        return FileStencil(base)
+    shift = int(decode_raw(state, data, _SHIFT_BITS))
+    deltas = []
+    for tap, is_core in enumerate(core_taps(plane)):
+        delta = 0
+        if tap != missing_tap(plane):
+            delta = int(decode_magnitude(state, data, models, _CORE if is_core else _OTHER))
+            if delta > 2 * MAX_WEIGHT:
+                raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond 2^15")
+            if delta and decode_raw(state, data, 1):
+                delta = -delta
+        deltas.append(delta)
+    return FileStencil(base, shift, tuple(deltas))
+
+
+def _parse_codes(
+    state: NDArray[np.int64],
+    data: NDArray[np.uint8],
+    models: NDArray[np.uint32],
+    family: int,
+    context: int,
+) -> NDArray[np.int64]:
+    trained = default_codes(family)[context]
+    codes = trained.copy()
+    last = 0
+    for symbol in range(N_SYMBOLS):
+        if symbol == rest_symbol(family, context):
+            continue
+        last = int(decode_magnitude(state, data, models, _freq_models(trained[symbol], last)))
+        if last > MAX_CODE:
+            raise CorruptStreamError(f"a frequency changes by {last} codes")
+        is_less = bool(last and trained[symbol] and decode_raw(state, data, 1))
+        codes[symbol] += -last if is_less else last
+        if not 0 <= codes[symbol] <= MAX_CODE:
+            raise CorruptStreamError(f"frequency code {codes[symbol]} does not exist")
+    return codes

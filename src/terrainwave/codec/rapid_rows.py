@@ -6,7 +6,7 @@ samples are ``at + place(plane, 0, column)``. Heights are less than the unit's o
 
 import numpy as np
 
-from terrainwave._jit import inlined_kernel
+from terrainwave._jit import inlined_kernel, kernel
 from terrainwave.codec.lattice import HH, HL, LH, A, reflect
 from terrainwave.codec.rapid_layout import (
     BENDS,
@@ -45,7 +45,7 @@ def corner(row, base):
     return np.uint64(row - base) * _STRIDE
 
 
-@inlined_kernel
+@kernel
 def keep_latest_rows(m, first, n_cols):
     """Move the rows that are still needed, from slot `first` on, to the front of each plane."""
     for plane in range(8):
@@ -56,7 +56,7 @@ def keep_latest_rows(m, first, n_cols):
                 m[to + np.uint64(col)] = m[source + np.uint64(col)]
 
 
-@inlined_kernel
+@kernel
 def load_coarse_row(m, at, row, source, start, row_step, col_step, origin, shape, scale):
     """Fill a row of plane A with what lies around it, mirrored where the lattice ends."""
     n_rows, n_cols = shape
@@ -74,7 +74,7 @@ def load_coarse_row(m, at, row, source, start, row_step, col_step, origin, shape
         m[to + np.uint64(right)] = m[to + np.uint64(reflect(2 * right, n_cols) >> 1)]
 
 
-@inlined_kernel
+@kernel
 def fill_bends(m, at, n, shift, most):
     """Fill a row of curvatures of plane A: fourth differences along the row plus the column."""
     cast = m.dtype.type
@@ -114,7 +114,7 @@ def widen_row(m, start, n):
         m[start + np.uint64(n - 1 + k)] = last
 
 
-@inlined_kernel
+@kernel
 def surround(m, own, row, n_rows, n):
     """Make a coded row, and the errors of its predictions, readable beside it, above and below."""
     widen_row(m, own, n)
@@ -130,7 +130,7 @@ def surround(m, own, row, n_rows, n):
             copy_row(m, left + _TO_ERRORS, left + _TO_ERRORS + np.uint64(k) * _STRIDE, n + 8)
 
 
-@inlined_kernel
+@kernel
 def fill_between(m, at, to, plane, n):
     """Fill a row from place `to` on with means of the coarse samples around a row of a plane."""
     cast = m.dtype.type
@@ -148,7 +148,7 @@ def fill_between(m, at, to, plane, n):
     widen_row(m, to, n)
 
 
-@inlined_kernel
+@kernel
 def start_plane(m, at, plane, n):
     """Fill what is above a plane's first row: heights as means of coarse ones, errors of 0."""
     own = at + np.uint64(plane * PLANE) + _A
@@ -164,7 +164,7 @@ def clear_row(m, start, n):
         m[start + np.uint64(j)] = 0
 
 
-@inlined_kernel
+@kernel
 def fill_empty(m, at, plane, n):
     """Fill a row of a plane without samples of its own, and its errors, for those who read it."""
     own = at + np.uint64(plane * PLANE) + _A
@@ -172,7 +172,7 @@ def fill_empty(m, at, plane, n):
     clear_row(m, own + _TO_ERRORS - _U4, n + 8)
 
 
-@inlined_kernel
+@kernel
 def predict_hh(m, at, n):
     """Fill `PREDICTED` with the stencil's predictions of a row of HH, in 1/64 quanta."""
     cast, w, t = m.dtype.type, STENCIL[HH], TAPS_HH
@@ -195,7 +195,7 @@ def predict_hh(m, at, n):
         m[PREDICTED + np.uint64(j)] = cast(total >> 6)
 
 
-@inlined_kernel
+@kernel
 def predict_hl(m, at, n):
     """Fill `PREDICTED` with the stencil's predictions of a row of HL, in 1/64 quanta."""
     cast, w, t = m.dtype.type, STENCIL[HL], TAPS_HL
@@ -218,7 +218,7 @@ def predict_hl(m, at, n):
         m[PREDICTED + np.uint64(j)] = cast(total >> 6)
 
 
-@inlined_kernel
+@kernel
 def predict_lh(m, at, n):
     """Fill `PREDICTED` with the stencil's predictions of a row of LH, in 1/64 quanta."""
     cast, w, t = m.dtype.type, STENCIL[LH], TAPS_LH
@@ -251,7 +251,7 @@ def predict_lh(m, at, n):
         m[PREDICTED + np.uint64(j)] = cast(total >> 6)
 
 
-@inlined_kernel
+@kernel
 def _look_around(m, at, n, core):
     """Fill `LEAST`, `MOST` and `SUM` from the four samples of the core."""
     cast = m.dtype.type
@@ -270,7 +270,7 @@ def _look_around(m, at, n, core):
         )
 
 
-@inlined_kernel
+@kernel
 def look_around_hh(m, at, n):
     """Fill `LEAST`, `MOST`, `SUM` and `TWIST` of a row of HH."""
     cast, core = m.dtype.type, CORE_HH
@@ -281,7 +281,7 @@ def look_around_hh(m, at, n):
         m[np.uint64(j) + TWIST] = abs(cast(difference))
 
 
-@inlined_kernel
+@kernel
 def look_around_hl(m, at, n):
     """Fill `LEAST`, `MOST`, `SUM` and `TWIST` of a row of HL."""
     cast, core = m.dtype.type, CORE_HL
@@ -292,7 +292,7 @@ def look_around_hl(m, at, n):
         m[np.uint64(j) + TWIST] = abs(cast(difference))
 
 
-@inlined_kernel
+@kernel
 def look_around_lh(m, at, n):
     """Fill `LEAST`, `MOST`, `SUM` and `TWIST` of a row of LH."""
     cast, core = m.dtype.type, CORE_LH
@@ -303,7 +303,7 @@ def look_around_lh(m, at, n):
         m[np.uint64(j) + TWIST] = abs(cast(difference))
 
 
-@inlined_kernel
+@kernel
 def store_rows(m, at, row, out, start, row_step, col_step, origin, shape):
     """Write lattice rows 2·row and 2·row + 1 (where there is one) to `out`."""
     n_rows, n_cols = shape

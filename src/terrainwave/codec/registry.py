@@ -3,9 +3,15 @@
 from terrainwave.codec.refiner import Refiner
 from terrainwave.errors import InvalidHeightsError, UnsupportedVersionError
 
-METHODS = ("predictive", "cdf97", "cdf53", "store")
+METHODS = ("predictive", "rapid", "cdf97", "cdf53", "store")
 # Of what heights each method makes coarse levels (`pyramid.Pyramid`).
-PYRAMIDS = {"predictive": "nested", "cdf97": "lowpass", "cdf53": "lowpass53", "store": "nested"}
+PYRAMIDS = {
+    "predictive": "nested",
+    "rapid": "nested",
+    "cdf97": "lowpass",
+    "cdf53": "lowpass53",
+    "store": "nested",
+}
 DEFAULT_METHOD = "predictive"
 
 
@@ -25,6 +31,10 @@ def refiner_by_name(name: str, parameters: bytes = b"") -> Refiner:
         from terrainwave.codec.predictive import Predictive
 
         return Predictive(parameters)
+    if name == "rapid":
+        from terrainwave.codec.rapid import Rapid
+
+        return Rapid(parameters)
     if parameters and name in METHODS:
         raise UnsupportedVersionError(
             f"the file has parameters for method {name}, which this terrainwave does not know:"

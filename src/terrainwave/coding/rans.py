@@ -71,7 +71,7 @@ def _refilled(state, words, at):
     return (filled if is_low else state), at + np.uint64(is_low)
 
 
-@inlined_kernel
+@kernel
 def decode_row(m, contexts, symbols, n, slots, words, word_pos, states, count):
     """Decode `n` symbols, all with states that take turns; return the word after the last.
 

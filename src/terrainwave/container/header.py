@@ -19,7 +19,7 @@ MAGIC = b"\x89TWZ\r\n\x1a\n"  # as PNG's: a text-mode or 7-bit copy damages it v
 FORMAT_VERSION = 1
 HEADER_SIZE = 128
 
-METHODS = ("store", "cdf97", "predictive", "cdf53")
+METHODS = ("store", "cdf97", "predictive", "cdf53", "rapid")
 MESHES = ("none", "halves", "zerotree", "rqt")
 # Codes 2 (int8) and 5 (uint32) are reserved.
 DTYPE_CODES = {"uint8": 1, "uint16": 3, "int16": 4, "int32": 6, "float32": 7, "float64": 8}
