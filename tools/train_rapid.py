@@ -25,7 +25,6 @@ from terrainwave.codec.rapid_fitting import (
     _judged,
     choose_stencils,
     codes_for,
-    count,
     fit_stencil,
     gather,
 )
@@ -79,6 +78,7 @@ def windows_of(path: Path) -> list[Window]:
 
 
 def plain_tables(step: int) -> FileTables:
+    """Return tables without anything of a file's own."""
     plain = ((FileStencil(0),) * len(PLANES),) * N_CLASSES
     return FileTables(0, rapid_tables.family_of(step), 0, plain, {})
 
@@ -131,7 +131,9 @@ def train_codes(windows: dict[str, list[Window]]) -> np.ndarray:
         for context in range(N_CONTEXTS):
             trained = rapid_parameters.default_freqs(family)[context] / 2048
             weights = counts[family, context] + 200 * trained
-            codes[family, context] = codes_for(np.rint(1000 * weights).astype(np.int64), family, context)
+            codes[family, context] = codes_for(
+                np.rint(1000 * weights).astype(np.int64), family, context
+            )
             rest = rapid_parameters.rest_symbol(family, context)
             left = rapid_parameters.freqs_of(codes[family, context], rest)[rest]
             codes[family, context, rest] = rapid_parameters.code_of(int(left))
@@ -139,6 +141,7 @@ def train_codes(windows: dict[str, list[Window]]) -> np.ndarray:
 
 
 def write(stencils: dict[int, np.ndarray], codes: np.ndarray) -> None:
+    """Print the module of the tables."""
     features = rapid_tables.FEATURES
     print(HEADER)
     print("STENCILS = {")

@@ -23,7 +23,6 @@ from terrainwave.codec.rapid_code import (
     WORD_POS,
     Streams,
 )
-from terrainwave.codec.rapid_layout import MAX_COLS, Scale, Workspace, new_workspace
 from terrainwave.codec.rapid_lattice import (
     Grid2,
     Known,
@@ -31,6 +30,7 @@ from terrainwave.codec.rapid_lattice import (
     code_lattice,
     load_weights,
 )
+from terrainwave.codec.rapid_layout import MAX_COLS, Scale, Workspace, new_workspace
 from terrainwave.codec.rapid_magnitude import scale_of, scaled_features
 from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_parameters
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
@@ -342,4 +342,3 @@ def _check_end(streams: Streams) -> None:
         raise CorruptStreamError("the symbols do not end in the state that they began with")
     if bit_pos % 8 and int(streams.raw[bit_pos >> 5]) >> (bit_pos & 31):
         raise CorruptStreamError("the last byte of raw bits is not filled with 0")
-

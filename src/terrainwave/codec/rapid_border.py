@@ -105,9 +105,7 @@ def _plan(
 
 
 @kernel
-def code_shared(
-    goal, valid, has_void, out, parent, corners, lines, origin, workspace, scale, s
-):
+def code_shared(goal, valid, has_void, out, parent, corners, lines, origin, workspace, scale, s):
     """Encode or decode (`goal` None) all shared samples of a group into `out`.
 
     `goal`, `valid`, `out` and `parent` are flat; `corners` and `lines` are of `plan_lines`.
@@ -159,7 +157,8 @@ def _code_prepared(goal, n, has_void, workspace, scale, s):
     expect_on_line(m, n, scale)
     round_predictions(m, n, scale)
     fill_contexts(m, workspace.reals, workspace.bits_of_reals, n, scale)
-    code_span(goal, m, 0, n, RESULT, has_void, scale, s)
+    first = np.int64(0)
+    code_span(goal, m, first, n, RESULT, has_void, scale, s)
 
 
 @kernel

@@ -109,9 +109,7 @@ def _read_symbols(m, at, n, has_void, s):
     start = min(s.places[WORD_POS], s.n_words)
     count = s.places[COUNT]
     if not has_void and s.n_states == N_STATES:
-        end = decode_row(
-            m, at + CONTEXT, at + SYMBOL, n, s.slots, s.words, start, s.states, count
-        )
+        end = decode_row(m, at + CONTEXT, at + SYMBOL, n, s.slots, s.words, start, s.states, count)
         s.places[COUNT] = count + n
     else:
         end = start

@@ -164,9 +164,7 @@ class Samples(NamedTuple):
     every: float
 
 
-def gather(
-    plane: int, windows: list[Window], depths: tuple[int, ...], step: int
-) -> Samples | None:
+def gather(plane: int, windows: list[Window], depths: tuple[int, ...], step: int) -> Samples | None:
     """Collect samples of a plane from windows at depths below the full grid."""
     taps, core = _offsets(plane, TAPS[plane]), _offsets(plane, CORES[plane])
     parts = [
@@ -320,9 +318,7 @@ def coding_order(shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.
     return np.concatenate(places), np.concatenate(kinds)
 
 
-def fit_codes(
-    family: int, counts: NDArray[np.int64], share: float
-) -> dict[int, NDArray[np.int64]]:
+def fit_codes(family: int, counts: NDArray[np.int64], share: float) -> dict[int, NDArray[np.int64]]:
     """Return the codes of the contexts whose own frequencies are worth their bytes."""
     found = {}
     for context in range(N_CONTEXTS):
@@ -355,4 +351,3 @@ def codes_for(weights: NDArray[np.int64], family: int, context: int) -> NDArray[
         largest = max(others, key=lambda symbol: int(codes[symbol]))
         codes[largest] -= 1
     return codes
-

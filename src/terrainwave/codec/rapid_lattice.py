@@ -210,7 +210,10 @@ def _finish_row(
     own = at + np.uint64(plane * PLANE) + _FIRST
     col = 0 if plane == LH else 1
     lattice_row = 2 * row + (0 if plane == HL else 1)
-    first, stop = (known.left + 1 - col) >> 1, n - ((known.right + 1 - ((shape[1] - 1 - col) & 1)) >> 1)
+    first, stop = (
+        (known.left + 1 - col) >> 1,
+        n - ((known.right + 1 - ((shape[1] - 1 - col) & 1)) >> 1),
+    )
     if lattice_row < known.top or lattice_row >= shape[0] - known.bottom:
         first = stop = n
     start = grid.start + lattice_row * grid.row_step + col * grid.col_step

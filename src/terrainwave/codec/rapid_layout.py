@@ -6,10 +6,10 @@ is a place: an unsigned number. Places of neighbours differ by constants, which 
 plain vector loads.
 
 Of each plane only the rows around those being coded are kept, `N_ROWS` of them; when the last one
-is used up, the latest move to the front. Row `i` of a plane begins at slot ``i - base + ROWS_ABOVE``.
+is used up, the latest move to the front. Row `i` of a plane is in slot ``i - base + ROWS_ABOVE``.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,7 +142,7 @@ class Scale(NamedTuple):
 class Workspace(NamedTuple):
     """The arrays that a thread codes in, one unit after the other."""
 
-    m: NDArray[np.int32] | NDArray[np.int64]
+    m: NDArray[Any]  # int32 or int64
     reals: NDArray[np.float32]
     bits_of_reals: NDArray[np.int32]
 

@@ -8,7 +8,7 @@ features come in units of about the step, so that no sum passes 2**31.
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave._jit import inlined_kernel, kernel
+from terrainwave._jit import kernel
 from terrainwave.codec.lattice import HH, HL, LH
 from terrainwave.codec.rapid_layout import (
     ABOVE_HH,
@@ -93,7 +93,8 @@ def expect_hh(m, at, n, scale):
             + c1 * m[k + ABOVE_HH[0]]
             + c2 * (m[k + ABOVE_HH[1]] + m[k + ABOVE_HH[2]])
             + c3 * m[k + ABOVE_HH[3]]
-            + c6 * (m[k + BENDS_HH[0]] + m[k + BENDS_HH[1]] + m[k + BENDS_HH[2]] + m[k + BENDS_HH[3]])
+            + c6
+            * (m[k + BENDS_HH[0]] + m[k + BENDS_HH[1]] + m[k + BENDS_HH[2]] + m[k + BENDS_HH[3]])
         )
         m[np.uint64(j) + EXPECTED] = min(cast(total >> _EXPECTED_SHIFT), cast(_MOST_EXPECTED))
 

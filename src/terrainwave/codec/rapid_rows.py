@@ -1,4 +1,4 @@
-"""Rows of the planes of a lattice: filling, predicting, what lies around (format-rapid.md, R.5-R.6).
+"""Rows of the planes of a lattice: filled, predicted, made readable (format-rapid.md, R.5, R.6).
 
 `at` is the corner of a row's neighbourhood in the workspace `m` (`rapid_layout`): the row's own
 samples are ``at + place(plane, 0, column)``. Heights are less than the unit's origin.
@@ -265,9 +265,7 @@ def _look_around(m, at, n, core):
         m[to + MOST] = max(max(a, b), max(c, d))
     for j in range(n):
         k, to = at + np.uint64(j), np.uint64(j)
-        m[to + SUM] = cast(
-            m[k + core[0]] + m[k + core[1]] + m[k + core[2]] + m[k + core[3]]
-        )
+        m[to + SUM] = cast(m[k + core[0]] + m[k + core[1]] + m[k + core[2]] + m[k + core[3]])
 
 
 @kernel

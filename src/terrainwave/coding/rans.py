@@ -142,7 +142,6 @@ def encode_symbols(contexts, symbols, n, freqs, n_states, words, states):
     states : ndarray of uint64, shape (N_STATES,)
         Takes what the decoder starts from.
     """
-    n_symbols = freqs.shape[1]
     at = words.shape[0]
     for k in range(N_STATES):
         states[k] = _REFILL
