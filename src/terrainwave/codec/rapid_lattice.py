@@ -103,7 +103,7 @@ def code_lattice(
     n_rows, n_cols = shape
     n_even, n_odd = (n_rows + 1) >> 1, n_rows >> 1
     n_even_cols, n_odd_cols = (n_cols + 1) >> 1, n_cols >> 1
-    base = 0
+    base = -3
     for row in range(-3, 3):
         at = corner(row, base)
         load_coarse_row(
