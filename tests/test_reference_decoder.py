@@ -74,7 +74,7 @@ def spikes(rng, shape):
 
 
 # Method and border_rings.
-CODECS = [*product(["store", "cdf97", "predictive"], [1, 3]), ("cdf53", 1)]
+CODECS = [*product(["store", "cdf97", "predictive", "rapid"], [1, 3]), ("cdf53", 1)]
 EFFORTS = ["fast", "default", "best"]
 # What the raster is; its maker; options that go with it.
 RASTERS = {
@@ -122,7 +122,13 @@ RASTERS = {
 SMALL = [(1, 1), (1, 9), (5, 5), (2, 34), (33, 34), (1, 70), (70, 3)]
 # Several levels; the finest one's last blocks have only one or two rows and columns. Smaller for
 # methods that take longer here.
-LARGE = {"store": (66, 131), "cdf97": (66, 131), "predictive": (66, 70), "cdf53": (35, 66)}
+LARGE = {
+    "store": (66, 131),
+    "cdf97": (66, 131),
+    "predictive": (66, 70),
+    "rapid": (66, 131),
+    "cdf53": (35, 66),
+}
 
 
 def pairs(first):

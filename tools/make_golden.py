@@ -77,6 +77,27 @@ CASES = {
         (70, 70), "int16", 700, "nodata", PLACE,
         {"max_error": 5, "effort": "fast", "block": 64, "mesh": "none"},
     ),
+    "rapid-int16-halves": (
+        (150, 140), "int16", 900, "none", PLACE, {"max_error": 2, "method": "rapid"},
+    ),
+    "rapid-int16-lossless-nodata": (
+        (70, 51), "int16", 400, "nodata", PLACE, {"max_error": 0, "method": "rapid"},
+    ),
+    "rapid-uint8": (
+        (41, 41), "uint8", 80, "none", DEGREES,
+        {"max_error": 1, "method": "rapid", "mesh": "none"},
+    ),
+    "rapid-int32-rings": (
+        (50, 66), "int32", 90_000, "mask", PLACE,
+        {"max_error": 50, "method": "rapid", "border_rings": 3, "mesh": "none"},
+    ),
+    "rapid-int32-wide": (
+        (50, 66), "int32", 200_000_000, "none", PLACE,
+        {"max_error": 3, "method": "rapid", "mesh": "none"},
+    ),
+    "rapid-float32-nan": (
+        (40, 60), "float32", 500, "nan", PLACE, {"max_error": 0.1, "method": "rapid"},
+    ),
     "cdf53-int16-lossless": (
         (66, 47), "int16", 900, "nodata", PLACE, {"max_error": 0, "method": "cdf53"},
     ),

@@ -36,10 +36,10 @@ from terrainwave.codec.residual import (
     VOID,
     WEIGHT_BITS,
 )
-from terrainwave.codec.units import CodecParameters, block_of_unit, unit_spec
 from terrainwave.codec.zerotree import N_TREE_MODELS
 from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.coding.rangecoder import new_models
+from terrainwave.grid.parameters import CodecParameters, block_of_unit, unit_spec
 from terrainwave.grid.quadtree import Grid
 
 N_SETS = 16

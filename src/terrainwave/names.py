@@ -62,6 +62,7 @@ METHODS = {
     for method in (
         Method(name="predictive", number=2, refiner="predictive.Predictive", has_parameters=True,
                is_patchable=True, effort="1, 2 or 8 sets of weights"),
+        Method(name="rapid", number=4, refiner="rapid.Rapid", has_parameters=True),
         Method(name="cdf97", number=1, refiner="cdf97.Cdf97", pyramid="lowpass",
                effort="1, up to 3 or up to 7 steps"),
         Method(name="cdf53", number=3, pyramid="lowpass53", is_cuttable=True, is_clusterable=False),

@@ -17,6 +17,7 @@ from reference_decoder.basics import (
 )
 from reference_decoder.grid import Grid
 from reference_decoder.predictive import read_tables
+from reference_decoder.rapid import read_rapid_tables
 
 DICTIONARY = fenced("dictionary").replace("\n", "").encode("ascii")  # §4.6
 
@@ -28,7 +29,7 @@ NAMES = (
     "max_error effective_bound rho metadata_crc parameters_length parameters_crc "
     "top_page_length mesh_tolerance header_crc"
 ).split()
-METHODS = {0: "store", 1: "cdf97", 2: "predictive", 3: "cdf53"}
+METHODS = {0: "store", 1: "cdf97", 2: "predictive", 3: "cdf53", 4: "rapid"}
 DTYPES = {1: "uint8", 3: "uint16", 4: "int16", 6: "int32", 7: "float32", 8: "float64"}
 
 
@@ -209,7 +210,7 @@ def read_file(data):
     at += h.metadata_length
     parameters = data[at : at + h.parameters_length]
     require(zlib.crc32(parameters) == h.parameters_crc, "parameters_crc")
-    if METHODS[h.method] != "predictive":
+    if METHODS[h.method] not in ("predictive", "rapid"):
         require(not parameters, "the method has no parameters", UnsupportedError)
     at += h.parameters_length
 
@@ -267,7 +268,11 @@ def read_file(data):
     return SimpleNamespace(
         header=h,
         parameters=parameters,
-        tables=read_tables(parameters),
+        tables=(
+            read_rapid_tables(parameters, h.step)
+            if METHODS[h.method] == "rapid"
+            else read_tables(parameters)
+        ),
         metadata=metadata,
         grid=grid,
         payloads=payloads,

@@ -8,10 +8,16 @@ from reference_decoder.cdf97 import decode_cdf97
 from reference_decoder.files import DTYPES, METHODS
 from reference_decoder.predictive import decode_predictive
 from reference_decoder.range_coder import Models
+from reference_decoder.rapid import decode_rapid
 from reference_decoder.store import decode_store
 
 MASK_STARTS = [int(number) for number in fenced("starts").split()]  # §5.2
-DECODERS = {"store": decode_store, "cdf97": decode_cdf97, "predictive": decode_predictive}
+DECODERS = {
+    "store": decode_store,
+    "cdf97": decode_cdf97,
+    "predictive": decode_predictive,
+    "rapid": decode_rapid,
+}
 
 
 def implied_void(unit, parent_unit, parent_valid):

@@ -162,7 +162,7 @@ def _gather(
     goals = np.empty(rows.shape[0], dtype=np.float64)
     n_found = place = 0
     for heights, mask in windows:
-        n_found, place = _gather_window(
+        n_found, place = gather_window(
             heights, mask, parity, taps, core, every, 1.0 / step, rows, goals, n_found, place
         )
     if n_found < _MIN_SAMPLES:
@@ -185,7 +185,7 @@ def _offsets(plane: int, resolved: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 @kernel
-def _gather_window(heights, mask, parity, taps, core, every, scale, rows, goals, n_found, place):
+def gather_window(heights, mask, parity, taps, core, every, scale, rows, goals, n_found, place):
     """Append every `every`-th place whose taps are all valid; return the new counts."""
     for row in range(_MARGIN + parity[0], heights.shape[0] - _MARGIN, 2):
         for col in range(_MARGIN + parity[1], heights.shape[1] - _MARGIN, 2):

@@ -97,8 +97,8 @@ def compress(
         With method cdf53, instead of `max_error`: decibels of the heights' range over the root
         mean square error that the file must reach.
     method : str
-        ``"predictive"``, ``"cdf97"``, ``"cdf53"``, ``"store"`` or ``"auto"`` (predictive, the
-        smallest).
+        ``"predictive"``, ``"rapid"``, ``"cdf97"``, ``"cdf53"``, ``"store"`` or ``"auto"``
+        (predictive, the smallest).
     block : int
         Cells per side of a block: 32, 64, … 1024.
     effort : str

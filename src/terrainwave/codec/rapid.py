@@ -1,0 +1,344 @@
+"""The `rapid` method: nested grids by rows, with tables of the file (docs/format-rapid.md).
+
+Like `predictive` it predicts each sample from everything decoded so far and quantises the error
+around zero. But no sample waits for its neighbour in the row, and symbols are coded with the fixed
+frequencies of contexts, so that all but the symbols themselves runs in vectors.
+"""
+
+import threading
+from collections.abc import Callable
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.codec.rapid_border import code_shared, plan_lines
+from terrainwave.codec.rapid_code import (
+    BIT_POS,
+    COUNT,
+    N_SYMBOLS,
+    SPARE_BITS,
+    SPARE_WORDS,
+    WORD_POS,
+    Streams,
+)
+from terrainwave.codec.rapid_lattice import (
+    Grid2,
+    Known,
+    code_corners,
+    code_lattice,
+    load_weights,
+)
+from terrainwave.codec.rapid_layout import MAX_COLS, Scale, Workspace, new_workspace
+from terrainwave.codec.rapid_magnitude import scale_of, scaled_features
+from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_parameters
+from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
+from terrainwave.codec.varint import decode_varint, encode_varint
+from terrainwave.coding.rans import N_STATES, STATE_START, encode_symbols
+from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+from terrainwave.grid.quadtree import Grid, Region
+
+_WIDE, _SINGLE = 1, 2
+# Units of fewer samples have one state instead of eight: 28 bytes less.
+_MANY_SAMPLES = 1 << 14
+_NONE_KNOWN = Known(0, 0, 0, 0)
+_NO_LOG = np.zeros(1, dtype=np.uint8)
+_NO_FREQS = np.zeros((1, 1), dtype=np.uint32)
+_NO_WORDS = np.zeros(SPARE_WORDS, dtype=np.uint16)
+_LIMIT32 = (1 << 31) - 64
+_MOST_NARROW_STEP = 1 << 24
+
+
+class _Memory(threading.local):
+    """Memory of a thread that units take turns with."""
+
+    def __init__(self) -> None:
+        self._workspaces: dict[bool, Workspace] = {}
+
+    def workspace(self, is_wide: bool) -> Workspace:
+        """Return the arrays to code a unit in."""
+        if is_wide not in self._workspaces:
+            self._workspaces[is_wide] = new_workspace(np.int64 if is_wide else np.int32)
+        return self._workspaces[is_wide]
+
+
+_MEMORY = _Memory()
+
+
+class _Unit(NamedTuple):
+    """A unit as kernels see it."""
+
+    spec: GroupSpec
+    goal: NDArray[np.int32] | None
+    valid: NDArray[np.bool_]
+    has_void: bool
+    out: NDArray[np.int32]
+    origin: int
+    scale: Scale
+    workspace: Workspace
+    streams: Streams
+
+
+class Rapid:
+    """The refiner; see `Refiner`."""
+
+    name = "rapid"
+
+    def __init__(self, parameters: bytes = b"") -> None:
+        self.parameters = parameters
+        self._tables = parse_parameters(parameters)
+
+    @classmethod
+    def with_tables(cls, tables: Tables) -> "Rapid":
+        """Return a refiner with tables that have not been packed."""
+        refiner = cls()
+        refiner._tables = tables
+        return refiner
+
+    @cached_property
+    def _widest(self) -> int:
+        """The largest sum of absolute weights of a stencil."""
+        return int(np.abs(self._tables.stencils).sum(-1).max())
+
+    def fitted(
+        self,
+        grid: Grid,
+        step: int,
+        heights: Callable[[int, Region], Heights],
+        mask: Callable[[int, Region], Mask],
+    ) -> "Rapid":
+        """Return a refiner with tables fitted to a raster.
+
+        `heights` and `mask` return targets and validity of a region of a level.
+        """
+        from terrainwave.codec.rapid_fitting import fit_tables
+
+        return Rapid(pack_parameters(fit_tables(grid, step, heights, mask)))
+
+    def encode(
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
+    ) -> tuple[bytes, Heights, Labels | None]:
+        """Return the payload and the heights `decode` makes of it."""
+        flags = self._flags(spec, parent, target, mask)
+        n_states = 1 if flags & _SINGLE else N_STATES
+        heights, streams = self._encode(spec, parent, target, mask, flags)
+        n_symbols, n_bits = int(streams.places[COUNT]), int(streams.places[BIT_POS])
+        words = np.empty(n_symbols, dtype=np.uint16)
+        n_words = encode_symbols(
+            streams.contexts_log, streams.symbols_log, n_symbols,
+            self._tables.packed_freqs(spec.step), n_states, words, streams.states,
+        )  # fmt: skip
+        raw = streams.raw[: (n_bits + 31) // 32].astype("<u4").tobytes()
+        payload = (
+            bytes([flags])
+            + encode_varint(n_words)
+            + streams.states[:n_states].astype("<u4").tobytes()
+            + words[n_symbols - n_words :].astype("<u2").tobytes()
+            + raw[: (n_bits + 7) // 8]
+        )
+        return payload, heights, None
+
+    def log(self, spec: GroupSpec, target: Heights, mask: Mask, n: int) -> NDArray[np.int64]:
+        """Return contexts and symbols of the first `n` symbols of a unit: N_SYMBOLS·c + s."""
+        _, streams = self._encode(spec, None, target, mask, self._flags(spec, None, target, mask))
+        contexts, symbols = streams.contexts_log[:n], streams.symbols_log[:n]
+        return contexts.astype(np.int64) * N_SYMBOLS + symbols
+
+    def _flags(self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask) -> int:
+        is_wide = self._is_wide(spec, parent, target if mask.all() else target[mask])
+        return (_WIDE if is_wide else 0) | (_SINGLE if target.size < _MANY_SAMPLES else 0)
+
+    def _encode(
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask, flags: int
+    ) -> tuple[Heights, Streams]:
+        """Return decoded heights, and the logs of what is to be written."""
+        n = target.size
+        streams = Streams(
+            places=np.zeros(3, dtype=np.int64),
+            slots=self._tables.slots(spec.step),
+            words=_NO_WORDS,
+            n_words=0,
+            states=np.zeros(N_STATES, dtype=np.uint64),
+            n_states=N_STATES,
+            raw=np.zeros(2 * n + SPARE_BITS // 32, dtype=np.uint32),
+            n_bits=1 << 40,
+            freqs=self._tables.packed_freqs(spec.step),
+            contexts_log=np.empty(n, dtype=np.uint8),
+            symbols_log=np.empty(n, dtype=np.uint8),
+        )
+        target = np.ascontiguousarray(target)
+        return self._code(spec, parent, target, mask, flags, streams), streams
+
+    def decode(
+        self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
+    ) -> tuple[Heights, Labels | None]:
+        """Rebuild the heights of ``spec.region``.
+
+        Raises
+        ------
+        CorruptStreamError
+            If the payload contradicts format-rapid.md; `TruncatedStreamError` if it is too short.
+        """
+        if not payload:
+            raise TruncatedStreamError("the payload is empty")
+        flags = payload[0]
+        if flags & ~(_WIDE | _SINGLE):
+            raise CorruptStreamError(f"payload flags {flags:#x} are not defined")
+        streams = self._read_streams(payload, flags, spec.step)
+        heights = self._code(spec, parent, None, mask, flags, streams)
+        _check_end(streams)
+        return heights, None
+
+    def _read_streams(self, payload: bytes, flags: int, step: int) -> Streams:
+        n_states = 1 if flags & _SINGLE else N_STATES
+        n_words, byte_pos = decode_varint(payload, 1)
+        first_word = byte_pos + 4 * n_states
+        first_raw = first_word + 2 * n_words
+        if first_raw > len(payload):
+            raise TruncatedStreamError(
+                f"{n_states} states and {n_words} words need {first_raw} bytes, found"
+                f" {len(payload)}"
+            )
+        states = np.zeros(N_STATES, dtype=np.uint64)
+        states[:n_states] = np.frombuffer(payload, "<u4", n_states, byte_pos)
+        words = np.zeros(n_words + SPARE_WORDS, dtype=np.uint16)
+        words[:n_words] = np.frombuffer(payload, "<u2", n_words, first_word)
+        n_raw = len(payload) - first_raw
+        raw = np.zeros((n_raw >> 2) + 1 + SPARE_BITS // 32, dtype="<u4")
+        raw.view(np.uint8)[:n_raw] = np.frombuffer(payload, np.uint8, n_raw, first_raw)
+        return Streams(
+            places=np.zeros(3, dtype=np.int64),
+            slots=self._tables.slots(step),
+            words=words,
+            n_words=n_words,
+            states=states,
+            n_states=n_states,
+            raw=raw.astype(np.uint32, copy=False),
+            n_bits=8 * n_raw,
+            freqs=_NO_FREQS,
+            contexts_log=_NO_LOG,
+            symbols_log=_NO_LOG,
+        )
+
+    def _is_wide(self, spec: GroupSpec, parent: Heights | None, heights: Heights) -> bool:
+        """Return whether a unit needs 64 bits: it has heights far from its origin."""
+        if spec.step >= _MOST_NARROW_STEP:
+            return True
+        limit, origin = _LIMIT32 // self._widest, self._origin(spec, parent, True)
+        seen = [heights] if parent is None else [heights, parent]
+        low = min((int(part.min()) for part in seen if part.size), default=origin)
+        high = max((int(part.max()) for part in seen if part.size), default=origin)
+        return max(low, spec.z_min) < origin - limit or min(high, spec.z_max) > origin + limit
+
+    def _origin(self, spec: GroupSpec, parent: Heights | None, is_wide: bool) -> int:
+        """Return what the heights of a narrow unit are less: 0 where the header's range fits."""
+        if parent is None or max(-spec.z_min, spec.z_max) * self._widest <= _LIMIT32:
+            return 0
+        return (int(parent.min()) + int(parent.max())) >> 1
+
+    def _code(
+        self, spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask,
+        flags: int, streams: Streams,
+    ) -> Heights:  # fmt: skip
+        """Encode `target`, or decode where it is None; return the heights of the region."""
+        is_wide = bool(flags & _WIDE)
+        origin = self._origin(spec, parent, is_wide)
+        low, high = spec.z_min - origin, spec.z_max - origin
+        if not is_wide:
+            limit = _LIMIT32 // self._widest
+            low, high = max(low, -limit), min(high, limit)
+        unit = _Unit(
+            spec=spec,
+            goal=None if target is None else target.ravel(),
+            valid=mask.ravel(),
+            has_void=not mask.all(),
+            out=np.zeros(spec.region.shape[0] * spec.region.shape[1], dtype=np.int32),
+            origin=origin,
+            scale=scale_of(spec.step, low, high),
+            workspace=_MEMORY.workspace(is_wide),
+            streams=streams,
+        )
+        if parent is None:
+            self._code_root(unit)
+        else:
+            self._code_group(unit, np.ascontiguousarray(parent))
+        return unit.out.reshape(spec.region.shape)
+
+    def _code_group(self, unit: _Unit, parent: Heights) -> None:
+        spec = unit.spec
+        assert spec.parent_region is not None
+        flat = parent.ravel()
+        self._load_weights(unit, 1)
+        corners, lines = plan_lines(spec)
+        code_shared(
+            unit.goal, unit.valid, unit.has_void, unit.out, flat, corners, lines, unit.origin,
+            unit.workspace, unit.scale, unit.streams,
+        )  # fmt: skip
+        row = (spec.core.row >> 1) - spec.parent_region.row
+        col = (spec.core.col >> 1) - spec.parent_region.col
+        coarse = Grid2(row * parent.shape[1] + col, parent.shape[1], 1)
+        rings = 1 + (spec.rings >> 1)
+        known = Known(*(rings if is_shared else 0 for is_shared in spec.shared))
+        self._code_lattice(unit, 1, flat, coarse, known)
+
+    def _code_root(self, unit: _Unit) -> None:
+        """Code the corners on a fixed grid, then lattices of half the stride each."""
+        n_rows, n_cols = unit.spec.core.shape
+        stride = 1
+        while stride < max(n_rows, n_cols) - 1:
+            stride *= 2
+        self._load_weights(unit, stride)
+        pitch = unit.spec.region.shape[1]
+        first = _first(unit.spec)
+        scale = unit.scale
+        code_corners(
+            unit.goal, unit.valid, unit.has_void, unit.out,
+            Grid2(first, stride * pitch, stride),
+            ((n_rows - 1) // stride + 1, (n_cols - 1) // stride + 1), unit.origin,
+            ((scale.high - scale.low) // scale.step).bit_length(), scale, unit.streams,
+        )  # fmt: skip
+        while stride > 1:
+            stride >>= 1
+            coarse = Grid2(first, 2 * stride * pitch, 2 * stride)
+            self._load_weights(unit, stride)
+            self._code_lattice(unit, stride, unit.out, coarse, _NONE_KNOWN)
+
+    def _load_weights(self, unit: _Unit, stride: int) -> None:
+        """Take the weights of the level that has a unit's samples on every `stride`-th row."""
+        depth = self._tables.k_max - unit.spec.level + stride.bit_length() - 1
+        which = min(max(depth, 0), len(self._tables.stencils) - 1)
+        features = scaled_features(self._tables.features[which], unit.scale)
+        load_weights(unit.workspace.m, self._tables.stencils[which], features)
+
+    def _code_lattice(
+        self, unit: _Unit, stride: int, source: Heights, coarse: Grid2, known: Known
+    ) -> None:
+        spec = unit.spec
+        n_rows, n_cols = ((n - 1) // stride + 1 for n in spec.core.shape)
+        assert n_cols <= 2 * MAX_COLS
+        pitch = spec.region.shape[1]
+        code_lattice(
+            unit.goal, unit.valid, unit.has_void, unit.out,
+            Grid2(_first(spec), stride * pitch, stride), source, coarse, unit.origin,
+            (n_rows, n_cols), known, unit.workspace, unit.scale, unit.streams,
+        )  # fmt: skip
+
+
+def _first(spec: GroupSpec) -> int:
+    """Return the place of the core's first sample in the flat region."""
+    row, col = spec.core.slices_in(spec.region)
+    return int(row.start) * spec.region.shape[1] + int(col.start)
+
+
+def _check_end(streams: Streams) -> None:
+    """Raise unless a unit's streams have been used up exactly."""
+    word_pos, bit_pos = int(streams.places[WORD_POS]), int(streams.places[BIT_POS])
+    if word_pos > streams.n_words or bit_pos > streams.n_bits:
+        raise TruncatedStreamError("the payload ends inside its data")
+    if word_pos < streams.n_words or (bit_pos + 7) // 8 < streams.n_bits // 8:
+        raise CorruptStreamError("bytes are left over after the last symbol")
+    if (streams.states[: streams.n_states] != STATE_START).any():
+        raise CorruptStreamError("the symbols do not end in the state that they began with")
+    if bit_pos % 8 and int(streams.raw[bit_pos >> 5]) >> (bit_pos & 31):
+        raise CorruptStreamError("the last byte of raw bits is not filled with 0")

@@ -1,0 +1,161 @@
+"""Static interleaved rANS (docs/format-rapid.md, R.8).
+
+J. Duda, Asymmetric numeral systems, 2013; interleaved as in F. Giesen, Interleaved entropy coders,
+2014: symbol i uses state i mod 8, so that a processor works on eight of them at a time. States have
+32 bits and are refilled by words of 16, all of one stream. The frequencies of each context are
+fixed and sum to 2**SLOT_BITS.
+
+Any words decode to some symbols: slots are masked, and the caller gives as many words past the end
+as one call may read. Whether they were the right ones is seen at the end: all states are back at
+`STATE_START`, and the words are used up.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.coding.jit import inlined_kernel, kernel
+
+SLOT_BITS = 11
+N_SLOTS = 1 << SLOT_BITS
+N_STATES = 8
+WORD_BITS = 16
+STATE_START = 1 << WORD_BITS
+
+# An entry of the table of slots: symbol, 8 bits; the slot's place among those of its symbol and
+# the symbol's frequency, 12 bits each.
+_PLACE_SHIFT, _FREQ_SHIFT = 8, 20
+
+_SLOT_MASK, _SLOTS = np.uint64(N_SLOTS - 1), np.uint64(SLOT_BITS)
+_WORD, _REFILL = np.uint64(WORD_BITS), np.uint64(STATE_START)
+_SYMBOL_MASK, _PLACE_MASK = np.uint64(0xFF), np.uint64(0xFFF)
+_TO_PLACE, _TO_FREQ = np.uint64(_PLACE_SHIFT), np.uint64(_FREQ_SHIFT)
+
+
+def slots_of(freqs: NDArray[np.int64]) -> NDArray[np.uint32]:
+    """Return the table of slots of all contexts.
+
+    Parameters
+    ----------
+    freqs : ndarray of int64, shape (n_contexts, n_symbols)
+        Each row sums to N_SLOTS; at most 256 symbols, no frequency above N_SLOTS - 1.
+    """
+    slots = np.empty(freqs.shape[0] << SLOT_BITS, dtype=np.uint32)
+    _fill_slots(freqs, slots)
+    return slots
+
+
+@kernel
+def _fill_slots(freqs, slots):
+    place = 0
+    for context in range(freqs.shape[0]):
+        for symbol in range(freqs.shape[1]):
+            freq = freqs[context, symbol]
+            for k in range(freq):
+                slots[place] = symbol | k << _PLACE_SHIFT | freq << _FREQ_SHIFT
+                place += 1
+
+
+@inlined_kernel
+def _decoded(m, place, state, slots, contexts, symbols):
+    """Decode the symbol at `place`, whose state is `state`; return the state before its refill."""
+    entry = np.uint64(slots[(np.uint64(m[contexts + place]) << _SLOTS) | (state & _SLOT_MASK)])
+    m[symbols + place] = np.int64(entry & _SYMBOL_MASK)
+    return (entry >> _TO_FREQ) * (state >> _SLOTS) + ((entry >> _TO_PLACE) & _PLACE_MASK)
+
+
+@inlined_kernel
+def _refilled(state, words, at):
+    """Return a state with the word at `at` below it, if it needs one, and the place after it."""
+    is_low = state < _REFILL
+    filled = (state << _WORD) | np.uint64(words[at])
+    return (filled if is_low else state), at + np.uint64(is_low)
+
+
+@kernel
+def decode_row(m, contexts, symbols, n, slots, words, word_pos, states, count):
+    """Decode `n` symbols, all with states that take turns; return the word after the last.
+
+    Parameters
+    ----------
+    m : ndarray of int
+        Holds the contexts, from place `contexts` on, and takes the symbols, from `symbols` on.
+    words : ndarray of uint16
+        Has at least `n` words from `word_pos` on.
+    states : ndarray of uint64, shape (N_STATES,)
+        The states, in place.
+    count : int
+        How many symbols have been decoded before, of which symbol i used state i mod N_STATES.
+    """
+    at, place = np.uint64(word_pos), np.uint64(0)
+    x0, x1 = states[count & 7], states[(count + 1) & 7]
+    x2, x3 = states[(count + 2) & 7], states[(count + 3) & 7]
+    x4, x5 = states[(count + 4) & 7], states[(count + 5) & 7]
+    x6, x7 = states[(count + 6) & 7], states[(count + 7) & 7]
+    for k in range(0, n - 7, 8):
+        place = np.uint64(k)
+        x0, at = _refilled(_decoded(m, place, x0, slots, contexts, symbols), words, at)
+        place = np.uint64(k + 1)
+        x1, at = _refilled(_decoded(m, place, x1, slots, contexts, symbols), words, at)
+        place = np.uint64(k + 2)
+        x2, at = _refilled(_decoded(m, place, x2, slots, contexts, symbols), words, at)
+        place = np.uint64(k + 3)
+        x3, at = _refilled(_decoded(m, place, x3, slots, contexts, symbols), words, at)
+        place = np.uint64(k + 4)
+        x4, at = _refilled(_decoded(m, place, x4, slots, contexts, symbols), words, at)
+        place = np.uint64(k + 5)
+        x5, at = _refilled(_decoded(m, place, x5, slots, contexts, symbols), words, at)
+        place = np.uint64(k + 6)
+        x6, at = _refilled(_decoded(m, place, x6, slots, contexts, symbols), words, at)
+        place = np.uint64(k + 7)
+        x7, at = _refilled(_decoded(m, place, x7, slots, contexts, symbols), words, at)
+    states[count & 7], states[(count + 1) & 7] = x0, x1
+    states[(count + 2) & 7], states[(count + 3) & 7] = x2, x3
+    states[(count + 4) & 7], states[(count + 5) & 7] = x4, x5
+    states[(count + 6) & 7], states[(count + 7) & 7] = x6, x7
+    for k in range(n - (n & 7), n):
+        at = decode_symbol(m, contexts, symbols, k, slots, words, at, states, (count + k) & 7)
+    return np.int64(at)
+
+
+@inlined_kernel
+def decode_symbol(m, contexts, symbols, k, slots, words, at, states, which):
+    """Decode symbol `k` of a row with state `which`; return the place of the next word."""
+    state = _decoded(m, np.uint64(k), states[which], slots, contexts, symbols)
+    states[which], at = _refilled(state, words, np.uint64(at))
+    return at
+
+
+@kernel
+def encode_symbols(contexts, symbols, n, freqs, n_states, words, states):
+    """Encode symbols that are logged in order; return the number of words.
+
+    Parameters
+    ----------
+    contexts, symbols : ndarray of uint8
+        The first `n` are coded, the last one first.
+    freqs : ndarray of uint32, shape (n_contexts * n_symbols,)
+        Frequency of a symbol below, the sum of those before it above: ``before << 16 | freq``.
+    n_states : int
+        1 or N_STATES.
+    words : ndarray of uint16
+        Room for `n`; the words fill its end, in the order in which they are decoded.
+    states : ndarray of uint64, shape (N_STATES,)
+        Takes what the decoder starts from.
+    """
+    at = words.shape[0]
+    for k in range(N_STATES):
+        states[k] = _REFILL
+    for i in range(n - 1, -1, -1):
+        packed = freqs[contexts[i], symbols[i]]
+        freq, before = np.uint32(packed & np.uint32(0xFFFF)), np.uint64(packed >> np.uint32(16))
+        which = i & (n_states - 1)
+        state = states[which]
+        if state >= np.uint64(freq) << np.uint64(32 - SLOT_BITS):
+            at -= 1
+            words[at] = state & np.uint64(0xFFFF)
+            state >>= _WORD
+        low = np.uint32(state)
+        quotient = low // freq
+        rest = np.uint64(low - quotient * freq)
+        states[which] = (np.uint64(quotient) << _SLOTS) + rest + before
+    return words.shape[0] - at

@@ -1,0 +1,481 @@
+"""The `rapid` refiner: the bound, the borders, voids, ranges, damage, its tables."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from lone_units import (
+    ALL_SHARED,
+    BIG,
+    NOT_SHARED,
+    check_damaged,
+    check_neighbours,
+    check_refiner,
+    hard_rasters,
+    lone_spec,
+    terrain,
+)
+
+from terrainwave.codec import rapid, rapid_tables
+from terrainwave.codec.lattice import parity
+from terrainwave.codec.rapid import Rapid
+from terrainwave.codec.rapid_code import ESCAPE, N_SYMBOLS
+from terrainwave.codec.rapid_fitting import codes_for, coding_order
+from terrainwave.codec.rapid_layout import CORES, TAPS
+from terrainwave.codec.rapid_magnitude import N_CONTEXTS, scale_of, scaled_features
+from terrainwave.codec.rapid_parameters import (
+    MAX_CODE,
+    N_CLASSES,
+    PLANES,
+    FileStencil,
+    FileTables,
+    Tables,
+    code_of,
+    default_codes,
+    default_freqs,
+    freq_of,
+    freqs_of,
+    pack_parameters,
+    parse_parameters,
+    rest_symbol,
+)
+from terrainwave.codec.refiner import Sides
+from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
+from terrainwave.grid.quadtree import Grid
+
+WIDE = 1
+
+
+def coarse_of(target, step):
+    """Return parent heights within the bound of the target's even samples."""
+    rng = np.random.default_rng(2)
+    coarse = target[::2, ::2].astype(np.int64)
+    half = step >> 1
+    return np.clip(coarse + rng.integers(-half, half + 1, coarse.shape), -BIG, BIG).astype(np.int32)
+
+
+def check(spec, parent, target, mask=None, refiner=None):
+    """Check everything promised; return the payload and the heights."""
+    payload, heights, labels = check_refiner(refiner or Rapid(), spec, parent, target, mask)
+    assert labels is None
+    return payload, heights
+
+
+@pytest.mark.parametrize("name", list(hard_rasters((2, 2), 1)))
+@pytest.mark.parametrize("step", [1, 3, 21, (1 << 28) + 1])
+def test_bound_holds_on(name, step):
+    target = hard_rasters((17, 16), BIG)[name]
+    for shared in (NOT_SHARED, Sides(True, False, True, True)):
+        check(lone_spec(target.shape, step, 1, shared), coarse_of(target, step), target)
+        check(lone_spec(target.shape, step, 1, shared, parent=False), None, target)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [(1, 1), (1, 2), (2, 1), (1, 9), (8, 1), (2, 2), (3, 3), (5, 2), (1, 33), (33, 3), (12, 40)],
+)
+@pytest.mark.parametrize("shared", [NOT_SHARED, ALL_SHARED])
+@pytest.mark.parametrize("has_parent", [False, True])
+def test_tiny_regions_work(shape, shared, has_parent):
+    if shared.top and min(shape) < 2:
+        shared = Sides(True, True, False, False)
+    target = terrain(shape)
+    spec = lone_spec(shape, 3, 1, shared, has_parent)
+    check(spec, coarse_of(target, 3) if has_parent else None, target)
+
+
+@pytest.mark.parametrize("has_parent", [False, True])
+def test_void_samples_promise_nothing(has_parent):
+    target = terrain((33, 33))
+    mask = np.random.default_rng(1).random(target.shape) < 0.5
+    spec = lone_spec(target.shape, 3, 1, ALL_SHARED, has_parent)
+    parent = coarse_of(target, 3) if has_parent else None
+    check(spec, parent, target, mask)
+    check(spec, parent, np.where(mask, target, 77_777).astype(np.int32), mask)
+    check(spec, parent, target, np.zeros_like(mask))
+
+
+@pytest.mark.large
+def test_units_with_many_rows_keep_the_bound():
+    # More rows than the workspace holds of a plane, and more columns than a vector.
+    target = terrain((301, 150))
+    for step in (1, 7):
+        check(lone_spec(target.shape, step, 1, ALL_SHARED), coarse_of(target, step), target)
+        check(lone_spec(target.shape, step, parent=False), None, target)
+
+
+def test_even_samples_are_the_parents():
+    target = terrain((33, 29))
+    parent = coarse_of(target, 9)
+    _, heights = check(lone_spec(target.shape, 9, 1, ALL_SHARED), parent, target)
+    np.testing.assert_array_equal(heights[::2, ::2], parent)
+
+
+def test_wrong_parent_still_gives_the_bound_elsewhere():
+    target = terrain((33, 33))
+    spec = lone_spec(target.shape, 5)
+    parent = -coarse_of(target, 5) - 100_000
+    mask = np.ones(target.shape, dtype=bool)
+    _, heights, _ = Rapid().encode(spec, parent, target, mask)
+    error = np.abs(heights.astype(np.int64) - target)
+    error[::2, ::2] = 0
+    assert error.max() <= 2
+
+
+def test_a_plane_costs_next_to_nothing():
+    rows, cols = np.mgrid[:129, :129]
+    plane = (6 * rows - 4 * cols).astype(np.int32)
+    payload, _ = check(lone_spec(plane.shape, 3), np.ascontiguousarray(plane[::2, ::2]), plane)
+    assert len(payload) <= 129 * 129 // 40
+
+
+@pytest.mark.parametrize("step", [1, 3])
+def test_noise_costs_little_more_than_plain_bits(step):
+    rng = np.random.default_rng(5)
+    target = rng.integers(0, step << 13, (65, 65), dtype=np.int32)
+    payload, _ = check(lone_spec(target.shape, step, parent=False), None, target)
+    assert len(payload) <= 1.1 * 13 * target.size / 8 + 8
+
+
+# Ranges -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("largest", [300, 40_000, 400_000, 1 << 29])
+def test_rows_of_32_bits_give_the_same_bytes_as_rows_of_64(largest, monkeypatch):
+    rng = np.random.default_rng(largest)
+    target = rng.integers(-300, 301, (40, 35)).astype(np.int32) + largest - 600
+    spec = dataclasses.replace(lone_spec(target.shape, 3), z_min=-largest, z_max=largest)
+    parent = coarse_of(target, 3).clip(-largest, largest)
+    payload, heights = check(spec, parent, target)
+    assert not payload[0] & WIDE
+    monkeypatch.setattr(Rapid, "_is_wide", lambda *_: True)
+    wide_payload, wide_heights = check(spec, parent, target)
+    assert wide_payload[0] & WIDE
+    assert payload[1:] == wide_payload[1:]
+    np.testing.assert_array_equal(heights, wide_heights)
+
+
+def test_heights_far_apart_get_64_bits():
+    target = terrain((33, 33))
+    target[5, 5] = 1 << 27
+    payload, _ = check(lone_spec(target.shape, 1), coarse_of(target, 1), target)
+    assert payload[0] & WIDE
+
+
+def test_sums_of_narrow_units_fit_32_bits():
+    widest = Rapid()._widest
+    assert rapid._LIMIT32 // widest * widest + 32 < 1 << 31
+    for table, step in itertools.product(rapid_tables.FEATURES, (1, 2, 3, 15, 16, 17, 1023, 65537)):
+        scale = scale_of(step, -1000, 1000)
+        most = [1, *[(1 << 18) - 1] * 3, *[scale.most_range] * 3, *[(1 << 18) - 1] * 2]
+        times = np.array([1, 1, 2, 1, 1, 1, 4, 6, 4])
+        for features in table.reshape(-1, 9):
+            assert int((scaled_features(features, scale) * most * times).sum()) < 1 << 31
+
+
+# Groups next to each other ---------------------------------------------------------------------
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("rings", [1, 3])
+@pytest.mark.parametrize("has_voids", [False, True])
+@pytest.mark.parametrize(
+    "size", [(33, 33), (49, 65), (34, 50), (18, 41), (65, 66), (3, 70), (1, 40), (131, 131)]
+)
+def test_neighbours_decode_the_same_bits_in_any_order(size, rings, has_voids):
+    grid = Grid(*size, 8)
+    levels = [terrain(size, seed=7)]
+    for _ in range(grid.k_max):
+        levels.append(np.ascontiguousarray(levels[-1][::2, ::2]))
+    levels.reverse()
+    rng = np.random.default_rng(11)
+    masks = [rng.random(level.shape) < (0.7 if has_voids else 2) for level in levels]
+    for above, mask in itertools.pairwise(masks):
+        mask[::2, ::2] &= above  # a sample valid here was valid there
+    check_neighbours(Rapid(), grid, levels, rings, 1, masks)
+
+
+# Damage -----------------------------------------------------------------------------------------
+
+
+def small_payload():
+    target = terrain((21, 18))
+    spec = lone_spec(target.shape, 5, 1, Sides(True, False, False, True))
+    parent, mask = coarse_of(target, 5), np.ones(target.shape, dtype=bool)
+    payload, _, _ = Rapid().encode(spec, parent, target, mask)
+    return spec, parent, mask, payload
+
+
+SMALL = small_payload()
+
+
+def test_every_prefix_is_rejected():
+    spec, parent, mask, payload = SMALL
+    for length in range(len(payload)):
+        with pytest.raises(CorruptStreamError):
+            Rapid().decode(spec, parent, mask, payload[:length])
+
+
+def test_an_extra_byte_is_rejected():
+    spec, parent, mask, payload = SMALL
+    with pytest.raises(CorruptStreamError):
+        Rapid().decode(spec, parent, mask, payload + b"\0")
+
+
+def test_unknown_flags_are_rejected():
+    spec, parent, mask, payload = SMALL
+    with pytest.raises(CorruptStreamError, match="flags 0x4 are not defined"):
+        Rapid().decode(spec, parent, mask, b"\4" + payload[1:])
+
+
+def test_symbols_that_end_in_another_state_are_rejected():
+    spec, parent, mask, payload = SMALL
+    state = payload.index(payload[2:6])
+    broken = bytearray(payload)
+    broken[state] ^= 1
+    with pytest.raises(CorruptStreamError):
+        Rapid().decode(spec, parent, mask, bytes(broken))
+
+
+def test_filling_bits_must_be_zero():
+    target = np.random.default_rng(5).integers(-9000, 9000, (9, 9)).astype(np.int32)
+    spec, parent = lone_spec(target.shape, 1), coarse_of(target, 1)
+    mask = np.ones(target.shape, dtype=bool)
+    for noise in range(8):
+        target[1, 1] += 1 + noise
+        payload, _, _ = Rapid().encode(spec, parent, target, mask)
+        broken = bytearray(payload)
+        broken[-1] |= 0x80
+        if bytes(broken) == payload:
+            continue
+        try:
+            heights, _ = Rapid().decode(spec, parent, mask, bytes(broken))
+        except CorruptStreamError as error:
+            if "not filled with 0" in str(error):
+                return
+        else:
+            assert not np.array_equal(heights, target)  # a real bit
+    pytest.fail("no payload had bits to spare")
+
+
+def test_every_flipped_byte_gives_heights_or_our_own_error():
+    spec, parent, mask, payload = SMALL
+    for pos in range(len(payload)):
+        for change in (1, 128, 255):
+            broken = bytearray(payload)
+            broken[pos] ^= change
+            check_damaged(Rapid(), spec, parent, mask, bytes(broken))
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("z_max", [5000, BIG])
+def test_flipped_bytes_in_a_large_unit_give_heights_or_our_own_error(z_max):
+    target = terrain((135, 140))
+    spec = dataclasses.replace(lone_spec(target.shape, 3), z_min=-z_max, z_max=z_max)
+    parent, mask = coarse_of(target, 3), np.ones(target.shape, dtype=bool)
+    payload, _, _ = Rapid().encode(spec, parent, target, mask)
+    for pos in range(0, len(payload), 11):
+        broken = bytearray(payload)
+        broken[pos] ^= 255
+        check_damaged(Rapid(), spec, parent, mask, bytes(broken))
+
+
+@given(
+    st.binary(max_size=80),
+    st.booleans(),
+    st.sampled_from([1, 3, 1001, (1 << 29) + 1]),
+    st.booleans(),
+)
+def test_any_bytes_give_heights_or_our_own_error(payload, has_parent, step, has_header):
+    spec, parent, mask, _ = SMALL
+    spec = dataclasses.replace(spec, step=step)
+    if not has_parent:
+        spec, parent = dataclasses.replace(spec, parent_region=None), None
+    if has_header:  # a single state, no words: all the rest are raw bits
+        payload = b"\2\0" + payload
+    check_damaged(Rapid(), spec, parent, mask, payload)
+
+
+@pytest.mark.parametrize("shape", [(1, 6), (5, 1), (2, 3), (12, 9), (90, 7)])
+def test_what_a_thread_decoded_before_leaves_no_trace(shape):
+    target = np.random.default_rng(5).integers(-90, 90, shape).astype(np.int32)
+    spec, parent = lone_spec(shape, 3, 1), coarse_of(target, 3)
+    spec = dataclasses.replace(spec, z_min=-200, z_max=200)
+    mask = np.ones(shape, dtype=bool)
+    memory = rapid._MEMORY.workspace(False).m
+    results = []
+    for filling in (0, 1 << 20, -7):
+        memory.fill(filling)
+        payload, _, _ = Rapid().encode(spec, parent, target, mask)
+        memory.fill(-filling)
+        heights, _ = Rapid().decode(spec, parent, mask, payload)
+        results.append((payload, heights.tobytes()))
+    assert results[0] == results[1] == results[2]
+
+
+# Tables -----------------------------------------------------------------------------------------
+
+
+def test_stencils_keep_a_constant():
+    for plane, sets in rapid_tables.STENCILS.items():
+        assert sets.shape[1] == len(TAPS[plane])
+        assert (sets.sum(1, dtype=np.int64) == 4096).all()
+        assert 1 <= len(sets) <= 16
+
+
+def test_no_tap_is_of_the_row_at_hand_and_all_are_decoded_before():
+    for plane, taps in TAPS.items():
+        assert set(CORES[plane]) <= set(taps)
+        assert len(set(taps)) == len(taps)
+        for other, row, _ in taps:
+            assert other < plane or (other == plane and row < 0)
+            # HH is one row ahead of HL, HL one of LH.
+            assert other == 0 or row <= plane - other
+
+
+def test_frequencies_have_codes_within_a_sixteenth():
+    assert [code_of(freq) for freq in range(33)] == list(range(33))
+    for freq in range(1, 2048):
+        assert abs(freq_of(code_of(freq)) - freq) <= freq / 32
+    assert code_of(2047) == MAX_CODE
+    assert [code_of(freq_of(code)) for code in range(MAX_CODE + 1)] == list(range(MAX_CODE + 1))
+
+
+@pytest.mark.parametrize("family", range(rapid_tables.N_FAMILIES))
+def test_trained_frequencies_fill_all_slots(family):
+    freqs = default_freqs(family)
+    assert freqs.shape == (N_CONTEXTS, N_SYMBOLS)
+    assert (freqs.sum(1) == 2048).all()
+    assert (freqs[:, ESCAPE] > 0).all()
+    assert freqs.min() >= 0
+    assert freqs.max() < 2048
+
+
+def some_tables():
+    """Return tables with everything that can be stored."""
+    rng = np.random.default_rng(8)
+    rows = []
+    for which in range(N_CLASSES):
+        row = []
+        for plane in PLANES:
+            deltas = rng.integers(-200, 200, len(TAPS[plane]))
+            deltas[TAPS[plane].index(CORES[plane][0])] = 0
+            is_fitted = (which + plane) % 2
+            row.append(
+                FileStencil(which, 1, tuple(deltas.tolist())) if is_fitted else FileStencil(plane)
+            )
+        rows.append(tuple(row))
+    codes = {
+        context: codes_for(rng.integers(0, 999, N_SYMBOLS) + 1, 1, context)
+        for context in (0, 3, 4, 99, 175)
+    }
+    return FileTables(9, 1, 1, tuple(rows), codes)
+
+
+def test_parameters_come_back():
+    tables = some_tables()
+    read, wanted = parse_parameters(pack_parameters(tables)), Tables(tables)
+    np.testing.assert_array_equal(read.stencils, wanted.stencils)
+    np.testing.assert_array_equal(read.features, wanted.features)
+    np.testing.assert_array_equal(read.slots(3), wanted.slots(3))
+    assert read.k_max == 9
+
+
+def test_every_prefix_of_parameters_is_rejected():
+    section = pack_parameters(some_tables())
+    for length in range(1, len(section)):
+        with pytest.raises(CorruptStreamError):
+            parse_parameters(section[:length])
+    with pytest.raises(CorruptStreamError):
+        parse_parameters(section + b"\0")
+
+
+def test_an_unknown_layout_is_unsupported():
+    with pytest.raises(UnsupportedVersionError, match="layout 2"):
+        parse_parameters(b"\2abc")
+
+
+@given(st.binary(max_size=200))
+def test_any_parameters_give_tables_or_our_own_error(section):
+    try:
+        tables = parse_parameters(b"\1" + section)
+    except CorruptStreamError:
+        return
+    assert (np.abs(tables.stencils) < 1 << 15).all()
+    slots = tables.slots(1)
+    assert slots.shape == (N_CONTEXTS << 11,)
+    assert (slots & 0xFF).max() < N_SYMBOLS
+
+
+def test_frequencies_that_leave_nothing_or_no_escape_are_rejected():
+    codes, rest = default_codes(0)[50].copy(), rest_symbol(0, 50)
+    codes[ESCAPE] = 0
+    with pytest.raises(CorruptStreamError, match="do not fit"):
+        freqs_of(codes, rest)
+    codes[ESCAPE] = MAX_CODE
+    with pytest.raises(CorruptStreamError, match="do not fit"):
+        freqs_of(codes, rest)
+
+
+def test_windows_are_coded_in_the_order_told():
+    shape = (12, 9)
+    places, kinds = coding_order(shape)
+    # Lattice corners come first, on multiples of 16: only (0, 0).
+    assert sorted(places.tolist()) == list(range(1, 12 * 9))
+    for place, kind in zip(places, kinds, strict=True):
+        row, col = divmod(int(place), 9)
+        stride = 1
+        while not (row & stride or col & stride):
+            stride *= 2
+        own = parity(kind % 3 + 1)
+        assert (bool(row & stride), bool(col & stride)) == (bool(own[0]), bool(own[1]))
+        assert kind // 3 == min(stride.bit_length() - 1, 3)
+
+
+def fit(target, step, mask=None):
+    mask = np.ones(target.shape, dtype=bool) if mask is None else mask
+    grid = Grid(*target.shape, 8)
+
+    def part(array):
+        def read(level, region):
+            stride = 1 << (grid.k_max - level)
+            rows, cols = (
+                slice(r * stride, (r + n - 1) * stride + 1, stride)
+                for r, n in ((region.row, region.n_rows), (region.col, region.n_cols))
+            )
+            return array[rows, cols]
+
+        return read
+
+    return Rapid().fitted(grid, step, part(target), part(mask))
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("step", [1, 3, 9])
+def test_fitted_tables_make_smaller_payloads_and_are_worth_their_bytes(step):
+    rows, cols = np.mgrid[:300, :260]
+    target = (90 * np.sin(rows / 2.1) * np.cos(cols / 2.9) + terrain((300, 260))).astype(np.int32)
+    refiner = fit(target, step)
+    spec = dataclasses.replace(lone_spec(target.shape, step, parent=False), level=0)
+    fitted, _ = check(spec, None, target, refiner=refiner)
+    plain, _ = check(spec, None, target)
+    assert len(fitted) + len(refiner.parameters) < 0.97 * len(plain)
+
+
+def test_tiny_and_void_rasters_get_plain_tables():
+    for target, mask in (
+        (terrain((5, 5)), None),
+        (terrain((40, 40)), np.zeros((40, 40), dtype=bool)),
+    ):
+        refiner = fit(target, 3, mask)
+        assert len(refiner.parameters) < 20
+        tables = parse_parameters(refiner.parameters)
+        np.testing.assert_array_equal(tables.slots(3), Tables(None).slots(3))
+
+
+def test_the_same_raster_gives_the_same_tables():
+    target = terrain((60, 70))
+    assert fit(target, 3).parameters == fit(target.copy(), 3).parameters
