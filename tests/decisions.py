@@ -70,36 +70,36 @@ def together(probs, weights):
 
 
 def install(accounts):
-    """Replace the decoder's steps by ones that keep accounts; before any codec is imported."""
-    one, two, raw = rangecoder.decode_step, rangecoder.decode_mean_step, rangecoder.decode_raw
-    mixed = rangecoder.decode_mixed_step
+    """Replace the coder's steps by ones that keep accounts; before any codec is imported."""
+    one, two, raw = rangecoder.code_step, rangecoder.code_mean_step, rangecoder.code_raw_step
+    mixed = rangecoder.code_mixed_step
 
-    def decode_step(span, code, pos, data, models, index):
+    def code_step(at, state, data, models, is_encoder, index, bit):
         before = [int(models[index])]
-        result = one(span, code, pos, data, models, index)
+        result = one(at, state, data, models, is_encoder, index, bit)
         accounts.note(models, [index], before, result[0])
         return result
 
-    def decode_mean_step(span, code, pos, data, models, first, second):
+    def code_mean_step(at, state, data, models, is_encoder, first, second, bit):
         before = [int(models[first]), int(models[second])]
-        result = two(span, code, pos, data, models, first, second)
+        result = two(at, state, data, models, is_encoder, first, second, bit)
         accounts.note(models, [first, second], before, result[0])
         return result
 
-    def decode_mixed_step(span, code, pos, data, models, first, second, *weights):
+    def code_mixed_step(at, state, data, models, is_encoder, first, second, weights, bit):
         before = [int(models[first]), int(models[second])]
-        result = mixed(span, code, pos, data, models, first, second, *weights)
+        result = mixed(at, state, data, models, is_encoder, first, second, weights, bit)
         accounts.note(models, [first, second], before, result[0], [int(w) for w in weights])
         return result
 
-    def decode_raw(state, data, n_bits):
+    def code_raw_step(at, state, data, is_encoder, n_bits, value):
         accounts.raw += int(n_bits)
-        return raw(state, data, n_bits)
+        return raw(at, state, data, is_encoder, n_bits, value)
 
-    rangecoder.decode_step = decode_step
-    rangecoder.decode_mean_step = decode_mean_step
-    rangecoder.decode_mixed_step = decode_mixed_step
-    rangecoder.decode_raw = decode_raw
+    rangecoder.code_step = code_step
+    rangecoder.code_mean_step = code_mean_step
+    rangecoder.code_mixed_step = code_mixed_step
+    rangecoder.code_raw_step = code_raw_step
 
 
 def decode_case(case, accounts):

@@ -186,23 +186,33 @@ def test_details_of_any_size_survive(mixed):
     out = np.zeros(10_000, dtype=np.uint8)
     coder, mixers = new_encoder(out, start_models(N_DETAIL_MODELS)), new_mixers(N_MIXERS)
     scale = 100, log8(100)
-    at = take_out(coder)
+    at = take_out(coder.state)
     for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
         coded, at = code_detail(
-            at, coder, mixers, e_bin, 1300, 1301, up, down, *scale, spots if mixed else None, detail
+            at,
+            *coder,
+            mixers,
+            e_bin,
+            1300,
+            1301,
+            up,
+            down,
+            *scale,
+            spots if mixed else None,
+            detail,
         )
         assert coded == detail
-    put_back(at, coder)
+    put_back(at, coder.state, coder.is_encoder)
     data = out[: finish_encoder(coder.state, out)].tobytes()
     coder, mixers = new_decoder(data, start_models(N_DETAIL_MODELS)), new_mixers(N_MIXERS)
-    at = take_out(coder)
+    at = take_out(coder.state)
     for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
         coded, at = code_detail(
-            at, coder, mixers, e_bin, 1300, 1301, up, down, *scale, spots if mixed else None, 0
+            at, *coder, mixers, e_bin, 1300, 1301, up, down, *scale, spots if mixed else None, 0
         )
         assert coded == detail
         assert abs(coded) <= MAX_DETAIL + 1
-    put_back(at, coder)
+    put_back(at, coder.state, coder.is_encoder)
     assert finish_decoder(coder.state, coder.stream)[0] == 0
 
 

@@ -7,31 +7,24 @@ from hypothesis import strategies as st
 
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
-    BYTE_POS,
-    CODE,
     LOGITS,
-    LOW,
     MAGNITUDE_MODELS,
     MAX_MAGNITUDE,
     MODEL_START,
     N_UNARY,
     PROBABILITIES,
-    RANGE,
-    STATE_SIZE,
     code_bit,
     code_magnitude,
-    decode_mixed_step,
-    decode_raw,
-    encode_mixed_step,
-    encode_raw,
+    code_mixed_step,
+    code_raw,
     finish_decoder,
     finish_encoder,
     new_decoder,
     new_encoder,
     new_mixers,
     new_models,
-    start_decoder,
-    start_encoder,
+    put_back,
+    take_out,
 )
 from terrainwave.coding.status import Status, raise_for_status
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
@@ -173,13 +166,13 @@ def test_magnitudes_and_raw_bits_come_back(values):
     for value in values:
         assert code_magnitude(coder, 0, N_UNARY, 0, value) == value
         assert code_magnitude(coder, 0, N_UNARY, 3, value) == value
-        encode_raw(coder.state, out, value, 33)
+        assert code_raw(coder, 33, value) == value
     data = out[: finish_encoder(coder.state, out)].tobytes()
     coder = new_decoder(data, new_models(MAGNITUDE_MODELS))
     for value in values:
         assert code_magnitude(coder, 0, N_UNARY, 0, 0) == value
         assert code_magnitude(coder, 0, N_UNARY, 3, 0) == value
-        assert decode_raw(coder.state, coder.stream, 33) == value
+        assert code_raw(coder, 33, 0) == value
     assert finish_decoder(coder.state, coder.stream) == (Status.OK, len(data))
 
 
@@ -205,46 +198,35 @@ def test_a_full_output_is_counted_but_not_overrun():
 
 
 @kernel
-def encode_mixed_bits(bits, contexts, renewed_every, models, mixers, state, out):
-    span, low = state[RANGE], state[LOW]
+def code_mixed_bits(bits, contexts, renewed_every, coder, mixers, coded):
+    state, stream, models, is_encoder = coder
+    at = take_out(state)
     for i in range(bits.shape[0]):
         first, second = contexts[i]
         if renewed_every and i % renewed_every == 0:
             models[second] = MODEL_START
-        span, low, mixers[0, 0], mixers[1, 0] = encode_mixed_step(
-            span, low, state, out, models, first, second, mixers[0, 0], mixers[1, 0], bits[i]
+        weights = mixers[0, 0], mixers[1, 0]
+        coded[i], at, weights = code_mixed_step(
+            at, state, stream, models, is_encoder, first, second, weights, np.int64(bits[i])
         )
-    state[RANGE], state[LOW] = span, low
-
-
-@kernel
-def decode_mixed_bits(data, contexts, renewed_every, models, mixers, state, bits):
-    span, code, pos = state[RANGE], state[CODE], state[BYTE_POS]
-    for i in range(bits.shape[0]):
-        first, second = contexts[i]
-        if renewed_every and i % renewed_every == 0:
-            models[second] = MODEL_START
-        bits[i], span, code, pos, mixers[0, 0], mixers[1, 0] = decode_mixed_step(
-            span, code, pos, data, models, first, second, mixers[0, 0], mixers[1, 0]
-        )
-    state[RANGE], state[CODE], state[BYTE_POS] = span, code, pos
+        mixers[0, 0], mixers[1, 0] = weights
+    put_back(at, state, is_encoder)
 
 
 def encoded_mixed(bits, contexts, n_models, renewed_every=0):
     """Return the stream and the weights at its end."""
     out = np.zeros(2 * len(bits) + 16, dtype=np.uint8)
-    state, mixers = start_encoder(), new_mixers(1)
-    encode_mixed_bits(bits, contexts, renewed_every, new_models(n_models), mixers, state, out)
-    return out[: finish_encoder(state, out)].copy(), mixers
+    coder, mixers = new_encoder(out, new_models(n_models)), new_mixers(1)
+    code_mixed_bits(bits, contexts, renewed_every, coder, mixers, np.zeros_like(bits))
+    return out[: finish_encoder(coder.state, out)].copy(), mixers
 
 
 def decoded_mixed(data, contexts, n_models, renewed_every=0):
     """Return the bits of a stream and the weights at its end."""
     bits = np.zeros(len(contexts), dtype=np.uint8)
-    state, mixers = np.zeros(STATE_SIZE, dtype=np.int64), new_mixers(1)
-    start_decoder(state, data)
-    decode_mixed_bits(data, contexts, renewed_every, new_models(n_models), mixers, state, bits)
-    raise_for_status(*finish_decoder(state, data))
+    coder, mixers = new_decoder(data, new_models(n_models)), new_mixers(1)
+    code_mixed_bits(bits, contexts, renewed_every, coder, mixers, bits)
+    raise_for_status(*finish_decoder(coder.state, coder.stream))
     return bits, mixers
 
 

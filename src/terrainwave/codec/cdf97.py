@@ -457,22 +457,29 @@ def _quantize(detail, steps, quants):
             if t == t_row or (t == count - 1 and t_row == count):
                 # High in y: LH left of cols_low; the root's LL in a row that is never high.
                 step = steps[t, LH if t == t_row else LL]
-                largest = max(largest, _quantize_run(detail[row], 0, cols_low, step, quants[row]))
+                largest = max(
+                    largest, _quantize_run(detail[row, :cols_low], step, quants[row, :cols_low])
+                )
             step = steps[t, HH if t == t_row else HL]
-            largest = max(largest, _quantize_run(detail[row], cols_low, cols, step, quants[row]))
+            largest = max(
+                largest,
+                _quantize_run(detail[row, cols_low:cols], step, quants[row, cols_low:cols]),
+            )
     return largest
 
 
 @kernel
-def _quantize_run(detail, first, stop, step, quants):
+def _quantize_run(detail, step, quants):
     """Quantise part of a row that belongs to one band; return the largest index."""
     bias = (step * 27) >> 6
     largest = np.int64(0)
-    for i in range(first, stop):
+    for i in range(detail.shape[0]):
         value = detail[i]
         index = (abs(value) + bias) // step
         largest = max(largest, index)
-        quants[i] = min(index, MAX_INDEX) if value >= 0 else max(-index, -MAX_INDEX)
+        if value < 0:
+            index = -index
+        quants[i] = min(max(index, -MAX_INDEX), MAX_INDEX)
     return largest
 
 

@@ -124,40 +124,31 @@ def range_bin_of(reach, e_range, log_range):
 
 @inlined_kernel
 def code_detail(
-    at, coder, mixers, e_bin, sign_b, sign_h, reach_b, reach_a, e_range, log_range, spots, detail
-):
+    at, state, stream, models, is_encoder, mixers, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
+    log_range, spots, detail,
+):  # fmt: skip
     """Code a detail known not to be 0; return (detail, at).
 
     `reach_b` and `reach_a` are the distances to the highest and the lowest core value; `spots` the
     indices of the known neighbours, None where each decision has one model only. Inlined into a
-    loop that has all of the arguments at hand.
+    loop that has all of the arguments at hand, and in one piece, as each piece would count
+    references to its arrays for each detail (a sixth of the time of decoding).
     """
     positive = np.int64(detail > 0)
     if spots is not None:
         mixer = SIGN_MIXERS + (e_bin >> 2)
         weights = mixers[0, mixer], mixers[1, mixer]
-        positive, at, weights = code_mixed_step(at, coder, sign_b, sign_h, weights, positive)
+        positive, at, weights = code_mixed_step(
+            at, state, stream, models, is_encoder, sign_b, sign_h, weights, positive
+        )
         mixers[0, mixer], mixers[1, mixer] = weights
     else:
-        positive, at = code_step(at, coder, sign_b, positive)
+        positive, at = code_step(at, state, stream, models, is_encoder, sign_b, positive)
     shift = SHIFT_OF_E[e_bin]
     size = np.int64(abs(detail)) - 1
+    wanted = size >> shift
+    # The upper bits: unary, then the rest.
     range_bin = range_bin_of(reach_b if positive else reach_a, e_range, log_range)
-    n_ones, at = _code_unary(
-        at, coder, mixers, e_bin, range_bin, spots, positive, shift, size >> shift
-    )
-    upper = n_ones
-    if n_ones == N_UNARY:
-        rest, at = _code_rest(at, coder, (size >> shift) - N_UNARY + 1)
-        upper += rest - 1
-    size, at = _code_low_bits(at, coder, e_bin, n_ones, shift, upper, size)
-    size = min(size, MAX_DETAIL) + 1
-    return size if positive else -size, at
-
-
-@inlined_kernel
-def _code_unary(at, coder, mixers, e_bin, range_bin, spots, positive, shift, upper):
-    """Code the unary part of a size's upper bits; return (its ones, at)."""
     first_b = UNARY_B + (e_bin * N_RANGE_BINS + range_bin) * N_UNARY
     first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
     mixer = UNARY_MIXERS + (e_bin >> 2)
@@ -165,52 +156,54 @@ def _code_unary(at, coder, mixers, e_bin, range_bin, spots, positive, shift, upp
     beyond = cells = np.int64(0)
     if spots is not None:
         beyond, cells = cells_beyond(spots, positive, shift)
-    n_ones = np.int64(0)
-    while n_ones < N_UNARY:
-        bit = np.int64(upper > n_ones)
+    upper = np.int64(0)
+    while upper < N_UNARY:
+        bit = np.int64(wanted > upper)
         if spots is not None:
             here = cells & 15
             beyond -= here
             cells >>= 4
-            index_h = first_h + n_ones * _N_BEYOND + min(beyond, 5) * 3 + min(here, 2)
-            bit, at, weights = code_mixed_step(at, coder, first_b + n_ones, index_h, weights, bit)
+            index_h = first_h + upper * _N_BEYOND + min(beyond, 5) * 3 + min(here, 2)
+            bit, at, weights = code_mixed_step(
+                at, state, stream, models, is_encoder, first_b + upper, index_h, weights, bit
+            )
         else:
-            bit, at = code_step(at, coder, first_b + n_ones, bit)
+            bit, at = code_step(at, state, stream, models, is_encoder, first_b + upper, bit)
         if bit == 0:
             break
-        n_ones += 1
+        upper += 1
     mixers[0, mixer], mixers[1, mixer] = weights
-    return n_ones, at
-
-
-@kernel
-def _code_rest(at, coder, rest):
-    """Code what is beyond the unary part, 1 or more, as Exp-Golomb; return (rest, at)."""
-    n_bits = np.int64(0)
-    while n_bits < N_PREFIX - 1:
-        bit, at = code_step(at, coder, PREFIX + n_bits, np.int64(rest >> (n_bits + 1) > 0))
-        if bit == 0:
-            break
-        n_bits += 1
-    raw, at = code_raw_step(at, coder, n_bits, rest)
-    return (np.int64(1) << n_bits) | raw, at
-
-
-@inlined_kernel
-def _code_low_bits(at, coder, e_bin, n_ones, shift, upper, size):
-    """Code the `shift` bits of a size below `upper`, two with models; return (size, at)."""
+    first_low = LOW_BITS + e_bin * 16 + min(upper, 3) * 4
+    if upper == N_UNARY:
+        rest, at = _code_rest(at, state, stream, models, is_encoder, wanted - N_UNARY + 1)
+        upper += rest - 1
+    # The `shift` lower bits: two with models.
     value = upper
     for place in range(shift - 1, -1, -1):
         depth = shift - 1 - place
         if depth == 2:
-            raw, at = code_raw_step(at, coder, place + 1, size)
-            return (value << (place + 1)) | raw, at
-        index = LOW_BITS + e_bin * 16 + min(n_ones, 3) * 4
-        if depth == 1:
-            index += 1 + (value & 1)
-        bit, at = code_step(at, coder, index, (size >> place) & 1)
+            raw, at = code_raw_step(at, state, stream, is_encoder, place + 1, size)
+            value = (value << (place + 1)) | raw
+            break
+        index = first_low + (1 + (value & 1) if depth == 1 else 0)
+        bit, at = code_step(at, state, stream, models, is_encoder, index, (size >> place) & 1)
         value = (value << 1) | bit
-    return value, at
+    value = min(value, MAX_DETAIL) + 1
+    return value if positive else -value, at
+
+
+@kernel
+def _code_rest(at, state, stream, models, is_encoder, rest):
+    """Code what is beyond the unary part, 1 or more, as Exp-Golomb; return (rest, at)."""
+    n_bits = np.int64(0)
+    while n_bits < N_PREFIX - 1:
+        bit = np.int64(rest >> (n_bits + 1) > 0)
+        bit, at = code_step(at, state, stream, models, is_encoder, PREFIX + n_bits, bit)
+        if bit == 0:
+            break
+        n_bits += 1
+    raw, at = code_raw_step(at, state, stream, is_encoder, n_bits, rest)
+    return (np.int64(1) << n_bits) | raw, at
 
 
 @kernel

@@ -130,7 +130,8 @@ def row_contexts(padded, ahead, row, contexts):
 def _code_mask(mask, implied, coder, ahead, contexts, padded):
     """Encode `mask` in raster order, or decode where it is None; either way into `padded`."""
     n_rows, n_cols = implied.shape
-    at = take_out(coder)
+    state, stream, models, is_encoder = coder
+    at = take_out(state)
     for row in range(n_rows):
         row_contexts(padded, ahead, row, contexts)
         west = west2 = np.int64(0)
@@ -140,9 +141,9 @@ def _code_mask(mask, implied, coder, ahead, contexts, padded):
                 if mask is not None:
                     bit = np.int64(mask[row, col])
                 model = contexts[col] + (32 * west + 2 * west2) * _N_AHEAD
-                bit, at = code_step(at, coder, model, bit)
+                bit, at = code_step(at, state, stream, models, is_encoder, model, bit)
             padded[row + 2, col + 2] = bit == 1
             west2, west = west, bit
-        if mask is None and at[2] > coder.stream.shape[0] + 4:
+        if mask is None and at[2] > stream.shape[0] + 4:
             break  # `finish_decoder` says so
-    put_back(at, coder)
+    put_back(at, state, is_encoder)

@@ -27,13 +27,10 @@ from terrainwave.codec.lattice import PAD, WEIGHT_BITS
 from terrainwave.coding.filters import MAX_HEIGHT
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
-    BYTE_POS,
-    POINT,
-    RANGE,
-    decode_mean_step,
-    decode_step,
-    encode_mean_step,
-    encode_step,
+    code_mean_step,
+    code_step,
+    put_back,
+    take_out,
 )
 
 # What a sample is: nothing to code, coded in this pass, or known already (on a shared line).
@@ -278,8 +275,8 @@ def code_pass(
     for k in range(n_fractions):
         bin_of_fraction[k] = min(in_steps(np.int64(k), scale_shift, inverse, 3 - P_BITS), 3)
         error_of_fraction[k] = in_steps(np.int64(k), scale_shift, inverse, 5 - P_BITS)
-    state, stream, models = coder.state, coder.stream, coder.models
-    span, point, pos = state[RANGE], state[POINT], state[BYTE_POS]
+    state, stream, models, is_encoder = coder
+    at = take_out(state)
     _frame_own(plane, core, planes, -1, n_cols)
     for row in range(n_rows):
         _frame_own(plane, core, planes, row, n_cols)
@@ -385,29 +382,18 @@ def code_pass(
                     n_same = 6 - n_up - n_down
                     zero_h = ZERO_H + (e_bin * 7 + n_same) * 4 + min(min(n_up, n_down), 3)
             detail = np.int64(0)
-            if target is None:
-                if spots is not None:
-                    bit, span, point, pos = decode_mean_step(
-                        span, point, pos, stream, models, zero_b, zero_h
-                    )
-                else:
-                    bit, span, point, pos = decode_step(span, point, pos, stream, models, zero_b)
-                is_zero = bit == 0
-            else:
+            if target is not None:
                 off = np.int64(target[row, j]) - whole
-                is_zero = abs(off) <= half
-                bit = 0 if is_zero else 1
-                if not is_zero:
+                if abs(off) > half:
                     detail = (abs(off) + half) // step
                     if off < 0:
                         detail = -detail
-                if spots is not None:
-                    span, point = encode_mean_step(
-                        span, point, state, stream, models, zero_b, zero_h, bit
-                    )
-                else:
-                    span, point = encode_step(span, point, state, stream, models, zero_b, bit)
-            if is_zero:
+            bit = np.int64(detail != 0)
+            if spots is not None:
+                bit, at = code_mean_step(at, state, stream, models, is_encoder, zero_b, zero_h, bit)
+            else:
+                bit, at = code_step(at, state, stream, models, is_encoder, zero_b, bit)
+            if not bit:
                 west = whole
                 error = error_of_fraction[np.uint64(abs(fraction))]
             else:
@@ -438,9 +424,9 @@ def code_pass(
                     for k in range(N_SPOTS):
                         distance = in_steps(abs(spots[k]) + half, scale_shift, inverse, 0)
                         spots[k] = distance if spots[k] > 0 else -distance
-                detail, (span, point, pos) = code_detail(
-                    (span, point, pos), coder, mixers, e_bin, sign_b, sign_h, reach_b, reach_a,
-                    e_range, log_range, spots, detail,
+                detail, at = code_detail(
+                    at, state, stream, models, is_encoder, mixers, e_bin, sign_b, sign_h, reach_b,
+                    reach_a, e_range, log_range, spots, detail,
                 )  # fmt: skip
                 detail = min(max(detail, -most), most)
                 west = min(max(whole + detail * step, z_min), z_max)
@@ -453,9 +439,7 @@ def code_pass(
         _update_activity(
             here_errors, activity[own, row + PAD - 1], n_cols, activity[own, row + PAD]
         )
-    state[RANGE], state[POINT] = span, point
-    if target is None:
-        state[BYTE_POS] = pos
+    put_back(at, state, is_encoder)
 
 
 @kernel

@@ -18,8 +18,7 @@ from terrainwave.coding.rangecoder import (
     N_UNARY,
     Coder,
     code_magnitude,
-    decode_raw,
-    encode_raw,
+    code_raw,
     finish_decoder,
     finish_encoder,
     new_decoder,
@@ -123,27 +122,26 @@ def pack_parameters(added: FileTables) -> bytes:
         return b""
     out = np.zeros(1 << 16, dtype=np.uint8)
     coder = new_encoder(out, new_models(3 * MAGNITUDE_MODELS))
-    state = coder.state
     for plane in PLANES:
-        encode_raw(state, out, len(added.stencils[plane]), 4)
+        code_raw(coder, 4, len(added.stencils[plane]))
         missing = missing_tap(plane)
         is_core = _core_taps(plane)
         for stencil in added.stencils[plane]:
-            encode_raw(state, out, stencil.base, 4)
-            encode_raw(state, out, stencil.shift, 3)
+            code_raw(coder, 4, stencil.base)
+            code_raw(coder, 3, stencil.shift)
             for tap, delta in enumerate(stencil.deltas):
                 if tap == missing:
                     continue
                 first = _CORE if is_core[tap] else _OTHER
                 _code_magnitude(coder, first, abs(delta))
                 if delta:
-                    encode_raw(state, out, int(delta < 0), 1)
+                    code_raw(coder, 1, int(delta < 0))
         features = added.e_weights[plane]
-        encode_raw(state, out, int(features is not None), 1)
+        code_raw(coder, 1, int(features is not None))
         if features is not None:
             for weight in features:
                 _code_magnitude(coder, _FEATURE, int(weight))
-    n_bytes = finish_encoder(state, out)
+    n_bytes = finish_encoder(coder.state, out)
     return bytes([_LAYOUT]) + out[:n_bytes].tobytes()
 
 
@@ -165,19 +163,18 @@ def parse_parameters(section: bytes) -> FileTables:
             " know: install a newer one"
         )
     coder = new_decoder(section[1:], new_models(3 * MAGNITUDE_MODELS))
-    state, data = coder.state, coder.stream
     added = FileTables({plane: [] for plane in PLANES}, dict.fromkeys(PLANES))
     for plane in PLANES:
-        n_sets = int(decode_raw(state, data, 4))
+        n_sets = int(code_raw(coder, 4, 0))
         if n_sets + len(tables.STENCILS[plane]) > MAX_SETS:
             raise CorruptStreamError(f"{n_sets} stencils for plane {plane} are too many")
         for _ in range(n_sets):
             stencil = _parse_stencil(coder, plane)
             weights_of(plane, stencil)  # checks them
             added.stencils[plane].append(stencil)
-        if decode_raw(state, data, 1):
+        if code_raw(coder, 1, 0):
             added.e_weights[plane] = _parse_features(coder)
-    raise_for_status(*finish_decoder(state, data))
+    raise_for_status(*finish_decoder(coder.state, coder.stream))
     return added
 
 
@@ -188,9 +185,8 @@ def _core_taps(plane: int) -> list[bool]:
 
 
 def _parse_stencil(coder: Coder, plane: int) -> FileStencil:
-    state, data = coder.state, coder.stream
-    base = int(decode_raw(state, data, 4))
-    shift = int(decode_raw(state, data, 3))
+    base = int(code_raw(coder, 4, 0))
+    shift = int(code_raw(coder, 3, 0))
     deltas = []
     missing = missing_tap(plane)
     for tap, is_core in enumerate(_core_taps(plane)):
@@ -199,7 +195,7 @@ def _parse_stencil(coder: Coder, plane: int) -> FileStencil:
             delta = _code_magnitude(coder, _CORE if is_core else _OTHER)
             if delta > 2 * _MAX_WEIGHT:
                 raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond 2^15")
-            if delta and decode_raw(state, data, 1):
+            if delta and code_raw(coder, 1, 0):
                 delta = -delta
         deltas.append(delta)
     return FileStencil(base, shift, tuple(deltas))

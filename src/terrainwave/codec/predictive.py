@@ -57,8 +57,7 @@ from terrainwave.coding.rangecoder import (
     PENDING,
     RANGE,
     Coder,
-    decode_raw,
-    encode_raw,
+    code_raw,
     finish_decoder,
     finish_encoder,
     new_decoder,
@@ -390,7 +389,7 @@ def _code_lattice(
             _encode_smallest(own_goal, own_kinds, geometry, choices, spec, scratch, unit)
         else:
             if has_header:
-                code = int(decode_raw(unit.coder.state, unit.coder.stream, _SET_BITS + 2))
+                code = int(code_raw(unit.coder, _SET_BITS + 2, 0))
                 choice = Choice(code >> 2, code & 3)
                 if choice.stencil_set >= len(stencils) or choice.e_class >= len(
                     unit.tables.e_weights[own]
@@ -521,7 +520,7 @@ def _encode_smallest(
             unit.coder.state[:], unit.coder.models[:], unit.mixers[:] = start
             scratch.planes[own] = known
         code = choice.stencil_set * 4 + choice.e_class
-        encode_raw(unit.coder.state, unit.coder.stream, code, _SET_BITS + 2)
+        code_raw(unit.coder, _SET_BITS + 2, code)
         _run_pass(goal, kinds, geometry, choice, spec, scratch, unit)
         n_bits = 8 * int(unit.coder.state[BYTE_POS] + unit.coder.state[PENDING])
         n_bits -= int(unit.coder.state[RANGE]).bit_length()

@@ -16,14 +16,12 @@ from terrainwave.codec.nested import in_steps, step_scale
 from terrainwave.coding.filters import MAX_HEIGHT
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
-    BYTE_POS,
     N_PREFIX,
     N_UNARY,
-    POINT,
-    RANGE,
     code_magnitude_step,
-    decode_step,
-    encode_step,
+    code_step,
+    put_back,
+    take_out,
 )
 
 # What a sample is: nothing to code, coded here, or known already (on a shared line).
@@ -140,12 +138,12 @@ def _fill_curves(base, row, curves):
 
 
 @kernel
-def _spread_weights(weights, wide):
-    """Fill ``wide[row parity, term, col]`` with the weights of the phase of each column."""
-    for parity in range(2):
-        for t in range(N_TERMS):
-            for j in range(wide.shape[2]):
-                wide[parity, t, j] = weights[2 * parity + (j & 1), t]
+def _spread_weights(weights, parity, wide):
+    """Fill ``wide[term, col]`` with the weights of the phase of each column, in such rows."""
+    for t in range(N_TERMS):
+        line, even, odd = wide[t], weights[2 * parity, t], weights[2 * parity + 1, t]
+        for j in range(wide.shape[1]):
+            line[j] = odd if j & 1 else even
 
 
 @kernel
@@ -213,7 +211,8 @@ def code_residuals(target, heights, kinds, base, step, weights, e_weights, scrat
     errors[:] = 0
     mags[:] = 0
     signs[:] = 0
-    _spread_weights(weights, wide)
+    for parity in range(2):
+        _spread_weights(weights, parity, wide[parity])
     scale_shift, inverse = step_scale(step)
     half = step >> 1
     most = 2 * MAX_HEIGHT // step + 1
@@ -226,8 +225,8 @@ def code_residuals(target, heights, kinds, base, step, weights, e_weights, scrat
     for k in range(n_fractions):
         bin_of_fraction[k] = min(in_steps(np.int64(k), scale_shift, inverse, 3 - BASE_BITS), 3)
         error_of_fraction[k] = in_steps(np.int64(k), scale_shift, inverse, _ERROR_BITS - BASE_BITS)
-    state, stream, models = coder.state, coder.stream, coder.models
-    span, point, pos = state[RANGE], state[POINT], state[BYTE_POS]
+    state, stream, models, is_encoder = coder
+    at = take_out(state)
     for row in range(n_rows):
         here, above, above2 = errors[row % 3], errors[(row + 2) % 3], errors[(row + 1) % 3]
         here_mags, above_mags = mags[row % 3], mags[(row + 2) % 3]
@@ -256,36 +255,26 @@ def code_residuals(target, heights, kinds, base, step, weights, e_weights, scrat
                 zero = (phase + (j & 1) * N_E_BINS + e_bin) * _N_FRACTIONS
                 zero += bin_of_fraction[np.uint64(abs(fraction))]
                 residual = np.int64(0)
-                if target is None:
-                    bit, span, point, pos = decode_step(span, point, pos, stream, models, zero)
-                else:
+                if target is not None:
                     error = np.int64(target[row, j]) - height
-                    if abs(error) > half:
-                        residual = (abs(error) + half) // step
-                    bit = 1 if residual else 0
+                    residual = (abs(error) + half) // step
                     sign = np.int64(-1 if error < 0 else 1)
-                    span, point = encode_step(span, point, state, stream, models, zero, bit)
+                bit = np.int64(residual != 0)
+                bit, at = code_step(at, state, stream, models, is_encoder, zero, bit)
                 if bit:
                     sixth = in_steps(6 * abs(fraction), scale_shift, inverse, 1 - BASE_BITS)
                     sixth = min((sixth + 1) >> 1, 3)
                     side = 3 + sixth if fraction > 0 else 3 - sixth
                     index = _sign_context(here_signs, above_signs, j, side)
+                    bit = np.int64(sign < 0)
+                    bit, at = code_step(at, state, stream, models, is_encoder, index, bit)
+                    sign = np.int64(1 - 2 * bit)
                     first = _MAG_MODELS + e_bin * N_UNARY
-                    prefix = np.int64(_PREFIX_MODELS)
-                    if target is None:
-                        bit, span, point, pos = decode_step(span, point, pos, stream, models, index)
-                        sign = np.int64(1 - 2 * bit)
-                        residual, (span, point, pos) = code_magnitude_step(
-                            (span, point, pos), coder, first, prefix, SHIFT_OF_E[e_bin], residual
-                        )
-                        residual = min(residual + 1, most)
-                    else:
-                        bit = 1 if sign < 0 else 0
-                        span, point = encode_step(span, point, state, stream, models, index, bit)
-                        _, (span, point, pos) = code_magnitude_step(
-                            (span, point, pos), coder, first, prefix, SHIFT_OF_E[e_bin],
-                            residual - 1,
-                        )  # fmt: skip
+                    residual, at = code_magnitude_step(
+                        at, state, stream, models, is_encoder, first, np.int64(_PREFIX_MODELS),
+                        SHIFT_OF_E[e_bin], residual - 1,
+                    )  # fmt: skip
+                    residual = min(residual + 1, most)
                     height = min(max(height + sign * residual * step, -MAX_HEIGHT), MAX_HEIGHT)
                     distance = abs((height << BASE_BITS) - value)
                     mag = in_steps(distance, scale_shift, inverse, _ERROR_BITS - BASE_BITS)
@@ -307,9 +296,7 @@ def code_residuals(target, heights, kinds, base, step, weights, e_weights, scrat
             here[j + FRAME] = west
             here_mags[j + FRAME] = mag
             here_signs[j + FRAME] = sign
-    state[RANGE], state[POINT] = span, point
-    if target is None:
-        state[BYTE_POS] = pos
+    put_back(at, state, is_encoder)
 
 
 @kernel
@@ -334,9 +321,8 @@ def open_loop_costs(target, kinds, base, step, sets, every, scratch, costs):
                 line[j + FRAME] = _cut((height << BASE_BITS) - base_row[j + FRAME])
         _fill_curves(base, row, curves)
         for k in range(sets.shape[0]):
-            # Only this row's parity is needed, but rows are few.
-            _spread_weights(sets[k], scratch.wide)
-            wide = scratch.wide[row & 1]
+            wide = scratch.wide[0]
+            _spread_weights(sets[k], row & 1, wide)
             _predict_row(base[row + FRAME], curves, wide, errors[1], errors[2], predicted)
             west, west2 = wide[_T_WEST], wide[_T_WEST2]
             total = np.int64(0)

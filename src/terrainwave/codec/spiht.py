@@ -9,7 +9,7 @@ coefficients without a parent in the next coarser band; coefficients are shifted
 of their basis functions, and bits known to be zero are not coded; every decision is coded with an
 adaptive model chosen by what is known of its neighbours, instead of as one raw bit.
 
-Encoder and decoder are one traversal, `_code_planes`: they differ in where `_decide` gets a bit.
+Encoder and decoder are one traversal, `_code_planes`, whose goal is None in a decoder.
 No index comes from the stream. It only decides the way through lists whose entries are made of the
 field's own geometry: a coefficient is in one list of pixels at a time, and a set enters the list of
 sets at most once as D and once as L.
@@ -26,18 +26,17 @@ from terrainwave.coding.jit import kernel
 from terrainwave.coding.lifting53 import level_shapes
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
-    CODE,
-    LOW,
     PENDING,
-    RANGE,
     STATE_SIZE,
-    decode_step,
-    encode_step,
+    Coder,
+    code_step,
     finish_decoder,
     finish_encoder,
     new_models,
+    put_back,
     reset_encoder,
     start_decoder,
+    take_out,
 )
 from terrainwave.coding.status import raise_for_status
 
@@ -51,10 +50,9 @@ MAX_PLANES = 60
 _BAND, _CHILD, _SINGLE, _PARENT = 0, 1, 2, 3
 
 # What the state of the traversal holds behind that of the range coder.
-MODE, IS_STOPPED, N_DECISIONS = STATE_SIZE, STATE_SIZE + 1, STATE_SIZE + 2
-N_PIXELS, N_ENTRIES, N_FOUND, N_REFINED = (STATE_SIZE + 3 + i for i in range(4))
+IS_CUT, IS_STOPPED, N_DECISIONS = STATE_SIZE, STATE_SIZE + 1, STATE_SIZE + 2
+N_PIXELS, N_ENTRIES, N_SIGNIFICANT, N_REFINED = (STATE_SIZE + 3 + i for i in range(4))
 WALK_STATE_SIZE = STATE_SIZE + 7
-ENCODES, DECODES, DECODES_CUT = 0, 1, 2
 
 # An unknown rest of a magnitude, r bits wide, counts as 3 / 8 of 2^r: most are small.
 _REST_NUM, _REST_BITS = 3, 3
@@ -162,26 +160,31 @@ def _fill_geometry(sizes, width, table, roots):
 class Walk(NamedTuple):
     """What one traversal reads and writes besides its state.
 
-    `values` are the shifted coefficients and `tops` the highest bits of each coefficient, its D and
-    its L (-1: zero), both of an encoder; `known` the bits of magnitudes coded so far and `signs`
-    their signs; `sets` what is known of D and L. The lists: insignificant `pixels`, `entries` (a
-    set's place times two, plus one for type B), significant pixels `found`.
-    ``ends[plane]`` are bytes that decode an encoder's planes down to `plane`.
+    `known` are the bits of magnitudes coded so far and `signs` their signs; `sets` what is known of
+    D and L. The lists: insignificant `pixels`, `entries` (a set's place times two, plus one for
+    type B), `significant` pixels.
     """
 
-    stream: NDArray[np.uint8]
-    models: NDArray[np.uint32]
     trace: NDArray[np.uint8]
     table: NDArray[np.int32]
     width: int
-    values: NDArray[np.int64]
-    tops: NDArray[np.int8]
     known: NDArray[np.int64]
     signs: NDArray[np.int8]
     sets: NDArray[np.uint8]
     pixels: NDArray[np.int32]
     entries: NDArray[np.int32]
-    found: NDArray[np.int32]
+    significant: NDArray[np.int32]
+
+
+class Goal(NamedTuple):
+    """What an encoder's traversal is to say.
+
+    `values` are the shifted coefficients and `tops` the highest bits of each coefficient, its D and
+    its L (-1: zero). ``ends[plane]`` becomes the bytes that decode all planes down to `plane`.
+    """
+
+    values: NDArray[np.int64]
+    tops: NDArray[np.int8]
     ends: NDArray[np.int64]
 
 
@@ -189,29 +192,25 @@ class Walk(NamedTuple):
 
 
 @kernel
-def _decide(state, walk, index, bit):
+def _decide(coder, walk, index, bit):
     """Code one decision with ``models[index]``; return it.
 
     A decoder of a cut stream stops, for good, before the first decision for which it would need a
     byte past the end, and takes 0 for it.
     """
-    if state[MODE] == ENCODES:
-        state[RANGE], state[LOW] = encode_step(
-            state[RANGE], state[LOW], state, walk.stream, walk.models, index, bit
-        )
-    else:
-        if state[MODE] == DECODES_CUT and state[BYTE_POS] > walk.stream.shape[0]:
+    state, stream, models, is_encoder = coder
+    if is_encoder is None:
+        if state[IS_CUT] and state[BYTE_POS] > stream.shape[0]:
             state[IS_STOPPED] = 1
         if state[IS_STOPPED]:
             return np.int64(0)
-        bit, state[RANGE], state[CODE], state[BYTE_POS] = decode_step(
-            state[RANGE], state[CODE], state[BYTE_POS], walk.stream, walk.models, index
-        )
+    bit, at = code_step(take_out(state), state, stream, models, is_encoder, index, bit)
+    put_back(at, state, is_encoder)
     count = state[N_DECISIONS]
     if count < walk.trace.shape[0]:
         walk.trace[count] = bit
     state[N_DECISIONS] = count + 1
-    return np.int64(bit)
+    return bit
 
 
 @kernel
@@ -283,16 +282,16 @@ def _sign_model(walk, place, band):
 
 
 @kernel
-def _children(walk, place):
+def _children(table, place):
     """Return the first child of `place` and the numbers of rows and columns of children."""
-    single = walk.table[place, _SINGLE]
-    return walk.table[place, _CHILD], 1 if single & 1 else 2, 1 if single & 2 else 2
+    single = table[place, _SINGLE]
+    return table[place, _CHILD], 1 if single & 1 else 2, 1 if single & 2 else 2
 
 
 @kernel
 def _n_significant_children(walk, place):
     """Return how many children of `place` are significant."""
-    child, n_rows, n_cols = _children(walk, place)
+    child, n_rows, n_cols = _children(walk.table, place)
     count = 0
     for row in range(n_rows):
         for col in range(n_cols):
@@ -305,52 +304,56 @@ def _n_significant_children(walk, place):
 
 
 @kernel
-def _code_pixel(state, walk, plane, place, first_model):
+def _code_pixel(coder, walk, goal, plane, place, first_model):
     """Code whether a coefficient is significant, and if so its sign; say whether it is."""
-    value = walk.values[place]
-    is_encoder = state[MODE] == ENCODES
-    bit = 1 if is_encoder and abs(value) >> plane else 0
-    if not _decide(state, walk, first_model + _neighbourhood(walk, place, plane), bit):
+    state = coder.state
+    value = np.int64(0)
+    if goal is not None:
+        value = goal.values[place]
+    index = first_model + _neighbourhood(walk, place, plane)
+    if not _decide(coder, walk, index, np.int64(abs(value) >> plane != 0)):
         return False
-    bit = 1 if is_encoder and value < 0 else 0
-    is_negative = _decide(state, walk, _sign_model(walk, place, walk.table[place, _BAND]), bit)
+    index = _sign_model(walk, place, walk.table[place, _BAND])
+    is_negative = _decide(coder, walk, index, np.int64(value < 0))
     if state[IS_STOPPED]:
         return False
     walk.known[place] = np.int64(1) << plane
     walk.signs[place] = -1 if is_negative else 1
-    walk.found[state[N_FOUND]] = place
-    state[N_FOUND] += 1
+    walk.significant[state[N_SIGNIFICANT]] = place
+    state[N_SIGNIFICANT] += 1
     return True
 
 
 @kernel
-def _sort_pixels(state, walk, plane):
-    """Move the pixels that become significant to those found."""
+def _sort_pixels(coder, walk, goal, plane):
+    """Move the pixels that become significant to the others that are."""
+    state = coder.state
     n_kept = 0
     for at in range(state[N_PIXELS]):
-        place = walk.pixels[at]
+        place = np.int64(walk.pixels[at])
         band = walk.table[place, _BAND]
         if _shift_of(band) > plane:
             continue  # all its bits have been coded: it is zero
         first_model = _PIXEL_MODELS + _class_of(band) * _N_BINS
-        if state[IS_STOPPED] or not _code_pixel(state, walk, plane, place, first_model):
+        if state[IS_STOPPED] or not _code_pixel(coder, walk, goal, plane, place, first_model):
             walk.pixels[n_kept] = place
             n_kept += 1
     state[N_PIXELS] = n_kept
 
 
 @kernel
-def _open_d(state, walk, plane, place):
+def _open_d(coder, walk, goal, plane, place):
     """Code the children of a D that became significant."""
-    child, n_rows, n_cols = _children(walk, place)
+    state = coder.state
+    child, n_rows, n_cols = _children(walk.table, place)
     n_significant = 0
     for row in range(n_rows):
         for col in range(n_cols):
-            here = child + row * walk.width + col
+            here = np.int64(child + row * walk.width + col)
             band = walk.table[here, _BAND]
             first = _CHILD_MODELS + (2 * _class_of(band) + min(n_significant, 1)) * _N_BINS
             is_coded = _shift_of(band) <= plane and not state[IS_STOPPED]
-            if is_coded and _code_pixel(state, walk, plane, here, first):
+            if is_coded and _code_pixel(coder, walk, goal, plane, here, first):
                 n_significant += 1
             else:
                 walk.pixels[state[N_PIXELS]] = here
@@ -360,7 +363,7 @@ def _open_d(state, walk, plane, place):
 @kernel
 def _open_l(walk, place, n_entries):
     """Append the D of the children of an L that became significant; return the new length."""
-    child, n_rows, n_cols = _children(walk, place)
+    child, n_rows, n_cols = _children(walk.table, place)
     for row in range(n_rows):
         for col in range(n_cols):
             here = child + row * walk.width + col
@@ -371,29 +374,32 @@ def _open_l(walk, place, n_entries):
 
 
 @kernel
-def _decide_set(state, walk, plane, place, is_l):
+def _decide_set(coder, walk, goal, plane, place, is_l):
     """Code whether a set is significant."""
     class_ = _class_of(walk.table[place, _BAND])
-    bit = 1 if state[MODE] == ENCODES and walk.tops[place, 1 + is_l] >= plane else 0
+    bit = np.int64(0)
+    if goal is not None:
+        bit = np.int64(goal.tops[place, 1 + is_l] >= plane)
     if is_l:
         context = 5 * class_ + _n_significant_children(walk, place)
         index = _L_MODELS + context * _SET_BINS + _set_neighbours(walk, place, _L_KNOWN)
     else:
         context = 4 * class_ + min(walk.known[place] >> plane, 3)
         index = _D_MODELS + context * _SET_BINS + _set_neighbours(walk, place, _D_KNOWN)
-    return _decide(state, walk, index, bit)
+    return _decide(coder, walk, index, bit)
 
 
 @kernel
-def _sort_sets(state, walk, plane):
+def _sort_sets(coder, walk, goal, plane):
     """Open the sets that become significant; those that come of them are looked at as well."""
+    state = coder.state
     n_kept = at = 0
     n_entries = state[N_ENTRIES]
     while at < n_entries:
-        entry = walk.entries[at]
+        entry = np.int64(walk.entries[at])
         at += 1
         place, is_l = entry >> 1, entry & 1
-        if state[IS_STOPPED] or not _decide_set(state, walk, plane, place, is_l):
+        if state[IS_STOPPED] or not _decide_set(coder, walk, goal, plane, place, is_l):
             walk.entries[n_kept] = entry
             n_kept += 1
         elif is_l:
@@ -401,7 +407,7 @@ def _sort_sets(state, walk, plane):
             n_entries = _open_l(walk, place, n_entries)
         else:
             walk.sets[place] |= _D_KNOWN
-            _open_d(state, walk, plane, place)
+            _open_d(coder, walk, goal, plane, place)
             # Of all children the first has the most descendants.
             if walk.table[walk.table[place, _CHILD], _CHILD] >= 0:
                 walk.entries[n_entries] = 2 * place + 1
@@ -410,19 +416,21 @@ def _sort_sets(state, walk, plane):
 
 
 @kernel
-def _refine(state, walk, plane, n_old):
+def _refine(coder, walk, goal, plane, n_old):
     """Code one more bit of the first `n_old` significant pixels; N_REFINED says of how many."""
-    is_encoder = state[MODE] == ENCODES
+    state = coder.state
     for at in range(n_old):
         state[N_REFINED] = at
-        place = walk.found[at]
+        place = np.int64(walk.significant[at])
         if _shift_of(walk.table[place, _BAND]) > plane:
             continue
         so_far = walk.known[place] >> (plane + 1)
         age = 0 if so_far == 1 else (1 if so_far < 4 else 2)
         index = _REFINE_MODELS + age * _N_BINS + _neighbourhood(walk, place, plane)
-        bit = 1 if is_encoder and (abs(walk.values[place]) >> plane) & 1 else 0
-        bit = _decide(state, walk, index, bit)
+        bit = np.int64(0)
+        if goal is not None:
+            bit = (abs(goal.values[place]) >> plane) & 1
+        bit = _decide(coder, walk, index, bit)
         if state[IS_STOPPED]:
             return
         walk.known[place] += bit << plane
@@ -430,80 +438,78 @@ def _refine(state, walk, plane, n_old):
 
 
 @kernel
-def _code_planes(state, walk, n_planes):
-    """Code the planes from `n_planes` - 1 down; return (plane, old pixels) where it stopped."""
-    n_old = state[N_FOUND]
+def _code_planes(coder, walk, goal, n_planes):
+    """Encode the planes of `goal` from `n_planes` - 1 down, or decode them where it is None.
+
+    Return (plane, old pixels) where it stopped.
+    """
+    state = coder.state
+    n_old = state[N_SIGNIFICANT]
     for plane in range(n_planes - 1, -1, -1):
-        n_old = state[N_FOUND]
+        n_old = state[N_SIGNIFICANT]
         state[N_REFINED] = 0
-        _sort_pixels(state, walk, plane)
-        _sort_sets(state, walk, plane)
+        _sort_pixels(coder, walk, goal, plane)
+        _sort_sets(coder, walk, goal, plane)
         if not state[IS_STOPPED]:
-            _refine(state, walk, plane, n_old)
+            _refine(coder, walk, goal, plane, n_old)
         if state[IS_STOPPED]:
             return plane, n_old
-        if state[MODE] == ENCODES:
-            walk.ends[plane] = _n_bytes_decided(state)
-        elif state[MODE] == DECODES and state[BYTE_POS] > walk.stream.shape[0] + 4:
+        if goal is not None:
+            goal.ends[plane] = _n_bytes_decided(state)
+        elif not state[IS_CUT] and state[BYTE_POS] > coder.stream.shape[0] + 4:
             return plane, n_old  # `finish_decoder` says so
     return np.int64(0), n_old
 
 
 @kernel
-def _guess_values(state, walk, plane, n_old):
+def _guess_values(state, walk, plane, n_old, values):
     """Fill `values` with the best guess of each coefficient, not shifted any more."""
-    for at in range(state[N_FOUND]):
-        place = walk.found[at]
+    for at in range(state[N_SIGNIFICANT]):
+        place = walk.significant[at]
         shift = _shift_of(walk.table[place, _BAND])
         # Old pixels behind the last one refined lack this plane's bit.
         n_bits = plane + 1 if state[N_REFINED] <= at < n_old else plane
         rest = (_REST_NUM << n_bits) >> _REST_BITS if n_bits > shift else 0
         magnitude = min((walk.known[place] + rest) >> shift, _MAX_MAGNITUDE)
-        walk.values[place] = np.int64(walk.signs[place]) * magnitude
+        values[place] = np.int64(walk.signs[place]) * magnitude
 
 
 @kernel
-def _shift_values(walk):
-    """Shift the coefficients by what their bands are; places without a coefficient become 0."""
-    for place in range(walk.values.shape[0]):
-        band = walk.table[place, _BAND]
-        if band < 0:
-            walk.values[place] = 0
-        else:
-            walk.values[place] <<= _shift_of(band)
+def _fill_goal(table, values, tops):
+    """Shift coefficients by what their bands are, and fill their tops.
 
-
-@kernel
-def _fill_tops(walk):
-    """Fill the tops of all coefficients."""
-    for place in range(walk.values.shape[0]):
-        value = abs(walk.values[place])
+    Places without a coefficient become 0.
+    """
+    for place in range(values.shape[0]):
+        band = table[place, _BAND]
+        values[place] = 0 if band < 0 else values[place] << _shift_of(band)
+        value = abs(values[place])
         top = -1
         while value >> (top + 1):
             top += 1
-        walk.tops[place, 0] = top
+        tops[place, 0] = top
 
 
 @kernel
-def _fill_set_tops(walk, transform, n_rows, n_cols):
+def _fill_set_tops(table, width, transform, n_rows, n_cols, tops):
     """Fill the tops of D and L of a transform's coefficients, within so many rows and columns.
 
     Those of the finer transforms are needed first.
     """
     for row in range(n_rows):
         for col in range(n_cols):
-            place = (row + 1) * walk.width + col + 1
-            if walk.table[place, _BAND] // 3 != transform or walk.table[place, _CHILD] < 0:
+            place = (row + 1) * width + col + 1
+            if table[place, _BAND] // 3 != transform or table[place, _CHILD] < 0:
                 continue
-            child, child_rows, child_cols = _children(walk, place)
+            child, child_rows, child_cols = _children(table, place)
             d_top = l_top = np.int64(-1)
             for i in range(child_rows):
                 for j in range(child_cols):
-                    here = child + i * walk.width + j
-                    l_top = max(l_top, np.int64(walk.tops[here, 1]))
-                    d_top = max(d_top, np.int64(walk.tops[here, 0]))
-            walk.tops[place, 1] = max(d_top, l_top)
-            walk.tops[place, 2] = l_top
+                    here = child + i * width + j
+                    l_top = max(l_top, np.int64(tops[here, 1]))
+                    d_top = max(d_top, np.int64(tops[here, 0]))
+            tops[place, 1] = max(d_top, l_top)
+            tops[place, 2] = l_top
 
 
 # Fields
@@ -542,22 +548,27 @@ def encode_field(
         Gets the decisions, as many as fit.
     """
     geometry = geometry_of(field.shape, n_transforms)
-    state, walk = _start(geometry, ENCODES, _stream_for(field), trace)
-    inner = walk.values.reshape(field.shape[0] + 2, geometry.width)[1:-1, 1:-1]
-    inner[:] = field
-    _shift_values(walk)
-    _fill_tops(walk)
+    n_places = geometry.table.shape[0]
+    goal = Goal(
+        np.zeros(n_places, dtype=np.int64),
+        np.full((n_places, 3), -1, dtype=np.int8),
+        np.zeros(MAX_PLANES, dtype=np.int64),
+    )
+    _inner(goal.values, field.shape)[:] = field
+    _fill_goal(geometry.table, goal.values, goal.tops)
     for transform, (n_rows, n_cols) in enumerate(level_shapes(field.shape, n_transforms)[:-1]):
-        _fill_set_tops(walk, transform, n_rows, n_cols)
-    n_planes = int(walk.tops[:, 0].max(initial=-1)) + 1
+        _fill_set_tops(geometry.table, geometry.width, transform, n_rows, n_cols, goal.tops)
+    n_planes = int(goal.tops[:, 0].max(initial=-1)) + 1
+    state, walk = _start(geometry, trace)
     reset_encoder(state)
-    _code_planes(state, walk, n_planes)
+    stream = _stream_for(field)
+    _code_planes(Coder(state, stream, new_models(N_SPIHT_MODELS), True), walk, goal, n_planes)
     n_decisions = int(state[N_DECISIONS])
-    n_bytes = int(finish_encoder(state, walk.stream))
-    if n_bytes > walk.stream.shape[0]:
+    n_bytes = int(finish_encoder(state, stream))
+    if n_bytes > stream.shape[0]:
         raise AssertionError(f"a stream of {n_bytes} bytes is longer than was thought possible")
-    ends = np.minimum(walk.ends[:n_planes], n_bytes)
-    return CodedField(walk.stream[:n_bytes].tobytes(), n_planes, ends, n_decisions)
+    ends = np.minimum(goal.ends[:n_planes], n_bytes)
+    return CodedField(stream[:n_bytes].tobytes(), n_planes, ends, n_decisions)
 
 
 def decode_field(
@@ -576,15 +587,23 @@ def decode_field(
         If a stream that is not cut does not end where its last decision does.
     """
     geometry = geometry_of(shape, n_transforms)
-    # A copy that may be written to: the traversal is compiled once, for encoders too.
+    # A copy that can be written to: types of what only an encoder does are inferred as well.
     data = np.frombuffer(stream, dtype=np.uint8).copy()
-    state, walk = _start(geometry, DECODES_CUT if is_cut else DECODES, data, None)
+    state, walk = _start(geometry)
+    state[IS_CUT] = is_cut
     start_decoder(state, data)
-    plane, n_old = _code_planes(state, walk, n_planes)
+    coder = Coder(state, data, new_models(N_SPIHT_MODELS), None)
+    plane, n_old = _code_planes(coder, walk, None, n_planes)
     if not is_cut:
         raise_for_status(*finish_decoder(state, data))
-    _guess_values(state, walk, plane, n_old)
-    return walk.values.reshape(shape[0] + 2, geometry.width)[1:-1, 1:-1].copy()
+    values = np.zeros(geometry.table.shape[0], dtype=np.int64)
+    _guess_values(state, walk, plane, n_old, values)
+    return _inner(values, shape).copy()
+
+
+def _inner(values: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
+    """Return the field inside the frame of flat `values`; a view."""
+    return values.reshape(shape[0] + 2, shape[1] + 2)[1:-1, 1:-1]
 
 
 def _stream_for(field: NDArray[np.int64]) -> NDArray[np.uint8]:
@@ -594,32 +613,22 @@ def _stream_for(field: NDArray[np.int64]) -> NDArray[np.uint8]:
 
 
 def _start(
-    geometry: Geometry,
-    mode: int,
-    stream: NDArray[np.uint8],
-    trace: NDArray[np.uint8] | None,
+    geometry: Geometry, trace: NDArray[np.uint8] | None = None
 ) -> tuple[NDArray[np.int64], Walk]:
     """Return the state and the arrays of a traversal that is about to begin."""
     n_places = geometry.table.shape[0]
-    is_encoder = mode == ENCODES
     walk = Walk(
-        stream=stream,
-        models=new_models(N_SPIHT_MODELS),
         trace=np.empty(0, dtype=np.uint8) if trace is None else trace,
         table=geometry.table,
         width=geometry.width,
-        values=np.zeros(n_places, dtype=np.int64),
-        tops=np.full((n_places if is_encoder else 0, 3), -1, dtype=np.int8),
         known=np.zeros(n_places, dtype=np.int64),
         signs=np.zeros(n_places, dtype=np.int8),
         sets=np.zeros(n_places, dtype=np.uint8),
         pixels=np.empty(geometry.n_coefficients, dtype=np.int32),
         entries=np.empty(2 * geometry.n_sets, dtype=np.int32),
-        found=np.empty(geometry.n_coefficients, dtype=np.int32),
-        ends=np.zeros(MAX_PLANES if is_encoder else 0, dtype=np.int64),
+        significant=np.empty(geometry.n_coefficients, dtype=np.int32),
     )
     state = np.zeros(WALK_STATE_SIZE, dtype=np.int64)
-    state[MODE] = mode
     roots = geometry.roots
     walk.pixels[: roots.size] = roots
     with_sets = roots[geometry.table[roots, _CHILD] >= 0]

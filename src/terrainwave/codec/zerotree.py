@@ -182,7 +182,7 @@ def spread_parents(mags, rows, cols, spread):
                 spread[band, i, j] = (2 * np.int64(here[j + 2]) + ring) >> 2
 
 
-@kernel
+@inlined_kernel
 def _causal_sum(here, above, above2, j, weights):
     """Return the weighted sum of the magnitudes coded before place `j` in a row of a plane."""
     return (
@@ -229,21 +229,22 @@ def code_tree(goal, field, bands, nodes, coder):
 @kernel
 def _code_level(goal, field, level, t, bands, nodes, coder):
     """Code the nodes of one grid, that of transform `t`, row by row."""
+    state, stream, models, is_encoder = coder
+    offsets, labels, rough, mags, spread = nodes
     n_rows, n_cols = field.shape
     rows, cols = ((n_rows - 1) >> (t + 1)) + 1, ((n_cols - 1) >> (t + 1)) + 1
     parent_cols = ((n_cols - 1) >> (t + 2)) + 1
-    labels, offsets, spread, plane = (
-        nodes.labels,
-        nodes.offsets,
-        nodes.spread,
-        nodes.mags[level & 1],
-    )
+    plane = mags[level & 1]
     clear_planes(plane, rows, cols)
     weights_1 = WEIGHTS[3 if bands.along & 1 and t == 0 else 0]
     weights_2 = WEIGHTS[4 if bands.along & 2 and t == 0 else 1]
     weights_3 = WEIGHTS[2]
-    at = take_out(coder)
+    steps, limits, offset = bands.steps[t], bands.limits[t], bands.offset
+    at = take_out(state)
     for i in range(rows):
+        hl, hl_above, hl_above2 = plane[0, i + 2], plane[0, i + 1], plane[0, i]
+        lh, lh_above, lh_above2 = plane[1, i + 2], plane[1, i + 1], plane[1, i]
+        hh, hh_above, hh_above2 = plane[2, i + 2], plane[2, i + 1], plane[2, i]
         for j in range(cols):
             node = offsets[level] + i * cols + j
             if level > 0:
@@ -251,81 +252,92 @@ def _code_level(goal, field, level, t, bands, nodes, coder):
                 if labels[parent] != JS:
                     labels[node] = JZTC
                     continue
-            sum_1 = spread[0, i >> 1, j >> 1] + _causal_sum(
-                plane[0, i + 2], plane[0, i + 1], plane[0, i], j, weights_1
-            )
-            sum_2 = spread[1, i >> 1, j >> 1] + _causal_sum(
-                plane[1, i + 2], plane[1, i + 1], plane[1, i], j, weights_2
-            )
-            sum_3 = spread[2, i >> 1, j >> 1] + _causal_sum(
-                plane[2, i + 2], plane[2, i + 1], plane[2, i], j, weights_3
-            )
+            sum_1 = spread[0, i >> 1, j >> 1] + _causal_sum(hl, hl_above, hl_above2, j, weights_1)
+            sum_2 = spread[1, i >> 1, j >> 1] + _causal_sum(lh, lh_above, lh_above2, j, weights_2)
+            sum_3 = spread[2, i >> 1, j >> 1] + _causal_sum(hh, hh_above, hh_above2, j, weights_3)
             if t == 0:
-                hint = nodes.rough[i, j]
+                hint = rough[i, j]
                 sum_1 += hint
                 sum_2 += hint
                 sum_3 += hint >> 1
             west = labels[node - 1] if j > 0 else JZTR
             north = labels[node - cols] if i > 0 else JZTR
             index = _label_context((sum_1 + sum_2 + sum_3) >> 1, west, north, min(t, 4))
-            label, at = code_step(at, coder, index, np.int64(labels[node]))
+            label = np.int64(labels[node])
+            label, at = code_step(at, state, stream, models, is_encoder, index, label)
             labels[node] = label
             if label == JS:
-                at = _code_node(at, coder, goal, field, t, i, j, bands, plane, sum_1, sum_2, sum_3)
-    put_back(at, coder)
+                at = _code_node(
+                    at, state, stream, models, is_encoder, goal, field, t, i, j, steps, limits,
+                    offset, plane, sum_1, sum_2, sum_3,
+                )  # fmt: skip
+    put_back(at, state, is_encoder)
 
 
 @inlined_kernel
-def _code_node(at, coder, goal, field, t, i, j, bands, plane, sum_1, sum_2, sum_3):
+def _code_node(
+    at, state, stream, models, is_encoder, goal, field, t, i, j, steps, limits, offset, plane,
+    sum_1, sum_2, sum_3,
+):  # fmt: skip
     """Code the coefficients that node (i, j) has; return `at`.
 
-    Inlined into its only caller, so its many arguments cost nothing.
+    Inlined into its only caller, a loop, so its many arguments cost nothing.
     """
     n_rows, n_cols = field.shape
     cols = ((n_cols - 1) >> (t + 1)) + 1
     high_rows, high_cols = (((n_rows - 1) >> t) + 1) >> 1, (((n_cols - 1) >> t) + 1) >> 1
+    row, high_row, high_col = (2 * i) << t, (2 * i + 1) << t, cols + j
     is_open = np.int64(1)
-    mag_1 = mag_2 = np.int64(0)
+    quant = mag_1 = mag_2 = np.int64(0)
     if j < high_cols:
-        place = (2 * i) << t, cols + j
-        quant, at = _code_coeff(at, coder, goal, field, place, bands, HL, t, sum_1, is_open)
+        if goal is not None:
+            quant = np.int64(goal[row, high_col])
+        quant, at = _code_coeff(at, state, stream, models, is_encoder, HL, t, sum_1, is_open, quant)
+        field[row, high_col] = dequantize(quant, steps[HL], limits[HL], offset)
         mag_1 = min(abs(quant), MAX_MAG)
         plane[0, i + 2, j + 2] = mag_1
     if i < high_rows:
         sum_2 += _W_SIBLING * mag_1
-        place = (2 * i + 1) << t, j
-        quant, at = _code_coeff(at, coder, goal, field, place, bands, LH, t, sum_2, is_open)
+        if goal is not None:
+            quant = np.int64(goal[high_row, j])
+        quant, at = _code_coeff(at, state, stream, models, is_encoder, LH, t, sum_2, is_open, quant)
+        field[high_row, j] = dequantize(quant, steps[LH], limits[LH], offset)
         mag_2 = min(abs(quant), MAX_MAG)
         plane[1, i + 2, j + 2] = mag_2
         if j < high_cols:
             sum_3 += _W_SIBLING * (mag_1 + mag_2)
             is_open = np.int64(t > 0 or mag_1 + mag_2 > 0)
-            place = (2 * i + 1) << t, cols + j
-            quant, at = _code_coeff(at, coder, goal, field, place, bands, HH, t, sum_3, is_open)
+            if goal is not None:
+                quant = np.int64(goal[high_row, high_col])
+            quant, at = _code_coeff(
+                at, state, stream, models, is_encoder, HH, t, sum_3, is_open, quant
+            )
+            field[high_row, high_col] = dequantize(quant, steps[HH], limits[HH], offset)
             plane[2, i + 2, j + 2] = min(abs(quant), MAX_MAG)
     return at
 
 
 @kernel
-def _code_coeff(at, coder, goal, field, place, bands, band, t, sums, is_open):
-    """Code one coefficient; one that must be non-zero (`is_open` 0) has no zero flag.
+def _code_coeff(at, state, stream, models, is_encoder, band, t, sums, is_open, quant):
+    """Code a coefficient's index; return (quant, at).
 
-    Return its index and `at`.
+    One that must be non-zero (`is_open` 0) has no zero flag.
     """
-    quant = np.int64(0) if goal is None else np.int64(goal[place])
     bin_ = np.int64(BIN_OF_SUM[min(sums >> 1, SUM_LIMIT)])
     if is_open:
         index = _ZERO_MODELS + (min(t, 3) * 3 + band - 1) * N_BINS + bin_
-        bit, at = code_step(at, coder, index, np.int64(quant != 0))
+        bit = np.int64(quant != 0)
+        bit, at = code_step(at, state, stream, models, is_encoder, index, bit)
         if not bit:
             return np.int64(0), at
     first = _MAG_MODELS + ((min(t, 1) * 3 + band - 1) * N_BINS + bin_) * N_UNARY
     prefix = _PREFIX_MODELS + (band - 1) * N_PREFIX
-    mag, at = code_magnitude_step(at, coder, first, prefix, SHIFT_OF_BIN[bin_], abs(quant) - 1)
-    is_negative, at = code_raw_step(at, coder, np.int64(1), np.int64(quant < 0))
-    quant = -(mag + 1) if is_negative else mag + 1
-    field[place] = dequantize(quant, bands.steps[t, band], bands.limits[t, band], bands.offset)
-    return quant, at
+    shift = SHIFT_OF_BIN[bin_]
+    mag, at = code_magnitude_step(
+        at, state, stream, models, is_encoder, first, prefix, shift, abs(quant) - 1
+    )
+    is_negative, at = code_raw_step(at, state, stream, is_encoder, np.int64(1), np.int64(quant < 0))
+    return -(mag + 1) if is_negative else mag + 1, at
 
 
 @kernel

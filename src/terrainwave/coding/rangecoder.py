@@ -182,41 +182,6 @@ def _refilled(span, code, pos, data):
 
 
 @kernel
-def encode_step(span, low, state, out, models, index, bit):
-    """Encode `bit` (0 or 1) with ``models[index]``, adapt the model; return the new (span, low).
-
-    For hot loops, which keep RANGE and LOW in locals (half the time of `code_bit`) and must put
-    them back into `state` before any other function of this module sees it.
-    """
-    index = np.uint64(index)
-    prob, count = _parts_of(models[index])
-    bound = (span >> 16) * ((prob >> 6) | 1)
-    if bit:
-        span = bound
-    else:
-        low += bound
-        span -= bound
-    models[index] = _adapted(prob, count, bit)
-    while span < _TOP:
-        span <<= 8
-        low = _shift_low(low, state, out)
-    return span, low
-
-
-@kernel
-def encode_raw(state, out, value, n_bits):
-    """Encode the lowest `n_bits` (0 to 62) bits of `value`, the highest first, at one bit each."""
-    for shift in range(n_bits - 1, -1, -1):
-        span = state[RANGE] >> 1
-        if (value >> shift) & 1:
-            state[LOW] += span
-        while span < _TOP:
-            span <<= 8
-            state[LOW] = _shift_low(state[LOW], state, out)
-        state[RANGE] = span
-
-
-@kernel
 def finish_encoder(state, out):
     """Write the last byte; return the number of bytes of the stream.
 
@@ -245,50 +210,6 @@ def start_decoder(state, data):
 
 
 @kernel
-def decode_step(span, code, pos, data, models, index):
-    """Decode one bit with ``models[index]``, adapt the model; return (bit, span, code, pos).
-
-    For hot loops, which keep RANGE, CODE and BYTE_POS in locals (half the time of `code_bit`).
-    Bytes past the end of `data` read as zero; `finish_decoder` reports that.
-    """
-    index = np.uint64(index)
-    prob, count = _parts_of(models[index])
-    bound = (span >> 16) * ((prob >> 6) | 1)
-    if code < bound:
-        bit = 1
-        span = bound
-    else:
-        bit = 0
-        code -= bound
-        span -= bound
-    models[index] = _adapted(prob, count, bit)
-    span, code, pos = _refilled(span, code, pos, data)
-    return bit, span, code, pos
-
-
-@kernel
-def decode_raw(state, data, n_bits):
-    """Decode `n_bits` (0 to 62) bits written by `encode_raw`."""
-    value = np.int64(0)
-    for _ in range(n_bits):
-        span = state[RANGE] >> 1
-        code = state[CODE]
-        value <<= 1
-        if code >= span:
-            code -= span
-            value |= 1
-        while span < _TOP:
-            pos = state[BYTE_POS]
-            byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
-            code = ((code << 8) | byte) & _MASK32
-            span <<= 8
-            state[BYTE_POS] = pos + 1
-        state[RANGE] = span
-        state[CODE] = code
-    return value
-
-
-@kernel
 def finish_decoder(state, data):
     """Return (status, position): OK if `data` ends exactly where the encoder ended it.
 
@@ -301,46 +222,6 @@ def finish_decoder(state, data):
     if needed < data.shape[0]:
         return Status.TRAILING, needed
     return Status.OK, needed
-
-
-@kernel
-def encode_mean_step(span, low, state, out, models, first, second, bit):
-    """Encode `bit` with the mean of two models' probabilities, adapt both; as `encode_step`."""
-    first, second = np.uint64(first), np.uint64(second)
-    prob, count = _parts_of(models[first])
-    other_prob, other_count = _parts_of(models[second])
-    bound = (span >> 16) * (((prob + other_prob) >> 7) | 1)
-    if bit:
-        span = bound
-    else:
-        low += bound
-        span -= bound
-    models[first] = _adapted(prob, count, bit)
-    models[second] = _adapted(other_prob, other_count, bit)
-    while span < _TOP:
-        span <<= 8
-        low = _shift_low(low, state, out)
-    return span, low
-
-
-@kernel
-def decode_mean_step(span, code, pos, data, models, first, second):
-    """Decode one bit written by `encode_mean_step`; as `decode_step`."""
-    first, second = np.uint64(first), np.uint64(second)
-    prob, count = _parts_of(models[first])
-    other_prob, other_count = _parts_of(models[second])
-    bound = (span >> 16) * (((prob + other_prob) >> 7) | 1)
-    if code < bound:
-        bit = 1
-        span = bound
-    else:
-        bit = 0
-        code -= bound
-        span -= bound
-    models[first] = _adapted(prob, count, bit)
-    models[second] = _adapted(other_prob, other_count, bit)
-    span, code, pos = _refilled(span, code, pos, data)
-    return bit, span, code, pos
 
 
 @inlined_kernel
@@ -359,116 +240,142 @@ def _learned(weight, logit, mixed, bit):
     return weight + ((_HALF_WEIGHT - mixed * logit) >> _WEIGHT_BITS) + (logit if bit else 0)
 
 
-@kernel
-def encode_mixed_step(span, low, state, out, models, first, second, weight, other_weight, bit):
-    """Encode `bit` with two models mixed by their weights, adapt all four.
-
-    Return (span, low, weight, other_weight); see `encode_step`.
-    """
-    first, second = np.uint64(first), np.uint64(second)
-    prob, count = _parts_of(models[first])
-    other_prob, other_count = _parts_of(models[second])
-    mixed, logit, other_logit = _mixed(prob, other_prob, weight, other_weight)
-    bound = (span >> 16) * mixed
-    if bit:
-        span = bound
-    else:
-        low += bound
-        span -= bound
-    models[first] = _adapted(prob, count, bit)
-    models[second] = _adapted(other_prob, other_count, bit)
-    weight = _learned(weight, logit, mixed, bit)
-    other_weight = _learned(other_weight, other_logit, mixed, bit)
-    while span < _TOP:
-        span <<= 8
-        low = _shift_low(low, state, out)
-    return span, low, weight, other_weight
-
-
-@inlined_kernel
-def decode_mixed_step(span, code, pos, data, models, first, second, weight, other_weight):
-    """Decode one bit written by `encode_mixed_step`.
-
-    Return (bit, span, code, pos, weight, other_weight); see `decode_step`.
-    """
-    first, second = np.uint64(first), np.uint64(second)
-    prob, count = _parts_of(models[first])
-    other_prob, other_count = _parts_of(models[second])
-    mixed, logit, other_logit = _mixed(prob, other_prob, weight, other_weight)
-    bound = (span >> 16) * mixed
-    if code < bound:
-        bit = 1
-        span = bound
-    else:
-        bit = 0
-        code -= bound
-        span -= bound
-    models[first] = _adapted(prob, count, bit)
-    models[second] = _adapted(other_prob, other_count, bit)
-    weight = _learned(weight, logit, mixed, bit)
-    other_weight = _learned(other_weight, other_logit, mixed, bit)
-    span, code, pos = _refilled(span, code, pos, data)
-    return bit, span, code, pos, weight, other_weight
-
-
 # One text for encoder and decoder: what is to be coded is an argument, which a decoder ignores, and
-# what was coded is returned. Loops keep `at`, which is (RANGE, POINT, BYTE_POS), out of the state;
-# an encoder's BYTE_POS is idle there.
+# what was coded is returned. Loops unpack their coder, as each look into it counts references, and
+# keep `at`, which is (RANGE, POINT, BYTE_POS), out of the state (half the time); an encoder's
+# BYTE_POS is idle. A one is coded as the lower part of the range, `bound` wide.
 
 
 @inlined_kernel
-def take_out(coder):
+def take_out(state):
     """Return what a loop keeps out of a coder's state."""
-    state = coder.state
     return state[RANGE], state[POINT], state[BYTE_POS]
 
 
 @inlined_kernel
-def put_back(at, coder):
+def put_back(at, state, is_encoder):
     """Undo `take_out`."""
-    state = coder.state
     state[RANGE], state[POINT] = at[0], at[1]
-    if coder.is_encoder is None:
+    if is_encoder is None:
         state[BYTE_POS] = at[2]
 
 
-@inlined_kernel
-def code_step(at, coder, index, bit):
-    """Code one bit with ``models[index]``; return (bit, at)."""
+@kernel
+def code_step(at, state, stream, models, is_encoder, index, bit):
+    """Code one bit with ``models[index]``, which adapts; return (bit, at).
+
+    A decoder reads bytes past the end of `stream` as zero; `finish_decoder` reports that.
+    """
     span, point, pos = at
-    if coder.is_encoder is None:
-        bit, span, point, pos = decode_step(span, point, pos, coder.stream, coder.models, index)
+    index = np.uint64(index)
+    prob, count = _parts_of(models[index])
+    bound = (span >> 16) * ((prob >> 6) | 1)
+    if is_encoder is None:
+        bit = np.int64(point < bound)
+    if bit:
+        span = bound
     else:
-        span, point = encode_step(span, point, coder.state, coder.stream, coder.models, index, bit)
+        point = _raised(point, bound, is_encoder)
+        span -= bound
+    models[index] = _adapted(prob, count, bit)
+    if is_encoder is None:
+        span, point, pos = _refilled(span, point, pos, stream)
+    else:
+        while span < _TOP:
+            span <<= 8
+            point = _shift_low(point, state, stream)
+    return bit, (span, point, pos)
+
+
+@kernel
+def code_mean_step(at, state, stream, models, is_encoder, first, second, bit):
+    """Code one bit with the mean of two models' probabilities; as `code_step`."""
+    span, point, pos = at
+    first, second = np.uint64(first), np.uint64(second)
+    prob, count = _parts_of(models[first])
+    other_prob, other_count = _parts_of(models[second])
+    bound = (span >> 16) * (((prob + other_prob) >> 7) | 1)
+    if is_encoder is None:
+        bit = np.int64(point < bound)
+    if bit:
+        span = bound
+    else:
+        point = _raised(point, bound, is_encoder)
+        span -= bound
+    models[first] = _adapted(prob, count, bit)
+    models[second] = _adapted(other_prob, other_count, bit)
+    if is_encoder is None:
+        span, point, pos = _refilled(span, point, pos, stream)
+    else:
+        while span < _TOP:
+            span <<= 8
+            point = _shift_low(point, state, stream)
     return bit, (span, point, pos)
 
 
 @inlined_kernel
-def code_mixed_step(at, coder, first, second, weights, bit):
-    """Code one bit with two models mixed by `weights`; return (bit, at, weights)."""
+def code_mixed_step(at, state, stream, models, is_encoder, first, second, weights, bit):
+    """Code one bit with two models mixed by `weights`, which adapt; return (bit, at, weights)."""
     span, point, pos = at
-    weight, other = weights
-    if coder.is_encoder is None:
-        bit, span, point, pos, weight, other = decode_mixed_step(
-            span, point, pos, coder.stream, coder.models, first, second, weight, other
-        )
+    weight, other_weight = weights
+    first, second = np.uint64(first), np.uint64(second)
+    prob, count = _parts_of(models[first])
+    other_prob, other_count = _parts_of(models[second])
+    mixed, logit, other_logit = _mixed(prob, other_prob, weight, other_weight)
+    bound = (span >> 16) * mixed
+    if is_encoder is None:
+        bit = np.int64(point < bound)
+    if bit:
+        span = bound
     else:
-        span, point, weight, other = encode_mixed_step(
-            span, point, coder.state, coder.stream, coder.models, first, second, weight, other, bit
-        )
-    return bit, (span, point, pos), (weight, other)
+        point = _raised(point, bound, is_encoder)
+        span -= bound
+    models[first] = _adapted(prob, count, bit)
+    models[second] = _adapted(other_prob, other_count, bit)
+    weight = _learned(weight, logit, mixed, bit)
+    other_weight = _learned(other_weight, other_logit, mixed, bit)
+    if is_encoder is None:
+        span, point, pos = _refilled(span, point, pos, stream)
+    else:
+        while span < _TOP:
+            span <<= 8
+            point = _shift_low(point, state, stream)
+    return bit, (span, point, pos), (weight, other_weight)
 
 
 @inlined_kernel
-def code_raw_step(at, coder, n_bits, value):
-    """Code the lowest `n_bits` bits of a value, unpredicted; return (value, at)."""
-    put_back(at, coder)
-    value = code_raw(coder, n_bits, value)
-    return value, take_out(coder)
+def _raised(point, distance, is_encoder):
+    """Return the point after the lower end of the range has gone up."""
+    return point - distance if is_encoder is None else point + distance
 
 
 @kernel
-def code_magnitude_step(at, coder, first, prefix, shift, value):
+def code_raw_step(at, state, stream, is_encoder, n_bits, value):
+    """Code the lowest `n_bits` (0 to 62) bits of a value, the highest first, at one bit each.
+
+    Return those bits as a number, and `at`.
+    """
+    span, point, pos = at
+    coded = np.int64(0)
+    for shift in range(n_bits - 1, -1, -1):
+        span >>= 1
+        bit = (value >> shift) & 1
+        if is_encoder is None:
+            bit = np.int64(point >= span)
+        if bit:
+            point = _raised(point, span, is_encoder)
+        coded = (coded << 1) | bit
+        if is_encoder is None:
+            span, point, pos = _refilled(span, point, pos, stream)
+        else:
+            while span < _TOP:
+                span <<= 8
+                point = _shift_low(point, state, stream)
+    return coded, (span, point, pos)
+
+
+@kernel
+def code_magnitude_step(at, state, stream, models, is_encoder, first, prefix, shift, value):
     """Code a value (0 to MAX_MAGNITUDE); return (value, at).
 
     The `shift` lowest bits are raw. What is above is unary with the N_UNARY models from `first` on;
@@ -479,16 +386,20 @@ def code_magnitude_step(at, coder, first, prefix, shift, value):
     n_ones = np.int64(0)
     bit = np.int64(1)
     while bit and n_ones < N_UNARY:
-        bit, at = code_step(at, coder, first + n_ones, np.int64(upper > n_ones))
+        bit = np.int64(upper > n_ones)
+        bit, at = code_step(at, state, stream, models, is_encoder, first + n_ones, bit)
         n_ones += bit
     n_bits = np.int64(0)
     rest = upper - N_UNARY + 1
     # Begins only where all of the unary bits are ones.
     while bit and n_bits < N_PREFIX - 1:
-        bit, at = code_step(at, coder, prefix + n_bits, np.int64(rest >> (n_bits + 1) > 0))
+        bit = np.int64(rest >> (n_bits + 1) > 0)
+        bit, at = code_step(at, state, stream, models, is_encoder, prefix + n_bits, bit)
         n_bits += bit
     base = np.int64(N_UNARY - 1) << shift
-    raw, at = code_raw_step(at, coder, n_bits + shift, value - base)
+    raw = np.int64(0)
+    if n_bits + shift > 0:
+        raw, at = code_raw_step(at, state, stream, is_encoder, n_bits + shift, value - base)
     if n_ones < N_UNARY:
         return (n_ones << shift) | raw, at
     return base + ((np.int64(1) << (n_bits + shift)) | raw), at
@@ -497,26 +408,30 @@ def code_magnitude_step(at, coder, first, prefix, shift, value):
 # The same for what is coded now and then, which leaves all in the state.
 
 
-@inlined_kernel
-def code_raw(coder, n_bits, value):
-    """Code the lowest `n_bits` bits of a value, unpredicted; return it, those bits only."""
-    if coder.is_encoder is None:
-        return decode_raw(coder.state, coder.stream, n_bits)
-    encode_raw(coder.state, coder.stream, value, n_bits)
-    return value & ((np.int64(1) << n_bits) - 1)
-
-
 @kernel
 def code_bit(coder, index, bit):
     """Code one bit with ``models[index]``; return it."""
-    bit, at = code_step(take_out(coder), coder, index, bit)
-    put_back(at, coder)
+    state, stream, models, is_encoder = coder
+    bit, at = code_step(take_out(state), state, stream, models, is_encoder, index, bit)
+    put_back(at, state, is_encoder)
     return bit
+
+
+@kernel
+def code_raw(coder, n_bits, value):
+    """Code the lowest `n_bits` bits of a value, unpredicted; return them as a number."""
+    state, stream, _, is_encoder = coder
+    value, at = code_raw_step(take_out(state), state, stream, is_encoder, n_bits, value)
+    put_back(at, state, is_encoder)
+    return value
 
 
 @kernel
 def code_magnitude(coder, first, prefix, shift, value):
     """Code a value (0 to MAX_MAGNITUDE) as `code_magnitude_step` does; return it."""
-    value, at = code_magnitude_step(take_out(coder), coder, first, prefix, shift, value)
-    put_back(at, coder)
+    state, stream, models, is_encoder = coder
+    value, at = code_magnitude_step(
+        take_out(state), state, stream, models, is_encoder, first, prefix, shift, value
+    )
+    put_back(at, state, is_encoder)
     return value
