@@ -235,8 +235,9 @@ class Rows:
         if is_fine:
             sigma = min((abs(x.side) * (65536 // (8 * n))) >> 16, 3) if b < 16 else 0
         else:
-            d = min(abs(x.side) >> lg(n), 2**17 - 1) * ((8192 << lg(n)) // n) >> 10
-            sigma = (4 * d > e) + (16 * d > 11 * e) + (2 * d > 3 * e)
+            s = max(lg(n) - 5, 0)
+            d = min(abs(x.side) >> s, 2**20 - 1) * ((1024 << lg(n)) // n) >> (4 + lg(n) - s)
+            sigma = (d > 2 * e) + (2 * d > 11 * e) + (d > 12 * e)
         x.context = 4 * b + sigma
 
     def decode(self, row):

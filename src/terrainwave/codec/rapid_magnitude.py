@@ -45,7 +45,7 @@ _MOST_EXPECTED = (1 << 24) - 1  # what float32 holds exactly
 _FINE_BINS = 16
 _FINE_STEP = 3  # up to this step the prediction's fraction matters
 MOST_ERROR = (1 << 18) - 1
-_MOST_SIDE = (1 << 17) - 1
+_MOST_SIDE = (1 << 20) - 1
 # Features in the order of the weights; those of errors and those of ranges have different units.
 F_CONST, F_NORTH, F_DIAGONAL, F_NORTH_2, F_RANGE, F_TWIST, F_BEND, F_NEAR, F_FAR = range(9)
 _OF_RANGES = (F_RANGE, F_TWIST, F_BEND)
@@ -62,7 +62,8 @@ def scale_of(step: int, low: int, high: int) -> Scale:
         error_shift=log2,
         range_shift=range_shift,
         most_range=(1 << 15 + min(log2, 4)) - 1,
-        side_scale=(8192 << log2) // step if step > _FINE_STEP else 65536 // (8 * step),
+        side_shift=max(log2 - 5, 0),
+        side_scale=(1024 << log2) // step if step > _FINE_STEP else 65536 // (8 * step),
         is_fine=step <= _FINE_STEP,
         most_detail=(high - low) // step + 1,
         low=low,
@@ -216,11 +217,11 @@ def fill_contexts(m, reals, bits_of_reals, n, scale):
             bin_ = m[k + CONTEXT]
             m[k + CONTEXT] = cast(4 * bin_ + (quarter if bin_ < _FINE_BINS else cast(0)))
         return
-    shift = scale.error_shift
+    shift, end_shift = scale.side_shift, 4 + scale.error_shift - scale.side_shift
     for j in range(n):
         k = np.uint64(j)
         far = min(cast(abs(m[k + SIDE]) >> shift), cast(_MOST_SIDE))
-        far = cast(cast(far * side_scale) >> 10)
+        far = cast(cast(far * side_scale) >> end_shift)  # in 1/4096 step
         e = m[k + EXPECTED]
-        steps = cast(4 * far > e) + cast(16 * far > 11 * e) + cast(2 * far > 3 * e)
+        steps = cast(far > 2 * e) + cast(2 * far > 11 * e) + cast(far > 12 * e)
         m[k + CONTEXT] = cast(4 * m[k + CONTEXT] + steps)
