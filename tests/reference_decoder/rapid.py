@@ -230,14 +230,14 @@ class Rows:
         n, is_fine = self.n, self.n in (1, 3)
         x.side = x.p - 64 * x.w if is_fine else 16 * x.sum - x.p
         total = sum(a * b for a, b in zip(weights, features, strict=True))
-        x.e = e = min(total >> 7, 2**24 - 1)
-        b = clamp(2 * lg(e) + (e >> (lg(e) - 1) & 1) - 4, 0, 43) if e >= 4 else 0
+        x.e = e = total >> 4
+        b = clamp(2 * lg(e) + (e >> (lg(e) - 1) & 1) - 10, 0, 43) if e >= 32 else 0
         if is_fine:
             sigma = min((abs(x.side) * (65536 // (8 * n))) >> 16, 3) if b < 16 else 0
         else:
             s = max(lg(n) - 5, 0)
-            d = min(abs(x.side) >> s, 2**20 - 1) * ((1024 << lg(n)) // n) >> (4 + lg(n) - s)
-            sigma = (d > 2 * e) + (2 * d > 11 * e) + (d > 12 * e)
+            d = min(abs(x.side) >> s, 2**20 - 1) * ((1024 << lg(n)) // n) >> (2 + lg(n) - s)
+            sigma = (d > e) + (4 * d > 11 * e) + (d > 6 * e)
         x.context = 4 * b + sigma
 
     def decode(self, row):
