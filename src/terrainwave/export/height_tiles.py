@@ -134,9 +134,9 @@ def _read(
         first = int(rows[start])
         last = min(int(rows[stop - 1]) + 1, region.n_rows - 1)
         part = Region(region.row + first, region.col, last - first + 1, region.n_cols)
-        found, is_valid = terrain.read_with_mask(part, level=level)
+        samples, is_valid = terrain.read_with_mask(part, level=level)
         heights[start:stop], valid[start:stop] = _bilinear(
-            found.astype(np.float64), is_valid, rows[start:stop] - first, cols
+            samples.astype(np.float64), is_valid, rows[start:stop] - first, cols
         )
         reporter.report("decoding", stop * shape[1], shape[0] * shape[1], 0)
     return heights, valid

@@ -55,9 +55,9 @@ def check_workers(client: Any) -> None:
         raise ClusterError("the cluster has no workers: start some with dask worker")
     for worker, version in versions.items():
         if version != __version__:
-            found = version if isinstance(version, str) else "none that can be imported"
+            theirs = version if isinstance(version, str) else "none that can be imported"
             raise ClusterError(
-                f"the worker {worker} has terrainwave {found}, expected {__version__}: install the"
+                f"the worker {worker} has terrainwave {theirs}, expected {__version__}: install the"
                 " same version everywhere"
             )
 

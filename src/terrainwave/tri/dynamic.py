@@ -290,9 +290,9 @@ class DynamicMesh:
 
     def root_heights(self) -> NDArray[np.uint8]:
         """Return the height of each sample's root after the last update, padded to patches."""
-        found = np.empty(tuple(self.tree.layout[0, N_ROWS:].tolist()), dtype=np.uint8)
-        fill_root_heights(self.tree.layout, self.marks, self._stack, found)
-        return found
+        heights = np.empty(tuple(self.tree.layout[0, N_ROWS:].tolist()), dtype=np.uint8)
+        fill_root_heights(self.tree.layout, self.marks, self._stack, heights)
+        return heights
 
 
 # Errors on screen

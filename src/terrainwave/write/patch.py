@@ -407,14 +407,14 @@ class _Patcher:
         """
         errors: dict[Block, int] = {}
         below: dict[Block, Box] = {}
-        for block, found in stats.items():
+        for block, own in stats.items():
             old = self._container.codes(block)
-            errors[block] = 0 if found.is_empty else encode_error(found.error + self._lost)
+            errors[block] = 0 if own.is_empty else encode_error(own.error + self._lost)
             if self._merged.covers(self._grid.full_region(block)):
                 continue
             moved = _CONTINUED * changes.get(block, 0)
             errors[block] = max(errors[block], encode_error(decode_error(old[2]) + moved))
-            if any(old[:3]) or moved or not found.is_empty:
+            if any(old[:3]) or moved or not own.is_empty:
                 below[block] = self._terrain.box_quanta(block)
         return errors, enclosing_boxes(stats, errors, self._whole, below)
 
