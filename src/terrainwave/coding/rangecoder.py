@@ -44,7 +44,6 @@ MODEL_START = np.uint32(1 << 31)  # probability 1/2, nothing seen
 N_UNARY = 14
 N_PREFIX = 32
 MAGNITUDE_MODELS = N_UNARY + N_PREFIX
-MAX_MAGNITUDE = N_UNARY + (1 << 32) - 2
 
 # Mixed bits: logits of 10-bit probabilities in 1/256, their mixtures in 1/32 from -11 to 11, the
 # weights in 1/65536.
@@ -469,7 +468,7 @@ def code_raw_step(at, coder, n_bits, value):
 
 @kernel
 def code_magnitude_step(at, coder, first, prefix, shift, value):
-    """Code a value (0 to MAX_MAGNITUDE); return (value, at).
+    """Code a value (0 to N_UNARY + 2**32 - 2); return (value, at).
 
     The `shift` lowest bits are raw. What is above is unary with the N_UNARY models from `first` on;
     the rest + 1 Exp-Golomb, with the N_PREFIX models from `prefix` on and a raw mantissa. Any bytes
@@ -516,7 +515,7 @@ def code_bit(coder, index, bit):
 
 @kernel
 def code_magnitude(coder, first, prefix, shift, value):
-    """Code a value (0 to MAX_MAGNITUDE) as `code_magnitude_step` does; return it."""
+    """Code a value (0 to N_UNARY + 2**32 - 2) as `code_magnitude_step` does; return it."""
     value, at = code_magnitude_step(take_out(coder), coder, first, prefix, shift, value)
     put_back(at, coder)
     return value

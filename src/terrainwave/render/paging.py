@@ -81,12 +81,6 @@ class Pager:
                 self._changed.notify_all()
         return outcomes
 
-    @property
-    def n_pending(self) -> int:
-        """Return how many keys are queued, under work or not taken yet."""
-        with self._changed:
-            return len(self._queue) + len(self._running) + len(self._ready)
-
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until something can be taken or nothing is under work; for tests and `render`."""
         with self._changed:

@@ -50,8 +50,7 @@ class Patch(NamedTuple):
     ----------
     vertices : structured ndarray of VERTEX
     triangles : ndarray of uint32, shape (n, 3)
-    n_surface : int
-        How many of the triangles are surface; the others are skirts.
+        The surface's, then those of skirts.
     slopes : ndarray of float16, shape (n_rows + 2, n_cols + 2, 2)
         Metres per metre to the east and to the north at the block's samples and around them.
     base : float
@@ -66,7 +65,6 @@ class Patch(NamedTuple):
     piece: Piece
     vertices: NDArray[np.void]
     triangles: NDArray[np.uint32]
-    n_surface: int
     slopes: NDArray[np.float16]
     base: float
     error: float
@@ -249,7 +247,6 @@ class PatchBuilder:
             piece,
             vertices,
             triangles,
-            len(mesh.triangles),
             self.slopes(block),
             base,
             error + largest * FLOAT32_ROUNDING,
