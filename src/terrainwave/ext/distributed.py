@@ -1,7 +1,7 @@
 """Clusters of dask.distributed for `compress`; needs the extra ``distributed``.
 
-`compress` takes any client that `distribution.executor_of` knows, so that this module only connects
-and looks whether the workers can do the work.
+`compress` takes any client that `write.cluster.executor_of` knows, so that this module only
+connects and looks whether the workers can do the work.
 """
 
 import socket

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import check_threads
+from terrainwave.arguments import checked_threads
 from terrainwave.container.publish import publish_directory
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidHeightsError
@@ -630,8 +630,7 @@ def write_tiles(
         terrain, void_height=void_height, cells=cells, radius=radius, max_zoom=max_zoom
     )
     last = pyramid.max_zoom
-    check_threads(threads)
-    n_threads = threads or os.cpu_count() or 1
+    n_threads = checked_threads(threads)
     total = sum(pyramid.n_tiles(zoom) for zoom in range(last + 1))
     reporter, n_done, summaries = Reporter(progress), 0, []
     with (

@@ -35,7 +35,7 @@ _N_MODELS = 3 * _N_SPACINGS
 
 
 class Samples(Protocol):
-    """A block's samples; see `meshing.BlockSamples`."""
+    """A block's samples; see `mesh.blocks.BlockSamples`."""
 
     @property
     def heights(self) -> NDArray[np.int32]:

@@ -1,4 +1,4 @@
-"""Check the meshes of a file, by code that shares nothing with what makes them (`mesh_checks`).
+"""Check the meshes of a file, by code that shares nothing with what makes them (`checks`).
 
 Walks the blocks of all levels depth first and holds a chain of ancestors, one window of originals,
 and the border lines of blocks whose neighbours have not come yet.

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import check_threads
+from terrainwave.arguments import checked_threads
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import block_of_unit
@@ -107,14 +107,14 @@ def patch(
     others have exactly the height they had. Takes about the time of decoding and measuring the
     whole file, and that of coding what differs.
     """
-    check_threads(threads)
+    n_threads = checked_threads(threads)
     refuse_own_source(src, path)
     final = Path(os.path.realpath(path))
     with (
         TerrainFile(final, threads=1) as terrain,
         RasterSource(src, band=band, nodata=nodata) as source,
         scratch_directory(temp_dir or final.parent, final.name) as directory,
-        ThreadPoolExecutor(threads or os.cpu_count() or 1, "terrainwave") as executor,
+        ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
     ):
         method = METHODS[terrain.header.method]
         if not method.is_patchable:
