@@ -1,6 +1,7 @@
 """Are the import rules of ARCHITECTURE.md kept?"""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +10,9 @@ import pytest
 
 from terrainwave.names import METHODS
 
-PACKAGE = Path(__file__).parent.parent / "src" / "terrainwave"
+REPOSITORY = Path(__file__).parent.parent
+PACKAGE = REPOSITORY / "src" / "terrainwave"
+PLAN = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")
 
 ROOT = {"errors", "progress", "names", "arguments", "_version", "extras", "cache"}
 # What each room may import besides itself, in the order of the data's path: rooms above it, and
@@ -69,6 +72,39 @@ def imported_groups(path):
 
 def test_every_module_has_a_line():
     assert {group_of(path) for path in modules()} - ENTRANCES <= set(MAY_IMPORT)
+
+
+def rooms_of_the_plan():
+    """Yield the names in backticks of each row of ARCHITECTURE.md's table: rooms, what is in."""
+    table = PLAN.split("## Rooms")[1].split("\n## ")[0]
+    for row in re.findall(r"^\| (`.*?) \| (.*) \|$", table, re.MULTILINE):
+        yield tuple(re.findall(r"`([\w/]+)`", cell) for cell in row)
+
+
+def exists(path):
+    return path.is_dir() or path.with_suffix(".py").is_file()
+
+
+def test_the_plan_has_a_row_for_every_room():
+    rooms = [room.rstrip("/") for names, _ in rooms_of_the_plan() for room in names]
+    assert sorted(rooms) == sorted(set(MAY_IMPORT) - {"_version"} | {"cli"})
+    assert all(exists(PACKAGE / room) for room in rooms)
+
+
+def test_what_the_plan_says_is_in_a_room_is_there():
+    for (room, *_), names in rooms_of_the_plan():
+        for name in names:
+            if name.islower() and name not in METHODS:
+                assert exists(PACKAGE / room / name) or exists(PACKAGE / name), f"{room} {name}"
+
+
+def test_paths_in_the_plan_exist():
+    for path in re.findall(r"`([\w./-]+(?:/|\.(?:py|md)))`", PLAN):
+        assert any((folder / path).exists() for folder in (PACKAGE, REPOSITORY)), path
+
+
+def test_the_plan_is_two_pages():
+    assert PLAN.count("\n") <= 110
 
 
 @pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))

@@ -1,6 +1,7 @@
 """Checks of arguments that several functions have: what was found, what was expected."""
 
 import math
+import os
 
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.names import DEFAULT_METHOD, EFFORTS, METHODS, STORED_MESHES
@@ -67,13 +68,14 @@ def checked_mesh(mesh: str, *, or_none: bool) -> str:
     return STORED_MESHES[0] if mesh == "auto" else mesh
 
 
-def check_threads(threads: int | None) -> None:
-    """Refuse fewer threads than one.
+def checked_threads(threads: int | None) -> int:
+    """Return the number of threads that is meant: all processors where none is given.
 
     Raises
     ------
     InvalidHeightsError
-        If there are.
+        If there are fewer than one.
     """
     if threads is not None and threads < 1:
         raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
+    return threads or os.cpu_count() or 1

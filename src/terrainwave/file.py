@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import checked_threads
 from terrainwave.codec.registry import check_parameters
 from terrainwave.container.codes import decode_error, decode_range
 from terrainwave.container.header import Header
@@ -115,8 +116,7 @@ class TerrainFile:
     def __init__(
         self, source: Any, *, cache_bytes: int = DEFAULT_CACHE_BYTES, threads: int | None = None
     ) -> None:
-        if threads is not None and threads < 1:
-            raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
+        self.n_threads = checked_threads(threads)
         self._arguments = (source, cache_bytes, threads)
         self._source = open_source(source)
         try:
@@ -133,7 +133,6 @@ class TerrainFile:
         self.name = source if isinstance(source, str | os.PathLike) else "<bytes>"
         self.grid = header.grid
         self._cache_bytes = cache_bytes
-        self.n_threads = threads or os.cpu_count() or 1
 
     def __enter__(self) -> Self:
         return self

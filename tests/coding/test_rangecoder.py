@@ -9,7 +9,6 @@ from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     LOGITS,
     MAGNITUDE_MODELS,
-    MAX_MAGNITUDE,
     MODEL_START,
     N_UNARY,
     PROBABILITIES,
@@ -28,6 +27,8 @@ from terrainwave.coding.rangecoder import (
 )
 from terrainwave.coding.status import Status, raise_for_status
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+
+MAX_MAGNITUDE = N_UNARY + (1 << 32) - 2
 
 
 @kernel

@@ -6,6 +6,7 @@ import numpy as np
 from twz import twz_bytes
 
 from terrainwave.render.camera import Camera
+from terrainwave.render.kernels import SKIRT_FLAG
 from terrainwave.terrain import Terrain
 
 # The background where gaps are looked for.
@@ -85,11 +86,12 @@ def drawn_heights(scene, frames, shape):
         z = patch.vertices["z"].astype(float)
         z = z + morph * (patch.vertices["z_parent"].astype(float) - z) + patch.base
         rows = patch.vertices["row"].astype(int) * stride
-        cols = (patch.vertices["col"].astype(int) & 0x7FFF) * stride
+        cols = (patch.vertices["col"].astype(int) & ~SKIRT_FLAG) * stride
         found = np.full(
             (min(grid.block * stride, shape[0] - 1 - first_row) + 1,
              min(grid.block * stride, shape[1] - 1 - first_col) + 1), np.nan)  # fmt: skip
-        triangles = patch.triangles[: patch.n_surface]
+        is_skirt = patch.vertices["col"] & SKIRT_FLAG != 0
+        triangles = patch.triangles[~is_skirt[patch.triangles].any(axis=1)]
         _fill(found, rows[triangles], cols[triangles], z[triangles])
         inside = np.argwhere(~np.isnan(found))
         yield inside[:, 0] + first_row, inside[:, 1] + first_col, found[tuple(inside.T)]

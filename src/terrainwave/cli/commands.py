@@ -300,8 +300,8 @@ def mesh(context: click.Context, /, file: str, target: str, store: bool, **optio
     unfit = given - common - _STORE_OPTIONS if store else given & _STORE_OPTIONS
     if unfit:
         names = {"kind": "mesh"}
-        found = ", ".join(sorted(f"--{names.get(name, name)}".replace("_", "-") for name in unfit))
-        raise click.UsageError(f"found {found} {'with' if store else 'without'} --store")
+        flags = ", ".join(sorted(f"--{names.get(name, name)}".replace("_", "-") for name in unfit))
+        raise click.UsageError(f"found {flags} {'with' if store else 'without'} --store")
     if store:
         _store_meshes(file, target, **{name: options[name] for name in common | _STORE_OPTIONS})
     else:
@@ -444,13 +444,13 @@ def info(file: str, as_json: bool, errors: str | None) -> None:
 
     with reading(file), terrainwave.open(file) as terrain:
         summary = terrain.info()
-        found = None if errors is None else level_errors(terrain, errors)
+        by_level = None if errors is None else level_errors(terrain, errors)
     if as_json:
-        print_json(summary.to_dict() | ({} if found is None else {"level_errors": found}))
+        print_json(summary.to_dict() | ({} if by_level is None else {"level_errors": by_level}))
     else:
         print_table(_info_rows(summary))
-        if found is not None:
-            _print_level_errors(summary.level_shapes, found)
+        if by_level is not None:
+            _print_level_errors(summary.level_shapes, by_level)
 
 
 def _print_level_errors(shapes: Any, errors: list[float]) -> None:

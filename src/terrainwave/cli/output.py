@@ -53,9 +53,9 @@ def reading(path: str) -> Iterator[None]:
         with suppress(OSError), Path(path).open("rb") as file:
             start = file.read(4)
             if start != b"\x89TWZ":
-                found = "a TIFF" if start[:2] in (b"II", b"MM") else "something else"
+                kind = "a TIFF" if start[:2] in (b"II", b"MM") else "something else"
                 raise CorruptStreamError(
-                    f"{path}: found {found}, expected a .twz file; terrainwave compress makes one"
+                    f"{path}: found {kind}, expected a .twz file; terrainwave compress makes one"
                     " of a raster"
                 ) from error
         raise type(error)(f"{path}: {error}") from error

@@ -29,10 +29,10 @@ class Size(click.ParamType):
         """Return both numbers."""
         if isinstance(value, tuple):
             return value
-        found = re.fullmatch(r"(\d{1,6})x(\d{1,6})", value)
-        if not found or 0 in (int(found[1]), int(found[2])):
+        match = re.fullmatch(r"(\d{1,6})x(\d{1,6})", value)
+        if not match or 0 in (int(match[1]), int(match[2])):
             self.fail(f"found {value}, expected a size such as 1920x1280", param, ctx)
-        return int(found[1]), int(found[2])
+        return int(match[1]), int(match[2])
 
 
 class Color(click.ParamType):

@@ -48,23 +48,25 @@ def tiles(
         terrainwave.open(file, threads=threads) as terrain,
         Bar(quiet=quiet) as bar,
     ):
-        found = write_tiles(terrain, directory, threads=threads, progress=bar, **options)
+        summaries = write_tiles(terrain, directory, threads=threads, progress=bar, **options)
     if as_json:
-        zooms = [asdict(zoom) for zoom in found]
+        zooms = [asdict(zoom) for zoom in summaries]
         print_json({"path": str(Path(directory)), "zooms": zooms})
     elif not quiet:
-        _print_zooms(directory, found)
+        _print_zooms(directory, summaries)
 
 
-def _print_zooms(directory: str, found: Any) -> None:
+def _print_zooms(directory: str, summaries: Any) -> None:
     header = ["zoom", "tiles", "triangles", "bytes", "Cesium's error", "surface error", "error"]
     rows = [
         [str(zoom.zoom), f"{zoom.n_tiles:,}", f"{zoom.n_triangles:,}", f"{zoom.n_bytes:,}",
          f"{zoom.geometric_error:.5g}", _metres(zoom.surface_error), _metres(zoom.error)]
-        for zoom in found
+        for zoom in summaries
     ]  # fmt: skip
     print_grid(header, rows)
-    click.echo(f"{plain(directory)}: {sum(zoom.n_tiles for zoom in found):,} tiles; errors in m")
+    click.echo(
+        f"{plain(directory)}: {sum(zoom.n_tiles for zoom in summaries):,} tiles; errors in m"
+    )
 
 
 def _metres(error: float | None) -> str:

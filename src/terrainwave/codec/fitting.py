@@ -57,7 +57,6 @@ _MAX_JUDGED = 2000
 # One of so many samples of a plane is looked at, in windows of up to so many samples a side.
 _EVERY = 12
 _WINDOW = 128
-_MAX_WINDOWS = 16
 _MARGIN = 4
 # Variance of the noise of decoded heights in steps squared: some details are 0, so it is below the
 # 1/12 of uniform noise.

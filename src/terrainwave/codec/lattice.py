@@ -33,8 +33,6 @@ _LH_TAPS = (
     *((-1, -1), (-1, 1), (1, -1), (1, 1)),
 )
 _PASS_PARITY = {A: (0, 0), HH: (1, 1), HL: (0, 1), LH: (1, 0)}
-_N_OWN = 4
-MAX_TAPS = 24
 
 
 def _resolve(pass_: int, offsets: tuple[tuple[int, int], ...]) -> NDArray[np.int64]:

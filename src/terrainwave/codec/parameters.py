@@ -30,7 +30,6 @@ from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 
 PLANES = (1, 2, 3)
 MAX_SETS = 16  # what a plane's header can name
-MAX_SHIFT = 7
 _LAYOUT = 1
 _MAX_WEIGHT = (1 << 15) - 1
 MAX_FEATURE_WEIGHT = 1 << 12

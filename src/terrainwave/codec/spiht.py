@@ -92,11 +92,6 @@ class Geometry:
     roots: NDArray[np.int32]
 
 
-def band_shift(transform: int, band: int) -> int:
-    """Return by how many bits coefficients of a band (HL 1, LH 2, HH 3) are shifted."""
-    return max(transform - 1, 0) if band == 3 else transform
-
-
 def make_geometry(shape: tuple[int, int], n_transforms: int) -> Geometry:
     """Return the geometry of a field transformed `n_transforms` times."""
     width = shape[1] + 2
@@ -224,7 +219,7 @@ def _n_bytes_decided(state):
 
 @kernel
 def _shift_of(band):
-    """Return the shift of a band of the geometry (`band_shift`)."""
+    """Return by how many bits coefficients of a band of the geometry are shifted."""
     transform = band // 3
     return max(transform - 1, 0) if band % 3 == 2 else transform
 

@@ -27,14 +27,14 @@ def sources_of(path: str) -> list[str]:
     The file itself, what it imports from the package, and so on. Imports within functions and
     under TYPE_CHECKING don't count: no kernel sees what they name.
     """
-    found: set[str] = set()
+    sources: set[str] = set()
     waiting = [os.path.abspath(path)]
     while waiting:
         path = waiting.pop()
-        if path not in found:
-            found.add(path)
+        if path not in sources:
+            sources.add(path)
             waiting.extend(_read(path)[1])
-    return sorted(found)
+    return sorted(sources)
 
 
 @lru_cache(None)

@@ -285,5 +285,5 @@ def payload_starts(page: Page, keys: Sequence[Block], body_start: int) -> Sequen
     lengths = (page.payload_lengths.astype(np.int64) + page.mesh_lengths)[order]
     starts = np.empty(len(order), dtype=np.int64)
     starts[order] = body_start + np.cumsum(lengths) - lengths
-    found: list[int] = starts.tolist()
-    return found
+    offsets: list[int] = starts.tolist()
+    return offsets

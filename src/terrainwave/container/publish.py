@@ -262,10 +262,10 @@ def _leftovers(directory: Path, name: str, suffix: str) -> Iterator[Path]:
     """Yield the paths in `directory` that look like ``.name.random`` and the suffix."""
     prefix = f".{name}."
     try:
-        found = sorted(os.listdir(directory))
+        entries = sorted(os.listdir(directory))
     except OSError:
         return
-    for entry in found:
+    for entry in entries:
         if entry.startswith(prefix) and entry.endswith(suffix):
             if _RANDOM_PART.fullmatch(entry[len(prefix) : -len(suffix)]):
                 yield directory / entry

@@ -103,17 +103,17 @@ class Container:
 
     def segments(self, heads: Sequence[Block | None]) -> dict[Block | None, Segment]:
         """Return the indices of several segments; missing pages of a level in one `read_many`."""
-        found: dict[Block | None, Segment] = {}
+        indices: dict[Block | None, Segment] = {}
         missing: list[Block] = []
         for head in heads:
             segment = self._top if head is None else self._segments.get(head)
             if segment is not None:
-                found[head] = segment
+                indices[head] = segment
             elif head is not None:
                 missing.append(head)
         if missing:
-            found.update(self._load(list(dict.fromkeys(missing))))
-        return found
+            indices.update(self._load(list(dict.fromkeys(missing))))
+        return indices
 
     def _load(self, heads: Sequence[Block]) -> dict[Block | None, Segment]:
         parent_heads = [self._parent_head(head) for head in heads]

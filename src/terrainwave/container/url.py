@@ -329,8 +329,8 @@ class FsspecSource(MergingSource):
 
     def _info(self) -> dict[str, Any]:
         self._fs.invalidate_cache(self._path)
-        found: dict[str, Any] = self._call(self._fs.info, self._path)
-        return found
+        info: dict[str, Any] = self._call(self._fs.info, self._path)
+        return info
 
     def _call(self, function: Any, *args: Any, **options: Any) -> Any:
         # File systems raise what their libraries raise; few of those are OSErrors.
@@ -360,14 +360,14 @@ class FsspecSource(MergingSource):
             [span.end for span in asked],
             on_error="raise",
         )
-        found = dict(zip(asked, replies, strict=True))
-        for span, data in found.items():
+        data_of = dict(zip(asked, replies, strict=True))
+        for span, data in data_of.items():
             if len(data) != span.length:
                 self.check_unchanged()
             if len(data) > span.length:
                 raise StorageError(f"{self.name} does not serve byte ranges; download it first")
             self._check_length(span, data)
-        return [found.get(span, b"") for span in spans]
+        return [data_of.get(span, b"") for span in spans]
 
     def __reduce__(self) -> tuple[type["FsspecSource"], tuple[str, str | None]]:
         return FsspecSource, (self._url, self._version)

@@ -196,9 +196,9 @@ def check_extension(path: str | os.PathLike[str]) -> str:
     """
     extension = Path(path).suffix.lower()
     if extension not in EXTENSIONS:
-        found = extension or "no extension"
+        given = extension or "no extension"
         raise InvalidHeightsError(
-            f"{os.fspath(path)}: found {found}, expected one of {', '.join(EXTENSIONS)}"
+            f"{os.fspath(path)}: found {given}, expected one of {', '.join(EXTENSIONS)}"
         )
     return extension
 

@@ -172,8 +172,8 @@ def ellipsoid_of(crs: "CRS") -> Ellipsoid:
     TerrainwaveError
         If pyproj is missing: rasterio does not say.
     """
-    found = _by_pyproj(crs)
-    ellipsoid = None if found is None else found.ellipsoid
+    known = _by_pyproj(crs)
+    ellipsoid = None if known is None else known.ellipsoid
     if ellipsoid is None or not ellipsoid.semi_major_metre > 0:
         return EARTH
     inverse = ellipsoid.inverse_flattening  # 0: a sphere
@@ -306,12 +306,12 @@ def _local(mesh: Mesh, place: Place, z_scale: float) -> Mesh:
 def _ecef(mesh: Mesh, place: Place, z_scale: float) -> Mesh:
     points = geographic_points(mesh, place)
     points[:, 2] *= z_scale
-    found = place.ellipsoid.geocentric(points)
-    centre = np.round((found.min(axis=0) + found.max(axis=0)) / 2)
+    vertices = place.ellipsoid.geocentric(points)
+    centre = np.round((vertices.min(axis=0) + vertices.max(axis=0)) / 2)
     attributes = _attributes(mesh, "ecef", z_scale, "m")
     return replace(
         mesh,
-        vertices=found - centre,
+        vertices=vertices - centre,
         origin=(float(centre[0]), float(centre[1]), float(centre[2])),
         attributes=attributes,
     )
@@ -350,8 +350,8 @@ def geographic_base(crs: "CRS") -> "CRS":
     """Return the geographic CRS that a projected or compound CRS is based on."""
     from rasterio.crs import CRS
 
-    found = _by_pyproj(crs)
-    base = None if found is None else found.geodetic_crs
+    known = _by_pyproj(crs)
+    base = None if known is None else known.geodetic_crs
     if base is None or not base.is_geographic:
         raise InvalidHeightsError(
             "the coordinate reference system has no longitudes and latitudes behind it"
@@ -360,12 +360,12 @@ def geographic_base(crs: "CRS") -> "CRS":
 
 
 def _transform(xy: NDArray[np.float64], source: "CRS", target: "CRS") -> NDArray[np.float64]:
-    found = transform_points(xy, source, target)
-    if not np.isfinite(found).all():
+    moved = transform_points(xy, source, target)
+    if not np.isfinite(moved).all():
         raise InvalidHeightsError(
             "a part of the mesh has no longitude and latitude in its coordinate reference system"
         )
-    return found
+    return moved
 
 
 def transform_points(xy: NDArray[np.float64], source: "CRS", target: "CRS") -> NDArray[np.float64]:
@@ -381,10 +381,10 @@ def transform_points(xy: NDArray[np.float64], source: "CRS", target: "CRS") -> N
     from terrainwave.raster_io.gdal import GDAL_ERRORS, one_line
 
     try:
-        found: Any = np.array(transform(source, target, xy[:, 0], xy[:, 1])).T
+        moved: Any = np.array(transform(source, target, xy[:, 0], xy[:, 1])).T
     except GDAL_ERRORS as error:
         raise InvalidHeightsError(f"cannot transform coordinates: {one_line(error)}") from error
-    return np.asarray(found, dtype=np.float64).reshape(-1, 2)
+    return np.asarray(moved, dtype=np.float64).reshape(-1, 2)
 
 
 def transform_where_possible(
@@ -397,15 +397,15 @@ def transform_where_possible(
     if not len(xy):
         return xy
     try:
-        found = transform_points(xy, source, target)
+        moved = transform_points(xy, source, target)
     except InvalidHeightsError:
         if len(xy) == 1:
             return np.full((1, 2), np.nan)
         half = len(xy) // 2
         parts = (xy[:half], xy[half:])
         return np.concatenate([transform_where_possible(part, source, target) for part in parts])
-    found[~np.isfinite(found).all(axis=1)] = np.nan
-    return found
+    moved[~np.isfinite(moved).all(axis=1)] = np.nan
+    return moved
 
 
 def _attributes(mesh: Mesh, name: str, z_scale: float, unit: str | None) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from terrainwave.grid.affine import IDENTITY, bounds
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
+from terrainwave.read.resample import bilinear_sums, weighted_means
 
 EXTENSIONS = (".r16", ".png")
 MAX_SIZE = 16385
@@ -134,9 +135,9 @@ def _read(
         first = int(rows[start])
         last = min(int(rows[stop - 1]) + 1, region.n_rows - 1)
         part = Region(region.row + first, region.col, last - first + 1, region.n_cols)
-        found, is_valid = terrain.read_with_mask(part, level=level)
-        heights[start:stop], valid[start:stop] = _bilinear(
-            found.astype(np.float64), is_valid, rows[start:stop] - first, cols
+        samples, is_valid = terrain.read_with_mask(part, level=level)
+        heights[start:stop], valid[start:stop] = weighted_means(
+            *bilinear_sums(samples, is_valid, rows[start:stop] - first, cols)
         )
         reporter.report("decoding", stop * shape[1], shape[0] * shape[1], 0)
     return heights, valid
@@ -150,29 +151,6 @@ def _bands(rows: NDArray[np.float64], n_cols: int) -> Iterator[tuple[int, int]]:
         stop = int(np.searchsorted(rows, rows[start] + n_held - 1, side="right"))
         yield start, max(stop, start + 1)
         start = max(stop, start + 1)
-
-
-def _bilinear(
-    heights: NDArray[np.float64],
-    valid: NDArray[np.bool_],
-    rows: NDArray[np.float64],
-    cols: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Interpolate between the valid ones of four neighbours; void where all of them are void."""
-    top, left = rows.astype(np.int64), cols.astype(np.int64)
-    below = np.minimum(top + 1, heights.shape[0] - 1)
-    right = np.minimum(left + 1, heights.shape[1] - 1)
-    down, across = (rows - top)[:, np.newaxis], (cols - left)[np.newaxis, :]
-    known = np.where(valid, heights, 0.0)
-    total, weights = np.zeros((len(rows), len(cols))), np.zeros((len(rows), len(cols)))
-    for at_rows, row_weight in ((top, 1 - down), (below, down)):
-        for at_cols, col_weight in ((left, 1 - across), (right, across)):
-            at = np.ix_(at_rows, at_cols)
-            weight = row_weight * col_weight * valid[at]
-            total += weight * known[at]
-            weights += weight
-    is_valid = weights > 1e-9
-    return np.divide(total, weights, out=total, where=is_valid), is_valid
 
 
 def _quantize(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> _Quantized:

@@ -1,7 +1,7 @@
 """Clusters of dask.distributed for `compress`; needs the extra ``distributed``.
 
-`compress` takes any client that `distribution.executor_of` knows, so that this module only connects
-and looks whether the workers can do the work.
+`compress` takes any client that `write.cluster.executor_of` knows, so that this module only
+connects and looks whether the workers can do the work.
 """
 
 import socket
@@ -55,9 +55,9 @@ def check_workers(client: Any) -> None:
         raise ClusterError("the cluster has no workers: start some with dask worker")
     for worker, version in versions.items():
         if version != __version__:
-            found = version if isinstance(version, str) else "none that can be imported"
+            theirs = version if isinstance(version, str) else "none that can be imported"
             raise ClusterError(
-                f"the worker {worker} has terrainwave {found}, expected {__version__}: install the"
+                f"the worker {worker} has terrainwave {theirs}, expected {__version__}: install the"
                 " same version everywhere"
             )
 

@@ -89,14 +89,14 @@ def picture(terrain: TerrainFile) -> NDArray[np.uint8]:
     n_rows, n_cols = terrain.level_shape(level)
     share = min(1.0, _SIDE / max(n_rows, n_cols))
     shape = max(1, round(n_rows * share)), max(1, round(n_cols * share))
-    found = terrain.read(level=level, out_shape=shape, resampling="average", masked=True)
+    raw = terrain.read(level=level, out_shape=shape, resampling="average", masked=True)
     a, _, _, _, e, _ = terrain.raster_info.transform
     if e > 0 and terrain.crs:  # stored with the south first
-        found = found[::-1]
+        raw = raw[::-1]
     if a < 0:
-        found = found[:, ::-1]
-    valid = ~np.ma.getmaskarray(found)
-    heights = np.ma.getdata(found).astype(np.float64)
+        raw = raw[:, ::-1]
+    valid = ~np.ma.getmaskarray(raw)
+    heights = np.ma.getdata(raw).astype(np.float64)
     heights = heights * terrain.raster_info.scale + terrain.raster_info.offset
     image = np.full((*shape, 3), _VOID, dtype=np.uint8)
     if valid.any():

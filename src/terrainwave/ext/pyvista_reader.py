@@ -48,11 +48,11 @@ def read_twz(
     with TerrainFile(path) as terrain:
         if max_error is None and max_triangles is None and terrain.mesh_kind == "none":
             max_error = terrain.effective_error + terrain.info().quantum
-        found = mesh_area(
+        area_mesh = mesh_area(
             terrain, window, bounds=bounds, level=level, max_error=max_error,
             max_triangles=max_triangles,
         )  # fmt: skip
-        mesh = Mesh(*found)
+        mesh = Mesh(*area_mesh)
         placed = to_frame(mesh, frame, z_scale=z_scale)
         surface = placed.to_pyvista()
         surface.point_data["heights"] = mesh.points[:, 2]

@@ -77,9 +77,9 @@ class TerrainwaveCodec(ArrayBytesCodec):
         configuration = data.get("configuration") or {}
         unknown = sorted(set(configuration) - {"max_error", "nodata", "effort"})
         if data.get("name") != CODEC_NAME or unknown or "max_error" not in configuration:
-            found = f"unknown {', '.join(unknown)}" if unknown else repr(dict(data))
+            given = f"unknown {', '.join(unknown)}" if unknown else repr(dict(data))
             raise InvalidHeightsError(
-                f"found {found} in the metadata of the codec {CODEC_NAME}, expected max_error and,"
+                f"found {given} in the metadata of the codec {CODEC_NAME}, expected max_error and,"
                 " if need be, nodata and effort"
             )
         return cls(**configuration)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import check_threads
+from terrainwave.arguments import checked_threads
 from terrainwave.container.publish import publish_directory
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidHeightsError
@@ -238,7 +238,7 @@ class TilePyramid:
 
     def n_tiles(self, zoom: int) -> int:
         """Return the number of tiles of a zoom."""
-        return sum(found.n_tiles for found in self.available(zoom))
+        return sum(tiles.n_tiles for tiles in self.available(zoom))
 
     def layer(
         self,
@@ -277,12 +277,12 @@ class TilePyramid:
         return [
             [
                 {
-                    "startX": found.first_x,
-                    "startY": found.first_y,
-                    "endX": found.last_x,
-                    "endY": found.last_y,
+                    "startX": tiles.first_x,
+                    "startY": tiles.first_y,
+                    "endX": tiles.last_x,
+                    "endY": tiles.last_y,
                 }
-                for found in self.available(zoom)
+                for tiles in self.available(zoom)
             ]
             for zoom in range(first, self.max_zoom + 1)
         ]
@@ -302,7 +302,7 @@ class TilePyramid:
         CorruptStreamError
             If a block is damaged.
         """
-        if not any(found.contains(x, y) for found in self.available(zoom)):
+        if not any(tiles.contains(x, y) for tiles in self.available(zoom)):
             return None
         samples = self._samples(zoom, x, y)
         mesh = self._mesh(samples, zoom)
@@ -330,8 +330,8 @@ class TilePyramid:
         lats = np.where(np.isfinite(lat), lat, 0.0)
         rows, cols = self.globe.to_samples(np.tile(lon, len(lat)), np.repeat(lats, len(lon)))
         rows[~exists.ravel()] = np.nan
-        found, window = self.globe.heights_at(rows, cols, level)
-        exact = found.reshape(shape)
+        surface, window = self.globe.heights_at(rows, cols, level)
+        exact = surface.reshape(shape)
         for row in poles:
             exact[row] = self._pole(float(lat[row]), level)
         exact[~exists] = np.nan
@@ -506,9 +506,9 @@ def _rounded(mesh: BlockMesh, cells: int) -> BlockMesh:
 
 def _areas(mesh: BlockMesh) -> NDArray[np.float64]:
     r, c = mesh.rows[mesh.triangles], mesh.cols[mesh.triangles]
-    found: NDArray[np.float64] = (c[:, 1] - c[:, 0]) * (r[:, 2] - r[:, 0])
-    found -= (c[:, 2] - c[:, 0]) * (r[:, 1] - r[:, 0])
-    return found
+    areas: NDArray[np.float64] = (c[:, 1] - c[:, 0]) * (r[:, 2] - r[:, 0])
+    areas -= (c[:, 2] - c[:, 0]) * (r[:, 1] - r[:, 0])
+    return areas
 
 
 def _in_order_of_use(mesh: BlockMesh) -> BlockMesh:
@@ -630,10 +630,9 @@ def write_tiles(
         terrain, void_height=void_height, cells=cells, radius=radius, max_zoom=max_zoom
     )
     last = pyramid.max_zoom
-    check_threads(threads)
-    n_threads = threads or os.cpu_count() or 1
+    n_threads = checked_threads(threads)
     total = sum(pyramid.n_tiles(zoom) for zoom in range(last + 1))
-    reporter, n_done, found = Reporter(progress), 0, []
+    reporter, n_done, summaries = Reporter(progress), 0, []
     with (
         publish_directory(directory, LAYER, overwrite) as new,
         ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
@@ -654,7 +653,7 @@ def write_tiles(
                     errors.append(tile.error)
                 n_done += 1
                 reporter.report("writing tiles", n_done, total)
-            found.append(
+            summaries.append(
                 ZoomSummary(
                     zoom,
                     n_tiles,
@@ -667,14 +666,14 @@ def write_tiles(
             )
         layer = pyramid.layer(attribution=attribution)
         (new / LAYER).write_text(json.dumps(layer, indent=1) + "\n", encoding="utf-8")
-    return found
+    return summaries
 
 
 def _tiles_of(
     pyramid: TilePyramid, zoom: int, executor: ThreadPoolExecutor, n_ahead: int
 ) -> Iterator[tuple[int, int, TileMesh]]:
     """Yield x, y and the tile, for all of a zoom in order; few wait at a time."""
-    places = (place for found in pyramid.available(zoom) for place in found.tiles())
+    places = (place for area in pyramid.available(zoom) for place in area.tiles())
     while batch := list(islice(places, n_ahead)):
         tiles = executor.map(lambda place: pyramid.tile(zoom, *place), batch)
         for (x, y), tile in zip(batch, tiles, strict=True):

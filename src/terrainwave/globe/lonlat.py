@@ -303,11 +303,11 @@ class Globe:
         columns, heights, valid = [], [], []
         for part in parts:
             first, n_cols = int(part[0]), int(part[-1] - part[0]) + 1
-            found, is_valid = self.terrain.read_with_mask(
+            samples, is_valid = self.terrain.read_with_mask(
                 (top, first, bottom - top + 1, n_cols), level=level
             )
             columns.append(np.arange(first, first + n_cols))
-            heights.append(found)
+            heights.append(samples)
             valid.append(is_valid)
         raster = self.terrain.raster_info
         mask = np.concatenate(valid, axis=1)

@@ -124,8 +124,8 @@ def rgb_tile(globe: Globe, z: int, x: int, y: int) -> RgbTile | None:
     fine = np.arange(2 * TILE_SIZE - 1) / (2 * TILE_SIZE) + 0.5 / TILE_SIZE
     longitudes, latitudes = np.meshgrid(longitudes_of(z, x + fine), latitudes_of(z, y + fine))
     rows, cols = globe.to_samples(longitudes.ravel(), latitudes.ravel())
-    found, window = globe.heights_at(rows, cols, level)
-    surface = found.reshape(longitudes.shape)
+    samples, window = globe.heights_at(rows, cols, level)
+    surface = samples.reshape(longitudes.shape)
     heights = surface[::2, ::2]
     if window is None or np.isnan(heights).all():
         return None

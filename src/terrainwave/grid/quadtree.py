@@ -131,8 +131,8 @@ class Grid:
     def blocks(self, level: int) -> list[Block]:
         """Return all blocks of the level in Morton order."""
         rows, cols = self.level_blocks(level)
-        found = [Block(level, row, col) for row in range(rows) for col in range(cols)]
-        return sorted(found, key=lambda b: morton(b.row, b.col))
+        blocks = [Block(level, row, col) for row in range(rows) for col in range(cols)]
+        return sorted(blocks, key=lambda b: morton(b.row, b.col))
 
     def n_units(self) -> int:
         """Return the number of coded units: root blocks, and a group below each inner block."""
@@ -210,11 +210,11 @@ class Grid:
         """Return the parents of the segment's groups in the page's order: level, then Morton."""
         if head is None:
             return [block for level in range(self.top_levels) for block in self.blocks(level)]
-        found, layer = [], [head]
+        parents, layer = [], [head]
         for _ in range(SEGMENT_LEVELS):
-            found += layer
+            parents += layer
             layer = [child for block in layer for child in self.children(block)]
-        return found
+        return parents
 
     def segment_children(self, head: Block | None) -> list[Block]:
         """Return the heads of the segments that hang below this one, in Morton order."""
@@ -230,11 +230,11 @@ class Grid:
 
     def segment_heads_below(self, head: Block) -> list[Block]:
         """Return `head` and the heads of all segments below it in order: level, then Morton."""
-        found, layer = [], [head]
+        heads, layer = [], [head]
         while layer:
-            found += layer
+            heads += layer
             layer = [child for block in layer for child in self.segment_children(block)]
-        return found
+        return heads
 
     def descendants(self, block: Block, level: int) -> list[Block]:
         """Return the blocks of a level inside `block`, in Morton order."""

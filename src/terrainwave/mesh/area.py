@@ -276,12 +276,12 @@ class _Extractor:
 
     def _neighbours(self, cut: dict[Block, _Piece], block: Block) -> list[Block]:
         """Return the coarser or equal blocks of the cut beside a block."""
-        found = []
+        neighbours = []
         for row, col in ((-1, 0), (1, 0), (0, -1), (0, 1)):
             beside = self._covering(cut, Block(block.level, block.row + row, block.col + col))
             if beside is not None:
-                found.append(beside)
-        return found
+                neighbours.append(beside)
+        return neighbours
 
     def _covering(self, cut: dict[Block, _Piece], block: Block) -> Block | None:
         """Return the block of the cut that contains a block."""
@@ -378,14 +378,14 @@ class _Extractor:
                 )
             measured = largest_deviation(mesh, 1, samples.heights, samples.mask, 0, 0)
             # Samples on a coarser neighbour's border keep to the error, not to the tolerance.
-            found = piece.heights_error + Fraction(measured, 1 << FRACTION_BITS)
-            return _MeshedBlock(mesh, min(found, piece.error))
+            error = piece.heights_error + Fraction(measured, 1 << FRACTION_BITS)
+            return _MeshedBlock(mesh, min(error, piece.error))
         stride, tolerance = self._grid.stride(block.level), piece.tolerance
         for _ in range(_TRIES):
             measured = deviation_from_bilinear(mesh, stride, samples.heights, samples.mask)
             if measured <= piece.tolerance:
-                found = piece.heights_error + Fraction(measured, 1 << FRACTION_BITS)
-                return _MeshedBlock(mesh, found)
+                error = piece.heights_error + Fraction(measured, 1 << FRACTION_BITS)
+                return _MeshedBlock(mesh, error)
             tolerance = tolerance * piece.tolerance // (measured + measured // 16)
             mesh = triangulate(*samples, lines, tolerance)
         return _MeshedBlock(mesh, None)
@@ -432,7 +432,7 @@ class _Extractor:
         cut, level = self._cut(error), self._area.level
         built = self._build_all(cut)
         while True:
-            failed = sorted(block for block, found in built.items() if found.error is None)
+            failed = sorted(block for block, mesh in built.items() if mesh.error is None)
             if not failed:
                 return self._assemble(cut, built)
             if level < self._grid.k_max and any(block.level == level for block in failed):
@@ -455,8 +455,8 @@ class _Extractor:
 
     def _build_all(self, cut: dict[Block, _Piece]) -> dict[Block, _MeshedBlock]:
         blocks = sorted(cut)
-        found = self._executor.map(lambda block: self._build(cut, block), blocks)
-        return dict(zip(blocks, found, strict=True))
+        meshes = self._executor.map(lambda block: self._build(cut, block), blocks)
+        return dict(zip(blocks, meshes, strict=True))
 
     def within_budget(self, max_triangles: int, max_error: float | None) -> PlacedMesh:
         """Return the mesh of the smallest error, up to 2 %, that has at most `max_triangles`."""
@@ -479,9 +479,9 @@ class _Extractor:
             middle = Fraction(float(low * high) ** 0.5).limit_denominator(1 << 20)
             if not low < middle < high:
                 break
-            found = self._mesh_if_reached(middle)
-            if found is not None and found.n_triangles <= max_triangles:
-                best, high = found, middle
+            mesh = self._mesh_if_reached(middle)
+            if mesh is not None and mesh.n_triangles <= max_triangles:
+                best, high = mesh, middle
             else:
                 low = middle
         return best
@@ -646,5 +646,5 @@ def _cut_off(
 def _has_area(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> NDArray[np.bool_]:
     a, b, c = (vertices[triangles[:, k], :2] for k in range(3))
     area = (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]) - (c[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
-    found: NDArray[np.bool_] = area > 0
-    return found
+    is_positive: NDArray[np.bool_] = area > 0
+    return is_positive

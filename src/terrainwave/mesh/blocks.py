@@ -110,11 +110,13 @@ class BlockMesher:
         own = self.tolerance(block)
         if block.level == self._grid.k_max:
             return SideTolerances(own, own, own, own)
-        found = []
+        tolerances = []
         for row, col in ((-1, 0), (1, 0), (0, -1), (0, 1)):
             beside = Block(block.level, block.row + row, block.col + col)
-            found.append(min(own, self.tolerance(beside)) if self._grid.contains(beside) else own)
-        return SideTolerances(*found)
+            tolerances.append(
+                min(own, self.tolerance(beside)) if self._grid.contains(beside) else own
+            )
+        return SideTolerances(*tolerances)
 
     def samples(self, block: Block) -> BlockSamples:
         """Return the samples of a block, reaching past the raster's edge where the block does.
@@ -205,8 +207,8 @@ def border_lines(
     def line(at: tuple[int | slice, int | slice], tolerance: int, start: int) -> NDArray[np.bool_]:
         heights = samples.heights[at].astype(np.int64) << FRACTION_BITS
         forced = np.ascontiguousarray(samples.locked[at])
-        found: NDArray[np.bool_] = line_vertices(heights, forced, start, side, tolerance)
-        return found
+        vertices: NDArray[np.bool_] = line_vertices(heights, forced, start, side, tolerance)
+        return vertices
 
     every = slice(None)
     return Lines(
@@ -248,7 +250,7 @@ def measure_meshes(
     finest level, only the originals under these.
     """
     meshes: Cache[Block, BlockMesh] = Cache(_CACHED_MESHES)
-    found: dict[Block, int] = {}
+    largest: dict[Block, int] = {}
     lock = threading.Lock()
 
     def measure(block: Block) -> None:
@@ -269,9 +271,9 @@ def measure_meshes(
             above = above.parent
         with lock:
             for key, error in errors.items():
-                found[key] = max(found.get(key, 0), error)
+                largest[key] = max(largest.get(key, 0), error)
         on_samples(region.n_rows * region.n_cols)
 
     for _ in executor.map(measure, grid.blocks(grid.k_max) if blocks is None else blocks):
         pass
-    return found
+    return largest

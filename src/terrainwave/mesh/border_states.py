@@ -48,10 +48,10 @@ class BorderState(NamedTuple):
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return the state as arrays, one bit per place on a border."""
         arrays: dict[str, NDArray[Any]] = {}
-        for name, found in (("border", self.borders), ("demanded", self.demanded)):
-            sizes = [(border.top.size, border.left.size) for border in found.values()]
-            flags = [side for border in found.values() for side in border]
-            arrays[f"{name}_blocks"] = np.array(list(found), dtype=np.int64).reshape(-1, 3)
+        for name, borders in (("border", self.borders), ("demanded", self.demanded)):
+            sizes = [(border.top.size, border.left.size) for border in borders.values()]
+            flags = [side for border in borders.values() for side in border]
+            arrays[f"{name}_blocks"] = np.array(list(borders), dtype=np.int64).reshape(-1, 3)
             arrays[f"{name}_sizes"] = np.array(sizes, dtype=np.int64).reshape(-1, 2)
             arrays[f"{name}_flags"] = np.packbits(np.concatenate([*flags, np.zeros(0, np.bool_)]))
         return arrays
@@ -64,15 +64,15 @@ class BorderState(NamedTuple):
 
 def _borders(arrays: Mapping[str, NDArray[Any]], name: str) -> dict[Block, BorderVertices]:
     flags = np.unpackbits(arrays[f"{name}_flags"]).astype(np.bool_)
-    found, place = {}, 0
+    borders, place = {}, 0
     for block, (n_cols, n_rows) in zip(
         arrays[f"{name}_blocks"].tolist(), arrays[f"{name}_sizes"].tolist(), strict=True
     ):
         ends = np.cumsum([0, n_cols, n_rows, n_cols, n_rows]) + place
         sides = [flags[first:end] for first, end in pairwise(ends)]
-        found[Block(*block)] = BorderVertices(*sides)
+        borders[Block(*block)] = BorderVertices(*sides)
         place = int(ends[-1])
-    return found
+    return borders
 
 
 def draft_blocks(mesher: BlockMesher, demands: Demands) -> BorderState:

@@ -132,7 +132,7 @@ def sections_of_parts(grid: Grid, parts: Mapping[Block, bytes]) -> dict[Block, b
         key = unit_key(block)
         blocks = grid.key_blocks(key)
         sections.setdefault(key, [b""] * len(blocks))[blocks.index(block)] = part
-    packed = {key: pack_section(found) for key, found in sections.items()}
+    packed = {key: pack_section(meshes) for key, meshes in sections.items()}
     return {key: section for key, section in packed.items() if section}
 
 
@@ -161,15 +161,15 @@ def _level_parts(
         for block, has_mesh in zip(blocks, is_meshed, strict=True)
         if has_mesh
     ]
-    drafts, _ = agree(positions, draft, lambda found: found.border, executor.map)
-    found = {}
+    drafts, _ = agree(positions, draft, lambda drafted: drafted.border, executor.map)
+    parts = {}
     for position, part in zip(positions, executor.map(encode, positions), strict=True):
         block = Block(level, *position)
-        found[block] = part
+        parts[block] = part
         if level == grid.k_max:
             region = grid.block_region(block)
             on_samples(region.n_rows * region.n_cols)
-    return found
+    return parts
 
 
 def mesher_of(file: TerrainFile) -> BlockMesher:

@@ -112,8 +112,8 @@ class DatasetBackend:
             yield f"{self.name} has {n_bands} bands; using band 1 (choose with --band)"
         dropped = [
             name
-            for name, found in (("GCPs", dataset.gcps[0]), ("RPCs", getattr(dataset, "rpcs", None)))
-            if found
+            for name, value in (("GCPs", dataset.gcps[0]), ("RPCs", getattr(dataset, "rpcs", None)))
+            if value
         ]
         if dropped:
             what = " and ".join(dropped)

@@ -79,20 +79,20 @@ class MosaicBackend:
     def __init__(self, sources: Sequence[Any], band: int, nodata: int | float | None) -> None:
         self._band = band
         self._open: Cache[str, DatasetBackend] = Cache(_MAX_OPEN, drop=DatasetBackend.close)
-        found = [self._describe(source) for source in sources]
-        first = found[0]
-        for other in found[1:]:
+        rasters = [self._describe(source) for source in sources]
+        first = rasters[0]
+        for other in rasters[1:]:
             _check_alike(first, other)
-        self.name = f"{first.name} and {len(found) - 1} more"
+        self.name = f"{first.name} and {len(rasters) - 1} more"
         self.dtype = first.dtype
-        places = [_place(first, other) for other in found]
+        places = [_place(first, other) for other in rasters]
         top, left = min(row for row, _ in places), min(col for _, col in places)
-        self.n_rows = max(row + one.shape[0] for (row, _), one in zip(places, found)) - top
-        self.n_cols = max(col + one.shape[1] for (_, col), one in zip(places, found)) - left
-        self.transform = _corner_transform(found, places, top, left)
+        self.n_rows = max(row + one.shape[0] for (row, _), one in zip(places, rasters)) - top
+        self.n_cols = max(col + one.shape[1] for (_, col), one in zip(places, rasters)) - left
+        self.transform = _corner_transform(rasters, places, top, left)
         self._tags = dict(first.tags)
         for name in ("area_or_point", "description"):
-            if any(one.tags[name] != first.tags[name] for one in found):
+            if any(one.tags[name] != first.tags[name] for one in rasters):
                 self._tags[name] = None
         self._members = [
             _Member(
@@ -102,14 +102,14 @@ class MosaicBackend:
                 one.nodata if nodata is None else nodata,
                 one.has_mask,
             )
-            for source, one, (row, col) in zip(sources, found, places)
+            for source, one, (row, col) in zip(sources, rasters, places)
         ]
-        self._notes = [note for one in found for note in one.notes]
-        declared = [one.nodata for one in found if one.nodata is not None]
+        self._notes = [note for one in rasters for note in one.notes]
+        declared = [one.nodata for one in rasters if one.nodata is not None]
         self.nodata = declared[0] if declared else None
         self._nodata = self.nodata if nodata is None else nodata
         self._n_covered = covered_samples([member.region for member in self._members])
-        has_voids = self._has_gaps or any(one.has_mask for one in found)
+        has_voids = self._has_gaps or any(one.has_mask for one in rasters)
         self.has_mask = self._nodata is None and self.dtype.kind != "f" and has_voids
         self.block_shape = first.block_shape
         if first.block_shape[1] >= first.shape[1] > _WIDE:
@@ -177,9 +177,9 @@ class MosaicBackend:
             part = member.region.intersect(window)
             if part.n_rows <= 0 or part.n_cols <= 0:
                 continue
-            found, is_valid = self._read_member(member, part)
+            samples, is_valid = self._read_member(member, part)
             there = part.slices_in(window)
-            heights[there][is_valid] = found[is_valid]
+            heights[there][is_valid] = samples[is_valid]
             valid[there] |= is_valid
         return heights, valid
 
@@ -276,15 +276,15 @@ def _place(first: _Description, other: _Description) -> tuple[int, int]:
 
 
 def _corner_transform(
-    found: Sequence[_Description], places: Sequence[tuple[int, int]], top: int, left: int
+    rasters: Sequence[_Description], places: Sequence[tuple[int, int]], top: int, left: int
 ) -> tuple[float, ...]:
     """Return the mosaic's transform; exactly as the files have it, where they are not rotated."""
-    a, b, _, d, e, _ = found[0].transform
+    a, b, _, d, e, _ = rasters[0].transform
     if (b, d) == (0, 0):
-        x = next(one.transform[2] for one, (_, col) in zip(found, places) if col == left)
-        y = next(one.transform[5] for one, (row, _) in zip(found, places) if row == top)
+        x = next(one.transform[2] for one, (_, col) in zip(rasters, places) if col == left)
+        y = next(one.transform[5] for one, (row, _) in zip(rasters, places) if row == top)
         return a, b, x, d, e, y
-    return of_window(found[0].transform, top, left)
+    return of_window(rasters[0].transform, top, left)
 
 
 def covered_samples(regions: Sequence[Region]) -> int:

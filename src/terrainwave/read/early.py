@@ -65,13 +65,13 @@ class EarlyPayloads:
 
     def _tiles_above(self, keys: Iterable[Block]) -> list[Block]:
         """Return the tiles that hold units, and those above them, once each."""
-        found: dict[Block, None] = {}
+        tiles: dict[Block, None] = {}
         for unit in keys:
             key: Block | None = self._layout.key_of(unit)
-            while key is not None and key not in found:
-                found[key] = None
+            while key is not None and key not in tiles:
+                tiles[key] = None
                 key = self._layout.above(key)
-        return list(found)
+        return list(tiles)
 
     def _read_heads(self, keys: list[Block]) -> dict[Block, _Part]:
         lengths = dict(zip(keys, self._container.payload_lengths(keys), strict=True))

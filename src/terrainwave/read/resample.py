@@ -85,15 +85,33 @@ def _bilinear(
     below, right = np.minimum(top + 1, shape[0] - 1), np.minimum(left + 1, shape[1] - 1)
     window = _window(np.concatenate([top, below]), np.concatenate([left, right]))
     heights, valid = read(shift, window)
+    total, weights = bilinear_sums(heights, valid, rows - window.row, cols - window.col)
+    return _weighted(total, weights, heights.dtype)
+
+
+def bilinear_sums(
+    heights: NDArray[Any],
+    valid: NDArray[np.bool_],
+    rows: NDArray[np.float64],
+    cols: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the weighted sums of the valid ones of four neighbours, and the sums of weights.
+
+    For all pairs of `rows` and `cols`, which lie between the first and the last sample.
+    """
+    top, left = rows.astype(np.int64), cols.astype(np.int64)
+    below = np.minimum(top + 1, heights.shape[0] - 1)
+    right = np.minimum(left + 1, heights.shape[1] - 1)
     down, across = (rows - top)[:, None], (cols - left)[None, :]
+    known = np.where(valid, heights, 0)
     total, weights = np.zeros((rows.size, cols.size)), np.zeros((rows.size, cols.size))
     for at_rows, row_weight in ((top, 1 - down), (below, down)):
         for at_cols, col_weight in ((left, 1 - across), (right, across)):
-            at = np.ix_(at_rows - window.row, at_cols - window.col)
+            at = np.ix_(at_rows, at_cols)
             weight = row_weight * col_weight * valid[at]
-            total += weight * heights[at]
+            total += weight * known[at]
             weights += weight
-    return _weighted(total, weights, heights.dtype)
+    return total, weights
 
 
 def _average(
@@ -138,9 +156,16 @@ def _integrate(edges: NDArray[np.float64], values: NDArray[np.float64]) -> NDArr
     return result
 
 
+def weighted_means(
+    total: NDArray[np.float64], weights: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return means, and where there is one: void is what has no weight."""
+    valid = weights > 1e-9
+    return np.divide(total, weights, out=np.zeros_like(total), where=valid), valid
+
+
 def _weighted(
     total: NDArray[np.float64], weights: NDArray[np.float64], dtype: np.dtype[Any]
 ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    valid = weights > 1e-9
-    means = np.divide(total, weights, out=np.zeros_like(total), where=valid)
+    means, valid = weighted_means(total, weights)
     return (np.rint(means) if dtype.kind in "iu" else means).astype(dtype), valid

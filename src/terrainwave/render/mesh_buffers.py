@@ -148,8 +148,8 @@ class GpuStore:
 
     def layers_of(self, nodes: NDArray[np.int32]) -> NDArray[np.int64]:
         """Return the slope layer of each node; -1 where it has no triangles."""
-        found: NDArray[np.int64] = self._places[nodes, 2]
-        return found
+        layers: NDArray[np.int64] = self._places[nodes, 2]
+        return layers
 
     def release(self) -> None:
         """Free the GPU's memory."""

@@ -75,17 +75,11 @@ class Pager:
     def take(self, max_items: int) -> list[Outcome]:
         """Return finished results, at most `max_items`; never waits for work."""
         with self._changed:
-            found = [self._ready.popleft() for _ in range(min(max_items, len(self._ready)))]
-            self._ready_keys.difference_update(built.key for built in found)
-            if found:
+            outcomes = [self._ready.popleft() for _ in range(min(max_items, len(self._ready)))]
+            self._ready_keys.difference_update(built.key for built in outcomes)
+            if outcomes:
                 self._changed.notify_all()
-        return found
-
-    @property
-    def n_pending(self) -> int:
-        """Return how many keys are queued, under work or not taken yet."""
-        with self._changed:
-            return len(self._queue) + len(self._running) + len(self._ready)
+        return outcomes
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until something can be taken or nothing is under work; for tests and `render`."""

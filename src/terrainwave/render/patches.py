@@ -50,8 +50,7 @@ class Patch(NamedTuple):
     ----------
     vertices : structured ndarray of VERTEX
     triangles : ndarray of uint32, shape (n, 3)
-    n_surface : int
-        How many of the triangles are surface; the others are skirts.
+        The surface's, then those of skirts.
     slopes : ndarray of float16, shape (n_rows + 2, n_cols + 2, 2)
         Metres per metre to the east and to the north at the block's samples and around them.
     base : float
@@ -66,7 +65,6 @@ class Patch(NamedTuple):
     piece: Piece
     vertices: NDArray[np.void]
     triangles: NDArray[np.uint32]
-    n_surface: int
     slopes: NDArray[np.float16]
     base: float
     error: float
@@ -249,7 +247,6 @@ class PatchBuilder:
             piece,
             vertices,
             triangles,
-            len(mesh.triangles),
             self.slopes(block),
             base,
             error + largest * FLOAT32_ROUNDING,
@@ -274,13 +271,15 @@ class PatchBuilder:
         if above is None or not len(z):
             return z
         parent = self.mesh(above)
-        found = np.empty((int(mesh.rows.max()) + 1, int(mesh.cols.max()) + 1))
+        surface = np.empty((int(mesh.rows.max()) + 1, int(mesh.cols.max()) + 1))
         factor, first = 1, (0, 0)
         if above.level < piece.level:
             side = 2 * self._terrain.grid.block
             factor, first = 2, ((piece.row & 1) * side, (piece.col & 1) * side)
-        rasterize(parent.rows, parent.cols, parent.heights, parent.triangles, factor, *first, found)
-        heights = self._scale.metres(found[mesh.rows, mesh.cols] / (1 << FRACTION_BITS))
+        rasterize(
+            parent.rows, parent.cols, parent.heights, parent.triangles, factor, *first, surface
+        )
+        heights = self._scale.metres(surface[mesh.rows, mesh.cols] / (1 << FRACTION_BITS))
         return np.where(np.isnan(heights), z, heights)
 
     def slopes(self, block: Block) -> NDArray[np.float16]:
@@ -295,9 +294,9 @@ class PatchBuilder:
         near = grid.block_region(block, 1).intersect(level)
         wide = grid.block_region(block, 2).intersect(level)
         heights, mask = terrain.decoder.window(block.level, wide)
-        found = np.empty((near.n_rows, near.n_cols, 2), dtype=np.float32)
-        slopes(heights, mask, near.row - wide.row, near.col - wide.col, found)
-        per_sample = found.astype(np.float64)
+        in_quanta = np.empty((near.n_rows, near.n_cols, 2), dtype=np.float32)
+        slopes(heights, mask, near.row - wide.row, near.col - wide.col, in_quanta)
+        per_sample = in_quanta.astype(np.float64)
         per_sample *= self._scale.per_quantum / grid.stride(block.level)
         padding = [
             (1 - (first - outer), 1 - (outer + n_outer - first - n) + min(1, grid.block + 1 - n))

@@ -246,7 +246,7 @@ class Scene:
 
     def finest_in_view(self, view: View) -> list[int]:
         """Return the nodes of all finest pieces in view; reads the index only."""
-        table, found = self.table, []
+        table, nodes = self.table, []
         stack = table.roots.tolist()
         scale = np.array([1.0, 1.0, view.exaggeration])
         planes = view.planes
@@ -259,8 +259,8 @@ class Scene:
             children = [child for child in table.children[node].tolist() if child >= 0]
             stack += children
             if not children:
-                found.append(node)
-        return found
+                nodes.append(node)
+        return nodes
 
     def parts(self, view: View) -> Iterator[Frames]:
         """Yield all finest pieces in view, as many at a time as the store holds."""

@@ -296,8 +296,8 @@ class ErrorGovernor:
     def select(self, table: NodeTable, view: View) -> tuple[Selection, float]:
         """Return a selection within the budget, and its τ."""
         tau = view.max_pixel_error * self.factor
-        found = table.select(view, tau)
-        while found.n_triangles > self.max_triangles and tau < 1e6:
+        selection = table.select(view, tau)
+        while selection.n_triangles > self.max_triangles and tau < 1e6:
             tau = max(tau, 0.05) * 1.3
-            found = table.select(view, tau)
-        return found, tau
+            selection = table.select(view, tau)
+        return selection, tau

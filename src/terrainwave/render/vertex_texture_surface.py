@@ -235,11 +235,11 @@ class VertexTextureSurface:
         a, b, _, d, e, _ = matrix
         planes = eye.planes.copy()
         planes[:, 3] += planes[:, :3] @ eye.position
-        found = mode.frame_mesh
+        frame = mode.frame_mesh
         values = {
             "slopes": _SLOPES, "heights": _HEIGHTS, "bounds": _BOUNDS, "roots": _ROOTS,
             "side": float(self.store.side), "top": mesh.tree.top, "stride": float(mode.stride),
-            "threshold": (found.threshold, found.tau), "level_axes": (a, b, d, e),
+            "threshold": (frame.threshold, frame.tau), "level_axes": (a, b, d, e),
             "eye_z": float(eye.position[2]), "base_error": mesh.base_error,
             "reach": mesh.tree.reach, "focal": eye.focal, "slant": eye.slant,
             "is_bound": mode.error == "measured", "forward": tuple(eye.forward),

@@ -48,12 +48,12 @@ class BorderVertices(NamedTuple):
 
     def keep(self, shape: tuple[int, int]) -> Keep:
         """Return these vertices as a map of the block's samples."""
-        found = np.zeros(shape, dtype=np.bool_)
-        found[0] |= self.top
-        found[-1] |= self.bottom
-        found[:, 0] |= self.left
-        found[:, -1] |= self.right
-        return found
+        keep = np.zeros(shape, dtype=np.bool_)
+        keep[0] |= self.top
+        keep[-1] |= self.bottom
+        keep[:, 0] |= self.left
+        keep[:, -1] |= self.right
+        return keep
 
 
 def border_of(vertices: Keep) -> BorderVertices:
@@ -87,7 +87,7 @@ def demands_on(position: Position, borders: Mapping[Position, BorderVertices]) -
     """
     row, col = position
     own = borders[position]
-    found = []
+    demands = []
     for side, other, (down, right) in (
         ("top", "bottom", (-1, 0)), ("left", "right", (0, -1)),
         ("bottom", "top", (1, 0)), ("right", "left", (0, 1)),
@@ -102,8 +102,8 @@ def demands_on(position: Position, borders: Mapping[Position, BorderVertices]) -
                     f" {flags.size} and {theirs.size} samples"
                 )
             flags = flags | theirs
-        found.append(flags)
-    return BorderVertices(*found)
+        demands.append(flags)
+    return BorderVertices(*demands)
 
 
 def lacks(own: BorderVertices, demanded: BorderVertices) -> bool:

@@ -69,10 +69,10 @@ def line_vertices(heights, forced, offset, side, tolerance):
                     active[middle] = True
                     break
         spacing *= 2
-    found = active[offset : last + 1].copy()
-    found[0] = True
-    found[n - 1] = True
-    return found
+    vertices = active[offset : last + 1].copy()
+    vertices[0] = True
+    vertices[n - 1] = True
+    return vertices
 
 
 def beside_void(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:

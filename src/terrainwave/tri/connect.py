@@ -205,6 +205,6 @@ def _largest_error(heights, rows, cols, triangles):
         r1, c1 = np.int64(rows[triangles[t, 1]]), np.int64(cols[triangles[t, 1]])
         r2, c2 = np.int64(rows[triangles[t, 2]]), np.int64(cols[triangles[t, 2]])
         area = area_of(r0, c0, r1, c1, r2, c2)
-        found = deviation(heights, r0, c0, r1, c1, r2, c2, np.int64(1) << 62)
-        worst = max(worst, -((-(found << FRACTION_BITS)) // area))
+        error = deviation(heights, r0, c0, r1, c1, r2, c2, np.int64(1) << 62)
+        worst = max(worst, -((-(error << FRACTION_BITS)) // area))
     return worst

@@ -113,8 +113,6 @@ class DynamicFrame(NamedTuple):
         Nodes that marking looked at.
     n_changed : int
         Nodes that became a root or ceased to be one.
-    touched_share : float
-        Of all nodes of the forest.
     """
 
     vertices: NDArray[np.float64]
@@ -124,7 +122,6 @@ class DynamicFrame(NamedTuple):
     tau: float
     n_touched: int
     n_changed: int
-    touched_share: float
 
 
 class DynamicMesh:
@@ -249,7 +246,6 @@ class DynamicMesh:
             used,
             n_touched,
             n_changed,
-            n_touched / self.n_nodes,
         )
 
     def _mark(
@@ -290,9 +286,9 @@ class DynamicMesh:
 
     def root_heights(self) -> NDArray[np.uint8]:
         """Return the height of each sample's root after the last update, padded to patches."""
-        found = np.empty(tuple(self.tree.layout[0, N_ROWS:].tolist()), dtype=np.uint8)
-        fill_root_heights(self.tree.layout, self.marks, self._stack, found)
-        return found
+        heights = np.empty(tuple(self.tree.layout[0, N_ROWS:].tolist()), dtype=np.uint8)
+        fill_root_heights(self.tree.layout, self.marks, self._stack, heights)
+        return heights
 
 
 # Errors on screen

@@ -217,7 +217,7 @@ def _measured_errors(height, layout, z, is_near_void, bounds):
     below, _, n_cols_below = layout[height - 1]
     first_inner = layout[1, FIRST]
     corners = np.empty((16 << height, 3))
-    found = np.empty(3)
+    bound = np.empty(3)
     for row in range(n_rows):
         for col in range(n_cols):
             node = first + row * n_cols + col
@@ -225,21 +225,21 @@ def _measured_errors(height, layout, z, is_near_void, bounds):
             if np.isnan(z[node]):
                 bounds[inner, ERROR], bounds[inner, LOW], bounds[inner, HIGH] = 0.0, 0.0, 0.0
                 continue
-            found[ERROR], found[LOW], found[HIGH] = 0.0, z[node], z[node]
+            bound[ERROR], bound[LOW], bound[HIGH] = 0.0, z[node], z[node]
             if _has_voids(height, row, col, layout, z):
-                _measure_all(height, row, col, layout, z, corners, found)
+                _measure_all(height, row, col, layout, z, corners, bound)
             else:
-                _measure_windows(height, row, col, layout, z, corners, found)
+                _measure_windows(height, row, col, layout, z, corners, bound)
             if height > 1:
                 for k in range(4):
                     child = below + (2 * row + (k >> 1)) * n_cols_below + 2 * col + (k & 1)
                     if not np.isnan(z[child]):
-                        found[ERROR] = max(found[ERROR], bounds[child - first_inner, ERROR])
-                        found[LOW] = min(found[LOW], bounds[child - first_inner, LOW])
-                        found[HIGH] = max(found[HIGH], bounds[child - first_inner, HIGH])
-            bounds[inner, ERROR] = OUTLINE if is_near_void[node] else found[ERROR] * (1 + _ROUNDING)
-            bounds[inner, LOW] = found[LOW] - abs(found[LOW]) * _ROUNDING
-            bounds[inner, HIGH] = found[HIGH] + abs(found[HIGH]) * _ROUNDING
+                        bound[ERROR] = max(bound[ERROR], bounds[child - first_inner, ERROR])
+                        bound[LOW] = min(bound[LOW], bounds[child - first_inner, LOW])
+                        bound[HIGH] = max(bound[HIGH], bounds[child - first_inner, HIGH])
+            bounds[inner, ERROR] = OUTLINE if is_near_void[node] else bound[ERROR] * (1 + _ROUNDING)
+            bounds[inner, LOW] = bound[LOW] - abs(bound[LOW]) * _ROUNDING
+            bounds[inner, HIGH] = bound[HIGH] + abs(bound[HIGH]) * _ROUNDING
 
 
 @kernel
@@ -260,7 +260,7 @@ def _has_voids(height, row, col, layout, z):
 
 
 @kernel
-def _measure_windows(height, row, col, layout, z, corners, found):
+def _measure_windows(height, row, col, layout, z, corners, bound):
     """Widen error and heights by those of the nine windows of a node without voids around it.
 
     Corners smaller than those listed lie below nodes all of whose samples are in the window: they
@@ -269,7 +269,7 @@ def _measure_windows(height, row, col, layout, z, corners, found):
     middle = np.float64(z[layout[height, FIRST] + row * layout[height, N_COLS] + col])
     side, half, fourth = 1 << height, 1 << (height - 1), max((1 << height) // 4, 1)
     mid_row, mid_col = row * side + half, col * side + half
-    _measure(mid_row - half, mid_col - half, side, side, layout, z, middle, corners, 0, found)
+    _measure(mid_row - half, mid_col - half, side, side, layout, z, middle, corners, 0, bound)
     for k in range(4):
         down, right = k >> 1, k & 1
         n = _add_node(height, row, col, layout, z, corners, 0)
@@ -277,7 +277,7 @@ def _measure_windows(height, row, col, layout, z, corners, found):
         n = _add_node(height, row, col + 2 * right - 1, layout, z, corners, n)
         n = _add_node(height, row + 2 * down - 1, col + 2 * right - 1, layout, z, corners, n)
         r, c = mid_row - side * (1 - down), mid_col - side * (1 - right)
-        _measure(r, c, side, side, layout, z, middle, corners, n, found)
+        _measure(r, c, side, side, layout, z, middle, corners, n, bound)
     for k in range(4):
         away, is_across = 2 * (k >> 1) - 1, k & 1
         beside_row, beside_col = (row, col + away) if is_across else (row + away, col)
@@ -295,11 +295,11 @@ def _measure_windows(height, row, col, layout, z, corners, found):
             r, c, n_r, n_c = mid_row - fourth, mid_col + start, 2 * fourth, side
         else:
             r, c, n_r, n_c = mid_row + start, mid_col - fourth, side, 2 * fourth
-        _measure(r, c, n_r, n_c, layout, z, middle, corners, n, found)
+        _measure(r, c, n_r, n_c, layout, z, middle, corners, n, bound)
 
 
 @kernel
-def _measure_all(height, row, col, layout, z, corners, found):
+def _measure_all(height, row, col, layout, z, corners, bound):
     """Widen error and heights by those of one window around a node, voids in it or not.
 
     All nodes are listed that touch it and are not larger.
@@ -319,7 +319,7 @@ def _measure_all(height, row, col, layout, z, corners, found):
     end_row = min((row + 1) * side + half, layout[0, N_ROWS])
     end_col = min((col + 1) * side + half, layout[0, N_COLS])
     n_r, n_c = end_row - first_row, end_col - first_col
-    _measure(first_row, first_col, n_r, n_c, layout, z, middle, corners, n, found)
+    _measure(first_row, first_col, n_r, n_c, layout, z, middle, corners, n, bound)
 
 
 @kernel
@@ -337,7 +337,7 @@ def _add_node(height, row, col, layout, z, corners, n):
 
 
 @kernel
-def _measure(first_row, first_col, n_rows, n_cols, layout, z, middle, corners, n_corners, found):
+def _measure(first_row, first_col, n_rows, n_cols, layout, z, middle, corners, n_corners, bound):
     """Widen an error and heights by those of one window, whose first samples are given.
 
     `middle` is a height near the window's.
@@ -376,5 +376,5 @@ def _measure(first_row, first_col, n_rows, n_cols, layout, z, middle, corners, n
         value -= mean + down * (corners[k, 0] - mid_row) + right * (corners[k, 1] - mid_col)
         low, high = min(low, value), max(high, value)
     error = max(high - sample_low, sample_high - low)
-    found[ERROR] = max(found[ERROR], min(error, largest - least))
-    found[LOW], found[HIGH] = min(found[LOW], least), max(found[HIGH], largest)
+    bound[ERROR] = max(bound[ERROR], min(error, largest - least))
+    bound[LOW], bound[HIGH] = min(bound[LOW], least), max(bound[HIGH], largest)

@@ -102,14 +102,14 @@ def ceilings(keep: Keep, trees: Trees | None) -> NDArray[np.uint8]:
     A node can be TR only if its height is at most that: it holds no sample of `keep` but its first,
     and no node under it or itself is JS (Algorithm I: "the triangulation cannot be less detailed").
     """
-    found = np.zeros(keep.shape, dtype=np.uint8)
+    highest = np.zeros(keep.shape, dtype=np.uint8)
     no_trees = np.zeros((0, 0), dtype=np.uint8)
-    _find_ceilings(keep, no_trees if trees is None else trees, found)
-    return found
+    _find_ceilings(keep, no_trees if trees is None else trees, highest)
+    return highest
 
 
 @kernel
-def _find_ceilings(keep, trees, found):
+def _find_ceilings(keep, trees, highest):
     n_rows, n_cols = keep.shape
     has_trees = trees.shape[0] > 0
     for height in range(1, top_height(n_rows, n_cols) + 1):
@@ -120,21 +120,21 @@ def _find_ceilings(keep, trees, found):
                 col = first_sample(j, n_cols, height)
                 col_2 = second_child(col, n_cols, height)
                 below = height - 1
-                if found[row, col] < below:
+                if highest[row, col] < below:
                     continue
                 if row_2 == row and col_2 == col:
-                    found[row, col] = height
+                    highest[row, col] = height
                     continue
                 if has_trees and trees[row, col] <= height:
                     continue
-                if col_2 != col and (found[row, col_2] < below or keep[row, col_2]):
+                if col_2 != col and (highest[row, col_2] < below or keep[row, col_2]):
                     continue
                 if row_2 != row:
-                    if found[row_2, col] < below or keep[row_2, col]:
+                    if highest[row_2, col] < below or keep[row_2, col]:
                         continue
-                    if col_2 != col and (found[row_2, col_2] < below or keep[row_2, col_2]):
+                    if col_2 != col and (highest[row_2, col_2] < below or keep[row_2, col_2]):
                         continue
-                found[row, col] = height
+                highest[row, col] = height
 
 
 @kernel

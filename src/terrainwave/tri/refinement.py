@@ -73,9 +73,9 @@ def encode_refinement(
     check_block(cut, mask)
     best = b""
     for kind in (BY_HEIGHT, BY_ROUGHNESS):
-        found = bytes([kind]) + _encode(cut, heights, mask, tolerance, trees, kind)
-        if not best or len(found) < len(best):
-            best = found
+        coded = bytes([kind]) + _encode(cut, heights, mask, tolerance, trees, kind)
+        if not best or len(coded) < len(best):
+            best = coded
     return best
 
 

@@ -106,22 +106,22 @@ def _coarsest(places: NDArray[np.int64]) -> NDArray[np.int64]:
     around a selected one on the border are the ends of the edges that it splits. So keeping the
     vertices a selection has already changes nothing.
     """
-    found = np.zeros(int(places[-1]) + 1, dtype=np.int64)
+    coarsest = np.zeros(int(places[-1]) + 1, dtype=np.int64)
     virtual = np.arange(len(places), dtype=np.int64)
     strides = virtual & -virtual
     strides[0] = len(places)
     order = np.argsort(strides, kind="stable")
-    found[places[order]] = virtual[order]
-    return found
+    coarsest[places[order]] = virtual[order]
+    return coarsest
 
 
 def vertices_of(selection: Selection, shape: tuple[int, int]) -> Keep:
     """Return which samples of a block are vertices; for `agreement.border_of`."""
     rows, cols = virtual_places(shape)
     at_rows, at_cols = np.nonzero(selection)
-    found = np.zeros(shape, dtype=np.bool_)
-    found[rows[at_rows], cols[at_cols]] = True
-    return found
+    is_vertex = np.zeros(shape, dtype=np.bool_)
+    is_vertex[rows[at_rows], cols[at_cols]] = True
+    return is_vertex
 
 
 def rqt_mesh(

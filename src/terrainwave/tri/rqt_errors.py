@@ -78,9 +78,9 @@ def _measure_vertex(row, col, stride, first_row, first_col, base, is_bound, z, e
         widen(errors, row, col, _coefficient(row, col, r0, c0, r1, c1, r2, c2, r3, c3, z))
     for r, c in ((r2, c2), (r3, c3)):
         if is_bound and _is_inside(r, c, z.shape):
-            found = _distance(r0, c0, r1, c1, r, c, z)
-            found += -base if found < 0 else base
-            widen(errors, row, col, found * (1 + _ROUNDING))
+            error = _distance(r0, c0, r1, c1, r, c, z)
+            error += -base if error < 0 else base
+            widen(errors, row, col, error * (1 + _ROUNDING))
     for r, c in ((r2, c2), (r3, c3)):
         if _is_inside(r, c, z.shape):
             widen(errors, r, c, np.float64(errors[row, col]))

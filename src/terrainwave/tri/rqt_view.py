@@ -239,13 +239,13 @@ class RestrictedMesh:
         """
         if self.stride == 1:
             return np.empty((0, 2), dtype=np.int64)
-        found = np.empty(self.n_tiles)
+        errors = np.empty(self.n_tiles)
         tile_errors_on_screen(
             self._tiles.overview_errors, self.tile, self.stride, self._view(eye),
-            self._planes(eye), found,
+            self._planes(eye), errors,
         )  # fmt: skip
-        tiles = np.argwhere(found > tau)
-        return tiles[np.argsort(-found[found > tau], kind="stable")]
+        tiles = np.argwhere(errors > tau)
+        return tiles[np.argsort(-errors[errors > tau], kind="stable")]
 
     # One frame
 
@@ -439,11 +439,11 @@ def error_in_box(error, row, col, reach, view, planes):
 
 
 @kernel
-def tile_errors_on_screen(errors, tile, margin, view, planes, found):
+def tile_errors_on_screen(errors, tile, margin, view, planes, on_screen):
     """Fill the errors on screen of tiles; their boxes reach over `margin` rows and columns more."""
     for row in range(errors.shape[0]):
         for col in range(errors.shape[1]):
-            found[row, col] = error_in_box(
+            on_screen[row, col] = error_in_box(
                 errors[row, col], (row + 0.5) * tile, (col + 0.5) * tile, tile / 2 + margin, view,
                 planes,
             )  # fmt: skip
@@ -472,13 +472,13 @@ def fill_shares(
             continue
         share = shares[number]
         if share < 1:
-            found = on_screen[number]
-            if np.isnan(found):
+            pixels = on_screen[number]
+            if np.isnan(pixels):
                 error = known_error(
                     row, col, slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits
                 )
-                found = screen_error(error, row, col, tile, view, planes)
-            share = max(share, min((found - start) / (end - start), 1.0))
+                pixels = screen_error(error, row, col, tile, view, planes)
+            share = max(share, min((pixels - start) / (end - start), 1.0))
             shares[number] = share
         r2, c2, r3, c3 = needs_of(row, col, tile)
         for r, c in ((r2, c2), (r3, c3)):
@@ -573,8 +573,8 @@ def split_vertices(
             error = known_error(
                 row, col, slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits
             )
-            found = screen_error(error, row, col, tile, view, planes)
-            if found <= tau:
+            pixels = screen_error(error, row, col, tile, view, planes)
+            if pixels <= tau:
                 continue
             n_more = _activate(
                 row, col, slot_of, bits, step_bits, is_active, n_children, active, n_active, stack
@@ -582,7 +582,7 @@ def split_vertices(
             if n_more > 0:
                 on_screen[n_active : n_active + n_more] = np.nan
                 n_active += n_more
-                on_screen[n_active - 1] = found
+                on_screen[n_active - 1] = pixels
             n_changed += n_more
     return done, n_active, n_touched, n_changed
 

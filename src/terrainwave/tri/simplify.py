@@ -88,17 +88,17 @@ def _thickness(row_0, col_0, row_1, col_1, row_2, col_2):
 
 @kernel
 def _thinnest(rows, cols, triangles, star, n):
-    found = 1.0
+    thinnest = 1.0
     for i in range(n):
         a, b, c = triangles[star[i], 0], triangles[star[i], 1], triangles[star[i], 2]
-        found = min(
-            found,
+        thinnest = min(
+            thinnest,
             _thickness(
                 np.int64(rows[a]), np.int64(cols[a]), np.int64(rows[b]), np.int64(cols[b]),
                 np.int64(rows[c]), np.int64(cols[c]),
             ),
         )  # fmt: skip
-    return found
+    return thinnest
 
 
 @kernel
@@ -168,10 +168,10 @@ def _remove(stars, degrees, v, t):
 def _boundary_vertices(triangles, stars, degrees):
     """Return the vertices whose triangles don't go all round, or are too many to list."""
     n_vertices = degrees.shape[0]
-    found = np.zeros(n_vertices, dtype=np.bool_)
+    is_boundary = np.zeros(n_vertices, dtype=np.bool_)
     for v in range(n_vertices):
         if degrees[v] > _MAX_DEGREE:
-            found[v] = True
+            is_boundary[v] = True
             continue
         for i in range(degrees[v]):
             _, last = _others(triangles, stars[v, i], v)
@@ -180,9 +180,9 @@ def _boundary_vertices(triangles, stars, degrees):
                 first, _ = _others(triangles, stars[v, k], v)
                 is_closed |= first == last
             if not is_closed:
-                found[v] = True
+                is_boundary[v] = True
                 break
-    return found
+    return is_boundary
 
 
 @kernel

@@ -35,7 +35,7 @@ _N_MODELS = 3 * _N_SPACINGS
 
 
 class Samples(Protocol):
-    """A block's samples; see `meshing.BlockSamples`."""
+    """A block's samples; see `mesh.blocks.BlockSamples`."""
 
     @property
     def heights(self) -> NDArray[np.int32]:
@@ -136,14 +136,14 @@ class Rqt:
         heights, mask = samples.heights, samples.mask
         selection = select_vertices(heights, mask, tolerance, keep=samples.locked)
         if data:
-            found = border_of(vertices_of(selection, mask.shape)).keep(mask.shape)
-            n_own = np.count_nonzero(found)
+            on_border = border_of(vertices_of(selection, mask.shape)).keep(mask.shape)
+            n_own = np.count_nonzero(on_border)
             coder = new_decoder(data, new_models(_N_MODELS))
-            _code_border(found, None, coder)
+            _code_border(on_border, None, coder)
             raise_for_status(*finish_decoder(coder.state, coder.stream))
-            if np.count_nonzero(found) == n_own:
+            if np.count_nonzero(on_border) == n_own:
                 raise CorruptStreamError("border vertices take bytes, but there are none")
-            keep = samples.locked | found
+            keep = samples.locked | on_border
             selection = select_vertices(heights, mask, tolerance, keep=keep)
         return rqt_mesh(heights, mask, selection)
 

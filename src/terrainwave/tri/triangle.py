@@ -110,8 +110,8 @@ def deviation(heights, r0, c0, r1, c1, r2, c2, limit):
         plane = area * base + per_row * (row - r0) + per_col * (first - c0)
         line = heights[row]
         for col in range(first, last + 1):
-            found = abs(area * np.int64(line[col]) - plane)
-            worst = max(worst, found)
+            error = abs(area * np.int64(line[col]) - plane)
+            worst = max(worst, error)
             plane += per_col
         if worst > limit:
             return worst

@@ -398,7 +398,7 @@ def _edge_problems(surface: Surface, pieces: NDArray[np.uint8]) -> Iterator[str]
         yield f"{n_again} edges are used twice in the same direction"
     alone = boundary_edges(surface.triangles, n_vertices)
     rows, cols = surface.rows.astype(np.float64), surface.cols.astype(np.float64)
-    found, n_slanted, place = _runs(rows[alone], cols[alone])
+    runs, n_slanted, place = _runs(rows[alone], cols[alone])
     if n_slanted:
         yield (
             f"{n_slanted} edges with a triangle on one side only lie inside the area, one at row"
@@ -406,15 +406,15 @@ def _edge_problems(surface: Surface, pieces: NDArray[np.uint8]) -> Iterator[str]
         )
         return
     wanted, _, _ = _runs(*_boundary_of_pieces(pieces))
-    if len(found) != len(wanted) or not np.allclose(found, wanted, rtol=0, atol=_FLOAT_TOLERANCE):
+    if len(runs) != len(wanted) or not np.allclose(runs, wanted, rtol=0, atol=_FLOAT_TOLERANCE):
         yield (
             "the edges with a triangle on one side only are not the area's boundary:"
-            f" {_difference(found, wanted)}"
+            f" {_difference(runs, wanted)}"
         )
 
 
-def _difference(found: NDArray[np.float64], wanted: NDArray[np.float64]) -> str:
-    only_found = {tuple(run) for run in found.round(3).tolist()}
+def _difference(runs: NDArray[np.float64], wanted: NDArray[np.float64]) -> str:
+    only_found = {tuple(run) for run in runs.round(3).tolist()}
     only_wanted = {tuple(run) for run in wanted.round(3).tolist()}
     more = sorted(only_found - only_wanted)[:_MAX_LISTED]
     less = sorted(only_wanted - only_found)[:_MAX_LISTED]
@@ -497,10 +497,10 @@ def _shape_problems(surface: Surface, pieces: NDArray[np.uint8]) -> Iterator[str
     there, back = edges // max(n_vertices, 1), edges % max(n_vertices, 1)
     n_edges = _n_distinct(np.minimum(there, back) * n_vertices + np.maximum(there, back))
     n_used = _n_distinct(triangles)
-    found = n_used - n_edges + len(triangles)
+    characteristic = n_used - n_edges + len(triangles)
     wanted, n_parts = _characteristic(pieces)
-    if found != wanted:
-        yield f"the Euler characteristic is {found}, the area's is {wanted}"
+    if characteristic != wanted:
+        yield f"the Euler characteristic is {characteristic}, the area's is {wanted}"
     parts = np.arange(n_vertices)
     n_found = n_used - int(_unite(triangles.astype(np.int64), parts))
     if n_found != n_parts:

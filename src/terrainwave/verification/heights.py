@@ -240,8 +240,8 @@ class _Comparison:
         errors = None
         shape = self._dataset.height, self._dataset.width
         if tuple(terrain.shape) == shape and np.dtype(terrain.dtype) == self._dtype:
-            errors, found = self._compare_heights(progress)
-            problems += found
+            errors, height_problems = self._compare_heights(progress)
+            problems += height_problems
         return _report(terrain, twz, original, self._bound, errors, tuple(problems))
 
     def _compare_metadata(self) -> Iterator[str]:
@@ -417,7 +417,7 @@ def _as_stored(nodata: float, dtype: np.dtype[Any]) -> Any:
         return np.float64(nodata).astype(dtype)
 
 
-def _same_nodata(found: Any, expected: Any, dtype: np.dtype[Any]) -> bool:
+def _same_nodata(nodata: Any, expected: Any, dtype: np.dtype[Any]) -> bool:
     if expected is not None and dtype.kind != "f":
         limits = np.iinfo(dtype)
         # No sample can equal such a value; the file rightly has none.
@@ -425,21 +425,21 @@ def _same_nodata(found: Any, expected: Any, dtype: np.dtype[Any]) -> bool:
             expected = None
         elif expected != int(expected):
             expected = None
-    if found is None or expected is None:
-        return found is None and expected is None
-    if math.isnan(found) or math.isnan(expected):
-        return math.isnan(found) and math.isnan(expected)
-    return bool(_as_stored(found, dtype) == _as_stored(expected, dtype))
+    if nodata is None or expected is None:
+        return nodata is None and expected is None
+    if math.isnan(nodata) or math.isnan(expected):
+        return math.isnan(nodata) and math.isnan(expected)
+    return bool(_as_stored(nodata, dtype) == _as_stored(expected, dtype))
 
 
-def _compare_crs(found: Any, expected: CRS | None) -> Iterator[str]:
-    if not found or not expected:
-        if bool(found) != bool(expected):
-            yield f"the CRS is {found or 'missing'}, the original's is {expected or 'missing'}"
+def _compare_crs(crs: Any, expected: CRS | None) -> Iterator[str]:
+    if not crs or not expected:
+        if bool(crs) != bool(expected):
+            yield f"the CRS is {crs or 'missing'}, the original's is {expected or 'missing'}"
         return
     # Equal by WKT: rasterio's == calls systems the same whose ellipsoids differ in late digits.
     # A string is from the file, hence parse_crs: rasterio would follow a URL in it.
-    found = parse_crs(found) if isinstance(found, str) else found
-    if found is None or found.to_wkt() != expected.to_wkt():
-        found_text = "not understood" if found is None else found.to_wkt()
-        yield f"the CRS is {found_text}, the original's is {expected.to_wkt()}"
+    crs = parse_crs(crs) if isinstance(crs, str) else crs
+    if crs is None or crs.to_wkt() != expected.to_wkt():
+        crs_text = "not understood" if crs is None else crs.to_wkt()
+        yield f"the CRS is {crs_text}, the original's is {expected.to_wkt()}"

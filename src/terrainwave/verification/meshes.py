@@ -1,4 +1,4 @@
-"""Check the meshes of a file, by code that shares nothing with what makes them (`mesh_checks`).
+"""Check the meshes of a file, by code that shares nothing with what makes them (`checks`).
 
 Walks the blocks of all levels depth first and holds a chain of ancestors, one window of originals,
 and the border lines of blocks whose neighbours have not come yet.
@@ -123,17 +123,17 @@ class Ruler:
 
     def sixteenths(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Return raw heights in 1/16 quanta: exact on a true grid, else the nearest."""
-        found = np.zeros(raw.shape, dtype=np.int64)
+        heights = np.zeros(raw.shape, dtype=np.int64)
         if self._is_integer and self._is_grid and self._denominator == 1:
             whole = raw[valid].astype(np.int64) // self._numerator
-            found[valid] = (whole - self._base) * _SIXTEENTHS
-            return found
+            heights[valid] = (whole - self._base) * _SIXTEENTHS
+            return heights
         quanta = raw[valid].astype(np.float64) * self._denominator / self._numerator
         if self._is_grid:
-            found[valid] = (np.rint(quanta).astype(np.int64) - self._base) * _SIXTEENTHS
+            heights[valid] = (np.rint(quanta).astype(np.int64) - self._base) * _SIXTEENTHS
         else:
-            found[valid] = np.rint((quanta - self._base) * _SIXTEENTHS).astype(np.int64)
-        return found
+            heights[valid] = np.rint((quanta - self._base) * _SIXTEENTHS).astype(np.int64)
+        return heights
 
     def of_physical(self, heights: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return physical heights, scale and offset applied, in 1/16 quanta; not rounded."""
@@ -142,9 +142,9 @@ class Ruler:
 
     def in_sixteenths(self, error: float) -> float:
         """Return a physical error in 1/16 quanta, whole where it is nearly so."""
-        found = error / self.quantum * _SIXTEENTHS
-        near = round(found)
-        return float(near) if abs(found - near) <= _SLACK * max(near, 1) else found
+        exact = error / self.quantum * _SIXTEENTHS
+        near = round(exact)
+        return float(near) if abs(exact - near) <= _SLACK * max(near, 1) else exact
 
     def physical(self, sixteenths: float) -> float:
         """Return an error of 1/16 quanta in physical units."""
@@ -410,20 +410,20 @@ class MeshVerification:
             stride = self._grid.stride(block.level)
             first = block.row * self._grid.block * stride, block.col * self._grid.block * stride
             stored = self._ruler.in_sixteenths(self._terrain.mesh_error(block))
-            found = deviation(
+            errors = deviation(
                 surface.on_grid(stride),
                 samples,
                 valid,
                 stored + self._allowed,
                 (region.row - first[0], region.col - first[1]),
             )
-            self._measured[block.level] = max(self._measured[block.level], found.worst)
+            self._measured[block.level] = max(self._measured[block.level], errors.worst)
             where = f"mesh of block {tuple(block)}"
-            self._checks.add(where, self._error_problems(found, stored, region))
+            self._checks.add(where, self._error_problems(errors, stored, region))
             # Coarse meshes lie over all valid samples below them.
             wanted = must_be_covered(valid) if block.level == self._grid.k_max else valid
             if min(valid.shape) > 1:
-                self._checks.add(where, _missing(found, wanted, region))
+                self._checks.add(where, _missing(errors, wanted, region))
             if block.level == self._grid.k_max:
                 self._checks.add(where, self._tolerance_problems(surface, region))
 
@@ -431,23 +431,25 @@ class MeshVerification:
         """Check a finest mesh against the decoded heights, which it is made from."""
         raw, valid = self._decoded(region)
         tolerance = self._ruler.in_sixteenths(self._terrain.info().mesh_tolerance)
-        found = deviation(
+        errors = deviation(
             surface, self._ruler.sixteenths(raw, valid), valid, tolerance + self._ruler.slack
         )
-        if found.n_beyond:
+        if errors.n_beyond:
             yield (
-                f"{found.n_beyond} decoded heights are further from it than the tolerance"
-                f" {self._ruler.physical(tolerance):g}; the worst, at row {region.row + found.row},"
-                f" column {region.col + found.col}, by {self._ruler.physical(found.worst):g}"
+                f"{errors.n_beyond} decoded heights are further from it than the tolerance"
+                f" {self._ruler.physical(tolerance):g}; the worst, at row"
+                f" {region.row + errors.row}, column {region.col + errors.col}, by"
+                f" {self._ruler.physical(errors.worst):g}"
             )
 
-    def _error_problems(self, found: Deviation, stored: float, region: Region) -> Iterator[str]:
-        if found.n_beyond:
+    def _error_problems(self, errors: Deviation, stored: float, region: Region) -> Iterator[str]:
+        if errors.n_beyond:
             what = "heights" if self._has_original else "decoded heights"
             yield (
-                f"{found.n_beyond} {what} are further from it than the stated error"
-                f" {self._ruler.physical(stored):g}; the worst, at row {region.row + found.row},"
-                f" column {region.col + found.col}, by {self._ruler.physical(found.worst):g}"
+                f"{errors.n_beyond} {what} are further from it than the stated error"
+                f" {self._ruler.physical(stored):g}; the worst, at row"
+                f" {region.row + errors.row}, column {region.col + errors.col}, by"
+                f" {self._ruler.physical(errors.worst):g}"
             )
 
     def _check_lines(self, block: Block, surface: Surface) -> None:
@@ -496,7 +498,7 @@ class MeshVerification:
             n_windows += 1
             try:
                 mesh = self._terrain.mesh(tuple(region), max_error=max_error, optimise=optimise)
-                problems, found = self._check_area(mesh, region, max_error)
+                problems, worst = self._check_area(mesh, region, max_error)
             except TerrainwaveError as error:
                 self._checks.add(where, [str(error)])
                 continue
@@ -504,7 +506,7 @@ class MeshVerification:
                 self._report(region.n_rows * region.n_cols)
             self._checks.add(where, problems)
             n_triangles += mesh.n_triangles
-            stated, measured = max(stated, mesh.error), max(measured, found)
+            stated, measured = max(stated, mesh.error), max(measured, worst)
         return AreaMeshes(
             max_error, optimise, n_windows, n_triangles, stated, self._ruler.physical(measured)
         )
@@ -520,19 +522,19 @@ class MeshVerification:
         problems += mesh_problems(terrain, mesh, region, level)
         raw, valid = self._read(region)
         stated = self._ruler.in_sixteenths(mesh.error)
-        found = deviation(
+        errors = deviation(
             surface_of_mesh(terrain, mesh, region),
             self._ruler.sixteenths(raw, valid),
             valid,
             stated * (1 + _SLACK) + self._allowed,
         )
-        problems += self._error_problems(found, stated, region)
-        problems += _missing(found, must_be_covered(valid), region)
-        return problems, found.worst
+        problems += self._error_problems(errors, stated, region)
+        problems += _missing(errors, must_be_covered(valid), region)
+        return problems, errors.worst
 
 
-def _missing(found: Deviation, wanted: NDArray[np.bool_], region: Region) -> Iterator[str]:
-    missing = wanted & ~found.is_covered
+def _missing(errors: Deviation, wanted: NDArray[np.bool_], region: Region) -> Iterator[str]:
+    missing = wanted & ~errors.is_covered
     if missing.any():
         row, col = np.argwhere(missing)[0].tolist()
         yield (

@@ -13,7 +13,7 @@ Box = tuple[int, int]
 
 def error_codes(stats: Stats, lost: int) -> dict[Block, int]:
     """Return the codes of measured errors; `lost` quanta are added to each."""
-    return {block: encode_error(found.error + lost) for block, found in stats.items()}
+    return {block: encode_error(own.error + lost) for block, own in stats.items()}
 
 
 def set_codes(
@@ -51,12 +51,15 @@ def enclosing_boxes(
     """
     boxes = dict(below)
     for block in sorted(stats, reverse=True):  # the finest level first
-        found = stats[block]
-        if found.is_empty:
+        own = stats[block]
+        if own.is_empty:
             continue
         # Decoded heights are clamped to the originals' range, so boxes are as well.
         error = decode_error(errors[block])
-        low, high = max(found.z_low - error, whole[0]), min(found.z_high + error, whole[1])
+        low, high = (
+            max(own.z_low - error, whole[0]),
+            min(own.z_high + error, whole[1]),
+        )
         if block in boxes:
             low, high = min(low, boxes[block][0]), max(high, boxes[block][1])
         boxes[block] = low, high

@@ -91,8 +91,8 @@ def shared_raster(src: Any, band: int, nodata: float | None) -> RasterPlace:
             " of the cluster can read"
         )
     paths = [os.fspath(source) for source in sources]
-    found = tuple(os.path.abspath(path) if os.path.exists(path) else path for path in paths)
-    return RasterPlace(found, band, nodata)
+    shared = tuple(os.path.abspath(path) if os.path.exists(path) else path for path in paths)
+    return RasterPlace(shared, band, nodata)
 
 
 def executor_of(client: Any) -> Executor:
@@ -170,8 +170,8 @@ class DistributedPasses:
         whole = HeightScan(self.source.info.dtype)
         count = self._counter("scanning")
         tasks = {region: (self.raster, region) for region in self._own_regions()}
-        for region, found in run_tasks(self.cluster, scan_region, tasks):
-            whole.merge(found)
+        for region, part in run_tasks(self.cluster, scan_region, tasks):
+            whole.merge(part)
             count(region.n_rows * region.n_cols)
         return whole
 
@@ -191,13 +191,13 @@ class DistributedPasses:
             encoder.run(self.executor)
         finally:
             top.close()
-        found = self._encode_below(site, sink)
-        codes = _TopCodes(site, sink, found)
+        below = self._encode_below(site, sink)
+        codes = _TopCodes(site, sink, below)
         codes.set({})
-        segments = found.segments
+        segments = below.segments
         if job.options.mesh != "none":
             segments = self._mesh(site, refiner, codes)
-        n_bytes = sink.n_bytes + found.n_bytes + len(site.tables)
+        n_bytes = sink.n_bytes + below.n_bytes + len(site.tables)
         return Coded(site.tables, {**sink.spools, **segments}, n_bytes, job)
 
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
@@ -248,8 +248,8 @@ class DistributedPasses:
                 )
         count = self._counter("making levels")
         for head, _ in run_tasks(self.cluster, make_levels, self._each(site)):
-            found = site.depot.load(site.name("heights", head))
-            heights.write(site.grid.block_region(head), found["heights"])
+            arrays = site.depot.load(site.name("heights", head))
+            heights.write(site.grid.block_region(head), arrays["heights"])
             count(_n_samples(site, head))
         top.make_heights(lambda done, total: None)
         return top
@@ -261,9 +261,9 @@ class DistributedPasses:
             Spool(heights.shape, dtype, self.directory) for dtype in (np.bool_, np.int32, np.bool_)
         ]
         for head, _ in run_tasks(self.cluster, push_levels, self._each(site)):
-            found = site.depot.load(site.name("pushed", head))
+            arrays = site.depot.load(site.name("pushed", head))
             for name, spool in zip(names, spools, strict=True):
-                spool.write(site.grid.block_region(head), found[name])
+                spool.write(site.grid.block_region(head), arrays[name])
         return Base(site.shift, heights, *spools)
 
     def _fills(self, site: Site, top: Pyramid, region: Region) -> tuple[Region, Heights]:
@@ -311,11 +311,11 @@ class DistributedPasses:
         _set_no_codes(site.grid, sink)
         self._store_top(site, ABOVE, sink)
         count = self._counter("encoding")
-        found = _Below()
+        below = _Below()
         for head, encoded in run_tasks(self.cluster, encode_subtree, self._each(site)):
-            found.take(site, encoded)
+            below.take(site, encoded)
             count(_n_samples(site, head))
-        return found
+        return below
 
     def _store_top(self, site: Site, stage: str, sink: SpoolSink) -> None:
         store_segments(site.depot, site.top_name(stage), site.grid, site.top_heads(), sink.spools)
@@ -392,8 +392,8 @@ class _Below:
     def take(self, site: Site, encoded: EncodedSubtree) -> None:
         heads = site.grid.segment_heads_below(encoded.head)
         self.segments |= zip(heads, encoded.places, strict=True)
-        for block, found in encoded.ancestors.items():
-            self.stats.setdefault(block, BlockStats()).merge(found)
+        for block, stats in encoded.ancestors.items():
+            self.stats.setdefault(block, BlockStats()).merge(stats)
         if encoded.box is not None:
             self.boxes[encoded.head] = encoded.box
         self.n_bytes += encoded.n_bytes

@@ -115,7 +115,7 @@ def compress(
         it is read and stores only its measured error; ``"zerotree"``, the guaranteed triangulation
         of Yusov & Turlapov 2010, stored as labels; ``"rqt"``, a restricted quadtree, which stores
         some vertices of borders; or ``"none"``. To make the second and third takes memory that
-        grows with the raster (`mesh_sections.make_sections`).
+        grows with the raster (`mesh.sections.make_sections`).
     mesh_error : float, optional
         Largest vertical distance of the finest meshes from the decoded heights, in physical units;
         by default what `max_error` guarantees, or the vertical quantum if that is more.

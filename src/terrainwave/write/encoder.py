@@ -162,15 +162,15 @@ class TreeEncoder:
     ) -> None:
         """Update the statistics of the finest blocks of a unit and of all their ancestors."""
         grid = self._grid
-        found: Stats = {}
+        by_block: Stats = {}
         whole = BlockStats()
         for block in blocks:
             region = grid.block_region(block)
             at = region.slices_in(spec.core)
             heights = decoded.heights[region.slices_in(spec.region)]
-            found[block] = measure_samples(originals[at], mask[at], heights)
+            by_block[block] = measure_samples(originals[at], mask[at], heights)
             # Blocks share a row or column of samples.
-            whole.merge(found[block])
+            whole.merge(by_block[block])
         for ancestor in chain:
             stride = grid.stride(ancestor.block.level)
             row = spec.core.row - ancestor.region.row * stride
@@ -178,7 +178,7 @@ class TreeEncoder:
             error = 0
             if not whole.is_empty:
                 error = measure_block(ancestor.heights, stride, originals, mask, row, col)
-            found[ancestor.block] = BlockStats(whole.z_low, whole.z_high, error)
+            by_block[ancestor.block] = BlockStats(whole.z_low, whole.z_high, error)
         with self._lock:
-            for block, stats in found.items():
+            for block, stats in by_block.items():
                 self._stats.setdefault(block, BlockStats()).merge(stats)

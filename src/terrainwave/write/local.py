@@ -261,7 +261,10 @@ def _encode_units(
 def _finest_error(job: Job, stats: Stats) -> int:
     """Return the largest error of the finest blocks, in quanta."""
     k_max = job.grid.k_max
-    return max((found.error for block, found in stats.items() if block.level == k_max), default=0)
+    return max(
+        (own.error for block, own in stats.items() if block.level == k_max),
+        default=0,
+    )
 
 
 def _mesh_errors(
@@ -291,8 +294,8 @@ def _mesh_errors(
     )
     sink.set_meshes(sections)
     count = reporter.counter("measuring meshes", *size)
-    found = measure_meshes(grid, mesher, pyramid.originals, executor, count)
-    return mesh_codes(found, Fraction(job.lost))
+    measured = measure_meshes(grid, mesher, pyramid.originals, executor, count)
+    return mesh_codes(measured, Fraction(job.lost))
 
 
 # Pass C

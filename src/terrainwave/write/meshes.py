@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from terrainwave.arguments import check_threads, checked_error, checked_mesh
+from terrainwave.arguments import checked_error, checked_mesh, checked_threads
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.page import N_CODES
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
@@ -73,9 +73,8 @@ def store_meshes(
         If something cannot be read or written, or `dst` is `src`; `dst` is untouched.
     """
     kind, error = checked_mesh(mesh, or_none=False), checked_error("mesh_error", mesh_error)
-    check_threads(threads)
+    n_threads = checked_threads(threads)
     refuse_own_source(src, dst)
-    n_threads = threads or os.cpu_count() or 1
     reporter = Reporter(progress)
     with (
         publish(dst, overwrite=overwrite) as part,

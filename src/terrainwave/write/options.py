@@ -1,15 +1,14 @@
 """`Options`: what `compress` is asked for, checked where it is made and handed on whole."""
 
-import os
 from dataclasses import dataclass
 
 from terrainwave.arguments import (
     BLOCKS,
     check_effort,
-    check_threads,
     checked_error,
     checked_mesh,
     checked_method,
+    checked_threads,
 )
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.names import EFFORTS, METHODS, Method, methods_that
@@ -61,7 +60,7 @@ class Options:
                 f"found border_rings {self.border_rings} and method {self.method}, expected"
                 " border_rings 1"
             )
-        check_threads(self.threads)
+        checked_threads(self.threads)
 
     def _check_goals(self) -> None:
         """Raise `InvalidHeightsError` unless at most one of three goals is given, and fits."""
@@ -101,7 +100,7 @@ class Options:
     @property
     def n_threads(self) -> int:
         """Return how many threads encode."""
-        return self.threads or os.cpu_count() or 1
+        return checked_threads(self.threads)
 
     @property
     def notes(self) -> list[str]:

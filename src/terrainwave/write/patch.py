@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import check_threads
+from terrainwave.arguments import checked_threads
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import block_of_unit
@@ -107,14 +107,14 @@ def patch(
     others have exactly the height they had. Takes about the time of decoding and measuring the
     whole file, and that of coding what differs.
     """
-    check_threads(threads)
+    n_threads = checked_threads(threads)
     refuse_own_source(src, path)
     final = Path(os.path.realpath(path))
     with (
         TerrainFile(final, threads=1) as terrain,
         RasterSource(src, band=band, nodata=nodata) as source,
         scratch_directory(temp_dir or final.parent, final.name) as directory,
-        ThreadPoolExecutor(threads or os.cpu_count() or 1, "terrainwave") as executor,
+        ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
     ):
         method = METHODS[terrain.header.method]
         if not method.is_patchable:
@@ -407,14 +407,14 @@ class _Patcher:
         """
         errors: dict[Block, int] = {}
         below: dict[Block, Box] = {}
-        for block, found in stats.items():
+        for block, own in stats.items():
             old = self._container.codes(block)
-            errors[block] = 0 if found.is_empty else encode_error(found.error + self._lost)
+            errors[block] = 0 if own.is_empty else encode_error(own.error + self._lost)
             if self._merged.covers(self._grid.full_region(block)):
                 continue
             moved = _CONTINUED * changes.get(block, 0)
             errors[block] = max(errors[block], encode_error(decode_error(old[2]) + moved))
-            if any(old[:3]) or moved or not found.is_empty:
+            if any(old[:3]) or moved or not own.is_empty:
                 below[block] = self._terrain.box_quanta(block)
         return errors, enclosing_boxes(stats, errors, self._whole, below)
 

@@ -1,7 +1,7 @@
 """What one machine does of a compression: tasks over the subtree below one block.
 
 A task reads a part of the raster and what other tasks have left in the depot, leaves its own
-results there and returns a few numbers: whoever shares out the tasks (`distribution`) sees no
+results there and returns a few numbers: whoever shares out the tasks (`cluster`) sees no
 heights and no payloads. A task can be run again, and gives the same bytes. It works in one thread;
 memory is bounded by the subtree's levels in spools of 8 MiB each, the rest on the machine's disk.
 """
@@ -250,8 +250,8 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
         sink = SpoolSink(grid, heads, bench.directory)
         encoder = TreeEncoder(grid, refiner, job.parameters, pyramid, sink, lambda n_samples: None)
         stats = encoder.run_subtree(head, decoder.block)
-        own = {block: found for block, found in stats.items() if block.level > head.level}
-        ancestors = {block: found for block, found in stats.items() if block not in own}
+        own = {block: of_block for block, of_block in stats.items() if block.level > head.level}
+        ancestors = {block: of_block for block, of_block in stats.items() if block not in own}
         errors = error_codes(own, job.lost)
         whole = job.quantizer.z_min, job.quantizer.z_max
         boxes = enclosing_boxes(own, errors, whole, {})
@@ -358,7 +358,7 @@ def finish_subtree(site: Site, head: Block, last_round: int | None) -> FinishedS
             )
             sections.update(sections_of_parts(grid, encode_parts(mesher, state)))
         originals = site.pyramid(bench.source, grid.full_region(head), *bench[1:]).originals
-        found = measure_meshes(
+        measured = measure_meshes(
             grid,
             mesher,
             originals,
@@ -366,12 +366,12 @@ def finish_subtree(site: Site, head: Block, last_round: int | None) -> FinishedS
             lambda n_samples: None,
             grid.descendants(head, grid.k_max),
         )
-        own = {block: error for block, error in found.items() if block.level > head.level}
+        own = {block: error for block, error in measured.items() if block.level > head.level}
         codes = mesh_codes(own, Fraction(site.job.lost))
         heads: list[Block | None] = [*grid.segment_heads_below(head)]
         spools = _finished_spools(grid, heads, stored, sections, codes, bench.directory)
         places = store_segments(site.depot, site.name(FINISHED, head), grid, heads, spools)
-    ancestors = {block: error for block, error in found.items() if block not in own}
+    ancestors = {block: error for block, error in measured.items() if block not in own}
     return FinishedSubtree(head, tuple(places.values()), ancestors)
 
 

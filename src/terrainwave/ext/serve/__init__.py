@@ -1,5 +1,5 @@
 """`terrainwave serve`: tiles, height queries and a page that flies over open .twz files.
 
-`globe` places a terrain on the globe, `tiling` cuts terrain-RGB tiles, `app` answers
-requests. Needs the extra ``serve``.
+`globe.terrain_rgb` and `globe.cesium` cut the tiles, `app` answers requests. Needs the extra
+``serve``.
 """

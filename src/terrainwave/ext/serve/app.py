@@ -1,4 +1,4 @@
-"""The web application: what is asked, checked, is answered by `tiling` and `tile_pyramid`.
+"""The web application: what is asked, checked, goes to `globe.terrain_rgb` and `globe.cesium`.
 
 Only the files named at start are served. Requests are answered in threads; at most `n_decoding` of
 them decode at a time and as many again as `N_WAITING` wait, the rest are told to come back.

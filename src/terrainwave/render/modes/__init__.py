@@ -34,5 +34,5 @@ def mode_class(name: str) -> "type[Mode]":
     if name not in _CLASSES:
         raise InvalidHeightsError(f"found mode {name!r}, expected one of {', '.join(MODES)}")
     module, attribute = _CLASSES[name]
-    found: type[Mode] = getattr(import_module(f"{__name__}.{module}"), attribute)
-    return found
+    mode: type[Mode] = getattr(import_module(f"{__name__}.{module}"), attribute)
+    return mode

@@ -214,9 +214,9 @@ class Batched(BoundedMode):
                 shift = level - coarse.level
                 first = full.row - (coarse.row * self._side << shift)
                 left = full.col - (coarse.col * self._side << shift)
-                found = largest_deviation(heights, surface, first, left, float(1 << shift))
+                error = largest_deviation(heights, surface, first, left, float(1 << shift))
                 errors = levels.errors[coarse.level]
-                errors[coarse.row, coarse.col] = max(errors[coarse.row, coarse.col], found)
+                errors[coarse.row, coarse.col] = max(errors[coarse.row, coarse.col], error)
             count(heights.size)
             low, high = [np.inf], [-np.inf]
         known = vertices[~np.isnan(vertices)]
@@ -301,9 +301,9 @@ class Batched(BoundedMode):
     def _slopes(self, piece: Piece) -> NDArray[np.float16]:
         samples = self._samples(piece, 2, replicate=False)
         mask = ~np.isnan(samples)
-        found = np.empty((self._side + 2, self._side + 2, 2), dtype=np.float32)
-        slopes(np.where(mask, samples, 0), mask, 1, 1, found)
-        return self._slope_scale.texels(found / (1 << self._shift(piece.level)))
+        gradients = np.empty((self._side + 2, self._side + 2, 2), dtype=np.float32)
+        slopes(np.where(mask, samples, 0), mask, 1, 1, gradients)
+        return self._slope_scale.texels(gradients / (1 << self._shift(piece.level)))
 
     # Each frame
 

@@ -56,9 +56,9 @@ class Dynamic(WholeMode):
     def mesh(self, table: NodeTable, view: View, tau: float) -> tuple[Drawn, float]:
         """Return the mesh of a view, and its τ."""
         mesh = self.dynamic_mesh
-        found = mesh.update(
+        frame = mesh.update(
             eye_of(view), tau, morph=self.morph, max_vertices=self.max_vertices(mesh.least_vertices)
         )
-        self.frame_mesh = found
-        sizes: NDArray[np.int32] = found.nodes[:, 0]
-        return Drawn(found.vertices, found.triangles, sizes), found.tau
+        self.frame_mesh = frame
+        sizes: NDArray[np.int32] = frame.nodes[:, 0]
+        return Drawn(frame.vertices, frame.triangles, sizes), frame.tau

@@ -43,7 +43,7 @@ def spread_slopes(
     slopes: NDArray[np.float16], stride: int, shape: tuple[int, int]
 ) -> NDArray[np.float16]:
     """Return slopes at all samples, linear between those at every `stride`-th."""
-    found = np.empty((*shape, 2), dtype=np.float16)
+    spread = np.empty((*shape, 2), dtype=np.float16)
     below, right = (np.arange(n) // stride for n in shape)
     down, across = (
         (np.arange(n) % stride / np.float32(stride)).astype(np.float32)[:, None] for n in shape
@@ -54,10 +54,10 @@ def spread_slopes(
         first, share = below[rows], down[rows, None]
         part = slopes[first].astype(np.float32) * (1 - share)
         part += slopes[np.minimum(first + 1, last_row)] * share
-        found[rows] = part[:, right] * (1 - across) + part[
+        spread[rows] = part[:, right] * (1 - across) + part[
             :, np.minimum(right + 1, last_col)
         ] * across  # fmt: skip
-    return found
+    return spread
 
 
 class Rqt(WholeMode):
@@ -87,9 +87,9 @@ class Rqt(WholeMode):
     def roots(self) -> list[NodeInfo]:
         """Return the overview and all tiles."""
         whole = super().roots()[0]
-        found = [whole._replace(error=self._overview_error)]
+        nodes = [whole._replace(error=self._overview_error)]
         if self._overview_stride == 1:
-            return found
+            return nodes
         for row in range(self._n_tiles[0]):
             for col in range(self._n_tiles[1]):
                 region = self._region(row, col)
@@ -98,8 +98,8 @@ class Rqt(WholeMode):
                 xy = self.frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
                 (left, bottom), (right, top) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
                 low, high = (left, bottom, whole.low[2]), (right, top, whole.high[2])
-                found.append(NodeInfo(Piece(1, row, col), low, high, self._overview_error))
-        return found
+                nodes.append(NodeInfo(Piece(1, row, col), low, high, self._overview_error))
+        return nodes
 
     def _region(self, row: int, col: int) -> Region:
         return Region(row * TILE, col * TILE, TILE + 1, TILE + 1).intersect(
@@ -172,13 +172,13 @@ class Rqt(WholeMode):
     def mesh(self, table: NodeTable, view: View, tau: float) -> tuple[Drawn, float]:
         """Return the mesh of a view, and its τ."""
         mesh = self._overview_mesh
-        found = mesh.update(
+        frame = mesh.update(
             eye_of(view), tau, morph=MORPH, max_vertices=self.max_vertices(mesh.least_vertices)
         )
-        self.frame_mesh = found
-        both = found.places[:, 0] | found.places[:, 1] | TILE
+        self.frame_mesh = frame
+        both = frame.places[:, 0] | frame.places[:, 1] | TILE
         sizes = np.log2(both & -both).astype(np.int32)
-        return Drawn(found.vertices, found.triangles, sizes), found.tau
+        return Drawn(frame.vertices, frame.triangles, sizes), frame.tau
 
     @staticmethod
     def surface(context: Any, side: int, *, max_bytes: int) -> Any:
