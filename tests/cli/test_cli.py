@@ -10,7 +10,7 @@ import time
 import numpy as np
 import pytest
 import rasterio
-from click.testing import CliRunner
+from commands import one_line, run, start
 from rasterio.transform import Affine
 from strategies import read_geotiff, terrain_like, write_geotiff
 
@@ -18,43 +18,14 @@ import terrainwave
 from terrainwave.cli import main
 from terrainwave.cli import output as cli_output
 from terrainwave.cli.output import Bar, plain
+from terrainwave.cli.signals import Terminated, ending_by_signals
 from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.mesh.level_errors import level_errors
 from terrainwave.progress import Progress
 
 HOSTILE = "<script>alert(1)</script>\x1b]8;;http://x\x07[link=http://x]z[/link]\u202e\nnext"
 
-
-def run(*args):
-    """Run a command in this process; errors must have become a line and a status."""
-    result = CliRunner().invoke(main, [str(arg) for arg in args], prog_name="terrainwave")
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
-
-
-def start(*args, **options):
-    """Start a command in a process of its own."""
-    program = "import sys; from terrainwave.cli import main; main(prog_name='terrainwave')"
-    return subprocess.Popen(
-        [sys.executable, "-c", program, *map(str, args)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        encoding="utf-8",
-        env=os.environ
-        | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "PYTHONIOENCODING": "utf-8"},
-        **options,
-    )
-
-
-def one_line(result, status):
-    """Return the one line of stderr of a failed command."""
-    assert result.exit_code == status, result.output
-    assert result.stdout == ""
-    lines = result.stderr.splitlines()
-    assert len(lines) == 1, lines
-    assert lines[0].startswith("terrainwave")
-    return lines[0]
+TARGETS = {"compress": "out.twz", "decompress": "out.tif"}
 
 
 @pytest.fixture
@@ -307,14 +278,14 @@ def test_verify_without_an_original_finds_a_damaged_block(twz):
 
 @pytest.mark.parametrize("command", ["compress", "decompress", "info", "verify"])
 def test_missing_file_is_one_line(tmp_path, command):
-    target = [tmp_path / "out"] if command in ("compress", "decompress") else []
+    target = [tmp_path / TARGETS[command]] if command in TARGETS else []
     line = one_line(run(command, tmp_path / "nowhere", *target), 1)
     assert "nowhere" in line
 
 
 @pytest.mark.parametrize("command", ["compress", "decompress", "info", "verify"])
 def test_directory_is_one_line(tmp_path, command):
-    target = [tmp_path / "out"] if command in ("compress", "decompress") else []
+    target = [tmp_path / TARGETS[command]] if command in TARGETS else []
     assert str(tmp_path) in one_line(run(command, tmp_path, *target), 1)
 
 
@@ -369,25 +340,25 @@ def test_existing_target_is_refused(dem, twz):
 def test_a_target_that_is_the_source_is_refused(tmp_path, dem, twz, command, by_link):
     source = dem if command == "compress" else twz
     before = source.read_bytes()
-    target = source
-    if by_link:
-        target = tmp_path / "link"
-        os.link(source, target)
+    target = tmp_path / TARGETS[command]
+    (os.symlink if by_link else os.link)(source, target)
     assert "expected another name" in one_line(run(command, source, target, "--overwrite"), 1)
     assert source.read_bytes() == before
 
 
 def test_an_open_dataset_is_not_replaced_by_its_compressed_self(dem):
     before = dem.read_bytes()
-    with rasterio.open(dem) as dataset, pytest.raises(StorageError, match="another name"):
-        terrainwave.compress(dataset, dem, max_error=5, overwrite=True)
+    link = dem.with_suffix(".twz")
+    link.symlink_to(dem)
+    with rasterio.open(dem) as dataset, pytest.raises(StorageError, match="file to be read"):
+        terrainwave.compress(dataset, link, max_error=5, overwrite=True)
     assert dem.read_bytes() == before
 
 
 @pytest.mark.parametrize("command", ["compress", "decompress"])
 def test_target_in_a_missing_directory_is_one_line(tmp_path, dem, twz, command):
     source = dem if command == "compress" else twz
-    line = one_line(run(command, source, tmp_path / "no" / "such" / "file"), 1)
+    line = one_line(run(command, source, tmp_path / "no" / "such" / TARGETS[command]), 1)
     assert "no directory" in line
 
 
@@ -517,21 +488,45 @@ def one_line_of_interruption(result):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
-def test_ctrl_c_leaves_the_target_and_nothing_else(tmp_path):
+@pytest.mark.parametrize(
+    ("name", "status", "word"),
+    [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "terminated")],
+)
+def test_a_signal_leaves_the_target_and_nothing_else(tmp_path, name, status, word):
     rng = np.random.default_rng(0)
     source = write_geotiff(tmp_path / "a.tif", rng.integers(0, 9999, (1500, 1500)).astype("int16"))
     target = tmp_path / "a.twz"
     target.write_bytes(b"mine")
-    process = start("compress", source, target, "--overwrite", "--max-error", 1)
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    process = start(
+        "compress", source, target, "--overwrite", "--max-error", 1, "--temp-dir", temporary
+    )
     deadline = time.monotonic() + 120
-    while len(os.listdir(tmp_path)) < 3 and time.monotonic() < deadline:
+    while not os.listdir(temporary) and time.monotonic() < deadline:
         time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(getattr(signal, name))
     _, stderr = process.communicate(timeout=300)
-    assert process.returncode == 130, stderr
-    assert stderr.splitlines()[-1] == "terrainwave: interrupted; the target is untouched"
+    assert process.returncode == status, stderr
+    assert stderr.splitlines()[-1] == f"terrainwave: {word}; the target is untouched"
     assert target.read_bytes() == b"mine"
-    assert sorted(os.listdir(tmp_path)) == ["a.tif", "a.twz"]
+    assert sorted(os.listdir(tmp_path)) == ["a.tif", "a.twz", "temporary"]
+    assert os.listdir(temporary) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such signals")
+def test_signals_that_are_ignored_stay_so_and_a_second_one_does_not_stop_the_clearing_up():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with ending_by_signals():
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            with pytest.raises(Terminated) as ended:
+                signal.raise_signal(signal.SIGTERM)
+            assert ended.value.status == 143
+            signal.raise_signal(signal.SIGTERM)
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_lack_of_memory_is_one_line(tmp_path, dem, monkeypatch):
@@ -667,6 +662,26 @@ def test_demo_checks_and_draws(tmp_path):
     assert (tmp_path / "demo" / "demo.png").read_bytes()[:4] == b"\x89PNG"
     # Again, over its own files.
     assert run("demo", tmp_path / "demo", "--quiet").output == ""
+
+
+@pytest.mark.parametrize("had_run", [False, True])
+@pytest.mark.parametrize("failure", [StorageError("the disk is full"), KeyboardInterrupt()])
+def test_a_demo_that_fails_leaves_nothing(tmp_path, monkeypatch, had_run, failure):
+    def failing(*_, **__):
+        raise failure
+
+    directory = tmp_path / "new" / "demo"
+    if had_run:
+        directory.mkdir(parents=True)
+        (directory / "demo.png").write_bytes(b"of an earlier run")
+    monkeypatch.setattr(terrainwave, "compress", failing, raising=False)
+    result = run("demo", directory)
+    assert result.exit_code == (1 if isinstance(failure, StorageError) else 130)
+    if had_run:
+        assert os.listdir(directory) == ["demo.png"]
+        assert (directory / "demo.png").read_bytes() == b"of an earlier run"
+    else:
+        assert os.listdir(tmp_path) == []
 
 
 def test_warmup_compresses_and_reads_back():

@@ -5,20 +5,30 @@ import math
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import click
 
 from terrainwave._version import __version__
+from terrainwave.arguments import (
+    GEOTIFF_ENDINGS,
+    HEIGHT_TILE_ENDINGS,
+    TWZ_ENDINGS,
+    check_ending,
+)
 from terrainwave.cli.options import (
     BlockSide,
     Bound,
+    Directory,
     Finite,
+    Input,
+    NamedInput,
     Nodata,
     Numbers,
     Positive,
+    Target,
     TileSize,
 )
 from terrainwave.cli.output import (
@@ -31,6 +41,7 @@ from terrainwave.cli.output import (
     print_table,
     reading,
 )
+from terrainwave.cli.streams import printing_beside, written
 from terrainwave.names import DEFAULT_METHOD, EFFORTS, METHODS, STORED_MESHES, Method, methods_that
 
 THREADS = click.IntRange(min=1)
@@ -59,8 +70,7 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @main.command()
-@click.argument("sources", nargs=-1, required=True, metavar="SOURCE...")
-@click.argument("target", type=click.Path())
+@click.argument("paths", nargs=-1, metavar="SOURCE... TARGET")
 @click.option(
     "--max-error",
     type=Bound(),
@@ -95,8 +105,7 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @_writing
 def compress(
-    sources: tuple[str, ...],
-    target: str,
+    paths: tuple[str, ...],
     border_rings: str,
     scheduler: str | None,
     no_verify: bool,
@@ -109,10 +118,11 @@ def compress(
     """Compress the raster SOURCE to the file TARGET (.twz).
 
     Several SOURCEs are a mosaic: rasters of one CRS and grid. It is void where none of them is;
-    where they overlap, the last counts.
+    where they overlap, the last counts. A SOURCE or TARGET that is - is stdin or stdout.
     """
     import terrainwave
 
+    sources, target = _sources_and_target(paths)
     method = METHODS.get(options["method"], DEFAULT_METHOD)
     _check_goals(method, options)
     if scheduler is not None and not method.is_clusterable:
@@ -120,10 +130,14 @@ def compress(
             f"found --scheduler and --method {method.name}, expected one of them"
         )
     announce_compiling(quiet=quiet)
-    with _cluster(scheduler) as client, Bar(quiet=quiet) as bar:
+    with (
+        _cluster(scheduler) as client,
+        Bar(quiet=quiet) as bar,
+        written(target, ".twz") as path,
+    ):
         result = terrainwave.compress(
             sources,
-            target,
+            path,
             border_rings=int(border_rings),
             mesh="none" if no_mesh else mesh,
             verify=not no_verify,
@@ -131,10 +145,30 @@ def compress(
             progress=bar,
             **options,
         )
-    if as_json:
-        print_json(asdict(result))
-    elif not quiet:
-        _print_result(result)
+    result = replace(result, path=target)
+    with printing_beside(target):
+        if as_json:
+            print_json(asdict(result))
+        elif not quiet:
+            _print_result(result)
+
+
+def _sources_and_target(paths: tuple[str, ...]) -> tuple[list[str], str]:
+    """Return what `compress` reads and what it writes, by their order."""
+    if len(paths) < 2:
+        missing = "TARGET" if paths else "SOURCE"
+        raise click.UsageError(f"Missing argument '{missing}'.")
+    ctx = click.get_current_context()
+    target = paths[-1]
+    try:
+        # Not only a slip: with `*.tif` the last raster stands where the target does.
+        target = Target(TWZ_ENDINGS).convert(target, None, ctx)
+    except click.BadParameter as error:
+        raise click.UsageError(
+            f"TARGET is the last name: {error.message}; to compress each raster to a file of its"
+            " own add --to DIR"
+        ) from error
+    return [Input().convert(path, None, ctx) for path in paths[:-1]], target
 
 
 def _check_goals(method: Method, options: dict[str, Any]) -> None:
@@ -171,8 +205,8 @@ def _print_result(result: Any) -> None:
 
 
 @main.command()
-@click.argument("file", type=click.Path())
-@click.argument("new")
+@click.argument("file", type=NamedInput())
+@click.argument("new", type=Input())
 @click.option("--nodata", type=Nodata(), help="Replaces the new raster's own nodata value.")
 @click.option("--band", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
@@ -200,8 +234,8 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
 
 
 @main.command()
-@click.argument("source")
-@click.argument("target", type=click.Path())
+@click.argument("source", type=Input())
+@click.argument("target", type=Target((*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS)))
 @click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part to write.")
 @click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
 @click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
@@ -219,14 +253,14 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
 )
 @_writing
 def decompress(source: str, target: str, quiet: bool, **options: Any) -> None:
-    """Write the file SOURCE (.twz) to the GeoTIFF TARGET.
+    """Write the file SOURCE (.twz) to the GeoTIFF TARGET (.tif), or to stdout if that is -.
 
     A TARGET ending in .r16 or .png becomes a 16-bit height tile for game engines instead, with a
     .json beside it that tells its scale and place.
     """
     import terrainwave
 
-    is_tile = Path(target).suffix.lower() in (".r16", ".png")
+    is_tile = Path(target).suffix.lower() in HEIGHT_TILE_ENDINGS
     if options["size"] and not is_tile:
         raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
     if options["cog"] and is_tile:
@@ -235,18 +269,20 @@ def decompress(source: str, target: str, quiet: bool, **options: Any) -> None:
         raise click.UsageError("found both --window and --bounds, expected one of them")
     announce_compiling(quiet=quiet)
     try:
-        with reading(source), Bar(quiet=quiet) as bar:
-            path = terrainwave.decompress(source, target, progress=bar, **options)
+        with reading(source), Bar(quiet=quiet) as bar, written(target, ".tif") as path:
+            terrainwave.decompress(source, path, progress=bar, **options)
+            n_bytes = Path(path).stat().st_size
     except terrainwave.InvalidHeightsError as error:
         # The file has no such level, or nothing in that window.
         raise click.UsageError(str(error)) from error
     if not quiet:
-        click.echo(f"{plain(path)}: {Path(path).stat().st_size:,} bytes")
+        with printing_beside(target):
+            click.echo(f"{plain(target)}: {n_bytes:,} bytes")
 
 
 @main.command()
-@click.argument("file")
-@click.argument("target", type=click.Path())
+@click.argument("file", type=Input())
+@click.argument("target")
 @click.option(
     "--max-error",
     type=Bound(),
@@ -281,7 +317,9 @@ def decompress(source: str, target: str, quiet: bool, **options: Any) -> None:
 )
 @click.option("--mesh", "kind", type=MESH, help="With --store: triangulation.")
 @click.option("--mesh-error", type=Bound(), help="With --store: as for compress.")
-@click.option("--original", help="With --store: the raster, to measure errors against.")
+@click.option(
+    "--original", type=Input(), help="With --store: the raster, to measure errors against."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @_writing
 @click.pass_context
@@ -322,6 +360,7 @@ def _store_meshes(
         raise click.UsageError(
             f"found --mesh none with --store, expected one of auto, {', '.join(STORED_MESHES)}"
         )
+    check_ending(target, TWZ_ENDINGS)
     announce_compiling(quiet=quiet)
     with reading(file), Bar(quiet=quiet) as bar:
         path = terrainwave.store_meshes(file, target, mesh=kind or "auto", progress=bar, **options)
@@ -349,15 +388,11 @@ def _export_mesh(
 ) -> None:
     import terrainwave
     from terrainwave.container.publish import refuse_own_source
-    from terrainwave.export.files import EXTENSIONS, prepare
+    from terrainwave.export.files import check_extension, prepare
 
     if options["window"] and options["bounds"]:
         raise click.UsageError("found both --window and --bounds, expected one of them")
-    extension = Path(target).suffix.lower()
-    if extension not in EXTENSIONS:
-        raise click.UsageError(
-            f"{target}: found {extension or 'no extension'}, expected {', '.join(EXTENSIONS)}"
-        )
+    extension = check_extension(target)
     if extension == ".terrain" and (frame or z_scale != 1 or solid is not None):
         raise click.UsageError(
             "a .terrain tile has a frame of its own: expected no --frame, --z-scale, --solid"
@@ -429,7 +464,7 @@ def _print_saved(saved: Any) -> None:
 
 
 @main.command()
-@click.argument("file")
+@click.argument("file", type=Input())
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option(
     "--errors",
@@ -496,8 +531,8 @@ def _unit(units: str | None) -> str:
 
 
 @main.command()
-@click.argument("file")
-@click.argument("original", required=False)
+@click.argument("file", type=Input())
+@click.argument("original", required=False, type=Input())
 @click.option("--max-error", type=Bound(), help="Hold the file to this bound instead of its own.")
 @click.option("--band", type=click.IntRange(min=1), default=1, help="Band of ORIGINAL.")
 @click.option("--nodata", type=Nodata(), help="The nodata value that was given to compress.")
@@ -560,7 +595,7 @@ def warmup() -> None:
 
 
 @main.command()
-@click.argument("directory", type=click.Path(file_okay=False), default="terrainwave-demo")
+@click.argument("directory", type=Directory(), default="terrainwave-demo")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 def demo(directory: str, quiet: bool) -> None:
     """Compress a real elevation model at four bounds, check each, draw a picture; in DIRECTORY."""

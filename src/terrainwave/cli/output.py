@@ -16,7 +16,12 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from terrainwave.errors import CorruptStreamError, TerrainwaveError, TerrainwaveWarning
+from terrainwave.errors import (
+    CorruptStreamError,
+    InvalidArgumentError,
+    TerrainwaveError,
+    TerrainwaveWarning,
+)
 
 if TYPE_CHECKING:
     from terrainwave.progress import Progress
@@ -26,6 +31,11 @@ def plain(text: object) -> str:
     """Return `text` on one line, without control, format (bidi) and unassigned characters."""
     words = " ".join(str(text).split())
     return "".join(char for char in words if not unicodedata.category(char).startswith("C"))
+
+
+def count_of(number: int, noun: str) -> str:
+    """Return a number with its noun: 1 block, 2,000 blocks."""
+    return f"{number:,} {noun}{'s' * (number != 1)}"
 
 
 def print_error(message: object) -> None:
@@ -79,8 +89,35 @@ def warnings_as_notes() -> Iterator[None]:
         yield
 
 
+def _option(argument: str) -> str:
+    """Return what the command line calls an argument of a function."""
+    names = {"src": "SOURCE", "dst": "TARGET", "client": "--scheduler"}
+    return names.get(argument, f"--{argument}".replace("_", "-"))
+
+
+def message_of(error: TerrainwaveError) -> str:
+    """Return the message of an error, in words of the command line."""
+    return plain(error.message_with(_option))
+
+
+class Command(click.Command):
+    """A command: an argument that cannot be is wrong usage, wherever that is found out."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command."""
+        try:
+            return super().invoke(ctx)
+        except InvalidArgumentError as error:
+            raise click.UsageError(message_of(error), ctx) from error
+        except click.UsageError as error:
+            error.ctx = error.ctx or ctx
+            raise
+
+
 class Commands(click.Group):
     """A click group whose errors are one line each and which sets the exit status."""
+
+    command_class = Command
 
     def main(self, *args: Any, standalone_mode: bool = True, **kwargs: Any) -> Any:
         """Run a command; never returns in standalone mode."""
@@ -105,7 +142,7 @@ class Commands(click.Group):
             print_error("interrupted; the target is untouched")
             sys.exit(130)
         except TerrainwaveError as error:
-            print_error(error)
+            print_error(message_of(error))
             sys.exit(1)
         except OSError as error:  # of stdout: the library's are TerrainwaveErrors
             _discard_stdout()

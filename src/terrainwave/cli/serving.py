@@ -6,13 +6,14 @@ import webbrowser
 import click
 
 from terrainwave.cli.commands import main
+from terrainwave.cli.options import NamedInput
 from terrainwave.cli.output import announce_compiling, print_note
 from terrainwave.errors import StorageError
 from terrainwave.extras import need
 
 
 @main.command()
-@click.argument("files", nargs=-1, required=True)
+@click.argument("files", nargs=-1, required=True, type=NamedInput())
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True,
               help="0 takes a free one.")  # fmt: skip

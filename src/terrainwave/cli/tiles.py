@@ -7,13 +7,13 @@ from typing import Any
 import click
 
 from terrainwave.cli.commands import THREADS, main, print_json
-from terrainwave.cli.options import Finite, Positive
+from terrainwave.cli.options import Directory, Finite, Input, Positive
 from terrainwave.cli.output import Bar, announce_compiling, plain, print_grid, reading
 
 
 @main.command()
-@click.argument("file")
-@click.argument("directory", type=click.Path(file_okay=False))
+@click.argument("file", type=Input())
+@click.argument("directory", type=Directory())
 @click.option(
     "--max-zoom",
     type=click.IntRange(min=0),

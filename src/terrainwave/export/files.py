@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
+from terrainwave.arguments import check_ending
 from terrainwave.container.publish import check_target, publish, scratch
 from terrainwave.container.spool import storage_errors
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.export.frames import areas, find_place, metres_per_unit, steepest, to_frame
 from terrainwave.export.mesh import Mesh
 from terrainwave.export.solid import solidify
@@ -159,8 +160,8 @@ def file_rounding(
 
 def _refuse_frame(frame: str | None, z_scale: float, solid: float | None) -> None:
     if frame is not None or z_scale != 1 or solid is not None:
-        raise InvalidHeightsError(
-            "a .terrain tile has a frame of its own: found --frame, --z-scale or --solid"
+        raise InvalidArgumentError(
+            "a .terrain tile has a frame of its own: expected no `frame`, `z_scale` or `solid`"
         )
 
 
@@ -191,16 +192,11 @@ def check_extension(path: str | os.PathLike[str]) -> str:
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If no format has it.
     """
-    extension = Path(path).suffix.lower()
-    if extension not in EXTENSIONS:
-        found = extension or "no extension"
-        raise InvalidHeightsError(
-            f"{os.fspath(path)}: found {found}, expected one of {', '.join(EXTENSIONS)}"
-        )
-    return extension
+    check_ending(path, EXTENSIONS)
+    return Path(path).suffix.lower()
 
 
 def prepare(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:

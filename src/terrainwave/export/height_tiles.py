@@ -25,7 +25,6 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 
-EXTENSIONS = (".r16", ".png")
 MAX_SIZE = 16385
 _MAX_SAMPLES = MAX_SIZE**2
 _HIGHEST = 65535

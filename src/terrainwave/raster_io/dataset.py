@@ -1,5 +1,6 @@
 """A band of anything that rasterio opens."""
 
+import os
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ from rasterio.windows import Window
 from terrainwave.errors import (
     InvalidHeightsError,
     StorageError,
+    TerrainwaveError,
 )
 from terrainwave.raster_io.crs import format_crs
 from terrainwave.raster_io.gdal import (
@@ -57,6 +59,23 @@ def open_dataset(path: str) -> Any:
         advice = f"; it holds several rasters, name one of them: {parts}" if parts else ""
         raise InvalidHeightsError(f"{path} has no raster band{advice}")
     return dataset
+
+
+def refuse_raster(target: str | os.PathLike[str]) -> None:
+    """Raise `StorageError` if a file that is to be replaced by a .twz is a raster, by any name.
+
+    It may be the only copy of what took years to measure.
+    """
+    if not os.path.exists(target):
+        return
+    try:
+        open_dataset(os.path.realpath(target)).close()
+    except TerrainwaveError:  # a .twz, or nothing that GDAL knows
+        return
+    raise StorageError(
+        f"{os.fspath(target)} is a raster and is never replaced; expected another name for the"
+        " result"
+    )
 
 
 def _is_twz(path: Path) -> bool:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import PICTURE_ENDINGS, check_ending
 from terrainwave.container.publish import publish
 from terrainwave.errors import InvalidHeightsError, TerrainwaveError
 from terrainwave.extras import need
@@ -42,13 +43,16 @@ class Picture:
         return encode_png(self.pixels)
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the picture as PNG.
+        """Write the picture as PNG; the name must end in ``.png``.
 
         Raises
         ------
+        InvalidArgumentError
+            If it does not.
         StorageError
             If it cannot be written, or is there already.
         """
+        check_ending(path, PICTURE_ENDINGS)
         with publish(Path(path), overwrite) as part:
             part.file.write(self._repr_png_())
 
