@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
+from terrainwave.cli.signals import INTERRUPTED, Terminated, ending_by_signals
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidArgumentError,
@@ -125,7 +126,7 @@ class Commands(click.Group):
         if not standalone_mode:
             return run(*args, standalone_mode=False, **kwargs)
         try:
-            with warnings_as_notes():
+            with ending_by_signals(), warnings_as_notes():
                 status = run(*args, standalone_mode=False, **kwargs)
             sys.exit(status if isinstance(status, int) else 0)
         except click.exceptions.NoArgsIsHelpError as error:
@@ -137,10 +138,13 @@ class Commands(click.Group):
                 f"{command}: {plain(error.format_message())} (see {command} --help)", err=True
             )
             sys.exit(2)
-        except click.Abort:
-            # click turns Ctrl-C into Abort.
+        except click.Abort as error:
+            # click turns Ctrl-C, and what is raised for other signals, into Abort.
+            if isinstance(error.__cause__, Terminated):
+                print_error("terminated; the target is untouched")
+                sys.exit(error.__cause__.status)
             print_error("interrupted; the target is untouched")
-            sys.exit(130)
+            sys.exit(INTERRUPTED)
         except TerrainwaveError as error:
             print_error(message_of(error))
             sys.exit(1)
