@@ -18,6 +18,17 @@ from terrainwave.arguments import (
     TWZ_ENDINGS,
     check_ending,
 )
+from terrainwave.cli.batch import (
+    Done,
+    Job,
+    Work,
+    find_original,
+    finish,
+    made,
+    plan,
+    refuse_options_of_batches,
+    run,
+)
 from terrainwave.cli.options import (
     BlockSide,
     Bound,
@@ -43,6 +54,7 @@ from terrainwave.cli.output import (
 )
 from terrainwave.cli.streams import printing_beside, written
 from terrainwave.names import DEFAULT_METHOD, EFFORTS, METHODS, STORED_MESHES, Method, methods_that
+from terrainwave.progress import ProgressCallback
 
 THREADS = click.IntRange(min=1)
 METHOD = click.Choice(["auto", *METHODS])
@@ -64,6 +76,21 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--threads", type=THREADS, help="Threads; all processors by default."),
         click.option("--overwrite", is_flag=True, help="Replace an existing file."),
         click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes."),
+    ):
+        command = option(command)
+    return command
+
+
+def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of commands that take many files at once."""
+    for option in (
+        click.option("--skip-existing", is_flag=True, help="With --to: leave out what is there."),
+        click.option(
+            "--to",
+            type=Directory(),
+            metavar="DIR",
+            help="Write a file for each SOURCE to this directory; go on past those that fail.",
+        ),
     ):
         command = option(command)
     return command
@@ -103,9 +130,12 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
     " heights' vertical step if that is more.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@_batched
 @_writing
 def compress(
     paths: tuple[str, ...],
+    to: str | None,
+    skip_existing: bool,
     border_rings: str,
     scheduler: str | None,
     no_verify: bool,
@@ -119,16 +149,38 @@ def compress(
 
     Several SOURCEs are a mosaic: rasters of one CRS and grid. It is void where none of them is;
     where they overlap, the last counts. A SOURCE or TARGET that is - is stdin or stdout.
+    With --to DIR there is no TARGET: each SOURCE becomes a file of its own in DIR.
     """
     import terrainwave
 
-    sources, target = _sources_and_target(paths)
+    refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
     method = METHODS.get(options["method"], DEFAULT_METHOD)
     _check_goals(method, options)
     if scheduler is not None and not method.is_clusterable:
         raise click.UsageError(
             f"found --scheduler and --method {method.name}, expected one of them"
         )
+    options |= {
+        "border_rings": int(border_rings),
+        "mesh": "none" if no_mesh else mesh,
+        "verify": not no_verify,
+    }
+    if to is not None:
+        if scheduler is not None:
+            raise click.UsageError("found --scheduler and --to, expected one of them")
+
+        def compress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+            result = terrainwave.compress(
+                job.source, str(job.target), progress=progress, **options | {"threads": threads}
+            )
+            return Done(_result_line(result), asdict(result))
+
+        _run_to(
+            paths, to, ".twz", compress_one, "compressed",
+            skips_existing=skip_existing, threads=options["threads"], as_json=as_json, quiet=quiet,
+        )  # fmt: skip
+        return
+    sources, target = _sources_and_target(paths)
     announce_compiling(quiet=quiet)
     with (
         _cluster(scheduler) as client,
@@ -138,9 +190,6 @@ def compress(
         result = terrainwave.compress(
             sources,
             path,
-            border_rings=int(border_rings),
-            mesh="none" if no_mesh else mesh,
-            verify=not no_verify,
             client=client,
             progress=bar,
             **options,
@@ -151,6 +200,33 @@ def compress(
             print_json(asdict(result))
         elif not quiet:
             _print_result(result)
+
+
+def _run_to(
+    sources: tuple[str, ...],
+    directory: str,
+    ending: str,
+    work: Work,
+    word: str,
+    *,
+    skips_existing: bool,
+    threads: int | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Make a file of each source in a directory, and end with the status of all."""
+    if not sources:
+        raise click.UsageError("Missing argument 'SOURCE'.")
+    jobs = plan(sources, directory, ending)
+    announce_compiling(quiet=quiet)
+    with made(directory):
+        found, status = run(
+            jobs, work, word=word, threads=threads, quiet=quiet or as_json,
+            skips_existing=skips_existing,
+        )  # fmt: skip
+    if as_json:
+        print_json({"files": found})
+    finish(status)
 
 
 def _sources_and_target(paths: tuple[str, ...]) -> tuple[list[str], str]:
@@ -190,12 +266,16 @@ def _cluster(scheduler: str | None) -> AbstractContextManager[Any]:
     return connected(scheduler)
 
 
-def _print_result(result: Any) -> None:
-    measured = "not checked" if result.measured_error is None else f"{result.measured_error:.6g}"
-    click.echo(
+def _result_line(result: Any) -> str:
+    return (
         f"{plain(result.path)}: {result.n_bytes:,} bytes, {result.bits_per_sample:.4g} bits/sample,"
         f" {result.ratio:.4g} times smaller than raw"
     )
+
+
+def _print_result(result: Any) -> None:
+    measured = "not checked" if result.measured_error is None else f"{result.measured_error:.6g}"
+    click.echo(_result_line(result))
     click.echo(
         f"max error asked {result.max_error:.6g}, guaranteed {result.effective_error:.6g},"
         f" measured {measured} {_unit(result.units)}"
@@ -234,8 +314,7 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
 
 
 @main.command()
-@click.argument("source", type=Input())
-@click.argument("target", type=Target((*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS)))
+@click.argument("paths", nargs=-1, metavar="SOURCE TARGET")
 @click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part to write.")
 @click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
 @click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
@@ -251,22 +330,51 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
     help="Samples on a side of a height tile, 2^n + 1: the window is resampled to that square."
     " Default: the largest that is not larger than the window; window writes its own samples.",
 )
+@_batched
 @_writing
-def decompress(source: str, target: str, quiet: bool, **options: Any) -> None:
+def decompress(
+    paths: tuple[str, ...], to: str | None, skip_existing: bool, quiet: bool, **options: Any
+) -> None:
     """Write the file SOURCE (.twz) to the GeoTIFF TARGET (.tif), or to stdout if that is -.
 
     A TARGET ending in .r16 or .png becomes a 16-bit height tile for game engines instead, with a
-    .json beside it that tells its scale and place.
+    .json beside it that tells its scale and place. With --to DIR there is no TARGET: each SOURCE
+    becomes a GeoTIFF in DIR.
     """
     import terrainwave
 
+    refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
+    if options["window"] and options["bounds"]:
+        raise click.UsageError("found both --window and --bounds, expected one of them")
+    if to is not None:
+
+        def decompress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+            with reading(job.source):
+                path = terrainwave.decompress(
+                    job.source, str(job.target), progress=progress, **options | {"threads": threads}
+                )
+            return Done(f"{plain(path)}: {Path(path).stat().st_size:,} bytes")
+
+        _run_to(
+            paths, to, ".tif", decompress_one, "decompressed",
+            skips_existing=skip_existing, threads=options["threads"], as_json=False, quiet=quiet,
+        )  # fmt: skip
+        return
+    if len(paths) != 2:
+        if len(paths) < 2:
+            raise click.UsageError(f"Missing argument '{'TARGET' if paths else 'SOURCE'}'.")
+        raise click.UsageError(
+            f"found {len(paths)} names, expected SOURCE and TARGET; to make a GeoTIFF of each add"
+            " --to DIR"
+        )
+    ctx = click.get_current_context()
+    target = Target((*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS)).convert(paths[1], None, ctx)
+    source = Input().convert(paths[0], None, ctx)
     is_tile = Path(target).suffix.lower() in HEIGHT_TILE_ENDINGS
     if options["size"] and not is_tile:
         raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
     if options["cog"] and is_tile:
         raise click.UsageError(f"{target}: a height tile cannot be a COG, expected no --cog")
-    if options["window"] and options["bounds"]:
-        raise click.UsageError("found both --window and --bounds, expected one of them")
     announce_compiling(quiet=quiet)
     try:
         with reading(source), Bar(quiet=quiet) as bar, written(target, ".tif") as path:
@@ -531,8 +639,13 @@ def _unit(units: str | None) -> str:
 
 
 @main.command()
-@click.argument("file", type=Input())
-@click.argument("original", required=False, type=Input())
+@click.argument("paths", nargs=-1, metavar="FILE [ORIGINAL]")
+@click.option(
+    "--originals",
+    type=click.Path(file_okay=False, exists=True),
+    metavar="DIR",
+    help="Where the rasters of several FILEs are, with the same names.",
+)
 @click.option("--max-error", type=Bound(), help="Hold the file to this bound instead of its own.")
 @click.option("--band", type=click.IntRange(min=1), default=1, help="Band of ORIGINAL.")
 @click.option("--nodata", type=Nodata(), help="The nodata value that was given to compress.")
@@ -540,10 +653,30 @@ def _unit(units: str | None) -> str:
 @click.option("--threads", type=THREADS, help="Threads; all processors by default.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing; the exit status tells.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
-def verify(file: str, original: str | None, quiet: bool, as_json: bool, **options: Any) -> None:
-    """Compare FILE (.twz) with its ORIGINAL raster; without that, check all of FILE."""
+def verify(
+    paths: tuple[str, ...], originals: str | None, quiet: bool, as_json: bool, **options: Any
+) -> None:
+    """Compare FILE (.twz) with its ORIGINAL raster; without that, check all of FILE.
+
+    Several FILEs, all of them .twz, are checked one by one; with --originals DIR each is compared
+    with the raster of its name in DIR.
+    """
     import terrainwave
 
+    if not paths:
+        raise click.UsageError("Missing argument 'FILE'.")
+    are_files = all(Path(path).suffix.lower() in TWZ_ENDINGS for path in paths)
+    if originals is not None or (are_files and len(paths) > 1):
+        _verify_all(paths, originals, quiet=quiet, as_json=as_json, **options)
+        return
+    if len(paths) > 2:
+        raise click.UsageError(
+            f"found {len(paths)} names that are not all .twz, expected FILE and ORIGINAL, or"
+            " files and --originals DIR"
+        )
+    ctx = click.get_current_context()
+    file, *rest = (Input().convert(path, None, ctx) for path in paths)
+    original = rest[0] if rest else None
     announce_compiling(quiet=quiet)
     with reading(file), Bar(quiet=quiet) as bar:
         report = terrainwave.verify(file, original, progress=bar, **options)
@@ -553,6 +686,36 @@ def verify(file: str, original: str | None, quiet: bool, as_json: bool, **option
         _print_report(report)
     if not report.ok:
         sys.exit(1)
+
+
+def _verify_all(
+    files: tuple[str, ...],
+    originals: str | None,
+    *,
+    threads: int | None,
+    quiet: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    import terrainwave
+
+    def verify_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+        original = None if originals is None else find_original(job.source, originals)
+        with reading(job.source):
+            report = terrainwave.verify(
+                job.source, original, threads=threads, progress=progress, **options
+            )
+        found = "ok" if report.ok else f"not ok, {plain('; '.join(report.problems))}"
+        return Done(f"{plain(job.source)}: {found}", report.to_dict(), is_good=report.ok)
+
+    announce_compiling(quiet=quiet)
+    found, status = run(
+        [Job(file) for file in dict.fromkeys(files)], verify_one, word="ok", threads=threads,
+        quiet=quiet or as_json,
+    )  # fmt: skip
+    if as_json:
+        print_json({"files": found})
+    finish(status)
 
 
 def _print_report(report: Any) -> None:

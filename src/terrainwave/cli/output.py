@@ -202,6 +202,13 @@ class Bar:
             sample_bytes=progress.n_bytes_in / progress.done if progress.done else 0.0,
         )
 
+    def echo(self, line: str) -> None:
+        """Print a line on stdout, above the bar where both are on the same terminal."""
+        if self._bar is not None and sys.stdout.isatty():
+            self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+        else:
+            click.echo(line)
+
     def __enter__(self) -> Self:
         if self._bar is not None:
             self._bar.start()
@@ -239,6 +246,7 @@ def _rich_bar() -> Any:
         TextColumn("{task.fields[ratio]}", markup=False),
         TimeRemainingColumn(),
         console=Console(stderr=True),
+        redirect_stdout=False,
         transient=True,
     )
 
