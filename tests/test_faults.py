@@ -12,7 +12,7 @@ from strategies import terrain_like, write_geotiff
 
 from terrainwave.cli import main
 from terrainwave.codec.refiner import Decoded
-from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool import SegmentSpool, cannot_write
 from terrainwave.errors import (
     BoundViolationError,
     CorruptStreamError,
@@ -126,7 +126,7 @@ def test_a_full_disk_while_spooling_levels_leaves_the_target_as_it_was(
         self._file = FullFile(self._file)
 
     monkeypatch.setattr(Spool, "__init__", full)
-    with pytest.raises(StorageError, match=r"--temp-dir"):
+    with pytest.raises(StorageError, match=r"temporary files in .*: the disk is full; .* temp_dir"):
         compress(LARGE, target, overwrite=True, **OPTIONS)
     assert_untouched(target)
 
@@ -134,7 +134,7 @@ def test_a_full_disk_while_spooling_levels_leaves_the_target_as_it_was(
 def test_too_little_free_space_is_noticed_before_work_begins(monkeypatch, target, tmp_path):
     usage = type("Usage", (), {"free": 10})
     monkeypatch.setattr("shutil.disk_usage", lambda _: usage)
-    with pytest.raises(StorageError, match=r"--temp-dir"):
+    with pytest.raises(StorageError, match="temp_dir"):
         compress(HEIGHTS, target, overwrite=True, **OPTIONS)
     assert_untouched(target)
 
@@ -145,6 +145,19 @@ def test_a_full_disk_while_decompressing_leaves_the_target_as_it_was(monkeypatch
     with pytest.raises(StorageError, match="disk is full"):
         decompress(tmp_path / "dem.twz", tiff, overwrite=True, threads=1)
     assert_untouched(tiff)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [OSError(errno.ENOSPC, "No space left on device"), "TIFFAppend: No space left on device"],
+)
+def test_a_full_disk_is_one_wording_with_the_path(tmp_path, error):
+    message = f"cannot write {tmp_path / 'a.tif'}: the disk is full"
+    assert str(cannot_write(tmp_path / "a.tif", error)) == message
+    assert str(cannot_write(tmp_path, error)) == (
+        f"cannot write temporary files in {tmp_path}: the disk is full"
+    )
+    assert "disk" not in str(cannot_write(tmp_path / "a.tif", "permission denied"))
 
 
 # A source that cannot be read

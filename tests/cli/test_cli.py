@@ -17,9 +17,9 @@ from strategies import read_geotiff, terrain_like, write_geotiff
 import terrainwave
 from terrainwave.cli import main
 from terrainwave.cli import output as cli_output
-from terrainwave.cli.output import Bar, plain
+from terrainwave.cli.output import Bar, count_of, plain
 from terrainwave.cli.signals import Terminated, ending_by_signals
-from terrainwave.errors import CorruptStreamError, StorageError
+from terrainwave.errors import CorruptStreamError, InvalidArgumentError, StorageError
 from terrainwave.mesh.level_errors import level_errors
 from terrainwave.progress import Progress
 
@@ -273,6 +273,29 @@ def test_verify_without_an_original_finds_a_damaged_block(twz):
     assert "problem: " in done.stdout
 
 
+@pytest.mark.parametrize("with_original", [True, False])
+def test_verify_says_how_many_heights_it_compared(dem, twz, with_original):
+    done = run("verify", twz, *[dem] * with_original)
+    assert done.exit_code == 0
+    said = "20,960 heights compared" if with_original else "no heights compared: give the ORIGINAL"
+    assert done.stdout.startswith(said)
+    assert done.stderr == ""
+
+
+def test_verify_notes_that_it_compared_nothing(tmp_path):
+    path = write_geotiff(tmp_path / "a.tif", np.zeros((9, 9), "int16"), nodata=0)
+    assert run("compress", path, tmp_path / "a.twz", "--method", "store").exit_code == 0
+    done = run("verify", tmp_path / "a.twz", path)
+    assert done.exit_code == 0
+    assert done.stdout.startswith("0 heights compared: ")
+    assert done.stderr == "note: no height was compared: there is none that is valid in both\n"
+
+
+def test_one_is_not_several():
+    counts = count_of(1, "block"), count_of(2000, "block"), count_of(0, "unit")
+    assert counts == ("1 block", "2,000 blocks", "0 units")
+
+
 # --- mistakes ----------------------------------------------------------------------------------
 
 
@@ -400,9 +423,14 @@ def test_wrong_window_is_wrong_usage(tmp_path, twz, option, value):
 @pytest.mark.parametrize(
     ("option", "value", "expected"),
     [
-        ("--level", "99", "found level 99, expected 0 …"),
+        ("--level", "99", "found --level 99, expected 0 …"),
         ("--window", "500,0,1,1", "does not meet the level's"),
-        ("--bounds", "1e6,1e6,2e6,2e6", "does not meet the level's"),
+        (
+            "--bounds",
+            "1e6,1e6,2e6,2e6",
+            "the --bounds 1000000, 1000000, 2000000, 2000000 do not meet the raster's,"
+            " 400000, 3995500, 404200, 4000000 (left, bottom, right, top)",
+        ),
     ],
 )
 def test_part_that_is_not_there_is_wrong_usage(tmp_path, twz, option, value, expected):
@@ -412,9 +440,42 @@ def test_part_that_is_not_there_is_wrong_usage(tmp_path, twz, option, value, exp
 
 
 def test_a_nodata_value_of_400_digits_is_one_line(tmp_path, dem):
-    line = one_line(run("compress", dem, tmp_path / "b.twz", "--nodata", "9" * 400), 1)
+    line = one_line(run("compress", dem, tmp_path / "b.twz", "--nodata", "9" * 400), 2)
     assert "outside int16" in line
     assert len(line) < 200
+
+
+@pytest.mark.parametrize(
+    ("command", "options", "message"),
+    [
+        ("compress", "--border-rings 3 --method cdf53", "found --border-rings 3 and --method"),
+        ("decompress", "--bounds 2,2,1,1", "found --bounds (2.0, 2.0, 1.0, 1.0), expected left"),
+        ("decompress", "--quality 1", "found --quality and a file of method store"),
+        ("mesh", "--max-error 0.1", "found --max-error 0.1, expected at least 1"),
+        ("mesh", "--level 99", "found --level 99"),
+        ("mesh", "--solid 1e6", "found --solid 1e+06"),
+        ("mesh", "--frame native --radius 5", "found --radius 5, but"),
+        ("verify", "--band 2", "--band 2 does not exist"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_wrong_usage_in_words_of_the_command_line(
+    tmp_path, dem, twz, command, options, message
+):
+    target = tmp_path / TARGETS.get(command, "x.ply")
+    places = {"compress": [dem, target], "verify": [twz, dem]}.get(command, [twz, target])
+    line = one_line(run(command, *places, *options.split()), 2)
+    assert message in line
+    assert f"(see terrainwave {command} --help)" in line
+    assert "`" not in line
+    assert sorted(os.listdir(tmp_path)) == ["dem.tif", "dem.twz"]
+
+
+def test_functions_speak_of_arguments(twz):
+    with terrainwave.open(twz) as terrain:
+        with pytest.raises(InvalidArgumentError, match=r"^found level 99, expected"):
+            terrain.read(level=99)
+        with pytest.raises(InvalidArgumentError, match=r"^the bounds 1, 1, 2, 2 do not meet"):
+            terrain.read(bounds=(1, 1, 2, 2))
 
 
 @pytest.mark.parametrize("scale", [np.nan, np.inf, 0.0, 1e-305])
@@ -426,8 +487,8 @@ def test_a_scale_that_gives_no_heights_is_one_line(tmp_path, scale):
 
 
 def test_band_that_is_not_there_is_one_line(tmp_path, dem):
-    line = one_line(run("compress", dem, tmp_path / "a.twz", "--band", 4), 1)
-    assert "band 4 does not exist, the file has 1 band" in line
+    line = one_line(run("compress", dem, tmp_path / "a.twz", "--band", 4), 2)
+    assert "--band 4 does not exist, the file has 1 band" in line
 
 
 def test_missing_argument_is_wrong_usage():
@@ -466,7 +527,7 @@ def test_a_full_disk_under_stdout_is_one_line(twz, option):
             env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
             timeout=60,
         )
-    assert done.stderr == "terrainwave: No space left on device\n"
+    assert done.stderr == "terrainwave: cannot write stdout: the disk is full\n"
     assert done.returncode == 1
 
 

@@ -46,6 +46,7 @@ from terrainwave.cli.output import (
     Bar,
     Commands,
     announce_compiling,
+    count_of,
     plain,
     print_grid,
     print_note,
@@ -304,8 +305,8 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
         print_json(asdict(result))
     elif not quiet:
         click.echo(
-            f"{plain(result.path)}: {result.n_recoded:,} units coded again, {result.n_copied:,}"
-            f" copied, {result.n_bytes:,} bytes"
+            f"{plain(result.path)}: {count_of(result.n_recoded, 'unit')} coded again,"
+            f" {result.n_copied:,} copied, {result.n_bytes:,} bytes"
         )
         click.echo(
             f"max error guaranteed {result.effective_error:.6g}, measured"
@@ -376,13 +377,9 @@ def decompress(
     if options["cog"] and is_tile:
         raise click.UsageError(f"{target}: a height tile cannot be a COG, expected no --cog")
     announce_compiling(quiet=quiet)
-    try:
-        with reading(source), Bar(quiet=quiet) as bar, written(target, ".tif") as path:
-            terrainwave.decompress(source, path, progress=bar, **options)
-            n_bytes = Path(path).stat().st_size
-    except terrainwave.InvalidHeightsError as error:
-        # The file has no such level, or nothing in that window.
-        raise click.UsageError(str(error)) from error
+    with reading(source), Bar(quiet=quiet) as bar, written(target, ".tif") as path:
+        terrainwave.decompress(source, path, progress=bar, **options)
+        n_bytes = Path(path).stat().st_size
     if not quiet:
         with printing_beside(target):
             click.echo(f"{plain(target)}: {n_bytes:,} bytes")
@@ -560,7 +557,8 @@ _ROUNDING_SLACK = 1.25
 
 def _print_saved(saved: Any) -> None:
     click.echo(
-        f"{plain(saved.path)}: {saved.n_triangles:,} triangles, {saved.n_vertices:,} vertices,"
+        f"{plain(saved.path)}: {count_of(saved.n_triangles, 'triangle')},"
+        f" {saved.n_vertices:,} vertices,"
         f" {saved.n_bytes:,} bytes"
     )
     click.echo(f"guaranteed error {saved.error:.6g} {_unit(saved.units)}, frame {saved.frame}")
@@ -706,6 +704,10 @@ def _verify_all(
                 job.source, original, threads=threads, progress=progress, **options
             )
         found = "ok" if report.ok else f"not ok, {plain('; '.join(report.problems))}"
+        if report.errors is not None:
+            found += f", {count_of(report.errors.n_valid, 'height')} compared"
+            if not report.errors.n_valid:
+                print_note(f"{job.source}: no height was compared: none is valid in both")
         return Done(f"{plain(job.source)}: {found}", report.to_dict(), is_good=report.ok)
 
     announce_compiling(quiet=quiet)
@@ -724,9 +726,13 @@ def _print_report(report: Any) -> None:
     if report.errors is not None:
         errors = report.errors
         click.echo(
-            f"{errors.n_valid:,} heights compared: max error {errors.max_error:.6g}"
+            f"{count_of(errors.n_valid, 'height')} compared: max error {errors.max_error:.6g}"
             f" (bound {report.bound:.6g}), RMSE {errors.rmse:.6g}"
         )
+    if report.errors is not None and not report.errors.n_valid:
+        print_note("no height was compared: there is none that is valid in both")
+    if report.original is None:
+        click.echo("no heights compared: give the ORIGINAL raster for that")
     if report.mesh is not None:
         _print_meshes(report.mesh)
     click.echo("ok" if report.ok else "not ok")

@@ -149,9 +149,11 @@ class Commands(click.Group):
             print_error(message_of(error))
             sys.exit(1)
         except OSError as error:  # of stdout: the library's are TerrainwaveErrors
+            from terrainwave.container.spool import cannot_write
+
             _discard_stdout()
             if not isinstance(error, BrokenPipeError):  # head has seen enough
-                print_error(error.strerror or error)
+                print_error(cannot_write("stdout", error))
             sys.exit(1)
         except MemoryError:
             print_error("out of memory; try --threads 1, a smaller --block or a smaller --window")

@@ -192,7 +192,7 @@ def render(
 
 def _print_picture(name: str, drawn: dict[str, Any], seconds: float) -> None:
     click.echo(
-        f"{plain(name)}: {drawn['n_triangles']:,} triangles of"
+        f"{plain(name)}: {count_of(drawn['n_triangles'], 'triangle')} of"
         f" {count_of(drawn['n_blocks'], 'block')} within {drawn['max_pixel_error']:.3g} pixels,"
         f" {seconds:.1f} s on {drawn['renderer']}"
     )

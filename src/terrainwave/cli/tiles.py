@@ -8,7 +8,7 @@ import click
 
 from terrainwave.cli.commands import THREADS, main, print_json
 from terrainwave.cli.options import Directory, Finite, Input, Positive
-from terrainwave.cli.output import Bar, announce_compiling, plain, print_grid, reading
+from terrainwave.cli.output import Bar, announce_compiling, count_of, plain, print_grid, reading
 
 
 @main.command()
@@ -64,7 +64,9 @@ def _print_zooms(directory: str, found: Any) -> None:
         for zoom in found
     ]  # fmt: skip
     print_grid(header, rows)
-    click.echo(f"{plain(directory)}: {sum(zoom.n_tiles for zoom in found):,} tiles; errors in m")
+    click.echo(
+        f"{plain(directory)}: {count_of(sum(zoom.n_tiles for zoom in found), 'tile')}; errors in m"
+    )
 
 
 def _metres(error: float | None) -> str:

@@ -260,7 +260,7 @@ def _rounding(
         if (areas(replace(framed, vertices=written)) > 0).sum() < (areas(framed) > 0).sum():
             raise InvalidHeightsError(
                 "the format's float32 cannot hold the small triangles of a mesh this wide;"
-                " expected .ply, .obj or .vtu, or smaller --bounds"
+                " expected .ply, .obj or .vtu, or smaller `bounds`"
             )
         slope_x, slope_y = steepest(framed)
         rounding = float(moved[2] + slope_x * moved[0] + slope_y * moved[1])

@@ -14,6 +14,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
 from rasterio.windows import Window
 
 from terrainwave.errors import (
+    InvalidArgumentError,
     InvalidHeightsError,
     StorageError,
     TerrainwaveError,
@@ -109,8 +110,8 @@ class DatasetBackend:
         self.name = str(dataset.name)
         if not 1 <= band <= dataset.count:
             bands = "1 band" if dataset.count == 1 else f"{dataset.count} bands"
-            raise InvalidHeightsError(
-                f"{self.name}: band {band} does not exist, the file has {bands}"
+            raise InvalidArgumentError(
+                f"{self.name}: `band` {band} does not exist, the file has {bands}"
             )
         self.n_rows, self.n_cols = int(dataset.height), int(dataset.width)
         self.dtype = np.dtype(dataset.dtypes[band - 1])

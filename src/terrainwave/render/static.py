@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import PICTURE_ENDINGS, check_ending
 from terrainwave.container.publish import publish
-from terrainwave.errors import InvalidHeightsError, TerrainwaveError
+from terrainwave.errors import (
+    InvalidArgumentError,
+    TerrainwaveError,
+)
 from terrainwave.extras import need
 from terrainwave.render.frame import frame_of
 
@@ -62,7 +65,7 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str, shade: float, bounds: An
     pyplot = need("matplotlib.pyplot", extra="demo")
     colors = need("matplotlib.colors", extra="demo")
     if not 0 <= shade <= 1:
-        raise InvalidHeightsError(f"found shade {shade}, expected 0 … 1")
+        raise InvalidArgumentError(f"found `shade` {shade}, expected 0 … 1")
     level = -1
     while (
         level > -terrain.n_levels
