@@ -12,7 +12,7 @@ from strategies import terrain_like, write_geotiff
 
 from terrainwave.cli import main
 from terrainwave.codec.refiner import Decoded
-from terrainwave.container.spool import SegmentSpool
+from terrainwave.container.spool import SegmentSpool, cannot_write
 from terrainwave.errors import (
     BoundViolationError,
     CorruptStreamError,
@@ -40,6 +40,15 @@ def target(request, tmp_path):
     path.parent.mkdir()
     if request.param == "existing":
         path.write_bytes(OLD)
+    return path
+
+
+@pytest.fixture
+def tiff(target):
+    """Return the same as `target` for a GeoTIFF."""
+    path = target.with_suffix(".tif")
+    if target.exists():
+        target.rename(path)
     return path
 
 
@@ -117,7 +126,7 @@ def test_a_full_disk_while_spooling_levels_leaves_the_target_as_it_was(
         self._file = FullFile(self._file)
 
     monkeypatch.setattr(Spool, "__init__", full)
-    with pytest.raises(StorageError, match=r"--temp-dir"):
+    with pytest.raises(StorageError, match=r"temporary files in .*: the disk is full; .* temp_dir"):
         compress(LARGE, target, overwrite=True, **OPTIONS)
     assert_untouched(target)
 
@@ -125,17 +134,30 @@ def test_a_full_disk_while_spooling_levels_leaves_the_target_as_it_was(
 def test_too_little_free_space_is_noticed_before_work_begins(monkeypatch, target, tmp_path):
     usage = type("Usage", (), {"free": 10})
     monkeypatch.setattr("shutil.disk_usage", lambda _: usage)
-    with pytest.raises(StorageError, match=r"--temp-dir"):
+    with pytest.raises(StorageError, match="temp_dir"):
         compress(HEIGHTS, target, overwrite=True, **OPTIONS)
     assert_untouched(target)
 
 
-def test_a_full_disk_while_decompressing_leaves_the_target_as_it_was(monkeypatch, target, tmp_path):
+def test_a_full_disk_while_decompressing_leaves_the_target_as_it_was(monkeypatch, tiff, tmp_path):
     compress(HEIGHTS, tmp_path / "dem.twz", **OPTIONS)
     monkeypatch.setattr("terrainwave.container.publish.os.fsync", full_disk)
     with pytest.raises(StorageError, match="disk is full"):
-        decompress(tmp_path / "dem.twz", target, overwrite=True, threads=1)
-    assert_untouched(target)
+        decompress(tmp_path / "dem.twz", tiff, overwrite=True, threads=1)
+    assert_untouched(tiff)
+
+
+@pytest.mark.parametrize(
+    "error",
+    [OSError(errno.ENOSPC, "No space left on device"), "TIFFAppend: No space left on device"],
+)
+def test_a_full_disk_is_one_wording_with_the_path(tmp_path, error):
+    message = f"cannot write {tmp_path / 'a.tif'}: the disk is full"
+    assert str(cannot_write(tmp_path / "a.tif", error)) == message
+    assert str(cannot_write(tmp_path, error)) == (
+        f"cannot write temporary files in {tmp_path}: the disk is full"
+    )
+    assert "disk" not in str(cannot_write(tmp_path / "a.tif", "permission denied"))
 
 
 # A source that cannot be read
@@ -203,15 +225,15 @@ def test_an_interrupt_leaves_the_target_as_it_was(
     assert_untouched(target)
 
 
-def test_an_interrupt_while_decompressing_leaves_the_target_as_it_was(target, tmp_path):
+def test_an_interrupt_while_decompressing_leaves_the_target_as_it_was(tiff, tmp_path):
     compress(HEIGHTS, tmp_path / "dem.twz", **OPTIONS)
 
     def interrupt(progress):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        decompress(tmp_path / "dem.twz", target, overwrite=True, threads=1, progress=interrupt)
-    assert_untouched(target)
+        decompress(tmp_path / "dem.twz", tiff, overwrite=True, threads=1, progress=interrupt)
+    assert_untouched(tiff)
 
 
 # Stops for good at the first report of a stage, so that it can be killed there.
@@ -341,11 +363,11 @@ def test_a_damaged_spool_is_noticed(tmp_path, monkeypatch, target, everything_on
 
 
 @pytest.mark.large
-def test_a_damaged_file_leaves_the_target_of_decompress_as_it_was(target, tmp_path):
+def test_a_damaged_file_leaves_the_target_of_decompress_as_it_was(tiff, tmp_path):
     compress(LARGE, tmp_path / "dem.twz", **OPTIONS)
     damaged = bytearray((tmp_path / "dem.twz").read_bytes())
     damaged[-10] ^= 1
     (tmp_path / "bad.twz").write_bytes(damaged)
     with pytest.raises(CorruptStreamError, match="group"):
-        decompress(tmp_path / "bad.twz", target, overwrite=True)
-    assert_untouched(target)
+        decompress(tmp_path / "bad.twz", tiff, overwrite=True)
+    assert_untouched(tiff)

@@ -2,12 +2,44 @@
 
 import math
 import os
+from collections.abc import Sequence
+from pathlib import Path
 
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import DEFAULT_METHOD, EFFORTS, METHODS, STORED_MESHES
 
 # Cells on a side of a block.
 BLOCKS = (32, 64, 128, 256, 512, 1024)
+
+# What the names of files that are written end in, by kind.
+TWZ_ENDINGS = (".twz",)
+GEOTIFF_ENDINGS = (".tif", ".tiff")
+HEIGHT_TILE_ENDINGS = (".r16", ".png")
+PICTURE_ENDINGS = (".png",)
+
+
+def check_ending(path: str | os.PathLike[str], endings: Sequence[str]) -> None:
+    """Refuse a target whose name says that it is something else than what is written.
+
+    Nothing may be replaced by mistake: a raster that was given as the last of several sources, or
+    another program's file.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the name has none of the endings, in capital or small letters.
+    """
+    ending = Path(path).suffix.lower()
+    if ending not in endings:
+        raise InvalidArgumentError(
+            f"{os.fspath(path)}: found {ending or 'no extension'}, expected a name that ends in"
+            f" {one_of(endings)}"
+        )
+
+
+def one_of(words: Sequence[str]) -> str:
+    """Return words as a list to choose from: a, b or c."""
+    return " or ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def checked_error(name: str, error: float | None) -> float | None:
@@ -15,7 +47,7 @@ def checked_error(name: str, error: float | None) -> float | None:
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If it is anything else; the message begins with `name`.
     """
     if error is None:
@@ -25,7 +57,7 @@ def checked_error(name: str, error: float | None) -> float | None:
     except (TypeError, ValueError, OverflowError):  # text, no number, or an int too large
         number = math.nan
     if not (math.isfinite(number) and number >= 0):
-        raise InvalidHeightsError(f"found {name} {error}, expected a finite number >= 0")
+        raise InvalidArgumentError(f"found `{name}` {error}, expected a finite number >= 0")
     return number
 
 
@@ -34,11 +66,11 @@ def checked_method(name: str) -> str:
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If there is no such method.
     """
     if name != "auto" and name not in METHODS:
-        raise InvalidHeightsError(f"found method {name!r}, expected auto, {', '.join(METHODS)}")
+        raise InvalidArgumentError(f"found `method` {name!r}, expected auto, {', '.join(METHODS)}")
     return DEFAULT_METHOD.name if name == "auto" else name
 
 
@@ -47,11 +79,13 @@ def check_effort(effort: str) -> None:
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If it is none.
     """
     if effort not in EFFORTS:
-        raise InvalidHeightsError(f"found effort {effort!r}, expected one of {', '.join(EFFORTS)}")
+        raise InvalidArgumentError(
+            f"found `effort` {effort!r}, expected one of {', '.join(EFFORTS)}"
+        )
 
 
 def checked_mesh(mesh: str, *, or_none: bool) -> str:
@@ -59,12 +93,14 @@ def checked_mesh(mesh: str, *, or_none: bool) -> str:
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If it is no such name.
     """
     known = (*STORED_MESHES, "none") if or_none else STORED_MESHES
     if mesh not in ("auto", *known):
-        raise InvalidHeightsError(f"found mesh {mesh!r}, expected one of auto, {', '.join(known)}")
+        raise InvalidArgumentError(
+            f"found `mesh` {mesh!r}, expected one of auto, {', '.join(known)}"
+        )
     return STORED_MESHES[0] if mesh == "auto" else mesh
 
 
@@ -73,9 +109,9 @@ def checked_threads(threads: int | None) -> int:
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If there are fewer than one.
     """
     if threads is not None and threads < 1:
-        raise InvalidHeightsError(f"found {threads} threads, expected at least 1")
+        raise InvalidArgumentError(f"found {threads} threads, expected at least 1")
     return threads or os.cpu_count() or 1

@@ -2,6 +2,7 @@
 
 TerrainwaveError
 ├── InvalidHeightsError       (also ValueError) input that cannot be encoded as asked
+│   └── InvalidArgumentError  an argument, or two together, cannot be
 ├── CorruptStreamError        the bytes contradict docs/FORMAT.md
 │   └── TruncatedStreamError  the bytes stop too early
 ├── BoundViolationError       a decoded sample is further from the original than promised
@@ -12,13 +13,34 @@ TerrainwaveError
 TerrainwaveWarning            (a UserWarning) something of the input is left out, and what
 """
 
+import re
+from collections.abc import Callable
+
+# How messages write the name of an argument, which the command line calls otherwise.
+_ARGUMENT = re.compile("`([a-z_]+)`")
+
 
 class TerrainwaveError(Exception):
-    """Base class of every error this package raises on purpose."""
+    """Base class of every error this package raises on purpose.
+
+    Where a message names an argument it has it in backquotes: `str` gives the name as Python has
+    it, `message_with` as someone else calls it.
+    """
+
+    def __str__(self) -> str:
+        return self.message_with(str)
+
+    def message_with(self, called: Callable[[str], str]) -> str:
+        """Return the message with each argument's name as `called` writes it."""
+        return _ARGUMENT.sub(lambda found: called(found[1]), super().__str__())
 
 
 class InvalidHeightsError(TerrainwaveError, ValueError):
     """The input or an option cannot be encoded as asked."""
+
+
+class InvalidArgumentError(InvalidHeightsError):
+    """An argument, or two of them together, cannot be; the heights have not been looked at."""
 
 
 class CorruptStreamError(TerrainwaveError):

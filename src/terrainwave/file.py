@@ -16,6 +16,7 @@ from terrainwave.container.header import Header
 from terrainwave.container.reader import Container
 from terrainwave.container.source import open_source
 from terrainwave.errors import (
+    InvalidArgumentError,
     InvalidHeightsError,
     LimitExceededError,
 )
@@ -233,8 +234,8 @@ class TerrainFile:
         """
         index = level + self.n_levels if level < 0 else level
         if not 0 <= index < self.n_levels:
-            raise InvalidHeightsError(
-                f"found level {level}, expected 0 … {self.n_levels - 1}"
+            raise InvalidArgumentError(
+                f"found `level` {level}, expected 0 … {self.n_levels - 1}"
                 f" or -1 (full) … -{self.n_levels}"
             )
         return index
@@ -410,10 +411,10 @@ class TerrainFile:
             If a block is damaged and `on_error` is ``"raise"``; the message names it.
         """
         if on_error not in ("raise", "mask"):
-            raise InvalidHeightsError(f"found on_error {on_error!r}, expected 'raise' or 'mask'")
+            raise InvalidArgumentError(f"found `on_error` {on_error!r}, expected 'raise' or 'mask'")
         if resampling not in RESAMPLING:
-            raise InvalidHeightsError(
-                f"found resampling {resampling!r}, expected one of {', '.join(RESAMPLING)}"
+            raise InvalidArgumentError(
+                f"found `resampling` {resampling!r}, expected one of {', '.join(RESAMPLING)}"
             )
         index = self.level_index(level)
         region = self.region(window, bounds=bounds, level=level)
@@ -471,12 +472,12 @@ class TerrainFile:
         region = self.region(window, level=level)
         if not METHODS[header.method].is_cuttable:
             fit = methods_that(lambda method: method.is_cuttable)
-            raise InvalidHeightsError(
-                f"found quality and a file of method {header.method}, expected one of method {fit}:"
-                " other streams cannot be read in part"
+            raise InvalidArgumentError(
+                f"found `quality` and a file of method {header.method}, expected one of method"
+                f" {fit}: other streams cannot be read in part"
             )
         if not (np.isfinite(quality) and quality > 0):
-            raise InvalidHeightsError(f"found quality {quality}, expected a number > 0")
+            raise InvalidArgumentError(f"found `quality` {quality}, expected a number > 0")
         from terrainwave.read.decoder import units_of
         from terrainwave.read.early import EarlyPayloads
         from terrainwave.read.tiles import TileDecoder
@@ -505,7 +506,7 @@ class TerrainFile:
         whole = Region(0, 0, n_rows, n_cols)
         if bounds is not None:
             if window is not None:
-                raise InvalidHeightsError("found both window and bounds, expected one of them")
+                raise InvalidArgumentError("found both `window` and `bounds`, expected one of them")
             asked = region_of_bounds(bounds, self.transform(index))
         elif window is None:
             asked = whole
@@ -513,9 +514,15 @@ class TerrainFile:
             asked = region_of_window(window)
         region = asked.intersect(whole)
         if region.n_rows <= 0 or region.n_cols <= 0:
-            raise InvalidHeightsError(
-                f"the window (row {asked.row}, column {asked.col}, {asked.n_rows} x {asked.n_cols})"
-                f" does not meet the level's {n_rows} x {n_cols} samples"
+            if bounds is not None:
+                found, own = (_in_words(box) for box in (bounds, self.bounds))
+                raise InvalidArgumentError(
+                    f"the `bounds` {found} do not meet the raster's, {own} (left, bottom, right,"
+                    " top)"
+                )
+            raise InvalidArgumentError(
+                f"the `window` (row {asked.row}, column {asked.col}, {asked.n_rows} x"
+                f" {asked.n_cols}) does not meet the level's {n_rows} x {n_cols} samples"
             )
         return region
 
@@ -561,3 +568,7 @@ class TerrainFile:
                 f"the window holds {shape[0]} x {shape[1]} samples, {n_bytes:,} bytes; more than"
                 f" max_bytes = {max_bytes:,}: read a smaller window or a coarser level"
             )
+
+
+def _in_words(box: Sequence[float]) -> str:
+    return ", ".join(f"{float(value):.10g}" for value in box)

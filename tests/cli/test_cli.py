@@ -10,51 +10,22 @@ import time
 import numpy as np
 import pytest
 import rasterio
-from click.testing import CliRunner
+from commands import one_line, run, start
 from rasterio.transform import Affine
 from strategies import read_geotiff, terrain_like, write_geotiff
 
 import terrainwave
 from terrainwave.cli import main
 from terrainwave.cli import output as cli_output
-from terrainwave.cli.output import Bar, plain
-from terrainwave.errors import CorruptStreamError, StorageError
+from terrainwave.cli.output import Bar, count_of, plain
+from terrainwave.cli.signals import Terminated, ending_by_signals
+from terrainwave.errors import CorruptStreamError, InvalidArgumentError, StorageError
 from terrainwave.mesh.level_errors import level_errors
 from terrainwave.progress import Progress
 
 HOSTILE = "<script>alert(1)</script>\x1b]8;;http://x\x07[link=http://x]z[/link]\u202e\nnext"
 
-
-def run(*args):
-    """Run a command in this process; errors must have become a line and a status."""
-    result = CliRunner().invoke(main, [str(arg) for arg in args], prog_name="terrainwave")
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
-
-
-def start(*args, **options):
-    """Start a command in a process of its own."""
-    program = "import sys; from terrainwave.cli import main; main(prog_name='terrainwave')"
-    return subprocess.Popen(
-        [sys.executable, "-c", program, *map(str, args)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        encoding="utf-8",
-        env=os.environ
-        | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "PYTHONIOENCODING": "utf-8"},
-        **options,
-    )
-
-
-def one_line(result, status):
-    """Return the one line of stderr of a failed command."""
-    assert result.exit_code == status, result.output
-    assert result.stdout == ""
-    lines = result.stderr.splitlines()
-    assert len(lines) == 1, lines
-    assert lines[0].startswith("terrainwave")
-    return lines[0]
+TARGETS = {"compress": "out.twz", "decompress": "out.tif"}
 
 
 @pytest.fixture
@@ -302,19 +273,42 @@ def test_verify_without_an_original_finds_a_damaged_block(twz):
     assert "problem: " in done.stdout
 
 
+@pytest.mark.parametrize("with_original", [True, False])
+def test_verify_says_how_many_heights_it_compared(dem, twz, with_original):
+    done = run("verify", twz, *[dem] * with_original)
+    assert done.exit_code == 0
+    said = "20,960 heights compared" if with_original else "no heights compared: give the ORIGINAL"
+    assert done.stdout.startswith(said)
+    assert done.stderr == ""
+
+
+def test_verify_notes_that_it_compared_nothing(tmp_path):
+    path = write_geotiff(tmp_path / "a.tif", np.zeros((9, 9), "int16"), nodata=0)
+    assert run("compress", path, tmp_path / "a.twz", "--method", "store").exit_code == 0
+    done = run("verify", tmp_path / "a.twz", path)
+    assert done.exit_code == 0
+    assert done.stdout.startswith("0 heights compared: ")
+    assert done.stderr == "note: no height was compared: there is none that is valid in both\n"
+
+
+def test_one_is_not_several():
+    counts = count_of(1, "block"), count_of(2000, "block"), count_of(0, "unit")
+    assert counts == ("1 block", "2,000 blocks", "0 units")
+
+
 # --- mistakes ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("command", ["compress", "decompress", "info", "verify"])
 def test_missing_file_is_one_line(tmp_path, command):
-    target = [tmp_path / "out"] if command in ("compress", "decompress") else []
+    target = [tmp_path / TARGETS[command]] if command in TARGETS else []
     line = one_line(run(command, tmp_path / "nowhere", *target), 1)
     assert "nowhere" in line
 
 
 @pytest.mark.parametrize("command", ["compress", "decompress", "info", "verify"])
 def test_directory_is_one_line(tmp_path, command):
-    target = [tmp_path / "out"] if command in ("compress", "decompress") else []
+    target = [tmp_path / TARGETS[command]] if command in TARGETS else []
     assert str(tmp_path) in one_line(run(command, tmp_path, *target), 1)
 
 
@@ -369,25 +363,25 @@ def test_existing_target_is_refused(dem, twz):
 def test_a_target_that_is_the_source_is_refused(tmp_path, dem, twz, command, by_link):
     source = dem if command == "compress" else twz
     before = source.read_bytes()
-    target = source
-    if by_link:
-        target = tmp_path / "link"
-        os.link(source, target)
+    target = tmp_path / TARGETS[command]
+    (os.symlink if by_link else os.link)(source, target)
     assert "expected another name" in one_line(run(command, source, target, "--overwrite"), 1)
     assert source.read_bytes() == before
 
 
 def test_an_open_dataset_is_not_replaced_by_its_compressed_self(dem):
     before = dem.read_bytes()
-    with rasterio.open(dem) as dataset, pytest.raises(StorageError, match="another name"):
-        terrainwave.compress(dataset, dem, max_error=5, overwrite=True)
+    link = dem.with_suffix(".twz")
+    link.symlink_to(dem)
+    with rasterio.open(dem) as dataset, pytest.raises(StorageError, match="file to be read"):
+        terrainwave.compress(dataset, link, max_error=5, overwrite=True)
     assert dem.read_bytes() == before
 
 
 @pytest.mark.parametrize("command", ["compress", "decompress"])
 def test_target_in_a_missing_directory_is_one_line(tmp_path, dem, twz, command):
     source = dem if command == "compress" else twz
-    line = one_line(run(command, source, tmp_path / "no" / "such" / "file"), 1)
+    line = one_line(run(command, source, tmp_path / "no" / "such" / TARGETS[command]), 1)
     assert "no directory" in line
 
 
@@ -429,9 +423,14 @@ def test_wrong_window_is_wrong_usage(tmp_path, twz, option, value):
 @pytest.mark.parametrize(
     ("option", "value", "expected"),
     [
-        ("--level", "99", "found level 99, expected 0 …"),
+        ("--level", "99", "found --level 99, expected 0 …"),
         ("--window", "500,0,1,1", "does not meet the level's"),
-        ("--bounds", "1e6,1e6,2e6,2e6", "does not meet the level's"),
+        (
+            "--bounds",
+            "1e6,1e6,2e6,2e6",
+            "the --bounds 1000000, 1000000, 2000000, 2000000 do not meet the raster's,"
+            " 400000, 3995500, 404200, 4000000 (left, bottom, right, top)",
+        ),
     ],
 )
 def test_part_that_is_not_there_is_wrong_usage(tmp_path, twz, option, value, expected):
@@ -441,9 +440,42 @@ def test_part_that_is_not_there_is_wrong_usage(tmp_path, twz, option, value, exp
 
 
 def test_a_nodata_value_of_400_digits_is_one_line(tmp_path, dem):
-    line = one_line(run("compress", dem, tmp_path / "b.twz", "--nodata", "9" * 400), 1)
+    line = one_line(run("compress", dem, tmp_path / "b.twz", "--nodata", "9" * 400), 2)
     assert "outside int16" in line
     assert len(line) < 200
+
+
+@pytest.mark.parametrize(
+    ("command", "options", "message"),
+    [
+        ("compress", "--border-rings 3 --method cdf53", "found --border-rings 3 and --method"),
+        ("decompress", "--bounds 2,2,1,1", "found --bounds (2.0, 2.0, 1.0, 1.0), expected left"),
+        ("decompress", "--quality 1", "found --quality and a file of method store"),
+        ("mesh", "--max-error 0.1", "found --max-error 0.1, expected at least 1"),
+        ("mesh", "--level 99", "found --level 99"),
+        ("mesh", "--solid 1e6", "found --solid 1e+06"),
+        ("mesh", "--frame native --radius 5", "found --radius 5, but"),
+        ("verify", "--band 2", "--band 2 does not exist"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_wrong_usage_in_words_of_the_command_line(
+    tmp_path, dem, twz, command, options, message
+):
+    target = tmp_path / TARGETS.get(command, "x.ply")
+    places = {"compress": [dem, target], "verify": [twz, dem]}.get(command, [twz, target])
+    line = one_line(run(command, *places, *options.split()), 2)
+    assert message in line
+    assert f"(see terrainwave {command} --help)" in line
+    assert "`" not in line
+    assert sorted(os.listdir(tmp_path)) == ["dem.tif", "dem.twz"]
+
+
+def test_functions_speak_of_arguments(twz):
+    with terrainwave.open(twz) as terrain:
+        with pytest.raises(InvalidArgumentError, match=r"^found level 99, expected"):
+            terrain.read(level=99)
+        with pytest.raises(InvalidArgumentError, match=r"^the bounds 1, 1, 2, 2 do not meet"):
+            terrain.read(bounds=(1, 1, 2, 2))
 
 
 @pytest.mark.parametrize("scale", [np.nan, np.inf, 0.0, 1e-305])
@@ -455,8 +487,8 @@ def test_a_scale_that_gives_no_heights_is_one_line(tmp_path, scale):
 
 
 def test_band_that_is_not_there_is_one_line(tmp_path, dem):
-    line = one_line(run("compress", dem, tmp_path / "a.twz", "--band", 4), 1)
-    assert "band 4 does not exist, the file has 1 band" in line
+    line = one_line(run("compress", dem, tmp_path / "a.twz", "--band", 4), 2)
+    assert "--band 4 does not exist, the file has 1 band" in line
 
 
 def test_missing_argument_is_wrong_usage():
@@ -495,7 +527,7 @@ def test_a_full_disk_under_stdout_is_one_line(twz, option):
             env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
             timeout=60,
         )
-    assert done.stderr == "terrainwave: No space left on device\n"
+    assert done.stderr == "terrainwave: cannot write stdout: the disk is full\n"
     assert done.returncode == 1
 
 
@@ -517,21 +549,45 @@ def one_line_of_interruption(result):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no signal to send to one process only")
-def test_ctrl_c_leaves_the_target_and_nothing_else(tmp_path):
+@pytest.mark.parametrize(
+    ("name", "status", "word"),
+    [("SIGINT", 130, "interrupted"), ("SIGTERM", 143, "terminated"), ("SIGHUP", 129, "terminated")],
+)
+def test_a_signal_leaves_the_target_and_nothing_else(tmp_path, name, status, word):
     rng = np.random.default_rng(0)
     source = write_geotiff(tmp_path / "a.tif", rng.integers(0, 9999, (1500, 1500)).astype("int16"))
     target = tmp_path / "a.twz"
     target.write_bytes(b"mine")
-    process = start("compress", source, target, "--overwrite", "--max-error", 1)
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    process = start(
+        "compress", source, target, "--overwrite", "--max-error", 1, "--temp-dir", temporary
+    )
     deadline = time.monotonic() + 120
-    while len(os.listdir(tmp_path)) < 3 and time.monotonic() < deadline:
+    while not os.listdir(temporary) and time.monotonic() < deadline:
         time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(getattr(signal, name))
     _, stderr = process.communicate(timeout=300)
-    assert process.returncode == 130, stderr
-    assert stderr.splitlines()[-1] == "terrainwave: interrupted; the target is untouched"
+    assert process.returncode == status, stderr
+    assert stderr.splitlines()[-1] == f"terrainwave: {word}; the target is untouched"
     assert target.read_bytes() == b"mine"
-    assert sorted(os.listdir(tmp_path)) == ["a.tif", "a.twz"]
+    assert sorted(os.listdir(tmp_path)) == ["a.tif", "a.twz", "temporary"]
+    assert os.listdir(temporary) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such signals")
+def test_signals_that_are_ignored_stay_so_and_a_second_one_does_not_stop_the_clearing_up():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with ending_by_signals():
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+            with pytest.raises(Terminated) as ended:
+                signal.raise_signal(signal.SIGTERM)
+            assert ended.value.status == 143
+            signal.raise_signal(signal.SIGTERM)
+        assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_lack_of_memory_is_one_line(tmp_path, dem, monkeypatch):
@@ -667,6 +723,26 @@ def test_demo_checks_and_draws(tmp_path):
     assert (tmp_path / "demo" / "demo.png").read_bytes()[:4] == b"\x89PNG"
     # Again, over its own files.
     assert run("demo", tmp_path / "demo", "--quiet").output == ""
+
+
+@pytest.mark.parametrize("had_run", [False, True])
+@pytest.mark.parametrize("failure", [StorageError("the disk is full"), KeyboardInterrupt()])
+def test_a_demo_that_fails_leaves_nothing(tmp_path, monkeypatch, had_run, failure):
+    def failing(*_, **__):
+        raise failure
+
+    directory = tmp_path / "new" / "demo"
+    if had_run:
+        directory.mkdir(parents=True)
+        (directory / "demo.png").write_bytes(b"of an earlier run")
+    monkeypatch.setattr(terrainwave, "compress", failing, raising=False)
+    result = run("demo", directory)
+    assert result.exit_code == (1 if isinstance(failure, StorageError) else 130)
+    if had_run:
+        assert os.listdir(directory) == ["demo.png"]
+        assert (directory / "demo.png").read_bytes() == b"of an earlier run"
+    else:
+        assert os.listdir(tmp_path) == []
 
 
 def test_warmup_compresses_and_reads_back():

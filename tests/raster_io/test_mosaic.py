@@ -238,8 +238,10 @@ def test_no_source_is_wrong_usage():
 
 def test_target_that_is_one_of_the_sources_is_refused(four_tiles):
     _, paths = four_tiles
+    link = paths[2].with_suffix(".twz")
+    link.symlink_to(paths[2])
     with pytest.raises(StorageError, match="is the file to be read"):
-        terrainwave.compress(paths, paths[2], max_error=1, overwrite=True)
+        terrainwave.compress(paths, link, max_error=1, overwrite=True)
 
 
 def write_vrt(path, parts, nodata):

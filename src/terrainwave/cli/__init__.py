@@ -1,7 +1,8 @@
 """The command line: each command parses, calls the library and prints.
 
-Exit status: 0 good; 1 any failure, one line on stderr; 2 wrong usage; 130 interrupted. Numba and
-rasterio are imported inside the commands, so that --help answers at once.
+Exit status: 0 good; 1 any failure, one line on stderr; 2 wrong usage; 130 interrupted (Ctrl-C),
+143 terminated (SIGTERM), 129 hung up (SIGHUP). Numba and rasterio are imported inside the commands,
+so that --help answers at once.
 """
 
 from terrainwave.cli import pictures, serving, tiles

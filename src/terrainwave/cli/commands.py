@@ -5,33 +5,57 @@ import math
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import click
 
 from terrainwave._version import __version__
+from terrainwave.arguments import (
+    GEOTIFF_ENDINGS,
+    HEIGHT_TILE_ENDINGS,
+    TWZ_ENDINGS,
+    check_ending,
+)
+from terrainwave.cli.batch import (
+    Done,
+    Job,
+    Work,
+    find_original,
+    finish,
+    made,
+    plan,
+    refuse_options_of_batches,
+    run,
+)
 from terrainwave.cli.options import (
     BlockSide,
     Bound,
+    Directory,
     Finite,
+    Input,
+    NamedInput,
     Nodata,
     Numbers,
     Positive,
+    Target,
     TileSize,
 )
 from terrainwave.cli.output import (
     Bar,
     Commands,
     announce_compiling,
+    count_of,
     plain,
     print_grid,
     print_note,
     print_table,
     reading,
 )
+from terrainwave.cli.streams import printing_beside, written
 from terrainwave.names import DEFAULT_METHOD, EFFORTS, METHODS, STORED_MESHES, Method, methods_that
+from terrainwave.progress import ProgressCallback
 
 THREADS = click.IntRange(min=1)
 METHOD = click.Choice(["auto", *METHODS])
@@ -58,9 +82,23 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
+def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of commands that take many files at once."""
+    for option in (
+        click.option("--skip-existing", is_flag=True, help="With --to: leave out what is there."),
+        click.option(
+            "--to",
+            type=Directory(),
+            metavar="DIR",
+            help="Write a file for each SOURCE to this directory; go on past those that fail.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
 @main.command()
-@click.argument("sources", nargs=-1, required=True, metavar="SOURCE...")
-@click.argument("target", type=click.Path())
+@click.argument("paths", nargs=-1, metavar="SOURCE... TARGET")
 @click.option(
     "--max-error",
     type=Bound(),
@@ -93,10 +131,12 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
     " heights' vertical step if that is more.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+@_batched
 @_writing
 def compress(
-    sources: tuple[str, ...],
-    target: str,
+    paths: tuple[str, ...],
+    to: str | None,
+    skip_existing: bool,
     border_rings: str,
     scheduler: str | None,
     no_verify: bool,
@@ -109,32 +149,103 @@ def compress(
     """Compress the raster SOURCE to the file TARGET (.twz).
 
     Several SOURCEs are a mosaic: rasters of one CRS and grid. It is void where none of them is;
-    where they overlap, the last counts.
+    where they overlap, the last counts. A SOURCE or TARGET that is - is stdin or stdout.
+    With --to DIR there is no TARGET: each SOURCE becomes a file of its own in DIR.
     """
     import terrainwave
 
+    refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
     method = METHODS.get(options["method"], DEFAULT_METHOD)
     _check_goals(method, options)
     if scheduler is not None and not method.is_clusterable:
         raise click.UsageError(
             f"found --scheduler and --method {method.name}, expected one of them"
         )
+    options |= {
+        "border_rings": int(border_rings),
+        "mesh": "none" if no_mesh else mesh,
+        "verify": not no_verify,
+    }
+    if to is not None:
+        if scheduler is not None:
+            raise click.UsageError("found --scheduler and --to, expected one of them")
+
+        def compress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+            result = terrainwave.compress(
+                job.source, str(job.target), progress=progress, **options | {"threads": threads}
+            )
+            return Done(_result_line(result), asdict(result))
+
+        _run_to(
+            paths, to, ".twz", compress_one, "compressed",
+            skips_existing=skip_existing, threads=options["threads"], as_json=as_json, quiet=quiet,
+        )  # fmt: skip
+        return
+    sources, target = _sources_and_target(paths)
     announce_compiling(quiet=quiet)
-    with _cluster(scheduler) as client, Bar(quiet=quiet) as bar:
+    with (
+        _cluster(scheduler) as client,
+        Bar(quiet=quiet) as bar,
+        written(target, ".twz") as path,
+    ):
         result = terrainwave.compress(
             sources,
-            target,
-            border_rings=int(border_rings),
-            mesh="none" if no_mesh else mesh,
-            verify=not no_verify,
+            path,
             client=client,
             progress=bar,
             **options,
         )
+    result = replace(result, path=target)
+    with printing_beside(target):
+        if as_json:
+            print_json(asdict(result))
+        elif not quiet:
+            _print_result(result)
+
+
+def _run_to(
+    sources: tuple[str, ...],
+    directory: str,
+    ending: str,
+    work: Work,
+    word: str,
+    *,
+    skips_existing: bool,
+    threads: int | None,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    """Make a file of each source in a directory, and end with the status of all."""
+    if not sources:
+        raise click.UsageError("Missing argument 'SOURCE'.")
+    jobs = plan(sources, directory, ending)
+    announce_compiling(quiet=quiet)
+    with made(directory):
+        found, status = run(
+            jobs, work, word=word, threads=threads, quiet=quiet or as_json,
+            skips_existing=skips_existing,
+        )  # fmt: skip
     if as_json:
-        print_json(asdict(result))
-    elif not quiet:
-        _print_result(result)
+        print_json({"files": found})
+    finish(status)
+
+
+def _sources_and_target(paths: tuple[str, ...]) -> tuple[list[str], str]:
+    """Return what `compress` reads and what it writes, by their order."""
+    if len(paths) < 2:
+        missing = "TARGET" if paths else "SOURCE"
+        raise click.UsageError(f"Missing argument '{missing}'.")
+    ctx = click.get_current_context()
+    target = paths[-1]
+    try:
+        # Not only a slip: with `*.tif` the last raster stands where the target does.
+        target = Target(TWZ_ENDINGS).convert(target, None, ctx)
+    except click.BadParameter as error:
+        raise click.UsageError(
+            f"TARGET is the last name: {error.message}; to compress each raster to a file of its"
+            " own add --to DIR"
+        ) from error
+    return [Input().convert(path, None, ctx) for path in paths[:-1]], target
 
 
 def _check_goals(method: Method, options: dict[str, Any]) -> None:
@@ -156,12 +267,16 @@ def _cluster(scheduler: str | None) -> AbstractContextManager[Any]:
     return connected(scheduler)
 
 
-def _print_result(result: Any) -> None:
-    measured = "not checked" if result.measured_error is None else f"{result.measured_error:.6g}"
-    click.echo(
+def _result_line(result: Any) -> str:
+    return (
         f"{plain(result.path)}: {result.n_bytes:,} bytes, {result.bits_per_sample:.4g} bits/sample,"
         f" {result.ratio:.4g} times smaller than raw"
     )
+
+
+def _print_result(result: Any) -> None:
+    measured = "not checked" if result.measured_error is None else f"{result.measured_error:.6g}"
+    click.echo(_result_line(result))
     click.echo(
         f"max error asked {result.max_error:.6g}, guaranteed {result.effective_error:.6g},"
         f" measured {measured} {_unit(result.units)}"
@@ -171,8 +286,8 @@ def _print_result(result: Any) -> None:
 
 
 @main.command()
-@click.argument("file", type=click.Path())
-@click.argument("new")
+@click.argument("file", type=NamedInput())
+@click.argument("new", type=Input())
 @click.option("--nodata", type=Nodata(), help="Replaces the new raster's own nodata value.")
 @click.option("--band", type=click.IntRange(min=1), default=1, show_default=True)
 @click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
@@ -190,8 +305,8 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
         print_json(asdict(result))
     elif not quiet:
         click.echo(
-            f"{plain(result.path)}: {result.n_recoded:,} units coded again, {result.n_copied:,}"
-            f" copied, {result.n_bytes:,} bytes"
+            f"{plain(result.path)}: {count_of(result.n_recoded, 'unit')} coded again,"
+            f" {result.n_copied:,} copied, {result.n_bytes:,} bytes"
         )
         click.echo(
             f"max error guaranteed {result.effective_error:.6g}, measured"
@@ -200,8 +315,7 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
 
 
 @main.command()
-@click.argument("source")
-@click.argument("target", type=click.Path())
+@click.argument("paths", nargs=-1, metavar="SOURCE TARGET")
 @click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part to write.")
 @click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
 @click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
@@ -217,36 +331,63 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
     help="Samples on a side of a height tile, 2^n + 1: the window is resampled to that square."
     " Default: the largest that is not larger than the window; window writes its own samples.",
 )
+@_batched
 @_writing
-def decompress(source: str, target: str, quiet: bool, **options: Any) -> None:
-    """Write the file SOURCE (.twz) to the GeoTIFF TARGET.
+def decompress(
+    paths: tuple[str, ...], to: str | None, skip_existing: bool, quiet: bool, **options: Any
+) -> None:
+    """Write the file SOURCE (.twz) to the GeoTIFF TARGET (.tif), or to stdout if that is -.
 
     A TARGET ending in .r16 or .png becomes a 16-bit height tile for game engines instead, with a
-    .json beside it that tells its scale and place.
+    .json beside it that tells its scale and place. With --to DIR there is no TARGET: each SOURCE
+    becomes a GeoTIFF in DIR.
     """
     import terrainwave
 
-    is_tile = Path(target).suffix.lower() in (".r16", ".png")
+    refuse_options_of_batches(to, skip_existing=skip_existing, overwrite=options["overwrite"])
+    if options["window"] and options["bounds"]:
+        raise click.UsageError("found both --window and --bounds, expected one of them")
+    if to is not None:
+
+        def decompress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+            with reading(job.source):
+                path = terrainwave.decompress(
+                    job.source, str(job.target), progress=progress, **options | {"threads": threads}
+                )
+            return Done(f"{plain(path)}: {Path(path).stat().st_size:,} bytes")
+
+        _run_to(
+            paths, to, ".tif", decompress_one, "decompressed",
+            skips_existing=skip_existing, threads=options["threads"], as_json=False, quiet=quiet,
+        )  # fmt: skip
+        return
+    if len(paths) != 2:
+        if len(paths) < 2:
+            raise click.UsageError(f"Missing argument '{'TARGET' if paths else 'SOURCE'}'.")
+        raise click.UsageError(
+            f"found {len(paths)} names, expected SOURCE and TARGET; to make a GeoTIFF of each add"
+            " --to DIR"
+        )
+    ctx = click.get_current_context()
+    target = Target((*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS)).convert(paths[1], None, ctx)
+    source = Input().convert(paths[0], None, ctx)
+    is_tile = Path(target).suffix.lower() in HEIGHT_TILE_ENDINGS
     if options["size"] and not is_tile:
         raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
     if options["cog"] and is_tile:
         raise click.UsageError(f"{target}: a height tile cannot be a COG, expected no --cog")
-    if options["window"] and options["bounds"]:
-        raise click.UsageError("found both --window and --bounds, expected one of them")
     announce_compiling(quiet=quiet)
-    try:
-        with reading(source), Bar(quiet=quiet) as bar:
-            path = terrainwave.decompress(source, target, progress=bar, **options)
-    except terrainwave.InvalidHeightsError as error:
-        # The file has no such level, or nothing in that window.
-        raise click.UsageError(str(error)) from error
+    with reading(source), Bar(quiet=quiet) as bar, written(target, ".tif") as path:
+        terrainwave.decompress(source, path, progress=bar, **options)
+        n_bytes = Path(path).stat().st_size
     if not quiet:
-        click.echo(f"{plain(path)}: {Path(path).stat().st_size:,} bytes")
+        with printing_beside(target):
+            click.echo(f"{plain(target)}: {n_bytes:,} bytes")
 
 
 @main.command()
-@click.argument("file")
-@click.argument("target", type=click.Path())
+@click.argument("file", type=Input())
+@click.argument("target")
 @click.option(
     "--max-error",
     type=Bound(),
@@ -281,7 +422,9 @@ def decompress(source: str, target: str, quiet: bool, **options: Any) -> None:
 )
 @click.option("--mesh", "kind", type=MESH, help="With --store: triangulation.")
 @click.option("--mesh-error", type=Bound(), help="With --store: as for compress.")
-@click.option("--original", help="With --store: the raster, to measure errors against.")
+@click.option(
+    "--original", type=Input(), help="With --store: the raster, to measure errors against."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @_writing
 @click.pass_context
@@ -322,6 +465,7 @@ def _store_meshes(
         raise click.UsageError(
             f"found --mesh none with --store, expected one of auto, {', '.join(STORED_MESHES)}"
         )
+    check_ending(target, TWZ_ENDINGS)
     announce_compiling(quiet=quiet)
     with reading(file), Bar(quiet=quiet) as bar:
         path = terrainwave.store_meshes(file, target, mesh=kind or "auto", progress=bar, **options)
@@ -349,15 +493,11 @@ def _export_mesh(
 ) -> None:
     import terrainwave
     from terrainwave.container.publish import refuse_own_source
-    from terrainwave.export.files import EXTENSIONS, prepare
+    from terrainwave.export.files import check_extension, prepare
 
     if options["window"] and options["bounds"]:
         raise click.UsageError("found both --window and --bounds, expected one of them")
-    extension = Path(target).suffix.lower()
-    if extension not in EXTENSIONS:
-        raise click.UsageError(
-            f"{target}: found {extension or 'no extension'}, expected {', '.join(EXTENSIONS)}"
-        )
+    extension = check_extension(target)
     if extension == ".terrain" and (frame or z_scale != 1 or solid is not None):
         raise click.UsageError(
             "a .terrain tile has a frame of its own: expected no --frame, --z-scale, --solid"
@@ -417,7 +557,8 @@ _ROUNDING_SLACK = 1.25
 
 def _print_saved(saved: Any) -> None:
     click.echo(
-        f"{plain(saved.path)}: {saved.n_triangles:,} triangles, {saved.n_vertices:,} vertices,"
+        f"{plain(saved.path)}: {count_of(saved.n_triangles, 'triangle')},"
+        f" {saved.n_vertices:,} vertices,"
         f" {saved.n_bytes:,} bytes"
     )
     click.echo(f"guaranteed error {saved.error:.6g} {_unit(saved.units)}, frame {saved.frame}")
@@ -429,7 +570,7 @@ def _print_saved(saved: Any) -> None:
 
 
 @main.command()
-@click.argument("file")
+@click.argument("file", type=Input())
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option(
     "--errors",
@@ -496,8 +637,13 @@ def _unit(units: str | None) -> str:
 
 
 @main.command()
-@click.argument("file")
-@click.argument("original", required=False)
+@click.argument("paths", nargs=-1, metavar="FILE [ORIGINAL]")
+@click.option(
+    "--originals",
+    type=click.Path(file_okay=False, exists=True),
+    metavar="DIR",
+    help="Where the rasters of several FILEs are, with the same names.",
+)
 @click.option("--max-error", type=Bound(), help="Hold the file to this bound instead of its own.")
 @click.option("--band", type=click.IntRange(min=1), default=1, help="Band of ORIGINAL.")
 @click.option("--nodata", type=Nodata(), help="The nodata value that was given to compress.")
@@ -505,10 +651,30 @@ def _unit(units: str | None) -> str:
 @click.option("--threads", type=THREADS, help="Threads; all processors by default.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing; the exit status tells.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
-def verify(file: str, original: str | None, quiet: bool, as_json: bool, **options: Any) -> None:
-    """Compare FILE (.twz) with its ORIGINAL raster; without that, check all of FILE."""
+def verify(
+    paths: tuple[str, ...], originals: str | None, quiet: bool, as_json: bool, **options: Any
+) -> None:
+    """Compare FILE (.twz) with its ORIGINAL raster; without that, check all of FILE.
+
+    Several FILEs, all of them .twz, are checked one by one; with --originals DIR each is compared
+    with the raster of its name in DIR.
+    """
     import terrainwave
 
+    if not paths:
+        raise click.UsageError("Missing argument 'FILE'.")
+    are_files = all(Path(path).suffix.lower() in TWZ_ENDINGS for path in paths)
+    if originals is not None or (are_files and len(paths) > 1):
+        _verify_all(paths, originals, quiet=quiet, as_json=as_json, **options)
+        return
+    if len(paths) > 2:
+        raise click.UsageError(
+            f"found {len(paths)} names that are not all .twz, expected FILE and ORIGINAL, or"
+            " files and --originals DIR"
+        )
+    ctx = click.get_current_context()
+    file, *rest = (Input().convert(path, None, ctx) for path in paths)
+    original = rest[0] if rest else None
     announce_compiling(quiet=quiet)
     with reading(file), Bar(quiet=quiet) as bar:
         report = terrainwave.verify(file, original, progress=bar, **options)
@@ -520,15 +686,53 @@ def verify(file: str, original: str | None, quiet: bool, as_json: bool, **option
         sys.exit(1)
 
 
+def _verify_all(
+    files: tuple[str, ...],
+    originals: str | None,
+    *,
+    threads: int | None,
+    quiet: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    import terrainwave
+
+    def verify_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
+        original = None if originals is None else find_original(job.source, originals)
+        with reading(job.source):
+            report = terrainwave.verify(
+                job.source, original, threads=threads, progress=progress, **options
+            )
+        found = "ok" if report.ok else f"not ok, {plain('; '.join(report.problems))}"
+        if report.errors is not None:
+            found += f", {count_of(report.errors.n_valid, 'height')} compared"
+            if not report.errors.n_valid:
+                print_note(f"{job.source}: no height was compared: none is valid in both")
+        return Done(f"{plain(job.source)}: {found}", report.to_dict(), is_good=report.ok)
+
+    announce_compiling(quiet=quiet)
+    found, status = run(
+        [Job(file) for file in dict.fromkeys(files)], verify_one, word="ok", threads=threads,
+        quiet=quiet or as_json,
+    )  # fmt: skip
+    if as_json:
+        print_json({"files": found})
+    finish(status)
+
+
 def _print_report(report: Any) -> None:
     for problem in report.problems:
         click.echo(f"problem: {plain(problem)}")
     if report.errors is not None:
         errors = report.errors
         click.echo(
-            f"{errors.n_valid:,} heights compared: max error {errors.max_error:.6g}"
+            f"{count_of(errors.n_valid, 'height')} compared: max error {errors.max_error:.6g}"
             f" (bound {report.bound:.6g}), RMSE {errors.rmse:.6g}"
         )
+    if report.errors is not None and not report.errors.n_valid:
+        print_note("no height was compared: there is none that is valid in both")
+    if report.original is None:
+        click.echo("no heights compared: give the ORIGINAL raster for that")
     if report.mesh is not None:
         _print_meshes(report.mesh)
     click.echo("ok" if report.ok else "not ok")
@@ -560,7 +764,7 @@ def warmup() -> None:
 
 
 @main.command()
-@click.argument("directory", type=click.Path(file_okay=False), default="terrainwave-demo")
+@click.argument("directory", type=Directory(), default="terrainwave-demo")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors.")
 def demo(directory: str, quiet: bool) -> None:
     """Compress a real elevation model at four bounds, check each, draw a picture; in DIRECTORY."""

@@ -2,14 +2,16 @@
 
 import os
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import terrainwave
-from terrainwave.errors import BoundViolationError, StorageError
+from terrainwave.container.publish import scratch_directory
+from terrainwave.container.spool import storage_errors
+from terrainwave.errors import BoundViolationError
 from terrainwave.extras import need
 from terrainwave.names import PLAIN_METHOD
 from terrainwave.progress import ProgressCallback
@@ -54,7 +56,7 @@ def run_demo(
     """Compress matplotlib's elevation model of the Jacksboro fault at each of `BOUNDS`.
 
     Writes ``jacksboro.tif``, a .twz per bound and ``demo.png`` to `directory`, replacing those of
-    an earlier run.
+    an earlier run; a run that fails leaves nothing.
 
     Raises
     ------
@@ -66,20 +68,34 @@ def run_demo(
         If matplotlib is missing.
     """
     folder = Path(directory)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StorageError(f"cannot make the directory {folder}: {error.strerror}") from error
     heights, info = _load_heights()
+    with scratch_directory(_existing(folder), folder.name) as scratch:
+        new = scratch / "new"
+        new.mkdir()
+        result = _fill(new, heights, info, progress)
+        with storage_errors(f"cannot write {folder}"):
+            folder.mkdir(parents=True, exist_ok=True)
+            for path in new.iterdir():
+                os.replace(path, folder / path.name)
+    return replace(result, picture=os.fspath(folder / Path(result.picture).name))
+
+
+def _existing(folder: Path) -> Path:
+    """Return the folder, or the nearest one above that is there: of the same file system."""
+    return next(path for path in (folder, *folder.absolute().parents) if path.exists())
+
+
+def _fill(
+    folder: Path, heights: np.ndarray, info: RasterInfo, progress: ProgressCallback | None
+) -> DemoResult:
+    """Write the demo's files to an empty folder."""
     original = folder / "jacksboro.tif"
-    with RasterSink(original, info, overwrite=True) as sink:
+    with RasterSink(original, info) as sink:
         sink.write(0, 0, heights, np.ones(heights.shape, dtype=bool))
     files, errors, decoded = {}, {}, heights
     for bound in BOUNDS:
         path = folder / f"jacksboro_{bound:g}m.twz"
-        files[bound] = terrainwave.compress(
-            original, path, max_error=bound, overwrite=True, progress=progress
-        )
+        files[bound] = terrainwave.compress(original, path, max_error=bound, progress=progress)
         report = terrainwave.verify(path, original)
         if not report.ok or report.errors is None:
             raise BoundViolationError(f"{path}: {'; '.join(report.problems)}")
@@ -154,10 +170,8 @@ def _draw(heights: np.ndarray, decoded: np.ndarray, info: RasterInfo, picture: P
     for axis in axes:
         axis.set_xticks([])
         axis.set_yticks([])
-    try:
+    with storage_errors(f"cannot write {picture}"):
         figure.savefig(picture)
-    except OSError as error_:
-        raise StorageError(f"cannot write {picture}: {error_.strerror}") from error_
 
 
 def _ramp() -> Any:

@@ -1,13 +1,79 @@
 """Types of option values; a wrong value is one line: what was found, what was expected."""
 
 import math
+import os
+from collections.abc import Sequence
 from typing import Any
 
 import click
 
-from terrainwave.arguments import BLOCKS
+from terrainwave.arguments import BLOCKS, check_ending
+from terrainwave.cli.streams import STREAM, read_stream
+from terrainwave.errors import InvalidArgumentError
 
 TILE_SIZES = tuple(2**n + 1 for n in range(1, 15))
+
+
+class Target(click.ParamType):
+    """A file to write, by a name with one of the endings; - is stdout where that is allowed."""
+
+    name = "path"
+
+    def __init__(self, endings: Sequence[str], *, or_stdout: bool = True) -> None:
+        self._endings = endings
+        self._or_stdout = or_stdout
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """Return the name."""
+        path = os.fspath(value)
+        if path == STREAM and self._or_stdout:
+            return path
+        try:
+            check_ending(path, self._endings)
+        except InvalidArgumentError as error:
+            self.fail(f"{error}{', or - for stdout' * self._or_stdout}", param, ctx)
+        return path
+
+
+class Directory(click.ParamType):
+    """A directory to write; the name of an archive or of a stream is none."""
+
+    name = "directory"
+    archives = (".mbtiles", ".pmtiles", ".tar", ".zip")
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """Return the name."""
+        path = os.fspath(value)
+        ending = os.path.splitext(path)[1].lower()
+        if path == STREAM or ending in self.archives or os.path.isfile(path):
+            found = {STREAM: "a stream"}.get(path, f"a file ({ending})" if ending else "a file")
+            self.fail(f"{path}: found {found}, expected a directory", param, ctx)
+        return path
+
+
+class Input(click.ParamType):
+    """A file to read; - is stdin, which becomes a temporary file for as long as the command runs.
+
+    Readers jump to and fro, which a stream cannot.
+    """
+
+    name = "path"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """Return the path of what holds the bytes."""
+        if value != STREAM or ctx is None or ctx.resilient_parsing:
+            return os.fspath(value)
+        return read_stream(ctx)
+
+
+class NamedInput(Input):
+    """A file to read that needs its own name or place: no stream."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> str:
+        """Return the path."""
+        if value == STREAM:
+            self.fail("found -, expected the name of a file: this is not for streams", param, ctx)
+        return os.fspath(value)
 
 
 class Finite(click.ParamType):

@@ -16,7 +16,13 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from terrainwave.errors import CorruptStreamError, TerrainwaveError, TerrainwaveWarning
+from terrainwave.cli.signals import INTERRUPTED, Terminated, ending_by_signals
+from terrainwave.errors import (
+    CorruptStreamError,
+    InvalidArgumentError,
+    TerrainwaveError,
+    TerrainwaveWarning,
+)
 
 if TYPE_CHECKING:
     from terrainwave.progress import Progress
@@ -26,6 +32,11 @@ def plain(text: object) -> str:
     """Return `text` on one line, without control, format (bidi) and unassigned characters."""
     words = " ".join(str(text).split())
     return "".join(char for char in words if not unicodedata.category(char).startswith("C"))
+
+
+def count_of(number: int, noun: str) -> str:
+    """Return a number with its noun: 1 block, 2,000 blocks."""
+    return f"{number:,} {noun}{'s' * (number != 1)}"
 
 
 def print_error(message: object) -> None:
@@ -79,8 +90,35 @@ def warnings_as_notes() -> Iterator[None]:
         yield
 
 
+def _option(argument: str) -> str:
+    """Return what the command line calls an argument of a function."""
+    names = {"src": "SOURCE", "dst": "TARGET", "client": "--scheduler"}
+    return names.get(argument, f"--{argument}".replace("_", "-"))
+
+
+def message_of(error: TerrainwaveError) -> str:
+    """Return the message of an error, in words of the command line."""
+    return plain(error.message_with(_option))
+
+
+class Command(click.Command):
+    """A command: an argument that cannot be is wrong usage, wherever that is found out."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command."""
+        try:
+            return super().invoke(ctx)
+        except InvalidArgumentError as error:
+            raise click.UsageError(message_of(error), ctx) from error
+        except click.UsageError as error:
+            error.ctx = error.ctx or ctx
+            raise
+
+
 class Commands(click.Group):
     """A click group whose errors are one line each and which sets the exit status."""
+
+    command_class = Command
 
     def main(self, *args: Any, standalone_mode: bool = True, **kwargs: Any) -> Any:
         """Run a command; never returns in standalone mode."""
@@ -88,7 +126,7 @@ class Commands(click.Group):
         if not standalone_mode:
             return run(*args, standalone_mode=False, **kwargs)
         try:
-            with warnings_as_notes():
+            with ending_by_signals(), warnings_as_notes():
                 status = run(*args, standalone_mode=False, **kwargs)
             sys.exit(status if isinstance(status, int) else 0)
         except click.exceptions.NoArgsIsHelpError as error:
@@ -100,17 +138,22 @@ class Commands(click.Group):
                 f"{command}: {plain(error.format_message())} (see {command} --help)", err=True
             )
             sys.exit(2)
-        except click.Abort:
-            # click turns Ctrl-C into Abort.
+        except click.Abort as error:
+            # click turns Ctrl-C, and what is raised for other signals, into Abort.
+            if isinstance(error.__cause__, Terminated):
+                print_error("terminated; the target is untouched")
+                sys.exit(error.__cause__.status)
             print_error("interrupted; the target is untouched")
-            sys.exit(130)
+            sys.exit(INTERRUPTED)
         except TerrainwaveError as error:
-            print_error(error)
+            print_error(message_of(error))
             sys.exit(1)
         except OSError as error:  # of stdout: the library's are TerrainwaveErrors
+            from terrainwave.container.spool import cannot_write
+
             _discard_stdout()
             if not isinstance(error, BrokenPipeError):  # head has seen enough
-                print_error(error.strerror or error)
+                print_error(cannot_write("stdout", error))
             sys.exit(1)
         except MemoryError:
             print_error("out of memory; try --threads 1, a smaller --block or a smaller --window")
@@ -161,6 +204,13 @@ class Bar:
             sample_bytes=progress.n_bytes_in / progress.done if progress.done else 0.0,
         )
 
+    def echo(self, line: str) -> None:
+        """Print a line on stdout, above the bar where both are on the same terminal."""
+        if self._bar is not None and sys.stdout.isatty():
+            self._bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+        else:
+            click.echo(line)
+
     def __enter__(self) -> Self:
         if self._bar is not None:
             self._bar.start()
@@ -198,6 +248,7 @@ def _rich_bar() -> Any:
         TextColumn("{task.fields[ratio]}", markup=False),
         TimeRemainingColumn(),
         console=Console(stderr=True),
+        redirect_stdout=False,
         transient=True,
     )
 

@@ -10,9 +10,18 @@ from typing import Any
 
 import click
 
+from terrainwave.arguments import PICTURE_ENDINGS
 from terrainwave.cli.commands import main
-from terrainwave.cli.options import Numbers
-from terrainwave.cli.output import Bar, announce_compiling, plain, print_note, reading
+from terrainwave.cli.options import Input, Numbers, Target
+from terrainwave.cli.output import (
+    Bar,
+    announce_compiling,
+    count_of,
+    plain,
+    print_note,
+    reading,
+)
+from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.render.modes import MODES
 
 COLORINGS = click.Choice(["ground", "ramp", "level", "error", "plain", "flat"])
@@ -102,15 +111,19 @@ def _style(options: dict[str, Any]) -> Any:
 
 
 @main.command()
-@click.argument("file")
-@click.argument("target", type=click.Path())
+@click.argument("file", type=Input())
+@click.argument("target", type=Target(PICTURE_ENDINGS))
 @_drawing
 @click.option(
     "--bounds", type=Numbers("left,bottom,right,top", float), help="Show this, in the CRS."
 )
 @click.option("--samples", type=click.IntRange(0, 16), default=4, show_default=True,
               help="Per pixel, against jagged edges.")  # fmt: skip
-@click.option("--stats", type=click.Path(), help="Write what was drawn to this JSON file.")
+@click.option(
+    "--stats",
+    type=Target((".json",), or_stdout=False),
+    help="Write what was drawn to this JSON file.",
+)
 @click.option("--flight", type=click.File("r", encoding="utf-8"),
               help="JSON list of cameras to fly along: TARGET gets numbers.")  # fmt: skip
 @click.option("--frames", "n_frames", type=click.IntRange(1), default=60, show_default=True)
@@ -131,16 +144,18 @@ def render(
     quiet: bool,
     **options: Any,
 ) -> None:
-    """Draw FILE (.twz) to the picture TARGET (PNG), without a screen."""
+    """Draw FILE (.twz) to the picture TARGET (.png; - is stdout), without a screen."""
     import terrainwave
     from terrainwave.render.offscreen import Offscreen
     from terrainwave.render.pictures import choose_camera, fly_through, read_flight
 
+    if flight is not None and target == STREAM:
+        raise click.UsageError("found - as TARGET and --flight, expected a name: there are several")
     announce_compiling(quiet=quiet)
     if not quiet:
         _announce_preparation(options)
     started = time.perf_counter()
-    written: list[dict[str, Any]] = []
+    all_drawn: list[dict[str, Any]] = []
     with ExitStack() as stack:
         stack.enter_context(reading(file))
         terrain = stack.enter_context(terrainwave.open(file))
@@ -159,20 +174,29 @@ def render(
         names = _names(target, 1 if flight is None else n_frames, flight is not None)
         pictures = fly_through(scene, cameras, n_frames, style, max_pixel_error)
         for name, (image, drawn) in zip(names, pictures, strict=True):
-            _write_png(name, image, overwrite)
-            written.append(drawn)
+            with written(name, ".png") as path:
+                _write_png(path, image, overwrite)
+            all_drawn.append(drawn)
     if stats is not None:
-        _write(stats, json.dumps(written if flight else written[0], indent=2).encode(), overwrite)
-    last = written[-1]
+        _write(
+            stats, json.dumps(all_drawn if flight else all_drawn[0], indent=2).encode(), overwrite
+        )
+    last = all_drawn[-1]
     for problem in last["problems"]:
         print_note(f"drawn coarser: {problem}")
     if not quiet:
         seconds = time.perf_counter() - started
-        click.echo(
-            f"{plain(names[-1])}: {last['n_triangles']:,} triangles of {last['n_blocks']} blocks"
-            f" within {last['max_pixel_error']:.3g} pixels, {seconds:.1f} s on {last['renderer']}"
-        )
-        click.echo(f"--camera {last['camera']}")
+        with printing_beside(target):
+            _print_picture(names[-1], last, seconds)
+
+
+def _print_picture(name: str, drawn: dict[str, Any], seconds: float) -> None:
+    click.echo(
+        f"{plain(name)}: {count_of(drawn['n_triangles'], 'triangle')} of"
+        f" {count_of(drawn['n_blocks'], 'block')} within {drawn['max_pixel_error']:.3g} pixels,"
+        f" {seconds:.1f} s on {drawn['renderer']}"
+    )
+    click.echo(f"--camera {drawn['camera']}")
 
 
 def _names(target: str, n_frames: int, is_numbered: bool) -> list[str]:
@@ -181,7 +205,7 @@ def _names(target: str, n_frames: int, is_numbered: bool) -> list[str]:
     path = Path(target)
     digits = max(4, len(str(n_frames)))
     return [
-        str(path.with_name(f"{path.stem}-{number:0{digits}}{path.suffix or '.png'}"))
+        str(path.with_name(f"{path.stem}-{number:0{digits}}{path.suffix}"))
         for number in range(n_frames)
     ]
 
@@ -200,7 +224,7 @@ def _write(target: str, data: bytes, overwrite: bool) -> None:
 
 
 @main.command()
-@click.argument("file")
+@click.argument("file", type=Input())
 @_drawing
 @click.option("--target-ms", type=POSITIVE, help="Raise the pixel error where a frame is slower.")
 @click.option("--fullscreen", is_flag=True)

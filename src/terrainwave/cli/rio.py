@@ -7,7 +7,7 @@ import click
 
 from terrainwave._version import __version__
 from terrainwave.cli.commands import main
-from terrainwave.cli.output import plain, warnings_as_notes
+from terrainwave.cli.output import message_of, warnings_as_notes
 from terrainwave.errors import TerrainwaveError
 
 _COMMANDS = ("compress", "decompress", "info", "verify", "mesh")
@@ -23,7 +23,7 @@ class _Plugin(click.Group):
             with env, warnings_as_notes():
                 return super().invoke(ctx)
         except TerrainwaveError as error:
-            raise click.ClickException(plain(error)) from error
+            raise click.ClickException(message_of(error)) from error
 
 
 @click.group(cls=_Plugin, commands={name: main.commands[name] for name in _COMMANDS})

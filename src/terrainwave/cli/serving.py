@@ -6,13 +6,14 @@ import webbrowser
 import click
 
 from terrainwave.cli.commands import main
-from terrainwave.cli.output import announce_compiling, print_note
+from terrainwave.cli.options import NamedInput
+from terrainwave.cli.output import announce_compiling, count_of, print_note
 from terrainwave.errors import StorageError
 from terrainwave.extras import need
 
 
 @main.command()
-@click.argument("files", nargs=-1, required=True)
+@click.argument("files", nargs=-1, required=True, type=NamedInput())
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True,
               help="0 takes a free one.")  # fmt: skip
@@ -49,7 +50,7 @@ def serve(
     listener = _listen(host, port)
     address = f"http://{_in_url(host)}:{listener.getsockname()[1]}/"
     if not quiet:
-        click.echo(f"{len(files)} terrain{'s' * (len(files) > 1)} at {address}  (Ctrl-C ends)")
+        click.echo(f"{count_of(len(files), 'terrain')} at {address}  (Ctrl-C ends)")
     if host in ("0.0.0.0", "::") and not hosts:
         print_note("asked by other names than localhost it refuses: name them with --allow-host")
     if opens:

@@ -7,13 +7,13 @@ from typing import Any
 import click
 
 from terrainwave.cli.commands import THREADS, main, print_json
-from terrainwave.cli.options import Finite, Positive
-from terrainwave.cli.output import Bar, announce_compiling, plain, print_grid, reading
+from terrainwave.cli.options import Directory, Finite, Input, Positive
+from terrainwave.cli.output import Bar, announce_compiling, count_of, plain, print_grid, reading
 
 
 @main.command()
-@click.argument("file")
-@click.argument("directory", type=click.Path(file_okay=False))
+@click.argument("file", type=Input())
+@click.argument("directory", type=Directory())
 @click.option(
     "--max-zoom",
     type=click.IntRange(min=0),
@@ -65,7 +65,8 @@ def _print_zooms(directory: str, summaries: Any) -> None:
     ]  # fmt: skip
     print_grid(header, rows)
     click.echo(
-        f"{plain(directory)}: {sum(zoom.n_tiles for zoom in summaries):,} tiles; errors in m"
+        f"{plain(directory)}: {count_of(sum(zoom.n_tiles for zoom in summaries), 'tile')};"
+        " errors in m"
     )
 
 

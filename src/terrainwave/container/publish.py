@@ -252,10 +252,7 @@ def _check_directory(final: Path, marker: str, overwrite: bool) -> None:
                 " directory"
             )
     if not overwrite:
-        raise StorageError(
-            f"{final} already exists and is left as it is;"
-            " --overwrite or overwrite=True replaces it"
-        )
+        raise StorageError(f"{final} already exists and is left as it is; `overwrite` replaces it")
 
 
 def _leftovers(directory: Path, name: str, suffix: str) -> Iterator[Path]:
@@ -284,10 +281,7 @@ def _check_target(final: Path, overwrite: bool) -> None:
     if not stat.S_ISREG(mode):
         raise StorageError(f"cannot write {final}: it is not a regular file")
     if not overwrite:
-        raise StorageError(
-            f"{final} already exists and is left as it is;"
-            " --overwrite or overwrite=True replaces it"
-        )
+        raise StorageError(f"{final} already exists and is left as it is; `overwrite` replaces it")
 
 
 def remove_stale_parts(final: Path) -> list[Path]:

@@ -18,18 +18,45 @@ _KEPT = 4 * 1024  # after `finish`: many segments wait at the same time
 
 
 @contextmanager
-def storage_errors(action: str) -> Iterator[None]:
-    """Turn an `OSError` into a `StorageError` of one clear line that begins with `action`."""
+def storage_errors(action: str, *, advice: str = "") -> Iterator[None]:
+    """Turn an `OSError` into a `StorageError` of one clear line that begins with `action`.
+
+    `advice` is what it ends with if the disk is full.
+    """
     try:
         yield
     except OSError as error:
         if isinstance(error, TerrainwaveError):
             raise
-        if error.errno in _DISK_FULL:
-            raise StorageError(f"{action}: the disk is full") from error
-        raise StorageError(f"{action}: {error.strerror or error}") from error
+        raise _storage_error(action, error, advice) from error
 
 
+def cannot_write(
+    path: str | os.PathLike[str], error: BaseException | str, *, advice: str = ""
+) -> StorageError:
+    """Return the error of a file, or of temporary files in a directory, that cannot be written.
+
+    `error` is the system's, or a library's own words for one.
+    """
+    what = f"temporary files in {path}" if os.path.isdir(path) else os.fspath(path)
+    return _storage_error(f"cannot write {what}", error, advice)
+
+
+def _storage_error(action: str, error: BaseException | str, advice: str) -> StorageError:
+    if _is_disk_full(error):
+        return StorageError(f"{action}: the disk is full{advice}")
+    reason = getattr(error, "strerror", None) or error
+    return StorageError(f"{action}: {reason}")
+
+
+def _is_disk_full(error: BaseException | str) -> bool:
+    if isinstance(error, OSError) and error.errno in _DISK_FULL:
+        return True
+    return os.strerror(errno.ENOSPC).lower() in str(error).lower()
+
+
+# Where they are large, on another disk than the file itself.
+TEMPORARY_ADVICE = "; free space there, or name another directory with `temp_dir`"
 _DISK_FULL = {errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)}
 
 
@@ -180,7 +207,8 @@ class SegmentSpool:
             yield data
 
     def _spill(self) -> None:
-        with storage_errors(f"cannot write a temporary file in {self._directory}"):
+        action = f"cannot write temporary files in {self._directory}"
+        with storage_errors(action, advice=TEMPORARY_ADVICE):
             if self._path is None:
                 handle, self._path = tempfile.mkstemp(".twz-spool", "segment-", self._directory)
                 os.close(handle)

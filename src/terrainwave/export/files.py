@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
+from terrainwave.arguments import check_ending
 from terrainwave.container.publish import check_target, publish, scratch
 from terrainwave.container.spool import storage_errors
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.export.frames import areas, find_place, metres_per_unit, steepest, to_frame
 from terrainwave.export.mesh import Mesh
 from terrainwave.export.solid import solidify
@@ -159,8 +160,8 @@ def file_rounding(
 
 def _refuse_frame(frame: str | None, z_scale: float, solid: float | None) -> None:
     if frame is not None or z_scale != 1 or solid is not None:
-        raise InvalidHeightsError(
-            "a .terrain tile has a frame of its own: found --frame, --z-scale or --solid"
+        raise InvalidArgumentError(
+            "a .terrain tile has a frame of its own: expected no `frame`, `z_scale` or `solid`"
         )
 
 
@@ -191,16 +192,11 @@ def check_extension(path: str | os.PathLike[str]) -> str:
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If no format has it.
     """
-    extension = Path(path).suffix.lower()
-    if extension not in EXTENSIONS:
-        given = extension or "no extension"
-        raise InvalidHeightsError(
-            f"{os.fspath(path)}: found {given}, expected one of {', '.join(EXTENSIONS)}"
-        )
-    return extension
+    check_ending(path, EXTENSIONS)
+    return Path(path).suffix.lower()
 
 
 def prepare(path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
@@ -264,7 +260,7 @@ def _rounding(
         if (areas(replace(framed, vertices=written)) > 0).sum() < (areas(framed) > 0).sum():
             raise InvalidHeightsError(
                 "the format's float32 cannot hold the small triangles of a mesh this wide;"
-                " expected .ply, .obj or .vtu, or smaller --bounds"
+                " expected .ply, .obj or .vtu, or smaller `bounds`"
             )
         slope_x, slope_y = steepest(framed)
         rounding = float(moved[2] + slope_x * moved[0] + slope_y * moved[1])

@@ -9,7 +9,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
+from terrainwave.errors import (
+    InvalidArgumentError,
+    InvalidHeightsError,
+    TerrainwaveWarning,
+)
 from terrainwave.export.mesh import Mesh
 from terrainwave.extras import need
 
@@ -121,7 +125,7 @@ def place_of(
         If `radius` is not positive, or is given for coordinates that are not geographic.
     """
     if radius is not None and not (math.isfinite(radius) and radius > 0):
-        raise InvalidHeightsError(f"found radius {radius}, expected metres > 0")
+        raise InvalidArgumentError(f"found `radius` {radius}, expected metres > 0")
     crs = _parsed(crs_text)
     if crs is None:
         place = _guess(bounds, is_placed, radius)
@@ -132,8 +136,8 @@ def place_of(
         place = Place(False, _metres_of_crs(crs), ellipsoid_of(crs), crs)
     if radius is not None:
         if not place.is_geographic:
-            raise InvalidHeightsError(
-                f"found radius {radius:g}, but the coordinates are not degrees: it has no use"
+            raise InvalidArgumentError(
+                f"found `radius` {radius:g}, but the coordinates are not degrees: it has no use"
             )
         place = replace(place, ellipsoid=Ellipsoid(float(radius), 0.0))
     return place
@@ -253,9 +257,9 @@ def to_frame(
         If an option is out of range or the frame cannot be had.
     """
     if frame is not None and frame not in FRAMES:
-        raise InvalidHeightsError(f"found frame {frame!r}, expected one of {', '.join(FRAMES)}")
+        raise InvalidArgumentError(f"found `frame` {frame!r}, expected one of {', '.join(FRAMES)}")
     if not (math.isfinite(z_scale) and z_scale > 0):
-        raise InvalidHeightsError(f"found z-scale {z_scale}, expected a number > 0")
+        raise InvalidArgumentError(f"found `z_scale` {z_scale}, expected a number > 0")
     if not mesh.n_triangles:
         raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
     if frame == "native" and radius is None:
@@ -288,9 +292,9 @@ def _local(mesh: Mesh, place: Place, z_scale: float) -> Mesh:
         per_x = math.radians(place.unit) * normal * math.cos(math.radians(latitude))
         per_y = math.radians(place.unit) * meridian
         if abs(latitude) > 89.99:
-            raise InvalidHeightsError(
+            raise InvalidArgumentError(
                 f"the middle of the mesh is at latitude {latitude:g}, where degrees of longitude"
-                " have no length; expected --frame ecef or native"
+                " have no length; expected `frame` ecef or native"
             )
     else:
         per_x = per_y = place.unit

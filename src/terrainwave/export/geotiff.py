@@ -6,9 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from terrainwave.arguments import GEOTIFF_ENDINGS, HEIGHT_TILE_ENDINGS, check_ending, one_of
 from terrainwave.container.publish import refuse_own_source
-from terrainwave.errors import InvalidHeightsError
-from terrainwave.export.height_tiles import EXTENSIONS as TILE_EXTENSIONS
+from terrainwave.errors import InvalidArgumentError
 from terrainwave.export.height_tiles import write_height_tile
 from terrainwave.file import TerrainFile
 from terrainwave.progress import ProgressCallback, Reporter
@@ -39,9 +39,9 @@ def decompress(
     src : path, URL, bytes or binary file object
         The .twz file.
     dst : path
-        The file to make. It appears complete or not at all. A name ending in ``.r16`` or ``.png``
-        makes a 16-bit height tile for game engines, with a ``.json`` beside it that tells scale
-        and place; any other name a GeoTIFF.
+        The file to make. It appears complete or not at all. A name ending in ``.tif`` or
+        ``.tiff`` makes a GeoTIFF; ``.r16`` or ``.png`` a 16-bit height tile for game engines, with
+        a ``.json`` beside it that tells scale and place. No other name is taken.
     window, bounds, level
         Part and resolution to write, as in `Terrain.read`. A level is samples at positions.
     cog : bool
@@ -67,15 +67,16 @@ def decompress(
         If `dst` cannot be written or is `src`; it is untouched.
     """
     reporter = Reporter(progress)
-    is_tile = Path(dst).suffix.lower() in TILE_EXTENSIONS
+    check_ending(dst, (*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS))
+    is_tile = Path(dst).suffix.lower() in HEIGHT_TILE_ENDINGS
     if is_tile and cog:
-        raise InvalidHeightsError(f"{os.fspath(dst)}: a height tile cannot be a COG")
+        raise InvalidArgumentError(f"{os.fspath(dst)}: a height tile cannot be a COG")
     if is_tile and quality is not None:
-        raise InvalidHeightsError(f"{os.fspath(dst)}: a height tile cannot be read in part")
+        raise InvalidArgumentError(f"{os.fspath(dst)}: a height tile cannot be read in part")
     if size is not None and not is_tile:
-        raise InvalidHeightsError(
-            f"{os.fspath(dst)}: a size is for height tiles, expected a name ending in"
-            f" {' or '.join(TILE_EXTENSIONS)}"
+        raise InvalidArgumentError(
+            f"{os.fspath(dst)}: `size` is for height tiles, expected a name ending in"
+            f" {one_of(HEIGHT_TILE_ENDINGS)}"
         )
     refuse_own_source(src, dst)
     with TerrainFile(src, threads=threads) as terrain:

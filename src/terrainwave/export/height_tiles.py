@@ -17,8 +17,11 @@ from numpy.typing import NDArray
 
 from terrainwave._version import __version__
 from terrainwave.container.publish import publish
-from terrainwave.container.spool import storage_errors
-from terrainwave.errors import InvalidHeightsError, LimitExceededError, StorageError
+from terrainwave.container.spool import cannot_write, storage_errors
+from terrainwave.errors import (
+    InvalidArgumentError,
+    LimitExceededError,
+)
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import IDENTITY, bounds
 from terrainwave.grid.quadtree import Region
@@ -26,7 +29,6 @@ from terrainwave.progress import Reporter
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 from terrainwave.read.resample import bilinear_sums, weighted_means
 
-EXTENSIONS = (".r16", ".png")
 MAX_SIZE = 16385
 _MAX_SAMPLES = MAX_SIZE**2
 _HIGHEST = 65535
@@ -104,8 +106,9 @@ def write_height_tile(
 def _tile_shape(region: Region, size: int | str | None) -> tuple[int, int]:
     shorter = min(region.shape)
     if shorter < 2:
-        raise InvalidHeightsError(
-            f"found a window of {region.n_rows} x {region.n_cols} samples, expected at least 2 x 2"
+        raise InvalidArgumentError(
+            f"found a `window` of {region.n_rows} x {region.n_cols} samples, expected at least"
+            " 2 x 2"
         )
     if size == "window":
         if region.n_rows * region.n_cols > _MAX_SAMPLES:
@@ -118,8 +121,8 @@ def _tile_shape(region: Region, size: int | str | None) -> tuple[int, int]:
         power = 1 << (max(shorter - 1, 2).bit_length() - 1)
         size = min(power + 1, MAX_SIZE)
     if isinstance(size, str) or not is_tile_size(size):
-        raise InvalidHeightsError(
-            f"found size {size}, expected 2^n + 1 from 3 to {MAX_SIZE} (such as 1025) or window"
+        raise InvalidArgumentError(
+            f"found `size` {size}, expected 2^n + 1 from 3 to {MAX_SIZE} (such as 1025) or window"
         )
     return size, size
 
@@ -229,4 +232,4 @@ def _png(samples: NDArray[np.uint16], path: Path) -> bytes:
                 dataset.write(samples, 1)
             return bytes(memory.read())
     except GDAL_ERRORS as error:
-        raise StorageError(f"cannot write {path}: {one_line(error)}") from error
+        raise cannot_write(path, one_line(error)) from error

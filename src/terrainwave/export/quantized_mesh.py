@@ -81,7 +81,7 @@ def on_globe(mesh: Mesh, *, radius: float | None = None) -> GeographicMesh:
     if not (areas(moved) > 0).all():
         raise InvalidHeightsError(
             "in longitude and latitude some triangles turn over; a mesh across the date line or a"
-            " pole cannot be one tile: expected smaller --bounds"
+            " pole cannot be one tile: expected smaller `bounds`"
         )
     return GeographicMesh(moved, EARTH if is_earth else place.ellipsoid)
 

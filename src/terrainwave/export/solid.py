@@ -5,7 +5,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import (
+    InvalidArgumentError,
+    InvalidHeightsError,
+)
 from terrainwave.export.mesh import Mesh
 
 # How far a vertex that joins two corners is moved into each of them, as a share of the way to the
@@ -43,8 +46,8 @@ def solidify(mesh: Mesh, base: float) -> Mesh:
         raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
     lowest = float(mesh.points[mesh.triangles.ravel(), 2].min())
     if not base < lowest:
-        raise InvalidHeightsError(
-            f"found --solid {base:g}, expected less than the mesh's lowest height {lowest:g}"
+        raise InvalidArgumentError(
+            f"found `solid` {base:g}, expected less than the mesh's lowest height {lowest:g}"
         )
     vertices, triangles = _used_only(mesh.vertices, mesh.triangles)
     vertices, triangles, moved = _split_joints(vertices, triangles)

@@ -23,7 +23,10 @@ from numpy.typing import NDArray
 from terrainwave.arguments import checked_threads
 from terrainwave.container.publish import publish_directory
 from terrainwave.container.spool import storage_errors
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import (
+    InvalidArgumentError,
+    InvalidHeightsError,
+)
 from terrainwave.export.quantized_mesh import STEPS, tile_bytes
 from terrainwave.extras import need
 from terrainwave.globe.lonlat import Extent, Globe, Window
@@ -157,9 +160,11 @@ class TilePyramid:
         max_zoom: int | None = None,
     ) -> None:
         if cells < 2 or cells > 1024 or cells & (cells - 1):
-            raise InvalidHeightsError(f"found {cells} cells, expected a power of two, 2 … 1024")
+            raise InvalidArgumentError(f"found `cells` {cells}, expected a power of two, 2 … 1024")
         if not math.isfinite(void_height):
-            raise InvalidHeightsError(f"found void_height {void_height}, expected a finite number")
+            raise InvalidArgumentError(
+                f"found `void_height` {void_height}, expected a finite number"
+            )
         self.globe = terrain if isinstance(terrain, Globe) else Globe(terrain, radius=radius)
         self._cells, self._asked = cells, max_zoom
         low, high = self.globe.height_range
@@ -187,8 +192,8 @@ class TilePyramid:
         """Return the finest zoom there is."""
         finest = self._finest
         if self._asked is not None and not 0 <= self._asked <= finest:
-            raise InvalidHeightsError(
-                f"found max_zoom {self._asked}, expected 0 … {finest}: cells of the last are no"
+            raise InvalidArgumentError(
+                f"found `max_zoom` {self._asked}, expected 0 … {finest}: cells of the last are no"
                 " larger than pixels"
             )
         return finest if self._asked is None else self._asked

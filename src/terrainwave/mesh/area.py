@@ -18,7 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.container.codes import decode_error
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import (
+    InvalidArgumentError,
+    InvalidHeightsError,
+)
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import (
     IDENTITY,
@@ -114,16 +117,16 @@ def mesh_area(
     index = terrain.level_index(level)
     region = terrain.region(window, bounds=bounds, level=level)
     if min(region.shape) < 2:
-        raise InvalidHeightsError(
+        raise InvalidArgumentError(
             f"found an area of {region.n_rows} x {region.n_cols} samples, expected at least"
             " 2 x 2: a mesh lies between samples"
         )
     if max_triangles is not None and max_triangles < 1:
-        raise InvalidHeightsError(f"found max_triangles {max_triangles}, expected at least 1")
+        raise InvalidArgumentError(f"found `max_triangles` {max_triangles}, expected at least 1")
     if max_error is not None and not (np.isfinite(max_error) and max_error >= 0):
-        raise InvalidHeightsError(f"found max_error {max_error}, expected a number >= 0")
+        raise InvalidArgumentError(f"found `max_error` {max_error}, expected a number >= 0")
     if optimise < 0:
-        raise InvalidHeightsError(f"found optimise {optimise}, expected 0 or more sweeps")
+        raise InvalidArgumentError(f"found `optimise` {optimise}, expected 0 or more sweeps")
     area = _Area(region, index, int(optimise))
     with ThreadPoolExecutor(terrain.n_threads, thread_name_prefix="terrainwave") as executor:
         extractor = _Extractor(terrain, area, executor)
@@ -401,8 +404,8 @@ class _Extractor:
         smallest = self._smallest_error()
         # What the file states of itself, as float64, is enough.
         if max_error < float(smallest * self._quantum) * (1 - _ROUNDING):
-            raise InvalidHeightsError(
-                f"found max_error {max_error:g}, expected at least"
+            raise InvalidArgumentError(
+                f"found `max_error` {max_error:g}, expected at least"
                 f" {float(smallest * self._quantum):g}: the heights of this level are no nearer to"
                 " the originals"
             )
@@ -412,9 +415,9 @@ class _Extractor:
         level = self._area.level
         if not self._has_meshes:
             if level < self._grid.k_max:
-                raise InvalidHeightsError(
+                raise InvalidArgumentError(
                     "the file stores no meshes of coarse levels: add them with terrainwave mesh"
-                    " --store, or give a max_error"
+                    " --store, or give a `max_error`"
                 )
             return self._mesh_within(self._coded + max(self._coded, Fraction(1)))
         cut = {block: self._stored_piece(block) for block in self._blocks(level)}
@@ -465,8 +468,8 @@ class _Extractor:
             high = min(high, self._asked(max_error))
         best = self._mesh_within(high)
         if best.n_triangles > max_triangles:
-            raise InvalidHeightsError(
-                f"found max_triangles {max_triangles}, expected at least {best.n_triangles}: the"
+            raise InvalidArgumentError(
+                f"found `max_triangles` {max_triangles}, expected at least {best.n_triangles}: the"
                 f" mesh with an error of {float(high * self._quantum):g} has as many"
             )
         low = self._smallest_error()

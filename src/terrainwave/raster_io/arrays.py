@@ -8,6 +8,7 @@ import numpy as np
 from rasterio.crs import CRS
 
 from terrainwave.errors import (
+    InvalidArgumentError,
     InvalidHeightsError,
 )
 from terrainwave.grid.affine import IDENTITY
@@ -78,8 +79,8 @@ def open_data_array(array: Any, band: int) -> ArrayBackend:
     """
     if len(array.dims) == 3 and str(array.dims[0]) == "band":
         if not 1 <= band <= array.shape[0]:
-            raise InvalidHeightsError(
-                f"band {band} does not exist, the DataArray has {array.shape[0]}"
+            raise InvalidArgumentError(
+                f"`band` {band} does not exist, the DataArray has {array.shape[0]}"
             )
         array = array[band - 1]
     if len(array.dims) != 2:

@@ -1,5 +1,6 @@
 """A band of anything that rasterio opens."""
 
+import os
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,8 +14,10 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
 from rasterio.windows import Window
 
 from terrainwave.errors import (
+    InvalidArgumentError,
     InvalidHeightsError,
     StorageError,
+    TerrainwaveError,
 )
 from terrainwave.raster_io.crs import format_crs
 from terrainwave.raster_io.gdal import (
@@ -59,6 +62,23 @@ def open_dataset(path: str) -> Any:
     return dataset
 
 
+def refuse_raster(target: str | os.PathLike[str]) -> None:
+    """Raise `StorageError` if a file that is to be replaced by a .twz is a raster, by any name.
+
+    It may be the only copy of what took years to measure.
+    """
+    if not os.path.exists(target):
+        return
+    try:
+        open_dataset(os.path.realpath(target)).close()
+    except TerrainwaveError:  # a .twz, or nothing that GDAL knows
+        return
+    raise StorageError(
+        f"{os.fspath(target)} is a raster and is never replaced; expected another name for the"
+        " result"
+    )
+
+
 def _is_twz(path: Path) -> bool:
     """Tell a terrainwave file by its first bytes; by its name if it cannot be read."""
     try:
@@ -90,8 +110,8 @@ class DatasetBackend:
         self.name = str(dataset.name)
         if not 1 <= band <= dataset.count:
             bands = "1 band" if dataset.count == 1 else f"{dataset.count} bands"
-            raise InvalidHeightsError(
-                f"{self.name}: band {band} does not exist, the file has {bands}"
+            raise InvalidArgumentError(
+                f"{self.name}: `band` {band} does not exist, the file has {bands}"
             )
         self.n_rows, self.n_cols = int(dataset.height), int(dataset.width)
         self.dtype = np.dtype(dataset.dtypes[band - 1])

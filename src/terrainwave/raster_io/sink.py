@@ -19,6 +19,7 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from terrainwave.container.publish import publish, scratch
+from terrainwave.container.spool import cannot_write
 from terrainwave.errors import (
     CorruptStreamError,
     StorageError,
@@ -231,10 +232,10 @@ class RasterSink:
             except GDAL_ERRORS:
                 is_complete = False
         if not is_complete:
-            raise StorageError(f"cannot write {self._path}: it is incomplete; is the disk full?")
+            raise StorageError(f"cannot write {self._path}: the disk is full")
 
     def _cannot_write(self, error: BaseException) -> StorageError:
-        return StorageError(f"cannot write {self._path}: {one_line(error)}")
+        return cannot_write(self._path, one_line(error))
 
     def _remove_overviews(self) -> None:
         """Remove what GDAL makes beside a COG while it computes overviews."""

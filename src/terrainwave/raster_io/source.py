@@ -11,6 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from terrainwave.errors import (
+    InvalidArgumentError,
     InvalidHeightsError,
     TerrainwaveWarning,
 )
@@ -125,7 +126,7 @@ class RasterSource:
         if override is not None:
             nodata, problem = fit_nodata(override, dtype)
             if problem:
-                raise InvalidHeightsError(f"{problem}: choose another --nodata")
+                raise InvalidArgumentError(f"{problem}: choose another `nodata`")
         elif backend.nodata is not None:
             nodata, problem = fit_nodata(backend.nodata, dtype)
             if problem:
@@ -194,7 +195,7 @@ class RasterSource:
             value = heights[at_row, at_col]
             raise InvalidHeightsError(
                 f"{self.name}: the height at row {row + at_row}, column {col + at_col} is {value};"
-                f" expected finite heights (if it marks a void, use --nodata {value})"
+                f" expected finite heights (if it marks a void, use `nodata` {value})"
             )
 
     def blocks(self, max_samples: int = SCAN_SAMPLES) -> Iterator[Region]:

@@ -1,5 +1,6 @@
 """Two-dimensional temporary arrays that stay in memory while small and on disk otherwise."""
 
+import errno
 import os
 import tempfile
 import threading
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from terrainwave.errors import StorageError
+from terrainwave.container.spool import TEMPORARY_ADVICE, cannot_write
 from terrainwave.grid.quadtree import Region
 
 # Arrays up to this many bytes are held in memory: below it the disk would only cost time.
@@ -45,6 +46,7 @@ class Spool:
         self._memory: NDArray[Any] | None = None
         self._file: Any = None
         self._lock = threading.Lock()
+        self._directory = directory
         if shape[0] * shape[1] * self.dtype.itemsize <= MEMORY_LIMIT:
             self._memory = np.zeros(shape, dtype=self.dtype)
         else:
@@ -129,12 +131,9 @@ class Spool:
         try:
             self._file.seek(number * content.nbytes)
             if self._file.write(content.tobytes()) != content.nbytes:
-                raise OSError("short write")
-        except OSError as exc:
-            raise StorageError(
-                f"cannot write a temporary file: {exc.strerror or exc}; free space there or name"
-                " another directory with --temp-dir"
-            ) from exc
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            raise cannot_write(self._directory, error, advice=TEMPORARY_ADVICE) from error
 
 
 def _tile_from_bytes(data: bytes, dtype: np.dtype[Any]) -> NDArray[Any]:

@@ -6,7 +6,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import (
+    InvalidArgumentError,
+    InvalidHeightsError,
+)
 from terrainwave.grid.affine import Transform, determinant, places_to_samples
 from terrainwave.grid.quadtree import Region
 
@@ -27,8 +30,8 @@ def region_of_window(window: Any) -> Region:
     except (TypeError, ValueError, OverflowError):  # no numbers, not four, NaN, infinite
         is_whole = False
     if not is_whole:
-        raise InvalidHeightsError(
-            f"found window {window!r}, expected (row, col, n_rows, n_cols) in whole samples"
+        raise InvalidArgumentError(
+            f"found `window` {window!r}, expected (row, col, n_rows, n_cols) in whole samples"
         )
     return Region(row, col, n_rows, n_cols)
 
@@ -43,14 +46,14 @@ def region_of_bounds(bounds: Sequence[float], transform: Transform) -> Region:
     """
     left, bottom, right, top = (float(value) for value in bounds)
     if not (left < right and bottom < top):
-        raise InvalidHeightsError(
-            f"found bounds {tuple(bounds)}, expected left < right and bottom < top"
+        raise InvalidArgumentError(
+            f"found `bounds` {tuple(bounds)}, expected left < right and bottom < top"
         )
     corners = np.array([(x, y) for x in (left, right) for y in (bottom, top)])
     rows, cols = to_samples(corners, transform)
     if not (np.isfinite(rows).all() and np.isfinite(cols).all()):
-        raise InvalidHeightsError(
-            f"found bounds {tuple(bounds)}, expected finite ones that the affine transform"
+        raise InvalidArgumentError(
+            f"found `bounds` {tuple(bounds)}, expected finite ones that the affine transform"
             f" {tuple(transform)} can place; read by window instead"
         )
     # Samples are pixel centres: half a pixel away begins the next pixel. A thousandth of a

@@ -10,7 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import (
+    InvalidArgumentError,
+)
 from terrainwave.render.frame import Frame
 
 Vector = NDArray[np.float64]
@@ -189,13 +191,14 @@ def parse_camera(line: str, frame: Frame) -> Camera:
     except ValueError:
         numbers = []
     if len(numbers) not in (5, 6) or not all(math.isfinite(number) for number in numbers):
-        raise InvalidHeightsError(
-            f"found camera {line!r}, expected x,y,z,heading,pitch,fov (fov may be left out)"
+        raise InvalidArgumentError(
+            f"found `camera` {line!r}, expected x,y,z,heading,pitch,fov (fov may be left out)"
         )
     pitch, fov = numbers[4], numbers[5] if len(numbers) == 6 else DEFAULT_FOV
     if not -90 <= pitch <= 90 or not 1 <= fov <= 150:
-        raise InvalidHeightsError(
-            f"found pitch {pitch:g} and fov {fov:g}, expected -90 … 90 and 1 … 150 degrees"
+        raise InvalidArgumentError(
+            f"found `camera` with pitch {pitch:g} and fov {fov:g}, expected -90 … 90"
+            " and 1 … 150 degrees"
         )
     position = frame.to_local(np.array([numbers[:3]]))[0]
     return Camera((position[0], position[1], position[2]), numbers[3], pitch, fov)

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import (
+    InvalidArgumentError,
+)
 from terrainwave.export.frames import find_place, metres_per_unit
 from terrainwave.export.mesh import Mesh
 from terrainwave.grid.affine import IDENTITY, pixels_to_places, samples_to_places
@@ -79,7 +81,7 @@ class Frame:
             If it is not a number > 0.
         """
         if not (math.isfinite(factor) and factor > 0):
-            raise InvalidHeightsError(f"found exaggeration {factor}, expected a number > 0")
+            raise InvalidArgumentError(f"found `exaggeration` {factor}, expected a number > 0")
         return replace(self, exaggeration=float(factor))
 
 

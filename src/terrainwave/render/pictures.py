@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import (
+    InvalidArgumentError,
+    InvalidHeightsError,
+)
 from terrainwave.render.camera import Camera, Viewport, along, format_camera, home, parse_camera
 from terrainwave.render.frame import Frame
 from terrainwave.render.modes.mode import Frames
@@ -35,13 +38,15 @@ def choose_camera(
     """
     if camera is not None:
         if bounds is not None:
-            raise InvalidHeightsError("found both camera and bounds, expected one of them")
+            raise InvalidArgumentError("found both `camera` and `bounds`, expected one of them")
         return parse_camera(camera, frame)
     low, high = frame.box
     if bounds is not None:
         left, bottom, right, top = bounds
         if not (left < right and bottom < top):
-            raise InvalidHeightsError(f"found bounds {tuple(bounds)}, expected left < right, ...")
+            raise InvalidArgumentError(
+                f"found `bounds` {tuple(bounds)}, expected left < right and bottom < top"
+            )
         ends = frame.to_local(np.array([[left, bottom, 0.0], [right, top, 0.0]]))
         low, high = np.array([*ends[0, :2], low[2]]), np.array([*ends[1, :2], high[2]])
     return home((low, high), viewport)

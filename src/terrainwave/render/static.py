@@ -9,8 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import PICTURE_ENDINGS, check_ending
 from terrainwave.container.publish import publish
-from terrainwave.errors import InvalidHeightsError, TerrainwaveError
+from terrainwave.errors import (
+    InvalidArgumentError,
+    TerrainwaveError,
+)
 from terrainwave.extras import need
 from terrainwave.render.frame import frame_of
 
@@ -42,13 +46,16 @@ class Picture:
         return encode_png(self.pixels)
 
     def save(self, path: str | os.PathLike[str], *, overwrite: bool = False) -> None:
-        """Write the picture as PNG.
+        """Write the picture as PNG; the name must end in ``.png``.
 
         Raises
         ------
+        InvalidArgumentError
+            If it does not.
         StorageError
             If it cannot be written, or is there already.
         """
+        check_ending(path, PICTURE_ENDINGS)
         with publish(Path(path), overwrite) as part:
             part.file.write(self._repr_png_())
 
@@ -58,7 +65,7 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str, shade: float, bounds: An
     pyplot = need("matplotlib.pyplot", extra="demo")
     colors = need("matplotlib.colors", extra="demo")
     if not 0 <= shade <= 1:
-        raise InvalidHeightsError(f"found shade {shade}, expected 0 … 1")
+        raise InvalidArgumentError(f"found `shade` {shade}, expected 0 … 1")
     level = -1
     while (
         level > -terrain.n_levels

@@ -3,7 +3,9 @@
 import math
 from dataclasses import dataclass
 
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import (
+    InvalidArgumentError,
+)
 from terrainwave.render.ramps import RAMPS
 
 # The shader's numbers.
@@ -43,12 +45,12 @@ class Style:
 
     def __post_init__(self) -> None:
         if self.coloring not in COLORINGS:
-            raise InvalidHeightsError(
-                f"found colouring {self.coloring!r}, expected one of {', '.join(COLORINGS)}"
+            raise InvalidArgumentError(
+                f"found `coloring` {self.coloring!r}, expected one of {', '.join(COLORINGS)}"
             )
         if self.ramp not in RAMPS:
-            raise InvalidHeightsError(
-                f"found ramp {self.ramp!r}, expected one of {', '.join(RAMPS)}"
+            raise InvalidArgumentError(
+                f"found `ramp` {self.ramp!r}, expected one of {', '.join(RAMPS)}"
             )
 
     @property

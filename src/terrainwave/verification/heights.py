@@ -20,7 +20,11 @@ from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
 from rasterio.windows import Window
 
-from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
+from terrainwave.errors import (
+    InvalidArgumentError,
+    StorageError,
+    TerrainwaveError,
+)
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import Progress, ProgressCallback
 from terrainwave.raster_io.crs import parse_crs
@@ -149,8 +153,8 @@ def verify(
             return _with_meshes(report, terrain, None, progress) if mesh else report
         with _open_original(original) as dataset:
             if not 1 <= band <= dataset.count:
-                raise InvalidHeightsError(
-                    f"band {band} does not exist, {original} has {dataset.count}"
+                raise InvalidArgumentError(
+                    f"`band` {band} does not exist, {original} has {dataset.count}"
                 )
             comparison = _Comparison(terrain, dataset, band, nodata, max_error)
             report = comparison.run(twz, original, progress)

@@ -14,13 +14,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, cast
 
+from terrainwave.arguments import TWZ_ENDINGS, check_ending
 from terrainwave.container.depot import Depot
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.writer import assemble
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.quadtree import Grid
 from terrainwave.names import PLAIN_METHOD
 from terrainwave.progress import ProgressCallback, Reporter
+from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.cluster import (
     TASK_SAMPLES,
@@ -86,7 +88,8 @@ def compress(
         One band of heights: uint8, int16, uint16, int32, float32 or float64. A list is a mosaic:
         rasters of one CRS and grid, void where none is; the last counts where they overlap.
     dst : path
-        The file to make. It appears complete or not at all.
+        The file to make, whose name ends in ``.twz``; never an existing raster. It appears
+        complete or not at all.
     max_error : float, optional
         Largest allowed error in physical units (after scale and offset); >= 0, closed. By default
         0 (lossless) where the heights have a vertical quantum and 0.01 where they don't.
@@ -167,8 +170,8 @@ def compress(
     cluster = None
     if client is not None:
         if not options.coding.is_clusterable:
-            raise InvalidHeightsError(
-                f"found method {options.method} and a client, expected another method: only one"
+            raise InvalidArgumentError(
+                f"found `method` {options.method} and a client, expected another method: only one"
                 f" machine codes the tiles of {options.method}"
             )
         is_remote = temp_dir is not None and "://" in os.fspath(temp_dir)
@@ -177,10 +180,12 @@ def compress(
         cluster = _Cluster(executor_of(client), raster, url, task_samples or TASK_SAMPLES)
         temp_dir = None if is_remote else temp_dir
     elif task_samples is not None:
-        raise InvalidHeightsError(
+        raise InvalidArgumentError(
             f"found task_samples {task_samples} without a client, expected both or none of them"
         )
+    check_ending(dst, TWZ_ENDINGS)
     refuse_own_source(src, dst)
+    refuse_raster(dst)
     with (
         publish(dst, overwrite=overwrite) as part,
         RasterSource(src, band=band, nodata=nodata) as source,

@@ -10,7 +10,10 @@ from fractions import Fraction
 
 from terrainwave._version import __version__
 from terrainwave.container.header import Header
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import (
+    InvalidArgumentError,
+    InvalidHeightsError,
+)
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import HeightScan, Quantizer, as_fraction
@@ -168,9 +171,9 @@ def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:
     """Return a bound in the units of stored values."""
     raw_bound = bound / scale_of(info)
     if raw_bound > sys.float_info.max:
-        raise InvalidHeightsError(
-            f"found max_error {float(bound):g} and a raster whose scale is {info.scale:g}, expected"
-            " a max_error that is a finite number of its stored units"
+        raise InvalidArgumentError(
+            f"found `max_error` {float(bound):g} and a raster whose scale is {info.scale:g},"
+            " expected a `max_error` that is a finite number of its stored units"
         )
     return raw_bound
 

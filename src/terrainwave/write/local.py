@@ -145,7 +145,7 @@ def _check_free_space(info: RasterInfo, directory: Path, is_striped: bool) -> No
     if needed > free:
         raise StorageError(
             f"temporary data need about {needed / 1e9:.1f} GB, {directory.parent} has"
-            f" {free / 1e9:.1f} GB free: name another directory with --temp-dir"
+            f" {free / 1e9:.1f} GB free: name another directory with `temp_dir`"
         )
 
 

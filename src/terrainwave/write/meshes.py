@@ -10,7 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from terrainwave.arguments import checked_error, checked_mesh, checked_threads
+from terrainwave.arguments import (
+    TWZ_ENDINGS,
+    check_ending,
+    checked_error,
+    checked_mesh,
+    checked_threads,
+)
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.container.page import N_CODES
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
@@ -28,6 +34,7 @@ from terrainwave.mesh.blocks import (
 )
 from terrainwave.mesh.sections import make_meshes
 from terrainwave.progress import ProgressCallback, Reporter
+from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
 
 
@@ -49,7 +56,7 @@ def store_meshes(
     src : path or URL
         A .twz file, with or without meshes.
     dst : path
-        The file to make. It appears complete or not at all.
+        The file to make, whose name ends in ``.twz``. It appears complete or not at all.
     mesh : str
         ``"halves"``, ``"zerotree"``, ``"rqt"`` or ``"auto"`` (halves), as in `compress`.
     mesh_error : float, optional
@@ -74,7 +81,9 @@ def store_meshes(
     """
     kind, error = checked_mesh(mesh, or_none=False), checked_error("mesh_error", mesh_error)
     n_threads = checked_threads(threads)
+    check_ending(dst, TWZ_ENDINGS)
     refuse_own_source(src, dst)
+    refuse_raster(dst)
     reporter = Reporter(progress)
     with (
         publish(dst, overwrite=overwrite) as part,

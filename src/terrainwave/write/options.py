@@ -10,7 +10,7 @@ from terrainwave.arguments import (
     checked_method,
     checked_threads,
 )
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import EFFORTS, METHODS, Method, methods_that
 
 
@@ -20,7 +20,7 @@ class Options:
 
     Raises
     ------
-    InvalidHeightsError
+    InvalidArgumentError
         If one of them, or two together, cannot be; the message says what was found and expected.
     """
 
@@ -49,37 +49,38 @@ class Options:
             object.__setattr__(self, name, value)
         self._check_goals()
         if self.block not in BLOCKS:
-            raise InvalidHeightsError(
-                f"found block {self.block}, expected one of {', '.join(map(str, BLOCKS))}"
+            raise InvalidArgumentError(
+                f"found `block` {self.block}, expected one of {', '.join(map(str, BLOCKS))}"
             )
         check_effort(self.effort)
         if self.border_rings not in (1, 3):
-            raise InvalidHeightsError(f"found border_rings {self.border_rings}, expected 1 or 3")
+            raise InvalidArgumentError(f"found `border_rings` {self.border_rings}, expected 1 or 3")
         if self.border_rings != 1 and self.coding.is_tiled:
-            raise InvalidHeightsError(
-                f"found border_rings {self.border_rings} and method {self.method}, expected"
-                " border_rings 1"
+            raise InvalidArgumentError(
+                f"found `border_rings` {self.border_rings} and `method` {self.method}, expected"
+                " `border_rings` 1"
             )
         checked_threads(self.threads)
 
     def _check_goals(self) -> None:
-        """Raise `InvalidHeightsError` unless at most one of three goals is given, and fits."""
+        """Raise `InvalidArgumentError` unless at most one of three goals is given, and fits."""
         goals = {"max_error": self.max_error, "rate": self.rate, "psnr": self.psnr}
         given = [name for name, goal in goals.items() if goal is not None]
         if len(given) > 1:
-            raise InvalidHeightsError(
-                f"found {' and '.join(given)}, expected one of them: a stream is cut in one place"
+            names = " and ".join(f"`{name}`" for name in given)
+            raise InvalidArgumentError(
+                f"found {names}, expected one of them: a stream is cut in one place"
             )
         if not self.is_embedded:
             return
         (name,) = given
         if goals[name] == 0:
-            raise InvalidHeightsError(f"found {name} 0, expected a number > 0")
+            raise InvalidArgumentError(f"found `{name}` 0, expected a number > 0")
         if not self.coding.is_cuttable:
             fit = methods_that(lambda method: method.is_cuttable)
-            raise InvalidHeightsError(
-                f"found {name} and method {self.method}, expected method {fit}: the others keep a"
-                " bound (max_error) instead"
+            raise InvalidArgumentError(
+                f"found `{name}` and `method` {self.method}, expected `method` {fit}: the others"
+                " keep a bound (`max_error`) instead"
             )
 
     @property

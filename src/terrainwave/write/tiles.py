@@ -22,7 +22,9 @@ from terrainwave.codec.cdf53 import (
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.tiles import TileLayout, TileSpec
 from terrainwave.container.spool import SegmentSpool
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import (
+    InvalidArgumentError,
+)
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.read.tiles import final_heights
@@ -233,9 +235,9 @@ class EmbeddedSource:
         """
         coarsest = float(self._coarsest)
         if self.n_bytes(coarsest) > max_bytes:
-            raise InvalidHeightsError(
-                f"found a rate that leaves {max(max_bytes, 0):,} bytes for heights, expected at"
-                f" least {self.n_bytes(coarsest):,}: give a larger --rate"
+            raise InvalidArgumentError(
+                f"found a `rate` that leaves {max(max_bytes, 0):,} bytes for heights, expected at"
+                f" least {self.n_bytes(coarsest):,}: give a larger one"
             )
         self.position = finest_position(self.n_bytes, coarsest, max_bytes)
 

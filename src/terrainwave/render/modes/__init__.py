@@ -6,7 +6,9 @@ Importing this package imports no mode: `mode_class` does.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import (
+    InvalidArgumentError,
+)
 
 if TYPE_CHECKING:
     from terrainwave.render.modes.mode import Mode
@@ -32,7 +34,7 @@ def mode_class(name: str) -> "type[Mode]":
         If there is none of this name.
     """
     if name not in _CLASSES:
-        raise InvalidHeightsError(f"found mode {name!r}, expected one of {', '.join(MODES)}")
+        raise InvalidArgumentError(f"found `mode` {name!r}, expected one of {', '.join(MODES)}")
     module, attribute = _CLASSES[name]
     mode: type[Mode] = getattr(import_module(f"{__name__}.{module}"), attribute)
     return mode

@@ -18,7 +18,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import (
+    InvalidArgumentError,
+)
 from terrainwave.progress import ProgressCallback
 from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed, gamma_paper
 from terrainwave.render.frame import Frame
@@ -99,7 +101,9 @@ class Mode(ABC):
         progress: ProgressCallback | None = None,
     ) -> None:
         if error not in ERRORS:
-            raise InvalidHeightsError(f"found error {error!r}, expected one of {', '.join(ERRORS)}")
+            raise InvalidArgumentError(
+                f"found `error` {error!r}, expected one of {', '.join(ERRORS)}"
+            )
         self.terrain, self.frame, self.error = terrain, frame, error
         self.n_levels = terrain.n_levels
 

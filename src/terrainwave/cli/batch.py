@@ -1,0 +1,222 @@
+"""Many files by one command: one result each, several at a time, past those that fail."""
+
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import click
+
+from terrainwave.cli.output import Bar, count_of, message_of, plain, print_error
+from terrainwave.cli.streams import STREAM
+from terrainwave.errors import InvalidArgumentError, TerrainwaveError
+from terrainwave.progress import Progress, ProgressCallback
+
+
+@dataclass(frozen=True)
+class Job:
+    """One file of many: what is read, and what is written or compared with it, if anything."""
+
+    source: str
+    target: str | None = None
+
+
+@dataclass(frozen=True)
+class Done:
+    """What came of a job: the line that tells it, and the same for JSON."""
+
+    line: str
+    fields: dict[str, Any] = field(default_factory=dict)
+    is_good: bool = True
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    job: Job
+    done: Done | None = None
+    error: Exception | None = None
+
+    @property
+    def message(self) -> str:
+        text = "out of memory; try --threads 1"
+        if isinstance(self.error, TerrainwaveError):
+            text = message_of(self.error)
+        elif isinstance(self.error, OSError):
+            text = plain(self.error.strerror or self.error)
+        name = plain(self.job.source)
+        return text if name in text else f"{name}: {text}"
+
+    def to_dict(self, word: str) -> dict[str, Any]:
+        """Return what --json prints of it."""
+        named = {"source": self.job.source, "target": self.job.target}
+        if self.error is not None:
+            return named | {"status": "failed", "error": self.message}
+        if self.done is None:
+            return named | {"status": "skipped"}
+        return named | {"status": word if self.done.is_good else "failed"} | self.done.fields
+
+
+Work = Callable[[Job, int, ProgressCallback], Done]
+
+
+def plan(sources: Sequence[str], directory: str, ending: str) -> list[Job]:
+    """Return a job for each source, whose target has its name and the ending.
+
+    Raises
+    ------
+    click.UsageError
+        If two would write the same file, or one is a stream.
+    """
+    jobs: dict[str, Job] = {}
+    for source in sources:
+        if source == STREAM:
+            raise click.UsageError("found - and --to, expected names: targets are called by them")
+        path = urlsplit(source).path if "://" in source else source
+        job = Job(source, os.path.join(directory, Path(path).stem + ending))
+        other = jobs.setdefault(os.path.basename(str(job.target)).casefold(), job)
+        if other is not job:
+            raise click.UsageError(
+                f"found {other.source} and {source}, which would both be {job.target}; expected"
+                " names that differ"
+            )
+    return list(jobs.values())
+
+
+@contextmanager
+def made(directory: str) -> Iterator[None]:
+    """Make a directory; remove it again if nothing is in it at the end."""
+    path = Path(directory).absolute()
+    missing = [part for part in (path, *path.parents) if not part.exists()]
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        yield
+    finally:
+        for part in missing:
+            with suppress(OSError):  # it is in use
+                part.rmdir()
+
+
+def run(
+    jobs: Sequence[Job],
+    work: Work,
+    *,
+    word: str,
+    threads: int | None,
+    quiet: bool,
+    skips_existing: bool = False,
+) -> tuple[list[dict[str, Any]], int]:
+    """Do the jobs, tell what came of each, then of all; return both, and the exit status.
+
+    The threads are shared: as many jobs at a time as there are threads, each with its part.
+    """
+    n_threads = threads or os.cpu_count() or 1
+    n_at_once = min(len(jobs), n_threads)
+    is_stopped = threading.Event()
+
+    def go_on(progress: object = None) -> None:
+        if is_stopped.is_set():
+            raise KeyboardInterrupt
+
+    def attempt(job: Job) -> _Outcome:
+        go_on()
+        if skips_existing and os.path.exists(str(job.target)):
+            return _Outcome(job)
+        try:
+            return _Outcome(job, done=work(job, n_threads // n_at_once, go_on))
+        except (TerrainwaveError, OSError, MemoryError) as error:
+            return _Outcome(job, error=error)
+
+    outcomes: dict[Job, _Outcome] = {}
+    with Bar(quiet=quiet) as bar, ThreadPoolExecutor(n_at_once) as executor:
+        try:
+            for future in as_completed([executor.submit(attempt, job) for job in jobs]):
+                outcome = future.result()
+                outcomes[outcome.job] = outcome
+                _tell(outcome, bar, quiet=quiet)
+                bar(Progress(f"files {word}", len(outcomes), len(jobs)))
+        except BaseException:
+            # Those that run end at their next report of progress, and leave nothing.
+            is_stopped.set()
+            executor.shutdown(wait=False, cancel_futures=True)
+            raise
+    in_order = [outcomes[job] for job in jobs]
+    if not quiet:
+        click.echo(_summary(in_order, word))
+    return [outcome.to_dict(word) for outcome in in_order], _status(in_order)
+
+
+def _tell(outcome: _Outcome, bar: Bar, *, quiet: bool) -> None:
+    if outcome.error is not None:
+        print_error(outcome.message)
+    elif not quiet:
+        bar.echo(f"{plain(outcome.job.source)}: there is {plain(outcome.job.target)}, skipped"
+                 if outcome.done is None else outcome.done.line)  # fmt: skip
+
+
+def _summary(outcomes: Sequence[_Outcome], word: str) -> str:
+    n_skipped = sum(outcome.done is None and outcome.error is None for outcome in outcomes)
+    n_failed = sum(_has_failed(outcome) for outcome in outcomes)
+    n_good = len(outcomes) - n_skipped - n_failed
+    parts = [f"{n_good:,} {word}"]
+    parts += [f"{n_skipped:,} skipped"] * bool(n_skipped)
+    parts += [f"{n_failed:,} failed"] * bool(n_failed)
+    return f"{count_of(len(outcomes), 'file')}: {', '.join(parts)}"
+
+
+def _has_failed(outcome: _Outcome) -> bool:
+    return outcome.error is not None or (outcome.done is not None and not outcome.done.is_good)
+
+
+def _status(outcomes: Sequence[_Outcome]) -> int:
+    """Return 0, 1 if one has failed, and 2 where the arguments fit none of the files."""
+    if all(isinstance(outcome.error, InvalidArgumentError) for outcome in outcomes):
+        return 2
+    return int(any(map(_has_failed, outcomes)))
+
+
+def find_original(file: str, directory: str) -> str:
+    """Return the raster in a directory that has the name of a .twz file.
+
+    Raises
+    ------
+    StorageError
+        If there is none, or more than one.
+    """
+    from terrainwave.errors import StorageError
+
+    stem = Path(file).stem
+    found = sorted(str(path) for path in Path(directory).glob("*") if path.stem == stem)
+    rasters = [path for path in found if not path.lower().endswith(_NO_RASTERS)]
+    if len(rasters) != 1:
+        names = ", ".join(rasters) or "none"
+        raise StorageError(f"{file}: found {names}, expected one raster {stem} in {directory}")
+    return rasters[0]
+
+
+_NO_RASTERS = (".twz", ".json", ".xml", ".txt", ".prj", ".tfw")
+
+
+def refuse_options_of_batches(to: str | None, *, skip_existing: bool, overwrite: bool) -> None:
+    """Refuse --skip-existing where nothing could be skipped.
+
+    Raises
+    ------
+    click.UsageError
+        If it is given without --to, or with --overwrite.
+    """
+    if skip_existing and to is None:
+        raise click.UsageError("found --skip-existing without --to, expected both")
+    if skip_existing and overwrite:
+        raise click.UsageError("found --skip-existing and --overwrite, expected one of them")
+
+
+def finish(status: int) -> None:
+    """End the command with a status, unless all is well."""
+    if status:
+        sys.exit(status)

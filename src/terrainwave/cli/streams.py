@@ -1,0 +1,60 @@
+"""stdin and stdout in the place of files: the name -."""
+
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
+
+import click
+
+STREAM = "-"
+_KEY = "terrainwave.stdin"
+
+
+def read_stream(ctx: click.Context) -> str:
+    """Return the path of a temporary file with what stdin gives, there until the command ends."""
+    if ctx.meta.get(_KEY):
+        raise click.UsageError("found - twice, expected one: stdin can be read once", ctx)
+    ctx.meta[_KEY] = True
+    return str(ctx.with_resource(_stdin_file()))
+
+
+@contextmanager
+def _stdin_file() -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="terrainwave-") as directory:
+        path = Path(directory) / "stdin"
+        with path.open("wb") as file:
+            shutil.copyfileobj(sys.stdin.buffer, file)
+        yield path
+
+
+@contextmanager
+def written(target: str, ending: str) -> Iterator[str]:
+    """Give the path to write for `target`: its own, or a temporary file that goes to stdout.
+
+    Nothing goes to stdout if the block ends with an exception.
+    """
+    if target != STREAM:
+        yield target
+        return
+    if sys.stdout.isatty():
+        raise click.UsageError("found - and a terminal, expected stdout to be a pipe or a file")
+    with tempfile.TemporaryDirectory(prefix="terrainwave-") as directory:
+        path = Path(directory) / f"stdout{ending}"
+        yield str(path)
+        stdout = sys.stdout.buffer
+        with path.open("rb") as file:
+            shutil.copyfileobj(file, stdout)
+        stdout.flush()
+
+
+@contextmanager
+def printing_beside(target: str) -> Iterator[None]:
+    """Print on stderr what says how it went, where stdout takes the file."""
+    if target != STREAM:
+        yield
+        return
+    with redirect_stdout(sys.stderr):
+        yield

@@ -1,0 +1,41 @@
+"""Commands run by tests: in this process, or in one of their own."""
+
+import os
+import subprocess
+import sys
+
+from click.testing import CliRunner
+
+from terrainwave.cli import main
+
+
+def run(*args):
+    """Run a command in this process; errors must have become a line and a status."""
+    result = CliRunner().invoke(main, [str(arg) for arg in args], prog_name="terrainwave")
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+def start(*args, **options):
+    """Start a command in a process of its own."""
+    program = "import sys; from terrainwave.cli import main; main(prog_name='terrainwave')"
+    return subprocess.Popen(
+        [sys.executable, "-c", program, *map(str, args)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        encoding="utf-8",
+        env=os.environ
+        | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "PYTHONIOENCODING": "utf-8"},
+        **options,
+    )
+
+
+def one_line(result, status):
+    """Return the one line of stderr of a failed command."""
+    assert result.exit_code == status, result.output
+    assert result.stdout == ""
+    lines = result.stderr.splitlines()
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("terrainwave")
+    return lines[0]
