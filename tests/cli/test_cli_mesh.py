@@ -196,7 +196,7 @@ def test_a_missing_package_is_told_before_the_work(tmp_path, twz, asked, monkeyp
 
 
 def test_a_base_above_the_ground_is_refused(tmp_path, twz, asked):
-    line = one_line(run("mesh", twz, tmp_path / "a.stl", "--solid", "1000"), 1)
+    line = one_line(run("mesh", twz, tmp_path / "a.stl", "--solid", "1000"), 2)
     assert "found --solid 1000, expected less than the mesh's lowest height" in line
     assert not (tmp_path / "a.stl").exists()
 

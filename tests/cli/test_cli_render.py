@@ -79,13 +79,13 @@ def test_a_flight_writes_numbered_pictures(file, tmp_path):
     ("options", "words", "status"),
     [
         (["--size", "12"], "1920x1280", 2),
-        (["--camera", "1,2"], "x,y,z,heading,pitch,fov", 1),
+        (["--camera", "1,2"], "x,y,z,heading,pitch,fov", 2),
         (["--sun", "1"], "two numbers", 2),
         (["--mode", "best"], "adaptive", 2),
         (["--background", "red"], "hexadecimal", 2),
         (["--radius", "0"], "--radius", 2),
         (["--size", "200000x2"], "pixels", 1),
-        (["--bounds", "5,5,1,1"], "left < right", 1),
+        (["--bounds", "5,5,1,1"], "left < right", 2),
     ],
 )
 def test_a_wrong_option_is_one_line(file, tmp_path, options, words, status):

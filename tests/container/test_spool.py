@@ -147,7 +147,7 @@ def test_a_full_temporary_disk_is_one_clear_line(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "no space")
 
     monkeypatch.setattr("terrainwave.container.spool.tempfile.mkstemp", fail)
-    with pytest.raises(StorageError, match=r"temporary file in .*: the disk is full$"):
+    with pytest.raises(StorageError, match=r"temporary files in .*: the disk is full; free space"):
         filled(tmp_path)
 
 

@@ -295,7 +295,7 @@ def test_raster_without_a_place_has_no_tiles(tmp_path):
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        ({"cells": 12}, "found 12 cells, expected a power of two"),
+        ({"cells": 12}, "found cells 12, expected a power of two"),
         ({"void_height": np.inf}, "found void_height inf, expected a finite number"),
         ({"void_height": 1e7}, "expected at most 4,000 km"),
     ],

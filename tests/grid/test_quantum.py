@@ -338,7 +338,7 @@ def test_the_quantum_is_within_the_limits_of_the_header(heights, max_error):
 
 def test_heights_that_can_only_be_nodata_are_refused_with_that_advice():
     heights = np.array([[-3.4028234663852886e38, 812.4]], dtype="float32")
-    with pytest.raises(InvalidHeightsError, match="--nodata"):
+    with pytest.raises(InvalidHeightsError, match="nodata"):
         quantizer_of(heights, 1)
 
 

@@ -11,7 +11,6 @@ from fractions import Fraction
 from terrainwave._version import __version__
 from terrainwave.container.header import Header
 from terrainwave.errors import (
-    InvalidArgumentError,
     InvalidHeightsError,
 )
 from terrainwave.grid.parameters import CodecParameters
@@ -171,7 +170,7 @@ def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:
     """Return a bound in the units of stored values."""
     raw_bound = bound / scale_of(info)
     if raw_bound > sys.float_info.max:
-        raise InvalidArgumentError(
+        raise InvalidHeightsError(
             f"found `max_error` {float(bound):g} and a raster whose scale is {info.scale:g},"
             " expected a `max_error` that is a finite number of its stored units"
         )
