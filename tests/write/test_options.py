@@ -13,7 +13,7 @@ from terrainwave.write.options import Options
     [
         ({"max_error": -1}, "found max_error -1, expected a finite number >= 0"),
         ({"mesh_error": "a"}, "found mesh_error a, expected a finite number >= 0"),
-        ({"method": "zip"}, "found method 'zip', expected auto, predictive, cdf97, cdf53, store"),
+        ({"method": "zip"}, "found method 'zip', expected auto, predictive, rapid, cdf97"),
         ({"block": 100}, "found block 100, expected one of 32, 64, 128, 256, 512, 1024"),
         ({"effort": "most"}, "found effort 'most', expected one of fast, default, best"),
         ({"border_rings": 2}, "found border_rings 2, expected 1 or 3"),
