@@ -31,7 +31,7 @@ from terrainwave.codec.rapid_lattice import (
     load_weights,
 )
 from terrainwave.codec.rapid_layout import MAX_COLS, Scale, Workspace, new_workspace
-from terrainwave.codec.rapid_magnitude import scale_of, scaled_features
+from terrainwave.codec.rapid_magnitude import N_CONTEXTS, scale_of, scaled_features
 from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_parameters
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
 from terrainwave.codec.varint import decode_varint, encode_varint
@@ -45,6 +45,8 @@ _MANY_SAMPLES = 1 << 14
 _NONE_KNOWN = Known(0, 0, 0, 0)
 _NO_LOG = np.zeros(1, dtype=np.uint8)
 _NO_FREQS = np.zeros((1, 1), dtype=np.uint32)
+# For counting: no symbol is impossible yet.
+_ANY_SYMBOL = np.ones((N_CONTEXTS, N_SYMBOLS), dtype=np.uint32)
 _NO_WORDS = np.zeros(SPARE_WORDS, dtype=np.uint16)
 _LIMIT32 = (1 << 31) - 64
 _MOST_NARROW_STEP = 1 << 24
@@ -122,12 +124,13 @@ class Rapid:
         """Return the payload and the heights `decode` makes of it."""
         flags = self._flags(spec, parent, target, mask)
         n_states = 1 if flags & _SINGLE else N_STATES
-        heights, streams = self._encode(spec, parent, target, mask, flags)
+        freqs = self._tables.packed_freqs(spec.step)
+        heights, streams = self._encode(spec, parent, target, mask, flags, freqs)
         n_symbols, n_bits = int(streams.places[COUNT]), int(streams.places[BIT_POS])
         words = np.empty(n_symbols, dtype=np.uint16)
         n_words = encode_symbols(
             streams.contexts_log, streams.symbols_log, n_symbols,
-            self._tables.packed_freqs(spec.step), n_states, words, streams.states,
+            freqs, n_states, words, streams.states,
         )  # fmt: skip
         raw = streams.raw[: (n_bits + 31) // 32].astype("<u4").tobytes()
         payload = (
@@ -140,8 +143,12 @@ class Rapid:
         return payload, heights, None
 
     def log(self, spec: GroupSpec, target: Heights, mask: Mask, n: int) -> NDArray[np.int64]:
-        """Return contexts and symbols of the first `n` symbols of a unit: N_SYMBOLS·c + s."""
-        _, streams = self._encode(spec, None, target, mask, self._flags(spec, None, target, mask))
+        """Return contexts and symbols of the first `n` symbols of a unit: N_SYMBOLS·c + s.
+
+        As if no symbol had the frequency 0.
+        """
+        flags = self._flags(spec, None, target, mask)
+        _, streams = self._encode(spec, None, target, mask, flags, _ANY_SYMBOL)
         contexts, symbols = streams.contexts_log[:n], streams.symbols_log[:n]
         return contexts.astype(np.int64) * N_SYMBOLS + symbols
 
@@ -150,8 +157,9 @@ class Rapid:
         return (_WIDE if is_wide else 0) | (_SINGLE if target.size < _MANY_SAMPLES else 0)
 
     def _encode(
-        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask, flags: int
-    ) -> tuple[Heights, Streams]:
+        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask, flags: int,
+        freqs: NDArray[np.uint32],
+    ) -> tuple[Heights, Streams]:  # fmt: skip
         """Return decoded heights, and the logs of what is to be written."""
         n = target.size
         streams = Streams(
@@ -163,7 +171,7 @@ class Rapid:
             n_states=N_STATES,
             raw=np.zeros(2 * n + SPARE_BITS // 32, dtype=np.uint32),
             n_bits=1 << 40,
-            freqs=self._tables.packed_freqs(spec.step),
+            freqs=freqs,
             contexts_log=np.empty(n, dtype=np.uint8),
             symbols_log=np.empty(n, dtype=np.uint8),
         )
