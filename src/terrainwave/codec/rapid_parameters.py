@@ -36,7 +36,7 @@ WHOLE = 4096
 MAX_WEIGHT = (1 << 15) - 1
 SHIFTS = (0, 2, 3, 4, 5)
 _LAYOUT = 1
-_K_MAX_BITS, _FAMILY_BITS, _FEATURE_BITS, _BASE_BITS, _SHIFT_BITS = 5, 2, 1, 4, 3
+_K_MAX_BITS, _FAMILY_BITS, _BASE_BITS, _SHIFT_BITS = 5, 3, 4, 3
 # Models: magnitudes of core taps and of other taps; six groups for frequencies; a flag.
 _CORE, _OTHER, _FREQ = 0, MAGNITUDE_MODELS, 2 * MAGNITUDE_MODELS
 _OWN = 8 * MAGNITUDE_MODELS
@@ -60,12 +60,11 @@ class FileTables(NamedTuple):
     """What a file brings along.
 
     `stencils` by class and plane; `codes` of the frequencies of contexts that have their own, by
-    context; `family` and `features` are the trained tables they build on.
+    context; `family` says which trained frequencies they change, and the table of features.
     """
 
     k_max: int
     family: int
-    features: int
     stencils: tuple[tuple[FileStencil, ...], ...]
     codes: dict[int, NDArray[np.int64]]
 
@@ -85,7 +84,9 @@ class Tables:
     def __init__(self, file: FileTables | None) -> None:
         self._file = file
         self.k_max = 0 if file is None else file.k_max
-        self.features = rapid_tables.FEATURES[0 if file is None else file.features]
+        self.features = rapid_tables.FEATURES[
+            0 if file is None else file.family // rapid_tables.N_STEPS
+        ]
         self.stencils = np.zeros((N_CLASSES, len(PLANES), MAX_TAPS), dtype=np.int64)
         for which in range(N_CLASSES):
             for index, plane in enumerate(PLANES):
@@ -210,10 +211,8 @@ def pack_parameters(tables: FileTables) -> bytes:
     """Return the parameters section."""
     state, out = start_encoder(), np.zeros(1 << 16, dtype=np.uint8)
     models = new_models(_N_MODELS)
-    for value, n_bits in (
-        (tables.k_max, _K_MAX_BITS), (tables.family, _FAMILY_BITS), (tables.features, _FEATURE_BITS)
-    ):  # fmt: skip
-        encode_raw(state, out, value, n_bits)
+    encode_raw(state, out, tables.k_max, _K_MAX_BITS)
+    encode_raw(state, out, tables.family, _FAMILY_BITS)
     for row in tables.stencils:
         for plane, stencil in zip(PLANES, row, strict=True):
             encode_raw(state, out, stencil.base, _BASE_BITS)
@@ -273,9 +272,8 @@ def parse_parameters(section: bytes) -> Tables:
     models = new_models(_N_MODELS)
     k_max = int(decode_raw(state, data, _K_MAX_BITS))
     family = int(decode_raw(state, data, _FAMILY_BITS))
-    features = int(decode_raw(state, data, _FEATURE_BITS))
-    if family >= rapid_tables.N_FAMILIES or features >= len(rapid_tables.FEATURES):
-        raise CorruptStreamError(f"trained tables {family}, {features} do not exist")
+    if family >= rapid_tables.N_FAMILIES:
+        raise CorruptStreamError(f"family {family} of frequencies does not exist")
     stencils = tuple(
         tuple(_parse_stencil(state, data, models, plane) for plane in PLANES)
         for _ in range(N_CLASSES)
@@ -288,7 +286,7 @@ def parse_parameters(section: bytes) -> Tables:
             codes[context] = _parse_codes(state, data, models, family, context)
             freqs_of(codes[context], rest_symbol(family, context))  # checks them
     raise_for_status(*finish_decoder(state, data))
-    return Tables(FileTables(k_max, family, features, stencils, codes))
+    return Tables(FileTables(k_max, family, stencils, codes))
 
 
 def _freq_models(trained: int, last: int) -> int:
