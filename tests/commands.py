@@ -1,6 +1,7 @@
 """Commands run by tests: in this process, or in one of their own."""
 
 import os
+import signal
 import subprocess
 import sys
 
@@ -16,6 +17,10 @@ def run(*args):
     return result
 
 
+def _with_default_interrupt():
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def start(*args, **options):
     """Start a command in a process of its own."""
     program = "import sys; from terrainwave.cli import main; main(prog_name='terrainwave')"
@@ -25,6 +30,8 @@ def start(*args, **options):
         stderr=subprocess.PIPE,
         text=True,
         encoding="utf-8",
+        # What was started in the background of a shell ignores Ctrl-C, and hands that on.
+        preexec_fn=None if sys.platform == "win32" else _with_default_interrupt,
         env=os.environ
         | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "PYTHONIOENCODING": "utf-8"},
         **options,
@@ -35,7 +42,7 @@ def one_line(result, status):
     """Return the one line of stderr of a failed command."""
     assert result.exit_code == status, result.output
     assert result.stdout == ""
-    lines = result.stderr.splitlines()
+    lines = [line for line in result.stderr.splitlines() if not line.startswith("compiling")]
     assert len(lines) == 1, lines
     assert lines[0].startswith("terrainwave")
     return lines[0]

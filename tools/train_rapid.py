@@ -25,6 +25,7 @@ from terrainwave.codec.rapid_fitting import (
     _judged,
     choose_stencils,
     codes_for,
+    count,
     fit_stencil,
     gather,
 )
@@ -80,7 +81,7 @@ def windows_of(path: Path) -> list[Window]:
 def plain_tables(step: int) -> FileTables:
     """Return tables without anything of a file's own."""
     plain = ((FileStencil(0),) * len(PLANES),) * N_CLASSES
-    return FileTables(0, rapid_tables.family_of(step), 0, plain, {})
+    return FileTables(0, rapid_tables.family_of(step), plain, {})
 
 
 def train_stencils(windows: dict[str, list[Window]]) -> dict[int, np.ndarray]:
@@ -123,9 +124,11 @@ def train_codes(windows: dict[str, list[Window]]) -> np.ndarray:
     for name, found in windows.items():
         for bound in BOUNDS:
             step = 2 * bound * (10 if "lidar" in name else 1) + 1
-            tables, seen = choose_stencils(plain_tables(step), found, step, 20.0)
-            symbols = seen.symbols.astype(np.float64)
-            counts[tables.family] += symbols / max(1.0, symbols.sum()) * 1e6
+            tables = choose_stencils(plain_tables(step), found, step, 20.0)
+            for family in range(tables.family, rapid_tables.N_FAMILIES, rapid_tables.N_STEPS):
+                seen = count(tables._replace(family=family), found, step)
+                symbols = seen.symbols.astype(np.float64)
+                counts[family] += symbols / max(1.0, symbols.sum()) * 1e6
     codes = np.zeros(counts.shape, dtype=np.int64)
     for family in range(rapid_tables.N_FAMILIES):
         for context in range(N_CONTEXTS):
@@ -164,7 +167,7 @@ def write(stencils: dict[int, np.ndarray], codes: np.ndarray) -> None:
 HEADER = '''"""Tables of the `rapid` method: written by tools/train_rapid.py, never edited.
 
 Stencils by plane (HH, HL, LH) and set, in 1/4096; weights of the expected magnitude by table, class
-of levels and plane or line, in 2**-24; codes of frequencies by family of steps, context and symbol.
+of levels and plane or line, in 2**-24; codes of frequencies by family, context and symbol.
 """
 
 # fmt: off
@@ -178,11 +181,11 @@ from numpy.typing import NDArray
 
 FOOTER = '''# fmt: on
 
-N_FAMILIES = 3
+N_STEPS, N_FAMILIES = 3, 6  # of steps; those with each table of features
 
 
 def family_of(step: int) -> int:
-    """Return which frequencies a step starts from."""
+    """Return which frequencies a step starts from with the first table of features."""
     return 0 if step == 1 else 1 if step == 3 else 2
 
 

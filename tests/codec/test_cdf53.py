@@ -174,7 +174,7 @@ def test_floats_on_no_grid_can_be_cut():
         ({"rate": 1, "method": "cdf97"}, "rate and method cdf97, expected method cdf53"),
         ({"rate": 0}, "rate 0, expected a number > 0"),
         ({"psnr": float("nan")}, "psnr nan, expected a finite number"),
-        ({"rate": 0.01}, "give a larger --rate"),
+        ({"rate": 0.01}, "give a larger one"),
         ({"border_rings": 3}, "expected border_rings 1"),
     ],
 )

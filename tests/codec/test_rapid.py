@@ -43,6 +43,9 @@ from terrainwave.codec.rapid_parameters import (
     rest_symbol,
 )
 from terrainwave.codec.refiner import Sides
+
+# Compiling its kernels takes a minute: `make test-all`.
+pytestmark = pytest.mark.full
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 from terrainwave.grid.quadtree import Grid
 
@@ -370,10 +373,10 @@ def some_tables():
             )
         rows.append(tuple(row))
     codes = {
-        context: codes_for(rng.integers(0, 999, N_SYMBOLS) + 1, 1, context)
+        context: codes_for(rng.integers(0, 999, N_SYMBOLS) + 1, 4, context)
         for context in (0, 3, 4, 99, 175)
     }
-    return FileTables(9, 1, 1, tuple(rows), codes)
+    return FileTables(9, 4, tuple(rows), codes)
 
 
 def test_parameters_come_back():

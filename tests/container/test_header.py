@@ -110,7 +110,7 @@ UNSUPPORTED = [
     (9, "B", 1, "reserved"),
     (12, "I", 1, "unknown features 0x1"),
     (12, "I", 2**31, "unknown features"),
-    (34, "B", 4, "unknown method 4"),
+    (34, "B", 5, "unknown method 5"),
     (35, "B", 0, "unknown data type 0"),
     (35, "B", 2, "unknown data type 2"),
     (35, "B", 9, "unknown data type 9"),

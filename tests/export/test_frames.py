@@ -125,7 +125,7 @@ def test_z_scale_multiplies_heights():
 
 @pytest.mark.parametrize("z_scale", [-1.0, 0.0, math.nan, math.inf])
 def test_a_z_scale_that_is_not_positive_is_refused(z_scale):
-    with pytest.raises(InvalidHeightsError, match="z-scale"):
+    with pytest.raises(InvalidHeightsError, match="z_scale"):
         to_frame(degrees(), z_scale=z_scale)
 
 

@@ -358,6 +358,6 @@ def test_command_writes_a_directory_and_replaces_only_tiles(tmp_path):
 def test_command_refuses_a_zoom_beyond_the_samples(tmp_path):
     open_terrain(tmp_path, steep(20, 20), UTM, "EPSG:32633").close()
     result = run("tiles", tmp_path / "dem.twz", tmp_path / "tiles", "--max-zoom", 20)
-    assert result.exit_code == 1
-    assert "found max_zoom 20, expected 0 … " in result.stderr
+    assert result.exit_code == 2
+    assert "found --max-zoom 20, expected 0 … " in result.stderr
     assert not (tmp_path / "tiles").exists()

@@ -17,7 +17,7 @@ from terrainwave.codec import rapid_tables as annex
 PLANES = ("HH", "HL", "LH")
 PARITY = {"A": (0, 0), "HH": (1, 1), "HL": (0, 1), "LH": (1, 0)}
 CODES = np.frombuffer(zlib.decompress(base64.b85decode(annex._CODES)), np.uint8)
-CODES = CODES.reshape(3, 176, 63).tolist()
+CODES = CODES.reshape(6, 176, 63).tolist()
 
 
 def own(plane):
@@ -92,7 +92,7 @@ def read_rapid_tables(parameters, n):
     sets = {plane: annex.STENCILS[i].tolist() for plane, i in numbers.items()}
     if not parameters:
         stencils = [{plane: sets[plane][0] for plane in PLANES}] * 4
-        return tables_of(0, family, 0, stencils, CODES[family])
+        return tables_of(0, family, stencils, CODES[family])
     require(parameters[0] == 1, "layout of the parameters", UnsupportedError)
     decoder, models = range_coder.RangeDecoder(parameters[1:]), Models(370)
 
@@ -101,8 +101,8 @@ def read_rapid_tables(parameters, n):
         require(value <= limit, "number in the parameters")
         return value
 
-    k_max, family, table = decoder.raw(5), decoder.raw(2), decoder.raw(1)
-    require(family < 3 and table < len(annex.FEATURES), "trained tables")
+    k_max, family = decoder.raw(5), decoder.raw(3)
+    require(family < 6, "family of frequencies")
     stencils = []
     for _ in range(4):
         stencils.append({})
@@ -137,10 +137,10 @@ def read_rapid_tables(parameters, n):
                 require(0 <= codes[context][symbol] <= 127, "code of a frequency")
         frequencies(codes[context], trained.index(max(trained)))
     decoder.end()
-    return tables_of(k_max, family, table, stencils, codes)
+    return tables_of(k_max, family, stencils, codes)
 
 
-def tables_of(k_max, family, table, stencils, codes):
+def tables_of(k_max, family, stencils, codes):
     rests = [row.index(max(row)) for row in CODES[family]]
     symbols = []
     for row, rest in zip(codes, rests, strict=True):
@@ -150,8 +150,8 @@ def tables_of(k_max, family, table, stencils, codes):
         symbols.append(slots)
     widest = max(sum(map(abs, weights)) for row in stencils for weights in row.values())
     return SimpleNamespace(
-        k_max=k_max, stencils=stencils, features=annex.FEATURES[table].tolist(), slots=symbols,
-        widest=widest,
+        k_max=k_max, stencils=stencils, features=annex.FEATURES[family // 3].tolist(),
+        slots=symbols, widest=widest,
     )  # fmt: skip
 
 

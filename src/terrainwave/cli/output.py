@@ -4,6 +4,7 @@ Strings may come from untrusted files. `plain` takes the control characters out 
 printed, and tables hold rich's `Text`, in which markup means nothing.
 """
 
+import functools
 import os
 import sys
 import unicodedata
@@ -255,13 +256,19 @@ def _rich_bar() -> Any:
 
 def announce_compiling(*, quiet: bool = False) -> None:
     """Say why the first run on a machine takes seconds, as soon as something is compiled."""
-    from terrainwave.coding import jit as _jit
-
-    def announce() -> None:
-        click.echo("compiling kernels for this machine, once: this takes some seconds", err=True)
-
     if not quiet:
-        _jit.on_first_compilation(announce)
+        _announce_once()
+
+
+@functools.cache
+def _announce_once() -> None:
+    from terrainwave.coding.jit import on_first_compilation
+
+    on_first_compilation(
+        lambda: click.echo(
+            "compiling kernels for this machine, once: this takes some seconds", err=True
+        )
+    )
 
 
 def print_table(rows: list[tuple[str, object]]) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec import rapid_tables
-from terrainwave.codec.fitting import fit_weights, gather_window, stencil_cost, windows_of
+from terrainwave.codec.fitting import fit_weights, gather_window, stencil_cost
 from terrainwave.codec.lattice import parity, plane_sizes
 from terrainwave.codec.rapid import Rapid
 from terrainwave.codec.rapid_code import ESCAPE, ESCAPE_BITS, N_SYMBOLS, low_bits
@@ -33,15 +33,18 @@ from terrainwave.codec.rapid_parameters import (
     freq_of,
     freqs_of,
     missing_tap,
+    pack_parameters,
     rest_symbol,
     weights_of,
 )
-from terrainwave.codec.rapid_tables import FEATURES, family_of
+from terrainwave.codec.rapid_tables import N_FAMILIES, N_STEPS, family_of
 from terrainwave.codec.refiner import GroupSpec, Heights, Mask, Sides
 from terrainwave.coding.rans import N_SLOTS
 from terrainwave.grid.quadtree import Grid, Region
 
 _WINDOW = 257
+_MOST_A_SIDE = 6  # windows: 36 in all
+_MOST_TRIED = 12  # of them try stencils
 _CLASS_DEPTHS = ((0,), (1,), (2,), (3, 4))
 _MIN_SAMPLES, _MAX_SAMPLES, _MAX_JUDGED = 300, 6000, 2000
 _MARGIN_WORTH = 1.5
@@ -52,6 +55,7 @@ _MAX_WANTED = 28000
 _NOISES = (0.0048, 0.0208, 0.0533)
 # Costs are in 1/64 bit; those of `stencil_cost` in 1/16.
 _COST_UNIT = 64
+_COST_OF_NONE = _COST_UNIT * (11 + ESCAPE_BITS)  # of a symbol that takes an escape
 _TAP_BITS, _FREQ_BITS = 5, 3
 # A context starts from its trained frequencies as if it had been seen so often.
 _PRIOR = 24
@@ -80,23 +84,54 @@ def fit_tables(
     mask: Callable[[int, Region], Mask],
 ) -> FileTables:
     """Return the tables for a raster; `heights` and `mask` return a region of a level."""
-    windows = [
-        Window(*found) for found in windows_of(grid, 0, heights, mask, _WINDOW) if found[1].any()
-    ]
+    windows = [Window(*found) for found in spread_windows(grid, heights, mask) if found[1].any()]
     n_coded = sum(int(np.count_nonzero(window.mask)) for window in windows)
-    family = family_of(step)
     plain = ((FileStencil(0),) * len(PLANES),) * N_CLASSES
-    tables = FileTables(grid.k_max, family, 0, plain, {})
+    tables = FileTables(grid.k_max, family_of(step), plain, {})
     if n_coded < _MIN_SAMPLES:
         return tables
     share = grid.n_rows * grid.n_cols / sum(window.mask.size for window in windows)
-    tables, counts = choose_stencils(tables, windows, step, share)
-    for features in range(1, len(FEATURES)):
-        other = tables._replace(features=features)
-        found = count(other, windows, step)
-        if int(found.costs.sum()) < int(counts.costs.sum()):
-            tables, counts = other, found
-    return tables._replace(codes=fit_codes(family, counts.symbols, share))
+    few = windows[:: -(-len(windows) // _MOST_TRIED)]
+    tables = choose_stencils(tables, few, step, share * len(windows) / len(few))
+    found = []
+    for family in range(family_of(step), N_FAMILIES, N_STEPS):
+        other = tables._replace(family=family)
+        symbols = count(other, windows, step).symbols
+        other = other._replace(codes=fit_codes(family, symbols, share))
+        n_bits = 8 * len(pack_parameters(other))
+        cost = int((symbols * prices(other)).sum()) * share + _COST_UNIT * n_bits
+        found.append((cost, family, other))
+    return min(found)[2]
+
+
+def spread_windows(
+    grid: Grid,
+    heights: Callable[[int, Region], Heights],
+    mask: Callable[[int, Region], Mask],
+) -> list[tuple[Heights, Mask]]:
+    """Return windows of the full grid, spread evenly; small rasters are covered."""
+    found = []
+    at = []
+    for n in (grid.n_rows, grid.n_cols):
+        count_ = min(_MOST_A_SIDE, -(-n // _WINDOW))
+        rest = max(n - _WINDOW, 0)
+        at.append(
+            [rest * (2 * i + 1) // (2 * count_) for i in range(count_)]
+            if count_ * _WINDOW < n
+            else [rest * i // max(count_ - 1, 1) for i in range(count_)]
+        )
+    for row in at[0]:
+        for col in at[1]:
+            region = Region(
+                row, col, min(_WINDOW, grid.n_rows - row), min(_WINDOW, grid.n_cols - col)
+            )
+            found.append(
+                (
+                    np.ascontiguousarray(heights(grid.k_max, region), dtype=np.int32),
+                    np.ascontiguousarray(mask(grid.k_max, region), dtype=np.bool_),
+                )
+            )
+    return found
 
 
 # Stencils ---------------------------------------------------------------------------------------
@@ -104,8 +139,8 @@ def fit_tables(
 
 def choose_stencils(
     tables: FileTables, windows: list[Window], step: int, share: float
-) -> tuple[FileTables, _Counts]:
-    """Return tables with the stencils that cost least, and their counts.
+) -> FileTables:
+    """Return tables with the stencils that cost least.
 
     `share`: how many times the windows' samples the file has.
     """
@@ -126,25 +161,33 @@ def choose_stencils(
             tried.append(
                 _stencils(lambda key, f=fitted: f[key] or trained[key[0]][key[1] - 1])  # type: ignore[misc]
             )
-    counts = [count(tables._replace(stencils=s), windows, step) for s in tried]
-    best = np.argmin(
-        np.stack(
-            [
-                c.costs * share + _COST_UNIT * _MARGIN_WORTH * _bits_of(s)
-                for c, s in zip(counts, tried, strict=True)
-            ]
-        ),
-        axis=0,
-    )
+    # What symbols cost with frequencies of their own, as far as trained stencils tell.
+    first = count(tables._replace(stencils=trained), windows, step)
+    paid = prices(tables._replace(codes=fit_codes(tables.family, first.symbols, share)))
+    counts = [count(tables._replace(stencils=s), windows, step, paid) for s in tried]
+    totals = [_total(found, row, share) for found, row in zip(counts, tried, strict=True)]
+    best = np.argmin(totals, axis=0)
     mixed = _stencils(lambda key: tried[int(best[key[0], key[1] - 1])][key[0]][key[1] - 1])
-    tables = tables._replace(stencils=mixed)
-    return tables, count(tables, windows, step)
+    # Planes lean on those before: a mixture may do worse than what it was made of.
+    tried.append(mixed)
+    found = count(tables._replace(stencils=mixed), windows, step, paid)
+    totals.append(_total(found, mixed, share))
+    best = np.argmin(np.sum(totals, axis=2), axis=0)
+    mixed = tuple(tried[int(best[which])][which] for which in range(N_CLASSES))
+    return tables._replace(stencils=mixed)
 
 
 def _stencils(
     of: Callable[[tuple[int, int]], FileStencil],
 ) -> tuple[tuple[FileStencil, ...], ...]:
     return tuple(tuple(of((which, plane)) for plane in PLANES) for which in range(N_CLASSES))
+
+
+def _total(
+    counts: _Counts, stencils: tuple[tuple[FileStencil, ...], ...], share: float
+) -> NDArray[np.float64]:
+    """Return what each class and plane costs in the file, its stencil included."""
+    return counts.costs * share + _COST_UNIT * _MARGIN_WORTH * _bits_of(stencils)
 
 
 def _bits_of(stencils: tuple[tuple[FileStencil, ...], ...]) -> NDArray[np.int64]:
@@ -169,14 +212,11 @@ def gather(plane: int, windows: list[Window], depths: tuple[int, ...], step: int
     """Collect samples of a plane from windows at depths below the full grid."""
     taps, core = _offsets(plane, TAPS[plane]), _offsets(plane, CORES[plane])
     parts = [
-        Window(
-            np.ascontiguousarray(target[:: 1 << d, :: 1 << d]),
-            np.ascontiguousarray(mask[:: 1 << d, :: 1 << d]),
-        )
+        [np.ascontiguousarray(array[:: 1 << d, :: 1 << d]) for array in (target, mask)]
         for d in depths
         for target, mask in windows
     ]
-    n_places = sum(part.target.size >> 2 for part in parts)
+    n_places = sum(part[0].size >> 2 for part in parts)
     every = max(1, n_places // _MAX_SAMPLES)
     rows = np.empty((n_places // every + 1, taps.shape[0]), dtype=np.float64)
     goals = np.empty(rows.shape[0], dtype=np.float64)
@@ -251,10 +291,14 @@ def fit_stencil(
 # Counts and frequencies -------------------------------------------------------------------------
 
 
-def count(tables: FileTables, windows: list[Window], step: int) -> _Counts:
-    """Code windows and return what they cost and how often each symbol came."""
+def count(
+    tables: FileTables,
+    windows: list[Window],
+    step: int,
+    paid: NDArray[np.int64] | None = None,
+) -> _Counts:
+    """Code windows and return how often each symbol came, and what they cost if `paid` is given."""
     refiner = Rapid.with_tables(Tables(tables))
-    prices = _prices(tables.family)
     costs = np.zeros(N_CLASSES * len(PLANES), dtype=np.int64)
     symbols = np.zeros(N_CONTEXTS * N_SYMBOLS, dtype=np.int64)
     for target, mask in windows:
@@ -264,21 +308,26 @@ def count(tables: FileTables, windows: list[Window], step: int) -> _Counts:
             tables.k_max, region, region, None, _NOT_SHARED, step, low, high, (1, 0), 1, 0
         )
         places, kinds = coding_order(target.shape)
-        kinds = kinds[mask.ravel()[places]]
+        if not mask.all():
+            kinds = kinds[mask.ravel()[places]]
         coded = refiner.log(spec, target, mask, len(kinds))
-        costs += np.bincount(kinds, prices[coded], len(costs)).astype(np.int64)
         symbols += np.bincount(coded, minlength=len(symbols))
+        if paid is not None:
+            costs += np.bincount(kinds, paid.ravel()[coded], len(costs)).astype(np.int64)
     return _Counts(costs.reshape(N_CLASSES, -1), symbols.reshape(N_CONTEXTS, N_SYMBOLS))
 
 
-@cache
-def _prices(family: int) -> NDArray[np.int64]:
-    """Return what each symbol of each context costs with trained frequencies, raw bits included."""
-    bits = _cost_of(default_freqs(family))
+def prices(tables: FileTables) -> NDArray[np.int64]:
+    """Return what each symbol of each context costs, raw bits included."""
+    freqs = default_freqs(tables.family).copy()
+    for context, codes in tables.codes.items():
+        freqs[context] = freqs_of(codes, rest_symbol(tables.family, context))
+    bits = _cost_of(freqs)
     raw = np.array([low_bits(context) for context in range(N_CONTEXTS)])
     bits += _COST_UNIT * raw[:, None]
     bits[:, ESCAPE] += _COST_UNIT * (ESCAPE_BITS - raw)
-    return bits.ravel()
+    escapes = np.broadcast_to(bits[:, ESCAPE : ESCAPE + 1], bits.shape)
+    return np.where(freqs > 0, bits, escapes)
 
 
 @cache
@@ -286,7 +335,7 @@ def _cost_table() -> NDArray[np.int64]:
     """Return -64 log2 of frequencies, rounded; none lies so near a half that machines differ."""
     freqs = np.arange(1, N_SLOTS + 1)
     costs = np.rint(_COST_UNIT * (np.log2(N_SLOTS) - np.log2(freqs))).astype(np.int64)
-    return np.concatenate([[20 * _COST_UNIT], costs])
+    return np.concatenate([[0], costs])  # of none: whatever an escape costs instead
 
 
 def _cost_of(freqs: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -330,8 +379,10 @@ def fit_codes(family: int, counts: NDArray[np.int64], share: float) -> dict[int,
         trained = default_freqs(family)[context]
         codes = codes_for(seen * N_SLOTS + _PRIOR * trained, family, context)
         rest = rest_symbol(family, context)
-        before = int((seen * _cost_of(trained)).sum())
-        after = int((seen * _cost_of(freqs_of(codes, rest))).sum())
+        before, after = (
+            int((seen * np.where(freqs > 0, _cost_of(freqs), _COST_OF_NONE)).sum())
+            for freqs in (trained, freqs_of(codes, rest))
+        )
         changes = np.abs(codes - default_codes(family)[context])
         n_bits = 2 + sum(1 if c == 0 else 1 + _FREQ_BITS + int(c).bit_length() for c in changes)
         if (before - after) * share > _COST_UNIT * n_bits:

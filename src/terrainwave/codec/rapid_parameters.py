@@ -34,7 +34,7 @@ WHOLE = 4096
 MAX_WEIGHT = (1 << 15) - 1
 SHIFTS = (0, 2, 3, 4, 5)
 _LAYOUT = 1
-_K_MAX_BITS, _FAMILY_BITS, _FEATURE_BITS, _BASE_BITS, _SHIFT_BITS = 5, 2, 1, 4, 3
+_K_MAX_BITS, _FAMILY_BITS, _BASE_BITS, _SHIFT_BITS = 5, 3, 4, 3
 # Models: magnitudes of core taps and of other taps; six groups for frequencies; a flag.
 _CORE, _OTHER, _FREQ = 0, MAGNITUDE_MODELS, 2 * MAGNITUDE_MODELS
 _OWN = 8 * MAGNITUDE_MODELS
@@ -58,12 +58,11 @@ class FileTables(NamedTuple):
     """What a file brings along.
 
     `stencils` by class and plane; `codes` of the frequencies of contexts that have their own, by
-    context; `family` and `features` are the trained tables they build on.
+    context; `family` says which trained frequencies they change, and the table of features.
     """
 
     k_max: int
     family: int
-    features: int
     stencils: tuple[tuple[FileStencil, ...], ...]
     codes: dict[int, NDArray[np.int64]]
 
@@ -83,7 +82,9 @@ class Tables:
     def __init__(self, file: FileTables | None) -> None:
         self._file = file
         self.k_max = 0 if file is None else file.k_max
-        self.features = rapid_tables.FEATURES[0 if file is None else file.features]
+        self.features = rapid_tables.FEATURES[
+            0 if file is None else file.family // rapid_tables.N_STEPS
+        ]
         self.stencils = np.zeros((N_CLASSES, len(PLANES), MAX_TAPS), dtype=np.int64)
         for which in range(N_CLASSES):
             for index, plane in enumerate(PLANES):
@@ -208,10 +209,8 @@ def pack_parameters(tables: FileTables) -> bytes:
     """Return the parameters section."""
     out = np.zeros(1 << 16, dtype=np.uint8)
     coder = new_encoder(out, new_models(_N_MODELS))
-    for value, n_bits in (
-        (tables.k_max, _K_MAX_BITS), (tables.family, _FAMILY_BITS), (tables.features, _FEATURE_BITS)
-    ):  # fmt: skip
-        code_raw(coder, n_bits, value)
+    code_raw(coder, _K_MAX_BITS, tables.k_max)
+    code_raw(coder, _FAMILY_BITS, tables.family)
     for row in tables.stencils:
         for plane, stencil in zip(PLANES, row, strict=True):
             code_raw(coder, _BASE_BITS, stencil.base)
@@ -268,9 +267,8 @@ def parse_parameters(section: bytes) -> Tables:
     coder = new_decoder(section[1:], new_models(_N_MODELS))
     k_max = int(code_raw(coder, _K_MAX_BITS, 0))
     family = int(code_raw(coder, _FAMILY_BITS, 0))
-    features = int(code_raw(coder, _FEATURE_BITS, 0))
-    if family >= rapid_tables.N_FAMILIES or features >= len(rapid_tables.FEATURES):
-        raise CorruptStreamError(f"trained tables {family}, {features} do not exist")
+    if family >= rapid_tables.N_FAMILIES:
+        raise CorruptStreamError(f"family {family} of frequencies does not exist")
     stencils = tuple(
         tuple(_parse_stencil(coder, plane) for plane in PLANES) for _ in range(N_CLASSES)
     )
@@ -282,7 +280,7 @@ def parse_parameters(section: bytes) -> Tables:
             codes[context] = _parse_codes(coder, family, context)
             freqs_of(codes[context], rest_symbol(family, context))  # checks them
     raise_for_status(*finish_decoder(coder.state, coder.stream))
-    return Tables(FileTables(k_max, family, features, stencils, codes))
+    return Tables(FileTables(k_max, family, stencils, codes))
 
 
 def _code_magnitude(coder: Coder, first: int, value: int = 0) -> int:
