@@ -43,11 +43,11 @@ from terrainwave.codec.rapid_parameters import (
     rest_symbol,
 )
 from terrainwave.codec.refiner import Sides
+from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
+from terrainwave.grid.quadtree import Grid
 
 # Compiling its kernels takes a minute: `make test-all`.
 pytestmark = pytest.mark.full
-from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
-from terrainwave.grid.quadtree import Grid
 
 WIDE = 1
 
