@@ -58,3 +58,8 @@ def test_a_size_of_tasks_is_refused_where_there_are_none(tmp_path):
     with pytest.raises(InvalidHeightsError, match="found task_samples 5 without a client"):
         compress(tmp_path / "dem.tif", tmp_path / "dem.twz", task_samples=5)
     assert not (tmp_path / "dem.twz").exists()
+
+
+def test_a_draft_says_that_it_is_one():
+    (note,) = Options(method="rapid").notes
+    assert "rapid is a draft" in note

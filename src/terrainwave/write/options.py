@@ -105,7 +105,14 @@ class Options:
 
     @property
     def notes(self) -> list[str]:
-        """Return remarks on options that change nothing."""
-        if self.effort == "default" or self.coding.effort:
-            return []
-        return [f"effort {self.effort} changes nothing: method {self.method} has no efforts"]
+        """Return remarks on options that change nothing, and on methods that are not settled."""
+        notes = []
+        if self.effort != "default" and not self.coding.effort:
+            notes.append(
+                f"effort {self.effort} changes nothing: method {self.method} has no efforts"
+            )
+        if self.coding.is_draft:
+            notes.append(
+                f"method {self.method} is a draft: its bytes may still change, keep the original"
+            )
+        return notes
