@@ -223,7 +223,8 @@ def _finish_row(
         _load_known(m, own, out, start, step, origin, max(stop, first), n, scale)
     if goal is not None:
         for j in range(first, stop):
-            m[GOAL + np.uint64(j)] = goal[np.uint64(start) + np.uint64(j) * step] - origin
+            height = np.int64(goal[np.uint64(start) + np.uint64(j) * step])
+                m[GOAL + np.uint64(j)] = height - origin
     if has_void:
         for j in range(first, stop):
             m[VALID + np.uint64(j)] = valid[np.uint64(start) + np.uint64(j) * step]
