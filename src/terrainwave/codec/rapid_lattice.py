@@ -224,7 +224,7 @@ def _finish_row(
     if goal is not None:
         for j in range(first, stop):
             height = np.int64(goal[np.uint64(start) + np.uint64(j) * step])
-                m[GOAL + np.uint64(j)] = height - origin
+            m[GOAL + np.uint64(j)] = height - origin
     if has_void:
         for j in range(first, stop):
             m[VALID + np.uint64(j)] = valid[np.uint64(start) + np.uint64(j) * step]
