@@ -143,7 +143,7 @@ def _code_corners(
         m[k + PREDICTED] = cast(16 * m[k + SUM])
         m[k + TWIST] = abs(cast(a - b - c + d))
         if goal is not None:
-            m[k + GOAL] = goal[corners[first + j, 0]] - origin
+            m[k + GOAL] = np.int64(goal[corners[first + j, 0]]) - origin
         m[k + VALID] = valid[corners[first + j, 0]] if has_void else 1
     _code_prepared(goal, n, has_void, workspace, scale, s)
     for j in range(n):
@@ -232,7 +232,7 @@ def _code_places(goal, valid, has_void, out, start, step, n, origin, workspace, 
         return
     if goal is not None:
         for j in range(n):
-            m[GOAL + np.uint64(j)] = goal[start + j * step] - origin
+            m[GOAL + np.uint64(j)] = np.int64(goal[start + j * step]) - origin
     for j in range(n):
         m[VALID + np.uint64(j)] = valid[start + j * step] if has_void else 1
     _code_prepared(goal, n, has_void, workspace, scale, s)
