@@ -18,7 +18,7 @@ CDF97_LOWPASS = (
 def surface_at(heights, stride, row, col):
     """Return the bilinear surface of a block at a full-grid place, exactly.
 
-    A sample past the last row or column lies on the line through the last two (DESIGN §2).
+    A sample past the last row or column lies on the line through the last two.
     """
     return _between(
         lambda r: _between(lambda c: Fraction(int(heights[r, c])), heights.shape[1], stride, col),
@@ -53,7 +53,7 @@ def bilinear_error(heights, stride, originals, valid, row=0, col=0):
 
 
 def level_mask(valid, shift):
-    """Return the mask of the level `shift` steps above the full grid (DESIGN §3.4).
+    """Return the mask of the level `shift` steps above the full grid.
 
     A coarse sample is valid iff any full-grid sample of the cells touching it is.
     """

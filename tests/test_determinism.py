@@ -1,4 +1,4 @@
-"""The same raster gives the same bytes: threads, order, runs, kinds of sources (DESIGN §3.8)."""
+"""The same raster gives the same bytes: threads, order, runs, kinds of sources."""
 
 import hashlib
 import os

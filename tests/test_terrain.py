@@ -734,7 +734,7 @@ def test_info_of_a_raster_without_heights_has_no_range():
         assert (terrain.info().minimum, terrain.info().maximum) == (None, None)
 
 
-# Shared borders (DESIGN §3.3)
+# Shared borders
 
 
 def all_keys(grid):

@@ -306,7 +306,7 @@ class TerrainFile:
         """Return the stored measured error of a block's bilinear surface, in physical units.
 
         No valid original under the block is further from the bilinear interpolation of its
-        decoded samples (DESIGN §3.9).
+        decoded samples.
         """
         code = self.container.codes(block)[2]
         return decode_error(code) * self.quantizer.quantum * abs(self._raster.scale)

@@ -105,7 +105,7 @@ def test_masks_of_all_levels_come_back_exactly(share, rings):
 @pytest.mark.parametrize("rings", [1, 3])
 @pytest.mark.parametrize("shape", [(130, 5), (141, 7), (2, 150)])
 def test_implied_voids_are_void(shape, rings):
-    # A coarse sample is void only if nothing valid lies in the cells touching it (DESIGN §3.4).
+    # A coarse sample is void only if nothing valid lies in the cells touching it.
     grid = Grid(*shape, 32)
     valid = np.random.default_rng(2).random(shape) < 0.01
     masks = pyramid_of_masks(valid, grid)

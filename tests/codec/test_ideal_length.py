@@ -1,4 +1,4 @@
-"""Coded size against the ideal code length of the same decisions (DESIGN.md §3.5).
+"""Coded size against the ideal code length of the same decisions.
 
 Whole payloads of terrain-like heights are encoded by the real kernels, then decoded by the same
 code as plain Python with accounts (`tests/decisions.py`), which says what is ideal.

@@ -164,7 +164,7 @@ def test_levels_are_groups_with_their_own_coordinates(terrain_file):
         for level in range(terrain.n_levels):
             node = tree[f"level_{level}"]
             assert node.heights.shape == terrain.level_shape(level)
-            # Every level's first sample lies on the first sample of the full grid (DESIGN §2).
+            # Every level's first sample lies on the first sample of the full grid.
             assert (node.x[0], node.y[0]) == (500_015.1, 4_999_985.7)
             assert node.x[1] - node.x[0] == pytest.approx(
                 30.0 * 2 ** (terrain.n_levels - 1 - level)

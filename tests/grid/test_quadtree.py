@@ -1,4 +1,4 @@
-"""Index arithmetic: levels, blocks, groups, segments. Numbers by hand from DESIGN §2 and §4."""
+"""Index arithmetic: levels, blocks, groups, segments. Numbers by hand."""
 
 import numpy as np
 import pytest

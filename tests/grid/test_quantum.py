@@ -1,4 +1,4 @@
-"""The vertical quantum: detection, the step, and what rounding may cost (DESIGN §2)."""
+"""The vertical quantum: detection, the step, and what rounding may cost."""
 
 import re
 from fractions import Fraction
@@ -149,7 +149,7 @@ def test_the_scan_says_whether_there_are_voids():
     ],
 )
 def test_the_step_on_a_grid_of_a_tenth(max_error, step, effective):
-    # DESIGN §2: n = 2 floor((delta - rho) / p) + 1
+    # n = 2 floor((delta - rho) / p) + 1
     quantizer = quantizer_of(grid_of(TENTH, "float64"), max_error)
     assert (quantizer.step, quantizer.rho) == (step, 0)
     assert quantizer.effective_error == pytest.approx(effective, abs=1e-12)

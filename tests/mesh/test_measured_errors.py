@@ -1,4 +1,4 @@
-"""Stored errors and boxes of blocks against the slow reference (DESIGN §3.9, FORMAT.md §4.4)."""
+"""Stored errors and boxes of blocks against the slow reference (FORMAT.md §4.4)."""
 
 from fractions import Fraction
 

@@ -1,4 +1,4 @@
-"""Compression by tasks over subtrees gives the bytes of a local run (DESIGN §3.10)."""
+"""Compression by tasks over subtrees gives the bytes of a local run."""
 
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 

@@ -2,7 +2,7 @@
 
 D. Yusov, V. Turlapov 2010, §2.3 codes contours around each group for the same end. Here each line
 is predicted in one dimension from the parent's decoded samples on it, which both neighbours hold
-identically, so both decode the same bits without seeing each other (DESIGN.md §3.3).
+identically, so both decode the same bits without seeing each other.
 """
 
 from collections.abc import Iterator
@@ -24,8 +24,8 @@ from terrainwave.coding.rangecoder import (
     code_raw,
 )
 
-# Models: a zero flag and unary steps for each (pass, context bin). Passes: even and odd samples;
-# in a root block strides of 4 or more, 2 and 1.
+# Models: a zero flag and unary steps for each (pass, context bin). Passes: even samples, odd ones,
+# corners of a root block; the last two have models and no samples.
 _N_PASSES = 5
 _MAG_MODELS = _N_PASSES * N_BINS
 _PREFIX_MODELS = _MAG_MODELS + _N_PASSES * N_BINS * N_UNARY
@@ -111,17 +111,15 @@ def code_border(
     of a group on even rows and columns are the parent's, not coded; without, the parent is a
     low-pass level.
     """
+    if parent is None:  # the root block is alone on its level
+        return
     plan = plan_border(spec)
-    above = None if parent is None else _Parent(spec, parent, is_nested)
+    above = _Parent(spec, parent, is_nested)
     for row, col in plan.corners:
         goal = None if target is None else int(target[row, col])
-        is_coded = bool(mask[row, col])
-        if above is None:
-            heights[row, col] = code_root_sample(goal, is_coded, spec.step, coder)
-        else:
-            prediction, is_inherited = above.predict_corner(row, col)
-            is_coded = is_coded and not is_inherited
-            heights[row, col] = _code_corner(goal, prediction, is_coded, spec.step, coder)
+        prediction, is_inherited = above.predict_corner(row, col)
+        is_coded = bool(mask[row, col]) and not is_inherited
+        heights[row, col] = _code_corner(goal, prediction, is_coded, spec.step, coder)
         is_known[row, col] = True
     for line in plan.lines:
         if line.first >= line.stop:
@@ -132,16 +130,10 @@ def code_border(
         coded = mask[index].copy()
         # Only what lies before `first` and after `stop` is looked at: corner samples.
         decoded = heights[index].astype(np.int64)
-        if above is None:
-            known = np.ones(line.n, dtype=np.bool_)
-            known[line.first : line.stop] = False
-            mags = np.zeros(line.n, dtype=np.int64)
-            _code_closed_line(goals, coded, known, spec.step, coder, mags, decoded)
-        else:
-            predicted, is_inherited = above.predict_line(line)
-            if is_inherited:
-                coded[::2] = False
-            _code_line(goals, predicted, coded, spec.step, line.first, line.stop, coder, decoded)
+        predicted, is_inherited = above.predict_line(line)
+        if is_inherited:
+            coded[::2] = False
+        _code_line(goals, predicted, coded, spec.step, line.first, line.stop, coder, decoded)
         inner = slice(line.start + line.first, line.start + line.stop)
         index = (inner, line.place) if line.is_column else (line.place, inner)
         heights[index] = decoded[line.first : line.stop]
@@ -299,71 +291,3 @@ def _interpolate_line(pairs, predicted):
             left = pairs[k - 1] if k > 0 else pairs[k + 1]
             right = pairs[k + 2] if k + 2 < n_pairs else pairs[k]
             predicted[i] = (9 * (pairs[k] + pairs[k + 1]) - left - right + 16) >> 5
-
-
-@kernel
-def _code_closed_line(goals, mask, known, step, coder, mags, decoded):
-    """Encode the unknown samples of a line, or decode where `goals` is None, coarse to fine.
-
-    Fills `decoded`; `mags` is zeros. Samples 0 and the last multiple of the largest stride that are
-    not known lie on the fixed grid.
-    """
-    n = decoded.shape[0]
-    top = 1
-    while top < n - 1:
-        top *= 2
-    for i in range(0, n, top):
-        if not known[i]:
-            index = np.int64(0)
-            if mask[i]:
-                if goals is not None:
-                    index = np.int64(goals[i]) // step
-                index = _code_index(index, np.int64(_ROOT), np.int64(_ALONE), coder)
-            decoded[i] = _rebuild(np.int64(step >> 1), index, step)
-    stride = top >> 1
-    while stride > 0:
-        pass_ = _ROOT + (0 if stride > 2 else 3 - stride)
-        for i in range(stride, n, 2 * stride):
-            if known[i]:
-                continue
-            prediction, bend = _predict_between(decoded, i, stride)
-            index = np.int64(0)
-            if mask[i]:
-                near = mags[i - stride] + mags[i + stride if i + stride < n else i - stride]
-                last = mags[i - 2 * stride] if i >= 2 * stride else near
-                sums = 2 * near + 2 * last + min(2 * bend // step, 1024)
-                if goals is not None:
-                    index = _quantum_index(goals[i] - prediction, step)
-                index = _code_index(index, pass_, sums, coder)
-            decoded[i] = _rebuild(prediction, index, step)
-            mags[i] = min(abs(index), 255)
-        stride >>= 1
-
-
-@kernel
-def _predict_between(decoded, i, stride):
-    """Predict sample `i` of a line from every `2 * stride`-th around it; return how they bend too.
-
-    From two on each side where there are, else from three, two or one.
-    """
-    n = decoded.shape[0]
-    near_left, right = decoded[i - stride], i + stride
-    has_far_left = i - 3 * stride >= 0
-    if right >= n:
-        if not has_far_left:
-            return near_left, np.int64(0)
-        slope = near_left - decoded[i - 3 * stride]
-        return near_left + (slope >> 1), abs(slope)
-    near_right = decoded[right]
-    has_far_right = right + 2 * stride < n
-    if has_far_left and has_far_right:
-        outer = decoded[i - 3 * stride] + decoded[right + 2 * stride]
-        inner = near_left + near_right
-        return (9 * inner - outer + 8) >> 4, abs(outer - inner)
-    if has_far_left or has_far_right:
-        third = decoded[i - 3 * stride if has_far_left else right + 2 * stride]
-        beside = near_left if has_far_left else near_right
-        opposite = near_right if has_far_left else near_left
-        bend = 2 * abs(third - 2 * beside + opposite)
-        return (3 * opposite + 6 * beside - third + 4) >> 3, bend
-    return (near_left + near_right + 1) >> 1, abs(near_left - near_right)

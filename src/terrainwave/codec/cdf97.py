@@ -438,7 +438,7 @@ def _read_header(payload: bytes) -> tuple[Coding, int]:
 def _quantize(detail, steps, quants):
     """Fill `quants` with indices of `detail`; return the largest index.
 
-    An index rounds up from 0.58 on: 2-5 % smaller than from 0.5 (DESIGN.md §3.1).
+    An index rounds up from 0.58 on: 2-5 % smaller than from 0.5.
     """
     largest = np.int64(0)
     n_rows, n_cols = detail.shape

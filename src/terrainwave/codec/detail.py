@@ -1,7 +1,7 @@
 """Details in quantiser steps: expected magnitude, contexts, symbols (FORMAT.md: predictive).
 
 One number, the expected magnitude E of a detail, drives everything; where the known neighbours lie
-relative to the prediction is the second opinion (DESIGN.md §3.2).
+relative to the prediction is the second opinion.
 """
 
 import numpy as np

@@ -94,7 +94,7 @@ def fit_tables(
     heights, mask : callable
         Targets (int32 quanta) and validity of a region of a level.
     """
-    found: dict[int, list[FileStencil]] = {plane: [] for plane in PLANES}
+    stencils: dict[int, list[FileStencil]] = {plane: [] for plane in PLANES}
     noise = _NOISE * (1 - 1 / step**2)
     for levels in _CLASSES:
         if levels[0] > grid.k_max or grid.n_rows * grid.n_cols >> 2 * levels[0] < 1 << 14:
@@ -106,9 +106,12 @@ def fit_tables(
             if samples is None:
                 continue
             stencil = _fit_stencil(plane, samples, noise)
-            if stencil is not None and len(tables.STENCILS[plane]) + len(found[plane]) < MAX_SETS:
-                found[plane].append(stencil)
-    return FileTables(found, dict.fromkeys(PLANES))
+            if (
+                stencil is not None
+                and len(tables.STENCILS[plane]) + len(stencils[plane]) < MAX_SETS
+            ):
+                stencils[plane].append(stencil)
+    return FileTables(stencils, dict.fromkeys(PLANES))
 
 
 def windows_of(
@@ -134,16 +137,16 @@ def windows_of(
             row = max(0, n_rows - side) * (2 * i + 1) // (2 * counts[0])
             col = max(0, n_cols - side) * (2 * j + 1) // (2 * counts[1])
             places.append((row // (2 * stride) * 2 * stride, col // (2 * stride) * 2 * stride))
-    found = []
+    windows = []
     for row, col in places:
         region = Region(row, col, min(side, n_rows - row), min(side, n_cols - col))
-        found.append(
+        windows.append(
             (
                 np.ascontiguousarray(heights(level, region)[::stride, ::stride], dtype=np.int32),
                 np.ascontiguousarray(mask(level, region)[::stride, ::stride], dtype=np.bool_),
             )
         )
-    return found
+    return windows
 
 
 def _gather(
@@ -362,33 +365,33 @@ def features_of(
         value += weight * shifted(planes[p], r, c) / (1 << WEIGHT_BITS)
     a, b, c, d = (shifted(planes[p], r, q) for p, r, q in geometry.core)
     core = np.sort(np.stack([a, b, c, d]), 0)
-    found = np.zeros((N_FEATURES, n_rows, n_cols))
+    features = np.zeros((N_FEATURES, n_rows, n_cols))
     for index, (row, col) in _OWN_ERRORS.items():
-        found[index] = shifted(errors[own], row, col) / 32
+        features[index] = shifted(errors[own], row, col) / 32
     for index, places in ((F_NEAR, geometry.near), (F_FAR, geometry.far)):
         for p, r, q in places:
-            found[index] += shifted(errors[p], r, q) / 32
-    found[F_MEAN] = np.abs(value - (a + b + c + d) / 4) / step
+            features[index] += shifted(errors[p], r, q) / 32
+    features[F_MEAN] = np.abs(value - (a + b + c + d) / 4) / step
     if clamp:
         value = np.minimum(np.maximum(value, core[0]), core[3])
     for _, r, q in geometry.bends:
-        found[F_BEND] += shifted(bends, r, q) / step
-    found[F_RANGE] = (core[3] - core[0]) / step
-    found[F_MEDIAN] = np.abs((core[1] + core[2]) / 2 - value) / step
-    found[F_MIDDLE] = np.abs((core[0] + core[3]) / 2 - value) / step
-    found[F_TWIST] = np.abs(a + d - b - c if own == 1 else a + b - c - d) / step
+        features[F_BEND] += shifted(bends, r, q) / step
+    features[F_RANGE] = (core[3] - core[0]) / step
+    features[F_MEDIAN] = np.abs((core[1] + core[2]) / 2 - value) / step
+    features[F_MIDDLE] = np.abs((core[0] + core[3]) / 2 - value) / step
+    features[F_TWIST] = np.abs(a + d - b - c if own == 1 else a + b - c - d) / step
     for k in range(0, len(geometry.lines), 4):
         e, f, g, h = (shifted(planes[p], r, q) for p, r, q in geometry.lines[k : k + 4])
-        found[F_LINES] += np.abs(e - f - g + h) / step
-    found[F_ACTIVITY] = shifted(activity[own], -1, 0) / 32
+        features[F_LINES] += np.abs(e - f - g + h) / step
+    features[F_ACTIVITY] = shifted(activity[own], -1, 0) / 32
     for other in range(1, own):
-        found[F_OTHERS] += shifted(activity[other], int(other == 2), 0) / 32
-    found[F_CONST] = 1 / 32  # its weight then is in 1/16384
+        features[F_OTHERS] += shifted(activity[other], int(other == 2), 0) / 32
+    features[F_CONST] = 1 / 32  # its weight then is in 1/16384
     details = np.abs(np.rint((shifted(planes[own], 0, 0) - np.rint(value)) / step))
     inside = np.s_[2:-2, 2:-2]
     use = (kinds == CODED)[inside].ravel()
-    features = found[(slice(None), *inside)].reshape(N_FEATURES, -1)[:, use].T
-    return np.ascontiguousarray(features), np.ascontiguousarray(details[inside].ravel()[use])
+    rows = features[(slice(None), *inside)].reshape(N_FEATURES, -1)[:, use].T
+    return np.ascontiguousarray(rows), np.ascontiguousarray(details[inside].ravel()[use])
 
 
 def fit_features(

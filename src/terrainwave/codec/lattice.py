@@ -39,11 +39,11 @@ def _resolve(pass_: int, offsets: tuple[tuple[int, int], ...]) -> NDArray[np.int
     """Return (plane, row offset, column offset) of lattice offsets seen from a pass's sample."""
     row_parity, col_parity = _PASS_PARITY[pass_]
     planes = {parity: plane for plane, parity in _PASS_PARITY.items()}
-    found = []
+    taps = []
     for row, col in offsets:
         row, col = row + row_parity, col + col_parity
-        found.append((planes[row & 1, col & 1], row >> 1, col >> 1))
-    return np.array(found, dtype=np.int64)
+        taps.append((planes[row & 1, col & 1], row >> 1, col >> 1))
+    return np.array(taps, dtype=np.int64)
 
 
 TAPS = {HH: _resolve(HH, _HH_TAPS), HL: _resolve(HL, _HL_TAPS), LH: _resolve(LH, _LH_TAPS)}

@@ -240,21 +240,21 @@ def _fit_e_weights(
         n_coded = sum(sizes.size for sizes in coded)
         if 256 * sum(int(sizes.sum()) for sizes in coded) < CLASS_LIMITS[-1] * max(n_coded, 1):
             return none  # few details: their size doesn't matter
-    found = dict(none)
+    weights = dict(none)
     for plane, parts in seen.items():
         if not parts:
             continue
         sizes = np.concatenate([part[1] for part in parts])
         if int(256 * sizes.sum()) >= CLASS_LIMITS[-1] * sizes.size:
-            found[plane] = fit_features(np.concatenate([part[0] for part in parts]), sizes)
-    if not judges or all(weights is None for weights in found.values()):
+            weights[plane] = fit_features(np.concatenate([part[0] for part in parts]), sizes)
+    if not judges or all(weights[plane] is None for plane in PLANES):
         return none
-    both = added._replace(e_weights=found)
+    both = added._replace(e_weights=weights)
     n_bits = sum(_code_window(*window, step, trained, None) for window in judges)
     n_bits -= sum(_code_window(*window, step, all_tables(both), None) for window in judges)
     n_stored = 8 * (len(pack_parameters(both)) - len(pack_parameters(added)))
     n_judged = sum(mask.size for _, mask in judges)
-    return found if n_bits * n_in_file > _WORTH * n_stored * n_judged else none
+    return weights if n_bits * n_in_file > _WORTH * n_stored * n_judged else none
 
 
 def _code_window(
@@ -416,14 +416,14 @@ def mark_significant(errors, n_rows, n_cols, significant):
         hh, hl, lh = errors[HH, i + PAD], errors[HL, i + PAD], errors[LH, i + PAD]
         has_row_below = 2 * i + 1 < n_rows
         for j in range(significant.shape[1]):
-            found = np.int64(0)
+            largest = np.int64(0)
             if 2 * j + 1 < n_cols:
-                found = np.int64(hl[j + PAD])
+                largest = np.int64(hl[j + PAD])
                 if has_row_below:
-                    found = max(found, np.int64(hh[j + PAD]))
+                    largest = max(largest, np.int64(hh[j + PAD]))
             if has_row_below:
-                found = max(found, np.int64(lh[j + PAD]))
-            significant[i, j] = 1 if found > _HALF_STEP else 0
+                largest = max(largest, np.int64(lh[j + PAD]))
+            significant[i, j] = 1 if largest > _HALF_STEP else 0
 
 
 def _run_pass(
@@ -470,7 +470,7 @@ def _choose(
     saved = planes[own].copy()
     fill_noisy(goal, planes[own], spec.step)
     every = 8 if goal.size > 16384 else 2
-    found = [
+    costs = [
         open_loop_cost(
             goal, kinds, planes, own, geometry, weights, spec.step, every,
             scratch.rows.of(weights, unit.tables.e_weights[own][0]),
@@ -478,14 +478,14 @@ def _choose(
         for weights in unit.tables.stencils[own]
     ]  # fmt: skip
     planes[own] = saved
-    ranking = sorted(range(len(found)), key=lambda k: found[k][0])
+    ranking = sorted(range(len(costs)), key=lambda k: costs[k][0])
     # Costs hold 64, log8(256), for each sample, whatever its error.
-    base = 64 * found[0][2]
-    limit = base + (found[ranking[0]][0] - base) * _CLOSE[spec.effort] // 100
-    ranking = [k for k in ranking[: _N_TRIALS[spec.effort]] if found[k][0] <= limit]
+    base = 64 * costs[0][2]
+    limit = base + (costs[ranking[0]][0] - base) * _CLOSE[spec.effort] // 100
+    ranking = [k for k in ranking[: _N_TRIALS[spec.effort]] if costs[k][0] <= limit]
     # A file's own weights take the place of the last class.
     last = len(unit.tables.e_weights[own]) - 1
-    classes = {k: sum(found[k][1] >= edge for edge in CLASS_LIMITS) for k in ranking}
+    classes = {k: sum(costs[k][1] >= edge for edge in CLASS_LIMITS) for k in ranking}
     return [Choice(k, last if classes[k] == _N_CLASSES - 1 else classes[k]) for k in ranking] or [
         Choice(0, _N_CLASSES - 1)
     ]

@@ -87,11 +87,11 @@ class TileLayout:
 
     def keys(self) -> list[Block]:
         """Return the keys of all tiles, those above first."""
-        found, layer = [], [Block(-1, 0, 0)]
+        keys, layer = [], [Block(-1, 0, 0)]
         while layer:
-            found += layer
+            keys += layer
             layer = [below for key in layer for below in self.below(key)]
-        return found
+        return keys
 
     def n_units(self, key: Block) -> int:
         """Return how many units tile `key` holds."""

@@ -1,7 +1,7 @@
 """Joint zero trees of quantised wavelet coefficients (FORMAT.md §7.5).
 
-D. Yusov, V. Turlapov 2010, §2.4 ("triple tree"): one tree for the three bands. Contexts are ours
-(DESIGN.md §3.5): the paper's reference for its models could not be had.
+D. Yusov, V. Turlapov 2010, §2.4 ("triple tree"): one tree for the three bands. Contexts are ours:
+the paper's reference for its models could not be had.
 
 Node grids halve, rounding up, from the finest (half the region) to 1 x 1. A node of the grid of
 transform t holds HL, LH and HH at its place; the root also LL.

@@ -3,7 +3,7 @@
 The range coder of LZMA (I. Pavlov; after G. N. N. Martin, 1979) with a 32-bit range, renormalised
 by bytes with carry propagation in the encoder. Departures: the constant first byte is not written,
 only one of the last four bytes is, and probabilities adapt at 1/(n + 3/2) down to 1/256 instead of
-a fixed 1/32 (DESIGN.md §3.5: 0.7 % over entropy instead of 2.5 %).
+a fixed 1/32 (0.7 % over entropy instead of 2.5 %).
 
 All quantities are non-negative and below 2**63 (range < 2**32, low < 2**33, products < 2**48), so
 signed 64-bit arithmetic is exact and equal in compiled and plain Python.

@@ -58,7 +58,7 @@ class Header:
     block : int
         Cells per side of a block; a power of two, 32 ... 1024.
     border_rings : int
-        1 or 3 (DESIGN §3.3).
+        1 or 3.
     method : str
         One of `names.METHODS`.
     dtype : str

@@ -1,4 +1,4 @@
-"""Measured errors and ranges of blocks (DESIGN §3.9)."""
+"""Measured errors and ranges of blocks."""
 
 from dataclasses import dataclass
 

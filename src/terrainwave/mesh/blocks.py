@@ -1,4 +1,4 @@
-"""Meshes of blocks from decoded heights, and their measured errors (DESIGN §3.9, §5).
+"""Meshes of blocks from decoded heights, and their measured errors.
 
 A block's mesh follows from its decoded samples, the voids beside it, the error codes of the index
 and, for the kinds of `tri.stored`, the block's bytes in the mesh sections.

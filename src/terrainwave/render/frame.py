@@ -1,4 +1,4 @@
-"""Local metres: x east, y north, z up, from the middle of the raster (DESIGN §6, units)."""
+"""Local metres: x east, y north, z up, from the middle of the raster."""
 
 import math
 from dataclasses import dataclass, replace

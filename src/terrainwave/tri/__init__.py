@@ -1,1 +1,1 @@
-"""Triangulations of blocks: crack-free, with a guaranteed vertical error (DESIGN §5)."""
+"""Triangulations of blocks: crack-free, with a guaranteed vertical error."""

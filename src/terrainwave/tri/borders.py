@@ -1,4 +1,4 @@
-"""Border lines: their vertices follow from the shared samples alone (DESIGN §5).
+"""Border lines: their vertices follow from the shared samples alone.
 
 Two blocks of one level see the same decoded samples on the line between them, the same voids beside
 it and the same tolerance, so both find the same vertices, in any order and on any machine.

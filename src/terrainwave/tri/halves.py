@@ -1,4 +1,4 @@
-"""The default mesh: cells merged in halves, centred vertices, fitted heights (DESIGN §5).
+"""The default mesh: cells merged in halves, centred vertices, fitted heights.
 
 After Yusov & Turlapov 2010 §2.5, with three changes: cells merge in halves (an alternating binary
 tree) as well as in fours, the vertex of a cell lies at its centre, and its height is the middle of

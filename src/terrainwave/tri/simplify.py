@@ -1,4 +1,4 @@
-"""Fewer triangles by half-edge collapses, with the same test as the mesh itself (DESIGN §5).
+"""Fewer triangles by half-edge collapses, with the same test as the mesh itself.
 
 A vertex moves onto a neighbour, which takes the middle of the interval of heights that keeps every
 sample of the new star within the tolerance. Vertices on the mesh's boundary (block borders, voids)

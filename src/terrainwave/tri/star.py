@@ -96,12 +96,12 @@ def fit_star(
         at = at_next
         for _ in range(count):
             at += step
-            found = np.int64(work[np.uint64(vertices + 2 * at)])
-            if found == place:
+            other = np.int64(work[np.uint64(vertices + 2 * at)])
+            if other == place:
                 is_known_1 = False  # a vertex that a border line's samples share
                 continue
             is_known_2 = are_unmoved_known and work[np.uint64(levels + at)] <= FREE
-            row_2, col_2 = row_of(found), col_of(found)
+            row_2, col_2 = row_of(other), col_of(other)
             z_2 = float(work[np.uint64(vertices + 2 * at + 1)])
             if not (is_known_1 and is_known_2):
                 area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
@@ -144,7 +144,7 @@ def fit_star(
                     high, high_pair = new_high, ring_pair(home, start, at)
                 if low > high:
                     break
-            place, start, row_1, col_1, z_1 = found, at, row_2, col_2, z_2
+            place, start, row_1, col_1, z_1 = other, at, row_2, col_2, z_2
             is_known_1 = is_known_2
         if low > high:
             break

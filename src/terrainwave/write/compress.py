@@ -1,6 +1,6 @@
 """The encoder: raster in, .twz file out. Start reading at `compress`.
 
-Three passes over the source, windows at a time (DESIGN §3.10): A scans it and makes the pyramid of
+Three passes over the source, windows at a time: A scans it and makes the pyramid of
 target heights, B codes the quadtree top down in a closed loop, C decodes the finished file from
 disk with the ordinary decoder and compares every sample. Memory stays flat in all of them.
 """

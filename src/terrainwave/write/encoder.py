@@ -1,4 +1,4 @@
-"""Pass B: code the units top down in a closed loop, depth first (DESIGN §3.10).
+"""Pass B: code the units top down in a closed loop, depth first.
 
 A unit needs its parent's decoded block and nothing else, so the tree is walked with only the chain
 of decoded ancestors in memory, and subtrees run side by side, in threads of one process or on many

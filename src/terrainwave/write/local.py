@@ -1,4 +1,4 @@
-"""The three passes of `compress` over a raster, in threads of this process (DESIGN §3.10)."""
+"""The three passes of `compress` over a raster, in threads of this process."""
 
 import os
 import shutil
