@@ -11,6 +11,7 @@ from terrainwave.grid.quadtree import Block
 if TYPE_CHECKING:
     import xarray as xr
 
+    from terrainwave.export.geotiff_stream import GeoTIFFStream
     from terrainwave.export.mesh import Mesh
     from terrainwave.mesh.blocks import BlockMesher
     from terrainwave.render.static import Picture
@@ -124,6 +125,17 @@ class Terrain(TerrainFile):
         from terrainwave.ext.xarray_backend import terrain_dataset
 
         return terrain_dataset(self, level, mask_and_scale=mask_and_scale)["heights"]
+
+    def geotiff(self) -> "GeoTIFFStream":
+        """Return a binary file object that is a GeoTIFF of the terrain, made when it is read.
+
+        For `rasterio.open` and what takes such objects: nothing is written, windows are decoded as
+        they are asked for. Heights of the full grid are those of `read`; overviews are averages,
+        without a bound. The terrain must stay open.
+        """
+        from terrainwave.export.geotiff_stream import GeoTIFFStream, VirtualGeoTIFF
+
+        return GeoTIFFStream(VirtualGeoTIFF(self))
 
     def _repr_html_(self) -> str:
         from terrainwave.ext.html import terrain_html

@@ -35,10 +35,43 @@ from terrainwave.raster_io.gdal import (
 )
 from terrainwave.raster_io.info import RasterInfo, stored_nodata
 
-_TILE = 512
+# Samples a side of a GeoTIFF's tile.
+TILE = 512
 
 # Compressed output may be far smaller than its raw size; below this share it cannot fit.
 _SMALLEST_SHARE = 0.05
+
+
+def geotiff_profile(info: RasterInfo) -> dict[str, Any]:
+    """Return what rasterio creates a tiled GeoTIFF of a raster with; no compression."""
+    profile: dict[str, Any] = {
+        "driver": "GTiff",
+        "height": info.n_rows,
+        "width": info.n_cols,
+        "count": 1,
+        "dtype": info.dtype,
+        "nodata": info.nodata,
+        "crs": info.rasterio_crs(),
+        "tiled": True,
+        "blockxsize": TILE,
+        "blockysize": TILE,
+    }
+    if info.transform != IDENTITY:
+        profile["transform"] = Affine(*info.transform)
+    return profile
+
+
+def write_description(dataset: Any, info: RasterInfo) -> None:
+    """Write all that a raster says of itself besides its profile."""
+    if info.area_or_point is not None:
+        dataset.update_tags(AREA_OR_POINT=info.area_or_point)
+    if info.units is not None:
+        dataset.units = (info.units,)
+    if (info.scale, info.offset) != (1.0, 0.0):
+        dataset.scales = (info.scale,)
+        dataset.offsets = (info.offset,)
+    if info.description is not None:
+        dataset.descriptions = (info.description,)
 
 
 class RasterSink:
@@ -110,47 +143,22 @@ class RasterSink:
             )
 
     def _create(self) -> Any:
-        info = self.info
-        profile: dict[str, Any] = {
-            "driver": "GTiff",
-            "height": info.n_rows,
-            "width": info.n_cols,
-            "count": 1,
-            "dtype": info.dtype,
-            "nodata": info.nodata,
-            "crs": info.rasterio_crs(),
-            "tiled": True,
-            "blockxsize": _TILE,
-            "blockysize": _TILE,
+        profile = geotiff_profile(self.info) | {
             "compress": "DEFLATE",
             "predictor": 3 if self._dtype.kind == "f" else 2,
             "bigtiff": "IF_SAFER",
             "num_threads": self._n_threads,
         }
-        if info.transform != IDENTITY:
-            profile["transform"] = Affine(*info.transform)
         with bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             dataset = rasterio.open(self._part, "w", **profile)
-            self._write_tags(dataset)
+            write_description(dataset, self.info)
         return dataset
-
-    def _write_tags(self, dataset: Any) -> None:
-        info = self.info
-        if info.area_or_point is not None:
-            dataset.update_tags(AREA_OR_POINT=info.area_or_point)
-        if info.units is not None:
-            dataset.units = (info.units,)
-        if (info.scale, info.offset) != (1.0, 0.0):
-            dataset.scales = (info.scale,)
-            dataset.offsets = (info.offset,)
-        if info.description is not None:
-            dataset.descriptions = (info.description,)
 
     def blocks(self, max_samples: int = SCAN_SAMPLES) -> Iterator[Region]:
         """Yield windows of whole tiles that cover the grid once, in file order."""
         info = self.info
-        yield from scan_windows(info.n_rows, info.n_cols, _TILE, _TILE, max_samples)
+        yield from scan_windows(info.n_rows, info.n_cols, TILE, TILE, max_samples)
 
     def write(self, row: int, col: int, heights: np.ndarray, valid: np.ndarray) -> None:
         """Write the window at (row, col); void samples get nodata, `heights` is not changed.
@@ -213,7 +221,7 @@ class RasterSink:
                 driver="COG",
                 compress="DEFLATE",
                 predictor="YES",
-                blocksize=_TILE,
+                blocksize=TILE,
                 overview_resampling="AVERAGE",
                 bigtiff="IF_SAFER",
                 num_threads=self._n_threads,
