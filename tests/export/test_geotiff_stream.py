@@ -198,7 +198,7 @@ class Zeros(io.RawIOBase):
         return self.place
 
     def read(self, size=-1):
-        size = min(size, self.size - self.place)
+        size = max(min(size, self.size - self.place), 0)
         data = self.head[self.place : self.place + size]
         self.place += size
         return data + bytes(size - len(data))

@@ -7,7 +7,7 @@ them decode at a time and as many again as `N_WAITING` wait, the rest are told t
 import hashlib
 import logging
 import re
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import ExitStack, asynccontextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,12 +16,14 @@ import numpy as np
 from anyio import CapacityLimiter, to_thread
 from fastapi import FastAPI, HTTPException, Query, Request, Response
 from fastapi.middleware.cors import CORSMiddleware
-from fastapi.responses import FileResponse, JSONResponse
+from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from terrainwave._version import __version__
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
+from terrainwave.export.geotiff_stream import VirtualGeoTIFF
+from terrainwave.ext.serve.ranges import Span, asked_span
 from terrainwave.file import TerrainFile
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.cesium import MAX_ZOOM as LAST_MESH_ZOOM
@@ -30,6 +32,8 @@ from terrainwave.globe.lonlat import Globe
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 N_WAITING = 64
+# Bytes of a GeoTIFF that are made at a time.
+_PART = 2 << 20
 _STATIC = Path(__file__).parent / "static"
 _log = logging.getLogger(__name__)
 
@@ -85,6 +89,7 @@ class Layer:
                 raise type(error)(f"{path}: {error}") from error
             stack.pop_all()
         self.info = self.globe.terrain.info()
+        self.geotiff = VirtualGeoTIFF(self.globe.terrain)
         self.tag = hashlib.sha256(repr((name, self.info.n_bytes, self.info)).encode()).hexdigest()
 
     def describe(self) -> dict[str, object]:
@@ -169,7 +174,13 @@ def make_app(
     )
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[*LOCAL_HOSTS, *hosts])
     if cors:
-        app.add_middleware(CORSMiddleware, allow_origins=["*"], allow_methods=["GET"])
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=["*"],
+            allow_methods=["GET", "HEAD"],
+            allow_headers=["Range", "If-Range", "If-None-Match"],
+            expose_headers=["Accept-Ranges", "Content-Range", "ETag"],
+        )
 
     @app.middleware("http")
     async def answer(
@@ -245,6 +256,24 @@ def make_app(
             headers["X-Terrain-Error"] = f"{tile.error - tile.surface_error:.3f}"
         return Response(tile.data, media_type="application/vnd.quantized-mesh", headers=headers)
 
+    @app.api_route("/{name}.tif", methods=["GET", "HEAD"])
+    async def geotiff(request: Request, name: str) -> Response:
+        layer = find(name)
+        headers = tagged(request, layer)
+        size = await desk.do(lambda: layer.geotiff.size)
+        span = asked_span(request.headers, size, headers["ETag"])
+        if span is None:
+            return Response(status_code=416, headers=headers | {"Content-Range": f"bytes */{size}"})
+        headers |= span.headers
+        status, media_type = 206 if span.is_part else 200, "image/tiff"
+        if request.method == "HEAD":
+            return Response(status_code=status, headers=headers, media_type=media_type)
+        if span.stop - span.start <= _PART:
+            body = await desk.do(layer.geotiff.read_at, span.start, span.stop - span.start)
+            return Response(body, status, headers, media_type)
+        parts = _parts(desk, layer.geotiff, span)
+        return StreamingResponse(parts, status, headers, media_type)
+
     @app.get("/{name}/height")
     async def height(
         name: str,
@@ -256,6 +285,12 @@ def make_app(
 
     app.mount("/static", StaticFiles(directory=_STATIC), name="static")
     return app
+
+
+async def _parts(desk: Desk, geotiff: VirtualGeoTIFF, span: Span) -> AsyncIterator[bytes]:
+    """Yield the bytes of a span, so many at a time that none of them takes long."""
+    for start in range(span.start, span.stop, _PART):
+        yield await desk.do(geotiff.read_at, start, min(_PART, span.stop - start))
 
 
 def check_tile(z: int, x: int, y: int, last_zoom: int, n_first: int = 1) -> None:

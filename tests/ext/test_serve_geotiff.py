@@ -1,0 +1,106 @@
+"""`/NAME.tif` of `terrainwave serve`: what GDAL and browsers get of it."""
+
+import numpy as np
+import pytest
+import rasterio
+from ext.browser import served
+from ext.rasters import hills, write_twz
+from fastapi.testclient import TestClient
+from rasterio.windows import Window
+
+import terrainwave
+from terrainwave.ext.serve.app import make_app
+from terrainwave.ext.serve.ranges import Span, asked_span
+
+BOUNDS = (8.0, 46.0, 8.5, 46.4)
+TAG = '"abc"'
+
+
+@pytest.fixture(scope="module")
+def hilly(tmp_path_factory):
+    return write_twz(tmp_path_factory.mktemp("hills"), hills(650, 970), BOUNDS, max_error=2)
+
+
+@pytest.fixture(scope="module")
+def client(hilly):
+    with TestClient(make_app([str(hilly)]), "http://127.0.0.1") as client:
+        yield client
+
+
+def test_gdal_reads_true_heights_over_http(hilly):
+    options = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR", "CPL_VSIL_CURL_USE_HEAD": "YES"}
+    with (
+        served(make_app([str(hilly)])) as address,
+        rasterio.Env(**options),
+        terrainwave.open(hilly) as terrain,
+    ):
+        with rasterio.open(f"/vsicurl/{address}/hills.tif") as dataset:
+            assert dataset.crs.to_epsg() == 4326
+            assert dataset.bounds == pytest.approx(BOUNDS)
+            np.testing.assert_array_equal(dataset.read(1), terrain.read())
+            window = Window(500, 400, 90, 80)
+            np.testing.assert_array_equal(
+                dataset.read(1, window=window), terrain.read((400, 500, 80, 90))
+            )
+
+
+def test_a_range_is_that_part(client):
+    whole = client.get("/hills.tif")
+    assert whole.status_code == 200
+    assert len(whole.content) == int(whole.headers["content-length"])
+    part = client.get("/hills.tif", headers={"Range": "bytes=100000-2400000"})
+    assert part.status_code == 206
+    assert part.headers["content-range"] == f"bytes 100000-2400000/{len(whole.content)}"
+    assert part.content == whole.content[100_000:2_400_001]
+
+
+def test_head_tells_size_ranges_and_version(client):
+    head = client.head("/hills.tif")
+    assert head.status_code == 200
+    assert head.content == b""
+    whole = client.get("/hills.tif")
+    for name in ("content-length", "accept-ranges", "etag", "content-type"):
+        assert head.headers[name] == whole.headers[name]
+    assert head.headers["content-type"] == "image/tiff"
+    assert not head.headers["etag"].startswith("W/")
+
+
+def test_what_a_client_has_is_not_sent_again(client):
+    tag = client.head("/hills.tif").headers["etag"]
+    assert client.get("/hills.tif", headers={"If-None-Match": tag}).status_code == 304
+
+
+def test_a_range_behind_the_end_is_refused_with_the_size(client):
+    size = client.head("/hills.tif").headers["content-length"]
+    answer = client.get("/hills.tif", headers={"Range": f"bytes={size}-"})
+    assert answer.status_code == 416
+    assert answer.headers["content-range"] == f"bytes */{size}"
+
+
+def test_another_name_is_not_found(client):
+    assert client.get("/valleys.tif").status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("headers", "expected"),
+    [
+        ({}, (0, 1000, False)),
+        ({"range": "bytes=0-99"}, (0, 100, True)),
+        ({"range": "bytes=900-"}, (900, 1000, True)),
+        ({"range": "bytes=900-5000"}, (900, 1000, True)),
+        ({"range": "bytes=-10"}, (990, 1000, True)),
+        ({"range": "bytes=-5000"}, (0, 1000, True)),
+        ({"range": "bytes=-0"}, None),
+        ({"range": "bytes=1000-"}, None),
+        # Not understood, so all (RFC 9110, 14.2).
+        ({"range": "bytes=-"}, (0, 1000, False)),
+        ({"range": "bytes=9-3"}, (0, 1000, False)),
+        ({"range": "bytes=0-3,6-9"}, (0, 1000, False)),
+        ({"range": "samples=0-3"}, (0, 1000, False)),
+        ({"range": "bytes=0-3", "if-range": TAG}, (0, 4, True)),
+        ({"range": "bytes=0-3", "if-range": '"old"'}, (0, 1000, False)),
+    ],
+)
+def test_ranges_are_read_as_the_standard_says(headers, expected):
+    span = asked_span(headers, 1000, TAG)
+    assert span == (expected and Span(*expected[:2], 1000, expected[2]))
