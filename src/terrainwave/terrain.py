@@ -11,9 +11,9 @@ from terrainwave.grid.quadtree import Block
 if TYPE_CHECKING:
     import xarray as xr
 
-    from terrainwave.export.geotiff_stream import GeoTIFFStream
     from terrainwave.export.mesh import Mesh
     from terrainwave.mesh.blocks import BlockMesher
+    from terrainwave.raster_io.stream import GeoTIFFStream
     from terrainwave.render.static import Picture
     from terrainwave.render.style import Style
     from terrainwave.tri.mesh import BlockMesh
@@ -129,11 +129,13 @@ class Terrain(TerrainFile):
     def geotiff(self) -> "GeoTIFFStream":
         """Return a binary file object that is a GeoTIFF of the terrain, made when it is read.
 
-        For `rasterio.open` and what takes such objects: nothing is written, windows are decoded as
-        they are asked for. Heights of the full grid are those of `read`; overviews are averages,
-        without a bound. The terrain must stay open.
+        ``rasterio.open(terrain.geotiff())`` and all that is built on it see a raster; nothing is
+        written, and windows are decoded as they are asked for. What takes a path takes
+        ``terrain.geotiff().opener``. Heights of the full grid are those of `read`; overviews are
+        averages, without a bound. The terrain must stay open.
         """
-        from terrainwave.export.geotiff_stream import GeoTIFFStream, VirtualGeoTIFF
+        from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
+        from terrainwave.raster_io.stream import GeoTIFFStream
 
         return GeoTIFFStream(VirtualGeoTIFF(self))
 

@@ -22,7 +22,7 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from terrainwave._version import __version__
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
-from terrainwave.export.geotiff_stream import VirtualGeoTIFF
+from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
 from terrainwave.ext.serve.ranges import Span, asked_span
 from terrainwave.file import TerrainFile
 from terrainwave.globe import terrain_rgb as tiling

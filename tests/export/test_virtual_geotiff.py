@@ -3,19 +3,22 @@
 import io
 import warnings
 from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 import rasterio
+import rioxarray
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 from strategies import terrain_like, write_geotiff
 
-from terrainwave.export.geotiff_stream import GeoTIFFStream, VirtualGeoTIFF
+from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
 from terrainwave.file import TerrainFile
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.sparse import sparse_geotiff
+from terrainwave.raster_io.stream import GeoTIFFStream
 from terrainwave.terrain import Terrain
 from terrainwave.write.compress import compress
 
@@ -182,26 +185,15 @@ def test_a_stream_seeks_and_reads_as_a_file_does(plane):
     assert stream.read(100) == b""
 
 
-class Zeros(io.RawIOBase):
+class Zeros(NamedTuple):
     """A head and, behind it, zeros up to a size."""
 
-    def __init__(self, head, size):
-        self.head, self.size, self.place = head, size, 0
+    head: bytes
+    size: int
 
-    def seek(self, offset, whence=io.SEEK_SET):
-        self.place = (
-            offset + {io.SEEK_SET: 0, io.SEEK_CUR: self.place, io.SEEK_END: self.size}[whence]
-        )
-        return self.place
-
-    def tell(self):
-        return self.place
-
-    def read(self, size=-1):
-        size = max(min(size, self.size - self.place), 0)
-        data = self.head[self.place : self.place + size]
-        self.place += size
-        return data + bytes(size - len(data))
+    def read_at(self, place, n_bytes):
+        data = self.head[place : place + n_bytes]
+        return data + bytes(min(n_bytes, self.size - place) - len(data))
 
 
 def test_more_than_four_gigabytes_make_a_bigtiff():
@@ -209,7 +201,7 @@ def test_more_than_four_gigabytes_make_a_bigtiff():
     head, planes = sparse_geotiff(info, 7, {})
     assert head[:4] == b"II+\0"
     assert planes[-1].stop - planes[-1].start == 196 * 137 * 512 * 512 * 4
-    with rasterio.open(Zeros(head, planes[-1].stop)) as dataset:
+    with rasterio.open(GeoTIFFStream(Zeros(head, planes[-1].stop))) as dataset:
         assert dataset.shape == (100_000, 70_000)
         assert dataset.overviews(1) == [2, 4, 8, 16, 32, 64, 128]
         assert (dataset.read(1, window=Window(69_990, 99_990, 10, 10)) == 0).all()
@@ -223,3 +215,44 @@ def test_a_terrain_gives_a_stream(plane, tmp_path):
             np.testing.assert_array_equal(
                 dataset.read(1, window=window), terrain.read((600, 900, 30, 40))
             )
+
+
+class Counted:
+    """Counts the bytes that are read."""
+
+    def __init__(self, file):
+        self.file, self.n_bytes = file, 0
+
+    @property
+    def size(self):
+        return self.file.size
+
+    def read_at(self, place, n_bytes):
+        self.n_bytes += n_bytes
+        return self.file.read_at(place, n_bytes)
+
+
+@pytest.mark.parametrize("way", ["stream", "opener"])
+def test_rasterio_reads_no_more_than_it_needs(plane, way):
+    counted = Counted(VirtualGeoTIFF(plane))
+    stream = GeoTIFFStream(counted)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        first = (stream,) if way == "stream" else ("dem.tif",)
+        options = {} if way == "stream" else {"opener": stream.opener}
+        with rasterio.open(*first, **options) as dataset:
+            heights = dataset.read(1, window=Window(900, 600, 40, 30))
+    np.testing.assert_array_equal(heights, plane.read((600, 900, 30, 40)))
+    assert counted.n_bytes < counted.size / 4
+
+
+@pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")  # of rioxarray
+def test_rioxarray_reads_windows(source_and_terrain):
+    source, terrain = source_and_terrain
+    with rioxarray.open_rasterio(stream_of(terrain)) as array, rasterio.open(source) as original:
+        np.testing.assert_array_equal(array[0, -5:, -9:], original.read(1)[-5:, -9:])
+
+
+def test_a_stream_cannot_be_written(plane):
+    with pytest.raises(io.UnsupportedOperation, match="made when it is read"):
+        stream_of(plane).write(b"II")

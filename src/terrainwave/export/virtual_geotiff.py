@@ -4,8 +4,6 @@ The bytes are those of a tiled, uncompressed (Big)TIFF. Its head is known at onc
 each tile lies; a tile's heights are decoded when its bytes are asked for.
 """
 
-import io
-import threading
 from functools import cached_property
 from typing import Any
 
@@ -126,57 +124,6 @@ class VirtualGeoTIFF:
             heights[valid & (heights == void)] = _beside(void)
         heights[~valid] = void
         return heights
-
-
-class GeoTIFFStream(io.RawIOBase):
-    """A virtual GeoTIFF as a binary file object, for `rasterio.open` and what takes such objects.
-
-    Threads may read from one; those that seek and read in turns want one each, which costs nothing.
-    """
-
-    def __init__(self, file: VirtualGeoTIFF) -> None:
-        super().__init__()
-        self._file = file
-        self._place = 0
-        self._lock = threading.Lock()
-
-    def readable(self) -> bool:
-        """Say yes."""
-        return True
-
-    def seekable(self) -> bool:
-        """Say yes."""
-        return True
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        """Move to a byte counted from the start, the present one or the end; return it."""
-        with self._lock:
-            start = {io.SEEK_SET: 0, io.SEEK_CUR: self._place, io.SEEK_END: self._file.size}
-            if whence not in start or start[whence] + offset < 0:
-                raise ValueError(f"cannot seek to {offset} from {whence}")
-            self._place = start[whence] + offset
-            return self._place
-
-    def tell(self) -> int:
-        """Return the present byte."""
-        return self._place
-
-    def readinto(self, buffer: Any) -> int:
-        """Fill a buffer from the present byte on; return how many bytes there were."""
-        with self._lock:
-            data = self._file.read_at(self._place, len(buffer))
-            self._place += len(data)
-        buffer[: len(data)] = data
-        return len(data)
-
-    def read(self, size: int | None = -1) -> bytes:
-        """Return `size` bytes from the present one on, or all that are left."""
-        with self._lock:
-            left = max(self._file.size - self._place, 0)
-            n_bytes = left if size is None or size < 0 else min(size, left)
-            data = self._file.read_at(self._place, n_bytes)
-            self._place += len(data)
-            return data
 
 
 def _beside(void: Any) -> Any:
