@@ -72,18 +72,21 @@ lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-# Numba's cache does not notice edits in a callee's file: each run gets its own, empty one.
+# Numba's cache does not notice edits in a callee's file: these sources have one of their own, empty
+# at first; $(1) tells apart what is compiled otherwise.
+with_cache = digest=$$(find src tests -name '*.py' -type f -exec sha256sum {} + | sort | sha256sum | \
+	cut -c 1-16) && mkdir -p .numba/$$digest && \
+	find .numba -mindepth 1 -maxdepth 1 ! -name "$$digest" -exec rm -rf {} + && \
+	NUMBA_CACHE_DIR="$(CURDIR)/.numba/$$digest/$(1)"
+
 test-compiled: $(VENV)/.installed-dev system
-	@cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && \
-	NUMBA_CACHE_DIR="$$cache" $(COMPILED) -m "not full"
+	@$(call with_cache,compiled) $(COMPILED) -m "not full"
 
 test-full: $(VENV)/.installed-dev system tests/ext/node_modules/.installed
-	@cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && \
-	NUMBA_CACHE_DIR="$$cache" $(COMPILED) -m "full or hypothesis" --hypothesis-profile=full
+	@$(call with_cache,compiled) $(COMPILED) -m "full or hypothesis" --hypothesis-profile=full
 
 test-bounds: $(VENV)/.installed-dev system
-	@cache=$$(mktemp -d) && trap 'rm -rf "$$cache"' EXIT && \
-	NUMBA_CACHE_DIR="$$cache" NUMBA_BOUNDSCHECK=1 $(COMPILED) -m kernels --hypothesis-profile=full
+	@$(call with_cache,bounds) NUMBA_BOUNDSCHECK=1 $(COMPILED) -m kernels --hypothesis-profile=full
 
 test-python: $(VENV)/.installed-dev
 	NUMBA_DISABLE_JIT=1 $(PYTEST) --dist worksteal -m "kernels and not large"
@@ -99,6 +102,6 @@ bench: $(VENV)/.installed-bench
 	$(BIN)/python -m benchmarks.bench "$(DATA)" $(if $(ONLY),--only $(ONLY)) $(if $(AGAIN),--again $(AGAIN))
 
 clean:
-	rm -rf $(VENV) demo build dist .pytest_cache .hypothesis .mypy_cache .ruff_cache
+	rm -rf $(VENV) demo build dist .numba .pytest_cache .hypothesis .mypy_cache .ruff_cache
 	rm -f .coverage .coverage.*
 	find src tests benchmarks examples -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
