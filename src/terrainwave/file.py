@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import checked_threads
+from terrainwave.arguments import checked_threads, in_one_line
 from terrainwave.codec.registry import check_parameters
 from terrainwave.container.codes import decode_error, decode_range
 from terrainwave.container.header import Header
@@ -20,7 +20,7 @@ from terrainwave.errors import (
     InvalidHeightsError,
     LimitExceededError,
 )
-from terrainwave.grid.affine import bounds, of_level
+from terrainwave.grid.affine import bounds, of_level, pixel_size
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.names import EFFORTS, METHODS, methods_that
@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from terrainwave.read.decoder import TreeDecoder
     from terrainwave.read.windows import WindowReader
 
-Window = tuple[int, int, int, int]
 DEFAULT_CACHE_BYTES = 256 << 20
 DEFAULT_MAX_BYTES = 4 << 30
 
@@ -141,6 +140,14 @@ class TerrainFile:
     def __exit__(self, *exc_info: object) -> None:
         self.close()
 
+    def __repr__(self) -> str:
+        n_rows, n_cols = self.shape
+        return in_one_line(
+            f"<{type(self).__name__} {self.name}: {n_rows} x {n_cols} {self.dtype},"
+            f" within {self.effective_error:.6g} {self.units or '(unit unknown)'},"
+            f" {self._raster.crs_name}>"
+        )
+
     def __reduce__(self) -> tuple[Any, ...]:
         source, cache_bytes, threads = self._arguments
         if not isinstance(source, str | os.PathLike):
@@ -205,6 +212,16 @@ class TerrainFile:
         return self._raster.nodata
 
     @property
+    def units(self) -> str | None:
+        """Return the unit of heights as the source names it, if it does."""
+        return self._raster.units
+
+    @property
+    def res(self) -> tuple[float, float]:
+        """Return width and height of a pixel of the full grid, in units of the CRS; both > 0."""
+        return pixel_size(self._raster.transform)
+
+    @property
     def crs(self) -> str | None:
         """Return the coordinate reference system as ``AUTH:CODE`` or WKT2."""
         return self._raster.crs
@@ -244,15 +261,18 @@ class TerrainFile:
         """Return the numbers of rows and columns of a level."""
         return self.grid.level_shape(self.level_index(level))
 
-    def transform(self, level: int = -1, window: Window | None = None) -> tuple[float, ...]:
+    def transform(self, level: int = -1, window: Any = None) -> tuple[float, ...]:
         """Return the affine transform (a, b, c, d, e, f) of a level or of a window of it.
 
         Levels are samples at positions: the centre of the first pixel is the same on every level,
         the pixel grows by 2^j. x = a * col + b * row + c at pixel corners, as rasterio counts.
+        Windows are as in `read`, but not clipped.
         """
-        stride = self.grid.stride(self.level_index(level))
-        row, col = (0, 0) if window is None else window[:2]
-        return of_level(self._raster.transform, stride, row, col)
+        index = self.level_index(level)
+        row, col = 0, 0
+        if window is not None:
+            row, col, _, _ = region_of_window(window, self.grid.level_shape(index))
+        return of_level(self._raster.transform, self.grid.stride(index), row, col)
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
@@ -375,10 +395,18 @@ class TerrainFile:
     ) -> NDArray[Any]:
         """Read heights in the file's dtype, the void value in voids.
 
+        Heights are as stored in the raster: ``scale * stored + offset`` of `info` makes them
+        physical, where the band has them.
+
         Parameters
         ----------
-        window : tuple (row, col, n_rows, n_cols) or rasterio Window, optional
-            Part of the level to read, in samples of that level; clipped to it.
+        window : optional
+            Part of the level to read, in samples of that level; clipped to it. One of:
+
+            - ``(first_row, first_col, n_rows, n_cols)``: rows before columns, then how many of
+              each. ``(100, 50, 20, 30)`` is rows 100 … 119 of columns 50 … 79.
+            - a rasterio ``Window``, in whole samples;
+            - ``numpy.s_[100:120, 50:80]``: a slice of rows and one of columns, without steps.
         bounds : (left, bottom, right, top), optional
             Instead of `window`: the pixels that touch this rectangle, in the CRS.
         level : int
@@ -511,7 +539,7 @@ class TerrainFile:
         elif window is None:
             asked = whole
         else:
-            asked = region_of_window(window)
+            asked = region_of_window(window, whole.shape)
         region = asked.intersect(whole)
         if region.n_rows <= 0 or region.n_cols <= 0:
             if bounds is not None:

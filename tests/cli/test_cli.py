@@ -15,9 +15,10 @@ from rasterio.transform import Affine
 from strategies import read_geotiff, terrain_like, write_geotiff
 
 import terrainwave
+from terrainwave.arguments import count_of
 from terrainwave.cli import main
 from terrainwave.cli import output as cli_output
-from terrainwave.cli.output import Bar, count_of, plain
+from terrainwave.cli.output import Bar, plain
 from terrainwave.cli.signals import Terminated, ending_by_signals
 from terrainwave.errors import CorruptStreamError, InvalidArgumentError, StorageError
 from terrainwave.mesh.level_errors import level_errors

@@ -17,6 +17,8 @@ from terrainwave.arguments import (
     HEIGHT_TILE_ENDINGS,
     TWZ_ENDINGS,
     check_ending,
+    count_of,
+    crs_name,
 )
 from terrainwave.cli.batch import (
     Done,
@@ -46,7 +48,6 @@ from terrainwave.cli.output import (
     Bar,
     Commands,
     announce_compiling,
-    count_of,
     plain,
     print_grid,
     print_note,
@@ -604,9 +605,9 @@ def _print_level_errors(shapes: Any, errors: list[float]) -> None:
 
 def _info_rows(info: Any) -> list[tuple[str, object]]:
     unit = _unit(info.units)
-    crs = info.crs or "none"
-    if len(crs) > 40:  # WKT: its name is the first quoted string
-        crs = f"{crs.split(chr(34))[1] if chr(34) in crs else crs[:40]} (WKT; --json shows all)"
+    crs = crs_name(info.crs)
+    if crs != info.crs and info.crs:
+        crs += " (WKT; --json shows all)"
     levels = ", ".join(f"{rows} x {cols}" for rows, cols in info.level_shapes)
     extent = "none" if info.minimum is None else f"{info.minimum:.6g} to {info.maximum:.6g} {unit}"
     scale = f"{info.scale:g}, offset {info.offset:g}"

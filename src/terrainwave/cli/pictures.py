@@ -10,17 +10,10 @@ from typing import Any
 
 import click
 
-from terrainwave.arguments import PICTURE_ENDINGS
+from terrainwave.arguments import PICTURE_ENDINGS, count_of
 from terrainwave.cli.commands import main
 from terrainwave.cli.options import Input, Numbers, Target
-from terrainwave.cli.output import (
-    Bar,
-    announce_compiling,
-    count_of,
-    plain,
-    print_note,
-    reading,
-)
+from terrainwave.cli.output import Bar, announce_compiling, plain, print_note, reading
 from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.render.modes import MODES
 

@@ -5,9 +5,10 @@ import webbrowser
 
 import click
 
+from terrainwave.arguments import count_of
 from terrainwave.cli.commands import main
 from terrainwave.cli.options import NamedInput
-from terrainwave.cli.output import announce_compiling, count_of, print_note
+from terrainwave.cli.output import announce_compiling, print_note
 from terrainwave.errors import StorageError
 from terrainwave.extras import need
 

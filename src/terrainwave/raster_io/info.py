@@ -6,6 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from terrainwave.arguments import crs_name
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.affine import IDENTITY
 
@@ -62,6 +63,11 @@ class RasterInfo:
         if self.nodata is not None:
             return self.nodata
         return math.nan if np.dtype(self.dtype).kind == "f" else 0
+
+    @property
+    def crs_name(self) -> str:
+        """The CRS in few words."""
+        return crs_name(self.crs)
 
     @property
     def n_bytes(self) -> int:
