@@ -137,6 +137,20 @@ def test_guess_of_degrees_is_a_note(tmp_path, asked):
     assert "frame local" in result.stdout
 
 
+@pytest.mark.parametrize(
+    ("name", "advice"),
+    [
+        ("a.ply", "(--radius gives another body, --frame native leaves them as they are)"),
+        ("a.terrain", "(--radius gives another body)"),
+    ],
+)
+def test_the_note_on_degrees_names_options_that_there_are(tmp_path, asked, name, advice):
+    path = make(tmp_path, crs=None, transform=Affine(0.01, 0, 9, 0, -0.01, 47))
+    result = run("mesh", path, tmp_path / name, "--quiet")
+    assert result.exit_code == 0, result.output
+    assert advice in result.stderr
+
+
 def test_curvature_of_a_geocentric_mesh_is_a_note(tmp_path, twz, asked):
     result = run("mesh", twz, tmp_path / "a.ply", "--frame", "ecef")
     (note,) = result.stderr.splitlines()

@@ -70,8 +70,8 @@ def warnings_as_notes() -> Iterator[None]:
     """Print our own warnings as one line each, without file names and line numbers."""
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-        if issubclass(category, TerrainwaveWarning):
-            print_note(message)
+        if isinstance(message, TerrainwaveWarning):
+            print_note(message_of(message))
         else:
             usual(message, category, *place, **more)
 
@@ -89,8 +89,8 @@ def _option(argument: str) -> str:
     return names.get(argument, f"--{argument}".replace("_", "-"))
 
 
-def message_of(error: TerrainwaveError) -> str:
-    """Return the message of an error, in words of the command line."""
+def message_of(error: TerrainwaveError | TerrainwaveWarning) -> str:
+    """Return the message of an error or a warning, in words of the command line."""
     return plain(error.message_with(_option))
 
 

@@ -253,7 +253,7 @@ def _rounding(
     unit = 1.0 if frame["name"] == "native" else metres_per_unit(mesh.units)
     at_joints = framed.attributes.get("solid", {}).get("moved", 0.0) * sum(steepest(mesh))
     if frame["name"] == "ecef":
-        slope = _steepest_on(framed, find_place(mesh, radius=radius).ellipsoid)
+        slope = _steepest_on(framed, find_place(mesh, radius=radius, has_frames=True).ellipsoid)
         rounding = float(np.linalg.norm(moved)) * (1 + slope)
     else:
         # A body's walls and base have none or a negative one.
@@ -290,7 +290,7 @@ def _curvature(mesh: Mesh, framed: Mesh, radius: float | None) -> float:
     """
     if framed.attributes["frame"]["name"] != "ecef":
         return 0.0
-    ellipsoid = find_place(mesh, radius=radius).ellipsoid
+    ellipsoid = find_place(mesh, radius=radius, has_frames=True).ellipsoid
     return longest_edge(framed) ** 2 / (6 * ellipsoid.axis * (1 - ellipsoid.e2))
 
 
