@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
@@ -13,6 +13,7 @@ from terrainwave.arguments import checked_threads, in_one_line
 from terrainwave.codec.registry import check_parameters
 from terrainwave.container.codes import decode_error, decode_range
 from terrainwave.container.header import Header
+from terrainwave.container.parts import Parts, parts_of
 from terrainwave.container.reader import Container
 from terrainwave.container.source import open_source
 from terrainwave.errors import (
@@ -38,7 +39,11 @@ DEFAULT_MAX_BYTES = 4 << 30
 
 @dataclass(frozen=True)
 class Info:
-    """What a .twz file says about itself; errors are in physical units."""
+    """What a .twz file says about itself; errors are in physical units.
+
+    `voids` is how voids are told: ``"none"``, by their ``"nodata"`` value, as ``"nan"``, or by a
+    ``"mask"``; it is the way of the source, which may have no void at all.
+    """
 
     path: str
     n_bytes: int
@@ -70,6 +75,7 @@ class Info:
     description: str | None
     minimum: float | None
     maximum: float | None
+    voids: str
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values; what JSON cannot say becomes a string."""
@@ -320,7 +326,24 @@ class TerrainFile:
             description=raster.description,
             minimum=min(physical) if has_heights else None,
             maximum=max(physical) if has_heights else None,
+            voids=raster.mask_kind,
         )
+
+    def parts(self) -> Parts:
+        """Return the bytes of each part of the file; reads the whole index."""
+        parts = parts_of(self.container)
+        if METHODS[self.header.method].is_tiled:  # of several levels together
+            return replace(parts, heights=(sum(parts.heights),))
+        return parts
+
+    def count_voids(self) -> int:
+        """Return the number of void samples of the full grid; decodes all of it, band by band."""
+        n_rows, n_cols = self.shape
+        n_voids = 0
+        for row in range(0, n_rows, self.grid.block):
+            _, valid = self.read_with_mask((row, 0, self.grid.block, n_cols))
+            n_voids += int(valid.size - np.count_nonzero(valid))
+        return n_voids
 
     def block_error(self, block: Block) -> float:
         """Return the stored measured error of a block's bilinear surface, in physical units.

@@ -49,8 +49,8 @@ def terrain_html(terrain: TerrainFile) -> str:
 
 def _rows(terrain: TerrainFile) -> list[tuple[str, str]]:
     info = terrain.info()
-    unit = info.units or "(unit unknown)"
-    heights = "none" if info.minimum is None else f"{info.minimum:.6g} to {info.maximum:.6g} {unit}"
+    unit = f" {info.units}" if info.units else ""
+    heights = "none" if info.minimum is None else f"{info.minimum:.6g} to {info.maximum:.6g}{unit}"
     return [
         ("file", info.path),
         (
@@ -58,8 +58,9 @@ def _rows(terrain: TerrainFile) -> list[tuple[str, str]]:
             f"{info.n_rows:,} × {info.n_cols:,} samples, {info.dtype}; {info.n_bytes:,} bytes,"
             f" {info.ratio:.3g} times smaller than raw",
         ),
-        ("bound", f"every height within {info.effective_error:.6g} {unit} of the original"),
+        ("bound", f"every height within {info.effective_error:.6g}{unit} of the original"),
         ("heights", heights),
+        ("unit", info.units or "unknown"),
         ("levels", ", ".join(f"{rows} × {cols}" for rows, cols in info.level_shapes)),
         ("CRS", crs_name(info.crs)),
         ("bounds", ", ".join(f"{value:.10g}" for value in info.bounds)),
