@@ -59,7 +59,10 @@ class BoundViolationError(TerrainwaveError):
 
 
 class LimitExceededError(TerrainwaveError):
-    """The request is legal but larger than the caller allowed."""
+    """The request is legal but larger than the caller allowed, or than there is memory for.
+
+    On the command line a failure (status 1), not wrong usage: it fits another file or machine.
+    """
 
 
 class UnsupportedVersionError(TerrainwaveError):

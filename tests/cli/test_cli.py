@@ -2,10 +2,12 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,6 +26,7 @@ from terrainwave.errors import CorruptStreamError, InvalidArgumentError, Storage
 from terrainwave.mesh.level_errors import level_errors
 from terrainwave.progress import Progress
 
+REPOSITORY = Path(__file__).parent.parent.parent
 HOSTILE = "<script>alert(1)</script>\x1b]8;;http://x\x07[link=http://x]z[/link]\u202e\nnext"
 
 TARGETS = {"compress": "out.twz", "decompress": "out.tif"}
@@ -747,6 +750,61 @@ def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path, dem):
         told.append(done.stderr.count("compiling kernels for this machine, once"))
         assert "compiling" not in done.stdout
     assert told == [1, 0]
+
+
+# --- completion ---------------------------------------------------------------------------------
+
+
+def completed(*words):
+    """Return (type, value) of what bash is told for the last word."""
+    from click.shell_completion import get_completion_class
+
+    *before, last = words
+    found = get_completion_class("bash")(main, {}, "terrainwave", "_X").get_completions(
+        before, last
+    )
+    return [(item.type, item.value) for item in found]
+
+
+def test_completion_knows_commands_options_and_values():
+    assert completed("comp") == [("plain", "compress")]
+    assert completed("compress", "--skip") == [("plain", "--skip-existing")]
+    assert ("plain", "predictive") in completed("compress", "--method", "p")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("compress", "a"), ("compress", "a.tif", "b"), ("decompress", "a"), ("verify", "a"),
+        ("info", "a"), ("patch", "a.twz", "n"), ("render", "a"), ("render", "a.twz", "p"),
+        ("mesh", "a"), ("mesh", "a.twz", "b"), ("serve", "a"), ("tiles", "a"), ("view", "a"),
+    ],
+)  # fmt: skip
+def test_names_of_files_are_completed_by_the_shell(words):
+    assert completed(*words) == [("file", words[-1])]
+
+
+@pytest.mark.parametrize("words", [("compress", "--to", "d"), ("tiles", "a.twz", "d")])
+def test_names_of_directories_are_completed_by_the_shell(words):
+    assert completed(*words) == [("dir", words[-1])]
+
+
+@pytest.mark.full
+@pytest.mark.skipif(sys.platform == "win32", reason="no bash")
+def test_the_documented_line_completes_in_bash():
+    page = (REPOSITORY / "docs" / "command-line.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"`(eval .*bash_source.*)` \|", page)
+    script = f"""{line}
+COMP_WORDS=(terrainwave render --mode vert) COMP_CWORD=3
+_terrainwave_completion terrainwave vert --mode
+echo "${{COMPREPLY[@]}}"; complete -p terrainwave"""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    done = subprocess.run(
+        ["bash", "-c", script], capture_output=True, text=True, check=True,
+        env={**os.environ, "PATH": path},
+    )  # fmt: skip
+    assert done.stdout.splitlines()[0] == "vertex-texture"
+    assert "-F _terrainwave_completion terrainwave" in done.stdout
 
 
 # --- starting quickly --------------------------------------------------------------------------

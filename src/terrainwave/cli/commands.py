@@ -43,6 +43,7 @@ from terrainwave.cli.options import (
     Positive,
     Target,
     TileSize,
+    complete_files,
 )
 from terrainwave.cli.output import (
     Bar,
@@ -99,7 +100,7 @@ def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @main.command()
-@click.argument("paths", nargs=-1, metavar="SOURCE... TARGET")
+@click.argument("paths", nargs=-1, metavar="SOURCE... TARGET", shell_complete=complete_files)
 @click.option(
     "--max-error",
     type=Bound(),
@@ -318,7 +319,7 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
 
 
 @main.command()
-@click.argument("paths", nargs=-1, metavar="SOURCE TARGET")
+@click.argument("paths", nargs=-1, metavar="SOURCE TARGET", shell_complete=complete_files)
 @click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part to write.")
 @click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
 @click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
@@ -390,7 +391,7 @@ def decompress(
 
 @main.command()
 @click.argument("file", type=Input())
-@click.argument("target")
+@click.argument("target", shell_complete=complete_files)
 @click.option(
     "--max-error",
     type=Bound(),
@@ -694,7 +695,7 @@ def _note_unit(units: str | None) -> None:
 
 
 @main.command()
-@click.argument("paths", nargs=-1, metavar="FILE [ORIGINAL]")
+@click.argument("paths", nargs=-1, metavar="FILE [ORIGINAL]", shell_complete=complete_files)
 @click.option(
     "--originals",
     type=click.Path(file_okay=False, exists=True),
