@@ -76,6 +76,9 @@ class Info:
     minimum: float | None
     maximum: float | None
     voids: str
+    tags: dict[str, str]
+    band_tags: dict[str, str]
+    color_interpretation: str | None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values; what JSON cannot say becomes a string."""
@@ -327,6 +330,9 @@ class TerrainFile:
             minimum=min(physical) if has_heights else None,
             maximum=max(physical) if has_heights else None,
             voids=raster.mask_kind,
+            tags=dict(raster.tags),
+            band_tags=dict(raster.band_tags),
+            color_interpretation=raster.color_interpretation,
         )
 
     def parts(self) -> Parts:
