@@ -64,6 +64,7 @@ METHOD = click.Choice(["auto", *METHODS])
 CUTTABLE = methods_that(lambda method: method.is_cuttable)
 _EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if method.effort]
 EFFORT = f"How much is tried: {'; '.join(_EFFORTS)}; the others have one way."
+WARMUP_TASKS = ("compress", "read", "verify", "mesh", "render")
 MESH = click.Choice(["auto", *STORED_MESHES, "none"])
 
 
@@ -335,6 +336,11 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
     help="Samples on a side of a height tile, 2^n + 1: the window is resampled to that square."
     " Default: the largest that is not larger than the window; window writes its own samples.",
 )
+@click.option(
+    "--voids",
+    metavar="lowest|fill|HEIGHT",
+    help="What voids of a height tile become. Default: the lowest height.",
+)
 @_batched
 @_writing
 def decompress(
@@ -342,9 +348,9 @@ def decompress(
 ) -> None:
     """Write the file SOURCE (.twz) to the GeoTIFF TARGET (.tif), or to stdout if that is -.
 
-    A TARGET ending in .r16 or .png becomes a 16-bit height tile for game engines instead, with a
-    .json beside it that tells its scale and place. With --to DIR there is no TARGET: each SOURCE
-    becomes a GeoTIFF in DIR.
+    A TARGET ending in .r16 or .png becomes a 16-bit height tile for game engines instead, with
+    TARGET.json beside it that tells its scale and place. With --to DIR there is no TARGET: each
+    SOURCE becomes a GeoTIFF in DIR.
     """
     import terrainwave
 
@@ -378,6 +384,8 @@ def decompress(
     is_tile = Path(target).suffix.lower() in HEIGHT_TILE_ENDINGS
     if options["size"] and not is_tile:
         raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
+    if options["voids"] is not None and not is_tile:
+        raise click.UsageError(f"{target}: --voids is for height tiles, expected .r16 or .png")
     if options["cog"] and is_tile:
         raise click.UsageError(f"{target}: a height tile cannot be a COG, expected no --cog")
     announce_compiling(quiet=quiet)
@@ -680,6 +688,9 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ("a pixel is", (info.area_or_point or "").lower()),
         ("scale", scale if (info.scale, info.offset) != (1, 0) else ""),
         ("description", info.description or ""),
+        *((f"tag {name}", value) for name, value in info.tags.items()),
+        *((f"band tag {name}", value) for name, value in info.band_tags.items()),
+        ("colour", info.color_interpretation or ""),
     ]
     return [(name, value) for name, value in rows if value != ""]
 
@@ -812,13 +823,37 @@ def _print_meshes(report: Any) -> None:
     print_grid(["meshes", "triangles", "stated error", f"from {report.against}"], rows)
 
 
-@main.command()
-def warmup() -> None:
-    """Compile all kernels now, so that no later run has to (for container images)."""
-    from terrainwave.cli.demo import compile_kernels
+class Tasks(click.ParamType):
+    """Names of tasks, with commas between them."""
 
-    announce_compiling()
-    compile_kernels()
+    name = "task,task,…"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[str, ...]:
+        """Return the names."""
+        names = value if isinstance(value, tuple) else tuple(value.split(","))
+        for name in names:
+            if name not in WARMUP_TASKS:
+                self.fail(f"found {name}, expected of {', '.join(WARMUP_TASKS)}", param, ctx)
+        return names
+
+
+@main.command()
+@click.option(
+    "--for",
+    "tasks",
+    type=Tasks(),
+    default=",".join(WARMUP_TASKS),
+    show_default=True,
+    help="What to compile for; compress always is.",
+)
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
+def warmup(tasks: tuple[str, ...], quiet: bool) -> None:
+    """Compile all kernels now, so that no later run has to (for container images)."""
+    from terrainwave.cli.warmup import compile_kernels
+
+    announce_compiling(quiet=quiet)
+    for left_out in compile_kernels(tasks):
+        print_note(f"left out: {left_out}")
 
 
 @main.command()
