@@ -16,6 +16,7 @@ from rasterio.windows import Window
 from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
+import terrainwave
 from terrainwave.codec.units import unit_spec
 from terrainwave.errors import (
     CorruptStreamError,
@@ -23,6 +24,7 @@ from terrainwave.errors import (
     LimitExceededError,
     StorageError,
 )
+from terrainwave.export.mesh import Mesh
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.read.resample import resample
 from terrainwave.terrain import Terrain
@@ -115,6 +117,39 @@ def test_a_malformed_window_is_refused(terrain, window):
 def test_a_window_of_rasterio_counts_columns_first(terrain):
     window = Window(col_off=3, row_off=11, width=2, height=5)
     np.testing.assert_array_equal(terrain.read(window), HEIGHTS[11:16, 3:5])
+
+
+@pytest.mark.parametrize(
+    ("window", "rows", "cols"),
+    [
+        (np.s_[11:16, 3:5], (11, 16), (3, 5)),
+        (np.s_[:5, -3:], (0, 5), (C - 3, C)),
+        (np.s_[R - 2 : R + 9, :], (R - 2, R), (0, C)),
+    ],
+)
+def test_slices_count_as_python_does(terrain, window, rows, cols):
+    np.testing.assert_array_equal(terrain.read(window), HEIGHTS[slice(*rows), slice(*cols)])
+
+
+@pytest.mark.parametrize(
+    "window", [np.s_[0:9:2, 0:9], np.s_[0:9, 4], np.s_[0:9, 0:9, 0:9], np.s_[9:0:-1, 0:9]]
+)
+def test_other_indices_are_refused(terrain, window):
+    with pytest.raises(InvalidHeightsError, match="two slices without a step"):
+        terrain.read(window)
+
+
+def test_a_window_of_rasterio_in_parts_of_samples_is_refused_but_for_rounding(terrain):
+    rounded = Window(3.0000001, 10.9999999, 2, 5)
+    np.testing.assert_array_equal(terrain.read(rounded), HEIGHTS[11:16, 3:5])
+    for window in (Window(3.5, 11, 2, 5), Window(3, 11, 2, float("nan"))):
+        with pytest.raises(InvalidHeightsError, match="round_offsets"):
+            terrain.read(window)
+
+
+@pytest.mark.parametrize("window", [Window(3, 2, 5, 4), np.s_[2:6, 3:8]])
+def test_the_transform_of_a_window_takes_what_read_takes(terrain, window):
+    assert terrain.transform(window=window) == terrain.transform(window=(2, 3, 4, 5))
 
 
 def test_what_is_read_is_a_copy(terrain):
@@ -785,3 +820,37 @@ def test_neighbouring_units_decode_shared_samples_identically(method, rings, voi
     heights = np.where(valid, HEIGHTS, -32768).astype("int16")
     data = twz_bytes(heights, max_error=max_error, method=method, border_rings=rings, nodata=-32768)
     assert_neighbours_agree(data, seed=3)
+
+
+# What notebooks and shells show
+
+
+def test_resolution_and_units_are_those_of_rasterio(tmp_path):
+    heights = np.zeros((4, 5), dtype="int16")
+    with georeferenced(tmp_path, heights, ROTATED, nodata=-1, units=("metre",)) as terrain:
+        assert (terrain.res, terrain.units, terrain.nodata) == ((5.0, 5.0), "metre", -1)
+
+
+def test_res_is_positive_where_rows_go_down(tmp_path):
+    with georeferenced(tmp_path, FLAT_261, (10.0, 0.0, 0.0, 0.0, -20.0, 0.0)) as terrain:
+        assert terrain.res == (10.0, 20.0)
+
+
+def test_a_terrain_says_what_it_is(tmp_path):
+    heights = np.zeros((4, 5), dtype="int16")
+    with georeferenced(tmp_path, heights, NORTH_UP, crs="EPSG:32632", units=("m\x1b[31m",)) as made:
+        path = tmp_path / "dem.twz"
+        assert repr(made) == f"<Terrain {path}: 4 x 5 int16, within 0 m[31m, EPSG:32632>"
+    assert repr(tiny(heights)) == "<Terrain <bytes>: 4 x 5 int16, within 0 (unit unknown), no CRS>"
+
+
+def test_a_mesh_says_what_it_is():
+    corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=float)
+    mesh = Mesh(corner, np.array([[0, 1, 2]], dtype=np.int32), (0.0, 0.0, 0.0), 0.25, None, "ft")
+    assert repr(mesh) == "<Mesh: 1 triangle, 3 vertices, within 0.25 ft, no CRS>"
+
+
+def test_completion_shows_the_functions_and_nothing_else():
+    names = {name for name in dir(terrainwave) if not name.startswith("__")}
+    assert names == set(terrainwave.__all__) - {"__version__"}
+    assert {"compress", "open", "Terrain", "Mesh"} <= names

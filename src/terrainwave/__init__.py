@@ -92,6 +92,11 @@ def __getattr__(name: str) -> Any:
     return value
 
 
+def __dir__() -> list[str]:
+    """Return what users can use, imported yet or not; completion in notebooks asks for it."""
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
+
+
 def open(source: Any, **options: Any) -> "Terrain":
     """Open a .twz file by path, URL, bytes or file object; see `Terrain` for the options."""
     from terrainwave.terrain import Terrain

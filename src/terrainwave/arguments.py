@@ -2,6 +2,7 @@
 
 import math
 import os
+import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,6 +17,9 @@ TWZ_ENDINGS = (".twz",)
 GEOTIFF_ENDINGS = (".tif", ".tiff")
 HEIGHT_TILE_ENDINGS = (".r16", ".png")
 PICTURE_ENDINGS = (".png",)
+
+# Longer ones are WKT, whose name is its first quoted string.
+_LONGEST_CODE = 40
 
 
 def check_ending(path: str | os.PathLike[str], endings: Sequence[str]) -> None:
@@ -35,6 +39,29 @@ def check_ending(path: str | os.PathLike[str], endings: Sequence[str]) -> None:
             f"{os.fspath(path)}: found {ending or 'no extension'}, expected a name that ends in"
             f" {one_of(endings)}"
         )
+
+
+def in_one_line(text: object) -> str:
+    """Return text on one line, without control, format (bidi) and unassigned characters.
+
+    Whatever may come from an untrusted file goes through this before a terminal shows it.
+    """
+    words = " ".join(str(text).split())
+    return "".join(char for char in words if not unicodedata.category(char).startswith("C"))
+
+
+def count_of(number: int, noun: str) -> str:
+    """Return a number with its noun: 1 block, 2,000 blocks."""
+    return f"{number:,} {noun}{'s' * (number != 1)}"
+
+
+def crs_name(crs: str | None) -> str:
+    """Return a CRS in few words: its code, the name that WKT gives, or that there is none."""
+    if not crs:
+        return "no CRS"
+    if len(crs) <= _LONGEST_CODE and '"' not in crs:
+        return crs
+    return crs.split('"')[1] if '"' in crs else crs[:_LONGEST_CODE]
 
 
 def one_of(words: Sequence[str]) -> str:

@@ -20,11 +20,10 @@ from collections.abc import Callable
 _ARGUMENT = re.compile("`([a-z_]+)`")
 
 
-class TerrainwaveError(Exception):
-    """Base class of every error this package raises on purpose.
+class _NamesArguments(Exception):
+    """A message that names arguments in backquotes.
 
-    Where a message names an argument it has it in backquotes: `str` gives the name as Python has
-    it, `message_with` as someone else calls it.
+    `str` gives the names as Python has them, `message_with` as someone else calls them.
     """
 
     def __str__(self) -> str:
@@ -33,6 +32,10 @@ class TerrainwaveError(Exception):
     def message_with(self, called: Callable[[str], str]) -> str:
         """Return the message with each argument's name as `called` writes it."""
         return _ARGUMENT.sub(lambda found: called(found[1]), super().__str__())
+
+
+class TerrainwaveError(_NamesArguments):
+    """Base class of every error this package raises on purpose."""
 
 
 class InvalidHeightsError(TerrainwaveError, ValueError):
@@ -56,7 +59,10 @@ class BoundViolationError(TerrainwaveError):
 
 
 class LimitExceededError(TerrainwaveError):
-    """The request is legal but larger than the caller allowed."""
+    """The request is legal but larger than the caller allowed, or than there is memory for.
+
+    On the command line a failure (status 1), not wrong usage: it fits another file or machine.
+    """
 
 
 class UnsupportedVersionError(TerrainwaveError):
@@ -71,5 +77,5 @@ class ClusterError(TerrainwaveError):
     """The cluster that was to do the work cannot be reached, or has lost it; nothing is written."""
 
 
-class TerrainwaveWarning(UserWarning):
+class TerrainwaveWarning(_NamesArguments, UserWarning):
     """Something of the input is ignored or dropped; the heights are not affected."""

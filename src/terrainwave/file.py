@@ -2,17 +2,18 @@
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import checked_threads
+from terrainwave.arguments import checked_threads, in_one_line
 from terrainwave.codec.registry import check_parameters
 from terrainwave.container.codes import decode_error, decode_range
 from terrainwave.container.header import Header
+from terrainwave.container.parts import Parts, parts_of
 from terrainwave.container.reader import Container
 from terrainwave.container.source import open_source
 from terrainwave.errors import (
@@ -20,7 +21,7 @@ from terrainwave.errors import (
     InvalidHeightsError,
     LimitExceededError,
 )
-from terrainwave.grid.affine import bounds, of_level
+from terrainwave.grid.affine import bounds, of_level, pixel_size
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.names import EFFORTS, METHODS, methods_that
@@ -32,14 +33,17 @@ if TYPE_CHECKING:
     from terrainwave.read.decoder import TreeDecoder
     from terrainwave.read.windows import WindowReader
 
-Window = tuple[int, int, int, int]
 DEFAULT_CACHE_BYTES = 256 << 20
 DEFAULT_MAX_BYTES = 4 << 30
 
 
 @dataclass(frozen=True)
 class Info:
-    """What a .twz file says about itself; errors are in physical units."""
+    """What a .twz file says about itself; errors are in physical units.
+
+    `voids` is how voids are told: ``"none"``, by their ``"nodata"`` value, as ``"nan"``, or by a
+    ``"mask"``; it is the way of the source, which may have no void at all.
+    """
 
     path: str
     n_bytes: int
@@ -71,6 +75,10 @@ class Info:
     description: str | None
     minimum: float | None
     maximum: float | None
+    voids: str
+    tags: dict[str, str]
+    band_tags: dict[str, str]
+    color_interpretation: str | None
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values; what JSON cannot say becomes a string."""
@@ -141,6 +149,14 @@ class TerrainFile:
     def __exit__(self, *exc_info: object) -> None:
         self.close()
 
+    def __repr__(self) -> str:
+        n_rows, n_cols = self.shape
+        return in_one_line(
+            f"<{type(self).__name__} {self.name}: {n_rows} x {n_cols} {self.dtype},"
+            f" within {self.effective_error:.6g} {self.units or '(unit unknown)'},"
+            f" {self._raster.crs_name}>"
+        )
+
     def __reduce__(self) -> tuple[Any, ...]:
         source, cache_bytes, threads = self._arguments
         if not isinstance(source, str | os.PathLike):
@@ -205,6 +221,16 @@ class TerrainFile:
         return self._raster.nodata
 
     @property
+    def units(self) -> str | None:
+        """Return the unit of heights as the source names it, if it does."""
+        return self._raster.units
+
+    @property
+    def res(self) -> tuple[float, float]:
+        """Return width and height of a pixel of the full grid, in units of the CRS; both > 0."""
+        return pixel_size(self._raster.transform)
+
+    @property
     def crs(self) -> str | None:
         """Return the coordinate reference system as ``AUTH:CODE`` or WKT2."""
         return self._raster.crs
@@ -244,15 +270,18 @@ class TerrainFile:
         """Return the numbers of rows and columns of a level."""
         return self.grid.level_shape(self.level_index(level))
 
-    def transform(self, level: int = -1, window: Window | None = None) -> tuple[float, ...]:
+    def transform(self, level: int = -1, window: Any = None) -> tuple[float, ...]:
         """Return the affine transform (a, b, c, d, e, f) of a level or of a window of it.
 
         Levels are samples at positions: the centre of the first pixel is the same on every level,
         the pixel grows by 2^j. x = a * col + b * row + c at pixel corners, as rasterio counts.
+        Windows are as in `read`, but not clipped.
         """
-        stride = self.grid.stride(self.level_index(level))
-        row, col = (0, 0) if window is None else window[:2]
-        return of_level(self._raster.transform, stride, row, col)
+        index = self.level_index(level)
+        row, col = 0, 0
+        if window is not None:
+            row, col, _, _ = region_of_window(window, self.grid.level_shape(index))
+        return of_level(self._raster.transform, self.grid.stride(index), row, col)
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
@@ -300,7 +329,27 @@ class TerrainFile:
             description=raster.description,
             minimum=min(physical) if has_heights else None,
             maximum=max(physical) if has_heights else None,
+            voids=raster.mask_kind,
+            tags=dict(raster.tags),
+            band_tags=dict(raster.band_tags),
+            color_interpretation=raster.color_interpretation,
         )
+
+    def parts(self) -> Parts:
+        """Return the bytes of each part of the file; reads the whole index."""
+        parts = parts_of(self.container)
+        if METHODS[self.header.method].is_tiled:  # of several levels together
+            return replace(parts, heights=(sum(parts.heights),))
+        return parts
+
+    def count_voids(self) -> int:
+        """Return the number of void samples of the full grid; decodes all of it, band by band."""
+        n_rows, n_cols = self.shape
+        n_voids = 0
+        for row in range(0, n_rows, self.grid.block):
+            _, valid = self.read_with_mask((row, 0, self.grid.block, n_cols))
+            n_voids += int(valid.size - np.count_nonzero(valid))
+        return n_voids
 
     def block_error(self, block: Block) -> float:
         """Return the stored measured error of a block's bilinear surface, in physical units.
@@ -375,10 +424,18 @@ class TerrainFile:
     ) -> NDArray[Any]:
         """Read heights in the file's dtype, the void value in voids.
 
+        Heights are as stored in the raster: ``scale * stored + offset`` of `info` makes them
+        physical, where the band has them.
+
         Parameters
         ----------
-        window : tuple (row, col, n_rows, n_cols) or rasterio Window, optional
-            Part of the level to read, in samples of that level; clipped to it.
+        window : optional
+            Part of the level to read, in samples of that level; clipped to it. One of:
+
+            - ``(first_row, first_col, n_rows, n_cols)``: rows before columns, then how many of
+              each. ``(100, 50, 20, 30)`` is rows 100 … 119 of columns 50 … 79.
+            - a rasterio ``Window``, in whole samples;
+            - ``numpy.s_[100:120, 50:80]``: a slice of rows and one of columns, without steps.
         bounds : (left, bottom, right, top), optional
             Instead of `window`: the pixels that touch this rectangle, in the CRS.
         level : int
@@ -511,7 +568,7 @@ class TerrainFile:
         elif window is None:
             asked = whole
         else:
-            asked = region_of_window(window)
+            asked = region_of_window(window, whole.shape)
         region = asked.intersect(whole)
         if region.n_rows <= 0 or region.n_cols <= 0:
             if bounds is not None:

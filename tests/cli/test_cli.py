@@ -2,10 +2,12 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,14 +17,16 @@ from rasterio.transform import Affine
 from strategies import read_geotiff, terrain_like, write_geotiff
 
 import terrainwave
+from terrainwave.arguments import count_of
 from terrainwave.cli import main
 from terrainwave.cli import output as cli_output
-from terrainwave.cli.output import Bar, count_of, plain
+from terrainwave.cli.output import Bar, plain
 from terrainwave.cli.signals import Terminated, ending_by_signals
 from terrainwave.errors import CorruptStreamError, InvalidArgumentError, StorageError
 from terrainwave.mesh.level_errors import level_errors
 from terrainwave.progress import Progress
 
+REPOSITORY = Path(__file__).parent.parent.parent
 HOSTILE = "<script>alert(1)</script>\x1b]8;;http://x\x07[link=http://x]z[/link]\u202e\nnext"
 
 TARGETS = {"compress": "out.twz", "decompress": "out.tif"}
@@ -197,8 +201,84 @@ def test_info_json_is_complete(twz):
 def test_unknown_unit_is_said(tmp_path):
     path = write_geotiff(tmp_path / "a.tif", terrain_like(40, 40))
     target = tmp_path / "a.twz"
-    assert "(unit unknown)" in run("compress", path, target, "--method", "store").stdout
-    assert "(unit unknown)" in run("info", target).stdout
+    done = run("compress", path, target, "--method", "store")
+    assert done.output.count("does not name its vertical unit") == 1
+    assert "unit unknown" not in done.output
+    assert [line.split() for line in run("info", target).stdout.splitlines()].count(
+        ["unit", "unknown"]
+    ) == 1
+
+
+def test_a_known_unit_stands_behind_each_number_and_no_note_does(tmp_path, dem):
+    done = run("compress", dem, tmp_path / "a.twz", "--method", "store")
+    assert done.stdout.splitlines()[-1].endswith(" m")
+    assert "vertical unit" not in done.output
+
+
+def test_parts_of_a_file_add_up_to_it(twz):
+    fields = json.loads(run("info", twz, "--json").stdout)
+    parts = fields["parts"]
+    assert (
+        sum(parts["heights"]) + sum(v for k, v in parts.items() if k != "heights")
+        == (fields["n_bytes"])
+    )
+    assert len(parts["heights"]) == fields["n_levels"]
+    assert all(parts["heights"])
+    lines = run("info", twz).stdout.splitlines()
+    assert sum(line.strip().startswith("level ") for line in lines) == fields["n_levels"]
+
+
+def test_parts_of_several_levels_together_are_one_number(tmp_path, dem):
+    target = tmp_path / "a.twz"
+    run("compress", dem, target, "--method", "cdf53", "--max-error", "1")
+    parts = json.loads(run("info", target, "--json").stdout)["parts"]
+    assert len(parts["heights"]) == 1
+
+
+def test_info_says_how_voids_are_told_and_counts_them(tmp_path):
+    heights = terrain_like(40, 70)
+    heights[3:5, 60:70] = -9
+    path = write_geotiff(tmp_path / "a.tif", heights, nodata=-9)
+    target = tmp_path / "a.twz"
+    run("compress", path, target, "--method", "store", "--block", "32")
+    assert "where heights are -9" in run("info", target).stdout
+    assert "20 samples, 0.007143 of all" in run("info", target, "--voids").stdout
+    assert json.loads(run("info", target, "--json", "--voids").stdout)["n_voids"] == 20
+
+
+def marked(tmp_path, value, dtype, at=(50, 61), low=200, **options):
+    heights = (terrain_like(80, 90) % 500 + low).astype(dtype)
+    heights[at[0] : at[0] + 3, at[1] : at[1] + 4] = value
+    path = write_geotiff(tmp_path / "a.tif", heights, **options)
+    return run("compress", path, tmp_path / "a.twz", "--method", "store", "--quiet")
+
+
+@pytest.mark.parametrize("dtype", ["int16", "float32"])
+def test_an_undeclared_void_is_noted_with_place_and_value(tmp_path, dtype):
+    done = marked(tmp_path, -9999, dtype)
+    assert done.exit_code == 0
+    shown = {"int16": "-9999", "float32": "-9999.0"}[dtype]
+    assert done.stderr.count("12 heights are " + shown + ", the first at row 50, column 61") == 1
+    assert f"declare the nodata value {shown}" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "options"),
+    [
+        (-9999, 200, {"nodata": -9999}),
+        (-9999, -9990, {}),  # the bottom of a sea
+        (-9998, 200, {}),
+    ],
+)
+def test_heights_are_not_taken_for_voids(tmp_path, value, low, options):
+    assert marked(tmp_path, value, "int16", low=low, **options).output == ""
+
+
+def test_a_number_that_is_no_height_is_refused_with_its_place(tmp_path):
+    done = marked(tmp_path, np.finfo("float32").min, "float32")
+    line = one_line(done, 1)
+    assert "12 heights are -3.4028235e+38, the first at row 50, column 61" in line
+    assert line.endswith("declare the nodata value -3.4028235e+38")
 
 
 def test_recursive_errors_are_never_below_the_measured_ones(tmp_path):
@@ -670,6 +750,61 @@ def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path, dem):
         told.append(done.stderr.count("compiling kernels for this machine, once"))
         assert "compiling" not in done.stdout
     assert told == [1, 0]
+
+
+# --- completion ---------------------------------------------------------------------------------
+
+
+def completed(*words):
+    """Return (type, value) of what bash is told for the last word."""
+    from click.shell_completion import get_completion_class
+
+    *before, last = words
+    found = get_completion_class("bash")(main, {}, "terrainwave", "_X").get_completions(
+        before, last
+    )
+    return [(item.type, item.value) for item in found]
+
+
+def test_completion_knows_commands_options_and_values():
+    assert completed("comp") == [("plain", "compress")]
+    assert completed("compress", "--skip") == [("plain", "--skip-existing")]
+    assert ("plain", "predictive") in completed("compress", "--method", "p")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("compress", "a"), ("compress", "a.tif", "b"), ("decompress", "a"), ("verify", "a"),
+        ("info", "a"), ("patch", "a.twz", "n"), ("render", "a"), ("render", "a.twz", "p"),
+        ("mesh", "a"), ("mesh", "a.twz", "b"), ("serve", "a"), ("tiles", "a"), ("view", "a"),
+    ],
+)  # fmt: skip
+def test_names_of_files_are_completed_by_the_shell(words):
+    assert completed(*words) == [("file", words[-1])]
+
+
+@pytest.mark.parametrize("words", [("compress", "--to", "d"), ("tiles", "a.twz", "d")])
+def test_names_of_directories_are_completed_by_the_shell(words):
+    assert completed(*words) == [("dir", words[-1])]
+
+
+@pytest.mark.full
+@pytest.mark.skipif(sys.platform == "win32", reason="no bash")
+def test_the_documented_line_completes_in_bash():
+    page = (REPOSITORY / "docs" / "command-line.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"`(eval .*bash_source.*)` \|", page)
+    script = f"""{line}
+COMP_WORDS=(terrainwave render --mode vert) COMP_CWORD=3
+_terrainwave_completion terrainwave vert --mode
+echo "${{COMPREPLY[@]}}"; complete -p terrainwave"""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    done = subprocess.run(
+        ["bash", "-c", script], capture_output=True, text=True, check=True,
+        env={**os.environ, "PATH": path},
+    )  # fmt: skip
+    assert done.stdout.splitlines()[0] == "vertex-texture"
+    assert "-F _terrainwave_completion terrainwave" in done.stdout
 
 
 # --- starting quickly --------------------------------------------------------------------------

@@ -137,6 +137,20 @@ def test_guess_of_degrees_is_a_note(tmp_path, asked):
     assert "frame local" in result.stdout
 
 
+@pytest.mark.parametrize(
+    ("name", "advice"),
+    [
+        ("a.ply", "(--radius gives another body, --frame native leaves them as they are)"),
+        ("a.terrain", "(--radius gives another body)"),
+    ],
+)
+def test_the_note_on_degrees_names_options_that_there_are(tmp_path, asked, name, advice):
+    path = make(tmp_path, crs=None, transform=Affine(0.01, 0, 9, 0, -0.01, 47))
+    result = run("mesh", path, tmp_path / name, "--quiet")
+    assert result.exit_code == 0, result.output
+    assert advice in result.stderr
+
+
 def test_curvature_of_a_geocentric_mesh_is_a_note(tmp_path, twz, asked):
     result = run("mesh", twz, tmp_path / "a.ply", "--frame", "ecef")
     (note,) = result.stderr.splitlines()
@@ -240,7 +254,7 @@ def test_mesh_leaves_room_for_rounding(tmp_path, twz, monkeypatch, name):
 
 def test_a_mesh_that_fits_is_made_once(tmp_path, twz, monkeypatch):
     asked = with_error(monkeypatch, smallest=0.5)
-    assert run("mesh", twz, tmp_path / "a.ply", "--max-error", "2").stderr == ""
+    assert "rounding" not in run("mesh", twz, tmp_path / "a.ply", "--max-error", "2").stderr
     assert asked == [2.0]
 
 
@@ -300,7 +314,7 @@ def test_an_array_without_a_place_is_not_taken_for_degrees(tmp_path):
     terrainwave.compress(terrain_like(40, 50), tmp_path / "dem.twz", max_error=0, block=32)
     result = run("mesh", tmp_path / "dem.twz", tmp_path / "a.ply")
     assert result.exit_code == 0, result.output
-    assert result.stderr == ""
+    assert "degrees" not in result.stderr
     assert "frame native" in result.stdout
 
 
@@ -338,8 +352,10 @@ def test_decompress_writes_a_height_tile(tmp_path, twz, name):
     result = run("decompress", twz, tmp_path / name, "--size", "17")
     assert result.exit_code == 0, result.output
     assert str(tmp_path / name) in result.stdout
-    about = json.loads((tmp_path / "tile.json").read_text())
+    about = json.loads((tmp_path / f"{name}.json").read_text())
     assert (about["rows"], about["columns"]) == (17, 17)
+    assert "note: the window of 33 x 20 samples is stretched to 17 x 17" in result.stderr
+    assert "--size window keeps the raster's own" in result.stderr
 
 
 def test_window_as_size_keeps_the_window(tmp_path, twz):
@@ -354,6 +370,8 @@ def test_window_as_size_keeps_the_window(tmp_path, twz):
         ("t.r16", "--size big", "found big, expected 2^n + 1"),
         ("t.png", "--cog", "cannot be a COG"),
         ("t.tif", "--size 65", "--size is for height tiles"),
+        ("t.tif", "--voids fill", "--voids is for height tiles"),
+        ("t.r16", "--voids up", "found --voids up, expected lowest, fill or a height"),
     ],
 )
 def test_wrong_options_of_a_tile_are_one_line(tmp_path, twz, target, options, words):

@@ -97,6 +97,45 @@ def test_a_wrong_option_is_one_line(file, tmp_path, options, words, status):
     assert not (tmp_path / "x.png").exists()
 
 
+def refused(tmp_path, heights, *options):
+    """Return the line that refuses a picture of an array with the void -1."""
+    compress(np.asarray(heights, dtype=np.int16), tmp_path / "a.twz", nodata=-1, max_error=0,
+             overwrite=True)  # fmt: skip
+    done = run("render", tmp_path / "a.twz", tmp_path / "x.png", "--size", "60x40", "--quiet",
+               *options)  # fmt: skip
+    assert not (tmp_path / "x.png").exists()
+    lines = [line for line in done.output.splitlines() if not line.startswith("compiling")]
+    assert len(lines) == 1
+    return done.exit_code, lines[0]
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9)])
+def test_a_raster_without_a_surface_is_one_line(tmp_path, shape):
+    status, line = refused(tmp_path, np.ones(shape))
+    assert status == 1
+    assert f"the raster has {shape[0]} x {shape[1]}" in line
+
+
+def test_a_raster_of_voids_is_one_line(tmp_path):
+    status, line = refused(tmp_path, np.full((40, 40), -1))
+    assert (status, "voids only" in line) == (1, True)
+
+
+@pytest.mark.parametrize("mode", ["adaptive", "batched", "full"])
+def test_a_picture_of_voids_is_one_line(tmp_path, mode):
+    heights = np.full((40, 40), -1)
+    heights[:9, :9] = 5
+    status, line = refused(tmp_path, heights, "--bounds", "25,25,35,35", "--mode", mode)
+    assert (status, "is void" in line) == (1, True)
+
+
+def test_a_picture_beside_the_raster_is_one_line(tmp_path):
+    status, line = refused(tmp_path, np.ones((40, 40)), "--bounds", "900,900,999,999")
+    assert (status, "--bounds 900, 900, 999, 999 do not meet" in line) == (2, True)
+    status, line = refused(tmp_path, np.ones((40, 40)), "--camera", "20,20,90,0,80,40")
+    assert (status, "--camera looks elsewhere" in line) == (1, True)
+
+
 def test_an_existing_picture_is_kept_unless_told(file, tmp_path):
     (tmp_path / "x.png").write_text("mine")
     assert run("render", file, tmp_path / "x.png", "--size", "20x20").exit_code == 1

@@ -15,7 +15,12 @@ from containers import open_container
 from terrainwave.container.page import empty_page, page_layout
 from terrainwave.container.ranges import ByteRange
 from terrainwave.container.source import open_source
-from terrainwave.errors import StorageError, TerrainwaveError, TruncatedStreamError
+from terrainwave.errors import (
+    StorageError,
+    TerrainwaveError,
+    TerrainwaveWarning,
+    TruncatedStreamError,
+)
 from terrainwave.grid.quadtree import Block
 
 BIG = 64 * 2**20
@@ -52,6 +57,12 @@ class Handler(BaseHTTPRequestHandler):
             return self.reply(404, b"not here")
         if fault == "no ranges":
             return self.reply(200, data)
+        if fault == "no ranges, cut":
+            self.close_connection = True
+            return self.reply(200, data[:-1], length=len(data))
+        if fault == "no ranges, no length":
+            self.close_connection = True
+            return self.reply(200, data, has_length=False)
         first, last = map(int, re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers["Range"]).groups())
         if first >= len(data):
             return self.reply(416, b"", **{"Content-Range": f"bytes */{len(data)}"})
@@ -73,9 +84,10 @@ class Handler(BaseHTTPRequestHandler):
             self.close_connection = True
         return None
 
-    def reply(self, status, body, length=None, **headers):
+    def reply(self, status, body, length=None, has_length=True, **headers):
         self.send_response(status)
-        self.send_header("Content-Length", str(len(body) if length is None else length))
+        if has_length:
+            self.send_header("Content-Length", str(len(body) if length is None else length))
         for name, value in headers.items():
             self.send_header(name, value)
         self.end_headers()
@@ -193,10 +205,44 @@ def test_far_ranges_are_read_side_by_side_and_in_order(server):
     source.close()
 
 
-def test_a_server_without_ranges_is_one_clear_error_and_no_download(server):
-    server.files["/a.twz"] = bytes(BIG)
+def test_a_small_file_comes_whole_from_a_server_without_ranges(server):
+    header = toy_header(500, 500)
+    data = server.files["/a.twz"] = toy_file(header)
     server.faults["/a.twz"] = "no ranges"
-    with pytest.raises(StorageError, match="does not serve byte ranges; download") as caught:
+    with pytest.warns(TerrainwaveWarning, match=f"was fetched, {len(data):,} bytes"):
+        container = open_container(server.url("/a.twz"))
+    with container, open_container(data) as local:
+        for key in header.grid.root_keys():
+            assert container.payload(key) == local.payload(key)
+    assert len(server.requests) == 1
+
+
+def test_a_whole_file_that_is_cut_short_is_an_error(server, monkeypatch):
+    monkeypatch.setattr("terrainwave.container.url._DELAYS", (0.0, 0.0))
+    server.files["/a.twz"] = bytes(1000)
+    server.faults["/a.twz"] = "no ranges, cut"
+    with pytest.raises(StorageError, match="cannot read"):
+        open_container(server.url("/a.twz"))
+
+
+def test_a_server_that_stops_sending_ranges_is_an_error(server):
+    server.files["/a.twz"] = bytes(100_000)
+    source = open_source(server.url("/a.twz"))
+    server.faults["/a.twz"] = "no ranges"
+    with pytest.raises(StorageError, match="does not serve byte ranges"):
+        source.read(50_000, 100)
+    source.close()
+
+
+@pytest.mark.parametrize("says_length", [True, False])
+def test_a_large_file_without_ranges_is_one_clear_error_and_no_download(
+    server, monkeypatch, says_length
+):
+    if not says_length:
+        monkeypatch.setattr("terrainwave.container.url.MAX_WHOLE", 1 << 20)
+    server.files["/a.twz"] = bytes(BIG + 1)
+    server.faults["/a.twz"] = "no ranges" if says_length else "no ranges, no length"
+    with pytest.raises(StorageError, match="download the file and open") as caught:
         open_container(server.url("/a.twz"))
     assert "\n" not in str(caught.value)
     assert len(server.requests) == 1

@@ -1,15 +1,19 @@
 """Back to GeoTIFF and COG: heights, masks, metadata, places."""
 
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
+from rasterio.enums import ColorInterp
 from rasterio.transform import Affine
 from strategies import read_geotiff, terrain_like, write_geotiff
 
-from terrainwave.errors import InvalidHeightsError, StorageError
+from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWarning
 from terrainwave.export.geotiff import decompress
+from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.sink import RasterSink
 from terrainwave.terrain import Terrain
 from terrainwave.write.compress import compress
 
@@ -34,10 +38,10 @@ def back_from(files, tmp_path, **options):
     return read_geotiff(path)
 
 
-def round_trip(tmp_path, source, **options):
+def round_trip(tmp_path, source, *, cog=False, **options):
     """Compress and decompress a GeoTIFF; return the path of the result."""
     compress(source, tmp_path / "dem.twz", block=32, threads=1, **options)
-    return decompress(tmp_path / "dem.twz", tmp_path / "back.tif", threads=1)
+    return decompress(tmp_path / "dem.twz", tmp_path / "back.tif", threads=1, cog=cog)
 
 
 def test_heights_and_voids_come_back(files, tmp_path):
@@ -65,6 +69,63 @@ def test_tags_of_the_band_come_back(tmp_path):
         found = dataset.units, dataset.scales, dataset.offsets, dataset.descriptions
         assert found == (("foot",), (0.25,), (-3.0,), ("bare earth",))
         assert dataset.tags()["AREA_OR_POINT"] == "Point"
+
+
+def tagged(tmp_path, color="gray", band_tags=None, **tags):
+    """Return a GeoTIFF with tags, and what of it comes back as a dataset's fields."""
+    source = write_geotiff(tmp_path / "dem.tif", np.arange(12, dtype="int16").reshape(3, 4))
+    with rasterio.open(source, "r+") as dataset:
+        dataset.colorinterp = (ColorInterp[color],)
+        dataset.update_tags(**tags)
+        dataset.update_tags(1, **(band_tags or {}))
+    return source
+
+
+@pytest.mark.parametrize("cog", [False, True])
+def test_provenance_comes_back(tmp_path, cog):
+    said = {"LICENCE": "CC BY 4.0 ∂", "TIFFTAG_COPYRIGHT": "me", "source": "a survey\nof 2020"}
+    source = tagged(tmp_path, color="red", band_tags={"sensor": "lidar"}, **said)
+    with rasterio.open(round_trip(tmp_path, source, max_error=0, cog=cog)) as dataset:
+        tags = dataset.tags()
+        assert {name: tags[name] for name in said} == said
+        assert dataset.tags(1)["sensor"] == "lidar"
+        assert dataset.colorinterp == (ColorInterp.red,)
+    assert sorted(os.listdir(tmp_path)) == ["back.tif", "dem.tif", "dem.twz"]
+
+
+def test_statistics_of_the_original_do_not_come_back(tmp_path):
+    source = tagged(tmp_path, band_tags={"STATISTICS_MEAN": "5.5", "STATISTICS_X": "1", "a": "b"})
+    with rasterio.open(round_trip(tmp_path, source, max_error=0)) as dataset:
+        assert dataset.tags(1) == {"a": "b"}
+
+
+def test_tags_that_are_dropped_are_listed(tmp_path):
+    source = tagged(tmp_path, short="kept", long="x" * 20_000)
+    with rasterio.open(source, "r+") as dataset:
+        dataset.update_tags(ns="SURVEY", pilot="someone")
+    with pytest.warns(TerrainwaveWarning, match="dropped, .*: the tags SURVEY, the tags long$"):
+        back = round_trip(tmp_path, source, max_error=0)
+    with rasterio.open(back) as dataset:
+        assert {"short", "long"} & set(dataset.tags()) == {"short"}
+
+
+def test_tags_of_a_hostile_file_do_no_harm(tmp_path):
+    tags = {
+        "ns": "a", "bidx": "7", "a=b": "c", "": "d", "AREA_OR_POINT": "Nowhere", "\0": "e",
+        "nul": "f\0g", "<GDALMetadata>": "]]></Item>", "esc": "\x1b[31m",
+        "TIFFTAG_XRESOLUTION": "x",
+    }  # fmt: skip
+    info = RasterInfo(
+        2, 2, "int16", tags=tuple(tags.items()), band_tags=tuple(tags.items()),
+        color_interpretation="__class__",
+    )  # fmt: skip
+    assert RasterInfo.from_metadata(info.to_metadata() | {"n_rows": 2}).band_tags
+    with RasterSink(tmp_path / "a.tif", info) as sink:
+        sink.write(0, 0, np.ones((2, 2), dtype="int16"), np.ones((2, 2), dtype=bool))
+    with rasterio.open(tmp_path / "a.tif") as dataset:
+        assert dataset.read(1).tolist() == [[1, 1], [1, 1]]
+        assert dataset.tags(1)["<GDALMetadata>"] == "]]></Item>"
+        assert not {"ns", "bidx", "nul", "a"} & set(dataset.tags(1))
 
 
 def test_an_internal_mask_comes_back(tmp_path):

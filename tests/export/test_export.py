@@ -1,5 +1,6 @@
 """Meshes in files: what other programs read back, origins, rounding, whole files or none."""
 
+import base64
 import json
 import re
 import sys
@@ -14,7 +15,7 @@ from tri.meshes import grid_mesh, hills
 
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
 from terrainwave.export import files as export
-from terrainwave.export.files import EXTENSIONS, save_mesh
+from terrainwave.export.files import EXTENSIONS, save_mesh, vertex_normals
 from terrainwave.export.frames import areas, steepest, to_frame
 from terrainwave.export.mesh import Mesh
 
@@ -162,6 +163,53 @@ def test_gltf_looks_upwards_along_y(tmp_path):
     np.testing.assert_allclose(found[:, 1], mesh.points[:, 2], atol=1e-4)
     # north is away from the viewer: −z
     assert np.corrcoef(found[:, 2], mesh.points[:, 1])[0, 1] == pytest.approx(-1)
+
+
+def attribute(path, name, n_columns):
+    """Return the values of an attribute of a .gltf file's only mesh, float32."""
+    about = json.loads(path.read_text())
+    accessor = about["accessors"][about["meshes"][0]["primitives"][0]["attributes"][name]]
+    view = about["bufferViews"][accessor["bufferView"]]
+    data = base64.b64decode(about["buffers"][view["buffer"]]["uri"].partition(",")[2])
+    assert accessor["componentType"] == 5126
+    start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+    values = np.frombuffer(data, "<f4", accessor["count"] * n_columns, start)
+    return values.reshape(-1, n_columns)
+
+
+def test_gltf_has_normals_and_places_in_a_picture(tmp_path):
+    mesh = utm_mesh()
+    save_mesh(mesh, tmp_path / "area.gltf")
+    # Back to x east, y north, z up.
+    normals = attribute(tmp_path / "area.gltf", "NORMAL", 3)[:, [0, 2, 1]] * (1, -1, 1)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
+    np.testing.assert_allclose(normals, vertex_normals(mesh), atol=1e-4)
+    assert (normals[:, 2] > 0).all()
+    left, bottom, right, top = mesh.bounds
+    uv = (mesh.points[:, :2] - (left, bottom)) / (right - left, top - bottom)
+    # glTF counts v from the top of a picture.
+    uv[:, 1] = 1 - uv[:, 1]
+    np.testing.assert_allclose(attribute(tmp_path / "area.gltf", "TEXCOORD_0", 2), uv, atol=1e-6)
+
+
+def test_normals_of_a_plane_are_the_planes():
+    x, y = (grid.ravel().astype(float) for grid in np.meshgrid(np.arange(3), np.arange(3)))
+    triangles = [(k, k + 1, k + 3) for k in (0, 1, 3, 4)]
+    triangles += [(k + 1, k + 4, k + 3) for k in (0, 1, 3, 4)]
+    plane = np.column_stack([x, y, 2 * x])
+    mesh = Mesh(plane, np.array(triangles, dtype=np.int32), (0.0, 0.0, 0.0), 0.0)
+    expected = np.array([-2, 0, 1]) / np.sqrt(5)
+    np.testing.assert_allclose(vertex_normals(mesh), np.tile(expected, (9, 1)))
+
+
+def test_a_body_has_flat_faces(tmp_path):
+    for options, expected in (
+        ({}, {"POSITION", "NORMAL", "TEXCOORD_0"}),
+        ({"solid": -1000.0}, {"POSITION"}),
+    ):
+        save_mesh(utm_mesh(), tmp_path / "area.gltf", overwrite=True, **options)
+        about = json.loads((tmp_path / "area.gltf").read_text())
+        assert set(about["meshes"][0]["primitives"][0]["attributes"]) == expected
 
 
 # Errors

@@ -1,6 +1,7 @@
 """16-bit height tiles: raw and PNG, what the JSON says of them, sizes, voids."""
 
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -8,8 +9,9 @@ import rasterio
 from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
-from terrainwave.errors import InvalidHeightsError, StorageError
+from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveWarning
 from terrainwave.export.geotiff import decompress
+from terrainwave.export.height_tiles import fill_voids
 from terrainwave.terrain import Terrain
 from terrainwave.write.compress import compress
 
@@ -26,7 +28,7 @@ def make(tmp_path, heights, **profile):
 
 def read_tile(path):
     """Return (samples, JSON)."""
-    about = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    about = json.loads(path.with_name(f"{path.name}.json").read_text(encoding="utf-8"))
     if path.suffix == ".png":
         with rasterio.open(path) as dataset:
             assert dataset.dtypes == ("uint16",)
@@ -36,9 +38,12 @@ def read_tile(path):
 
 
 def tile_of(tmp_path, heights, name="tile.r16", profile=None, **options):
+    tmp_path.mkdir(exist_ok=True)
     source = make(tmp_path, heights, **(profile or {}))
     path = tmp_path / name
-    assert decompress(source, path, threads=1, **options) == str(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TerrainwaveWarning)  # of windows that are stretched
+        assert decompress(source, path, threads=1, **options) == str(path)
     return read_tile(path)
 
 
@@ -111,8 +116,8 @@ def test_bands_of_rows_give_the_same_tile(tmp_path, monkeypatch):
     heights = terrain_like(90, 80)
     whole, _ = tile_of(tmp_path, heights, "whole.r16", size=129)
     monkeypatch.setattr("terrainwave.export.height_tiles._BAND_SAMPLES", 300)
-    decompress(tmp_path / "dem.twz", tmp_path / "bands.r16", size=129)
-    np.testing.assert_array_equal(read_tile(tmp_path / "bands.r16")[0], whole)
+    bands, _ = tile_of(tmp_path / "again", heights, "bands.r16", size=129)
+    np.testing.assert_array_equal(bands, whole)
 
 
 def test_window_keeps_its_own_shape_when_asked(tmp_path):
@@ -226,7 +231,7 @@ def test_a_cog_tile_is_refused(tmp_path):
         decompress(make(tmp_path, terrain_like(9, 9)), tmp_path / "tile.png", cog=True)
 
 
-@pytest.mark.parametrize("existing", ["tile.r16", "tile.json"])
+@pytest.mark.parametrize("existing", ["tile.r16", "tile.r16.json"])
 def test_existing_files_are_kept_and_nothing_is_added(tmp_path, existing):
     source = make(tmp_path, terrain_like(9, 9))
     (tmp_path / existing).write_text("mine")
@@ -237,3 +242,72 @@ def test_existing_files_are_kept_and_nothing_is_added(tmp_path, existing):
     assert (tmp_path / existing).read_text() == "mine"
     decompress(source, tmp_path / "tile.r16", overwrite=True)
     assert (tmp_path / "tile.r16").stat().st_size == 2 * 81
+
+
+def test_tiles_of_two_kinds_have_two_json_files(tmp_path):
+    source = make(tmp_path, terrain_like(9, 9))
+    for name in ("tile.r16", "tile.png"):
+        decompress(source, tmp_path / name)
+    names = {path.name for path in tmp_path.iterdir()} - {"dem.tif", "dem.twz"}
+    assert names == {"tile.r16", "tile.r16.json", "tile.png", "tile.png.json"}
+
+
+def test_a_stretched_window_is_told_with_its_cells(tmp_path):
+    source = make(tmp_path, terrain_like(41, 61))
+    with pytest.warns(TerrainwaveWarning, match="cells are 18.75 wide and 12.5 high, and were 10"):
+        decompress(source, tmp_path / "tile.r16", size=33)
+
+
+@pytest.mark.parametrize("options", [{"size": "window"}, {"size": 33, "window": (0, 0, 41, 41)}])
+def test_a_window_of_its_own_aspect_gives_no_note(tmp_path, options):
+    decompress(make(tmp_path, terrain_like(41, 61)), tmp_path / "tile.r16", **options)
+
+
+def test_cells_of_degrees_are_told_in_metres(tmp_path):
+    """A degree at 60 degrees north: 111 412.9 m of latitude, 55 800.2 m of longitude (WGS 84)."""
+    profile = {"crs": "EPSG:4326", "transform": Affine(0.01, 0, 10, 0, -0.01, 60.045)}
+    _, about = tile_of(tmp_path, terrain_like(9, 9), profile=profile)
+    assert about["pixel_metres"] == pytest.approx([558.002, 1114.129], rel=1e-4)
+
+
+def with_hole():
+    """Return a slope of 50 m a row with a hole, int16."""
+    heights = np.repeat(50 * np.arange(33, dtype="int16")[:, None], 33, axis=1)
+    heights[10:20, 12:22] = -32768
+    return heights
+
+
+def test_voids_are_filled_from_around(tmp_path):
+    samples, about = tile_of(tmp_path, with_hole(), voids="fill")
+    heights = heights_of(samples, about)
+    assert (about["n_void"], about["void"]) == (100, "filled from around")
+    hole = heights[10:20, 12:22]
+    assert hole.min() > 450
+    assert hole.max() < 1000
+    assert (np.diff(hole.mean(axis=1)) > 0).all()
+    assert about["minimum"] == 0
+
+
+def test_voids_become_a_height_that_is_asked_for(tmp_path):
+    samples, about = tile_of(tmp_path, with_hole(), voids=-10)
+    heights = heights_of(samples, about)
+    assert (about["void"], about["minimum"]) == (-10.0, -10.0)
+    np.testing.assert_array_equal(heights[10:20, 12:22], -10)
+    assert abs(heights[32] - 1600).max() <= about["error"]["quantisation"] + 1e-9
+
+
+def test_fills_keep_what_is_known_and_lie_between():
+    rng = np.random.default_rng(3)
+    heights = rng.normal(size=(37, 22))
+    valid = rng.random(heights.shape) < 0.2
+    filled = fill_voids(heights, valid)
+    np.testing.assert_array_equal(filled[valid], heights[valid])
+    known = heights[valid]
+    assert ((known.min() <= filled) & (filled <= known.max())).all()
+    assert not np.isnan(fill_voids(heights, np.zeros_like(valid))).any()
+
+
+@pytest.mark.parametrize("voids", ["highest", float("nan")])
+def test_other_voids_are_refused(tmp_path, voids):
+    with pytest.raises(InvalidHeightsError, match="expected lowest, fill or a height"):
+        decompress(make(tmp_path, terrain_like(9, 9)), tmp_path / "tile.r16", voids=voids)

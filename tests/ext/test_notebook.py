@@ -30,7 +30,8 @@ def test_page_shows_size_bound_levels_and_a_picture():
         page = terrain._repr_html_()
         table = table_of(page)
         assert table["size"].startswith("150 × 90 samples, int16;")
-        assert table["bound"] == "every height within 2 (unit unknown) of the original"
+        assert table["bound"] == "every height within 2 of the original"
+        assert table["unit"] == "unknown"
         assert table["levels"].endswith("75 × 45, 150 × 90")
         (data,) = re.findall(r"data:image/png;base64,([^\"]+)", page)
         assert Image.open(io.BytesIO(base64.b64decode(data))).size == (90, 150)

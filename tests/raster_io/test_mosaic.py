@@ -181,6 +181,18 @@ def test_rasters_that_do_not_fit_are_refused_with_advice(tmp_path, change, messa
         RasterSource([first, second])
 
 
+def test_tags_that_all_tiles_have_are_kept(four_tiles):
+    _, paths = four_tiles
+    for number, path in enumerate(paths):
+        with rasterio.open(path, "r+") as dataset:
+            dataset.update_tags(licence="CC0", tile=str(number))
+    with (
+        pytest.warns(TerrainwaveWarning, match="as the rasters differ there: the tags tile$"),
+        RasterSource(paths) as source,
+    ):
+        assert source.info.tags == (("licence", "CC0"),)
+
+
 def test_missing_tile_is_named(four_tiles, tmp_path):
     with pytest.raises(StorageError, match=r"gone\.tif: no such file"):
         RasterSource([*four_tiles[1], tmp_path / "gone.tif"])

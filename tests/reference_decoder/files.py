@@ -94,6 +94,10 @@ def is_transform(value):
     return isinstance(value, list) and len(value) == 6 and all(map(is_number, value))
 
 
+def is_texts(value):
+    return isinstance(value, dict) and all(isinstance(text, str) for text in value.values())
+
+
 KINDS = {
     "transform": is_transform,
     "scale": lambda value: is_number(value) and value != 0,
@@ -101,8 +105,10 @@ KINDS = {
     "mask_kind": lambda value: value in ("none", "nodata", "nan", "mask"),
     "area_or_point": lambda value: value in ("Area", "Point"),
     **dict.fromkeys(
-        ("crs", "units", "description", "software"), lambda value: isinstance(value, str)
+        ("crs", "units", "description", "software", "color_interpretation"),
+        lambda value: isinstance(value, str),
     ),
+    **dict.fromkeys(("tags", "band_tags"), lambda value: is_texts(value)),
 }
 
 

@@ -92,3 +92,29 @@ def test_without_a_display_a_picture_stands_in_for_the_window(terrain, monkeypat
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     assert terrain.view(size=(60, 40), mode="full").pixels.shape == (40, 60, 3)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1)])
+def test_a_map_of_a_single_line_is_drawn_without_light(shape, ax):
+    heights = np.arange(shape[0] * shape[1], dtype=np.int16).reshape(shape)
+    with terrain_of(heights, max_error=0) as terrain:
+        terrain.plot(ax, cmap="gray")
+    assert np.asarray(ax.images[0].get_array()).shape == (*shape, 4)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (40, 1)])
+def test_a_view_of_no_surface_is_refused(shape):
+    with (
+        terrain_of(np.ones(shape, dtype=np.int16), max_error=0) as terrain,
+        pytest.raises(InvalidHeightsError, match=f"has {shape[0]} x {shape[1]}"),
+    ):
+        terrain.view()
+
+
+def test_a_view_of_voids_is_refused():
+    voids = np.full((9, 9), -9, dtype=np.int16)
+    with (
+        terrain_of(voids, max_error=0, nodata=-9) as terrain,
+        pytest.raises(InvalidHeightsError, match="voids only"),
+    ):
+        terrain.view()

@@ -13,7 +13,8 @@ from urllib.parse import urlsplit
 
 import click
 
-from terrainwave.cli.output import Bar, count_of, message_of, plain, print_error
+from terrainwave.arguments import count_of
+from terrainwave.cli.output import Bar, message_of, plain, print_error
 from terrainwave.cli.streams import STREAM
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.progress import Progress, ProgressCallback

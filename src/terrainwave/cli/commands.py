@@ -17,6 +17,8 @@ from terrainwave.arguments import (
     HEIGHT_TILE_ENDINGS,
     TWZ_ENDINGS,
     check_ending,
+    count_of,
+    crs_name,
 )
 from terrainwave.cli.batch import (
     Done,
@@ -41,12 +43,12 @@ from terrainwave.cli.options import (
     Positive,
     Target,
     TileSize,
+    complete_files,
 )
 from terrainwave.cli.output import (
     Bar,
     Commands,
     announce_compiling,
-    count_of,
     plain,
     print_grid,
     print_note,
@@ -62,6 +64,7 @@ METHOD = click.Choice(["auto", *METHODS])
 CUTTABLE = methods_that(lambda method: method.is_cuttable)
 _EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if method.effort]
 EFFORT = f"How much is tried: {'; '.join(_EFFORTS)}; the others have one way."
+WARMUP_TASKS = ("compress", "read", "verify", "mesh", "render")
 MESH = click.Choice(["auto", *STORED_MESHES, "none"])
 
 
@@ -98,7 +101,7 @@ def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @main.command()
-@click.argument("paths", nargs=-1, metavar="SOURCE... TARGET")
+@click.argument("paths", nargs=-1, metavar="SOURCE... TARGET", shell_complete=complete_files)
 @click.option(
     "--max-error",
     type=Bound(),
@@ -279,8 +282,9 @@ def _print_result(result: Any) -> None:
     click.echo(_result_line(result))
     click.echo(
         f"max error asked {result.max_error:.6g}, guaranteed {result.effective_error:.6g},"
-        f" measured {measured} {_unit(result.units)}"
+        f" measured {measured}{_unit(result.units)}"
     )
+    _note_unit(result.units)
     for note in result.notes:
         print_note(note)
 
@@ -310,12 +314,13 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
         )
         click.echo(
             f"max error guaranteed {result.effective_error:.6g}, measured"
-            f" {result.measured_error:.6g} {_unit(result.units)}"
+            f" {result.measured_error:.6g}{_unit(result.units)}"
         )
+        _note_unit(result.units)
 
 
 @main.command()
-@click.argument("paths", nargs=-1, metavar="SOURCE TARGET")
+@click.argument("paths", nargs=-1, metavar="SOURCE TARGET", shell_complete=complete_files)
 @click.option("--window", type=Numbers("row,col,n_rows,n_cols", int), help="Part to write.")
 @click.option("--bounds", type=Numbers("left,bottom,right,top", float), help="Part, in the CRS.")
 @click.option("--level", type=int, default=-1, help="-1 full grid (default), -2 half, 0 coarsest.")
@@ -331,6 +336,11 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
     help="Samples on a side of a height tile, 2^n + 1: the window is resampled to that square."
     " Default: the largest that is not larger than the window; window writes its own samples.",
 )
+@click.option(
+    "--voids",
+    metavar="lowest|fill|HEIGHT",
+    help="What voids of a height tile become. Default: the lowest height.",
+)
 @_batched
 @_writing
 def decompress(
@@ -338,9 +348,9 @@ def decompress(
 ) -> None:
     """Write the file SOURCE (.twz) to the GeoTIFF TARGET (.tif), or to stdout if that is -.
 
-    A TARGET ending in .r16 or .png becomes a 16-bit height tile for game engines instead, with a
-    .json beside it that tells its scale and place. With --to DIR there is no TARGET: each SOURCE
-    becomes a GeoTIFF in DIR.
+    A TARGET ending in .r16 or .png becomes a 16-bit height tile for game engines instead, with
+    TARGET.json beside it that tells its scale and place. With --to DIR there is no TARGET: each
+    SOURCE becomes a GeoTIFF in DIR.
     """
     import terrainwave
 
@@ -374,6 +384,8 @@ def decompress(
     is_tile = Path(target).suffix.lower() in HEIGHT_TILE_ENDINGS
     if options["size"] and not is_tile:
         raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
+    if options["voids"] is not None and not is_tile:
+        raise click.UsageError(f"{target}: --voids is for height tiles, expected .r16 or .png")
     if options["cog"] and is_tile:
         raise click.UsageError(f"{target}: a height tile cannot be a COG, expected no --cog")
     announce_compiling(quiet=quiet)
@@ -387,7 +399,7 @@ def decompress(
 
 @main.command()
 @click.argument("file", type=Input())
-@click.argument("target")
+@click.argument("target", shell_complete=complete_files)
 @click.option(
     "--max-error",
     type=Bound(),
@@ -561,7 +573,8 @@ def _print_saved(saved: Any) -> None:
         f" {saved.n_vertices:,} vertices,"
         f" {saved.n_bytes:,} bytes"
     )
-    click.echo(f"guaranteed error {saved.error:.6g} {_unit(saved.units)}, frame {saved.frame}")
+    click.echo(f"guaranteed error {saved.error:.6g}{_unit(saved.units)}, frame {saved.frame}")
+    _note_unit(saved.units)
     if saved.curvature:
         print_note(
             f"flat triangles lie up to {saved.curvature:.3g} m below the curved body between"
@@ -578,20 +591,64 @@ def _print_saved(saved: Any) -> None:
     help="List each level's largest error: as stored, or the upper bound computed from decoded"
     " heights (slow).",
 )
-def info(file: str, as_json: bool, errors: str | None) -> None:
+@click.option("--voids", is_flag=True, help="Count the voids (slow: decodes all heights).")
+@click.option(
+    "--parts",
+    is_flag=True,
+    help="List the bytes of each part by URL too, which takes many requests.",
+)
+def info(file: str, as_json: bool, errors: str | None, voids: bool, parts: bool) -> None:
     """Show what the file FILE (.twz) holds."""
     import terrainwave
     from terrainwave.mesh.level_errors import level_errors
 
     with reading(file), terrainwave.open(file) as terrain:
         summary = terrain.info()
+        by_part = terrain.parts() if parts or "://" not in file else None
         by_level = None if errors is None else level_errors(terrain, errors)
+        n_voids = terrain.count_voids() if voids else None
     if as_json:
-        print_json(summary.to_dict() | ({} if by_level is None else {"level_errors": by_level}))
+        more = {
+            "parts": None if by_part is None else asdict(by_part),
+            "level_errors": by_level,
+            "n_voids": n_voids,
+        }
+        found = {name: value for name, value in more.items() if value is not None}
+        print_json(summary.to_dict() | found)
     else:
-        print_table(_info_rows(summary))
+        print_table(_info_rows(summary, n_voids))
+        if by_part is not None:
+            _print_parts(by_part)
         if by_level is not None:
             _print_level_errors(summary.level_shapes, by_level)
+
+
+def _voids_in_words(info: Any, n_voids: int | None) -> str:
+    if info.minimum is None:
+        return "all samples"
+    kind = {
+        "none": "none",
+        "nodata": f"where heights are {info.nodata}",
+        "nan": "where heights are NaN",
+        "mask": "by a mask",
+    }[info.voids]
+    if n_voids is None:
+        return kind
+    return f"{count_of(n_voids, 'sample')}, {n_voids / (info.n_rows * info.n_cols):.4g} of all"
+
+
+def _print_parts(parts: Any) -> None:
+    """Print the bytes of each part of a file; levels only where each has bytes of its own."""
+    rows = [("header and metadata", parts.metadata), ("tables", parts.tables)]
+    rows += [("index", parts.index), ("heights", sum(parts.heights))]
+    if len(parts.heights) > 1:
+        rows += [(f"  level {level}", size) for level, size in enumerate(parts.heights)]
+    rows.append(("meshes", parts.meshes))
+    total = sum(size for name, size in rows if not name.startswith(" "))
+    print_grid(
+        ["part", "bytes", "share"],
+        [[name, f"{size:,}", f"{100 * size / total:.3g} %"] for name, size in rows],
+    )
 
 
 def _print_level_errors(shapes: Any, errors: list[float]) -> None:
@@ -602,22 +659,24 @@ def _print_level_errors(shapes: Any, errors: list[float]) -> None:
     print_grid(["level", "rows", "columns", "largest error"], rows)
 
 
-def _info_rows(info: Any) -> list[tuple[str, object]]:
+def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
     unit = _unit(info.units)
-    crs = info.crs or "none"
-    if len(crs) > 40:  # WKT: its name is the first quoted string
-        crs = f"{crs.split(chr(34))[1] if chr(34) in crs else crs[:40]} (WKT; --json shows all)"
+    crs = crs_name(info.crs)
+    if crs != info.crs and info.crs:
+        crs += " (WKT; --json shows all)"
     levels = ", ".join(f"{rows} x {cols}" for rows, cols in info.level_shapes)
-    extent = "none" if info.minimum is None else f"{info.minimum:.6g} to {info.maximum:.6g} {unit}"
+    extent = "none" if info.minimum is None else f"{info.minimum:.6g} to {info.maximum:.6g}{unit}"
     scale = f"{info.scale:g}, offset {info.offset:g}"
-    tolerance = f"within {info.mesh_tolerance:.6g} {unit} of the heights"
+    tolerance = f"within {info.mesh_tolerance:.6g}{unit} of the heights"
     rows = [
         ("file", f"{info.path}, {info.n_bytes:,} bytes"),
         ("size", f"{info.n_rows} rows x {info.n_cols} columns, {info.dtype}"),
         ("bits/sample", f"{info.bits_per_sample:.4g}, {info.ratio:.4g} times smaller than raw"),
-        ("max error", f"asked {info.max_error:.6g}, holds {info.effective_error:.6g} {unit}"),
-        ("quantum", f"{info.quantum:.6g} {unit}"),
+        ("max error", f"asked {info.max_error:.6g}, holds {info.effective_error:.6g}{unit}"),
+        ("quantum", f"{info.quantum:.6g}{unit}"),
         ("heights", extent),
+        ("unit", info.units or "unknown"),
+        ("voids", _voids_in_words(info, n_voids)),
         ("method", f"{info.method}, effort {info.effort}, border rings {info.border_rings}"),
         ("block", f"{info.block} x {info.block} cells"),
         ("mesh", info.mesh if info.mesh == "none" else f"{info.mesh}, {tolerance}"),
@@ -626,18 +685,28 @@ def _info_rows(info: Any) -> list[tuple[str, object]]:
         ("CRS", crs),
         ("bounds", ", ".join(f"{value:.10g}" for value in info.bounds)),
         ("pixel", f"{info.transform[0]:.10g}, {info.transform[4]:.10g}"),
+        ("a pixel is", (info.area_or_point or "").lower()),
         ("scale", scale if (info.scale, info.offset) != (1, 0) else ""),
         ("description", info.description or ""),
+        *((f"tag {name}", value) for name, value in info.tags.items()),
+        *((f"band tag {name}", value) for name, value in info.band_tags.items()),
+        ("colour", info.color_interpretation or ""),
     ]
     return [(name, value) for name, value in rows if value != ""]
 
 
 def _unit(units: str | None) -> str:
-    return plain(units) if units else "(unit unknown)"
+    """Return what stands behind a height: its unit, or nothing if that is unknown."""
+    return f" {plain(units)}" if units else ""
+
+
+def _note_unit(units: str | None) -> None:
+    if not units:
+        print_note("the raster does not name its vertical unit: errors are in that of its heights")
 
 
 @main.command()
-@click.argument("paths", nargs=-1, metavar="FILE [ORIGINAL]")
+@click.argument("paths", nargs=-1, metavar="FILE [ORIGINAL]", shell_complete=complete_files)
 @click.option(
     "--originals",
     type=click.Path(file_okay=False, exists=True),
@@ -754,13 +823,37 @@ def _print_meshes(report: Any) -> None:
     print_grid(["meshes", "triangles", "stated error", f"from {report.against}"], rows)
 
 
-@main.command()
-def warmup() -> None:
-    """Compile all kernels now, so that no later run has to (for container images)."""
-    from terrainwave.cli.demo import compile_kernels
+class Tasks(click.ParamType):
+    """Names of tasks, with commas between them."""
 
-    announce_compiling()
-    compile_kernels()
+    name = "task,task,…"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[str, ...]:
+        """Return the names."""
+        names = value if isinstance(value, tuple) else tuple(value.split(","))
+        for name in names:
+            if name not in WARMUP_TASKS:
+                self.fail(f"found {name}, expected of {', '.join(WARMUP_TASKS)}", param, ctx)
+        return names
+
+
+@main.command()
+@click.option(
+    "--for",
+    "tasks",
+    type=Tasks(),
+    default=",".join(WARMUP_TASKS),
+    show_default=True,
+    help="What to compile for; compress always is.",
+)
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
+def warmup(tasks: tuple[str, ...], quiet: bool) -> None:
+    """Compile all kernels now, so that no later run has to (for container images)."""
+    from terrainwave.cli.warmup import compile_kernels
+
+    announce_compiling(quiet=quiet)
+    for left_out in compile_kernels(tasks):
+        print_note(f"left out: {left_out}")
 
 
 @main.command()

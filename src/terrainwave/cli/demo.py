@@ -1,7 +1,6 @@
-"""What `terrainwave demo` and `terrainwave warmup` do."""
+"""What `terrainwave demo` does."""
 
 import os
-import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,6 @@ from terrainwave.container.publish import scratch_directory
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import BoundViolationError
 from terrainwave.extras import need
-from terrainwave.names import PLAIN_METHOD
 from terrainwave.progress import ProgressCallback
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.sink import RasterSink
@@ -178,32 +176,3 @@ def _ramp() -> Any:
     import matplotlib
 
     return matplotlib.colormaps["gist_earth"]
-
-
-def compile_kernels() -> None:
-    """Compress and read back small rasters, so that every kernel is compiled and cached."""
-    rows, cols = np.mgrid[0:70, 0:90]
-    hills = 100 * np.sin(rows / 9) * np.cos(cols / 7)
-    whole = hills.astype(np.int16)
-    whole[3, 3] = -32768
-    broken = hills.astype(np.float32)
-    broken[3, 3] = np.nan
-    with tempfile.TemporaryDirectory(prefix="terrainwave-") as folder:
-        path = Path(folder) / "warmup.twz"
-        for heights, nodata, max_error in (
-            (whole, -32768, 0.0),
-            (whole, -32768, 3.0),
-            (broken, None, 0.5),
-        ):
-            for method in ("auto", PLAIN_METHOD.name):
-                terrainwave.compress(
-                    heights,
-                    path,
-                    max_error=max_error,
-                    nodata=nodata,
-                    method=method,
-                    block=32,
-                    overwrite=True,
-                )
-                with terrainwave.open(path) as terrain:
-                    terrain.read()

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from terrainwave.arguments import BLOCKS, check_ending
 from terrainwave.cli.streams import STREAM, read_stream
@@ -14,7 +15,22 @@ from terrainwave.errors import InvalidArgumentError
 TILE_SIZES = tuple(2**n + 1 for n in range(1, 15))
 
 
-class Target(click.ParamType):
+def complete_files(ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+    """Let the shell complete the name of a file."""
+    return [CompletionItem(incomplete, type="file")]
+
+
+class _Path(click.ParamType):
+    """A name that the shell completes."""
+
+    completes = "file"
+
+    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+        """Let the shell complete the name."""
+        return [CompletionItem(incomplete, type=self.completes)]
+
+
+class Target(_Path):
     """A file to write, by a name with one of the endings; - is stdout where that is allowed."""
 
     name = "path"
@@ -35,10 +51,11 @@ class Target(click.ParamType):
         return path
 
 
-class Directory(click.ParamType):
+class Directory(_Path):
     """A directory to write; the name of an archive or of a stream is none."""
 
     name = "directory"
+    completes = "dir"
     archives = (".mbtiles", ".pmtiles", ".tar", ".zip")
 
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
@@ -51,7 +68,7 @@ class Directory(click.ParamType):
         return path
 
 
-class Input(click.ParamType):
+class Input(_Path):
     """A file to read; - is stdin, which becomes a temporary file for as long as the command runs.
 
     Readers jump to and fro, which a stream cannot.

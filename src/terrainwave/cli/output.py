@@ -1,13 +1,12 @@
 """What people see: one-line errors, notes, the progress bar, tables.
 
-Strings may come from untrusted files. `plain` takes the control characters out of whatever is
-printed, and tables hold rich's `Text`, in which markup means nothing.
+Strings may come from untrusted files. `plain` (`arguments.in_one_line`) takes the control
+characters out of whatever is printed, and tables hold rich's `Text`, in which markup means nothing.
 """
 
 import functools
 import os
 import sys
-import unicodedata
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
+from terrainwave.arguments import in_one_line
 from terrainwave.cli.signals import INTERRUPTED, Terminated, ending_by_signals
 from terrainwave.errors import (
     CorruptStreamError,
@@ -29,15 +29,7 @@ if TYPE_CHECKING:
     from terrainwave.progress import Progress
 
 
-def plain(text: object) -> str:
-    """Return `text` on one line, without control, format (bidi) and unassigned characters."""
-    words = " ".join(str(text).split())
-    return "".join(char for char in words if not unicodedata.category(char).startswith("C"))
-
-
-def count_of(number: int, noun: str) -> str:
-    """Return a number with its noun: 1 block, 2,000 blocks."""
-    return f"{number:,} {noun}{'s' * (number != 1)}"
+plain = in_one_line
 
 
 def print_error(message: object) -> None:
@@ -78,8 +70,8 @@ def warnings_as_notes() -> Iterator[None]:
     """Print our own warnings as one line each, without file names and line numbers."""
 
     def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-        if issubclass(category, TerrainwaveWarning):
-            print_note(message)
+        if isinstance(message, TerrainwaveWarning):
+            print_note(message_of(message))
         else:
             usual(message, category, *place, **more)
 
@@ -97,8 +89,8 @@ def _option(argument: str) -> str:
     return names.get(argument, f"--{argument}".replace("_", "-"))
 
 
-def message_of(error: TerrainwaveError) -> str:
-    """Return the message of an error, in words of the command line."""
+def message_of(error: TerrainwaveError | TerrainwaveWarning) -> str:
+    """Return the message of an error or a warning, in words of the command line."""
     return plain(error.message_with(_option))
 
 

@@ -10,17 +10,10 @@ from typing import Any
 
 import click
 
-from terrainwave.arguments import PICTURE_ENDINGS
+from terrainwave.arguments import PICTURE_ENDINGS, count_of
 from terrainwave.cli.commands import main
 from terrainwave.cli.options import Input, Numbers, Target
-from terrainwave.cli.output import (
-    Bar,
-    announce_compiling,
-    count_of,
-    plain,
-    print_note,
-    reading,
-)
+from terrainwave.cli.output import Bar, announce_compiling, plain, print_note, reading
 from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.render.modes import MODES
 
@@ -146,6 +139,7 @@ def render(
 ) -> None:
     """Draw FILE (.twz) to the picture TARGET (.png; - is stdout), without a screen."""
     import terrainwave
+    from terrainwave.render.frame import check_drawable
     from terrainwave.render.offscreen import Offscreen
     from terrainwave.render.pictures import choose_camera, fly_through, read_flight
 
@@ -159,6 +153,9 @@ def render(
     with ExitStack() as stack:
         stack.enter_context(reading(file))
         terrain = stack.enter_context(terrainwave.open(file))
+        check_drawable(terrain)
+        if bounds is not None:
+            terrain.region(bounds=bounds)
         style = _style(options)
         with Bar(quiet=quiet) as bar:
             scene = stack.enter_context(

@@ -5,9 +5,10 @@ import webbrowser
 
 import click
 
+from terrainwave.arguments import count_of
 from terrainwave.cli.commands import main
-from terrainwave.cli.options import NamedInput
-from terrainwave.cli.output import announce_compiling, count_of, print_note
+from terrainwave.cli.options import NamedInput, Positive
+from terrainwave.cli.output import announce_compiling, print_note
 from terrainwave.errors import StorageError
 from terrainwave.extras import need
 
@@ -22,6 +23,7 @@ from terrainwave.extras import need
 @click.option("--cors", is_flag=True, help="Let pages of other sites read the tiles.")
 @click.option("--threads", "n_decoding", type=click.IntRange(1, 64), default=2, show_default=True,
               help="Requests that decode at a time.")  # fmt: skip
+@click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
 @click.option("--open", "opens", is_flag=True, help="Open the page in a browser.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
 def serve(
@@ -31,6 +33,7 @@ def serve(
     hosts: tuple[str, ...],
     cors: bool,
     n_decoding: int,
+    radius: float | None,
     opens: bool,
     quiet: bool,
 ) -> None:
@@ -46,7 +49,7 @@ def serve(
 
     announce_compiling(quiet=quiet)
     named = tuple(name for name in (host, *hosts) if name not in ("0.0.0.0", "::"))
-    app = make_app(list(files), hosts=named, cors=cors, n_decoding=n_decoding)
+    app = make_app(list(files), hosts=named, cors=cors, n_decoding=n_decoding, radius=radius)
     listener = _listen(host, port)
     address = f"http://{_in_url(host)}:{listener.getsockname()[1]}/"
     if not quiet:

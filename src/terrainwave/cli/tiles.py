@@ -6,9 +6,10 @@ from typing import Any
 
 import click
 
+from terrainwave.arguments import count_of
 from terrainwave.cli.commands import THREADS, main, print_json
 from terrainwave.cli.options import Directory, Finite, Input, Positive
-from terrainwave.cli.output import Bar, announce_compiling, count_of, plain, print_grid, reading
+from terrainwave.cli.output import Bar, announce_compiling, plain, print_grid, reading
 
 
 @main.command()

@@ -13,7 +13,8 @@ from terrainwave.errors import CorruptStreamError, InvalidHeightsError, Terrainw
 
 MAX_NESTING = 16
 
-_STRINGS = ("crs", "mask_kind", "units", "description", "software")
+_STRINGS = ("crs", "mask_kind", "units", "description", "software", "color_interpretation")
+_TEXTS_BY_NAME = ("tags", "band_tags")
 _NUMBERS = ("scale", "offset")
 # A string, or one bracket outside of strings.
 _TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[\[\]{}]', re.DOTALL)
@@ -116,6 +117,12 @@ def _wrong_values(metadata: dict[str, object]) -> Iterator[str]:
     for key in _NUMBERS:
         if metadata.get(key) is not None and not _is_number(metadata[key]):
             yield f"{key} is not a number"
+    for key in _TEXTS_BY_NAME:
+        texts = metadata.get(key)
+        if texts is not None and not (
+            isinstance(texts, dict) and all(isinstance(text, str) for text in texts.values())
+        ):
+            yield f"{key} is not an object of strings"
     if metadata.get("scale") == 0:
         yield "scale is 0"
     transform = metadata.get("transform")

@@ -2,7 +2,8 @@
 
 http does without fsspec because one request must answer three questions: the size, whether the
 server serves ranges at all, and what the first 16 KiB are. fsspec would need two more requests,
-and downloads the whole file where ranges are ignored.
+and downloads the whole file where ranges are ignored. Here a small file is fetched whole there,
+with a warning, and a large one is refused.
 
 Both remember which version of the file they opened, also when pickled. http compares it with every
 reply. Storage behind fsspec has no way to ask for it with a range: there the checksums notice that
@@ -17,6 +18,7 @@ import ssl
 import threading
 import time
 import urllib.request
+import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -24,12 +26,15 @@ from urllib.parse import SplitResult, unquote, urljoin, urlsplit
 
 from terrainwave.container.ranges import ByteRange
 from terrainwave.container.source import ByteSource, FileSource, MergingSource
-from terrainwave.errors import StorageError, TerrainwaveError
+from terrainwave.errors import StorageError, TerrainwaveError, TerrainwaveWarning
 from terrainwave.extras import need
 
 FIRST_REQUEST = 16 * 1024
 TIMEOUT = 30.0  # seconds without a byte
 N_CONNECTIONS = 16
+
+# Files up to this size are fetched whole from servers that send no parts.
+MAX_WHOLE = 64 << 20
 
 _REDIRECTS = {301, 302, 303, 307, 308}
 _MAX_REDIRECTS = 5
@@ -43,7 +48,7 @@ _CONTENT_RANGE = re.compile(r"bytes (?:(\d{1,18})-(\d{1,18})|\*)/(\d{1,18})")
 
 
 def open_url(url: str) -> ByteSource:
-    """Return the source of a URL; raise `StorageError` if it cannot be read by ranges."""
+    """Return the source of a URL; raise `StorageError` if it cannot be read so."""
     try:
         parts = urlsplit(url)
         _ = parts.port  # looked at only when it is asked for
@@ -63,10 +68,11 @@ class _Reply(NamedTuple):
     content_range: str | None
     version: str | None
     body: bytes
+    length: int = 0  # of the whole body, as the server says
 
 
 class HttpSource(MergingSource):
-    """A file on a web server that serves byte ranges.
+    """A file on a web server that serves byte ranges, or a small one on one that does not.
 
     Opening is one request, for the first 16 KiB. Connections are kept and reused, up to sixteen
     at a time. Redirects, `http_proxy` and friends and ``user:password@`` in the URL work.
@@ -118,10 +124,7 @@ class HttpSource(MergingSource):
         if reply.status == 416 and match and int(match[3]) != self.size:
             raise _changed(self.name)
         if reply.status == 200:
-            raise StorageError(
-                f"{self.name}: the server does not serve byte ranges; download the file and open "
-                "it locally, or host it where ranges work (nginx, Apache, S3, ...)"
-            )
+            return self._take_whole(reply)
         if reply.status != 206:
             reason = http.client.responses.get(reply.status, "")
             raise StorageError(f"cannot read {self.name}: {reply.status} {reason}".rstrip())
@@ -134,6 +137,25 @@ class HttpSource(MergingSource):
         if (int(match[1]), int(match[2]) + 1) != (expected.offset, expected.end):
             raise StorageError(f"{self.name}: the server sent {match[0]} for {expected}")
         self.size, self._version = size, reply.version
+        return reply.body
+
+    def _take_whole(self, reply: _Reply) -> bytes:
+        """Take the whole file from a server that sends no parts, if that is how it was opened."""
+        if self.size != -1 or len(reply.body) < reply.length or len(reply.body) > MAX_WHOLE:
+            raise StorageError(
+                f"{self.name}: the server does not serve byte ranges; files of more than"
+                f" {MAX_WHOLE >> 20} MiB are not fetched whole: download the file and open it"
+                " locally, or host it where ranges work (nginx, Apache, S3, ...)"
+            )
+        if self._version not in (None, reply.version):
+            raise _changed(self.name)
+        self.size, self._version = len(reply.body), reply.version
+        warnings.warn(
+            f"{self.name}: the server does not serve byte ranges, so all of the file was fetched,"
+            f" {self.size:,} bytes",
+            TerrainwaveWarning,
+            stacklevel=2,
+        )
         return reply.body
 
     def _ask(self, wanted: ByteRange) -> _Reply:
@@ -185,7 +207,7 @@ class HttpSource(MergingSource):
             try:
                 connection.request("GET", _target(parts), headers=self._headers(parts, wanted))
                 response = connection.getresponse()
-                reply = _read_reply(response, wanted.length)
+                reply = _read_reply(response, wanted.length, takes_whole=self.size == -1)
                 is_reusable = response.isclosed() and not response.will_close
                 return reply
             except (OSError, http.client.HTTPException):
@@ -263,10 +285,21 @@ def _unreadable(name: str, error: Exception) -> StorageError:
     return StorageError(f"cannot read {name}: {problem}")
 
 
-def _read_reply(response: http.client.HTTPResponse, length: int) -> _Reply:
-    """Read what there is of a partial reply, `length` bytes at most, and nothing of others."""
-    body = b""
-    if response.status == 206:
+def _read_reply(
+    response: http.client.HTTPResponse, length: int, *, takes_whole: bool = False
+) -> _Reply:
+    """Read what there is of a partial reply, `length` bytes at most, and nothing of others.
+
+    `takes_whole` reads a complete file too, unless it is longer than `MAX_WHOLE`.
+    """
+    body, whole_length = b"", 0
+    if response.status == 200 and takes_whole:
+        whole_length = response.length or 0
+        if whole_length <= MAX_WHOLE:
+            body = response.read(MAX_WHOLE + 1)
+            if len(body) < whole_length:
+                raise http.client.IncompleteRead(body, whole_length - len(body))
+    elif response.status == 206:
         body = response.read(length)
         if response.length and len(body) < length:  # hung up: http.client says nothing
             raise http.client.IncompleteRead(body, response.length)
@@ -275,7 +308,7 @@ def _read_reply(response: http.client.HTTPResponse, length: int) -> _Reply:
         response.read()
     location, content_range = response.getheader("Location"), response.getheader("Content-Range")
     version = response.getheader("ETag") or response.getheader("Last-Modified")
-    return _Reply(response.status, location, content_range, version, body)
+    return _Reply(response.status, location, content_range, version, body, whole_length)
 
 
 def _target(parts: SplitResult) -> str:

@@ -116,6 +116,10 @@ def save_mesh(
     need(writer.package, extra=_EXTRA)
     framed, written, rounding = _to_write(mesh, extension, frame, z_scale, solid, radius)
     about = describe(framed, mesh.error + rounding)
+    if writer.has_texture and solid is None:
+        # A body's walls have no place in a picture from above, and its edges are sharp.
+        framed = replace(framed, attributes=framed.attributes | {"uv": _texture_places(mesh)})
+        about["texture_bounds"] = list(mesh.bounds)
     # Libraries count on numpy's own settings, which callers may have changed.
     with np.errstate(all="ignore"):
         data = writer.write(replace(framed, vertices=written), about, Path(path))
@@ -226,6 +230,31 @@ def describe(mesh: Mesh, error: float) -> dict[str, Any]:
     return about
 
 
+def _texture_places(mesh: Mesh) -> NDArray[np.float64]:
+    """Return where vertices lie in a picture of the mesh's bounds: (0, 0) is its lower left."""
+    left, bottom, right, top = mesh.bounds
+    size = np.maximum((right - left, top - bottom), np.finfo(np.float64).tiny)
+    places: NDArray[np.float64] = (mesh.points[:, :2] - (left, bottom)) / size
+    return places
+
+
+def vertex_normals(mesh: Mesh) -> NDArray[np.float64]:
+    """Return a unit vector for each vertex: those of its triangles, weighted by their areas."""
+    corners = mesh.vertices[mesh.triangles]
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.column_stack(
+        [
+            np.bincount(
+                mesh.triangles.ravel(), np.repeat(crosses[:, axis], 3), minlength=mesh.n_vertices
+            )
+            for axis in range(3)
+        ]
+    )
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    up = np.array([0.0, 0.0, 1.0])  # of a vertex that is in no triangle
+    return np.where(lengths > 0, normals / np.maximum(lengths, np.finfo(np.float64).tiny), up)
+
+
 def _recentred(mesh: Mesh) -> Mesh:
     """Return the mesh with its origin in its middle, so that float32 holds small numbers.
 
@@ -253,7 +282,7 @@ def _rounding(
     unit = 1.0 if frame["name"] == "native" else metres_per_unit(mesh.units)
     at_joints = framed.attributes.get("solid", {}).get("moved", 0.0) * sum(steepest(mesh))
     if frame["name"] == "ecef":
-        slope = _steepest_on(framed, find_place(mesh, radius=radius).ellipsoid)
+        slope = _steepest_on(framed, find_place(mesh, radius=radius, has_frames=True).ellipsoid)
         rounding = float(np.linalg.norm(moved)) * (1 + slope)
     else:
         # A body's walls and base have none or a negative one.
@@ -290,7 +319,7 @@ def _curvature(mesh: Mesh, framed: Mesh, radius: float | None) -> float:
     """
     if framed.attributes["frame"]["name"] != "ecef":
         return 0.0
-    ellipsoid = find_place(mesh, radius=radius).ellipsoid
+    ellipsoid = find_place(mesh, radius=radius, has_frames=True).ellipsoid
     return longest_edge(framed) ** 2 / (6 * ellipsoid.axis * (1 - ellipsoid.e2))
 
 
@@ -365,7 +394,13 @@ def _scene(mesh: Mesh, about: dict[str, Any]) -> Any:
     from trimesh.visual.material import PBRMaterial
 
     # glTF has y upwards: (x, y, z) to (x, z, −y) is a rotation, triangles keep their sense.
-    surface = to_trimesh(replace(mesh, vertices=mesh.vertices[:, [0, 2, 1]] * (1.0, 1.0, -1.0)))
+    uv = mesh.attributes.get("uv")
+    surface = trimesh.Trimesh(
+        vertices=_y_up(mesh.vertices),
+        faces=mesh.triangles,
+        vertex_normals=None if uv is None else _y_up(vertex_normals(mesh)),
+        process=False,
+    )
     # Without a material viewers take polished metal.
     material = PBRMaterial(
         name="ground",
@@ -374,21 +409,26 @@ def _scene(mesh: Mesh, about: dict[str, Any]) -> Any:
         roughnessFactor=1.0,
         doubleSided=False,
     )
-    surface.visual = TextureVisuals(material=material)
+    surface.visual = TextureVisuals(uv=uv, material=material)
     surface.metadata["terrainwave"] = about
     return trimesh.Scene({"terrain": surface})
+
+
+def _y_up(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return vectors[:, [0, 2, 1]] * (1.0, 1.0, -1.0)
 
 
 def _write_glb(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
     from trimesh.exchange.gltf import export_glb
 
-    return bytes(export_glb(_scene(mesh, about), include_normals=False))
+    return bytes(export_glb(_scene(mesh, about), include_normals="uv" in mesh.attributes))
 
 
 def _write_gltf(mesh: Mesh, about: dict[str, Any], path: Path) -> bytes:
     from trimesh.exchange.gltf import export_gltf
 
-    files = export_gltf(_scene(mesh, about), include_normals=False, embed_buffers=True)
+    scene, has_normals = _scene(mesh, about), "uv" in mesh.attributes
+    files = export_gltf(scene, include_normals=has_normals, embed_buffers=True)
     return bytes(files["model.gltf"])
 
 
@@ -425,14 +465,15 @@ class _Writer:
     package: str
     is_float32: bool
     write: Callable[[Mesh, dict[str, Any], Path], bytes]
+    has_texture: bool = False
 
 
 _WRITERS = {
     ".ply": _Writer("meshio", False, _write_ply),
     ".obj": _Writer("trimesh", False, _write_obj),
     ".stl": _Writer("trimesh", True, _write_stl),
-    ".glb": _Writer("trimesh", True, _write_glb),
-    ".gltf": _Writer("trimesh", True, _write_gltf),
+    ".glb": _Writer("trimesh", True, _write_glb, has_texture=True),
+    ".gltf": _Writer("trimesh", True, _write_gltf, has_texture=True),
     ".vtu": _Writer("meshio", False, _write_vtu),
     ".vtk": _Writer("meshio", False, _write_vtk),
 }

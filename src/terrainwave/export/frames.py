@@ -92,10 +92,12 @@ class Place:
     crs: "CRS | None"
 
 
-def find_place(mesh: Mesh, *, radius: float | None = None) -> Place:
+def find_place(mesh: Mesh, *, radius: float | None = None, has_frames: bool = False) -> Place:
     """Say how the mesh's coordinates are meant; see `place_of`."""
     is_placed = mesh.attributes.get("is_placed") is not False
-    return place_of(mesh.crs, mesh.bounds, is_placed=is_placed, radius=radius)
+    return place_of(
+        mesh.crs, mesh.bounds, is_placed=is_placed, radius=radius, has_frames=has_frames
+    )
 
 
 def place_of(
@@ -104,6 +106,7 @@ def place_of(
     *,
     is_placed: bool = True,
     radius: float | None = None,
+    has_frames: bool = False,
 ) -> Place:
     """Say how coordinates are meant, from their CRS; guess and warn where there is none.
 
@@ -118,6 +121,8 @@ def place_of(
     radius : float, optional
         Radius in metres of the sphere that geographic coordinates lie on, instead of the CRS's
         ellipsoid.
+    has_frames : bool
+        Whether who asks has an argument `frame` too, which the warning can name.
 
     Raises
     ------
@@ -128,7 +133,7 @@ def place_of(
         raise InvalidArgumentError(f"found `radius` {radius}, expected metres > 0")
     crs = _parsed(crs_text)
     if crs is None:
-        place = _guess(bounds, is_placed, radius)
+        place = _guess(bounds, is_placed, radius, has_frames)
     elif crs.is_geographic:
         unit = math.degrees(float(crs.units_factor[1]))
         place = Place(True, unit, ellipsoid_of(crs), crs)
@@ -151,8 +156,14 @@ def _parsed(crs_text: str | None) -> "CRS | None":
     return parse_crs(crs_text)
 
 
+_AS_THEY_ARE = ", `frame` native leaves them as they are"
+
+
 def _guess(
-    bounds: tuple[float, float, float, float], is_placed: bool, radius: float | None
+    bounds: tuple[float, float, float, float],
+    is_placed: bool,
+    radius: float | None,
+    has_frames: bool,
 ) -> Place:
     left, bottom, right, top = bounds
     fits = -360 <= left and right <= 360 and -90 <= bottom and top <= 90
@@ -161,7 +172,7 @@ def _guess(
     body = "the Earth" if radius is None else f"a sphere of {radius:g} m"
     warnings.warn(
         f"there is no coordinate reference system; the coordinates fit degrees on {body} and are"
-        " taken for them (--radius gives another body, --frame native leaves them as they are)",
+        f" taken for them (`radius` gives another body{_AS_THEY_ARE * has_frames})",
         TerrainwaveWarning,
         stacklevel=2,
     )
@@ -264,7 +275,7 @@ def to_frame(
         raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
     if frame == "native" and radius is None:
         return _native(mesh, z_scale)
-    place = find_place(mesh, radius=radius)
+    place = find_place(mesh, radius=radius, has_frames=True)
     frame = frame or ("local" if place.is_geographic else "native")
     if frame == "native":
         return _native(mesh, z_scale)

@@ -27,6 +27,7 @@ def decompress(
     level: int = -1,
     cog: bool = False,
     size: int | str | None = None,
+    voids: str | float | None = None,
     quality: float | None = None,
     threads: int | None = None,
     overwrite: bool = False,
@@ -50,6 +51,9 @@ def decompress(
         Of a height tile: samples on a side, 2ⁿ + 1; the window is resampled bilinearly to that
         square. ``"window"`` writes the window's own samples. By default the largest 2ⁿ + 1 that
         is not larger than the window.
+    voids : {"lowest", "fill"} or float, optional
+        Of a height tile: what voids become: the tile's lowest height (the default), what is around
+        them, or a height in physical units.
     quality : float, optional
         Of a file of method cdf53: read only so many bits per sample, as in `Terrain.read_early`.
     threads : int, optional
@@ -73,6 +77,11 @@ def decompress(
         raise InvalidArgumentError(f"{os.fspath(dst)}: a height tile cannot be a COG")
     if is_tile and quality is not None:
         raise InvalidArgumentError(f"{os.fspath(dst)}: a height tile cannot be read in part")
+    if voids is not None and not is_tile:
+        raise InvalidArgumentError(
+            f"{os.fspath(dst)}: `voids` is for height tiles, expected a name ending in"
+            f" {one_of(HEIGHT_TILE_ENDINGS)}"
+        )
     if size is not None and not is_tile:
         raise InvalidArgumentError(
             f"{os.fspath(dst)}: `size` is for height tiles, expected a name ending in"
@@ -88,6 +97,7 @@ def decompress(
                 region,
                 level=level,
                 size=size,
+                voids="lowest" if voids is None else voids,
                 overwrite=overwrite,
                 reporter=reporter,
             )

@@ -21,9 +21,12 @@ from terrainwave.container.spool import cannot_write, storage_errors
 from terrainwave.errors import (
     InvalidArgumentError,
     LimitExceededError,
+    TerrainwaveError,
+    TerrainwaveWarning,
 )
+from terrainwave.export.frames import place_of
 from terrainwave.file import TerrainFile
-from terrainwave.grid.affine import IDENTITY, bounds
+from terrainwave.grid.affine import IDENTITY, Transform, bounds, pixel_size
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
@@ -32,6 +35,9 @@ from terrainwave.read.resample import bilinear_sums, weighted_means
 MAX_SIZE = 16385
 _MAX_SAMPLES = MAX_SIZE**2
 _HIGHEST = 65535
+_SMOOTHING_ROUNDS = 4
+# Beyond this the shape of what is drawn changes visibly.
+_LARGEST_STRETCH = 0.005
 # Samples that are read at a time: 32 MiB of float64.
 _BAND_SAMPLES = 4 << 20
 
@@ -55,6 +61,7 @@ def write_height_tile(
     *,
     level: int,
     size: int | str | None,
+    voids: str | float,
     overwrite: bool,
     reporter: Reporter,
 ) -> str:
@@ -64,8 +71,8 @@ def write_height_tile(
     ----------
     terrain : TerrainFile
     path : path
-        Ends in ``.r16`` or ``.png``; the JSON has the same name with ``.json``. Both appear
-        complete or not at all.
+        Ends in ``.r16`` or ``.png``; the JSON has the same name with ``.json`` behind it. Both
+        appear complete or not at all.
     region : Region
         Of `level`; at least 2 x 2 samples.
     level : int
@@ -73,6 +80,8 @@ def write_height_tile(
         Side of the tile, 2ⁿ + 1; the window is resampled bilinearly to this square, corner sample
         to corner sample. ``"window"`` writes the window's samples as they are. None is as they are
         where they form such a square, else the largest tile that is not larger than the window.
+    voids : {"lowest", "fill"} or float
+        What voids become: the lowest height of the tile, what its surroundings have, or a height.
     overwrite : bool
     reporter : Reporter
 
@@ -84,19 +93,28 @@ def write_height_tile(
         If a file cannot be written.
     """
     shape = _tile_shape(region, size)
+    filling = checked_voids(voids)
     heights, valid = _read(terrain, region, level, shape, reporter)
     scale, offset = terrain.raster_info.scale, terrain.raster_info.offset
     heights = heights * scale + offset
-    tile = _quantize(heights, valid)
+    _warn_of_aspect(terrain, region, level, shape)
+    # A float is what all voids become; without any nothing is stretched to hold it.
+    if filling == "fill":
+        heights = fill_voids(heights, valid)
+    elif isinstance(filling, float):
+        heights = np.where(valid, heights, filling)
+    has_heights = valid if filling == "lowest" else np.ones_like(valid)
+    tile = _quantize(heights, has_heights if valid.any() else valid)
     name = Path(path)
     about = {"generator": f"terrainwave {__version__}", "file": name.name}
-    about |= _describe(terrain, region, level, shape, valid, tile)
+    about |= _describe(terrain, region, level, shape, valid, tile, filling)
     if name.suffix.lower() == ".png":
         data = _png(tile.samples, name)
     else:
         data = tile.samples.astype("<u2").tobytes()
     text = json.dumps(about, indent=2, allow_nan=False) + "\n"
-    with publish(name.with_suffix(".json"), overwrite) as sidecar, publish(path, overwrite) as part:
+    beside = name.with_name(f"{name.name}.json")
+    with publish(beside, overwrite) as sidecar, publish(path, overwrite) as part:
         with storage_errors(f"cannot write {path}"):
             part.file.write(data)
             sidecar.file.write(text.encode())
@@ -175,6 +193,7 @@ def _describe(
     shape: tuple[int, int],
     valid: NDArray[np.bool_],
     tile: _Quantized,
+    filling: str | float,
 ) -> dict[str, Any]:
     """Return the fields of the JSON file; docs/meshes.md lists them."""
     raster = terrain.raster_info
@@ -182,7 +201,6 @@ def _describe(
     is_full = terrain.level_index(level) == terrain.n_levels - 1
     bound = terrain.effective_error if is_full else None
     transform = _tile_transform(terrain.transform(level, region), region, shape)
-    a, b, _, d, e, _ = transform
     return {
         "rows": shape[0],
         "columns": shape[1],
@@ -193,7 +211,9 @@ def _describe(
         "maximum": tile.offset + tile.scale * int(tile.samples.max()),
         "unit": raster.units,
         "n_void": int(valid.size - np.count_nonzero(valid)),
-        "void": "the lowest height",
+        "void": {"lowest": "the lowest height", "fill": "filled from around"}.get(
+            str(filling), filling
+        ),
         "resampled": "bilinear" if is_resampled else None,
         "level": terrain.level_index(level),
         "error": {
@@ -203,9 +223,92 @@ def _describe(
         },
         "crs": raster.crs,
         "transform": None if raster.transform == IDENTITY else list(transform),
-        "pixel_size": [math.hypot(a, d), math.hypot(b, e)],
+        "pixel_size": list(pixel_size(transform)),
+        "pixel_metres": _metres(terrain, transform),
         "bounds": list(bounds(transform, shape, inset=0.5)),
     }
+
+
+def _metres(terrain: TerrainFile, transform: Transform) -> list[float] | None:
+    """Return width and height of a pixel in metres; None where the CRS does not say."""
+    raster = terrain.raster_info
+    if raster.crs is None:
+        return None
+    try:
+        place = place_of(raster.crs, terrain.bounds)
+    except TerrainwaveError:  # pyproj is not installed
+        return None
+    width, height = pixel_size(transform)
+    if not place.is_geographic:
+        return [width * place.unit, height * place.unit]
+    _, bottom, _, top = terrain.bounds
+    latitude = (bottom + top) / 2 * place.unit
+    meridian, normal = place.ellipsoid.radii(latitude)
+    per_degree = math.radians(place.unit)
+    along = per_degree * normal * math.cos(math.radians(latitude))
+    return [width * along, height * per_degree * meridian]
+
+
+def _warn_of_aspect(
+    terrain: TerrainFile, region: Region, level: int, shape: tuple[int, int]
+) -> None:
+    """Say loudly where a landscape is stretched: engines take cells for squares."""
+    by_row, by_col = (region.n_rows - 1) / (shape[0] - 1), (region.n_cols - 1) / (shape[1] - 1)
+    if abs(by_row / by_col - 1) <= _LARGEST_STRETCH:
+        return
+    width, height = pixel_size(terrain.transform(level, region))
+    warnings.warn(
+        f"the window of {region.n_rows} x {region.n_cols} samples is stretched to {shape[0]} x"
+        f" {shape[1]}: cells are {width * by_col:.6g} wide and {height * by_row:.6g} high, and were"
+        f" {width:.6g} and {height:.6g}; `size` window keeps the raster's own, a square window its"
+        " aspect",
+        TerrainwaveWarning,
+        stacklevel=2,
+    )
+
+
+def checked_voids(voids: str | float) -> str | float:
+    """Return what voids become: a word, or a height as a float.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If it is neither.
+    """
+    if voids in ("lowest", "fill"):
+        return voids
+    try:
+        height = float(voids)
+    except (TypeError, ValueError):
+        height = math.nan
+    if not math.isfinite(height):
+        raise InvalidArgumentError(f"found `voids` {voids}, expected lowest, fill or a height")
+    return height
+
+
+def fill_voids(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Return heights whose voids have what is around them, smoothly; copies.
+
+    Averages of 2 x 2 samples fill what they can, those of coarser ones the rest; on each size a few
+    rounds of averaging with the neighbours make it smooth.
+    """
+    if valid.all() or not valid.any():
+        return heights.copy()
+    n_rows, n_cols = heights.shape
+    padding = ((0, n_rows % 2), (0, n_cols % 2))
+    known = np.pad(valid, padding).astype(np.float64)
+    sums = np.pad(np.where(valid, heights, 0.0), padding)
+    counts, totals = (
+        grid.reshape(-(-n_rows // 2), 2, -1, 2).sum(axis=(1, 3)) for grid in (known, sums)
+    )
+    coarse = fill_voids(totals / np.maximum(counts, 1), counts > 0)
+    fine = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)[:n_rows, :n_cols]
+    filled = np.where(valid, heights, fine)
+    for _ in range(_SMOOTHING_ROUNDS):
+        wide = np.pad(filled, 1, mode="edge")
+        mean = (wide[:-2, 1:-1] + wide[2:, 1:-1] + wide[1:-1, :-2] + wide[1:-1, 2:]) / 4
+        filled = np.where(valid, heights, mean)
+    return filled
 
 
 def _tile_transform(

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import count_of, crs_name, in_one_line
+
 if TYPE_CHECKING:
     from terrainwave.export.files import SavedMesh
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Mesh:
     """A triangulated surface in world coordinates.
 
@@ -39,6 +41,12 @@ class Mesh:
     crs: str | None = None
     units: str | None = None
     attributes: dict[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return in_one_line(
+            f"<Mesh: {count_of(self.n_triangles, 'triangle')}, {self.n_vertices:,} vertices,"
+            f" within {self.error:.6g} {self.units or '(unit unknown)'}, {crs_name(self.crs)}>"
+        )
 
     @property
     def n_vertices(self) -> int:

@@ -5,11 +5,11 @@ All text may come from an untrusted file: it is escaped and stripped of control 
 
 import base64
 import html
-import unicodedata
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import crs_name, in_one_line
 from terrainwave.errors import TerrainwaveError
 from terrainwave.file import TerrainFile
 from terrainwave.render.png import encode_png
@@ -49,11 +49,8 @@ def terrain_html(terrain: TerrainFile) -> str:
 
 def _rows(terrain: TerrainFile) -> list[tuple[str, str]]:
     info = terrain.info()
-    unit = info.units or "(unit unknown)"
-    crs = info.crs or "none"
-    if '"' in crs:  # WKT: its name is the first quoted string
-        crs = crs.split('"')[1]
-    heights = "none" if info.minimum is None else f"{info.minimum:.6g} to {info.maximum:.6g} {unit}"
+    unit = f" {info.units}" if info.units else ""
+    heights = "none" if info.minimum is None else f"{info.minimum:.6g} to {info.maximum:.6g}{unit}"
     return [
         ("file", info.path),
         (
@@ -61,19 +58,18 @@ def _rows(terrain: TerrainFile) -> list[tuple[str, str]]:
             f"{info.n_rows:,} × {info.n_cols:,} samples, {info.dtype}; {info.n_bytes:,} bytes,"
             f" {info.ratio:.3g} times smaller than raw",
         ),
-        ("bound", f"every height within {info.effective_error:.6g} {unit} of the original"),
+        ("bound", f"every height within {info.effective_error:.6g}{unit} of the original"),
         ("heights", heights),
+        ("unit", info.units or "unknown"),
         ("levels", ", ".join(f"{rows} × {cols}" for rows, cols in info.level_shapes)),
-        ("CRS", crs),
+        ("CRS", crs_name(info.crs)),
         ("bounds", ", ".join(f"{value:.10g}" for value in info.bounds)),
         ("meshes", info.mesh),
     ]
 
 
 def _escaped(text: object) -> str:
-    line = " ".join(str(text).split())[:_LONGEST_TEXT]
-    printable = "".join(char for char in line if not unicodedata.category(char).startswith("C"))
-    return html.escape(printable)
+    return html.escape(in_one_line(text)[:_LONGEST_TEXT])
 
 
 def picture(terrain: TerrainFile) -> NDArray[np.uint8]:

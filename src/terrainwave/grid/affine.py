@@ -9,6 +9,7 @@ at a neighbour that may be void. Here the shift goes first and the determinant d
 metres come back whole. (And its operators are `*` before version 3 and `@` from then on.)
 """
 
+import math
 from typing import TypeVar
 
 import numpy as np
@@ -25,6 +26,12 @@ def determinant(transform: Transform) -> float:
     """Return the area of a pixel: negative where rows go down, 0 where there is no inverse."""
     a, b, _, d, e, _ = transform
     return a * e - b * d
+
+
+def pixel_size(transform: Transform) -> tuple[float, float]:
+    """Return width and height of a pixel: along a row, and along a column."""
+    a, b, _, d, e, _ = transform
+    return math.hypot(a, d), math.hypot(b, e)
 
 
 def pixels_to_places(transform: Transform, rows: Numbers, cols: Numbers) -> tuple[Numbers, Numbers]:

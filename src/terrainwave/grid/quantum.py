@@ -257,7 +257,7 @@ class HeightScan:
         if largest > _MAX_HEIGHT:
             raise InvalidHeightsError(
                 f"found a height of {float(largest):g} in magnitude, expected at most"
-                f" {float(_MAX_HEIGHT):g}; if it marks voids, declare it with --nodata"
+                f" {float(_MAX_HEIGHT):g}; if it marks voids, declare it with `nodata`"
             )
         half_ulp = as_fraction(self._output_ulp()) / 2
         # The finest p whose numbers of quanta fit 30 bits; both ends are rounded.
@@ -266,8 +266,8 @@ class HeightScan:
         if max_error < smallest:
             raise InvalidHeightsError(
                 "these heights lie on no common vertical grid, so they cannot be stored losslessly"
-                f" or this exactly: found max_error {float(max_error):g}, expected at least"
-                f" {_rounded_up(smallest)} (raw units); give a larger --max-error"
+                f" or this exactly: found `max_error` {float(max_error):g}, expected at least"
+                f" {_rounded_up(smallest)} (raw units)"
             )
         # A bound beyond the range buys nothing, and heights must be exact in float64 before they
         # are rounded to the output's type.

@@ -25,8 +25,16 @@ from terrainwave.raster_io.gdal import (
     bounded_env,
     one_line,
 )
+from terrainwave.raster_io.tags import PLAIN_COLORS, select_tags
 
 # What to convert an unsupported type to; the narrowest of ours that holds all of its values, or
+
+
+# What GDAL tells of a file rather than keeps in it.
+_DERIVED_TAGS = (
+    "", "IMAGE_STRUCTURE", "DERIVED_SUBDATASETS", "SUBDATASETS", "RPC", "TIFF", "xml:VRT",
+    "OVERVIEWS", "LocationInfo", "vrt_sources", "new_vrt_sources",
+)  # fmt: skip
 
 
 def open_dataset(path: str) -> Any:
@@ -123,6 +131,8 @@ class DatasetBackend:
         # Neither flag: a mask band of this band alone.
         is_plain = MaskFlags.all_valid in flags or flags == [MaskFlags.nodata]
         self.has_mask = not is_plain
+        self._tags = select_tags(dataset.tags())
+        self._band_tags = select_tags(dataset.tags(band))
 
     def notes(self) -> Iterator[str]:
         """Yield what is left out or was chosen, one sentence each."""
@@ -138,6 +148,19 @@ class DatasetBackend:
         if dropped:
             what = " and ".join(dropped)
             yield f"{self.name}: {what} are dropped, a .twz file does not hold them"
+        others = {
+            f"the tags {name}"
+            for name in (*dataset.tag_namespaces(), *dataset.tag_namespaces(self._band))
+            if name not in _DERIVED_TAGS
+        }
+        if dataset.colorinterp[self._band - 1].name == "palette":
+            others.add("its colour table")
+        left_out = [*self._tags.left_out, *self._band_tags.left_out]
+        if left_out:
+            others.add(f"the tags {', '.join(left_out)}")
+        if others:
+            what = ", ".join(sorted(others))
+            yield f"{self.name}: dropped, as a .twz file does not hold them: {what}"
         if dataset.driver == "VRT" and self.nodata is None and not self.has_mask:
             yield (
                 f"{self.name} declares no nodata value: where none of its sources lies, heights are"
@@ -148,6 +171,7 @@ class DatasetBackend:
     def tags(self) -> dict[str, Any]:
         """Return the fields of RasterInfo that do not bear on the heights."""
         dataset, index = self._dataset, self._band - 1
+        color = dataset.colorinterp[index].name
         return {
             "crs": format_crs(dataset.crs),
             "units": dataset.units[index] or None,
@@ -155,6 +179,9 @@ class DatasetBackend:
             "offset": float(dataset.offsets[index]),
             "area_or_point": dataset.tags().get("AREA_OR_POINT"),
             "description": dataset.descriptions[index] or None,
+            "color_interpretation": None if color in PLAIN_COLORS else color,
+            "tags": self._tags.kept,
+            "band_tags": self._band_tags.kept,
         }
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:

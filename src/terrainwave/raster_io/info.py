@@ -6,10 +6,14 @@ from typing import Any, Self
 
 import numpy as np
 
+from terrainwave.arguments import crs_name
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.affine import IDENTITY
 
 SUPPORTED_DTYPES = ("uint8", "int16", "uint16", "int32", "float32", "float64")
+
+
+Tags = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,10 @@ class RasterInfo:
         ``"Area"`` or ``"Point"`` where the file says so.
     description : str or None
         Description of the band.
+    tags, band_tags : tuple of (name, value)
+        What else the file and its band say, sorted by name: source, licence, and so on.
+    color_interpretation : str or None
+        GDAL's name of what the band stands for, where it is not plain ``"gray"``.
     mask_kind : str
         How voids are told from heights: ``"none"`` (there are none), ``"nodata"`` (a number),
         ``"nan"``, or ``"mask"`` (a mask band or alpha, perhaps beside a nodata value).
@@ -55,6 +63,9 @@ class RasterInfo:
     area_or_point: str | None = None
     description: str | None = None
     mask_kind: str = "none"
+    tags: Tags = ()
+    band_tags: Tags = ()
+    color_interpretation: str | None = None
 
     @property
     def void_value(self) -> int | float:
@@ -62,6 +73,11 @@ class RasterInfo:
         if self.nodata is not None:
             return self.nodata
         return math.nan if np.dtype(self.dtype).kind == "f" else 0
+
+    @property
+    def crs_name(self) -> str:
+        """The CRS in few words."""
+        return crs_name(self.crs)
 
     @property
     def n_bytes(self) -> int:
@@ -80,6 +96,7 @@ class RasterInfo:
         fields = asdict(self)
         fields["nodata"] = _number_to_plain(self.nodata)
         fields["transform"] = list(self.transform)
+        fields["tags"], fields["band_tags"] = dict(self.tags), dict(self.band_tags)
         return fields
 
     @classmethod
@@ -129,6 +146,9 @@ class RasterInfo:
             area_or_point=_optional_text(fields.get("area_or_point")),
             description=_optional_text(fields.get("description")),
             mask_kind=mask_kind,
+            tags=_tags(fields.get("tags")),
+            band_tags=_tags(fields.get("band_tags")),
+            color_interpretation=_optional_text(fields.get("color_interpretation")),
         )
 
 
@@ -160,6 +180,14 @@ def _positive(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 1:
         raise ValueError(f"expected a whole number >= 1, found {str(value)[:40]!r}")
     return value
+
+
+def _tags(value: Any) -> Tags:
+    if value is None:
+        return ()
+    if not isinstance(value, dict) or not all(isinstance(text, str) for text in value.values()):
+        raise TypeError("expected names with texts as tags")
+    return tuple(sorted(value.items()))
 
 
 def _optional_text(value: Any) -> str | None:

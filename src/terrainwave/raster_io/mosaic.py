@@ -15,6 +15,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.crs import format_crs
 from terrainwave.raster_io.dataset import DatasetBackend, open_dataset
 from terrainwave.raster_io.info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
+from terrainwave.raster_io.tags import common_tags
 
 # Parts of a pixel by which grids may differ: tiles name their corners with ten digits or so.
 _TOLERANCE = 0.01
@@ -91,9 +92,16 @@ class MosaicBackend:
         self.n_cols = max(col + one.shape[1] for (_, col), one in zip(places, rasters)) - left
         self.transform = _corner_transform(rasters, places, top, left)
         self._tags = dict(first.tags)
-        for name in ("area_or_point", "description"):
+        for name in ("area_or_point", "description", "color_interpretation"):
             if any(one.tags[name] != first.tags[name] for one in rasters):
                 self._tags[name] = None
+        for name in ("tags", "band_tags"):
+            self._tags[name] = common_tags(one.tags[name] for one in rasters)
+        kept = {name for name, _ in (*self._tags["tags"], *self._tags["band_tags"])}
+        found = {
+            name for one in rasters for kind in ("tags", "band_tags") for name, _ in one.tags[kind]
+        }
+        self._differing = sorted(found - kept)
         self._members = [
             _Member(
                 source,
@@ -149,6 +157,9 @@ class MosaicBackend:
     def notes(self) -> Iterator[str]:
         """Yield what is left out or was chosen, one sentence each."""
         yield from self._notes
+        if self._differing:
+            names = ", ".join(self._differing)
+            yield f"{self.name}: dropped, as the rasters differ there: the tags {names}"
         if self._has_gaps:
             share = 100 * self._n_covered / (self.n_rows * self.n_cols)
             yield (

@@ -14,6 +14,7 @@ from typing import Any, Self
 import numpy as np
 import rasterio
 import rasterio.shutil
+from rasterio.enums import ColorInterp
 from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
@@ -34,6 +35,7 @@ from terrainwave.raster_io.gdal import (
     scan_windows,
 )
 from terrainwave.raster_io.info import RasterInfo, stored_nodata
+from terrainwave.raster_io.tags import PLAIN_COLORS, writable_tags
 
 # Samples a side of a GeoTIFF's tile.
 TILE = 512
@@ -63,6 +65,11 @@ def geotiff_profile(info: RasterInfo) -> dict[str, Any]:
 
 def write_description(dataset: Any, info: RasterInfo) -> None:
     """Write all that a raster says of itself besides its profile."""
+    dataset.update_tags(**dict(writable_tags(info.tags)))
+    dataset.update_tags(1, **dict(writable_tags(info.band_tags)))
+    color = info.color_interpretation
+    if color in ColorInterp.__members__ and color not in PLAIN_COLORS:
+        dataset.colorinterp = (ColorInterp[color],)
     if info.area_or_point is not None:
         dataset.update_tags(AREA_OR_POINT=info.area_or_point)
     if info.units is not None:

@@ -1,5 +1,6 @@
 """Which samples of a level a window, bounds or places in the world name."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,27 +14,57 @@ from terrainwave.errors import (
 from terrainwave.grid.affine import Transform, determinant, places_to_samples
 from terrainwave.grid.quadtree import Region
 
+# Samples: what coordinates that name pixel edges may be beside them, by rounding.
+_FORGIVEN = 0.001
 
-def region_of_window(window: Any) -> Region:
-    """Return the region that (row, col, n_rows, n_cols) or a rasterio Window names, not clipped.
+
+def region_of_window(window: Any, shape: tuple[int, int]) -> Region:
+    """Return the region that a window of a level of `shape` names, not clipped.
+
+    A window is (row, col, n_rows, n_cols), a rasterio Window, or a slice of rows and one of
+    columns. Slices count as Python does: from the end if negative, at most to the end.
 
     Raises
     ------
     InvalidHeightsError
-        If it is neither, or not in whole samples.
+        If it is none of them, or not in whole samples.
     """
+    if hasattr(window, "row_off"):  # rasterio.windows.Window
+        return _of_rasterio(window)
     try:
-        if hasattr(window, "row_off"):  # rasterio.windows.Window
-            window = (window.row_off, window.col_off, window.height, window.width)
+        if any(isinstance(part, slice) for part in window):
+            rows, cols = (_of_slice(part, size) for part, size in zip(window, shape, strict=True))
+            return Region(rows.start, cols.start, len(rows), len(cols))
         row, col, n_rows, n_cols = (int(number) for number in window)
         is_whole = (row, col, n_rows, n_cols) == tuple(window)
     except (TypeError, ValueError, OverflowError):  # no numbers, not four, NaN, infinite
         is_whole = False
     if not is_whole:
         raise InvalidArgumentError(
-            f"found `window` {window!r}, expected (row, col, n_rows, n_cols) in whole samples"
+            f"found `window` {window!r}, expected (row, col, n_rows, n_cols) in whole samples,"
+            " a rasterio Window, or two slices without a step: rows, columns"
         )
     return Region(row, col, n_rows, n_cols)
+
+
+def _of_rasterio(window: Any) -> Region:
+    """Return a Window's samples; what `rasterio.windows.from_bounds` rounds is forgiven."""
+    given = (window.row_off, window.col_off, window.height, window.width)
+    if not all(
+        math.isfinite(number) and abs(number - round(number)) <= _FORGIVEN for number in given
+    ):
+        raise InvalidArgumentError(
+            f"found `window` {window!r}, expected whole samples: window.round_offsets()"
+            ".round_lengths() makes some, or read by bounds"
+        )
+    return Region(*map(round, given))
+
+
+def _of_slice(part: slice, size: int) -> range:
+    chosen = range(size)[part]
+    if not isinstance(chosen, range) or chosen.step != 1:
+        raise ValueError("no slice, or one with a step")
+    return chosen
 
 
 def region_of_bounds(bounds: Sequence[float], transform: Transform) -> Region:
@@ -56,10 +87,9 @@ def region_of_bounds(bounds: Sequence[float], transform: Transform) -> Region:
             f"found `bounds` {tuple(bounds)}, expected finite ones that the affine transform"
             f" {tuple(transform)} can place; read by window instead"
         )
-    # Samples are pixel centres: half a pixel away begins the next pixel. A thousandth of a
-    # pixel forgives the rounding of coordinates that name pixel edges.
-    first_row, last_row = _round_half_up(rows.min() + 0.001), _round_half_up(rows.max() - 0.001)
-    first_col, last_col = _round_half_up(cols.min() + 0.001), _round_half_up(cols.max() - 0.001)
+    # Samples are pixel centres: half a pixel away begins the next pixel.
+    first_row, first_col = (_round_half_up(ends.min() + _FORGIVEN) for ends in (rows, cols))
+    last_row, last_col = (_round_half_up(ends.max() - _FORGIVEN) for ends in (rows, cols))
     return Region(first_row, first_col, last_row - first_row + 1, last_col - first_col + 1)
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import (
     InvalidArgumentError,
+    InvalidHeightsError,
 )
 from terrainwave.export.frames import find_place, metres_per_unit
 from terrainwave.export.mesh import Mesh
@@ -83,6 +84,24 @@ class Frame:
         if not (math.isfinite(factor) and factor > 0):
             raise InvalidArgumentError(f"found `exaggeration` {factor}, expected a number > 0")
         return replace(self, exaggeration=float(factor))
+
+
+def check_drawable(terrain: "TerrainFile") -> None:
+    """Refuse a terrain that has no surface to draw.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If it has less than 2 x 2 samples or no valid one.
+    """
+    n_rows, n_cols = terrain.shape
+    if min(n_rows, n_cols) < 2:
+        raise InvalidHeightsError(
+            f"there is nothing to draw: a surface needs 2 x 2 samples, the raster has {n_rows} x"
+            f" {n_cols}"
+        )
+    if terrain.info().minimum is None:
+        raise InvalidHeightsError("there is nothing to draw: the raster has voids only")
 
 
 def frame_of(

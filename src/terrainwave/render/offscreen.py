@@ -185,6 +185,12 @@ class Offscreen:
         size = (self.viewport.height, self.viewport.width, 3)
         return np.frombuffer(data, dtype=np.uint8).reshape(size)[::-1].copy(), frames
 
+    def is_blank(self) -> bool:
+        """Say whether the last picture shows nothing but the background. Waits for the GPU."""
+        size = (0, 0, self.viewport.width, self.viewport.height)
+        data = self._resolved.read(size, components=1, attachment=-1, dtype="f4")
+        return bool((np.frombuffer(data, dtype=np.float32) >= 1.0).all())
+
     def pick(self, x: float, y: float) -> NDArray[np.float64] | None:
         """Return the place of the last picture's surface under a pixel (y down), local metres.
 

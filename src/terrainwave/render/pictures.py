@@ -84,14 +84,26 @@ def fly_through(
     *,
     settle: bool = True,
 ) -> Iterator[tuple[NDArray[np.uint8], dict[str, Any]]]:
-    """Yield pictures along a flight, with what `statistics` says of each."""
+    """Yield pictures along a flight, with what `statistics` says of each.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If there is one picture, and nothing in it.
+    """
     for number in range(n_frames):
         camera = along(cameras, number / max(n_frames - 1, 1))
         started = time.perf_counter()
         image, frames = offscreen.picture(
             camera, style, max_pixel_error=max_pixel_error, settle=settle
         )
-        yield image, statistics(offscreen, camera, frames, time.perf_counter() - started)
+        seconds = time.perf_counter() - started
+        if n_frames == 1 and offscreen.is_blank():
+            raise InvalidHeightsError(
+                "the picture would show no terrain: what is in view is void, or `camera` looks"
+                " elsewhere"
+            )
+        yield image, statistics(offscreen, camera, frames, seconds)
 
 
 def statistics(

@@ -155,7 +155,8 @@ class Renderer:
     def _haze(self, view: View, style: Style) -> float:
         """Return the density of haze per metre: thick on the ground, thin from far above."""
         low, high = self._scene.frame.box
-        extent = float(np.linalg.norm(high - low))
+        # A flat raster of one sample has no size.
+        extent = max(float(np.linalg.norm(high - low)), 1.0)
         above = max(float(view.camera.eye[2] - high[2]), 0.0)
         return 3.5 * style.haze / extent / (1 + 10 * above / extent)
 

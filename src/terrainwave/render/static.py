@@ -2,6 +2,7 @@
 
 import os
 import sys
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,9 +15,10 @@ from terrainwave.container.publish import publish
 from terrainwave.errors import (
     InvalidArgumentError,
     TerrainwaveError,
+    TerrainwaveWarning,
 )
 from terrainwave.extras import need
-from terrainwave.render.frame import frame_of
+from terrainwave.render.frame import check_drawable, frame_of
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -74,7 +76,10 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str, shade: float, bounds: An
         level -= 1
     region = terrain.region(bounds=bounds, level=level)
     heights = terrain.read(region, level=level, masked=True)
-    raster, frame = terrain.raster_info, frame_of(terrain)
+    raster = terrain.raster_info
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TerrainwaveWarning)  # a map shows how its place is meant
+        frame = frame_of(terrain)
     physical: Any = heights.astype(np.float64) * raster.scale + raster.offset
     if ax is None:
         _, ax = pyplot.subplots()
@@ -85,9 +90,11 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str, shade: float, bounds: An
     rgb = pyplot.get_cmap(cmap)(norm(physical.filled(low)))
     filled = physical.filled(float(physical.mean()) if physical.count() else 0.0)
     per_x, per_y, per_height = frame.metres
-    light = colors.LightSource(azdeg=315, altdeg=45).hillshade(
-        filled * per_height, dx=abs(a) * per_x or 1.0, dy=abs(e) * per_y or 1.0
-    )
+    light = np.ones(region.shape)
+    if min(region.shape) > 1:  # a single line has no slopes
+        light = colors.LightSource(azdeg=315, altdeg=45).hillshade(
+            filled * per_height, dx=abs(a) * per_x or 1.0, dy=abs(e) * per_y or 1.0
+        )
     rgb[..., :3] *= 1 - shade * (1 - light[..., None])
     rgb[..., 3] = ~np.ma.getmaskarray(physical)
     ax.imshow(rgb, extent=(min(c, x), max(c, x), min(y, f), max(y, f)), origin="upper")
@@ -111,6 +118,7 @@ def view(
     """Open a window until it is closed, or return a picture; see `Terrain.view`."""
     from terrainwave.render.viewer import run
 
+    check_drawable(terrain)
     if not _in_notebook():
         try:
             run(

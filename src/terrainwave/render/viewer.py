@@ -11,6 +11,7 @@ from terrainwave.errors import TerrainwaveError
 from terrainwave.extras import need
 from terrainwave.render.camera import format_camera
 from terrainwave.render.controls import HELP, Controls
+from terrainwave.render.frame import check_drawable
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.pictures import choose_camera
@@ -44,9 +45,12 @@ def run(
 
     Raises
     ------
+    InvalidHeightsError
+        If the terrain has no surface.
     TerrainwaveError
         If there is no display or no OpenGL 3.3; one line that says what to do.
     """
+    check_drawable(terrain)
     toolkit: Any = need("moderngl_window", extra="view", purpose="a window")
 
     class Config(toolkit.WindowConfig):  # type: ignore[misc]

@@ -8,6 +8,7 @@ disk with the ordinary decoder and compares every sample. Memory stays flat in a
 import io
 import os
 import tempfile
+import warnings
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -18,11 +19,12 @@ from terrainwave.arguments import TWZ_ENDINGS, check_ending
 from terrainwave.container.depot import Depot
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.writer import assemble
-from terrainwave.errors import InvalidArgumentError
+from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Grid
 from terrainwave.names import PLAIN_METHOD
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
+from terrainwave.raster_io.marks import note_on_marks
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.cluster import (
     TASK_SAMPLES,
@@ -194,6 +196,8 @@ def compress(
         reporter = Reporter(progress)
         written = _write(part.file, part.path, source, options, directory, reporter, cluster)
         n_bytes = os.path.getsize(part.path)
+    for note in written.marks:
+        warnings.warn(note, TerrainwaveWarning, stacklevel=2)
     n_samples = source.info.n_rows * source.info.n_cols
     return CompressResult(
         path=os.fspath(dst),
@@ -206,7 +210,7 @@ def compress(
         measured_error=written.measured_error,
         units=source.info.units,
         method=written.method,
-        notes=[*options.notes, *source.notes, *written.notes],
+        notes=[*options.notes, *source.notes, *written.marks, *written.notes],
     )
 
 
@@ -254,6 +258,7 @@ class _Written:
     effective_error: float
     measured_error: float | None
     notes: list[str]
+    marks: list[str]
 
 
 def _write(
@@ -273,6 +278,7 @@ def _write(
     with ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor:
         with closing(_passes(source, grid, directory, executor, reporter, cluster)) as passes:
             scan = passes.scan()
+            marks = note_on_marks(source, scan.minimum, scan.maximum)
             job, notes = settled(options, scan, source.info)
             coded = passes.encode(job)
             is_large = coded.n_bytes > source.info.n_bytes and not options.is_embedded
@@ -293,6 +299,7 @@ def _write(
         effective_error=min(job.effective_error * scale, float(job.bound)),
         measured_error=None if measured is None else measured * scale,
         notes=notes,
+        marks=marks,
     )
 
 

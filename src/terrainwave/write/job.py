@@ -213,14 +213,14 @@ def _choose_bound(
     if max_error is not None:
         return as_fraction(max_error), []
     p = scan.true_quantum()
-    unit = info.units or "(unit unknown)"
+    unit = f" {info.units}" if info.units else ""
     if p is not None:
         physical = float(p * scale_of(info))
         return Fraction(0), [
-            f"no --max-error given: lossless, as all heights are multiples of {physical:g} {unit};"
+            f"no --max-error given: lossless, as all heights are multiples of {physical:g}{unit};"
             " --max-error E makes the file smaller"
         ]
     return as_fraction(DEFAULT_MAX_ERROR), [
-        f"no --max-error given: {DEFAULT_MAX_ERROR} {unit}, as the heights lie on no vertical grid;"
+        f"no --max-error given: {DEFAULT_MAX_ERROR}{unit}, as the heights lie on no vertical grid;"
         " choose with --max-error E"
     ]

@@ -78,12 +78,12 @@ class Desk:
 class Layer:
     """One file as it is served: its place on the globe, and what names this version of it."""
 
-    def __init__(self, name: str, path: str) -> None:
+    def __init__(self, name: str, path: str, radius: float | None = None) -> None:
         self.name = name
         with ExitStack() as stack:
             try:
                 terrain = stack.enter_context(TerrainFile(path))
-                self.globe = Globe(terrain)
+                self.globe = Globe(terrain, radius=radius)
                 self.tiles = TilePyramid(self.globe, void_height=tiling.void_height(self.globe))
             except (InvalidHeightsError, CorruptStreamError) as error:
                 raise type(error)(f"{path}: {error}") from error
@@ -137,6 +137,7 @@ def make_app(
     hosts: tuple[str, ...] = (),
     cors: bool = False,
     n_decoding: int = 2,
+    radius: float | None = None,
 ) -> FastAPI:
     """Return the application that serves these files.
 
@@ -150,6 +151,8 @@ def make_app(
         Let pages of other origins read.
     n_decoding : int
         Requests that decode at a time.
+    radius : float, optional
+        Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
 
     Raises
     ------
@@ -160,7 +163,7 @@ def make_app(
     layers: dict[str, Layer] = {}
     with ExitStack() as opened:
         for name, path in layer_names(paths).items():
-            layers[name] = Layer(name, path)
+            layers[name] = Layer(name, path, radius)
             opened.enter_context(layers[name].globe.terrain)
         close = opened.pop_all().close
 

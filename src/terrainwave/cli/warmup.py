@@ -1,0 +1,167 @@
+"""What `terrainwave warmup` does: run each kind of work once, so that its kernels are compiled."""
+
+import tempfile
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import terrainwave
+from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
+from terrainwave.names import DEFAULT_METHOD, EFFORTS, METHODS, STORED_MESHES
+from terrainwave.raster_io.info import SUPPORTED_DTYPES, RasterInfo
+from terrainwave.raster_io.sink import RasterSink
+
+# Rows and columns: several levels of the smallest blocks, with borders that end within one.
+_SHAPE = (200, 220)
+_BLOCK = 32
+_VOID = -32768
+_METRES = 30.0
+
+
+def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
+    """Do small jobs of some kinds, by default all; return what was left out, and why.
+
+    Parameters
+    ----------
+    tasks : sequence of str
+        Of `TASKS`. Each needs files, so that what ``compress`` needs is always compiled.
+    """
+    left_out = []
+    with tempfile.TemporaryDirectory(prefix="terrainwave-") as name, warnings.catch_warnings():
+        warnings.simplefilter("ignore", TerrainwaveWarning)
+        folder = Path(name)
+        _compress(folder)
+        for task in tasks or TASKS:
+            try:
+                TASKS[task](folder)
+            except TerrainwaveError as error:  # a package or a driver that is not installed
+                left_out.append(f"{task}: {error}")
+    return left_out
+
+
+def _hills(dtype: str) -> NDArray[np.generic]:
+    """Return heights with a void, as a GeoTIFF of the Earth would have."""
+    rows, cols = np.mgrid[: _SHAPE[0], : _SHAPE[1]]
+    heights = 100 + 40 * np.sin(rows / 19) * np.cos(cols / 17) + 5 * np.sin(rows * cols / 70)
+    if np.dtype(dtype).kind == "f":
+        heights = heights.astype(dtype)
+        heights[3, 3] = np.nan
+        return heights
+    return heights.astype(dtype)
+
+
+def _rasters(folder: Path) -> list[tuple[Path, float]]:
+    """Write a raster of each type, with voids and without; return them with bounds to try."""
+    rasters = []
+    for dtype in SUPPORTED_DTYPES:
+        heights = _hills(dtype)
+        is_float = heights.dtype.kind == "f"
+        for has_void in (False, True):
+            path = folder / f"{dtype}{'-void' * has_void}.tif"
+            nodata = None if is_float or not has_void else 0
+            info = RasterInfo(
+                *_SHAPE, dtype, nodata=nodata, crs="EPSG:32632", units="m",
+                transform=(_METRES, 0.0, 5e5, 0.0, -_METRES, 5e6),
+                mask_kind="none" if not has_void else "nan" if is_float else "nodata",
+            )  # fmt: skip
+            valid = np.ones(_SHAPE, dtype=np.bool_)
+            valid[3:9, 3:9] = not has_void
+            if has_void and is_float:
+                heights[~valid] = np.nan
+            elif is_float:
+                heights = np.nan_to_num(heights, nan=100.0)
+            with RasterSink(path, info) as sink:
+                sink.write(0, 0, heights, valid)
+            rasters.append((path, 0.5 if is_float else 0.0))
+    return rasters
+
+
+def _compress(folder: Path) -> None:
+    """Compress each type, and by each method, lossless and not, and prove the files."""
+    for path, bound in _rasters(folder):
+        methods = METHODS.values() if path.stem.startswith("int16") else [DEFAULT_METHOD]
+        for method in methods:
+            efforts = EFFORTS if method.effort and path.stem == "int16-void" else EFFORTS[1:2]
+            for max_error in dict.fromkeys((bound, 3.0)):
+                for effort in efforts:
+                    terrainwave.compress(
+                        path, folder / f"{path.stem}-{method.name}.twz", max_error=max_error,
+                        method=method.name, effort=effort, block=_BLOCK, overwrite=True,
+                    )  # fmt: skip
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.glob("*.twz") if not path.stem.startswith("mesh"))
+
+
+def _read(folder: Path) -> None:
+    """Read parts, levels and places, and write GeoTIFFs."""
+    for path in _files(folder):
+        with terrainwave.open(path) as terrain:
+            for resampling in ("nearest", "bilinear", "average"):
+                terrain.read(out_shape=(50, 60), resampling=resampling)
+                terrain.read(out_shape=(400, 400), resampling=resampling)
+            left, bottom, right, top = terrain.bounds
+            terrain.sample([((left + right) / 2, (bottom + top) / 2)])
+            if METHODS[terrain.header.method].is_cuttable:
+                terrain.read_early(quality=1.0)
+        terrainwave.decompress(path, path.with_suffix(".tif"), overwrite=True)
+        terrainwave.decompress(path, path.with_suffix(".r16"), overwrite=True)
+
+
+def _verify(folder: Path) -> None:
+    """Compare files with their rasters, with their meshes."""
+    for path in _files(folder):
+        stem, _, method = path.stem.rpartition("-")
+        if method == DEFAULT_METHOD.name:
+            terrainwave.verify(path, folder / f"{stem}.tif", mesh=True)
+
+
+def _mesh(folder: Path) -> None:
+    """Make meshes of each kind, within errors and budgets."""
+    for stem in ("int16", "int16-void", "float32-void"):
+        path = folder / f"{stem}-{DEFAULT_METHOD.name}.twz"
+        for kind in STORED_MESHES:
+            target = folder / f"mesh-{kind}.twz"
+            terrainwave.store_meshes(path, target, mesh=kind, overwrite=True)
+            with terrainwave.open(target) as terrain:
+                terrain.mesh()
+                terrain.mesh(level=-2)
+            terrainwave.verify(target, mesh=True)
+        with terrainwave.open(path) as terrain:
+            terrain.mesh(max_error=5.0)
+            terrain.mesh(max_error=5.0, optimise=1)
+            terrain.mesh(max_triangles=2000)
+
+
+def _render(folder: Path) -> None:
+    """Draw a picture in each mode."""
+    from terrainwave.render.modes import MODES
+    from terrainwave.render.offscreen import Offscreen
+    from terrainwave.render.pictures import choose_camera
+    from terrainwave.render.style import Style
+
+    for stem in ("int16-void", "float32"):
+        path = folder / f"{stem}-{DEFAULT_METHOD.name}.twz"
+        for mode in MODES:
+            for error in ("measured", "paper"):
+                with (
+                    terrainwave.open(path) as terrain,
+                    Offscreen(terrain, (320, 240), mode=mode, error=error) as offscreen,
+                ):
+                    frame = offscreen.scene.frame
+                    whole = choose_camera(frame, offscreen.viewport)
+                    offscreen.picture(whole, Style(), max_pixel_error=4.0)
+                    offscreen.picture(whole, Style(), max_pixel_error=0.5)
+
+
+TASKS: dict[str, Callable[[Path], None]] = {
+    "compress": lambda folder: None,
+    "read": _read,
+    "verify": _verify,
+    "mesh": _mesh,
+    "render": _render,
+}

@@ -1,0 +1,46 @@
+"""What the bytes of a file are for (FORMAT.md §3)."""
+
+from dataclasses import dataclass
+
+from terrainwave.container.header import HEADER_SIZE
+from terrainwave.container.reader import Container
+
+
+@dataclass(frozen=True)
+class Parts:
+    """Bytes of each part of a file; together they are the file.
+
+    Parameters
+    ----------
+    metadata, tables, index, meshes : int
+        The header with the metadata; the method's parameters; all index pages; stored meshes.
+    heights : tuple of int
+        Payloads of each level, the coarsest first; one number where they hold several levels.
+    """
+
+    metadata: int
+    tables: int
+    index: int
+    heights: tuple[int, ...]
+    meshes: int
+
+
+def parts_of(container: Container) -> Parts:
+    """Return the bytes of each part; reads all index pages."""
+    extents = container.extents
+    index, meshes = extents.top_page_length, 0
+    heights = [0] * (container.grid.k_max + 1)
+    for segment in container.present_segments():
+        page = segment.page
+        index += int(page.child_page_lengths.sum(dtype="int64"))
+        meshes += int(page.mesh_lengths.sum(dtype="int64"))
+        for key, length in zip(segment.layout.keys, page.payload_lengths.tolist(), strict=True):
+            # The key of a group is the block above it; that of a root lies on level -1.
+            heights[key.level + 1] += length
+    return Parts(
+        HEADER_SIZE + extents.metadata_length,
+        extents.parameters_length,
+        index,
+        tuple(heights),
+        meshes,
+    )

@@ -1,0 +1,62 @@
+"""Tags of rasters: which of them a file keeps, and what an output may be told."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import NamedTuple
+
+from terrainwave.raster_io.info import Tags
+
+# UTF-8 bytes of the names and values of one set: files open with one short read.
+_MOST_BYTES = 16 << 10
+# What bands are by default; an alpha or a palette would mean another thing in the output.
+PLAIN_COLORS = ("gray", "undefined", "alpha", "palette")
+# A field of its own, and what was measured before heights were rounded.
+_OWN = ("AREA_OR_POINT",)
+_MEASURED = "STATISTICS_"
+# What rasterio's `update_tags` takes for something else.
+_RESERVED = ("ns", "bidx")
+
+
+class Selection(NamedTuple):
+    """The tags that are kept, and the names of those that are too long or no text."""
+
+    kept: Tags
+    left_out: tuple[str, ...]
+
+
+def select_tags(tags: Mapping[str, str]) -> Selection:
+    """Return the tags of a raster or a band that a file keeps, short ones before long ones."""
+    sizes = {name: _size(name) + _size(value) for name, value in writable_tags(tags.items())}
+    kept, room = [], _MOST_BYTES
+    for name in sorted(sizes, key=lambda name: (sizes[name], name)):
+        if sizes[name] <= room:
+            room -= sizes[name]
+            kept.append((name, tags[name]))
+    names = {name for name, _ in kept}
+    left_out = (name for name in tags if name not in names and not _is_own(name))
+    return Selection(tuple(sorted(kept)), tuple(left_out))
+
+
+def common_tags(sets: Iterable[Tags]) -> Tags:
+    """Return the tags that all of several rasters have."""
+    first, *others = map(set, sets)
+    return tuple(sorted(first.intersection(*others)))
+
+
+def writable_tags(tags: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    """Yield the tags that GDAL can write; those of an untrusted file may be any text."""
+    for name, value in tags:
+        is_text = all(_size(text) >= 0 and "\0" not in text for text in (name, value))
+        if name and "=" not in name and name not in _RESERVED and is_text and not _is_own(name):
+            yield name, value
+
+
+def _is_own(name: str) -> bool:
+    return name.upper() in _OWN or name.upper().startswith(_MEASURED)
+
+
+def _size(text: str) -> int:
+    """Return the UTF-8 bytes of a text; -1 if it is none."""
+    try:
+        return len(text.encode())
+    except UnicodeEncodeError:
+        return -1
