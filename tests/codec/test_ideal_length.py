@@ -70,7 +70,7 @@ def account(accountant, tmp_path, method, step, has_parent):
 
 
 @pytest.mark.large
-@pytest.mark.parametrize("has_parent", [False, True])
+@pytest.mark.parametrize("has_parent", [pytest.param(False, marks=pytest.mark.full), True])
 @pytest.mark.parametrize(
     "step", [pytest.param(1, marks=pytest.mark.full), 3, pytest.param(7, marks=pytest.mark.full)]
 )

@@ -110,7 +110,7 @@ def test_a_mesh_of_any_window_level_and_error_is_right(case, data, tmp_path_fact
 @pytest.mark.parametrize(
     ("void", "share"),
     [
-        ("none", 4),
+        pytest.param("none", 4, marks=pytest.mark.full),
         ("corners", 1),
         pytest.param("none", 1, marks=pytest.mark.full),
         pytest.param("disc", 1, marks=pytest.mark.full),

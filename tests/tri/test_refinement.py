@@ -71,6 +71,7 @@ def test_the_example_of_the_annex():
     assert encode_refinement(cut, heights, mask, 16) == payload
 
 
+@pytest.mark.full
 @pytest.mark.large
 def test_rough_terrain_is_told_from_smooth_by_its_heights():
     rng = np.random.default_rng(3)
