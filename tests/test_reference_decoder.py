@@ -683,16 +683,21 @@ def test_tables_of_a_file_are_those_of_p_10():
         np.testing.assert_array_equal(expected.e_weights[number], found.weights[plane])
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.full)])
-@pytest.mark.parametrize("method", METHODS.values())
-def test_of_damaged_payloads_the_library_rejects_those_that_format_calls_corrupt(method, seed):
-    rng = np.random.default_rng(seed)
+@pytest.mark.parametrize(
+    "method",
+    [
+        pytest.param(method, marks=pytest.mark.full) if method == "rapid" else method
+        for method in METHODS.values()
+    ],
+)
+def test_of_damaged_payloads_the_library_rejects_those_that_format_calls_corrupt(method):
+    rng = np.random.default_rng(0)
     heights = with_voids(rng, whole(rng, (12, 17)), -1)
     file = read_file(twz_bytes(heights, max_error=1, nodata=-1, method=method))
     key = (-1, 0, 0)
     whole_payload = file.payloads[key]
     n_read = 0
-    for _ in range(50):
+    for _ in range(100):
         payload = bytearray(whole_payload)
         kind = rng.integers(4)
         if kind == 0:
