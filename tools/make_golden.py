@@ -60,6 +60,16 @@ CASES = {
     "predictive-int16-nodata-rqt": (
         (45, 70), "int16", 900, "nodata", PLACE, {"max_error": 3, "mesh": "rqt"},
     ),
+    # As above, of writers that no longer measure the finest meshes.
+    "predictive-int16-halves-bounded": (
+        (75, 68), "int16", 900, "none", PLACE, {"max_error": 2},
+    ),
+    "predictive-int16-nodata-zerotree-bounded": (
+        (45, 70), "int16", 900, "nodata", PLACE, {"max_error": 3, "mesh": "zerotree"},
+    ),
+    "predictive-int16-nodata-rqt-bounded": (
+        (45, 70), "int16", 900, "nodata", PLACE, {"max_error": 3, "mesh": "rqt"},
+    ),
     "predictive-uint8-best": (
         (41, 41), "uint8", 80, "none", DEGREES, {"max_error": 1, "effort": "best", "mesh": "none"},
     ),

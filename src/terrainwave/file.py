@@ -385,7 +385,7 @@ class TerrainFile:
         return self.header.mesh
 
     def mesh_error(self, block: Block) -> float:
-        """Return the stored measured error of a block's mesh, in physical units.
+        """Return the stored error of a block's mesh, an upper bound, in physical units.
 
         No valid original that the mesh covers is further from it.
 

@@ -76,6 +76,26 @@ def test_meshes_of_every_level_are_right_and_few(kind, void, tmp_path):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_a_finest_mesh_has_the_errors_of_its_block_and_its_tolerance(kind, tmp_path):
+    case = make_case("smooth", "none", (65, 97), 3, amplitude=900.0, max_error=3, mesh_error=5)
+    case.heights[:, 32:65] = 7
+    case.options |= {"block": 32, "mesh": kind, "method": "store"}
+    path = write_case(case, tmp_path)
+    with terrainwave.open(path) as terrain:
+        finest = terrain.grid.blocks(terrain.n_levels - 1)
+        errors = {block: terrain.mesh_error(block) for block in finest}
+        for block in finest:
+            own = terrain.block_error(block)
+            if block.col == 1:
+                # One height: measured, as no triangulation of it is off by the tolerance.
+                assert errors[block] == own
+            else:
+                # FORMAT.md §4.4: codes of errors up to 8 are exact, and so are 3 + 5.
+                assert errors[block] == own + 5
+    assert terrainwave.verify(path, tmp_path / "case.tif", mesh=True).ok
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_any_number_of_threads_gives_the_same_bytes(kind, tmp_path):
     case = make_case("half sea", "speckle", (150, 140), 5, max_error=1, block=32)
     found = []

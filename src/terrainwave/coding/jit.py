@@ -88,7 +88,13 @@ def inlined_kernel(function: Callable[..., Any]) -> Any:
 
 
 def _compile(function: Callable[..., Any], *, is_inlined: bool) -> Any:
-    options: dict[str, Any] = {"fastmath": False, "nogil": True, "forceinline": is_inlined}
+    options: dict[str, Any] = {
+        "fastmath": False,
+        "nogil": True,
+        "forceinline": is_inlined,
+        # No kernel is called from C: what C would call takes time to compile.
+        "no_cfunc_wrapper": True,
+    }
     if _CACHE:
         try:
             dispatcher = njit(cache=True, **options)(function)

@@ -160,6 +160,28 @@ class BlockMesher:
             return has_triangles(self.samples(block).mask)
         return min(self._full_shape(block)) > 1
 
+    def bounded_error(
+        self, block: Block, heights: Heights, mask: Mask, lost: Fraction
+    ) -> int | None:
+        """Return what a finest block's mesh is at most from its originals, less `lost` quanta.
+
+        The block's own error, which has what is lost in it, and the tolerance, in 1/16 quanta; by
+        construction, without making the mesh. None where measuring may tell much less: where the
+        originals are so alike that the block may have one height, and where the mask leaves open
+        whether it has a mesh.
+
+        Parameters
+        ----------
+        heights, mask : ndarray, shape (n_rows, n_cols)
+            The block's originals, or some of them, in quanta.
+        """
+        if not has_triangles(mask):
+            return None
+        own, valid = decode_error(self._error_code(block)), heights[mask]
+        if int(valid.max()) - int(valid.min()) <= 2 * own:
+            return None
+        return (own << FRACTION_BITS) + self._tolerance - math.floor(lost * (1 << FRACTION_BITS))
+
     def mesh(self, block: Block) -> BlockMesh:
         """Return the block's stored mesh; places count from the block's first sample.
 
@@ -224,11 +246,11 @@ def mesh_tolerance(error: Fraction, quantum: Fraction) -> int:
     return min(int(error / quantum * (1 << FRACTION_BITS)), MAX_MESH_TOLERANCE)
 
 
-# Measured errors
+# Errors
 
 
 def mesh_codes(errors: dict[Block, int], lost: Fraction) -> dict[Block, int]:
-    """Return the codes of measured errors, in 1/16 quanta, each with `lost` quanta added."""
+    """Return the codes of errors, in 1/16 quanta, each with `lost` quanta added."""
     return {
         block: encode_error(math.ceil(Fraction(error, 1 << FRACTION_BITS) + lost))
         for block, error in errors.items()
@@ -241,13 +263,16 @@ def measure_meshes(
     originals: Originals,
     executor: Executor,
     on_samples: Callable[[int], None],
+    lost: Fraction,
     blocks: list[Block] | None = None,
 ) -> dict[Block, int]:
     """Return how far the valid originals under each block are from its mesh, in 1/16 quanta.
 
-    One walk over the full grid in windows; every window measures the meshes of its finest blocks
-    and of all their ancestors. Blocks without a mesh are left out. With `blocks`, some of the
-    finest level, only the originals under these.
+    One walk over the full grid in windows; every window measures the meshes of all ancestors of its
+    finest block, which can differ from the originals by more than their own error and their
+    tolerance. The finest one's cannot: it takes this bound, or is measured too
+    (`BlockMesher.bounded_error`). Blocks without a mesh are left out. With `blocks`, some of the
+    finest level, only the originals under these. To all errors, `lost` quanta are to be added.
     """
     meshes: Cache[Block, BlockMesh] = Cache(_CACHED_MESHES)
     largest: dict[Block, int] = {}
@@ -257,9 +282,15 @@ def measure_meshes(
         region = grid.block_region(block)
         heights, mask = originals(region)
         errors = {}
+        bound = mesher.bounded_error(block, heights, mask, lost)
+        if bound is not None:
+            errors[block] = bound
         above = block
         while mask.any():
-            mesh = meshes.get_or_make(above, partial(mesher.mesh, above))
+            is_bounded = above == block and bound is not None
+            mesh = (
+                no_mesh() if is_bounded else meshes.get_or_make(above, partial(mesher.mesh, above))
+            )
             if len(mesh.triangles):
                 stride = grid.stride(above.level)
                 first = above.row * grid.block * stride, above.col * grid.block * stride

@@ -7,7 +7,7 @@ places on the ring around it don't grow, whatever else merges.
 import numpy as np
 
 from terrainwave.coding.jit import inlined_kernel
-from terrainwave.tri.workspace import refusals_at, sweeps_at
+from terrainwave.tri.workspace import PLANES, REFUSAL, SWEEP
 
 NO_TEST = 0
 _LEVEL_BITS = 8
@@ -34,7 +34,7 @@ def write_refusal(work, plane, pitch, home, height, test, low_pair, high_pair):
 
     NO_TEST if it was not refused, or is so large that places don't fit.
     """
-    refusal = refusals_at(plane) + home
+    refusal = PLANES + REFUSAL * plane + home
     if test != NO_TEST:
         work[np.uint64(refusal + plane)] = low_pair
         work[np.uint64(refusal + 2 * plane)] = high_pair
@@ -44,7 +44,7 @@ def write_refusal(work, plane, pitch, home, height, test, low_pair, high_pair):
 @inlined_kernel
 def refusing_pairs(work, plane, home):
     """Return the two pairs of places that were noted last."""
-    refusal = refusals_at(plane) + home
+    refusal = PLANES + REFUSAL * plane + home
     low_pair = np.int64(work[np.uint64(refusal + plane)])
     return low_pair, np.int64(work[np.uint64(refusal + 2 * plane)])
 
@@ -52,7 +52,7 @@ def refusing_pairs(work, plane, home):
 @inlined_kernel
 def refusal_stands(work, plane, pitch, home, height, level):
     """Say whether what has refused this cell of a level, if it was refused, is as it was."""
-    refusal = refusals_at(plane) + home
+    refusal = PLANES + REFUSAL * plane + home
     noted = np.int64(work[np.uint64(refusal)])
     stands = noted & ((1 << _LEVEL_BITS) - 1) == level
     if stands:
@@ -79,6 +79,6 @@ def _has_grown(work, plane, pitch, home, height, place, sweep):
     In the same sweep, those above and the one to the left, which the ring meets in its last row,
     had grown before the test.
     """
-    last = work[np.uint64(sweeps_at(plane) + home + place)]
+    last = work[np.uint64(PLANES + SWEEP * plane + home + place)]
     was_before = place < -1 or place == (height - 1) * pitch - 1
     return last > sweep or (last == sweep and not was_before)

@@ -11,6 +11,7 @@ grid with merged borders and stays a height field that covers the samples once, 
 a triangle of area <= 0.
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -23,16 +24,17 @@ from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.star import MAX_PROGRAM_HEIGHT, fit_rest, fit_star
 from terrainwave.tri.workspace import (
     FREE,
+    HEIGHT,
     HIGH,
+    LEVEL,
     LOW,
     MEMORY,
+    PLANES,
+    ROW_BITS,
+    SWEEP,
+    VERTEX,
     fill_workspace,
     finished_mesh,
-    heights_at,
-    levels_at,
-    pack_place,
-    sweeps_at,
-    vertices_at,
 )
 
 # More than any interval of heights: no condition.
@@ -91,17 +93,33 @@ def triangulate(
     scale = scale_of(least, most, tolerance)
     space = MEMORY.workspace(n_rows, n_cols)
     fill_workspace(
-        heights, mask, locked, lines.top, lines.bottom, lines.left, lines.right, scale.base,
-        scale.bits, space.work, space.plane, space.pitch,
+        heights, mask, locked, np.concatenate(lines), scale.base, scale.bits,
+        space.work, space.plane, space.pitch,
     )  # fmt: skip
     has_table = max(-scale.lowest, scale.highest, scale.tolerance) <= MAX_PROGRAM_HEIGHT
-    _merge_cells(
-        space.work, space.floats, space.plane, space.pitch, n_rows, n_cols, *offset, has_table,
-        scale.tolerance, scale.lowest, scale.highest,
-    )  # fmt: skip
+    if n_rows > 2 and n_cols > 2:  # else border lines alone
+        for level, sweep, before in _sweeps(max(n_rows + offset[0], n_cols + offset[1])):
+            _sweep_cells(
+                space.work, space.floats, space.plane, space.pitch, n_rows, n_cols, *offset,
+                has_table, level, sweep, before, scale.tolerance, scale.lowest, scale.highest,
+            )  # fmt: skip
     base, shift = scale.base << FRACTION_BITS, FRACTION_BITS - scale.bits
     has_voids = n_valid < n_rows * n_cols
     return finished_mesh(space, (n_rows, n_cols), base, shift, has_voids=has_voids)
+
+
+def _sweeps(reach: int) -> Iterator[tuple[int, int, int]]:
+    """Yield level, number and predecessor of each sweep: whole squares, then halves, finest first.
+
+    `reach` is the number of rows or columns, the greater one, from the block's first on. The loop
+    is Python, as a kernel around `_sweep_cells` would be that compiled once more.
+    """
+    n_levels, n_whole = (reach - 2).bit_length(), len(_WHOLE_LEVELS)
+    for sweep in range(1, n_whole + _PASSES * 2 * n_levels + 1):
+        level, before = (sweep - n_whole - 1) % (2 * n_levels) + 1, sweep - 2 * n_levels
+        if sweep <= n_whole:
+            level = _WHOLE_LEVELS[sweep - 1]
+        yield level, sweep, before if before > n_whole else 0
 
 
 @kernel
@@ -136,7 +154,7 @@ def _fit_pair(work, plane, pitch, at, tolerance):
     that has not moved: 2/3 of the new height and 1/3 of that sample's. Verdict 1: these are all
     conditions; -1: they can't be met; 0: look at the whole star, which gives the same intervals.
     """
-    own, level = heights_at(plane) + at, levels_at(plane) + at
+    own, level = PLANES + HEIGHT * plane + at, PLANES + LEVEL * plane + at
     above, below = level - pitch, level + pitch
     left, right = _wide(work, level - 1), _wide(work, level + 2)
     first = 3 * _wide(work, own) - _wide(work, own - 1)
@@ -160,7 +178,7 @@ def _fit_quad(work, plane, pitch, at, tolerance):
     The upper left and lower right sample lie on edges to the samples beyond them; the other two in
     triangles, with weight 1/2 of the new height and 1/4 of each of two samples.
     """
-    own, level = heights_at(plane) + at, levels_at(plane) + at
+    own, level = PLANES + HEIGHT * plane + at, PLANES + LEVEL * plane + at
     own_2, level_2 = own + pitch, level + pitch
     above, below = level - pitch, level_2 + pitch
     upper_left, lower_right = _wide(work, above - 1), _wide(work, below + 2)
@@ -192,7 +210,7 @@ def _is_near_plane(work, plane, pitch, top, bottom, left, right, tolerance):
 
     Most cells of more than 2 x 2 samples that don't fit fail here.
     """
-    heights = heights_at(plane)
+    heights = PLANES + HEIGHT * plane
     a, b = _wide(work, heights + top * pitch + left), _wide(work, heights + top * pitch + right)
     d = _wide(work, heights + bottom * pitch + left)
     c = _wide(work, heights + bottom * pitch + right)
@@ -204,7 +222,7 @@ def _is_near_plane(work, plane, pitch, top, bottom, left, right, tolerance):
 @inlined_kernel
 def _is_free(work, plane, pitch, top, bottom, left, right):
     """Say whether no sample of a cell has merged or must stay."""
-    levels = levels_at(plane)
+    levels = PLANES + LEVEL * plane
     taken = np.int32(0)
     for row in range(top, bottom + 1):
         for at in range(row * pitch + left, row * pitch + right + 1):
@@ -215,7 +233,7 @@ def _is_free(work, plane, pitch, top, bottom, left, right):
 @inlined_kernel
 def _is_free_quad(work, plane, pitch, at):
     """Do what `_is_free` does for 2 x 2 samples."""
-    upper, lower = levels_at(plane) + at, levels_at(plane) + at + pitch
+    upper, lower = PLANES + LEVEL * plane + at, PLANES + LEVEL * plane + at + pitch
     taken = work[np.uint64(upper)] | work[np.uint64(upper + 1)]
     return taken | work[np.uint64(lower)] | work[np.uint64(lower + 1)] == FREE
 
@@ -226,8 +244,8 @@ def _is_as_before(work, plane, pitch, top, bottom, left, right, before):
 
     In that sweep the cells above and to the left came before it, the others after it.
     """
-    above = sweeps_at(plane) + (top - 1) * pitch
-    below = sweeps_at(plane) + (bottom + 1) * pitch
+    above = PLANES + SWEEP * plane + (top - 1) * pitch
+    below = PLANES + SWEEP * plane + (bottom + 1) * pitch
     last_before = last_after = np.int32(0)
     for col in range(left - 1, right + 2):
         last_before = max(last_before, work[np.uint64(above + col)])
@@ -241,7 +259,7 @@ def _is_as_before(work, plane, pitch, top, bottom, left, right, before):
 @inlined_kernel
 def _move(work, plane, pitch, top, bottom, left, right, place, height, sweep):
     """Let the samples of a cell share a vertex."""
-    vertices, sweeps = vertices_at(plane), sweeps_at(plane)
+    vertices, sweeps = PLANES + VERTEX * plane, PLANES + SWEEP * plane
     for row in range(top, bottom + 1):
         for at in range(row * pitch + left, row * pitch + right + 1):
             work[np.uint64(vertices + 2 * at)] = place
@@ -261,7 +279,7 @@ def _sweep_cells(
     """
     is_whole = sweep <= len(_WHOLE_LEVELS)
     whole_tolerance = np.int64(tolerance)
-    levels, sweeps = levels_at(plane), sweeps_at(plane)
+    levels, sweeps = PLANES + LEVEL * plane, PLANES + SWEEP * plane
     width, height = 1 << ((level + 1) >> 1), 1 << (level >> 1)
     for cell_row in range((row_0 + 1) // height * height, row_0 + n_rows - 1, height):
         top, bottom = max(cell_row - row_0, 1), min(cell_row + height - 1 - row_0, n_rows - 2)
@@ -317,12 +335,12 @@ def _sweep_cells(
                 test = test_of(level, sweep)
                 n_others, low_pair, high_pair = fit_star(
                     work, floats, plane, pitch, has_table, top, bottom, left, right,
-                    level == 1 or is_quad, tolerance, test, None,
+                    level == 1 or is_quad, tolerance, test,
                 )  # fmt: skip
                 if n_others and floats[LOW] <= floats[HIGH]:
                     fit_rest(
                         work, floats, plane, pitch, has_table, top, bottom, left, right,
-                        level == 1 or is_quad, tolerance, test, low_pair, high_pair,
+                        level == 1 or is_quad, tolerance, test, n_others, low_pair, high_pair,
                     )  # fmt: skip
                 low, high = floats[LOW], floats[HIGH]
             if low > high:
@@ -339,28 +357,5 @@ def _sweep_cells(
                 work[np.uint64(levels + other)] = level
             _move(
                 work, plane, pitch, top, bottom, left, right,
-                np.int32(pack_place(top + bottom, left + right)), np.int32(vertex), sweep,
+                np.int32((top + bottom) << ROW_BITS | left + right), np.int32(vertex), sweep,
             )  # fmt: skip
-
-
-@kernel
-def _merge_cells(
-    work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, tolerance, lowest, highest
-):
-    """Merge samples into cells: whole squares first, then halves from the finest up."""
-    if n_rows < 3 or n_cols < 3:
-        return  # border lines alone
-    n_levels = 0
-    while (1 << n_levels) < max(n_rows + row_0, n_cols + col_0) - 1:
-        n_levels += 1
-    n_whole = len(_WHOLE_LEVELS)
-    for sweep in range(1, n_whole + _PASSES * 2 * n_levels + 1):
-        level, before = (sweep - n_whole - 1) % (2 * n_levels) + 1, sweep - 2 * n_levels
-        if sweep <= n_whole:
-            level = _WHOLE_LEVELS[sweep - 1]
-        if before <= n_whole:
-            before = 0
-        _sweep_cells(
-            work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep,
-            before, tolerance, lowest, highest,
-        )  # fmt: skip

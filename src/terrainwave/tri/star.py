@@ -10,20 +10,22 @@ from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.tri.certificates import NO_TEST, ring_pair, write_refusal
 from terrainwave.tri.fit import fit_triangle
 from terrainwave.tri.workspace import (
+    COL_MASK,
     FREE,
+    HEIGHT,
     HIGH,
+    LEVEL,
     LOW,
     N_SLOTS_LOG2,
     N_STEPS,
     N_USED,
     OFFSETS,
+    OTHERS,
+    PLANES,
     RATIOS,
+    ROW_BITS,
     TABLE,
-    col_of,
-    heights_at,
-    levels_at,
-    row_of,
-    vertices_at,
+    VERTEX,
 )
 
 # A triangle's key: how far its two other vertices are from the first, each of the four distances
@@ -51,7 +53,7 @@ _MARGIN = 2.0**-13
 @inlined_kernel
 def fit_star(
     work, floats, plane, pitch, has_table, top, bottom, left, right, are_unmoved_known, tolerance,
-    test, rest,
+    test,
 ):  # fmt: skip
     """Narrow the interval of heights of a vertex whose cell is this rectangle of samples.
 
@@ -63,26 +65,25 @@ def fit_star(
     refusal by this `test` is noted, with the places on the ring of the triangles that have raised
     and lowered it last.
 
-    Takes the triangles with programs and returns how many others there are if `rest` is None, or
-    takes these others. Arrays are used last outside of branches, and no kernel is called that is
-    not inlined, as either would cost reference counts at every star.
+    Takes the triangles with programs and lists the others, for `fit_rest`; returns how many these
+    are, and the two places. Arrays are used last outside of branches, and no kernel is called that
+    is not inlined, as either would cost reference counts at every star.
     """
     row_0, col_0 = top + bottom, left + right
     width, height = right - left + 1, bottom - top + 1
-    heights, vertices, levels = heights_at(plane), vertices_at(plane), levels_at(plane)
+    vertices, levels = PLANES + VERTEX * plane, PLANES + LEVEL * plane
+    others = PLANES + OTHERS * plane
     home = top * pitch + left
-    centre = heights + (row_0 >> 1) * pitch + (col_0 >> 1)
+    centre = PLANES + HEIGHT * plane + (row_0 >> 1) * pitch + (col_0 >> 1)
     place_0 = _IS_KEY | (row_0 & 1) << 1 | (col_0 & 1)
     at = home - pitch - 1
     place = np.int64(work[np.uint64(vertices + 2 * at)])
-    row_1, col_1, z_1 = row_of(place), col_of(place), float(work[np.uint64(vertices + 2 * at + 1)])
+    row_1, col_1 = place >> ROW_BITS, place & COL_MASK
+    z_1 = float(work[np.uint64(vertices + 2 * at + 1)])
     is_known_1 = are_unmoved_known and work[np.uint64(levels + at)] <= FREE
     start = at
     low, high = floats[LOW], floats[HIGH]
-    if rest is None:
-        low_pair = high_pair = ring_pair(home, at, at)
-    else:
-        low_pair, high_pair = rest
+    low_pair = high_pair = ring_pair(home, at, at)
     n_others = 0
     for side in range(4):
         # To the right, down, to the left, up; then past the corner that is left out.
@@ -101,7 +102,7 @@ def fit_star(
                 is_known_1 = False  # a vertex that a border line's samples share
                 continue
             is_known_2 = are_unmoved_known and work[np.uint64(levels + at)] <= FREE
-            row_2, col_2 = row_of(other), col_of(other)
+            row_2, col_2 = other >> ROW_BITS, other & COL_MASK
             z_2 = float(work[np.uint64(vertices + 2 * at + 1)])
             if not (is_known_1 and is_known_2):
                 area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
@@ -114,30 +115,22 @@ def fit_star(
                 new_low, new_high = low, high
                 if area <= 0:
                     new_low, new_high = np.inf, -np.inf
-                elif rest is None:
-                    if program < 0:
-                        n_others += 1
-                    else:
-                        first = program >> _COUNT_BITS
-                        for k in range(first, first + (program & _MAX_STEPS)):
-                            offset = np.int64(work[np.uint64(OFFSETS + k)])
-                            ratio = floats[np.uint64(RATIOS + 3 * k)]
-                            middle = float(work[np.uint64(centre + offset)]) * ratio
-                            middle -= floats[np.uint64(RATIOS + 3 * k + 1)] * z_1
-                            middle -= floats[np.uint64(RATIOS + 3 * k + 2)] * z_2
-                            slack = tolerance * ratio + _MARGIN
-                            least, most = middle - slack, middle + slack
-                            new_low = least if least > new_low else new_low
-                            new_high = most if most < new_high else new_high
                 elif program < 0:
-                    if has_table and key and work[np.uint64(slot)] == 0:
-                        _write_program(
-                            work, floats, pitch, slot, key, row_0, col_0, row_1, col_1, row_2, col_2
-                        )
-                    new_low, new_high = fit_triangle(
-                        work, heights, pitch, row_0, col_0, row_1, col_1, z_1, row_2, col_2, z_2,
-                        tolerance, low, high,
-                    )  # fmt: skip
+                    work[np.uint64(others + 2 * n_others)] = start
+                    work[np.uint64(others + 2 * n_others + 1)] = at
+                    n_others += 1
+                else:
+                    first = program >> _COUNT_BITS
+                    for k in range(first, first + (program & _MAX_STEPS)):
+                        offset = np.int64(work[np.uint64(OFFSETS + k)])
+                        ratio = floats[np.uint64(RATIOS + 3 * k)]
+                        middle = float(work[np.uint64(centre + offset)]) * ratio
+                        middle -= floats[np.uint64(RATIOS + 3 * k + 1)] * z_1
+                        middle -= floats[np.uint64(RATIOS + 3 * k + 2)] * z_2
+                        slack = tolerance * ratio + _MARGIN
+                        least, most = middle - slack, middle + slack
+                        new_low = least if least > new_low else new_low
+                        new_high = most if most < new_high else new_high
                 if new_low > low:
                     low, low_pair = new_low, ring_pair(home, start, at)
                 if new_high < high:
@@ -159,13 +152,45 @@ def fit_star(
 @kernel
 def fit_rest(
     work, floats, plane, pitch, has_table, top, bottom, left, right, are_unmoved_known, tolerance,
-    test, low_pair, high_pair,
+    test, n_others, low_pair, high_pair,
 ):  # fmt: skip
-    """Narrow an interval by the triangles that `fit_star` has left out, and write programs."""
-    fit_star(
-        work, floats, plane, pitch, has_table, top, bottom, left, right, are_unmoved_known,
-        tolerance, test, (low_pair, high_pair),
-    )  # fmt: skip
+    """Narrow an interval by the triangles that `fit_star` has listed, and write their programs."""
+    row_0, col_0 = top + bottom, left + right
+    vertices, others = PLANES + VERTEX * plane, PLANES + OTHERS * plane
+    home = top * pitch + left
+    place_0 = _IS_KEY | (row_0 & 1) << 1 | (col_0 & 1)
+    low, high = floats[LOW], floats[HIGH]
+    for k in range(n_others):
+        start = np.int64(work[np.uint64(others + 2 * k)])
+        at = np.int64(work[np.uint64(others + 2 * k + 1)])
+        place_1 = np.int64(work[np.uint64(vertices + 2 * start)])
+        place_2 = np.int64(work[np.uint64(vertices + 2 * at)])
+        row_1, col_1 = place_1 >> ROW_BITS, place_1 & COL_MASK
+        row_2, col_2 = place_2 >> ROW_BITS, place_2 & COL_MASK
+        key = _key_of(row_1 - row_0, col_1 - col_0, row_2 - row_0, col_2 - col_0, place_0)
+        if has_table and key:
+            slot = _slot_of(key)
+            if work[np.uint64(slot)] == 0:
+                _write_program(
+                    work, floats, pitch, slot, key, row_0, col_0, row_1, col_1, row_2, col_2
+                )
+        new_low, new_high = fit_triangle(
+            work, PLANES + HEIGHT * plane, pitch, row_0, col_0,
+            row_1, col_1, float(work[np.uint64(vertices + 2 * start + 1)]),
+            row_2, col_2, float(work[np.uint64(vertices + 2 * at + 1)]),
+            tolerance, low, high,
+        )  # fmt: skip
+        if new_low > low:
+            low, low_pair = new_low, ring_pair(home, start, at)
+        if new_high < high:
+            high, high_pair = new_high, ring_pair(home, start, at)
+        if low > high:
+            break
+    low, high = np.ceil(low), np.floor(high)
+    floats[LOW], floats[HIGH] = low, high
+    if low <= high or are_unmoved_known:
+        test = NO_TEST
+    write_refusal(work, plane, pitch, home, bottom - top + 1, test, low_pair, high_pair)
 
 
 @inlined_kernel

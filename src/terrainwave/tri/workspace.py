@@ -19,16 +19,21 @@ N_SLOTS_LOG2, N_STEPS = 15, 1 << 16
 TABLE = 0
 N_USED = TABLE + (2 << N_SLOTS_LOG2)
 OFFSETS = N_USED + 8
-_PLANES = OFFSETS + N_STEPS
+PLANES = OFFSETS + N_STEPS
 # In floats: the interval that a test has found, and three ratios per step.
 LOW, HIGH, RATIOS = 0, 1, 2
 
-# Planes, by sample: its height; the place of its vertex (`pack_place`) and the vertex's height; its
-# cell's level; the sweep in which its cell last grew. At a cell's first sample: which test has
-# refused it last, and the samples that this rests on (`certificates`). Numbers of vertices take the
-# refusals' plane in the end.
-_HEIGHT, _VERTEX, _LEVEL, _SWEEP, _REFUSAL = 0, 1, 3, 4, 5
-_N_PLANES = 8
+# Planes, by sample: its height; the place of its vertex and the vertex's height; its cell's level;
+# the sweep in which its cell last grew. At a cell's first sample: which test has refused it last,
+# and the samples that this rests on (`certificates`); numbers of vertices take this plane in the
+# end. The last one is no plane of samples, but a list of the triangles of one star, two numbers
+# each: no star has as many as a plane has room for. Plane k begins at ``PLANES + k * plane``, which
+# kernels write out: each small kernel that they would call takes a tenth of a second to compile.
+HEIGHT, VERTEX, LEVEL, SWEEP, REFUSAL, OTHERS = 0, 1, 3, 4, 5, 8
+_N_PLANES = 9
+
+# A vertex's place, in half samples: its row, and in the low bits its column.
+ROW_BITS, COL_MASK = 16, (1 << 16) - 1
 
 # Levels of single samples that have not moved, of those that never do, and of those of border lines
 # that are no vertices. Up to FREE a sample has not moved.
@@ -78,7 +83,7 @@ class _Memory(threading.local):
 
 
 def _new_workspace(pitch: int, plane: int) -> Workspace:
-    work = np.empty(_PLANES + _N_PLANES * plane, dtype=np.int32)
+    work = np.empty(PLANES + _N_PLANES * plane, dtype=np.int32)
     work[:OFFSETS] = 0
     return Workspace(
         pitch,
@@ -95,63 +100,15 @@ def _new_workspace(pitch: int, plane: int) -> Workspace:
 MEMORY = _Memory()
 
 
-@inlined_kernel
-def heights_at(plane):
-    """Return where the plane of heights begins."""
-    return _PLANES + _HEIGHT * plane
-
-
-@inlined_kernel
-def vertices_at(plane):
-    """Return where the plane of vertices begins: two numbers per sample, a place and a height."""
-    return _PLANES + _VERTEX * plane
-
-
-@inlined_kernel
-def levels_at(plane):
-    """Return where the plane of cells' levels begins."""
-    return _PLANES + _LEVEL * plane
-
-
-@inlined_kernel
-def sweeps_at(plane):
-    """Return where the plane of cells' last sweeps begins."""
-    return _PLANES + _SWEEP * plane
-
-
-@inlined_kernel
-def refusals_at(plane):
-    """Return where the three planes of refusals begin."""
-    return _PLANES + _REFUSAL * plane
-
-
-@inlined_kernel
-def pack_place(row, col):
-    """Return a place, in half samples, as one number."""
-    return (row << 16) | col
-
-
-@inlined_kernel
-def row_of(place):
-    """Return the row of a packed place."""
-    return place >> 16
-
-
-@inlined_kernel
-def col_of(place):
-    """Return the column of a packed place."""
-    return place & 0xFFFF
-
-
 @kernel
-def fill_workspace(heights, mask, locked, top, bottom, left, right, base, bits, work, plane, pitch):
+def fill_workspace(heights, mask, locked, lines, base, bits, work, plane, pitch):
     """Let every valid sample be a vertex, and those of border lines share the vertex before them.
 
-    The four lines say which of their samples are vertices.
+    `lines` say which samples of the border are vertices: top, bottom, left and right one by one.
     """
     n_rows, n_cols = heights.shape
-    vertices, levels = vertices_at(plane), levels_at(plane)
-    sweeps, refusals = sweeps_at(plane), refusals_at(plane)
+    vertices, levels = PLANES + VERTEX * plane, PLANES + LEVEL * plane
+    sweeps, refusals = PLANES + SWEEP * plane, PLANES + REFUSAL * plane
     for row in range(n_rows):
         is_line = row == 0 or row == n_rows - 1
         first = row * pitch
@@ -159,9 +116,9 @@ def fill_workspace(heights, mask, locked, top, bottom, left, right, base, bits, 
             height, place = np.int32(0), np.int32(VOID)
             if mask[row, col]:
                 height = np.int32((np.int64(heights[row, col]) - base) << bits)
-                place = np.int32(pack_place(2 * row, 2 * col))
+                place = np.int32(2 * row << ROW_BITS | 2 * col)
             at = first + col
-            work[np.uint64(heights_at(plane) + at)] = height
+            work[np.uint64(PLANES + HEIGHT * plane + at)] = height
             work[np.uint64(vertices + 2 * at)] = place
             work[np.uint64(vertices + 2 * at + 1)] = height
             work[np.uint64(levels + at)] = LOCKED if is_line or locked[row, col] else FREE
@@ -169,22 +126,24 @@ def fill_workspace(heights, mask, locked, top, bottom, left, right, base, bits, 
             work[np.uint64(refusals + at)] = 0
         work[np.uint64(levels + first)] = LOCKED
         work[np.uint64(levels + first + n_cols - 1)] = LOCKED
-    for line, start, step in (
-        (top, 0, 1),
-        (bottom, (n_rows - 1) * pitch, 1),
-        (left, 0, pitch),
-        (right, n_cols - 1, pitch),
-    ):
+    first = 0
+    for line in range(4):
+        count, step, start = n_cols, 1, 0
+        if line == 1:
+            start = (n_rows - 1) * pitch
+        elif line >= 2:
+            count, step = n_rows, pitch
+            start = 0 if line == 2 else n_cols - 1
         last = start
-        for k in range(line.shape[0]):
+        for k in range(count):
             at = start + k * step
-            if line[k]:
+            if lines[first + k]:
                 last = at
             else:
-                for k_1 in range(2):
-                    shared = work[np.uint64(vertices + 2 * last + k_1)]
-                    work[np.uint64(vertices + 2 * at + k_1)] = shared
+                work[np.uint64(vertices + 2 * at)] = work[np.uint64(vertices + 2 * last)]
+                work[np.uint64(vertices + 2 * at + 1)] = work[np.uint64(vertices + 2 * last + 1)]
                 work[np.uint64(levels + at)] = MERGED
+        first += count
 
 
 @kernel
@@ -196,7 +155,7 @@ def read_mesh(work, plane, pitch, n_rows, n_cols, base, shift, rows, cols, heigh
     and border lines share the vertex before them. Vertices' heights in 1/16 quanta:
     ``(height << shift) + base``.
     """
-    vertices, numbers = vertices_at(plane), refusals_at(plane)
+    vertices, numbers = PLANES + VERTEX * plane, PLANES + REFUSAL * plane
     n_vertices = 0
     n_triangles = 0
     for row in range(n_rows):
@@ -215,8 +174,8 @@ def read_mesh(work, plane, pitch, n_rows, n_cols, base, shift, rows, cols, heigh
                     number = np.int64(work[np.uint64(numbers + at - pitch)])
                 else:
                     number = np.int64(n_vertices)
-                    rows[n_vertices] = row_of(place)
-                    cols[n_vertices] = col_of(place)
+                    rows[n_vertices] = place >> ROW_BITS
+                    cols[n_vertices] = place & COL_MASK
                     vertex = np.int64(work[np.uint64(vertices + 2 * at + 1)])
                     heights[n_vertices] = (vertex << shift) + base
                     n_vertices += 1
@@ -296,7 +255,7 @@ def finished_mesh(
         space.work, space.plane, space.pitch, *shape, base, shift, *arrays
     )
     if has_voids:
-        n_vertices = drop_unused(n_vertices, n_triangles, *arrays, space.work[_PLANES:])
+        n_vertices = drop_unused(n_vertices, n_triangles, *arrays, space.work[PLANES:])
     return BlockMesh(
         space.rows[:n_vertices].copy(),
         space.cols[:n_vertices].copy(),

@@ -276,7 +276,7 @@ def _mesh_errors(
     executor: Executor,
     reporter: Reporter,
 ) -> dict[Block, int]:
-    """Return the error code of every block's mesh, measured against the originals."""
+    """Return the error code of every block's mesh against the originals."""
     if job.options.mesh == "none":
         return {}
     grid = job.grid
@@ -294,8 +294,8 @@ def _mesh_errors(
     )
     sink.set_meshes(sections)
     count = reporter.counter("measuring meshes", *size)
-    measured = measure_meshes(grid, mesher, pyramid.originals, executor, count)
-    return mesh_codes(measured, Fraction(job.lost))
+    lost = Fraction(job.lost)
+    return mesh_codes(measure_meshes(grid, mesher, pyramid.originals, executor, count, lost), lost)
 
 
 # Pass C

@@ -111,7 +111,8 @@ def store_meshes(
         )
         originals, lost = _originals(terrain, original)
         count = reporter.counter("measuring meshes", *size)
-        codes = mesh_codes(measure_meshes(grid, mesher, originals, executor, count), lost)
+        errors = measure_meshes(grid, mesher, originals, executor, count, lost)
+        codes = mesh_codes(errors, lost)
         spools = _copied(terrain, codes, directory, sections)
         assemble(part.file, header, spools)
         for spool in spools.values():

@@ -441,8 +441,8 @@ class _Patcher:
             return heights, _inside(self._merged, region, mask)
 
         count = self._count("measuring meshes")
-        measured = measure_meshes(grid, mesher, known, self._executor, count)
-        codes = mesh_codes(measured, Fraction(self._lost))
+        lost = Fraction(self._lost)
+        codes = mesh_codes(measure_meshes(grid, mesher, known, self._executor, count, lost), lost)
         moved = self._moved_meshes(changes, errors, sections)
         open_blocks = {
             block for block in errors if not self._merged.covers(grid.full_region(block))
@@ -451,10 +451,11 @@ class _Patcher:
             codes[block] = max(codes.get(block, 0), self._container.codes(block)[3])
         if moved & open_blocks:
             # Decoded heights stand in for originals that are not known.
+            lost += header.step >> 1
             measured = measure_meshes(
-                grid, mesher, self._pyramid.originals, self._executor, lambda n_samples: None
+                grid, mesher, self._pyramid.originals, self._executor, lambda n_samples: None, lost
             )
-            away = mesh_codes(measured, Fraction((header.step >> 1) + self._lost))
+            away = mesh_codes(measured, lost)
             for block in moved & open_blocks & set(away):
                 codes[block] = max(codes.get(block, 0), away[block])
         return codes

@@ -358,20 +358,22 @@ def finish_subtree(site: Site, head: Block, last_round: int | None) -> FinishedS
             )
             sections.update(sections_of_parts(grid, encode_parts(mesher, state)))
         originals = site.pyramid(bench.source, grid.full_region(head), *bench[1:]).originals
-        measured = measure_meshes(
+        lost = Fraction(site.job.lost)
+        found = measure_meshes(
             grid,
             mesher,
             originals,
             bench.executor,
             lambda n_samples: None,
+            lost,
             grid.descendants(head, grid.k_max),
         )
-        own = {block: error for block, error in measured.items() if block.level > head.level}
-        codes = mesh_codes(own, Fraction(site.job.lost))
+        own = {block: error for block, error in found.items() if block.level > head.level}
+        codes = mesh_codes(own, lost)
         heads: list[Block | None] = [*grid.segment_heads_below(head)]
         spools = _finished_spools(grid, heads, stored, sections, codes, bench.directory)
         places = store_segments(site.depot, site.name(FINISHED, head), grid, heads, spools)
-    ancestors = {block: error for block, error in measured.items() if block not in own}
+    ancestors = {block: error for block, error in found.items() if block not in own}
     return FinishedSubtree(head, tuple(places.values()), ancestors)
 
 
