@@ -20,7 +20,7 @@ from terrainwave.codec.rapid_layout import (
     TWIST,
 )
 from terrainwave.codec.refiner import GroupSpec, Sides
-from terrainwave.coding.jit import kernel_part
+from terrainwave.coding.jit import kernel, kernel_part
 from terrainwave.grid.quadtree import Region
 
 # Fields of a line in `Plan`: place of its first sample and step in the region; samples; those coded
@@ -100,101 +100,118 @@ def _plan(
     )
 
 
-@kernel_part
-def _clamped(height, origin, m, scale):
-    """Return a height of the region or the parent as the workspace has it."""
-    return m.dtype.type(min(max(np.int64(height) - origin, scale.low), scale.high))
+@kernel
+def prepare_shared(m, out, parent, corners, lines, index, origin, scale):
+    """Predict a row of shared samples; return its first place in `out`, the step, and how many.
+
+    Parameters
+    ----------
+    out, parent : ndarray of int32, flat
+        Region and parent.
+    corners, lines : ndarray of int64
+        As `plan_lines` returns them.
+    index : int
+        First come rows of corner samples, whose places are in `corners` from the returned one on;
+        then of each line its even samples, 0 if they are the parent's, and its odd ones.
+    """
+    n_corner_rows = (corners.shape[0] + MOST_CORNERS - 1) // MOST_CORNERS
+    if index < n_corner_rows:
+        first = np.int64(index * MOST_CORNERS)
+        n = min(corners.shape[0] - first, MOST_CORNERS)
+        _predict_corners(m, parent, corners, first, n, origin, scale)
+        return first, np.int64(1), n
+    line, is_odd = (index - n_corner_rows) >> 1, (index - n_corner_rows) & 1
+    start, step = lines[line, START], lines[line, STEP]
+    first, stop = lines[line, FIRST], lines[line, STOP]
+    skipped = (first + 1 - is_odd) >> 1
+    n = ((stop + 1 - is_odd) >> 1) - skipped
+    _load_line(m, out, parent, lines, line, is_odd, origin, scale)
+    if is_odd:
+        _predict_odd(m, skipped, n)
+    elif lines[line, INHERITED]:
+        n = np.int64(0)
+    else:
+        _predict_even(m, parent, lines, line, skipped, n, origin, scale)
+    return start + (2 * skipped + is_odd) * step, 2 * step, n
 
 
 @kernel_part
-def _note_around(m, k, a, b, c, d):
-    """Fill `LEAST`, `MOST` and `TWIST` of a sample that has four around it."""
+def _predict_corners(m, parent, corners, first, n, origin, scale):
+    """Predict a row of samples where lines cross, each from the parent's four."""
     cast = m.dtype.type
-    m[LEAST + k], m[MOST + k] = min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
-    m[TWIST + k] = abs(cast(a - b - c + d))
-    m[EXPECTED + k] = 0
-
-
-@kernel_part
-def prepare_corners(m, parent, corners, first, origin, scale):
-    """Predict a row of samples where lines cross, each from the parent's four; return how many."""
-    n = min(corners.shape[0] - first, MOST_CORNERS)
     for j in range(n):
         k = np.uint64(j)
-        a = _clamped(parent[corners[first + j, 1]], origin, m, scale)
-        b = _clamped(parent[corners[first + j, 2]], origin, m, scale)
-        c = _clamped(parent[corners[first + j, 3]], origin, m, scale)
-        d = _clamped(parent[corners[first + j, 4]], origin, m, scale)
-        _note_around(m, k, a, b, c, d)
-        m[SUM + k] = a + b + c + d
-        m[PREDICTED + k] = 16 * m[SUM + k]
-    return n
+        least, most = np.int64(scale.high), np.int64(scale.low)
+        total = twist = np.int64(0)
+        for corner in range(_N_AROUND):
+            height = np.int64(parent[corners[first + j, 1 + corner]]) - origin
+            height = min(max(height, scale.low), scale.high)
+            least, most = min(least, height), max(most, height)
+            total += height
+            twist += height if corner == 0 or corner == _N_AROUND - 1 else -height
+        m[LEAST + k], m[MOST + k] = least, most
+        m[SUM + k], m[PREDICTED + k] = total, 16 * total
+        m[TWIST + k] = abs(cast(twist))
+        m[EXPECTED + k] = 0
 
 
 @kernel_part
-def prepare_even(m, out, parent, lines, line, origin, scale):
-    """Predict a line's even samples from the two parent lines, or copy them where they are one.
+def _load_line(m, out, parent, lines, line, is_odd, origin, scale):
+    """Fill `LINE` with a line's even samples, or twice their predictions before they are coded.
 
-    Return how many are skipped, and how many are to be coded.
+    Those that are the parent's go to `out`.
     """
-    start, step = lines[line, START], lines[line, STEP]
+    start, step = lines[line, START], 2 * lines[line, STEP]
     first, stop = lines[line, FIRST], lines[line, STOP]
     before, after = lines[line, BEFORE], lines[line, AFTER]
     parent_step = lines[line, PARENT_STEP]
     is_inherited = lines[line, INHERITED] != 0
-    n_even = (lines[line, LENGTH] + 1) >> 1
-    skipped, n = (first + 1) >> 1, ((stop + 1) >> 1) - ((first + 1) >> 1)
-    for j in range(n_even):
-        height = parent[before + j * parent_step]
-        a = _clamped(height, origin, m, scale)
-        b = _clamped(parent[after + j * parent_step], origin, m, scale)
-        m[LINE + np.uint64(j)] = a if is_inherited else a + b
+    n = (lines[line, LENGTH] + 1) >> 1
+    for j in range(n):
+        is_coded = is_odd and not is_inherited
+        height = out[start + j * step] if is_coded else parent[before + j * parent_step]
+        value = min(max(np.int64(height) - origin, scale.low), scale.high)
         if is_inherited:
             if first <= 2 * j < stop:
-                out[start + 2 * j * step] = height
-        elif 0 <= j - skipped < n:
-            k = np.uint64(j - skipped)
-            m[LEAST + k], m[MOST + k] = min(a, b), max(a, b)
-    if is_inherited:
-        return skipped, np.int64(0)
-    _mirror_line(m, n_even)
-    for j in range(n):
-        k, at = np.uint64(j), LINE + np.uint64(j + skipped)
-        m[SUM + k] = 2 * m[at]
-        m[PREDICTED + k] = 32 * m[at]
-        m[TWIST + k] = abs(m.dtype.type(m[at - _U1] - 2 * m[at] + m[at + _U1]))
-        m[EXPECTED + k] = 0
-    return skipped, n
-
-
-@kernel_part
-def prepare_odd(m, out, lines, line, origin, scale):
-    """Predict a line's odd samples from the even ones, which `prepare_even` left or are in `out`.
-
-    Return how many are skipped, and how many are to be coded.
-    """
-    start, step = lines[line, START], lines[line, STEP]
-    n_even = (lines[line, LENGTH] + 1) >> 1
-    if lines[line, INHERITED] == 0:
-        for j in range(n_even):
-            m[LINE + np.uint64(j)] = _clamped(out[start + 2 * j * step], origin, m, scale)
-    _mirror_line(m, n_even)
-    skipped = lines[line, FIRST] >> 1
-    n = (lines[line, STOP] >> 1) - skipped
-    for j in range(n):
-        k, at = np.uint64(j), LINE + np.uint64(j + skipped)
-        a, b, c, d = m[at - _U1], m[at], m[at + _U1], m[at + _U2]
-        # The range of all four: a line may pass between two of them above or below both.
-        _note_around(m, k, a, b, c, d)
-        m[SUM + k] = 2 * (b + c)
-        m[PREDICTED + k] = 4 * (9 * (b + c) - a - d)
-    return skipped, n
-
-
-@kernel_part
-def _mirror_line(m, n):
-    """Make `LINE` readable beside its first and last sample."""
+                out[start + j * step] = height
+        elif not is_odd:
+            other = np.int64(parent[after + j * parent_step]) - origin
+            value += min(max(other, scale.low), scale.high)
+        m[LINE + np.uint64(j)] = value
     m[LINE - _U1] = m[LINE + np.uint64(min(1, n - 1))]
     before_last = m[LINE + np.uint64(max(n - 2, 0))]
     m[LINE + np.uint64(n)] = before_last
     m[LINE + np.uint64(n + 1)] = m[LINE + np.uint64(max(n - 3, 0))]
+
+
+@kernel_part
+def _predict_even(m, parent, lines, line, skipped, n, origin, scale):
+    """Predict a line's even samples from the parent's lines on both sides."""
+    cast = m.dtype.type
+    parent_step = lines[line, PARENT_STEP]
+    before = lines[line, BEFORE] + skipped * parent_step
+    for j in range(n):
+        k, at = np.uint64(j), LINE + np.uint64(j + skipped)
+        a = np.int64(parent[before + j * parent_step]) - origin
+        a = min(max(a, scale.low), scale.high)
+        b = m[at] - a
+        m[LEAST + k], m[MOST + k] = min(a, b), max(a, b)
+        m[SUM + k] = 2 * m[at]
+        m[PREDICTED + k] = 32 * m[at]
+        m[TWIST + k] = abs(cast(m[at - _U1] - 2 * m[at] + m[at + _U1]))
+        m[EXPECTED + k] = 0
+
+
+@kernel_part
+def _predict_odd(m, skipped, n):
+    """Predict a line's odd samples from the even ones."""
+    cast = m.dtype.type
+    for j in range(n):
+        k, at = np.uint64(j), LINE + np.uint64(j + skipped)
+        a, b, c, d = m[at - _U1], m[at], m[at + _U1], m[at + _U2]
+        # The range of all four: a line may pass between two of them above or below both.
+        m[LEAST + k], m[MOST + k] = min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
+        m[SUM + k] = 2 * (b + c)
+        m[PREDICTED + k] = 4 * (9 * (b + c) - a - d)
+        m[TWIST + k] = abs(cast(a - b - c + d))
+        m[EXPECTED + k] = 0

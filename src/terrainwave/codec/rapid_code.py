@@ -19,7 +19,7 @@ from terrainwave.codec.rapid_layout import (
     WHOLE,
 )
 from terrainwave.codec.rapid_magnitude import MOST_ERROR
-from terrainwave.coding.jit import inlined_kernel, kernel_part
+from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.coding.rans import N_STATES, decode_row, decode_symbol
 
 # Symbols: an escape, then the upper parts of details, -30 … 31.
@@ -64,8 +64,28 @@ def low_bits(context):
     return max((context >> 3) - _LAST_WITHOUT, 0)
 
 
+@kernel
+def code_details(m, at, n, to, is_encoding, has_void, scale, s):
+    """Encode or decode the `n` samples of a row from column `at` on; heights go to place `to`.
+
+    When encoding, `GOAL` holds what to approximate. With `has_void`, `VALID` says which samples
+    have a symbol.
+    """
+    if is_encoding:
+        _quantize(m, at, n, has_void, scale)
+        _log_symbols(m, at, n, has_void, s.places, s.freqs, s.contexts_log, s.symbols_log)
+    else:
+        _read_symbols(
+            m, at, n, has_void, s.places, s.slots, s.words, s.n_words, s.states, s.n_states
+        )
+    if _needs_raw(m, at, n):
+        most = np.int64(scale.most_detail)
+        _code_raw(m, at, n, is_encoding, has_void, most, s.places, s.raw, s.n_bits)
+    _fill_heights(m, at, n, to, scale)
+
+
 @kernel_part
-def read_symbols(m, at, n, has_void, places, slots, words, n_words, states, n_states):
+def _read_symbols(m, at, n, has_void, places, slots, words, n_words, states, n_states):
     """Decode `SYMBOL`, and `DETAIL` but for raw bits."""
     start, count = min(places[WORD_POS], n_words), places[COUNT]
     end = start
@@ -91,7 +111,7 @@ def read_symbols(m, at, n, has_void, places, slots, words, n_words, states, n_st
 
 
 @kernel_part
-def quantize(m, at, n, has_void, scale):
+def _quantize(m, at, n, has_void, scale):
     """Fill `DETAIL` from `GOAL`."""
     cast = m.dtype.type
     if has_void:
@@ -109,7 +129,7 @@ def quantize(m, at, n, has_void, scale):
 
 
 @kernel_part
-def log_symbols(m, at, n, has_void, places, freqs, contexts_log, symbols_log):
+def _log_symbols(m, at, n, has_void, places, freqs, contexts_log, symbols_log):
     """Fill `SYMBOL` from `DETAIL`, and log the symbols."""
     cast = m.dtype.type
     count = places[COUNT]
@@ -128,7 +148,7 @@ def log_symbols(m, at, n, has_void, places, freqs, contexts_log, symbols_log):
 
 
 @kernel_part
-def needs_raw(m, at, n):
+def _needs_raw(m, at, n):
     """Return whether a row has raw bits: a context with low bits, or an escape."""
     most, least = m[CONTEXT + at], m[SYMBOL + at]
     for j in range(n):
@@ -138,7 +158,7 @@ def needs_raw(m, at, n):
 
 
 @kernel_part
-def code_raw(m, at, n, is_encoding, has_void, most, places, raw, n_bits):
+def _code_raw(m, at, n, is_encoding, has_void, most, places, raw, n_bits):
     """Write or read the raw bits of a row and complete `DETAIL`, at most `most` in size."""
     cast = m.dtype.type
     start = min(places[BIT_POS], n_bits)
@@ -165,7 +185,7 @@ def code_raw(m, at, n, is_encoding, has_void, most, places, raw, n_bits):
 
 
 @kernel_part
-def fill_heights(m, at, n, to, scale):
+def _fill_heights(m, at, n, to, scale):
     """Fill heights from place `to` on, from predictions and details."""
     cast = m.dtype.type
     step, low, high = cast(scale.step), cast(scale.low), cast(scale.high)

@@ -9,24 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from terrainwave.codec.lattice import HH, HL, LH
-from terrainwave.codec.rapid_border import (
-    MOST_CORNERS,
-    START,
-    STEP,
-    prepare_corners,
-    prepare_even,
-    prepare_odd,
-)
+from terrainwave.codec.rapid_border import MOST_CORNERS, prepare_shared
 from terrainwave.codec.rapid_code import (
     BIT_POS,
-    code_raw,
-    fill_heights,
-    log_symbols,
-    needs_raw,
+    code_details,
     note_errors,
-    quantize,
     read_bits,
-    read_symbols,
     write_bits,
 )
 from terrainwave.codec.rapid_layout import (
@@ -38,25 +26,25 @@ from terrainwave.codec.rapid_layout import (
     RESULT,
     ROWS_ABOVE,
     ROWS_BELOW,
+    STRIDE,
     VALID,
     place,
 )
-from terrainwave.codec.rapid_magnitude import expect, fill_contexts, round_predictions
+from terrainwave.codec.rapid_magnitude import fill_contexts
 from terrainwave.codec.rapid_rows import (
     copy_row,
-    corner,
     fill_bends,
     fill_means,
     keep_latest_rows,
     load_coarse_row,
-    look_around,
+    predict_row,
     store_rows,
     surround,
-    weigh_taps,
 )
 from terrainwave.coding.jit import kernel, kernel_part
 
 _A, _BEND_ROW = place(0, 0, 0), place(7, 0, 0)
+_STRIDE = np.uint64(STRIDE)
 _LEFT, _BOTH = np.uint64(PAD), np.uint64(2 * PAD)
 _FIRST_LOADED = -3  # row of plane A that the first rows read
 # Rows of HH, HL and LH are coded in turns; so many turns before the first one, rows are loaded, and
@@ -106,118 +94,81 @@ def code_rows(
     -----
     One loop over rows of all kinds, so that each part of the work is compiled once.
     """
-    m, reals, bits_of_reals = workspace
-    places, slots, words, n_words, states = s.places, s.slots, s.words, s.n_words, s.states
-    n_states, raw, n_bits, freqs = s.n_states, s.raw, s.n_bits, s.freqs
-    contexts_log, symbols_log = s.contexts_log, s.symbols_log
+    m = workspace.m
     n_rows, n_cols = shape
     n_corner_rows = (corners.shape[0] + MOST_CORNERS - 1) // MOST_CORNERS
     n_before = n_corner_rows + 2 * lines.shape[0]
     n_turns = ((n_rows + 1) >> 1) + _TURNS_BEFORE + _TURNS_AFTER
     base = np.int64(_FIRST_LOADED)
     for index in range(n_before + 3 * n_turns):
-        t = np.int64(0)
-        plane, row, n_own_rows = np.int64(ON_LINE), np.int64(0), np.int64(0)
-        start, step, first = np.int64(0), np.int64(1), np.int64(0)
-        col, lattice_row = np.int64(0), np.int64(0)
-        own, is_corner = RESULT, index < n_corner_rows
-        if is_corner:
-            start = index * MOST_CORNERS
-            stop = prepare_corners(m, source, corners, start, origin, scale)
-        elif index < n_before:
-            line = (index - n_corner_rows) >> 1
-            step = 2 * lines[line, STEP]
-            if (index - n_corner_rows) & 1:
-                skipped, stop = prepare_odd(m, out, lines, line, origin, scale)
-                start = lines[line, START] + skipped * step + lines[line, STEP]
-            else:
-                skipped, stop = prepare_even(m, out, source, lines, line, origin, scale)
-                start = lines[line, START] + skipped * step
-        else:
-            t, plane = (index - n_before) // 3 - _TURNS_BEFORE, HH + (index - n_before) % 3
+        is_lattice, is_corner = index >= n_before, index < n_corner_rows
+        t = (index - n_before) // 3 - _TURNS_BEFORE
+        plane = HH + (index - n_before) % 3 if is_lattice else ON_LINE
+        row = t + HH - plane
+        n_own_rows = (n_rows + 1) >> 1 if plane == HL else n_rows >> 1
+        col, lattice_row = np.int64(plane != LH), 2 * row + np.int64(plane != HL)
+        if is_lattice:
             if plane == HH:
-                base = _advance(m, t, base, out, source, grid, coarse, shape, origin, scale)
-            row = t + HH - plane
-            n_own_rows = (n_rows + 1) >> 1 if plane == HL else n_rows >> 1
-            col = np.int64(plane != LH)
-            stop = (n_cols + 1 - col) >> 1
+                base = advance(m, t, base, out, source, grid, coarse, shape, origin, scale)
             if row < 0 or row >= n_own_rows:
-                stop = np.int64(0)
-            lattice_row = 2 * row + np.int64(plane != HL)
+                continue
             start = grid.start + lattice_row * grid.row_step + col * grid.col_step
-            step = np.int64(2 * grid.col_step)
+            step, stop = 2 * grid.col_step, (n_cols + 1 - col) >> 1
+        else:
+            start, step, stop = prepare_shared(m, out, source, corners, lines, index, origin, scale)
         if stop <= 0:
             continue
-        n = np.uint64(stop)
-        if plane != ON_LINE:
-            at = corner(row, base)
-            weigh_taps(m, at, n, plane)
-            look_around(m, at, n, plane)
+        n, first, own = np.uint64(stop), np.int64(0), RESULT
+        if is_lattice:
+            at = np.uint64(row - base) * _STRIDE
+            predict_row(m, at, n, plane)
             own = at + np.uint64(plane * PLANE) + _A
-            first = (known.left + 1 - col) >> 1
-            stop -= (known.right + 1 - ((n_cols - 1 - col) & 1)) >> 1
+            first = min((known.left + 1 - col) >> 1, stop)
+            stop = max(stop - ((known.right + 1 - ((n_cols - 1 - col) & 1)) >> 1), first)
             if lattice_row < known.top or lattice_row >= n_rows - known.bottom:
                 first = stop = np.int64(n)
-            first = min(first, np.int64(n))
-            stop = max(stop, first)
             _load_known(m, own, out, start, step, origin, first, stop, np.int64(n), scale)
-        expect(m, n, plane, scale)
-        round_predictions(m, n, scale)
-        fill_contexts(m, reals, bits_of_reals, n, scale)
+        fill_contexts(m, workspace.reals, workspace.bits_of_reals, n, plane, scale)
+        if is_encoding or has_void:
+            for j in range(first, stop):
+                k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
+                if is_encoding:
+                    m[GOAL + np.uint64(j)] = np.int64(goal[k]) - origin
+                if has_void:
+                    m[VALID + np.uint64(j)] = valid[k]
         if stop > first:
-            if is_encoding or has_void:
-                for j in range(first, stop):
-                    k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
-                    if is_encoding:
-                        m[GOAL + np.uint64(j)] = np.int64(goal[k]) - origin
-                    if has_void:
-                        m[VALID + np.uint64(j)] = valid[k]
-            skipped_here, n_here = np.uint64(first), np.uint64(stop - first)
-            if is_encoding:
-                quantize(m, skipped_here, n_here, has_void, scale)
-                log_symbols(
-                    m, skipped_here, n_here, has_void, places, freqs, contexts_log, symbols_log
-                )
-            else:
-                read_symbols(
-                    m, skipped_here, n_here, has_void, places, slots, words, n_words, states,
-                    n_states,
-                )  # fmt: skip
-            if needs_raw(m, skipped_here, n_here):
-                code_raw(
-                    m, skipped_here, n_here, is_encoding, has_void, np.int64(scale.most_detail),
-                    places, raw, n_bits,
-                )  # fmt: skip
-            fill_heights(m, skipped_here, n_here, own, scale)
-        if plane != ON_LINE:
-            note_errors(m, n, own, scale)
-            surround(m, own, row, n_own_rows, n)
+            code_details(
+                m, np.uint64(first), np.uint64(stop - first), own, is_encoding, has_void, scale, s
+            )
+        if is_lattice:
+            make_readable(m, own, row, n_own_rows, n, scale)
         else:
             for j in range(stop):
-                k = corners[start + j, 0] if is_corner else start + j * step
-                out[np.uint64(k)] = m[RESULT + np.uint64(j)] + origin
+                k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
+                out[k] = m[RESULT + np.uint64(j)] + origin
 
 
-@kernel_part
-def _advance(m, t, base, out, source, grid, coarse, shape, origin, scale):
+@kernel
+def advance(m, t, base, out, source, grid, coarse, shape, origin, scale):
     """Store what is complete and load what row `t` of HH needs; return the new `base`."""
     n_rows, n_cols = shape
     n_even, n_even_cols = (n_rows + 1) >> 1, np.uint64((n_cols + 1) >> 1)
-    if 0 <= t - _TURNS_AFTER < n_even:
-        stored = t - _TURNS_AFTER
-        store_rows(m, corner(stored, base), stored, out, grid, origin, shape)
+    stored = t - _TURNS_AFTER
+    if 0 <= stored < n_even:
+        store_rows(m, np.uint64(stored - base) * _STRIDE, stored, out, grid, origin, shape)
     if t - base + ROWS_ABOVE + ROWS_BELOW >= N_ROWS:
         keep_latest_rows(m, t - base - 2, n_even_cols + _BOTH)
         base = t - 2
+    here = np.uint64(t - base) * _STRIDE
     if t < n_even + 2:
-        load_coarse_row(m, corner(t + 3, base) + _A, t + 3, source, coarse, origin, shape, scale)
+        to = here + np.uint64(3) * _STRIDE + _A
+        load_coarse_row(m, to, t + 3, source, coarse, origin, shape, scale)
     if t >= -1:
         if t + 1 < n_even:
-            at = corner(t + 1, base)
-            fill_bends(m, at, n_even_cols, scale.range_shift, scale.most_range)
+            fill_bends(m, here + _STRIDE, n_even_cols, scale.range_shift, scale.most_range)
         elif t + 1 == n_even:
-            bends = corner(t, base) + _BEND_ROW - _LEFT
-            copy_row(m, bends, corner(t + 1, base) + _BEND_ROW - _LEFT, n_even_cols + _BOTH)
+            bends = here + _BEND_ROW - _LEFT
+            copy_row(m, bends, bends + _STRIDE, n_even_cols + _BOTH)
     if t == -1 or (min(n_rows, n_cols) == 1 and t >= -4):
         for plane in range(HH, LH + 1):
             # Planes without samples are filled for those who read them; of others the row above.
@@ -225,9 +176,16 @@ def _advance(m, t, base, out, source, grid, coarse, shape, origin, scale):
             n = n_even_cols if plane == LH else np.uint64(max(n_cols >> 1, 1))
             if is_empty or t == -1:
                 from_row, to_row = (t + 2, t + 2) if is_empty else (0, -1)
-                to = corner(to_row, base) + np.uint64(plane * PLANE) + _A
-                fill_means(m, corner(from_row, base), to, plane, n)
+                to = np.uint64(to_row - base) * _STRIDE + np.uint64(plane * PLANE) + _A
+                fill_means(m, np.uint64(from_row - base) * _STRIDE, to, plane, n)
     return base
+
+
+@kernel
+def make_readable(m, own, row, n_rows, n, scale):
+    """Note the errors of a row that has been coded; make it readable around."""
+    note_errors(m, n, own, scale)
+    surround(m, own, row, n_rows, n)
 
 
 @kernel_part

@@ -30,7 +30,7 @@ from terrainwave.codec.rapid_layout import (
     WHOLE,
     Scale,
 )
-from terrainwave.coding.jit import kernel_part
+from terrainwave.coding.jit import kernel, kernel_part
 
 N_BINS, N_SIDES = 44, 4
 N_CONTEXTS = N_BINS * N_SIDES
@@ -75,8 +75,16 @@ def scaled_features(weights: NDArray[np.int64], scale: Scale) -> NDArray[np.int6
     return (((weights << shifts) // units) + 128) >> 8
 
 
+@kernel
+def fill_contexts(m, reals, bits_of_reals, n, plane, scale):
+    """Fill `CONTEXT`, and what it takes: `EXPECTED`, `WHOLE`, `SIDE`; clamp `PREDICTED`."""
+    _expect(m, n, plane, scale)
+    _round_predictions(m, n, scale)
+    _fill_contexts(m, reals, bits_of_reals, n, scale)
+
+
 @kernel_part
-def expect(m, n, plane, scale):
+def _expect(m, n, plane, scale):
     """Complete `EXPECTED` with the features that need nothing coded before: const, range, twist."""
     cast, shift, most = m.dtype.type, scale.range_shift, m.dtype.type(scale.most_range)
     w = WEIGHTS[plane] + _OWN_WEIGHTS
@@ -89,7 +97,7 @@ def expect(m, n, plane, scale):
 
 
 @kernel_part
-def round_predictions(m, n, scale):
+def _round_predictions(m, n, scale):
     """Clamp `PREDICTED` to the core's range; fill `WHOLE` and `SIDE`."""
     cast = m.dtype.type
     for j in range(n):
@@ -106,7 +114,7 @@ def round_predictions(m, n, scale):
 
 
 @kernel_part
-def fill_contexts(m, reals, bits_of_reals, n, scale):
+def _fill_contexts(m, reals, bits_of_reals, n, scale):
     """Fill `CONTEXT` from `EXPECTED` and `SIDE`.
 
     Bins are half octaves. float32 holds the upper bits of the expected magnitude exactly, so that

@@ -29,7 +29,7 @@ from terrainwave.codec.rapid_layout import (
     WEIGHTS,
     place,
 )
-from terrainwave.coding.jit import kernel_part
+from terrainwave.coding.jit import kernel, kernel_part
 
 _A, _BENDS = place(A, 0, 0), place(BENDS, 0, 0)
 _HH, _HL, _LH = place(HH, 0, 0), place(HL, 0, 0), place(LH, 0, 0)
@@ -41,12 +41,6 @@ TO_ERRORS = np.uint64(ERRORS * PLANE)
 # The row of LH is two behind, and stored one later; its neighbourhood is as high as any.
 _KEPT_ROWS = 2 + ROWS_ABOVE + 1 + ROWS_BELOW
 _GROUP = np.uint64(TAPS_AT_ONCE)
-
-
-@kernel_part
-def corner(row, base):
-    """Return the corner of the neighbourhood of a plane's row."""
-    return np.uint64(row - base) * _STRIDE
 
 
 @kernel_part
@@ -143,8 +137,15 @@ def surround(m, own, row, n_rows, n):
                 copy_row(m, left, to, n + _U8)
 
 
+@kernel
+def predict_row(m, at, n, plane):
+    """Fill `PREDICTED`, in 1/64 quanta, and what is seen of the core; start `EXPECTED`."""
+    _weigh_taps(m, at, n, plane)
+    _look_around(m, at, n, plane)
+
+
 @kernel_part
-def weigh_taps(m, at, n, plane):
+def _weigh_taps(m, at, n, plane):
     """Fill `PREDICTED`, in 1/4096 quanta, and start `EXPECTED`: weighted sums of a row's taps.
 
     As many taps at once as weights stay in registers.
@@ -178,7 +179,7 @@ def weigh_taps(m, at, n, plane):
 
 
 @kernel_part
-def look_around(m, at, n, plane):
+def _look_around(m, at, n, plane):
     """Fill `LEAST`, `MOST`, `SUM` and `TWIST` from the core; bring `PREDICTED` to 1/64 quanta."""
     cast = m.dtype.type
     a0, b0 = at + CORE_PLACES[plane, 0], at + CORE_PLACES[plane, 1]
