@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.rapid_border import code_shared, plan_lines
+from terrainwave.codec.lattice import HH
+from terrainwave.codec.rapid_border import plan_lines
 from terrainwave.codec.rapid_code import (
     BIT_POS,
     COUNT,
@@ -27,10 +28,16 @@ from terrainwave.codec.rapid_lattice import (
     Grid2,
     Known,
     code_corners,
-    code_lattice,
-    load_weights,
+    code_rows,
 )
-from terrainwave.codec.rapid_layout import MAX_COLS, Scale, Workspace, new_workspace
+from terrainwave.codec.rapid_layout import (
+    MAX_COLS,
+    WEIGHTS,
+    Scale,
+    Workspace,
+    arranged_weights,
+    new_workspace,
+)
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS, scale_of, scaled_features
 from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_parameters
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
@@ -43,7 +50,9 @@ _WIDE, _SINGLE = 1, 2
 # Units of fewer samples have one state instead of eight: 28 bytes less.
 _MANY_SAMPLES = 1 << 14
 _NONE_KNOWN = Known(0, 0, 0, 0)
+_NO_GOAL = np.zeros(1, dtype=np.int32)
 _NO_LOG = np.zeros(1, dtype=np.uint8)
+_NONE_SHARED = np.zeros((0, 5), dtype=np.int64), np.zeros((0, 9), dtype=np.int64)
 _NO_FREQS = np.zeros((1, 1), dtype=np.uint32)
 # For counting: no symbol is impossible yet.
 _ANY_SYMBOL = np.ones((N_CONTEXTS, N_SYMBOLS), dtype=np.uint32)
@@ -72,7 +81,8 @@ class _Unit(NamedTuple):
     """A unit as kernels see it."""
 
     spec: GroupSpec
-    goal: NDArray[np.int32] | None
+    is_encoding: bool
+    goal: NDArray[np.int32]
     valid: NDArray[np.bool_]
     has_void: bool
     out: NDArray[np.int32]
@@ -90,6 +100,8 @@ class Rapid:
     def __init__(self, parameters: bytes = b"") -> None:
         self.parameters = parameters
         self._tables = parse_parameters(parameters)
+        # By class and step, as kernels want them.
+        self._weights: dict[tuple[int, int], NDArray[np.int64]] = {}
 
     @classmethod
     def with_tables(cls, tables: Tables) -> "Rapid":
@@ -258,7 +270,8 @@ class Rapid:
             low, high = max(low, -limit), min(high, limit)
         unit = _Unit(
             spec=spec,
-            goal=None if target is None else target.ravel(),
+            is_encoding=target is not None,
+            goal=_NO_GOAL if target is None else target.ravel(),
             valid=mask.ravel(),
             has_void=not mask.all(),
             out=np.zeros(spec.region.shape[0] * spec.region.shape[1], dtype=np.int32),
@@ -276,19 +289,12 @@ class Rapid:
     def _code_group(self, unit: _Unit, parent: Heights) -> None:
         spec = unit.spec
         assert spec.parent_region is not None
-        flat = parent.ravel()
-        self._load_weights(unit, 1)
-        corners, lines = plan_lines(spec)
-        code_shared(
-            unit.goal, unit.valid, unit.has_void, unit.out, flat, corners, lines, unit.origin,
-            unit.workspace, unit.scale, unit.streams,
-        )  # fmt: skip
         row = (spec.core.row >> 1) - spec.parent_region.row
         col = (spec.core.col >> 1) - spec.parent_region.col
         coarse = Grid2(row * parent.shape[1] + col, parent.shape[1], 1)
         rings = 1 + (spec.rings >> 1)
         known = Known(*(rings if is_shared else 0 for is_shared in spec.shared))
-        self._code_lattice(unit, 1, flat, coarse, known)
+        self._code_rows(unit, 1, parent.ravel(), coarse, known, plan_lines(spec))
 
     def _code_root(self, unit: _Unit) -> None:
         """Code the corners on a fixed grid, then lattices of half the stride each."""
@@ -296,12 +302,11 @@ class Rapid:
         stride = 1
         while stride < max(n_rows, n_cols) - 1:
             stride *= 2
-        self._load_weights(unit, stride)
         pitch = unit.spec.region.shape[1]
         first = _first(unit.spec)
         scale = unit.scale
         code_corners(
-            unit.goal, unit.valid, unit.has_void, unit.out,
+            unit.is_encoding, unit.has_void, unit.goal, unit.valid, unit.out,
             Grid2(first, stride * pitch, stride),
             ((n_rows - 1) // stride + 1, (n_cols - 1) // stride + 1), unit.origin,
             ((scale.high - scale.low) // scale.step).bit_length(), scale, unit.streams,
@@ -309,27 +314,32 @@ class Rapid:
         while stride > 1:
             stride >>= 1
             coarse = Grid2(first, 2 * stride * pitch, 2 * stride)
-            self._load_weights(unit, stride)
-            self._code_lattice(unit, stride, unit.out, coarse, _NONE_KNOWN)
+            self._code_rows(unit, stride, unit.out, coarse, _NONE_KNOWN, _NONE_SHARED)
 
     def _load_weights(self, unit: _Unit, stride: int) -> None:
         """Take the weights of the level that has a unit's samples on every `stride`-th row."""
         depth = self._tables.k_max - unit.spec.level + stride.bit_length() - 1
         which = min(max(depth, 0), len(self._tables.stencils) - 1)
-        features = scaled_features(self._tables.features[which], unit.scale)
-        load_weights(unit.workspace.m, self._tables.stencils[which], features)
+        key = which, unit.scale.step
+        if key not in self._weights:
+            features = scaled_features(self._tables.features[which], unit.scale)
+            self._weights[key] = arranged_weights(self._tables.stencils[which], features)
+        first = int(WEIGHTS[HH])
+        unit.workspace.m[first : first + len(self._weights[key])] = self._weights[key]
 
-    def _code_lattice(
-        self, unit: _Unit, stride: int, source: Heights, coarse: Grid2, known: Known
-    ) -> None:
+    def _code_rows(
+        self, unit: _Unit, stride: int, source: Heights, coarse: Grid2, known: Known,
+        shared: tuple[NDArray[np.int64], NDArray[np.int64]],
+    ) -> None:  # fmt: skip
         spec = unit.spec
         n_rows, n_cols = ((n - 1) // stride + 1 for n in spec.core.shape)
         assert n_cols <= 2 * MAX_COLS
+        self._load_weights(unit, stride)
         pitch = spec.region.shape[1]
-        code_lattice(
-            unit.goal, unit.valid, unit.has_void, unit.out,
-            Grid2(_first(spec), stride * pitch, stride), source, coarse, unit.origin,
-            (n_rows, n_cols), known, unit.workspace, unit.scale, unit.streams,
+        code_rows(
+            unit.is_encoding, unit.has_void, unit.goal, unit.valid, unit.out, source, *shared,
+            Grid2(_first(spec), stride * pitch, stride), coarse, (n_rows, n_cols), known,
+            unit.origin, unit.workspace, unit.scale, unit.streams,
         )  # fmt: skip
 
 

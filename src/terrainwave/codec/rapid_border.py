@@ -10,21 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.border import plan_border
-from terrainwave.codec.rapid_code import code_span
 from terrainwave.codec.rapid_layout import (
-    GOAL,
+    EXPECTED,
     LEAST,
     LINE,
     MOST,
     PREDICTED,
-    RESULT,
     SUM,
     TWIST,
-    VALID,
 )
-from terrainwave.codec.rapid_magnitude import expect_on_line, fill_contexts, round_predictions
 from terrainwave.codec.refiner import GroupSpec, Sides
-from terrainwave.coding.jit import inlined_kernel, kernel
+from terrainwave.coding.jit import kernel, kernel_part
 from terrainwave.grid.quadtree import Region
 
 # Fields of a line in `Plan`: place of its first sample and step in the region; samples; those coded
@@ -34,7 +30,7 @@ START, STEP, LENGTH, FIRST, STOP, BEFORE, AFTER, PARENT_STEP, INHERITED = range(
 # Fields of a corner: its place in the region, then the four parent samples around.
 _N_AROUND = 4
 # Corners are coded in rows of so many.
-_MOST_CORNERS = 64
+MOST_CORNERS = 64
 _U1, _U2 = np.uint64(1), np.uint64(2)
 
 
@@ -105,136 +101,117 @@ def _plan(
 
 
 @kernel
-def code_shared(goal, valid, has_void, out, parent, corners, lines, origin, workspace, scale, s):
-    """Encode or decode (`goal` None) all shared samples of a group into `out`.
+def prepare_shared(m, out, parent, corners, lines, index, origin, scale):
+    """Predict a row of shared samples; return its first place in `out`, the step, and how many.
 
-    `goal`, `valid`, `out` and `parent` are flat; `corners` and `lines` are of `plan_lines`.
+    Parameters
+    ----------
+    out, parent : ndarray of int32, flat
+        Region and parent.
+    corners, lines : ndarray of int64
+        As `plan_lines` returns them.
+    index : int
+        First come rows of corner samples, whose places are in `corners` from the returned one on;
+        then of each line its even samples, 0 if they are the parent's, and its odd ones.
     """
-    for first in range(0, corners.shape[0], _MOST_CORNERS):
-        n = min(corners.shape[0] - first, _MOST_CORNERS)
-        _code_corners(
-            goal, valid, has_void, out, parent, corners, first, n, origin, workspace, scale, s
-        )
-    for line in range(lines.shape[0]):
-        _code_line(goal, valid, has_void, out, parent, lines, line, origin, workspace, scale, s)
+    n_corner_rows = (corners.shape[0] + MOST_CORNERS - 1) // MOST_CORNERS
+    if index < n_corner_rows:
+        first = np.int64(index * MOST_CORNERS)
+        n = min(corners.shape[0] - first, MOST_CORNERS)
+        _predict_corners(m, parent, corners, first, n, origin, scale)
+        return first, np.int64(1), n
+    line, is_odd = (index - n_corner_rows) >> 1, (index - n_corner_rows) & 1
+    start, step = lines[line, START], lines[line, STEP]
+    first, stop = lines[line, FIRST], lines[line, STOP]
+    skipped = (first + 1 - is_odd) >> 1
+    n = ((stop + 1 - is_odd) >> 1) - skipped
+    _load_line(m, out, parent, lines, line, is_odd, origin, scale)
+    if is_odd:
+        _predict_odd(m, skipped, n)
+    elif lines[line, INHERITED]:
+        n = np.int64(0)
+    else:
+        _predict_even(m, parent, lines, line, skipped, n, origin, scale)
+    return start + (2 * skipped + is_odd) * step, 2 * step, n
 
 
-@inlined_kernel
-def _clamped(height, origin, m, scale):
-    """Return a height of the region or the parent as the workspace has it."""
-    return m.dtype.type(min(max(np.int64(height) - origin, scale.low), scale.high))
-
-
-@kernel
-def _code_corners(
-    goal, valid, has_void, out, parent, corners, first, n, origin, workspace, scale, s
-):
-    """Code samples where lines cross, each from the parent's four around it."""
-    m = workspace.m
+@kernel_part
+def _predict_corners(m, parent, corners, first, n, origin, scale):
+    """Predict a row of samples where lines cross, each from the parent's four."""
     cast = m.dtype.type
     for j in range(n):
         k = np.uint64(j)
-        a = _clamped(parent[corners[first + j, 1]], origin, m, scale)
-        b = _clamped(parent[corners[first + j, 2]], origin, m, scale)
-        c = _clamped(parent[corners[first + j, 3]], origin, m, scale)
-        d = _clamped(parent[corners[first + j, 4]], origin, m, scale)
-        m[k + LEAST], m[k + MOST] = min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
-        m[k + SUM] = cast(a + b + c + d)
-        m[k + PREDICTED] = cast(16 * m[k + SUM])
-        m[k + TWIST] = abs(cast(a - b - c + d))
-        if goal is not None:
-            m[k + GOAL] = np.int64(goal[corners[first + j, 0]]) - origin
-        m[k + VALID] = valid[corners[first + j, 0]] if has_void else 1
-    _code_prepared(goal, n, has_void, workspace, scale, s)
-    for j in range(n):
-        out[corners[first + j, 0]] = m[RESULT + np.uint64(j)] + origin
+        least, most = np.int64(scale.high), np.int64(scale.low)
+        total = twist = np.int64(0)
+        for corner in range(_N_AROUND):
+            height = np.int64(parent[corners[first + j, 1 + corner]]) - origin
+            height = min(max(height, scale.low), scale.high)
+            least, most = min(least, height), max(most, height)
+            total += height
+            twist += height if corner == 0 or corner == _N_AROUND - 1 else -height
+        m[LEAST + k], m[MOST + k] = least, most
+        m[SUM + k], m[PREDICTED + k] = total, 16 * total
+        m[TWIST + k] = abs(cast(twist))
+        m[EXPECTED + k] = 0
 
 
-@kernel
-def _code_prepared(goal, n, has_void, workspace, scale, s):
-    """Code `n` samples that have been predicted into `RESULT`."""
-    m = workspace.m
-    expect_on_line(m, n, scale)
-    round_predictions(m, n, scale)
-    fill_contexts(m, workspace.reals, workspace.bits_of_reals, n, scale)
-    first = np.int64(0)
-    code_span(goal, m, first, n, RESULT, has_void, scale, s)
+@kernel_part
+def _load_line(m, out, parent, lines, line, is_odd, origin, scale):
+    """Fill `LINE` with a line's even samples, or twice their predictions before they are coded.
 
-
-@kernel
-def _code_line(goal, valid, has_void, out, parent, lines, line, origin, workspace, scale, s):
-    """Code a line: even samples from the two parent lines, where they aren't one; then odd ones."""
-    m = workspace.m
-    cast = m.dtype.type
-    start, step, n = lines[line, START], lines[line, STEP], lines[line, LENGTH]
+    Those that are the parent's go to `out`.
+    """
+    start, step = lines[line, START], 2 * lines[line, STEP]
     first, stop = lines[line, FIRST], lines[line, STOP]
     before, after = lines[line, BEFORE], lines[line, AFTER]
     parent_step = lines[line, PARENT_STEP]
-    n_even = (n + 1) >> 1
-    if lines[line, INHERITED] == 0:
-        # Predictions in `LINE`, then only those to code.
-        for j in range(n_even):
-            a = _clamped(parent[before + j * parent_step], origin, m, scale)
-            b = _clamped(parent[after + j * parent_step], origin, m, scale)
-            m[LINE + np.uint64(j)] = cast(a + b)
-        _mirror_line(m, n_even)
-        skipped = (first + 1) >> 1
-        for j in range(skipped, (stop + 1) >> 1):
-            k, at = np.uint64(j - skipped), LINE + np.uint64(j)
-            a = _clamped(parent[before + j * parent_step], origin, m, scale)
-            b = _clamped(parent[after + j * parent_step], origin, m, scale)
-            m[k + LEAST], m[k + MOST] = min(a, b), max(a, b)
-            m[k + SUM] = cast(2 * m[at])
-            m[k + PREDICTED] = cast(32 * m[at])
-            m[k + TWIST] = abs(cast(m[at - _U1] - 2 * m[at] + m[at + _U1]))
-        _code_places(
-            goal, valid, has_void, out, start + 2 * skipped * step, 2 * step,
-            ((stop + 1) >> 1) - skipped, origin, workspace, scale, s,
-        )  # fmt: skip
-        for j in range(n_even):
-            m[LINE + np.uint64(j)] = _clamped(out[start + 2 * j * step], origin, m, scale)
-    else:
-        for j in range(n_even):
-            height = parent[before + j * parent_step]
-            m[LINE + np.uint64(j)] = _clamped(height, origin, m, scale)
+    is_inherited = lines[line, INHERITED] != 0
+    n = (lines[line, LENGTH] + 1) >> 1
+    for j in range(n):
+        is_coded = is_odd and not is_inherited
+        height = out[start + j * step] if is_coded else parent[before + j * parent_step]
+        value = min(max(np.int64(height) - origin, scale.low), scale.high)
+        if is_inherited:
             if first <= 2 * j < stop:
-                out[start + 2 * j * step] = height
-    _mirror_line(m, n_even)
-    skipped = first >> 1
-    for j in range(skipped, stop >> 1):
-        k, at = np.uint64(j - skipped), LINE + np.uint64(j)
-        a, b, c, d = m[at - _U1], m[at], m[at + _U1], m[at + _U2]
-        # The range of all four: a line may pass between two of them above or below both.
-        m[k + LEAST], m[k + MOST] = min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
-        m[k + SUM] = cast(2 * (b + c))
-        m[k + PREDICTED] = cast(4 * (9 * (b + c) - a - d))
-        m[k + TWIST] = abs(cast(a - b - c + d))
-    _code_places(
-        goal, valid, has_void, out, start + (2 * skipped + 1) * step, 2 * step,
-        (stop >> 1) - skipped, origin, workspace, scale, s,
-    )  # fmt: skip
-
-
-@inlined_kernel
-def _mirror_line(m, n):
-    """Make `LINE` readable beside its first and last sample."""
+                out[start + j * step] = height
+        elif not is_odd:
+            other = np.int64(parent[after + j * parent_step]) - origin
+            value += min(max(other, scale.low), scale.high)
+        m[LINE + np.uint64(j)] = value
     m[LINE - _U1] = m[LINE + np.uint64(min(1, n - 1))]
     before_last = m[LINE + np.uint64(max(n - 2, 0))]
     m[LINE + np.uint64(n)] = before_last
     m[LINE + np.uint64(n + 1)] = m[LINE + np.uint64(max(n - 3, 0))]
 
 
-@kernel
-def _code_places(goal, valid, has_void, out, start, step, n, origin, workspace, scale, s):
-    """Code `n` predicted samples that lie at every `step`-th place of `out` from `start` on."""
-    m = workspace.m
-    if n <= 0:
-        return
-    if goal is not None:
-        for j in range(n):
-            m[GOAL + np.uint64(j)] = np.int64(goal[start + j * step]) - origin
+@kernel_part
+def _predict_even(m, parent, lines, line, skipped, n, origin, scale):
+    """Predict a line's even samples from the parent's lines on both sides."""
+    cast = m.dtype.type
+    parent_step = lines[line, PARENT_STEP]
+    before = lines[line, BEFORE] + skipped * parent_step
     for j in range(n):
-        m[VALID + np.uint64(j)] = valid[start + j * step] if has_void else 1
-    _code_prepared(goal, n, has_void, workspace, scale, s)
+        k, at = np.uint64(j), LINE + np.uint64(j + skipped)
+        a = np.int64(parent[before + j * parent_step]) - origin
+        a = min(max(a, scale.low), scale.high)
+        b = m[at] - a
+        m[LEAST + k], m[MOST + k] = min(a, b), max(a, b)
+        m[SUM + k] = 2 * m[at]
+        m[PREDICTED + k] = 32 * m[at]
+        m[TWIST + k] = abs(cast(m[at - _U1] - 2 * m[at] + m[at + _U1]))
+        m[EXPECTED + k] = 0
+
+
+@kernel_part
+def _predict_odd(m, skipped, n):
+    """Predict a line's odd samples from the even ones."""
+    cast = m.dtype.type
     for j in range(n):
-        out[start + j * step] = m[RESULT + np.uint64(j)] + origin
+        k, at = np.uint64(j), LINE + np.uint64(j + skipped)
+        a, b, c, d = m[at - _U1], m[at], m[at + _U1], m[at + _U2]
+        # The range of all four: a line may pass between two of them above or below both.
+        m[LEAST + k], m[MOST + k] = min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
+        m[SUM + k] = 2 * (b + c)
+        m[PREDICTED + k] = 4 * (9 * (b + c) - a - d)
+        m[TWIST + k] = abs(cast(a - b - c + d))
+        m[EXPECTED + k] = 0

@@ -18,8 +18,8 @@ from terrainwave.codec.rapid_layout import (
     VALID,
     WHOLE,
 )
-from terrainwave.codec.rapid_magnitude import MOST_ERROR, N_CONTEXTS
-from terrainwave.coding.jit import inlined_kernel, kernel
+from terrainwave.codec.rapid_magnitude import MOST_ERROR
+from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.coding.rans import N_STATES, decode_row, decode_symbol
 
 # Symbols: an escape, then the upper parts of details, -30 … 31.
@@ -42,8 +42,7 @@ class Streams(NamedTuple):
     """What a unit's symbols and raw bits are read from, or what they are logged in.
 
     Decoding uses `slots`, `words`, `n_words`, `states`, `n_states`; encoding `freqs` and the
-    logs. `n_bits` of
-    raw bits can be there; the arrays have as much to spare as a row may read.
+    logs. `n_bits` of raw bits can be there; the arrays have as much to spare as a row may read.
     """
 
     places: NDArray[np.int64]
@@ -66,151 +65,145 @@ def low_bits(context):
 
 
 @kernel
-def code_span(goal, m, first, stop, to, has_void, scale, s):
-    """Encode or decode samples ``first`` … ``stop - 1`` of a row; their heights go to `to`.
+def code_details(m, at, n, to, is_encoding, has_void, scale, s):
+    """Encode or decode the `n` samples of a row from column `at` on; heights go to place `to`.
 
-    Where `goal` is None symbols are read, else `GOAL` holds what to approximate. With `has_void`,
-    `VALID` says which samples have a symbol.
+    When encoding, `GOAL` holds what to approximate. With `has_void`, `VALID` says which samples
+    have a symbol.
     """
-    n = stop - first
-    if n <= 0:
-        return
-    at = np.uint64(first)
-    if goal is None:
-        _read_symbols(m, at, n, has_void, s)
+    if is_encoding:
+        _quantize(m, at, n, has_void, scale)
+        _log_symbols(m, at, n, has_void, s.places, s.freqs, s.contexts_log, s.symbols_log)
     else:
-        _quantize(m, at, n, has_void, scale, s)
-    cast = m.dtype.type
+        _read_symbols(
+            m, at, n, has_void, s.places, s.slots, s.words, s.n_words, s.states, s.n_states
+        )
     if _needs_raw(m, at, n):
-        _code_raw(goal, m, at, n, has_void, scale, s)
+        most = np.int64(scale.most_detail)
+        _code_raw(m, at, n, is_encoding, has_void, most, s.places, s.raw, s.n_bits)
+    _fill_heights(m, at, n, to, scale)
+
+
+@kernel_part
+def _read_symbols(m, at, n, has_void, places, slots, words, n_words, states, n_states):
+    """Decode `SYMBOL`, and `DETAIL` but for raw bits."""
+    start, count = min(places[WORD_POS], n_words), places[COUNT]
+    end = start
+    if not has_void and n_states == N_STATES:
+        n_symbols = np.int64(n)
+        end = decode_row(
+            m, at + CONTEXT, at + SYMBOL, n_symbols, slots, words, start, states, count
+        )
+        count += n_symbols
+    else:
+        for j in range(n):
+            m[SYMBOL + at + j] = ZERO
+            if not has_void or m[VALID + at + j] != 0:
+                which = count & (n_states - 1)
+                end = np.int64(
+                    decode_symbol(m, at + CONTEXT, at + SYMBOL, j, slots, words, end, states, which)
+                )
+                count += 1
+    places[COUNT] = count
+    places[WORD_POS] += end - start
+    for j in range(n):
+        m[DETAIL + at + j] = m[SYMBOL + at + j] - ZERO
+
+
+@kernel_part
+def _quantize(m, at, n, has_void, scale):
+    """Fill `DETAIL` from `GOAL`."""
+    cast = m.dtype.type
+    if has_void:
+        for j in range(n):
+            k = at + j
+            m[GOAL + k] = m[GOAL + k] if m[VALID + k] != 0 else m[WHOLE + k]
+    half, inverse = scale.step >> 1, 1.0 / scale.step
+    for j in range(n):
+        k = at + j
+        distance = cast(m[GOAL + k] - m[WHOLE + k])
+        # A quotient is at least 0.5 / step away from a whole number: rounding can't matter.
+        size = cast(np.int64((np.float64(abs(distance)) + (half + 0.5)) * inverse))
+        flips = (distance < 0) != (m[SIDE + k] < 0)
+        m[DETAIL + k] = cast(-size) if flips else size
+
+
+@kernel_part
+def _log_symbols(m, at, n, has_void, places, freqs, contexts_log, symbols_log):
+    """Fill `SYMBOL` from `DETAIL`, and log the symbols."""
+    cast = m.dtype.type
+    count = places[COUNT]
+    for j in range(n):
+        k = at + j
+        context = m[CONTEXT + k]
+        upper = cast(m[DETAIL + k] >> cast(low_bits(context)))
+        is_near = (upper > -ZERO) and (upper <= ZERO)
+        symbol = upper + ZERO if is_near else ESCAPE
+        symbol = symbol if (freqs[context, symbol] & _FREQ_MASK) > 0 else ESCAPE
+        m[SYMBOL + k] = symbol
+        if not has_void or m[VALID + k] != 0:
+            contexts_log[count], symbols_log[count] = context, symbol
+            count += 1
+    places[COUNT] = count
+
+
+@kernel_part
+def _needs_raw(m, at, n):
+    """Return whether a row has raw bits: a context with low bits, or an escape."""
+    most, least = m[CONTEXT + at], m[SYMBOL + at]
+    for j in range(n):
+        most = max(most, m[CONTEXT + at + j])
+        least = min(least, m[SYMBOL + at + j])
+    return most >= _FIRST_RAW or least == ESCAPE
+
+
+@kernel_part
+def _code_raw(m, at, n, is_encoding, has_void, most, places, raw, n_bits):
+    """Write or read the raw bits of a row and complete `DETAIL`, at most `most` in size."""
+    cast = m.dtype.type
+    start = min(places[BIT_POS], n_bits)
+    bit_pos = start
+    for j in range(n):
+        k = at + j
+        if has_void and m[VALID + k] == 0:
+            continue
+        is_escape = m[SYMBOL + k] == ESCAPE
+        n_low = np.int64(ESCAPE_BITS) if is_escape else np.int64(low_bits(m[CONTEXT + k]))
+        if n_low == 0:
+            continue
+        if is_encoding:
+            bits = np.int64(m[DETAIL + k]) & ((np.int64(1) << n_low) - 1)
+            write_bits(raw, bit_pos, bits)
+        else:
+            bits = read_bits(raw, bit_pos, n_low)
+            sign = np.int64(1) << (ESCAPE_BITS - 1)
+            upper = np.int64(m[DETAIL + k]) << n_low
+            detail = (bits ^ sign) - sign if is_escape else upper | bits
+            m[DETAIL + k] = cast(min(max(detail, -most), most))
+        bit_pos += n_low
+    places[BIT_POS] += bit_pos - start
+
+
+@kernel_part
+def _fill_heights(m, at, n, to, scale):
+    """Fill heights from place `to` on, from predictions and details."""
+    cast = m.dtype.type
     step, low, high = cast(scale.step), cast(scale.low), cast(scale.high)
     for j in range(n):
-        k = at + np.uint64(j)
-        detail = cast(-m[k + DETAIL]) if m[k + SIDE] < 0 else m[k + DETAIL]
-        height = cast(m[k + WHOLE] + cast(detail * step))
+        k = at + j
+        detail = -m[DETAIL + k] if m[SIDE + k] < 0 else m[DETAIL + k]
+        height = cast(m[WHOLE + k] + cast(detail * step))
         m[to + k] = min(max(height, low), high)
 
 
-@kernel
+@kernel_part
 def note_errors(m, n, own, scale):
     """Fill the errors of a row whose heights begin at `own`."""
     cast, shift = m.dtype.type, scale.error_shift
     to = own + np.uint64(ERRORS * PLANE)
     for j in range(n):
-        k = np.uint64(j)
-        error = cast(abs(cast(64 * m[own + k] - m[k + PREDICTED])))
-        m[to + k] = min(cast(error >> shift), cast(MOST_ERROR))
-
-
-@kernel
-def _read_symbols(m, at, n, has_void, s):
-    """Decode `SYMBOL`, and `DETAIL` but for raw bits."""
-    cast = m.dtype.type
-    start = min(s.places[WORD_POS], s.n_words)
-    count = s.places[COUNT]
-    if not has_void and s.n_states == N_STATES:
-        end = decode_row(m, at + CONTEXT, at + SYMBOL, n, s.slots, s.words, start, s.states, count)
-        s.places[COUNT] = count + n
-    else:
-        end = start
-        for j in range(n):
-            m[at + np.uint64(j) + SYMBOL] = ZERO
-            if not has_void or m[at + np.uint64(j) + VALID] != 0:
-                which = count & (s.n_states - 1)
-                end = np.int64(
-                    decode_symbol(
-                        m, at + CONTEXT, at + SYMBOL, j, s.slots, s.words, end, s.states, which
-                    )
-                )
-                count += 1
-        s.places[COUNT] = count
-    s.places[WORD_POS] += end - start
-    for j in range(n):
-        k = at + np.uint64(j)
-        m[k + DETAIL] = cast(m[k + SYMBOL] - ZERO)
-
-
-@kernel
-def _quantize(m, at, n, has_void, scale, s):
-    """Fill `DETAIL` and `SYMBOL` from `GOAL`; log the symbols."""
-    cast = m.dtype.type
-    if has_void:
-        for j in range(n):
-            k = at + np.uint64(j)
-            m[k + GOAL] = m[k + GOAL] if m[k + VALID] != 0 else m[k + WHOLE]
-    half, inverse = scale.step >> 1, 1.0 / scale.step
-    for j in range(n):
-        k = at + np.uint64(j)
-        distance = cast(m[k + GOAL] - m[k + WHOLE])
-        # A quotient is at least 0.5 / step away from a whole number: rounding can't matter.
-        size = cast(np.int64((np.float64(abs(distance)) + (half + 0.5)) * inverse))
-        flips = (distance < 0) != (m[k + SIDE] < 0)
-        m[k + DETAIL] = cast(-size) if flips else size
-    for j in range(n):
-        k = at + np.uint64(j)
-        upper = cast(m[k + DETAIL] >> cast(low_bits(m[k + CONTEXT])))
-        is_near = (upper > -ZERO) and (upper <= ZERO)
-        symbol = upper + ZERO if is_near else ESCAPE
-        freq = s.freqs[m[k + CONTEXT], symbol] & _FREQ_MASK
-        m[k + SYMBOL] = cast(symbol if freq > 0 else ESCAPE)
-    count = s.places[COUNT]
-    if not has_void:
-        for j in range(n):
-            s.contexts_log[count + j] = m[at + np.uint64(j) + CONTEXT]
-        for j in range(n):
-            s.symbols_log[count + j] = m[at + np.uint64(j) + SYMBOL]
-        s.places[COUNT] = count + n
-        return
-    for j in range(n):
-        k = at + np.uint64(j)
-        if m[k + VALID] != 0:
-            s.contexts_log[count] = m[k + CONTEXT]
-            s.symbols_log[count] = m[k + SYMBOL]
-            count += 1
-    s.places[COUNT] = count
-
-
-@kernel
-def _needs_raw(m, at, n):
-    """Return whether a row has raw bits: a context with low bits, or an escape."""
-    cast = m.dtype.type
-    most, least = cast(0), cast(N_CONTEXTS)
-    for j in range(n):
-        most = max(most, m[at + np.uint64(j) + CONTEXT])
-    for j in range(n):
-        least = min(least, m[at + np.uint64(j) + SYMBOL])
-    return most >= _FIRST_RAW or least == ESCAPE
-
-
-@kernel
-def _code_raw(goal, m, at, n, has_void, scale, s):
-    """Write or read the raw bits of a row and complete `DETAIL`."""
-    cast = m.dtype.type
-    start = min(s.places[BIT_POS], s.n_bits)
-    bit_pos = start
-    most = np.int64(scale.most_detail)
-    for j in range(n):
-        k = at + np.uint64(j)
-        if has_void and m[k + VALID] == 0:
-            continue
-        n_low = np.int64(low_bits(m[k + CONTEXT]))
-        if m[k + SYMBOL] == ESCAPE:
-            n_low = np.int64(ESCAPE_BITS)
-        elif n_low == 0:
-            continue
-        if goal is None:
-            bits = read_bits(s.raw, bit_pos, n_low)
-            if n_low == ESCAPE_BITS:
-                sign = np.int64(1) << (ESCAPE_BITS - 1)
-                detail = (bits ^ sign) - sign
-            else:
-                detail = (np.int64(m[k + DETAIL]) << n_low) | bits
-            m[k + DETAIL] = cast(min(max(detail, -most), most))
-        else:
-            bits = np.int64(m[k + DETAIL]) & ((np.int64(1) << n_low) - 1)
-            write_bits(s.raw, bit_pos, bits)
-        bit_pos += n_low
-    s.places[BIT_POS] += bit_pos - start
+        error = cast(abs(cast(64 * m[own + j] - m[PREDICTED + j])))
+        m[to + j] = min(cast(error >> shift), cast(MOST_ERROR))
 
 
 @inlined_kernel

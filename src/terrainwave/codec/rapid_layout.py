@@ -61,19 +61,12 @@ WORKSPACE_SIZE = _ROW_BUFFERS + _rows.n * STRIDE
 
 MAX_TAPS = 23
 N_FEATURES = 9
-# Weights of stencils and of features, by plane; the first places are not used.
-STENCIL = tuple(np.uint64(int(_weights) + 32 * plane) for plane in range(4))
-FEATURE = tuple(np.uint64(int(_weights) + 128 + 16 * plane) for plane in range(5))
 ON_LINE = 4  # features of lines stand after those of the planes
 
 
 def place(plane: int, row: int, col: int) -> np.uint64:
     """Return where a plane's sample lies, counted from the corner of a row's neighbourhood."""
     return np.uint64(plane * PLANE + (row + ROWS_ABOVE) * STRIDE + col + PAD)
-
-
-def _places(*taps: tuple[int, int, int]) -> tuple[np.uint64, ...]:
-    return tuple(place(*tap) for tap in taps)
 
 
 def _own(plane: int) -> tuple[tuple[int, int, int], ...]:
@@ -105,24 +98,101 @@ CORES = {
     HL: ((A, 0, 0), (A, 0, 1), (HH, -1, 0), (HH, 0, 0)),
     LH: ((A, 0, 0), (A, 1, 0), (HH, 0, -1), (HH, 0, 0)),
 }
-TAPS_HH, TAPS_HL, TAPS_LH = (_places(*TAPS[plane]) for plane in (HH, HL, LH))
-CORE_HH, CORE_HL, CORE_LH = (_places(*CORES[plane]) for plane in (HH, HL, LH))
 _E_HH, _E_HL, _E_LH = HH + ERRORS, HL + ERRORS, LH + ERRORS
-# Errors of the same plane: north, north-west, north-east, two to the north.
-ABOVE_HH, ABOVE_HL, ABOVE_LH = (
-    _places((plane, -1, 0), (plane, -1, -1), (plane, -1, 1), (plane, -2, 0))
-    for plane in (_E_HH, _E_HL, _E_LH)
+# Features in the order of the weights; those of errors and those of ranges have different units.
+F_CONST, F_NORTH, F_DIAGONAL, F_NORTH_2, F_RANGE, F_TWIST, F_BEND, F_NEAR, F_FAR = range(9)
+
+
+def _above(plane: int) -> dict[int, tuple[tuple[int, int, int], ...]]:
+    """Return the errors of the same plane that features add up."""
+    return {
+        F_NORTH: ((plane, -1, 0),),
+        F_DIAGONAL: ((plane, -1, -1), (plane, -1, 1)),
+        F_NORTH_2: ((plane, -2, 0),),
+    }
+
+
+# What features add up: errors of the plane and of those before, curvatures of plane A.
+FEATURE_TAPS = {
+    HH: {
+        **_above(_E_HH),
+        F_BEND: ((BENDS, 0, 0), (BENDS, 0, 1), (BENDS, 1, 0), (BENDS, 1, 1)),
+    },
+    HL: {
+        **_above(_E_HL),
+        F_BEND: ((BENDS, 0, 0), (BENDS, 0, 1)),
+        F_NEAR: ((_E_HH, -1, 0), (_E_HH, 0, 0)),
+        F_FAR: ((_E_HH, -1, -1), (_E_HH, 0, -1), (_E_HH, -1, 1), (_E_HH, 0, 1)),
+    },
+    LH: {
+        **_above(_E_LH),
+        F_BEND: ((BENDS, 0, 0), (BENDS, 1, 0)),
+        F_NEAR: (
+            *((_E_HH, 0, -1), (_E_HH, 0, 0)),
+            *((_E_HL, 0, -1), (_E_HL, 0, 0), (_E_HL, 1, -1), (_E_HL, 1, 0)),
+        ),
+        F_FAR: ((_E_HH, -1, -1), (_E_HH, -1, 0), (_E_HH, 1, -1), (_E_HH, 1, 0)),
+    },
+}
+
+# Kernels take taps in groups: first those of the stencil, then those of features. What fills up the
+# last groups has no weight.
+TAPS_AT_ONCE = 8
+STENCIL_GROUPS = 3
+N_GROUPS = (0, 4, 5, 5)
+_N_TAPS = TAPS_AT_ONCE * max(N_GROUPS)
+_FEATURES_FROM = TAPS_AT_ONCE * STENCIL_GROUPS
+
+
+def _tap_places() -> NDArray[np.uint64]:
+    """Return the places of all taps, by plane."""
+    places = np.empty((4, _N_TAPS), dtype=np.uint64)
+    for plane in (HH, HL, LH):
+        stencil = TAPS[plane]
+        features = [tap for taps in FEATURE_TAPS[plane].values() for tap in taps]
+        places[plane] = place(*stencil[0])
+        places[plane, : len(stencil)] = [place(*tap) for tap in stencil]
+        places[plane, _FEATURES_FROM : _FEATURES_FROM + len(features)] = [
+            place(*tap) for tap in features
+        ]
+    return places
+
+
+TAP_PLACES = _tap_places()
+# The core: twist is |first + second - third - fourth|.
+CORE_PLACES = np.array(
+    [
+        (place(0, 0, 0),) * 4,
+        tuple(place(*CORES[HH][k]) for k in (0, 3, 1, 2)),
+        tuple(place(*tap) for tap in CORES[HL]),
+        tuple(place(*tap) for tap in CORES[LH]),
+    ],
+    dtype=np.uint64,
 )
-BENDS_HH = _places((BENDS, 0, 0), (BENDS, 0, 1), (BENDS, 1, 0), (BENDS, 1, 1))
-BENDS_HL = _places((BENDS, 0, 0), (BENDS, 0, 1))
-BENDS_LH = _places((BENDS, 0, 0), (BENDS, 1, 0))
-# Errors of the planes before: the nearest ones, then those behind.
-NEAR_HL = _places((_E_HH, -1, 0), (_E_HH, 0, 0))
-FAR_HL = _places((_E_HH, -1, -1), (_E_HH, 0, -1), (_E_HH, -1, 1), (_E_HH, 0, 1))
-NEAR_LH = _places(
-    *((_E_HH, 0, -1), (_E_HH, 0, 0), (_E_HL, 0, -1), (_E_HL, 0, 0), (_E_HL, 1, -1), (_E_HL, 1, 0))
-)
-FAR_LH = _places((_E_HH, -1, -1), (_E_HH, -1, 0), (_E_HH, 1, -1), (_E_HH, 1, 0))
+
+# In the workspace from `WEIGHTS` on: of each plane, then of lines, the weights of its taps, and of
+# const, range and twist.
+OWN_WEIGHTS = _N_TAPS
+N_WEIGHTS = _N_TAPS + 8
+WEIGHTS = tuple(np.uint64(int(_weights) + N_WEIGHTS * plane) for plane in range(ON_LINE + 1))
+
+
+def arranged_weights(stencils: NDArray[np.int64], features: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the weights of a lattice as the workspace has them, from ``WEIGHTS[HH]`` on.
+
+    Parameters
+    ----------
+    stencils : ndarray of int64, shape (3, MAX_TAPS)
+    features : ndarray of int64, shape (4, N_FEATURES)
+        Of the planes, then of lines.
+    """
+    weights = np.zeros((ON_LINE, N_WEIGHTS), dtype=np.int64)
+    weights[:LH, :MAX_TAPS] = stencils
+    for plane, taps in FEATURE_TAPS.items():
+        own = [features[plane - 1, feature] for feature, of in taps.items() for _ in of]
+        weights[plane - 1, _FEATURES_FROM : _FEATURES_FROM + len(own)] = own
+    weights[:, OWN_WEIGHTS : OWN_WEIGHTS + 3] = features[:, (F_CONST, F_RANGE, F_TWIST)]
+    return weights.ravel()
 
 
 class Scale(NamedTuple):

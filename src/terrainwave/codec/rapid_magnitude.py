@@ -8,33 +8,29 @@ features come in units of about the step, so that no sum passes 2**31.
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.lattice import HH, HL, LH
 from terrainwave.codec.rapid_layout import (
-    ABOVE_HH,
-    ABOVE_HL,
-    ABOVE_LH,
-    BENDS_HH,
-    BENDS_HL,
-    BENDS_LH,
     CONTEXT,
     EXPECTED,
-    FAR_HL,
-    FAR_LH,
-    FEATURE,
+    F_BEND,
+    F_CONST,
+    F_NEAR,
+    F_NORTH,
+    F_NORTH_2,
+    F_RANGE,
+    F_TWIST,
     LEAST,
     MOST,
     N_FEATURES,
-    NEAR_HL,
-    NEAR_LH,
-    ON_LINE,
+    OWN_WEIGHTS,
     PREDICTED,
     SIDE,
     SUM,
     TWIST,
+    WEIGHTS,
     WHOLE,
     Scale,
 )
-from terrainwave.coding.jit import kernel
+from terrainwave.coding.jit import kernel, kernel_part
 
 N_BINS, N_SIDES = 44, 4
 N_CONTEXTS = N_BINS * N_SIDES
@@ -47,11 +43,8 @@ _FINE_BINS = 16
 _FINE_STEP = 3  # up to this step the prediction's fraction matters
 MOST_ERROR = (1 << 18) - 1
 _MOST_SIDE = (1 << 20) - 1
-# Features in the order of the weights; those of errors and those of ranges have different units.
-F_CONST, F_NORTH, F_DIAGONAL, F_NORTH_2, F_RANGE, F_TWIST, F_BEND, F_NEAR, F_FAR = range(9)
 _OF_RANGES = (F_RANGE, F_TWIST, F_BEND)
-
-_C = tuple(np.uint64(k) for k in range(N_FEATURES))
+_OWN_WEIGHTS, _U1, _U2 = np.uint64(OWN_WEIGHTS), np.uint64(1), np.uint64(2)
 
 
 def scale_of(step: int, low: int, high: int) -> Scale:
@@ -83,122 +76,45 @@ def scaled_features(weights: NDArray[np.int64], scale: Scale) -> NDArray[np.int6
 
 
 @kernel
-def expect_hh(m, at, n, scale):
-    """Fill `EXPECTED` for a row of HH."""
-    cast, w = m.dtype.type, FEATURE[HH]
-    c1, c2, c3, c6 = m[w + _C[1]], m[w + _C[2]], m[w + _C[3]], m[w + _C[6]]
-    _expect_ranges(m, n, w, scale)
-    for j in range(n):
-        k = at + np.uint64(j)
-        total = cast(
-            m[np.uint64(j) + EXPECTED]
-            + c1 * m[k + ABOVE_HH[0]]
-            + c2 * (m[k + ABOVE_HH[1]] + m[k + ABOVE_HH[2]])
-            + c3 * m[k + ABOVE_HH[3]]
-            + c6
-            * (m[k + BENDS_HH[0]] + m[k + BENDS_HH[1]] + m[k + BENDS_HH[2]] + m[k + BENDS_HH[3]])
-        )
-        m[np.uint64(j) + EXPECTED] = cast(total >> _EXPECTED_SHIFT)
+def fill_contexts(m, reals, bits_of_reals, n, plane, scale):
+    """Fill `CONTEXT`, and what it takes: `EXPECTED`, `WHOLE`, `SIDE`; clamp `PREDICTED`."""
+    _expect(m, n, plane, scale)
+    _round_predictions(m, n, scale)
+    _fill_contexts(m, reals, bits_of_reals, n, scale)
 
 
-@kernel
-def expect_hl(m, at, n, scale):
-    """Fill `EXPECTED` for a row of HL."""
-    cast, w = m.dtype.type, FEATURE[HL]
-    c1, c2, c3, c6 = m[w + _C[1]], m[w + _C[2]], m[w + _C[3]], m[w + _C[6]]
-    c7, c8 = m[w + _C[7]], m[w + _C[8]]
-    _expect_ranges(m, n, w, scale)
-    for j in range(n):
-        k = at + np.uint64(j)
-        m[np.uint64(j) + EXPECTED] = cast(
-            m[np.uint64(j) + EXPECTED]
-            + c1 * m[k + ABOVE_HL[0]]
-            + c2 * (m[k + ABOVE_HL[1]] + m[k + ABOVE_HL[2]])
-            + c3 * m[k + ABOVE_HL[3]]
-            + c6 * (m[k + BENDS_HL[0]] + m[k + BENDS_HL[1]])
-        )
-    for j in range(n):
-        k = at + np.uint64(j)
-        total = cast(
-            m[np.uint64(j) + EXPECTED]
-            + c7 * (m[k + NEAR_HL[0]] + m[k + NEAR_HL[1]])
-            + c8 * (m[k + FAR_HL[0]] + m[k + FAR_HL[1]] + m[k + FAR_HL[2]] + m[k + FAR_HL[3]])
-        )
-        m[np.uint64(j) + EXPECTED] = cast(total >> _EXPECTED_SHIFT)
-
-
-@kernel
-def expect_lh(m, at, n, scale):
-    """Fill `EXPECTED` for a row of LH."""
-    cast, w = m.dtype.type, FEATURE[LH]
-    c1, c2, c3, c6 = m[w + _C[1]], m[w + _C[2]], m[w + _C[3]], m[w + _C[6]]
-    c7, c8 = m[w + _C[7]], m[w + _C[8]]
-    _expect_ranges(m, n, w, scale)
-    for j in range(n):
-        k = at + np.uint64(j)
-        m[np.uint64(j) + EXPECTED] = cast(
-            m[np.uint64(j) + EXPECTED]
-            + c1 * m[k + ABOVE_LH[0]]
-            + c2 * (m[k + ABOVE_LH[1]] + m[k + ABOVE_LH[2]])
-            + c3 * m[k + ABOVE_LH[3]]
-            + c6 * (m[k + BENDS_LH[0]] + m[k + BENDS_LH[1]])
-        )
-    for j in range(n):
-        k = at + np.uint64(j)
-        near = m[k + NEAR_LH[0]] + m[k + NEAR_LH[1]] + m[k + NEAR_LH[2]] + m[k + NEAR_LH[3]]
-        total = cast(
-            m[np.uint64(j) + EXPECTED]
-            + c7 * (near + m[k + NEAR_LH[4]] + m[k + NEAR_LH[5]])
-            + c8 * (m[k + FAR_LH[0]] + m[k + FAR_LH[1]] + m[k + FAR_LH[2]] + m[k + FAR_LH[3]])
-        )
-        m[np.uint64(j) + EXPECTED] = cast(total >> _EXPECTED_SHIFT)
-
-
-@kernel
-def expect_on_line(m, n, scale):
-    """Fill `EXPECTED` for samples that are predicted from a line or from corners alone."""
-    cast = m.dtype.type
-    _expect_ranges(m, n, FEATURE[ON_LINE], scale)
-    for j in range(n):
-        k = np.uint64(j) + EXPECTED
-        m[k] = cast(m[k] >> _EXPECTED_SHIFT)
-
-
-@kernel
-def _expect_ranges(m, n, w, scale):
-    """Start `EXPECTED` with the features that need nothing coded before."""
+@kernel_part
+def _expect(m, n, plane, scale):
+    """Complete `EXPECTED` with the features that need nothing coded before: const, range, twist."""
     cast, shift, most = m.dtype.type, scale.range_shift, m.dtype.type(scale.most_range)
-    c0, c4, c5 = m[w + _C[0]], m[w + _C[4]], m[w + _C[5]]
+    w = WEIGHTS[plane] + _OWN_WEIGHTS
+    of_const, of_range, of_twist = m[w], m[w + _U1], m[w + _U2]
     for j in range(n):
-        k = np.uint64(j)
-        wide = min(cast(cast(m[k + MOST] - m[k + LEAST]) >> shift), most)
-        twist = min(cast(m[k + TWIST] >> shift), most)
-        m[k + EXPECTED] = cast(c0 + c4 * wide + c5 * twist)
+        wide = min(cast(cast(m[MOST + j] - m[LEAST + j]) >> shift), most)
+        twist = min(cast(m[TWIST + j] >> shift), most)
+        total = cast(m[EXPECTED + j] + of_const + of_range * wide + of_twist * twist)
+        m[EXPECTED + j] = total >> _EXPECTED_SHIFT
 
 
-@kernel
-def round_predictions(m, n, scale):
+@kernel_part
+def _round_predictions(m, n, scale):
     """Clamp `PREDICTED` to the core's range; fill `WHOLE` and `SIDE`."""
     cast = m.dtype.type
     for j in range(n):
-        k = np.uint64(j)
-        low, high = cast(m[k + LEAST] << 6), cast(m[k + MOST] << 6)
-        m[k + PREDICTED] = min(max(m[k + PREDICTED], low), high)
-    for j in range(n):
-        k = np.uint64(j)
-        m[k + WHOLE] = cast(cast(m[k + PREDICTED] + 32) >> 6)
+        low, high = cast(m[LEAST + j] << 6), cast(m[MOST + j] << 6)
+        predicted = min(max(m[PREDICTED + j], low), high)
+        m[PREDICTED + j] = predicted
+        m[WHOLE + j] = cast(predicted + 32) >> 6
     if scale.is_fine:
         for j in range(n):
-            k = np.uint64(j)
-            m[k + SIDE] = cast(m[k + PREDICTED] - 64 * m[k + WHOLE])
+            m[SIDE + j] = m[PREDICTED + j] - 64 * m[WHOLE + j]
     else:
         for j in range(n):
-            k = np.uint64(j)
-            m[k + SIDE] = cast(16 * m[k + SUM] - m[k + PREDICTED])
+            m[SIDE + j] = 16 * m[SUM + j] - m[PREDICTED + j]
 
 
-@kernel
-def fill_contexts(m, reals, bits_of_reals, n, scale):
+@kernel_part
+def _fill_contexts(m, reals, bits_of_reals, n, scale):
     """Fill `CONTEXT` from `EXPECTED` and `SIDE`.
 
     Bins are half octaves. float32 holds the upper bits of the expected magnitude exactly, so that
@@ -206,24 +122,22 @@ def fill_contexts(m, reals, bits_of_reals, n, scale):
     """
     cast = m.dtype.type
     for j in range(n):
-        e = m[np.uint64(j) + EXPECTED]
+        e = m[EXPECTED + j]
         reals[j] = e & cast(~_DROPPED) if e >= _EXACT else e
     for j in range(n):
         bin_ = cast((bits_of_reals[j] >> 22) - _FIRST_BIN)
-        m[np.uint64(j) + CONTEXT] = min(max(bin_, cast(0)), cast(N_BINS - 1))
+        m[CONTEXT + j] = 4 * min(max(bin_, cast(0)), cast(N_BINS - 1))
     side_scale = scale.side_scale
     if scale.is_fine:
         for j in range(n):
-            k = np.uint64(j)
-            quarter = min(cast(cast(abs(m[k + SIDE]) * side_scale) >> 16), cast(3))
-            bin_ = m[k + CONTEXT]
-            m[k + CONTEXT] = cast(4 * bin_ + (quarter if bin_ < _FINE_BINS else cast(0)))
+            quarter = min(cast(cast(abs(m[SIDE + j]) * side_scale) >> 16), cast(3))
+            m[CONTEXT + j] += quarter if m[CONTEXT + j] < 4 * _FINE_BINS else cast(0)
         return
     shift, end_shift = scale.side_shift, 2 + scale.error_shift - scale.side_shift
     for j in range(n):
-        k = np.uint64(j)
-        far = min(cast(abs(m[k + SIDE]) >> shift), cast(_MOST_SIDE))
+        far = min(cast(abs(m[SIDE + j]) >> shift), cast(_MOST_SIDE))
         far = cast(cast(far * side_scale) >> end_shift)  # in 1/16384 step
-        e = m[k + EXPECTED]
-        steps = cast(far > e) + cast(cast(4 * far) > cast(11 * e)) + cast(far > cast(6 * e))
-        m[k + CONTEXT] = cast(4 * m[k + CONTEXT] + steps)
+        e = m[EXPECTED + j]
+        m[CONTEXT + j] += (
+            cast(far > e) + cast(cast(4 * far) > cast(11 * e)) + cast(far > cast(6 * e))
+        )
