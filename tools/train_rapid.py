@@ -17,26 +17,18 @@ import numpy as np
 import rasterio
 
 from terrainwave.codec import rapid_parameters, rapid_tables
-from terrainwave.codec.fitting import stencil_cost
-from terrainwave.codec.rapid_fitting import (
-    _CLASS_DEPTHS,
-    _NOISES,
-    Window,
-    _judged,
-    choose_stencils,
-    codes_for,
-    count,
-    fit_stencil,
-    gather,
-)
+from terrainwave.codec.rapid_fitting import best_stencils, codes_for, count
+from terrainwave.codec.rapid_layout import TAPS
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS
 from terrainwave.codec.rapid_parameters import (
     N_CLASSES,
     PLANES,
+    WHOLE,
     FileStencil,
     FileTables,
-    weights_of,
+    missing_tap,
 )
+from terrainwave.codec.rapid_stencils import COST_UNIT, costs_of, fit_weights, gather, judged
 
 # Not those that sizes are measured on.
 RASTERS = (
@@ -52,11 +44,12 @@ RASTERS = (
 BOUNDS = (0, 1, 2, 3, 5, 10, 30)
 WINDOW, MAX_WINDOWS = 257, 6
 N_SETS = 12
-NO_ERROR = 63  # what stencil_cost counts where a prediction is right is 64
+NOISES = (0.0048, 0.0208, 0.0533)  # of ±0.12, ±0.25 and ±0.4 step, in steps squared
+LEAST = 1 / 16  # of a cost, in bits a sample: what is predicted well counts little
 
 
-def windows_of(path: Path) -> list[Window]:
-    """Return windows spread over a raster, heights less their middle."""
+def windows_of(path: Path) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return windows spread over a raster, heights less their middle, and masks; None if void."""
     with rasterio.open(path) as dataset:
         heights = dataset.read(1).astype(np.float64)
         mask = dataset.read_masks(1) > 0
@@ -72,10 +65,11 @@ def windows_of(path: Path) -> list[Window]:
             col = max(0, target.shape[1] - WINDOW) * (2 * j + 1) // (2 * n_cols)
             at = np.s_[row : row + WINDOW, col : col + WINDOW]
             if mask[at].mean() > 0.5 and np.ptp(target[at][mask[at]]) > 20:
-                found.append(
-                    Window(np.ascontiguousarray(target[at]), np.ascontiguousarray(mask[at]))
-                )
-    return found[:: max(1, len(found) // MAX_WINDOWS)][:MAX_WINDOWS]
+                found.append((target[at], mask[at]))
+    found = found[:: max(1, len(found) // MAX_WINDOWS)][:MAX_WINDOWS]
+    if not found:
+        return None
+    return np.stack([one for one, _ in found]), np.stack([valid for _, valid in found])
 
 
 def plain_tables(step: int) -> FileTables:
@@ -84,62 +78,64 @@ def plain_tables(step: int) -> FileTables:
     return FileTables(0, rapid_tables.family_of(step), plain, {})
 
 
-def train_stencils(windows: dict[str, list[Window]]) -> dict[int, np.ndarray]:
+def train_stencils(windows: dict[str, tuple[np.ndarray, np.ndarray]]) -> dict[int, np.ndarray]:
     """Return sets by plane: of all stencils fitted, those that together cost least."""
     chosen = {}
     for plane in PLANES:
-        pool, judged = [], []
+        pool, some = [], []
         for name, found in windows.items():
             for bound in BOUNDS:
                 step = 2 * bound * (10 if "lidar" in name else 1) + 1
-                for depths in _CLASS_DEPTHS:
-                    samples = gather(plane, found, depths, step)
+                for which in range(N_CLASSES):
+                    samples = gather(plane, *found, which, step)
                     if samples is None:
                         continue
-                    for noise in _NOISES if step > 1 else (0.0,):
-                        stencil = fit_stencil(plane, 0, samples, noise, 1e9)
-                        if stencil is not None:
-                            pool.append(weights_of(plane, stencil))
-                    judged.append((*_judged(samples), 0.0 if step == 1 else _NOISES[1]))
+                    noises = list(NOISES) if step > 1 else [0.0]
+                    for fitted in fit_weights({(which, plane): samples}, noises):
+                        pool += [weights[: len(TAPS[plane])] for weights in fitted.values()]
+                    some.append((judged(samples), 0.0 if step == 1 else NOISES[1]))
+        for weights in pool:
+            weights[missing_tap(plane)] += WHOLE - weights.sum()
         costs = np.array(
-            [[stencil_cost(t, g, w, n) / len(g) - NO_ERROR for t, g, n in judged] for w in pool]
-        )
+            [costs_of(samples, np.array(pool), n) / len(samples.goals) for samples, n in some]
+        ).T
+        costs = costs / COST_UNIT + LEAST
         # Gains at low rates count as much as those at high ones.
         costs /= costs.min(0)
-        least = np.full(len(judged), np.inf)
+        least = np.full(len(some), np.inf)
         sets = []
         for _ in range(N_SETS):
             totals = np.minimum(costs, least).sum(1)
             best = int(totals.argmin())
             sets.append(pool[best])
             least = np.minimum(least, costs[best])
-        print(plane, len(pool), len(judged), least.mean(), file=sys.stderr)
+        print(plane, len(pool), len(some), least.mean(), file=sys.stderr)
         chosen[plane] = np.array(sets)
     return chosen
 
 
-def train_codes(windows: dict[str, list[Window]]) -> np.ndarray:
+def train_codes(windows: dict[str, tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """Return codes of frequencies by family, context and symbol."""
     counts = np.zeros((rapid_tables.N_FAMILIES, N_CONTEXTS, 63), dtype=np.float64)
     for name, found in windows.items():
         for bound in BOUNDS:
             step = 2 * bound * (10 if "lidar" in name else 1) + 1
-            tables = choose_stencils(plain_tables(step), found, step, 20.0)
+            tables = best_stencils(plain_tables(step), *found, step, 20.0)
             for family in range(tables.family, rapid_tables.N_FAMILIES, rapid_tables.N_STEPS):
-                seen = count(tables._replace(family=family), found, step)
-                symbols = seen.symbols.astype(np.float64)
+                symbols = count(tables._replace(family=family), *found, step).astype(np.float64)
                 counts[family] += symbols / max(1.0, symbols.sum()) * 1e6
     codes = np.zeros(counts.shape, dtype=np.int64)
+    every = np.arange(N_CONTEXTS)
     for family in range(rapid_tables.N_FAMILIES):
-        for context in range(N_CONTEXTS):
-            trained = rapid_parameters.default_freqs(family)[context] / 2048
-            weights = counts[family, context] + 200 * trained
-            codes[family, context] = codes_for(
-                np.rint(1000 * weights).astype(np.int64), family, context
-            )
-            rest = rapid_parameters.rest_symbol(family, context)
-            left = rapid_parameters.freqs_of(codes[family, context], rest)[rest]
-            codes[family, context, rest] = rapid_parameters.code_of(int(left))
+        trained = rapid_parameters.default_freqs(family) / 2048
+        weights = np.rint(1000 * (counts[family] + 200 * trained)).astype(np.int64)
+        codes[family] = codes_for(weights, family)
+        rest = rapid_parameters.rest_symbols(family)
+        left = [
+            int(rapid_parameters.freqs_of(codes[family, context], rest[context])[rest[context]])
+            for context in every
+        ]
+        codes[family, every, rest] = [rapid_parameters.code_of(freq) for freq in left]
     return codes
 
 
@@ -199,9 +195,10 @@ def default_codes() -> NDArray[np.uint8]:
 def main() -> None:
     """Train and print."""
     directory = Path(sys.argv[1])
-    windows = {name: windows_of(directory / name) for name in RASTERS}
-    for name, found in windows.items():
-        print(name, len(found), file=sys.stderr)
+    found = {name: windows_of(directory / name) for name in RASTERS}
+    windows = {name: pair for name, pair in found.items() if pair is not None}
+    for name, (heights, _) in windows.items():
+        print(name, len(heights), file=sys.stderr)
     for turn in range(2):
         if turn == 0:
             rapid_tables.STENCILS = train_stencils(windows)
@@ -209,6 +206,7 @@ def main() -> None:
         rapid_tables.default_codes = lambda codes=codes: codes
         rapid_parameters.default_codes.cache_clear()
         rapid_parameters.default_freqs.cache_clear()
+        rapid_parameters.rest_symbols.cache_clear()
     write(rapid_tables.STENCILS, codes)
 
 

@@ -20,11 +20,10 @@ from lone_units import (
 )
 
 from terrainwave.codec import rapid, rapid_tables
-from terrainwave.codec.lattice import parity
 from terrainwave.codec.rapid import Rapid
 from terrainwave.codec.rapid_code import ESCAPE, N_SYMBOLS
-from terrainwave.codec.rapid_fitting import codes_for, coding_order
-from terrainwave.codec.rapid_layout import CORES, TAPS
+from terrainwave.codec.rapid_fitting import codes_for
+from terrainwave.codec.rapid_layout import CORES, MAX_TAPS, TAPS
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS, scale_of, scaled_features
 from terrainwave.codec.rapid_parameters import (
     MAX_CODE,
@@ -42,6 +41,7 @@ from terrainwave.codec.rapid_parameters import (
     parse_parameters,
     rest_symbol,
 )
+from terrainwave.codec.rapid_stencils import Samples, fit_weights, gather
 from terrainwave.codec.refiner import Sides
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 from terrainwave.grid.quadtree import Grid
@@ -372,10 +372,8 @@ def some_tables():
                 FileStencil(which, 1, tuple(deltas.tolist())) if is_fitted else FileStencil(plane)
             )
         rows.append(tuple(row))
-    codes = {
-        context: codes_for(rng.integers(0, 999, N_SYMBOLS) + 1, 4, context)
-        for context in (0, 3, 4, 99, 175)
-    }
+    fitted = codes_for(rng.integers(0, 999, (N_CONTEXTS, N_SYMBOLS)) + 1, 4)
+    codes = {context: fitted[context] for context in (0, 3, 4, 99, 175)}
     return FileTables(9, 4, tuple(rows), codes)
 
 
@@ -424,21 +422,6 @@ def test_frequencies_that_leave_nothing_or_no_escape_are_rejected():
         freqs_of(codes, rest)
 
 
-def test_windows_are_coded_in_the_order_told():
-    shape = (12, 9)
-    places, kinds = coding_order(shape)
-    # Lattice corners come first, on multiples of 16: only (0, 0).
-    assert sorted(places.tolist()) == list(range(1, 12 * 9))
-    for place, kind in zip(places, kinds, strict=True):
-        row, col = divmod(int(place), 9)
-        stride = 1
-        while not (row & stride or col & stride):
-            stride *= 2
-        own = parity(kind % 3 + 1)
-        assert (bool(row & stride), bool(col & stride)) == (bool(own[0]), bool(own[1]))
-        assert kind // 3 == min(stride.bit_length() - 1, 3)
-
-
 def fit(target, step, mask=None):
     mask = np.ones(target.shape, dtype=bool) if mask is None else mask
     grid = Grid(*target.shape, 8)
@@ -484,3 +467,30 @@ def test_tiny_and_void_rasters_get_plain_tables():
 def test_the_same_raster_gives_the_same_tables():
     target = terrain((60, 70))
     assert fit(target, 3).parameters == fit(target.copy(), 3).parameters
+
+
+def test_stencils_do_not_depend_on_the_order_of_sums():
+    windows = np.stack([terrain((120, 130), seed) for seed in range(2)])
+    samples = gather(2, windows, np.ones(windows.shape, dtype=bool), 0, 3)
+    order = np.random.default_rng(3).permutation(len(samples.goals))
+    # The first turns take some samples only, by place: all of them alike here.
+    taps, goals = (np.repeat(array, 4, axis=0) for array in samples[:2])
+    places = (4 * order[:, None] + np.arange(4)).ravel()
+    shuffled = samples._replace(taps=taps[places], goals=goals[places])
+    own, other = (
+        fit_weights({(0, 2): one}, [0.01])[0][0, 2]
+        for one in (samples._replace(taps=taps, goals=goals), shuffled)
+    )
+    assert own.tolist() == other.tolist()
+    assert abs(int(own.sum()) - 4096) <= len(own)
+
+
+def test_a_fitted_stencil_finds_the_weights_that_made_the_heights():
+    rng = np.random.default_rng(4)
+    taps = rng.integers(-(1 << 14), 1 << 14, (1024, MAX_TAPS)).astype(np.float64)
+    taps[:, len(TAPS[1]) :] = 0
+    true = np.zeros(MAX_TAPS)
+    true[[1, 5, 6, 9, 10, 17]] = [-512, 1500, 1400, 1300, 1200, -792]
+    samples = Samples(taps, np.rint(taps @ true / 4096), 1.0)
+    (found,) = fit_weights({(0, 1): samples}, [0.0])
+    np.testing.assert_allclose(found[0, 1], true, atol=2)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import terrainwave
+from terrainwave.codec import rapid_parameters
 from terrainwave.codec.parameters import parse_parameters
 from terrainwave.container.header import Header
 
@@ -38,3 +39,17 @@ def test_a_file_with_fitted_tables_keeps_the_bound_on_any_number_of_threads(tmp_
 def test_a_small_raster_pays_for_no_tables(tmp_path):
     terrainwave.compress(rough((60, 70)), tmp_path / "a.twz", max_error=1)
     assert header_of(tmp_path / "a.twz").parameters == b""
+
+
+@pytest.mark.large
+def test_tables_of_rapid_are_the_same_on_any_number_of_threads(tmp_path):
+    heights = rough((420, 390))
+    files = [
+        terrainwave.compress_to_bytes(heights, max_error=4, method="rapid", threads=threads)
+        for threads in (1, 2)
+    ]
+    assert files[0] == files[1]
+    (tmp_path / "a.twz").write_bytes(files[0])
+    parameters = header_of(tmp_path / "a.twz").parameters
+    stencils = rapid_parameters.parse_parameters(parameters).stencils
+    assert (stencils != rapid_parameters.Tables(None).stencils).any()

@@ -53,6 +53,7 @@ _NONE_KNOWN = Known(0, 0, 0, 0)
 _NO_GOAL = np.zeros(1, dtype=np.int32)
 _NO_LOG = np.zeros(1, dtype=np.uint8)
 _NONE_SHARED = np.zeros((0, 5), dtype=np.int64), np.zeros((0, 9), dtype=np.int64)
+_NO_SLOTS = np.zeros(1, dtype=np.uint32)
 _NO_FREQS = np.zeros((1, 1), dtype=np.uint32)
 # For counting: no symbol is impossible yet.
 _ANY_SYMBOL = np.ones((N_CONTEXTS, N_SYMBOLS), dtype=np.uint32)
@@ -154,15 +155,19 @@ class Rapid:
         )
         return payload, heights, None
 
-    def log(self, spec: GroupSpec, target: Heights, mask: Mask, n: int) -> NDArray[np.int64]:
-        """Return contexts and symbols of the first `n` symbols of a unit: N_SYMBOLS·c + s.
+    def log(
+        self, spec: GroupSpec, target: Heights, mask: Mask
+    ) -> tuple[NDArray[np.int64], Heights]:
+        """Return contexts and symbols of a root block, N_SYMBOLS·c + s, and its decoded heights.
 
         As if no symbol had the frequency 0.
         """
         flags = self._flags(spec, None, target, mask)
-        _, streams = self._encode(spec, None, target, mask, flags, _ANY_SYMBOL)
-        contexts, symbols = streams.contexts_log[:n], streams.symbols_log[:n]
-        return contexts.astype(np.int64) * N_SYMBOLS + symbols
+        heights, streams = self._encode(spec, None, target, mask, flags, _ANY_SYMBOL)
+        n = int(streams.places[COUNT])
+        both = streams.contexts_log[:n].astype(np.int64) * N_SYMBOLS
+        both += streams.symbols_log[:n]
+        return both, heights
 
     def _flags(self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask) -> int:
         is_wide = self._is_wide(spec, parent, target if mask.all() else target[mask])
@@ -176,7 +181,7 @@ class Rapid:
         n = target.size
         streams = Streams(
             places=np.zeros(3, dtype=np.int64),
-            slots=self._tables.slots(spec.step),
+            slots=_NO_SLOTS,
             words=_NO_WORDS,
             n_words=0,
             states=np.zeros(N_STATES, dtype=np.uint64),

@@ -11,6 +11,7 @@ from terrainwave.codec.lattice import HH, HL, LH
 from terrainwave.codec.rapid_code import ESCAPE, N_SYMBOLS
 from terrainwave.codec.rapid_layout import CORES, MAX_TAPS, TAPS
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS
+from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     MAGNITUDE_MODELS,
     N_UNARY,
@@ -91,25 +92,33 @@ class Tables:
                 stencil = FileStencil(0) if file is None else file.stencils[which][index]
                 weights = weights_of(plane, stencil)
                 self.stencils[which, index, : len(weights)] = weights
-        self._built: dict[int, tuple[NDArray[np.uint32], NDArray[np.uint32]]] = {}
+        self._slots: dict[int, NDArray[np.uint32]] = {}
+        self._packed: dict[int, NDArray[np.uint32]] = {}
 
     def slots(self, step: int) -> NDArray[np.uint32]:
         """Return the decoder's table of frequencies."""
-        return self._build(step)[0]
+        family = self._family(step)
+        if family not in self._slots:
+            self._slots[family] = slots_of(self._freqs(family))
+        return self._slots[family]
 
     def packed_freqs(self, step: int) -> NDArray[np.uint32]:
         """Return the encoder's: of each context and symbol, the sum of those before and its own."""
-        return self._build(step)[1]
-
-    def _build(self, step: int) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-        family = rapid_tables.family_of(step) if self._file is None else self._file.family
-        if family not in self._built:
-            freqs = default_freqs(family).copy()
-            for context, codes in ({} if self._file is None else self._file.codes).items():
-                freqs[context] = freqs_of(codes, rest_symbol(family, context))
+        family = self._family(step)
+        if family not in self._packed:
+            freqs = self._freqs(family)
             before = np.cumsum(freqs, 1) - freqs
-            self._built[family] = slots_of(freqs), (before << 16 | freqs).astype(np.uint32)
-        return self._built[family]
+            self._packed[family] = (before << 16 | freqs).astype(np.uint32)
+        return self._packed[family]
+
+    def _family(self, step: int) -> int:
+        return rapid_tables.family_of(step) if self._file is None else self._file.family
+
+    def _freqs(self, family: int) -> NDArray[np.int64]:
+        freqs = default_freqs(family).copy()
+        for context, codes in ({} if self._file is None else self._file.codes).items():
+            freqs[context] = freqs_of(codes, rest_symbol(family, context))
+        return freqs
 
 
 @cache
@@ -165,7 +174,8 @@ def freq_of(code: int) -> int:
     return ((16 + (code & 15)) << shift) + (1 << shift >> 1)
 
 
-_FREQ_OF_CODE = np.array([freq_of(code) for code in range(MAX_CODE + 1)], dtype=np.int64)
+FREQ_OF_CODE = np.array([freq_of(code) for code in range(MAX_CODE + 1)], dtype=np.int64)
+CODE_OF_FREQ = np.array([code_of(freq) for freq in range(N_SLOTS)], dtype=np.int64)
 
 
 def freqs_of(codes: NDArray[np.int64], rest: int) -> NDArray[np.int64]:
@@ -176,7 +186,7 @@ def freqs_of(codes: NDArray[np.int64], rest: int) -> NDArray[np.int64]:
     CorruptStreamError
         If they leave nothing, or the escape is impossible.
     """
-    freqs = _FREQ_OF_CODE[codes]
+    freqs = FREQ_OF_CODE[codes]
     freqs[rest] = 0
     freqs[rest] = N_SLOTS - freqs.sum()
     if freqs[rest] < 1 or freqs[ESCAPE] < 1:
@@ -190,9 +200,15 @@ def default_codes(family: int) -> NDArray[np.int64]:
     return rapid_tables.default_codes()[family].astype(np.int64)
 
 
+@cache
+def rest_symbols(family: int) -> NDArray[np.int64]:
+    """Return each context's symbol whose frequency is not stored: the likeliest trained one."""
+    return default_codes(family).argmax(1).astype(np.int64)
+
+
 def rest_symbol(family: int, context: int) -> int:
-    """Return the symbol whose frequency is not stored: the likeliest of the trained ones."""
-    return int(default_codes(family)[context].argmax())
+    """Return the symbol of a context whose frequency is not stored."""
+    return int(rest_symbols(family)[context])
 
 
 @cache
@@ -233,16 +249,8 @@ def pack_parameters(tables: FileTables) -> bytes:
         if not is_own:
             continue
         trained = default_codes(tables.family)[context]
-        rest = rest_symbol(tables.family, context)
-        last = 0
-        for symbol in range(N_SYMBOLS):
-            if symbol == rest:
-                continue
-            change = int(tables.codes[context][symbol] - trained[symbol])
-            _code_magnitude(coder, _freq_models(trained[symbol], last), abs(change))
-            if change and trained[symbol]:
-                code_raw(coder, 1, int(change < 0))
-            last = abs(change)
+        codes = tables.codes[context].copy()
+        _code_codes(coder, trained, rest_symbol(tables.family, context), codes)
     n_bytes = finish_encoder(coder.state, out)
     return bytes([_LAYOUT]) + out[:n_bytes].tobytes()
 
@@ -288,10 +296,30 @@ def _code_magnitude(coder: Coder, first: int, value: int = 0) -> int:
     return int(code_magnitude(coder, first, first + N_UNARY, 0, value))
 
 
-def _freq_models(trained: int, last: int) -> int:
-    """Return the first model of a change: by whether the symbol is usual, and the last change."""
-    group = 3 * int(trained > 0) + min(int(last).bit_length(), 2)
-    return _FREQ + group * MAGNITUDE_MODELS
+@kernel
+def _code_codes(coder, trained, rest, codes):
+    """Code the codes of a context in place; return whether a value is out of range.
+
+    A decoder's `codes` need hold nothing.
+    """
+    last = np.int64(0)
+    for symbol in range(N_SYMBOLS):
+        usual = trained[symbol]
+        if symbol == rest:
+            codes[symbol] = usual
+            continue
+        change = codes[symbol] - usual
+        # By whether the symbol is usual, and by the last change.
+        group = 3 * np.int64(usual > 0) + min(last, (last >> 1) + 1, 2)
+        first = _FREQ + group * MAGNITUDE_MODELS
+        last = code_magnitude(coder, first, first + N_UNARY, 0, abs(change))
+        is_less = np.int64(0)
+        if last > 0 and usual > 0:
+            is_less = code_raw(coder, 1, np.int64(change < 0))
+        codes[symbol] = usual - last if is_less else usual + last
+        if last > MAX_CODE or codes[symbol] < 0 or codes[symbol] > MAX_CODE:
+            return True
+    return False
 
 
 def _parse_stencil(coder: Coder, plane: int) -> FileStencil:
@@ -315,15 +343,6 @@ def _parse_stencil(coder: Coder, plane: int) -> FileStencil:
 def _parse_codes(coder: Coder, family: int, context: int) -> NDArray[np.int64]:
     trained = default_codes(family)[context]
     codes = trained.copy()
-    last = 0
-    for symbol in range(N_SYMBOLS):
-        if symbol == rest_symbol(family, context):
-            continue
-        last = int(_code_magnitude(coder, _freq_models(trained[symbol], last)))
-        if last > MAX_CODE:
-            raise CorruptStreamError(f"a frequency changes by {last} codes")
-        is_less = bool(last and trained[symbol] and code_raw(coder, 1, 0))
-        codes[symbol] += -last if is_less else last
-        if not 0 <= codes[symbol] <= MAX_CODE:
-            raise CorruptStreamError(f"frequency code {codes[symbol]} does not exist")
+    if _code_codes(coder, trained, rest_symbol(family, context), codes):
+        raise CorruptStreamError(f"context {context} has a frequency code that does not exist")
     return codes
