@@ -12,6 +12,9 @@ PYTEST := $(BIN)/python -m pytest -n $(WORKERS)
 # A file stays with one worker: what it compiles, the other one loads.
 COMPILED := $(PYTEST) --dist loadfile
 
+# Tests start many interpreters: each would parse the package anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-all system lint test-compiled test-full test-bounds test-python coverage bench clean
 

@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -49,6 +50,11 @@ ENTRANCES = {"__init__", "cli", "__main__"}
 MAY_OPEN_FILES = {"raster_io", "container", "cli", "verification", "coding"}
 
 
+@cache
+def tree_of(path):
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def modules():
     return sorted(PACKAGE.rglob("*.py"))
 
@@ -60,7 +66,7 @@ def group_of(path):
 
 def imported_groups(path):
     """Yield the groups a module imports, within functions too."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "terrainwave":
             parts = node.module.split(".")
             yield from [parts[1]] if len(parts) > 1 else [alias.name for alias in node.names]
@@ -129,7 +135,7 @@ def test_private_attributes_stay_in_their_module():
     for path in modules():
         if path.name == "jit.py":  # numba's own, which it says why
             continue
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = tree_of(path)
         own = {node.attr for node in ast.walk(tree) if _is_own(node)} | {
             node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef | ast.ClassDef)
         }
@@ -148,7 +154,7 @@ def test_only_the_table_of_methods_knows_them_by_name():
     for path in modules():
         if group_of(path) == "names":
             continue
-        tree = ast.parse(path.read_text(encoding="utf-8"))
+        tree = tree_of(path)
         own = {id(node.value) for node in ast.walk(tree) if _is_name_of_refiner(node)}
         for node in ast.walk(tree):
             if isinstance(node, ast.Constant) and node.value in METHODS and id(node) not in own:
@@ -163,7 +169,7 @@ def test_files_are_opened_only_at_the_edge():
     for path in modules():
         if group_of(path) in MAY_OPEN_FILES:
             continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree_of(path)):
             is_open = isinstance(node, ast.Call) and getattr(node.func, "id", "") == "open"
             assert not is_open, f"{path.name}:{node.lineno} opens a file"
 

@@ -839,7 +839,7 @@ def test_every_command_has_help():
         assert "Usage: terrainwave" in done.stdout
 
 
-# --- demo and warmup ---------------------------------------------------------------------------
+# --- demo ------------------------------------------------------------------------------------
 
 
 @pytest.mark.large
@@ -878,8 +878,3 @@ def test_a_demo_that_fails_leaves_nothing(tmp_path, monkeypatch, had_run, failur
         assert (directory / "demo.png").read_bytes() == b"of an earlier run"
     else:
         assert os.listdir(tmp_path) == []
-
-
-def test_warmup_compresses_and_reads_back():
-    done = run("warmup")
-    assert done.exit_code == 0, done.output

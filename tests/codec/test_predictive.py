@@ -67,7 +67,7 @@ def check(spec, parent, target, mask=None):
 
 @pytest.mark.parametrize("name", list(hard_rasters((2, 2), 1)))
 @pytest.mark.parametrize("step", [1, 3, 21, (1 << 28) + 1])
-@pytest.mark.parametrize("effort", [0, 1])
+@pytest.mark.parametrize("effort", [pytest.param(0, marks=pytest.mark.full), 1])
 def test_bound_holds_on(name, step, effort):
     target = hard_rasters((17, 16), BIG)[name]
     for shared in (NOT_SHARED, Sides(True, False, True, True)):
@@ -216,7 +216,7 @@ def test_details_of_any_size_survive(mixed):
     assert finish_decoder(coder.state, coder.stream)[0] == 0
 
 
-@pytest.mark.parametrize("effort", [0, 1, 2])
+@pytest.mark.parametrize("effort", [pytest.param(0, marks=pytest.mark.full), 1, 2])
 @pytest.mark.parametrize("largest", [300, 40_000, 100_000, 200_000])
 def test_rows_of_32_bits_give_the_same_bytes_as_rows_of_64(effort, largest, monkeypatch):
     rng = np.random.default_rng(largest)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import some
 from container.toys import forge, toy_file, toy_header, toy_payload
 from containers import open_container
 from hypothesis import given
@@ -52,7 +53,7 @@ def test_an_extra_byte_is_rejected():
         open_container(DATA + b"\0")
 
 
-@pytest.mark.parametrize("change", [0x01, 0x80, 0xFF])
+@pytest.mark.parametrize("change", some([0x01, 0x80, 0xFF], 3))
 def test_every_changed_byte_is_found(change):
     unnoticed = []
     for byte_pos in range(len(DATA)):
