@@ -273,7 +273,7 @@ class Rapid:
             goal=_NO_GOAL if target is None else target.ravel(),
             valid=mask.ravel(),
             has_void=not mask.all(),
-            out=np.zeros(spec.region.shape[0] * spec.region.shape[1], dtype=np.int32),
+            out=_new_heights(spec),
             origin=origin,
             scale=scale_of(spec.step, low, high),
             workspace=_MEMORY.workspace(is_wide),
@@ -318,7 +318,9 @@ class Rapid:
         key = which, unit.scale.step
         if key not in self._weights:
             features = scaled_features(self._tables.features[which], unit.scale)
-            self._weights[key] = arranged_weights(self._tables.stencils[which], features)
+            self._weights[key] = arranged_weights(
+                self._tables.stencils[which], features, unit.scale
+            )
         first = int(WEIGHTS[HH])
         unit.workspace.m[first : first + len(self._weights[key])] = self._weights[key]
 
@@ -336,6 +338,12 @@ class Rapid:
             Grid2(_first(spec), stride * pitch, stride), coarse, (n_rows, n_cols), known,
             unit.origin, unit.workspace, unit.scale, unit.streams,
         )  # fmt: skip
+
+
+def _new_heights(spec: GroupSpec) -> Heights:
+    """Return memory for the heights of a unit, all of which a lattice fills but for an apron."""
+    size = spec.region.shape[0] * spec.region.shape[1]
+    return (np.empty if spec.region == spec.core else np.zeros)(size, dtype=np.int32)
 
 
 def _code_corner(unit: _Unit, place: int) -> None:

@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 from terrainwave.codec.rapid_layout import (
     CONTEXT,
     DETAIL,
+    ERROR_SHIFT,
     ERRORS,
     GOAL,
     PLANE,
     PREDICTED,
+    SHIFT_MASK,
     SIDE,
     STRIDE,
     SYMBOL,
@@ -194,9 +196,9 @@ def _fill_heights(m, at, n, to, scale):
 
 
 @kernel_part
-def note_errors(m, n, own, scale):
+def note_errors(m, n, own):
     """Fill the errors of a row whose heights begin at `own`."""
-    cast, shift = m.dtype.type, scale.error_shift
+    cast, shift = m.dtype.type, m[ERROR_SHIFT] & SHIFT_MASK
     to = own + np.uint64(ERRORS * PLANE)
     for j in range(n):
         error = cast(abs(cast(64 * m[own + j] - m[PREDICTED + j])))

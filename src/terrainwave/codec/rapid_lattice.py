@@ -135,7 +135,7 @@ def code_rows(
                 m, np.uint64(first), np.uint64(stop - first), own, is_encoding, has_void, scale, s
             )
         if is_lattice:
-            make_readable(m, own, row, n_own_rows, n, scale)
+            make_readable(m, own, row, n_own_rows, n)
         else:
             for j in range(stop):
                 k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
@@ -159,7 +159,7 @@ def advance(m, t, base, out, source, grid, coarse, shape, origin, scale):
         load_coarse_row(m, to, t + 3, source, coarse, origin, shape, scale)
     if t >= -1:
         if t + 1 < n_even:
-            fill_bends(m, here + _STRIDE, n_even_cols, scale.range_shift, scale.most_range)
+            fill_bends(m, here + _STRIDE, n_even_cols, scale.most_range)
         elif t + 1 == n_even:
             bends = here + _BEND_ROW - _LEFT
             copy_row(m, bends, bends + _STRIDE, n_even_cols + _BOTH)
@@ -176,9 +176,9 @@ def advance(m, t, base, out, source, grid, coarse, shape, origin, scale):
 
 
 @kernel
-def make_readable(m, own, row, n_rows, n, scale):
+def make_readable(m, own, row, n_rows, n):
     """Note the errors of a row that has been coded; make it readable around."""
-    note_errors(m, n, own, scale)
+    note_errors(m, n, own)
     surround(m, own, row, n_rows, n)
 
 
