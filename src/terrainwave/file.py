@@ -488,7 +488,8 @@ class TerrainFile:
                 self.grid,
                 max_bytes,
             )
-        heights[~valid] = self._raster.void_value
+        if not valid.all():
+            heights[~valid] = self._raster.void_value
         if masked:
             fill = None if self._raster.nodata is None else self.dtype.type(self._raster.nodata)
             return np.ma.MaskedArray(heights, mask=~valid, fill_value=fill)

@@ -69,7 +69,9 @@ def decode_unit(
     if flags & ~(MASK_CODED | _HAS_EXCEPTIONS):
         raise CorruptStreamError(f"a unit's flags are {flags:#04x}; reserved bits must be 0")
     byte_pos = 1
-    mask = ~implied_voids(spec, parent)
+    mask = np.ones(spec.region.shape, dtype=np.bool_)
+    if parent is not None and not parent.mask.all():
+        mask = ~implied_voids(spec, parent)
     if flags & MASK_CODED:
         section, byte_pos = _read_section(payload, byte_pos)
         mask = decode_mask(section, ~mask)
@@ -81,6 +83,9 @@ def decode_unit(
     parent_heights = None if parent is None else parent.heights
     heights, labels = refiner.decode(spec, parent_heights, mask, payload[byte_pos:])
     np.clip(heights, spec.z_min, spec.z_max, out=heights)
+    if spec.forbidden[0] > spec.forbidden[1]:
+        _decode_exceptions(exceptions, 0)  # raises if there are some
+        return Decoded(heights, mask, labels)
     collides = _collisions(spec, heights, mask)
     goes_down = _decode_exceptions(exceptions, int(np.count_nonzero(collides)))
     _resolve_collisions(spec, heights, collides, goes_down)

@@ -27,7 +27,6 @@ from terrainwave.codec.rapid_code import (
 from terrainwave.codec.rapid_lattice import (
     Grid2,
     Known,
-    code_corners,
     code_rows,
 )
 from terrainwave.codec.rapid_layout import (
@@ -279,7 +278,7 @@ class Rapid:
             goal=_NO_GOAL if target is None else target.ravel(),
             valid=mask.ravel(),
             has_void=not mask.all(),
-            out=np.zeros(spec.region.shape[0] * spec.region.shape[1], dtype=np.int32),
+            out=_new_heights(spec),
             origin=origin,
             scale=scale_of(spec.step, low, high),
             workspace=_MEMORY.workspace(is_wide),
@@ -309,13 +308,9 @@ class Rapid:
             stride *= 2
         pitch = unit.spec.region.shape[1]
         first = _first(unit.spec)
-        scale = unit.scale
-        code_corners(
-            unit.is_encoding, unit.has_void, unit.goal, unit.valid, unit.out,
-            Grid2(first, stride * pitch, stride),
-            ((n_rows - 1) // stride + 1, (n_cols - 1) // stride + 1), unit.origin,
-            ((scale.high - scale.low) // scale.step).bit_length(), scale, unit.streams,
-        )  # fmt: skip
+        for row in range(0, n_rows, stride):
+            for col in range(0, n_cols, stride):
+                _code_corner(unit, first + row * pitch + col)
         while stride > 1:
             stride >>= 1
             coarse = Grid2(first, 2 * stride * pitch, 2 * stride)
@@ -328,7 +323,9 @@ class Rapid:
         key = which, unit.scale.step
         if key not in self._weights:
             features = scaled_features(self._tables.features[which], unit.scale)
-            self._weights[key] = arranged_weights(self._tables.stencils[which], features)
+            self._weights[key] = arranged_weights(
+                self._tables.stencils[which], features, unit.scale
+            )
         first = int(WEIGHTS[HH])
         unit.workspace.m[first : first + len(self._weights[key])] = self._weights[key]
 
@@ -346,6 +343,36 @@ class Rapid:
             Grid2(_first(spec), stride * pitch, stride), coarse, (n_rows, n_cols), known,
             unit.origin, unit.workspace, unit.scale, unit.streams,
         )  # fmt: skip
+
+
+def _new_heights(spec: GroupSpec) -> Heights:
+    """Return memory for the heights of a unit, all of which a lattice fills but for an apron."""
+    size = spec.region.shape[0] * spec.region.shape[1]
+    return (np.empty if spec.region == spec.core else np.zeros)(size, dtype=np.int32)
+
+
+def _code_corner(unit: _Unit, place: int) -> None:
+    """Encode or decode a sample that nothing predicts, on a grid of steps from the lowest height.
+
+    It takes raw bits; a void one none, and the middle of the range of heights.
+    """
+    scale, streams = unit.scale, unit.streams
+    if unit.has_void and not unit.valid[place]:
+        unit.out[place] = ((scale.low + scale.high) >> 1) + unit.origin
+        return
+    n_bits = ((scale.high - scale.low) // scale.step).bit_length()
+    bit_pos = min(int(streams.places[BIT_POS]), streams.n_bits)
+    word, shift = bit_pos >> 5, bit_pos & 31
+    if unit.is_encoding:
+        index = (int(unit.goal[place]) - unit.origin - scale.low) // scale.step
+        streams.raw[word] |= (index << shift) & 0xFFFFFFFF
+        streams.raw[word + 1] |= index << shift >> 32
+    else:
+        both = int(streams.raw[word]) | int(streams.raw[word + 1]) << 32
+        index = both >> shift & ((1 << n_bits) - 1)
+    streams.places[BIT_POS] += n_bits
+    height = scale.low + index * scale.step + (scale.step >> 1)
+    unit.out[place] = min(height, scale.high) + unit.origin
 
 
 def _first(spec: GroupSpec) -> int:

@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 from terrainwave.codec.rapid_layout import (
     CONTEXT,
     DETAIL,
+    ERROR_SHIFT,
     ERRORS,
     GOAL,
     PLANE,
     PREDICTED,
+    SHIFT_MASK,
     SIDE,
     STRIDE,
     SYMBOL,
@@ -88,22 +90,19 @@ def code_details(m, at, n, to, is_encoding, has_void, scale, s):
 def _read_symbols(m, at, n, has_void, places, slots, words, n_words, states, n_states):
     """Decode `SYMBOL`, and `DETAIL` but for raw bits."""
     start, count = min(places[WORD_POS], n_words), places[COUNT]
-    end = start
+    contexts, symbols = at + CONTEXT, at + SYMBOL
     if not has_void and n_states == N_STATES:
-        n_symbols = np.int64(n)
-        end = decode_row(
-            m, at + CONTEXT, at + SYMBOL, n_symbols, slots, words, start, states, count
-        )
-        count += n_symbols
+        end = decode_row(m, contexts, symbols, np.int64(n), slots, words, start, states, count)
+        count += np.int64(n)
     else:
-        for j in range(n):
-            m[SYMBOL + at + j] = ZERO
-            if not has_void or m[VALID + at + j] != 0:
+        after = np.uint64(start)
+        for j in range(np.int64(n)):
+            m[symbols + np.uint64(j)] = ZERO
+            if not has_void or m[VALID + at + np.uint64(j)] != 0:
                 which = count & (n_states - 1)
-                end = np.int64(
-                    decode_symbol(m, at + CONTEXT, at + SYMBOL, j, slots, words, end, states, which)
-                )
+                after = decode_symbol(m, contexts, symbols, j, slots, words, after, states, which)
                 count += 1
+        end = np.int64(after)
     places[COUNT] = count
     places[WORD_POS] += end - start
     for j in range(n):
@@ -197,9 +196,9 @@ def _fill_heights(m, at, n, to, scale):
 
 
 @kernel_part
-def note_errors(m, n, own, scale):
+def note_errors(m, n, own):
     """Fill the errors of a row whose heights begin at `own`."""
-    cast, shift = m.dtype.type, scale.error_shift
+    cast, shift = m.dtype.type, m[ERROR_SHIFT] & SHIFT_MASK
     to = own + np.uint64(ERRORS * PLANE)
     for j in range(n):
         error = cast(abs(cast(64 * m[own + j] - m[PREDICTED + j])))

@@ -10,13 +10,7 @@ import numpy as np
 
 from terrainwave.codec.lattice import HH, HL, LH
 from terrainwave.codec.rapid_border import MOST_CORNERS, prepare_shared
-from terrainwave.codec.rapid_code import (
-    BIT_POS,
-    code_details,
-    note_errors,
-    read_bits,
-    write_bits,
-)
+from terrainwave.codec.rapid_code import code_details, note_errors
 from terrainwave.codec.rapid_layout import (
     GOAL,
     N_ROWS,
@@ -141,7 +135,7 @@ def code_rows(
                 m, np.uint64(first), np.uint64(stop - first), own, is_encoding, has_void, scale, s
             )
         if is_lattice:
-            make_readable(m, own, row, n_own_rows, n, scale)
+            make_readable(m, own, row, n_own_rows, n)
         else:
             for j in range(stop):
                 k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
@@ -165,7 +159,7 @@ def advance(m, t, base, out, source, grid, coarse, shape, origin, scale):
         load_coarse_row(m, to, t + 3, source, coarse, origin, shape, scale)
     if t >= -1:
         if t + 1 < n_even:
-            fill_bends(m, here + _STRIDE, n_even_cols, scale.range_shift, scale.most_range)
+            fill_bends(m, here + _STRIDE, n_even_cols, scale.most_range)
         elif t + 1 == n_even:
             bends = here + _BEND_ROW - _LEFT
             copy_row(m, bends, bends + _STRIDE, n_even_cols + _BOTH)
@@ -182,9 +176,9 @@ def advance(m, t, base, out, source, grid, coarse, shape, origin, scale):
 
 
 @kernel
-def make_readable(m, own, row, n_rows, n, scale):
+def make_readable(m, own, row, n_rows, n):
     """Note the errors of a row that has been coded; make it readable around."""
-    note_errors(m, n, own, scale)
+    note_errors(m, n, own)
     surround(m, own, row, n_rows, n)
 
 
@@ -196,26 +190,3 @@ def _load_known(m, own, out, start, step, origin, first, stop, n, scale):
         j = k if k < first else k - first + stop
         height = np.int64(out[np.uint64(start + j * step)]) - origin
         m[own + np.uint64(j)] = cast(min(max(height, scale.low), scale.high))
-
-
-@kernel
-def code_corners(is_encoding, has_void, goal, valid, out, grid, shape, origin, n_bits, scale, s):
-    """Encode or decode a lattice of samples that nothing predicts, on a grid of steps from `low`.
-
-    Each takes `n_bits` raw bits; void ones none, and the middle of the range of heights.
-    """
-    for row in range(shape[0]):
-        for col in range(shape[1]):
-            k = grid.start + row * grid.row_step + col * grid.col_step
-            if has_void and not valid[k]:
-                out[k] = ((scale.low + scale.high) >> 1) + origin
-                continue
-            bit_pos = min(s.places[BIT_POS], s.n_bits)
-            if is_encoding:
-                index = (np.int64(goal[k]) - origin - scale.low) // scale.step
-                write_bits(s.raw, bit_pos, index)
-            else:
-                index = read_bits(s.raw, bit_pos, n_bits)
-            s.places[BIT_POS] += n_bits
-            height = scale.low + index * scale.step + (scale.step >> 1)
-            out[k] = min(height, scale.high) + origin

@@ -175,24 +175,12 @@ CORE_PLACES = np.array(
 OWN_WEIGHTS = _N_TAPS
 N_WEIGHTS = _N_TAPS + 8
 WEIGHTS = tuple(np.uint64(int(_weights) + N_WEIGHTS * plane) for plane in range(ON_LINE + 1))
-
-
-def arranged_weights(stencils: NDArray[np.int64], features: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the weights of a lattice as the workspace has them, from ``WEIGHTS[HH]`` on.
-
-    Parameters
-    ----------
-    stencils : ndarray of int64, shape (3, MAX_TAPS)
-    features : ndarray of int64, shape (4, N_FEATURES)
-        Of the planes, then of lines.
-    """
-    weights = np.zeros((ON_LINE, N_WEIGHTS), dtype=np.int64)
-    weights[:LH, :MAX_TAPS] = stencils
-    for plane, taps in FEATURE_TAPS.items():
-        own = [features[plane - 1, feature] for feature, of in taps.items() for _ in of]
-        weights[plane - 1, _FEATURES_FROM : _FEATURES_FROM + len(own)] = own
-    weights[:, OWN_WEIGHTS : OWN_WEIGHTS + 3] = features[:, (F_CONST, F_RANGE, F_TWIST)]
-    return weights.ravel()
+# After them, shift counts. Of 32 bits and less than 32, they let compilers shift 32 bits, where
+# others would be shifts of 64, of which most processors have no vectors.
+RANGE_SHIFT, ERROR_SHIFT, SIDE_SHIFT, END_SHIFT = (
+    np.uint64(int(WEIGHTS[ON_LINE]) + N_WEIGHTS + k) for k in range(4)
+)
+SHIFT_MASK = 31
 
 
 class Scale(NamedTuple):
@@ -208,6 +196,28 @@ class Scale(NamedTuple):
     most_detail: int
     low: int
     high: int
+
+
+def arranged_weights(
+    stencils: NDArray[np.int64], features: NDArray[np.int64], scale: Scale
+) -> NDArray[np.int64]:
+    """Return the weights of a lattice as the workspace has them, from ``WEIGHTS[HH]`` on.
+
+    Parameters
+    ----------
+    stencils : ndarray of int64, shape (3, MAX_TAPS)
+    features : ndarray of int64, shape (4, N_FEATURES)
+        Of the planes, then of lines.
+    """
+    weights = np.zeros((ON_LINE, N_WEIGHTS), dtype=np.int64)
+    weights[:LH, :MAX_TAPS] = stencils
+    for plane, taps in FEATURE_TAPS.items():
+        own = [features[plane - 1, feature] for feature, of in taps.items() for _ in of]
+        weights[plane - 1, _FEATURES_FROM : _FEATURES_FROM + len(own)] = own
+    weights[:, OWN_WEIGHTS : OWN_WEIGHTS + 3] = features[:, (F_CONST, F_RANGE, F_TWIST)]
+    end_shift = 2 + scale.error_shift - scale.side_shift
+    shifts = [scale.range_shift, scale.error_shift, scale.side_shift, end_shift]
+    return np.concatenate([weights.ravel(), np.array(shifts, dtype=np.int64)])
 
 
 class Workspace(NamedTuple):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from terrainwave.codec.rapid_layout import (
     CONTEXT,
+    END_SHIFT,
     EXPECTED,
     F_BEND,
     F_CONST,
@@ -23,7 +24,10 @@ from terrainwave.codec.rapid_layout import (
     N_FEATURES,
     OWN_WEIGHTS,
     PREDICTED,
+    RANGE_SHIFT,
+    SHIFT_MASK,
     SIDE,
+    SIDE_SHIFT,
     SUM,
     TWIST,
     WEIGHTS,
@@ -86,7 +90,8 @@ def fill_contexts(m, reals, bits_of_reals, n, plane, scale):
 @kernel_part
 def _expect(m, n, plane, scale):
     """Complete `EXPECTED` with the features that need nothing coded before: const, range, twist."""
-    cast, shift, most = m.dtype.type, scale.range_shift, m.dtype.type(scale.most_range)
+    cast, shift = m.dtype.type, m[RANGE_SHIFT] & SHIFT_MASK
+    most = cast(scale.most_range)
     w = WEIGHTS[plane] + _OWN_WEIGHTS
     of_const, of_range, of_twist = m[w], m[w + _U1], m[w + _U2]
     for j in range(n):
@@ -133,7 +138,7 @@ def _fill_contexts(m, reals, bits_of_reals, n, scale):
             quarter = min(cast(cast(abs(m[SIDE + j]) * side_scale) >> 16), cast(3))
             m[CONTEXT + j] += quarter if m[CONTEXT + j] < 4 * _FINE_BINS else cast(0)
         return
-    shift, end_shift = scale.side_shift, 2 + scale.error_shift - scale.side_shift
+    shift, end_shift = m[SIDE_SHIFT] & SHIFT_MASK, m[END_SHIFT] & SHIFT_MASK
     for j in range(n):
         far = min(cast(abs(m[SIDE + j]) >> shift), cast(_MOST_SIDE))
         far = cast(cast(far * side_scale) >> end_shift)  # in 1/16384 step

@@ -18,8 +18,10 @@ from terrainwave.codec.rapid_layout import (
     N_GROUPS,
     PLANE,
     PREDICTED,
+    RANGE_SHIFT,
     ROWS_ABOVE,
     ROWS_BELOW,
+    SHIFT_MASK,
     STENCIL_GROUPS,
     STRIDE,
     SUM,
@@ -72,9 +74,9 @@ def load_coarse_row(m, to, row, source, grid, origin, shape, scale):
 
 
 @kernel_part
-def fill_bends(m, at, n, shift, most):
+def fill_bends(m, at, n, most):
     """Fill a row of curvatures of plane A: fourth differences along the row plus the column."""
-    cast = m.dtype.type
+    cast, shift = m.dtype.type, m[RANGE_SHIFT] & SHIFT_MASK
     row, to = at + _A, at + _BENDS
     west_2, west, east, east_2 = row - _U2, row - _U1, row + _U1, row + _U2
     for j in range(n):
@@ -188,8 +190,9 @@ def _look_around(m, at, n, plane):
         a, b, c, d = m[a0 + j], m[b0 + j], m[c0 + j], m[d0 + j]
         m[LEAST + j] = min(min(a, b), min(c, d))
         m[MOST + j] = max(max(a, b), max(c, d))
-        m[SUM + j] = a + b + c + d
-        m[TWIST + j] = abs(cast(a + b - c - d))
+        first, second = cast(a + b), cast(c + d)
+        m[SUM + j] = first + second
+        m[TWIST + j] = abs(cast(first - second))
     for j in range(n):
         m[PREDICTED + j] >>= 6
 

@@ -56,16 +56,11 @@ def _fill_slots(freqs, slots):
 
 
 @inlined_kernel
-def _decoded(m, place, state, slots, contexts, symbols):
-    """Decode the symbol at `place`, whose state is `state`; return the state before its refill."""
+def _decoded(m, place, state, slots, contexts, symbols, words, at):
+    """Decode the symbol at `place`, whose state is `state`; return the next state and word."""
     entry = np.uint64(slots[(np.uint64(m[contexts + place]) << _SLOTS) | (state & _SLOT_MASK)])
     m[symbols + place] = np.int64(entry & _SYMBOL_MASK)
-    return (entry >> _TO_FREQ) * (state >> _SLOTS) + ((entry >> _TO_PLACE) & _PLACE_MASK)
-
-
-@inlined_kernel
-def _refilled(state, words, at):
-    """Return a state with the word at `at` below it, if it needs one, and the place after it."""
+    state = (entry >> _TO_FREQ) * (state >> _SLOTS) + ((entry >> _TO_PLACE) & _PLACE_MASK)
     is_low = state < _REFILL
     filled = (state << _WORD) | np.uint64(words[at])
     return (filled if is_low else state), at + np.uint64(is_low)
@@ -93,21 +88,21 @@ def decode_row(m, contexts, symbols, n, slots, words, word_pos, states, count):
     x6, x7 = states[(count + 6) & 7], states[(count + 7) & 7]
     for k in range(0, n - 7, 8):
         place = np.uint64(k)
-        x0, at = _refilled(_decoded(m, place, x0, slots, contexts, symbols), words, at)
+        x0, at = _decoded(m, place, x0, slots, contexts, symbols, words, at)
         place = np.uint64(k + 1)
-        x1, at = _refilled(_decoded(m, place, x1, slots, contexts, symbols), words, at)
+        x1, at = _decoded(m, place, x1, slots, contexts, symbols, words, at)
         place = np.uint64(k + 2)
-        x2, at = _refilled(_decoded(m, place, x2, slots, contexts, symbols), words, at)
+        x2, at = _decoded(m, place, x2, slots, contexts, symbols, words, at)
         place = np.uint64(k + 3)
-        x3, at = _refilled(_decoded(m, place, x3, slots, contexts, symbols), words, at)
+        x3, at = _decoded(m, place, x3, slots, contexts, symbols, words, at)
         place = np.uint64(k + 4)
-        x4, at = _refilled(_decoded(m, place, x4, slots, contexts, symbols), words, at)
+        x4, at = _decoded(m, place, x4, slots, contexts, symbols, words, at)
         place = np.uint64(k + 5)
-        x5, at = _refilled(_decoded(m, place, x5, slots, contexts, symbols), words, at)
+        x5, at = _decoded(m, place, x5, slots, contexts, symbols, words, at)
         place = np.uint64(k + 6)
-        x6, at = _refilled(_decoded(m, place, x6, slots, contexts, symbols), words, at)
+        x6, at = _decoded(m, place, x6, slots, contexts, symbols, words, at)
         place = np.uint64(k + 7)
-        x7, at = _refilled(_decoded(m, place, x7, slots, contexts, symbols), words, at)
+        x7, at = _decoded(m, place, x7, slots, contexts, symbols, words, at)
     states[count & 7], states[(count + 1) & 7] = x0, x1
     states[(count + 2) & 7], states[(count + 3) & 7] = x2, x3
     states[(count + 4) & 7], states[(count + 5) & 7] = x4, x5
@@ -120,8 +115,9 @@ def decode_row(m, contexts, symbols, n, slots, words, word_pos, states, count):
 @inlined_kernel
 def decode_symbol(m, contexts, symbols, k, slots, words, at, states, which):
     """Decode symbol `k` of a row with state `which`; return the place of the next word."""
-    state = _decoded(m, np.uint64(k), states[which], slots, contexts, symbols)
-    states[which], at = _refilled(state, words, np.uint64(at))
+    states[which], at = _decoded(
+        m, np.uint64(k), states[which], slots, contexts, symbols, words, np.uint64(at)
+    )
     return at
 
 

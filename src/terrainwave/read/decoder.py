@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
 from terrainwave.codec.group import decode_unit
-from terrainwave.codec.refiner import Decoded, Heights, Mask, Refiner
+from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
 from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
@@ -50,6 +50,7 @@ class TreeDecoder:
         self._cache: Cache[Block, Decoded] = Cache(cache_bytes, size_of=_n_bytes)
         self._fetched: dict[Block, bytes] = {}
         self._lock = threading.Lock()
+        self._specs: Cache[Block, GroupSpec] = Cache(_MAX_FETCHED)
 
     def prefetch(self, keys: Sequence[Block]) -> list[Block]:
         """Fetch the payloads that decoding `keys` will need, in one call.
@@ -102,12 +103,15 @@ class TreeDecoder:
     def _decode(self, key: Block) -> Decoded:
         assert self._refiner is not None
         parent = None if key.is_root_key else self.block(key)
-        spec = unit_spec(self.grid, self._parameters, key)
+        spec = self._spec(key)
         payload = self._payload(key)
         try:
             return decode_unit(self._refiner, spec, parent, payload)
         except CorruptStreamError as exc:
             raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
+
+    def _spec(self, key: Block) -> GroupSpec:
+        return self._specs.get_or_make(key, lambda: unit_spec(self.grid, self._parameters, key))
 
     def keys(self, level: int, region: Region) -> list[Block]:
         """Return the keys of the units that hold a region of a level, in Morton order."""
@@ -119,7 +123,7 @@ class TreeDecoder:
         The heights and the mask are views.
         """
         unit = self.unit(key)
-        spec = unit_spec(self.grid, self._parameters, key)
+        spec = self._spec(key)
         common = spec.core.intersect(region)
         here = common.slices_in(spec.region)
         return common.slices_in(region), Decoded(unit.heights[here], unit.mask[here], None)
@@ -144,7 +148,7 @@ class TreeDecoder:
         heights, mask = np.zeros(rows.size, dtype=np.int32), np.zeros(rows.size, dtype=np.bool_)
         for row, col in sorted(set(zip(unit_rows.tolist(), unit_cols.tolist(), strict=True))):
             key = Block(level - 1, row, col)
-            spec, unit = unit_spec(self.grid, self._parameters, key), self.unit(key)
+            spec, unit = self._spec(key), self.unit(key)
             here = (unit_rows == row) & (unit_cols == col)
             at = rows[here] - spec.region.row, cols[here] - spec.region.col
             heights[here], mask[here] = unit.heights[at], unit.mask[at]
@@ -153,7 +157,7 @@ class TreeDecoder:
     def block(self, block: Block) -> Decoded:
         """Return the decoded heights of a block, with its apron if the file has one."""
         key = unit_key(block)
-        spec = unit_spec(self.grid, self._parameters, key)
+        spec = self._spec(key)
         return block_of_unit(self.grid, spec, self.unit(key), block)
 
 
