@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.names import DEFAULT_METHOD, EFFORTS, METHODS, STORED_MESHES
+from terrainwave.names import EFFORTS, METHODS, STORED_MESHES
 
 # Cells on a side of a block.
 BLOCKS = (32, 64, 128, 256, 512, 1024)
@@ -88,8 +88,8 @@ def checked_error(name: str, error: float | None) -> float | None:
     return number
 
 
-def checked_method(name: str) -> str:
-    """Return the name of the method that a name stands for.
+def check_method(name: str) -> None:
+    """Refuse a method that there is not.
 
     Raises
     ------
@@ -98,7 +98,6 @@ def checked_method(name: str) -> str:
     """
     if name != "auto" and name not in METHODS:
         raise InvalidArgumentError(f"found `method` {name!r}, expected auto, {', '.join(METHODS)}")
-    return DEFAULT_METHOD.name if name == "auto" else name
 
 
 def check_effort(effort: str) -> None:

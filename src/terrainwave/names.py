@@ -38,8 +38,6 @@ class Method:
         A unit can be coded again so that heights that still hold come back as they were.
     has_parameters : bool
         The file's header may hold tables for all of its units.
-    is_draft : bool
-        Its bytes may still change: files of it are no archives.
     """
 
     name: str
@@ -51,7 +49,6 @@ class Method:
     is_clusterable: bool = True
     is_patchable: bool = False
     has_parameters: bool = False
-    is_draft: bool = False
 
     @property
     def is_tiled(self) -> bool:
@@ -63,16 +60,20 @@ class Method:
 METHODS = {
     method.name: method
     for method in (
+        Method(name="rapid", number=4, refiner="rapid.Rapid", has_parameters=True,
+               is_patchable=True),
         Method(name="predictive", number=2, refiner="predictive.Predictive", has_parameters=True,
                is_patchable=True, effort="1, 2 or 8 sets of weights"),
-        Method(name="rapid", number=4, refiner="rapid.Rapid", has_parameters=True, is_draft=True),
         Method(name="cdf97", number=1, refiner="cdf97.Cdf97", pyramid="lowpass",
                effort="1, up to 3 or up to 7 steps"),
         Method(name="cdf53", number=3, pyramid="lowpass53", is_cuttable=True, is_clusterable=False),
         Method(name="store", number=0, refiner="store.Store"),
     )
 }  # fmt: skip
-DEFAULT_METHOD = METHODS["predictive"]
+DEFAULT_METHOD = METHODS["rapid"]
+# What "auto" chooses from, once the raster is known: the first, unless another saves much
+# (`write.choice`). They differ in payloads alone, so that all else can begin before.
+AUTO_METHODS = (DEFAULT_METHOD, METHODS["predictive"])
 # Takes heights that no method makes smaller.
 PLAIN_METHOD = METHODS["store"]
 

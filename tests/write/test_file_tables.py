@@ -27,7 +27,9 @@ def test_a_file_with_fitted_tables_keeps_the_bound_on_any_number_of_threads(tmp_
     heights = rough((420, 390))
     paths = [tmp_path / f"{threads}.twz" for threads in (1, 3)]
     for threads, path in zip((1, 3), paths, strict=True):
-        terrainwave.compress(heights, path, max_error=max_error, threads=threads)
+        terrainwave.compress(
+            heights, path, max_error=max_error, threads=threads, method="predictive"
+        )
     assert paths[0].read_bytes() == paths[1].read_bytes()
     header = header_of(paths[0])
     assert any(parse_parameters(header.parameters).stencils.values())
@@ -37,7 +39,7 @@ def test_a_file_with_fitted_tables_keeps_the_bound_on_any_number_of_threads(tmp_
 
 
 def test_a_small_raster_pays_for_no_tables(tmp_path):
-    terrainwave.compress(rough((60, 70)), tmp_path / "a.twz", max_error=1)
+    terrainwave.compress(rough((60, 70)), tmp_path / "a.twz", max_error=1, method="predictive")
     assert header_of(tmp_path / "a.twz").parameters == b""
 
 

@@ -13,7 +13,7 @@ from terrainwave.write.options import Options
     [
         ({"max_error": -1}, "found max_error -1, expected a finite number >= 0"),
         ({"mesh_error": "a"}, "found mesh_error a, expected a finite number >= 0"),
-        ({"method": "zip"}, "found method 'zip', expected auto, predictive, rapid, cdf97"),
+        ({"method": "zip"}, "found method 'zip', expected auto, rapid, predictive, cdf97"),
         ({"block": 100}, "found block 100, expected one of 32, 64, 128, 256, 512, 1024"),
         ({"effort": "most"}, "found effort 'most', expected one of fast, default, best"),
         ({"border_rings": 2}, "found border_rings 2, expected 1 or 3"),
@@ -23,7 +23,7 @@ from terrainwave.write.options import Options
         ({"max_error": 1, "rate": 1, "method": "cdf53"}, "found max_error and rate"),
         ({"rate": 0, "method": "cdf53"}, "found rate 0, expected a number > 0"),
         ({"psnr": float("nan"), "method": "cdf53"}, "found psnr nan, expected a finite number"),
-        ({"rate": 1}, "found rate and method predictive, expected method cdf53: the others"),
+        ({"rate": 1}, "found rate and method auto, expected method cdf53: the others"),
     ],
 )
 def test_what_cannot_be_is_refused_where_options_are_made(options, message):
@@ -49,10 +49,6 @@ def test_a_method_without_efforts_says_so(tmp_path, method):
     assert Options(method=method, effort="best").notes == [note]
 
 
-def test_efforts_that_a_method_has_need_no_note():
-    assert Options(effort="best").notes == []
-
-
 def test_a_size_of_tasks_is_refused_where_there_are_none(tmp_path):
     write_geotiff(tmp_path / "dem.tif", terrain_like(33, 33))
     with pytest.raises(InvalidHeightsError, match="found task_samples 5 without a client"):
@@ -60,6 +56,10 @@ def test_a_size_of_tasks_is_refused_where_there_are_none(tmp_path):
     assert not (tmp_path / "dem.twz").exists()
 
 
-def test_a_draft_says_that_it_is_one():
-    (note,) = Options(method="rapid").notes
-    assert "rapid is a draft" in note
+@pytest.mark.parametrize(
+    ("effort", "method", "stored"),
+    [("fast", "rapid", 1), ("default", "auto", 1), ("best", "predictive", 2)],
+)
+def test_fast_and_best_say_which_method_auto_is(effort, method, stored):
+    options = Options(effort=effort)
+    assert (options.method, options.effort_number, options.notes) == (method, stored, [])

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 import terrainwave
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
-from terrainwave.names import DEFAULT_METHOD, EFFORTS, METHODS, STORED_MESHES
+from terrainwave.names import AUTO_METHODS, DEFAULT_METHOD, EFFORTS, METHODS, STORED_MESHES
 from terrainwave.raster_io.info import SUPPORTED_DTYPES, RasterInfo
 from terrainwave.raster_io.sink import RasterSink
 
@@ -82,7 +82,7 @@ def _rasters(folder: Path) -> list[tuple[Path, float]]:
 def _compress(folder: Path) -> None:
     """Compress each type, and by each method, lossless and not, and prove the files."""
     for path, bound in _rasters(folder):
-        methods = METHODS.values() if path.stem.startswith("int16") else [DEFAULT_METHOD]
+        methods = METHODS.values() if path.stem.startswith("int16") else AUTO_METHODS
         for method in methods:
             efforts = EFFORTS if method.effort and path.stem == "int16-void" else EFFORTS[1:2]
             for max_error in dict.fromkeys((bound, 3.0)):

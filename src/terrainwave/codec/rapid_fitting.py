@@ -30,6 +30,7 @@ from terrainwave.codec.rapid_parameters import (
 from terrainwave.codec.rapid_stencils import COST_UNIT, candidates, stencils_cost
 from terrainwave.codec.rapid_tables import N_FAMILIES, N_STEPS, family_of
 from terrainwave.codec.refiner import GroupSpec, Heights, Mask, Sides
+from terrainwave.codec.windows import spread_windows
 from terrainwave.coding.rans import N_SLOTS
 from terrainwave.grid.quadtree import Grid, Region
 
@@ -38,8 +39,6 @@ _WINDOW = 257
 _SHARE = 1 << 17
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 36
 _MOST_FEW = 4  # of them decide on stencils and the table of features
-# Places are looked through for windows that are not mostly void.
-_PLACES_PER_WINDOW = 4
 _MIN_SAMPLES = 300
 _COST_OF_NONE = COST_UNIT * (11 + ESCAPE_BITS)  # of a symbol that takes an escape
 _FREQ_BITS = 3
@@ -56,7 +55,8 @@ def fit_tables(
     mask: Callable[[int, Region], Mask],
 ) -> FileTables:
     """Return the tables for a raster; `heights` and `mask` return a region of a level."""
-    windows, masks = spread_windows(grid, heights, mask)
+    n_windows = min(max(grid.n_rows * grid.n_cols // _SHARE, _LEAST_WINDOWS), _MOST_WINDOWS)
+    windows, masks = spread_windows(grid, heights, mask, _WINDOW, n_windows)
     plain = ((FileStencil(0),) * len(PLANES),) * N_CLASSES
     tables = FileTables(grid.k_max, family_of(step), plain, {})
     if int(np.count_nonzero(masks)) < _MIN_SAMPLES:
@@ -111,45 +111,6 @@ def _fitted(tables: FileTables, sample: _Sample) -> tuple[FileTables, float]:
     symbols = count(tables, sample.windows, sample.masks, sample.step)
     codes, cost = fit_codes(tables.family, symbols, sample.share)
     return tables._replace(codes=codes), cost + stencils_cost(tables.stencils)
-
-
-def spread_windows(
-    grid: Grid,
-    heights: Callable[[int, Region], Heights],
-    mask: Callable[[int, Region], Mask],
-) -> tuple[Heights, Mask]:
-    """Return windows of the full grid, spread evenly: shape (n, n_rows, n_cols).
-
-    Small rasters are covered. Windows that are mostly void are left out where there are others.
-    """
-    shape = min(_WINDOW, grid.n_rows), min(_WINDOW, grid.n_cols)
-    places = list(dict.fromkeys(_places(grid, shape)))
-    n_wanted = max(1, len(places) // _PLACES_PER_WINDOW)
-    found: list[tuple[Region, Mask]] = []
-    mostly_void: list[tuple[Region, Mask]] = []
-    for region in places:
-        valid = np.ascontiguousarray(mask(grid.k_max, region), dtype=np.bool_)
-        is_full = 2 * int(np.count_nonzero(valid)) >= valid.size
-        (found if is_full else mostly_void).append((region, valid))
-        if len(found) == n_wanted:
-            break
-    kept = (found + mostly_void)[:n_wanted]
-    targets = [np.asarray(heights(grid.k_max, region), dtype=np.int32) for region, _ in kept]
-    return np.stack(targets), np.stack([valid for _, valid in kept])
-
-
-def _places(grid: Grid, shape: tuple[int, int]) -> list[Region]:
-    """Return `_PLACES_PER_WINDOW` places for each window wanted, the likeliest first."""
-    n_windows = min(max(grid.n_rows * grid.n_cols // _SHARE, _LEAST_WINDOWS), _MOST_WINDOWS)
-    n = _PLACES_PER_WINDOW * n_windows
-    rows, cols = grid.n_rows - shape[0], grid.n_cols - shape[1]
-    found = []
-    for turn in (2, 0, 3, 1):
-        for i in range(turn, n, _PLACES_PER_WINDOW):
-            # Evenly down the rows; across by the golden section, of 2**16.
-            across = (2 * i + 1) * 20251 & 0xFFFF
-            found.append(Region(rows * (2 * i + 1) // (2 * n), cols * across >> 16, *shape))
-    return found
 
 
 # Counts and frequencies -------------------------------------------------------------------------

@@ -75,55 +75,58 @@ def measure_block(
         max(-(-last_row // stride) + 1, heights.shape[0]),
         max(-(-last_col // stride) + 1, heights.shape[1]),
     )
-    scaled = _largest_deviation(
-        with_outside(heights, *needed),
-        stride,
-        originals,
-        mask,
-        row,
-        col,
-        np.empty(needed[1], dtype=np.int64),
-        np.empty(originals.shape[1], dtype=np.int64),
-    )
+    wide = with_outside(heights, *needed)
+    shift = stride.bit_length() - 1
+    lowest = min(int(wide.min()), int(originals.min()))
+    span = max(int(wide.max()), int(originals.max())) - lowest
+    # Twice the span in the units of the surface must fit.
+    dtype = np.int32 if span << 2 * shift + 1 < 1 << 31 else np.int64
+    n_places = (last_col // stride - col // stride + 1) * stride + 1
+    lines = np.empty((2, n_places), dtype=dtype)
+    scaled = _largest_deviation(wide, shift, originals, mask, row, col, lowest, lines)
     return int(-(-scaled // (stride * stride)))
 
 
 @kernel
-def _largest_deviation(heights, stride, originals, mask, first_row, first_col, line, surface):
-    """Return the largest deviation times stride^2; stride is a power of two.
+def _largest_deviation(heights, shift, originals, mask, first_row, first_col, lowest, lines):
+    """Return the largest deviation times stride^2; the stride is 2^shift.
 
-    `line` and `surface` are int64 scratch, one per column of the block and of the window.
-    |heights| < 2^31 and stride <= 2^15 keep every product below 2^62.
+    `lines` is scratch for two rows of the surface, int32 or int64. Heights less `lowest` are in
+    units of 1 / stride^2: below 2^62, as heights are below 2^31 and strides up to 2^15. Halving the
+    distance of places `shift` times is exact, and a loop that vectorises.
     """
+    cast = lines.dtype.type
     n_rows, n_cols = originals.shape
-    square = np.int64(stride) * stride
-    first_cell = first_col // stride
-    last_cell = (first_col + n_cols - 1) // stride
-    last_line = min(last_cell + 1, heights.shape[1] - 1)
-    largest = np.int64(0)
+    stride = np.int64(1) << shift
+    first_cell = first_col >> shift
+    n_cells = ((first_col + n_cols - 1) >> shift) - first_cell + 1
+    skipped = first_col - (first_cell << shift)
+    now, then = lines[0], lines[1]
+    largest, twice = cast(0), cast(2 * shift)
+    one, two = np.uint64(1), np.uint64(2)
     for row in range(n_rows):
         place = first_row + row
-        above = place // stride
-        part = place - above * stride
+        above = place >> shift
+        part = place - (above << shift)
         below = above + 1 if part else above
-        for cell in range(first_cell, last_line + 1):
-            line[cell] = (
-                np.int64(heights[above, cell]) * (stride - part)
-                + np.int64(heights[below, cell]) * part
-            )
-        for cell in range(first_cell, last_cell + 1):
-            start = max(cell * stride, first_col)
-            stop = min((cell + 1) * stride, first_col + n_cols)
-            slope = line[cell + 1] - line[cell] if cell < last_line else np.int64(0)
-            value = line[cell] * stride + slope * (start - cell * stride)
-            for col in range(start - first_col, stop - first_col):
-                surface[col] = value
-                value += slope
-        here, is_valid = originals[row], mask[row]
-        for col in range(n_cols):
-            deviation = abs(surface[col] - np.int64(here[col]) * square)
-            largest = max(largest, deviation if is_valid[col] else np.int64(0))
-    return largest
+        for k in range(n_cells + 1):
+            cell = min(first_cell + k, heights.shape[1] - 1)
+            up, down = heights[above, cell] - lowest, heights[below, cell] - lowest
+            now[k] = cast((up * (stride - part) + down * part) << shift)
+        n = n_cells
+        for _ in range(shift):
+            for k in range(np.uint64(n)):
+                then[two * k] = now[k]
+                then[two * k + one] = cast(cast(now[k] + now[k + one]) >> 1)
+            then[2 * n] = now[n]
+            n *= 2
+            now, then = then, now
+        here, is_valid, surface = originals[row], mask[row], now[skipped:]
+        for col in range(np.uint64(n_cols)):
+            height = cast(cast(here[col] - lowest) << twice)
+            deviation = cast(abs(cast(surface[col] - height)))
+            largest = max(largest, deviation if is_valid[col] else cast(0))
+    return np.int64(largest)
 
 
 def measure_samples(originals: Heights, mask: Mask, decoded: Heights) -> BlockStats:

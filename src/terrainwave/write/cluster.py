@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from terrainwave.codec.refiner import FittingRefiner, Heights, Mask, Refiner
+from terrainwave.codec.refiner import Heights, Mask, Refiner
 from terrainwave.container.depot import Depot, StoredSegment
 from terrainwave.container.page import N_CODES
 from terrainwave.container.sink import SpoolSink
@@ -34,6 +34,7 @@ from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.tri.stored import STORED_KINDS
 from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, set_codes
+from terrainwave.write.choice import prepared
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
 from terrainwave.write.local import Coded
@@ -177,13 +178,11 @@ class DistributedPasses:
 
     def encode(self, job: Job) -> Coded:
         """Code all units; segments below the tasks' blocks are stored in the depot."""
-        site = Site(self.raster, self.depot, job, self.level)
+        site = Site(self.raster, self.depot, job, self.level, job.options.method)
         top = self._top_pyramid(site)
         try:
-            refiner = site.refiner()
-            if isinstance(refiner, FittingRefiner) and job.n_valid:
-                refiner = refiner.fitted(job.grid, job.parameters.step, *self._targets(site, top))
-                site = replace(site, tables=refiner.parameters)
+            job, refiner, tables = prepared(job, *self._targets(site, top))
+            site = replace(site, job=job, tables=tables)
             sink = SpoolSink(job.grid, site.top_heads(), self.directory)
             encoder = TreeEncoder(
                 job.grid, refiner, job.parameters, top, sink, lambda n_samples: None, self.level
@@ -203,7 +202,7 @@ class DistributedPasses:
     def prove(self, path: str | os.PathLike[str] | bytes, job: Job) -> float:
         """Decode the file from disk and compare every sample; return the largest error."""
         assert not isinstance(path, bytes)  # what has a client is written to disk
-        site = Site(self.raster, self.depot, job, self.level)
+        site = Site(self.raster, self.depot, job, self.level, job.options.method)
         count = self._counter("proving")
         tasks = {region: (site, os.path.abspath(path), region) for region in self._own_regions()}
         largest = 0.0

@@ -102,13 +102,13 @@ def compress(
         With method cdf53, instead of `max_error`: decibels of the heights' range over the root
         mean square error that the file must reach.
     method : str
-        ``"predictive"``, ``"rapid"``, ``"cdf97"``, ``"cdf53"``, ``"store"`` or ``"auto"``
-        (predictive, the smallest).
+        ``"rapid"``, ``"predictive"``, ``"cdf97"``, ``"cdf53"``, ``"store"`` or ``"auto"``: rapid,
+        which is fast, or predictive where a sample of the raster says that it saves about 8 %.
     block : int
         Cells per side of a block: 32, 64, … 1024.
     effort : str
         ``"fast"``, ``"default"`` or ``"best"``: how many ways of coding methods predictive and
-        cdf97 try. The others have one.
+        cdf97 try. Auto is rapid with fast and predictive with best. The others have one way.
     nodata : float, optional
         Replaces the raster's own nodata value.
     band : int, optional

@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.refiner import FittingRefiner
-from terrainwave.codec.registry import refiner_by_name
 from terrainwave.container.depot import StoredSegment
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
@@ -30,6 +28,7 @@ from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.tiles import make_decoder
 from terrainwave.write.boxes import enclosing_boxes, error_codes, set_codes
+from terrainwave.write.choice import prepared
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
 from terrainwave.write.proof import allowed_error, compare_window, measured_error, proof_windows
@@ -228,7 +227,7 @@ def encode(
 
             stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
         else:
-            section, stats = _encode_units(job, pyramid, sink, on_samples, executor)
+            job, section, stats = _encode_units(job, pyramid, sink, on_samples, executor)
         if job.options.is_embedded:
             job = job.with_measured(_finest_error(job, stats))
         errors = error_codes(stats, job.lost)
@@ -247,15 +246,11 @@ def _encode_units(
     sink: SpoolSink,
     on_samples: Callable[[int], None],
     executor: Executor,
-) -> tuple[bytes, Stats]:
-    """Code every unit; return the method's tables and what was measured."""
-    parameters, section = job.parameters, b""
-    refiner = refiner_by_name(job.options.method)
-    if isinstance(refiner, FittingRefiner) and job.n_valid:
-        refiner = refiner.fitted(job.grid, parameters.step, pyramid.heights, pyramid.mask)
-        section = refiner.parameters
-    encoder = TreeEncoder(job.grid, refiner, parameters, pyramid, sink, on_samples)
-    return section, encoder.run(executor)
+) -> tuple[Job, bytes, Stats]:
+    """Code every unit; return the job with its method, that one's tables, what was measured."""
+    job, refiner, section = prepared(job, pyramid.heights, pyramid.mask)
+    encoder = TreeEncoder(job.grid, refiner, job.parameters, pyramid, sink, on_samples)
+    return job, section, encoder.run(executor)
 
 
 def _finest_error(job: Job, stats: Stats) -> int:

@@ -5,18 +5,29 @@ from dataclasses import dataclass
 from terrainwave.arguments import (
     BLOCKS,
     check_effort,
+    check_method,
     checked_error,
     checked_mesh,
-    checked_method,
     checked_threads,
 )
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.names import EFFORTS, METHODS, Method, methods_that
+from terrainwave.names import (
+    AUTO_METHODS,
+    DEFAULT_METHOD,
+    EFFORTS,
+    METHODS,
+    Method,
+    methods_that,
+)
+
+DEFAULT_EFFORT = "default"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
     """Options of `compress`, which says what they mean; "auto" has become what it stands for.
+
+    But for method "auto" with the default effort: what that is depends on the raster.
 
     Raises
     ------
@@ -39,12 +50,19 @@ class Options:
     def __post_init__(self) -> None:
         settled = {
             "max_error": checked_error("max_error", self.max_error),
-            "method": checked_method(self.method),
             "rate": checked_error("rate", self.rate),
             "psnr": checked_error("psnr", self.psnr),
             "mesh": checked_mesh(self.mesh, or_none=True),
             "mesh_error": checked_error("mesh_error", self.mesh_error),
         }
+        check_method(self.method)
+        check_effort(self.effort)
+        if self.is_auto and self.effort != DEFAULT_EFFORT:
+            # Fast and best say which method.
+            fast, best = AUTO_METHODS[0], AUTO_METHODS[-1]
+            settled["method"] = (fast if self.effort == EFFORTS[0] else best).name
+            if not METHODS[str(settled["method"])].effort:
+                settled["effort"] = DEFAULT_EFFORT
         for name, value in settled.items():
             object.__setattr__(self, name, value)
         self._check_goals()
@@ -52,7 +70,6 @@ class Options:
             raise InvalidArgumentError(
                 f"found `block` {self.block}, expected one of {', '.join(map(str, BLOCKS))}"
             )
-        check_effort(self.effort)
         if self.border_rings not in (1, 3):
             raise InvalidArgumentError(f"found `border_rings` {self.border_rings}, expected 1 or 3")
         if self.border_rings != 1 and self.coding.is_tiled:
@@ -84,9 +101,14 @@ class Options:
             )
 
     @property
+    def is_auto(self) -> bool:
+        """Say whether the method is still to be chosen (`write.choice`)."""
+        return self.method == "auto"
+
+    @property
     def coding(self) -> Method:
-        """Return the method that `method` names."""
-        return METHODS[self.method]
+        """Return the method that `method` names; the likeliest one as long as it is "auto"."""
+        return DEFAULT_METHOD if self.is_auto else METHODS[self.method]
 
     @property
     def effort_number(self) -> int:
@@ -105,14 +127,7 @@ class Options:
 
     @property
     def notes(self) -> list[str]:
-        """Return remarks on options that change nothing, and on methods that are not settled."""
-        notes = []
-        if self.effort != "default" and not self.coding.effort:
-            notes.append(
-                f"effort {self.effort} changes nothing: method {self.method} has no efforts"
-            )
-        if self.coding.is_draft:
-            notes.append(
-                f"method {self.method} is a draft: its bytes may still change, keep the original"
-            )
-        return notes
+        """Return remarks on options that change nothing."""
+        if self.effort == DEFAULT_EFFORT or self.coding.effort:
+            return []
+        return [f"effort {self.effort} changes nothing: method {self.method} has no efforts"]

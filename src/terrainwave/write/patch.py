@@ -81,8 +81,8 @@ def patch(
     Parameters
     ----------
     path : path
-        A file of method predictive. It is replaced at the end; whoever has it open keeps the old
-        one. It stays as it is if nothing differs.
+        A file of method rapid or predictive. It is replaced at the end; whoever has it open keeps
+        the old one. It stays as it is if nothing differs.
     src : path, rasterio dataset, ndarray or xarray DataArray
         The new heights: all or part of the file's area, on its grid and in its CRS and type. An
         array without a place covers all.

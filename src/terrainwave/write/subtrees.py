@@ -65,13 +65,15 @@ class RasterPlace:
 class Site:
     """What the tasks of a run share.
 
-    `level` is that of the blocks whose subtrees are tasks; `tables` are empty until they are known.
+    `level` is that of the blocks whose subtrees are tasks, `method` the one asked for, by which
+    results in the depot are named; `tables` are empty until they are known.
     """
 
     raster: RasterPlace
     depot: Depot
     job: Job
     level: int
+    method: str
     tables: bytes = b""
 
     @property
@@ -86,15 +88,15 @@ class Site:
 
     def refiner(self) -> Refiner:
         """Return the refiner with the file's tables."""
-        return refiner_by_name(self.job.options.method, self.tables)
+        return refiner_by_name(self.job.options.coding.name, self.tables)
 
     def name(self, stage: str, head: Block) -> str:
         """Return the name of what a task has left in the depot."""
-        return f"{self.job.options.method}-{stage}-{head.level}-{head.row}-{head.col}"
+        return f"{self.method}-{stage}-{head.level}-{head.row}-{head.col}"
 
     def top_name(self, stage: str) -> str:
         """Return the name of the segments above all tasks."""
-        return f"{self.job.options.method}-{stage}"
+        return f"{self.method}-{stage}"
 
     def top_heads(self) -> list[Block | None]:
         """Return the heads of the segments above all tasks, parents first."""

@@ -1,0 +1,77 @@
+"""Which method `auto` is for a raster: the fast one, unless another saves enough of its size.
+
+That follows from the raster alone: windows chosen by position are coded with each method, as if
+they were rasters of their own. So it is the same for any number of threads and on any cluster.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from terrainwave.codec.refiner import FittingRefiner, GroupSpec, Heights, Mask, Refiner, Sides
+from terrainwave.codec.registry import refiner_by_name
+from terrainwave.codec.windows import spread_windows
+from terrainwave.grid.quadtree import Region
+from terrainwave.names import AUTO_METHODS
+from terrainwave.write.job import Job
+
+# A slower method must take so much less in windows, in percent: of files that is about 8, as each
+# window pays for what a file learns once.
+_LEAST_SAVED = 5
+# Samples a side of a window, samples of the raster for one, and the fewest and most of them.
+_WINDOW, _SHARE = 129, 1 << 18
+_LEAST_WINDOWS, _MOST_WINDOWS = 2, 8
+
+Reader = Callable[[int, Region], Heights]
+MaskReader = Callable[[int, Region], Mask]
+
+
+def prepared(job: Job, heights: Reader, mask: MaskReader) -> tuple[Job, Refiner, bytes]:
+    """Return a job whose method is settled, its refiner, and the tables fitted to the raster.
+
+    `heights` and `mask` return targets and validity of a region of a level.
+    """
+    refiner, tables = _fitted(job, heights, mask)
+    if not job.options.is_auto:
+        return job, refiner, tables
+    settled = job.with_method(AUTO_METHODS[0])
+    if job.n_valid:
+        windows = _windows(job, heights, mask)
+        least = _n_bytes(refiner, windows)
+        for method in AUTO_METHODS[1:]:
+            if (
+                100 * _n_bytes(refiner_by_name(method.name), windows)
+                <= (100 - _LEAST_SAVED) * least
+            ):
+                settled = job.with_method(method)
+                refiner, tables = _fitted(settled, heights, mask)
+                break
+    return settled, refiner, tables
+
+
+def _fitted(job: Job, heights: Reader, mask: MaskReader) -> tuple[Refiner, bytes]:
+    refiner = refiner_by_name(job.options.coding.name)
+    if not isinstance(refiner, FittingRefiner) or not job.n_valid:
+        return refiner, b""
+    fitted = refiner.fitted(job.grid, job.parameters.step, heights, mask)
+    return fitted, fitted.parameters
+
+
+def _windows(job: Job, heights: Reader, mask: MaskReader) -> list[tuple[GroupSpec, Heights, Mask]]:
+    """Return windows of the full grid as root blocks."""
+    grid, parameters = job.grid, job.parameters
+    n_windows = min(max(grid.n_rows * grid.n_cols // _SHARE, _LEAST_WINDOWS), _MOST_WINDOWS)
+    found = []
+    for target, valid in zip(*spread_windows(grid, heights, mask, _WINDOW, n_windows), strict=True):
+        region = Region(0, 0, *target.shape)
+        spec = GroupSpec(
+            grid.k_max, region, region, None, Sides(False, False, False, False),
+            parameters.step, parameters.z_min, parameters.z_max, parameters.forbidden, 1,
+            parameters.effort,
+        )  # fmt: skip
+        found.append((replace(spec, wants_labels=False), target, valid))
+    return found
+
+
+def _n_bytes(refiner: Refiner, windows: list[tuple[GroupSpec, Heights, Mask]]) -> int:
+    """Return what windows take with a refiner."""
+    return sum(len(refiner.encode(spec, None, target, mask)[0]) for spec, target, mask in windows)

@@ -1,0 +1,61 @@
+"""What `auto` takes: from the raster alone."""
+
+import numpy as np
+import pytest
+from strategies import terrain_like
+
+from terrainwave.file import TerrainFile
+from terrainwave.write import choice
+from terrainwave.write.compress import compress_to_bytes
+
+
+def method_of(data):
+    with TerrainFile(data) as file:
+        return file.info().method
+
+
+def smooth(shape):
+    rows, cols = np.indices(shape)
+    waves = 300 * np.sin(rows / 40) + 200 * np.cos(cols / 33 + rows / 90)
+    return np.rint(waves + np.random.default_rng(1).normal(0, 2, shape)).astype(np.int16)
+
+
+def roofs(shape):
+    """Return level ground with boxes of random heights."""
+    rng = np.random.default_rng(2)
+    heights = np.full(shape, 100, dtype=np.int16)
+    for _ in range(shape[0] * shape[1] // 150):
+        row, col = rng.integers(0, shape[0]), rng.integers(0, shape[1])
+        n_rows, n_cols = rng.integers(4, 16, 2)
+        heights[row : row + n_rows, col : col + n_cols] = 100 + rng.integers(0, 90)
+    return heights
+
+
+@pytest.mark.parametrize(("heights", "method"), [(smooth, "rapid"), (roofs, "predictive")])
+def test_auto_is_the_fast_method_unless_the_other_saves_much(heights, method):
+    raster = heights((300, 280))
+    data = compress_to_bytes(raster, max_error=1)
+    assert method_of(data) == method
+    assert data == compress_to_bytes(raster, max_error=1, method=method)
+    with TerrainFile(data) as file:
+        assert np.abs(file.read().astype(int) - raster).max() <= 1
+
+
+@pytest.mark.parametrize("method", ["rapid", "predictive"])
+def test_auto_gives_the_bytes_of_the_method_on_any_number_of_threads(monkeypatch, method):
+    raster = terrain_like(140, 130, seed=4)
+    monkeypatch.setattr(choice, "_LEAST_SAVED", {"rapid": 100, "predictive": -100}[method])
+    made = {compress_to_bytes(raster, max_error=1, block=32, threads=n) for n in (1, 2)}
+    assert made == {compress_to_bytes(raster, max_error=1, block=32, method=method)}
+
+
+def test_a_raster_without_heights_is_the_fast_method():
+    void = np.full((40, 40), -9999, dtype=np.int16)
+    assert method_of(compress_to_bytes(void, max_error=1, nodata=-9999)) == "rapid"
+
+
+def test_efforts_of_auto_are_those_of_its_methods():
+    raster = terrain_like(60, 50)
+    fast, best = (compress_to_bytes(raster, max_error=1, effort=e) for e in ("fast", "best"))
+    assert fast == compress_to_bytes(raster, max_error=1, method="rapid")
+    assert best == compress_to_bytes(raster, max_error=1, method="predictive", effort="best")
