@@ -41,6 +41,7 @@ DEFAULT_MAX_BYTES = 4 << 30
 class Info:
     """What a .twz file says about itself; errors are in physical units.
 
+    `moved_error` is the share of `effective_error` that patches have added.
     `voids` is how voids are told: ``"none"``, by their ``"nodata"`` value, as ``"nan"``, or by a
     ``"mask"``; it is the way of the source, which may have no void at all.
     """
@@ -56,6 +57,7 @@ class Info:
     effective_error: float
     quantum: float
     rounding_error: float
+    moved_error: float
     units: str | None
     method: str
     effort: str
@@ -242,7 +244,10 @@ class TerrainFile:
 
     @property
     def max_error(self) -> float:
-        """Return the bound that was asked for, in physical units (after scale and offset)."""
+        """Return the bound that was asked for, in physical units (after scale and offset).
+
+        Patches add to it how far they have moved heights that they knew no original of.
+        """
         return self.header.max_error * abs(self._raster.scale)
 
     @property
@@ -310,6 +315,7 @@ class TerrainFile:
             effective_error=self.effective_error,
             quantum=quantum,
             rounding_error=self.quantizer.rho * abs(raster.scale),
+            moved_error=header.moved * quantum,
             units=raster.units,
             method=header.method,
             effort=EFFORTS[min(header.effort, len(EFFORTS) - 1)],

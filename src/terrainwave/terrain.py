@@ -61,7 +61,9 @@ class Terrain(TerrainFile):
             meshes of `level` are taken as they are.
         max_triangles : int, optional
             Find the smallest error, up to 2 %, whose mesh has at most as many triangles; not
-            beyond `max_error`, if that is given too.
+            beyond `max_error`, if that is given too. Where outlines of voids have more than one
+            edge on four triangles, those of a coarser level are taken: all valid samples are
+            covered, and voids smaller than that level's cells.
         optimise : int
             Sweeps of half-edge collapses over blocks of the full grid: one nearly halves the
             triangles. They too are of meshes made anew as `halves`.
@@ -70,7 +72,7 @@ class Terrain(TerrainFile):
         -------
         Mesh
             Its `error` holds at every valid sample it covers. It covers the quads of four valid
-            samples and the triangles of three.
+            samples and the triangles of three; with a budget, parts of voids too.
 
         Raises
         ------

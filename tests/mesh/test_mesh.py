@@ -6,6 +6,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -257,6 +258,70 @@ def test_a_budget_of_triangles_is_kept(n_most, tmp_path):
         assert area_problems(terrain, case, mesh, Region(0, 0, 100, 100), None) == []
         finer = terrain.mesh(max_triangles=4 * n_most)
         assert finer.error <= mesh.error
+
+
+@pytest.mark.large
+@pytest.mark.parametrize(("void", "ratio"), [("speckle", 1.3), ("checkerboard", 2.4)])
+def test_a_budget_is_used_beside_voids_as_without(void, ratio, tmp_path):
+    """Outlines of voids took the budget, so that the mesh was one of a far coarser level."""
+    shape, errors = (150, 140), {}
+    for name in ("none", void):
+        case = make_case("smooth", name, shape, 5, max_error=1, block=32)
+        with terrainwave.open(write_case(case, tmp_path)) as terrain:
+            for n_most in (500, 2000):
+                mesh = terrain.mesh(max_triangles=n_most)
+                assert 0.95 * n_most <= mesh.n_triangles <= n_most
+                assert area_problems(terrain, case, mesh, Region(0, 0, *shape), None) == []
+                errors[name, n_most] = mesh.error
+    for n_most in (500, 2000):
+        assert errors[void, n_most] <= ratio * errors["none", n_most]
+
+
+def test_a_budget_that_outlines_leave_room_for_keeps_them(tmp_path):
+    shape = (100, 100)
+    case = make_case("noise", "none", shape, 1, max_error=1, block=32)
+    case.valid[20:40, 30:60] = False
+    with terrainwave.open(write_case(case, tmp_path)) as terrain:
+        mesh = terrain.mesh(max_triangles=2000)
+        # Quads with a void, of which the four at the corners have one triangle.
+        uncovered = 21 * 31 - 4 * 0.5
+        assert covered_area(mesh) == 99 * 99 - uncovered
+        assert area_problems(terrain, case, mesh, Region(0, 0, *shape), None) == []
+        assert covered_area(terrain.mesh(max_triangles=150)) > 99 * 99 - uncovered
+
+
+def covered_area(mesh):
+    """Return the area of a mesh's triangles over the plane."""
+    a, b, c = (mesh.vertices[mesh.triangles[:, corner], :2] for corner in range(3))
+    (x_1, y_1), (x_2, y_2) = (b - a).T, (c - a).T
+    return float(np.abs(x_1 * y_2 - x_2 * y_1).sum() / 2)
+
+
+def test_a_try_beyond_the_budget_ends_early(tmp_path, monkeypatch):
+    """The finest mesh, which the budget has no room for, was made all the same."""
+    case = make_case("noise", "none", (300, 300), 1, max_error=1, block=32)
+    made = []
+
+    def counted(self, cut, block):
+        meshed = build(self, cut, block)
+        made.append(len(meshed.mesh.triangles))
+        return meshed
+
+    build = extraction._Extractor._build
+    monkeypatch.setattr(extraction._Extractor, "_build", counted)
+    with terrainwave.open(write_case(case, tmp_path), threads=1) as terrain:
+        with pytest.raises(extraction._TooManyTrianglesError):
+            extraction._Extractor(
+                terrain, extraction._Area(Region(0, 0, 300, 300), terrain.grid.k_max), Inline()
+            )._mesh_within(Fraction(2), 3000)
+    assert 3000 < sum(made) < 6000
+
+
+class Inline:
+    """An executor that does one thing after the other, when its result is asked for."""
+
+    def map(self, function, values):
+        return map(function, values)
 
 
 def test_a_budget_does_not_hide_an_error_that_cannot_be_had(tmp_path):

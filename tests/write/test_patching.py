@@ -10,9 +10,10 @@ from twz import twz_bytes
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import BoundViolationError, InvalidHeightsError
+from terrainwave.grid.quadtree import Region
 from terrainwave.terrain import Terrain
-from terrainwave.write.patch import patch
+from terrainwave.write.patch import _PatchEncoder, patch
 
 NODATA = -32768
 HEIGHTS = terrain_like(140, 100, seed=11)
@@ -123,15 +124,138 @@ def test_a_part_is_taken_where_it_is_and_the_rest_stays(placed, tmp_path):
     assert report.ok, report
 
 
+def merged(new, row, col, n_rows, n_cols, old=HEIGHTS):
+    """Return the old heights with a window of new ones."""
+    heights = old.copy()
+    heights[row : row + n_rows, col : col + n_cols] = new[row : row + n_rows, col : col + n_cols]
+    return heights
+
+
+def write_whole(heights, path):
+    nodata = NODATA if (heights == NODATA).any() else None
+    write_geotiff(path, heights, transform=TRANSFORM, crs="EPSG:32610", nodata=nodata)
+    return path
+
+
+def stated_bounds_problems(path, heights):
+    """Return the finest blocks whose stated error or box does not hold for the heights."""
+    found = []
+    with Terrain(path) as terrain:
+        decoded = terrain.read().astype(int)
+        for block in terrain.grid.blocks(terrain.grid.k_max):
+            region = terrain.grid.block_region(block)
+            at = region.slices_in(Region(0, 0, *heights.shape))
+            valid = heights[at] != NODATA
+            if not valid.any():
+                continue
+            error = np.abs(decoded[at] - heights[at])[valid].max()
+            low, high = terrain.block_box(block)
+            # Originals and what their error leaves room for, inside the file's range.
+            stated, info = terrain.block_error(block), terrain.info()
+            least = max(heights[at][valid].min() - stated, info.minimum)
+            most = min(heights[at][valid].max() + stated, info.maximum)
+            if error > stated or least < low or most > high:
+                found.append((block, error))
+    return found
+
+
+MIDDLE = (60, 20, 9, 9)
+
+
 @pytest.mark.large
-def test_a_change_that_moves_heights_outside_of_a_part_is_refused(placed, tmp_path):
-    # Predictions reach beyond the part, and what is not known must not move.
-    placed = placed(2)
-    before = placed.read_bytes()
-    part_of(changed(HEIGHTS), tmp_path / "new.tif", 58, 18, 13, 13)
-    with pytest.raises(InvalidHeightsError, match="reaches further beyond the change"):
-        patch(placed, tmp_path / "new.tif")
-    assert placed.read_bytes() == before
+@pytest.mark.parametrize(("mesh", "old"), [("none", HEIGHTS), ("halves", with_voids(HEIGHTS))])
+def test_a_lossy_file_takes_the_change_alone(tmp_path, mesh, old):
+    """It asked for a raster that reaches further, however far that reached."""
+    path, bound = tmp_path / "dem.twz", 2
+    write_whole(old, tmp_path / "old.tif")
+    path.write_bytes(twz_bytes(tmp_path / "old.tif", max_error=bound, mesh=mesh))
+    with Terrain(path) as terrain:
+        before = terrain.read().astype(int)
+    part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
+    result = patch(path, tmp_path / "new.tif")
+    new = merged(changed(HEIGHTS), *MIDDLE, old)
+    with Terrain(path) as terrain:
+        after, info = terrain.read().astype(int), terrain.info()
+    inside = np.zeros(before.shape, bool)
+    inside[60:69, 20:29] = True
+    assert np.abs(after - new)[inside].max() <= bound
+    assert 0 < np.abs(after - before)[~inside].max() == result.moved_error <= bound
+    assert info.effective_error == result.effective_error == bound + result.moved_error
+    assert info.moved_error == result.moved_error
+    report = terrainwave.verify(path, write_whole(new, tmp_path / "all.tif"), mesh=True)
+    assert report.ok, report
+    assert stated_bounds_problems(path, new) == []
+
+
+@pytest.mark.large
+def test_the_bound_grows_with_each_patch_until_the_original_is_given(placed, tmp_path):
+    path, new, moved = placed(2), HEIGHTS, 0.0
+    for row, col in ((60, 20), (20, 60), (100, 40)):
+        new = merged(changed(new, row, col), row, col, 9, 9, new)
+        part_of(new, tmp_path / "new.tif", row, col, 9, 9)
+        result = patch(path, tmp_path / "new.tif")
+        moved += result.moved_error
+        assert result.effective_error == 2 + moved
+        report = terrainwave.verify(path, write_whole(new, tmp_path / "all.tif"), mesh=True)
+        assert report.ok, report
+        assert stated_bounds_problems(path, new) == []
+    with Terrain(path) as terrain:
+        assert terrain.info().moved_error == moved > 2
+        with pytest.raises(InvalidHeightsError, match=f"expected at least {2 + moved:g}"):
+            terrain.mesh(max_error=1 + moved)
+    result = patch(path, tmp_path / "new.tif", original=tmp_path / "all.tif")
+    assert (result.moved_error, result.effective_error) == (0, 2)
+    with Terrain(path) as terrain:
+        assert np.abs(terrain.read().astype(int) - new).max() <= 2
+        assert (terrain.max_error, terrain.info().moved_error) == (2, 0)
+    assert terrainwave.verify(path, tmp_path / "all.tif", mesh=True).ok
+
+
+@pytest.mark.large
+def test_with_the_original_the_bound_stays(placed, tmp_path):
+    path = placed(2)
+    part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
+    result = patch(path, tmp_path / "new.tif", original=tmp_path / "old.tif")
+    assert (result.moved_error, result.effective_error) == (0, 2)
+    new = merged(changed(HEIGHTS), *MIDDLE)
+    report = terrainwave.verify(path, write_whole(new, tmp_path / "all.tif"), mesh=True)
+    assert report.ok, report
+
+
+def test_an_original_of_another_size_is_refused(placed, tmp_path):
+    path = placed(2)
+    part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
+    with pytest.raises(InvalidHeightsError, match="the original has 9 x 9 samples, expected"):
+        patch(path, tmp_path / "new.tif", original=tmp_path / "new.tif")
+
+
+@pytest.mark.large
+def test_a_move_that_is_not_stated_is_found(placed, tmp_path, monkeypatch):
+    path = placed(2)
+    before = path.read_bytes()
+    part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
+    monkeypatch.setattr(_PatchEncoder, "_largest_move", lambda *arguments: 0)
+    with pytest.raises(BoundViolationError, match="has moved by more than 0 quanta"):
+        patch(path, tmp_path / "new.tif")
+    assert path.read_bytes() == before
+
+
+@pytest.mark.large
+def test_the_command_tells_what_has_moved(placed, tmp_path):
+    path = placed(2)
+    part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
+    arguments = ["patch", str(path), str(tmp_path / "new.tif")]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.output
+    words = " ".join(result.output.split())
+    assert "heights beyond the new raster have moved by up to" in words
+    described = CliRunner().invoke(main, ["info", str(path)])
+    assert "of it by patches" in described.output
+    arguments += ["--original", str(tmp_path / "old.tif")]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 0, result.output
+    assert "max error guaranteed 2, measured" in result.output
+    assert "of it by patches" not in CliRunner().invoke(main, ["info", str(path)]).output
 
 
 @pytest.mark.large

@@ -312,6 +312,11 @@ def _print_result(result: Any) -> None:
 @click.argument("new", type=Input())
 @click.option("--nodata", type=Nodata(), help="Replaces the new raster's own nodata value.")
 @click.option("--band", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option(
+    "--original",
+    type=Input(),
+    help="The raster FILE was made of: keeps the bound where NEW is not, too.",
+)
 @click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
 @click.option("--threads", type=THREADS, help="Threads; all processors by default.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
@@ -334,6 +339,11 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
             f"max error guaranteed {result.effective_error:.6g}, measured"
             f" {result.measured_error:.6g}{_unit(result.units)}"
         )
+        if result.moved_error:
+            print_note(
+                f"heights beyond the new raster have moved by up to {result.moved_error:.6g}, which"
+                " is added to the file's bound; --original keeps it"
+            )
         _note_unit(result.units)
 
 
@@ -691,6 +701,7 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ("size", f"{info.n_rows} rows x {info.n_cols} columns, {info.dtype}"),
         ("bits/sample", f"{info.bits_per_sample:.4g}, {info.ratio:.4g} times smaller than raw"),
         ("max error", f"asked {info.max_error:.6g}, holds {info.effective_error:.6g}{unit}"),
+        ("moved", f"{info.moved_error:.6g}{unit} of it by patches" if info.moved_error else ""),
         ("quantum", f"{info.quantum:.6g}{unit}"),
         ("heights", extent),
         ("unit", info.units or "unknown"),

@@ -114,6 +114,12 @@ class Header:
         """Return the quadtree over the raster."""
         return Grid(self.n_rows, self.n_cols, self.block)
 
+    @property
+    def moved(self) -> int:
+        """Return how far patches may have moved heights, in quanta: a share of the bound."""
+        found = self.metadata.get("moved")
+        return found if isinstance(found, int) else 0
+
     @cached_property
     def quantizer(self) -> Quantizer:
         """Return the quantizer of the file's heights."""

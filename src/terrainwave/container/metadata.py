@@ -4,7 +4,7 @@ import json
 import math
 import re
 from collections.abc import Iterator
-from typing import NoReturn
+from typing import NoReturn, cast
 
 from terrainwave.container.deflate import deflate, inflate
 from terrainwave.container.dictionary import DICTIONARY
@@ -12,6 +12,7 @@ from terrainwave.container.header import MAX_METADATA
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
 
 MAX_NESTING = 16
+MAX_MOVED = 1 << 31
 
 _STRINGS = ("crs", "mask_kind", "units", "description", "software", "color_interpretation")
 _TEXTS_BY_NAME = ("tags", "band_tags")
@@ -123,6 +124,10 @@ def _wrong_values(metadata: dict[str, object]) -> Iterator[str]:
             isinstance(texts, dict) and all(isinstance(text, str) for text in texts.values())
         ):
             yield f"{key} is not an object of strings"
+    moved = metadata.get("moved")
+    is_whole = isinstance(moved, int) and not isinstance(moved, bool)
+    if moved is not None and not (is_whole and 0 <= cast(int, moved) <= MAX_MOVED):
+        yield "moved is not a whole number of quanta from 0 to 2^31"
     if metadata.get("scale") == 0:
         yield "scale is 0"
     transform = metadata.get("transform")

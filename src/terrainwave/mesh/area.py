@@ -6,6 +6,9 @@ meshed with what its heights leave of the error; what a coarse mesh does between
 measured. Where levels meet, the finer block takes the coarser one's border line as it is: on nested
 grids its vertices are samples of the finer block too, and the coarse mesh's error covers the
 samples between them. So no gap is stitched and no error added.
+
+With a budget of triangles the outlines of voids are those of a level that the budget has room for
+(`mesh.outlines`): all originals are covered, and small voids may be.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.cache import Cache
 from terrainwave.container.codes import decode_error
 from terrainwave.errors import (
     InvalidArgumentError,
@@ -33,6 +37,7 @@ from terrainwave.grid.affine import (
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import as_fraction
 from terrainwave.mesh.blocks import BlockSamples, SideTolerances, border_lines
+from terrainwave.mesh.outlines import CoveredSamples, finest_outline
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.tri.halves import Lines, triangulate
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
@@ -41,10 +46,17 @@ from terrainwave.tri.surface import deviation_from_bilinear, largest_deviation
 
 # Coarse blocks whose heights take at most this share of the error asked for are not refined.
 _COARSE_SHARE = 4
-# Tries to mesh a coarse block within the error, before it is refined.
+# Tries to mesh a block of a coarse level that was asked for within the error. Other coarse blocks
+# have one before they are refined: finer ones take fewer triangles than a mesh that is tried again.
 _TRIES = 3
-# A budget of triangles is met within this ratio of the smallest error.
-_BUDGET_RATIO = Fraction(102, 100)
+# A budget of triangles is met within this ratio of the smallest error, and goes on to the next one
+# while more than a twentieth of it is left.
+_BUDGET_RATIO, _LAST_RATIO = Fraction(102, 100), Fraction(1001, 1000)
+_LEAST_USED = Fraction(95, 100)
+# Of a budget: one edge of a void's outline on so many triangles. Sweeps that blocks with voids get.
+_OUTLINE_SHARE = 4
+_OUTLINE_SWEEPS = 8
+_CACHE_BYTES = 64 << 20
 # Half samples; edges are shorter than its inverse.
 _NEAR = 2.0**-20
 _ROUNDING = 2.0**-48
@@ -52,6 +64,10 @@ _ROUNDING = 2.0**-48
 
 class _UnreachableError(InvalidHeightsError):
     """A coarse level's meshes can't keep to the error, as its samples are too far apart."""
+
+
+class _TooManyTrianglesError(InvalidHeightsError):
+    """A mesh has more triangles than its budget."""
 
 
 class _Piece(NamedTuple):
@@ -145,10 +161,12 @@ class _Extractor:
         self._scale = abs(as_fraction(terrain.raster_info.scale))
         self._quantum = header.quantum * self._scale  # physical height of one quantum
         rho = Fraction(header.rho) / header.quantum
-        # What the codec takes of an error, in quanta.
-        self._coded = Fraction(header.step >> 1) + rho
+        # What the codec and patches take of an error, in quanta.
+        self._coded = Fraction((header.step >> 1) + header.moved) + rho
         self._has_meshes = header.mesh != "none"
-        self._samples: dict[Block, BlockSamples] = {}
+        self._samples: Cache[Block, BlockSamples] = Cache(_CACHE_BYTES, size_of=_n_bytes)
+        # Whether outlines of voids may have fewer vertices, which takes sweeps.
+        self._are_outlines_simple = False
 
     # Errors, in quanta
 
@@ -345,9 +363,7 @@ class _Extractor:
     # Meshes
 
     def _samples_of(self, block: Block) -> BlockSamples:
-        if block not in self._samples:
-            self._samples[block] = self._mesher.samples(block)
-        return self._samples[block]
+        return self._samples.get_or_make(block, lambda: self._mesher.samples(block))
 
     def _lines(self, cut: dict[Block, _Piece], block: Block, samples: BlockSamples) -> Lines:
         """Return the block's border lines, those of coarser neighbours where there are any."""
@@ -373,25 +389,33 @@ class _Extractor:
     def _build(self, cut: dict[Block, _Piece], block: Block) -> _MeshedBlock:
         samples = self._samples.get(block) or self._mesher.samples(block)
         piece, lines = cut[block], self._lines(cut, block, samples)
-        mesh = triangulate(*samples, lines, piece.tolerance)
         if block.level == self._grid.k_max:
-            if self._area.sweeps:
-                mesh = simplify(
-                    mesh, samples.heights, samples.mask, piece.tolerance, self._area.sweeps
-                )
+            mesh = self._triangulated(block, samples, lines, piece.tolerance)
             measured = largest_deviation(mesh, 1, samples.heights, samples.mask, 0, 0)
             # Samples on a coarser neighbour's border keep to the error, not to the tolerance.
             error = piece.heights_error + Fraction(measured, 1 << FRACTION_BITS)
             return _MeshedBlock(mesh, min(error, piece.error))
         stride, tolerance = self._grid.stride(block.level), piece.tolerance
-        for _ in range(_TRIES):
+        for _ in range(_TRIES if block.level == self._area.level else 1):
+            mesh = self._triangulated(block, samples, lines, tolerance)
             measured = deviation_from_bilinear(mesh, stride, samples.heights, samples.mask)
             if measured <= piece.tolerance:
                 error = piece.heights_error + Fraction(measured, 1 << FRACTION_BITS)
                 return _MeshedBlock(mesh, error)
             tolerance = tolerance * piece.tolerance // (measured + measured // 16)
-            mesh = triangulate(*samples, lines, tolerance)
         return _MeshedBlock(mesh, None)
+
+    def _triangulated(
+        self, block: Block, samples: BlockSamples, lines: Lines, tolerance: int
+    ) -> BlockMesh:
+        """Return the mesh of a block's samples, with fewer triangles where sweeps are asked for."""
+        mesh = triangulate(*samples, lines, tolerance)
+        sweeps = self._area.sweeps if block.level == self._grid.k_max else 0
+        if self._are_outlines_simple and not samples.mask.all():
+            sweeps = max(sweeps, _OUTLINE_SWEEPS)
+        if not sweeps:
+            return mesh
+        return simplify(mesh, samples.heights, samples.mask, tolerance, sweeps)
 
     def mesh(self, max_error: float | None) -> PlacedMesh:
         """Return the mesh for an error in physical units, or that of the stored meshes."""
@@ -431,9 +455,18 @@ class _Extractor:
         built = dict(zip(blocks, self._executor.map(build, blocks), strict=True))
         return self._assemble(cut, built)
 
-    def _mesh_within(self, error: Fraction) -> PlacedMesh:
+    def _mesh_within(self, error: Fraction, n_most: int | None = None) -> PlacedMesh:
+        """Return the mesh for an error in quanta.
+
+        Raises
+        ------
+        _UnreachableError
+            If a coarse level can't keep to it.
+        _TooManyTrianglesError
+            If it has more than `n_most` triangles; the rest of it is not made.
+        """
         cut, level = self._cut(error), self._area.level
-        built = self._build_all(cut)
+        built = self._build_all(cut, n_most)
         while True:
             failed = sorted(block for block, mesh in built.items() if mesh.error is None)
             if not failed:
@@ -447,22 +480,40 @@ class _Extractor:
                 if block in cut:
                     self._split(cut, block, error)
             self._close(cut, error)
-            built = self._build_all(cut)
+            built = self._build_all(cut, n_most)
 
-    def _mesh_if_reached(self, error: Fraction) -> PlacedMesh | None:
-        """Return the mesh for an error in quanta; None if a coarse level can't keep to it."""
+    def _mesh_if_reached(self, error: Fraction, n_most: int) -> PlacedMesh | None:
+        """Return the mesh for an error in quanta.
+
+        None if it has more than `n_most` triangles or a coarse level can't keep to the error.
+        """
         try:
-            return self._mesh_within(error)
-        except _UnreachableError:
+            return self._mesh_within(error, n_most)
+        except (_UnreachableError, _TooManyTrianglesError):
             return None
 
-    def _build_all(self, cut: dict[Block, _Piece]) -> dict[Block, _MeshedBlock]:
-        blocks = sorted(cut)
+    def _build_all(
+        self, cut: dict[Block, _Piece], n_most: int | None = None
+    ) -> dict[Block, _MeshedBlock]:
+        blocks, built, n_triangles = sorted(cut), {}, 0
         meshes = self._executor.map(lambda block: self._build(cut, block), blocks)
-        return dict(zip(blocks, meshes, strict=True))
+        for block, meshed in zip(blocks, meshes, strict=True):
+            built[block] = meshed
+            if n_most is not None and meshed.error is not None:
+                n_triangles += self._n_inside(block, meshed.mesh)
+                if n_triangles > n_most:
+                    # What has not been begun is not made.
+                    del meshes
+                    raise _TooManyTrianglesError(f"more than {n_most} triangles")
+        return built
+
+    def _n_inside(self, block: Block, mesh: BlockMesh) -> int:
+        """Return how many triangles of a block's mesh the area's mesh will have."""
+        return len(_clipped(*_joined(self._grid, [block], [mesh]), self._limits())[1])
 
     def within_budget(self, max_triangles: int, max_error: float | None) -> PlacedMesh:
         """Return the mesh of the smallest error, up to 2 %, that has at most `max_triangles`."""
+        self._simplify_outlines(max_triangles)
         high = self._largest_error()
         if max_error is not None:
             high = min(high, self._asked(max_error))
@@ -473,21 +524,33 @@ class _Extractor:
                 f" mesh with an error of {float(high * self._quantum):g} has as many"
             )
         low = self._smallest_error()
-        finest = self._mesh_if_reached(low)
-        if finest is not None and finest.n_triangles <= max_triangles:
+        finest = self._mesh_if_reached(low, max_triangles)
+        if finest is not None:
             return finest
         low = max(low, Fraction(1, 16))
-        while high > low * _BUDGET_RATIO:
+        while high > low * _BUDGET_RATIO or (
+            best.n_triangles < max_triangles * _LEAST_USED and high > low * _LAST_RATIO
+        ):
             # The geometric mean, as errors span decades.
             middle = Fraction(float(low * high) ** 0.5).limit_denominator(1 << 20)
             if not low < middle < high:
                 break
-            mesh = self._mesh_if_reached(middle)
-            if mesh is not None and mesh.n_triangles <= max_triangles:
+            mesh = self._mesh_if_reached(middle, max_triangles)
+            if mesh is not None:
                 best, high = mesh, middle
             else:
                 low = middle
         return best
+
+    def _simplify_outlines(self, max_triangles: int) -> None:
+        """Keep so much of the outlines of voids as a budget of triangles has room for."""
+        if self._terrain.raster_info.mask_kind == "none":
+            return
+        area, decoder = self._area, self._terrain.decoder
+        n_edges = max_triangles // _OUTLINE_SHARE
+        outline = finest_outline(self._grid, decoder, area.level, area.region, n_edges)
+        self._mesher = mesher_of(self._terrain, CoveredSamples(self._grid, decoder, outline))
+        self._are_outlines_simple = True
 
     def _largest_error(self) -> Fraction:
         """Return an error beyond which meshes have no fewer triangles, in quanta."""
@@ -535,6 +598,10 @@ class _Extractor:
         # An array without a place: its columns and rows are no degrees.
         attributes = {"is_placed": raster.transform != IDENTITY}
         return PlacedMesh(points, triangles, origin, error, crs, raster.units, attributes)
+
+
+def _n_bytes(samples: BlockSamples) -> int:
+    return samples.heights.nbytes + samples.mask.nbytes + samples.locked.nbytes
 
 
 _TOWARDS = {"top": (-1, 0), "bottom": (1, 0), "left": (0, -1), "right": (0, 1)}

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from fractions import Fraction
 from functools import partial
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,6 @@ from terrainwave.container.header import MAX_MESH_TOLERANCE
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.measure import with_outside
 from terrainwave.grid.quadtree import Block, Grid, Region
-from terrainwave.read.decoder import TreeDecoder
 from terrainwave.tri.borders import beside_void, line_vertices
 from terrainwave.tri.halves import Lines, triangulate
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
@@ -36,6 +35,14 @@ _CACHED_MESHES = 64
 
 ErrorCode = Callable[[Block], int]
 Originals = Callable[[Region], tuple[Heights, Mask]]
+
+
+class LevelSamples(Protocol):
+    """Whatever has the samples of a file's levels, as its decoder does."""
+
+    def window(self, level: int, region: Region) -> tuple[Heights, Mask]:
+        """Return heights and validity of any region inside a level."""
+        ...
 
 
 class BlockSamples(NamedTuple):
@@ -78,7 +85,7 @@ class BlockMesher:
     def __init__(
         self,
         grid: Grid,
-        decoder: TreeDecoder,
+        decoder: LevelSamples,
         error_code: ErrorCode,
         tolerance: int,
         *,

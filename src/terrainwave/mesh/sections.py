@@ -8,7 +8,7 @@ from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid
-from terrainwave.mesh.blocks import BlockMesher
+from terrainwave.mesh.blocks import BlockMesher, LevelSamples
 from terrainwave.read.decoder import TreeDecoder, unit_key
 from terrainwave.tri.agreement import BorderVertices, Position, agree
 from terrainwave.tri.stored import STORED_KINDS, Draft
@@ -172,12 +172,15 @@ def _level_parts(
     return parts
 
 
-def mesher_of(file: TerrainFile) -> BlockMesher:
-    """Return the mesher of an open file, for the stored mesh of any block."""
+def mesher_of(file: TerrainFile, samples: LevelSamples | None = None) -> BlockMesher:
+    """Return the mesher of an open file, for the stored mesh of any block.
+
+    `samples` stand in for the file's own, in meshes that are made anew.
+    """
     header = file.header
     return BlockMesher(
         file.grid,
-        file.decoder,
+        samples or file.decoder,
         lambda block: file.container.codes(block)[2],
         header.mesh_tolerance,
         has_voids=file.raster_info.mask_kind != "none",

@@ -1,8 +1,9 @@
 """Fewer triangles by half-edge collapses, with the same test as the mesh itself.
 
 A vertex moves onto a neighbour, which takes the middle of the interval of heights that keeps every
-sample of the new star within the tolerance. Vertices on the mesh's boundary (block borders, voids)
-stay as they are, so blocks still fit together.
+sample of the new star within the tolerance. Vertices on block borders stay as they are, so blocks
+still fit together; on the outline of a void those go that lie on a straight line between the two
+beside them, so that the mesh covers what it did.
 """
 
 import numpy as np
@@ -18,6 +19,8 @@ _TOO_MANY = 1 << 20
 # New triangles are at least this thick, twice the area over the longest edge squared, or as thick
 # as the thinnest of those they replace: 1/16 is a height of a sixteenth of the longest edge.
 _MIN_THICKNESS = 1.0 / 16
+# Where vertices may go: anywhere, nowhere, along the straight outline of a void.
+_FREE, _FIXED, _OUTLINE = 0, 1, 2
 
 
 def simplify(
@@ -47,7 +50,7 @@ def simplify(
     z = scale.of_mesh(mesh.heights)
     triangles = mesh.triangles.copy()
     is_alive = _sweep(
-        values.ravel(), values.shape[1], mesh.rows, mesh.cols, z, triangles, scale.tolerance,
+        values.ravel(), *values.shape, mesh.rows, mesh.cols, z, triangles, scale.tolerance,
         scale.lowest, scale.highest, n_sweeps, min_thickness,
     )  # fmt: skip
     triangles = triangles[is_alive]
@@ -139,10 +142,13 @@ def _fit_star(
 
 @kernel
 def _n_common(triangles, stars, degrees, v, u):
-    """Return how many neighbours v and u share: two, or the collapse would pinch the surface."""
+    """Return how many neighbours v and u share.
+
+    Two, on an outline one, or the collapse would pinch the surface.
+    """
     count = 0
     for i in range(degrees[v]):
-        # Each neighbour of an inner vertex comes first in one of its triangles.
+        # Each neighbour comes first in one of v's triangles, but the last one on an outline.
         p, _ = _others(triangles, stars[v, i], v)
         if p == u:
             continue
@@ -165,32 +171,70 @@ def _remove(stars, degrees, v, t):
 
 
 @kernel
-def _boundary_vertices(triangles, stars, degrees):
-    """Return the vertices whose triangles don't go all round, or are too many to list."""
+def _outline_neighbours(triangles, stars, degrees, v):
+    """Return the neighbours before and after v on the boundary, and how many gaps its star has.
+
+    (-1, -1, 0) for a vertex inside. Of several gaps one neighbour on either side of any is told.
+    """
+    before, after, n_gaps = np.int64(-1), np.int64(-1), 0
+    for i in range(degrees[v]):
+        first, last = _others(triangles, stars[v, i], v)
+        is_first_shared = is_last_shared = False
+        for k in range(degrees[v]):
+            other_first, other_last = _others(triangles, stars[v, k], v)
+            is_first_shared |= first == other_last
+            is_last_shared |= last == other_first
+        if not is_last_shared:
+            after = np.int64(last)
+            n_gaps += 1
+        if not is_first_shared:
+            before = np.int64(first)
+    return before, after, n_gaps
+
+
+@kernel
+def _kinds_of_vertices(rows, cols, triangles, stars, degrees, last_row, last_col):
+    """Return how each vertex may move. Those with too many triangles to list are fixed."""
     n_vertices = degrees.shape[0]
-    is_boundary = np.zeros(n_vertices, dtype=np.bool_)
+    kinds = np.zeros(n_vertices, dtype=np.uint8)
     for v in range(n_vertices):
         if degrees[v] > _MAX_DEGREE:
-            is_boundary[v] = True
+            kinds[v] = _FIXED
             continue
-        for i in range(degrees[v]):
-            _, last = _others(triangles, stars[v, i], v)
-            is_closed = False
-            for k in range(degrees[v]):
-                first, _ = _others(triangles, stars[v, k], v)
-                is_closed |= first == last
-            if not is_closed:
-                is_boundary[v] = True
-                break
-    return is_boundary
+        _, _, n_gaps = _outline_neighbours(triangles, stars, degrees, v)
+        if n_gaps == 0:
+            continue
+        is_inside = 0 < rows[v] < last_row and 0 < cols[v] < last_col
+        kinds[v] = _OUTLINE if n_gaps == 1 and is_inside else _FIXED
+    return kinds
+
+
+@kernel
+def _is_between(rows, cols, v, before, after):
+    """Say whether v lies on the straight line from one neighbour to the other."""
+    down_1, right_1 = np.int64(rows[before]) - rows[v], np.int64(cols[before]) - cols[v]
+    down_2, right_2 = np.int64(rows[after]) - rows[v], np.int64(cols[after]) - cols[v]
+    return down_1 * right_2 == down_2 * right_1 and down_1 * down_2 + right_1 * right_2 < 0
 
 
 @kernel
 def _sweep(
-    values, n_cols, rows, cols, z, triangles, tolerance, lowest, highest, n_sweeps, min_thickness
+    values,
+    n_rows,
+    n_cols,
+    rows,
+    cols,
+    z,
+    triangles,
+    tolerance,
+    lowest,
+    highest,
+    n_sweeps,
+    min_thickness,
 ):
     """Collapse in place; return which triangles are left."""
     n_vertices = rows.shape[0]
+    last_row, last_col = 2 * (n_rows - 1), 2 * (n_cols - 1)
     # While v's triangles are handed to u, the two that vanish may still be in u's list.
     stars = np.empty((n_vertices, _MAX_DEGREE + 2), dtype=np.int32)
     degrees = np.zeros(n_vertices, dtype=np.int32)
@@ -204,17 +248,17 @@ def _sweep(
     for v in range(n_vertices):
         if degrees[v] > _MAX_DEGREE:
             degrees[v] = _TOO_MANY
-    is_fixed = _boundary_vertices(triangles, stars, degrees)
+    kinds = _kinds_of_vertices(rows, cols, triangles, stars, degrees, last_row, last_col)
     is_gone = np.zeros(n_vertices, dtype=np.bool_)
     is_waiting = np.ones(n_vertices, dtype=np.bool_)
     for _ in range(n_sweeps):
         n_done = 0
         for v in range(n_vertices):
-            if is_gone[v] or is_fixed[v] or not is_waiting[v]:
+            if is_gone[v] or kinds[v] == _FIXED or not is_waiting[v]:
                 continue
             is_waiting[v] = False
             u = _collapse_target(
-                values, n_cols, rows, cols, z, triangles, stars, degrees, is_fixed, v, tolerance,
+                values, n_cols, rows, cols, z, triangles, stars, degrees, kinds, v, tolerance,
                 lowest, highest, min_thickness,
             )  # fmt: skip
             if u < 0:
@@ -244,21 +288,34 @@ def _sweep(
 
 @kernel
 def _collapse_target(
-    values, n_cols, rows, cols, z, triangles, stars, degrees, is_fixed, v, tolerance, lowest,
+    values, n_cols, rows, cols, z, triangles, stars, degrees, kinds, v, tolerance, lowest,
     highest, min_thickness,
 ):  # fmt: skip
-    """Return the first neighbour that v can move onto, its height set; -1 if there is none."""
+    """Return the first neighbour that v can move onto, its height set; -1 if there is none.
+
+    Of a vertex on an outline these are the two beside it there, if it lies between them.
+    """
+    before, after, n_vanish = np.int64(-1), np.int64(-1), 2
+    if kinds[v] == _OUTLINE:
+        before, after, _ = _outline_neighbours(triangles, stars, degrees, v)
+        n_vanish = 1
+        if not _is_between(rows, cols, v, before, after):
+            return -1
     least = min(min_thickness, _thinnest(rows, cols, triangles, stars[v], degrees[v]))
-    for i in range(degrees[v]):
-        u, _ = _others(triangles, stars[v, i], v)
-        if degrees[u] + degrees[v] - 4 > _MAX_DEGREE:
+    n_targets = degrees[v] if n_vanish == 2 else 2
+    for i in range(n_targets):
+        u = after if i else before
+        if n_vanish == 2:
+            first, _ = _others(triangles, stars[v, i], v)
+            u = np.int64(first)
+        if degrees[u] + degrees[v] - 2 * n_vanish > _MAX_DEGREE:
             continue
         if not _is_thick(rows, cols, triangles, stars[v], degrees[v], v, u, least):
             continue
-        if _n_common(triangles, stars, degrees, v, u) != 2:
+        if _n_common(triangles, stars, degrees, v, u) != n_vanish:
             continue
         low, high = lowest, highest
-        if is_fixed[u]:
+        if kinds[u] != _FREE:
             low, high = z[u], z[u]
         low, high = _fit_star(
             values, n_cols, rows, cols, z, triangles, stars[v], degrees[v], v, u, u, tolerance, low,
@@ -266,7 +323,7 @@ def _collapse_target(
         )  # fmt: skip
         if low > high:
             continue
-        if not is_fixed[u]:
+        if kinds[u] == _FREE:
             low, high = _fit_star(
                 values, n_cols, rows, cols, z, triangles, stars[u], degrees[u], u, u, v, tolerance,
                 low, high,

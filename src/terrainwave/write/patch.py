@@ -5,12 +5,17 @@ heights are no longer within the bound of the new raster, or voids differ. Such 
 whose parent's decoded heights have changed, are coded again with the file's own parameters; a
 sample whose prediction is as it was gets its old height again, as only one multiple of the step is
 within the bound. All other payloads are copied.
+
+Beyond the new raster the target is the original, if it is given, else the stored height: a lossy
+file may move it, by its bound at most. The header's bounds grow by what it has moved, and the
+metadata add it up (FORMAT.md §4.2, *moved*; docs/decisions/0011).
 """
 
 import os
 from collections.abc import Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -23,10 +28,11 @@ from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import block_of_unit
 from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
+from terrainwave.container.header import Header
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.writer import assemble
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import BoundViolationError, InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import places_to_pixels
 from terrainwave.grid.quadtree import Block, Grid, Region
@@ -41,7 +47,13 @@ from terrainwave.read.decoder import unit_key
 from terrainwave.read.tiles import make_decoder
 from terrainwave.write.boxes import Box, enclosing_boxes
 from terrainwave.write.encoder import Stats, TreeEncoder
-from terrainwave.write.proof import allowed_error, compare_window, measured_error, proof_windows
+from terrainwave.write.proof import (
+    OUR_FAULT,
+    allowed_error,
+    compare_window,
+    measured_error,
+    proof_windows,
+)
 from terrainwave.write.pyramid import Pyramid
 
 _CACHE_BYTES = 128 << 20
@@ -55,7 +67,12 @@ _MISALIGNED = 1e-3
 
 @dataclass(frozen=True)
 class PatchResult:
-    """What `patch` did; errors in physical units, measured where the new raster is."""
+    """What `patch` did; errors in physical units.
+
+    `measured_error` is that where the new raster is, or everywhere with an original;
+    `moved_error` how far heights beyond it are from those the file had; `effective_error` the
+    bound that the file now states for all.
+    """
 
     path: str
     n_bytes: int
@@ -63,6 +80,7 @@ class PatchResult:
     n_copied: int
     effective_error: float
     measured_error: float
+    moved_error: float
     units: str | None
 
 
@@ -72,6 +90,7 @@ def patch(
     *,
     band: int = 1,
     nodata: float | None = None,
+    original: Any = None,
     temp_dir: str | os.PathLike[str] | None = None,
     threads: int | None = None,
     progress: ProgressCallback | None = None,
@@ -88,6 +107,8 @@ def patch(
         array without a place covers all.
     band, nodata, temp_dir, threads, progress
         As in `compress`.
+    original : path, rasterio dataset, ndarray or xarray DataArray, optional
+        The raster that the file was made of, band 1: heights that `src` does not cover.
 
     Returns
     -------
@@ -97,22 +118,27 @@ def patch(
     Raises
     ------
     InvalidHeightsError
-        If `src` does not fit the file, or a change reaches heights that it does not cover.
+        If `src` or `original` does not fit the file.
     BoundViolationError
         If the proof fails; the file is untouched.
 
     Notes
     -----
-    The proof decodes the whole result: where `src` is, every sample is within the bound of it; all
-    others have exactly the height they had. Takes about the time of decoding and measuring the
-    whole file, and that of coding what differs.
+    The proof decodes the whole result: where `src` is, every sample is within the bound of it. A
+    lossless file has exactly the heights it had elsewhere; in a lossy one each is within the bound
+    of the height it had: the bound of the file grows by the largest such move, patch by patch. With
+    `original`, every sample is within the bound, whatever the patches before. Takes about the time
+    of decoding and measuring the whole file, and that of coding what differs.
     """
     n_threads = checked_threads(threads)
     refuse_own_source(src, path)
+    if original is not None:
+        refuse_own_source(original, path)
     final = Path(os.path.realpath(path))
     with (
         TerrainFile(final, threads=1) as terrain,
         RasterSource(src, band=band, nodata=nodata) as source,
+        nullcontext() if original is None else RasterSource(original) as whole,
         scratch_directory(temp_dir or final.parent, final.name) as directory,
         ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
     ):
@@ -123,25 +149,28 @@ def patch(
                 f"{path} has method {method.name}; only files of method {fit} can be patched:"
                 " compress the whole raster again"
             )
-        merged = _Merged(terrain, source, _place(terrain.raster_info, source.info))
+        place = _place(terrain.raster_info, source.info)
+        merged = _Merged(terrain, source, place, _checked_original(terrain, whole))
         merged.check()
         patcher = _Patcher(terrain, merged, directory, executor, Reporter(progress))
         n_recoded, n_copied = patcher.code()
         error = 0.0
         if patcher.is_changed:
             with publish(final, overwrite=True) as part:
-                assemble(part.file, terrain.header, patcher.sink.spools)
+                assemble(part.file, patcher.header, patcher.sink.spools)
                 error = patcher.prove(part.path)
         else:
             error = patcher.prove(final)
         patcher.close()
+        quantum = terrain.quantizer.quantum * abs(terrain.raster_info.scale)
     return PatchResult(
         path=os.fspath(path),
         n_bytes=os.path.getsize(final),
         n_recoded=n_recoded,
         n_copied=n_copied,
-        effective_error=terrain.effective_error,
+        effective_error=patcher.header.effective_bound * abs(terrain.raster_info.scale),
         measured_error=error * abs(terrain.raster_info.scale),
+        moved_error=patcher.moved * quantum,
         units=terrain.raster_info.units,
     )
 
@@ -185,13 +214,42 @@ def _place(info: RasterInfo, new: RasterInfo) -> Region:
     return place
 
 
-class _Merged:
-    """The new raster where it is, the file's decoded heights elsewhere."""
+def _checked_original(terrain: TerrainFile, original: RasterSource | None) -> RasterSource | None:
+    """Return the original, if it covers the file.
 
-    def __init__(self, terrain: TerrainFile, source: RasterSource, place: Region) -> None:
+    Raises
+    ------
+    InvalidHeightsError
+        If it does not.
+    """
+    if original is not None:
+        place = _place(terrain.raster_info, original.info)
+        if place.shape != terrain.shape:
+            raise InvalidHeightsError(
+                f"the original has {place.n_rows} x {place.n_cols} samples, expected the raster"
+                f" that the file was made of, {terrain.shape[0]} x {terrain.shape[1]}"
+            )
+    return original
+
+
+class _Merged:
+    """The new raster where it is; elsewhere the original, or the file's decoded heights.
+
+    `place` is where heights are known by more than the file: everywhere, with an original.
+    """
+
+    def __init__(
+        self,
+        terrain: TerrainFile,
+        source: RasterSource,
+        new_place: Region,
+        original: RasterSource | None = None,
+    ) -> None:
         self._terrain = terrain
         self._source = source
-        self.place = place
+        self._new_place = new_place
+        self._original = original
+        self.place = new_place if original is None else Region(0, 0, *terrain.shape)
 
     def covers(self, region: Region) -> bool:
         """Say whether the new raster covers a region of the full grid."""
@@ -202,10 +260,13 @@ class _Merged:
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """Return raw heights and validity of a window."""
         region = Region(row, col, n_rows, n_cols)
-        part = region.intersect(self.place)
+        part = region.intersect(self._new_place)
         if part == region:
             return self._new(region)
-        heights, valid = self._terrain.read_with_mask(region)
+        if self._original is None:
+            heights, valid = self._terrain.read_with_mask(region)
+        else:
+            heights, valid = self._original.read(*region)
         heights, valid = heights.copy(), valid.copy()
         if part.n_rows and part.n_cols:
             at = part.slices_in(region)
@@ -213,7 +274,7 @@ class _Merged:
         return heights, valid
 
     def _new(self, region: Region) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        row, col = region.row - self.place.row, region.col - self.place.col
+        row, col = region.row - self._new_place.row, region.col - self._new_place.col
         return self._source.read(row, col, *region.shape)
 
     def check(self) -> None:
@@ -222,7 +283,7 @@ class _Merged:
         header = self._terrain.header
         low, high = (quantizer.height_of(number) for number in (header.z_min, header.z_max))
         for window in self.place.tiles(_WINDOW, _WINDOW):
-            raw, valid = self._new(window)
+            raw, valid = self.read(*window)
             if info.mask_kind == "none" and not valid.all():
                 raise InvalidHeightsError(
                     "the new raster has voids, and the file has no way to mark them: compress the"
@@ -262,6 +323,8 @@ class _PatchEncoder(TreeEncoder):
         self._own = own
         # Largest change of each block's decoded heights, in quanta, where anything changed.
         self.changes: dict[Block, int] = {}
+        # The same of the full grid, where the new raster is not.
+        self.moves: dict[Block, int] = {}
         self.recoded: set[Block] = set()
         header = terrain.header
         refiner = refiner_by_name(header.method, header.parameters)
@@ -283,10 +346,21 @@ class _PatchEncoder(TreeEncoder):
             before, after = (
                 block_of_unit(self._grid, spec, unit, block) for unit in (old, decoded)
             )
-            change = int(np.abs(after.heights.astype(np.int64) - before.heights).max())
+            changes = np.abs(after.heights.astype(np.int64) - before.heights)
+            change = int(changes.max())
+            if spec.level == self._grid.k_max:
+                self.moves[block] = self._largest_move(block, spec, changes, after.mask)
             if change or not np.array_equal(before.mask, after.mask):
                 self.changes[block] = change
         return payload, decoded
+
+    def _largest_move(
+        self, block: Block, spec: GroupSpec, changes: NDArray[np.int64], mask: Mask
+    ) -> int:
+        """Return the largest change of a finest block's valid samples without a known original."""
+        region = self._grid.block_region(block, 1 if spec.rings == 3 else 0)
+        is_open = mask & ~_inside(self._merged, region, np.ones(region.shape, dtype=np.bool_))
+        return int(changes[is_open].max(initial=0))
 
     def _holds(self, spec: GroupSpec, old: Decoded, target: Heights, mask: Mask) -> bool:
         """Say whether a unit decodes to within the bound of the targets."""
@@ -377,7 +451,10 @@ class _Patcher:
             executor=executor,
         )
         self._directory = directory
+        self.header = terrain.header
         self.is_changed = False
+        # The largest move in quanta of a sample that the new raster does not cover.
+        self.moved = 0
 
     def code(self) -> tuple[int, int]:
         """Fill the sink; return how many units were coded again, and how many copied."""
@@ -388,11 +465,45 @@ class _Patcher:
         )
         stats = encoder.run(self._executor)
         own.close()
-        errors, boxes = self._codes(stats, encoder.changes)
+        self.moved = max(encoder.moves.values(), default=0)
+        self.header = self._bounded_header()
+        errors, boxes = self._codes(stats, encoder.changes | encoder.moves)
         mesh_errors = self._mesh(encoder.changes, errors)
         is_any_new = self._set_codes(errors, boxes, mesh_errors)
         self.is_changed = bool(encoder.recoded) or is_any_new
+        self.is_changed |= self.header != self._terrain.header
         return len(encoder.recoded), self._grid.n_units() - len(encoder.recoded)
+
+    def _bounded_header(self) -> Header:
+        """Return the file's header with the bounds that hold after the patch."""
+        old = self._terrain.header
+        before = old.moved
+        after = before + self.moved
+        if self._merged.covers(Region(0, 0, *self._terrain.shape)):
+            after = 0
+        if after == before:
+            return old
+        metadata = {key: value for key, value in old.metadata.items() if key != "moved"}
+        if after:
+            metadata["moved"] = after
+        # The bounds without moves; float64 holds their sums to more than the last digit shown.
+        asked = self._asked_bound()
+        moved = float(after * old.quantum)
+        effective = old.quantizer.effective_error + moved
+        return replace(
+            old,
+            metadata=metadata,
+            max_error=max(asked + moved, effective),
+            effective_bound=effective,
+        )
+
+    def _asked_bound(self) -> float:
+        """Return the bound that was asked for when the file was made, in raw units."""
+        header = self._terrain.header
+        if not header.moved:
+            return header.max_error
+        asked = header.max_error - float(header.moved * header.quantum)
+        return max(asked, header.quantizer.effective_error)
 
     def _count(self, stage: str) -> Any:
         shape = self._grid.n_rows * self._grid.n_cols
@@ -412,11 +523,22 @@ class _Patcher:
             errors[block] = 0 if own.is_empty else encode_error(own.error + self._lost)
             if self._merged.covers(self._grid.full_region(block)):
                 continue
-            moved = _CONTINUED * changes.get(block, 0)
+            moved = self._moved_surface(block, changes.get(block, 0))
             errors[block] = max(errors[block], encode_error(decode_error(old[2]) + moved))
             if any(old[:3]) or moved or not own.is_empty:
-                below[block] = self._terrain.box_quanta(block)
+                # Every original and its error lie in the box: it grows as the error does.
+                low, high = self._terrain.box_quanta(block)
+                grown = max(decode_error(errors[block]) - decode_error(old[2]), 0)
+                low, high = max(low - grown, self._whole[0]), min(high + grown, self._whole[1])
+                below[block] = low, high
         return errors, enclosing_boxes(stats, errors, self._whole, below)
+
+    def _moved_surface(self, block: Block, change: int) -> int:
+        """Return how far a block's surface has moved where its samples have, in quanta."""
+        grid = self._grid
+        reach = grid.stride(block.level) * grid.block
+        ends = (block.row + 1) * reach < grid.n_rows and (block.col + 1) * reach < grid.n_cols
+        return change if ends or block.level == grid.k_max else _CONTINUED * change
 
     def _mesh(self, changes: Mapping[Block, int], errors: Mapping[Block, int]) -> dict[Block, int]:
         """Make all meshes again and measure them; return the codes of their errors."""
@@ -451,7 +573,7 @@ class _Patcher:
             codes[block] = max(codes.get(block, 0), self._container.codes(block)[3])
         if moved & open_blocks:
             # Decoded heights stand in for originals that are not known.
-            lost += header.step >> 1
+            lost += (header.step >> 1) + self._terrain.header.moved
             measured = measure_meshes(
                 grid, mesher, self._pyramid.originals, self._executor, lambda n_samples: None, lost
             )
@@ -516,11 +638,10 @@ class _Patcher:
         Raises
         ------
         BoundViolationError
-            If a sample is further than the bound from the new raster.
-        InvalidHeightsError
-            If a sample elsewhere is not as it was.
+            If a sample is further than the bound from the new raster, or one elsewhere further
+            from where it was than the header says.
         """
-        quantizer, bound = self._terrain.quantizer, self._container.header.max_error
+        quantizer, bound = self._terrain.quantizer, self._asked_bound()
         allowed = allowed_error(quantizer, bound)
         count = self._count("proving")
         with TerrainFile(path, threads=1) as result:
@@ -539,17 +660,19 @@ class _Patcher:
         return measured_error(largest, quantizer, bound)
 
     def _compare_rest(self, result: TerrainFile, region: Region) -> None:
-        """Raise unless the samples that the new raster does not cover are as they were."""
+        """Raise unless samples that the new raster does not cover are within the move stated."""
+        level = self._grid.k_max
         (before, was_valid), (after, is_valid) = (
-            terrain.read_with_mask(region) for terrain in (self._terrain, result)
+            terrain.decoder.window(level, region) for terrain in (self._terrain, result)
         )
-        same = was_valid & is_valid & (before == after) | ~was_valid & ~is_valid
-        same |= _inside(self._merged, region, np.ones(region.shape, dtype=np.bool_))
-        if not same.all():
-            row, col = np.argwhere(~same)[0] + (region.row, region.col)
-            raise InvalidHeightsError(
-                f"the change also moves heights that the new raster does not cover, as at row"
-                f" {row}, column {col}; expected a raster that reaches further beyond the change"
+        moves = np.abs(after.astype(np.int64) - before)
+        is_good = was_valid & is_valid & (moves <= self.moved) | ~was_valid & ~is_valid
+        is_good |= _inside(self._merged, region, np.ones(region.shape, dtype=np.bool_))
+        if not is_good.all():
+            row, col = np.argwhere(~is_good)[0] + (region.row, region.col)
+            raise BoundViolationError(
+                f"the height at row {row}, column {col}, which the new raster does not cover, has"
+                f" moved by more than {self.moved} quanta; {OUR_FAULT}"
             )
 
     def close(self) -> None:

@@ -8,7 +8,7 @@ from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.write.pyramid import SourceWindows
 
-_OUR_FAULT = (
+OUR_FAULT = (
     "unless the raster changed while it was read, this is a fault of terrainwave: please report it"
     " with the raster. Nothing was written"
 )
@@ -37,7 +37,7 @@ def compare_window(
     if not np.array_equal(valid, decoded_valid):
         row, col = np.argwhere(valid != decoded_valid)[0] + (region.row, region.col)
         raise BoundViolationError(
-            f"the decoded mask differs from the source's at row {row}, column {col}; {_OUR_FAULT}"
+            f"the decoded mask differs from the source's at row {row}, column {col}; {OUR_FAULT}"
         )
     if not valid.any():
         return 0.0
@@ -47,7 +47,7 @@ def compare_window(
         at = np.argwhere(valid)[int(errors.argmax())] + (region.row, region.col)
         raise BoundViolationError(
             f"the decoded height at row {at[0]}, column {at[1]} is {largest:g} off, more than"
-            f" {allowed:g}; {_OUR_FAULT}"
+            f" {allowed:g}; {OUR_FAULT}"
         )
     return largest
 
