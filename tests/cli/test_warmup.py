@@ -1,5 +1,6 @@
 """Does `terrainwave warmup` compile everything that later commands need?"""
 
+import json
 import os
 import subprocess
 import sys
@@ -25,19 +26,30 @@ def folder(tmp_path_factory):
     return folder
 
 
-def run(folder, *words):
-    """Run a command with the folder's cache of kernels; return how many it has compiled."""
+def run(folder, *commands):
+    """Run commands in a process with the folder's cache; return what each has compiled."""
     cache = folder / "kernels"
-    before = len(list(cache.rglob("*.nbc")))
+    program = """
+import json, pathlib, sys
+from terrainwave.cli import main
+cache, compiled = pathlib.Path(sys.argv[1]), {}
+for words in json.loads(sys.argv[2]):
+    before = {path.name for path in cache.rglob("*.nbc")}
+    main(words, standalone_mode=False)
+    new = {path.name for path in cache.rglob("*.nbc")} - before
+    if new:
+        compiled[" ".join(words)] = sorted(name.split("-")[0] for name in new)
+json.dump(compiled, sys.stderr)
+"""
     done = subprocess.run(
-        [sys.executable, "-m", "terrainwave", *words],
+        [sys.executable, "-c", program, str(cache), json.dumps(commands)],
         cwd=folder,
         env=os.environ | {"NUMBA_CACHE_DIR": str(cache)},
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 0, (words, done.stdout, done.stderr)
-    return len(list(cache.rglob("*.nbc"))) - before
+    assert done.returncode == 0, (done.stdout, done.stderr)
+    return json.loads(done.stderr.splitlines()[-1])
 
 
 def commands():
@@ -58,10 +70,10 @@ def commands():
 
 @pytest.mark.gl
 def test_after_warmup_nothing_is_compiled(folder):
-    assert run(folder, "warmup") > 100
-    compiled = {" ".join(words): run(folder, *words) for words in commands()}
-    for mode in MODES:
-        words = ("render", "whole-auto.twz", f"{mode}.png", "--mode", mode, "--size", "300x200")
-        compiled[" ".join(words)] = run(folder, *words)
-    assert {words: n for words, n in compiled.items() if n} == {}
-    assert run(folder, "warmup", "--for", "compress,read") == 0
+    assert len(run(folder, ["warmup"])["warmup"]) > 100
+    pictures = [
+        ["render", "whole-auto.twz", f"{mode}.png", "--mode", mode, "--size", "300x200"]
+        for mode in MODES
+    ]
+    warmed = ["warmup", "--for", "compress,read"]
+    assert run(folder, *map(list, commands()), *pictures, warmed) == {}
