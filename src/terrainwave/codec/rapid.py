@@ -91,6 +91,8 @@ class Rapid:
     def __init__(self, parameters: bytes = b"") -> None:
         self.parameters = parameters
         self._tables = parse_parameters(parameters)
+        # Weights of features by class and step, scaled.
+        self._features: dict[tuple[int, int], NDArray[np.int64]] = {}
 
     @classmethod
     def with_tables(cls, tables: Tables) -> "Rapid":
@@ -321,8 +323,10 @@ class Rapid:
         """Take the weights of the level that has a unit's samples on every `stride`-th row."""
         depth = self._tables.k_max - unit.spec.level + stride.bit_length() - 1
         which = min(max(depth, 0), len(self._tables.stencils) - 1)
-        features = scaled_features(self._tables.features[which], unit.scale)
-        load_weights(unit.workspace.m, self._tables.stencils[which], features)
+        key = which, unit.spec.step
+        if key not in self._features:
+            self._features[key] = scaled_features(self._tables.features[which], unit.scale)
+        load_weights(unit.workspace.m, self._tables.stencils[which], self._features[key])
 
     def _code_lattice(
         self, unit: _Unit, stride: int, source: Heights, coarse: Grid2, known: Known
