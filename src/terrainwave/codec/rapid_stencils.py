@@ -30,7 +30,7 @@ from terrainwave.codec.refiner import Heights, Mask
 Reals = NDArray[np.float64]
 Stencils = tuple[tuple[FileStencil, ...], ...]
 
-# Levels below the full grid of each class, and how many samples are taken of one.
+# Levels below the full grid of each class, and how many samples are taken of a plane there.
 CLASS_DEPTHS = ((0,), (1,), (2,), (3, 4))
 _WANTED = (3072, 2048, 1536, 1536)
 # Products of so many samples at a time are small enough for BLAS to use one thread.
@@ -46,8 +46,7 @@ _INFLUENCE = 1 << 20
 _EVERY_OF_TURN = (4, 2, 1)
 # Of the noise of decoded samples that an open loop estimates, what is tried.
 _TIMES_NOISE = (0.5, 1.5, 4.0)
-_FAR = 1e6
-_MAX_WANTED = 28000  # the last weight follows from the others, rounded
+_MAX_WANTED, _FAR = 28000, 1e6  # the last weight follows from the others, rounded
 # Costs are in 1/64 bit.
 COST_UNIT = 64
 _BITS_OF_ONE = 127 << 23  # of float32
