@@ -31,6 +31,7 @@ from benchmarks.peers import make_codecs
 # Codecs that share a CSV: names for `make_codecs`, and our methods.
 FAMILIES = {
     "predictive": (["terrainwave"], ["predictive", "predictive-fast", "predictive-best"]),
+    "rapid": (["terrainwave"], ["rapid", "auto"]),
     "cdf97": (["terrainwave"], ["cdf97"]),
     "peers": (["sperr", "sz3", "sz3-interp", "jxl-e9", "cog-overviews"], []),
     "speeds": (["sperr", "terrainwave"], ["predictive-fast", "predictive", "cdf97"]),

@@ -27,7 +27,7 @@ PREDICTIVE = "terrainwave-predictive"
 FAST = f"{PREDICTIVE}-fast"
 BEST = f"{PREDICTIVE}-best"
 CDF97 = "terrainwave-cdf97"
-OUR_CODECS = (PREDICTIVE, FAST, BEST, CDF97)
+OUR_CODECS = ("terrainwave-auto", "terrainwave-rapid", PREDICTIVE, FAST, BEST, CDF97)
 
 TABLES = tomllib.loads(Path(__file__).with_name("tables.toml").read_text(encoding="utf-8"))
 
@@ -126,7 +126,7 @@ def compared_codecs(results: Path) -> Rows:
     Bounds below 1 are for floats only: on whole metres they are lossless once more.
     """
     found: dict[tuple[str, float], Row] = {}
-    for name in ("predictive", "cdf97", "peers"):
+    for name in ("rapid", "predictive", "cdf97", "peers"):
         for row in read(results, name):
             raster, bound = row["raster"], row["max_error"]
             is_twice = row["dtype"].startswith("int") and 0 < bound < 1
@@ -161,7 +161,7 @@ def _groups(results: Path) -> dict[str, Rows]:
 
 
 def summarized_cases(results: Path) -> Rows:
-    """Return geometric means of size / best peer of the default over groups of cases."""
+    """Return geometric means of size / best peer of `predictive` over groups of cases."""
     rows = []
     for name, group in _groups(results).items():
         means = {other: _mean_ratio(group, PREDICTIVE, other) for other in ("best", "cog")}

@@ -17,7 +17,7 @@ import numpy as np
 import rasterio
 
 from terrainwave.codec import rapid_parameters, rapid_tables
-from terrainwave.codec.rapid_fitting import best_stencils, codes_for, count
+from terrainwave.codec.rapid_fitting import best_tables, codes_for, count
 from terrainwave.codec.rapid_layout import TAPS
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS
 from terrainwave.codec.rapid_parameters import (
@@ -120,8 +120,11 @@ def train_codes(windows: dict[str, tuple[np.ndarray, np.ndarray]]) -> np.ndarray
     for name, found in windows.items():
         for bound in BOUNDS:
             step = 2 * bound * (10 if "lidar" in name else 1) + 1
-            tables = best_stencils(plain_tables(step), *found, step, 20.0)
-            for family in range(tables.family, rapid_tables.N_FAMILIES, rapid_tables.N_STEPS):
+            tables = best_tables(plain_tables(step), *found, step, 20.0)
+            families = range(
+                rapid_tables.family_of(step), rapid_tables.N_FAMILIES, rapid_tables.N_STEPS
+            )
+            for family in families:
                 symbols = count(tables._replace(family=family), *found, step).astype(np.float64)
                 counts[family] += symbols / max(1.0, symbols.sum()) * 1e6
     codes = np.zeros(counts.shape, dtype=np.int64)

@@ -464,6 +464,16 @@ def test_tiny_and_void_rasters_get_plain_tables():
         np.testing.assert_array_equal(tables.slots(3), Tables(None).slots(3))
 
 
+def test_windows_whose_tried_part_is_void_do_no_harm():
+    target = terrain((300, 280))
+    mask = np.zeros(target.shape, dtype=bool)
+    mask[180:, 170:] = True
+    tables = parse_parameters(fit(target, 3, mask).parameters)
+    assert tables.slots(3).shape == (N_CONTEXTS << 11,)
+    spec = lone_spec(target.shape, 3, parent=False)
+    check(spec, None, target, mask, fit(target, 3, mask))
+
+
 def test_the_same_raster_gives_the_same_tables():
     target = terrain((60, 70))
     assert fit(target, 3).parameters == fit(target.copy(), 3).parameters

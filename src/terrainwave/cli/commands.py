@@ -72,7 +72,7 @@ METHOD = click.Choice(["auto", *METHODS])
 CUTTABLE = methods_that(lambda method: method.is_cuttable)
 _EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if method.effort]
 EFFORT = (
-    f"How much is tried: {'; '.join(_EFFORTS)}; auto takes {AUTO_METHODS[0].name} or"
+    f"How much is tried: {'; '.join(_EFFORTS)}; auto with fast is {AUTO_METHODS[0].name}, with best"
     f" {AUTO_METHODS[-1].name}; the others have one way."
 )
 WARMUP_TASKS = ("compress", "read", "verify", "mesh", "render")

@@ -38,7 +38,8 @@ from terrainwave.grid.quadtree import Grid, Region
 _WINDOW = 257
 _SHARE = 1 << 17
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 36
-_MOST_FEW = 4  # of them decide on stencils and the table of features
+# So many samples a side of so many of them decide on stencils and the table of features.
+_FEW, _MOST_FEW = 129, 8
 _MIN_SAMPLES = 300
 _COST_OF_NONE = COST_UNIT * (11 + ESCAPE_BITS)  # of a symbol that takes an escape
 _FREQ_BITS = 3
@@ -62,22 +63,27 @@ def fit_tables(
     if int(np.count_nonzero(masks)) < _MIN_SAMPLES:
         return tables
     share = grid.n_rows * grid.n_cols / masks.size
-    tables = best_stencils(tables, windows, masks, step, share)
-    families = range(tables.family, N_FAMILIES, N_STEPS)
-    few = _few(windows, masks, step, share)
-    tables = _cheapest([tables._replace(family=family) for family in families], few)
+    tables = best_tables(tables, windows, masks, step, share)
     return _fitted(tables, _Sample(windows, masks, step, share))[0]
 
 
-def best_stencils(
+def best_tables(
     tables: FileTables, windows: Heights, masks: Mask, step: int, share: float
 ) -> FileTables:
-    """Return tables with the stencils that make some of the windows smallest."""
-    tried = [
-        tables._replace(stencils=stencils)
-        for stencils in dict.fromkeys(candidates(windows, masks, step, share))
-    ]
-    return _cheapest(tried, _few(windows, masks, step, share))
+    """Return tables with the stencils, then the family, that make parts of the windows smallest."""
+    few = np.s_[:: -(-len(windows) // _MOST_FEW), :_FEW, :_FEW]
+    some = _Sample(windows[few], masks[few], step, share * windows.size / windows[few].size)
+    least = np.inf
+    for stencils in dict.fromkeys(candidates(windows, masks, step, share)):
+        other = tables._replace(stencils=stencils)
+        cost = _fitted(other, some)[1]
+        if cost < least:
+            best, least = other, cost
+    for family in range(tables.family + N_STEPS, N_FAMILIES, N_STEPS):
+        other = best._replace(family=family)
+        if _fitted(other, some)[1] < least:
+            best = other
+    return best
 
 
 class _Sample(NamedTuple):
@@ -90,20 +96,6 @@ class _Sample(NamedTuple):
     masks: Mask
     step: int
     share: float
-
-
-def _few(windows: Heights, masks: Mask, step: int, share: float) -> _Sample:
-    """Return half of the windows or a few, which decide on what is tried."""
-    few = slice(None, None, -(-len(windows) // min(_MOST_FEW, max(1, len(windows) // 2))))
-    return _Sample(windows[few], masks[few], step, share * len(windows) / len(windows[few]))
-
-
-def _cheapest(tried: list[FileTables], sample: _Sample) -> FileTables:
-    """Return the tables with which a file takes least, the first of equals."""
-    if len(tried) == 1:
-        return tried[0]
-    costs = [_fitted(tables, sample)[1] for tables in tried]
-    return tried[costs.index(min(costs))]
 
 
 def _fitted(tables: FileTables, sample: _Sample) -> tuple[FileTables, float]:

@@ -30,12 +30,12 @@ from terrainwave.codec.refiner import Heights, Mask
 Reals = NDArray[np.float64]
 Stencils = tuple[tuple[FileStencil, ...], ...]
 
-# Levels below the full grid of each class, and how many samples are taken of one.
+# Levels below the full grid of each class, and how many samples are taken of a plane there.
 CLASS_DEPTHS = ((0,), (1,), (2,), (3, 4))
-_WANTED = (4000, 3000, 2000, 2000)
+_WANTED = (3072, 2048, 1536, 1536)
 # Products of so many samples at a time are small enough for BLAS to use one thread.
 _AT_A_TIME = 128
-_JUDGED = 1536  # samples that stencils are compared by
+_JUDGED = 1024  # samples that stencils are compared by
 _MIN_SAMPLES = 256
 _MARGIN = 4  # no tap is further away, in samples of the lattice
 # Samples are whole numbers of 1/64 step, at most 2**17; scaled by their influence at most 2**20.
@@ -46,11 +46,10 @@ _INFLUENCE = 1 << 20
 _EVERY_OF_TURN = (4, 2, 1)
 # Of the noise of decoded samples that an open loop estimates, what is tried.
 _TIMES_NOISE = (0.5, 1.5, 4.0)
-_FAR = 1e6
-_MAX_WANTED = 28000  # the last weight follows from the others, rounded
+_MAX_WANTED, _FAR = 28000, 1e6  # the last weight follows from the others, rounded
 # Costs are in 1/64 bit.
 COST_UNIT = 64
-_LOG_BITS = 10
+_BITS_OF_ONE = 127 << 23  # of float32
 _MOST_SQUARED = 16777216.0
 # A stencil must save so many times its own bits.
 _WORTH = 1.5
@@ -85,8 +84,8 @@ def candidates(windows: Heights, masks: Mask, step: int, share: float) -> list[S
         if (found := gather(plane, windows, masks, which, step)) is not None
     }
     some = {key: judged(found) for key, found in samples.items()}
-    noise = _noise(some) if step > 1 else 0.0
-    best = {key: _best(key[1], found, noise) for key, found in some.items()}
+    best = {key: _best(key[1], found) for key, found in some.items()}
+    noise = _noise(some, best) if step > 1 else 0.0
     tried = [_stencils({key: FileStencil(base) for key, base in best.items()})]
     noises = [times * noise for times in _TIMES_NOISE] if step > 1 else [0.0]
     for noise, fitted in zip(noises, fit_weights(samples, noises), strict=True):
@@ -183,38 +182,34 @@ def _errors(samples: Samples, weights: NDArray[np.int64]) -> Reals:
     return (samples.goals * WHOLE - sums.T) * (1.0 / (WHOLE * _FINE))
 
 
-@cache
-def _log_table() -> NDArray[np.int64]:
-    """Return 32 log2 of (1024 + i) / 2048: none lies so near a half that machines differ."""
-    mantissas = (np.arange(1 << _LOG_BITS) + (1 << _LOG_BITS) + 0.5) / (2 << _LOG_BITS)
-    return np.rint(COST_UNIT / 2 * np.log2(mantissas)).astype(np.int64)
-
-
 def costs_of(samples: Samples, weights: NDArray[np.int64], noise: float) -> NDArray[np.int64]:
-    """Return about what each set of weights makes samples cost, in 1/64 bit."""
+    """Return about what each set of weights makes samples cost, in 1/64 bit.
+
+    Half the logarithm of the squared error, as exponent and mantissa of float32 tell it.
+    """
     power = np.cumsum((weights / WHOLE) ** 2, axis=1)[:, -1:]
     errors = _errors(samples, weights)
     squared = np.minimum(errors * errors + noise * power, _MOST_SQUARED)
-    mantissas, exponents = np.frexp(1.0 + 4.0 * squared)
-    places = (mantissas * (2 << _LOG_BITS)).astype(np.int64) - (1 << _LOG_BITS)
-    costs: NDArray[np.int64] = (_log_table()[places] + COST_UNIT // 2 * exponents).sum(1)
-    return costs
+    # One is 2**-23 of an octave above 2**-127.
+    octaves = (1.0 + 4.0 * squared).astype(np.float32).view(np.int32)
+    costs: NDArray[np.int64] = octaves.sum(1, dtype=np.int64) - (_BITS_OF_ONE * errors.shape[1])
+    return costs // (1 << 24) * COST_UNIT + costs % (1 << 24) * COST_UNIT // (1 << 24)
 
 
-def _best(plane: int, samples: Samples, noise: float) -> int:
+def _best(plane: int, samples: Samples) -> int:
     """Return the trained set that predicts best."""
-    return int(costs_of(samples, rapid_tables.STENCILS[plane].astype(np.int64), noise).argmin())
+    return int(costs_of(samples, rapid_tables.STENCILS[plane].astype(np.int64), 0.0).argmin())
 
 
-def _noise(samples: dict[tuple[int, int], Samples]) -> float:
+def _noise(samples: dict[tuple[int, int], Samples], best: dict[tuple[int, int], int]) -> float:
     """Return the variance of decoded samples around those given, in steps squared.
 
     What is left of a prediction's error when the nearest multiple of the step is taken off.
     """
     total, n = 0.0, 0
-    for (_, plane), found in samples.items():
-        trained = rapid_tables.STENCILS[plane].astype(np.int64)
-        errors = _errors(found, trained[_best(plane, found, 0.0), None])[0]
+    for key, found in samples.items():
+        trained = rapid_tables.STENCILS[key[1]].astype(np.int64)
+        errors = _errors(found, trained[best[key], None])[0]
         rest = np.rint((errors - np.rint(errors)) * 1024)
         total += float((rest * rest).sum())
         n += len(rest)
