@@ -277,6 +277,7 @@ def test_a_budget_is_used_beside_voids_as_without(void, ratio, tmp_path):
         assert errors[void, n_most] <= ratio * errors["none", n_most]
 
 
+@pytest.mark.large
 def test_a_budget_that_outlines_leave_room_for_keeps_them(tmp_path):
     shape = (100, 100)
     case = make_case("noise", "none", shape, 1, max_error=1, block=32)
@@ -297,9 +298,10 @@ def covered_area(mesh):
     return float(np.abs(x_1 * y_2 - x_2 * y_1).sum() / 2)
 
 
+@pytest.mark.large
 def test_a_try_beyond_the_budget_ends_early(tmp_path, monkeypatch):
     """The finest mesh, which the budget has no room for, was made all the same."""
-    case = make_case("noise", "none", (300, 300), 1, max_error=1, block=32)
+    case = make_case("noise", "none", (130, 130), 1, max_error=1, block=32)
     made = []
 
     def counted(self, cut, block):
@@ -312,7 +314,7 @@ def test_a_try_beyond_the_budget_ends_early(tmp_path, monkeypatch):
     with terrainwave.open(write_case(case, tmp_path), threads=1) as terrain:
         with pytest.raises(extraction._TooManyTrianglesError):
             extraction._Extractor(
-                terrain, extraction._Area(Region(0, 0, 300, 300), terrain.grid.k_max), Inline()
+                terrain, extraction._Area(Region(0, 0, 130, 130), terrain.grid.k_max), Inline()
             )._mesh_within(Fraction(2), 3000)
     assert 3000 < sum(made) < 6000
 
