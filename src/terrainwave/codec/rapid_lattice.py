@@ -153,11 +153,11 @@ def advance(m, t, base, out, source, grid, coarse, shape, origin, scale):
     if t - base + ROWS_ABOVE + ROWS_BELOW >= N_ROWS:
         keep_latest_rows(m, t - base - 2, n_even_cols + _BOTH)
         base = t - 2
-    here = np.uint64(t - base) * _STRIDE
     if t < n_even + 2:
-        to = here + np.uint64(3) * _STRIDE + _A
+        to = np.uint64(t + 3 - base) * _STRIDE + _A
         load_coarse_row(m, to, t + 3, source, coarse, origin, shape, scale)
     if t >= -1:
+        here = np.uint64(t - base) * _STRIDE
         if t + 1 < n_even:
             fill_bends(m, here + _STRIDE, n_even_cols, scale.most_range)
         elif t + 1 == n_even:
