@@ -17,7 +17,6 @@ from terrainwave.raster_io.sink import RasterSink
 # Rows and columns: several levels of the smallest blocks, with borders that end within one.
 _SHAPE = (200, 220)
 _BLOCK = 32
-_VOID = -32768
 _METRES = 30.0
 
 
@@ -43,42 +42,39 @@ def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
 
 
 def _hills(dtype: str) -> NDArray[np.generic]:
-    """Return heights with a void, as a GeoTIFF of the Earth would have."""
+    """Return heights as a GeoTIFF of the Earth would have; of int32, sums need 64 bits."""
     rows, cols = np.mgrid[: _SHAPE[0], : _SHAPE[1]]
     heights = 100 + 40 * np.sin(rows / 19) * np.cos(cols / 17) + 5 * np.sin(rows * cols / 70)
-    if dtype == "int32":  # whose sums need 64 bits
-        heights *= 1e6
-    if np.dtype(dtype).kind == "f":
-        heights = heights.astype(dtype)
-        heights[3, 3] = np.nan
-        return heights
-    return heights.astype(dtype)
+    return (heights * (1e6 if dtype == "int32" else 1)).astype(dtype)
 
 
 def _rasters(folder: Path) -> list[tuple[Path, float]]:
     """Write a raster of each type, with voids and without; return them with bounds to try."""
-    rasters = []
+    rasters = [(_write(folder / "row.tif", _hills("int16")[:1]), 0.0)]
     for dtype in SUPPORTED_DTYPES:
-        heights = _hills(dtype)
-        is_float = heights.dtype.kind == "f"
-        for has_void in (False, True):
-            path = folder / f"{dtype}{'-void' * has_void}.tif"
-            nodata = None if is_float or not has_void else 0
-            info = RasterInfo(
-                *_SHAPE, dtype, nodata=nodata, crs="EPSG:32632", units="m",
-                transform=(_METRES, 0.0, 5e5, 0.0, -_METRES, 5e6),
-                mask_kind="none" if not has_void else "nan" if is_float else "nodata",
-            )  # fmt: skip
-            valid = np.ones(_SHAPE, dtype=np.bool_)
-            valid[3:9, 3:9] = not has_void
-            if has_void and is_float:
-                heights[~valid] = np.nan
-            elif is_float:
-                heights = np.nan_to_num(heights, nan=100.0)
-            with RasterSink(path, info) as sink:
-                sink.write(0, 0, heights, valid)
-            rasters.append((path, 0.5 if is_float else 0.0))
+        bound = 0.5 if np.dtype(dtype).kind == "f" else 0.0
+        for name in (dtype, f"{dtype}-void"):
+            rasters.append((_write(folder / f"{name}.tif", _hills(dtype)), bound))
     return rasters
+
+
+def _write(path: Path, heights: NDArray[np.generic]) -> Path:
+    """Write a raster, with voids if its name says so."""
+    has_void = path.stem.endswith("-void")
+    is_float = heights.dtype.kind == "f"
+    n_rows, n_cols = heights.shape
+    valid = np.ones(heights.shape, dtype=np.bool_)
+    valid[3:9, 3:9] = not has_void
+    if is_float and has_void:
+        heights[~valid] = np.nan
+    info = RasterInfo(
+        n_rows, n_cols, str(heights.dtype), nodata=0 if has_void and not is_float else None,
+        crs="EPSG:32632", units="m", transform=(_METRES, 0.0, 5e5, 0.0, -_METRES, 5e6),
+        mask_kind="none" if not has_void else "nan" if is_float else "nodata",
+    )  # fmt: skip
+    with RasterSink(path, info) as sink:
+        sink.write(0, 0, heights, valid)
+    return path
 
 
 def _compress(folder: Path) -> None:
@@ -96,7 +92,10 @@ def _compress(folder: Path) -> None:
 
 
 def _files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.glob("*.twz") if not path.stem.startswith("mesh"))
+    """Return the files of whole rasters, without meshes of their own."""
+    return sorted(
+        path for path in folder.glob("*.twz") if not path.stem.startswith(("mesh", "row"))
+    )
 
 
 def _read(folder: Path) -> None:
