@@ -111,7 +111,8 @@ def _largest_deviation(heights, shift, originals, mask, first_row, first_col, lo
         below = above + 1 if part else above
         for k in range(n_cells + 1):
             cell = min(first_cell + k, heights.shape[1] - 1)
-            up, down = heights[above, cell] - lowest, heights[below, cell] - lowest
+            up = np.int64(heights[above, cell]) - lowest
+            down = np.int64(heights[below, cell]) - lowest
             now[k] = cast((up * (stride - part) + down * part) << shift)
         n = n_cells
         for _ in range(shift):
@@ -123,7 +124,7 @@ def _largest_deviation(heights, shift, originals, mask, first_row, first_col, lo
             now, then = then, now
         here, is_valid, surface = originals[row], mask[row], now[skipped:]
         for col in range(np.uint64(n_cols)):
-            height = cast(cast(here[col] - lowest) << twice)
+            height = cast(cast(np.int64(here[col]) - lowest) << twice)
             deviation = cast(abs(cast(surface[col] - height)))
             largest = max(largest, deviation if is_valid[col] else cast(0))
     return np.int64(largest)
