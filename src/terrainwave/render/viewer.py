@@ -53,41 +53,12 @@ def run(
     check_drawable(terrain)
     toolkit: Any = need("moderngl_window", extra="view", purpose="a window")
 
-    class Config(toolkit.WindowConfig):  # type: ignore[misc]
-        gl_version = (3, 3)
-        title = f"{terrain.name} - terrainwave"
-        window_size = size
-        aspect_ratio = None
-        resizable = True
-        samples = 0
-        clear_color = None
-        log_level = 40
-
-        def on_render(self, time: float, frame_time: float) -> None:
-            self.viewer.render(frame_time)
-
-        def on_resize(self, width: int, height: int) -> None:
-            if hasattr(self, "viewer"):
-                self.viewer.resize()
-
-        def on_key_event(self, key: Any, action: Any, modifiers: Any) -> None:
-            self.viewer.key(key, action == self.wnd.keys.ACTION_PRESS)
-
-        def on_mouse_press_event(self, x: int, y: int, button: int) -> None:
-            self.viewer.press(x, y)
-
-        def on_mouse_drag_event(self, x: int, y: int, dx: int, dy: int) -> None:
-            self.viewer.drag(dx, dy)
-
-        def on_mouse_position_event(self, x: int, y: int, dx: int, dy: int) -> None:
-            self.viewer.cursor = x, y
-
-        def on_mouse_scroll_event(self, x_offset: float, y_offset: float) -> None:
-            self.viewer.scroll(y_offset)
-
     arguments = ["--vsync", "true"] + (["--fullscreen"] if fullscreen else [])
     try:
-        config = toolkit.create_window_config_instance(Config, args=arguments)
+        config = toolkit.create_window_config_instance(
+            window_config(toolkit.WindowConfig, f"{terrain.name} - terrainwave", size),
+            args=arguments,
+        )
     except Exception as error:
         lines = str(error).strip().splitlines() or [type(error).__name__]
         raise TerrainwaveError(_NO_WINDOW.format(problem=lines[0][:200])) from error
@@ -102,6 +73,64 @@ def run(
         viewer.overlay.release()
     config.wnd.destroy()
     return line
+
+
+def window_config(base: Any, caption: str, size: tuple[int, int]) -> Any:
+    """Return a window's class: what is to be opened, and where its events go.
+
+    Events also come while the window opens (the pointer lies where it appears, a key is down),
+    before there is a ``viewer`` to take them: those are dropped.
+
+    Parameters
+    ----------
+    base : type
+        ``moderngl_window.WindowConfig``, which is imported late.
+    caption : str
+        The window's title.
+    size : tuple of int
+        Width and height in pixels.
+    """
+
+    class Config(base):  # type: ignore[misc]
+        gl_version = (3, 3)
+        title = caption
+        window_size = size
+        aspect_ratio = None
+        resizable = True
+        samples = 0
+        clear_color = None
+        log_level = 40
+        viewer: "Viewer | None" = None
+
+        def on_render(self, time: float, frame_time: float) -> None:
+            if self.viewer:
+                self.viewer.render(frame_time)
+
+        def on_resize(self, width: int, height: int) -> None:
+            if self.viewer:
+                self.viewer.resize()
+
+        def on_key_event(self, key: Any, action: Any, modifiers: Any) -> None:
+            if self.viewer:
+                self.viewer.key(key, action == self.wnd.keys.ACTION_PRESS)
+
+        def on_mouse_press_event(self, x: int, y: int, button: int) -> None:
+            if self.viewer:
+                self.viewer.press(x, y)
+
+        def on_mouse_drag_event(self, x: int, y: int, dx: int, dy: int) -> None:
+            if self.viewer:
+                self.viewer.drag(dx, dy)
+
+        def on_mouse_position_event(self, x: int, y: int, dx: int, dy: int) -> None:
+            if self.viewer:
+                self.viewer.cursor = x, y
+
+        def on_mouse_scroll_event(self, x_offset: float, y_offset: float) -> None:
+            if self.viewer:
+                self.viewer.scroll(y_offset)
+
+    return Config
 
 
 def _loop(config: Any, viewer: "Viewer") -> None:
