@@ -120,6 +120,11 @@ class Header:
         found = self.metadata.get("moved")
         return found if isinstance(found, int) else 0
 
+    @property
+    def coded_error(self) -> int:
+        """Return how far decoded heights may be from the quantised originals, in quanta."""
+        return (self.step >> 1) + self.moved
+
     @cached_property
     def quantizer(self) -> Quantizer:
         """Return the quantizer of the file's heights."""

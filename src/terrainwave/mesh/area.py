@@ -162,7 +162,7 @@ class _Extractor:
         self._quantum = header.quantum * self._scale  # physical height of one quantum
         rho = Fraction(header.rho) / header.quantum
         # What the codec and patches take of an error, in quanta.
-        self._coded = Fraction((header.step >> 1) + header.moved) + rho
+        self._coded = Fraction(header.coded_error) + rho
         self._has_meshes = header.mesh != "none"
         self._samples: Cache[Block, BlockSamples] = Cache(_CACHE_BYTES, size_of=_n_bytes)
         # Whether outlines of voids may have fewer vertices, which takes sweeps.

@@ -111,11 +111,7 @@ class TreeDecoder:
             raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
 
     def _spec(self, key: Block) -> GroupSpec:
-        spec = self._specs.get(key)
-        if spec is None:
-            spec = unit_spec(self.grid, self._parameters, key)
-            self._specs.put(key, spec)
-        return spec
+        return self._specs.get_or_make(key, lambda: unit_spec(self.grid, self._parameters, key))
 
     def keys(self, level: int, region: Region) -> list[Block]:
         """Return the keys of the units that hold a region of a level, in Morton order."""

@@ -5,7 +5,6 @@ they were rasters of their own. So it is the same for any number of threads and 
 """
 
 from collections.abc import Callable
-from dataclasses import replace
 
 from terrainwave.codec.refiner import FittingRefiner, GroupSpec, Heights, Mask, Refiner, Sides
 from terrainwave.codec.registry import refiner_by_name
@@ -66,9 +65,9 @@ def _windows(job: Job, heights: Reader, mask: MaskReader) -> list[tuple[GroupSpe
         spec = GroupSpec(
             grid.k_max, region, region, None, Sides(False, False, False, False),
             parameters.step, parameters.z_min, parameters.z_max, parameters.forbidden, 1,
-            parameters.effort,
+            parameters.effort, wants_labels=False,
         )  # fmt: skip
-        found.append((replace(spec, wants_labels=False), target, valid))
+        found.append((spec, target, valid))
     return found
 
 

@@ -134,10 +134,9 @@ def _originals(terrain: TerrainFile, original: Any) -> tuple[Originals, Fraction
     """Return the heights that meshes are measured against, and the quanta to add to errors."""
     header, level = terrain.header, terrain.n_levels - 1
     rho = Fraction(header.rho) / header.quantum
-    coded = (header.step >> 1) + header.moved
     if original is None:
         decoder = terrain.decoder
-        return lambda region: decoder.window(level, region), coded + rho
+        return lambda region: decoder.window(level, region), header.coded_error + rho
     source, quantizer = RasterSource(original), terrain.quantizer
     if (source.info.n_rows, source.info.n_cols) != terrain.shape:
         raise InvalidHeightsError(
@@ -150,7 +149,7 @@ def _originals(terrain: TerrainFile, original: Any) -> tuple[Originals, Fraction
         heights = quantizer.quantize(raw, valid)
         decoded, mask = terrain.decoder.window(level, region)
         apart = np.abs(heights.astype(np.int64) - decoded)[valid & mask].max(initial=0)
-        if not np.array_equal(valid, mask) or apart > coded:
+        if not np.array_equal(valid, mask) or apart > header.coded_error:
             raise InvalidHeightsError(
                 f"the original does not fit the file in the window {tuple(region)}: expected the"
                 " raster that it was made of"

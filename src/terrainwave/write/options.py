@@ -59,9 +59,9 @@ class Options:
         check_effort(self.effort)
         if self.is_auto and self.effort != DEFAULT_EFFORT:
             # Fast and best say which method.
-            fast, best = AUTO_METHODS[0], AUTO_METHODS[-1]
-            settled["method"] = (fast if self.effort == EFFORTS[0] else best).name
-            if not METHODS[str(settled["method"])].effort:
+            method = AUTO_METHODS[0] if self.effort == EFFORTS[0] else AUTO_METHODS[-1]
+            settled["method"] = method.name
+            if not method.effort:
                 settled["effort"] = DEFAULT_EFFORT
         for name, value in settled.items():
             object.__setattr__(self, name, value)

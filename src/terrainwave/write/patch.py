@@ -573,7 +573,7 @@ class _Patcher:
             codes[block] = max(codes.get(block, 0), self._container.codes(block)[3])
         if moved & open_blocks:
             # Decoded heights stand in for originals that are not known.
-            lost += (header.step >> 1) + self._terrain.header.moved
+            lost += header.coded_error
             measured = measure_meshes(
                 grid, mesher, self._pyramid.originals, self._executor, lambda n_samples: None, lost
             )
