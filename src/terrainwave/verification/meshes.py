@@ -119,7 +119,7 @@ class Ruler:
         self.quantum = float(info.quantum)
         # Heights off the grid are rounded to 1/16 quanta here.
         self.slack = 0 if self._is_grid else 1
-        self.coded = math.ceil(terrain.effective_error / self.quantum * _SIXTEENTHS * (1 - _SLACK))
+        self.coded = math.ceil(terrain.quanta_error / self.quantum * _SIXTEENTHS * (1 - _SLACK))
 
     def sixteenths(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Return raw heights in 1/16 quanta: exact on a true grid, else the nearest."""
@@ -479,7 +479,7 @@ class MeshVerification:
         if min(self._terrain.shape) < 2 or determinant(self._terrain.raster_info.transform) == 0:
             return  # no area, or no place in the world
         yield None, 0
-        bound, quantum = self._terrain.effective_error, self._ruler.quantum
+        bound, quantum = self._terrain.quanta_error, self._ruler.quantum
         for factor in _FACTORS:
             # With something of the bound left for the mesh.
             yield max(bound * factor, bound + quantum * factor), int(factor == _FACTORS[-1])
