@@ -1,12 +1,17 @@
 """Are tiles and heights of `terrainwave serve` right, and are wrong requests refused?"""
 
 import io
+import re
+import signal
+import sys
 import threading
+import urllib.request
 
 import numpy as np
 import pytest
 import rasterio
 from click.testing import CliRunner
+from commands import start
 from ext.rasters import hills, write_twz
 from fastapi.testclient import TestClient
 from PIL import Image
@@ -15,7 +20,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.ext.serve import app as serving
 from terrainwave.ext.serve.app import make_app
 from terrainwave.globe import cesium as tile_pyramid
@@ -303,13 +308,95 @@ def test_two_files_of_one_name_are_refused(hilly, tmp_path):
         make_app([str(hilly), str(other)])
 
 
-def test_terrain_without_a_place_is_refused(tmp_path):
-    path = tmp_path / "nowhere.twz"
+@pytest.fixture(scope="module")
+def nowhere(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("nowhere")
     with rasterio.open(
-        tmp_path / "x.tif", "w", driver="GTiff", height=33, width=700, count=1, dtype="int16"
+        folder / "x.tif", "w", driver="GTiff", height=33, width=700, count=1, dtype="int16"
     ) as raster:
         raster.write(hills(33, 700), 1)
-    terrainwave.compress(tmp_path / "x.tif", path, block=32)
-    found = CliRunner().invoke(main, ["serve", str(path), "--port", "0"], standalone_mode=False)
+    terrainwave.compress(folder / "x.tif", folder / "nowhere.twz", block=32)
+    return folder / "nowhere.twz"
+
+
+def test_terrain_without_a_place_is_refused(nowhere):
+    found = CliRunner().invoke(main, ["serve", str(nowhere), "--port", "0"], standalone_mode=False)
     assert isinstance(found.exception, InvalidHeightsError)
     assert "no place on a globe" in str(found.exception)
+
+
+def test_files_that_cannot_be_served_do_not_stop_the_others(hilly, nowhere, tmp_path):
+    text, missing = tmp_path / "text.twz", tmp_path / "missing.twz"
+    text.write_text("no terrain at all")
+    with pytest.warns(TerrainwaveWarning) as told:
+        client = client_of(nowhere, text, hilly, missing)
+    with client:
+        assert [terrain["name"] for terrain in client.get("/terrains.json").json()] == ["hills"]
+        assert client.get("/hills/rgb/9/267/181.png").status_code == 200
+        assert client.get("/nowhere/tiles.json").status_code == 404
+    for path, line in zip((nowhere, text, missing), told, strict=True):
+        assert str(line.message).startswith("not served: ")
+        assert str(path) in str(line.message)
+
+
+def test_a_terrain_across_180_degrees_is_in_its_bounds(tmp_path):
+    path = write_twz(tmp_path, hills(65, 97), (179.6, -17.0, 180.2, -16.6), max_error=0)
+    with client_of(path) as client, terrainwave.open(path) as terrain:
+        found = client.get("/hills/tiles.json").json()
+        z = found["maxzoom"]
+        for longitude in (179.7, 179.999, -179.999, -179.9):
+            west, _, east, _ = found["bounds"]
+            assert west <= longitude <= east
+            assert -180 <= found["center"][0] <= 180
+            x, y = tile_at(z, longitude, -16.8)
+            drawn = heights_of(client.get(f"/hills/rgb/{z}/{x}/{y}.png").content)
+            assert drawn.max() > 300
+            asked = {"lon": longitude, "lat": -16.8}
+            expected = terrain.sample([(longitude % 360, -16.8)])[0]
+            assert client.get("/hills/height", params=asked).json()["height"] == pytest.approx(
+                expected
+            )
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/", "/terrains.json", "/hills/tiles.json", "/hills/rgb/9/267/181.png", "/static/page.mjs",
+        "/hills/mesh/layer.json", "/hills/height?lon=8.2&lat=46.2", "/hills.tif",
+        "/hills/rgb/0/9/9.png",
+    ],
+)  # fmt: skip
+def test_head_is_answered_as_get_without_a_body(hilly, path):
+    with client_of(hilly) as client:
+        head, whole = client.head(path), client.get(path)
+    assert head.status_code == whole.status_code
+    assert head.content == b""
+    assert whole.content
+    for name in ("content-length", "content-type", "etag"):
+        assert head.headers.get(name) == whole.headers.get(name)
+
+
+def test_heights_below_what_a_tile_can_hold_are_in_its_error(tmp_path):
+    path = write_twz(tmp_path, hills(33, 33) - 10700, BOUNDS, max_error=0)
+    with terrainwave.open(path) as terrain:
+        tile = tiling.rgb_tile(Globe(terrain), 6, *tile_at(6, 8.25, 46.2))
+        deepest = terrain.read().min()
+    assert heights_of(tile.png).min() == -10000
+    assert -10000 - deepest - 30 < tile.error <= -10000 - deepest
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C there is no signal to send")
+def test_ctrl_c_says_goodbye(hilly):
+    server = start("serve", hilly, "--port", "0")
+    try:
+        address = re.search(r"http://\S+", server.stdout.readline())[0]
+        with urllib.request.urlopen(address, timeout=30) as page:
+            assert page.status == 200
+        server.send_signal(signal.SIGINT)
+        said, complaint = server.communicate(timeout=30)
+    finally:
+        server.kill()
+    assert server.returncode == 0
+    assert said.strip() == "goodbye"
+    assert "Traceback" not in complaint
+    assert "target" not in complaint

@@ -129,12 +129,11 @@ def rgb_tile(globe: Globe, z: int, x: int, y: int) -> RgbTile | None:
     heights = surface[::2, ::2]
     if window is None or np.isnan(heights).all():
         return None
-    rounded = np.rint((heights - _LOWEST) / _STEP) * _STEP + _LOWEST
-    void = void_height(globe)
-    codes = np.rint((np.where(np.isnan(heights), void, heights) - _LOWEST) / _STEP)
+    codes = np.clip(np.rint((heights - _LOWEST) / _STEP), 0, _HIGHEST_CODE)
+    void = np.clip(np.rint((void_height(globe) - _LOWEST) / _STEP), 0, _HIGHEST_CODE)
     return RgbTile(
-        png=_png(np.clip(codes, 0, _HIGHEST_CODE).astype(np.uint32)),
-        error=_largest_distance(rounded, surface),
+        png=_png(np.where(np.isnan(codes), void, codes).astype(np.uint32)),
+        error=_largest_distance(codes * _STEP + _LOWEST, surface),
         terrain_error=globe.heights_error(window),
         level=level,
     )
@@ -176,6 +175,9 @@ def tile_json(globe: Globe, url: str, name: str) -> dict[str, object]:
     """
     west, south, east, north = globe.extent
     last = max_zoom(globe)
+    middle = (west + east) / 2
+    if east > 180:  # bounds end there: the whole round, of which most tiles are empty
+        west, east = -180.0, 180.0
     return {
         "tilejson": "3.0.0",
         "name": name,
@@ -183,8 +185,8 @@ def tile_json(globe: Globe, url: str, name: str) -> dict[str, object]:
         "tiles": [url],
         "minzoom": 0,
         "maxzoom": last,
-        "bounds": [west, max(south, -MAX_LATITUDE), min(east, 180.0), min(north, MAX_LATITUDE)],
-        "center": [(west + east) / 2, (south + north) / 2, max(last - 3, 0)],
+        "bounds": [west, max(south, -MAX_LATITUDE), east, min(north, MAX_LATITUDE)],
+        "center": [(middle + 180) % 360 - 180, (south + north) / 2, max(last - 3, 0)],
         "encoding": "mapbox",
         "tileSize": TILE_SIZE,
         "format": "png",

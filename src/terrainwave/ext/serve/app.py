@@ -7,6 +7,7 @@ them decode at a time and as many again as `N_WAITING` wait, the rest are told t
 import hashlib
 import logging
 import re
+import warnings
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import ExitStack, asynccontextmanager
 from pathlib import Path
@@ -17,11 +18,17 @@ from anyio import CapacityLimiter, to_thread
 from fastapi import FastAPI, HTTPException, Query, Request, Response
 from fastapi.middleware.cors import CORSMiddleware
 from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
+from fastapi.routing import APIRoute
 from fastapi.staticfiles import StaticFiles
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from terrainwave._version import __version__
-from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
+from terrainwave.errors import (
+    CorruptStreamError,
+    InvalidHeightsError,
+    TerrainwaveError,
+    TerrainwaveWarning,
+)
 from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
 from terrainwave.ext.serve.ranges import Span, asked_span
 from terrainwave.file import TerrainFile
@@ -131,6 +138,44 @@ def layer_names(paths: list[str]) -> dict[str, str]:
     return names
 
 
+def open_layers(paths: list[str], radius: float | None) -> dict[str, Layer]:
+    """Return {name in URLs: file} of what can be served; a warning names each file that cannot.
+
+    Raises
+    ------
+    TerrainwaveError
+        What is wrong with the first file, if none can be served.
+    InvalidHeightsError
+        If two files have the same name.
+    """
+    layers: dict[str, Layer] = {}
+    refused: list[TerrainwaveError] = []
+    with ExitStack() as opened:
+        for name, path in layer_names(paths).items():
+            try:
+                layers[name] = Layer(name, path, radius)
+            except TerrainwaveError as error:
+                refused.append(error)
+                continue
+            opened.enter_context(layers[name].globe.terrain)
+        if refused and not layers:
+            raise refused[0]
+        opened.pop_all()
+    for reason in refused:
+        warnings.warn(TerrainwaveWarning(f"not served: {reason}"), stacklevel=3)
+    return layers
+
+
+class _Route(APIRoute):
+    """A route that answers HEAD wherever it answers GET (RFC 9110, 9.1); the server cuts bodies."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        methods: set[str] = self.methods or set()
+        if "GET" in methods:
+            self.methods = methods | {"HEAD"}
+
+
 def make_app(
     paths: list[str],
     *,
@@ -157,24 +202,25 @@ def make_app(
     Raises
     ------
     InvalidHeightsError
-        If two files have the same name or one has no place on the globe.
+        If two files have the same name or none has a place on the globe.
+    TerrainwaveError
+        If no file can be opened; one that cannot beside others is a warning.
     """
     desk = Desk(n_decoding)
-    layers: dict[str, Layer] = {}
-    with ExitStack() as opened:
-        for name, path in layer_names(paths).items():
-            layers[name] = Layer(name, path, radius)
-            opened.enter_context(layers[name].globe.terrain)
-        close = opened.pop_all().close
+    layers = open_layers(paths, radius)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> Any:
-        yield
-        close()
+        with ExitStack() as opened:
+            for layer in layers.values():
+                opened.enter_context(layer.globe.terrain)
+            yield
 
     app = FastAPI(
         title="terrainwave", lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None
     )
+    app.router.route_class = _Route
+    app.state.layers = layers
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[*LOCAL_HOSTS, *hosts])
     if cors:
         app.add_middleware(
@@ -259,7 +305,7 @@ def make_app(
             headers["X-Terrain-Error"] = f"{tile.error - tile.surface_error:.3f}"
         return Response(tile.data, media_type="application/vnd.quantized-mesh", headers=headers)
 
-    @app.api_route("/{name}.tif", methods=["GET", "HEAD"])
+    @app.get("/{name}.tif")
     async def geotiff(request: Request, name: str) -> Response:
         layer = find(name)
         headers = tagged(request, layer)
