@@ -134,10 +134,7 @@ def train_codes(windows: dict[str, tuple[np.ndarray, np.ndarray]]) -> np.ndarray
         weights = np.rint(1000 * (counts[family] + 200 * trained)).astype(np.int64)
         codes[family] = codes_for(weights, family)
         rest = rapid_parameters.rest_symbols(family)
-        left = [
-            int(rapid_parameters.freqs_of(codes[family, context], rest[context])[rest[context]])
-            for context in every
-        ]
+        left = rapid_parameters.freqs_of(codes[family], rest)[every, rest].tolist()
         codes[family, every, rest] = [rapid_parameters.code_of(freq) for freq in left]
     return codes
 

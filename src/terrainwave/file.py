@@ -492,7 +492,7 @@ class TerrainFile:
         region = self.region(window, bounds=bounds, level=level)
         self._check_size(out_shape or region.shape, max_bytes)
         if out_shape is None:
-            heights, valid = self._windows.read(self.decoder, index, region, on_error)
+            heights, voids = self._windows.read_voids(self.decoder, index, region, on_error)
         else:
             heights, valid = resample(
                 lambda shift, part: self._windows.read(self.decoder, index - shift, part, on_error),
@@ -503,11 +503,13 @@ class TerrainFile:
                 self.grid,
                 max_bytes,
             )
-        if not valid.all():
-            heights[~valid] = self._raster.void_value
+            voids = None if valid.all() else ~valid
+        if voids is not None:
+            heights[voids] = self._raster.void_value
         if masked:
             fill = None if self._raster.nodata is None else self.dtype.type(self._raster.nodata)
-            return np.ma.MaskedArray(heights, mask=~valid, fill_value=fill)
+            mask = np.zeros(heights.shape, dtype=np.bool_) if voids is None else voids
+            return np.ma.MaskedArray(heights, mask=mask, fill_value=fill)
         return heights
 
     def read_with_mask(

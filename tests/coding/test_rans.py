@@ -12,6 +12,7 @@ from terrainwave.coding.rans import (
     decode_row,
     decode_symbol,
     encode_symbols,
+    packed_freqs,
     slots_of,
 )
 
@@ -30,10 +31,6 @@ def some_freqs(seed=1):
     return freqs
 
 
-def packed(freqs):
-    return ((np.cumsum(freqs, 1) - freqs) << 16 | freqs).astype(np.uint32)
-
-
 def draw(freqs, n, seed=2):
     rng = np.random.default_rng(seed)
     contexts = rng.integers(0, N_CONTEXTS, n).astype(np.uint8)
@@ -44,14 +41,14 @@ def draw(freqs, n, seed=2):
 def encode(contexts, symbols, freqs, n_states=N_STATES):
     words, states = np.zeros(len(symbols), np.uint16), np.zeros(N_STATES, np.uint64)
     n_words = encode_symbols(
-        contexts, symbols, len(symbols), packed(freqs), n_states, words, states
+        contexts, symbols, len(symbols), packed_freqs(freqs), n_states, words, states
     )
     return words[len(words) - n_words :], states
 
 
 def decode(contexts, n, freqs, words, states, rows):
     """Decode in rows of the given lengths; return symbols, words used and the last states."""
-    slots, states = slots_of(freqs), states.copy()
+    slots, packed, states = slots_of(freqs), packed_freqs(freqs), states.copy()
     padded = np.concatenate([words, np.zeros(max(rows) + 1, dtype=np.uint16)])
     m = np.zeros(2 * max(rows), dtype=np.int32)
     found, count, word_pos = [], 0, 0
@@ -59,7 +56,16 @@ def decode(contexts, n, freqs, words, states, rows):
         m[:length] = contexts[count : count + length]
         start = min(word_pos, len(words))
         end = decode_row(
-            m, np.uint64(0), np.uint64(max(rows)), length, slots, padded, start, states, count
+            m,
+            np.uint64(0),
+            np.uint64(max(rows)),
+            length,
+            slots,
+            packed,
+            padded,
+            start,
+            states,
+            count,
         )
         word_pos += int(end) - start
         found.append(m[max(rows) : max(rows) + length].copy())
@@ -83,11 +89,11 @@ def test_one_state_does_as_well():
     freqs = some_freqs()
     contexts, symbols = draw(freqs, 100)
     words, states = encode(contexts, symbols, freqs, n_states=1)
-    slots, m = slots_of(freqs), np.zeros(200, dtype=np.int64)
+    slots, packed, m = slots_of(freqs), packed_freqs(freqs), np.zeros(200, dtype=np.int64)
     m[:100] = contexts
     at, padded = 0, np.concatenate([words, np.zeros(1, dtype=np.uint16)])
     for k in range(100):
-        at = decode_symbol(m, np.uint64(0), np.uint64(100), k, slots, padded, at, states, 0)
+        at = decode_symbol(m, np.uint64(0), np.uint64(100), k, slots, packed, padded, at, states, 0)
     np.testing.assert_array_equal(m[100:], symbols)
     assert int(at) == len(words)
     assert states[0] == STATE_START

@@ -5,7 +5,6 @@ around zero. But no sample waits for its neighbour in the row, and symbols are c
 frequencies of contexts, so that all but the symbols themselves runs in vectors.
 """
 
-import threading
 from collections.abc import Callable
 from functools import cached_property
 from typing import NamedTuple
@@ -40,6 +39,7 @@ from terrainwave.codec.rapid_layout import (
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS, scale_of, scaled_features
 from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_parameters
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
+from terrainwave.codec.spare import Spares
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.rans import N_STATES, STATE_START, encode_symbols
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
@@ -52,20 +52,22 @@ _NONE_KNOWN = Known(0, 0, 0, 0)
 _NO_GOAL = np.zeros(1, dtype=np.int32)
 _NO_LOG = np.zeros(1, dtype=np.uint8)
 _NONE_SHARED = np.zeros((0, 5), dtype=np.int64), np.zeros((0, 9), dtype=np.int64)
-_NO_SLOTS = np.zeros(1, dtype=np.uint32)
-_NO_FREQS = np.zeros((1, 1), dtype=np.uint32)
+_NO_SLOTS = np.zeros(1, dtype=np.uint8)
 # For counting: no symbol is impossible yet.
-_ANY_SYMBOL = np.ones((N_CONTEXTS, N_SYMBOLS), dtype=np.uint32)
+_ANY_SYMBOL = np.ones((N_CONTEXTS, N_SYMBOLS + 1), dtype=np.uint32)
 _NO_WORDS = np.zeros(SPARE_WORDS, dtype=np.uint16)
+# The validity of units without voids, which no kernel looks at.
+_NO_MASK = np.ones(1, dtype=np.bool_)
 _LIMIT32 = (1 << 31) - 64
 _MOST_NARROW_STEP = 1 << 24
 
 
-class _Memory(threading.local):
-    """Memory of a thread that units take turns with."""
+class _Memory:
+    """Memory that units take turns with."""
 
     def __init__(self) -> None:
         self._workspaces: dict[bool, Workspace] = {}
+        self._heights = np.empty(0, dtype=np.int32)
 
     def workspace(self, is_wide: bool) -> Workspace:
         """Return the arrays to code a unit in."""
@@ -73,8 +75,18 @@ class _Memory(threading.local):
             self._workspaces[is_wide] = new_workspace(np.int64 if is_wide else np.int32)
         return self._workspaces[is_wide]
 
+    def contiguous(self, heights: Heights) -> Heights:
+        """Return heights as a flat array, good until the next call."""
+        if heights.flags.c_contiguous:
+            return heights.ravel()
+        if self._heights.size < heights.size:
+            self._heights = np.empty(heights.size, dtype=np.int32)
+        flat = self._heights[: heights.size]
+        flat.reshape(heights.shape)[:] = heights
+        return flat
 
-_MEMORY = _Memory()
+
+_MEMORY = Spares(_Memory)
 
 
 class _Unit(NamedTuple):
@@ -88,6 +100,7 @@ class _Unit(NamedTuple):
     out: NDArray[np.int32]
     origin: int
     scale: Scale
+    memory: _Memory
     workspace: Workspace
     streams: Streams
 
@@ -191,8 +204,10 @@ class Rapid:
             contexts_log=np.empty(n, dtype=np.uint8),
             symbols_log=np.empty(n, dtype=np.uint8),
         )
+        heights = np.empty(spec.region.shape, dtype=np.int32)
         target = np.ascontiguousarray(target)
-        return self._code(spec, parent, target, mask, flags, streams), streams
+        self._code(spec, parent, target, mask, flags, streams, heights)
+        return heights, streams
 
     def decode(
         self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
@@ -204,15 +219,22 @@ class Rapid:
         CorruptStreamError
             If the payload contradicts format-rapid.md; `TruncatedStreamError` if it is too short.
         """
+        heights = np.empty(spec.region.shape, dtype=np.int32)
+        self.decode_into(spec, parent, mask, payload, heights)
+        return heights, None
+
+    def decode_into(
+        self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes, out: Heights
+    ) -> None:
+        """Rebuild the heights of ``spec.region`` in `out`; see `decode`."""
         if not payload:
             raise TruncatedStreamError("the payload is empty")
         flags = payload[0]
         if flags & ~(_WIDE | _SINGLE):
             raise CorruptStreamError(f"payload flags {flags:#x} are not defined")
         streams = self._read_streams(payload, flags, spec.step)
-        heights = self._code(spec, parent, None, mask, flags, streams)
+        self._code(spec, parent, None, mask, flags, streams, out)
         _check_end(streams)
-        return heights, None
 
     def _read_streams(self, payload: bytes, flags: int, step: int) -> Streams:
         n_states = 1 if flags & _SINGLE else N_STATES
@@ -240,7 +262,7 @@ class Rapid:
             n_states=n_states,
             raw=raw.astype(np.uint32, copy=False),
             n_bits=8 * n_raw,
-            freqs=_NO_FREQS,
+            freqs=self._tables.packed_freqs(step),
             contexts_log=_NO_LOG,
             symbols_log=_NO_LOG,
         )
@@ -263,32 +285,38 @@ class Rapid:
 
     def _code(
         self, spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask,
-        flags: int, streams: Streams,
-    ) -> Heights:  # fmt: skip
-        """Encode `target`, or decode where it is None; return the heights of the region."""
+        flags: int, streams: Streams, out: Heights,
+    ) -> None:  # fmt: skip
+        """Encode `target`, or decode where it is None; fill `out` with the region's heights."""
         is_wide = bool(flags & _WIDE)
         origin = self._origin(spec, parent, is_wide)
         low, high = spec.z_min - origin, spec.z_max - origin
         if not is_wide:
             limit = _LIMIT32 // self._widest
             low, high = max(low, -limit), min(high, limit)
-        unit = _Unit(
-            spec=spec,
-            is_encoding=target is not None,
-            goal=_NO_GOAL if target is None else target.ravel(),
-            valid=mask.ravel(),
-            has_void=not mask.all(),
-            out=_new_heights(spec),
-            origin=origin,
-            scale=scale_of(spec.step, low, high),
-            workspace=_MEMORY.workspace(is_wide),
-            streams=streams,
-        )
-        if parent is None:
-            self._code_root(unit)
-        else:
-            self._code_group(unit, np.ascontiguousarray(parent))
-        return unit.out.reshape(spec.region.shape)
+        if spec.region != spec.core:
+            out[:] = 0  # a lattice fills all but the apron, whose lines may not meet
+        has_void = not mask.all()
+        with _MEMORY.lent() as memory:
+            unit = _Unit(
+                spec=spec,
+                is_encoding=target is not None,
+                goal=_NO_GOAL if target is None else target.ravel(),
+                valid=mask.ravel() if has_void else _NO_MASK,
+                has_void=has_void,
+                out=out.ravel(),
+                origin=origin,
+                scale=scale_of(spec.step, low, high),
+                memory=memory,
+                workspace=memory.workspace(is_wide),
+                streams=streams,
+            )
+            if parent is None:
+                self._code_root(unit)
+            else:
+                self._code_group(unit, parent)
+        if spec.region != spec.core:
+            np.clip(out, spec.z_min, spec.z_max, out=out)
 
     def _code_group(self, unit: _Unit, parent: Heights) -> None:
         spec = unit.spec
@@ -298,7 +326,7 @@ class Rapid:
         coarse = Grid2(row * parent.shape[1] + col, parent.shape[1], 1)
         rings = 1 + (spec.rings >> 1)
         known = Known(*(rings if is_shared else 0 for is_shared in spec.shared))
-        self._code_rows(unit, 1, parent.ravel(), coarse, known, plan_lines(spec))
+        self._code_rows(unit, 1, unit.memory.contiguous(parent), coarse, known, plan_lines(spec))
 
     def _code_root(self, unit: _Unit) -> None:
         """Code the corners on a fixed grid, then lattices of half the stride each."""
@@ -343,12 +371,6 @@ class Rapid:
             Grid2(_first(spec), stride * pitch, stride), coarse, (n_rows, n_cols), known,
             unit.origin, unit.workspace, unit.scale, unit.streams,
         )  # fmt: skip
-
-
-def _new_heights(spec: GroupSpec) -> Heights:
-    """Return memory for the heights of a unit, all of which a lattice fills but for an apron."""
-    size = spec.region.shape[0] * spec.region.shape[1]
-    return (np.empty if spec.region == spec.core else np.zeros)(size, dtype=np.int32)
 
 
 def _code_corner(unit: _Unit, place: int) -> None:

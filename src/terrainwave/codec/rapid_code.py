@@ -43,12 +43,12 @@ WORD_POS, BIT_POS, COUNT = 0, 1, 2
 class Streams(NamedTuple):
     """What a unit's symbols and raw bits are read from, or what they are logged in.
 
-    Decoding uses `slots`, `words`, `n_words`, `states`, `n_states`; encoding `freqs` and the
-    logs. `n_bits` of raw bits can be there; the arrays have as much to spare as a row may read.
+    Decoding uses `slots`, `freqs`, `words`, `n_words`, `states`, `n_states`; encoding `freqs` and
+    the logs. `n_bits` of raw bits can be there; the arrays have as much to spare as a row may read.
     """
 
     places: NDArray[np.int64]
-    slots: NDArray[np.uint32]
+    slots: NDArray[np.uint8]
     words: NDArray[np.uint16]
     n_words: int
     states: NDArray[np.uint64]
@@ -78,8 +78,9 @@ def code_details(m, at, n, to, is_encoding, has_void, scale, s):
         _log_symbols(m, at, n, has_void, s.places, s.freqs, s.contexts_log, s.symbols_log)
     else:
         _read_symbols(
-            m, at, n, has_void, s.places, s.slots, s.words, s.n_words, s.states, s.n_states
-        )
+            m, at, n, has_void, s.places, s.slots, s.freqs, s.words, s.n_words, s.states,
+            s.n_states,
+        )  # fmt: skip
     if _needs_raw(m, at, n):
         most = np.int64(scale.most_detail)
         _code_raw(m, at, n, is_encoding, has_void, most, s.places, s.raw, s.n_bits)
@@ -87,12 +88,14 @@ def code_details(m, at, n, to, is_encoding, has_void, scale, s):
 
 
 @kernel_part
-def _read_symbols(m, at, n, has_void, places, slots, words, n_words, states, n_states):
+def _read_symbols(m, at, n, has_void, places, slots, freqs, words, n_words, states, n_states):
     """Decode `SYMBOL`, and `DETAIL` but for raw bits."""
     start, count = min(places[WORD_POS], n_words), places[COUNT]
     contexts, symbols = at + CONTEXT, at + SYMBOL
     if not has_void and n_states == N_STATES:
-        end = decode_row(m, contexts, symbols, np.int64(n), slots, words, start, states, count)
+        end = decode_row(
+            m, contexts, symbols, np.int64(n), slots, freqs, words, start, states, count
+        )
         count += np.int64(n)
     else:
         after = np.uint64(start)
@@ -100,7 +103,9 @@ def _read_symbols(m, at, n, has_void, places, slots, words, n_words, states, n_s
             m[symbols + np.uint64(j)] = ZERO
             if not has_void or m[VALID + at + np.uint64(j)] != 0:
                 which = count & (n_states - 1)
-                after = decode_symbol(m, contexts, symbols, j, slots, words, after, states, which)
+                after = decode_symbol(
+                    m, contexts, symbols, j, slots, freqs, words, after, states, which
+                )
                 count += 1
         end = np.int64(after)
     places[COUNT] = count

@@ -15,7 +15,6 @@ from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     MAGNITUDE_MODELS,
     N_UNARY,
-    Coder,
     code_bit,
     code_magnitude,
     code_raw,
@@ -25,7 +24,7 @@ from terrainwave.coding.rangecoder import (
     new_encoder,
     new_models,
 )
-from terrainwave.coding.rans import N_SLOTS, slots_of
+from terrainwave.coding.rans import N_SLOTS, packed_freqs, slots_of
 from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 
@@ -36,6 +35,11 @@ MAX_WEIGHT = (1 << 15) - 1
 SHIFTS = (0, 2, 3, 4, 5)
 _LAYOUT = 1
 _K_MAX_BITS, _FAMILY_BITS, _BASE_BITS, _SHIFT_BITS = 5, 3, 4, 3
+# Of a stencil's numbers: the set, whether there are deltas, their shift; then the deltas.
+_BASE, _HAS_DELTAS, _SHIFT, _DELTAS = range(4)
+_NO_TAP = -1
+# What can be wrong with the numbers of a section.
+_FINE, _BAD_FAMILY, _BAD_WEIGHT, _BAD_CODE = range(4)
 # Models: magnitudes of core taps and of other taps; six groups for frequencies; a flag.
 _CORE, _OTHER, _FREQ = 0, MAGNITUDE_MODELS, 2 * MAGNITUDE_MODELS
 _OWN = 8 * MAGNITUDE_MODELS
@@ -92,32 +96,34 @@ class Tables:
                 stencil = FileStencil(0) if file is None else file.stencils[which][index]
                 weights = weights_of(plane, stencil)
                 self.stencils[which, index, : len(weights)] = weights
-        self._slots: dict[int, NDArray[np.uint32]] = {}
+        self._slots: dict[int, NDArray[np.uint8]] = {}
         self._packed: dict[int, NDArray[np.uint32]] = {}
 
-    def slots(self, step: int) -> NDArray[np.uint32]:
-        """Return the decoder's table of frequencies."""
+    def slots(self, step: int) -> NDArray[np.uint8]:
+        """Return the decoder's table of symbols."""
         family = self._family(step)
         if family not in self._slots:
             self._slots[family] = slots_of(self._freqs(family))
         return self._slots[family]
 
     def packed_freqs(self, step: int) -> NDArray[np.uint32]:
-        """Return the encoder's: of each context and symbol, the sum of those before and its own."""
+        """Return of each context and symbol the sum of frequencies before and its own."""
         family = self._family(step)
         if family not in self._packed:
-            freqs = self._freqs(family)
-            before = np.cumsum(freqs, 1) - freqs
-            self._packed[family] = (before << 16 | freqs).astype(np.uint32)
+            self._packed[family] = packed_freqs(self._freqs(family))
         return self._packed[family]
 
     def _family(self, step: int) -> int:
         return rapid_tables.family_of(step) if self._file is None else self._file.family
 
     def _freqs(self, family: int) -> NDArray[np.int64]:
-        freqs = default_freqs(family).copy()
-        for context, codes in ({} if self._file is None else self._file.codes).items():
-            freqs[context] = freqs_of(codes, rest_symbol(family, context))
+        freqs = default_freqs(family)
+        if self._file is not None and self._file.codes:
+            own = np.array(list(self._file.codes))
+            freqs = freqs.copy()
+            freqs[own] = freqs_of(
+                np.stack(list(self._file.codes.values())), rest_symbols(family)[own]
+            )
         return freqs
 
 
@@ -178,8 +184,13 @@ FREQ_OF_CODE = np.array([freq_of(code) for code in range(MAX_CODE + 1)], dtype=n
 CODE_OF_FREQ = np.array([code_of(freq) for freq in range(N_SLOTS)], dtype=np.int64)
 
 
-def freqs_of(codes: NDArray[np.int64], rest: int) -> NDArray[np.int64]:
-    """Return the frequencies of one context; that of symbol `rest` is what the others leave.
+def freqs_of(codes: NDArray[np.int64], rests: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the frequencies of contexts; that of each one's rest symbol is what the others leave.
+
+    Parameters
+    ----------
+    codes : ndarray of int64, shape (n, N_SYMBOLS)
+    rests : ndarray of int64, shape (n,)
 
     Raises
     ------
@@ -187,35 +198,41 @@ def freqs_of(codes: NDArray[np.int64], rest: int) -> NDArray[np.int64]:
         If they leave nothing, or the escape is impossible.
     """
     freqs = FREQ_OF_CODE[codes]
-    freqs[rest] = 0
-    freqs[rest] = N_SLOTS - freqs.sum()
-    if freqs[rest] < 1 or freqs[ESCAPE] < 1:
+    every = np.arange(len(codes))
+    freqs[every, rests] = 0
+    freqs[every, rests] = N_SLOTS - freqs.sum(1)
+    if (freqs[every, rests] < 1).any() or (freqs[:, ESCAPE] < 1).any():
         raise CorruptStreamError("the frequencies of a context do not fit")
     return freqs
 
 
 @cache
-def default_codes(family: int) -> NDArray[np.int64]:
-    """Return the trained codes of all contexts."""
-    return rapid_tables.default_codes()[family].astype(np.int64)
+def _all_codes() -> NDArray[np.int64]:
+    """Return the trained codes of all families and contexts."""
+    return rapid_tables.default_codes().astype(np.int64)
 
 
 @cache
+def _all_rests() -> NDArray[np.int64]:
+    return _all_codes().argmax(2).astype(np.int64)
+
+
+def default_codes(family: int) -> NDArray[np.int64]:
+    """Return the trained codes of all contexts."""
+    codes: NDArray[np.int64] = _all_codes()[family]
+    return codes
+
+
 def rest_symbols(family: int) -> NDArray[np.int64]:
     """Return each context's symbol whose frequency is not stored: the likeliest trained one."""
-    return default_codes(family).argmax(1).astype(np.int64)
-
-
-def rest_symbol(family: int, context: int) -> int:
-    """Return the symbol of a context whose frequency is not stored."""
-    return int(rest_symbols(family)[context])
+    rests: NDArray[np.int64] = _all_rests()[family]
+    return rests
 
 
 @cache
 def default_freqs(family: int) -> NDArray[np.int64]:
     """Return the trained frequencies, shape (N_CONTEXTS, N_SYMBOLS)."""
-    codes = default_codes(family)
-    return np.stack([freqs_of(codes[c], rest_symbol(family, c)) for c in range(N_CONTEXTS)])
+    return freqs_of(default_codes(family), rest_symbols(family))
 
 
 # Bytes ------------------------------------------------------------------------------------------
@@ -225,32 +242,15 @@ def pack_parameters(tables: FileTables) -> bytes:
     """Return the parameters section."""
     out = np.zeros(1 << 16, dtype=np.uint8)
     coder = new_encoder(out, new_models(_N_MODELS))
-    code_raw(coder, _K_MAX_BITS, tables.k_max)
-    code_raw(coder, _FAMILY_BITS, tables.family)
-    for row in tables.stencils:
-        for plane, stencil in zip(PLANES, row, strict=True):
-            code_raw(coder, _BASE_BITS, stencil.base)
-            code_raw(coder, 1, int(bool(stencil.deltas)))
-            if not stencil.deltas:
-                continue
-            code_raw(coder, _SHIFT_BITS, stencil.shift)
-            for tap, delta in enumerate(stencil.deltas):
-                if tap == missing_tap(plane):
-                    continue
-                first = _CORE if core_taps(plane)[tap] else _OTHER
-                _code_magnitude(coder, first, abs(delta))
-                if delta:
-                    code_raw(coder, 1, int(delta < 0))
-    was_own = 0
-    for context in range(N_CONTEXTS):
-        is_own = int(context in tables.codes)
-        code_bit(coder, _OWN + was_own, is_own)
-        was_own = is_own
-        if not is_own:
-            continue
-        trained = default_codes(tables.family)[context]
-        codes = tables.codes[context].copy()
-        _code_codes(coder, trained, rest_symbol(tables.family, context), codes)
+    numbers = _Numbers.empty()
+    numbers.head[:] = tables.k_max, tables.family
+    for index, stencil in enumerate(stencil for row in tables.stencils for stencil in row):
+        own = numbers.stencils[index]
+        own[:_DELTAS] = stencil.base, bool(stencil.deltas), stencil.shift
+        own[_DELTAS : _DELTAS + len(stencil.deltas)] = stencil.deltas
+    for context, codes in tables.codes.items():
+        numbers.is_own[context], numbers.codes[context] = 1, codes
+    _code_tables(coder, *numbers, _tap_kinds(), _all_codes(), _all_rests())
     n_bytes = finish_encoder(coder.state, out)
     return bytes([_LAYOUT]) + out[:n_bytes].tobytes()
 
@@ -273,27 +273,111 @@ def parse_parameters(section: bytes) -> Tables:
             " know: install a newer one"
         )
     coder = new_decoder(section[1:], new_models(_N_MODELS))
-    k_max = int(code_raw(coder, _K_MAX_BITS, 0))
-    family = int(code_raw(coder, _FAMILY_BITS, 0))
-    if family >= rapid_tables.N_FAMILIES:
-        raise CorruptStreamError(f"family {family} of frequencies does not exist")
-    stencils = tuple(
-        tuple(_parse_stencil(coder, plane) for plane in PLANES) for _ in range(N_CLASSES)
-    )
-    codes = {}
-    was_own = 0
-    for context in range(N_CONTEXTS):
-        was_own = int(code_bit(coder, _OWN + was_own, 0))
-        if was_own:
-            codes[context] = _parse_codes(coder, family, context)
-            freqs_of(codes[context], rest_symbol(family, context))  # checks them
+    numbers = _Numbers.empty()
+    status, which = _code_tables(coder, *numbers, _tap_kinds(), _all_codes(), _all_rests())
+    if status == _BAD_FAMILY:
+        raise CorruptStreamError(f"family {which} of frequencies does not exist")
+    if status == _BAD_WEIGHT:
+        raise CorruptStreamError(f"a stencil of plane {which} has a weight beyond 2^15")
+    if status == _BAD_CODE:
+        raise CorruptStreamError(f"context {which} has a frequency code that does not exist")
+    k_max, family = numbers.head.tolist()
+    own = np.flatnonzero(numbers.is_own)
+    freqs_of(numbers.codes[own], rest_symbols(family)[own])  # checks them
     raise_for_status(*finish_decoder(coder.state, coder.stream))
-    return Tables(FileTables(k_max, family, stencils, codes))
+    stencils = [
+        FileStencil(base, shift, tuple(deltas[: len(TAPS[PLANES[index % len(PLANES)]])]))
+        if has_deltas
+        else FileStencil(base)
+        for index, (base, has_deltas, shift, *deltas) in enumerate(numbers.stencils.tolist())
+    ]
+    by_class = tuple(
+        tuple(stencils[first : first + len(PLANES)])
+        for first in range(0, len(stencils), len(PLANES))
+    )
+    codes = {int(context): numbers.codes[context] for context in own}
+    return Tables(FileTables(k_max, family, by_class, codes))
 
 
-def _code_magnitude(coder: Coder, first: int, value: int = 0) -> int:
-    """Code a value with the magnitude models from `first`; return it."""
-    return int(code_magnitude(coder, first, first + N_UNARY, 0, value))
+class _Numbers(NamedTuple):
+    """The numbers of a parameters section.
+
+    Attributes
+    ----------
+    head : ndarray of int64, shape (2,)
+        `k_max` and family.
+    stencils : ndarray of int64, shape (N_CLASSES * 3, _DELTAS + MAX_TAPS)
+        By class and plane: the set, whether there are deltas, their shift, the deltas.
+    is_own : ndarray of int64, shape (N_CONTEXTS,)
+        Whether a context has codes of its own.
+    codes : ndarray of int64, shape (N_CONTEXTS, N_SYMBOLS)
+    """
+
+    head: NDArray[np.int64]
+    stencils: NDArray[np.int64]
+    is_own: NDArray[np.int64]
+    codes: NDArray[np.int64]
+
+    @classmethod
+    def empty(cls) -> "_Numbers":
+        """Return numbers to be filled."""
+        return cls(
+            np.zeros(2, dtype=np.int64),
+            np.zeros((N_CLASSES * len(PLANES), _DELTAS + MAX_TAPS), dtype=np.int64),
+            np.zeros(N_CONTEXTS, dtype=np.int64),
+            np.zeros((N_CONTEXTS, N_SYMBOLS), dtype=np.int64),
+        )
+
+
+@cache
+def _tap_kinds() -> NDArray[np.int64]:
+    """Return by plane which model a tap's delta takes; _NO_TAP if it has none."""
+    kinds = np.full((len(PLANES), MAX_TAPS), _NO_TAP, dtype=np.int64)
+    for index, plane in enumerate(PLANES):
+        are_core = core_taps(plane)
+        kinds[index, : len(are_core)] = [_CORE if is_core else _OTHER for is_core in are_core]
+        kinds[index, missing_tap(plane)] = _NO_TAP
+    return kinds
+
+
+@kernel
+def _code_tables(coder, head, stencils, is_own, codes, tap_kinds, trained, rests):
+    """Code the numbers of a section in place; return what is wrong with them, and where.
+
+    A decoder's need hold nothing. `trained` and `rests` are those of all families.
+    """
+    head[0] = code_raw(coder, np.int64(_K_MAX_BITS), head[0])
+    family = head[1] = code_raw(coder, np.int64(_FAMILY_BITS), head[1])
+    if family >= trained.shape[0]:
+        return _BAD_FAMILY, family
+    for index in range(stencils.shape[0]):
+        plane, own = index % tap_kinds.shape[0], stencils[index]
+        own[_BASE] = code_raw(coder, np.int64(_BASE_BITS), own[_BASE])
+        own[_HAS_DELTAS] = code_raw(coder, np.int64(1), own[_HAS_DELTAS])
+        if not own[_HAS_DELTAS]:
+            continue
+        own[_SHIFT] = code_raw(coder, np.int64(_SHIFT_BITS), own[_SHIFT])
+        for tap in range(MAX_TAPS):
+            first = tap_kinds[plane, tap]
+            if first == _NO_TAP:
+                continue
+            delta = own[_DELTAS + tap]
+            size = code_magnitude(coder, first, first + N_UNARY, np.int64(0), abs(delta))
+            if size > 2 * MAX_WEIGHT:
+                return _BAD_WEIGHT, np.int64(plane + HH)
+            is_less = np.int64(0)
+            if size > 0:
+                is_less = code_raw(coder, np.int64(1), np.int64(delta < 0))
+            own[_DELTAS + tap] = -size if is_less else size
+    was_own = np.int64(0)
+    for context in range(is_own.shape[0]):
+        was_own = code_bit(coder, _OWN + was_own, is_own[context])
+        is_own[context] = was_own
+        if was_own and _code_codes(
+            coder, trained[family, context], rests[family, context], codes[context]
+        ):
+            return _BAD_CODE, np.int64(context)
+    return _FINE, np.int64(0)
 
 
 @kernel
@@ -320,29 +404,3 @@ def _code_codes(coder, trained, rest, codes):
         if last > MAX_CODE or codes[symbol] < 0 or codes[symbol] > MAX_CODE:
             return True
     return False
-
-
-def _parse_stencil(coder: Coder, plane: int) -> FileStencil:
-    base = int(code_raw(coder, _BASE_BITS, 0))
-    if not code_raw(coder, 1, 0):
-        return FileStencil(base)
-    shift = int(code_raw(coder, _SHIFT_BITS, 0))
-    deltas = []
-    for tap, is_core in enumerate(core_taps(plane)):
-        delta = 0
-        if tap != missing_tap(plane):
-            delta = int(_code_magnitude(coder, _CORE if is_core else _OTHER))
-            if delta > 2 * MAX_WEIGHT:
-                raise CorruptStreamError(f"a stencil of plane {plane} has a weight beyond 2^15")
-            if delta and code_raw(coder, 1, 0):
-                delta = -delta
-        deltas.append(delta)
-    return FileStencil(base, shift, tuple(deltas))
-
-
-def _parse_codes(coder: Coder, family: int, context: int) -> NDArray[np.int64]:
-    trained = default_codes(family)[context]
-    codes = trained.copy()
-    if _code_codes(coder, trained, rest_symbol(family, context), codes):
-        raise CorruptStreamError(f"context {context} has a frequency code that does not exist")
-    return codes

@@ -100,6 +100,16 @@ class Refiner(Protocol):
         ...
 
 
+class DirectRefiner(Refiner, Protocol):
+    """A refiner that decodes into memory it is given, heights within the spec's range."""
+
+    def decode_into(
+        self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes, out: Heights
+    ) -> None:
+        """Do as `decode`; `out` is contiguous and has the shape of ``spec.region``."""
+        ...
+
+
 @runtime_checkable
 class FittingRefiner(Refiner, Protocol):
     """A refiner with tables for the whole file; `parameters` are their bytes in the header."""

@@ -21,59 +21,64 @@ N_STATES = 8
 WORD_BITS = 16
 STATE_START = 1 << WORD_BITS
 
-# An entry of the table of slots: symbol, 8 bits; the slot's place among those of its symbol and
-# the symbol's frequency, 12 bits each.
-_PLACE_SHIFT, _FREQ_SHIFT = 8, 20
-
 _SLOT_MASK, _SLOTS = np.uint64(N_SLOTS - 1), np.uint64(SLOT_BITS)
 _WORD, _REFILL = np.uint64(WORD_BITS), np.uint64(STATE_START)
-_SYMBOL_MASK, _PLACE_MASK = np.uint64(0xFF), np.uint64(0xFFF)
-_TO_PLACE, _TO_FREQ = np.uint64(_PLACE_SHIFT), np.uint64(_FREQ_SHIFT)
+# Of a packed frequency: `packed_freqs`.
+_FREQ_BITS, _FREQ_MASK = np.uint64(16), np.uint64(0xFFFF)
+_CONTEXT_BITS = np.uint64(6)
 
 
-def slots_of(freqs: NDArray[np.int64]) -> NDArray[np.uint32]:
-    """Return the table of slots of all contexts.
+def packed_freqs(freqs: NDArray[np.int64]) -> NDArray[np.uint32]:
+    """Return of each context and symbol the sum of those before and its own.
 
     Parameters
     ----------
     freqs : ndarray of int64, shape (n_contexts, n_symbols)
-        Each row sums to N_SLOTS; at most 256 symbols, no frequency above N_SLOTS - 1.
+        Each row sums to N_SLOTS; at most 64 symbols.
+
+    Returns
+    -------
+    packed : ndarray of uint32, shape (n_contexts, 64)
+        ``before << 16 | freq``.
     """
-    slots = np.empty(freqs.shape[0] << SLOT_BITS, dtype=np.uint32)
-    _fill_slots(freqs, slots)
-    return slots
+    packed = np.zeros((freqs.shape[0], 1 << int(_CONTEXT_BITS)), dtype=np.uint32)
+    before = np.cumsum(freqs, 1) - freqs
+    packed[:, : freqs.shape[1]] = before << int(_FREQ_BITS) | freqs
+    return packed
 
 
-@kernel
-def _fill_slots(freqs, slots):
-    place = 0
-    for context in range(freqs.shape[0]):
-        for symbol in range(freqs.shape[1]):
-            freq = freqs[context, symbol]
-            for k in range(freq):
-                slots[place] = symbol | k << _PLACE_SHIFT | freq << _FREQ_SHIFT
-                place += 1
+def slots_of(freqs: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Return the symbol of each slot of all contexts; `freqs` as in `packed_freqs`.
+
+    One byte for each: what a raster uses of it stays in the faster caches.
+    """
+    symbols = np.tile(np.arange(freqs.shape[1], dtype=np.uint8), freqs.shape[0])
+    return np.repeat(symbols, freqs.ravel())
 
 
 @inlined_kernel
-def _decoded(m, place, state, slots, contexts, symbols, words, at):
+def _decoded(m, place, state, slots, packed, contexts, symbols, words, at):
     """Decode the symbol at `place`, whose state is `state`; return the next state and word."""
-    entry = np.uint64(slots[(np.uint64(m[contexts + place]) << _SLOTS) | (state & _SLOT_MASK)])
-    m[symbols + place] = np.int64(entry & _SYMBOL_MASK)
-    state = (entry >> _TO_FREQ) * (state >> _SLOTS) + ((entry >> _TO_PLACE) & _PLACE_MASK)
+    context, slot = np.uint64(m[contexts + place]), state & _SLOT_MASK
+    symbol = np.uint64(slots[(context << _SLOTS) | slot])
+    m[symbols + place] = np.int64(symbol)
+    own = np.uint64(packed[context, symbol])
+    state = (own & _FREQ_MASK) * (state >> _SLOTS) + slot - (own >> _FREQ_BITS)
     is_low = state < _REFILL
     filled = (state << _WORD) | np.uint64(words[at])
     return (filled if is_low else state), at + np.uint64(is_low)
 
 
 @kernel
-def decode_row(m, contexts, symbols, n, slots, words, word_pos, states, count):
+def decode_row(m, contexts, symbols, n, slots, packed, words, word_pos, states, count):
     """Decode `n` symbols, all with states that take turns; return the word after the last.
 
     Parameters
     ----------
     m : ndarray of int
         Holds the contexts, from place `contexts` on, and takes the symbols, from `symbols` on.
+    slots, packed : ndarray
+        `slots_of` and `packed_freqs`.
     words : ndarray of uint16
         Has at least `n` words from `word_pos` on.
     states : ndarray of uint64, shape (N_STATES,)
@@ -88,35 +93,36 @@ def decode_row(m, contexts, symbols, n, slots, words, word_pos, states, count):
     x6, x7 = states[(count + 6) & 7], states[(count + 7) & 7]
     for k in range(0, n - 7, 8):
         place = np.uint64(k)
-        x0, at = _decoded(m, place, x0, slots, contexts, symbols, words, at)
+        x0, at = _decoded(m, place, x0, slots, packed, contexts, symbols, words, at)
         place = np.uint64(k + 1)
-        x1, at = _decoded(m, place, x1, slots, contexts, symbols, words, at)
+        x1, at = _decoded(m, place, x1, slots, packed, contexts, symbols, words, at)
         place = np.uint64(k + 2)
-        x2, at = _decoded(m, place, x2, slots, contexts, symbols, words, at)
+        x2, at = _decoded(m, place, x2, slots, packed, contexts, symbols, words, at)
         place = np.uint64(k + 3)
-        x3, at = _decoded(m, place, x3, slots, contexts, symbols, words, at)
+        x3, at = _decoded(m, place, x3, slots, packed, contexts, symbols, words, at)
         place = np.uint64(k + 4)
-        x4, at = _decoded(m, place, x4, slots, contexts, symbols, words, at)
+        x4, at = _decoded(m, place, x4, slots, packed, contexts, symbols, words, at)
         place = np.uint64(k + 5)
-        x5, at = _decoded(m, place, x5, slots, contexts, symbols, words, at)
+        x5, at = _decoded(m, place, x5, slots, packed, contexts, symbols, words, at)
         place = np.uint64(k + 6)
-        x6, at = _decoded(m, place, x6, slots, contexts, symbols, words, at)
+        x6, at = _decoded(m, place, x6, slots, packed, contexts, symbols, words, at)
         place = np.uint64(k + 7)
-        x7, at = _decoded(m, place, x7, slots, contexts, symbols, words, at)
+        x7, at = _decoded(m, place, x7, slots, packed, contexts, symbols, words, at)
     states[count & 7], states[(count + 1) & 7] = x0, x1
     states[(count + 2) & 7], states[(count + 3) & 7] = x2, x3
     states[(count + 4) & 7], states[(count + 5) & 7] = x4, x5
     states[(count + 6) & 7], states[(count + 7) & 7] = x6, x7
     for k in range(n - (n & 7), n):
-        at = decode_symbol(m, contexts, symbols, k, slots, words, at, states, (count + k) & 7)
+        which = (count + k) & 7
+        at = decode_symbol(m, contexts, symbols, k, slots, packed, words, at, states, which)
     return np.int64(at)
 
 
 @inlined_kernel
-def decode_symbol(m, contexts, symbols, k, slots, words, at, states, which):
+def decode_symbol(m, contexts, symbols, k, slots, packed, words, at, states, which):
     """Decode symbol `k` of a row with state `which`; return the place of the next word."""
     states[which], at = _decoded(
-        m, np.uint64(k), states[which], slots, contexts, symbols, words, np.uint64(at)
+        m, np.uint64(k), states[which], slots, packed, contexts, symbols, words, np.uint64(at)
     )
     return at
 
@@ -129,8 +135,8 @@ def encode_symbols(contexts, symbols, n, freqs, n_states, words, states):
     ----------
     contexts, symbols : ndarray of uint8
         The first `n` are coded, the last one first.
-    freqs : ndarray of uint32, shape (n_contexts * n_symbols,)
-        Frequency of a symbol below, the sum of those before it above: ``before << 16 | freq``.
+    freqs : ndarray of uint32, shape (n_contexts, 64)
+        `packed_freqs`.
     n_states : int
         1 or N_STATES.
     words : ndarray of uint16

@@ -1,7 +1,8 @@
 """Decode units on demand, each from its ancestors alone, through a bounded cache."""
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from terrainwave.cache import Cache
 from terrainwave.codec.group import decode_unit
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
+from terrainwave.codec.spare import Spares
 from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
@@ -21,6 +23,23 @@ _MAX_FETCHED = 1024
 
 def _n_bytes(unit: Decoded) -> int:
     return sum(part.nbytes for part in unit if part is not None)
+
+
+class _Spare:
+    """Memory for the heights of a unit."""
+
+    def __init__(self) -> None:
+        self._heights = np.empty(0, dtype=np.int32)
+
+    def heights(self, shape: tuple[int, int]) -> Heights:
+        """Return an array of this shape, the same memory each time."""
+        size = shape[0] * shape[1]
+        if self._heights.size < size:
+            self._heights = np.empty(size, dtype=np.int32)
+        return self._heights[:size].reshape(shape)
+
+
+_SPARES = Spares(_Spare)
 
 
 class TreeDecoder:
@@ -99,13 +118,14 @@ class TreeDecoder:
             payload = self._fetched.pop(key, None)
         return self._payloads([key])[0] if payload is None else payload
 
-    def _decode(self, key: Block) -> Decoded:
+    def _decode(self, key: Block, out: Heights | None = None) -> Decoded:
+        """Decode a unit, into memory `out` if there is some."""
         assert self._refiner is not None
         parent = None if key.is_root_key else self.block(key)
         spec = self._spec(key)
         payload = self._payload(key)
         try:
-            return decode_unit(self._refiner, spec, parent, payload)
+            return decode_unit(self._refiner, spec, parent, payload, out)
         except CorruptStreamError as exc:
             raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
 
@@ -121,12 +141,23 @@ class TreeDecoder:
 
         The arrays are views.
         """
-        unit = self.unit(key)
         spec = self._spec(key)
-        common = spec.core.intersect(region)
-        here = common.slices_in(spec.region)
-        rest = None if unit.remainders is None else unit.remainders[here]
-        return common.slices_in(region), Decoded(unit.heights[here], unit.mask[here], None, rest)
+        return _part(self.unit(key), spec, spec.core.intersect(region), region)
+
+    @contextmanager
+    def borrowed(self, key: Block, region: Region) -> Iterator[tuple[tuple[slice, slice], Decoded]]:
+        """Lend `part` until the end of the `with` block.
+
+        A unit of the full grid that is not at hand and lies in the region as a whole is not kept.
+        """
+        spec = self._spec(key)
+        is_whole = spec.is_finest and spec.core.intersect(region) == spec.core
+        if not is_whole or self._refiner is None or self._cache.get(key) is not None:
+            yield self.part(key, region)
+            return
+        with _SPARES.lent() as spare:
+            unit = self._decode(key, spare.heights(spec.region.shape))
+            yield _part(unit, spec, spec.core, region)
 
     def window(self, level: int, region: Region) -> tuple[Heights, Mask]:
         """Return decoded heights and validity of any region inside a level."""
@@ -165,6 +196,15 @@ class TreeDecoder:
         key = unit_key(block)
         spec = self._spec(key)
         return block_of_unit(self.grid, spec, self.unit(key), block)
+
+
+def _part(
+    unit: Decoded, spec: GroupSpec, common: Region, region: Region
+) -> tuple[tuple[slice, slice], Decoded]:
+    """Return where the part `common` of a unit lies in a region, and views of it."""
+    here = common.slices_in(spec.region)
+    rest = None if unit.remainders is None else unit.remainders[here]
+    return common.slices_in(region), Decoded(unit.heights[here], unit.mask[here], None, rest)
 
 
 def units_of(grid: Grid, level: int, region: Region) -> list[Block]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from terrainwave.cache import Cache
 from terrainwave.codec.cdf53 import LevelHeights, decode_tile
-from terrainwave.codec.refiner import Decoded
+from terrainwave.codec.refiner import Decoded, Heights
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.tiles import TileLayout
 from terrainwave.codec.units import unit_spec
@@ -58,7 +58,7 @@ class TileDecoder(TreeDecoder):
         self._fetch(list(needed))
         return []
 
-    def _decode(self, key: Block) -> Decoded:
+    def _decode(self, key: Block, out: Heights | None = None) -> Decoded:
         tile_key = self._layout.key_of(key)
         if key != tile_key and self._payload(key):
             raise CorruptStreamError(

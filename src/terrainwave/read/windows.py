@@ -54,18 +54,24 @@ class WindowReader:
 
         With `on_error` ``"mask"``, damaged units read as void.
         """
+        heights, voids = self.read_voids(decoder, level, region, on_error)
+        return heights, np.ones(region.shape, dtype=np.bool_) if voids is None else ~voids
+
+    def read_voids(
+        self, decoder: TreeDecoder, level: int, region: Region, on_error: str = "raise"
+    ) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
+        """Return raw heights of a region and what is void; None where nothing is."""
         heights = np.zeros(region.shape, dtype=self._dtype)
-        mask = np.zeros(region.shape, dtype=np.bool_)
+        voids = _Voids(region, are_all=on_error == "mask")
 
         def fill(key: Block) -> None:
             try:
-                there, unit = decoder.part(key, region)
+                with decoder.borrowed(key, region) as (there, unit):
+                    self._fill(unit, heights[there])
+                    voids.note(there, unit.mask)
             except CorruptStreamError:
                 if on_error == "raise":
                     raise
-                return
-            self._fill(unit, heights[there])
-            mask[there] = unit.mask
 
         keys = decoder.keys(level, region)
         for first in range(0, len(keys), _BATCH):
@@ -76,7 +82,7 @@ class WindowReader:
                     fill(key)
             else:
                 self._run(_fill_or_decode(decoder, set(batch), fill), needed)
-        return heights, mask
+        return heights, voids.marked
 
     def bilinear(
         self,
@@ -132,6 +138,28 @@ class WindowReader:
             submit, self._n_threads + 1, keys,
             lambda key: None if key.is_root_key else unit_key(key), work,
         )  # fmt: skip
+
+
+class _Voids:
+    """The void samples of a region; `marked` is None while there are none.
+
+    With `are_all` all samples are void that nothing is noted of.
+    """
+
+    def __init__(self, region: Region, *, are_all: bool) -> None:
+        self.marked = np.ones(region.shape, dtype=np.bool_) if are_all else None
+        self._shape = region.shape
+        self._lock = threading.Lock()
+
+    def note(self, there: tuple[slice, slice], valid: NDArray[np.bool_]) -> None:
+        """Note which samples of a part of the region are valid."""
+        if self.marked is None:
+            if valid.all():
+                return
+            with self._lock:
+                if self.marked is None:
+                    self.marked = np.zeros(self._shape, dtype=np.bool_)
+        np.logical_not(valid, out=self.marked[there])
 
 
 def _fill_or_decode(
