@@ -122,6 +122,21 @@ def test_remainders_that_make_no_height_are_damage(monkeypatch):
 
 
 @pytest.mark.full
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("method", ["rapid", "predictive"])
+@pytest.mark.parametrize("roughness", [0.0, 0.01, 1.0])
+def test_a_file_is_no_larger_than_zstd_with_its_predictor(tmp_path, dtype, method, roughness):
+    row, col = np.mgrid[0:500, 0:500]
+    heights = 900 + 700 * np.sin(row / 61.0) * np.cos(col / 83.0 + row / 300)
+    heights += np.random.default_rng(3).normal(size=heights.shape) * roughness
+    heights = heights.astype(dtype)
+    profile = dict(compress="zstd", predictor=3, zstd_level=9, tiled=True)
+    raster = write_geotiff(tmp_path / "dem.tif", heights, **profile)
+    data = twz_bytes(heights, max_error=0, method=method)
+    assert len(data) <= raster.stat().st_size
+
+
+@pytest.mark.full
 def test_machines_that_share_the_work_write_the_same_bytes(tmp_path):
     raster = write_geotiff(tmp_path / "dem.tif", off_grid("float32", (300, 280)), nodata=np.nan)
     options = dict(max_error=0, block=32, mesh="none")
