@@ -39,6 +39,7 @@ from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.cesium import MAX_ZOOM as LAST_MESH_ZOOM
 from terrainwave.globe.cesium import TilePyramid
 from terrainwave.globe.lonlat import Globe
+from terrainwave.render.ramps import RAMPS, ramp_stops
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 N_WAITING = 64
@@ -146,6 +147,7 @@ class Layer:
             "columns": info.n_cols,
             "bits_per_sample": info.bits_per_sample,
             "method": info.method,
+            "ramps": {name: ramp_stops(name, lowest, highest) for name in RAMPS},
             "origin": origin_of({**info.tags, **info.band_tags}),
             "version": __version__,
         }
