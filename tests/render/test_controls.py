@@ -96,14 +96,14 @@ def test_the_wheel_zooms_to_the_cursor_or_changes_the_speed(controls):
 
 def test_keys_change_the_picture(controls):
     press(controls, "c", "r", "l", "b", "h")
-    assert controls.style.coloring != "ground"
-    assert controls.style.ramp != "tints"
+    assert controls.style.coloring != "auto"
+    assert controls.style.ramp != "auto"
     assert controls.style.wireframe
     assert controls.style.shade == 0
     assert controls.shows_help
     for _ in range(len(COLORINGS) - 1):
         press(controls, "c")
-    assert controls.style.coloring == "ground"
+    assert controls.style.coloring == "auto"
     press(controls, "period", "+", "]")
     assert controls.style.sun[0] == 330
     assert controls.max_pixel_error == pytest.approx(2**0.5)

@@ -220,7 +220,9 @@ def test_buffers_grow_and_memory_keeps_to_its_limit(context, rough):
         assert max(sizes) <= 64 << 20
 
 
-@pytest.mark.parametrize("coloring", ["ground", "ramp", "level", "error", "plain"])
+@pytest.mark.parametrize(
+    "coloring", ["auto", "relative", "ramp", "slope", "level", "error", "plain"]
+)
 def test_every_colouring_draws_the_terrain_in_many_colours(context, rough, coloring):
     with Offscreen(rough, SIZE, samples=0, context=context) as offscreen:
         camera = home(offscreen.scene.frame.box, offscreen.viewport)

@@ -15,10 +15,14 @@ from terrainwave.cli.commands import main
 from terrainwave.cli.options import Input, Numbers, Target
 from terrainwave.cli.output import Bar, announce_compiling, plain, print_note, reading
 from terrainwave.cli.streams import STREAM, printing_beside, written
+from terrainwave.render.colorings import AUTO, MEANINGS, RAMP_NAMES
 from terrainwave.render.modes import MODES
 
-COLORINGS = click.Choice(["ground", "ramp", "level", "error", "plain", "flat"])
-RAMPS = click.Choice(["tints", "cividis", "grey", "mars"])
+RAMPS = click.Choice([AUTO, *RAMP_NAMES])
+# In a line each: the blank lines keep click from filling them.
+COLORING_HELP = "What colours say.\n\n\b\n" + "\n".join(
+    f"{name}: {meaning}" for name, meaning in MEANINGS.items()
+)
 POSITIVE = click.FloatRange(min=0, min_open=True)
 
 
@@ -64,9 +68,11 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--haze", type=click.FloatRange(0, 1), default=0.25, show_default=True),
         click.option("--sun", type=Numbers("azimuth,altitude", float), default="315,38",
                      show_default=True, help="Where the light comes from, degrees."),
-        click.option("--ramp", type=RAMPS, default="tints", show_default=True,
-                     help="Colours by height; cividis is safe for colour-blind eyes."),
-        click.option("--coloring", type=COLORINGS, default="ground", show_default=True),
+        click.option("--ramp", type=RAMPS, default=AUTO, show_default=True,
+                     help="Relative colours; by default the body's. cividis is safe for"
+                     " colour-blind eyes."),
+        click.option("--coloring", type=click.Choice(list(MEANINGS)), metavar="NAME",
+                     default="auto", show_default=True, help=COLORING_HELP),
         click.option("--drape", type=click.Path(), metavar="IMAGE",
                      help="Orthophoto to lay on the terrain; it is warped to it."),
         click.option("--radius", type=POSITIVE, help="Of the body, metres, for degrees."),
@@ -165,6 +171,7 @@ def render(
             scene = stack.enter_context(
                 Offscreen(terrain, size, max_bytes=memory << 20, progress=bar, **options)
             )
+        style.check_body(scene.scene.frame.body)
         if flight is None:
             cameras, n_frames = (
                 [choose_camera(scene.scene.frame, scene.viewport, camera, bounds, within)],

@@ -16,7 +16,7 @@ from terrainwave.render.camera import (
     top_view,
     zoom,
 )
-from terrainwave.render.ramps import RAMPS
+from terrainwave.render.colorings import AUTO, RAMP_NAMES
 from terrainwave.render.scene import Scene
 from terrainwave.render.style import COLORINGS, Style
 
@@ -28,7 +28,7 @@ HELP = [
     ("wheel", "zoom to the cursor (orbit), speed (fly)"),
     ("Tab", "orbit or fly: in fly, drag looks around"),
     ("Home  T  N", "the whole terrain, from above, north up"),
-    ("C  R", "colour by ground, height, level, error; ramp"),
+    ("C  R", "colour by height, slope, level, error; ramp"),
     ("L  B  O", "wireframe; light, orthophoto on and off"),
     (",  .", "turn the sun; Shift: raise it, lower it"),
     ("[  ]", "vertical exaggeration"),
@@ -84,7 +84,7 @@ class Controls:
         elif key == "c":
             self.style = replace(self.style, coloring=_next(list(COLORINGS), self.style.coloring))
         elif key == "r":
-            self.style = replace(self.style, ramp=_next(list(RAMPS), self.style.ramp))
+            self.style = replace(self.style, ramp=_next([AUTO, *RAMP_NAMES], self.style.ramp))
         elif key == "l":
             self.style = replace(self.style, wireframe=not self.style.wireframe)
         elif key == "o":

@@ -14,12 +14,14 @@ from terrainwave.errors import (
 from terrainwave.export.frames import find_place, metres_per_unit
 from terrainwave.export.mesh import Mesh
 from terrainwave.grid.affine import IDENTITY, pixels_to_places, samples_to_places
+from terrainwave.render.body import UNKNOWN, body_of, latitudes_of
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
 # How far below the lowest height the block's base lies: of the raster's extent; metres.
 _BASE_SHARE, _LEAST_DEPTH = 0.035, 1.0
+_LEAST_RELIEF, _MOST_DETAIL = 0.02, 1 / 256
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,10 @@ class Frame:
         Lowest and highest height in the file's unit.
     exaggeration : float
         Local z is the height in metres times this.
+    body : str
+        One of `body`'s names.
+    latitudes : tuple of float, optional
+        Degrees, of the middles of the lower and the upper side.
     """
 
     centre: tuple[float, float]
@@ -48,6 +54,8 @@ class Frame:
     shape: tuple[int, int]
     heights: tuple[float, float]
     exaggeration: float = 1.0
+    body: str = UNKNOWN
+    latitudes: tuple[float, float] | None = None
 
     @property
     def box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -79,6 +87,20 @@ class Frame:
         return self.samples_to_local(
             np.array([0, 0, n_rows - 1, n_rows - 1]), np.array([0, n_cols - 1, n_cols - 1, 0])
         )
+
+    @property
+    def detail(self) -> float:
+        """Return the factor of τ that the terrain's flatness asks for, at most 1.
+
+        Light and colours come with the blocks that τ chooses, and there are mountains and coasts to
+        see where the relief is next to nothing, as a planet's is: errors count as if it was a
+        fiftieth of the raster's extent.
+        """
+        low, high = self.box
+        relief, extent = float(high[2] - low[2]), math.hypot(*(high - low)[:2])
+        if not 0 < relief < _LEAST_RELIEF * extent:
+            return 1.0
+        return max(relief / (_LEAST_RELIEF * extent), _MOST_DETAIL)
 
     def samples_to_local(self, rows: NDArray[Any], cols: NDArray[Any]) -> NDArray[np.float64]:
         """Return local x, y of full-grid samples, shape (n, 2)."""
@@ -182,5 +204,7 @@ def frame_of(
         matrix,
         terrain.shape,
         (info.minimum or 0.0, info.maximum or 0.0),
+        body=body_of(place, radius),
+        latitudes=latitudes_of(place, outline.bounds),
     )
     return frame.exaggerated(exaggeration)

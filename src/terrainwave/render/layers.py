@@ -23,7 +23,8 @@ class Texels(NamedTuple):
     is_smooth: bool
 
 
-SLOPES = Texels(2, "f2", 4, True)
+# Slopes to the east and north, height; drivers give three numbers the room of four.
+SLOPES = Texels(3, "f2", 8, True)
 HEIGHTS = Texels(2, "f4", 8, False)
 
 

@@ -95,8 +95,7 @@ class PatchSurface:
         texels[:, 11] = (blocks[:, 1] & 1) * grid.block
         texels[:, 12] = blocks[:, 0]
         texels[:, 13] = table.errors[nodes]
-        texels[:, 14] = bases
-        texels[:, 15] = 0
+        texels[:, 14:] = 0
         return texels
 
     def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:

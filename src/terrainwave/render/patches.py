@@ -20,7 +20,13 @@ from terrainwave.mesh.blocks import SideTolerances, border_lines
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.render.frame import Frame
 from terrainwave.render.kernels import SKIRT_FLAG, border_edges, rasterize, slopes
-from terrainwave.render.scales import FLOAT32_ROUNDING, HeightScale, SlopeScale
+from terrainwave.render.scales import (
+    FLOAT32_ROUNDING,
+    HeightScale,
+    HeightTexels,
+    SlopeScale,
+    with_ring,
+)
 from terrainwave.render.selection import NodeInfo, Piece
 from terrainwave.tri.halves import triangulate
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
@@ -51,7 +57,7 @@ class Patch(NamedTuple):
     vertices : structured ndarray of VERTEX
     triangles : ndarray of uint32, shape (n, 3)
         The surface's, then those of skirts.
-    slopes : ndarray of float16, shape (n_rows + 2, n_cols + 2, 2)
+    slopes : ndarray of float16, shape (n_rows + 2, n_cols + 2, 3)
         Metres per metre to the east and to the north at the block's samples and around them.
     base : float
         Height of z = 0, metres.
@@ -106,7 +112,7 @@ class PatchBuilder:
         self._recursive = recursive
         self._mesher = mesher_of(terrain)
         self._scale = HeightScale.of(terrain, frame)
-        self._slope_scale = SlopeScale(frame)
+        self._slope_scale, self._height_texels = SlopeScale(frame), HeightTexels.of(frame)
         self._meshes: Cache[Piece, BlockMesh] = Cache(_CACHED_MESHES)
 
     # What the index says
@@ -283,7 +289,7 @@ class PatchBuilder:
         return np.where(np.isnan(heights), z, heights)
 
     def slopes(self, block: Block) -> NDArray[np.float16]:
-        """Return the slopes at the samples of a block and at one more on each side.
+        """Return slopes and heights at the samples of a block and at one more on each side.
 
         Neighbours of one level compute the same where they share samples. Past the raster's edge
         the last ones are repeated, and once more where the block ends before its full size.
@@ -305,7 +311,13 @@ class PatchBuilder:
                 (inner.col, inner.n_cols, near.col, near.n_cols),
             )
         ]
-        return np.pad(self._slope_scale.texels(per_sample), (*padding, (0, 0)), mode="edge")
+        part = near.slices_in(wide)
+        texels = self._height_texels.beside(
+            self._slope_scale.texels(per_sample),
+            self._scale.metres(with_ring(heights, part)),
+            with_ring(mask, part),
+        )
+        return np.pad(texels, (*padding, (0, 0)), mode="edge")
 
 
 def _with_skirts(

@@ -10,7 +10,14 @@ from terrainwave.raster_io.drape import Drape
 from terrainwave.render import shaders
 from terrainwave.render.camera import projection_matrix, slant, view_matrix
 from terrainwave.render.modes.mode import Frames
-from terrainwave.render.ramps import N_COLORS, ramp_colors
+from terrainwave.render.ramps import (
+    Palette,
+    absolute_palette,
+    error_palette,
+    relative_palette,
+    slope_palette,
+)
+from terrainwave.render.scales import HeightTexels
 from terrainwave.render.scene import Scene
 from terrainwave.render.selection import View
 from terrainwave.render.solid import Solid, distance_to_walls, haze_of
@@ -26,6 +33,7 @@ from terrainwave.render.surface import (
 
 _CLIP_DISTANCE_0 = 0x3000
 _NEAREST = 1e-5  # of the farthest
+_MOST_WAVES, _ROUNDED = 1.0, 0.02  # metres
 _GROUND_REACH = 0.38  # of the terrain's diagonal
 
 
@@ -63,8 +71,10 @@ class Renderer:
         )
         self._sky_array = context.vertex_array(self._sky, [])
         self._solid = None if solid is None else SolidSurface(context, solid)
+        self._texels = HeightTexels.of(scene.frame)
         self._ramp: Any = None
         self._ramp_key: tuple[object, ...] = ()
+        self._absolute: tuple[tuple[float, float], Palette] | None = None
         self._drape = self._drape_texture(drape)
         self._has_drape = drape is not None
         self._drape_place = (0.0, 0.0, 1.0, 1.0)
@@ -84,21 +94,35 @@ class Renderer:
         texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
         return texture
 
-    def _ramp_texture(self, style: Style) -> Any:
-        low, high = self._heights()
-        key = (style.ramp, low, high)
+    def _ramp_texture(self, key: tuple[object, ...], palette: Palette) -> Any:
         if key != self._ramp_key:
             if self._ramp is not None:
                 self._ramp.release()
-            colors = ramp_colors(style.ramp, low, high)
-            self._ramp = self._context.texture((N_COLORS, 1), 3, colors.tobytes(), alignment=1)
+            height, width, _ = palette.colors.shape
+            data = palette.colors.tobytes()
+            self._ramp = self._context.texture((width, height), 3, data, alignment=1)
             self._ramp.repeat_x = self._ramp.repeat_y = False
             self._ramp_key = key
         return self._ramp
 
-    def _heights(self) -> tuple[float, float]:
-        low, high = (height * self._scene.frame.metres[2] for height in self._scene.frame.heights)
-        return (low, high) if high > low else (low, low + 1.0)
+    def palette(self, frames: Frames, style: Style) -> Palette:
+        """Return the colours of a frame."""
+        if style.coloring == "slope":
+            return slope_palette()
+        if style.coloring == "error":
+            errors = self._scene.table.errors[frames.nodes]
+            return error_palette(max(float(errors.max(initial=0.0)), 1e-6))
+        frame = self._scene.frame
+        low, high = (height * frame.metres[2] for height in frame.heights)
+        if not style.is_absolute(frame.body):
+            return relative_palette(style.ramp_on(frame.body), low, high)
+        key = (low, high)
+        if self._absolute is None or self._absolute[0] != key:
+            # What decodes to 0 within the bound is water; a float32 on the way has rounded it.
+            error = self._scene.terrain.info().effective_error * frame.metres[2]
+            sea = min(error, _MOST_WAVES) + _ROUNDED
+            self._absolute = key, absolute_palette(low, high, sea, frame.latitudes)
+        return self._absolute[1]
 
     # One frame
 
@@ -122,8 +146,12 @@ class Renderer:
         if not len(frames.nodes):
             return
         values = self._shared_uniforms(view, frames, style)
-        set_uniforms(self.surface.program, values | self._terrain_uniforms(frames, style))
-        self._ramp_texture(style).use(RAMP_UNIT)
+        palette = self.palette(frames, style)
+        own = self._terrain_uniforms(view, palette, style)
+        set_uniforms(self.surface.program, values | own)
+        # Errors change their range from frame to frame, not their colours.
+        key = (style.coloring, style.ramp)
+        self._ramp_texture(key, palette).use(RAMP_UNIT)
         self._drape.use(DRAPE_UNIT)
         context.enable_only(moderngl.DEPTH_TEST)
         clips = range(_CLIP_DISTANCE_0, _CLIP_DISTANCE_0 + self.surface.n_clip_distances)
@@ -173,12 +201,15 @@ class Renderer:
             "shade": style.shade,
         }
 
-    def _terrain_uniforms(self, frames: Frames, style: Style) -> dict[str, Any]:
+    def _terrain_uniforms(self, view: View, palette: Palette, style: Style) -> dict[str, Any]:
         scene = self._scene
+        low, high = scene.frame.box
+        northwards = 1 / max(float(high[1] - low[1]), 1.0)
         return {
-            "ramp_range": self._heights(),
+            "ramp_range": palette.ranges,
+            "height_texels": (self._texels.reference, self._texels.scale),
+            "northwards": (float(view.camera.eye[1] - low[1]) * northwards, northwards),
             "coloring": COLORINGS[style.coloring],
-            "error_range": max(float(scene.table.errors[frames.nodes].max()), 1e-6),
             "ramp": RAMP_UNIT,
             "drape": DRAPE_UNIT,
             "drape_place": self._drape_place,

@@ -1,4 +1,4 @@
-"""From quanta of a file to metres of a frame, and from slopes per sample to slopes per metre."""
+"""From quanta of a file to metres of a frame, and to slopes and heights as textures hold them."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 FLOAT32_ROUNDING = 2.0**-24
 # What float16 holds.
 _LEAST_SLOPE, _LARGEST_SLOPE = 2.0**-14, 6e4
+_LARGEST_HEIGHT = 6e4
 
 
 @dataclass(frozen=True)
@@ -64,3 +65,53 @@ class SlopeScale:
         slopes = per_sample @ np.linalg.inv(np.array([[a, b], [d, e]]))
         slopes[np.abs(slopes) < _LEAST_SLOPE] = 0
         return np.clip(slopes, -_LARGEST_SLOPE, _LARGEST_SLOPE).astype(np.float16)
+
+
+@dataclass(frozen=True)
+class HeightTexels:
+    """Heights as a texture of float16 holds them, to colour by: (metres - reference) / scale.
+
+    Half a metre in a thousand is lost, but next to the reference: the sea's level where the raster
+    has one, else what is nearest to it.
+    """
+
+    reference: float
+    scale: float
+
+    @classmethod
+    def of(cls, frame: Frame) -> Self:
+        """Return what fits the heights of a frame."""
+        low, high = sorted(height * frame.metres[2] for height in frame.heights)
+        reference = min(max(0.0, low), high)
+        largest = max(reference - low, high - reference)
+        return cls(reference, max(largest / _LARGEST_HEIGHT, 1.0))
+
+    def beside(
+        self, slopes: NDArray[np.float16], metres: NDArray[np.float64], valid: NDArray[np.bool_]
+    ) -> NDArray[np.float16]:
+        """Return slopes and heights, shape (n_rows, n_cols, 3).
+
+        `metres` and `valid` have one sample more on each side, (n_rows + 2, n_cols + 2): voids
+        take the mean of the valid ones around, so that colours don't change beside them.
+        """
+        heights = metres[1:-1, 1:-1]
+        if not valid.all():
+            n_rows, n_cols = heights.shape
+            known = np.where(valid, metres - self.reference, 0.0)
+            parts = [
+                (slice(row, row + n_rows), slice(col, col + n_cols))
+                for row in range(3)
+                for col in range(3)
+            ]
+            n_valid = sum(valid[part].astype(np.float64) for part in parts)
+            mean = sum(known[part] for part in parts) / np.maximum(n_valid, 1)
+            heights = np.where(valid[1:-1, 1:-1], heights, mean + self.reference)
+        texels = np.clip((heights - self.reference) / self.scale, -_LARGEST_HEIGHT, _LARGEST_HEIGHT)
+        return np.concatenate([slopes, texels[..., None].astype(np.float16)], axis=-1)
+
+
+def with_ring(samples: NDArray[Any], inner: tuple[slice, slice]) -> NDArray[Any]:
+    """Return a part of samples and one more on each side, the last ones again where they end."""
+    padded = np.pad(samples, 1, mode="edge")
+    rows, cols = inner
+    return padded[rows.start : rows.stop + 2, cols.start : cols.stop + 2]

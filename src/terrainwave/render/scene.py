@@ -131,7 +131,8 @@ class Scene:
         self.frame = self.frame.exaggerated(factor)
 
     def view(self, camera: Camera, viewport: Viewport, max_pixel_error: float = 1.0) -> View:
-        """Return a view of this scene."""
+        """Return a view of this scene, in more detail where the terrain is flat."""
+        max_pixel_error *= self.frame.detail
         return View(camera, viewport, max_pixel_error, self.mode.gamma, self.frame.exaggeration)
 
     # One frame

@@ -4,7 +4,7 @@
 # (x, y, z of its first sample at z = 0, relative to the eye; share of the parent's surface)
 # (depth of skirts, slope layer, parent's slope layer or -1, samples of the full grid per sample)
 # (columns, rows of the full grid right of and below its first sample; column, row in the parent)
-# (level, error in metres, height of z = 0 in metres, unused)
+# (level, error in metres, unused, unused)
 _INSTANCE = """
 #ifdef INDIRECT
 in int in_instance;
@@ -30,7 +30,6 @@ uniform float side;         // cells of a block
 uniform vec2 last;          // column, row of the full grid
 out vec3 v_seen;            // relative to the eye
 out vec2 v_sample;          // in samples of the block's level
-out float v_height;         // metres, without exaggeration
 flat out ivec2 v_layers;
 out vec2 v_grid;            // column, row of the full grid
 flat out vec4 v_parent;     // offset in the parent's samples; level; error
@@ -50,7 +49,6 @@ void main() {
     seen.z += z * z_scale - (is_skirt ? b.x : 0.0);
     v_seen = seen;
     v_sample = place;
-    v_height = d.z + z;
     v_layers = ivec2(b.yz);
     v_parent = vec4(c.zw, d.xy);
     v_grid = last - c.xy + full;
@@ -76,7 +74,6 @@ TERRAIN_FRAGMENT = (
 #version 330 core
 in vec3 v_seen;
 in vec2 v_sample;
-in float v_height;
 in vec2 v_grid;
 flat in ivec2 v_layers;
 flat in vec4 v_parent;
@@ -84,15 +81,16 @@ uniform sampler2DArray slopes;
 uniform sampler2D drape;
 uniform vec4 drape_place;   // first column and row it covers, 1 / columns, 1 / rows
 uniform float drape_share;
-uniform sampler2D ramp;
-uniform vec2 ramp_range;    // heights at its ends, metres
+uniform sampler2D ramp;      // columns: the sea's colours, then the land's; rows: to the north
+uniform vec4 ramp_range;    // values of the sea's first and last colour, of the land's
+uniform vec2 height_texels;  // metres: of texel 0, per 1
+uniform vec2 northwards;    // share of the way north: at the eye, per metre
 uniform vec3 sun;           // unit vector towards it
 uniform float side;
 uniform float z_scale;
 uniform vec4 sample_axes;
-uniform int coloring;       // 0 ramp, 1 level, 2 error, 3 ground, 4 plain, 5 flat
+uniform int coloring;       // 0 ramp, 1 level, 2 error, 3 ground, 4 plain, 5 flat, 6 slope
 uniform float shade;        // share of light and shadow
-uniform float error_range;
 out vec4 color;
 """
     + _HAZE
@@ -101,8 +99,12 @@ vec3 wheel(float t) {
     return 0.55 + 0.4 * cos(6.2831853 * (t + vec3(0.0, 0.33, 0.67)));
 }
 
+vec3 texel_at(vec2 beside) {
+    return texture(slopes, vec3((v_sample + beside + 1.5) / (side + 3.0), float(v_layers.x))).xyz;
+}
+
 vec2 slope_at(vec2 beside) {
-    return texture(slopes, vec3((v_sample + beside + 1.5) / (side + 3.0), float(v_layers.x))).xy;
+    return texel_at(beside).xy;
 }
 
 // Ridges positive, gullies negative: the change of slope over two samples.
@@ -113,23 +115,28 @@ float bend() {
 }
 
 void main() {
-    vec2 slope = slope_at(vec2(0.0));
+    vec3 texel = texel_at(vec2(0.0));
+    vec2 slope = texel.xy;
     vec3 normal = normalize(vec3(-slope * z_scale, 1.0));
     float steep = 1.0 - normalize(vec3(-slope, 1.0)).z;
     vec3 base;
-    float t = clamp((v_height - ramp_range.x) / (ramp_range.y - ramp_range.x), 0.0, 1.0);
+    float value = coloring == 2 ? v_parent.w
+        : coloring == 6 ? degrees(atan(length(slope)))
+        : height_texels.x + height_texels.y * texel.z;
+    bool is_sea = value <= ramp_range.y;
+    vec2 ends = is_sea ? ramp_range.xy : ramp_range.zw;
+    float t = clamp((value - ends.x) / (ends.y - ends.x), 0.0, 1.0);
+    float colors = float(textureSize(ramp, 0).x) / 2.0;
+    float column = (is_sea ? 0.5 : colors + 0.5) + t * (colors - 1.0);
+    vec2 ramp_place = vec2(column / (2.0 * colors), northwards.x + northwards.y * v_seen.y);
     if (coloring == 1) base = wheel(v_parent.z * 0.381966);
-    else if (coloring == 2) {
-        float share = clamp(v_parent.w / error_range, 0.0, 1.0);
-        base = mix(vec3(0.16, 0.37, 0.60), vec3(0.93, 0.78, 0.25), sqrt(share));
-    }
     else if (coloring == 4 || coloring == 5) base = vec3(0.82, 0.80, 0.76);
     else {
-        base = texture(ramp, vec2(t, 0.5)).rgb;
+        base = texture(ramp, ramp_place).rgb;
         if (coloring == 3) {
             float bent = clamp(bend() * 1.6, -1.0, 1.0);
             vec3 rock = mix(vec3(0.40, 0.37, 0.33), vec3(0.58, 0.56, 0.53), t);
-            base = mix(base, rock, smoothstep(0.08, 0.30, steep + 0.05 * bent));
+            if (!is_sea) base = mix(base, rock, smoothstep(0.08, 0.30, steep + 0.05 * bent));
             base *= 1.0 + 0.22 * bent;
         }
     }

@@ -135,6 +135,7 @@ def view(
 
     with Offscreen(terrain, size, **options) as offscreen:
         frame = offscreen.scene.frame
+        style.check_body(frame.body)
         chosen = choose_camera(frame, offscreen.viewport, camera)
         pixels, _ = offscreen.picture(chosen, style, max_pixel_error=max_pixel_error)
     return Picture(pixels, format_camera(chosen, frame))

@@ -6,10 +6,24 @@ from dataclasses import dataclass
 from terrainwave.errors import (
     InvalidArgumentError,
 )
-from terrainwave.render.ramps import RAMPS
+from terrainwave.render.body import EARTH, MARS, MOON, OTHER, UNKNOWN
+from terrainwave.render.colorings import AUTO, RAMP_NAMES
 
 # The shader's numbers.
-COLORINGS = {"ground": 3, "ramp": 0, "level": 1, "error": 2, "plain": 4, "flat": 5}
+_RAMP, _LEVEL, _ERROR, _GROUND, _PLAIN, _FLAT, _SLOPE = range(7)
+COLORINGS = {
+    "auto": _GROUND,
+    "absolute": _GROUND,
+    "relative": _GROUND,
+    "ramp": _RAMP,
+    "slope": _SLOPE,
+    "plain": _PLAIN,
+    "level": _LEVEL,
+    "error": _ERROR,
+    "flat": _FLAT,
+}
+_NAMES = {MOON: "the Moon", MARS: "Mars", OTHER: "another body"}
+_RAMP_OF_BODY = {EARTH: "tints", UNKNOWN: "tints", MARS: "mars"}
 
 
 @dataclass(frozen=True)
@@ -18,9 +32,11 @@ class Style:
 
     Parameters
     ----------
-    coloring : {"ramp", "ground", "level", "error", "plain", "flat"}
-        By height; by height and slope; by level; by error; one colour; one colour without light.
-    ramp : {"tints", "cividis", "grey", "mars"}
+    coloring : str
+        One of `colorings.MEANINGS`, which says what each is.
+    ramp : {"auto", "tints", "cividis", "grey", "mars"}
+        Of relative colours; by default that of the body. With ``auto`` as `coloring`, another one
+        than ``tints`` asks for relative colours.
     sun : tuple of float
         Azimuth and altitude in degrees.
     haze : float
@@ -37,8 +53,8 @@ class Style:
         `wireframe`, which show the mesh alone.
     """
 
-    coloring: str = "ground"
-    ramp: str = "tints"
+    coloring: str = "auto"
+    ramp: str = AUTO
     sun: tuple[float, float] = (315.0, 38.0)
     haze: float = 0.25
     shade: float = 1.0
@@ -52,9 +68,33 @@ class Style:
             raise InvalidArgumentError(
                 f"found `coloring` {self.coloring!r}, expected one of {', '.join(COLORINGS)}"
             )
-        if self.ramp not in RAMPS:
+        if self.ramp not in (AUTO, *RAMP_NAMES):
             raise InvalidArgumentError(
-                f"found `ramp` {self.ramp!r}, expected one of {', '.join(RAMPS)}"
+                f"found `ramp` {self.ramp!r}, expected one of {', '.join((AUTO, *RAMP_NAMES))}"
+            )
+
+    def is_absolute(self, body: str) -> bool:
+        """Say whether heights on a body get the Earth's colours by metres."""
+        if self.coloring == "absolute":
+            return body in (EARTH, UNKNOWN)
+        return self.coloring == "auto" and body == EARTH and self.ramp in (AUTO, "tints")
+
+    def ramp_on(self, body: str) -> str:
+        """Return the ramp of relative colours on a body."""
+        return _RAMP_OF_BODY.get(body, "grey") if self.ramp == AUTO else self.ramp
+
+    def check_body(self, body: str) -> None:
+        """Refuse the Earth's colours for another body.
+
+        Raises
+        ------
+        InvalidArgumentError
+            If they were asked for.
+        """
+        if self.coloring == "absolute" and not self.is_absolute(body):
+            raise InvalidArgumentError(
+                "found `coloring` absolute, whose water and snow are the Earth's, and a raster on"
+                f" {_NAMES[body]}: expected `coloring` relative"
             )
 
     @property

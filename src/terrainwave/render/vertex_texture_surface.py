@@ -42,7 +42,6 @@ uniform vec3 forward;
 uniform vec4 planes[5];
 out vec3 v_seen;
 out vec2 v_sample;
-out float v_height;
 flat out ivec2 v_layers;
 out vec2 v_grid;
 flat out vec4 v_parent;
@@ -103,7 +102,6 @@ void main() {
     if (is_void) drawn.z = 0.0;
     v_seen = vec3(across(drawn.xy), drawn.z * z_scale - eye_z);
     v_sample = drawn.xy + vec2(first);
-    v_height = drawn.z;
     v_layers = ivec2(0, -1);
     v_grid = v_sample * stride;
     v_parent = vec4(0.0, 0.0, float(root), base_error);

@@ -65,6 +65,7 @@ def run(
     with Offscreen(
         terrain, config.wnd.buffer_size, context=config.ctx, max_bytes=max_bytes, **options
     ) as offscreen:
+        style.check_body(offscreen.scene.frame.body)
         first = choose_camera(offscreen.scene.frame, offscreen.viewport, camera)
         controls = Controls(offscreen.scene, first, style, max_pixel_error)
         viewer = config.viewer = Viewer(config.wnd, offscreen, controls)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _SLOPES = OWN_UNIT
 _FIRST_BYTES = 1 << 20
-_TEXEL_BYTES = 4
+_TEXEL_BYTES = 8
 # The fragment shader reads slopes beside a sample: a ring of texels, and one more to be even.
 _RING = 3
 
@@ -29,20 +29,16 @@ in vec3 in_place;           // relative to the eye
 in vec2 in_grid;            // column and row of the level in memory
 in float in_size;
 uniform mat4 view_projection;
-uniform float z_scale;
-uniform float eye_z;
 uniform float stride;
 uniform float error;
 out vec3 v_seen;
 out vec2 v_sample;
-out float v_height;         // metres, without exaggeration
 flat out ivec2 v_layers;
 out vec2 v_grid;            // column, row of the full grid
 flat out vec4 v_parent;     // unused, unused, size, error
 void main() {
     v_seen = in_place;
     v_sample = in_grid;
-    v_height = (in_place.z + eye_z) / z_scale;
     v_layers = ivec2(0, -1);
     v_grid = in_grid * stride;
     v_parent = vec4(0.0, 0.0, in_size, error);
@@ -96,7 +92,7 @@ class WholeStore:
                 " --mode adaptive needs less"
             )
         self.side = side
-        self.slopes = self._context.texture_array((size, size, 1), 2, dtype="f2", alignment=4)
+        self.slopes = self._context.texture_array((size, size, 1), 3, dtype="f2", alignment=1)
         self.slopes.filter = (moderngl.LINEAR, moderngl.LINEAR)
         self.slopes.repeat_x = self.slopes.repeat_y = False
 
@@ -148,7 +144,7 @@ class WholeSurface:
             self.program,
             {
                 "slopes": _SLOPES, "side": float(self.store.side), "stride": float(mode.stride),
-                "eye_z": float(view.camera.eye[2]), "error": mode.base_error,
+                "error": mode.base_error,
             },
         )  # fmt: skip
         self.store.slopes.use(_SLOPES)

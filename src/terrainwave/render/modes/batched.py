@@ -36,7 +36,7 @@ from terrainwave.render.modes.regular import (
     largest_deviation,
 )
 from terrainwave.render.patches import Cancelled
-from terrainwave.render.scales import FLOAT32_ROUNDING, HeightScale, SlopeScale
+from terrainwave.render.scales import FLOAT32_ROUNDING, HeightScale, HeightTexels, SlopeScale
 from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class RegularBlock(NamedTuple):
     ----------
     heights : ndarray of float32, shape (n + 2, n + 2, 2)
         Of its vertices (see `regular`) and of its parent's surface there, metres; NaN in voids.
-    slopes : ndarray of float16, shape (n + 2, n + 2, 2)
+    slopes : ndarray of float16, shape (n + 2, n + 2, 3)
         Metres per metre to the east and to the north at its samples and one around them.
     """
 
@@ -100,7 +100,7 @@ class Batched(BoundedMode):
         super().__init__(terrain, frame, error=error)
         self._side = terrain.grid.block
         self._scale = HeightScale.of(terrain, frame)
-        self._slope_scale = SlopeScale(frame)
+        self._slope_scale, self._height_texels = SlopeScale(frame), HeightTexels.of(frame)
         low, high = (height * frame.metres[2] for height in frame.heights)
         self._middle, self._largest = (low + high) / 2, abs(high - low) / 2
         self.n_levels = 1
@@ -303,7 +303,9 @@ class Batched(BoundedMode):
         mask = ~np.isnan(samples)
         gradients = np.empty((self._side + 2, self._side + 2, 2), dtype=np.float32)
         slopes(np.where(mask, samples, 0), mask, 1, 1, gradients)
-        return self._slope_scale.texels(gradients / (1 << self._shift(piece.level)))
+        per_sample = gradients / (1 << self._shift(piece.level))
+        metres = samples.astype(np.float64) + self._middle
+        return self._height_texels.beside(self._slope_scale.texels(per_sample), metres, mask)
 
     # Each frame
 

@@ -25,7 +25,7 @@ _SMALLEST = 256  # instances to begin with
 # (x, y, z of its corner at z = 0, relative to the eye; share of the parent's surface)
 # (depth of skirts, layer, level, samples of the full grid per cell)
 # (columns, rows of the full grid right of and below its corner; columns, rows left of and above)
-# (error in metres, height of z = 0 in metres, unused, unused)
+# (error in metres, unused, unused, unused)
 _VERTEX = """
 #version 330 core
 in uvec2 in_place;          // column and row of the vertex; the column's top bit marks skirts
@@ -37,7 +37,6 @@ uniform float z_scale;
 uniform float side;         // samples of a block per side
 out vec3 v_seen;            // relative to the eye
 out vec2 v_sample;          // in samples of the block's level
-out float v_height;         // metres, without exaggeration
 flat out ivec2 v_layers;
 out vec2 v_grid;            // column, row of the full grid
 flat out vec4 v_parent;     // unused, unused, level, error
@@ -60,7 +59,6 @@ void main() {
     seen.z += z * z_scale - (is_skirt ? b.x : 0.0);
     v_seen = seen;
     v_sample = cells - 0.5;
-    v_height = d.y + z;
     v_layers = ivec2(int(b.y), -1);
     v_parent = vec4(0.0, 0.0, b.z, d.x);
     v_grid = c.zw + full;
@@ -189,7 +187,7 @@ class BlockSurface:
         texels[:, 7] = strides
         texels[:, 8], texels[:, 9] = n_cols - 1 - cols, n_rows - 1 - rows
         texels[:, 10], texels[:, 11] = cols, rows
-        texels[:, 12], texels[:, 13] = table.errors[nodes], bases
+        texels[:, 12], texels[:, 13:] = table.errors[nodes], 0
         return texels[texels[:, 5] >= 0]
 
     def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:

@@ -43,7 +43,7 @@ def spread_slopes(
     slopes: NDArray[np.float16], stride: int, shape: tuple[int, int]
 ) -> NDArray[np.float16]:
     """Return slopes at all samples, linear between those at every `stride`-th."""
-    spread = np.empty((*shape, 2), dtype=np.float16)
+    spread = np.empty((*shape, slopes.shape[2]), dtype=np.float16)
     below, right = (np.arange(n) // stride for n in shape)
     down, across = (
         (np.arange(n) % stride / np.float32(stride)).astype(np.float32)[:, None] for n in shape

@@ -17,7 +17,13 @@ from terrainwave.render.camera import focal_length, slant
 from terrainwave.render.frame import Frame
 from terrainwave.render.kernels import slopes
 from terrainwave.render.modes.mode import Frames, Mode
-from terrainwave.render.scales import FLOAT32_ROUNDING, HeightScale, SlopeScale
+from terrainwave.render.scales import (
+    FLOAT32_ROUNDING,
+    HeightScale,
+    HeightTexels,
+    SlopeScale,
+    with_ring,
+)
 from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
 from terrainwave.tri.dynamic import DynamicMesh, Eye
 from terrainwave.tri.rqt_tiles import Tile
@@ -26,7 +32,7 @@ from terrainwave.tri.rqt_view import RestrictedMesh
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
-# A texture of slopes of this side takes 81 MiB.
+# A texture of slopes and heights of this side takes 162 MiB.
 MAX_SIDE = 4608
 MAX_VERTICES = 4_000_000
 # λ: vertices move while errors go from τ / λ to τ.
@@ -57,8 +63,8 @@ class Samples(NamedTuple):
     ----------
     heights : ndarray of float64, shape (n_rows, n_cols)
         Metres; NaN in voids.
-    slopes : ndarray of float16, shape (n_rows, n_cols, 2)
-        Metres per metre to the east and to the north.
+    slopes : ndarray of float16, shape (n_rows, n_cols, 3)
+        Metres per metre to the east and to the north, and heights (`HeightTexels`).
     """
 
     region: Region
@@ -132,6 +138,7 @@ class WholeMode(Mode):
         self.stride = grid.stride(self.level)
         self.drawn: Drawn | None = None
         self._scale, self._slope_scale = HeightScale.of(terrain, frame), SlopeScale(frame)
+        self._height_texels = HeightTexels.of(frame)
 
     @cached_property
     def base_error(self) -> float:
@@ -194,7 +201,12 @@ class WholeMode(Mode):
         per_sample = in_quanta * (self._scale.per_quantum / terrain.grid.stride(level))
         here = region.slices_in(wide)
         heights = np.where(mask[here], self._scale.metres(quanta[here]), np.nan)
-        return Samples(region, heights, self._slope_scale.texels(per_sample))
+        texels = self._height_texels.beside(
+            self._slope_scale.texels(per_sample),
+            self._scale.metres(with_ring(quanta, here)),
+            with_ring(mask, here),
+        )
+        return Samples(region, heights, texels)
 
     # Each frame
 

@@ -1,0 +1,16 @@
+"""The names of colourings and ramps, for help that imports nothing else."""
+
+# What colours say: in a line each, which help and documentation show.
+MEANINGS = {
+    "auto": "absolute on the Earth, else relative",
+    "absolute": "by metres: water, land, snow",
+    "relative": "from the lowest to the highest height",
+    "ramp": "relative, without rock where it is steep",
+    "slope": "by steepness, 0 to 60 degrees",
+    "plain": "grey: light and shadow alone",
+    "level": "by the level of blocks",
+    "error": "by the error of meshes",
+    "flat": "one colour without light",
+}
+AUTO = "auto"
+RAMP_NAMES = ("tints", "cividis", "grey", "mars")
