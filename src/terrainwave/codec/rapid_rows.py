@@ -64,13 +64,10 @@ def load_coarse_row(m, to, row, source, grid, origin, shape, scale):
     cast = m.dtype.type
     first = np.uint64(grid.start + (reflect(2 * row, n_rows) >> 1) * grid.row_step)
     step = np.uint64(grid.col_step)
-    low, high, zero = cast(scale.low), cast(scale.high), cast(origin)
-    if step == _U1:
-        for j in range(n):
-            m[to + j] = min(max(cast(cast(source[first + j]) - zero), low), high)
-    else:
-        for j in range(n):
-            m[to + j] = min(max(cast(cast(source[first + j * step]) - zero), low), high)
+    low, high = cast(scale.low), cast(scale.high)
+    for j in range(n):
+        height = cast(np.int64(source[first + j * step]) - origin)
+        m[to + j] = min(max(height, low), high)
     for k in range(-3, 4):
         col = k if k < 0 else ((n_cols + 1) >> 1) - 1 + k
         m[to - _U3 + np.uint64(col + 3)] = m[to + np.uint64(reflect(2 * col, n_cols) >> 1)]
@@ -204,22 +201,17 @@ def _look_around(m, at, n, plane):
 def store_rows(m, at, row, out, grid, origin, shape):
     """Write lattice rows 2·row and 2·row + 1 (where there is one) to `out`."""
     n_rows, n_cols = shape
-    step, zero = np.uint64(grid.col_step), m.dtype.type(origin)
+    step = np.uint64(grid.col_step)
     for parity in range(2):
         if 2 * row + parity >= n_rows:
             continue
         to = np.uint64(grid.start + (2 * row + parity) * grid.row_step)
         even = at + (_LH if parity else _A)
         odd = at + (_HH if parity else _HL)
-        # Steps that compilers know become vector stores.
-        if step == _U1:
-            for j in range(np.uint64(n_cols >> 1)):
-                out[to + _U2 * j] = m[even + j] + zero
-                out[to + _U2 * j + _U1] = m[odd + j] + zero
-        else:
-            for j in range(np.uint64(n_cols >> 1)):
-                out[to + _U2 * j * step] = m[even + j] + zero
-                out[to + _U2 * j * step + step] = m[odd + j] + zero
+        for j in range(np.uint64(n_cols >> 1)):
+            k = to + _U2 * j * step
+            out[k] = m[even + j] + origin
+            out[k + step] = m[odd + j] + origin
         if n_cols & 1:
             last = np.uint64(n_cols >> 1)
-            out[to + _U2 * last * step] = m[even + last] + zero
+            out[to + _U2 * last * step] = m[even + last] + origin
