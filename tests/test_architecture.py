@@ -31,7 +31,7 @@ MAY_IMPORT = {
     "grid": ROOT | {"coding"},
     "codec": GRID,
     "tri": ROOT | {"coding"},
-    "container": ROOT | {"grid"},
+    "container": GRID,
     "raster_io": ROOT | {"grid", "container"},
     "read": GRID | {"codec", "container"},
     "file": GRID | {"codec", "container", "raster_io", "read"},

@@ -160,7 +160,7 @@ def test_coefficients_details_and_residuals_are_the_stated_ones():
         return patch.object(reference_cdf97, name, wrapper)
 
     with recording("decode_coefficients"), recording("inverse_transform"):
-        ((_, quanta, valid),) = decode_units(read_file(FILE), 0)
+        ((_, quanta, valid, _),) = decode_units(read_file(FILE), 0)
     (_, (ll, coefficients, _)), ((low, _, _), field) = steps
     rows = re.findall(
         r"^\| (\d) \| \d × \d \| (.*) \| (.*) \| (.*) \| (.*) \|$", section("9.6"), re.M

@@ -255,6 +255,15 @@ class TerrainFile:
         """Return the bound that holds, in physical units; at most `max_error`."""
         return self.header.effective_bound * abs(self._raster.scale)
 
+    @property
+    def quanta_error(self) -> float:
+        """Return the bound of the heights that meshes are made of, in physical units.
+
+        `effective_error`, but in exact files of heights on no grid, whose meshes are made of
+        heights rounded to the vertical quantum.
+        """
+        return self.header.quanta_error * abs(self._raster.scale)
+
     def level_index(self, level: int) -> int:
         """Return `level` counted from 0; negative levels count from the full grid, as Python does.
 

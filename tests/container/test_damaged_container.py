@@ -12,7 +12,7 @@ from containers import open_container
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrainwave.container.deflate import deflate
+from terrainwave.coding.deflate import deflate
 from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import MAGIC
 from terrainwave.container.page import empty_page, pack_columns, pack_page, page_layout

@@ -10,7 +10,7 @@ from container.toys import toy_header
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrainwave.container.deflate import deflate, inflate
+from terrainwave.coding.deflate import deflate, inflate
 from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import MAX_METADATA
 from terrainwave.container.metadata import pack_metadata, unpack_metadata

@@ -1,21 +1,28 @@
 """Are tiles and heights of `terrainwave serve` right, and are wrong requests refused?"""
 
 import io
+import re
+import signal
+import sys
 import threading
+import urllib.request
 
 import numpy as np
 import pytest
 import rasterio
 from click.testing import CliRunner
+from commands import start
+from ext.browser import served
 from ext.rasters import hills, write_twz
 from fastapi.testclient import TestClient
 from PIL import Image
 from rasterio.warp import transform
 from scipy.interpolate import RegularGridInterpolator
+from scipy.ndimage import maximum_filter, minimum_filter
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.ext.serve import app as serving
 from terrainwave.ext.serve.app import make_app
 from terrainwave.globe import cesium as tile_pyramid
@@ -303,13 +310,201 @@ def test_two_files_of_one_name_are_refused(hilly, tmp_path):
         make_app([str(hilly), str(other)])
 
 
-def test_terrain_without_a_place_is_refused(tmp_path):
-    path = tmp_path / "nowhere.twz"
+@pytest.fixture(scope="module")
+def nowhere(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("nowhere")
     with rasterio.open(
-        tmp_path / "x.tif", "w", driver="GTiff", height=33, width=700, count=1, dtype="int16"
+        folder / "x.tif", "w", driver="GTiff", height=33, width=700, count=1, dtype="int16"
     ) as raster:
         raster.write(hills(33, 700), 1)
-    terrainwave.compress(tmp_path / "x.tif", path, block=32)
-    found = CliRunner().invoke(main, ["serve", str(path), "--port", "0"], standalone_mode=False)
+    terrainwave.compress(folder / "x.tif", folder / "nowhere.twz", block=32)
+    return folder / "nowhere.twz"
+
+
+def test_terrain_without_a_place_is_refused(nowhere):
+    found = CliRunner().invoke(main, ["serve", str(nowhere), "--port", "0"], standalone_mode=False)
     assert isinstance(found.exception, InvalidHeightsError)
     assert "no place on a globe" in str(found.exception)
+
+
+def test_files_that_cannot_be_served_do_not_stop_the_others(hilly, nowhere, tmp_path):
+    text, missing = tmp_path / "text.twz", tmp_path / "missing.twz"
+    text.write_text("no terrain at all")
+    with pytest.warns(TerrainwaveWarning) as told:
+        client = client_of(nowhere, text, hilly, missing)
+    with client:
+        assert [terrain["name"] for terrain in client.get("/terrains.json").json()] == ["hills"]
+        assert client.get("/hills/rgb/9/267/181.png").status_code == 200
+        assert client.get("/nowhere/tiles.json").status_code == 404
+    for path, line in zip((nowhere, text, missing), told, strict=True):
+        assert str(line.message).startswith("not served: ")
+        assert str(path) in str(line.message)
+
+
+def test_a_terrain_across_180_degrees_is_in_its_bounds(tmp_path):
+    path = write_twz(tmp_path, hills(65, 97), (179.6, -17.0, 180.2, -16.6), max_error=0)
+    with client_of(path) as client, terrainwave.open(path) as terrain:
+        found = client.get("/hills/tiles.json").json()
+        z = found["maxzoom"]
+        for longitude in (179.7, 179.999, -179.999, -179.9):
+            west, _, east, _ = found["bounds"]
+            assert west <= longitude <= east
+            assert -180 <= found["center"][0] <= 180
+            x, y = tile_at(z, longitude, -16.8)
+            drawn = heights_of(client.get(f"/hills/rgb/{z}/{x}/{y}.png").content)
+            assert drawn.max() > 300
+            asked = {"lon": longitude, "lat": -16.8}
+            expected = terrain.sample([(longitude % 360, -16.8)])[0]
+            assert client.get("/hills/height", params=asked).json()["height"] == pytest.approx(
+                expected
+            )
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/", "/terrains.json", "/hills/tiles.json", "/hills/rgb/9/267/181.png", "/static/page.mjs",
+        "/hills/mesh/layer.json", "/hills/height?lon=8.2&lat=46.2", "/hills.tif",
+        "/hills/rgb/0/9/9.png",
+    ],
+)  # fmt: skip
+def test_head_is_answered_as_get_without_a_body(hilly, path):
+    with client_of(hilly) as client:
+        head, whole = client.head(path), client.get(path)
+    assert head.status_code == whole.status_code
+    assert head.content == b""
+    assert whole.content
+    for name in ("content-length", "content-type", "etag"):
+        assert head.headers.get(name) == whole.headers.get(name)
+
+
+def test_heights_below_what_a_tile_can_hold_are_in_its_error(tmp_path):
+    path = write_twz(tmp_path, hills(33, 33) - 10700, BOUNDS, max_error=0)
+    with terrainwave.open(path) as terrain:
+        tile = tiling.rgb_tile(Globe(terrain), 6, *tile_at(6, 8.25, 46.2))
+        deepest = terrain.read().min()
+    assert heights_of(tile.png).min() == -10000
+    assert -10000 - deepest - 30 < tile.error <= -10000 - deepest
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory):
+    """A raster whose sides are askew in Web Mercator, with a void."""
+    heights = hills(97, 97)
+    heights[40:50, 30:60] = -999
+    return write_twz(
+        tmp_path_factory.mktemp("turned"), heights, (300000, 7000000, 302910, 7002910),
+        crs="EPSG:32633", max_error=0, nodata=-999,
+    )  # fmt: skip
+
+
+def test_a_rim_goes_on_from_the_edge_and_leaves_the_rest_as_it_is(turned):
+    rim = 4
+    with terrainwave.open(turned) as terrain:
+        globe = Globe(terrain)
+        west, south, east, north = globe.extent
+        z = tiling.max_zoom(globe)
+        x, y = tile_at(z, (west + east) / 2, (south + north) / 2)
+        plain, grown = (tiling.rgb_tile(globe, z, x, y, width) for width in (0, rim))
+        lowest = globe.height_range[0]
+    before, after = heights_of(plain.png), heights_of(grown.png)
+    had = before > lowest - 0.5
+    assert had.any()
+    assert not had.all()
+    np.testing.assert_array_equal(before[had], after[had])
+    assert (plain.error, plain.terrain_error) == (grown.error, grown.terrain_error)
+    near = maximum_filter(had, 2 * rim + 1)
+    inner = slice(rim, -rim)  # beyond, the edge of another tile may be near
+    np.testing.assert_array_equal((after > lowest - 0.5)[inner, inner], near[inner, inner])
+    # No step from the edge outward is larger than those of the terrain are.
+    one = maximum_filter(had, 3) & ~had
+    one[[0, -1]] = one[:, [0, -1]] = False
+    around = maximum_filter(np.where(had, before, -1e9), 3)
+    assert (after[one] <= around[one] + 0.05).all()
+    assert (after[one] >= minimum_filter(np.where(had, before, 1e9), 3)[one] - 0.05).all()
+
+
+def test_tiles_with_a_rim_continue_each_other(turned):
+    """A tile beside the terrain, at most the rim away, has what its neighbour begins."""
+    with terrainwave.open(turned) as terrain:
+        globe = Globe(terrain)
+        west, south, _, north = globe.extent
+        z = 16
+        x, y = tile_at(z, west, (south + north) / 2)
+        whole = [tiling.rgb_tile(globe, z, x + k, y, 8) for k in range(3)]
+    drawn = np.hstack([heights_of(tile.png) for tile in whole if tile is not None])
+    voids = np.hstack([tile.voids for tile in whole if tile is not None])
+    seams = range(256, drawn.shape[1], 256)
+    assert seams
+    ordinary = np.abs(np.diff(drawn, axis=1))[(voids[:, 1:] == 0) & (voids[:, :-1] == 0)].max()
+    for seam in seams:
+        here = (voids[:, seam] == 0) & (voids[:, seam - 1] == 0)
+        steps = np.abs(drawn[:, seam] - drawn[:, seam - 1])[here]
+        assert steps.max(initial=0) <= ordinary
+
+
+def test_voids_are_painted_and_the_terrain_is_clear(turned):
+    with client_of(turned) as client:
+        z = client.get("/hills/tiles.json").json()["maxzoom"]
+        west, south, east, north = client.get("/terrains.json").json()[0]["bounds"]
+        x, y = tile_at(z, (west + east) / 2, (south + north) / 2)
+        heights = heights_of(client.get(f"/hills/rgb/{z}/{x}/{y}.png").content)
+        address = f"/hills/voids/{z}/{x}/{y}.png"
+        png = client.get(address, params={"color": "dbe4e8", "rim": 4}).content
+        assert client.get(address, params={"color": "red"}).status_code == 422
+        assert client.get(address, params={"color": "dbe4e8", "rim": 9}).status_code == 422
+        assert client.get("/hills/voids/3/0/0.png?color=dbe4e8").status_code == 204
+        empty = client.get("/hills/rgb/3/0/0.png", params={"rim": 4}).content
+    pixels = np.asarray(Image.open(io.BytesIO(png)))
+    assert (pixels[..., :3] == (0xDB, 0xE4, 0xE8)).all()
+    is_void = heights == heights_of(empty)[0, 0]
+    assert is_void.any()
+    assert (pixels[..., 3][~is_void] < 255).all()
+    assert (pixels[..., 3][is_void] > 0).all()
+    within = (slice(1, -1), slice(1, -1))  # what lies in other tiles counts too
+    shares = pixels[..., 3][within]
+    assert (shares[minimum_filter(~is_void, 3)[within]] == 0).all()
+    assert (shares[minimum_filter(is_void, 3)[within]] == 255).all()
+    assert ((shares > 0) & (shares < 255)).any()
+
+
+def test_the_file_itself_is_served_with_ranges(hilly):
+    data = hilly.read_bytes()
+    with client_of(hilly) as client:
+        assert client.get("/hills.twz").content == data
+        part = client.get("/hills.twz", headers={"Range": "bytes=10-19"})
+        assert client.head("/hills.twz").headers["content-length"] == str(len(data))
+    assert (part.status_code, part.content) == (206, data[10:20])
+    with served(make_app([str(hilly)])) as address, terrainwave.open(hilly) as terrain:
+        with terrainwave.open(f"{address}/hills.twz") as remote:
+            np.testing.assert_array_equal(remote.read((5, 6, 7, 8)), terrain.read((5, 6, 7, 8)))
+
+
+def test_whose_the_data_are_is_told_in_short_lines():
+    tags = {
+        "LICENSE": "public\ndomain", "TIFFTAG_COPYRIGHT": "<b>us</b>", "lic": "x" * 5000,
+        "AREA_OR_POINT": "Area", "slice": "3", "source": "",
+    }  # fmt: skip
+    found = serving.origin_of(tags)
+    assert list(found) == ["LICENSE", "TIFFTAG_COPYRIGHT", "lic"]
+    assert "\n" not in found["LICENSE"]
+    assert found["TIFFTAG_COPYRIGHT"] == "<b>us</b>"
+    assert len(found["lic"]) == 400
+    assert len(serving.origin_of({f"source {k}": "x" for k in range(99)})) == 8
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C there is no signal to send")
+def test_ctrl_c_says_goodbye(hilly):
+    server = start("serve", hilly, "--port", "0")
+    try:
+        address = re.search(r"http://\S+", server.stdout.readline())[0]
+        with urllib.request.urlopen(address, timeout=30) as page:
+            assert page.status == 200
+        server.send_signal(signal.SIGINT)
+        said, complaint = server.communicate(timeout=30)
+    finally:
+        server.kill()
+    assert server.returncode == 0
+    assert said.strip() == "goodbye"
+    assert "Traceback" not in complaint
+    assert "target" not in complaint

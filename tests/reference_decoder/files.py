@@ -40,8 +40,8 @@ def read_header(data):
     h = SimpleNamespace(**dict(zip(NAMES, HEADER.unpack(data[:128]), strict=True)))
     require(h.header_size == 128, "header_size")
     require(h.header_crc == zlib.crc32(data[:124]), "header_crc")
-    for name in ("reserved", "features"):
-        require(getattr(h, name) == 0, name, UnsupportedError)
+    require(h.reserved == 0, "reserved", UnsupportedError)
+    require(h.features <= 1, "features", UnsupportedError)
     require(h.padding == b"\0\0", "padding", UnsupportedError)
     require(h.mesh <= 3, "mesh", UnsupportedError)
     require(h.mesh or h.mesh_tolerance == 0, "mesh_tolerance")
@@ -61,8 +61,13 @@ def read_header(data):
     require(some or (h.z_min, h.z_max) == (0, -1), "z_min, z_max")
     require(1 <= h.metadata_length <= 2**20, "metadata_length")
     require(isfinite(h.max_error) and h.max_error >= 0, "max_error")
-    for name in ("effective_bound", "rho"):
-        require(0 <= getattr(h, name) <= h.max_error, name)
+    require(0 <= h.effective_bound <= h.max_error, "effective_bound")
+    require(isfinite(h.rho) and h.rho >= 0, "rho")
+    if h.features:
+        require(h.dtype in (6, 7, 8) and h.method != 3, "remainders of a dtype or a method")
+        require(h.step == 1 and h.effective_bound == 0, "remainders beside a bound")
+    else:
+        require(h.rho <= h.max_error, "rho")
     require(h.parameters_length <= 2**16, "parameters_length")
     require(1 <= h.top_page_length <= 2**15, "top_page_length")
     before = 128 + h.metadata_length + h.parameters_length + h.top_page_length

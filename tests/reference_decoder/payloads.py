@@ -3,7 +3,7 @@
 import numpy as np
 
 from reference_decoder import range_coder
-from reference_decoder.basics import ceil_div, clamp, fenced, read_varint, require
+from reference_decoder.basics import ceil_div, clamp, fenced, inflate, read_varint, require
 from reference_decoder.cdf97 import decode_cdf97
 from reference_decoder.files import DTYPES, METHODS
 from reference_decoder.predictive import decode_predictive
@@ -73,22 +73,23 @@ def decode_mask(section, implied):
 
 
 def decode_payload(file, unit, payload, parent_unit, parent_heights, parent_valid):
-    """Return the final heights and the mask of a unit's region (§5.1)."""
+    """Return final heights, mask, remainders (None: all are 0) of a unit's region (§5.1)."""
     h = file.header
     n_rows, n_cols = unit.rows.n, unit.cols.n
     if not payload:
-        return [[0] * n_cols for _ in range(n_rows)], [[0] * n_cols for _ in range(n_rows)]
+        return [[0] * n_cols for _ in range(n_rows)], [[0] * n_cols for _ in range(n_rows)], None
     implied = implied_void(unit, parent_unit, parent_valid)
     flags, at = payload[0], 1
-    require(flags < 4, "flags of a payload")
-    sections = [None, None]
-    for bit in (0, 1):
+    may_have_remainders = h.features & 1 and unit.level == file.grid.k_max
+    require(flags < (8 if may_have_remainders else 4), "flags of a payload")
+    sections = [None, None, None]
+    for bit in (0, 1, 2):
         if flags >> bit & 1:
             n, at = read_varint(payload, at)
-            require(1 <= n <= len(payload) - at, "length of a mask or exception section")
+            require(1 <= n <= len(payload) - at, "length of a section")
             sections[bit] = payload[at : at + n]
             at += n
-    mask, exceptions = sections
+    mask, exceptions, rest = sections
     valid = decode_mask(mask, implied) if mask else [[int(not x) for x in row] for row in implied]
     require(any(map(any, valid)), "payload of a unit without valid samples")
     decode_method = DECODERS[METHODS[h.method]]
@@ -113,7 +114,35 @@ def decode_payload(file, unit, payload, parent_unit, parent_heights, parent_vali
         require(len(exceptions) == ceil_div(n_met, 8), "length of the exception section")
         last = int.from_bytes(exceptions, "big") & ((1 << (-n_met % 8)) - 1)
         require(last == 0, "filling of the exception section")
-    return heights, valid
+    return heights, valid, rest and decode_remainders(rest, n_rows, n_cols, h)
+
+
+def decode_remainders(section, n_rows, n_cols, h):
+    """§5.3."""
+    width, n = np.dtype(DTYPES[h.dtype]).itemsize, section[0]
+    require(1 <= n <= width, "bytes of a remainder")
+    data = inflate(section[1:], n * n_rows * n_cols)
+    require(len(data) == n * n_rows * n_cols, "length of the remainders")
+    remainders = []
+    for i in range(n_rows * n_cols):
+        number = sum(data[plane * n_rows * n_cols + i] << 8 * plane for plane in range(n))
+        remainders.append(-(number + 1 >> 1) if number & 1 else number >> 1)
+    return [remainders[r * n_cols : (r + 1) * n_cols] for r in range(n_rows)]
+
+
+def with_remainder(height, remainder):
+    """Return the height whose number in the order of heights is `remainder` more (§5.3)."""
+    bits = height.dtype.itemsize * 8
+    order = height.view(f"i{height.dtype.itemsize}").item()
+    is_float = height.dtype.kind == "f"
+
+    def swapped(b):
+        return b if b >= 0 or not is_float else b ^ (2 ** (bits - 1) - 1)
+
+    number = (swapped(order) + remainder + 2 ** (bits - 1)) % 2**bits - 2 ** (bits - 1)
+    result = np.array(swapped(number), f"i{height.dtype.itemsize}").view(height.dtype)[()]
+    require(np.isfinite(result), "a height that is not finite")
+    return result
 
 
 def raw_height(h, k):

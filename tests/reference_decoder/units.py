@@ -7,7 +7,12 @@ import numpy as np
 from reference_decoder import cdf53
 from reference_decoder.basics import require
 from reference_decoder.files import DTYPES, METHODS, read_file
-from reference_decoder.payloads import decode_payload, nodata_in_dtype, raw_height
+from reference_decoder.payloads import (
+    decode_payload,
+    nodata_in_dtype,
+    raw_height,
+    with_remainder,
+)
 
 
 def block_with_apron(grid, block, holder):
@@ -30,7 +35,7 @@ def cut(array, holder, place):
 
 
 def decode_units(file, level):
-    """Decode all units down to a level; return those of the level: unit, heights, mask."""
+    """Return the units of a level: unit, heights, mask, remainders; decodes all above them."""
     grid = file.grid
     holders = {}  # block -> the unit that holds it, decoded
     for k in range(-1, level):
@@ -40,7 +45,7 @@ def decode_units(file, level):
             if k < 0:
                 parent = None, None, None
             else:
-                holder, heights, valid = holders[key]
+                holder, heights, valid, _ = holders[key]
                 place = block_with_apron(grid, key, holder)
                 parent = place, cut(heights, holder, place), cut(valid, holder, place)
             decoded.append((unit, *decode_payload(file, unit, file.payloads[key], *parent)))
@@ -49,14 +54,16 @@ def decode_units(file, level):
 
 
 def decode_quanta(file, level):
-    """Return quantum numbers and mask of a level, as lists of lists; None where not seen."""
+    """Return quantum numbers, mask and remainders of a level; None where not seen."""
     n_rows, n_cols = file.grid.samples(level)
     heights = [[None] * n_cols for _ in range(n_rows)]
     mask = [[None] * n_cols for _ in range(n_rows)]
+    remainders = [[0] * n_cols for _ in range(n_rows)]
     is_tiled = METHODS[file.header.method] == "cdf53"
-    for unit, unit_heights, valid in (cdf53.decode_level if is_tiled else decode_units)(
+    for unit, unit_heights, valid, *rest in (cdf53.decode_level if is_tiled else decode_units)(
         file, level
     ):
+        rest = rest[0] if rest and rest[0] else None
         for i in range(unit.rows.n):
             for j in range(unit.cols.n):
                 r, c = unit.rows.first + i, unit.cols.first + j
@@ -65,14 +72,19 @@ def decode_quanta(file, level):
                     require(mask[r][c] == valid[i][j], "masks of neighbours")
                     same = heights[r][c] == unit_heights[i][j]
                     require(same or not valid[i][j], "heights of neighbours")
+                    own = rest[i][j] if rest else 0
+                    require(remainders[r][c] == own or not valid[i][j], "remainders of neighbours")
                 heights[r][c], mask[r][c] = unit_heights[i][j], valid[i][j]
-    return heights, mask
+                remainders[r][c] = rest[i][j] if rest else 0
+    return heights, mask, remainders
 
 
 def decode(data, level=-1):
     """Return the raw heights and the mask of one level; level 0 is the coarsest, -1 the last."""
     file = read_file(data)
-    quanta, mask = decode_quanta(file, level if level >= 0 else level + file.grid.k_max + 1)
+    quanta, mask, remainders = decode_quanta(
+        file, level if level >= 0 else level + file.grid.k_max + 1
+    )
     dtype = np.dtype(DTYPES[file.header.dtype])
     void = nodata_in_dtype(file)
     if void is None:
@@ -80,5 +92,6 @@ def decode(data, level=-1):
     valid = np.array(mask, bool)
     heights = np.full(valid.shape, void, dtype)
     for r, c in np.argwhere(valid).tolist():
-        heights[r, c] = raw_height(file.header, quanta[r][c])
+        height = raw_height(file.header, quanta[r][c])
+        heights[r, c] = with_remainder(height, remainders[r][c]) if remainders[r][c] else height
     return heights, valid

@@ -156,6 +156,59 @@ def test_home_shows_the_whole_box_and_fills_a_side(size, heading, pitch):
     assert top_view((low, high), viewport).pitch == -90
 
 
+def corners_of(low, high):
+    return np.array(
+        [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+    )
+
+
+# Metres: square mountains, a wide coast, a long valley, a planet, a needle.
+BOXES = {
+    "square": (30e3, 30e3, 2500.0),
+    "wide": (90e3, 20e3, 1500.0),
+    "long": (5e3, 60e3, 800.0),
+    "planet": (40e6, 20e6, 18e3),
+    "steep": (400.0, 400.0, 900.0),
+}
+
+
+@pytest.mark.parametrize("size", [(1280, 853), (600, 900), (300, 300)])
+@pytest.mark.parametrize("box", BOXES)
+def test_the_first_view_holds_the_whole_box_below_some_sky(box, size):
+    high = np.array(BOXES[box]) / 2
+    camera = home((-high, high), Viewport(*size))
+    x, y, depth = project(camera, Viewport(*size), corners_of(-high, high)).T / np.array(
+        [size[0], size[1], 1]
+    ).reshape(3, 1)
+    assert (depth > 0).all()
+    assert 0.019 < x.min()
+    assert x.max() < 0.981
+    assert 0.149 < y.min() < 0.7
+    assert y.max() < 0.981
+    # It reaches two sides of what is left, and stands in its middle.
+    assert max((x.max() - x.min()) / 0.96, (y.max() - y.min()) / 0.83) > 0.999
+    assert (x.max() + x.min()) / 2 == pytest.approx(0.5, abs=1e-3)
+    assert (y.max() + y.min()) / 2 == pytest.approx((0.15 + 0.98) / 2, abs=1e-3)
+
+
+def test_the_first_view_of_a_square_fills_the_picture_both_ways_and_looks_north():
+    high = np.array(BOXES["square"]) / 2
+    camera = home((-high, high), Viewport(1280, 853))
+    x, y, _ = project(camera, Viewport(1280, 853), corners_of(-high, high)).T
+    assert (x.max() - x.min()) / 1280 > 0.95
+    assert (y.max() - y.min()) / 853 > 0.82
+    assert camera.heading == 0
+
+
+@pytest.mark.parametrize(
+    ("box", "size", "heading"),
+    [("long", (1280, 853), 0), ("planet", (1280, 853), 0), ("wide", (400, 1200), 270)],
+)
+def test_a_very_wide_raster_is_looked_along(box, size, heading):
+    high = np.array(BOXES[box]) / 2
+    assert home((-high, high), Viewport(*size)).heading == heading
+
+
 def test_flying_moves_along_the_cameras_axes():
     camera = fly(Camera((0, 0, 0), 90, 0), right=1, up=2, forward=3)
     np.testing.assert_allclose(camera.position, (3, -1, 2), atol=1e-12)

@@ -141,7 +141,12 @@ def render(
     import terrainwave
     from terrainwave.render.frame import check_drawable
     from terrainwave.render.offscreen import Offscreen
-    from terrainwave.render.pictures import choose_camera, fly_through, read_flight
+    from terrainwave.render.pictures import (
+        choose_camera,
+        fly_through,
+        heights_within,
+        read_flight,
+    )
 
     if flight is not None and target == STREAM:
         raise click.UsageError("found - as TARGET and --flight, expected a name: there are several")
@@ -154,8 +159,7 @@ def render(
         stack.enter_context(reading(file))
         terrain = stack.enter_context(terrainwave.open(file))
         check_drawable(terrain)
-        if bounds is not None:
-            terrain.region(bounds=bounds)
+        within = None if bounds is None else heights_within(terrain, bounds)
         style = _style(options)
         with Bar(quiet=quiet) as bar:
             scene = stack.enter_context(
@@ -163,7 +167,7 @@ def render(
             )
         if flight is None:
             cameras, n_frames = (
-                [choose_camera(scene.scene.frame, scene.viewport, camera, bounds)],
+                [choose_camera(scene.scene.frame, scene.viewport, camera, bounds, within)],
                 1,
             )
         else:

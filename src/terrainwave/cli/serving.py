@@ -9,6 +9,7 @@ from terrainwave.arguments import count_of
 from terrainwave.cli.commands import main
 from terrainwave.cli.options import NamedInput, Positive
 from terrainwave.cli.output import announce_compiling, print_note
+from terrainwave.cli.signals import Terminated
 from terrainwave.errors import StorageError
 from terrainwave.extras import need
 
@@ -50,17 +51,24 @@ def serve(
     announce_compiling(quiet=quiet)
     named = tuple(name for name in (host, *hosts) if name not in ("0.0.0.0", "::"))
     app = make_app(list(files), hosts=named, cors=cors, n_decoding=n_decoding, radius=radius)
+    n_terrains = len(app.state.layers)
     listener = _listen(host, port)
     address = f"http://{_in_url(host)}:{listener.getsockname()[1]}/"
     if not quiet:
-        click.echo(f"{count_of(len(files), 'terrain')} at {address}  (Ctrl-C ends)")
+        click.echo(f"{count_of(n_terrains, 'terrain')} at {address}  (Ctrl-C ends)")
     if host in ("0.0.0.0", "::") and not hosts:
         print_note("asked by other names than localhost it refuses: name them with --allow-host")
     if opens:
         webbrowser.open(address)
     config = uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=2)
     with listener:
-        uvicorn.Server(config).run(sockets=[listener])
+        try:
+            uvicorn.Server(config).run(sockets=[listener])
+        except Terminated:
+            raise
+        except KeyboardInterrupt:  # the way to end it, not a failure
+            if not quiet:
+                click.echo("\ngoodbye")
 
 
 def _listen(host: str, port: int) -> socket.socket:
@@ -76,6 +84,7 @@ def _listen(host: str, port: int) -> socket.socket:
         listener = socket.socket(family)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(address)
+        listener.listen()  # whoever reads the address may ask at once
     except OSError as error:
         raise StorageError(
             f"cannot listen on {host}, port {port}: {error.strerror or error}; choose another"

@@ -1,10 +1,11 @@
 """Code one unit: its mask, its heights by a refiner, its exceptions (FORMAT.md §5).
 
-Payload: one byte of flags, then the mask section and the exception section where the flags say
+Payload: one byte of flags, then the sections of mask, exceptions and remainders where the flags say
 so (each a varint length and its bytes), then the refiner's bytes to the end. An empty payload is a
 unit without a valid sample.
 """
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import cast
 
@@ -13,16 +14,23 @@ from numpy.typing import NDArray
 
 from terrainwave.codec.maskcoder import decode_mask, encode_mask
 from terrainwave.codec.refiner import Decoded, DirectRefiner, GroupSpec, Heights, Mask, Refiner
+from terrainwave.codec.remaindercoder import decode_remainders, encode_remainders
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Region
+from terrainwave.grid.remainders import Remainders
 
 MASK_ALL_VALID, MASK_CODED = 0, 1
-_HAS_EXCEPTIONS = 0b10
+_HAS_EXCEPTIONS, _HAS_REMAINDERS = 0b10, 0b100
 
 
 def encode_unit(
-    refiner: Refiner, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
+    refiner: Refiner,
+    spec: GroupSpec,
+    parent: Decoded | None,
+    target: Heights,
+    mask: Mask,
+    remainders: Callable[[Heights], Remainders] | None = None,
 ) -> tuple[bytes, Decoded]:
     """Return the payload of a unit and what `decode_unit` makes of it.
 
@@ -32,6 +40,8 @@ def encode_unit(
         Heights to approximate, in quanta; void samples hold their fill.
     mask : ndarray of bool, same shape
         Which samples are valid. Must be False wherever the parent implies a void.
+    remainders : callable, optional
+        Returns what decoded heights leave of the originals; with ``spec.remainder_bytes`` only.
     """
     implied = implied_voids(spec, parent)
     if not mask.any():
@@ -53,7 +63,15 @@ def encode_unit(
             exceptions = np.packbits(goes_down).tobytes()
             sections += encode_varint(len(exceptions)) + exceptions
         _resolve_collisions(spec, heights, collides, goes_down)
-    return bytes([flags]) + sections + body, Decoded(heights, mask, labels)
+    decoded = Decoded(heights, mask, labels)
+    if remainders is not None:
+        rest = remainders(heights)
+        coded_rest = encode_remainders(rest)
+        if coded_rest:
+            flags |= _HAS_REMAINDERS
+            sections += encode_varint(len(coded_rest)) + coded_rest
+            decoded = decoded._replace(remainders=rest)
+    return bytes([flags]) + sections + body, decoded
 
 
 def decode_unit(
@@ -76,7 +94,8 @@ def decode_unit(
     if not payload:
         return _all_void(spec)
     flags = payload[0]
-    if flags & ~(MASK_CODED | _HAS_EXCEPTIONS):
+    known = MASK_CODED | _HAS_EXCEPTIONS | (_HAS_REMAINDERS if spec.remainder_bytes else 0)
+    if flags & ~known:
         raise CorruptStreamError(f"a unit's flags are {flags:#04x}; reserved bits must be 0")
     byte_pos = 1
     if parent is not None and not parent.mask.all():
@@ -93,6 +112,10 @@ def decode_unit(
     exceptions = b""
     if flags & _HAS_EXCEPTIONS:
         exceptions, byte_pos = _read_section(payload, byte_pos)
+    remainders = None
+    if flags & _HAS_REMAINDERS:
+        section, byte_pos = _read_section(payload, byte_pos)
+        remainders = decode_remainders(section, spec.region.shape, spec.remainder_bytes)
     parent_heights = None if parent is None else parent.heights
     direct = _as_direct(refiner)
     if direct is not None:
@@ -104,11 +127,11 @@ def decode_unit(
         np.clip(heights, spec.z_min, spec.z_max, out=heights)
     if spec.forbidden[0] > spec.forbidden[1]:
         _decode_exceptions(exceptions, 0)  # raises if there are some
-        return Decoded(heights, mask, labels)
+        return Decoded(heights, mask, labels, remainders)
     collides = _collisions(spec, heights, mask)
     goes_down = _decode_exceptions(exceptions, int(np.count_nonzero(collides)))
     _resolve_collisions(spec, heights, collides, goes_down)
-    return Decoded(heights, mask, labels)
+    return Decoded(heights, mask, labels, remainders)
 
 
 def implied_voids(spec: GroupSpec, parent: Decoded | None) -> Mask:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Grid, Region
+from terrainwave.grid.remainders import Remainders
 
 Heights = NDArray[np.int32]
 Mask = NDArray[np.bool_]
@@ -53,6 +54,8 @@ class GroupSpec:
     is_finest: bool = True
     # Whether `Decoded.labels` are wanted; without them decoding saves about 1 %.
     wants_labels: bool = True
+    # Bytes per sample of remainders, which make heights exact beyond their quanta; 0 without.
+    remainder_bytes: int = 0
 
     @property
     def half(self) -> int:
@@ -66,11 +69,13 @@ class Decoded(NamedTuple):
     `labels`: a map of zero trees as in `coding.zerotrees`, one byte per finest node of the core. In
     a group these are the samples of the parent block inside the raster, without apron. None where
     the method has no details (`store`, raw units) or nothing is valid: nothing is known then.
+    `remainders`: what makes the heights exact (`grid.remainders`); None where all are 0.
     """
 
     heights: Heights
     mask: Mask
     labels: Labels | None
+    remainders: Remainders | None = None
 
 
 class Refiner(Protocol):

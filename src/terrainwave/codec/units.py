@@ -47,6 +47,7 @@ def unit_spec(grid: Grid, parameters: CodecParameters, key: Block) -> GroupSpec:
         effort=parameters.effort,
         is_finest=level == grid.k_max,
         wants_labels=False,
+        remainder_bytes=parameters.remainder_bytes if level == grid.k_max else 0,
     )
 
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
 
+import numpy as np
+
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidHeightsError,
@@ -26,7 +28,9 @@ HEADER_SIZE = 128
 _METHOD_NAMES = {method.number: method.name for method in METHODS.values()}
 # Codes 2 (int8) and 5 (uint32) are reserved.
 DTYPE_CODES = {"uint8": 1, "uint16": 3, "int16": 4, "int32": 6, "float32": 7, "float64": 8}
-KNOWN_FEATURES = 0
+# Remainders make every height of the full grid exact (FORMAT.md §5.3).
+HAS_REMAINDERS = 1
+KNOWN_FEATURES = HAS_REMAINDERS
 
 MAX_SIDE = 2**31
 MAX_SAMPLES = 2**50
@@ -81,7 +85,7 @@ class Header:
     mesh_tolerance : int
         Its tolerance on the finest level, in 1/16 quanta; 0 without meshes.
     features : int
-        Must-understand mask; no bit has a meaning yet.
+        Must-understand mask: `HAS_REMAINDERS` or 0.
     metadata : dict
         The JSON metadata (`container.metadata`).
     parameters : bytes
@@ -125,6 +129,15 @@ class Header:
         """Return how far decoded heights may be from the quantised originals, in quanta."""
         return (self.step >> 1) + self.moved
 
+    @property
+    def quanta_error(self) -> float:
+        """Return the bound of heights as their quanta tell them, in raw units.
+
+        That of meshes, which know of no remainders; else the effective bound.
+        """
+        has_remainders = self.features & HAS_REMAINDERS
+        return self.quantizer.quanta_error if has_remainders else self.effective_bound
+
     @cached_property
     def quantizer(self) -> Quantizer:
         """Return the quantizer of the file's heights."""
@@ -137,6 +150,9 @@ class Header:
             rho=self.rho,
             z_min=self.z_min,
             z_max=self.z_max,
+            remainder_bytes=(
+                np.dtype(self.dtype).itemsize if self.features & HAS_REMAINDERS else 0
+            ),
         )
 
     @cached_property
@@ -348,7 +364,14 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
         yield _Violation("an error bound is negative or not finite")
     if header.effective_bound > header.max_error:
         yield _Violation(f"effective bound {header.effective_bound} exceeds {header.max_error}")
-    if header.rho > header.max_error:
+    if header.features & HAS_REMAINDERS:
+        if header.dtype not in ("int32", "float32", "float64"):
+            yield _Violation(f"remainders of {header.dtype}, which has none")
+        if METHODS[header.method].is_tiled:
+            yield _Violation(f"remainders of method {header.method}, which has none")
+        if header.effective_bound or header.step != 1:
+            yield _Violation("remainders beside a step or a bound that is not 0")
+    elif header.rho > header.max_error:
         yield _Violation(f"rounding loss {header.rho} exceeds max_error {header.max_error}")
     if not 0 <= header.mesh_tolerance <= MAX_MESH_TOLERANCE:
         yield _Violation(f"mesh tolerance {header.mesh_tolerance} does not fit 32 bits")

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator
 from typing import NoReturn, cast
 
-from terrainwave.container.deflate import deflate, inflate
+from terrainwave.coding.deflate import deflate, inflate
 from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import MAX_METADATA
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from terrainwave.container.deflate import deflate, inflate
+from terrainwave.coding.deflate import deflate, inflate
 from terrainwave.container.header import MAX_PAGE
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid

@@ -47,7 +47,7 @@ def read_twz(
     """
     with TerrainFile(path) as terrain:
         if max_error is None and max_triangles is None and terrain.mesh_kind == "none":
-            max_error = terrain.effective_error + terrain.info().quantum
+            max_error = terrain.quanta_error + terrain.info().quantum
         area_mesh = mesh_area(
             terrain, window, bounds=bounds, level=level, max_error=max_error,
             max_triangles=max_triangles,

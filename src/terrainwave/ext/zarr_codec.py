@@ -34,8 +34,7 @@ class TerrainwaveCodec(ArrayBytesCodec):
     Parameters
     ----------
     max_error : float
-        Largest allowed error in the array's units; >= 0. 0 is lossless, where the heights lie on
-        a vertical grid.
+        Largest allowed error in the array's units; >= 0. 0 is lossless: every bit comes back.
     nodata : float, optional
         Samples of this value come back exactly, and so does NaN. By default the array's fill
         value, unless that is 0, which is Zarr's own default and a height as any other.

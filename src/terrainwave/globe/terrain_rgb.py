@@ -20,6 +20,7 @@ MAX_ZOOM = 22
 MAX_LATITUDE = math.degrees(math.atan(math.sinh(math.pi)))
 
 VOID_DEPTH = 1.0
+MAX_RIM = 8
 
 _STEP = 0.1
 _LOWEST = -10000.0
@@ -43,12 +44,15 @@ class RgbTile:
         samples (measured when the file was written, `Terrain.block_error`).
     level : int
         The resolution level of the samples, counted from 0.
+    voids : ndarray of uint8, shape (TILE_SIZE, TILE_SIZE)
+        How much of each pixel is void: 0 nothing, 255 all.
     """
 
     png: bytes
     error: float
     terrain_error: float
     level: int
+    voids: NDArray[np.uint8]
 
 
 def longitudes_of(z: int, x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -85,12 +89,13 @@ def max_zoom(globe: Globe) -> int:
     return next((z for z in zooms if pixel_size(globe, z, latitude) <= globe.pixel), MAX_ZOOM)
 
 
-def meets(globe: Globe, z: int, x: int, y: int) -> bool:
-    """Say whether a tile touches the terrain's bounds."""
+def meets(globe: Globe, z: int, x: int, y: int, rim: int = 0) -> bool:
+    """Say whether a tile is at most `rim` pixels away from the terrain's bounds."""
     west, south, east, north = globe.extent
-    if not row_of(z, north) < y + 1 or not row_of(z, south) > y:
+    far = rim / TILE_SIZE
+    if not row_of(z, north) - far < y + 1 or not row_of(z, south) + far > y:
         return False
-    first, last = column_of(z, west), column_of(z, east)
+    first, last = column_of(z, west) - far, column_of(z, east) + far
     turn = 1 << z
     return any(first < x + 1 + k * turn and last > x + k * turn for k in (-1, 0, 1))
 
@@ -103,7 +108,7 @@ def level_for(globe: Globe, z: int, y: int) -> int:
     return globe.level_for(pixel_size(globe, z, latitude))
 
 
-def rgb_tile(globe: Globe, z: int, x: int, y: int) -> RgbTile | None:
+def rgb_tile(globe: Globe, z: int, x: int, y: int, rim: int = 0) -> RgbTile | None:
     """Return the terrain-RGB tile z/x/y (XYZ, Web Mercator), or None where there is no terrain.
 
     Parameters
@@ -111,33 +116,88 @@ def rgb_tile(globe: Globe, z: int, x: int, y: int) -> RgbTile | None:
     globe : Globe
     z, x, y : int
         0 ≤ z ≤ `MAX_ZOOM`, 0 ≤ x, y < 2^z.
+    rim : int
+        Pixels, 0 … `MAX_RIM`, by which heights go on beyond the terrain's edges and into voids, so
+        that surfaces through the pixels don't fall off within the terrain. It is not in `error`.
 
     Notes
     -----
     A height depends on its place and z alone, so that neighbouring tiles continue each other.
     The format has no void: pixels without heights are `VOID_DEPTH` below the terrain's lowest.
     """
-    if not meets(globe, z, x, y):
+    if not meets(globe, z, x, y, rim):
         return None
     level = level_for(globe, z, y)
     # Pixel centres are the odd places of a grid twice as fine, which is what errors are taken at.
-    fine = np.arange(2 * TILE_SIZE - 1) / (2 * TILE_SIZE) + 0.5 / TILE_SIZE
+    fine = np.arange(2 * (TILE_SIZE + 2 * rim) - 1) / (2 * TILE_SIZE) + (0.5 - rim) / TILE_SIZE
     longitudes, latitudes = np.meshgrid(longitudes_of(z, x + fine), latitudes_of(z, y + fine))
     rows, cols = globe.to_samples(longitudes.ravel(), latitudes.ravel())
     samples, window = globe.heights_at(rows, cols, level)
-    surface = samples.reshape(longitudes.shape)
-    heights = surface[::2, ::2]
-    if window is None or np.isnan(heights).all():
+    around = samples.reshape(longitudes.shape)
+    surface = _without(around, 2 * rim)
+    codes = _codes(surface[::2, ::2])
+    drawn = _codes(_without(_grown(around[::2, ::2], rim), rim))
+    if window is None or np.isnan(drawn).all():
         return None
-    rounded = np.rint((heights - _LOWEST) / _STEP) * _STEP + _LOWEST
-    void = void_height(globe)
-    codes = np.rint((np.where(np.isnan(heights), void, heights) - _LOWEST) / _STEP)
+    void = _codes(np.array(void_height(globe)))
     return RgbTile(
-        png=_png(np.clip(codes, 0, _HIGHEST_CODE).astype(np.uint32)),
-        error=_largest_distance(rounded, surface),
+        png=_png(np.where(np.isnan(drawn), void, drawn).astype(np.uint32)),
+        error=_largest_distance(codes * _STEP + _LOWEST, surface),
         terrain_error=globe.heights_error(window),
         level=level,
+        voids=_void_shares(np.isnan(around), rim),
     )
+
+
+def void_tile(globe: Globe) -> bytes:
+    """Return the PNG of a terrain-RGB tile without terrain."""
+    void = int(_codes(np.array(void_height(globe))))
+    return _png(np.full((TILE_SIZE, TILE_SIZE), void, dtype=np.uint32))
+
+
+def cover_tile(voids: NDArray[np.uint8], color: tuple[int, int, int]) -> bytes:
+    """Return a PNG that paints a tile's voids (`RgbTile.voids`) and leaves the terrain clear."""
+    image = need("PIL.Image", extra="serve", purpose="a tile of voids")
+    painted = np.empty((*voids.shape, 4), dtype=np.uint8)
+    painted[..., :3], painted[..., 3] = color, voids
+    out = io.BytesIO()
+    image.fromarray(painted, "RGBA").save(out, "PNG", compress_level=4)
+    return out.getvalue()
+
+
+def _without(values: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    """Return a square without the `n` outermost rows and columns of each side."""
+    return values[n : len(values) - n, n : len(values) - n]
+
+
+def _codes(heights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the numbers that stand for heights; NaN stays."""
+    return np.clip(np.rint((heights - _LOWEST) / _STEP), 0, _HIGHEST_CODE)
+
+
+def _grown(heights: NDArray[np.float64], n_times: int) -> NDArray[np.float64]:
+    """Return heights that reach `n_times` pixels into NaN: there, the mean of known neighbours."""
+    for _ in range(n_times):
+        is_known = np.isfinite(heights)
+        total, count = _sum_of_nine(np.where(is_known, heights, 0.0)), _sum_of_nine(is_known * 1.0)
+        means = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
+        heights = np.where(is_known, heights, means)
+    return heights
+
+
+def _sum_of_nine(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the sums of values and their eight neighbours; there are zeros outside."""
+    values = np.pad(values, 1)
+    values = values[:-2] + values[1:-1] + values[2:]
+    return values[:, :-2] + values[:, 1:-1] + values[:, 2:]
+
+
+def _void_shares(is_void: NDArray[np.bool_], rim: int) -> NDArray[np.uint8]:
+    """Return `RgbTile.voids` of a grid twice as fine as the pixels, weighted 1 2 1 across them."""
+    shares = np.pad(is_void.astype(np.float64), 1, mode="edge")
+    shares = (shares[:-2] + 2 * shares[1:-1] + shares[2:]) / 4
+    shares = (shares[:, :-2] + 2 * shares[:, 1:-1] + shares[:, 2:]) / 4
+    return np.rint(255 * _without(shares[::2, ::2], rim)).astype(np.uint8)
 
 
 def void_height(globe: Globe) -> float:
@@ -176,6 +236,9 @@ def tile_json(globe: Globe, url: str, name: str) -> dict[str, object]:
     """
     west, south, east, north = globe.extent
     last = max_zoom(globe)
+    middle = (west + east) / 2
+    if east > 180:  # bounds end there: the whole round, of which most tiles are empty
+        west, east = -180.0, 180.0
     return {
         "tilejson": "3.0.0",
         "name": name,
@@ -183,8 +246,8 @@ def tile_json(globe: Globe, url: str, name: str) -> dict[str, object]:
         "tiles": [url],
         "minzoom": 0,
         "maxzoom": last,
-        "bounds": [west, max(south, -MAX_LATITUDE), min(east, 180.0), min(north, MAX_LATITUDE)],
-        "center": [(west + east) / 2, (south + north) / 2, max(last - 3, 0)],
+        "bounds": [west, max(south, -MAX_LATITUDE), east, min(north, MAX_LATITUDE)],
+        "center": [(middle + 180) % 360 - 180, (south + north) / 2, max(last - 3, 0)],
         "encoding": "mapbox",
         "tileSize": TILE_SIZE,
         "format": "png",

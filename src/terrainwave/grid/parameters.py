@@ -16,6 +16,7 @@ class CodecParameters:
     forbidden: tuple[int, int]
     rings: int
     effort: int
+    remainder_bytes: int = 0
 
     @classmethod
     def of(cls, quantizer: Quantizer, nodata: float | int | None, rings: int, effort: int) -> Self:
@@ -27,4 +28,5 @@ class CodecParameters:
             forbidden=quantizer.quanta_of_value(nodata),
             rings=rings,
             effort=effort,
+            remainder_bytes=quantizer.remainder_bytes,
         )

@@ -2,12 +2,13 @@
 
 A raw height (as stored in the raster, before scale and offset) is ``(base + k) * p`` with an int32
 number of quanta ``k``. On a *true grid* every sample is such a multiple exactly; otherwise p is a
-power of two well below the bound and rounding to it is charged to the bound as `rho`.
+power of two well below the bound and rounding to it is charged to the bound as `rho`. A bound that
+leaves no room for that is kept by remainders, which make every height exact (`grid.remainders`).
 """
 
 import math
 from bisect import bisect_left, bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
 
@@ -15,13 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.names import methods_that
 
+# Of heights on no grid, in physical units, where no bound is named.
+DEFAULT_MAX_ERROR = 0.01
 MAX_QUANTA = 1 << 30
 # An exact quotient needs numerators below 2^53 (the float64 significand).
 _MAX_NUMERATOR = 1 << 53
 # Rounding to p = 2^-FINE_BITS * bound costs less than 0.01 bit per sample; COARSE_BITS is the
 # least that is accepted.
 _FINE_BITS, _COARSE_BITS = 9, 5
+# Quanta above remainders, in spacings: finer ones make `rapid` code noise, which costs it a third
+# on rough ground; 16 and 256 differ by some per cent either way.
+_REMAINDER_SPACINGS = 16
 # Keep (|base| + 2^31) * p below 2^63, and both parts of p in their fields (FORMAT.md §4.1).
 _MAX_HEIGHT = 1 << 59
 _FINEST_QUANTUM, _COARSEST_QUANTUM = Fraction(1, 1 << 62), Fraction(1 << 31)
@@ -60,6 +67,8 @@ class Quantizer:
         What rounding to the grid and to `dtype` may add, in raw units; 0 on a true grid.
     z_min, z_max : int
         Smallest and largest quantum of the valid samples.
+    remainder_bytes : int
+        Bytes of a sample where remainders make heights of the full grid exact, else 0.
     """
 
     dtype: str
@@ -70,6 +79,7 @@ class Quantizer:
     rho: float
     z_min: int
     z_max: int
+    remainder_bytes: int = 0
 
     @property
     def quantum(self) -> float:
@@ -78,7 +88,15 @@ class Quantizer:
 
     @property
     def effective_error(self) -> float:
-        """Return the bound that holds, in raw units: ``(step - 1) / 2 * p + rho``."""
+        """Return the bound that holds, in raw units; 0 where remainders make heights exact."""
+        return 0.0 if self.remainder_bytes else self.quanta_error
+
+    @property
+    def quanta_error(self) -> float:
+        """Return how far heights are from the originals by their quanta alone, in raw units.
+
+        ``(step - 1) / 2 * p + rho``: meshes and coarse levels know of no remainders.
+        """
         return float((self.step >> 1) * Fraction(self.numerator, self.denominator)) + self.rho
 
     @property
@@ -228,14 +246,14 @@ class HeightScan:
         largest = max(abs(self.minimum), abs(self.maximum))
         return float(np.spacing(np.dtype(self.dtype).type(largest)))
 
-    def quantizer(self, max_error: Fraction) -> Quantizer:
+    def quantizer(self, max_error: Fraction, *, may_have_remainders: bool = False) -> Quantizer:
         """Choose p, base and step for a bound in raw units.
 
         Raises
         ------
         InvalidHeightsError
-            If the bound cannot be kept: 0 without a true grid, or below what the range of the
-            heights leaves to 30 bits. The message names the smallest possible bound.
+            If the bound cannot be kept without remainders: 0 without a true grid, or below what the
+            range of the heights leaves to 30 bits. The message names the smallest possible bound.
         """
         if self.n_valid == 0:
             return Quantizer(self.dtype, 1, 1, 0, 1, 0.0, 0, 0)
@@ -243,7 +261,7 @@ class HeightScan:
         p = self.true_quantum()
         if p is not None and span / p < MAX_QUANTA and self._fits(p):
             return self._with_quantum(p, max_error, Fraction(0))
-        return self._continuous(span, max_error)
+        return self._continuous(span, max_error, may_have_remainders)
 
     def _fits(self, p: Fraction) -> bool:
         return self._largest() / p * p.numerator < _MAX_NUMERATOR
@@ -252,7 +270,9 @@ class HeightScan:
         """Return the largest absolute height."""
         return max(abs(as_fraction(self.minimum)), abs(as_fraction(self.maximum)))
 
-    def _continuous(self, span: Fraction, max_error: Fraction) -> Quantizer:
+    def _continuous(
+        self, span: Fraction, max_error: Fraction, may_have_remainders: bool
+    ) -> Quantizer:
         largest = self._largest()
         if largest > _MAX_HEIGHT:
             raise InvalidHeightsError(
@@ -263,11 +283,14 @@ class HeightScan:
         # The finest p whose numbers of quanta fit 30 bits; both ends are rounded.
         finest = max(_power_of_two_above(span / (MAX_QUANTA - 2)), _FINEST_QUANTUM)
         smallest = max(finest * (1 << _COARSE_BITS), 4 * half_ulp)
+        if max_error < smallest and may_have_remainders:
+            return self._exact(finest, half_ulp)
         if max_error < smallest:
+            fit = methods_that(lambda method: not method.is_tiled)
             raise InvalidHeightsError(
-                "these heights lie on no common vertical grid, so they cannot be stored losslessly"
-                f" or this exactly: found `max_error` {float(max_error):g}, expected at least"
-                f" {_rounded_up(smallest)} (raw units)"
+                "these heights lie on no common vertical grid, so this method cannot store them"
+                f" losslessly or this exactly: found `max_error` {float(max_error):g}, expected at"
+                f" least {_rounded_up(smallest)} (raw units), or method {fit}, which can"
             )
         # A bound beyond the range buys nothing, and heights must be exact in float64 before they
         # are rounded to the output's type.
@@ -275,12 +298,22 @@ class HeightScan:
         p = max(min(p, _COARSEST_QUANTUM), finest, _power_of_two_above(largest / _MAX_NUMERATOR))
         return self._with_quantum(p, max_error, p / 2 + half_ulp)
 
+    def _exact(self, finest: Fraction, half_ulp: Fraction) -> Quantizer:
+        """Return a quantizer with remainders: quanta are some spacings of the largest float32.
+
+        Of a float64 too, so that those which were float32's leave remainders of few bits.
+        """
+        spacing = as_fraction(np.spacing(np.float32(float(self._largest()))))
+        p = max(_power_of_two_above(spacing) * _REMAINDER_SPACINGS, finest)
+        quantizer = self._with_quantum(p, Fraction(0), p / 2 + half_ulp)
+        return replace(quantizer, remainder_bytes=np.dtype(self.dtype).itemsize)
+
     def _with_quantum(self, p: Fraction, max_error: Fraction, rho: Fraction) -> Quantizer:
         low = round(as_fraction(self.minimum) / p)
         high = round(as_fraction(self.maximum) / p)
         base = low + (high - low) // 2
         # A bound beyond the range buys nothing; the cap keeps the step within its field.
-        half = min(math.floor((max_error - rho) / p), high - low)
+        half = max(min(math.floor((max_error - rho) / p), high - low), 0)
         return Quantizer(
             self.dtype,
             p.numerator,

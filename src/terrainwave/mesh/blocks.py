@@ -22,6 +22,7 @@ from terrainwave.container.header import MAX_MESH_TOLERANCE
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.measure import with_outside
 from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, Quantizer, as_fraction
 from terrainwave.tri.borders import beside_void, line_vertices
 from terrainwave.tri.halves import Lines, triangulate
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
@@ -245,6 +246,19 @@ def border_lines(
         bottom=line((-1, every), tolerances.bottom, offset[1]),
         left=line((every, 0), tolerances.left, offset[0]),
         right=line((every, -1), tolerances.right, offset[0]),
+    )
+
+
+def default_mesh_error(quantizer: Quantizer, bound: float, scale: Fraction) -> Fraction:
+    """Return the error of the finest meshes, in raw units, where none is named.
+
+    What the bound of the heights guarantees, or the vertical quantum where that is more. Of exact
+    heights on no grid both are next to nothing: theirs is the bound that such heights have by
+    default. `scale`: physical units per raw one.
+    """
+    error = max(Fraction(bound), Fraction(quantizer.numerator, quantizer.denominator))
+    return (
+        max(error, as_fraction(DEFAULT_MAX_ERROR) / scale) if quantizer.remainder_bytes else error
     )
 
 

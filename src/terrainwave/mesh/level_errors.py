@@ -50,8 +50,8 @@ def recursive_errors(
     """
     side = terrain.grid.block
     scale = abs(terrain.raster_info.scale)
-    added = terrain.effective_error if as_printed else 0.0
-    levels = [np.full(terrain.grid.level_blocks(terrain.n_levels - 1), terrain.effective_error)]
+    added = terrain.quanta_error if as_printed else 0.0
+    levels = [np.full(terrain.grid.level_blocks(terrain.n_levels - 1), terrain.quanta_error)]
     for level in range(terrain.n_levels - 2, -1, -1):
         finer = levels[-1]
         errors = np.zeros(terrain.grid.level_blocks(level))

@@ -15,15 +15,14 @@ from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region, morton
+from terrainwave.grid.remainders import Remainders
 
 # Payloads held between being fetched and being decoded.
 _MAX_FETCHED = 1024
 
 
 def _n_bytes(unit: Decoded) -> int:
-    return (
-        unit.heights.nbytes + unit.mask.nbytes + (0 if unit.labels is None else unit.labels.nbytes)
-    )
+    return sum(part.nbytes for part in unit if part is not None)
 
 
 class _Spare:
@@ -140,13 +139,10 @@ class TreeDecoder:
     def part(self, key: Block, region: Region) -> tuple[tuple[slice, slice], Decoded]:
         """Return the part of a unit inside a region of its level, and where it lies in the region.
 
-        The heights and the mask are views.
+        The arrays are views.
         """
-        unit = self.unit(key)
         spec = self._spec(key)
-        common = spec.core.intersect(region)
-        here = common.slices_in(spec.region)
-        return common.slices_in(region), Decoded(unit.heights[here], unit.mask[here], None)
+        return _part(self.unit(key), spec, spec.core.intersect(region), region)
 
     @contextmanager
     def borrowed(self, key: Block, region: Region) -> Iterator[tuple[tuple[slice, slice], Decoded]]:
@@ -161,9 +157,7 @@ class TreeDecoder:
             return
         with _SPARES.lent() as spare:
             unit = self._decode(key, spare.heights(spec.region.shape))
-            here = spec.core.slices_in(spec.region)
-            part = Decoded(unit.heights[here], unit.mask[here], None)
-            yield spec.core.slices_in(region), part
+            yield _part(unit, spec, spec.core, region)
 
     def window(self, level: int, region: Region) -> tuple[Heights, Mask]:
         """Return decoded heights and validity of any region inside a level."""
@@ -174,28 +168,43 @@ class TreeDecoder:
             heights[there], mask[there] = unit.heights, unit.mask
         return heights, mask
 
-    def samples(
-        self, level: int, rows: NDArray[np.int64], cols: NDArray[np.int64]
-    ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-        """Return heights and validity at single samples of a level, which must lie inside it."""
+    def samples(self, level: int, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Decoded:
+        """Return what is decoded at single samples of a level, which must lie inside it.
+
+        Arrays of one row.
+        """
         side = self.grid.block if level == 0 else 2 * self.grid.block
         n_rows, n_cols = self.grid.level_blocks(max(level - 1, 0))
         unit_rows = np.minimum(rows // side, n_rows - 1)
         unit_cols = np.minimum(cols // side, n_cols - 1)
-        heights, mask = np.zeros(rows.size, dtype=np.int32), np.zeros(rows.size, dtype=np.bool_)
+        shape = 1, rows.size
+        heights, mask = np.zeros(shape, dtype=np.int32), np.zeros(shape, dtype=np.bool_)
+        rest: Remainders | None = None
         for row, col in sorted(set(zip(unit_rows.tolist(), unit_cols.tolist(), strict=True))):
             key = Block(level - 1, row, col)
             spec, unit = self._spec(key), self.unit(key)
             here = (unit_rows == row) & (unit_cols == col)
             at = rows[here] - spec.region.row, cols[here] - spec.region.col
-            heights[here], mask[here] = unit.heights[at], unit.mask[at]
-        return heights, mask
+            heights[0, here], mask[0, here] = unit.heights[at], unit.mask[at]
+            if unit.remainders is not None:
+                rest = np.zeros(shape, unit.remainders.dtype) if rest is None else rest
+                rest[0, here] = unit.remainders[at]
+        return Decoded(heights, mask, None, rest)
 
     def block(self, block: Block) -> Decoded:
         """Return the decoded heights of a block, with its apron if the file has one."""
         key = unit_key(block)
         spec = self._spec(key)
         return block_of_unit(self.grid, spec, self.unit(key), block)
+
+
+def _part(
+    unit: Decoded, spec: GroupSpec, common: Region, region: Region
+) -> tuple[tuple[slice, slice], Decoded]:
+    """Return where the part `common` of a unit lies in a region, and views of it."""
+    here = common.slices_in(spec.region)
+    rest = None if unit.remainders is None else unit.remainders[here]
+    return common.slices_in(region), Decoded(unit.heights[here], unit.mask[here], None, rest)
 
 
 def units_of(grid: Grid, level: int, region: Region) -> list[Block]:

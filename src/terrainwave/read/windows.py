@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec.refiner import Decoded
 from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
+from terrainwave.grid.remainders import restored
 from terrainwave.read.decoder import TreeDecoder, unit_key
 from terrainwave.read.schedule import run_after_parents
 
@@ -65,7 +67,7 @@ class WindowReader:
         def fill(key: Block) -> None:
             try:
                 with decoder.borrowed(key, region) as (there, unit):
-                    self._quantizer.dequantize(unit.heights, heights[there])
+                    self._fill(unit, heights[there])
                     voids.note(there, unit.mask)
             except CorruptStreamError:
                 if on_error == "raise":
@@ -96,12 +98,24 @@ class WindowReader:
         total, is_void = np.zeros(rows.size), np.zeros(rows.size, dtype=np.bool_)
         for row, row_weight in ((top, 1 - down), (np.minimum(top + 1, n_rows - 1), down)):
             for col, col_weight in ((left, 1 - right), (np.minimum(left + 1, n_cols - 1), right)):
-                quanta, valid = decoder.samples(level, row, col)
-                heights = self._quantizer.dequantize(quanta[None, :])[0].astype(np.float64)
+                samples = decoder.samples(level, row, col)
+                raw, valid = np.zeros((1, rows.size), dtype=self._dtype), samples.mask[0]
+                self._fill(samples, raw)
                 weight = row_weight * col_weight
-                total += np.where(valid, heights, 0.0) * weight
+                total += np.where(valid, raw[0].astype(np.float64), 0.0) * weight
                 is_void |= ~valid & (weight > 0)
         return total, is_void
+
+    def _fill(self, unit: Decoded, out: NDArray[Any]) -> None:
+        """Fill `out` with the raw heights of a part of a unit."""
+        if unit.remainders is None:
+            self._quantizer.dequantize(unit.heights, out)
+            return
+        # Not in place: a thread with a unit beside this one fills the samples that both share.
+        heights = restored(self._quantizer.dequantize(unit.heights), unit.remainders)
+        if not np.isfinite(heights[unit.mask]).all():
+            raise CorruptStreamError("remainders make a height that is not finite")
+        out[...] = heights
 
     def _run(self, work: Callable[[Block], None], keys: list[Block]) -> None:
         """Call `work` for every unit, those above it first, in the threads."""

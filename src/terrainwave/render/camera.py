@@ -19,9 +19,16 @@ Vector = NDArray[np.float64]
 
 DEFAULT_FOV = 50.0
 _MAX_PITCH = 89.9
-# Of the picture's sides, the share that the whole terrain fills.
+# The first view: a longer lens than in flight, so that the far side is not much smaller.
+_FOV = 40.0
+# Of the picture's sides, the share that the whole terrain fills; of its height, the sky.
 _HOME_SHARE = 0.96
-_CENTRING_STEPS = 40
+_SKY = 0.15
+_HOME_PITCHES = (-22.0, -52.0)
+_PITCH_STEPS = 30
+_CENTRING_STEPS = 60
+# The raster is looked at from the east if so much more of the picture is filled then.
+_TURN_GAIN = 2.0
 _LEAST_SIZE = 1.0
 
 
@@ -208,9 +215,19 @@ def parse_camera(line: str, frame: Frame) -> Camera:
 
 
 def home(
-    box: tuple[Vector, Vector], viewport: Viewport, *, heading: float = 0.0, pitch: float = -38.0
+    box: tuple[Vector, Vector],
+    viewport: Viewport,
+    *,
+    heading: float | None = None,
+    pitch: float | None = None,
 ) -> Camera:
-    """Return an oblique view of a box, a `Frame`'s for all of it, that fills the picture."""
+    """Return an oblique view of a box, a `Frame`'s for all of it, that fills the picture.
+
+    The box's corners are projected: all are in the picture, with `_SKY` of its height above them.
+    By default the pitch is the one between -52 and -22 degrees at which the box reaches both the
+    sides and the top and bottom of what is left, and the view is to the north; to the west, along a
+    raster much wider than long, where that fills twice as much of the picture.
+    """
     low, high = box
     # A raster of one sample has no size; a metre around it has.
     room = np.where(high - low < _LEAST_SIZE, _LEAST_SIZE, 0.0)
@@ -218,31 +235,71 @@ def home(
     corners = np.array(
         [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
     )
-    camera = Camera((0.0, 0.0, 0.0), heading, pitch)
-    tangent = math.tan(math.radians(camera.fov) / 2) * _HOME_SHARE
+    if heading is not None:
+        return _framed(corners, viewport, heading, pitch)
+    north, west = (_framed(corners, viewport, angle, pitch) for angle in (0.0, 270.0))
+    filled, turned = (_filled(camera, viewport, corners) for camera in (north, west))
+    return west if turned > _TURN_GAIN * filled else north
+
+
+def _framed(corners: Vector, viewport: Viewport, heading: float, pitch: float | None) -> Camera:
+    """Return the nearest camera of a heading that has all corners in its window."""
+    if pitch is None:
+        shallow, steep = _HOME_PITCHES
+        for _ in range(_PITCH_STEPS):
+            pitch = (shallow + steep) / 2
+            across, upwards = _reaches(corners, viewport, Camera((0, 0, 0), heading, pitch, _FOV))
+            # Limited by the sides: there is height to fill, which a steeper view does.
+            shallow, steep = (pitch, steep) if across < upwards else (shallow, pitch)
+        pitch = (shallow + steep) / 2
+    camera = Camera((0.0, 0.0, 0.0), heading, pitch, _FOV)
     seen = corners @ camera.axes.T
-    # The eye (r, u, f) in the camera's axes sees a corner if |corner's r − r| <= tangent · aspect ·
-    # (corner's f − f), and alike upwards. Each pair of opposite sides gives a centre and a bound.
-    centre, bounds = np.zeros(3), []
-    for axis, opening in ((0, tangent * viewport.aspect), (1, tangent)):
-        above = (seen[:, axis] - opening * seen[:, 2]).max()
-        below = (seen[:, axis] + opening * seen[:, 2]).min()
-        centre[axis] = (above + below) / 2
-        bounds.append((below - above) / 2 / opening)
-    centre[2] = min(bounds)
-    # The looser pair leaves room: the same on both sides, in pixels.
-    for axis, opening in ((0, tangent * viewport.aspect), (1, tangent)):
-        depths = seen[:, 2] - centre[2]
+    # The looser pair of sides leaves room: the same on both sides, in pixels.
+    centre = np.array([0.0, 0.0, min(_reaches(corners, viewport, camera))])
+    depths = seen[:, 2] - centre[2]
+    for axis, (least, most) in enumerate(_window(camera, viewport)):
+        centre[axis] = seen[:, axis].mean()
         for _ in range(_CENTRING_STEPS):
-            shares = (seen[:, axis] - centre[axis]) / (depths * opening)
-            centre[axis] += (shares.max() + shares.min()) / 2 * float(depths.min()) * opening
+            shares = (seen[:, axis] - centre[axis]) / depths
+            off = (shares.max() + shares.min() - least - most) / 2
+            centre[axis] += off * float(depths.min())
     x, y, z = centre @ camera.axes
     return replace(camera, position=(float(x), float(y), float(z)))
 
 
+def _window(camera: Camera, viewport: Viewport) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the tangents, left and right, bottom and top, between which the box is to be."""
+    tangent = math.tan(math.radians(camera.fov) / 2)
+    side = tangent * viewport.aspect * _HOME_SHARE
+    sky = _SKY if camera.pitch > -_MAX_PITCH else 1 - _HOME_SHARE  # there is none below
+    return (-side, side), (-tangent * _HOME_SHARE, tangent * (1 - 2 * sky))
+
+
+def _reaches(corners: Vector, viewport: Viewport, camera: Camera) -> list[float]:
+    """Return how far forward the eye may go, for the picture's sides, and its top and bottom.
+
+    The eye (r, u, f) in the camera's axes sees a corner if least · (corner's f − f) <=
+    corner's r − r <= most · (corner's f − f), and alike upwards.
+    """
+    seen = corners @ camera.axes.T
+    return [
+        float(
+            ((seen[:, axis] - least * seen[:, 2]).min() - (seen[:, axis] - most * seen[:, 2]).max())
+            / (most - least)
+        )
+        for axis, (least, most) in enumerate(_window(camera, viewport))
+    ]
+
+
+def _filled(camera: Camera, viewport: Viewport, corners: Vector) -> float:
+    """Return the pixels of the box's upper side."""
+    x, y, _ = project(camera, viewport, corners[[1, 3, 7, 5]]).T
+    return float(abs((x * np.roll(y, 1) - y * np.roll(x, 1)).sum()) / 2)
+
+
 def top_view(box: tuple[Vector, Vector], viewport: Viewport) -> Camera:
     """Return a view of a box straight down, north up."""
-    return home(box, viewport, pitch=-90.0)
+    return home(box, viewport, heading=0.0, pitch=-90.0)
 
 
 # Motions

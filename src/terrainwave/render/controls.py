@@ -76,7 +76,7 @@ class Controls:
         elif key == "tab":
             self.is_flying = not self.is_flying
         elif key == "home":
-            self.camera = home(box, viewport)
+            self.camera = home(scene.frame.solid_box, viewport)
         elif key == "t":
             self.camera = top_view(box, viewport)
         elif key == "n":

@@ -18,6 +18,9 @@ from terrainwave.grid.affine import IDENTITY, pixels_to_places, samples_to_place
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
+# How far below the lowest height the block's base lies: of the raster's extent; metres.
+_BASE_SHARE, _LEAST_DEPTH = 0.035, 1.0
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -55,6 +58,27 @@ class Frame:
         xy = self.samples_to_local(rows, cols)
         z = np.array(self.heights) * self.metres[2] * self.exaggeration
         return np.array([*xy.min(axis=0), z.min()]), np.array([*xy.max(axis=0), z.max()])
+
+    @property
+    def base(self) -> float:
+        """Return the local z of the plane on which the terrain stands as a block."""
+        low, high = self.box
+        width, length = (high - low)[:2]
+        return float(low[2]) - max(_BASE_SHARE * math.sqrt(width * length), _LEAST_DEPTH)
+
+    @property
+    def solid_box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the box of the terrain and the block under it."""
+        low, high = self.box
+        return np.array([low[0], low[1], self.base]), high
+
+    @property
+    def outline(self) -> NDArray[np.float64]:
+        """Return local x, y of the raster's four corners, in order around it, shape (4, 2)."""
+        n_rows, n_cols = self.shape
+        return self.samples_to_local(
+            np.array([0, 0, n_rows - 1, n_rows - 1]), np.array([0, n_cols - 1, n_cols - 1, 0])
+        )
 
     def samples_to_local(self, rows: NDArray[Any], cols: NDArray[Any]) -> NDArray[np.float64]:
         """Return local x, y of full-grid samples, shape (n, 2)."""

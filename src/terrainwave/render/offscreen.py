@@ -12,6 +12,8 @@ from terrainwave.render.modes import mode_class
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.scene import DEFAULT_MAX_BYTES, Scene
 from terrainwave.render.selection import View
+from terrainwave.render.shaders import SOLID_ALPHA
+from terrainwave.render.solid import build_solid
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -86,7 +88,8 @@ class Offscreen:
         )
         self.store = self.surface.store
         self.scene = Scene(terrain, self.store, mode=mode, **options)
-        self.renderer = Renderer(self.context, self.scene, self.surface, picture)
+        solid = build_solid(terrain, self.scene.frame)
+        self.renderer = Renderer(self.context, self.scene, self.surface, picture, solid)
         self._samples = min(samples, int(self.context.max_samples))
         self._target: Any = None
         self._resolved: Any = None
@@ -186,15 +189,21 @@ class Offscreen:
         return np.frombuffer(data, dtype=np.uint8).reshape(size)[::-1].copy(), frames
 
     def is_blank(self) -> bool:
-        """Say whether the last picture shows nothing but the background. Waits for the GPU."""
-        size = (0, 0, self.viewport.width, self.viewport.height)
-        data = self._resolved.read(size, components=1, attachment=-1, dtype="f4")
-        return bool((np.frombuffer(data, dtype=np.float32) >= 1.0).all())
+        """Say whether the last picture shows no terrain. Waits for the GPU."""
+        return not self._shows_terrain((0, 0, self.viewport.width, self.viewport.height)).any()
+
+    def _shows_terrain(self, part: tuple[int, int, int, int]) -> NDArray[np.bool_]:
+        """Return which pixels of a part of the last picture are terrain; no sky, wall, or hatch."""
+        data = self._resolved.read(part, components=1, attachment=-1, dtype="f4")
+        colors = self._resolved.read(part, components=4, alignment=1)
+        # Where samples of a pixel differ, most of them count.
+        is_data = np.frombuffer(colors, dtype=np.uint8)[3::4] > (255 + SOLID_ALPHA) // 2
+        return (np.frombuffer(data, dtype=np.float32) < 1.0) & is_data
 
     def pick(self, x: float, y: float) -> NDArray[np.float64] | None:
         """Return the place of the last picture's surface under a pixel (y down), local metres.
 
-        None where there is only sky. Waits for the GPU.
+        None where there is only sky, or a wall or hatch, which are no data. Waits for the GPU.
         """
         if self._drawn is None or not (
             0 <= x < self.viewport.width and 0 <= y < self.viewport.height
@@ -204,7 +213,7 @@ class Offscreen:
         place = (int(x), self.viewport.height - 1 - int(y), 1, 1)
         data = self._resolved.read(place, components=1, attachment=-1, dtype="f4")
         depth = float(np.frombuffer(data, dtype=np.float32)[0])
-        if depth >= 1.0:
+        if not self._shows_terrain(place).all():
             return None
         depth = 2 * near * far / (far + near - (2 * depth - 1) * (far - near))
         towards = ray(view.camera, self.viewport, int(x) + 0.5, int(y) + 0.5)
@@ -215,8 +224,10 @@ class Offscreen:
         self.renderer.clear(view, style)
         nodes, n_triangles = [np.empty(0, dtype=np.int32)], 0
         none = np.empty(0)
+        frames = Frames(nodes[0], none, none, none, 0, 0.0, 0)
         for frames in self.scene.parts(view):
-            self.renderer.draw(view, frames, style, clear=False)
+            self.renderer.draw_terrain(view, frames, style)
             nodes.append(frames.nodes)
             n_triangles += frames.n_triangles
+        self.renderer.draw_solid(view, frames, style)
         return Frames(np.concatenate(nodes), none, none, none, n_triangles, 0.0, 0)

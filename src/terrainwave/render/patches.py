@@ -150,7 +150,7 @@ class PatchBuilder:
         tolerance = (
             self._variant_tolerance(variant) / (1 << FRACTION_BITS) * abs(self._scale.per_quantum)
         )
-        return self._terrain.effective_error * self._frame.metres[2] + tolerance
+        return self._terrain.quanta_error * self._frame.metres[2] + tolerance
 
     def _variant_tolerance(self, variant: int) -> int:
         own = max(self._terrain.header.mesh_tolerance, 1 << FRACTION_BITS)
@@ -189,7 +189,7 @@ class PatchBuilder:
         if self._recursive is not None:
             return float(self._recursive[block.level][block.row, block.col])
         if block.level == self._terrain.n_levels - 1:
-            return self._terrain.effective_error
+            return self._terrain.quanta_error
         return self._terrain.block_error(block)
 
     # Patches

@@ -18,9 +18,11 @@ from terrainwave.render.modes.mode import Frames
 from terrainwave.render.offscreen import Offscreen
 
 if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
     from terrainwave.render.style import Style
 
 _MAX_KEYS = 100_000
+_OVERVIEW_SIDE = 257
 
 
 def choose_camera(
@@ -28,8 +30,11 @@ def choose_camera(
     viewport: Viewport,
     camera: str | None = None,
     bounds: Sequence[float] | None = None,
+    heights: tuple[float, float] | None = None,
 ) -> Camera:
     """Return the camera that a line describes, or one that shows bounds (CRS) or everything.
+
+    `heights` are the lowest and highest within `bounds`, in the file's unit.
 
     Raises
     ------
@@ -40,7 +45,7 @@ def choose_camera(
         if bounds is not None:
             raise InvalidArgumentError("found both `camera` and `bounds`, expected one of them")
         return parse_camera(camera, frame)
-    low, high = frame.box
+    low, high = frame.solid_box
     if bounds is not None:
         left, bottom, right, top = bounds
         if not (left < right and bottom < top):
@@ -48,8 +53,32 @@ def choose_camera(
                 f"found `bounds` {tuple(bounds)}, expected left < right and bottom < top"
             )
         ends = frame.to_local(np.array([[left, bottom, 0.0], [right, top, 0.0]]))
+        if heights is not None:
+            low[2], high[2] = np.sort(np.array(heights) * frame.metres[2] * frame.exaggeration)
         low, high = np.array([*ends[0, :2], low[2]]), np.array([*ends[1, :2], high[2]])
     return home((low, high), viewport)
+
+
+def heights_within(terrain: "TerrainFile", bounds: Sequence[float]) -> tuple[float, float]:
+    """Return the lowest and highest height within bounds, physical; of an overview: about.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If the bounds miss the raster, or all within them is void.
+    """
+    level = -1
+    region = terrain.region(bounds=bounds, level=level)
+    while max(region.shape) > _OVERVIEW_SIDE and level > -terrain.n_levels:
+        level -= 1
+        region = terrain.region(bounds=bounds, level=level)
+    # A coarse sample is void only if all around it is.
+    raw, valid = terrain.read_with_mask(tuple(region), level=level, on_error="mask")
+    if not valid.any():
+        raise InvalidHeightsError("the picture would show no terrain: all within `bounds` is void")
+    raster = terrain.raster_info
+    found = raw[valid].astype(np.float64) * raster.scale + raster.offset
+    return float(found.min()), float(found.max())
 
 
 def read_flight(text: str, frame: Frame) -> list[Camera]:

@@ -25,6 +25,8 @@ _MARS = [
 
 RAMPS = {"tints": _TINTS, "cividis": _CIVIDIS, "grey": _MOON, "mars": _MARS}
 N_COLORS = 512
+# Metres below 0 at which the sea's colours end, so that stops ascend.
+_SHORE = 0.1
 
 
 def ramp_colors(name: str, low: float, high: float) -> NDArray[np.uint8]:
@@ -33,12 +35,28 @@ def ramp_colors(name: str, low: float, high: float) -> NDArray[np.uint8]:
     ``tints`` has the sea below 0 where a raster reaches well below it.
     """
     heights = np.linspace(low, high, N_COLORS)
-    if name == "tints" and low < -300 and high > 300:
+    if _has_sea(name, low, high):
         land = _mixed(_TINTS, heights / high)
         sea = _mixed(_SEA, 1 - heights / low)
         return np.where((heights < 0)[:, None], sea, land).astype(np.uint8)
     span = high - low or 1.0
     return _mixed(RAMPS[name], (heights - low) / span).astype(np.uint8)
+
+
+def ramp_stops(name: str, low: float, high: float) -> list[tuple[float, str]]:
+    """Return (height in metres, colour as #rrggbb) between which `ramp_colors` is linear."""
+    if _has_sea(name, low, high):
+        sea = [(low * (1 - share), rgb) for share, *rgb in _SEA[:-1]]
+        stops = [*sea, (-_SHORE, _SEA[-1][1:])]
+        stops += [(high * share, rgb) for share, *rgb in _TINTS]
+    else:
+        span = high - low or 1.0
+        stops = [(low + span * share, rgb) for share, *rgb in RAMPS[name]]
+    return [(height, "#" + bytes(rgb).hex()) for height, rgb in stops]
+
+
+def _has_sea(name: str, low: float, high: float) -> bool:
+    return name == "tints" and low < -300 and high > 300
 
 
 def _mixed(stops: list[tuple[float, int, int, int]], shares: NDArray[np.float64]) -> NDArray:

@@ -13,6 +13,8 @@ from terrainwave.render.modes.mode import Frames
 from terrainwave.render.ramps import N_COLORS, ramp_colors
 from terrainwave.render.scene import Scene
 from terrainwave.render.selection import View
+from terrainwave.render.solid import Solid, distance_to_walls, haze_of
+from terrainwave.render.solid_surface import SolidSurface
 from terrainwave.render.style import COLORINGS, Style
 from terrainwave.render.surface import (
     DRAPE_UNIT,
@@ -24,6 +26,7 @@ from terrainwave.render.surface import (
 
 _CLIP_DISTANCE_0 = 0x3000
 _NEAREST = 1e-5  # of the farthest
+_GROUND_REACH = 0.38  # of the terrain's diagonal
 
 
 class Renderer:
@@ -37,13 +40,20 @@ class Renderer:
         What draws the scene's pieces; released with the renderer.
     drape : Drape, optional
         A picture to lie on the terrain.
+    solid : Solid, optional
+        The block under it.
     """
 
     _HORIZON = (0.80, 0.86, 0.91)
     _ZENITH = (0.30, 0.50, 0.74)
 
     def __init__(
-        self, context: Any, scene: Scene, surface: Surface, drape: Drape | None = None
+        self,
+        context: Any,
+        scene: Scene,
+        surface: Surface,
+        drape: Drape | None = None,
+        solid: Solid | None = None,
     ) -> None:
         self._context = context
         self._scene = scene
@@ -52,6 +62,7 @@ class Renderer:
             vertex_shader=shaders.SKY_VERTEX.strip(), fragment_shader=shaders.SKY_FRAGMENT.strip()
         )
         self._sky_array = context.vertex_array(self._sky, [])
+        self._solid = None if solid is None else SolidSurface(context, solid)
         self._ramp: Any = None
         self._ramp_key: tuple[object, ...] = ()
         self._drape = self._drape_texture(drape)
@@ -98,15 +109,22 @@ class Renderer:
         if style.background is None:
             self._draw_sky(view, style)
 
-    def draw(self, view: View, frames: Frames, style: Style, *, clear: bool = True) -> None:
-        """Draw one frame; `clear` begins with the sky or the background."""
+    def draw(self, view: View, frames: Frames, style: Style) -> None:
+        """Draw one frame: the sky or the background, the terrain, the block under it."""
+        self.clear(view, style)
+        self.draw_terrain(view, frames, style)
+        self.draw_solid(view, frames, style)
+
+    def draw_terrain(self, view: View, frames: Frames, style: Style) -> None:
+        """Draw the terrain, or a part of it, into a picture that has begun."""
         context = self._context
-        if clear:
-            self.clear(view, style)
         self.n_draw_calls = 0
         if not len(frames.nodes):
             return
-        self._set_uniforms(view, frames, style)
+        values = self._shared_uniforms(view, frames, style)
+        set_uniforms(self.surface.program, values | self._terrain_uniforms(frames, style))
+        self._ramp_texture(style).use(RAMP_UNIT)
+        self._drape.use(DRAPE_UNIT)
         context.enable_only(moderngl.DEPTH_TEST)
         clips = range(_CLIP_DISTANCE_0, _CLIP_DISTANCE_0 + self.surface.n_clip_distances)
         for clip in clips:
@@ -117,30 +135,49 @@ class Renderer:
         for clip in clips:
             context.disable_direct(clip)
 
+    def draw_solid(self, view: View, frames: Frames, style: Style) -> None:
+        """Draw walls, floor and lids into a picture that has its terrain."""
+        if self._solid is not None and style.draws_solid:
+            values = self._shared_uniforms(view, frames, style)
+            self._solid.draw(self._scene.frame, view, values)
+
     def depth_range(self, view: View, frames: Frames) -> tuple[float, float]:
         """Return near and far planes that hold all that is drawn."""
-        low, high = self._scene.frame.box
-        corners = np.maximum(np.abs(low - view.camera.eye), np.abs(high - view.camera.eye))
+        frame, eye = self._scene.frame, view.camera.eye
+        low, high = frame.solid_box
+        corners = np.maximum(np.abs(low - eye), np.abs(high - eye))
         far = max(float(np.linalg.norm(corners)) * 1.01, 1.0)
+        nearest = float(frames.distances.min(initial=far))
+        if self._solid is not None:
+            nearest = min(nearest, distance_to_walls(frame, eye))
         # Depth is less than distance, most of all in the corners.
-        nearest = float(frames.distances.min(initial=far)) / slant(view.camera, view.viewport)
+        nearest /= slant(view.camera, view.viewport)
         return max(nearest * 0.9, far * _NEAREST), far
 
-    def _set_uniforms(self, view: View, frames: Frames, style: Style) -> None:
-        scene = self._scene
+    def _shared_uniforms(self, view: View, frames: Frames, style: Style) -> dict[str, Any]:
+        """Return what the terrain's program and that of the block under it have in common."""
         near, far = self.depth_range(view, frames)
         matrix = projection_matrix(view.camera, view.viewport, near, far)
         matrix = matrix @ view_matrix(view.camera)
-        a, b, _, d, e, _ = scene.frame.sample_matrix
-        values = {
+        a, b, _, d, e, _ = self._scene.frame.sample_matrix
+        start, density = haze_of(self._scene.frame, view.camera.eye, style.haze)
+        background = style.background
+        color = self._HORIZON if background is None else tuple(part / 255 for part in background)
+        return {
             "view_projection": tuple(matrix.T.ravel()),
             "sample_axes": (a, b, d, e),
             "z_scale": view.exaggeration,
-            "ramp_range": self._heights(),
             "sun": style.sun_vector,
-            "haze": (*self._HORIZON, self._haze(view, style)),
-            "coloring": COLORINGS[style.coloring],
+            "haze": (*color, density),
+            "haze_start": start,
             "shade": style.shade,
+        }
+
+    def _terrain_uniforms(self, frames: Frames, style: Style) -> dict[str, Any]:
+        scene = self._scene
+        return {
+            "ramp_range": self._heights(),
+            "coloring": COLORINGS[style.coloring],
             "error_range": max(float(scene.table.errors[frames.nodes].max()), 1e-6),
             "ramp": RAMP_UNIT,
             "drape": DRAPE_UNIT,
@@ -148,19 +185,11 @@ class Renderer:
             "drape_share": style.drape if self._has_drape else 0.0,
             "last": (scene.frame.shape[1] - 1.0, scene.frame.shape[0] - 1.0),
         }
-        set_uniforms(self.surface.program, values)
-        self._ramp_texture(style).use(RAMP_UNIT)
-        self._drape.use(DRAPE_UNIT)
-
-    def _haze(self, view: View, style: Style) -> float:
-        """Return the density of haze per metre: thick on the ground, thin from far above."""
-        low, high = self._scene.frame.box
-        # A flat raster of one sample has no size.
-        extent = max(float(np.linalg.norm(high - low)), 1.0)
-        above = max(float(view.camera.eye[2] - high[2]), 0.0)
-        return 3.5 * style.haze / extent / (1 + 10 * above / extent)
 
     def _draw_sky(self, view: View, style: Style) -> None:
+        frame = self._scene.frame
+        low, high = frame.box
+        extent = float(np.linalg.norm((high - low)[:2]))
         tangent = math.tan(math.radians(view.camera.fov) / 2)
         values = {
             "axes": tuple(view.camera.axes.ravel()),
@@ -168,6 +197,12 @@ class Renderer:
             "zenith": self._ZENITH,
             "horizon": self._HORIZON,
             "sun": style.sun_vector,
+            "eye": view.camera.position,
+            "base": frame.base,
+            "box": (low[0], low[1], high[0], high[1]),
+            "extent": extent,
+            "reach": _GROUND_REACH * extent,
+            "has_ground": self._solid is not None and style.draws_solid,
         }
         set_uniforms(self._sky, values)
         self._context.enable_only(moderngl.NOTHING)
@@ -175,4 +210,4 @@ class Renderer:
 
     def release(self) -> None:
         """Free the GPU's memory."""
-        release_all(self.surface, self._ramp, self._drape, self._sky_array, self._sky)
+        release_all(self.surface, self._solid, self._ramp, self._drape, self._sky_array, self._sky)

@@ -61,7 +61,18 @@ void main() {
 """
 )
 
-TERRAIN_FRAGMENT = """
+_HAZE = """
+uniform vec4 haze;          // colour, density per metre
+uniform float haze_start;   // metres from the eye
+
+vec3 hazed(vec3 rgb, vec3 seen) {
+    float away = max(length(seen) - haze_start, 0.0) * haze.w;
+    return mix(haze.rgb, rgb, exp(-away * away));
+}
+"""
+
+TERRAIN_FRAGMENT = (
+    """
 #version 330 core
 in vec3 v_seen;
 in vec2 v_sample;
@@ -79,12 +90,13 @@ uniform vec3 sun;           // unit vector towards it
 uniform float side;
 uniform float z_scale;
 uniform vec4 sample_axes;
-uniform vec4 haze;          // colour, density per metre
 uniform int coloring;       // 0 ramp, 1 level, 2 error, 3 ground, 4 plain, 5 flat
 uniform float shade;        // share of light and shadow
 uniform float error_range;
 out vec4 color;
-
+"""
+    + _HAZE
+    + """
 vec3 wheel(float t) {
     return 0.55 + 0.4 * cos(6.2831853 * (t + vec3(0.0, 0.33, 0.67)));
 }
@@ -139,11 +151,10 @@ void main() {
     vec3 warm = mix(vec3(0.86, 0.92, 1.06), vec3(1.04, 1.0, 0.94), clamp(lit, 0.0, 1.0));
     vec3 rgb = base * light * mix(vec3(1.0), warm, shading);
     if (coloring == 5) rgb = base;
-    float away = length(v_seen) * haze.w;
-    rgb = mix(haze.rgb, rgb, exp(-away * away));
-    color = vec4(rgb, 1.0);
+    color = vec4(hazed(rgb, v_seen), 1.0);
 }
 """
+)
 
 SKY_VERTEX = """
 #version 330 core
@@ -154,6 +165,8 @@ void main() {
 }
 """
 
+# Without depth: the sky and, where there is one, the ground, which fades into haze beside the
+# terrain. The sky begins where the ground ends, not at the horizon: from above both are in view.
 SKY_FRAGMENT = """
 #version 330 core
 in vec2 v_ndc;
@@ -162,14 +175,106 @@ uniform vec2 tangents;
 uniform vec3 zenith;
 uniform vec3 horizon;
 uniform vec3 sun;
+uniform vec3 eye;           // local metres
+uniform float base;         // z of the ground
+uniform vec4 box;           // the terrain's sides: x and y of the lowest and the highest corner
+uniform float reach;        // metres beside the terrain where the ground ends
+uniform float extent;       // metres
+uniform bool has_ground;
 out vec4 color;
+
+const vec3 GROUND = vec3(0.71, 0.70, 0.68);
+
 void main() {
     vec3 ray = normalize(axes * vec3(v_ndc * tangents, 1.0));
-    float up = clamp(ray.z, -0.25, 1.0);
-    vec3 rgb = mix(horizon, zenith, pow(max(up, 0.0), 0.55));
-    rgb = mix(rgb, horizon * 0.86, smoothstep(0.0, 0.25, -up));
+    float height = eye.z - base;
+    float up = ray.z;
+    if (has_ground && height > 0.0) {
+        // Where this way leaves a circle around the ground.
+        vec2 way = normalize(ray.xy + vec2(1e-9, 0.0)), from = eye.xy - (box.xy + box.zw) / 2.0;
+        float radius = length(box.zw - box.xy) / 2.0 + reach;
+        float middle = -dot(from, way);
+        float inside = middle * middle - dot(from, from) + radius * radius;
+        float leaves = max(middle + sqrt(max(inside, 0.0)), height);
+        up += height / length(vec2(height, leaves));
+    }
+    up = clamp(up, -0.25, 1.0);
+    vec3 rgb = mix(horizon, zenith, pow(clamp(up * 2.8, 0.0, 1.0), 0.75));
+    if (!has_ground) rgb = mix(rgb, horizon * 0.86, smoothstep(0.0, 0.25, -up));
     float glow = pow(max(dot(ray, sun), 0.0), 24.0);
     rgb += vec3(0.22, 0.17, 0.09) * glow;
+    if (has_ground && height > 0.0 && ray.z < 0.0) {
+        vec2 place = eye.xy + ray.xy * (height / -ray.z);
+        float beside = length(max(max(box.xy - place, place - box.zw), vec2(0.0)));
+        // Darker at the foot of the block, as if it kept light away.
+        vec3 ground = GROUND * (1.0 - 0.34 * exp(-beside / (0.035 * extent)));
+        rgb = mix(ground, rgb, smoothstep(0.0, reach, beside));
+    }
     color = vec4(rgb, 1.0);
 }
 """
+
+# Walls, floor and lids: see `solid`.
+SOLID_VERTEX = """
+#version 330 core
+in vec2 in_place;           // column, row of the full grid
+in float in_height;         // metres, without exaggeration
+in float in_kind;           // 0 top of a wall, 1 its base, 2 floor, 3 lid
+in vec2 in_normal;          // of walls, outwards
+uniform mat4 view_projection;
+uniform vec4 sample_axes;
+uniform vec3 origin;        // the first sample at z = 0, relative to the eye
+uniform float z_scale;
+uniform float base;         // z of the base relative to the eye
+out vec3 v_seen;
+out vec2 v_normal;
+flat out int v_kind;
+void main() {
+    vec3 seen = origin;
+    seen.x += in_place.x * sample_axes.x + in_place.y * sample_axes.y;
+    seen.y += in_place.x * sample_axes.z + in_place.y * sample_axes.w;
+    seen.z = in_kind == 1.0 || in_kind == 2.0 ? base : seen.z + in_height * z_scale;
+    v_seen = seen;
+    v_normal = in_normal;
+    v_kind = int(in_kind);
+    gl_Position = view_projection * vec4(seen, 1.0);
+}
+"""
+
+# Alpha says what is not data: `Offscreen.pick` leaves it out.
+SOLID_ALPHA = 250
+SOLID_FRAGMENT = (
+    """
+#version 330 core
+in vec3 v_seen;
+in vec2 v_normal;
+flat in int v_kind;
+uniform vec3 sun;
+uniform float base;
+uniform float depth;        // of the base below the lowest height, metres
+uniform float shade;
+uniform float hatch;        // pixels from stripe to stripe
+out vec4 color;
+"""
+    + _HAZE
+    + """
+const vec3 WALL = vec3(0.56, 0.515, 0.465);
+const vec3 GAP = vec3(0.80, 0.80, 0.79), STRIPE = vec3(0.60, 0.60, 0.60);
+
+void main() {
+    vec3 rgb;
+    if (v_kind >= 2) {
+        float across = fract((gl_FragCoord.x + gl_FragCoord.y) / hatch);
+        float soft = 1.0 / hatch;
+        float stripe = smoothstep(0.30 - soft, 0.30 + soft, abs(across - 0.5));
+        rgb = mix(GAP, STRIPE, stripe);
+    } else {
+        float lit = max(dot(v_normal, normalize(sun.xy + vec2(1e-9))), 0.0);
+        float above = clamp((v_seen.z - base) / depth, 0.0, 1.0);
+        float light = mix(1.0, (0.62 + 0.38 * lit) * (0.72 + 0.28 * above), shade);
+        rgb = WALL * light;
+    }
+    color = vec4(hazed(rgb, v_seen), ALPHA);
+}
+""".replace("ALPHA", f"{SOLID_ALPHA / 255}")
+)

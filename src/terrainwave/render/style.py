@@ -31,7 +31,10 @@ class Style:
         Share of the orthophoto where there is one, 0 … 1.
     wireframe : bool
     background : tuple of int, optional
-        Red, green, blue instead of the sky.
+        Red, green, blue instead of the sky and the ground; haze too has this colour.
+    solid : bool
+        Walls at the raster's sides, a floor, and a hatch over voids. Never with ``flat`` and with
+        `wireframe`, which show the mesh alone.
     """
 
     coloring: str = "ground"
@@ -42,6 +45,7 @@ class Style:
     drape: float = 1.0
     wireframe: bool = False
     background: tuple[int, int, int] | None = None
+    solid: bool = True
 
     def __post_init__(self) -> None:
         if self.coloring not in COLORINGS:
@@ -52,6 +56,11 @@ class Style:
             raise InvalidArgumentError(
                 f"found `ramp` {self.ramp!r}, expected one of {', '.join(RAMPS)}"
             )
+
+    @property
+    def draws_solid(self) -> bool:
+        """Say whether walls, floor and lids are drawn."""
+        return self.solid and not self.wireframe and self.coloring != "flat"
 
     @property
     def sun_vector(self) -> tuple[float, float, float]:

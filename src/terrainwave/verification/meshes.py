@@ -7,6 +7,7 @@ and the border lines of blocks whose neighbours have not come yet.
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -119,7 +120,19 @@ class Ruler:
         self.quantum = float(info.quantum)
         # Heights off the grid are rounded to 1/16 quanta here.
         self.slack = 0 if self._is_grid else 1
-        self.coded = math.ceil(terrain.effective_error / self.quantum * _SIXTEENTHS * (1 - _SLACK))
+        self.decoded_slack = 0 if self._is_grid else 1 + self._of_decoded(header)
+        self.coded = math.ceil(terrain.quanta_error / self.quantum * _SIXTEENTHS * (1 - _SLACK))
+
+    def _of_decoded(self, header: Any) -> int:
+        """Return how far decoded heights off the grid are from their quanta, at most.
+
+        By half a float's spacing, which is what `rho` is more than half a quantum; with remainders
+        by all of `rho`.
+        """
+        rounded = Fraction(header.rho) / header.quantum
+        if not header.features:
+            rounded -= Fraction(1, 2)
+        return max(math.ceil(rounded * _SIXTEENTHS), 0)
 
     def sixteenths(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> NDArray[np.int64]:
         """Return raw heights in 1/16 quanta: exact on a true grid, else the nearest."""
@@ -432,7 +445,10 @@ class MeshVerification:
         raw, valid = self._decoded(region)
         tolerance = self._ruler.in_sixteenths(self._terrain.info().mesh_tolerance)
         errors = deviation(
-            surface, self._ruler.sixteenths(raw, valid), valid, tolerance + self._ruler.slack
+            surface,
+            self._ruler.sixteenths(raw, valid),
+            valid,
+            tolerance + self._ruler.decoded_slack,
         )
         if errors.n_beyond:
             yield (
@@ -479,7 +495,7 @@ class MeshVerification:
         if min(self._terrain.shape) < 2 or determinant(self._terrain.raster_info.transform) == 0:
             return  # no area, or no place in the world
         yield None, 0
-        bound, quantum = self._terrain.effective_error, self._ruler.quantum
+        bound, quantum = self._terrain.quanta_error, self._ruler.quantum
         for factor in _FACTORS:
             # With something of the bound left for the mesh.
             yield max(bound * factor, bound + quantum * factor), int(factor == _FACTORS[-1])

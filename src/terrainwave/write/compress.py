@@ -93,8 +93,9 @@ def compress(
         The file to make, whose name ends in ``.twz``; never an existing raster. It appears
         complete or not at all.
     max_error : float, optional
-        Largest allowed error in physical units (after scale and offset); >= 0, closed. By default
-        0 (lossless) where the heights have a vertical quantum and 0.01 where they don't.
+        Largest allowed error in physical units (after scale and offset); >= 0, closed. 0 is
+        lossless, bit by bit. By default 0 where the heights have a vertical quantum and 0.01 where
+        they don't.
     rate : float, optional
         With method cdf53, instead of `max_error`: bits per sample that the file may take. The
         file's bound is then the error that was measured.
@@ -123,7 +124,8 @@ def compress(
         grows with the raster (`mesh.sections.make_sections`).
     mesh_error : float, optional
         Largest vertical distance of the finest meshes from the decoded heights, in physical units;
-        by default what `max_error` guarantees, or the vertical quantum if that is more.
+        by default what `max_error` guarantees, or the vertical quantum if that is more (0.01 for
+        exact heights on no grid).
     temp_dir : path, optional
         Where large temporary data go; by default beside `dst`. With `client` a path or a URL that
         fsspec can write to, seen by all workers.

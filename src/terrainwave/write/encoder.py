@@ -8,6 +8,7 @@ machines. Nothing here depends on the order.
 import threading
 from collections.abc import Callable
 from concurrent.futures import Executor
+from functools import partial
 from typing import NamedTuple, Protocol
 
 from terrainwave.codec.group import encode_unit
@@ -139,7 +140,8 @@ class TreeEncoder:
     ) -> tuple[bytes, Decoded]:
         """Return the payload of a unit and what it decodes to."""
         assert self._refiner is not None
-        return encode_unit(self._refiner, spec, parent, target, mask)
+        rest = partial(self._pyramid.remainders, spec.region) if spec.remainder_bytes else None
+        return encode_unit(self._refiner, spec, parent, target, mask, rest)
 
     def measured(self, region: Region, mask: Mask) -> Mask:
         """Return which samples of a region of the full grid are originals: all valid ones."""

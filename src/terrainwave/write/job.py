@@ -9,19 +9,18 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from terrainwave._version import __version__
-from terrainwave.container.header import Header
+from terrainwave.container.header import HAS_REMAINDERS, Header
 from terrainwave.errors import (
     InvalidHeightsError,
 )
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
-from terrainwave.grid.quantum import HeightScan, Quantizer, as_fraction
-from terrainwave.mesh.blocks import mesh_tolerance
+from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, HeightScan, Quantizer, as_fraction
+from terrainwave.mesh.blocks import default_mesh_error, mesh_tolerance
 from terrainwave.names import Method
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.write.options import Options
 
-DEFAULT_MAX_ERROR = 0.01
 # Heights on no grid are rounded to their range / 2^18 or so before a stream of them is cut.
 _FINE_BITS = 18
 
@@ -87,7 +86,7 @@ class Job:
         if self.options.mesh == "none":
             return 0
         if self.options.mesh_error is None:
-            error = max(Fraction(self.effective_error), Fraction(quantizer.quantum))
+            error = default_mesh_error(quantizer, self.effective_error, scale_of(self.info))
         else:
             error = as_fraction(self.options.mesh_error) / scale_of(self.info)
         return mesh_tolerance(error, Fraction(quantizer.numerator, quantizer.denominator))
@@ -123,6 +122,7 @@ class Job:
             max_error=self.raw_bound,
             effective_bound=min(self.effective_error, self.raw_bound),
             rho=quantizer.rho,
+            features=HAS_REMAINDERS if quantizer.remainder_bytes else 0,
             mesh=options.mesh,
             mesh_tolerance=self.mesh_tolerance,
             metadata={**metadata, "software": f"terrainwave {__version__}"},
@@ -159,7 +159,10 @@ def settled(options: Options, scan: HeightScan, info: RasterInfo) -> tuple[Job, 
         quantizer = _fine_quantizer(scan)
     else:
         bound, notes = _choose_bound(options.max_error, scan, info)
-        quantizer = scan.quantizer(_raw_bound(bound, info))
+        # Tiles code whole levels at once: nothing of theirs could take remainders.
+        quantizer = scan.quantizer(
+            _raw_bound(bound, info), may_have_remainders=not options.coding.is_tiled
+        )
     if options.coding.is_tiled:
         quantizer = _with_room_for_nodata(quantizer, info)
     grid = Grid(info.n_rows, info.n_cols, options.block)
@@ -222,5 +225,5 @@ def _choose_bound(
         ]
     return as_fraction(DEFAULT_MAX_ERROR), [
         f"no --max-error given: {DEFAULT_MAX_ERROR}{unit}, as the heights lie on no vertical grid;"
-        " choose with --max-error E"
+        " choose with --max-error E; 0 keeps every bit"
     ]

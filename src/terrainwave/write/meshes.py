@@ -28,6 +28,7 @@ from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import as_fraction
 from terrainwave.mesh.blocks import (
     Originals,
+    default_mesh_error,
     measure_meshes,
     mesh_codes,
     mesh_tolerance,
@@ -122,11 +123,11 @@ def store_meshes(
 
 def _tolerance(terrain: TerrainFile, mesh_error: float | None) -> int:
     """Return the tolerance of the finest meshes in 1/16 quanta, rounded down."""
-    header = terrain.header
+    header, scale = terrain.header, abs(as_fraction(terrain.raster_info.scale))
     if mesh_error is None:
-        error = max(Fraction(header.effective_bound), header.quantum)
+        error = default_mesh_error(terrain.quantizer, header.effective_bound, scale)
     else:
-        error = as_fraction(mesh_error) / abs(as_fraction(terrain.raster_info.scale))
+        error = as_fraction(mesh_error) / scale
     return mesh_tolerance(error, header.quantum)
 
 

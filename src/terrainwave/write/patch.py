@@ -36,6 +36,7 @@ from terrainwave.errors import BoundViolationError, InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import places_to_pixels
 from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.grid.remainders import Remainders
 from terrainwave.mesh.blocks import measure_meshes, mesh_codes
 from terrainwave.mesh.sections import make_meshes
 from terrainwave.names import METHODS, methods_that
@@ -366,6 +367,10 @@ class _PatchEncoder(TreeEncoder):
         """Say whether a unit decodes to within the bound of the targets."""
         if not np.array_equal(old.mask, mask):
             return False
+        if spec.remainder_bytes:
+            rest = self._pyramid.remainders(spec.region, old.heights)
+            if not _are_same(rest, old.remainders):
+                return False
         own = mask & self._own.mask(spec.level, spec.region)
         if (np.abs(target.astype(np.int64) - old.heights) > spec.half)[own].any():
             return False
@@ -376,6 +381,10 @@ class _PatchEncoder(TreeEncoder):
     def measured(self, region: Region, mask: Mask) -> Mask:
         """Return which samples of a region are known originals."""
         return _inside(self._merged, region, mask)
+
+
+def _are_same(rest: Remainders, stored: Remainders | None) -> bool:
+    return bool((rest == (0 if stored is None else stored)).all())
 
 
 def _inside(merged: _Merged, region: Region, mask: Mask) -> Mask:
@@ -667,6 +676,9 @@ class _Patcher:
         )
         moves = np.abs(after.astype(np.int64) - before)
         is_good = was_valid & is_valid & (moves <= self.moved) | ~was_valid & ~is_valid
+        if self._terrain.quantizer.remainder_bytes:
+            stored, new = (terrain.read_with_mask(region)[0] for terrain in (self._terrain, result))
+            is_good &= (stored == new) | ~is_valid
         is_good |= _inside(self._merged, region, np.ones(region.shape, dtype=np.bool_))
         if not is_good.all():
             row, col = np.argwhere(~is_good)[0] + (region.row, region.col)

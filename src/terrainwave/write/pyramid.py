@@ -31,6 +31,7 @@ from terrainwave.coding.lifting53 import lowpass_window
 from terrainwave.grid.convert import UNKNOWN, push
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.quantum import Quantizer
+from terrainwave.grid.remainders import Remainders, remainders
 from terrainwave.raster_io.temporary import Spool
 
 TILE = 512  # samples per side of the windows in which levels are made
@@ -250,6 +251,11 @@ class Pyramid:
         """Return quanta and validity of the full grid, 0 in voids."""
         raw, valid = self._source.read(*region)
         return self._quantizer.quantize(raw, valid), valid
+
+    def remainders(self, region: Region, quanta: Heights) -> Remainders:
+        """Return what decoded heights of the full grid leave of the originals; 0 in voids."""
+        raw, valid = self._source.read(*region)
+        return remainders(raw, valid, self._quantizer.dequantize(quanta))
 
     def _level_shifts(self) -> range:
         return range(self._first + 1, self._last + 1)

@@ -7,8 +7,10 @@ them decode at a time and as many again as `N_WAITING` wait, the rest are told t
 import hashlib
 import logging
 import re
+import warnings
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import ExitStack, asynccontextmanager
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,11 +19,19 @@ from anyio import CapacityLimiter, to_thread
 from fastapi import FastAPI, HTTPException, Query, Request, Response
 from fastapi.middleware.cors import CORSMiddleware
 from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
+from fastapi.routing import APIRoute
 from fastapi.staticfiles import StaticFiles
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from terrainwave._version import __version__
-from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
+from terrainwave.arguments import in_one_line
+from terrainwave.cache import Cache
+from terrainwave.errors import (
+    CorruptStreamError,
+    InvalidHeightsError,
+    TerrainwaveError,
+    TerrainwaveWarning,
+)
 from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
 from terrainwave.ext.serve.ranges import Span, asked_span
 from terrainwave.file import TerrainFile
@@ -29,13 +39,25 @@ from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.cesium import MAX_ZOOM as LAST_MESH_ZOOM
 from terrainwave.globe.cesium import TilePyramid
 from terrainwave.globe.lonlat import Globe
+from terrainwave.render.ramps import RAMPS, ramp_stops
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 N_WAITING = 64
 # Bytes of a GeoTIFF that are made at a time.
 _PART = 2 << 20
+# Tiles of a file that are kept: the page asks for the heights and the voids of one place.
+_N_TILES = 32
+# Names of tags that say where data are from, and whose they are.
+_ORIGIN = re.compile(
+    r"licen[cs]e|^lic$|copyright|rights|attribution|credit|source|author|artist|provider"
+    r"|publisher|producer|citation|doi|sensor|organi[sz]ation",
+    re.IGNORECASE,
+)
+_N_TAGS, _LONGEST_TAG = 8, 400
 _STATIC = Path(__file__).parent / "static"
 _log = logging.getLogger(__name__)
+
+Rim = Annotated[int, Query(ge=0, le=tiling.MAX_RIM)]
 
 # A page may use what comes with it and nothing else; workers of the map are blobs.
 _CONTENT_POLICY = (
@@ -90,10 +112,28 @@ class Layer:
             stack.pop_all()
         self.info = self.globe.terrain.info()
         self.geotiff = VirtualGeoTIFF(self.globe.terrain)
+        self._rgb_tiles: Cache[tuple[int, ...], tiling.RgbTile] = Cache(_N_TILES)
         self.tag = hashlib.sha256(repr((name, self.info.n_bytes, self.info)).encode()).hexdigest()
 
+    def rgb_tile(self, z: int, x: int, y: int, rim: int) -> tiling.RgbTile | None:
+        """Return a terrain-RGB tile; those asked for last are kept, for their voids."""
+        tile = self._rgb_tiles.get((z, x, y, rim))
+        if tile is None:
+            tile = tiling.rgb_tile(self.globe, z, x, y, rim)
+            if tile is not None:
+                self._rgb_tiles.put((z, x, y, rim), tile)
+        return tile
+
+    def covering(self, z: int, x: int, y: int, rim: int, color: str) -> bytes | None:
+        """Return the PNG that paints a tile's voids; None if it has none or nothing else."""
+        tile = self.rgb_tile(z, x, y, rim)
+        if tile is None or not tile.voids.any():
+            return None
+        red, green, blue = bytes.fromhex(color)
+        return tiling.cover_tile(tile.voids, (red, green, blue))
+
     def describe(self) -> dict[str, object]:
-        """Describe the file for the page; no path."""
+        """Describe the file for the page; no path. Its tags may hold any text."""
         info, (lowest, highest) = self.info, self.globe.height_range
         return {
             "name": self.name,
@@ -107,8 +147,19 @@ class Layer:
             "columns": info.n_cols,
             "bits_per_sample": info.bits_per_sample,
             "method": info.method,
+            "ramps": {name: ramp_stops(name, lowest, highest) for name in RAMPS},
+            "origin": origin_of({**info.tags, **info.band_tags}),
             "version": __version__,
         }
+
+
+def origin_of(tags: dict[str, str]) -> dict[str, str]:
+    """Return the tags that say whose data it is: a few, each a line that is not too long."""
+    told = {name: text for name, text in tags.items() if text and _ORIGIN.search(name)}
+    return {
+        in_one_line(name)[:_LONGEST_TAG]: in_one_line(text)[:_LONGEST_TAG]
+        for name, text in islice(told.items(), _N_TAGS)
+    }
 
 
 def layer_names(paths: list[str]) -> dict[str, str]:
@@ -129,6 +180,44 @@ def layer_names(paths: list[str]) -> dict[str, str]:
             )
         names[name] = path
     return names
+
+
+def open_layers(paths: list[str], radius: float | None) -> dict[str, Layer]:
+    """Return {name in URLs: file} of what can be served; a warning names each file that cannot.
+
+    Raises
+    ------
+    TerrainwaveError
+        What is wrong with the first file, if none can be served.
+    InvalidHeightsError
+        If two files have the same name.
+    """
+    layers: dict[str, Layer] = {}
+    refused: list[TerrainwaveError] = []
+    with ExitStack() as opened:
+        for name, path in layer_names(paths).items():
+            try:
+                layers[name] = Layer(name, path, radius)
+            except TerrainwaveError as error:
+                refused.append(error)
+                continue
+            opened.enter_context(layers[name].globe.terrain)
+        if refused and not layers:
+            raise refused[0]
+        opened.pop_all()
+    for reason in refused:
+        warnings.warn(TerrainwaveWarning(f"not served: {reason}"), stacklevel=3)
+    return layers
+
+
+class _Route(APIRoute):
+    """A route that answers HEAD wherever it answers GET (RFC 9110, 9.1); the server cuts bodies."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        methods: set[str] = self.methods or set()
+        if "GET" in methods:
+            self.methods = methods | {"HEAD"}
 
 
 def make_app(
@@ -157,24 +246,25 @@ def make_app(
     Raises
     ------
     InvalidHeightsError
-        If two files have the same name or one has no place on the globe.
+        If two files have the same name or none has a place on the globe.
+    TerrainwaveError
+        If no file can be opened; one that cannot beside others is a warning.
     """
     desk = Desk(n_decoding)
-    layers: dict[str, Layer] = {}
-    with ExitStack() as opened:
-        for name, path in layer_names(paths).items():
-            layers[name] = Layer(name, path, radius)
-            opened.enter_context(layers[name].globe.terrain)
-        close = opened.pop_all().close
+    layers = open_layers(paths, radius)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> Any:
-        yield
-        close()
+        with ExitStack() as opened:
+            for layer in layers.values():
+                opened.enter_context(layer.globe.terrain)
+            yield
 
     app = FastAPI(
         title="terrainwave", lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None
     )
+    app.router.route_class = _Route
+    app.state.layers = layers
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[*LOCAL_HOSTS, *hosts])
     if cors:
         app.add_middleware(
@@ -225,22 +315,42 @@ def make_app(
         return [layer.describe() for layer in layers.values()]
 
     @app.get("/{name}/tiles.json")
-    def tiles(request: Request, name: str) -> dict[str, object]:
+    def tiles(request: Request, name: str, rim: Rim = 0) -> dict[str, object]:
         layer = find(name)
-        base = str(request.base_url)
-        return tiling.tile_json(layer.globe, f"{base}{name}/rgb/{{z}}/{{x}}/{{y}}.png", name)
+        url = f"{request.base_url}{name}/rgb/{{z}}/{{x}}/{{y}}.png"
+        return tiling.tile_json(layer.globe, f"{url}?rim={rim}" if rim else url, name)
 
     @app.get("/{name}/rgb/{z}/{x}/{y}.png")
-    async def rgb(request: Request, name: str, z: int, x: int, y: int) -> Response:
+    async def rgb(request: Request, name: str, z: int, x: int, y: int, rim: Rim = 0) -> Response:
         layer = find(name)
         check_tile(z, x, y, tiling.MAX_ZOOM)
         headers = tagged(request, layer)
-        tile = await desk.do(tiling.rgb_tile, layer.globe, z, x, y)
+        tile = await desk.do(layer.rgb_tile, z, x, y, rim)
+        if tile is None and rim:
+            return Response(tiling.void_tile(layer.globe), media_type="image/png", headers=headers)
         if tile is None:
             return Response(status_code=204, headers=headers)
         headers["X-Tile-Error"] = f"{tile.error:.3f}"
         headers["X-Terrain-Error"] = f"{tile.terrain_error:.3f}"
         return Response(tile.png, media_type="image/png", headers=headers)
+
+    @app.get("/{name}/voids/{z}/{x}/{y}.png")
+    async def voids(
+        request: Request,
+        name: str,
+        z: int,
+        x: int,
+        y: int,
+        color: Annotated[str, Query(pattern="^[0-9A-Fa-f]{6}$")],
+        rim: Rim = 0,
+    ) -> Response:
+        layer = find(name)
+        check_tile(z, x, y, tiling.MAX_ZOOM)
+        headers = tagged(request, layer)
+        png = await desk.do(layer.covering, z, x, y, rim, color)
+        if png is None:
+            return Response(status_code=204, headers=headers)
+        return Response(png, media_type="image/png", headers=headers)
 
     @app.get("/{name}/mesh/layer.json")
     async def layer_json(name: str) -> dict[str, Any]:
@@ -259,23 +369,39 @@ def make_app(
             headers["X-Terrain-Error"] = f"{tile.error - tile.surface_error:.3f}"
         return Response(tile.data, media_type="application/vnd.quantized-mesh", headers=headers)
 
-    @app.api_route("/{name}.tif", methods=["GET", "HEAD"])
+    @app.get("/{name}.tif")
     async def geotiff(request: Request, name: str) -> Response:
         layer = find(name)
-        headers = tagged(request, layer)
         size = await desk.do(lambda: layer.geotiff.size)
+        headers = tagged(request, layer)
+        return await send(request, headers, "image/tiff", size, layer.geotiff.read_at)
+
+    @app.get("/{name}.twz")
+    async def file(request: Request, name: str) -> Response:
+        layer = find(name)
+        source = layer.globe.terrain.container.source
+        media_type = "application/octet-stream"
+        return await send(request, tagged(request, layer), media_type, source.size, source.read)
+
+    async def send(
+        request: Request,
+        headers: dict[str, str],
+        media_type: str,
+        size: int,
+        read: Callable[[int, int], bytes],
+    ) -> Response:
+        """Return the bytes that are asked for of a resource, or what HEAD wants to know."""
         span = asked_span(request.headers, size, headers["ETag"])
         if span is None:
             return Response(status_code=416, headers=headers | {"Content-Range": f"bytes */{size}"})
         headers |= span.headers
-        status, media_type = 206 if span.is_part else 200, "image/tiff"
+        status = 206 if span.is_part else 200
         if request.method == "HEAD":
             return Response(status_code=status, headers=headers, media_type=media_type)
         if span.stop - span.start <= _PART:
-            body = await desk.do(layer.geotiff.read_at, span.start, span.stop - span.start)
+            body = await desk.do(read, span.start, span.stop - span.start)
             return Response(body, status, headers, media_type)
-        parts = _parts(desk, layer.geotiff, span)
-        return StreamingResponse(parts, status, headers, media_type)
+        return StreamingResponse(_parts(desk, read, span), status, headers, media_type)
 
     @app.get("/{name}/height")
     async def height(
@@ -290,10 +416,10 @@ def make_app(
     return app
 
 
-async def _parts(desk: Desk, geotiff: VirtualGeoTIFF, span: Span) -> AsyncIterator[bytes]:
+async def _parts(desk: Desk, read: Callable[[int, int], bytes], span: Span) -> AsyncIterator[bytes]:
     """Yield the bytes of a span, so many at a time that none of them takes long."""
     for start in range(span.start, span.stop, _PART):
-        yield await desk.do(geotiff.read_at, start, min(_PART, span.stop - start))
+        yield await desk.do(read, start, min(_PART, span.stop - start))
 
 
 def check_tile(z: int, x: int, y: int, last_zoom: int, n_first: int = 1) -> None:

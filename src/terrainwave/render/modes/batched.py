@@ -220,7 +220,7 @@ class Batched(BoundedMode):
             count(heights.size)
             low, high = [np.inf], [-np.inf]
         known = vertices[~np.isnan(vertices)]
-        bound = self.terrain.effective_error * self.frame.metres[2]
+        bound = self.terrain.quanta_error * self.frame.metres[2]
         levels.errors[level][row, col] += bound
         levels.low[level][row, col] = min(*low, known.min(initial=np.inf) - bound, np.inf)
         levels.high[level][row, col] = max(*high, known.max(initial=-np.inf) + bound, -np.inf)

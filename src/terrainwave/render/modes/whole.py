@@ -137,7 +137,7 @@ class WholeMode(Mode):
     def base_error(self) -> float:
         """Return the largest distance of originals from the level's samples, metres."""
         terrain = self.terrain
-        error = terrain.effective_error
+        error = terrain.quanta_error
         if self.level < terrain.n_levels - 1:
             error = self._largest_error(self.level)
         largest = max(abs(height) for height in self.frame.heights)

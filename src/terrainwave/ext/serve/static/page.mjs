@@ -1,78 +1,151 @@
 // The page of `terrainwave serve`: MapLibre over the terrain-RGB tiles of one file at a time.
+//
+// `state` is what the page shows. Each terrain that is shown is a new generation: what was asked
+// for an earlier one (styles, heights) is dropped when it comes.
 import { Map, NavigationControl, ScaleControl } from "./maplibre/maplibre-gl.mjs";
+import { gradientOf, reliefOf, ticksOf, written } from "./colours.mjs";
+import { copyable } from "./copying.mjs";
+import * as permalink from "./permalink.mjs";
 
-// Hypsometric tints, from the lowest to the highest height of the file.
-const TINTS = [
-  [0.0, "#3f6b4f"],
-  [0.2, "#7f9a5c"],
-  [0.42, "#cdbb84"],
-  [0.65, "#a97c55"],
-  [0.85, "#8d7a72"],
-  [1.0, "#f4f4f2"],
-];
 const PITCH = 62;
 const DEGREES_PER_SECOND = 6;
+const GROUND = "#dbe4e8";
+const PLAIN = "#cfc8b8"; // terrain without colours by height
+// Pixels by which tiles go on beyond the terrain, under the paint of its voids: the mesh of the map
+// has a vertex at each second pixel, which reads its neighbours.
+const RIM = 4;
+// Of the terrain's size: how far beyond its edges tiles are asked for, because of the rim.
+const AROUND = 0.02;
+const MILLISECONDS_BETWEEN_HEIGHTS = 80;
 
 const element = (id) => document.getElementById(id);
-const terrains = await (await fetch("terrains.json")).json();
-for (const terrain of terrains) {
-  element("terrain").append(new Option(terrain.name, terrain.name));
-}
-element("terrain").hidden = terrains.length < 2;
+const isNarrow = window.matchMedia("(max-width: 600px)").matches;
+const state = { terrain: null, times: 1, colours: "tints", shaded: true };
+let terrains = [];
+let map = null;
+let generation = 0; // of the terrain that is shown
+let styled = 0; // the generation whose style the map has
 
-const map = new Map({
-  container: "map",
-  style: { version: 8, sources: {}, layers: [] },
-  maxPitch: 80,
-  attributionControl: { customAttribution: "terrainwave" },
-});
-map.addControl(new NavigationControl({ visualizePitch: true }), "top-right");
-map.addControl(new ScaleControl(), "bottom-right");
+// What the page says of itself: waiting, complete or failed.
 
-let shown = terrains[0];
-
-function tints({ lowest, highest }) {
-  const range = Math.max(highest - lowest, 1);
-  return ["interpolate", ["linear"], ["elevation"],
-    lowest - 0.5, "rgba(0, 0, 0, 0)", // voids are 1 m below
-    ...TINTS.flatMap(([share, color]) => [lowest + share * range, color])];
+function tell(condition, message = "") {
+  document.body.dataset.state = condition;
+  element("message").textContent = message;
+  element("again").hidden = condition !== "failed";
+  element("map").ariaBusy = String(condition === "waiting");
 }
 
-function styleOf(terrain) {
-  const source = () => ({
-    type: "raster-dem",
-    url: new URL(`${terrain.name}/tiles.json`, document.baseURI).href,
-    encoding: "mapbox",
-    tileSize: 256,
+function wait() {
+  if (document.body.dataset.state === "complete") tell("waiting", "Loading terrain …");
+}
+
+function check({ type }) {
+  if (document.body.dataset.state === "failed" || styled !== generation) return;
+  if (!map.areTilesLoaded()) wait();
+  else if (type === "idle" || flying) tell("complete");
+}
+
+function fail({ error }) {
+  if (error?.name === "AbortError") return;
+  tell("failed", error?.status
+    ? `Part of this terrain could not be loaded: the server answered ${error.status}.`
+    : `Part of this terrain could not be loaded: ${error?.message ?? "no reason is known"}`);
+}
+
+// The map.
+
+function boundsWithRim([west, south, east, north]) {
+  const [wide, high] = [AROUND * (east - west), AROUND * (north - south)];
+  const turns = west - wide < -180 || east + wide > 180; // bounds end there: go all the way round
+  return [turns ? -180 : west - wide, Math.max(south - high, -85.0511),
+    turns ? 180 : east + wide, Math.min(north + high, 85.0511)];
+}
+
+function styleOf({ terrain, times, shaded }) {
+  const url = (kind, query) => new URL(
+    `${terrain.name}/${kind}/{z}/{x}/{y}.png?rim=${RIM}${query}`, document.baseURI,
+  ).href.replaceAll("%7B", "{").replaceAll("%7D", "}");
+  const tiles = { tileSize: 256, bounds: boundsWithRim(terrain.bounds), maxzoom: terrain.maxzoom };
+  const heights = () => ({
+    type: "raster-dem", encoding: "mapbox", tiles: [url("rgb", "")], ...tiles,
   });
+  const paint = `&color=${GROUND.slice(1)}`;
   return {
     version: 8,
+    metadata: { generation },
     // Two sources of the same tiles: shading wants its own, so that it keeps its sharpness.
-    sources: { heights: source(), shading: source() },
+    sources: {
+      heights: heights(),
+      shading: heights(),
+      voids: { type: "raster", tiles: [url("voids", paint)], ...tiles },
+    },
     sky: { "sky-color": "#8fb7dc", "horizon-color": "#dfe9f0", "fog-color": "#dfe9f0" },
-    terrain: { source: "heights", exaggeration: Number(element("exaggeration").value) },
+    terrain: { source: "heights", exaggeration: times },
     layers: [
-      { id: "ground", type: "background", paint: { "background-color": "#dbe4e8" } },
+      { id: "ground", type: "background", paint: { "background-color": GROUND } },
       {
         id: "tints", type: "color-relief", source: "shading",
-        paint: { "color-relief-color": tints(terrain) },
+        paint: { "color-relief-color": reliefOf(stopsOf(state)) },
       },
       {
         id: "shading", type: "hillshade", source: "shading",
+        layout: { visibility: shaded ? "visible" : "none" },
         paint: { "hillshade-exaggeration": 0.55, "hillshade-shadow-color": "#20303c" },
       },
+      { id: "voids", type: "raster", source: "voids", paint: { "raster-fade-duration": 0 } },
     ],
   };
 }
 
-function home(terrain) {
-  const [west, south, east, north] = terrain.bounds;
-  map.fitBounds([[west, Math.max(south, -85)], [east, Math.min(north, 85)]],
-    { pitch: east - west > 90 ? 0 : PITCH, bearing: 0, animate: false, padding: 20 });
+function stopsOf({ terrain, colours }) {
+  return terrain.ramps[colours] ?? [[terrain.lowest, PLAIN], [terrain.lowest + 1, PLAIN]];
 }
 
+/** Give the map what of `state` can change while a terrain is shown. */
+function apply() {
+  element("times").value = state.times;
+  element("factor").value = state.times.toFixed(1);
+  element("colours").value = state.colours;
+  element("shaded").checked = state.shaded;
+  element("light").hidden = !state.shaded;
+  showLegend();
+  if (styled === generation) { // otherwise the style on its way gets it
+    map.setTerrain({ source: "heights", exaggeration: state.times });
+    map.setPaintProperty("tints", "color-relief-color", reliefOf(stopsOf(state)));
+    map.setLayoutProperty("shading", "visibility", state.shaded ? "visible" : "none");
+  }
+  keepPermalink();
+}
+
+function show(terrain, view) {
+  generation += 1;
+  state.terrain = terrain;
+  askedHeight.abort();
+  element("place").textContent = "Point at the terrain for a height.";
+  element("terrain").value = terrain.name;
+  document.title = `${terrain.name} – terrainwave`;
+  describe(terrain);
+  tell("waiting", "Loading terrain …");
+  map.setStyle(styleOf(state), { diff: false });
+  if (view) map.jumpTo(view);
+  else home(terrain);
+  apply();
+}
+
+function home(terrain) {
+  const [west, south, east, north] = terrain.bounds;
+  // Beside the panel where there is room for it.
+  const left = isNarrow || !element("panel").open ? 20 : 280;
+  map.fitBounds([[west, Math.max(south, -85)], [east, Math.min(north, 85)]], {
+    pitch: east - west > 90 ? 0 : PITCH, bearing: 0, animate: false,
+    padding: { left, right: isNarrow ? 20 : 60, top: 50, bottom: isNarrow ? 80 : 30 },
+  });
+}
+
+// The panel. Texts of files are untrusted: they are set as text, never as HTML.
+
 function describe(terrain) {
-  const error = terrain.error.toPrecision(3).replace(/\.?0+$/, "");
+  const error = Number(terrain.error.toPrecision(3));
   const strong = document.createElement("strong");
   strong.textContent = `± ${error} m`;
   element("about").replaceChildren(
@@ -81,14 +154,105 @@ function describe(terrain) {
     strong,
     " of the original.",
   );
+  element("tags").replaceChildren(...Object.entries(terrain.origin).flatMap(([name, text]) => {
+    const [term, told] = [document.createElement("dt"), document.createElement("dd")];
+    term.textContent = name;
+    told.textContent = text;
+    return [term, told];
+  }));
+  element("origin").hidden = !Object.keys(terrain.origin).length;
+  const at = (path) => new URL(`${terrain.name}${path}`, document.baseURI).href;
+  element("addresses").replaceChildren(
+    copyable("This view", location.href),
+    copyable("Tiles, TileJSON: MapLibre", at("/tiles.json")),
+    copyable("Tiles, XYZ: terrain-RGB", `${at("/rgb/")}{z}/{x}/{y}.png`),
+    copyable("Tiles, quantized mesh: CesiumJS", at("/mesh")),
+    copyable("GeoTIFF: QGIS, GDAL after /vsicurl/", at(".tif")),
+    copyable("The file: terrainwave.open", at(".twz")),
+  );
 }
 
-function show(terrain) {
-  shown = terrain;
-  describe(terrain);
-  map.setStyle(styleOf(terrain), { diff: false });
-  home(terrain);
+function showLegend() {
+  const stops = state.terrain.ramps[state.colours];
+  element("legend").hidden = !stops;
+  if (!stops) return;
+  const [low, high] = [stops[0][0], stops.at(-1)[0]];
+  element("bar").style.background = gradientOf(stops);
+  element("ticks").replaceChildren(...ticksOf(low, high).map((height) => {
+    const tick = document.createElement("span");
+    tick.textContent = written(height, high - low);
+    tick.style.left = `${100 * (height - low) / (high - low)}%`;
+    return tick;
+  }));
 }
+
+// The address of this view.
+
+let keeping = 0;
+
+function keepPermalink() {
+  clearTimeout(keeping);
+  keeping = setTimeout(() => {
+    history.replaceState(null, "", permalink.write(state, map));
+    const field = element("addresses").querySelector("input");
+    if (field) field.value = location.href;
+  }, 200);
+}
+
+function followPermalink() {
+  const { terrain: name, view, times, colours, shaded } = permalink.read(location.hash);
+  const isColours = colours !== undefined
+    && [...element("colours").options].some(({ value }) => value === colours);
+  if (times !== undefined) state.times = times;
+  if (isColours) state.colours = colours;
+  if (shaded !== undefined) state.shaded = shaded;
+  const terrain = terrains.find((one) => one.name === name) ?? state.terrain ?? terrains[0];
+  if (terrain !== state.terrain) {
+    show(terrain, view);
+  } else {
+    if (view) map.jumpTo(view);
+    apply();
+  }
+}
+
+// The height under the cursor, at a touch, or in the middle when keys move the map.
+
+let askedHeight = new AbortController();
+let lastAsked = 0;
+let laterHeight = 0;
+
+function askHeightSoon(place) {
+  clearTimeout(laterHeight);
+  const left = lastAsked + MILLISECONDS_BETWEEN_HEIGHTS - performance.now();
+  laterHeight = setTimeout(() => askHeight(place), Math.max(left, 0));
+}
+
+async function askHeight(lngLat, what = "") {
+  const { lng, lat } = lngLat.wrap();
+  const { terrain } = state;
+  clearTimeout(laterHeight);
+  askedHeight.abort();
+  askedHeight = new AbortController();
+  const { signal } = askedHeight;
+  lastAsked = performance.now();
+  let told = "no answer from the server";
+  try {
+    const answer = await fetch(`${terrain.name}/height?lon=${lng}&lat=${lat}`, { signal });
+    if (answer.ok) {
+      const { height, max_error: error } = await answer.json();
+      told = height === null ? "no height here"
+        : `${height.toFixed(2)} m (± ${Number(error.toPrecision(3))} m)`;
+    }
+  } catch { /* said below, or aborted */ }
+  if (signal.aborted) return;
+  element("place").textContent = `${what}${degrees(lat, "N", "S")}, ${degrees(lng, "E", "W")}: ${told}`;
+}
+
+function degrees(angle, positive, negative) {
+  return `${Math.abs(angle).toFixed(5)}° ${angle < 0 ? negative : positive}`;
+}
+
+// Flying round.
 
 let flying = false;
 let last = 0;
@@ -100,28 +264,69 @@ function turn(now) {
   requestAnimationFrame(turn);
 }
 
-element("fly").addEventListener("click", () => {
+function fly() {
   flying = !flying;
   element("fly").textContent = flying ? "Stop" : "Fly round";
+  element("fly").ariaPressed = String(flying);
   last = performance.now();
   requestAnimationFrame(turn);
-});
-element("home").addEventListener("click", () => home(shown));
-element("exaggeration").addEventListener("input", ({ target }) => {
-  element("factor").value = Number(target.value).toFixed(1);
-  map.setTerrain({ source: "heights", exaggeration: Number(target.value) });
-});
-element("terrain").addEventListener("change", ({ target }) => {
-  show(terrains.find(({ name }) => name === target.value));
-});
-map.on("click", async ({ lngLat }) => {
-  const { lng, lat } = lngLat.wrap();
-  const answer = await fetch(`${shown.name}/height?lon=${lng}&lat=${lat}`);
-  const { height, max_error: error } = await answer.json();
-  element("place").textContent = height === null
-    ? `${lng.toFixed(5)}, ${lat.toFixed(5)}: no height`
-    : `${lng.toFixed(5)}, ${lat.toFixed(5)}: ${height.toFixed(2)} m (± ${error.toPrecision(3)} m)`;
-});
+}
 
-show(shown);
-window.terrainMap = map; // for the curious and for tests; #map is a window property already
+function connect() {
+  map.on("style.load", () => {
+    styled = map.getStyle().metadata?.generation ?? 0;
+    if (styled === generation) apply();
+  });
+  map.on("error", fail);
+  for (const event of ["render", "idle", "sourcedataloading"]) map.on(event, check);
+  map.on("moveend", ({ originalEvent }) => {
+    keepPermalink();
+    if (originalEvent?.type === "keydown") askHeight(map.getCenter(), "Middle: ");
+  });
+  map.on("mousemove", ({ lngLat }) => askHeightSoon(lngLat));
+  map.on("click", ({ lngLat }) => askHeight(lngLat));
+  element("fly").addEventListener("click", fly);
+  element("home").addEventListener("click", () => home(state.terrain));
+  element("again").addEventListener("click", () => show(state.terrain, {}));
+  element("times").addEventListener("input", ({ target }) => {
+    state.times = Number(target.value);
+    apply();
+  });
+  element("colours").addEventListener("change", ({ target }) => {
+    state.colours = target.value;
+    apply();
+  });
+  element("shaded").addEventListener("change", ({ target }) => {
+    state.shaded = target.checked;
+    apply();
+  });
+  element("terrain").addEventListener("change", ({ target }) => {
+    show(terrains.find(({ name }) => name === target.value));
+  });
+  window.addEventListener("hashchange", followPermalink);
+}
+
+async function start() {
+  element("panel").open = !isNarrow;
+  const answer = await fetch("terrains.json");
+  if (!answer.ok) throw new Error(`the server answered ${answer.status}`);
+  terrains = await answer.json();
+  element("terrain").replaceChildren(...terrains.map(({ name }) => new Option(name, name)));
+  element("terrain").hidden = terrains.length < 2;
+  map = new Map({
+    container: "map",
+    style: { version: 8, sources: {}, layers: [] },
+    maxPitch: 80,
+    attributionControl: { customAttribution: "terrainwave", compact: isNarrow },
+  });
+  map.addControl(new NavigationControl({ visualizePitch: true }), "top-right");
+  map.addControl(new ScaleControl(), "bottom-right");
+  connect();
+  followPermalink();
+  window.terrainMap = map; // for the curious and for tests; #map is a window property already
+}
+
+start().catch((error) => {
+  tell("failed", `The terrain cannot be shown: ${error.message}`);
+  element("again").onclick = () => location.reload();
+});

@@ -1,0 +1,40 @@
+// Colours by height: what MapLibre is told, and the legend.
+
+// The lowest height that a terrain-RGB tile can hold, in metres.
+const LOWEST = -10000;
+const N_TICKS = 4;
+// Of the legend's length: ticks nearer to an end than this would cover its label.
+const NEAR_END = 0.17;
+
+/** Return a color-relief-color expression of [[height, colour], …], heights ascending. */
+export function reliefOf(stops) {
+  const first = Math.max(stops.findLastIndex(([height]) => height <= LOWEST), 0);
+  const held = stops.slice(first).map(([height, colour]) => [Math.max(height, LOWEST), colour]);
+  return ["interpolate", ["linear"], ["elevation"], ...held.flat()];
+}
+
+/** Return a CSS gradient of the same stops, from left to right. */
+export function gradientOf(stops) {
+  const [low, high] = [stops[0][0], stops.at(-1)[0]];
+  const places = stops.map(([height, colour]) => `${colour} ${100 * (height - low) / (high - low)}%`);
+  return `linear-gradient(to right, ${places.join(", ")})`;
+}
+
+/** Return the heights that a legend from `low` to `high` names, ascending. */
+export function ticksOf(low, high) {
+  const wanted = (high - low) / N_TICKS;
+  const power = 10 ** Math.floor(Math.log10(wanted));
+  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= wanted);
+  const ticks = [];
+  for (let height = Math.ceil(low / step) * step; height < high; height += step) {
+    const share = (height - low) / (high - low);
+    if (share > NEAR_END && share < 1 - NEAR_END) ticks.push(height);
+  }
+  return [low, ...ticks, high];
+}
+
+/** Return a height as a legend writes it: no more digits than tell the ends apart. */
+export function written(height, range) {
+  const digits = Math.min(Math.max(1 - Math.floor(Math.log10(range || 1)), 0), 3);
+  return `${height.toFixed(digits).replace(/^-0(\.0*)?$/, "0")} m`;
+}
