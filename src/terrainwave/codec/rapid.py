@@ -62,12 +62,30 @@ _LIMIT32 = (1 << 31) - 64
 _MOST_NARROW_STEP = 1 << 24
 
 
+class _Logs:
+    """What an encoder logs of a unit before it knows what comes first."""
+
+    def __init__(self, n: int) -> None:
+        self.raw = np.zeros(2 * n + SPARE_BITS // 32, dtype=np.uint32)
+        self.contexts = np.empty(n, dtype=np.uint8)
+        self.symbols = np.empty(n, dtype=np.uint8)
+        self.words = np.empty(n, dtype=np.uint16)
+
+
 class _Memory:
     """Memory that units take turns with."""
 
     def __init__(self) -> None:
         self._workspaces: dict[bool, Workspace] = {}
         self._heights = np.empty(0, dtype=np.int32)
+        self._logs = _Logs(0)
+
+    def logs(self, n: int) -> "_Logs":
+        """Return where to log a unit of `n` samples, its raw bits all 0."""
+        if len(self._logs.symbols) < n:
+            self._logs = _Logs(n)
+        self._logs.raw[: 2 * n + SPARE_BITS // 32] = 0
+        return self._logs
 
     def workspace(self, is_wide: bool) -> Workspace:
         """Return the arrays to code a unit in."""
@@ -150,21 +168,22 @@ class Rapid:
         flags = self._flags(spec, parent, target, mask)
         n_states = 1 if flags & _SINGLE else N_STATES
         freqs = self._tables.packed_freqs(spec.step)
-        heights, streams = self._encode(spec, parent, target, mask, flags, freqs)
-        n_symbols, n_bits = int(streams.places[COUNT]), int(streams.places[BIT_POS])
-        words = np.empty(n_symbols, dtype=np.uint16)
-        n_words = encode_symbols(
-            streams.contexts_log, streams.symbols_log, n_symbols,
-            freqs, n_states, words, streams.states,
-        )  # fmt: skip
-        raw = streams.raw[: (n_bits + 31) // 32].astype("<u4").tobytes()
-        payload = (
-            bytes([flags])
-            + encode_varint(n_words)
-            + streams.states[:n_states].astype("<u4").tobytes()
-            + words[n_symbols - n_words :].astype("<u2").tobytes()
-            + raw[: (n_bits + 7) // 8]
-        )
+        with _MEMORY.lent() as memory:
+            logs = memory.logs(target.size)
+            heights, streams = self._encode(spec, parent, target, mask, flags, freqs, memory, logs)
+            n_symbols, n_bits = int(streams.places[COUNT]), int(streams.places[BIT_POS])
+            words = logs.words[:n_symbols]
+            n_words = encode_symbols(
+                logs.contexts, logs.symbols, n_symbols, freqs, n_states, words, streams.states
+            )
+            used = logs.raw[: (n_bits + 31) // 32]
+            payload = (
+                bytes([flags])
+                + encode_varint(n_words)
+                + streams.states[:n_states].astype("<u4").tobytes()
+                + words[n_symbols - n_words :].astype("<u2").tobytes()
+                + used.astype("<u4").tobytes()[: (n_bits + 7) // 8]
+            )
         return payload, heights, None
 
     def log(
@@ -175,10 +194,14 @@ class Rapid:
         As if no symbol had the frequency 0.
         """
         flags = self._flags(spec, None, target, mask)
-        heights, streams = self._encode(spec, None, target, mask, flags, _ANY_SYMBOL)
-        n = int(streams.places[COUNT])
-        both = streams.contexts_log[:n].astype(np.int64) * N_SYMBOLS
-        both += streams.symbols_log[:n]
+        with _MEMORY.lent() as memory:
+            logs = memory.logs(target.size)
+            heights, streams = self._encode(
+                spec, None, target, mask, flags, _ANY_SYMBOL, memory, logs
+            )
+            n = int(streams.places[COUNT])
+            both = logs.contexts[:n].astype(np.int64) * N_SYMBOLS
+            both += logs.symbols[:n]
         return both, heights
 
     def _flags(self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask) -> int:
@@ -187,10 +210,9 @@ class Rapid:
 
     def _encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask, flags: int,
-        freqs: NDArray[np.uint32],
+        freqs: NDArray[np.uint32], memory: _Memory, logs: _Logs,
     ) -> tuple[Heights, Streams]:  # fmt: skip
         """Return decoded heights, and the logs of what is to be written."""
-        n = target.size
         streams = Streams(
             places=np.zeros(3, dtype=np.int64),
             slots=_NO_SLOTS,
@@ -198,15 +220,15 @@ class Rapid:
             n_words=0,
             states=np.zeros(N_STATES, dtype=np.uint64),
             n_states=N_STATES,
-            raw=np.zeros(2 * n + SPARE_BITS // 32, dtype=np.uint32),
+            raw=logs.raw,
             n_bits=1 << 40,
             freqs=freqs,
-            contexts_log=np.empty(n, dtype=np.uint8),
-            symbols_log=np.empty(n, dtype=np.uint8),
+            contexts_log=logs.contexts,
+            symbols_log=logs.symbols,
         )
         heights = np.empty(spec.region.shape, dtype=np.int32)
         target = np.ascontiguousarray(target)
-        self._code(spec, parent, target, mask, flags, streams, heights)
+        self._code(spec, parent, target, mask, flags, streams, heights, memory)
         return heights, streams
 
     def decode(
@@ -233,7 +255,8 @@ class Rapid:
         if flags & ~(_WIDE | _SINGLE):
             raise CorruptStreamError(f"payload flags {flags:#x} are not defined")
         streams = self._read_streams(payload, flags, spec.step)
-        self._code(spec, parent, None, mask, flags, streams, out)
+        with _MEMORY.lent() as memory:
+            self._code(spec, parent, None, mask, flags, streams, out, memory)
         _check_end(streams)
 
     def _read_streams(self, payload: bytes, flags: int, step: int) -> Streams:
@@ -285,7 +308,7 @@ class Rapid:
 
     def _code(
         self, spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask,
-        flags: int, streams: Streams, out: Heights,
+        flags: int, streams: Streams, out: Heights, memory: _Memory,
     ) -> None:  # fmt: skip
         """Encode `target`, or decode where it is None; fill `out` with the region's heights."""
         is_wide = bool(flags & _WIDE)
@@ -297,24 +320,23 @@ class Rapid:
         if spec.region != spec.core:
             out[:] = 0  # a lattice fills all but the apron, whose lines may not meet
         has_void = not mask.all()
-        with _MEMORY.lent() as memory:
-            unit = _Unit(
-                spec=spec,
-                is_encoding=target is not None,
-                goal=_NO_GOAL if target is None else target.ravel(),
-                valid=mask.ravel() if has_void else _NO_MASK,
-                has_void=has_void,
-                out=out.ravel(),
-                origin=origin,
-                scale=scale_of(spec.step, low, high),
-                memory=memory,
-                workspace=memory.workspace(is_wide),
-                streams=streams,
-            )
-            if parent is None:
-                self._code_root(unit)
-            else:
-                self._code_group(unit, parent)
+        unit = _Unit(
+            spec=spec,
+            is_encoding=target is not None,
+            goal=_NO_GOAL if target is None else target.ravel(),
+            valid=mask.ravel() if has_void else _NO_MASK,
+            has_void=has_void,
+            out=out.ravel(),
+            origin=origin,
+            scale=scale_of(spec.step, low, high),
+            memory=memory,
+            workspace=memory.workspace(is_wide),
+            streams=streams,
+        )
+        if parent is None:
+            self._code_root(unit)
+        else:
+            self._code_group(unit, parent)
         if spec.region != spec.core:
             np.clip(out, spec.z_min, spec.z_max, out=out)
 

@@ -384,7 +384,8 @@ def _code_tables(coder, head, stencils, is_own, codes, tap_kinds, trained, rests
 def _code_codes(coder, trained, rest, codes):
     """Code the codes of a context in place; return whether a value is out of range.
 
-    A decoder's `codes` need hold nothing.
+    A decoder's `codes` need hold nothing. (Literal numbers would be types of their own to compile
+    for.)
     """
     last = np.int64(0)
     for symbol in range(N_SYMBOLS):
@@ -396,10 +397,10 @@ def _code_codes(coder, trained, rest, codes):
         # By whether the symbol is usual, and by the last change.
         group = 3 * np.int64(usual > 0) + min(last, (last >> 1) + 1, 2)
         first = _FREQ + group * MAGNITUDE_MODELS
-        last = code_magnitude(coder, first, first + N_UNARY, 0, abs(change))
+        last = code_magnitude(coder, first, first + N_UNARY, np.int64(0), abs(change))
         is_less = np.int64(0)
         if last > 0 and usual > 0:
-            is_less = code_raw(coder, 1, np.int64(change < 0))
+            is_less = code_raw(coder, np.int64(1), np.int64(change < 0))
         codes[symbol] = usual - last if is_less else usual + last
         if last > MAX_CODE or codes[symbol] < 0 or codes[symbol] > MAX_CODE:
             return True

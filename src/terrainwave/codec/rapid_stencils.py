@@ -23,7 +23,6 @@ from terrainwave.codec.rapid_parameters import (
     FileStencil,
     core_taps,
     missing_tap,
-    weights_of,
 )
 from terrainwave.codec.refiner import Heights, Mask
 
@@ -198,7 +197,7 @@ def costs_of(samples: Samples, weights: NDArray[np.int64], noise: float) -> NDAr
 
 def _best(plane: int, samples: Samples) -> int:
     """Return the trained set that predicts best."""
-    return int(costs_of(samples, rapid_tables.STENCILS[plane].astype(np.int64), 0.0).argmin())
+    return int(costs_of(samples, _trained(plane), 0.0).argmin())
 
 
 def _noise(samples: dict[tuple[int, int], Samples], best: dict[tuple[int, int], int]) -> float:
@@ -208,8 +207,7 @@ def _noise(samples: dict[tuple[int, int], Samples], best: dict[tuple[int, int], 
     """
     total, n = 0.0, 0
     for key, found in samples.items():
-        trained = rapid_tables.STENCILS[key[1]].astype(np.int64)
-        errors = _errors(found, trained[best[key], None])[0]
+        errors = _errors(found, _trained(key[1])[best[key], None])[0]
         rest = np.rint((errors - np.rint(errors)) * 1024)
         total += float((rest * rest).sum())
         n += len(rest)
@@ -312,26 +310,23 @@ def _solved(systems: Reals) -> Reals:
     return systems[:, :, size].copy()
 
 
-def stencil_bits(stencil: FileStencil) -> int:
-    """Return about how many bits a stencil's deltas take."""
-    return sum(2 + abs(delta).bit_length() for delta in stencil.deltas)
-
-
 def stencils_cost(stencils: Stencils) -> float:
     """Return about what a file's stencils cost, in 1/64 bit."""
-    return COST_UNIT * _WORTH * sum(stencil_bits(own) for row in stencils for own in row)
+    deltas = [own.deltas for row in stencils for own in row if own.deltas]
+    return COST_UNIT * _WORTH * sum(int(_bits_of(np.array([own]))[0]) for own in deltas)
 
 
-def rounded_stencils(plane: int, base: int, wanted: NDArray[np.int64]) -> list[FileStencil]:
-    """Return stencils near the wanted weights, from the finest to the coarsest."""
-    trained = rapid_tables.STENCILS[plane][base].astype(np.int64)
-    found = []
-    for shift in SHIFTS:
-        deltas = (wanted[: len(trained)] - trained + (1 << shift >> 1)) >> shift
-        deltas[missing_tap(plane)] = 0
-        if deltas.any():
-            found.append(FileStencil(base, shift, tuple(deltas.tolist())))
-    return found
+def _bits_of(deltas: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return about how many bits each row of deltas takes: two and its digits for each."""
+    digits = np.frexp(np.abs(deltas).astype(np.float64))[1]
+    bits: NDArray[np.int64] = (2 + digits).sum(1, dtype=np.int64)
+    return bits
+
+
+@cache
+def _trained(plane: int) -> NDArray[np.int64]:
+    """Return the trained weights of a plane."""
+    return rapid_tables.STENCILS[plane].astype(np.int64)
 
 
 def _cheapest(
@@ -342,14 +337,25 @@ def _cheapest(
     noise: float,
     share: float,
 ) -> FileStencil:
-    """Return the stencil that costs least with its own bits, of the trained and the fitted."""
-    tried = [FileStencil(base)]
+    """Return the stencil that costs least with its own bits, of the trained and the fitted.
+
+    Those near the wanted weights are tried from the finest to the coarsest.
+    """
+    trained = _trained(plane)[base]
+    deltas, shifts = np.zeros((1, len(trained)), dtype=np.int64), np.zeros((1, 1), dtype=np.int64)
     if wanted is not None:
-        tried += rounded_stencils(plane, base, wanted)
-    weights = np.stack([weights_of(plane, stencil) for stencil in tried])
+        rounding = np.array(SHIFTS, dtype=np.int64)[:, None]
+        near = (wanted[: len(trained)] - trained + (1 << rounding >> 1)) >> rounding
+        near[:, missing_tap(plane)] = 0
+        is_other = near.any(1)
+        deltas = np.concatenate([deltas, near[is_other]])
+        shifts = np.concatenate([shifts, rounding[is_other]])
+    weights = trained + (deltas << shifts)
+    weights[:, missing_tap(plane)] += WHOLE - weights.sum(1)
     costs = costs_of(samples, weights, noise) * (samples.every * share)
-    totals = [
-        float(cost) + COST_UNIT * _WORTH * stencil_bits(stencil)
-        for cost, stencil in zip(costs, tried, strict=True)
-    ]
-    return tried[min(range(len(tried)), key=totals.__getitem__)]
+    n_bits = _bits_of(deltas)
+    n_bits[0] = 0
+    best = int((costs + COST_UNIT * _WORTH * n_bits).argmin())
+    if best == 0:
+        return FileStencil(base)
+    return FileStencil(base, int(shifts[best, 0]), tuple(deltas[best].tolist()))
