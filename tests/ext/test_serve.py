@@ -453,8 +453,9 @@ def test_voids_are_painted_and_the_terrain_is_clear(turned):
         png = client.get(address, params={"color": "dbe4e8", "rim": 4}).content
         assert client.get(address, params={"color": "red"}).status_code == 422
         assert client.get(address, params={"color": "dbe4e8", "rim": 9}).status_code == 422
-        assert client.get("/hills/voids/3/0/0.png?color=dbe4e8").status_code == 204
+        far = client.get("/hills/voids/3/0/0.png?color=dbe4e8").content
         empty = client.get("/hills/rgb/3/0/0.png", params={"rim": 4}).content
+    assert (np.asarray(Image.open(io.BytesIO(far))) == (0xDB, 0xE4, 0xE8, 255)).all()
     pixels = np.asarray(Image.open(io.BytesIO(png)))
     assert (pixels[..., :3] == (0xDB, 0xE4, 0xE8)).all()
     is_void = heights == heights_of(empty)[0, 0]
@@ -466,6 +467,13 @@ def test_voids_are_painted_and_the_terrain_is_clear(turned):
     assert (shares[minimum_filter(~is_void, 3)[within]] == 0).all()
     assert (shares[minimum_filter(is_void, 3)[within]] == 255).all()
     assert ((shares > 0) & (shares < 255)).any()
+
+
+def test_a_tile_without_voids_is_not_painted(hilly):
+    with client_of(hilly) as client:
+        z = 14
+        x, y = tile_at(z, 8.25, 46.2)
+        assert client.get(f"/hills/voids/{z}/{x}/{y}.png?color=dbe4e8").status_code == 204
 
 
 def test_the_file_itself_is_served_with_ranges(hilly):

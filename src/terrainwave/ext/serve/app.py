@@ -125,12 +125,11 @@ class Layer:
         return tile
 
     def covering(self, z: int, x: int, y: int, rim: int, color: str) -> bytes | None:
-        """Return the PNG that paints a tile's voids; None if it has none or nothing else."""
+        """Return the PNG that paints a tile's voids; None if it has none."""
         tile = self.rgb_tile(z, x, y, rim)
-        if tile is None or not tile.voids.any():
-            return None
+        voids = tiling.ALL_VOID if tile is None else tile.voids
         red, green, blue = bytes.fromhex(color)
-        return tiling.cover_tile(tile.voids, (red, green, blue))
+        return tiling.cover_tile(voids, (red, green, blue)) if voids.any() else None
 
     def describe(self) -> dict[str, object]:
         """Describe the file for the page; no path. Its tags may hold any text."""

@@ -7,7 +7,10 @@ import { gradientOf, reliefOf, ticksOf, written } from "./colours.mjs";
 import { copyable } from "./copying.mjs";
 import * as permalink from "./permalink.mjs";
 
+const ASKING = "Point at the terrain or tap it for a height.";
 const PITCH = 62;
+// Of the width: what is left free on both sides, as the near edge is wider than the middle.
+const SPREAD = 0.1;
 const DEGREES_PER_SECOND = 6;
 const GROUND = "#dbe4e8";
 const PLAIN = "#cfc8b8"; // terrain without colours by height
@@ -121,7 +124,7 @@ function show(terrain, view) {
   generation += 1;
   state.terrain = terrain;
   askedHeight.abort();
-  element("place").textContent = "Point at the terrain for a height.";
+  element("place").textContent = ASKING;
   element("terrain").value = terrain.name;
   document.title = `${terrain.name} – terrainwave`;
   describe(terrain);
@@ -135,10 +138,11 @@ function show(terrain, view) {
 function home(terrain) {
   const [west, south, east, north] = terrain.bounds;
   // Beside the panel where there is room for it.
-  const left = isNarrow || !element("panel").open ? 20 : 280;
+  const left = isNarrow || !element("panel").open ? 0 : 260;
+  const free = SPREAD * (element("map").clientWidth - left);
   map.fitBounds([[west, Math.max(south, -85)], [east, Math.min(north, 85)]], {
     pitch: east - west > 90 ? 0 : PITCH, bearing: 0, animate: false,
-    padding: { left, right: isNarrow ? 20 : 60, top: 50, bottom: isNarrow ? 80 : 30 },
+    padding: { left: left + free, right: free, top: 50, bottom: 50 },
   });
 }
 
