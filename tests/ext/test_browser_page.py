@@ -291,7 +291,6 @@ def test_colours_have_a_legend_in_metres(address, page):
 
 def test_what_a_file_says_of_its_origin_is_text(page):
     driver = page("terrain=moor")
-    driver.find_element("css selector", "#origin summary").click()
     terms = [term.text for term in driver.find_elements("css selector", "#tags dt")]
     told = [term.text for term in driver.find_elements("css selector", "#tags dd")]
     assert dict(zip(terms, told, strict=True)) == {"LICENSE": HTML, "source": "a survey"}

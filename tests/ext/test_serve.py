@@ -237,6 +237,15 @@ def test_what_is_said_of_a_file_has_no_path(hilly):
     assert described["error"] == 2
 
 
+def test_another_body_has_no_sea(tmp_path):
+    path = write_twz(tmp_path, hills(33, 33) - 300, BOUNDS, crs=None, max_error=2)
+    for radius, ramp in ((None, "tints"), (1737400.0, "grey")):
+        with pytest.warns(TerrainwaveWarning, match="taken for them"):
+            client = client_of(path, radius=radius)
+        with client:
+            assert client.get("/terrains.json").json()[0]["ramp"] == ramp
+
+
 def test_a_tile_that_the_client_has_is_not_sent_again(hilly):
     with client_of(hilly) as client:
         first = client.get("/hills/rgb/9/267/181.png")

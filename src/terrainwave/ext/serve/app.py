@@ -32,6 +32,7 @@ from terrainwave.errors import (
     TerrainwaveError,
     TerrainwaveWarning,
 )
+from terrainwave.export.frames import EARTH
 from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
 from terrainwave.ext.serve.ranges import Span, asked_span
 from terrainwave.file import TerrainFile
@@ -146,6 +147,7 @@ class Layer:
             "columns": info.n_cols,
             "bits_per_sample": info.bits_per_sample,
             "method": info.method,
+            "ramp": "tints" if self.globe.ellipsoid == EARTH else "grey",
             "ramps": {name: ramp_stops(name, lowest, highest) for name in RAMPS},
             "origin": origin_of({**info.tags, **info.band_tags}),
             "version": __version__,
