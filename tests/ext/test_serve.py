@@ -237,6 +237,15 @@ def test_what_is_said_of_a_file_has_no_path(hilly):
     assert described["error"] == 2
 
 
+def test_another_body_has_no_sea(tmp_path):
+    path = write_twz(tmp_path, hills(33, 33) - 300, BOUNDS, crs=None, max_error=2)
+    for radius, ramp in ((None, "tints"), (1737400.0, "grey")):
+        with pytest.warns(TerrainwaveWarning, match="taken for them"):
+            client = client_of(path, radius=radius)
+        with client:
+            assert client.get("/terrains.json").json()[0]["ramp"] == ramp
+
+
 def test_a_tile_that_the_client_has_is_not_sent_again(hilly):
     with client_of(hilly) as client:
         first = client.get("/hills/rgb/9/267/181.png")
@@ -453,8 +462,9 @@ def test_voids_are_painted_and_the_terrain_is_clear(turned):
         png = client.get(address, params={"color": "dbe4e8", "rim": 4}).content
         assert client.get(address, params={"color": "red"}).status_code == 422
         assert client.get(address, params={"color": "dbe4e8", "rim": 9}).status_code == 422
-        assert client.get("/hills/voids/3/0/0.png?color=dbe4e8").status_code == 204
+        far = client.get("/hills/voids/3/0/0.png?color=dbe4e8").content
         empty = client.get("/hills/rgb/3/0/0.png", params={"rim": 4}).content
+    assert (np.asarray(Image.open(io.BytesIO(far))) == (0xDB, 0xE4, 0xE8, 255)).all()
     pixels = np.asarray(Image.open(io.BytesIO(png)))
     assert (pixels[..., :3] == (0xDB, 0xE4, 0xE8)).all()
     is_void = heights == heights_of(empty)[0, 0]
@@ -466,6 +476,13 @@ def test_voids_are_painted_and_the_terrain_is_clear(turned):
     assert (shares[minimum_filter(~is_void, 3)[within]] == 0).all()
     assert (shares[minimum_filter(is_void, 3)[within]] == 255).all()
     assert ((shares > 0) & (shares < 255)).any()
+
+
+def test_a_tile_without_voids_is_not_painted(hilly):
+    with client_of(hilly) as client:
+        z = 14
+        x, y = tile_at(z, 8.25, 46.2)
+        assert client.get(f"/hills/voids/{z}/{x}/{y}.png?color=dbe4e8").status_code == 204
 
 
 def test_the_file_itself_is_served_with_ranges(hilly):

@@ -21,6 +21,8 @@ MAX_LATITUDE = math.degrees(math.atan(math.sinh(math.pi)))
 
 VOID_DEPTH = 1.0
 MAX_RIM = 8
+# `RgbTile.voids` where there is no terrain.
+ALL_VOID = np.full((TILE_SIZE, TILE_SIZE), 255, dtype=np.uint8)
 
 _STEP = 0.1
 _LOWEST = -10000.0

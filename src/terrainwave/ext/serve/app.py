@@ -32,6 +32,7 @@ from terrainwave.errors import (
     TerrainwaveError,
     TerrainwaveWarning,
 )
+from terrainwave.export.frames import EARTH
 from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
 from terrainwave.ext.serve.ranges import Span, asked_span
 from terrainwave.file import TerrainFile
@@ -125,12 +126,11 @@ class Layer:
         return tile
 
     def covering(self, z: int, x: int, y: int, rim: int, color: str) -> bytes | None:
-        """Return the PNG that paints a tile's voids; None if it has none or nothing else."""
+        """Return the PNG that paints a tile's voids; None if it has none."""
         tile = self.rgb_tile(z, x, y, rim)
-        if tile is None or not tile.voids.any():
-            return None
+        voids = tiling.ALL_VOID if tile is None else tile.voids
         red, green, blue = bytes.fromhex(color)
-        return tiling.cover_tile(tile.voids, (red, green, blue))
+        return tiling.cover_tile(voids, (red, green, blue)) if voids.any() else None
 
     def describe(self) -> dict[str, object]:
         """Describe the file for the page; no path. Its tags may hold any text."""
@@ -147,6 +147,7 @@ class Layer:
             "columns": info.n_cols,
             "bits_per_sample": info.bits_per_sample,
             "method": info.method,
+            "ramp": "tints" if self.globe.ellipsoid == EARTH else "grey",
             "ramps": {name: ramp_stops(name, lowest, highest) for name in RAMPS},
             "origin": origin_of({**info.tags, **info.band_tags}),
             "version": __version__,

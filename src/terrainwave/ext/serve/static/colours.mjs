@@ -2,14 +2,18 @@
 
 // The lowest height that a terrain-RGB tile can hold, in metres.
 const LOWEST = -10000;
+// Tiles have voids this many metres below the terrain's lowest height.
+const VOID_DEPTH = 1;
 const N_TICKS = 4;
 // Of the legend's length: ticks nearer to an end than this would cover its label.
-const NEAR_END = 0.17;
+const NEAR_END = 0.3;
 
-/** Return a color-relief-color expression of [[height, colour], …], heights ascending. */
+/** Return a color-relief-color expression of [[height, colour], …]; what is below them is clear. */
 export function reliefOf(stops) {
-  const first = Math.max(stops.findLastIndex(([height]) => height <= LOWEST), 0);
-  const held = stops.slice(first).map(([height, colour]) => [Math.max(height, LOWEST), colour]);
+  const below = [stops[0][0] - VOID_DEPTH / 2, "rgba(0, 0, 0, 0)"];
+  const all = [below, ...stops];
+  const first = Math.max(all.findLastIndex(([height]) => height <= LOWEST), 0);
+  const held = all.slice(first).map(([height, colour]) => [Math.max(height, LOWEST), colour]);
   return ["interpolate", ["linear"], ["elevation"], ...held.flat()];
 }
 
@@ -36,5 +40,5 @@ export function ticksOf(low, high) {
 /** Return a height as a legend writes it: no more digits than tell the ends apart. */
 export function written(height, range) {
   const digits = Math.min(Math.max(1 - Math.floor(Math.log10(range || 1)), 0), 3);
-  return `${height.toFixed(digits).replace(/^-0(\.0*)?$/, "0")} m`;
+  return `${height.toFixed(digits).replace(/^-0(\.0*)?$/, "0").replace("-", "−")} m`;
 }

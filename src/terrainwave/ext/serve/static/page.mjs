@@ -7,7 +7,11 @@ import { gradientOf, reliefOf, ticksOf, written } from "./colours.mjs";
 import { copyable } from "./copying.mjs";
 import * as permalink from "./permalink.mjs";
 
+const ASKING = "Point at the terrain or tap it for a height.";
 const PITCH = 62;
+// Of the width: what is left free on both sides, as the near edge is wider than the middle.
+const SPREAD = 0.12;
+const BESIDE_PANEL = 260;
 const DEGREES_PER_SECOND = 6;
 const GROUND = "#dbe4e8";
 const PLAIN = "#cfc8b8"; // terrain without colours by height
@@ -20,7 +24,8 @@ const MILLISECONDS_BETWEEN_HEIGHTS = 80;
 
 const element = (id) => document.getElementById(id);
 const isNarrow = window.matchMedia("(max-width: 600px)").matches;
-const state = { terrain: null, times: 1, colours: "tints", shaded: true };
+// Colours that nobody chose are those of the terrain.
+const state = { terrain: null, times: 1, colours: null, shaded: true };
 let terrains = [];
 let map = null;
 let generation = 0; // of the terrain that is shown
@@ -97,15 +102,19 @@ function styleOf({ terrain, times, shaded }) {
   };
 }
 
-function stopsOf({ terrain, colours }) {
-  return terrain.ramps[colours] ?? [[terrain.lowest, PLAIN], [terrain.lowest + 1, PLAIN]];
+function coloursOf({ terrain, colours }) {
+  return colours ?? terrain.ramp;
+}
+
+function stopsOf({ terrain }) {
+  return terrain.ramps[coloursOf(state)] ?? [[terrain.lowest, PLAIN], [terrain.lowest + 1, PLAIN]];
 }
 
 /** Give the map what of `state` can change while a terrain is shown. */
 function apply() {
   element("times").value = state.times;
   element("factor").value = state.times.toFixed(1);
-  element("colours").value = state.colours;
+  element("colours").value = coloursOf(state);
   element("shaded").checked = state.shaded;
   element("light").hidden = !state.shaded;
   showLegend();
@@ -121,7 +130,7 @@ function show(terrain, view) {
   generation += 1;
   state.terrain = terrain;
   askedHeight.abort();
-  element("place").textContent = "Point at the terrain for a height.";
+  element("place").textContent = ASKING;
   element("terrain").value = terrain.name;
   document.title = `${terrain.name} – terrainwave`;
   describe(terrain);
@@ -134,11 +143,12 @@ function show(terrain, view) {
 
 function home(terrain) {
   const [west, south, east, north] = terrain.bounds;
-  // Beside the panel where there is room for it.
-  const left = isNarrow || !element("panel").open ? 20 : 280;
+  const left = isNarrow || !element("panel").open ? 0 : BESIDE_PANEL;
+  const free = SPREAD * (element("map").clientWidth - left);
+  map.setPadding({ left, top: 0, right: 0, bottom: 0 });
   map.fitBounds([[west, Math.max(south, -85)], [east, Math.min(north, 85)]], {
     pitch: east - west > 90 ? 0 : PITCH, bearing: 0, animate: false,
-    padding: { left, right: isNarrow ? 20 : 60, top: 50, bottom: isNarrow ? 80 : 30 },
+    padding: { left: free, right: free, top: 50, bottom: 50 },
   });
 }
 
@@ -173,7 +183,7 @@ function describe(terrain) {
 }
 
 function showLegend() {
-  const stops = state.terrain.ramps[state.colours];
+  const stops = state.terrain.ramps[coloursOf(state)];
   element("legend").hidden = !stops;
   if (!stops) return;
   const [low, high] = [stops[0][0], stops.at(-1)[0]];
@@ -193,7 +203,7 @@ let keeping = 0;
 function keepPermalink() {
   clearTimeout(keeping);
   keeping = setTimeout(() => {
-    history.replaceState(null, "", permalink.write(state, map));
+    history.replaceState(null, "", permalink.write({ ...state, colours: coloursOf(state) }, map));
     const field = element("addresses").querySelector("input");
     if (field) field.value = location.href;
   }, 200);

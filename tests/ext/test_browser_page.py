@@ -1,0 +1,344 @@
+"""Does the page of `terrainwave serve` show mountains, say what it lacks, and never mix two?"""
+
+import json
+import re
+import urllib.request
+from urllib.parse import quote
+
+import numpy as np
+import pytest
+from ext.browser import chromium, console, screenshot, served, wait_until
+from ext.gate import Gate
+from ext.rasters import hills, write_twz
+from rasterio import open as open_raster
+from scipy.spatial import ConvexHull
+from selenium.webdriver import ActionChains, Keys
+from selenium.webdriver.support.select import Select
+
+import terrainwave
+from terrainwave.ext.serve.app import make_app
+
+BOUNDS = (8.0, 46.0, 8.5, 46.4)
+HTML = '<img src=x onerror="window.pwned = 1">'
+
+pytestmark = [pytest.mark.full, pytest.mark.gl, pytest.mark.large]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return where three files are: hills, moor (deeper and elsewhere), and flat and askew."""
+    folder = tmp_path_factory.mktemp("page")
+    write_twz(folder, hills(129, 161) * 4, BOUNDS, max_error=8)
+    source = write_twz(folder, hills(97, 97) - 500, (7, 45, 7.4, 45.3), max_error=3, name="moor")
+    with open_raster(source.with_suffix(".tif"), "r+") as raster:
+        raster.update_tags(LICENSE=HTML, source="a survey")
+    terrainwave.compress(source.with_suffix(".tif"), source, max_error=3, block=32, overwrite=True)
+    flat = np.full((300, 300), 2000, dtype=np.int16)
+    square = (250000, 6990000, 259000, 6999000)
+    write_twz(folder, flat, square, crs="EPSG:32633", max_error=1, name="flat")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def gate(folder):
+    return Gate(make_app([str(folder / f"{name}.twz") for name in ("hills", "moor", "flat")]))
+
+
+@pytest.fixture(scope="module")
+def address(gate):
+    with served(gate) as address:
+        yield address
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as driver:
+        yield driver
+
+
+@pytest.fixture
+def page(gate, address, browser):
+    """Open an address with a hash, anew; nothing is on its way afterwards."""
+
+    def open_page(hash_="", *, complete=True):
+        browser.get("about:blank")
+        browser.execute_cdp_cmd("Network.clearBrowserCache", {})  # tiles may be kept for an hour
+        browser.get(f"{address}/#{hash_}")
+        if complete:
+            wait_for(browser, "complete")
+        return browser
+
+    console(browser)
+    yield open_page
+    gate.open()
+    browser.get("about:blank")
+
+
+def wait_for(driver, state):
+    wait_until(driver, f"document.body.dataset.state === '{state}'")
+
+
+def text(driver, name):
+    return driver.find_element("id", name).text
+
+
+def slide(driver, times):
+    driver.execute_script(
+        "const slider = document.getElementById('times'); slider.value = arguments[0];"
+        "slider.dispatchEvent(new Event('input'))",
+        times,
+    )
+
+
+def choose(driver, name, value):
+    Select(driver.find_element("id", name)).select_by_value(value)
+
+
+def test_the_page_flies_over_the_terrain(page):
+    driver = page("terrain=hills")
+    assert "± 8 m" in text(driver, "about")
+    still = screenshot(driver)[200:, 280:]
+    # Slopes in light and shade.
+    assert still.astype(float).mean(axis=2).std() > 8
+    assert len(np.unique(still.reshape(-1, 3), axis=0)) > 2000
+    driver.find_element("id", "fly").click()
+    wait_until(driver, "Math.abs(terrainMap.getBearing()) > 3")
+    driver.find_element("id", "fly").click()
+    wait_for(driver, "complete")
+    assert (screenshot(driver)[200:, 280:] != still).mean() > 0.2
+    driver.find_element("id", "home").click()
+    wait_until(driver, "terrainMap.getBearing() === 0")
+    assert not console(driver)
+
+
+def test_the_page_waits_until_the_terrain_is_complete(gate, page):
+    gate.held = ("/hills/rgb",)
+    driver = page("terrain=hills", complete=False)
+    wait_until(driver, "window.terrainMap && terrainMap.isStyleLoaded() !== undefined")
+    assert driver.find_element("id", "spinner").is_displayed()
+    assert text(driver, "message") == "Loading terrain …"
+    assert driver.find_element("id", "map").get_attribute("aria-busy") == "true"
+    gate.open()
+    wait_for(driver, "complete")
+    assert not driver.find_element("id", "status").is_displayed()
+    height = driver.execute_script("return terrainMap.queryTerrainElevation([8.25, 46.2])")
+    assert 400 < height < 2600
+    # What comes into view later is waited for too.
+    gate.held = ("/hills/rgb",)
+    driver.execute_script("terrainMap.jumpTo({center: [8.3, 46.3], zoom: 12.5})")
+    wait_for(driver, "waiting")
+    gate.open()
+    wait_for(driver, "complete")
+    assert not console(driver)
+
+
+def test_what_could_not_be_loaded_is_said_and_tried_again(gate, page):
+    gate.broken = ("/hills/rgb",)
+    driver = page("terrain=hills", complete=False)
+    wait_for(driver, "failed")
+    assert "the server answered 500" in text(driver, "message")
+    gate.open()
+    driver.find_element("id", "again").click()
+    wait_for(driver, "complete")
+    assert not driver.find_element("id", "status").is_displayed()
+
+
+def test_a_list_of_terrains_that_does_not_come_is_said(gate, page):
+    gate.broken = ("/terrains.json",)
+    driver = page(complete=False)
+    wait_for(driver, "failed")
+    assert "cannot be shown: the server answered 500" in text(driver, "message")
+
+
+def test_late_answers_for_another_terrain_change_nothing(gate, page):
+    """Terrain, slider and colours change while answers for two terrains are on their way."""
+    driver = page("terrain=hills")
+    gate.held = ("/moor/", "/hills/height")
+    driver.find_element("id", "map").click()
+    choose(driver, "terrain", "moor")
+    slide(driver, 2.5)
+    driver.find_element("id", "map").click()
+    choose(driver, "terrain", "hills")
+    slide(driver, 3)
+    choose(driver, "colours", "mars")
+    choose(driver, "terrain", "moor")
+    choose(driver, "terrain", "hills")
+    slide(driver, 3.5)
+    assert gate.n_waiting
+    gate.open()
+    wait_for(driver, "complete")
+    wait_until(driver, "location.hash.includes('times=3.5')")
+    assert "times=3.5&colours=mars" in driver.execute_script("return location.hash")
+    assert "terrain=hills" in driver.execute_script("return location.hash")
+    style = driver.execute_script("return terrainMap.getStyle()")
+    assert all("/hills/" in source["tiles"][0] for source in style["sources"].values())
+    assert style["terrain"]["exaggeration"] == 3.5
+    relief = next(layer for layer in style["layers"] if layer["id"] == "tints")["paint"]
+    assert "#482a22" in relief["color-relief-color"]
+    assert "161 × 129" in text(driver, "about")
+    assert text(driver, "place").startswith("Point at")
+    assert Select(driver.find_element("id", "terrain")).first_selected_option.text == "hills"
+    assert not console(driver)
+
+
+def test_the_height_under_the_cursor_is_the_terrains(folder, page):
+    driver = page("terrain=hills&view=46.2,8.25,11,0,40&times=2")
+    for dx in (0, 60):
+        ActionChains(driver).move_to_element_with_offset(
+            driver.find_element("id", "map"), dx, 30
+        ).perform()
+        wait_until(driver, "document.getElementById('place').textContent.includes('(± 8 m)')")
+        found = re.fullmatch(r"(\S+)° N, (\S+)° E: (\S+) m \(± 8 m\)", text(driver, "place"))
+        latitude, longitude, height = map(float, found.groups())
+        with terrainwave.open(folder / "hills.twz") as terrain:
+            assert terrain.sample([(longitude, latitude)])[0] == pytest.approx(height, abs=0.2)
+        driver.execute_script("document.getElementById('place').textContent = ''")
+    canvas = driver.find_element("css selector", "canvas")
+    canvas.send_keys(Keys.ARROW_UP)
+    wait_until(driver, "document.getElementById('place').textContent.startsWith('Middle: 46.')")
+
+
+def test_an_address_brings_the_view_back(page):
+    told = "terrain=moor&view=45.150000,7.200000,10.500,30.0,45.0&times=1.5&colours=grey&shaded=0"
+    driver = page(told)
+    view = driver.execute_script(
+        "return [terrainMap.getCenter().lat, terrainMap.getCenter().lng, terrainMap.getZoom(),"
+        "terrainMap.getBearing(), terrainMap.getPitch()]"
+    )
+    assert view == pytest.approx([45.15, 7.2, 10.5, 30, 45], abs=1e-3)
+    assert "97 × 97" in text(driver, "about")
+    assert text(driver, "factor") == "1.5"
+    assert not driver.find_element("id", "shaded").is_selected()
+    wait_until(driver, f"location.hash === '#{told}'")
+    slide(driver, 2)
+    wait_until(driver, "location.hash.includes('times=2&')")
+    driver.execute_script("location.hash = 'terrain=hills&times=3'")
+    wait_until(driver, "document.getElementById('about').textContent.includes('161')")
+    wait_for(driver, "complete")
+    assert text(driver, "factor") == "3.0"
+
+
+@pytest.mark.parametrize(
+    "told", ["view=1,2,3", "view=nan,0,1e9,0,0&times=-3&colours=x", f"terrain={quote(HTML)}&times="]
+)
+def test_an_address_without_sense_shows_the_first_terrain(page, told):
+    driver = page(told)
+    wait_until(driver, "location.hash.startsWith('#terrain=hills&view=46.')")
+    assert "times=1&colours=tints&shaded=1" in driver.execute_script("return location.hash")
+    assert driver.execute_script("return window.pwned") is None
+    assert not console(driver)
+
+
+def test_addresses_are_copied_with_and_without_a_clipboard(address, page):
+    driver = page("terrain=hills")
+    driver.find_element("css selector", "#sharing summary").click()
+    fields = driver.find_elements("css selector", "#addresses input")
+    buttons = driver.find_elements("css selector", "#addresses button")
+    wait_until(driver, "location.hash.includes('view=')")
+    values = [field.get_attribute("value") for field in fields]
+    assert values[0] == driver.current_url
+    place = {"{z}": "9", "{x}": "267", "{y}": "181"}
+    for value in values[1:]:
+        assert value.startswith(f"{address}/hills")
+        for name, number in place.items():
+            value = value.replace(name, number)
+        value += "/layer.json" if value.endswith("/mesh") else ""
+        with urllib.request.urlopen(value) as answer:
+            assert answer.status == 200
+    # The clipboard may be refused, or not be there: then what was selected is copied.
+    driver.execute_script(
+        "window.copied = []; document.execCommand = () => {"
+        " copied.push(document.activeElement.value); return true; };"
+        "Object.defineProperty(navigator, 'clipboard', {configurable: true, value: undefined})"
+    )
+    buttons[1].click()
+    wait_until(driver, "copied.length === 1")
+    assert buttons[1].text == "Copied"
+    driver.execute_script(
+        "Object.defineProperty(navigator, 'clipboard', {value: {"
+        " writeText: async (text) => { copied.push('clipboard ' + text); }}})"
+    )
+    buttons[4].click()
+    wait_until(driver, "copied.length === 2")
+    assert driver.execute_script("return copied") == [values[1], f"clipboard {values[4]}"]
+
+
+def test_colours_have_a_legend_in_metres(address, page):
+    driver = page("terrain=hills&shaded=0&view=46.2,8.25,10.5,0,0")
+    with_tints = screenshot(driver)
+    ticks = text(driver, "ticks").split()
+    assert ticks[1::2] == ["m"] * (len(ticks) // 2)
+    heights = [float(tick) for tick in ticks[::2]]
+    assert heights == sorted(heights)
+    with urllib.request.urlopen(f"{address}/terrains.json") as answer:
+        found = json.load(answer)[0]
+    assert (heights[0], heights[-1]) == (found["lowest"], found["highest"])
+    choose(driver, "colours", "cividis")
+    wait_for(driver, "complete")
+    bar = driver.find_element("id", "bar").value_of_css_property("background-image")
+    assert bar.startswith("linear-gradient(to right, rgb(0, 34, 78) 0%")
+    wait_until(driver, "terrainMap.loaded()")
+    assert (screenshot(driver)[150:400, 350:700] != with_tints[150:400, 350:700]).mean() > 0.3
+    choose(driver, "colours", "none")
+    assert not driver.find_element("id", "legend").is_displayed()
+    wait_until(driver, "terrainMap.loaded()")
+    plain = screenshot(driver)[150:400, 350:700].reshape(-1, 3)
+    assert np.abs(plain.astype(int) - (0xCF, 0xC8, 0xB8)).max() <= 2
+    driver.find_element("id", "shaded").click()
+    wait_until(driver, "terrainMap.loaded()")
+    assert screenshot(driver)[150:400, 350:700].astype(float).mean(axis=2).std() > 4
+
+
+def test_what_a_file_says_of_its_origin_is_text(page):
+    driver = page("terrain=moor")
+    terms = [term.text for term in driver.find_elements("css selector", "#tags dt")]
+    told = [term.text for term in driver.find_elements("css selector", "#tags dd")]
+    assert dict(zip(terms, told, strict=True)) == {"LICENSE": HTML, "source": "a survey"}
+    assert driver.execute_script("return window.pwned") is None
+    choose(driver, "terrain", "hills")
+    assert not driver.find_element("id", "origin").is_displayed()
+
+
+def test_the_panel_folds_on_a_phone(page):
+    override = {"width": 390, "height": 760, "deviceScaleFactor": 1, "mobile": True}
+    driver = page("terrain=moor")
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", override)
+    try:
+        driver = page("terrain=moor")
+        assert not driver.find_element("id", "times").is_displayed()
+        covered = driver.find_element("id", "panel").size
+        assert covered["width"] * covered["height"] < 0.05 * 390 * 760
+        summary = driver.find_element("css selector", "#panel > summary")
+        driver.execute_script("arguments[0].focus()", summary)
+        summary.send_keys(Keys.ENTER)
+        assert driver.find_element("id", "times").is_displayed()
+        panel = driver.find_element("id", "panel").rect
+        assert panel["x"] + panel["width"] <= 390
+        assert panel["y"] + panel["height"] <= 760
+        assert driver.execute_script("return document.documentElement.scrollWidth") <= 390
+        summary.click()
+        assert not driver.find_element("id", "times").is_displayed()
+    finally:
+        driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+@pytest.mark.parametrize("pitch", [0, 62])
+def test_edges_have_no_curtains_and_no_steps(page, pitch):
+    """A plane far above 0 whose sides are askew: one colour, with straight sides."""
+    view = f"view=63.0,10.13,9.8,20,{pitch}"
+    driver = page(f"terrain=flat&colours=none&{view}")
+    driver.execute_script(
+        "for (const part of document.querySelectorAll("
+        "'#panel, #place, .maplibregl-control-container')) part.style.display = 'none'"
+    )
+    wait_until(driver, "terrainMap.loaded()")
+    picture = screenshot(driver).astype(int)
+    terrain, ground = np.array((0xCF, 0xC8, 0xB8)), np.array((0xDB, 0xE4, 0xE8))
+    assert (picture >= terrain - 4).all()  # a curtain is dark
+    is_terrain = (np.abs(picture - terrain) <= 6).all(axis=2)
+    assert 0.03 < is_terrain.mean() < 0.9
+    assert is_terrain[0].sum() == is_terrain[:, 0].sum() == is_terrain[:, -1].sum() == 0
+    rows, cols = np.nonzero(is_terrain)
+    hull = ConvexHull(np.column_stack([rows, cols])).volume
+    assert len(rows) > 0.985 * hull  # steps of n pixels leave n / 2 pixels along each side
+    assert (np.abs(picture - ground) <= 6).all(axis=2).sum() + len(rows) > 0.98 * is_terrain.size
