@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.export.frames import unit_text
 from terrainwave.render.frame import Frame, round_length
 from terrainwave.render.ramps import N_LATITUDES, Palette
 from terrainwave.render.style import Style
@@ -99,11 +100,6 @@ def legend_of(
     ticks = [number * step for number in range(first, last + 1)]
     labels = [((tick - low) / (high - low), f"{tick:.10g}") for tick in ticks]
     return Legend(title, colors, labels, has_voids)
-
-
-def unit_text(units: str | None) -> str:
-    """Return a unit as labels have it."""
-    return units.strip() if units and units.strip() else "unit unknown"
 
 
 class Ink:
