@@ -158,6 +158,8 @@ class Terrain(TerrainFile):
     ) -> Any:
         """Draw a map, coloured by height and hillshaded; needs matplotlib.
 
+        Axes and the bar of colours have labels with their units.
+
         Parameters
         ----------
         ax : matplotlib Axes, optional

@@ -63,6 +63,38 @@ def test_full_and_adaptive_pictures_are_alike(file, tmp_path):
     assert apart.mean() < 2
 
 
+def test_a_legend_and_a_scale_bar_are_drawn_where_asked_for(file, tmp_path):
+    size = ("--size", "300x200")
+    run("render", file, tmp_path / "a.png", *size)
+    done = run("render", file, tmp_path / "b.png", *size, "--legend", "--scale-bar")
+    assert done.exit_code == 0, done.output
+    differs = (pixels(tmp_path / "a.png") != pixels(tmp_path / "b.png")).any(axis=2)
+    assert differs[:100, :100].mean() > 0.3  # the legend, above on the left
+    assert differs[170:, 150:].mean() > 0.02  # the scale bar, below on the right
+    assert not differs[60:150, 180:].any()
+
+
+@pytest.mark.parametrize(
+    ("height", "options", "note"),
+    [
+        (0.08, (), "--exaggeration 10 shows them"),
+        (0.08, ("--exaggeration", "2"), None),
+        (1.0, (), None),
+        (0.0, (), None),
+    ],
+)
+def test_heights_too_small_to_be_seen_suggest_an_exaggeration(tmp_path, height, options, note):
+    """A fiftieth of the diagonal of 40 x 30 m is 1 m."""
+    heights = np.zeros((31, 41), dtype=np.float32)
+    heights[5, 5] = height
+    compress(heights, tmp_path / "a.twz", max_error=0.001)
+    done = run("render", tmp_path / "a.twz", tmp_path / "a.png", "--size", "60x40", *options)
+    assert done.exit_code == 0, done.output
+    notes = [line for line in done.output.splitlines() if "exaggeration" in line]
+    assert notes == ([] if note is None else notes[:1])
+    assert note is None or note in notes[0]
+
+
 def test_a_flight_writes_numbered_pictures(file, tmp_path):
     keys = ["100,40,500,0,-40,50", "120,60,450,30,-35,50"]
     path = tmp_path / "flight.json"
@@ -86,6 +118,9 @@ def test_a_flight_writes_numbered_pictures(file, tmp_path):
         (["--radius", "0"], "--radius", 2),
         (["--size", "200000x2"], "pixels", 1),
         (["--bounds", "5,5,1,1"], "left < right", 2),
+        (["--coloring", "ground"], "'auto', 'absolute', 'relative'", 2),
+        (["--legend", "--coloring", "plain"], "found --legend with --coloring plain", 2),
+        (["--scale-bar", "--size", "100x90"], "found --size 100x90, expected at least", 2),
     ],
 )
 def test_a_wrong_option_is_one_line(file, tmp_path, options, words, status):

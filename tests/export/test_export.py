@@ -555,6 +555,9 @@ def test_plot_draws_every_triangle(wireframe):
     assert len(faces.get_paths()) == mesh.n_triangles
     ax.figure.canvas.draw()
     assert ax.get_xlim() == pytest.approx((mesh.bounds[0], mesh.bounds[2]))
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("easting, m", "northing, m")
+    _, bar = ax.figure.axes
+    assert bar.get_ylabel() == f"height, {mesh.units or 'unit unknown'}"
     plt.close(ax.figure)
 
 

@@ -7,8 +7,9 @@ import pytest
 
 from terrainwave.render.camera import Camera, Viewport, project
 from terrainwave.render.controls import Controls
-from terrainwave.render.frame import Frame
-from terrainwave.render.overlay import draw_overlay, length_text, round_length
+from terrainwave.render.frame import Frame, round_length
+from terrainwave.render.marks import length_text
+from terrainwave.render.overlay import draw_overlay
 from terrainwave.render.png import encode_png
 from terrainwave.render.ramps import N_COLORS, RAMPS, ramp_colors
 from terrainwave.render.style import COLORINGS, Style

@@ -34,6 +34,33 @@ def test_a_map_lies_in_the_coordinates_of_the_crs_and_voids_are_clear(terrain, a
     np.testing.assert_array_equal(rgba[..., 3] == 0, terrain.read() == -32768)
 
 
+@pytest.mark.parametrize(
+    ("crs", "labels"),
+    [
+        ("EPSG:32633", ("easting, m", "northing, m")),
+        ("EPSG:2264", ("easting, US survey foot", "northing, US survey foot")),
+        ("EPSG:4326", ("longitude, degrees", "latitude, degrees")),
+        (None, ("x, unit unknown", "y, unit unknown")),
+    ],
+)
+def test_axes_and_colours_of_a_map_are_labelled_with_units(crs, labels, ax):
+    place = {"pixel": 0.01, "corner": (10.0, 50.0)} if crs == "EPSG:4326" else {}
+    heights = np.arange(30, dtype=np.int16).reshape(5, 6)
+    with terrain_of(heights, max_error=0, crs=crs, **place) as terrain:
+        terrain.plot(ax)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == labels
+    bar = next(other for other in ax.figure.axes if other is not ax)
+    assert bar.get_ylabel() == "height, unit unknown"
+    assert not any("e" in text.get_text() for text in ax.get_xticklabels())
+
+
+def test_an_array_without_a_place_is_in_samples_and_heights_have_their_unit(ax):
+    from terrainwave.export.frames import axis_labels, unit_text
+
+    assert axis_labels(None, is_placed=False) == ("x, samples", "y, samples")
+    assert (unit_text(" ft "), unit_text(""), unit_text(None)) == ("ft", *["unit unknown"] * 2)
+
+
 def test_a_map_is_lit_from_the_north_west_and_only_shaded_as_asked(terrain, ax):
     terrain.plot(ax, shade=0.0, cmap="gray")
     plain = np.asarray(ax.images[0].get_array())[..., 0]

@@ -101,6 +101,18 @@ def _announce_preparation(options: dict[str, Any]) -> None:
         click.echo(f"{preparation}: this decodes the whole file once", err=True)
 
 
+def _suggest_exaggeration(frame: Any) -> None:
+    """Note that nothing of the heights will be seen, where that is so."""
+    from terrainwave.render.frame import suggested_exaggeration
+
+    factor = suggested_exaggeration(frame)
+    if factor is not None:
+        print_note(
+            f"the heights are too small beside the raster's extent to be seen: --exaggeration"
+            f" {factor:g} shows them"
+        )
+
+
 def _style(options: dict[str, Any]) -> Any:
     """Return the style of the options, and take them out."""
     from terrainwave.render.style import Style
@@ -116,6 +128,8 @@ def _style(options: dict[str, Any]) -> Any:
 @click.option(
     "--bounds", type=Numbers("left,bottom,right,top", float), help="Show this, in the CRS."
 )
+@click.option("--legend", is_flag=True, help="Draw what the colours say, with units.")
+@click.option("--scale-bar", is_flag=True, help="Draw a length that holds in the middle.")
 @click.option("--samples", type=click.IntRange(0, 16), default=4, show_default=True,
               help="Per pixel, against jagged edges.")  # fmt: skip
 @click.option(
@@ -139,6 +153,8 @@ def render(
     stats: str | None,
     flight: Any,
     n_frames: int,
+    legend: bool,
+    scale_bar: bool,
     overwrite: bool,
     quiet: bool,
     **options: Any,
@@ -146,6 +162,7 @@ def render(
     """Draw FILE (.twz) to the picture TARGET (.png; - is stdout), without a screen."""
     import terrainwave
     from terrainwave.render.frame import check_drawable
+    from terrainwave.render.marks import check_marks
     from terrainwave.render.offscreen import Offscreen
     from terrainwave.render.pictures import (
         choose_camera,
@@ -167,11 +184,13 @@ def render(
         check_drawable(terrain)
         within = None if bounds is None else heights_within(terrain, bounds)
         style = _style(options)
+        check_marks(size, style, legend=legend, scale_bar=scale_bar)
         with Bar(quiet=quiet) as bar:
             scene = stack.enter_context(
                 Offscreen(terrain, size, max_bytes=memory << 20, progress=bar, **options)
             )
         style.check_body(scene.scene.frame.body)
+        _suggest_exaggeration(scene.scene.frame)
         if flight is None:
             cameras, n_frames = (
                 [choose_camera(scene.scene.frame, scene.viewport, camera, bounds, within)],
@@ -180,7 +199,9 @@ def render(
         else:
             cameras = read_flight(flight.read(), scene.scene.frame)
         names = _names(target, 1 if flight is None else n_frames, flight is not None)
-        pictures = fly_through(scene, cameras, n_frames, style, max_pixel_error)
+        pictures = fly_through(
+            scene, cameras, n_frames, style, max_pixel_error, legend=legend, scale_bar=scale_bar
+        )
         for name, (image, drawn) in zip(names, pictures, strict=True):
             with written(name, ".png") as path:
                 _write_png(path, image, overwrite)
@@ -241,11 +262,14 @@ def view(
 ) -> None:
     """Open a window and fly over FILE (.twz); H shows the keys."""
     import terrainwave
+    from terrainwave.render.frame import frame_of
     from terrainwave.render.viewer import run
 
     announce_compiling()
     _announce_preparation(options)
     with reading(file), terrainwave.open(file) as terrain:
+        if options["exaggeration"] == 1.0:
+            _suggest_exaggeration(frame_of(terrain, radius=options["radius"]))
         line = run(
             terrain,
             camera=camera,

@@ -232,6 +232,27 @@ def metres_per_unit(units: str | None) -> float:
     return _METRES.get(name, 1.0)
 
 
+def unit_text(units: str | None) -> str:
+    """Return a vertical unit as labels have it."""
+    return units.strip() if units and units.strip() else "unit unknown"
+
+
+def axis_labels(crs_text: str | None, *, is_placed: bool = True) -> tuple[str, str]:
+    """Return what x and y of a CRS are called, with their unit."""
+    if not is_placed:
+        return "x, samples", "y, samples"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TerrainwaveWarning)  # opening the file has told it
+        crs = _parsed(crs_text)
+    if crs is None:
+        return "x, unit unknown", "y, unit unknown"
+    if crs.is_geographic:
+        return "longitude, degrees", "latitude, degrees"
+    unit = (crs.linear_units or "").strip()
+    unit = "m" if unit.lower() in ("metre", "meter") else unit_text(unit.replace("unknown", ""))
+    return f"easting, {unit}", f"northing, {unit}"
+
+
 def to_frame(
     mesh: Mesh,
     frame: str | None = None,

@@ -1,5 +1,6 @@
 """A picture of a mesh from above, with matplotlib."""
 
+import contextlib
 import math
 import warnings
 from typing import Any
@@ -8,7 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
-from terrainwave.export.frames import areas, find_place, metres_per_unit
+from terrainwave.export.frames import (
+    areas,
+    axis_labels,
+    find_place,
+    metres_per_unit,
+    unit_text,
+)
 from terrainwave.export.mesh import Mesh
 from terrainwave.extras import need
 
@@ -51,7 +58,33 @@ def plot(mesh: Mesh, ax: Any, *, wireframe: bool, cmap: str) -> Any:
     ax.set_xlim(left, right)
     ax.set_ylim(bottom, top)
     ax.set_aspect(1 / stretch)
+    label_axes(ax, *_labels(mesh))
+    norm = need("matplotlib.colors", extra="demo").Normalize(low, high if high > low else low + 1)
+    add_colour_bar(ax, norm, cmap, mesh.units)
     return ax
+
+
+def _labels(mesh: Mesh) -> tuple[str, str]:
+    frame = mesh.attributes.get("frame", {}).get("name", "native")
+    if frame == "native":
+        return axis_labels(mesh.crs, is_placed=mesh.attributes.get("is_placed") is not False)
+    return ("x, m", "y, m") if frame == "ecef" else ("east, m", "north, m")
+
+
+def label_axes(ax: Any, x: str, y: str) -> None:
+    """Name axes; numbers are written out, as coordinates are."""
+    ax.set_xlabel(x)
+    ax.set_ylabel(y)
+    with contextlib.suppress(AttributeError, TypeError):  # axes with ticks of their own
+        ax.ticklabel_format(style="plain", useOffset=False)
+        ax.locator_params(axis="x", nbins=5)  # eastings have many digits
+
+
+def add_colour_bar(ax: Any, norm: Any, cmap: str, units: str | None) -> None:
+    """Say beside axes what colours of heights mean."""
+    pyplot = need("matplotlib.pyplot", extra="demo")
+    scale = pyplot.cm.ScalarMappable(norm=norm, cmap=cmap)
+    ax.figure.colorbar(scale, ax=ax, shrink=0.8, label=f"height, {unit_text(units)}")
 
 
 def _brightness(corners: NDArray[np.float64]) -> NDArray[np.float64]:

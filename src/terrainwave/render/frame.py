@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 # How far below the lowest height the block's base lies: of the raster's extent; metres.
 _BASE_SHARE, _LEAST_DEPTH = 0.035, 1.0
+_SEEN_RELIEF = 0.004
 _LEAST_RELIEF, _MOST_DETAIL = 0.02, 1 / 256
 
 
@@ -130,6 +131,24 @@ class Frame:
         if not (math.isfinite(factor) and factor > 0):
             raise InvalidArgumentError(f"found `exaggeration` {factor}, expected a number > 0")
         return replace(self, exaggeration=float(factor))
+
+
+def round_length(largest: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten that is not above `largest` (> 0)."""
+    power = 10.0 ** math.floor(math.log10(largest))
+    return max(step * power for step in (1, 2, 5) if step * power <= largest * (1 + 1e-12))
+
+
+def suggested_exaggeration(frame: Frame) -> float | None:
+    """Return a factor for heights that are too small beside the raster to be seen, as a planet's.
+
+    They are a fiftieth of the raster's extent with it, or a little less. None where they are seen.
+    """
+    low, high = frame.box
+    relief, extent = float(high[2] - low[2]), math.hypot(*(high - low)[:2])
+    if frame.exaggeration != 1.0 or not 0 < relief < _SEEN_RELIEF * extent:
+        return None
+    return round_length(_LEAST_RELIEF * extent / relief)
 
 
 def check_drawable(terrain: "TerrainFile") -> None:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import TerrainwaveError
 from terrainwave.extras import need
-from terrainwave.render.camera import Camera, Viewport, ray
+from terrainwave.render.camera import Camera, Viewport, focal_length, ray
 from terrainwave.render.modes import mode_class
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.scene import DEFAULT_MAX_BYTES, Scene
@@ -89,6 +89,7 @@ class Offscreen:
         self.store = self.surface.store
         self.scene = Scene(terrain, self.store, mode=mode, **options)
         solid = build_solid(terrain, self.scene.frame)
+        self.has_voids = solid.has_lids
         self.renderer = Renderer(self.context, self.scene, self.surface, picture, solid)
         self._samples = min(samples, int(self.context.max_samples))
         self._target: Any = None
@@ -218,6 +219,20 @@ class Offscreen:
         depth = 2 * near * far / (far + near - (2 * depth - 1) * (far - near))
         towards = ray(view.camera, self.viewport, int(x) + 0.5, int(y) + 0.5)
         return view.camera.eye + towards * (depth / float(towards @ view.camera.forward))
+
+    def metres_per_pixel(self) -> float | None:
+        """Return the scale of the last picture: in its middle, else of the raster's middle.
+
+        None where the one shows no terrain and the other is behind the camera.
+        """
+        if self._drawn is None:
+            return None
+        camera = self._drawn[0].camera
+        middle = self.pick(self.viewport.width / 2, self.viewport.height / 2)
+        if middle is None:
+            middle = np.mean(self.scene.frame.box, axis=0)
+        away = float((middle - camera.eye) @ camera.forward)
+        return away / focal_length(camera, self.viewport) if away > 0 else None
 
     def _draw_parts(self, view: View, style: "Style") -> Frames:
         """Draw all finest blocks in view, as many at a time as memory holds."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.camera import Camera, Viewport
+from terrainwave.render.marks import FONT_SIZE, WHITE, Ink
 from terrainwave.render.surface import release_all
 
 _VERTEX = """
@@ -25,20 +26,6 @@ uniform sampler2D image;
 out vec4 color;
 void main() { color = texture(image, vec2(v_place.x, 1.0 - v_place.y)); }
 """
-_WHITE, _SHADE = (255, 255, 255, 255), (0, 0, 0, 130)
-_FONT_SIZE = 14
-_LONGEST_BAR = 170  # pixels
-
-
-def round_length(largest: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that is not above `largest` (> 0)."""
-    power = 10.0 ** math.floor(math.log10(largest))
-    return max(step * power for step in (1, 2, 5) if step * power <= largest * (1 + 1e-12))
-
-
-def length_text(metres: float) -> str:
-    """Return a length as people write it."""
-    return f"{metres / 1000:g} km" if metres >= 1000 else f"{metres:g} m"
 
 
 def draw_overlay(
@@ -52,26 +39,15 @@ def draw_overlay(
 
     `metres_per_pixel` is that of the middle of the picture; None leaves the scale bar out.
     """
-    from PIL import Image, ImageDraw, ImageFont
+    from PIL import Image
 
     image = Image.new("RGBA", (viewport.width, viewport.height), (0, 0, 0, 0))
-    draw = ImageDraw.Draw(image)
-    font = ImageFont.load_default(_FONT_SIZE)
-
-    def text(x: float, y: float, words: str) -> None:
-        left, top, right, bottom = draw.multiline_textbbox((x, y), words, font=font)
-        draw.rectangle((left - 6, top - 4, right + 6, bottom + 4), fill=_SHADE)
-        draw.multiline_text((x, y), words, font=font, fill=_WHITE)
-
+    ink = Ink(image)
+    draw, font = ink.draw, ink.font
     if lines:
-        text(12, 10, "\n".join(lines))
+        ink.text(12, 10, "\n".join(lines))
     if metres_per_pixel is not None and metres_per_pixel > 0:
-        metres = round_length(metres_per_pixel * _LONGEST_BAR)
-        length = metres / metres_per_pixel
-        x, y = viewport.width - 24 - length, viewport.height - 22
-        text(x, y - 26, length_text(metres))
-        draw.line((x, y, x + length, y), fill=(0, 0, 0, 200), width=6)
-        draw.line((x + 1, y, x + length - 1, y), fill=_WHITE, width=3)
+        ink.scale_bar(metres_per_pixel)
     _draw_arrow(draw, viewport, camera, font)
     if help_lines is not None:
         _draw_help(draw, viewport, help_lines, font)
@@ -81,13 +57,13 @@ def draw_overlay(
 def _draw_help(draw: Any, viewport: Viewport, lines: list[tuple[str, str]], font: Any) -> None:
     """Draw two columns in the middle."""
     widths = [max(draw.textlength(line[k], font=font) for line in lines) for k in (0, 1)]
-    gap, pitch = 24, 1.45 * _FONT_SIZE
+    gap, pitch = 24, 1.45 * FONT_SIZE
     width, height = widths[0] + gap + widths[1], pitch * len(lines)
     x, y = (viewport.width - width) / 2, (viewport.height - height) / 2
     draw.rectangle((x - 16, y - 12, x + width + 16, y + height + 10), fill=(0, 0, 0, 170))
     for number, (key, meaning) in enumerate(lines):
         draw.text((x, y + pitch * number), key, font=font, fill=(255, 222, 140, 255))
-        draw.text((x + widths[0] + gap, y + pitch * number), meaning, font=font, fill=_WHITE)
+        draw.text((x + widths[0] + gap, y + pitch * number), meaning, font=font, fill=WHITE)
 
 
 def _draw_arrow(draw: Any, viewport: Viewport, camera: Camera, font: Any) -> None:
@@ -102,7 +78,7 @@ def _draw_arrow(draw: Any, viewport: Viewport, camera: Camera, font: Any) -> Non
         corner = middle - along * size * 0.9 + across * side * size * 0.45
         draw.polygon([tuple(tip), tuple(tail), tuple(corner)], fill=fill, outline=(0, 0, 0, 160))
     at = middle + along * (size + 10)
-    draw.text(tuple(at), "N", font=font, fill=_WHITE, anchor="mm",
+    draw.text(tuple(at), "N", font=font, fill=WHITE, anchor="mm",
               stroke_width=2, stroke_fill=(0, 0, 0, 200))  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from terrainwave.errors import (
 )
 from terrainwave.render.camera import Camera, Viewport, along, format_camera, home, parse_camera
 from terrainwave.render.frame import Frame
+from terrainwave.render.marks import draw_marks, legend_of
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.offscreen import Offscreen
 
@@ -112,6 +113,8 @@ def fly_through(
     max_pixel_error: float,
     *,
     settle: bool = True,
+    legend: bool = False,
+    scale_bar: bool = False,
 ) -> Iterator[tuple[NDArray[np.uint8], dict[str, Any]]]:
     """Yield pictures along a flight, with what `statistics` says of each.
 
@@ -132,7 +135,44 @@ def fly_through(
                 "the picture would show no terrain: what is in view is void, or `camera` looks"
                 " elsewhere"
             )
+        if legend or scale_bar:
+            image = with_marks(offscreen, image, frames, style, legend=legend, scale_bar=scale_bar)
         yield image, statistics(offscreen, camera, frames, seconds)
+
+
+def with_marks(
+    offscreen: Offscreen,
+    image: NDArray[np.uint8],
+    frames: Frames,
+    style: "Style",
+    *,
+    legend: bool,
+    scale_bar: bool,
+) -> NDArray[np.uint8]:
+    """Return the last picture with a legend, and a scale bar that holds in its middle.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If there is to be a scale bar, and the camera looks away from the terrain.
+    """
+    scene, scale = offscreen.scene, None
+    if scale_bar:
+        scale = offscreen.metres_per_pixel()
+        if scale is None:
+            raise InvalidHeightsError(
+                "there is no scale to draw a bar of: the camera looks away from the terrain"
+            )
+    explained = None
+    if legend:
+        explained = legend_of(
+            style,
+            offscreen.renderer.palette(frames, style),
+            scene.frame,
+            scene.terrain.raster_info.units,
+            has_voids=offscreen.has_voids and style.draws_solid,
+        )
+    return draw_marks(image, legend=explained, metres_per_pixel=scale)
 
 
 def statistics(

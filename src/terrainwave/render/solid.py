@@ -42,6 +42,11 @@ class Solid(NamedTuple):
     vertices: NDArray[np.void]
     triangles: NDArray[np.uint32]
 
+    @property
+    def has_lids(self) -> bool:
+        """Say whether there are voids to cover."""
+        return bool((self.vertices["kind"] == LID).any())
+
 
 class _Overview(NamedTuple):
     """A level whose last row and column are those of the full grid.

@@ -17,7 +17,10 @@ from terrainwave.errors import (
     TerrainwaveError,
     TerrainwaveWarning,
 )
+from terrainwave.export.frames import axis_labels
+from terrainwave.export.plot import add_colour_bar, label_axes
 from terrainwave.extras import need
+from terrainwave.grid.affine import IDENTITY
 from terrainwave.render.frame import check_drawable, frame_of
 
 if TYPE_CHECKING:
@@ -101,8 +104,9 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str, shade: float, bounds: An
     if x < c or y > f:  # the first row to the south, or the first column to the east
         ax.images[-1].set_data(rgb[:: -1 if y > f else 1, :: -1 if x < c else 1])
     ax.set_aspect(per_y / per_x)
-    scale = pyplot.cm.ScalarMappable(norm=norm, cmap=cmap)
-    ax.figure.colorbar(scale, ax=ax, shrink=0.8, label=raster.units or "")
+    is_placed = tuple(raster.transform) != IDENTITY
+    label_axes(ax, *axis_labels(terrain.crs, is_placed=is_placed))
+    add_colour_bar(ax, norm, cmap, raster.units)
     return ax
 
 

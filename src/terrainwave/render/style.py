@@ -73,6 +73,11 @@ class Style:
                 f"found `ramp` {self.ramp!r}, expected one of {', '.join((AUTO, *RAMP_NAMES))}"
             )
 
+    @property
+    def has_legend(self) -> bool:
+        """Say whether colours are values that a legend can explain."""
+        return COLORINGS[self.coloring] in (_RAMP, _GROUND, _SLOPE, _ERROR)
+
     def is_absolute(self, body: str) -> bool:
         """Say whether heights on a body get the Earth's colours by metres."""
         if self.coloring == "absolute":

@@ -250,17 +250,9 @@ class Viewer:
             unit = scene.terrain.raster_info.units or ""
             lines.append(f"{x:.10g}, {y:.10g}: {z:.6g} {unit}".rstrip())
         lines.append("H: help")
-        middle = offscreen.pick(viewport.width / 2, viewport.height / 2)
-        scale = None
-        if middle is not None:
-            away = float((middle - controls.camera.eye) @ controls.camera.forward)
-            tangent = float(np.tan(np.radians(controls.camera.fov) / 2))
-            scale = 2 * away * tangent / viewport.height
-        self.overlay.set(
-            draw_overlay(
-                viewport, controls.camera, lines, scale, HELP if controls.shows_help else None
-            )
-        )
+        shown = HELP if controls.shows_help else None
+        scale = offscreen.metres_per_pixel()
+        self.overlay.set(draw_overlay(viewport, controls.camera, lines, scale, shown))
 
 
 def _key_names(keys: Any) -> dict[Any, str]:
