@@ -152,6 +152,22 @@ def test_the_transform_of_a_window_takes_what_read_takes(terrain, window):
     assert terrain.transform(window=window) == terrain.transform(window=(2, 3, 4, 5))
 
 
+@pytest.mark.parametrize("raster", [HEIGHTS, WITH_VOIDS])
+@pytest.mark.parametrize("on_error", ["raise", "mask"])
+def test_a_whole_read_is_its_windows_and_keeps_no_unit_of_the_full_grid(raster, on_error):
+    data = twz_bytes(raster, max_error=0, method="rapid", nodata=-32768)
+    with Terrain(data) as terrain:
+        np.testing.assert_array_equal(terrain.read(on_error=on_error), raster)
+        assert terrain.read(masked=True).mask.sum() == (raster == -32768).sum()
+        k_max = terrain.grid.k_max
+        whole = Region(0, 0, R, C)
+        finest = terrain.decoder.keys(k_max, whole)
+        assert not any(terrain.decoder._cache.get(key) for key in finest)
+        np.testing.assert_array_equal(terrain.read((3, 5, 200, 100)), raster[3:203, 5:105])
+        assert any(terrain.decoder._cache.get(key) for key in finest)
+        np.testing.assert_array_equal(terrain.read(), raster)
+
+
 def test_what_is_read_is_a_copy(terrain):
     terrain.read((0, 0, 5, 5))[:] = 0
     np.testing.assert_array_equal(terrain.read((0, 0, 5, 5)), HEIGHTS[:5, :5])

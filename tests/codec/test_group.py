@@ -193,6 +193,25 @@ def test_heights_are_clamped_to_the_range_of_the_originals():
 # Damage
 
 
+@pytest.mark.parametrize("method", ["store", "rapid"])
+@pytest.mark.parametrize("forbidden", [(0, -1), (2, 2)])
+@pytest.mark.parametrize("has_voids", [False, True])
+def test_units_decode_into_given_memory_as_they_do_without(method, forbidden, has_voids):
+    rng = np.random.default_rng(6)
+    spec = root_spec(7, 9, step=5, z_min=-50, z_max=50, forbidden=forbidden)
+    target = rng.integers(-50, 51, (7, 9))
+    target[target == 2] = 1
+    mask = rng.random((7, 9)) < (0.7 if has_voids else 2)
+    refiner = refiner_by_name(method)
+    payload, plain = round_trip(spec, target, mask, refiner=refiner)
+    for filling in (-99, 99):
+        out = np.full((7, 9), filling, dtype=np.int32)
+        decoded = decode_unit(refiner, spec, None, payload, out)
+        np.testing.assert_array_equal(decoded.heights, plain.heights)
+        np.testing.assert_array_equal(decoded.mask, mask)
+        assert np.shares_memory(decoded.heights, out) == (method == "rapid")
+
+
 def small_unit(method, has_exceptions=True):
     rng = np.random.default_rng(5)
     forbidden = (2, 2) if has_exceptions else (0, -1)  # the store's heights are -48, -43 … 2 …
