@@ -1,0 +1,97 @@
+/** Masks (FORMAT.md §5.1, §5.2). */
+
+import { Models, RangeDecoder } from "./rangecoder.js";
+
+/** Start values of the models, in 1/256 (§5.2). */
+// prettier-ignore
+const STARTS = [
+  17, 3, 9, 20, 6, 2, 20, 20, 6, 14, 6, 13, 34, 33, 1, 34, 34, 32, 19, 4, 43, 41, 8, 2,
+  41, 41, 41, 19, 27, 84, 84, 79, 29, 84, 84, 84, 109, 22, 37, 101, 101, 18, 101, 101, 101, 46, 5, 11,
+  61, 61, 5, 61, 61, 61, 96, 105, 119, 119, 119, 100, 119, 119, 119, 58, 77, 108, 108, 108, 82, 108, 108, 108,
+  36, 37, 54, 105, 54, 15, 105, 105, 41, 14, 12, 12, 71, 56, 4, 71, 71, 22, 14, 17, 19, 88, 41, 6,
+  88, 88, 33, 10, 8, 15, 73, 66, 7, 73, 73, 29, 94, 105, 126, 126, 126, 109, 126, 126, 126, 45, 56, 112,
+  112, 112, 50, 112, 112, 112, 86, 126, 126, 126, 126, 126, 126, 126, 126, 46, 74, 113, 113, 113, 99, 113, 113, 113,
+  129, 83, 123, 127, 127, 83, 127, 127, 127, 100, 50, 94, 121, 121, 42, 121, 121, 121, 123, 116, 128, 128, 128, 116,
+  128, 128, 128, 110, 123, 127, 127, 127, 127, 127, 127, 127, 200, 126, 158, 158, 158, 78, 158, 158, 158, 218, 92, 138,
+  201, 201, 67, 201, 201, 201, 177, 103, 132, 132, 132, 128, 132, 132, 132, 143, 90, 132, 132, 132, 113, 132, 132, 132,
+  93, 71, 69, 123, 123, 55, 123, 123, 123, 34, 22, 24, 84, 78, 6, 84, 84, 34, 51, 63, 110, 124, 124, 101,
+  124, 124, 124, 19, 10, 30, 88, 88, 15, 88, 88, 41, 136, 49, 126, 126, 126, 65, 126, 126, 126, 129, 74, 153,
+  119, 119, 41, 119, 119, 119, 89, 73, 124, 124, 124, 110, 124, 124, 124, 87, 29, 99, 94, 94, 24, 94, 94, 94,
+  211, 139, 161, 165, 130, 122, 165, 165, 165, 191, 157, 136, 136, 136, 136, 136, 136, 136, 222, 115, 204, 210, 131, 90,
+  210, 210, 210, 170, 121, 134, 148, 147, 105, 148, 148, 148, 247, 162, 166, 166, 166, 166, 166, 166, 166, 224, 147, 140,
+  140, 140, 140, 140, 140, 140, 236, 173, 193, 193, 193, 193, 193, 193, 193, 204, 150, 159, 159, 159, 155, 159, 159, 159,
+  180, 114, 121, 132, 114, 105, 132, 132, 132, 144, 95, 133, 129, 129, 114, 129, 129, 129, 187, 105, 122, 161, 133, 31,
+  161, 161, 144, 134, 30, 69, 124, 132, 27, 124, 124, 85, 187, 122, 129, 129, 129, 129, 129, 129, 129, 148, 117, 128,
+  128, 128, 128, 128, 128, 128, 211, 168, 162, 162, 162, 162, 162, 162, 162, 153, 119, 136, 136, 136, 110, 136, 136, 136,
+  229, 140, 132, 132, 132, 132, 132, 132, 132, 192, 122, 130, 130, 130, 130, 130, 130, 130, 227, 134, 140, 140, 140, 140,
+  140, 140, 140, 195, 127, 132, 132, 132, 132, 132, 132, 132, 253, 179, 178, 178, 178, 178, 178, 178, 178, 252, 201, 190,
+  190, 190, 190, 190, 190, 190, 252, 200, 203, 203, 203, 203, 203, 203, 203, 239, 178, 198, 198, 198, 198, 198, 198, 198,
+  231, 166, 136, 137, 137, 137, 137, 137, 137, 202, 128, 141, 140, 140, 132, 140, 140, 140, 245, 213, 209, 213, 227, 226,
+  213, 213, 213, 233, 163, 159, 221, 223, 172, 221, 221, 175, 248, 198, 159, 159, 159, 159, 159, 159, 159, 254, 244, 245,
+  245, 245, 249, 245, 245, 245, 255, 239, 247, 247, 247, 247, 247, 247, 247, 255, 253, 255, 255, 255, 255, 255, 255, 255,
+];
+const MODELS = Int32Array.from(STARTS, (s) => ((16 * s) << 4) | 1); // as `Models` takes them
+
+/** Return 1 where a void sample of the parent heights touches a sample of the region, else 0. */
+export function impliedVoid(unit, parent) {
+  const { rows, cols } = unit;
+  const implied = new Uint8Array(rows.n * cols.n);
+  if (parent === null) return implied;
+  const [above, below] = touching(rows, parent.rows);
+  const [left, right] = touching(cols, parent.cols);
+  for (let r = 0, i = 0; r < rows.n; r++) {
+    const first = parent.base + above[r] * parent.stride;
+    const second = parent.base + below[r] * parent.stride;
+    for (let c = 0; c < cols.n; c++, i++) {
+      const { valid } = parent;
+      const all = valid[first + left[c]] & valid[first + right[c]] &
+        valid[second + left[c]] & valid[second + right[c]];
+      implied[i] = all ^ 1;
+    }
+  }
+  return implied;
+}
+
+/** Return the parent's lines at or before and at or after each line of an axis. */
+function touching(axis, parentAxis) {
+  const inside = (place) =>
+    Math.min(Math.max(place, parentAxis.first), parentAxis.last) - parentAxis.first;
+  const before = new Int32Array(axis.n);
+  const after = new Int32Array(axis.n);
+  for (let i = 0; i < axis.n; i++) {
+    before[i] = inside((axis.first + i) >>> 1);
+    after[i] = inside((axis.first + i + 1) >>> 1);
+  }
+  return [before, after];
+}
+
+/** Return the validity of all samples of a region, 1 or 0. */
+export function decodeMask(section, implied, nRows, nCols) {
+  // Two samples of margin on each side stand for what lies outside the region.
+  const stride = nCols + 4;
+  const valid = new Uint8Array((nRows + 4) * stride);
+  const isImplied = new Uint8Array((nRows + 4) * stride);
+  for (let r = 0; r < nRows; r++) {
+    isImplied.set(implied.subarray(r * nCols, (r + 1) * nCols), (r + 2) * stride + 2);
+  }
+  const decoder = new RangeDecoder(section);
+  const models = new Models(MODELS.length, MODELS);
+  for (let r = 0; r < nRows; r++) {
+    for (let c = 0, i = (r + 2) * stride + 2; c < nCols; c++, i++) {
+      if (isImplied[i]) continue;
+      const near = 32 * valid[i - 1] + 16 * valid[i - stride] + 8 * valid[i - stride - 1] +
+        4 * valid[i - stride + 1] + 2 * valid[i - 2] + valid[i - 2 * stride];
+      const a = isImplied[i + stride] + isImplied[i + 1];
+      const far = isImplied[i + 2] + isImplied[i + stride - 1] + isImplied[i + stride + 1] +
+        isImplied[i + 2 * stride];
+      valid[i] = decoder.bit(models, (near * 3 + a) * 3 + (far < 2 ? far : 2));
+    }
+  }
+  decoder.end();
+  const inside = new Uint8Array(nRows * nCols);
+  for (let r = 0; r < nRows; r++) {
+    const at = (r + 2) * stride + 2;
+    inside.set(valid.subarray(at, at + nCols), r * nCols);
+  }
+  return inside;
+}

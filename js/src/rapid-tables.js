@@ -1,0 +1,165 @@
+/** Tables of a file of method rapid: stencils, weights of features, frequencies (R.10). */
+
+import { bitLength } from "./bytes.js";
+import { CorruptStreamError, require, requireKnown } from "./errors.js";
+import { inflateZlib } from "./inflate.js";
+import { CODES, FEATURES, STENCILS } from "./rapid-data.js";
+import { Models, RangeDecoder } from "./rangecoder.js";
+
+export const N_CONTEXTS = 176;
+export const N_SYMBOLS = 63;
+export const SLOT_BITS = 11;
+const TOTAL = 1 << SLOT_BITS;
+const N_FAMILIES = 6;
+const N_CLASSES = 4;
+const MOST_CODE = 127;
+const MOST_WEIGHT = 32767;
+
+/** Indices among the taps of a stencil, by plane HH, HL, LH: those of the core, c_1 first (R.6). */
+const CORE_TAPS = [[5, 6, 9, 10], [1, 2, 9, 12], [1, 2, 12, 13]];
+
+let allCodes = null;
+
+/** Return the annex's codes of a family, by context and symbol. */
+function codesOf(family) {
+  if (allCodes === null) {
+    const packed = Uint8Array.from(atob(CODES), (character) => character.charCodeAt(0));
+    allCodes = inflateZlib(packed, N_FAMILIES * N_CONTEXTS * N_SYMBOLS);
+  }
+  const n = N_CONTEXTS * N_SYMBOLS;
+  return allCodes.subarray(family * n, (family + 1) * n);
+}
+
+function valueOfCode(g) {
+  if (g < 32) return g;
+  const e = ((g - 32) >> 4) + 1;
+  return ((16 + (g % 16)) << e) + (1 << (e - 1));
+}
+
+/** Return the first symbol with the greatest code of the annex. */
+function restOf(trained, context) {
+  let rest = 0;
+  for (let s = 1; s < N_SYMBOLS; s++) {
+    if (trained[context * N_SYMBOLS + s] > trained[context * N_SYMBOLS + rest]) rest = s;
+  }
+  return rest;
+}
+
+/**
+ * Return what decodes symbols: by context and slot the symbol, by context and symbol its frequency
+ * and, shifted by 12, the sum of those before.
+ */
+function decodingTables(codes, trained) {
+  const slots = new Uint8Array(N_CONTEXTS * TOTAL);
+  const frequencies = new Int32Array(N_CONTEXTS * 64);
+  for (let context = 0; context < N_CONTEXTS; context++) {
+    const rest = restOf(trained, context);
+    const found = new Int32Array(N_SYMBOLS);
+    let others = 0;
+    for (let s = 0; s < N_SYMBOLS; s++) {
+      if (s === rest) continue;
+      found[s] = valueOfCode(codes[context * N_SYMBOLS + s]);
+      others += found[s];
+    }
+    found[rest] = TOTAL - others;
+    require(found[rest] >= 1 && found[0] >= 1, "frequencies of a context");
+    for (let s = 0, sum = 0; s < N_SYMBOLS; s++) {
+      frequencies[context * 64 + s] = found[s] | (sum << 12);
+      slots.fill(s, context * TOTAL + sum, context * TOTAL + sum + found[s]);
+      sum += found[s];
+    }
+  }
+  return { slots, frequencies };
+}
+
+function readStencil(decoder, magnitude, plane) {
+  const set = decoder.raw(4);
+  require(set < STENCILS[plane].length, "set of stencils");
+  const stencil = STENCILS[plane][set].slice();
+  if (decoder.raw(1) === 0) return stencil;
+  const unit = 2 ** decoder.raw(3);
+  const [missing] = CORE_TAPS[plane];
+  for (let i = 0; i < stencil.length; i++) {
+    if (i === missing) continue;
+    const change = magnitude(CORE_TAPS[plane].includes(i) ? 0 : 1, 65534);
+    const isNegative = change > 0 && decoder.raw(1);
+    stencil[i] += (isNegative ? -change : change) * unit;
+  }
+  stencil[missing] = 0;
+  stencil[missing] = 4096 - stencil.reduce((sum, weight) => sum + weight, 0);
+  require(stencil.every((weight) => Math.abs(weight) <= MOST_WEIGHT), "weight of a stencil");
+  return stencil;
+}
+
+function readCodes(decoder, magnitude, models, trained) {
+  const codes = Int32Array.from(trained);
+  let isOwn = 0;
+  for (let context = 0; context < N_CONTEXTS; context++) {
+    isOwn = decoder.bit(models, 368 + isOwn);
+    if (!isOwn) continue;
+    const rest = restOf(trained, context);
+    let before = 0;
+    for (let s = 0; s < N_SYMBOLS; s++) {
+      if (s === rest) continue;
+      const g = trained[context * N_SYMBOLS + s];
+      before = magnitude((g ? 5 : 2) + Math.min(bitLength(before), 2), MOST_CODE);
+      const isLess = before > 0 && g > 0 && decoder.raw(1);
+      const code = isLess ? g - before : g + before;
+      require(code >= 0 && code <= MOST_CODE, "code of a frequency");
+      codes[context * N_SYMBOLS + s] = code;
+    }
+  }
+  return codes;
+}
+
+/** Return { kMax, stencils[class][plane], features[class][row], slots, frequencies, widest }. */
+export function readRapidTables(parameters, header) {
+  let family = header.step === 1 ? 0 : header.step === 3 ? 1 : 2;
+  let kMax = 0;
+  let stencils;
+  let codes;
+  if (parameters.length === 0) {
+    stencils = Array.from({ length: N_CLASSES }, () => STENCILS.map((sets) => sets[0]));
+    codes = codesOf(family);
+  } else {
+    requireKnown(parameters[0] === 1, `layout ${parameters[0]} of the parameters`);
+    const decoder = new RangeDecoder(parameters.subarray(1));
+    const models = new Models(370);
+    const magnitude = (group, limit) => {
+      const value = decoder.magnitude(models, 46 * group, 46 * group + 14, 0);
+      if (value > limit) throw new CorruptStreamError("number in the parameters");
+      return value;
+    };
+    kMax = decoder.raw(5);
+    family = decoder.raw(3);
+    require(family < N_FAMILIES, "family of frequencies");
+    stencils = Array.from({ length: N_CLASSES }, () =>
+      STENCILS.map((_, plane) => readStencil(decoder, magnitude, plane)),
+    );
+    codes = readCodes(decoder, magnitude, models, codesOf(family));
+    decoder.end();
+  }
+  const sums = stencils.flat().map((one) => one.reduce((sum, w) => sum + Math.abs(w), 0));
+  const table = FEATURES[Math.floor(family / 3)];
+  return {
+    kMax, stencils,
+    features: table.map((rows) => rows.map((row) => scaledFeatures(row, header.step))),
+    widest: Math.max(...sums),
+    ...decodingTables(codes, codesOf(family)),
+  };
+}
+
+/** Features of ranges are counted in 2^r quanta, those of errors in 2^lg(n) (R.7). */
+export function rangeShift(step) {
+  return Math.max(bitLength(step) - 5, 0);
+}
+
+/** Return the nine weights of a row of the table for the step of the file (R.7). */
+function scaledFeatures(weights, step) {
+  const shifts = { 0: 0, 4: rangeShift(step), 5: rangeShift(step), 6: rangeShift(step) };
+  return Int32Array.from(weights, (weight, k) => {
+    const shift = BigInt(shifts[k] ?? bitLength(step) - 1);
+    const quotient = (BigInt(weight) << shift) / BigInt(k === 0 ? 1 : step);
+    return Number((quotient + 128n) >> 8n);
+  });
+}
