@@ -13,6 +13,7 @@ from terrainwave.cli import main
 from terrainwave.errors import BoundViolationError, InvalidHeightsError
 from terrainwave.grid.quadtree import Region
 from terrainwave.terrain import Terrain
+from terrainwave.write import patch as patching
 from terrainwave.write.patch import _PatchEncoder, patch
 
 NODATA = -32768
@@ -209,6 +210,25 @@ def test_the_bound_grows_with_each_patch_until_the_original_is_given(placed, tmp
         assert np.abs(terrain.read().astype(int) - new).max() <= 2
         assert (terrain.max_error, terrain.info().moved_error) == (2, 0)
     assert terrainwave.verify(path, tmp_path / "all.tif", mesh=True).ok
+
+
+@pytest.mark.large
+def test_errors_of_meshes_contain_what_earlier_patches_moved(placed, tmp_path, monkeypatch):
+    """What stored heights stand in for is half a step and all earlier moves away from them."""
+    measure, added = patching.measure_meshes, []
+
+    def noted(*arguments):
+        added.append(arguments[5])
+        return measure(*arguments)
+
+    path = placed(2)
+    part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
+    moved = patch(path, tmp_path / "new.tif").moved_error
+    assert moved > 0
+    monkeypatch.setattr(patching, "measure_meshes", noted)
+    part_of(changed(HEIGHTS, 100, 40), tmp_path / "new.tif", 100, 40, 9, 9)
+    assert patch(path, tmp_path / "new.tif").moved_error > 0
+    assert added == [0, 2 + moved]
 
 
 @pytest.mark.large
