@@ -33,10 +33,18 @@ print(*sorted(names), *results)
 """
 
 CONSTANTS = 'FACTOR = 2\n"""A factor."""\n'
+PART = """
+from terrainwave.coding.jit import kernel_part
+
+@kernel_part
+def times(number, factor):
+    return factor * number
+"""
 PAIR = "from typing import NamedTuple\nclass Pair(NamedTuple):\n    first: int\n    second: int\n"
 # `first_of` takes what its file does not import at its head.
 EXAMPLE = """
 from terrainwave.coding.example_constants import FACTOR
+from terrainwave.coding.example_part import times
 from terrainwave.coding.jit import kernel
 
 def pair():
@@ -45,7 +53,7 @@ def pair():
 
 @kernel
 def scaled(number):
-    return FACTOR * number
+    return times(number, FACTOR)
 
 @kernel
 def first_of(pair):
@@ -55,7 +63,7 @@ def first_of(pair):
 
 def files_with_kernels():
     texts = {path: path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py")}
-    marks = "\n@kernel", "\n@inlined_kernel"
+    marks = "\n@kernel\n", "\n@inlined_kernel"
     return sorted(path for path, text in texts.items() if any(mark in text for mark in marks))
 
 
@@ -108,6 +116,7 @@ def copied(tmp_path_factory):
     package = root / "terrainwave"
     shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
     (package / "coding" / "example_constants.py").write_text(CONSTANTS)
+    (package / "coding" / "example_part.py").write_text(PART)
     (package / "coding" / "example_pair.py").write_text(PAIR)
     (package / "codec" / "example.py").write_text(EXAMPLE)
     assert used(package) == (["fill_vertices", "filter_rows", "first_of", "scaled"], (6, 10))
@@ -142,6 +151,14 @@ def test_a_constant_recompiles_the_kernels_whose_file_imports_it(copied):
     compiled, (scaled, _) = used(copied)
     assert compiled == ["first_of", "scaled"]
     assert scaled == 15
+
+
+def test_a_part_is_compiled_with_its_kernels_and_again_when_its_text_changes(copied):
+    # The first use compiled no `times` by itself.
+    edit(copied / "coding" / "example_part.py", "factor * number", "-factor * number")
+    compiled, (scaled, _) = used(copied)
+    assert compiled == ["first_of", "scaled"]
+    assert scaled < 0
 
 
 def test_kernels_of_the_viewer_follow_what_they_import(copied):
