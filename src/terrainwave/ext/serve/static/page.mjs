@@ -77,7 +77,6 @@ function styleOf({ terrain, times, shaded }) {
   const paint = `&color=${GROUND.slice(1)}`;
   return {
     version: 8,
-    metadata: { generation },
     // Two sources of the same tiles: shading wants its own, so that it keeps its sharpness.
     sources: {
       heights: heights(),
@@ -284,8 +283,9 @@ function fly() {
 
 function connect() {
   map.on("style.load", () => {
-    styled = map.getStyle().metadata?.generation ?? 0;
-    if (styled === generation) apply();
+    if (!generation) return; // the empty one
+    styled = generation; // the map drops a style that another one replaces
+    apply();
   });
   map.on("error", fail);
   for (const event of ["render", "idle", "sourcedataloading"]) map.on(event, check);
