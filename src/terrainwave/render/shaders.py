@@ -136,7 +136,10 @@ void main() {
         if (coloring == 3) {
             float bent = clamp(bend() * 1.6, -1.0, 1.0);
             vec3 rock = mix(vec3(0.40, 0.37, 0.33), vec3(0.58, 0.56, 0.53), t);
-            if (!is_sea) base = mix(base, rock, smoothstep(0.08, 0.30, steep + 0.05 * bent));
+            // Snow stays on steeper ground than soil does.
+            float snow = smoothstep(0.84, 0.95, min(base.r, base.b));
+            vec2 bare = mix(vec2(0.08, 0.30), vec2(0.16, 0.42), snow);
+            if (!is_sea) base = mix(base, rock, smoothstep(bare.x, bare.y, steep + 0.05 * bent));
             base *= 1.0 + 0.22 * bent;
         }
     }
