@@ -92,6 +92,8 @@ def test_a_triangle_of_three_valid_samples_stays_the_terrains():
     heights = np.array([[1, 2], [-9, 4]], dtype=np.int16)
     with terrain_of(heights, max_error=0, nodata=-9) as terrain:
         vertices, triangles = solid_of(terrain)
+    found = vertices["height"][vertices["kind"] == LID]
+    assert 1 <= found.min() <= found.max() <= 4
     lids = triangles[(vertices["kind"][triangles] == LID).all(axis=1)]
     assert [sorted(vertices[["row", "col"]][lid].tolist()) for lid in lids] == [
         [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)]
