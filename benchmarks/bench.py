@@ -7,7 +7,6 @@ After a change of a codec, name its CSV: ``--again predictive speeds``.
 Exit status: 0 good; 1 if a codec broke a bound or failed; 2 wrong usage.
 """
 
-import shutil
 from collections import defaultdict
 from collections.abc import Iterable
 from pathlib import Path
@@ -17,6 +16,7 @@ import matplotlib as mpl
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
+from PIL import Image
 
 from benchmarks import common, tables
 from benchmarks.codecs import (
@@ -97,7 +97,8 @@ def draw(curves: Curves, results: Path) -> None:
     figure.savefig(results / "rates.png", dpi=80)
     plt.close(figure)
     if results.resolve() == common.RESULTS:
-        shutil.copyfile(results / "rates.png", common.IMAGES / "rates.png")
+        picture = Image.open(results / "rates.png").convert("RGB").quantize(160)
+        picture.save(common.IMAGES / "rates.png", optimize=True)
 
 
 @common.command()

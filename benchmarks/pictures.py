@@ -19,26 +19,22 @@ from benchmarks.rasters import load_raster
 from benchmarks.systems import TAU, camera_of
 from terrainwave.render.modes import MODES
 from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.pictures import choose_camera
+from terrainwave.render.pictures import choose_camera, with_marks
 from terrainwave.render.style import Style
 
 SIZE, MODE_SIZE = (1200, 675), (400, 300)
-MOON_RADIUS = 1_737_400.0
-
-
-# Picture: raster, bound, camera, style, options of the scene
-VIEWS: dict[str, tuple[str, float, str, Style, dict[str, float]]] = {
+# Picture: raster, bound, camera (the first view without), style, options of the scene
+VIEWS: dict[str, tuple[str, float, str | None, Style, dict[str, float]]] = {
+    "view-block": ("srtm3_swiss_alps_N46E008", 0, None, Style(), {}),
+    "view-earth": ("etopo5_global_5arcmin", 0, None, Style(), {"exaggeration": 20.0}),
     "view-andes": ("srtm3_aconcagua_S33W071", 0, "-70.12,-32.93,7300,300,-16,50", Style(), {}),
-    "view-moon": (
-        "moon_gld100_apennines_256ppd", 2, "3.2,17.5,70000,20,-32,50",
-        Style(coloring="ramp", ramp="grey", sun=(290, 14), haze=0, background=(5, 6, 10)),
-        {"radius": MOON_RADIUS, "exaggeration": 1.5},
-    ),
+    "view-moon": ("moon_gld100_apennines_256ppd", 2, "3.2,17.5,70000,20,-32,50", Style(
+        coloring="ramp", sun=(290, 14), haze=0, background=(5, 6, 10)),
+        {"radius": 1_737_400.0, "exaggeration": 1.5}),
     "view-hills": ("srtm1_bigtujunga", 0, "377500,3794500,2900,82,-15,46", Style(), {}),
 }  # fmt: skip
 MESHED = "srtm1_bigtujunga"
-ERRORS = (3.0, 10.0, 30.0)
-MAP_ERROR, LEVELS_ERROR = 10.0, 120.0
+ERRORS, MAP_ERROR, LEVELS_ERROR = (3.0, 10.0, 30.0), 10.0, 120.0
 LIGHT = np.array([-1.0, 1.0, 1.6]) / np.linalg.norm([-1.0, 1.0, 1.6])
 WINDOW = (150, 250, 257, 385)
 METRES_PER_DEGREE = 111_320.0
@@ -52,7 +48,8 @@ def draw_view(name: str, data: Path, folder: Path, out: Path) -> None:
     with terrainwave.open(file) as terrain, Offscreen(terrain, SIZE, **options) as offscreen:
         camera = choose_camera(offscreen.scene.frame, offscreen.viewport, line)
         image, frames = offscreen.picture(camera, style)
-    Image.fromarray(image).save(out / f"{name}.jpg", quality=88)
+        image = with_marks(offscreen, image, frames, style, legend=not line, scale_bar=not line)
+    Image.fromarray(image).save(out / f"{name}.jpg", quality=82)
     click.echo(f"{name}: {frames.n_triangles:,} triangles of {len(frames.nodes)} blocks")
 
 
@@ -126,7 +123,9 @@ def draw_meshes(data: Path, folder: Path, out: Path) -> None:
         heights = load_raster(source).heights.astype(np.float64)
         draw_errors(figures["mesh_error_map"][1], terrain, heights)
         for name, (figure, _) in figures.items():
-            figure.savefig(out / f"{name}.png", dpi=80)
+            path = out / f"{name}.png"
+            figure.savefig(path, dpi=80)
+            Image.open(path).convert("RGB").quantize(160).save(path, optimize=True)
 
 
 @common.command(base="docs/images")

@@ -209,6 +209,20 @@ def test_a_very_wide_raster_is_looked_along(box, size, heading):
     assert home((-high, high), Viewport(*size)).heading == heading
 
 
+@pytest.mark.parametrize(
+    ("heights", "exaggeration", "detail"),
+    [
+        # A fiftieth of the diagonal, 7 km, is 140 m.
+        ((0.0, 900.0), 1.0, 1.0), ((0.0, 14.0), 1.0, 0.1), ((0.0, 14.0), 5.0, 0.5),
+        ((7.0, 7.0), 1.0, 1.0), ((0.0, 1e-6), 1.0, 1 / 256),
+    ],
+)  # fmt: skip
+def test_flat_terrains_are_drawn_in_more_detail(heights, exaggeration, detail):
+    frame = replace(UTM, sample_matrix=(42.0, 0.0, 0.0, 0.0, -42.105263, 0.0), heights=heights,
+                    shape=(134, 101), exaggeration=exaggeration)  # fmt: skip
+    assert frame.detail == pytest.approx(detail, rel=1e-3)
+
+
 def test_flying_moves_along_the_cameras_axes():
     camera = fly(Camera((0, 0, 0), 90, 0), right=1, up=2, forward=3)
     np.testing.assert_allclose(camera.position, (3, -1, 2), atol=1e-12)

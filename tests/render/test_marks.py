@@ -33,7 +33,8 @@ def test_heights_of_a_legend_are_in_the_files_unit():
     legend = legend_of(Style(), relative_palette("grey", 0.0, 304.8), FEET, "ft", has_voids=False)
     assert legend.title == "height, ft"
     assert legend.labels[-1] == (1.0, "1000")
-    np.testing.assert_array_equal(legend.colors[-1], [206, 203, 198])
+    for place, color in ((0, [96, 94, 92]), (130, [150, 147, 143]), (-1, [206, 203, 198])):
+        assert np.abs(legend.colors[place].astype(int) - color).max() <= 1
     unknown = legend_of(Style(), relative_palette("grey", 0.0, 1.0), FEET, None, has_voids=False)
     assert unknown.title == "height, unit unknown"
 

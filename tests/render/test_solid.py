@@ -53,6 +53,22 @@ def test_walls_follow_the_border_and_stand_outside_of_it(with_voids):
         assert is_there[(tops["normal"] == normal).all(axis=1)].all()
 
 
+def test_walls_of_a_coarser_level_end_below_the_terrain_between_its_samples(
+    with_voids, monkeypatch
+):
+    monkeypatch.setattr("terrainwave.render.solid._WALL_SIDE", 60)
+    heights = with_voids.read().astype(float)
+    vertices, _ = solid_of(with_voids)
+    tops = vertices[vertices["kind"] == TOP]
+    north = tops[tops["normal"][:, 1] == 1]
+    np.testing.assert_array_equal(north["col"], [*range(0, 109, 2), 109])
+    line = np.append(heights[0, ::2], heights[0, 108])
+    lowest = np.minimum(
+        line, np.minimum(np.append(line[0], line[:-1]), np.append(line[1:], line[-1]))
+    )
+    np.testing.assert_array_equal(north["height"], lowest)
+
+
 @pytest.mark.parametrize("side", [641, 40])
 def test_a_lid_covers_all_voids_and_no_valid_sample(with_voids, monkeypatch, side):
     monkeypatch.setattr("terrainwave.render.solid._LID_SIDE", side)
@@ -76,6 +92,8 @@ def test_a_triangle_of_three_valid_samples_stays_the_terrains():
     heights = np.array([[1, 2], [-9, 4]], dtype=np.int16)
     with terrain_of(heights, max_error=0, nodata=-9) as terrain:
         vertices, triangles = solid_of(terrain)
+    found = vertices["height"][vertices["kind"] == LID]
+    assert 1 <= found.min() <= found.max() <= 4
     lids = triangles[(vertices["kind"][triangles] == LID).all(axis=1)]
     assert [sorted(vertices[["row", "col"]][lid].tolist()) for lid in lids] == [
         [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)]

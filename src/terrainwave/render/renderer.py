@@ -113,7 +113,7 @@ class Renderer:
             errors = self._scene.table.errors[frames.nodes]
             return error_palette(max(float(errors.max(initial=0.0)), 1e-6))
         frame = self._scene.frame
-        low, high = (height * frame.metres[2] for height in frame.heights)
+        low, high = sorted(height * frame.metres[2] for height in frame.heights)
         if not style.is_absolute(frame.body):
             return relative_palette(style.ramp_on(frame.body), low, high)
         key = (low, high)
@@ -220,6 +220,7 @@ class Renderer:
     def _draw_sky(self, view: View, style: Style) -> None:
         frame = self._scene.frame
         low, high = frame.box
+        a, b, _, d, e, _ = frame.sample_matrix
         extent = float(np.linalg.norm((high - low)[:2]))
         tangent = math.tan(math.radians(view.camera.fov) / 2)
         values = {
@@ -230,7 +231,10 @@ class Renderer:
             "sun": style.sun_vector,
             "eye": view.camera.position,
             "base": frame.base,
-            "box": (low[0], low[1], high[0], high[1]),
+            "middle": tuple((low + high)[:2] / 2),
+            "first": (frame.sample_matrix[2], frame.sample_matrix[5]),
+            "sample_steps": (a, d, b, e),
+            "last": (frame.shape[1] - 1.0, frame.shape[0] - 1.0),
             "extent": extent,
             "reach": _GROUND_REACH * extent,
             "has_ground": self._solid is not None and style.draws_solid,

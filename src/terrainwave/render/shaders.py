@@ -136,7 +136,10 @@ void main() {
         if (coloring == 3) {
             float bent = clamp(bend() * 1.6, -1.0, 1.0);
             vec3 rock = mix(vec3(0.40, 0.37, 0.33), vec3(0.58, 0.56, 0.53), t);
-            if (!is_sea) base = mix(base, rock, smoothstep(0.08, 0.30, steep + 0.05 * bent));
+            // Snow stays on steeper ground than soil does.
+            float snow = smoothstep(0.84, 0.95, min(base.r, base.b));
+            vec2 bare = mix(vec2(0.08, 0.30), vec2(0.16, 0.42), snow);
+            if (!is_sea) base = mix(base, rock, smoothstep(bare.x, bare.y, steep + 0.05 * bent));
             base *= 1.0 + 0.22 * bent;
         }
     }
@@ -184,7 +187,9 @@ uniform vec3 horizon;
 uniform vec3 sun;
 uniform vec3 eye;           // local metres
 uniform float base;         // z of the ground
-uniform vec4 box;           // the terrain's sides: x and y of the lowest and the highest corner
+uniform vec2 middle, first; // x and y of the terrain's middle and of its first sample
+uniform mat2 sample_steps;  // metres per column and per row
+uniform vec2 last;          // column, row
 uniform float reach;        // metres beside the terrain where the ground ends
 uniform float extent;       // metres
 uniform bool has_ground;
@@ -198,11 +203,10 @@ void main() {
     float up = ray.z;
     if (has_ground && height > 0.0) {
         // Where this way leaves a circle around the ground.
-        vec2 way = normalize(ray.xy + vec2(1e-9, 0.0)), from = eye.xy - (box.xy + box.zw) / 2.0;
-        float radius = length(box.zw - box.xy) / 2.0 + reach;
-        float middle = -dot(from, way);
-        float inside = middle * middle - dot(from, from) + radius * radius;
-        float leaves = max(middle + sqrt(max(inside, 0.0)), height);
+        vec2 way = normalize(ray.xy + vec2(1e-9, 0.0)), from = eye.xy - middle;
+        float radius = extent / 2.0 + reach, nearest = -dot(from, way);
+        float inside = nearest * nearest - dot(from, from) + radius * radius;
+        float leaves = max(nearest + sqrt(max(inside, 0.0)), height);
         up += height / length(vec2(height, leaves));
     }
     up = clamp(up, -0.25, 1.0);
@@ -212,7 +216,8 @@ void main() {
     rgb += vec3(0.22, 0.17, 0.09) * glow;
     if (has_ground && height > 0.0 && ray.z < 0.0) {
         vec2 place = eye.xy + ray.xy * (height / -ray.z);
-        float beside = length(max(max(box.xy - place, place - box.zw), vec2(0.0)));
+        vec2 at = inverse(sample_steps) * (place - first);
+        float beside = length(sample_steps * (at - clamp(at, vec2(0.0), last)));
         // Darker at the foot of the block, as if it kept light away.
         vec3 ground = GROUND * (1.0 - 0.34 * exp(-beside / (0.035 * extent)));
         rgb = mix(ground, rgb, smoothstep(0.0, reach, beside));
