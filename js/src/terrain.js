@@ -238,11 +238,11 @@ export class Terrain {
   }
 
   /** Return the parent heights of a group, as methods take them. */
-  #parent(key, { unit, heights, valid }) {
-    const place = this.#file.grid.parentPlace(key);
+  #parent(key, { unit, heights, valid, hasVoid }) {
+    const { rows, cols } = this.#file.grid.parentPlace(key);
     const stride = unit.cols.n;
-    const base = (place.rows.first - unit.rows.first) * stride + place.cols.first - unit.cols.first;
-    return { ...place, heights, valid, base, stride };
+    const base = (rows.first - unit.rows.first) * stride + cols.first - unit.cols.first;
+    return { rows, cols, heights, valid, hasVoid, base, stride };
   }
 
   /** Copy what lies both in a unit's core and in a window. */
