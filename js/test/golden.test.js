@@ -6,7 +6,7 @@ import { test } from "node:test";
 
 import { UnsupportedError, open } from "../src/index.js";
 import { METHODS } from "../src/methods.js";
-import { GOLDEN, digests } from "./files.js";
+import { GOLDEN, digests } from "../testing/files.js";
 
 const manifest = JSON.parse(await readFile(new URL("manifest.json", GOLDEN)));
 

@@ -6,7 +6,7 @@ import { deflateRawSync } from "node:zlib";
 
 import { DICTIONARY } from "../src/dictionary.js";
 import { CorruptStreamError, TerrainwaveError, open } from "../src/index.js";
-import { Parts, golden } from "./files.js";
+import { Parts, golden } from "../testing/files.js";
 
 /** Read all levels; return whether bytes were refused, by one of our errors. */
 async function isRefused(bytes) {
@@ -41,7 +41,7 @@ function flip(bytes, i, bit) {
 for (const name of ["store-int16-nodata-halves", "rapid-uint8", "rapid-float32-exact"]) {
   test(`${name}: every prefix, and one byte more`, async () => {
     const bytes = await golden(name);
-    const step = bytes.length > 2000 ? 7 : 1;
+    const step = bytes.length > 2000 ? 13 : 1;
     for (let n = 0; n < bytes.length; n += step) assert.ok(await isRefused(bytes.subarray(0, n)), n);
     assert.ok(await isRefused(Buffer.concat([bytes, Buffer.from([0])])));
     assert.ok(!(await isRefused(bytes)));
@@ -49,7 +49,7 @@ for (const name of ["store-int16-nodata-halves", "rapid-uint8", "rapid-float32-e
 
   test(`${name}: every flipped bit is noticed`, async () => {
     const bytes = await golden(name);
-    for (let i = 0; i < bytes.length; i += bytes.length > 2000 ? 5 : 1) {
+    for (let i = 0; i < bytes.length; i += bytes.length > 2000 ? 11 : 1) {
       assert.ok(await isRefused(flip(bytes, i, i % 8)), `byte ${i}`);
     }
   });
@@ -62,7 +62,7 @@ for (const name of ["store-float64-rqt", "rapid-uint8", "rapid-int16-states", "r
     assert.ok(!(await isRefused(new Parts(bytes).bytes())), "the parts make a good file");
     const below = random(1);
     let nRefused = 0;
-    for (let turn = 0; turn < 250; turn++) {
+    for (let turn = 0; turn < 120; turn++) {
       const parts = new Parts(bytes);
       const sections = [parts.header, parts.metadata, parts.parameters, parts.columns];
       sections.push(...parts.payloads, ...parts.payloads, ...parts.payloads);
@@ -71,7 +71,7 @@ for (const name of ["store-float64-rqt", "rapid-uint8", "rapid-int16-states", "r
       for (let k = below(3); k >= 0; k--) section[below(section.length)] = below(256);
       nRefused += await isRefused(parts.bytes());
     }
-    assert.ok(nRefused > 25, `${nRefused} of 250 refused`);
+    assert.ok(nRefused > 12, `${nRefused} of 120 refused`);
   });
 
   test(`${name}: payloads cut off, lengthened, exchanged`, async () => {

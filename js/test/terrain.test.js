@@ -6,7 +6,7 @@ import { test } from "node:test";
 import {
   ArgumentError, CorruptStreamError, LimitExceededError, SourceError, UnsupportedError, open,
 } from "../src/index.js";
-import { golden } from "./files.js";
+import { golden } from "../testing/files.js";
 
 const NAMES = ["rapid-int16-lossless-nodata", "rapid-int32-rings", "store-int16-segments"];
 
