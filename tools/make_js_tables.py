@@ -1,6 +1,6 @@
 """Write the annexes of the methods as data of the JavaScript reader: js/src/*-data.js.
 
-    python tools/make_js_tables.py
+python tools/make_js_tables.py
 """
 
 import base64
@@ -43,6 +43,7 @@ def module(section, *constants):
 
 
 def rapid_data():
+    """Return the module of the annex of method rapid."""
     stencils = [rapid_tables.STENCILS[plane].tolist() for plane in (1, 2, 3)]
     features = [table.tolist() for table in rapid_tables.FEATURES]
     codes = zlib.decompress(base64.b85decode(rapid_tables._CODES))
@@ -55,6 +56,7 @@ def rapid_data():
 
 
 def predictive_data():
+    """Return the module of the annex of method predictive."""
     stencils = [tables.STENCILS[plane].tolist() for plane in (1, 2, 3)]
     weights = [tables.E_WEIGHTS[plane].tolist() for plane in (1, 2, 3)]
     starts = np.frombuffer(zlib.decompress(base64.b85decode(tables._STARTS)), "<u2")

@@ -36,20 +36,22 @@ const MODELS = Int32Array.from(STARTS, (s) => ((16 * s) << 4) | 1); // as `Model
 export function impliedVoid(unit, parent) {
   const { rows, cols } = unit;
   const implied = new Uint8Array(rows.n * cols.n);
-  if (parent === null) return implied;
+  if (parent === null || !parent.hasVoid) return implied;
   const [above, below] = touching(rows, parent.rows);
   const [left, right] = touching(cols, parent.cols);
-  for (let r = 0, i = 0; r < rows.n; r++) {
+  for (let r = 0; r < rows.n; r++) {
     const first = parent.base + above[r] * parent.stride;
     const second = parent.base + below[r] * parent.stride;
-    for (let c = 0; c < cols.n; c++, i++) {
-      const { valid } = parent;
-      const all = valid[first + left[c]] & valid[first + right[c]] &
-        valid[second + left[c]] & valid[second + right[c]];
-      implied[i] = all ^ 1;
-    }
+    implyRow(parent.valid, first, second, left, right, implied, r * cols.n);
   }
   return implied;
+}
+
+function implyRow(valid, first, second, left, right, implied, to) {
+  for (let c = 0; c < left.length; c++) {
+    const [i, j] = [left[c], right[c]];
+    implied[to + c] = (valid[first + i] & valid[first + j] & valid[second + i] & valid[second + j]) ^ 1;
+  }
 }
 
 /** Return the parent's lines at or before and at or after each line of an axis. */
@@ -77,15 +79,8 @@ export function decodeMask(section, implied, nRows, nCols) {
   const decoder = new RangeDecoder(section);
   const models = new Models(MODELS.length, MODELS);
   for (let r = 0; r < nRows; r++) {
-    for (let c = 0, i = (r + 2) * stride + 2; c < nCols; c++, i++) {
-      if (isImplied[i]) continue;
-      const near = 32 * valid[i - 1] + 16 * valid[i - stride] + 8 * valid[i - stride - 1] +
-        4 * valid[i - stride + 1] + 2 * valid[i - 2] + valid[i - 2 * stride];
-      const a = isImplied[i + stride] + isImplied[i + 1];
-      const far = isImplied[i + 2] + isImplied[i + stride - 1] + isImplied[i + stride + 1] +
-        isImplied[i + 2 * stride];
-      valid[i] = decoder.bit(models, (near * 3 + a) * 3 + (far < 2 ? far : 2));
-    }
+    const at = (r + 2) * stride + 2;
+    decodeRow(decoder, models, valid, isImplied, at, at + nCols, stride);
   }
   decoder.end();
   const inside = new Uint8Array(nRows * nCols);
@@ -94,4 +89,16 @@ export function decodeMask(section, implied, nRows, nCols) {
     inside.set(valid.subarray(at, at + nCols), r * nCols);
   }
   return inside;
+}
+
+function decodeRow(decoder, models, valid, isImplied, start, end, stride) {
+  for (let i = start; i < end; i++) {
+    if (isImplied[i]) continue;
+    const near = 32 * valid[i - 1] + 16 * valid[i - stride] + 8 * valid[i - stride - 1] +
+      4 * valid[i - stride + 1] + 2 * valid[i - 2] + valid[i - 2 * stride];
+    const a = isImplied[i + stride] + isImplied[i + 1];
+    const far = isImplied[i + 2] + isImplied[i + stride - 1] + isImplied[i + stride + 1] +
+      isImplied[i + 2 * stride];
+    valid[i] = decoder.bit(models, (near * 3 + a) * 3 + (far < 2 ? far : 2));
+  }
 }

@@ -7,16 +7,17 @@ import { inflateZlib } from "./inflate.js";
 import { decodeMask, impliedVoid } from "./mask.js";
 
 /**
- * Decode a unit: { unit, heights, valid, remainders }, of its region in raster order.
+ * Decode a unit: { unit, heights, valid, hasVoid, remainders }, of its region in raster order.
  *
- * `parent` is null for the root, else the parent heights: { rows, cols, heights, valid, base,
- * stride }. Remainders are null where all are 0.
+ * `parent` is null for the root, else the parent heights: { rows, cols, heights, valid, hasVoid,
+ * base, stride }. Remainders are null where all are 0.
  */
 export function decodePayload(file, unit, payload, parent) {
   const { header } = file;
   const n = unit.rows.n * unit.cols.n;
   if (payload.length === 0) {
-    return { unit, heights: new Int32Array(n), valid: new Uint8Array(n), remainders: null };
+    const nothing = { heights: new Int32Array(n), valid: new Uint8Array(n), remainders: null };
+    return { unit, ...nothing, hasVoid: true };
   }
   const mayHaveRemainders = header.features & HAS_REMAINDERS && unit.level === file.grid.kMax;
   const flags = payload[0];
@@ -32,18 +33,28 @@ export function decodePayload(file, unit, payload, parent) {
   }
   const [mask, exceptions, rest] = sections;
   const implied = impliedVoid(unit, parent);
-  const valid = mask ? decodeMask(mask, implied, unit.rows.n, unit.cols.n) : implied.map((v) => v ^ 1);
+  const valid = mask ? decodeMask(mask, implied, unit.rows.n, unit.cols.n) : inverted(implied);
   require(valid.includes(1), "a payload of a unit without valid samples");
   const heights = file.decodeMethod(file, unit, payload.subarray(at), valid, parent);
-  const { zMin, zMax } = header;
-  for (let i = 0; i < n; i++) {
+  clip(heights, header.zMin, header.zMax);
+  moveFromNodata(file.quantaOfNodata, heights, valid, exceptions);
+  const remainders = rest && decodeRemainders(rest, n, header.dtype.bytes);
+  return { unit, heights, valid, remainders, hasVoid: valid.includes(0) };
+}
+
+function inverted(implied) {
+  const valid = new Uint8Array(implied.length);
+  for (let i = 0; i < valid.length; i++) valid[i] = implied[i] ^ 1;
+  return valid;
+}
+
+/** Step 1 of §5.1. */
+function clip(heights, zMin, zMax) {
+  for (let i = 0; i < heights.length; i++) {
     const height = heights[i];
     if (height < zMin) heights[i] = zMin;
     else if (height > zMax) heights[i] = zMax;
   }
-  moveFromNodata(file.quantaOfNodata, heights, valid, exceptions);
-  const remainders = rest && decodeRemainders(rest, n, header.dtype.bytes);
-  return { unit, heights, valid, remainders };
 }
 
 /** Step 2 of §5.1: no valid sample keeps a height that is written as nodata. */

@@ -24,9 +24,10 @@ export class Heights {
       ? (k) => (first + k) * num
       : (k) => Number((base + BigInt(k)) * quantumNum);
     this.hasFraction = quantumDen !== 1n;
-    this.den = den;
+    Object.assign(this, { first, num, den });
     this.nodata = this.nodataIn(metadata.nodata);
     this.quantaOfNodata = this.findQuantaOfNodata(header);
+    this.isPlain = exact && (this.isFloat || (!this.hasFraction && this.isInRange(header)));
   }
 
   /** Return the nodata value in the dtype, or null (§2.3). */
@@ -34,6 +35,12 @@ export class Heights {
     if (value === undefined) return null;
     const number = { nan: NaN, inf: Infinity, "-inf": -Infinity }[value] ?? value;
     return this.dtype.name === "float32" ? Math.fround(number) : number;
+  }
+
+  /** Say whether no height of the file needs to be clipped to the range of an integer dtype. */
+  isInRange({ zMin, zMax }) {
+    const [low, high] = this.dtype.range;
+    return this.product(zMin - 1) >= low && this.product(zMax + 1) <= high;
   }
 
   /** Return what void samples hold. */
@@ -76,8 +83,15 @@ export class Heights {
    */
   write(out, to, { heights, valid, remainders }, from, n) {
     const empty = this.void;
-    for (let i = 0; i < n; i++) {
-      out[to + i] = valid[from + i] ? this.raw(heights[from + i]) : empty;
+    if (this.isPlain) {
+      const { first, num, den } = this; // where den is 1, dividing by it changes nothing
+      for (let i = 0; i < n; i++) {
+        out[to + i] = valid[from + i] ? ((first + heights[from + i]) * num) / den : empty;
+      }
+    } else {
+      for (let i = 0; i < n; i++) {
+        out[to + i] = valid[from + i] ? this.raw(heights[from + i]) : empty;
+      }
     }
     if (remainders !== null) this.addRemainders(out, to, valid, remainders, from, n);
   }

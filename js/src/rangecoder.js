@@ -24,7 +24,7 @@ export class Models {
     const count = this.count[i];
     // Rates are in 1/65536: products have at most 38 bits and are exact.
     const rate = RATES[count];
-    this.probability[i] = bit ? p + Math.floor((ONE - p) * rate) : p - Math.floor(p * rate);
+    this.probability[i] = bit ? p + (((ONE - p) * rate) | 0) : p - ((p * rate) | 0);
     if (count < 254) this.count[i] = count + 1;
   }
 }

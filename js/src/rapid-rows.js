@@ -40,7 +40,7 @@ export class Workspace {
     this.expected = new Int32Array(this.nMost);
     this.whole = new Int32Array(this.nMost);
     this.contexts = new Int32Array(this.nMost);
-    this.details = new Float64Array(this.nMost);
+    this.details = new Int32Array(this.nMost);
     this.valid = new Uint8Array(this.nMost);
     this.result = new Int32Array(this.nMost);
   }
@@ -62,9 +62,12 @@ function predictHH(m, first, n, weights, features) {
   const { stride, coarse, bends, predicted, least, most, sum, twist, expected } = m;
   const own = m.planes[HH];
   const errors = m.errors[HH];
-  const [w0, w1, w2, w3, w4, w5, w6, w7, w8, w9] = weights;
-  const [w10, w11, w12, w13, w14, w15, w16, w17, w18] = weights.slice(10);
-  const [, north, diagonal, north2, , , bend] = features;
+  const w0 = weights[0], w1 = weights[1], w2 = weights[2], w3 = weights[3], w4 = weights[4],
+    w5 = weights[5], w6 = weights[6], w7 = weights[7], w8 = weights[8], w9 = weights[9],
+    w10 = weights[10], w11 = weights[11], w12 = weights[12], w13 = weights[13],
+    w14 = weights[14], w15 = weights[15], w16 = weights[16], w17 = weights[17],
+    w18 = weights[18];
+  const north = features[1], diagonal = features[2], north2 = features[3], bend = features[6];
   for (let j = 0; j < n; j++) {
     const i = first + j;
     const up = i - stride;
@@ -100,9 +103,13 @@ function predictHL(m, first, n, weights, features) {
   const { stride, coarse, bends, predicted, least, most, sum, twist, expected } = m;
   const [hh, own] = m.planes;
   const [errorsHH, errors] = m.errors;
-  const [w0, w1, w2, w3, w4, w5, w6, w7, w8, w9] = weights;
-  const [w10, w11, w12, w13, w14, w15, w16, w17, w18] = weights.slice(10);
-  const [, north, diagonal, north2, , , bend, near, far] = features;
+  const w0 = weights[0], w1 = weights[1], w2 = weights[2], w3 = weights[3], w4 = weights[4],
+    w5 = weights[5], w6 = weights[6], w7 = weights[7], w8 = weights[8], w9 = weights[9],
+    w10 = weights[10], w11 = weights[11], w12 = weights[12], w13 = weights[13],
+    w14 = weights[14], w15 = weights[15], w16 = weights[16], w17 = weights[17],
+    w18 = weights[18];
+  const north = features[1], diagonal = features[2], north2 = features[3], bend = features[6];
+  const near = features[7], far = features[8];
   for (let j = 0; j < n; j++) {
     const i = first + j;
     const up = i - stride;
@@ -141,9 +148,14 @@ function predictLH(m, first, n, weights, features) {
   const { stride, coarse, bends, predicted, least, most, sum, twist, expected } = m;
   const [hh, hl, own] = m.planes;
   const [errorsHH, errorsHL, errors] = m.errors;
-  const [w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10] = weights;
-  const [w11, w12, w13, w14, w15, w16, w17, w18, w19, w20, w21, w22] = weights.slice(11);
-  const [, north, diagonal, north2, , , bend, near, far] = features;
+  const w0 = weights[0], w1 = weights[1], w2 = weights[2], w3 = weights[3], w4 = weights[4],
+    w5 = weights[5], w6 = weights[6], w7 = weights[7], w8 = weights[8], w9 = weights[9],
+    w10 = weights[10], w11 = weights[11], w12 = weights[12], w13 = weights[13],
+    w14 = weights[14], w15 = weights[15], w16 = weights[16], w17 = weights[17],
+    w18 = weights[18], w19 = weights[19], w20 = weights[20], w21 = weights[21],
+    w22 = weights[22];
+  const north = features[1], diagonal = features[2], north2 = features[3], bend = features[6];
+  const near = features[7], far = features[8];
   for (let j = 0; j < n; j++) {
     const i = first + j;
     const up = i - stride;
@@ -186,7 +198,7 @@ function predictLH(m, first, n, weights, features) {
 export function fillContexts(m, n, features, scale) {
   const { predicted, least, most, sum, twist, expected, whole, contexts } = m;
   const { rangeShift, mostRange, isFine, sideShift, sideScale, endShift } = scale;
-  const [ofConst, , , , ofRange, ofTwist] = features;
+  const ofConst = features[0], ofRange = features[4], ofTwist = features[5];
   for (let j = 0; j < n; j++) {
     const low = least[j];
     const high = most[j];

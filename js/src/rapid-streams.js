@@ -24,7 +24,8 @@ export class Streams {
       this.states[i] =
         payload[at] | (payload[at + 1] << 8) | (payload[at + 2] << 16) | (payload[at + 3] << 24);
     }
-    this.words = new Uint16Array(nWords);
+    this.nWords = nWords;
+    this.words = new Uint16Array(nWords + 1); // the last one, 0, stands for all beyond the end
     for (let i = 0, at = wordsAt; i < nWords; i++, at += 2) {
       this.words[i] = payload[at] | (payload[at + 1] << 8);
     }
@@ -49,7 +50,7 @@ export class Streams {
 
   /** Return whether any sample has raw bits. */
   readSymbols(contexts, details, first, stop, valid) {
-    const { states, words, slots, frequencies } = this;
+    const { states, words, slots, frequencies, nWords } = this;
     const last = states.length - 1;
     let { nSymbols, nWordsUsed } = this;
     let hasRaw = false;
@@ -63,12 +64,12 @@ export class Streams {
       const y = x & 2047;
       const symbol = slots[(context << SLOT_BITS) | y];
       const entry = frequencies[(context << 6) | symbol];
-      let next = (Math.imul(entry & 4095, x >>> SLOT_BITS) + y - (entry >>> 12)) | 0;
-      if (next >>> 16 === 0) {
-        next = (next << 16) | (nWordsUsed < words.length ? words[nWordsUsed] : 0);
-        nWordsUsed++;
-      }
-      states[nSymbols & last] = next;
+      const next = (Math.imul(entry & 4095, x >>> SLOT_BITS) + y - (entry >>> 12)) | 0;
+      // Whether a word follows is hard to foresee: -1 if it does, else 0, and no branch.
+      const takes = ((next >>> 16) - 1) >> 31;
+      const word = words[Math.min(nWordsUsed, nWords)];
+      states[nSymbols & last] = (next << (takes & 16)) | (word & takes);
+      nWordsUsed -= takes;
       nSymbols++;
       details[j] = symbol - ZERO;
       if (symbol === ESCAPE || context >= FIRST_RAW) hasRaw = true;
@@ -115,7 +116,7 @@ export class Streams {
   }
 
   end() {
-    require(this.nWordsUsed === this.words.length, "number of words");
+    require(this.nWordsUsed === this.nWords, "number of words");
     require(this.states.every((x) => x === START), "states at the end");
     require(Math.ceil(this.nBitsUsed / 8) === this.rawBytes.length, "number of raw bits");
     const nLeft = -this.nBitsUsed & 7;

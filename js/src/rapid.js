@@ -11,6 +11,7 @@ import * as wide from "./rapid-wide.js";
 
 const MOST = 2 ** 31 - 64;
 const FINE_STEP = 3;
+const MOST_SYMBOL = 31;
 const REACH = 3; // rows and columns that are read outside a plane
 
 // One thread, one unit at a time: nothing is kept in them between units.
@@ -27,6 +28,7 @@ function scaleOf(step, low, high) {
   const log2 = bitLength(step) - 1;
   const isFine = step <= FINE_STEP;
   const sideShift = Math.max(log2 - 5, 0);
+  const mostDetail = Math.floor((high - low) / step) + 1;
   return {
     step, isFine, sideShift,
     errorShift: log2,
@@ -34,7 +36,8 @@ function scaleOf(step, low, high) {
     mostRange: 2 ** (15 + Math.min(log2, 4)) - 1,
     sideScale: Math.floor(isFine ? 65536 / (8 * step) : (1024 * 2 ** log2) / step),
     endShift: 2 + log2 - sideShift,
-    mostDetail: Math.floor((high - low) / step) + 1,
+    mostDetail,
+    isSmall: Math.max(mostDetail, MOST_SYMBOL) * step < 2 ** 30, // with a height: fits 32 bits
   };
 }
 
@@ -64,6 +67,16 @@ function fold(i, n) {
   const period = 2 * (n - 1);
   const inside = ((i % period) + period) % period;
   return Math.min(inside, period - inside);
+}
+
+/** Copy n samples of a row to every `step`-th place, adding `origin`. */
+function spread(from, at, n, to, start, step, origin) {
+  for (let j = 0, k = start; j < n; j++, k += step) to[k] = from[at + j] + origin;
+}
+
+/** Copy n samples of every `step`-th place to a row. */
+function gather(from, start, step, to, at, n) {
+  for (let j = 0, k = start; j < n; j++, k += step) to[at + j] = from[k];
 }
 
 /** Decodes the rows of one unit. */
@@ -104,11 +117,9 @@ class Coder {
     new SharedRows(this, unit, parent, heights, valid, rings).decode();
     // What is known of the core: the lines of shared sides.
     const known = (axis) => axis.isShared.map((isShared) => (isShared ? rings + 1 : 0));
-    const coarse = {
-      heights: parent.heights, rowStep: parent.stride, colStep: 1,
-      start: parent.base + (rows.coreFirst / 2 - parent.rows.first) * parent.stride +
-        cols.coreFirst / 2 - parent.cols.first,
-    };
+    const start = parent.base + (rows.coreFirst / 2 - parent.rows.first) * parent.stride +
+      cols.coreFirst / 2 - parent.cols.first;
+    const coarse = { heights: parent.heights, start, rowStep: parent.stride, colStep: 1 };
     this.decodeLattice(1, coarse, known(rows), known(cols));
   }
 
@@ -268,24 +279,30 @@ class Coder {
     let stop = Math.max(n - ((knownCols[1] + 1 - ((nCols - 1 - col) & 1)) >> 1), first);
     if (latticeRow < knownRows[0] || latticeRow >= nRows - knownRows[1]) first = stop = n;
     const own = m.planes[plane];
-    for (let j = 0; j < n; j++) {
-      if (j === first) j = stop;
-      if (j < n) own[at + j] = this.inside(heights[start + j * step]);
-    }
+    for (let j = 0; j < first; j++) own[at + j] = this.inside(heights[start + j * step]);
+    for (let j = stop; j < n; j++) own[at + j] = this.inside(heights[start + j * step]);
     if (first < stop) {
       if (this.hasVoid) {
-        for (let j = first; j < stop; j++) m.valid[j] = this.valid[start + j * step];
+        gather(this.valid, start + first * step, step, m.valid, first, stop - first);
       }
       this.streams.readDetails(m, first, stop, this.hasVoid ? m.valid : null, scale.mostDetail);
       this.fillHeights(own, at, first, stop);
-      for (let j = first; j < stop; j++) heights[start + j * step] = own[at + j] + origin;
+      spread(own, at + first, stop - first, heights, start + first * step, step, origin);
     }
     arithmetic.noteErrors(m, plane, at, n, scale);
   }
 
   /** Write the heights of samples first … stop - 1 of a row to `to`, its own from `at` on. */
   fillHeights(to, at, first, stop) {
-    const { workspace: { whole, details, contexts }, scale: { step }, low, high } = this;
+    const { workspace: { whole, details, contexts }, scale: { step, isSmall }, low, high } = this;
+    if (isSmall) {
+      for (let j = first; j < stop; j++) {
+        const change = Math.imul(details[j], step);
+        const height = (contexts[j] & DOWN ? whole[j] - change : whole[j] + change) | 0;
+        to[at + j] = Math.min(Math.max(height, low), high);
+      }
+      return;
+    }
     for (let j = first; j < stop; j++) {
       const change = details[j] * step;
       const height = contexts[j] & DOWN ? whole[j] - change : whole[j] + change;

@@ -49,7 +49,12 @@ class RangedSource {
   }
 
   async read(start, end) {
-    const found = await this.readRange(start, end);
+    let found;
+    try {
+      found = await this.readRange(start, end);
+    } catch (cause) {
+      throw new SourceError(`bytes ${start} to ${end}: ${cause.message}`, { cause });
+    }
     const bytes = found instanceof ArrayBuffer ? new Uint8Array(found) : found;
     return exactly(bytes, end - start, `bytes ${start} to ${end}`);
   }

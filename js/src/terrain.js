@@ -1,7 +1,7 @@
 /** A terrain: what users hold. */
 
 import { Container } from "./container.js";
-import { ArgumentError, LimitExceededError, SourceError, TerrainwaveError } from "./errors.js";
+import { ArgumentError, LimitExceededError } from "./errors.js";
 import { half, nameOf } from "./grid.js";
 import { requireMethod } from "./header.js";
 import { METHODS } from "./methods.js";
@@ -48,19 +48,9 @@ class Cache {
 /** Open a .twz file: a URL, a File or Blob, bytes, or an object { size, read(start, end) }. */
 export async function open(from, options = {}) {
   const source = openSource(from, options);
-  const container = await guarded(() => Container.open(source));
+  const container = await Container.open(source);
   requireMethod(container.header, METHODS);
-  return guarded(() => new Terrain(container, { ...DEFAULTS, ...options }));
-}
-
-/** Errors of the caller's own source become ours, so that users catch one class. */
-async function guarded(work) {
-  try {
-    return await work();
-  } catch (error) {
-    if (error instanceof TerrainwaveError) throw error;
-    throw new SourceError(error.message, { cause: error });
-  }
+  return new Terrain(container, { ...DEFAULTS, ...options });
 }
 
 /** A multiresolution raster of heights. Level 0 is the coarsest, -1 the full grid. */
@@ -165,14 +155,12 @@ export class Terrain {
     const heights = new array(nRows * nCols);
     const valid = new Uint8Array(nRows * nCols);
     const place = { row, col, nRows, nCols };
-    await guarded(async () => {
-      const keys = this.#keysOf(found, place);
-      for (let i = 0; i < keys.length; i += UNITS_AT_ONCE) {
-        await this.#decode(keys.slice(i, i + UNITS_AT_ONCE), (unit) =>
-          this.#copy(unit, place, heights, valid),
-        );
-      }
-    });
+    const keys = this.#keysOf(found, place);
+    for (let i = 0; i < keys.length; i += UNITS_AT_ONCE) {
+      await this.#decode(keys.slice(i, i + UNITS_AT_ONCE), (unit) =>
+        this.#copy(unit, place, heights, valid),
+      );
+    }
     return { heights, valid, level: found, ...place };
   }
 
@@ -238,11 +226,11 @@ export class Terrain {
   }
 
   /** Return the parent heights of a group, as methods take them. */
-  #parent(key, { unit, heights, valid }) {
-    const place = this.#file.grid.parentPlace(key);
+  #parent(key, { unit, heights, valid, hasVoid }) {
+    const { rows, cols } = this.#file.grid.parentPlace(key);
     const stride = unit.cols.n;
-    const base = (place.rows.first - unit.rows.first) * stride + place.cols.first - unit.cols.first;
-    return { ...place, heights, valid, base, stride };
+    const base = (rows.first - unit.rows.first) * stride + cols.first - unit.cols.first;
+    return { rows, cols, heights, valid, hasVoid, base, stride };
   }
 
   /** Copy what lies both in a unit's core and in a window. */
@@ -299,12 +287,10 @@ export class Terrain {
     if (!this.#file.grid.hasBlock(block)) {
       throw new ArgumentError(`there is no block ${row}, ${col} on level ${level}`);
     }
-    return guarded(async () => {
-      const code = await this.#container.errorCode(block);
-      const quanta = code ? Math.floor(((8 + (code % 8)) * 2 ** Math.floor(code / 8)) / 8) : 0;
-      const { quantumNum, quantumDen } = this.#file.header;
-      return (quanta * Number(quantumNum) * Math.abs(this.scale)) / Number(quantumDen);
-    });
+    const code = await this.#container.errorCode(block);
+    const quanta = code ? Math.floor(((8 + (code % 8)) * 2 ** Math.floor(code / 8)) / 8) : 0;
+    const { quantumNum, quantumDen } = this.#file.header;
+    return ((quanta * Number(quantumNum)) / Number(quantumDen)) * Math.abs(this.scale);
   }
 
   /** Return { nRows, nCols } of the blocks of a level. */

@@ -1,0 +1,98 @@
+/** Reads .twz files: terrain compressed by terrainwave. */
+
+export type Heights =
+  | Uint8Array
+  | Uint16Array
+  | Int16Array
+  | Int32Array
+  | Float32Array
+  | Float64Array;
+
+export type DtypeName = "uint8" | "uint16" | "int16" | "int32" | "float32" | "float64";
+
+/** Bytes start … end - 1 are asked for, and must come. */
+export interface ByteSource {
+  readonly size: number;
+  read(start: number, end: number): Promise<Uint8Array | ArrayBuffer>;
+}
+
+export interface OpenOptions {
+  /** Decoded units that are kept; 2^27 unless told. */
+  cacheBytes?: number;
+  /** Larger reads are refused; 2^28 unless told. */
+  maxSamples?: number;
+  /** Of URLs: instead of the global one. */
+  fetch?: typeof fetch;
+  headers?: Record<string, string>;
+  signal?: AbortSignal;
+}
+
+/** In samples of a level. */
+export interface Window {
+  row: number;
+  col: number;
+  nRows: number;
+  nCols: number;
+}
+
+export interface Read extends Window {
+  level: number;
+  /** In the file's dtype, row by row; void samples hold nodata, NaN or 0. */
+  heights: Heights;
+  /** 1 where a sample is valid, else 0. */
+  valid: Uint8Array;
+}
+
+export interface Shape {
+  nRows: number;
+  nCols: number;
+}
+
+export function open(
+  from: string | URL | Blob | ArrayBuffer | ArrayBufferView | ByteSource,
+  options?: OpenOptions,
+): Promise<Terrain>;
+
+/** A multiresolution raster of heights. Level 0 is the coarsest, -1 the full grid. */
+export class Terrain {
+  private constructor();
+  readonly nRows: number;
+  readonly nCols: number;
+  readonly nLevels: number;
+  /** Cells per side of a block. */
+  readonly blockSize: number;
+  readonly dtype: DtypeName;
+  readonly method: string;
+  /** The bound asked for and the one that holds at valid samples of the full grid, physical units. */
+  readonly maxError: number;
+  readonly effectiveBound: number;
+  /** All of FORMAT.md §4.2 that the file tells. */
+  readonly metadata: Readonly<Record<string, unknown>>;
+  readonly crs: string | null;
+  readonly units: string | null;
+  readonly scale: number;
+  readonly offset: number;
+  readonly nodata: number | null;
+  readonly bounds: { left: number; bottom: number; right: number; top: number };
+  shape(level?: number): Shape;
+  /** a, b, c, d, e, f: x = a·col + b·row + c, y = d·col + e·row + f at the corners of pixels. */
+  transform(level?: number): [number, number, number, number, number, number];
+  read(level?: number, window?: Partial<Window>): Promise<Read>;
+  /** Bilinear, in physical units; NaN outside the samples and beside voids. */
+  sample(x: number, y: number, options?: { level?: number }): Promise<number>;
+  /** The stored error of a block's surface, in physical units. */
+  blockError(level: number, row: number, col: number): Promise<number>;
+  /** Rows and columns of blocks. */
+  blockShape(level?: number): Shape;
+}
+
+export class TerrainwaveError extends Error {}
+/** The bytes contradict the format. */
+export class CorruptStreamError extends TerrainwaveError {}
+/** A later version of the format, or a method that is not decoded here. */
+export class UnsupportedError extends TerrainwaveError {}
+/** The server or the caller's source gave other bytes than asked for. */
+export class SourceError extends TerrainwaveError {}
+/** Larger than the caller allowed. */
+export class LimitExceededError extends TerrainwaveError {}
+export class ArgumentError extends TerrainwaveError {}

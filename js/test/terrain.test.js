@@ -1,0 +1,133 @@
+/** Windows, places, and where bytes come from. */
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import {
+  ArgumentError, CorruptStreamError, LimitExceededError, SourceError, UnsupportedError, open,
+} from "../src/index.js";
+import { golden } from "../testing/files.js";
+
+const NAMES = ["rapid-int16-lossless-nodata", "rapid-int32-rings", "store-int16-segments"];
+
+function cropped({ heights, valid, nCols }, { row, col, nRows, nCols: n }) {
+  const rows = Array.from({ length: nRows }, (_, i) => (row + i) * nCols + col);
+  const cut = (array) => rows.flatMap((at) => [...array.subarray(at, at + n)]);
+  return { heights: cut(heights), valid: cut(valid) };
+}
+
+for (const name of NAMES) {
+  test(`${name}: windows are parts of the whole, whatever the cache`, async () => {
+    const bytes = await golden(name);
+    const terrain = await open(bytes);
+    const small = await open(bytes, { cacheBytes: 0 });
+    for (let level = 0; level < terrain.nLevels; level++) {
+      const whole = await terrain.read(level);
+      const { nRows, nCols } = terrain.shape(level);
+      const [row, col] = [nRows >> 1, nCols >> 2];
+      for (const window of [
+        { row, col, nRows: nRows - row, nCols: nCols - col }, { row, col, nRows: 1, nCols: 1 },
+        { row: 0, col: 0, nRows: row + 1, nCols },
+      ]) {
+        for (const from of [small, terrain]) {
+          const { heights, valid } = await from.read(level, window);
+          assert.deepEqual({ heights: [...heights], valid: [...valid] }, cropped(whole, window));
+        }
+      }
+    }
+  });
+}
+
+test("bytes, Blobs and the caller's own source give the same", async () => {
+  const bytes = await golden("rapid-int16-halves");
+  const { heights } = await (await open(bytes)).read();
+  const own = { size: bytes.length, read: async (start, end) => bytes.subarray(start, end) };
+  const buffer = Uint8Array.from(bytes).buffer;
+  for (const from of [buffer, new DataView(buffer), new Blob([bytes]), own]) {
+    assert.deepEqual((await (await open(from)).read()).heights, heights);
+  }
+  const short = { ...own, read: async (start, end) => bytes.subarray(start, end - 1) };
+  await assert.rejects(open(short), SourceError);
+  const broken = { ...own, read: async () => { throw new Error("gone"); } };
+  await assert.rejects(open(broken), (error) => error instanceof SourceError && /gone/.test(error));
+  await assert.rejects(open(17), ArgumentError);
+});
+
+/** Return a fetch of one file, and the ranges it was asked for. */
+function server(bytes, { knowsRanges = true, tag = () => '"1"' } = {}) {
+  const asked = [];
+  const fetch = async (url, { headers }) => {
+    const [, first, last] = /^bytes=(\d+)-(\d+)$/.exec(headers.Range);
+    asked.push([Number(first), Number(last)]);
+    const etag = tag(asked.length);
+    if (!knowsRanges) return new Response(bytes, { headers: { etag } });
+    const part = bytes.subarray(Number(first), Number(last) + 1);
+    const range = `bytes ${first}-${Number(first) + part.length - 1}/${bytes.length}`;
+    return new Response(part, { status: 206, headers: { etag, "content-range": range } });
+  };
+  return { fetch, asked };
+}
+
+test("a URL is read by ranges, opened by one", async () => {
+  const bytes = await golden("rapid-int16-states");
+  const { fetch, asked } = server(bytes);
+  const terrain = await open("https://example.org/a.twz", { fetch });
+  assert.equal(asked.length, 1);
+  const { heights } = await terrain.read();
+  assert.deepEqual(heights, (await (await open(bytes)).read()).heights);
+});
+
+test("a server without ranges serves all at once", async () => {
+  const { fetch, asked } = server(await golden("rapid-int16-states"), { knowsRanges: false });
+  const terrain = await open(new URL("https://example.org/a.twz"), { fetch });
+  await terrain.read();
+  assert.equal(asked.length, 1);
+});
+
+test("a file that changes, errors of HTTP and wrong ranges are refused", async () => {
+  const bytes = await golden("rapid-int16-states");
+  const { fetch } = server(bytes, { tag: (n) => `"${n}"` });
+  const terrain = await open("https://example.org/a.twz", { fetch });
+  await assert.rejects(terrain.read(), /changed/);
+  for (const response of [
+    () => new Response("no", { status: 404 }), () => new Response(bytes, { status: 206 }),
+    () => new Response(bytes, { status: 206, headers: { "content-range": "bytes 5-9/4854" } }),
+    () => Promise.reject(new Error("offline")),
+  ]) {
+    await assert.rejects(open("https://example.org/", { fetch: async () => response() }), SourceError);
+  }
+});
+
+test("arguments that make no sense are refused", async () => {
+  const terrain = await open(await golden("rapid-uint8"), { maxSamples: 100 });
+  const one = { row: 0, col: 0, nRows: 1, nCols: 1 };
+  for (const change of [{ row: -1 }, { nRows: 0 }, { nCols: 1e9 }, { col: 0.5 }, { row: NaN }]) {
+    await assert.rejects(terrain.read(0, { ...one, ...change }), ArgumentError);
+  }
+  await assert.rejects(terrain.read(terrain.nLevels), ArgumentError);
+  await assert.rejects(terrain.read(-1 - terrain.nLevels), ArgumentError);
+  await assert.rejects(terrain.read(), LimitExceededError);
+  await assert.rejects(terrain.blockError(0, 0, 1), ArgumentError);
+});
+
+test("a newer version and features are unsupported, other bytes are corrupt", async () => {
+  const bytes = Uint8Array.from(await golden("rapid-uint8"));
+  bytes[8] = 2;
+  await assert.rejects(open(bytes), UnsupportedError);
+  bytes[0] = 0;
+  await assert.rejects(open(bytes), CorruptStreamError);
+});
+
+test("samples at centres are the heights, halfway their mean, NaN outside", async () => {
+  const terrain = await open(await golden("rapid-int16-halves"));
+  const [a, b, c, d, e, f] = terrain.transform();
+  const { heights, nCols } = await terrain.read();
+  const at = (row, col) => [a * (col + 0.5) + b * (row + 0.5) + c, d * (col + 0.5) + e * (row + 0.5) + f];
+  const scaled = (raw) => raw * terrain.scale + terrain.offset;
+  assert.equal(await terrain.sample(...at(3, 5)), scaled(heights[3 * nCols + 5]));
+  const mean = (heights[3 * nCols + 5] + heights[4 * nCols + 5]) / 2;
+  assert.ok(Math.abs((await terrain.sample(...at(3.5, 5))) - scaled(mean)) < 1e-9);
+  assert.ok(Number.isNaN(await terrain.sample(...at(-0.25, 5))));
+  const { left, right, bottom, top } = terrain.bounds;
+  assert.ok(left < right && bottom < top);
+});

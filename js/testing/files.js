@@ -1,0 +1,84 @@
+/** Golden files, and files made of them. */
+
+import { createHash } from "node:crypto";
+import { readFile } from "node:fs/promises";
+import { deflateSync, inflateSync } from "node:zlib";
+
+import { crc32 } from "../src/bytes.js";
+import { Grid } from "../src/grid.js";
+import { readHeader } from "../src/header.js";
+import { fileOrder, layoutOf } from "../src/segment.js";
+
+export const GOLDEN = new URL("../../tests/golden/v1/", import.meta.url);
+const KINDS = { uint8: "u1", uint16: "u2", int16: "i2", int32: "i4", float32: "f4", float64: "f8" };
+
+export const golden = (name) => readFile(new URL(`${name}.twz`, GOLDEN));
+
+/** Return the digests of heights and masks of all levels, as tests/golden_files.py makes them. */
+export async function digests(terrain) {
+  const [heights, mask] = [createHash("sha256"), createHash("sha256")];
+  for (let level = 0; level < terrain.nLevels; level++) {
+    const read = await terrain.read(level);
+    const shape = `(${read.nRows}, ${read.nCols})`;
+    heights.update(KINDS[terrain.dtype] + shape).update(read.heights);
+    mask.update(`b1${shape}`).update(read.valid);
+  }
+  return { heights: heights.digest("hex"), mask: mask.digest("hex") };
+}
+
+/** The parts of a file of one segment, and a file of parts with all lengths and checksums mended. */
+export class Parts {
+  constructor(bytes) {
+    const header = readHeader(bytes, bytes.length);
+    const sizes = [128, header.metadataLength, header.parametersLength, header.topPageLength];
+    let at = 0;
+    [this.header, this.metadata, this.parameters, this.page] = sizes.map((size) => {
+      at += size;
+      return Uint8Array.from(bytes.subarray(at - size, at));
+    });
+    this.columns = inflateSync(this.page.subarray(12));
+    const { keys, heads } = layoutOf(new Grid(header), null);
+    if (heads.length > 0) throw new Error("more than one segment");
+    this.nKeys = keys.length;
+    this.payloads = new Array(keys.length);
+    for (const i of fileOrder(keys)) {
+      const n = this.column(0, i);
+      this.payloads[i] = Uint8Array.from(bytes.subarray(at, at + n));
+      at += n + this.column(4 * this.nKeys, i);
+    }
+    this.order = fileOrder(keys);
+  }
+
+  column(start, i) {
+    return [3, 2, 1, 0].reduce((n, p) => n * 256 + this.columns[start + p * this.nKeys + i], 0);
+  }
+
+  setColumn(start, i, value) {
+    for (let p = 0; p < 4; p++) this.columns[start + p * this.nKeys + i] = value >>> (8 * p);
+  }
+
+  /** Return a file without meshes. */
+  bytes() {
+    const crcColumn = this.columns.length - 8 * this.nKeys;
+    this.payloads.forEach((payload, i) => {
+      this.setColumn(0, i, payload.length);
+      this.setColumn(4 * this.nKeys, i, 0);
+      this.setColumn(crcColumn, i, crc32(payload));
+      this.setColumn(crcColumn + 4 * this.nKeys, i, 0);
+    });
+    const page = Buffer.concat([this.page.subarray(0, 12), deflateSync(this.columns)]);
+    page.writeUInt32LE(crc32(page.subarray(4)), 0);
+    const header = Buffer.from(this.header);
+    const payloads = this.order.map((i) => this.payloads[i]);
+    const sections = [this.metadata, this.parameters, page, ...payloads];
+    const size = sections.reduce((n, section) => n + section.length, 128);
+    header.writeBigUInt64LE(BigInt(size), 16);
+    header.writeUInt32LE(this.metadata.length, 76);
+    header.writeUInt32LE(crc32(this.metadata), 104);
+    header.writeUInt32LE(this.parameters.length, 108);
+    header.writeUInt32LE(crc32(this.parameters), 112);
+    header.writeUInt32LE(page.length, 116);
+    header.writeUInt32LE(crc32(header.subarray(0, 124)), 124);
+    return new Uint8Array(Buffer.concat([header, ...sections]));
+  }
+}

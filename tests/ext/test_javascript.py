@@ -1,0 +1,133 @@
+"""Does the reader in JavaScript (js/) give what Python gives?"""
+
+import json
+import re
+import subprocess
+import tarfile
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+from ext.rasters import hills, write_twz
+from golden_files import GOLDEN, digests
+
+import terrainwave
+from terrainwave.grid.quadtree import Block
+
+JS = Path(__file__).parents[2] / "js"
+BOUNDS = (8.0, 46.0, 8.5, 46.4)
+METHODS = ("store", "rapid")
+
+pytestmark = pytest.mark.full
+
+
+def node(*arguments, cwd=JS):
+    """Return what a script prints."""
+    done = subprocess.run(
+        ["node", *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=600,
+        check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def dump(*arguments):
+    return json.loads(node("testing/dump.js", *arguments))
+
+
+@pytest.fixture(scope="module")
+def twz(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("hills")
+    return write_twz(folder, hills(300, 341) * 4, BOUNDS, max_error=8)
+
+
+class Handler(BaseHTTPRequestHandler):
+    """Serves one file by ranges and notes them."""
+
+    def do_GET(self):
+        data = self.server.data
+        first, last = map(int, re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers["Range"]).groups())
+        body = data[first : last + 1]
+        self.server.asked.append((first, first + len(body)))
+        self.send_response(206)
+        self.send_header("Content-Range", f"bytes {first}-{first + len(body) - 1}/{len(data)}")
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture
+def server(twz):
+    """Yield a server of the file, which notes the ranges it was asked for."""
+    found = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    found.data, found.asked = twz.read_bytes(), []
+    found.address = f"http://127.0.0.1:{found.server_address[1]}/hills.twz"
+    thread = threading.Thread(target=found.serve_forever)
+    thread.start()
+    yield found
+    found.shutdown()
+    thread.join(30)
+    found.server_close()
+
+
+def test_its_own_tests_pass():
+    node("--test")
+
+
+def test_heights_and_masks_of_golden_files_are_those_of_python(twz):
+    manifest = json.loads((GOLDEN / "v1" / "manifest.json").read_text())
+    paths = [GOLDEN / "v1" / name for name in manifest if name.startswith(METHODS)]
+    assert len(paths) >= 10
+    found = dump("digests", *paths, twz)
+    for path in (*paths, twz):
+        expected = digests(path)
+        assert found[str(path)] == {"heights": expected["heights"], "mask": expected["mask"]}
+
+
+def test_it_opens_a_url_by_two_requests_at_most(server):
+    found = dump("open", server.address)
+    assert 1 <= len(server.asked) <= 2
+    with terrainwave.open(server.data) as terrain:
+        assert found["nRows"] == terrain.shape[0]
+        assert found["crs"] == terrain.crs
+        left, bottom, right, top = terrain.bounds
+    bounds = found["bounds"]
+    assert bounds == {"left": left, "bottom": bottom, "right": right, "top": top}
+
+
+def test_places_and_errors_are_those_of_python(server):
+    x, y = 8.2503, 46.2041
+    found = dump("values", server.address, x, y, 1, 2)
+    with terrainwave.open(server.data) as terrain:
+        assert found["sample"] == pytest.approx(terrain.sample([(x, y)])[0], rel=1e-9)
+        assert found["coarse"] == pytest.approx(terrain.sample([(x, y)], level=1)[0], rel=1e-9)
+        last = terrain.n_levels - 1
+        assert found["blockError"] == terrain.block_error(Block(last, 1, 2))
+        assert found["rootError"] == terrain.block_error(Block(0, 0, 0)) > 0
+        assert found["transform"] == pytest.approx(terrain.transform(0), rel=1e-12)
+        assert found["maxError"] == terrain.max_error
+    assert sum(end - start for start, end in server.asked) < len(server.data)
+
+
+def test_the_package_runs_the_example_of_its_readme(twz, tmp_path):
+    name = subprocess.run(
+        ["npm", "pack", "--silent", "--offline", "--pack-destination", tmp_path], cwd=JS,
+        capture_output=True, text=True, check=True,
+    ).stdout.strip()  # fmt: skip
+    with tarfile.open(tmp_path / name) as archive:
+        archive.extractall(tmp_path, filter="data")
+    (tmp_path / "node_modules").mkdir()
+    (tmp_path / "package").rename(tmp_path / "node_modules" / "terrainwave")
+    assert (tmp_path / "node_modules" / "terrainwave" / "index.d.ts").exists()
+    examples = re.findall(r"^```js\n(.*?)^```", (JS / "README.md").read_text(), re.M | re.S)
+    (example,) = (text for text in examples if "node:fs" in text)
+    (tmp_path / "example.mjs").write_text(example)
+    (tmp_path / "dem.twz").write_bytes(twz.read_bytes())
+    printed = node("example.mjs", cwd=tmp_path)
+    with terrainwave.open(twz) as terrain:
+        expected = terrain.read((10, 20, 2, 3)).ravel().tolist()
+    assert list(map(int, re.findall(r"-?\d+", printed.partition("[")[2]))) == expected
