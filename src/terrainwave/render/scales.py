@@ -94,19 +94,17 @@ class HeightTexels:
         `metres` and `valid` have one sample more on each side, (n_rows + 2, n_cols + 2): voids
         take the mean of the valid ones around, so that colours don't change beside them.
         """
-        heights = metres[1:-1, 1:-1]
-        if not valid.all():
-            n_rows, n_cols = heights.shape
-            known = np.where(valid, metres - self.reference, 0.0)
-            parts = [
-                (slice(row, row + n_rows), slice(col, col + n_cols))
-                for row in range(3)
-                for col in range(3)
-            ]
-            n_valid = sum(valid[part].astype(np.float64) for part in parts)
-            mean = sum(known[part] for part in parts) / np.maximum(n_valid, 1)
-            heights = np.where(valid[1:-1, 1:-1], heights, mean + self.reference)
-        texels = np.clip((heights - self.reference) / self.scale, -_LARGEST_HEIGHT, _LARGEST_HEIGHT)
+        heights = metres[1:-1, 1:-1] - self.reference
+        rows, cols = np.nonzero(~valid[1:-1, 1:-1])
+        if len(rows):
+            total, n_valid = np.zeros(len(rows)), np.zeros(len(rows))
+            for row, col in np.ndindex(3, 3):
+                beside = rows + row, cols + col
+                total += np.where(valid[beside], metres[beside] - self.reference, 0.0)
+                n_valid += valid[beside]
+            heights[rows, cols] = total / np.maximum(n_valid, 1)
+        heights /= self.scale
+        texels = np.clip(heights, -_LARGEST_HEIGHT, _LARGEST_HEIGHT, out=heights)
         return np.concatenate([slopes, texels[..., None].astype(np.float16)], axis=-1)
 
 
