@@ -1,4 +1,4 @@
-"""Say what a sample costs in each stage of `predictive`: ``python -m benchmarks.stages dem.tif``.
+"""Say what a sample costs in each stage of a method: ``python -m benchmarks.stages dem.tif``.
 
 Stages are functions of the package, timed where they are called, each without the stages inside it;
 what none covers is "rest". CPU time of one thread, the least of ``--runs`` runs after a first one.
@@ -18,7 +18,7 @@ import terrainwave
 from benchmarks import common
 from benchmarks.rasters import Raster, load_raster, write_geotiff
 
-EFFORTS = ("fast", "default")
+METHODS = ("predictive", "rapid")
 # Stage, module, names there. Functions of the same stage may call each other.
 STAGES = (
     ("read source", "terrainwave.raster_io.source", "RasterSource.read"),
@@ -32,15 +32,15 @@ STAGES = (
     ("choice", "terrainwave.codec.predictive", "_choose"),
     ("pass", "terrainwave.codec.predictive", "code_pass"),
     ("unit", "terrainwave.codec.predictive", "_code_unit"),
+    ("fit", "terrainwave.codec.rapid_fitting", "fit_tables"),
+    ("rows", "terrainwave.codec.rapid", "code_rows encode_symbols"),
     ("unit", "terrainwave.write.encoder", "encode_unit"),
     ("unit", "terrainwave.read.decoder", "decode_unit"),
     ("write", "terrainwave.write.compress", "assemble"),
 )
 
-# One line of the CSV.
-Row = namedtuple(
-    "Row", "raster n_samples max_error effort bits_per_sample task stage ns_per_sample"
-)
+FIELDS = "raster n_samples max_error method bits_per_sample task stage ns_per_sample"
+Row = namedtuple("Row", FIELDS)
 
 
 class Clock:
@@ -83,7 +83,7 @@ def run_task(task: Callable[[], object]) -> dict[str, float]:
 
 
 def measure(
-    raster: Raster, max_error: float, effort: str, n_runs: int, folder: Path
+    raster: Raster, max_error: float, method: str, n_runs: int, folder: Path
 ) -> Iterator[Row]:
     """Yield rows: what encoding and decoding a raster cost in each stage."""
     source, target = folder / "source.tif", folder / "stages.twz"
@@ -91,8 +91,8 @@ def measure(
 
     def encode() -> None:
         terrainwave.compress(
-            source, target, max_error=max_error, method="predictive", effort=effort, threads=1,
-            verify=False, mesh="none", overwrite=True,
+            source, target, max_error=max_error, method=method, threads=1, verify=False,
+            mesh="none", overwrite=True,
         )  # fmt: skip
 
     def decode() -> None:
@@ -104,7 +104,7 @@ def measure(
         runs = [run_task(function) for _ in range(n_runs + 1)][1:]
         costs = {stage: min(run[stage] for run in runs) for stage in runs[0]}
         bits = round(8 * target.stat().st_size / n_samples, 4)
-        head = (raster.name, n_samples, max_error, effort, bits, task)
+        head = (raster.name, n_samples, max_error, method, bits, task)
         for stage, seconds in sorted(costs.items(), key=lambda item: -item[1]):
             yield Row(*head, stage, round(seconds / n_samples * 1e9, 2))
 
@@ -114,15 +114,15 @@ def measure(
 @common.bounds_option(1.0, 10.0)
 @common.crop_option
 @common.option("--runs", type=common.COUNT, default=3)
-def main(paths, bounds, crop, runs, folder, out) -> None:
+@common.option("--method", "methods", cls=common.ListOption, default=METHODS)
+def main(paths, bounds, crop, runs, methods, folder, out) -> None:
     """Write the nanoseconds per sample of each stage to a CSV."""
     common.pin_to_one_core()
     with ExitStack() as stack:
         for module in ("write.compress", "read.windows"):
             name = f"terrainwave.{module}.ThreadPoolExecutor"
             stack.enter_context(mock.patch(name, return_value=common.InlineExecutor()))
-        rasters = [load_raster(path, crop) for path in paths]
-        cases = itertools.product(rasters, bounds, EFFORTS)
+        cases = itertools.product([load_raster(path, crop) for path in paths], bounds, methods)
         rows = (row for case in cases for row in measure(*case, runs, folder))
         common.write_rows(out, rows)
 
