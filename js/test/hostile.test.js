@@ -56,7 +56,8 @@ for (const name of ["store-int16-nodata-halves", "rapid-uint8", "rapid-float32-e
 }
 
 for (const name of ["store-float64-rqt", "rapid-uint8", "rapid-int16-states", "rapid-int32-wide",
-  "rapid-float32-nan", "rapid-float32-exact", "rapid-int32-rings"]) {
+  "rapid-float32-nan", "rapid-float32-exact", "rapid-int32-rings",
+  "predictive-int32-rings", "predictive-uint8-best", "predictive-int16-lossless"]) {
   test(`${name}: changed, with all checksums mended`, async () => {
     const bytes = await golden(name);
     assert.ok(!(await isRefused(new Parts(bytes).bytes())), "the parts make a good file");

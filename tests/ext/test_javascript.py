@@ -17,7 +17,7 @@ from terrainwave.grid.quadtree import Block
 
 JS = Path(__file__).parents[2] / "js"
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
-METHODS = ("store", "rapid")
+METHODS = ("store", "rapid", "predictive")
 
 pytestmark = pytest.mark.full
 
@@ -81,7 +81,7 @@ def test_its_own_tests_pass():
 def test_heights_and_masks_of_golden_files_are_those_of_python(twz):
     manifest = json.loads((GOLDEN / "v1" / "manifest.json").read_text())
     paths = [GOLDEN / "v1" / name for name in manifest if name.startswith(METHODS)]
-    assert len(paths) >= 10
+    assert len(paths) >= 24
     found = dump("digests", *paths, twz)
     for path in (*paths, twz):
         expected = digests(path)
