@@ -1,6 +1,6 @@
 /** Masks (FORMAT.md §5.1, §5.2). */
 
-import { Models, RangeDecoder } from "./rangecoder.js";
+import { Models, ONE, RATES, RangeDecoder, scaled } from "./rangecoder.js";
 
 /** Start values of the models, in 1/256 (§5.2). */
 // prettier-ignore
@@ -91,14 +91,37 @@ export function decodeMask(section, implied, nRows, nCols) {
   return inside;
 }
 
+/** What `RangeDecoder.bit` does, with all state in locals. */
 function decodeRow(decoder, models, valid, isImplied, start, end, stride) {
+  const { data } = decoder;
+  const { probability, count } = models;
+  let { range, code, position } = decoder;
   for (let i = start; i < end; i++) {
-    if (isImplied[i]) continue;
+    if (isImplied[i] !== 0) continue;
     const near = 32 * valid[i - 1] + 16 * valid[i - stride] + 8 * valid[i - stride - 1] +
       4 * valid[i - stride + 1] + 2 * valid[i - 2] + valid[i - 2 * stride];
     const a = isImplied[i + stride] + isImplied[i + 1];
     const far = isImplied[i + 2] + isImplied[i + stride - 1] + isImplied[i + stride + 1] +
       isImplied[i + 2 * stride];
-    valid[i] = decoder.bit(models, (near * 3 + a) * 3 + (far < 2 ? far : 2));
+    const model = (near * 3 + a) * 3 + (far < 2 ? far : 2);
+    const p = probability[model];
+    const bound = Math.imul(range >>> 16, (p >> 6) | 1);
+    const rate = RATES[count[model]];
+    if (code >>> 0 < bound >>> 0) {
+      range = bound;
+      valid[i] = 1;
+      probability[model] = p + scaled(ONE - p, rate);
+    } else {
+      code = (code - bound) | 0;
+      range = (range - bound) | 0;
+      probability[model] = p - scaled(p, rate);
+    }
+    if (count[model] < 254) count[model]++;
+    while (range >>> 24 === 0) {
+      code = (code << 8) | (position < data.length ? data[position] : 0);
+      position++;
+      range <<= 8;
+    }
   }
+  Object.assign(decoder, { range, code, position });
 }

@@ -10,7 +10,8 @@ const DEEPEST = 16;
 const NUMBER = /-?(?:0|[1-9]\d*)(?:\.\d+)?(?:[eE][+-]?\d+)?/y;
 const STRING = /"(?:[^"\\\u0000-\u001f]|\\(?:["\\/bfnrt]|u[0-9a-fA-F]{4}))*"/y;
 const SPACE = /[ \t\n\r]*/y;
-const LONE_SURROGATE = /[\ud800-\udbff](?![\udc00-\udfff])|(?<![\ud800-\udbff])[\udc00-\udfff]/;
+/** With the flag u pairs are one character, and not matched. */
+const LONE_SURROGATE = /[\ud800-\udfff]/u;
 
 /** JSON.parse would take keys twice, infinite numbers, lone surrogates and any depth. */
 class Parser {

@@ -83,7 +83,10 @@ export class Heights {
    */
   write(out, to, { heights, valid, remainders }, from, n) {
     const empty = this.void;
-    if (this.isPlain) {
+    if (this.isPlain && this.num === 1 && this.den === 1) {
+      const { first } = this;
+      for (let i = 0; i < n; i++) out[to + i] = valid[from + i] ? first + heights[from + i] : empty;
+    } else if (this.isPlain) {
       const { first, num, den } = this; // where den is 1, dividing by it changes nothing
       for (let i = 0; i < n; i++) {
         out[to + i] = valid[from + i] ? ((first + heights[from + i]) * num) / den : empty;

@@ -3,7 +3,13 @@
 import { require } from "./errors.js";
 
 export const ONE = 2 ** 22; // a probability of 1
-const RATES = Float64Array.from({ length: 255 }, (_, c) => Math.floor(131072 / (2 * c + 3)) / 65536);
+/** By bits seen, how fast a model learns, in 1/65536. */
+export const RATES = Int32Array.from({ length: 255 }, (_, c) => Math.floor(131072 / (2 * c + 3)));
+
+/** Return (x · rate) >> 16 for x of 22 bits and a rate of 16, in products of 32 bits. */
+export function scaled(x, rate) {
+  return (Math.imul(x >>> 8, rate) + (Math.imul(x & 255, rate) >>> 8)) >>> 8;
+}
 
 /** Adaptive models (P, c) (§6.1). */
 export class Models {
@@ -22,9 +28,8 @@ export class Models {
   update(i, bit) {
     const p = this.probability[i];
     const count = this.count[i];
-    // Rates are in 1/65536: products have at most 38 bits and are exact.
     const rate = RATES[count];
-    this.probability[i] = bit ? p + (((ONE - p) * rate) | 0) : p - ((p * rate) | 0);
+    this.probability[i] = bit ? p + scaled(ONE - p, rate) : p - scaled(p, rate);
     if (count < 254) this.count[i] = count + 1;
   }
 }

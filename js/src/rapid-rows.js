@@ -229,6 +229,25 @@ export function fillContexts(m, n, features, scale) {
   }
 }
 
+/**
+ * Fill the heights first … stop - 1 of a row whose samples begin at `at`, and their errors; write
+ * heights to every `step`-th place of `out` too, the first one at `start`.
+ */
+export function finishRow(m, plane, at, first, stop, limits, scale, out, start, step) {
+  const { predicted, whole, details, contexts } = m;
+  const own = m.planes[plane];
+  const errors = m.errors[plane];
+  const { low, high, origin } = limits;
+  const { errorShift, step: quantum } = scale;
+  for (let j = first, k = start; j < stop; j++, k += step) {
+    const change = imul(details[j], quantum);
+    const height = min(max((contexts[j] & DOWN ? whole[j] - change : whole[j] + change) | 0, low), high);
+    own[at + j] = height;
+    out[k] = height + origin;
+    errors[at + j] = min(abs(((height << 6) - predicted[j]) | 0) >> errorShift, MOST_ERROR);
+  }
+}
+
 /** Fill the errors of a row of samples that begins at `first` (R.6). */
 export function noteErrors(m, plane, first, n, scale) {
   const { predicted } = m;

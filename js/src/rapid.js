@@ -286,8 +286,14 @@ class Coder {
         gather(this.valid, start + first * step, step, m.valid, first, stop - first);
       }
       this.streams.readDetails(m, first, stop, this.hasVoid ? m.valid : null, scale.mostDetail);
-      this.fillHeights(own, at, first, stop);
-      spread(own, at + first, stop - first, heights, start + first * step, step, origin);
+      if (scale.isSmall && arithmetic === narrow) {
+        const to = start + first * step;
+        narrow.finishRow(m, plane, at, first, stop, this, scale, heights, to, step);
+        if (first === 0 && stop === n) return;
+      } else {
+        this.fillHeights(own, at, first, stop);
+        spread(own, at + first, stop - first, heights, start + first * step, step, origin);
+      }
     }
     arithmetic.noteErrors(m, plane, at, n, scale);
   }

@@ -9,7 +9,10 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
+from ext.browser import chromium, served
 from ext.rasters import hills, write_twz
+from fastapi import FastAPI
+from fastapi.staticfiles import StaticFiles
 from golden_files import GOLDEN, digests
 
 import terrainwave
@@ -111,6 +114,26 @@ def test_places_and_errors_are_those_of_python(server):
         assert found["transform"] == pytest.approx(terrain.transform(0), rel=1e-12)
         assert found["maxError"] == terrain.max_error
     assert sum(end - start for start, end in server.asked) < len(server.data)
+
+
+@pytest.mark.large
+def test_a_page_reads_a_window_by_ranges(twz):
+    app = FastAPI()
+    app.mount("/js", StaticFiles(directory=JS / "src"))
+    app.mount("/data", StaticFiles(directory=twz.parent))
+    script = """
+        const done = arguments[arguments.length - 1];
+        import("/js/index.js").then(async ({ open }) => {
+          const terrain = await open(new URL("/data/hills.twz", document.baseURI));
+          const read = await terrain.read(-1, { row: 7, col: 250, nRows: 40, nCols: 60 });
+          return [...read.heights];
+        }).then(done, (error) => done(String(error)));
+    """
+    with served(app) as address, chromium() as driver:
+        driver.get(f"{address}/js/index.js")
+        found = driver.execute_async_script(script)
+    with terrainwave.open(twz) as terrain:
+        assert found == terrain.read((7, 250, 40, 60)).ravel().tolist()
 
 
 def test_the_package_runs_the_example_of_its_readme(twz, tmp_path):
