@@ -288,8 +288,8 @@ def wrong_by(monkeypatch, change):
     """Make every decoder return units changed by `change`; encoders stay right."""
     decode = decoder.decode_unit
 
-    def wrong(refiner, spec, parent, payload):
-        return change(decode(refiner, spec, parent, payload))
+    def wrong(*arguments):
+        return change(decode(*arguments))
 
     monkeypatch.setattr(decoder, "decode_unit", wrong)
 
