@@ -1,15 +1,14 @@
 /** Tables of a file of method predictive (P.9, P.10 of docs/format-predictive.md). */
 
 import { require, requireKnown } from "./errors.js";
-import { inflateZlib } from "./inflate.js";
 import { E_WEIGHTS, STARTS, STENCILS } from "./predictive-data.js";
 import { Models, RangeDecoder } from "./rangecoder.js";
+import { magnitudeReader, readChangedStencil, unpackedTable } from "./stencils.js";
 
 const N_DETAIL_MODELS = 22931;
 const N_BORDER_MODELS = 2860;
 const N_FEATURES = 18;
 const MOST_SETS = 16;
-const MOST_WEIGHT = 32767;
 /** Indices among the taps of a stencil, by plane HH, HL, LH: those of the core, its first first. */
 const CORE_TAPS = [[9, 10, 13, 14], [4, 5, 8, 9], [4, 5, 8, 9]];
 
@@ -17,8 +16,7 @@ let allStarts = null;
 
 function starts() {
   if (allStarts === null) {
-    const packed = Uint8Array.from(atob(STARTS), (character) => character.charCodeAt(0));
-    const bytes = inflateZlib(packed, 2 * (N_DETAIL_MODELS + N_BORDER_MODELS));
+    const bytes = unpackedTable(STARTS, 2 * (N_DETAIL_MODELS + N_BORDER_MODELS));
     allStarts = Uint16Array.from({ length: bytes.length / 2 }, (_, i) =>
       bytes[2 * i] + 256 * bytes[2 * i + 1],
     );
@@ -38,11 +36,7 @@ export function readPredictiveTables(parameters) {
   requireKnown(parameters[0] === 1, `layout ${parameters[0]} of the parameters`);
   const decoder = new RangeDecoder(parameters.subarray(1));
   const models = new Models(138);
-  const magnitude = (group, limit) => {
-    const value = decoder.magnitude(models, 46 * group, 46 * group + 14, 0);
-    require(value <= limit, "number in the parameters");
-    return value;
-  };
+  const magnitude = magnitudeReader(decoder, models);
   for (let plane = 0; plane < 3; plane++) {
     const sets = tables.stencils[plane];
     const nTrained = sets.length;
@@ -51,7 +45,7 @@ export function readPredictiveTables(parameters) {
     for (let k = 0; k < nNew; k++) {
       const base = decoder.raw(4);
       require(base < nTrained, "base of a stencil");
-      sets.push(changed(sets[base], CORE_TAPS[plane], decoder, magnitude));
+      sets.push(readChangedStencil(sets[base], CORE_TAPS[plane], decoder, magnitude));
     }
     if (decoder.raw(1)) {
       tables.weights[plane].push(Array.from({ length: N_FEATURES }, () => magnitude(2, 4096)));
@@ -59,20 +53,4 @@ export function readPredictiveTables(parameters) {
   }
   decoder.end();
   return tables;
-}
-
-function changed(base, core, decoder, magnitude) {
-  const unit = 2 ** decoder.raw(3);
-  const stencil = base.slice();
-  const [missing] = core;
-  for (let i = 0; i < stencil.length; i++) {
-    if (i === missing) continue;
-    const change = magnitude(core.includes(i) ? 0 : 1, 65534);
-    const isNegative = change > 0 && decoder.raw(1);
-    stencil[i] += (isNegative ? -change : change) * unit;
-  }
-  stencil[missing] = 0;
-  stencil[missing] = 4096 - stencil.reduce((sum, weight) => sum + weight, 0);
-  require(stencil.every((weight) => Math.abs(weight) <= MOST_WEIGHT), "weight of a stencil");
-  return stencil;
 }

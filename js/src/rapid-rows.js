@@ -3,7 +3,8 @@
  *
  * All planes of a lattice have the same layout: sample [i, j] of each is at
  * (i + MARGIN) · stride + MARGIN + j. Heights are less than the unit's origin, so that every sum
- * here fits 32 bits; where it would not, rapid-wide.js does the same in doubles.
+ * here fits 32 bits; where it would not, rapid-wide.js does the same in doubles. The predictors
+ * name their taps one by one, as arrays of weights would be read again for each sample.
  */
 
 export const MARGIN = 4;

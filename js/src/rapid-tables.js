@@ -1,10 +1,10 @@
 /** Tables of a file of method rapid: stencils, weights of features, frequencies (R.10). */
 
 import { bitLength } from "./bytes.js";
-import { CorruptStreamError, require, requireKnown } from "./errors.js";
-import { inflateZlib } from "./inflate.js";
+import { require, requireKnown } from "./errors.js";
 import { CODES, FEATURES, STENCILS } from "./rapid-data.js";
 import { Models, RangeDecoder } from "./rangecoder.js";
+import { magnitudeReader, readChangedStencil, unpackedTable } from "./stencils.js";
 
 export const N_CONTEXTS = 176;
 export const N_SYMBOLS = 63;
@@ -13,7 +13,6 @@ const TOTAL = 1 << SLOT_BITS;
 const N_FAMILIES = 6;
 const N_CLASSES = 4;
 const MOST_CODE = 127;
-const MOST_WEIGHT = 32767;
 
 /** Indices among the taps of a stencil, by plane HH, HL, LH: those of the core, c_1 first (R.6). */
 const CORE_TAPS = [[5, 6, 9, 10], [1, 2, 9, 12], [1, 2, 12, 13]];
@@ -23,8 +22,7 @@ let allCodes = null;
 /** Return the annex's codes of a family, by context and symbol. */
 function codesOf(family) {
   if (allCodes === null) {
-    const packed = Uint8Array.from(atob(CODES), (character) => character.charCodeAt(0));
-    allCodes = inflateZlib(packed, N_FAMILIES * N_CONTEXTS * N_SYMBOLS);
+    allCodes = unpackedTable(CODES, N_FAMILIES * N_CONTEXTS * N_SYMBOLS);
   }
   const n = N_CONTEXTS * N_SYMBOLS;
   return allCodes.subarray(family * n, (family + 1) * n);
@@ -75,20 +73,9 @@ function decodingTables(codes, trained) {
 function readStencil(decoder, magnitude, plane) {
   const set = decoder.raw(4);
   require(set < STENCILS[plane].length, "set of stencils");
-  const stencil = STENCILS[plane][set].slice();
-  if (decoder.raw(1) === 0) return stencil;
-  const unit = 2 ** decoder.raw(3);
-  const [missing] = CORE_TAPS[plane];
-  for (let i = 0; i < stencil.length; i++) {
-    if (i === missing) continue;
-    const change = magnitude(CORE_TAPS[plane].includes(i) ? 0 : 1, 65534);
-    const isNegative = change > 0 && decoder.raw(1);
-    stencil[i] += (isNegative ? -change : change) * unit;
-  }
-  stencil[missing] = 0;
-  stencil[missing] = 4096 - stencil.reduce((sum, weight) => sum + weight, 0);
-  require(stencil.every((weight) => Math.abs(weight) <= MOST_WEIGHT), "weight of a stencil");
-  return stencil;
+  const trained = STENCILS[plane][set];
+  if (decoder.raw(1) === 0) return trained.slice();
+  return readChangedStencil(trained, CORE_TAPS[plane], decoder, magnitude);
 }
 
 function readCodes(decoder, magnitude, models, trained) {
@@ -125,11 +112,7 @@ export function readRapidTables(parameters, header) {
     requireKnown(parameters[0] === 1, `layout ${parameters[0]} of the parameters`);
     const decoder = new RangeDecoder(parameters.subarray(1));
     const models = new Models(370);
-    const magnitude = (group, limit) => {
-      const value = decoder.magnitude(models, 46 * group, 46 * group + 14, 0);
-      if (value > limit) throw new CorruptStreamError("number in the parameters");
-      return value;
-    };
+    const magnitude = magnitudeReader(decoder, models);
     kMax = decoder.raw(5);
     family = decoder.raw(3);
     require(family < N_FAMILIES, "family of frequencies");
