@@ -55,6 +55,13 @@ def terrain_of(heights, *, pixel=30.0, corner=(500000, 5200000), nodata=None, cr
     return Terrain(io.BytesIO(data), threads=1)
 
 
+def terrain_with_hole(shape, hole):
+    """Return an open lossless terrain of hills, void in the slices `hole`."""
+    heights = np.round(hills(*shape, 2)).astype(np.int16)
+    heights[hole] = -32768
+    return terrain_of(heights, max_error=0, nodata=-32768)
+
+
 class ListStore:
     """A `Store` that keeps patches in a dict."""
 

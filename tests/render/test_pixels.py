@@ -7,7 +7,7 @@ they fail.
 import numpy as np
 import pytest
 from cases import some
-from render.scenes import LOUD, eroded, hills, loud, terrain_of
+from render.scenes import LOUD, eroded, hills, loud, terrain_of, terrain_with_hole
 
 from terrainwave.render import patch_surface
 from terrainwave.render.camera import Camera, home, project, top_view
@@ -27,9 +27,7 @@ def rough():
 
 @pytest.fixture(scope="module")
 def with_voids():
-    heights = np.round(hills(133, 170, 2)).astype(np.int16)
-    heights[40:60, 30:55] = -32768
-    with terrain_of(heights, max_error=0, nodata=-32768) as terrain:
+    with terrain_with_hole((133, 170), np.s_[40:60, 30:55]) as terrain:
         yield terrain
 
 

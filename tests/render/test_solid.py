@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from render.scenes import LOUD, eroded, hills, loud, terrain_of
+from render.scenes import LOUD, eroded, hills, loud, terrain_of, terrain_with_hole
 
 from terrainwave.render.camera import Camera, home, top_view
 from terrainwave.render.frame import Frame, frame_of
@@ -25,9 +25,7 @@ FLAT = Frame((0.0, 0.0), (1.0, 1.0, 1.0), (10.0, 0.0, -500.0, 0.0, -10.0, 400.0)
 
 @pytest.fixture(scope="module")
 def with_voids():
-    heights = np.round(hills(90, 110, 2)).astype(np.int16)
-    heights[20:50, 30:75] = -32768
-    with terrain_of(heights, max_error=0, nodata=-32768) as terrain:
+    with terrain_with_hole((90, 110), np.s_[20:50, 30:75]) as terrain:
         yield terrain
 
 

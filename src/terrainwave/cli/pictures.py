@@ -103,9 +103,7 @@ def _announce_preparation(options: dict[str, Any]) -> None:
 
 def _suggest_exaggeration(frame: Any) -> None:
     """Note that nothing of the heights will be seen, where that is so."""
-    from terrainwave.render.frame import suggested_exaggeration
-
-    factor = suggested_exaggeration(frame)
+    factor = frame.suggested_exaggeration
     if factor is not None:
         print_note(
             f"the heights are too small beside the raster's extent to be seen: --exaggeration"

@@ -97,11 +97,27 @@ class Frame:
         see where the relief is next to nothing, as a planet's is: errors count as if it was a
         fiftieth of the raster's extent.
         """
-        low, high = self.box
-        relief, extent = float(high[2] - low[2]), math.hypot(*(high - low)[:2])
+        relief, extent = self._relief_and_extent
         if not 0 < relief < _LEAST_RELIEF * extent:
             return 1.0
         return max(relief / (_LEAST_RELIEF * extent), _MOST_DETAIL)
+
+    @property
+    def suggested_exaggeration(self) -> float | None:
+        """Return a factor for heights that are too small to be seen, as a planet's are.
+
+        They are a fiftieth of the raster's extent with it, or a little less. None where they are
+        seen, or exaggerated already.
+        """
+        relief, extent = self._relief_and_extent
+        if self.exaggeration != 1.0 or not 0 < relief < _SEEN_RELIEF * extent:
+            return None
+        return round_length(_LEAST_RELIEF * extent / relief)
+
+    @property
+    def _relief_and_extent(self) -> tuple[float, float]:
+        low, high = self.box
+        return float(high[2] - low[2]), math.hypot(*(high - low)[:2])
 
     def samples_to_local(self, rows: NDArray[Any], cols: NDArray[Any]) -> NDArray[np.float64]:
         """Return local x, y of full-grid samples, shape (n, 2)."""
@@ -137,18 +153,6 @@ def round_length(largest: float) -> float:
     """Return the largest of 1, 2, 5 times a power of ten that is not above `largest` (> 0)."""
     power = 10.0 ** math.floor(math.log10(largest))
     return max(step * power for step in (1, 2, 5) if step * power <= largest * (1 + 1e-12))
-
-
-def suggested_exaggeration(frame: Frame) -> float | None:
-    """Return a factor for heights that are too small beside the raster to be seen, as a planet's.
-
-    They are a fiftieth of the raster's extent with it, or a little less. None where they are seen.
-    """
-    low, high = frame.box
-    relief, extent = float(high[2] - low[2]), math.hypot(*(high - low)[:2])
-    if frame.exaggeration != 1.0 or not 0 < relief < _SEEN_RELIEF * extent:
-        return None
-    return round_length(_LEAST_RELIEF * extent / relief)
 
 
 def check_drawable(terrain: "TerrainFile") -> None:

@@ -1,6 +1,7 @@
 """Colours by height: relative, by the range, or absolute, by metres on the Earth."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -120,12 +121,15 @@ class Palette(NamedTuple):
         return found
 
 
+# Palettes last: the viewer asks for one in every frame.
+@lru_cache(maxsize=8)
 def relative_palette(name: str, low: float, high: float) -> Palette:
     """Return the colours of a ramp from the lowest to the highest height, metres."""
     colors = _mixed(RAMPS[name], np.linspace(0, 1, N_COLORS))
     return _one_sided(colors, low, high)
 
 
+@lru_cache(maxsize=8)
 def absolute_palette(
     low: float, high: float, sea: float, latitudes: tuple[float, float] | None
 ) -> Palette:
@@ -150,6 +154,7 @@ def snow_line(latitude: float) -> float:
     return float(np.interp(latitude, degrees, metres))
 
 
+@lru_cache(maxsize=1)
 def slope_palette() -> Palette:
     """Return the colours of slopes, degrees."""
     return _one_sided(_mixed(_SLOPE, np.linspace(0, 60, N_COLORS)), 0.0, 60.0)

@@ -74,7 +74,6 @@ class Renderer:
         self._texels = HeightTexels.of(scene.frame)
         self._ramp: Any = None
         self._ramp_key: tuple[object, ...] = ()
-        self._absolute: tuple[tuple[float, float], Palette] | None = None
         self._drape = self._drape_texture(drape)
         self._has_drape = drape is not None
         self._drape_place = (0.0, 0.0, 1.0, 1.0)
@@ -116,13 +115,9 @@ class Renderer:
         low, high = sorted(height * frame.metres[2] for height in frame.heights)
         if not style.is_absolute(frame.body):
             return relative_palette(style.ramp_on(frame.body), low, high)
-        key = (low, high)
-        if self._absolute is None or self._absolute[0] != key:
-            # What decodes to 0 within the bound is water; a float32 on the way has rounded it.
-            error = self._scene.terrain.info().effective_error * frame.metres[2]
-            sea = min(error, _MOST_WAVES) + _ROUNDED
-            self._absolute = key, absolute_palette(low, high, sea, frame.latitudes)
-        return self._absolute[1]
+        # What decodes to 0 within the bound is water; a float32 on the way has rounded it.
+        error = self._scene.terrain.effective_error * frame.metres[2]
+        return absolute_palette(low, high, min(error, _MOST_WAVES) + _ROUNDED, frame.latitudes)
 
     # One frame
 
