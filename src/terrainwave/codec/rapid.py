@@ -39,7 +39,7 @@ from terrainwave.codec.rapid_layout import (
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS, scale_of, scaled_features
 from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_parameters
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
-from terrainwave.codec.spare import Spares
+from terrainwave.codec.spare import HeightMemory, Spares
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.rans import N_STATES, STATE_START, encode_symbols
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
@@ -77,7 +77,7 @@ class _Memory:
 
     def __init__(self) -> None:
         self._workspaces: dict[bool, Workspace] = {}
-        self._heights = np.empty(0, dtype=np.int32)
+        self._parent = HeightMemory()
         self._logs = _Logs(0)
 
     def logs(self, n: int) -> "_Logs":
@@ -97,11 +97,9 @@ class _Memory:
         """Return heights as a flat array, good until the next call."""
         if heights.flags.c_contiguous:
             return heights.ravel()
-        if self._heights.size < heights.size:
-            self._heights = np.empty(heights.size, dtype=np.int32)
-        flat = self._heights[: heights.size]
-        flat.reshape(heights.shape)[:] = heights
-        return flat
+        copied = self._parent.heights(heights.shape)
+        copied[:] = heights
+        return copied.ravel()
 
 
 _MEMORY = Spares(_Memory)

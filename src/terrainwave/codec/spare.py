@@ -8,7 +8,25 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Generic, TypeVar
 
+import numpy as np
+
+from terrainwave.codec.refiner import Heights
+
 Memory = TypeVar("Memory")
+
+
+class HeightMemory:
+    """Memory for the heights of a unit."""
+
+    def __init__(self) -> None:
+        self._heights = np.empty(0, dtype=np.int32)
+
+    def heights(self, shape: tuple[int, int]) -> Heights:
+        """Return an array of this shape, the same memory each time."""
+        size = shape[0] * shape[1]
+        if self._heights.size < size:
+            self._heights = np.empty(size, dtype=np.int32)
+        return self._heights[:size].reshape(shape)
 
 
 class Spares(Generic[Memory]):

@@ -119,6 +119,11 @@ class Header:
         return Grid(self.n_rows, self.n_cols, self.block)
 
     @property
+    def has_remainders(self) -> bool:
+        """Say whether remainders make heights of the full grid exact."""
+        return bool(self.features & HAS_REMAINDERS)
+
+    @property
     def moved(self) -> int:
         """Return how far patches may have moved heights, in quanta: a share of the bound."""
         found = self.metadata.get("moved")
@@ -135,8 +140,7 @@ class Header:
 
         That of meshes, which know of no remainders; else the effective bound.
         """
-        has_remainders = self.features & HAS_REMAINDERS
-        return self.quantizer.quanta_error if has_remainders else self.effective_bound
+        return self.quantizer.quanta_error if self.has_remainders else self.effective_bound
 
     @cached_property
     def quantizer(self) -> Quantizer:
@@ -150,9 +154,7 @@ class Header:
             rho=self.rho,
             z_min=self.z_min,
             z_max=self.z_max,
-            remainder_bytes=(
-                np.dtype(self.dtype).itemsize if self.features & HAS_REMAINDERS else 0
-            ),
+            remainder_bytes=np.dtype(self.dtype).itemsize if self.has_remainders else 0,
         )
 
     @cached_property
@@ -364,7 +366,7 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
         yield _Violation("an error bound is negative or not finite")
     if header.effective_bound > header.max_error:
         yield _Violation(f"effective bound {header.effective_bound} exceeds {header.max_error}")
-    if header.features & HAS_REMAINDERS:
+    if header.has_remainders:
         if header.dtype not in ("int32", "float32", "float64"):
             yield _Violation(f"remainders of {header.dtype}, which has none")
         if METHODS[header.method].is_tiled:

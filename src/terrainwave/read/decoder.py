@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from terrainwave.cache import Cache
 from terrainwave.codec.group import decode_unit
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
-from terrainwave.codec.spare import Spares
+from terrainwave.codec.spare import HeightMemory, Spares
 from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
@@ -25,21 +25,7 @@ def _n_bytes(unit: Decoded) -> int:
     return sum(part.nbytes for part in unit if part is not None)
 
 
-class _Spare:
-    """Memory for the heights of a unit."""
-
-    def __init__(self) -> None:
-        self._heights = np.empty(0, dtype=np.int32)
-
-    def heights(self, shape: tuple[int, int]) -> Heights:
-        """Return an array of this shape, the same memory each time."""
-        size = shape[0] * shape[1]
-        if self._heights.size < size:
-            self._heights = np.empty(size, dtype=np.int32)
-        return self._heights[:size].reshape(shape)
-
-
-_SPARES = Spares(_Spare)
+_SPARES = Spares(HeightMemory)
 
 
 class TreeDecoder:

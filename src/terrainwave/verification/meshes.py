@@ -130,7 +130,7 @@ class Ruler:
         by all of `rho`.
         """
         rounded = Fraction(header.rho) / header.quantum
-        if not header.features:
+        if not header.has_remainders:
             rounded -= Fraction(1, 2)
         return max(math.ceil(rounded * _SIXTEENTHS), 0)
 

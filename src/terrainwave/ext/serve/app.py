@@ -113,16 +113,15 @@ class Layer:
             stack.pop_all()
         self.info = self.globe.terrain.info()
         self.geotiff = VirtualGeoTIFF(self.globe.terrain)
-        self._rgb_tiles: Cache[tuple[int, ...], tiling.RgbTile] = Cache(_N_TILES)
+        self._rgb_tiles: Cache[tuple[int, ...], tuple[tiling.RgbTile | None]] = Cache(_N_TILES)
         self.tag = hashlib.sha256(repr((name, self.info.n_bytes, self.info)).encode()).hexdigest()
 
     def rgb_tile(self, z: int, x: int, y: int, rim: int) -> tiling.RgbTile | None:
         """Return a terrain-RGB tile; those asked for last are kept, for their voids."""
-        tile = self._rgb_tiles.get((z, x, y, rim))
-        if tile is None:
-            tile = tiling.rgb_tile(self.globe, z, x, y, rim)
-            if tile is not None:
-                self._rgb_tiles.put((z, x, y, rim), tile)
+        # In a tuple: a cache holds no None, which says here that there is no terrain.
+        (tile,) = self._rgb_tiles.get_or_make(
+            (z, x, y, rim), lambda: (tiling.rgb_tile(self.globe, z, x, y, rim),)
+        )
         return tile
 
     def covering(self, z: int, x: int, y: int, rim: int, color: str) -> bytes | None:
