@@ -1,10 +1,8 @@
 """Write the measured tables into documents: ``python -m benchmarks.tables``.
 
 Each table stands between ``<!-- table: NAME -->`` and ``<!-- end -->`` in a document and is made
-from a CSV under ``benchmarks/results``. ``--check`` changes nothing and exits 1 if a document does
-not say what its CSV says.
-
-``tables.toml`` declares them.
+from a CSV under ``benchmarks/results``, as ``tables.toml`` declares. ``--check`` changes nothing
+and exits 1 if a document does not say what its CSV says.
 """
 
 import math
@@ -150,9 +148,9 @@ GROUPS: dict[str, Callable[[Row], bool]] = {
 }
 
 
-def _mean_ratio(cases: Rows, codec: str, other: str) -> float | Missing:
-    ratios = [case[codec] / case[other] for case in cases if is_measured(case[codec])]
-    return geometric_mean(ratios) if ratios else Missing()
+def _ratio(cases: Rows, codec: str, peer: str = "best", of: Any = geometric_mean) -> Any:
+    ratios = [case[codec] / case[peer] for case in cases if is_measured(case[codec])]
+    return of(ratios) if ratios else Missing()
 
 
 def _groups(results: Path) -> dict[str, Rows]:
@@ -162,12 +160,12 @@ def _groups(results: Path) -> dict[str, Rows]:
 
 def summarized_cases(results: Path) -> Rows:
     """Return geometric means of size / best peer of `predictive` over groups of cases."""
-    rows = []
-    for name, group in _groups(results).items():
-        means = {other: _mean_ratio(group, PREDICTIVE, other) for other in ("best", "cog")}
-        largest = max((case["ratio"] for case in group), default=Missing())
-        rows.append({"cases": name, "number": len(group), "largest": largest, **means})
-    return [row for row in rows if row["number"]]
+    return [
+        {"cases": name, "number": len(group), "largest": _ratio(group, PREDICTIVE, of=max)}
+        | {other: _ratio(group, PREDICTIVE, other) for other in ("best", "cog")}
+        for name, group in _groups(results).items()
+        if group
+    ]
 
 
 def summarized_methods(results: Path) -> Rows:
@@ -176,7 +174,8 @@ def summarized_methods(results: Path) -> Rows:
     cases = groups["all cases"]
     return [
         {"codec": codec, "number": number, "of": len(cases)}
-        | {name: _mean_ratio(group, codec, "best") for name, group in groups.items()}
+        | {"largest": _ratio(cases, codec, of=max)}
+        | {name: _ratio(group, codec) for name, group in groups.items()}
         for codec in OUR_CODECS
         if (number := sum(is_measured(case[codec]) for case in cases))
     ]
