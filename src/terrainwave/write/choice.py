@@ -1,7 +1,8 @@
-"""Which method `auto` is for a raster: the fast one, unless another saves enough of its size.
+"""Which method `auto` is for a raster: the fast one, unless another saves enough.
 
 That follows from the raster alone: windows chosen by position are coded with each method, as if
 they were rasters of their own. So it is the same for any number of threads and on any cluster.
+Why there are two thresholds is in docs/decisions/0013.
 """
 
 from collections.abc import Callable
@@ -16,6 +17,9 @@ from terrainwave.write.job import Job
 # A slower method must take so much less in windows, in percent: of files that is about 8, as each
 # window pays for what a file learns once.
 _LEAST_SAVED = 5
+# Or it must save a byte in so many samples, as on rough ground, where the share is less: 1/8 bit
+# per sample, of files about 1/6. What it costs is time, and that is by the sample too.
+_MOST_SAMPLES_PER_BYTE = 64
 # Samples a side of a window, samples of the raster for one, and the fewest and most of them.
 _WINDOW, _SHARE = 129, 1 << 18
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 8
@@ -35,16 +39,22 @@ def prepared(job: Job, heights: Reader, mask: MaskReader) -> tuple[Job, Refiner,
     settled = job.with_method(AUTO_METHODS[0])
     if job.n_valid:
         windows = _windows(job, heights, mask)
-        least = _n_bytes(refiner, windows)
+        n_samples = sum(target.size for _, target, _ in windows)
+        n_bytes = _n_bytes(refiner, windows)
         for method in AUTO_METHODS[1:]:
-            if (
-                100 * _n_bytes(refiner_by_name(method.name), windows)
-                <= (100 - _LEAST_SAVED) * least
-            ):
+            n_saved = n_bytes - _n_bytes(refiner_by_name(method.name), windows)
+            if _is_worth(n_saved, n_bytes, n_samples):
                 settled = job.with_method(method)
                 refiner, tables = _fitted(settled, heights, mask)
                 break
     return settled, refiner, tables
+
+
+def _is_worth(n_saved: int, n_bytes: int, n_samples: int) -> bool:
+    """Return whether a slower method saves enough of the bytes that windows take."""
+    return (
+        100 * n_saved >= _LEAST_SAVED * n_bytes or _MOST_SAMPLES_PER_BYTE * n_saved >= n_samples
+    )
 
 
 def _fitted(job: Job, heights: Reader, mask: MaskReader) -> tuple[Refiner, bytes]:
