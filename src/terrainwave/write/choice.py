@@ -52,9 +52,7 @@ def prepared(job: Job, heights: Reader, mask: MaskReader) -> tuple[Job, Refiner,
 
 def _is_worth(n_saved: int, n_bytes: int, n_samples: int) -> bool:
     """Return whether a slower method saves enough of the bytes that windows take."""
-    return (
-        100 * n_saved >= _LEAST_SAVED * n_bytes or _MOST_SAMPLES_PER_BYTE * n_saved >= n_samples
-    )
+    return 100 * n_saved >= _LEAST_SAVED * n_bytes or _MOST_SAMPLES_PER_BYTE * n_saved >= n_samples
 
 
 def _fitted(job: Job, heights: Reader, mask: MaskReader) -> tuple[Refiner, bytes]:
