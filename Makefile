@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 # Absolute: tests change their directory.
 PYTEST := $(BIN)/python -m pytest -n $(WORKERS)
 # A file stays with one worker: what it compiles, the other one loads.
-COMPILED := $(PYTEST) --dist loadfile
+COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 
 # Tests start many interpreters: each would parse the package anew.
 unexport PYTHONDONTWRITEBYTECODE
@@ -65,7 +65,9 @@ tests/ext/node_modules/.installed: tests/ext/package.json
 	npm install --prefix tests/ext --no-package-lock --no-audit --no-fund --loglevel error
 	@touch $@
 
-test: lint test-compiled
+# Side by side: tests wait for each other's compilations at times.
+test: $(VENV)/.installed-dev system
+	@$(MAKE) --no-print-directory -j2 lint test-compiled
 
 # What `make test` leaves out.
 test-all: test-full test-bounds test-python
@@ -86,17 +88,17 @@ test-compiled: $(VENV)/.installed-dev system
 	@$(call with_cache,compiled) $(COMPILED) -m "not full"
 
 test-full: $(VENV)/.installed-dev system tests/ext/node_modules/.installed
-	@$(call with_cache,compiled) $(COMPILED) -m "full or hypothesis" --hypothesis-profile=full
+	@$(call with_cache,compiled) $(COMPILED) -m "not kernels and (full or hypothesis)" --hypothesis-profile=full
 
 test-bounds: $(VENV)/.installed-dev system
 	@$(call with_cache,bounds) NUMBA_BOUNDSCHECK=1 $(COMPILED) -m kernels --hypothesis-profile=full
 
 test-python: $(VENV)/.installed-dev
-	NUMBA_DISABLE_JIT=1 $(PYTEST) --dist worksteal -m "kernels and not large"
+	NUMBA_DISABLE_JIT=1 $(PYTEST) --dist worksteal -m "kernels and not (large or full)"
 
 coverage: $(VENV)/.installed-dev
 	$(BIN)/coverage erase
-	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest -n $(WORKERS) -m "not large"
+	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run -m pytest -n $(WORKERS) -m "not (large or full)"
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
 

@@ -3,6 +3,7 @@
 import importlib.util
 import os
 import sys
+from collections import Counter
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
@@ -32,12 +33,17 @@ settings.register_profile("fast", _COMMON, max_examples=10)
 settings.load_profile("fast")
 
 # Tests in which no kernel of ours does what is tested: they run once, compiled. All others are
-# marked `kernels`, and run with bounds checked and as plain Python, too.
+# marked `kernels`, and run with bounds checked, too.
 WITHOUT_KERNELS = {
     "benchmarks", "cli", "container", "ext", "raster_io",
     "test_architecture.py", "test_docs.py", "test_examples.py", "test_faults.py",
     "test_format_example.py", "test_window.py",
 }  # fmt: skip
+# Tests of whole files: what their kernels compute has tests of its own. The others with kernels run
+# as plain Python, too, unless they are `large`.
+OF_FILES = {"export", "globe", "write", "test_names.py", "test_terrain.py"}
+# Workers begin at different ends of what compiles, or one would wait for the other: codecs, meshes.
+FIRST = ("test_terrain.py", "tri")
 
 
 def pytest_configure(config):
@@ -102,16 +108,28 @@ def _why_no_gl() -> str:
 
 
 def pytest_collection_modifyitems(config, items):
-    """Mark what holds kernels; leave out the tests that need OpenGL where it cannot be had."""
+    """Mark what holds kernels, sort files; leave out what needs OpenGL where it cannot be had."""
+    n_tests = Counter(item.path for item in items)
     for item in items:
-        if WITHOUT_KERNELS.isdisjoint(item.path.relative_to(TESTS).parts):
+        parts = item.path.relative_to(TESTS).parts
+        if WITHOUT_KERNELS.isdisjoint(parts):
             item.add_marker("kernels")
+        if not OF_FILES.isdisjoint(parts):
+            item.add_marker("large")
+    # Then files of many tests before those of few, so that workers end together.
+    items.sort(key=lambda item: (_turn(item.path), -n_tests[item.path]))
     if not _why_no_gl():
         return
     left_out = [item for item in items if item.get_closest_marker("gl")]
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = [item for item in items if not item.get_closest_marker("gl")]
+
+
+def _turn(path: Path) -> int:
+    """Return the place of a test's file or directory in `FIRST`, or the one after all of them."""
+    parts = path.relative_to(TESTS).parts
+    return next((i for i, name in enumerate(FIRST) if name in parts), len(FIRST))
 
 
 def pytest_sessionfinish(session):

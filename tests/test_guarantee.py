@@ -170,6 +170,20 @@ def test_the_bound_and_the_mask_hold_on_several_blocks(case, max_error, options)
     check(case, data, bound)
 
 
+@pytest.mark.full
+@pytest.mark.large
+@settings(max_examples=3 * settings.default.max_examples)
+@given(
+    cases(tiny | medium),
+    st.sampled_from(MAX_ERRORS),
+    st.sampled_from(["auto", "rapid", "predictive"]),
+    st.sampled_from([1, 3]),
+)
+def test_the_bound_and_the_mask_hold_by_the_methods_of_the_default(case, max_error, method, rings):
+    data, bound = encode(case, max_error, method=method, border_rings=rings, block=32)
+    check(case, data, bound)
+
+
 def case_of(heights, nodata=None):
     valid = np.ones(heights.shape, dtype=bool) if nodata is None else heights != nodata
     return Case(heights, valid, nodata)

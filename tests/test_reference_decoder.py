@@ -700,6 +700,7 @@ def test_tables_of_a_file_are_those_of_p_10():
         np.testing.assert_array_equal(expected.e_weights[number], found.weights[plane])
 
 
+@pytest.mark.large
 @pytest.mark.parametrize(
     "method",
     [

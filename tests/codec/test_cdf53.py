@@ -112,6 +112,7 @@ def test_a_bound_above_zero_holds_and_saves_bytes(max_error):
     assert len(data) < len(file_of(heights))
 
 
+@pytest.mark.large
 def test_a_bound_costs_about_the_logarithm_of_its_steps_less():
     # Rounding to steps of 9 takes log2(9) = 3.17 bits of a sample whose details are noise.
     heights = np.random.default_rng(1).integers(0, 5000, (60, 60)).astype("int16")

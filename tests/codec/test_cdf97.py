@@ -72,6 +72,7 @@ def test_wrong_parent_still_gives_the_bound():
     check(lone_spec(target.shape, 5), -parent_of(target) - 100_000, target)
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("step", [1, 3])
 def test_noise_costs_at_most_one_percent_more_than_plain_bits(step):
     rng = np.random.default_rng(5)

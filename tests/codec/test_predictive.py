@@ -216,7 +216,10 @@ def test_details_of_any_size_survive(mixed):
     assert finish_decoder(coder.state, coder.stream)[0] == 0
 
 
-@pytest.mark.parametrize("effort", [pytest.param(0, marks=pytest.mark.full), 1, 2])
+@pytest.mark.parametrize(
+    "effort",
+    [pytest.param(0, marks=pytest.mark.full), 1, pytest.param(2, marks=pytest.mark.large)],
+)
 @pytest.mark.parametrize("largest", [300, 40_000, 100_000, 200_000])
 def test_rows_of_32_bits_give_the_same_bytes_as_rows_of_64(effort, largest, monkeypatch):
     rng = np.random.default_rng(largest)

@@ -387,6 +387,7 @@ def test_parameters_come_back():
     assert read.k_max == 9
 
 
+@pytest.mark.large
 def test_every_prefix_of_parameters_is_rejected():
     section = pack_parameters(some_tables())
     for length in range(1, len(section)):
@@ -465,6 +466,7 @@ def test_tiny_and_void_rasters_get_plain_tables():
         np.testing.assert_array_equal(tables.slots(3), Tables(None).slots(3))
 
 
+@pytest.mark.large
 def test_windows_whose_tried_part_is_void_do_no_harm():
     target = terrain((300, 280))
     mask = np.zeros(target.shape, dtype=bool)

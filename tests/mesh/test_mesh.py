@@ -183,6 +183,7 @@ def test_coarse_blocks_reach_the_rasters_edge(shape, is_beside_finer, tmp_path, 
 # Windows
 
 
+@pytest.mark.large
 def test_an_edge_through_a_corner_of_the_window_leaves_no_sliver(tmp_path):
     """The crossing was computed beside the corner: a vertex on another one, a triangle of none."""
     case = make_case(
@@ -197,6 +198,7 @@ def test_an_edge_through_a_corner_of_the_window_leaves_no_sliver(tmp_path):
                 assert area_problems(terrain, case, mesh, region, terrain.grid.k_max, 0) == []
 
 
+@pytest.mark.large
 def test_bounds_name_the_same_mesh_as_their_window(tmp_path):
     case = make_case("smooth", "disc", (90, 100), 3, transform=1, max_error=2, block=32)
     with terrainwave.open(write_case(case, tmp_path)) as terrain:
@@ -216,6 +218,7 @@ def test_bounds_name_the_same_mesh_as_their_window(tmp_path):
 # What can't be had
 
 
+@pytest.mark.large
 def test_an_error_below_the_files_is_refused(tmp_path):
     case = make_case("smooth", "none", (80, 70), 1, max_error=5, block=32)
     with terrainwave.open(write_case(case, tmp_path)) as terrain:
@@ -249,6 +252,7 @@ def test_a_single_line_of_samples_has_no_mesh(shape, tmp_path):
         assert report.areas == ()
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("n_most", [64, 300, 700])
 def test_a_budget_of_triangles_is_kept(n_most, tmp_path):
     case = make_case("smooth", "none", (100, 100), 1, max_error=1, block=32)
@@ -326,6 +330,7 @@ class Inline:
         return map(function, values)
 
 
+@pytest.mark.large
 def test_a_budget_does_not_hide_an_error_that_cannot_be_had(tmp_path):
     case = make_case("smooth", "none", (100, 100), 1, max_error=5, block=32)
     with terrainwave.open(write_case(case, tmp_path)) as terrain:
@@ -333,6 +338,7 @@ def test_a_budget_does_not_hide_an_error_that_cannot_be_had(tmp_path):
             terrain.mesh(max_triangles=10**6, max_error=1)
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("kind", ["smooth", "noise", "cliffs"])
 def test_a_budget_on_a_coarse_level(kind, tmp_path):
     """Small errors, which the level can't reach, ended the search."""
@@ -350,6 +356,7 @@ def test_a_budget_on_a_coarse_level(kind, tmp_path):
 # The same everywhere
 
 
+@pytest.mark.large
 def test_any_number_of_threads_gives_the_same_bytes_and_meshes(tmp_path):
     case = make_case("half sea", "disc", (200, 170), 4, max_error=2, block=32)
     found = []
@@ -412,6 +419,7 @@ def with_mesh_code(path, target, block, code):
     return target
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("level", [0, 1, 2])
 def test_an_understated_error_is_found(level, tmp_path):
     case = make_case("rough patch", "none", (100, 100), 2, amplitude=900.0, max_error=3, block=32)
@@ -434,6 +442,7 @@ def test_an_understated_error_is_found(level, tmp_path):
     assert same.read_bytes() == path.read_bytes()
 
 
+@pytest.mark.large
 def test_without_the_original_an_error_far_too_small_is_found(tmp_path):
     case = make_case("noise", "none", (70, 70), 2, amplitude=900.0, max_error=1, block=32)
     path = write_case(case, tmp_path)
@@ -442,6 +451,7 @@ def test_without_the_original_an_error_far_too_small_is_found(tmp_path):
     assert "stated error" in " ".join(terrainwave.verify(less, mesh=True).problems)
 
 
+@pytest.mark.large
 def test_meshes_stored_later_are_checked_too(tmp_path):
     case = make_case("smooth", "disc", (90, 100), 3, max_error=2, block=32, mesh="none")
     path = write_case(case, tmp_path)
@@ -454,6 +464,7 @@ def test_meshes_stored_later_are_checked_too(tmp_path):
     assert terrainwave.verify(tmp_path / "later.twz", tmp_path / "case.tif", mesh=True).ok
 
 
+@pytest.mark.large
 def test_the_command_prints_a_report_and_sets_the_status(tmp_path):
     case = make_case("noise", "corners", (70, 70), 2, amplitude=900.0, max_error=1, block=32)
     path = write_case(case, tmp_path)
@@ -476,6 +487,7 @@ def test_the_command_prints_a_report_and_sets_the_status(tmp_path):
     assert "stated error" in bad.stdout
 
 
+@pytest.mark.large
 def test_meshes_may_be_asked_for_by_several_threads(tmp_path):
     case = make_case("half sea", "none", (150, 150), 2, max_error=1, block=32)
     with terrainwave.open(write_case(case, tmp_path), threads=2) as terrain:

@@ -338,6 +338,7 @@ def largest_jumps(mesh, shape, n_steps, morph):
     return max(jumps)
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("error", ["measured", "paper"])
 def test_nothing_jumps_with_a_morph(error):
     """A tenth of the step makes a tenth of the way; without a morph vertices jump all the same."""

@@ -54,6 +54,7 @@ def test_all_meshes_of_a_file_are_right(case, kind, tmp_path_factory):
         assert verify_meshes(terrain)[1] == []
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("void", some(["disc", "none"], 2))
 def test_meshes_of_every_level_are_right_and_few(kind, void, tmp_path):
@@ -76,6 +77,7 @@ def test_meshes_of_every_level_are_right_and_few(kind, void, tmp_path):
         assert within.error <= 20
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_finest_mesh_has_the_errors_of_its_block_and_its_tolerance(kind, tmp_path):
     case = make_case("smooth", "none", (65, 97), 3, amplitude=900.0, max_error=3, mesh_error=5)
@@ -96,6 +98,7 @@ def test_a_finest_mesh_has_the_errors_of_its_block_and_its_tolerance(kind, tmp_p
     assert terrainwave.verify(path, tmp_path / "case.tif", mesh=True).ok
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("kind", KINDS)
 def test_any_number_of_threads_gives_the_same_bytes(kind, tmp_path):
     case = make_case("half sea", "speckle", (150, 140), 5, max_error=1, block=32)
@@ -107,6 +110,7 @@ def test_any_number_of_threads_gives_the_same_bytes(kind, tmp_path):
     assert found[0] == found[1] == found[2]
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("kind", KINDS)
 def test_meshes_stored_later_are_those_of_compress(kind, tmp_path):
     case = make_case("rough patch", "disc", (150, 140), 5, max_error=1, block=32)
@@ -125,6 +129,7 @@ def test_meshes_stored_later_are_those_of_compress(kind, tmp_path):
     assert again.read_bytes() == halves.read_bytes()
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("kind", KINDS)
 def test_commands_make_check_and_write_meshes(kind, tmp_path):
     case = make_case("smooth", "none", (90, 100), 3, max_error=2, block=32, mesh="none")
@@ -232,6 +237,7 @@ def with_section(path, target, key, section):
     return target
 
 
+@pytest.mark.large
 @pytest.mark.parametrize("kind", KINDS)
 def test_hostile_sections_give_a_mesh_or_a_clear_error(kind, tmp_path):
     case = make_case("rough patch", "disc", (100, 100), 2, amplitude=900.0, max_error=3, block=32)
@@ -264,6 +270,7 @@ def test_hostile_sections_give_a_mesh_or_a_clear_error(kind, tmp_path):
     assert n_refused > 10
 
 
+@pytest.mark.large
 def test_bytes_for_a_block_without_a_mesh_are_corrupt(tmp_path):
     case = make_case("smooth", "none", (100, 100), 2, max_error=3, block=32, mesh="rqt")
     case.valid[:40, :40] = False

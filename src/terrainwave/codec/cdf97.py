@@ -319,7 +319,8 @@ class _Encoder:
 
 def _kinds(mask: Mask, is_known: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Classify each sample for the residual coder: `VOID`, `CODED` or `KNOWN`."""
-    kinds = np.where(mask, np.uint8(CODED), np.uint8(VOID))
+    kinds = np.full(mask.shape, VOID, dtype=np.uint8)
+    np.copyto(kinds, CODED, where=mask)
     np.copyto(kinds, KNOWN, where=is_known)
     return kinds
 

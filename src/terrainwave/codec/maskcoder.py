@@ -57,6 +57,7 @@ def encode_mask(mask: Mask, implied: Mask) -> bytes:
     """
     out = np.empty(_BYTES_PER_SAMPLE * mask.size + 8, dtype=np.uint8)
     coder = new_encoder(out, start_models())
+    mask, implied = np.ascontiguousarray(mask), np.ascontiguousarray(implied)
     _code_mask(mask, implied, coder, *_surroundings(implied))
     n_bytes = finish_encoder(coder.state, out)
     return out[:n_bytes].tobytes()
@@ -71,6 +72,7 @@ def decode_mask(data: bytes, implied: Mask) -> Mask:
         If the bytes are not exactly one mask.
     """
     coder = new_decoder(data, start_models())
+    implied = np.ascontiguousarray(implied)
     surroundings = _surroundings(implied)
     _code_mask(None, implied, coder, *surroundings)
     raise_for_status(*finish_decoder(coder.state, coder.stream))

@@ -40,7 +40,7 @@ def with_outside(heights: Heights, n_rows: int, n_cols: int) -> Heights:
     A coarse level's last row or column may lie past the raster's edge; it is never coded.
     """
     if heights.shape == (n_rows, n_cols):
-        return heights
+        return np.ascontiguousarray(heights)
     wide = np.empty((n_rows, n_cols), dtype=np.int32)
     rows, cols = heights.shape
     wide[:rows, :cols] = heights

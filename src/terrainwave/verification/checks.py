@@ -102,7 +102,8 @@ def deviation(
     beyond = np.zeros(samples.shape, dtype=np.bool_)
     worst, row, col = _deviation(
         surface.rows.astype(kind), surface.cols.astype(kind), surface.heights.astype(kind),
-        surface.triangles, samples, valid, float(limit), kind(place[0]), kind(place[1]),
+        np.ascontiguousarray(surface.triangles), samples, np.ascontiguousarray(valid),
+        float(limit), kind(place[0]), kind(place[1]),
         kind(0) if surface.is_exact else _FLOAT_TOLERANCE, kind(loss), covered, beyond,
     )  # fmt: skip
     return Deviation(int(worst), int(row), int(col), int(np.count_nonzero(beyond)), covered)
@@ -176,8 +177,8 @@ def coverage(
     kind = np.int64 if is_exact else np.float64
     pieces = np.zeros((shape[0] - 1, shape[1] - 1), dtype=np.uint8)
     n_twice, row, col = _coverage(
-        surface.rows.astype(kind), surface.cols.astype(kind), surface.triangles,
-        kind(0) if is_exact else _FLOAT_TOLERANCE, pieces,
+        surface.rows.astype(kind), surface.cols.astype(kind),
+        np.ascontiguousarray(surface.triangles), kind(0) if is_exact else _FLOAT_TOLERANCE, pieces,
     )  # fmt: skip
     return pieces, int(n_twice), (int(row), int(col)) if n_twice else None
 
