@@ -79,6 +79,12 @@ def changed(data, byte_pos, change):
     return bytes(damaged)
 
 
+# All, or few for `make test`.
+STEPS = pytest.mark.parametrize(
+    "step", [pytest.param(1, marks=pytest.mark.full, id="each"), pytest.param(11, id="each 11th")]
+)
+
+
 # Accidents: each is found
 
 
@@ -98,15 +104,17 @@ def test_extra_bytes_are_rejected(data, extra):
 
 
 @pytest.mark.large
-def test_every_flipped_bit_of_the_first_300_bytes_is_found_or_harmless(data, expected):
-    for bit in range(8 * 300):
+@STEPS
+def test_every_flipped_bit_of_the_first_300_bytes_is_found_or_harmless(data, expected, step):
+    for bit in range(0, 8 * 300, step):
         result = outcome(changed(data, bit // 8, 1 << bit % 8))
         assert isinstance(result, TerrainwaveError) or is_same(result, expected), bit
 
 
 @pytest.mark.large
-def test_every_flipped_byte_of_the_rest_is_found_or_harmless(data, expected):
-    for byte_pos in range(300, len(data)):
+@STEPS
+def test_every_flipped_byte_of_the_rest_is_found_or_harmless(data, expected, step):
+    for byte_pos in range(300, len(data), step):
         result = outcome(changed(data, byte_pos, 1 << byte_pos % 8))
         assert isinstance(result, TerrainwaveError) or is_same(result, expected), byte_pos
 
@@ -165,8 +173,9 @@ def test_repairing_a_sound_file_changes_nothing(data):
 
 
 @pytest.mark.large
-def test_every_flipped_bit_of_the_header_gives_heights_or_our_own_error(data):
-    for bit in range(8 * HEADER_CRC):
+@STEPS
+def test_every_flipped_bit_of_the_header_gives_heights_or_our_own_error(data, step):
+    for bit in range(0, 8 * HEADER_CRC, step):
         outcome(repaired(changed(data, bit // 8, 1 << bit % 8)))
 
 
@@ -178,9 +187,7 @@ def test_every_flipped_bit_of_metadata_and_page_gives_heights_or_our_own_error(d
 
 
 @pytest.mark.large
-@pytest.mark.parametrize(
-    "step", [pytest.param(1, marks=pytest.mark.full, id="each"), pytest.param(11, id="each 11th")]
-)
+@STEPS
 def test_every_flipped_bit_of_payloads_gives_heights_or_our_own_error(data, unchecked, step):
     first = min(place.offset for place in payload_places(data).values())
     for bit in range(8 * first, 8 * len(data), step):

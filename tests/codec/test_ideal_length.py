@@ -70,10 +70,9 @@ def account(accountant, tmp_path, method, step, has_parent):
 
 
 @pytest.mark.large
-@pytest.mark.parametrize("has_parent", [pytest.param(False, marks=pytest.mark.full), True])
-@pytest.mark.parametrize(
-    "step", [pytest.param(1, marks=pytest.mark.full), 3, pytest.param(7, marks=pytest.mark.full)]
-)
+@pytest.mark.full
+@pytest.mark.parametrize("has_parent", [False, True])
+@pytest.mark.parametrize("step", [1, 3, 7])
 @pytest.mark.parametrize("method", ["predictive", "cdf97"])
 def test_coded_size_is_within_one_percent_of_the_ideal(
     accountant, tmp_path, method, step, has_parent

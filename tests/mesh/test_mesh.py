@@ -108,17 +108,9 @@ def test_a_mesh_of_any_window_level_and_error_is_right(case, data, tmp_path_fact
 
 
 @pytest.mark.large
-@pytest.mark.parametrize(
-    ("void", "share"),
-    [
-        pytest.param("none", 4, marks=pytest.mark.full),
-        ("corners", 1),
-        pytest.param("none", 1, marks=pytest.mark.full),
-        pytest.param("disc", 1, marks=pytest.mark.full),
-        pytest.param("disc", 4, marks=pytest.mark.full),
-        pytest.param("corners", 4, marks=pytest.mark.full),
-    ],
-)
+@pytest.mark.full
+@pytest.mark.parametrize("void", ["none", "disc", "corners"])
+@pytest.mark.parametrize("share", [1, 4])
 def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypatch):
     """With `share` 1 coarse blocks are taken that may then fail, and are split again."""
     levels = []
