@@ -34,7 +34,10 @@ FAMILIES = {
     "rapid": (["terrainwave"], ["rapid", "auto"]),
     "cdf97": (["terrainwave"], ["cdf97"]),
     "peers": (["sperr", "sz3", "sz3-interp", "jxl-e9", "cog-overviews"], []),
-    "speeds": (["sperr", "terrainwave"], ["predictive-fast", "predictive", "cdf97"]),
+    "speeds": (
+        ["sperr", "sz3", "jxl-e7", "cog-overviews", "cog-overviews×2", "terrainwave"],
+        ["rapid", "predictive", "cdf97", "auto", "auto+", "auto×2", "auto+×2"],
+    ),
 }
 PART = click.Choice(FAMILIES)
 # Ours strong, the others quiet; the order is that of the legend.

@@ -1,7 +1,7 @@
 """Compare codecs at equal error bounds: ``python -m benchmarks.codecs --help``.
 
-`measure_speeds` is the part `speeds` of ``benchmarks.bench``: at low rates, processor time on one
-core, the codecs in turns; terrainwave goes through files, SPERR stays in memory.
+`measure_speeds` is the part `speeds` of ``benchmarks.bench``: all codecs in turns, terrainwave and
+COGs through files, the others in memory.
 
 Exit status: 0 good; 1 if a codec broke a bound or failed; 2 wrong usage.
 """
@@ -21,10 +21,10 @@ from benchmarks.peers import NAMES, Codec, make_codecs, stored_size
 from benchmarks.rasters import Forms, Raster, load_raster, make_forms, with_nan, without_nan
 
 BOUNDS = (0.0, 0.1, 0.5, 1.0, 3.0, 10.0)  # of all that docs/benchmarks.md compares
-# Speeds are of rasters and bounds at which `predictive` takes few bits.
-MIN_SAMPLES = 1_000_000
-MAX_BITS = 1.0
-SPEED_RUNS, SPEED_PATIENCE = 5, 40.0
+# Speeds are of rasters of so many samples; larger ones take JPEG XL too long.
+SPEED_SAMPLES = 1_000_000, 20_000_000
+SPEED_BOUNDS = 0.0, 1.0, 10.0
+SPEED_RUNS, SPEED_PATIENCE = 3, 20.0
 PATIENCE = 60.0  # seconds after which no further run is begun
 NOT_POSSIBLE = "not possible"
 OWN_MASK = "own mask"
@@ -44,9 +44,10 @@ Row = namedtuple(
 Errors = namedtuple("Errors", "measured_error rmse problem")
 # One setting of a codec: which fill, which margin, what came of it.
 Trial = namedtuple("Trial", "codec max_error raster fill margin stored n_bytes errors")
-# One line of ``speeds.csv``; speeds in 10^6 samples/s of processor time.
+# One line of ``speeds.csv``; speeds in 10^6 samples/s, of processor time where one thread runs.
 SpeedRow = namedtuple(
-    "SpeedRow", "raster max_error codec n_samples bits_per_sample encode_speed decode_speed n_runs"
+    "SpeedRow",
+    "raster max_error codec threads n_samples bits_per_sample encode_speed decode_speed n_runs",
 )
 
 
@@ -198,34 +199,36 @@ def measure_speeds(
     paths: Sequence[Path], results: Path, codecs: Sequence[Codec]
 ) -> Iterator[SpeedRow]:
     """Yield the speeds that ``speeds.csv`` lacks."""
-    last = codecs[-1].name
-    done = {case[:2] for case in read_cases(results / "speeds.csv") if case[2] == last}
-    cases = [
-        case
-        for row in common.read_rows(results / "predictive.csv")
-        if (case := (row["raster"], row["max_error"])) not in done
-        and row["codec"] == "terrainwave-predictive"
-        and not row["problem"]
-        and row["bits_per_sample"] <= MAX_BITS
-        and row["n_rows"] * row["n_cols"] >= MIN_SAMPLES
-        and not (row["dtype"].startswith("int") and 0 < row["max_error"] < 1)
-    ]
-    for path in paths:
-        bounds = [bound for raster, bound in cases if raster == path.stem]
-        forms = make_forms(load_raster(path)) if bounds else None
-        for bound in bounds:
+    done = {case[:2] for case in read_cases(results / "speeds.csv") if case[2] == codecs[-1].name}
+    for raster in map(load_raster, paths):
+        if not SPEED_SAMPLES[0] <= raster.heights.size <= SPEED_SAMPLES[1]:
+            continue
+        forms = make_forms(raster)
+        for bound in SPEED_BOUNDS:
+            if (raster.name, bound) in done or not is_worth_trying(raster, bound, SPEED_BOUNDS):
+                continue
             # The best trial warms everything up and checks the bound.
-            trials = [best_trial(codec, forms, bound) for codec in codecs]
-            times = iter(time_trials(trials, SPEED_RUNS, patience=SPEED_PATIENCE))
-            for trial, encode, decode in zip(trials, times, times, strict=True):
-                if trial.errors.problem:
-                    raise RuntimeError(f"{path.stem}, {trial.codec.name}: {trial.errors}")
-                n = trial.raster.heights.size
-                yield SpeedRow(
-                    path.stem, bound, trial.codec.name, n, round(8 * trial.n_bytes / n, 5),
-                    round(n / encode.seconds / 1e6, 2), round(n / decode.seconds / 1e6, 2),
-                    encode.n_runs,
-                )  # fmt: skip
+            able = [codec for codec in codecs if not codec.refuses(raster, bound)]
+            trials = [best_trial(codec, forms, bound) for codec in able]
+            for threads in sorted({codec.threads for codec in able}):
+                yield from _speeds([trial for trial in trials if trial.codec.threads == threads])
+
+
+def _speeds(trials: Sequence[Trial]) -> Iterator[SpeedRow]:
+    threads = trials[0].codec.threads
+    common.pin_to_one_core(threads)
+    clock = time.process_time if threads == 1 else time.perf_counter
+    times = iter(time_trials(trials, SPEED_RUNS, patience=SPEED_PATIENCE, clock=clock))
+    common.pin_to_one_core()
+    for trial, encode, decode in zip(trials, times, times, strict=True):
+        if trial.errors.problem:
+            raise RuntimeError(f"{trial.raster.name}, {trial.codec.name}: {trial.errors}")
+        n = trial.raster.heights.size
+        yield SpeedRow(
+            trial.raster.name, trial.max_error, trial.codec.name, threads, n,
+            round(8 * trial.n_bytes / n, 5), round(n / encode.seconds / 1e6, 2),
+            round(n / decode.seconds / 1e6, 2), encode.n_runs,
+        )  # fmt: skip
 
 
 def exit_with_failures(rows: Sequence[Row]) -> None:

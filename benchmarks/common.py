@@ -32,6 +32,8 @@ PACKAGES = (
     "terrainwave", "numpy", "numba", "scipy", "rasterio", "imagecodecs", "pysz", "xarray", "zarr",
 )  # fmt: skip
 
+_CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
+
 # --- command lines ---
 
 
@@ -206,10 +208,10 @@ def describe_machine() -> dict[str, Any]:
     }
 
 
-def pin_to_one_core() -> None:
+def pin_to_one_core(n_cores: int = 1) -> None:
     """Keep this process, and what it starts, on one core: libraries start threads unasked."""
     if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+        os.sched_setaffinity(0, _CORES[-n_cores:])
     else:
         click.echo("cannot pin to one core here: some codecs may use more")
 

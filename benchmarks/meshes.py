@@ -2,7 +2,7 @@
 
 `Terrain.mesh` over blocks of 256 cells beside pydelatin, which sees the whole raster at once, on
 lossless heights. Rasters of more than 2049 samples a side are cropped to their middle, voids set to
-the lowest height for both. Seconds on 4096 x 4096 samples go into ``meshes_large.csv``.
+the lowest height for both.
 
 ``--papers``: into ``zerotree_mesh.csv``, of crops of 513 x 513 samples as blocks of 256 cells that
 agree on borders: triangles of `zerotree` (Yusov & Turlapov 2010, Algorithm I without zero trees)
@@ -21,7 +21,7 @@ from pydelatin import Delatin
 
 import terrainwave
 from benchmarks import common
-from benchmarks.rasters import middle, mirrored_file, whole_units
+from benchmarks.rasters import middle, whole_units
 from terrainwave.tri import agreement, rqt
 from terrainwave.tri.connect import mesh_error, mesh_of_cut
 from terrainwave.tri.guarantee import guaranteed_cut
@@ -36,11 +36,9 @@ CROPS = {
     "moon_gld100_apennines_256ppd": (1500, 600),
 }
 CROP_SIDE, BLOCK = 513, 256
-LARGE = "moon_gld100_apennines_256ppd"
-LARGE_SIDE, LARGE_ERROR = 4096, 10.0
 ERRORS = (3, 10, 30)
 MAX_SIDE = 2049
-N_RUNS, N_LARGE_RUNS = 5, 3
+N_RUNS = 5
 
 # One line of the table of triangles; angles in degrees, speeds in Msamples/s of one thread.
 Row = namedtuple(
@@ -48,9 +46,6 @@ Row = namedtuple(
     "raster n_rows n_cols error delatin halves optimised ratio optimised_ratio halves_speed "
     "optimised_speed halves_min_angle optimised_min_angle optimised_share_below_5",
 )  # fmt: skip
-
-# One line of the table of seconds.
-LargeRow = namedtuple("LargeRow", "raster size error sweeps threads triangles seconds")
 
 # One line about the papers' meshes; bits per sample, metres, Msamples/s of one thread.
 PaperRow = namedtuple(
@@ -92,22 +87,6 @@ def measure(name: str, heights: np.ndarray, folder: Path) -> Iterator[Row]:
                 round(float(smallest_angles(plain.result).min()), 2),
                 round(float(angles.min()), 2), round(float((angles < 5).mean()), 5),
             )  # fmt: skip
-
-
-def measure_large(source: Path, folder: Path) -> Iterator[LargeRow]:
-    """Yield the seconds of `Terrain.mesh` on a large raster, decoding included."""
-    path = mirrored_file(source, LARGE_SIDE, folder, max_error=1)
-    for sweeps in (0, 1):
-
-        def fresh(sweeps=sweeps):
-            terrain = terrainwave.open(path, threads=2)
-            return [partial(terrain.mesh, max_error=LARGE_ERROR, optimise=sweeps)]
-
-        (found,) = common.take_turns(fresh, N_LARGE_RUNS, clock=time.perf_counter)
-        n_triangles = found.result.n_triangles
-        yield LargeRow(
-            source.stem, LARGE_SIDE, LARGE_ERROR, sweeps, 2, n_triangles, round(found.seconds, 2)
-        )
 
 
 def measure_papers(name: str, heights: np.ndarray, error: int) -> PaperRow:
@@ -187,8 +166,6 @@ def main(directory: Path, papers: bool, folder: Path, out: Path) -> None:
         common.write_rows(out.with_name("zerotree_mesh.csv"), paper_rows(directory))
         return
     common.write_rows(out, mesh_rows(directory, folder))
-    large = measure_large(directory / f"{LARGE}.tif", folder)
-    common.write_rows(out.with_name("meshes_large.csv"), large)
 
 
 if __name__ == "__main__":

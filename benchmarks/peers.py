@@ -4,6 +4,7 @@ How others are treated fairly is in ``benchmarks/README.md``; it is worth up to 
 them. Fills for voids and margins on bounds are tried in `benchmarks.codecs`.
 """
 
+import functools
 import math
 import struct
 from collections import namedtuple
@@ -42,6 +43,7 @@ class Codec:
     knows_voids = False
     takes_nan = False
     margins: tuple[float, ...] = (1.0,)
+    threads = 1
 
     def refuses(self, raster: Raster, max_error: float) -> str:
         """Return why the codec cannot do this case; empty if it can."""
@@ -52,15 +54,20 @@ class Codec:
 
 
 class Terrainwave(Codec):
-    """The project itself, through real files, without the proof at the end of `compress`."""
+    """The project itself, through real files; the whole command with "+" behind the method.
+
+    Else without meshes and without the proof at the end of `compress`.
+    """
 
     knows_voids = True
 
     def __init__(self, method: str, folder: Path) -> None:
-        """Take a method, or a method and an effort: ``predictive-fast``."""
-        self._method, _, effort = method.partition("-")
-        self._effort = effort or "default"
+        """Take a method, or a method and an effort: ``predictive-fast``; "×2": two threads."""
         self.name = f"terrainwave-{method}"
+        method, _, threads = method.partition("×")
+        self.threads, self._is_whole = int(threads or 1), method.endswith("+")
+        self._method, _, effort = method.rstrip("+").partition("-")
+        self._effort = effort or "default"
         self._source, self._target = folder / "source.tif", folder / f"{self.name}.twz"
 
     def prepare(self, raster: Raster) -> None:
@@ -71,13 +78,14 @@ class Terrainwave(Codec):
         """Compress the file of `prepare`."""
         terrainwave.compress(
             self._source, self._target, max_error=max_error, method=self._method,
-            effort=self._effort, threads=1, verify=False, mesh="none", overwrite=True,
+            effort=self._effort, threads=self.threads, verify=self._is_whole,
+            mesh="halves" if self._is_whole else "none", overwrite=True,
         )  # fmt: skip
         return self._target
 
     def decode(self, stored: Stored, raster: Raster, max_error: float) -> np.ndarray:
         """Read the whole raster."""
-        with terrainwave.open(stored, threads=1) as terrain:
+        with terrainwave.open(stored, threads=self.threads) as terrain:
             return terrain.read()
 
 
@@ -123,12 +131,10 @@ def _to_dtype(heights: np.ndarray, dtype) -> np.ndarray:
 class _JpegXl(Codec):
     """JPEG XL, lossless modular mode, of 16-bit indices; on one thread."""
 
-    name = "jxl-e9"
-
-    def __init__(self) -> None:
+    def __init__(self, effort: int) -> None:
         import imagecodecs
 
-        self._library = imagecodecs
+        self._library, self._effort, self.name = imagecodecs, effort, f"jxl-e{effort}"
 
     def refuses(self, raster: Raster, max_error: float) -> str:
         """Refuse more than 65536 indices, and steps smaller than floats can carry."""
@@ -140,7 +146,9 @@ class _JpegXl(Codec):
     def encode(self, raster: Raster, max_error: float, margin: float) -> bytes:
         values, *quantizer = quantize_indices(raster, max_error)
         image = values.astype(np.uint8 if values.max() < 256 else np.uint16)
-        packed = self._library.jpegxl_encode(image, lossless=True, effort=9, numthreads=1)
+        packed = self._library.jpegxl_encode(
+            image, lossless=True, effort=self._effort, numthreads=1
+        )
         return _QUANTIZER.pack(*quantizer) + packed
 
     def decode(self, stored: bytes, raster: Raster, max_error: float) -> np.ndarray:
@@ -226,7 +234,7 @@ def sz3_interpolation() -> Codec:
     return _FloatCodec("sz3-interp", pack, unpack)
 
 
-def cog_lerc(folder: Path) -> Codec:
+def cog_lerc(folder: Path, threads: int = 1) -> Codec:
     """Return cloud-optimised GeoTIFF with LERC_ZSTD and overviews, what GIS users have today.
 
     float32 at the widened bound: 15 % smaller at 1 m than LERC on the same heights as
@@ -245,23 +253,27 @@ def cog_lerc(folder: Path) -> Codec:
                 rasterio.shutil.copy(
                     source, folder / "cog.tif", driver="COG", COMPRESS="LERC_ZSTD",
                     MAX_Z_ERROR=repr(bound), MAX_Z_ERROR_OVERVIEW=repr(bound), BLOCKSIZE="512",
-                    OVERVIEWS="AUTO",
+                    OVERVIEWS="AUTO", NUM_THREADS=str(threads),
                 )  # fmt: skip
         return folder / "cog.tif"
 
     def unpack(stored: Path, _shape: tuple[int, int]) -> np.ndarray:
-        with rasterio.open(stored) as source:
+        with rasterio.open(stored, NUM_THREADS=threads) as source:
             return source.read(1)
 
-    return _FloatCodec("cog-overviews", pack, unpack, takes_nan=True)
+    codec = _FloatCodec("cog-overviews" + "×2" * (threads > 1), pack, unpack, takes_nan=True)
+    codec.threads = threads
+    return codec
 
 
 PEERS: dict[str, Callable[[Path], Codec]] = {
     "sperr": lambda _folder: sperr(),
     "sz3": lambda _folder: sz3(),
     "sz3-interp": lambda _folder: sz3_interpolation(),
-    "jxl-e9": lambda _folder: _JpegXl(),
+    "jxl-e9": lambda _folder: _JpegXl(9),
+    "jxl-e7": lambda _folder: _JpegXl(7),
     "cog-overviews": cog_lerc,
+    "cog-overviews×2": functools.partial(cog_lerc, threads=2),
 }
 NAMES = ("terrainwave", *PEERS)
 

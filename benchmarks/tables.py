@@ -5,9 +5,11 @@ from a CSV under ``benchmarks/results``, as ``tables.toml`` declares. ``--check`
 and exits 1 if a document does not say what its CSV says.
 """
 
+import itertools
 import math
 import re
 import tomllib
+from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -182,21 +184,20 @@ def summarized_methods(results: Path) -> Rows:
 
 
 def compared_speeds(results: Path) -> Rows:
-    """Return the speeds of cases that all codecs have been measured on, and those over SPERR's."""
-    names = {"fast": FAST, "predictive": PREDICTIVE, "cdf97": CDF97, "SPERR": "sperr"}
-    found: list[Row] = []
-    cases = pivot(read(results, "speeds"), ("raster", "max_error"), "codec")
-    for case in sorted(cases, key=lambda case: (case["raster"], case["max_error"])):
-        if any(f"codec={codec}" not in case for codec in names.values()):
-            continue
-        found.append({"raster": case["raster"], "bound": case["max_error"]})
-        for what in ("encode", "decode"):
-            for name, codec in names.items():
-                speed = case[f"codec={codec}"][f"{what}_speed"]
-                found[-1][f"{what} {name}"] = speed
-                over = speed / case["codec=sperr"][f"{what}_speed"]
-                found[-1][f"{what} {name} / SPERR"] = over
-    return found
+    """Return geometric means of each codec's speeds, and of those over COGs' by as many threads."""
+    found: dict[tuple, Row] = defaultdict(lambda: defaultdict(list))
+    for case in pivot(read(results, "speeds"), ("raster", "max_error", "threads"), "codec"):
+        group = "lossy" if case["max_error"] else "lossless"
+        lines = {name[6:]: row for name, row in case.items() if name.startswith("codec=")}
+        cog = next(row for name, row in lines.items() if name.startswith("cog"))
+        for name, what in itertools.product(lines, ("encode_speed", "decode_speed")):
+            means = found[name.split("×")[0], case["threads"]]
+            means[f"{what} {group}"].append(lines[name][what])
+            means[f"{what} {group} / COG"].append(lines[name][what] / cog[what])
+    return [
+        {"codec": codec, "threads": threads} | {k: geometric_mean(v) for k, v in means.items()}
+        for (codec, threads), means in found.items()
+    ]
 
 
 def mesh_speeds(results: Path) -> Rows:

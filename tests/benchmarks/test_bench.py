@@ -15,7 +15,7 @@ from benchmarks.tables import markdown
 
 
 def speed_row(codec, encode):
-    return SpeedRow("hill", 3.0, codec, 10**6, 0.5, encode, 2 * encode, 1)
+    return SpeedRow("hill", 3.0, codec, 1, 10**6, 0.5, encode, 2 * encode, 1)
 
 
 def test_rows_that_are_appended_keep_others_and_remember_the_machine(tmp_path):
@@ -35,17 +35,30 @@ def test_rows_that_are_not_appended_take_the_place_of_others(tmp_path):
     assert read_cases(path) == {("hill", 3.0, "terrainwave-cdf97")}
 
 
-def test_speeds_are_told_beside_sperr_with_geometric_means(tmp_path):
-    speeds = {
-        "terrainwave-predictive-fast": 8.0,
-        "terrainwave-predictive": 4.0,
-        "terrainwave-cdf97": 1.6,
-        "sperr": 16.0,
-    }
-    write_rows(tmp_path / "speeds.csv", [speed_row(*item) for item in speeds.items()])
-    assert markdown("speeds", tmp_path).splitlines()[-1] == (
-        "| / SPERR | | 0.50 | 0.25 | 0.10 | 1.00 | 0.50 | 0.25 | 0.10 | 1.00 |"
-    )
+def test_speeds_are_told_beside_cogs_by_as_many_threads_with_geometric_means(tmp_path):
+    cases = [
+        (0.0, "cog-overviews", 1, 16.0, 100.0),
+        (1.0, "cog-overviews", 1, 20.0, 200.0),
+        (10.0, "cog-overviews", 1, 80.0, 200.0),
+        (0.0, "terrainwave-auto", 1, 8.0, 50.0),
+        (1.0, "terrainwave-auto", 1, 4.0, 50.0),
+        (10.0, "terrainwave-auto", 1, 9.0, 50.0),
+        (0.0, "cog-overviews×2", 2, 32.0, 100.0),
+        (1.0, "cog-overviews×2", 2, 32.0, 100.0),
+        (0.0, "terrainwave-auto×2", 2, 16.0, 10.0),
+        (1.0, "terrainwave-auto×2", 2, 8.0, 10.0),
+    ]
+    rows = [
+        SpeedRow("hill", bound, codec, threads, 10**6, 0.5, *speeds, 1)
+        for bound, codec, threads, *speeds in cases
+    ]
+    write_rows(tmp_path / "speeds.csv", rows)
+    assert markdown("speeds", tmp_path).splitlines()[2:] == [
+        "| cog-overviews | 1 | 16.0 | 1.00 | 100.0 | 1.00 | 40.0 | 1.00 | 200.0 | 1.00 |",
+        "| terrainwave-auto | 1 | 8.0 | 0.50 | 50.0 | 0.50 | 6.0 | 0.15 | 50.0 | 0.25 |",
+        "| cog-overviews | 2 | 32.0 | 1.00 | 100.0 | 1.00 | 32.0 | 1.00 | 100.0 | 1.00 |",
+        "| terrainwave-auto | 2 | 16.0 | 0.50 | 10.0 | 0.10 | 8.0 | 0.25 | 10.0 | 0.10 |",
+    ]
 
 
 def test_a_table_says_what_was_not_measured(tmp_path):
@@ -74,7 +87,7 @@ def test_tasks_take_turns_and_stop_when_patience_ends():
 def test_a_second_run_measures_nothing_again(tmp_path, monkeypatch):
     from benchmarks import bench
 
-    monkeypatch.setattr(bench.common, "pin_to_one_core", lambda: None)
+    monkeypatch.setattr(bench.common, "pin_to_one_core", lambda *_: None)
     rows, cols = np.mgrid[:60, :70]
     heights = (rows * cols // 40).astype(np.int16)
     profile = {"driver": "GTiff", "count": 1, "height": 60, "width": 70, "dtype": "int16"}
