@@ -107,7 +107,7 @@ class Layer:
             try:
                 terrain = stack.enter_context(TerrainFile(path))
                 self.globe = Globe(terrain, radius=radius)
-                self.tiles = TilePyramid(self.globe, void_height=tiling.void_height(self.globe))
+                self.tiles = TilePyramid(self.globe, void_height=tiling.height_of_voids(self.globe))
             except (InvalidHeightsError, CorruptStreamError) as error:
                 raise type(error)(f"{path}: {error}") from error
             stack.pop_all()
