@@ -19,7 +19,7 @@ from terrainwave.globe.terrain_rgb import rgb_tile
 
 UTM = Affine(90.0, 0.0, 4e5, 0.0, -90.0, 4e6)
 # Across 180°.
-PACIFIC = Affine(0.05, 0.0, 179.4, 0.0, -0.05, 10.0)
+PACIFIC = Affine(0.02, 0.0, 179.6, 0.0, -0.02, 10.0)
 
 
 def make_twz(tmp_path, transform=UTM, crs="EPSG:32633", mask=None):
