@@ -26,7 +26,7 @@ from terrainwave.progress import ProgressCallback, Reporter
 LIST = "terrains.json"
 _STATIC = Path(__file__).parent / "serve" / "static"
 # The reader's folders, as they lie in js/ of the repository; an installed package has a copy.
-_READER = ("src", "map", "LICENSE")
+_READER = ("src", "map")
 _PART = 8 << 20
 
 
@@ -126,11 +126,10 @@ def _checked(globe: Globe, path: str) -> Globe:
 def _write_page(new: Path) -> None:
     shutil.copytree(_STATIC, new / "static")
     (new / "static" / "index.html").replace(new / "index.html")
-    reader = reader_directory()
+    reader, copy = reader_directory(), new / "terrainwave"
     for name in _READER:
-        copy: Any = shutil.copytree if (reader / name).is_dir() else shutil.copyfile
-        (new / "terrainwave").mkdir(exist_ok=True)
-        copy(reader / name, new / "terrainwave" / name)
+        shutil.copytree(reader / name, copy / name, ignore=shutil.ignore_patterns("*.d.ts"))
+    shutil.copyfile(reader / "LICENSE", copy / "LICENSE")
 
 
 def _write_list(path: Path, descriptions: list[dict[str, Any]]) -> None:
