@@ -1,7 +1,7 @@
 /** Tiles of terrains, made in the browser: what asks the worker, and forgets what nobody wants. */
 
-/** Tiles under work: what is asked for later and dropped meanwhile is never begun. */
-const AT_ONCE = 8;
+/** Tiles under work, a view's: what is asked for later and dropped meanwhile is never begun. */
+const AT_ONCE = 24;
 
 export class TileMaker {
   #worker;

@@ -1,10 +1,12 @@
 /** A source that asks for whole blocks of a file, once each, those of many readers together. */
 
-/** Bytes of a block: some tens of requests' worth of latency at common speeds are as much. */
+/** Bytes of a block: about what a connection brings in the time that it takes to ask. */
 export const BLOCK = 1 << 17;
 /** Blocks that may lie unused between two that are asked for at once. */
-const MAX_GAP = 1;
+const MAX_GAP = 3;
 const MOST_AT_ONCE = 64;
+/** Milliseconds in which wishes are gathered: tiles of one view come one after another. */
+const GATHERING = 10;
 /** Blocks that are kept. */
 const N_KEPT = 512;
 
@@ -50,7 +52,7 @@ export class BlockSource {
       this.blocks.delete(number);
     } else {
       found = new Promise((resolve, reject) => {
-        if (this.wanted.size === 0) setTimeout(() => this.fetchWanted());
+        if (this.wanted.size === 0) setTimeout(() => this.fetchWanted(), GATHERING);
         this.wanted.set(number, { resolve, reject });
       });
     }
