@@ -8,6 +8,7 @@ export class TileMaker {
   #asked = new Map(); // by id: { resolve, reject }
   #waiting = [];
   #n = 0;
+  #failure = null; // of the worker itself: there is none to ask
 
   /** @param {{ worker?: Worker }} options */
   constructor({ worker } = {}) {
@@ -15,8 +16,9 @@ export class TileMaker {
     this.#worker.onmessage = ({ data }) => this.#settle(data);
     this.#worker.onerror = (event) => {
       event.preventDefault();
-      const error = { name: "Error", message: event.message ?? "the worker cannot be started" };
-      for (const id of [...this.#asked.keys()]) this.#settle({ id, error });
+      const message = event.message ?? "the module of the worker cannot be loaded";
+      this.#failure = { name: "Error", message };
+      for (const id of [...this.#asked.keys()]) this.#settle({ id, error: this.#failure });
     };
   }
 
@@ -42,7 +44,8 @@ export class TileMaker {
         continue;
       }
       this.#asked.set(message.id, { resolve, reject });
-      this.#worker.postMessage(message);
+      if (this.#failure) this.#settle({ id: message.id, error: this.#failure });
+      else this.#worker.postMessage(message);
     }
   }
 

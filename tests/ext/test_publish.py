@@ -16,6 +16,7 @@ from ext.rasters import hills, write_raster, write_twz
 from ext.static_server import static_server
 from ext.test_javascript import node
 from PIL import Image
+from rasterio.warp import transform
 from selenium.webdriver import ActionChains
 
 import terrainwave
@@ -103,6 +104,14 @@ def test_only_directories_are_published(twz, tmp_path, target):
     result = run("publish", twz, target if target == "-" else tmp_path / target)
     assert result.exit_code == 2
     assert "expected a directory" in result.stderr
+
+
+def test_a_file_that_is_none_is_named(twz, tmp_path):
+    (tmp_path / "a.twz").write_bytes(b"no terrain")
+    result = run("publish", twz, tmp_path / "a.twz", tmp_path / "site")
+    assert result.exit_code == 1
+    assert f"{tmp_path / 'a.twz'}: " in result.stderr
+    assert os.listdir(tmp_path) == ["a.twz"]
 
 
 # Tiles
@@ -212,20 +221,45 @@ def asked_of_files(server):
     return [span for path, span in server.asked if path.endswith(".twz")]
 
 
+@pytest.fixture(scope="module")
+def large(tmp_path_factory):
+    """Return a file of many blocks of 128 KiB, on UTM."""
+    folder = tmp_path_factory.mktemp("large")
+    square = (250000, 5090000, 280000, 5120000)
+    source = write_raster(folder / "large.tif", hills(1500, 1500) * 4, square, "EPSG:32633")
+    terrainwave.compress(source, folder / "large.twz", max_error=0, method="store", mesh="none")
+    return folder / "large.twz"
+
+
 @pytest.mark.full
 @pytest.mark.gl
 @pytest.mark.large
-def test_the_page_flies_over_files_of_a_plain_server(twz, site, browser):
-    with static_server(site) as server:
+def test_the_first_picture_takes_few_requests(large, browser, tmp_path):
+    publish_site([str(large)], tmp_path / "site")
+    with static_server(tmp_path / "site") as server:
         driver = show(browser, server)
-        n_asked = len(asked_of_files(server))
-        assert 1 <= n_asked <= 12
-        assert all(asked_of_files(server))
+        spans = asked_of_files(server)
+        assert 1 <= len(spans) <= 12
+        assert all(spans)
+        n_bytes = sum(last + 1 - first for first, last in spans)
+        assert n_bytes < 0.7 * large.stat().st_size
+        assert len(set(spans)) == len(spans)
         picture = screenshot(driver)[200:, 280:]
         assert picture.astype(float).mean(axis=2).std() > 8
-        assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 2000
+        with terrainwave.open(large) as terrain:
+            x, y = transform("EPSG:4326", terrain.crs, [12.0], [46.1])
+            height = terrain.sample([(x[0], y[0])])[0]
+        drawn = driver.execute_script("return terrainMap.queryTerrainElevation([12.0, 46.1])")
+        assert drawn == pytest.approx(height, abs=150)
         assert not console(driver)
-        show(driver, server, hash_="terrain=hills&view=46.1,8.35,11,0,40")
+
+
+@pytest.mark.full
+@pytest.mark.gl
+@pytest.mark.large
+def test_the_page_tells_heights_of_the_file(twz, site, browser):
+    with static_server(site) as server:
+        driver = show(browser, server, hash_="terrain=hills&view=46.1,8.35,11,0,40")
         ActionChains(driver).move_to_element(driver.find_element("id", "map")).perform()
         wait_until(driver, "document.getElementById('place').textContent.includes('(± 8 m)')")
         told = driver.find_element("id", "place").text
@@ -251,9 +285,13 @@ def test_a_server_without_ranges_sends_the_file_once(site, browser):
 @pytest.mark.full
 @pytest.mark.gl
 @pytest.mark.large
-def test_a_file_that_is_gone_is_said(site, browser, tmp_path):
+@pytest.mark.parametrize(
+    ("gone", "line"),
+    [("hills.twz", "HTTP status 404"), ("terrainwave/map/worker.js", "module of the worker")],
+)
+def test_what_is_gone_is_said(site, browser, tmp_path, gone, line):
     shutil.copytree(site, tmp_path / "site")
-    (tmp_path / "site" / "hills.twz").unlink()
+    (tmp_path / "site" / gone).unlink()
     with static_server(tmp_path / "site") as server:
         driver = show(browser, server, "failed")
-        assert "HTTP status 404" in driver.find_element("id", "message").text
+        assert line in driver.find_element("id", "message").text

@@ -14,11 +14,11 @@ from typing import Any
 
 from terrainwave.container.publish import publish_directory
 from terrainwave.container.spool import storage_errors
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import CorruptStreamError, InvalidHeightsError
 from terrainwave.ext.serve.catalog import describe, layer_names
 from terrainwave.file import TerrainFile
 from terrainwave.globe.lonlat import Globe
-from terrainwave.globe.polynomials import fit_places
+from terrainwave.globe.polynomials import FittedPlaces, fit_places
 from terrainwave.names import METHODS, methods_that
 from terrainwave.progress import ProgressCallback, Reporter
 
@@ -88,17 +88,13 @@ def publish_site(
         publish_directory(directory, LIST, overwrite) as new,
         storage_errors(f"cannot write {os.fspath(directory)}"),
     ):
-        globes = {}
-        for name, path in layer_names(paths).items():
-            terrain = opened.enter_context(TerrainFile(path))
-            globes[name] = _checked(Globe(terrain, radius=radius), path)
-        total = sum(globe.terrain.info().n_bytes for globe in globes.values())
+        found = {name: _opened(opened, path, radius) for name, path in layer_names(paths).items()}
+        total = sum(globe.terrain.container.source.size for globe, _ in found.values())
         reporter, n_done = Reporter(progress), 0
         _write_page(new)
         descriptions, published = [], []
-        for name, globe in globes.items():
-            places, file = fit_places(globe), f"{name}.twz"
-            source = globe.terrain.container.source
+        for name, (globe, places) in found.items():
+            source, file = globe.terrain.container.source, f"{name}.twz"
             with (new / file).open("wb") as copy:
                 for start in range(0, source.size, _PART):
                     copy.write(source.read(start, min(_PART, source.size - start)))
@@ -112,15 +108,19 @@ def publish_site(
     return published
 
 
-def _checked(globe: Globe, path: str) -> Globe:
-    method = METHODS[globe.terrain.info().method]
-    if not method.is_read_in_browsers:
-        readable = methods_that(lambda one: one.is_read_in_browsers)
-        raise InvalidHeightsError(
-            f"{path}: found method {method.name}, which is not read in browsers, expected"
-            f" {readable}"
-        )
-    return globe
+def _opened(opened: ExitStack, path: str, radius: float | None) -> tuple[Globe, FittedPlaces]:
+    """Return an open file on its globe, and where its samples lie there."""
+    try:
+        globe = Globe(opened.enter_context(TerrainFile(path)), radius=radius)
+        method = METHODS[globe.terrain.info().method]
+        if not method.is_read_in_browsers:
+            readable = methods_that(lambda one: one.is_read_in_browsers)
+            raise InvalidHeightsError(
+                f"found method {method.name}, which is not read in browsers, expected {readable}"
+            )
+        return globe, fit_places(globe)
+    except (InvalidHeightsError, CorruptStreamError) as error:
+        raise type(error)(f"{path}: {error}") from error
 
 
 def _write_page(new: Path) -> None:
