@@ -7,6 +7,7 @@ import { Places } from "../map/places.js";
 import { growInto, largestDistance, shareOfVoids, without } from "../map/surfaces.js";
 import { BLOCK, BlockSource } from "../src/blocks.js";
 import { ArgumentError, LimitExceededError, open } from "../src/index.js";
+import { METHODS } from "../src/methods.js";
 import { golden } from "../testing/files.js";
 
 class Counted {
@@ -67,6 +68,25 @@ test("heights by blocks are those of the file", async () => {
   const [whole, terrain] = [await open(bytes), await open("http://host/a.twz", options)];
   const read = await Promise.all([0, -1].map((level) => terrain.read(level)));
   assert.deepEqual(read, await Promise.all([0, -1].map((level) => whole.read(level))));
+});
+
+test("units that two reads want at once are decoded once", async () => {
+  const bytes = await golden("store-int16-segments");
+  const { decode } = METHODS.store;
+  let n = 0;
+  METHODS.store.decode = (...args) => {
+    n++;
+    return decode(...args);
+  };
+  try {
+    const [one, two] = [await open(bytes), await open(bytes)];
+    await one.read(-1);
+    const nUnits = n;
+    await Promise.all([two.read(-1), two.read(-1), two.read(-2)]);
+    assert.equal(n, 2 * nUnits);
+  } finally {
+    METHODS.store.decode = decode;
+  }
 });
 
 test("of a server without ranges no more than 64 MiB are read", async () => {

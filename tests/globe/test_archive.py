@@ -22,8 +22,8 @@ UTM = Affine(90.0, 0.0, 4e5, 0.0, -90.0, 4e6)
 PACIFIC = Affine(0.02, 0.0, 179.6, 0.0, -0.02, 10.0)
 
 
-def make_twz(tmp_path, transform=UTM, crs="EPSG:32633", mask=None):
-    heights = terrain_like(40, 40)
+def make_twz(tmp_path, transform=UTM, crs="EPSG:32633", mask=None, side=40):
+    heights = terrain_like(side, side)
     raster = write_geotiff(
         tmp_path / "dem.tif", heights, transform=transform, crs=crs, units=("m",), mask=mask
     )
@@ -61,8 +61,14 @@ def test_an_archive_holds_every_tile_that_has_terrain(tmp_path, transform, crs):
             beside = [(z, (x + 1) % 2**z, y), (z, x, y + 1)]
             assert all(at in found or rgb_tile(globe, *at, 2) is None for at in beside)
     assert (metadata["encoding"], metadata["attribution"]) == ("mapbox", "© somebody")
-    assert header["clustered"]
     assert -180e7 <= header["min_lon_e7"] < header["max_lon_e7"] <= 180e7
+
+
+def test_tiles_lie_in_the_order_of_the_formats_curve(tmp_path):
+    with terrainwave.open(make_twz(tmp_path, side=500)) as terrain:
+        *_, last = write_pmtiles(terrain, tmp_path / "dem.pmtiles", min_zoom=9)
+    assert last.n_tiles >= 6
+    assert read_archive(tmp_path / "dem.pmtiles")[1]["clustered"]
 
 
 def test_voids_have_the_height_asked_for(tmp_path):

@@ -63,6 +63,15 @@ def test_no_sample_is_further_from_its_place_than_stated(tmp_path, name):
         assert len(places.as_json(globe)["rows"]) == len(places.rows)
 
 
+def test_places_that_two_share_are_refused(tmp_path, monkeypatch):
+    """Of all that polynomials put into the raster PROJ must say the same."""
+    globe = globe_of(tmp_path, *RASTERS["utm"])
+    with globe.terrain:
+        monkeypatch.setattr(globe, "to_samples", lambda lon, lat: (lon * np.nan, lat * np.nan))
+        with pytest.raises(InvalidHeightsError, match="inf samples off"):
+            fit_places(globe)
+
+
 def test_a_projection_that_is_cut_is_refused(tmp_path):
     globe = globe_of(tmp_path, "ESRI:54052", Affine(5e5, 0, -18e6, 0, -25e4, 8e6))
     with globe.terrain, pytest.raises(InvalidHeightsError, match="warp the raster to EPSG:4326"):
