@@ -25,6 +25,8 @@ export interface OpenOptions {
   fetch?: typeof fetch;
   headers?: Record<string, string>;
   signal?: AbortSignal;
+  /** Of URLs: fetch and keep whole blocks of 128 KiB, those of many reads at once together. */
+  blocks?: boolean;
 }
 
 /** In samples of a level. */

@@ -1,11 +1,13 @@
 /** Where bytes come from: memory, a File or Blob, a URL by range requests, or the caller's own. */
 
-import { ArgumentError, SourceError } from "./errors.js";
+import { ArgumentError, LimitExceededError, SourceError } from "./errors.js";
 
 /** Ranges closer together than this are read in one go. */
 const GAP = 8192;
 const MOST_AT_ONCE = 1 << 23;
 const PARALLEL = 6;
+/** A file of a server that sends no ranges is taken whole up to so many bytes, as by Python. */
+export const MOST_WHOLE = 1 << 26;
 
 /** Return a source { size, head(n), read(start, end) } of what the caller has. */
 export function openSource(from, options = {}) {
@@ -98,8 +100,10 @@ class UrlSource {
       // Called unbound: browsers' fetch refuses another `this`.
       const { fetch } = this;
       response = await fetch(this.url, { headers: { ...headers, Range: range }, signal });
-      if (response.ok) body = new Uint8Array(await response.arrayBuffer());
+      if (response.status === 200) body = await wholeBody(response, this.url);
+      else if (response.ok) body = new Uint8Array(await response.arrayBuffer());
     } catch (cause) {
+      if (cause instanceof LimitExceededError) throw cause;
       throw new SourceError(`${this.url}: ${cause.message}`, { cause });
     }
     if (response.status === 200) {
@@ -128,6 +132,39 @@ class UrlSource {
     this.size = size;
     this.tag = tag;
   }
+}
+
+/** Return a body of at most `MOST_WHOLE` bytes. */
+async function wholeBody(response, url) {
+  const refuse = () => {
+    throw new LimitExceededError(
+      `${url}: the server sends no ranges, and of more than ${MOST_WHOLE >> 20} MiB not all is read`,
+    );
+  };
+  // Of a coded body the length is another one; it cannot be longer.
+  if (Number(response.headers.get("content-length")) > MOST_WHOLE) {
+    await response.body?.cancel();
+    refuse();
+  }
+  if (!response.body) return new Uint8Array(await response.arrayBuffer());
+  const parts = [];
+  let size = 0;
+  const reader = response.body.getReader();
+  for (let part = await reader.read(); !part.done; part = await reader.read()) {
+    parts.push(part.value);
+    size += part.value.length;
+    if (size > MOST_WHOLE) {
+      await reader.cancel();
+      refuse();
+    }
+  }
+  const whole = new Uint8Array(size);
+  let at = 0;
+  for (const part of parts) {
+    whole.set(part, at);
+    at += part.length;
+  }
+  return whole;
 }
 
 /**
@@ -160,6 +197,6 @@ export async function readRanges(source, ranges) {
       }
     }
   };
-  await Promise.all(Array.from({ length: Math.min(PARALLEL, groups.length) }, work));
+  await Promise.all(Array.from({ length: Math.min(source.parallel ?? PARALLEL, groups.length) }, work));
   return Array.from(found, (bytes) => bytes ?? new Uint8Array(0));
 }

@@ -1,5 +1,6 @@
 /** A terrain: what users hold. */
 
+import { BlockSource } from "./blocks.js";
 import { Container } from "./container.js";
 import { ArgumentError, LimitExceededError } from "./errors.js";
 import { half, nameOf } from "./grid.js";
@@ -47,7 +48,8 @@ class Cache {
 
 /** Open a .twz file: a URL, a File or Blob, bytes, or an object { size, read(start, end) }. */
 export async function open(from, options = {}) {
-  const source = openSource(from, options);
+  const found = openSource(from, options);
+  const source = options.blocks ? new BlockSource(found) : found;
   const container = await Container.open(source);
   requireMethod(container.header, METHODS);
   return new Terrain(container, { ...DEFAULTS, ...options });
@@ -217,8 +219,10 @@ export class Terrain {
     }
     list.forEach((key, i) => {
       const parent = key.level < 0 ? null : this.#parent(key, held.get(nameOf(grid.keyOfBlock(key))));
-      const unit = decodePayload(this.#file, grid.unit(key), payloads[i], parent);
       const name = nameOf(key);
+      // Another reader may have decoded it while the payloads were on their way.
+      const unit = this.#cache.get(name) ??
+        decodePayload(this.#file, grid.unit(key), payloads[i], parent);
       this.#cache.put(name, unit);
       if (key.level < grid.kMax - 1) held.set(name, unit);
       if (asked.has(name)) use(unit);

@@ -38,6 +38,8 @@ class Method:
         A unit can be coded again so that heights that still hold come back as they were.
     has_parameters : bool
         The file's header may hold tables for all of its units.
+    is_read_in_browsers : bool
+        The reader in JavaScript decodes it.
     """
 
     name: str
@@ -49,6 +51,7 @@ class Method:
     is_clusterable: bool = True
     is_patchable: bool = False
     has_parameters: bool = False
+    is_read_in_browsers: bool = False
 
     @property
     def is_tiled(self) -> bool:
@@ -61,13 +64,13 @@ METHODS = {
     method.name: method
     for method in (
         Method(name="rapid", number=4, refiner="rapid.Rapid", has_parameters=True,
-               is_patchable=True),
+               is_patchable=True, is_read_in_browsers=True),
         Method(name="predictive", number=2, refiner="predictive.Predictive", has_parameters=True,
-               is_patchable=True, effort="1, 2 or 8 sets of weights"),
+               is_patchable=True, is_read_in_browsers=True, effort="1, 2 or 8 sets of weights"),
         Method(name="cdf97", number=1, refiner="cdf97.Cdf97", pyramid="lowpass",
                effort="1, up to 3 or up to 7 steps"),
         Method(name="cdf53", number=3, pyramid="lowpass53", is_cuttable=True, is_clusterable=False),
-        Method(name="store", number=0, refiner="store.Store"),
+        Method(name="store", number=0, refiner="store.Store", is_read_in_browsers=True),
     )
 }  # fmt: skip
 DEFAULT_METHOD = METHODS["rapid"]

@@ -25,6 +25,7 @@ from terrainwave.cli import main
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
 from terrainwave.ext.serve import app as serving
 from terrainwave.ext.serve.app import make_app
+from terrainwave.ext.serve.catalog import origin_of
 from terrainwave.globe import cesium as tile_pyramid
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
@@ -502,12 +503,12 @@ def test_whose_the_data_are_is_told_in_short_lines():
         "LICENSE": "public\ndomain", "TIFFTAG_COPYRIGHT": "<b>us</b>", "lic": "x" * 5000,
         "AREA_OR_POINT": "Area", "slice": "3", "source": "",
     }  # fmt: skip
-    found = serving.origin_of(tags)
+    found = origin_of(tags)
     assert list(found) == ["LICENSE", "TIFFTAG_COPYRIGHT", "lic"]
     assert "\n" not in found["LICENSE"]
     assert found["TIFFTAG_COPYRIGHT"] == "<b>us</b>"
     assert len(found["lic"]) == 400
-    assert len(serving.origin_of({f"source {k}": "x" for k in range(99)})) == 8
+    assert len(origin_of({f"source {k}": "x" for k in range(99)})) == 8
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Ctrl-C there is no signal to send")

@@ -58,13 +58,19 @@ class Directory(_Path):
     completes = "dir"
     archives = (".mbtiles", ".pmtiles", ".tar", ".zip")
 
+    def __init__(self, *, or_ending: str | None = None) -> None:
+        self._or_ending = or_ending
+
     def convert(self, value: Any, param: Any, ctx: Any) -> str:
-        """Return the name."""
+        """Return the name; of a file where one with that ending is allowed too."""
         path = os.fspath(value)
         ending = os.path.splitext(path)[1].lower()
+        if ending == self._or_ending:
+            return path
         if path == STREAM or ending in self.archives or os.path.isfile(path):
             found = {STREAM: "a stream"}.get(path, f"a file ({ending})" if ending else "a file")
-            self.fail(f"{path}: found {found}, expected a directory", param, ctx)
+            other = f" or a name that ends in {self._or_ending}" if self._or_ending else ""
+            self.fail(f"{path}: found {found}, expected a directory{other}", param, ctx)
         return path
 
 

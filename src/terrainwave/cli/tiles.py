@@ -1,4 +1,4 @@
-"""The command that writes a pyramid of tiles for globes."""
+"""The command that writes a pyramid of tiles: for globes, or as one archive for maps."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -10,51 +10,96 @@ from terrainwave.arguments import count_of
 from terrainwave.cli.commands import THREADS, main, print_json
 from terrainwave.cli.options import Directory, Finite, Input, Positive
 from terrainwave.cli.output import Bar, announce_compiling, plain, print_grid, reading
+from terrainwave.errors import InvalidArgumentError
+
+_ARCHIVE = ".pmtiles"
 
 
 @main.command()
 @click.argument("file", type=Input())
-@click.argument("directory", type=Directory())
+@click.argument("target", type=Directory(or_ending=_ARCHIVE))
 @click.option(
     "--max-zoom",
     type=click.IntRange(min=0),
     help="The finest zoom. Default: the first one whose cells are no larger than pixels.",
 )
+@click.option("--min-zoom", type=click.IntRange(min=0), help="Of an archive: the first zoom.")
+@click.option(
+    "--rim",
+    type=click.IntRange(min=0),
+    help="Of an archive: pixels by which heights go on beyond edges and into voids.",
+)
 @click.option(
     "--void-height",
     type=Finite(),
-    default=0.0,
-    show_default=True,
-    help="Of voids and what the raster does not cover, in metres above the ellipsoid.",
+    help="Of voids and what the raster does not cover, in metres above the ellipsoid."
+    " Default: 0; in an archive 1 m below the lowest height.",
 )
-@click.option("--attribution", default="", help="For layer.json: whose data these are.")
+@click.option("--attribution", default="", help="For the metadata: whose data these are.")
 @click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
 @click.option("--threads", type=THREADS, help="Threads; all processors by default.")
-@click.option("--overwrite", is_flag=True, help="Replace an existing directory of tiles.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing target.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def tiles(
-    file: str, directory: str, threads: int | None, quiet: bool, as_json: bool, **options: Any
+    file: str, target: str, threads: int | None, quiet: bool, as_json: bool, **options: Any
 ) -> None:
-    """Write FILE (.twz) to DIRECTORY as Cesium terrain: quantized-mesh tiles and layer.json.
+    """Write FILE (.twz) as tiles: TARGET is a directory for Cesium, or a name in .pmtiles.
 
-    Serve DIRECTORY over HTTP and give its address to CesiumTerrainProvider.fromUrl.
+    A directory gets quantized-mesh tiles and layer.json: serve it over HTTP and give its address
+    to CesiumTerrainProvider.fromUrl. An archive holds terrain-RGB tiles for MapLibre and others.
     """
     import terrainwave
-    from terrainwave.globe.cesium import write_tiles
 
+    is_archive = target.lower().endswith(_ARCHIVE)
+    write = _write_archive if is_archive else _write_directory
     announce_compiling(quiet=quiet)
     with (
         reading(file),
         terrainwave.open(file, threads=threads) as terrain,
         Bar(quiet=quiet) as bar,
     ):
-        summaries = write_tiles(terrain, directory, threads=threads, progress=bar, **options)
+        summaries = write(terrain, target, threads=threads, progress=bar, **options)
     if as_json:
         zooms = [asdict(zoom) for zoom in summaries]
-        print_json({"path": str(Path(directory)), "zooms": zooms})
+        print_json({"path": str(Path(target)), "zooms": zooms})
     elif not quiet:
-        _print_zooms(directory, summaries)
+        (_print_archived if is_archive else _print_zooms)(target, summaries)
+
+
+def _write_archive(terrain: Any, target: str, *, min_zoom: int | None, **options: Any) -> list[Any]:
+    from terrainwave.globe.archive import write_pmtiles
+
+    options["rim"] = options["rim"] or 0
+    return write_pmtiles(terrain, target, min_zoom=min_zoom or 0, **options)
+
+
+def _write_directory(
+    terrain: Any,
+    target: str,
+    *,
+    min_zoom: int | None,
+    rim: int | None,
+    void_height: float | None,
+    **options: Any,
+) -> list[Any]:
+    from terrainwave.globe.cesium import write_tiles
+
+    for name, value in (("min_zoom", min_zoom), ("rim", rim)):
+        if value is not None:
+            raise InvalidArgumentError(f"`{name}` is for an archive ({_ARCHIVE})")
+    return write_tiles(terrain, target, void_height=void_height or 0.0, **options)
+
+
+def _print_archived(target: str, summaries: Any) -> None:
+    header = ["zoom", "tiles", "bytes", "surface error", "terrain error"]
+    rows = [
+        [str(zoom.zoom), f"{zoom.n_tiles:,}", f"{zoom.n_bytes:,}", _metres(zoom.surface_error),
+         _metres(zoom.terrain_error)]
+        for zoom in summaries
+    ]  # fmt: skip
+    print_grid(header, rows)
+    _print_total(target, summaries)
 
 
 def _print_zooms(directory: str, summaries: Any) -> None:
@@ -65,10 +110,12 @@ def _print_zooms(directory: str, summaries: Any) -> None:
         for zoom in summaries
     ]  # fmt: skip
     print_grid(header, rows)
-    click.echo(
-        f"{plain(directory)}: {count_of(sum(zoom.n_tiles for zoom in summaries), 'tile')};"
-        " errors in m"
-    )
+    _print_total(directory, summaries)
+
+
+def _print_total(target: str, summaries: Any) -> None:
+    n_tiles = sum(zoom.n_tiles for zoom in summaries)
+    click.echo(f"{plain(target)}: {count_of(n_tiles, 'tile')}; errors in m")
 
 
 def _metres(error: float | None) -> str:

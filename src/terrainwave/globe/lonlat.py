@@ -110,12 +110,11 @@ class Globe:
         self.ellipsoid: Ellipsoid = EARTH if is_earth else place.ellipsoid
         self._crs = place.crs
         self._globe_crs = self._system(is_earth)
-        self._metres = metres_per_unit(raster.units)
         a, b, _, d, _, _ = raster.transform
-        turn = 360 / (abs(a) * place.unit) if a else math.inf
-        self._is_whole_turn = (
-            place.is_geographic and b == d == 0 and abs(turn - terrain.shape[1]) < 0.01
-        )
+        # Columns of 360 degrees, where rows are parallels.
+        self.turn = 360 / (abs(a) * place.unit) if place.is_geographic and b == d == 0 else None
+        self.is_whole_turn = self.turn is not None and abs(self.turn - terrain.shape[1]) < 0.01
+        self.metres = metres_per_unit(raster.units)
 
     def _system(self, is_earth: bool) -> "CRS | None":
         """Return the geographic system of the globe; None if the raster is in it already."""
@@ -144,7 +143,12 @@ class Globe:
             rows[near], cols[near] = self._to_samples(lon[near], lat[near])
         return rows, cols
 
-    def _to_samples(self, lon: Numbers, lat: Numbers) -> Places:
+    def continued_samples(self, lon: Numbers, lat: Numbers) -> Places:
+        """Return fractional rows and columns as if the full grid went on beyond its edges.
+
+        NaN where the raster's system has no place. Of degrees the columns are those of the turn
+        that the raster is in the middle of.
+        """
         xy = np.stack([lon, lat], axis=1)
         if self._globe_crs is not None and self._crs is not None:
             xy = transform_where_possible(xy, self._globe_crs, self._crs)
@@ -155,9 +159,13 @@ class Globe:
             start = self._centre_x - turn / 2
             xy[:, 0] = start + np.mod(xy[:, 0] - start, turn)
         with np.errstate(all="ignore"):
-            rows, cols = places_to_samples(self.terrain.raster_info.transform, xy[:, 0], xy[:, 1])
+            return places_to_samples(self.terrain.raster_info.transform, xy[:, 0], xy[:, 1])
+
+    def _to_samples(self, lon: Numbers, lat: Numbers) -> Places:
+        rows, cols = self.continued_samples(lon, lat)
+        with np.errstate(all="ignore"):
             rows, is_row = _clamped(rows, self.terrain.shape[0])
-            if self._is_whole_turn:
+            if self.is_whole_turn:
                 is_col = np.isfinite(cols)
             else:
                 cols, is_col = _clamped(cols, self.terrain.shape[1])
@@ -231,7 +239,7 @@ class Globe:
             south, north = (-_POLE if has_south else south), (_POLE if has_north else north)
             if has_south or has_north:
                 west, east = -180.0, 180.0
-        if self._is_whole_turn or east - west >= 360 - _SAME_PLACE:
+        if self.is_whole_turn or east - west >= 360 - _SAME_PLACE:
             west, east = -180.0, 180.0
         shift = 360 * math.floor((west + 180) / 360)
         return Extent(west - shift, max(south, -_POLE), east - shift, min(north, _POLE))
@@ -241,7 +249,7 @@ class Globe:
     @property
     def effective_error(self) -> float:
         """Return the bound that holds at samples of the full grid, in metres."""
-        return self.terrain.effective_error * self._metres
+        return self.terrain.effective_error * self.metres
 
     def level_for(self, spacing: float) -> int:
         """Return the coarsest level whose samples are at most `spacing` metres apart."""
@@ -269,7 +277,7 @@ class Globe:
         # The last cell goes on linearly, to a weight of up to 2.
         top = np.clip(np.floor(row).astype(np.int64), 0, max(n_rows - 2, 0))
         down = row - top if n_rows > 1 else np.zeros_like(row)
-        if self._is_whole_turn:
+        if self.is_whole_turn:
             left, right, across = self._around(col, n_cols, stride)
         else:
             left = np.clip(np.floor(col).astype(np.int64), 0, max(n_cols - 2, 0))
@@ -312,7 +320,7 @@ class Globe:
         raster = self.terrain.raster_info
         mask = np.concatenate(valid, axis=1)
         known = np.where(mask, np.concatenate(heights, axis=1), 0).astype(np.float64)
-        metres = (known * raster.scale + raster.offset) * self._metres
+        metres = (known * raster.scale + raster.offset) * self.metres
         return Window(level, top, np.concatenate(columns), metres, mask)
 
     def places_of(self, window: Window) -> tuple[Places, Numbers]:
@@ -340,7 +348,7 @@ class Globe:
             for row in block_rows
             for col in block_cols
         ]
-        return max(errors) * self._metres
+        return max(errors) * self.metres
 
     @cached_property
     def height_range(self) -> tuple[float, float]:
@@ -348,7 +356,7 @@ class Globe:
         info = self.terrain.info()
         if info.minimum is None or info.maximum is None:
             return 0.0, 0.0
-        low, high = sorted((info.minimum * self._metres, info.maximum * self._metres))
+        low, high = sorted((info.minimum * self.metres, info.maximum * self.metres))
         return low, high
 
 

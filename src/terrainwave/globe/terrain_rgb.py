@@ -110,7 +110,9 @@ def level_for(globe: Globe, z: int, y: int) -> int:
     return globe.level_for(pixel_size(globe, z, latitude))
 
 
-def rgb_tile(globe: Globe, z: int, x: int, y: int, rim: int = 0) -> RgbTile | None:
+def rgb_tile(
+    globe: Globe, z: int, x: int, y: int, rim: int = 0, *, void_height: float | None = None
+) -> RgbTile | None:
     """Return the terrain-RGB tile z/x/y (XYZ, Web Mercator), or None where there is no terrain.
 
     Parameters
@@ -121,11 +123,13 @@ def rgb_tile(globe: Globe, z: int, x: int, y: int, rim: int = 0) -> RgbTile | No
     rim : int
         Pixels, 0 … `MAX_RIM`, by which heights go on beyond the terrain's edges and into voids, so
         that surfaces through the pixels don't fall off within the terrain. It is not in `error`.
+    void_height : float, optional
+        Metres, of pixels without heights: the format has no void. By default `VOID_DEPTH` below
+        the terrain's lowest.
 
     Notes
     -----
     A height depends on its place and z alone, so that neighbouring tiles continue each other.
-    The format has no void: pixels without heights are `VOID_DEPTH` below the terrain's lowest.
     """
     if not meets(globe, z, x, y, rim):
         return None
@@ -141,7 +145,7 @@ def rgb_tile(globe: Globe, z: int, x: int, y: int, rim: int = 0) -> RgbTile | No
     drawn = _codes(_without(_grown(around[::2, ::2], rim), rim))
     if window is None or np.isnan(drawn).all():
         return None
-    void = _codes(np.array(void_height(globe)))
+    void = _codes(np.array(height_of_voids(globe) if void_height is None else void_height))
     return RgbTile(
         png=_png(np.where(np.isnan(drawn), void, drawn).astype(np.uint32)),
         error=_largest_distance(codes * _STEP + _LOWEST, surface),
@@ -153,7 +157,7 @@ def rgb_tile(globe: Globe, z: int, x: int, y: int, rim: int = 0) -> RgbTile | No
 
 def void_tile(globe: Globe) -> bytes:
     """Return the PNG of a terrain-RGB tile without terrain."""
-    void = int(_codes(np.array(void_height(globe))))
+    void = int(_codes(np.array(height_of_voids(globe))))
     return _png(np.full((TILE_SIZE, TILE_SIZE), void, dtype=np.uint32))
 
 
@@ -202,7 +206,7 @@ def _void_shares(is_void: NDArray[np.bool_], rim: int) -> NDArray[np.uint8]:
     return np.rint(255 * _without(shares[::2, ::2], rim)).astype(np.uint8)
 
 
-def void_height(globe: Globe) -> float:
+def height_of_voids(globe: Globe) -> float:
     """Return the height in metres that stands for voids."""
     return globe.height_range[0] - VOID_DEPTH
 

@@ -6,11 +6,9 @@ them decode at a time and as many again as `N_WAITING` wait, the rest are told t
 
 import hashlib
 import logging
-import re
 import warnings
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import ExitStack, asynccontextmanager
-from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -23,8 +21,6 @@ from fastapi.routing import APIRoute
 from fastapi.staticfiles import StaticFiles
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
-from terrainwave._version import __version__
-from terrainwave.arguments import in_one_line
 from terrainwave.cache import Cache
 from terrainwave.errors import (
     CorruptStreamError,
@@ -32,15 +28,14 @@ from terrainwave.errors import (
     TerrainwaveError,
     TerrainwaveWarning,
 )
-from terrainwave.export.frames import EARTH
 from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
+from terrainwave.ext.serve.catalog import describe, layer_names
 from terrainwave.ext.serve.ranges import Span, asked_span
 from terrainwave.file import TerrainFile
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.cesium import MAX_ZOOM as LAST_MESH_ZOOM
 from terrainwave.globe.cesium import TilePyramid
 from terrainwave.globe.lonlat import Globe
-from terrainwave.render.ramps import RAMPS, ramp_stops
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 N_WAITING = 64
@@ -48,13 +43,6 @@ N_WAITING = 64
 _PART = 2 << 20
 # Tiles of a file that are kept: the page asks for the heights and the voids of one place.
 _N_TILES = 32
-# Names of tags that say where data are from, and whose they are.
-_ORIGIN = re.compile(
-    r"licen[cs]e|^lic$|copyright|rights|attribution|credit|source|author|artist|provider"
-    r"|publisher|producer|citation|doi|sensor|organi[sz]ation",
-    re.IGNORECASE,
-)
-_N_TAGS, _LONGEST_TAG = 8, 400
 _STATIC = Path(__file__).parent / "static"
 _log = logging.getLogger(__name__)
 
@@ -107,7 +95,7 @@ class Layer:
             try:
                 terrain = stack.enter_context(TerrainFile(path))
                 self.globe = Globe(terrain, radius=radius)
-                self.tiles = TilePyramid(self.globe, void_height=tiling.void_height(self.globe))
+                self.tiles = TilePyramid(self.globe, void_height=tiling.height_of_voids(self.globe))
             except (InvalidHeightsError, CorruptStreamError) as error:
                 raise type(error)(f"{path}: {error}") from error
             stack.pop_all()
@@ -130,56 +118,6 @@ class Layer:
         voids = tiling.ALL_VOID if tile is None else tile.voids
         red, green, blue = bytes.fromhex(color)
         return tiling.cover_tile(voids, (red, green, blue)) if voids.any() else None
-
-    def describe(self) -> dict[str, object]:
-        """Describe the file for the page; no path. Its tags may hold any text."""
-        info, (lowest, highest) = self.info, self.globe.height_range
-        return {
-            "name": self.name,
-            "bounds": list(self.globe.extent),
-            "maxzoom": tiling.max_zoom(self.globe),
-            "lowest": lowest,
-            "highest": highest,
-            "error": self.globe.effective_error,
-            "bytes": info.n_bytes,
-            "rows": info.n_rows,
-            "columns": info.n_cols,
-            "bits_per_sample": info.bits_per_sample,
-            "method": info.method,
-            "ramp": "tints" if self.globe.ellipsoid == EARTH else "grey",
-            "ramps": {name: ramp_stops(name, lowest, highest) for name in RAMPS},
-            "origin": origin_of({**info.tags, **info.band_tags}),
-            "version": __version__,
-        }
-
-
-def origin_of(tags: dict[str, str]) -> dict[str, str]:
-    """Return the tags that say whose data it is: a few, each a line that is not too long."""
-    told = {name: text for name, text in tags.items() if text and _ORIGIN.search(name)}
-    return {
-        in_one_line(name)[:_LONGEST_TAG]: in_one_line(text)[:_LONGEST_TAG]
-        for name, text in islice(told.items(), _N_TAGS)
-    }
-
-
-def layer_names(paths: list[str]) -> dict[str, str]:
-    """Return {name in URLs: path}: the files' names without ending, letters, digits, - and _.
-
-    Raises
-    ------
-    InvalidHeightsError
-        If two files have the same name.
-    """
-    names: dict[str, str] = {}
-    for path in paths:
-        stem = re.split(r"[/\\]", path.split("?")[0])[-1].rsplit(".", 1)[0]
-        name = re.sub(r"[^A-Za-z0-9_-]+", "-", stem).strip("-") or "terrain"
-        if name in names:
-            raise InvalidHeightsError(
-                f"{names[name]} and {path} would both be served as {name}: rename one"
-            )
-        names[name] = path
-    return names
 
 
 def open_layers(paths: list[str], radius: float | None) -> dict[str, Layer]:
@@ -312,7 +250,7 @@ def make_app(
 
     @app.get("/terrains.json")
     def terrains() -> list[dict[str, object]]:
-        return [layer.describe() for layer in layers.values()]
+        return [describe(layer.name, layer.globe) for layer in layers.values()]
 
     @app.get("/{name}/tiles.json")
     def tiles(request: Request, name: str, rim: Rim = 0) -> dict[str, object]:

@@ -1,5 +1,6 @@
-// The page of `terrainwave serve`: MapLibre over the terrain-RGB tiles of one file at a time.
+// The page of `terrainwave serve` and `publish`: MapLibre over the tiles of one file at a time.
 //
+// Tiles and heights come from a server (`served.mjs`) or are made here (`published.mjs`).
 // `state` is what the page shows. Each terrain that is shown is a new generation: what was asked
 // for an earlier one (styles, heights) is dropped when it comes.
 import { Map, NavigationControl, ScaleControl } from "./maplibre/maplibre-gl.mjs";
@@ -27,6 +28,7 @@ const isNarrow = window.matchMedia("(max-width: 600px)").matches;
 // Colours that nobody chose are those of the terrain.
 const state = { terrain: null, times: 1, colours: null, shaded: true };
 let terrains = [];
+let source = null; // the module that tiles and heights come from
 let map = null;
 let generation = 0; // of the terrain that is shown
 let styled = 0; // the generation whose style the map has
@@ -67,12 +69,10 @@ function boundsWithRim([west, south, east, north]) {
 }
 
 function styleOf({ terrain, times, shaded }) {
-  const url = (kind, query) => new URL(
-    `${terrain.name}/${kind}/{z}/{x}/{y}.png?rim=${RIM}${query}`, document.baseURI,
-  ).href.replaceAll("%7B", "{").replaceAll("%7D", "}");
+  const addresses = (kind, query) => source.tilesOf(terrain, kind, `rim=${RIM}${query}`);
   const tiles = { tileSize: 256, bounds: boundsWithRim(terrain.bounds), maxzoom: terrain.maxzoom };
   const heights = () => ({
-    type: "raster-dem", encoding: "mapbox", tiles: [url("rgb", "")], ...tiles,
+    type: "raster-dem", encoding: "mapbox", tiles: addresses("rgb", ""), ...tiles,
   });
   const paint = `&color=${GROUND.slice(1)}`;
   return {
@@ -81,7 +81,7 @@ function styleOf({ terrain, times, shaded }) {
     sources: {
       heights: heights(),
       shading: heights(),
-      voids: { type: "raster", tiles: [url("voids", paint)], ...tiles },
+      voids: { type: "raster", tiles: addresses("voids", paint), ...tiles },
     },
     sky: { "sky-color": "#8fb7dc", "horizon-color": "#dfe9f0", "fog-color": "#dfe9f0" },
     terrain: { source: "heights", exaggeration: times },
@@ -170,14 +170,9 @@ function describe(terrain) {
     return [term, told];
   }));
   element("origin").hidden = !Object.keys(terrain.origin).length;
-  const at = (path) => new URL(`${terrain.name}${path}`, document.baseURI).href;
   element("addresses").replaceChildren(
     copyable("This view", location.href),
-    copyable("Tiles, TileJSON: MapLibre", at("/tiles.json")),
-    copyable("Tiles, XYZ: terrain-RGB", `${at("/rgb/")}{z}/{x}/{y}.png`),
-    copyable("Tiles, quantized mesh: CesiumJS", at("/mesh")),
-    copyable("GeoTIFF: QGIS, GDAL after /vsicurl/", at(".tif")),
-    copyable("The file: terrainwave.open", at(".twz")),
+    ...source.addressesOf(terrain).map(([label, address]) => copyable(label, address)),
   );
 }
 
@@ -246,9 +241,9 @@ async function askHeight(lngLat, what = "") {
   lastAsked = performance.now();
   let told = "no answer from the server";
   try {
-    const answer = await fetch(`${terrain.name}/height?lon=${lng}&lat=${lat}`, { signal });
-    if (answer.ok) {
-      const { height, max_error: error } = await answer.json();
+    const answer = await source.heightAt(terrain, { lng, lat }, signal);
+    if (answer) {
+      const { height, max_error: error } = answer;
       told = height === null ? "no height here"
         : `${height.toFixed(2)} m (± ${Number(error.toPrecision(3))} m)`;
     }
@@ -321,6 +316,7 @@ async function start() {
   const answer = await fetch("terrains.json");
   if (!answer.ok) throw new Error(`the server answered ${answer.status}`);
   terrains = await answer.json();
+  source = await import(terrains.some(({ file }) => file) ? "./published.mjs" : "./served.mjs");
   element("terrain").replaceChildren(...terrains.map(({ name }) => new Option(name, name)));
   element("terrain").hidden = terrains.length < 2;
   map = new Map({

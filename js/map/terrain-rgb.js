@@ -1,0 +1,90 @@
+/**
+ * Terrain-RGB tiles in Web Mercator, made of a terrain: those of `terrainwave serve`.
+ *
+ * height = -10000 + (R * 65536 + G * 256 + B) * 0.1 (Mapbox Terrain-RGB v1).
+ */
+
+import { growInto, largestDistance, shareOfVoids, without } from "./surfaces.js";
+
+export const TILE_SIZE = 256;
+/** Voids lie this many metres below the terrain's lowest height: the format has none. */
+export const VOID_DEPTH = 1;
+const MAX_LATITUDE = (Math.atan(Math.sinh(Math.PI)) * 180) / Math.PI;
+const STEP = 0.1;
+const LOWEST = -10000;
+const HIGHEST_CODE = 2 ** 24 - 1;
+
+export const longitudeOf = (z, x) => (x / 2 ** z) * 360 - 180;
+export const latitudeOf = (z, y) =>
+  (Math.atan(Math.sinh(Math.PI * (1 - (2 * y) / 2 ** z))) * 180) / Math.PI;
+
+function levelFor(globe, z, y) {
+  const [, south, , north] = globe.extent;
+  const held = (latitude, low, high) => Math.min(Math.max(latitude, low), high);
+  const latitude = held(held(latitudeOf(z, y + 0.5), south, north), -MAX_LATITUDE, MAX_LATITUDE);
+  const around = 2 * Math.PI * globe.axis * Math.cos((latitude * Math.PI) / 180);
+  return globe.levelFor(around / (TILE_SIZE * 2 ** z));
+}
+
+function codeOf(height) {
+  const code = (height - LOWEST) / STEP;
+  const whole = Math.round(code);
+  // Halves to even, as Python rounds.
+  const even = Math.abs(whole - code) === 0.5 && whole % 2 !== 0 ? whole - 1 : whole;
+  return Math.min(Math.max(even, 0), HIGHEST_CODE);
+}
+
+/**
+ * Return the tile z/x/y (XYZ): { pixels, voids, error, terrainError, level }.
+ *
+ * `pixels` are RGBA; `voids` says how much of each pixel is void, 0 … 255. In metres, `error`: how
+ * far the tile's bilinear surface is from that of the samples, at pixels and halfway between them;
+ * `terrainError`: how far originals can be from the latter. By `rim` pixels heights go on into voids
+ * and beyond edges, which is not in `error`. null where there is no terrain.
+ */
+export async function rgbTile(globe, z, x, y, rim = 0) {
+  const level = levelFor(globe, z, y);
+  // Pixel centres are the odd places of a grid twice as fine, which is what errors are taken at.
+  const n = 2 * (TILE_SIZE + 2 * rim) - 1;
+  const fine = Array.from({ length: n }, (_, i) => (i / 2 + 0.5 - rim) / TILE_SIZE);
+  const lon = fine.map((at) => longitudeOf(z, x + at));
+  const lat = fine.map((at) => latitudeOf(z, y + at));
+  const { heights, window } = await globe.heightsAt(globe.places.toSamples(lon, lat), level);
+  if (window === null) return null;
+  const surface = without(heights, n, 2 * rim);
+  const side = n - 4 * rim;
+  const nPixels = TILE_SIZE + 2 * rim;
+  const centres = new Float64Array(nPixels * nPixels);
+  for (let i = 0; i < nPixels; i++) {
+    for (let j = 0; j < nPixels; j++) centres[i * nPixels + j] = heights[2 * i * n + 2 * j];
+  }
+  const inner = without(centres, nPixels, rim);
+  const codes = Float64Array.from(inner, (height) => codeOf(height) * STEP + LOWEST);
+  const drawn = without(growInto(centres, nPixels, rim), nPixels, rim);
+  if (drawn.every(Number.isNaN)) return null;
+  return {
+    pixels: encode(globe, drawn),
+    voids: shareOfVoids(heights, n, rim),
+    error: largestDistance(codes, surface, side),
+    terrainError: await globe.heightsError(window),
+    level,
+  };
+}
+
+/** Return the pixels of a tile without terrain. */
+export function voidPixels(globe) {
+  return encode(globe, new Float64Array(TILE_SIZE * TILE_SIZE).fill(NaN));
+}
+
+function encode(globe, heights) {
+  const pixels = new Uint8ClampedArray(4 * heights.length);
+  const ofVoids = codeOf(globe.lowest - VOID_DEPTH);
+  heights.forEach((height, i) => {
+    const code = Number.isNaN(height) ? ofVoids : codeOf(height);
+    pixels[4 * i] = code >> 16;
+    pixels[4 * i + 1] = (code >> 8) & 255;
+    pixels[4 * i + 2] = code & 255;
+    pixels[4 * i + 3] = 255;
+  });
+  return pixels;
+}

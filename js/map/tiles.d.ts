@@ -1,0 +1,42 @@
+/** What both map libraries share. */
+
+/** One terrain of a folder that `terrainwave publish` wrote; `described` is its entry. */
+export interface PublishedTerrain {
+  name: string;
+  url: URL;
+  described: {
+    name: string;
+    file: string;
+    /** West, south, east, north in degrees; east may be beyond 180. */
+    bounds: [number, number, number, number];
+    maxzoom: number;
+    /** Metres. */
+    lowest: number;
+    highest: number;
+    /** The bound at samples of the full grid, metres. */
+    error: number;
+    /** Tags that tell source and licence: text of the file, untrusted. */
+    origin: Record<string, string>;
+    [more: string]: unknown;
+  };
+}
+
+export function publishedTerrains(url?: string): Promise<PublishedTerrain[]>;
+
+/** Metres: of a tile's surface from the samples', and of the originals from the latter. */
+export interface TileErrors {
+  error: number | null;
+  terrainError: number | null;
+}
+
+/** Has tiles made in a worker. */
+export class TileMaker {
+  constructor(options?: { worker?: Worker });
+  ask(terrain: PublishedTerrain, what: "height", args: [lon: number, lat: number],
+    signal?: AbortSignal): Promise<{ lon: number; lat: number; height: number | null; max_error: number }>;
+  ask(terrain: PublishedTerrain, what: "rgb", args: [z: number, x: number, y: number, rim: number],
+    signal?: AbortSignal): Promise<({ image: ImageBitmap } & TileErrors) | null>;
+  ask(terrain: PublishedTerrain, what: "heightmap",
+    args: [z: number, x: number, y: number, size: number],
+    signal?: AbortSignal): Promise<{ heights: Float32Array } & TileErrors>;
+}

@@ -1,0 +1,69 @@
+/** Tiles of terrains, made in the browser: what asks the worker, and forgets what nobody wants. */
+
+/** Tiles under work, a view's: what is asked for later and dropped meanwhile is never begun. */
+const AT_ONCE = 24;
+
+export class TileMaker {
+  #worker;
+  #asked = new Map(); // by id: { resolve, reject }
+  #waiting = [];
+  #n = 0;
+  #failure = null; // of the worker itself: there is none to ask
+
+  /** @param {{ worker?: Worker }} options */
+  constructor({ worker } = {}) {
+    this.#worker = worker ?? new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
+    this.#worker.onmessage = ({ data }) => this.#settle(data);
+    this.#worker.onerror = (event) => {
+      event.preventDefault();
+      const message = event.message ?? "the module of the worker cannot be loaded";
+      this.#failure = { name: "Error", message };
+      for (const id of [...this.#asked.keys()]) this.#settle({ id, error: this.#failure });
+    };
+  }
+
+  /**
+   * Return what the worker answers: `what` is rgb, voids, heightmap or height; `terrain` is
+   * { name, url, described }, described as in terrains.json.
+   */
+  ask(terrain, what, args, signal) {
+    return new Promise((resolve, reject) => {
+      const id = this.#n++;
+      const { name, url, described } = terrain;
+      const message = { id, terrain: { name, url: String(url), described }, what, args };
+      this.#waiting.push({ message, resolve, reject, signal });
+      this.#begin();
+    });
+  }
+
+  #begin() {
+    while (this.#asked.size < AT_ONCE && this.#waiting.length) {
+      const { message, resolve, reject, signal } = this.#waiting.shift();
+      if (signal?.aborted) {
+        reject(new DOMException("not wanted any more", "AbortError"));
+        continue;
+      }
+      this.#asked.set(message.id, { resolve, reject });
+      if (this.#failure) this.#settle({ id: message.id, error: this.#failure });
+      else this.#worker.postMessage(message);
+    }
+  }
+
+  #settle({ id, answer, error }) {
+    const asked = this.#asked.get(id);
+    this.#asked.delete(id);
+    if (error) asked?.reject(Object.assign(new Error(error.message), { name: error.name }));
+    else asked?.resolve(answer);
+    this.#begin();
+  }
+}
+
+/** Return the terrains that `terrainwave publish` wrote: { name, url, described }. */
+export async function publishedTerrains(url = "terrains.json") {
+  const at = new URL(url, globalThis.document?.baseURI);
+  const answer = await fetch(at);
+  if (!answer.ok) throw new Error(`${at}: the server answered ${answer.status}`);
+  return (await answer.json()).map((described) => ({
+    name: described.name, url: new URL(described.file, at), described,
+  }));
+}

@@ -1,0 +1,134 @@
+/** Blocks that many readers share, places by polynomials, grids of heights. */
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { Places } from "../map/places.js";
+import { growInto, largestDistance, shareOfVoids, without } from "../map/surfaces.js";
+import { BLOCK, BlockSource } from "../src/blocks.js";
+import { ArgumentError, LimitExceededError, open } from "../src/index.js";
+import { METHODS } from "../src/methods.js";
+import { golden } from "../testing/files.js";
+
+class Counted {
+  constructor(size) {
+    this.bytes = Uint8Array.from({ length: size }, (_, i) => (i * 7919) >> 3);
+    this.size = size;
+    this.asked = [];
+    this.isBroken = false;
+  }
+
+  async head(n) {
+    return this.read(0, Math.min(n, this.size));
+  }
+
+  async read(start, end) {
+    this.asked.push([start, end]);
+    if (this.isBroken) throw new Error("no answer");
+    return this.bytes.subarray(start, end);
+  }
+}
+
+test("what many readers want at once comes by few requests, and once", async () => {
+  const source = new Counted(12 * BLOCK + 5);
+  const blocks = new BlockSource(source);
+  assert.deepEqual(await blocks.head(100), source.bytes.subarray(0, 100));
+  const spans = [
+    [3, 50], [BLOCK - 1, 2 * BLOCK + 1], [2 * BLOCK + 7, 3 * BLOCK], [7 * BLOCK, 7 * BLOCK + 2],
+    [9 * BLOCK, 12 * BLOCK + 5], [12 * BLOCK + 1, 12 * BLOCK + 3],
+  ];
+  for (let time = 0; time < 2; time++) {
+    const found = await Promise.all(spans.map(([start, end]) => blocks.read(start, end)));
+    found.forEach((bytes, i) => assert.deepEqual(bytes, source.bytes.subarray(...spans[i])));
+  }
+  const { size } = source;
+  assert.deepEqual(source.asked, [[0, BLOCK], [BLOCK, 3 * BLOCK], [7 * BLOCK, size]]);
+});
+
+test("a block that did not come is asked for again", async () => {
+  const source = new Counted(3 * BLOCK);
+  const blocks = new BlockSource(source);
+  await blocks.head(10);
+  source.isBroken = true;
+  const both = await Promise.allSettled([blocks.read(BLOCK, BLOCK + 9), blocks.read(BLOCK + 9, 2 * BLOCK)]);
+  assert.ok(both.every(({ status, reason }) => status === "rejected" && /no answer/.test(reason)));
+  source.isBroken = false;
+  assert.deepEqual(await blocks.read(BLOCK, BLOCK + 9), source.bytes.subarray(BLOCK, BLOCK + 9));
+});
+
+test("heights by blocks are those of the file", async () => {
+  const bytes = await golden("rapid-int16-lossless-nodata");
+  const fetchRange = async (_, { headers: { Range } }) => {
+    const [start, end] = Range.match(/\d+/g).map(Number);
+    const part = bytes.subarray(start, end + 1);
+    const range = `bytes ${start}-${start + part.length - 1}/${bytes.length}`;
+    return new Response(part, { status: 206, headers: { "content-range": range } });
+  };
+  const options = { fetch: fetchRange, blocks: true };
+  const [whole, terrain] = [await open(bytes), await open("http://host/a.twz", options)];
+  const read = await Promise.all([0, -1].map((level) => terrain.read(level)));
+  assert.deepEqual(read, await Promise.all([0, -1].map((level) => whole.read(level))));
+});
+
+test("units that two reads want at once are decoded once", async () => {
+  const bytes = await golden("store-int16-segments");
+  const { decode } = METHODS.store;
+  let n = 0;
+  METHODS.store.decode = (...args) => {
+    n++;
+    return decode(...args);
+  };
+  try {
+    const [one, two] = [await open(bytes), await open(bytes)];
+    await one.read(-1);
+    const nUnits = n;
+    await Promise.all([two.read(-1), two.read(-1), two.read(-2)]);
+    assert.equal(n, 2 * nUnits);
+  } finally {
+    METHODS.store.decode = decode;
+  }
+});
+
+test("of a server without ranges no more than 64 MiB are read", async () => {
+  const part = new Uint8Array(2 ** 22);
+  const endless = (headers) => async () => {
+    const body = new ReadableStream({ pull: (controller) => controller.enqueue(part) });
+    return new Response(body, { status: 200, headers });
+  };
+  for (const headers of [{ "content-length": String(2 ** 26 + 1) }, {}]) {
+    const opened = open("http://host/a.twz", { fetch: endless(headers) });
+    await assert.rejects(opened, (error) => error instanceof LimitExceededError);
+  }
+});
+
+const HALF_DEGREES = {
+  domain: [10, 40, 20, 45], rows: [[4.5], [-5]], cols: [[9.5, 10]], turn: 720, goes_round: false,
+};
+
+test("places of degrees are those of the raster's pixels, of any turn", () => {
+  const places = new Places(HALF_DEGREES, { nRows: 10, nCols: 20 });
+  const { rows, cols } = places.toSamples([10, 10.25, 19.75 - 360, 370.25, 9.9], [45, 44.75, 39]);
+  assert.deepEqual([...cols.subarray(5, 10)], [0, 0, 19, 0, NaN]);
+  assert.deepEqual([...rows.subarray(0, 4)], [0, 0, 0, 0]);
+  assert.ok(Math.abs(rows[5]) < 1e-9);
+  assert.ok(rows.subarray(10).every(Number.isNaN));
+});
+
+for (const [name, wrong] of Object.entries({
+  "no table": { rows: 3 }, "a ragged one": { cols: [[1, 2], [3]] }, "no number": { rows: [["1"]] },
+  "a long one": { cols: [new Array(999).fill(0)] }, "a domain turned over": { domain: [20, 40, 10, 45] },
+})) {
+  test(`places with ${name} are refused`, () => {
+    const make = () => new Places({ ...HALF_DEGREES, ...wrong }, { nRows: 10, nCols: 20 });
+    assert.throws(make, ArgumentError);
+  });
+}
+
+test("heights go on into voids as means, and voids are shares of pixels", () => {
+  const heights = Float64Array.of(1, NaN, NaN, 3, NaN, NaN, NaN, NaN, NaN);
+  assert.deepEqual([...growInto(heights, 3, 1)], [1, 2, NaN, 3, 2, NaN, 3, 3, NaN]);
+  assert.deepEqual([...without(growInto(heights, 3, 2), 3, 1)], [2]);
+  assert.deepEqual([...shareOfVoids(heights, 3, 0)], [64, 255, 207, 255]);
+  const coarse = Float64Array.of(0, 2, 2, 4);
+  assert.equal(largestDistance(coarse, Float64Array.of(0, 1, 2, 1, 5, 3, 2, NaN, 4), 3), 3);
+});

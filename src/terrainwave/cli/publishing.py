@@ -1,0 +1,39 @@
+"""The command that writes a folder for static web servers: publish."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from terrainwave.arguments import count_of
+from terrainwave.cli.commands import main, print_json
+from terrainwave.cli.options import Directory, NamedInput, Positive
+from terrainwave.cli.output import Bar, announce_compiling, plain
+
+
+@main.command()
+@click.argument("files", nargs=-1, required=True, type=NamedInput())
+@click.argument("directory", type=Directory())
+@click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing published folder.")
+@click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def publish(
+    files: tuple[str, ...], directory: str, quiet: bool, as_json: bool, **options: Any
+) -> None:
+    """Write FILES (.twz) and a page that flies over them to DIRECTORY, for any static web server.
+
+    The page reads the files by byte ranges and makes its tiles in the browser.
+    """
+    from terrainwave.ext.publish import publish_site
+
+    announce_compiling(quiet=quiet)
+    with Bar(quiet=quiet) as bar:
+        published = publish_site(list(files), directory, progress=bar, **options)
+    if as_json:
+        terrains = [asdict(terrain) for terrain in published]
+        print_json({"path": str(Path(directory)), "terrains": terrains})
+    elif not quiet:
+        n_bytes = sum(terrain.n_bytes for terrain in published)
+        click.echo(f"{plain(directory)}: {count_of(len(published), 'terrain')}, {n_bytes:,} bytes")

@@ -1,0 +1,151 @@
+"""A folder for static web servers: the page of `serve`, .twz files, and the reader in JavaScript.
+
+Nothing computes on the server's side: the page reads a file by byte ranges and makes its tiles in
+the browser. What that needs PROJ for is computed here and written into terrains.json.
+"""
+
+import json
+import os
+import shutil
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from terrainwave.container.publish import publish_directory
+from terrainwave.container.spool import storage_errors
+from terrainwave.errors import CorruptStreamError, InvalidHeightsError
+from terrainwave.ext.serve.catalog import describe, layer_names
+from terrainwave.file import TerrainFile
+from terrainwave.globe.lonlat import Globe
+from terrainwave.globe.polynomials import FittedPlaces, fit_places
+from terrainwave.names import METHODS, methods_that
+from terrainwave.progress import ProgressCallback, Reporter
+
+# What every such folder has.
+LIST = "terrains.json"
+_STATIC = Path(__file__).parent / "serve" / "static"
+# The reader's folders, as they lie in js/ of the repository; an installed package has a copy.
+_READER = ("src", "map")
+_PART = 8 << 20
+
+
+@dataclass(frozen=True)
+class PublishedTerrain:
+    """One file of a published folder.
+
+    Parameters
+    ----------
+    name : str
+        As the page names it.
+    file : str
+        Its name in the folder.
+    n_bytes : int
+    place_error : float
+        Samples of the full grid: how far places in the browser are from PROJ's (`fit_places`).
+    """
+
+    name: str
+    file: str
+    n_bytes: int
+    place_error: float
+
+
+def publish_site(
+    paths: list[str],
+    directory: str | os.PathLike[str],
+    *,
+    radius: float | None = None,
+    overwrite: bool = False,
+    progress: ProgressCallback | None = None,
+) -> list[PublishedTerrain]:
+    """Write a folder that shows .twz files from any static web server.
+
+    Parameters
+    ----------
+    paths : list of str
+        Paths or URLs of .twz files; they are copied.
+    directory : path
+        Gets index.html, the page's and the reader's modules, the files and terrains.json; it
+        appears complete or not at all.
+    radius : float, optional
+        Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
+    overwrite : bool
+        Replace an existing folder of this kind.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If a file's method is not read in browsers, the raster has no place on a globe or none that
+        polynomials tell, or two files have the same name.
+    CorruptStreamError
+        If something is no .twz file.
+    StorageError
+        If something cannot be read or written.
+    """
+    with (
+        ExitStack() as opened,
+        publish_directory(directory, LIST, overwrite) as new,
+        storage_errors(f"cannot write {os.fspath(directory)}"),
+    ):
+        found = {name: _opened(opened, path, radius) for name, path in layer_names(paths).items()}
+        total = sum(globe.terrain.container.source.size for globe, _ in found.values())
+        reporter, n_done = Reporter(progress), 0
+        _write_page(new)
+        descriptions, published = [], []
+        for name, (globe, places) in found.items():
+            source, file = globe.terrain.container.source, f"{name}.twz"
+            with (new / file).open("wb") as copy:
+                for start in range(0, source.size, _PART):
+                    copy.write(source.read(start, min(_PART, source.size - start)))
+                    reporter.report("copying", n_done + start, total)
+            n_done += source.size
+            placed = places.as_json(globe)
+            descriptions.append(describe(name, globe) | {"file": file, "placed": placed})
+            published.append(PublishedTerrain(name, file, source.size, places.error))
+        reporter.report("copying", total, total)
+        _write_list(new / LIST, descriptions)
+    return published
+
+
+def _opened(opened: ExitStack, path: str, radius: float | None) -> tuple[Globe, FittedPlaces]:
+    """Return an open file on its globe, and where its samples lie there."""
+    try:
+        globe = Globe(opened.enter_context(TerrainFile(path)), radius=radius)
+        method = METHODS[globe.terrain.info().method]
+        if not method.is_read_in_browsers:
+            readable = methods_that(lambda one: one.is_read_in_browsers)
+            raise InvalidHeightsError(
+                f"found method {method.name}, which is not read in browsers, expected {readable}"
+            )
+        return globe, fit_places(globe)
+    except (InvalidHeightsError, CorruptStreamError) as error:
+        raise type(error)(f"{path}: {error}") from error
+
+
+def _write_page(new: Path) -> None:
+    shutil.copytree(_STATIC, new / "static")
+    (new / "static" / "index.html").replace(new / "index.html")
+    reader, copy = reader_directory(), new / "terrainwave"
+    for name in _READER:
+        shutil.copytree(reader / name, copy / name, ignore=shutil.ignore_patterns("*.d.ts"))
+    shutil.copyfile(reader / "LICENSE", copy / "LICENSE")
+
+
+def _write_list(path: Path, descriptions: list[dict[str, Any]]) -> None:
+    path.write_text(json.dumps(descriptions, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def reader_directory() -> Path:
+    """Return where the reader in JavaScript lies: in the package, or in its repository.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If it is in neither.
+    """
+    here = Path(__file__)
+    for found in (here.parent / "serve" / "reader", here.parents[3] / "js"):
+        if (found / "src" / "index.js").is_file():
+            return found
+    raise InvalidHeightsError("the reader in JavaScript is not installed with this package")

@@ -1,0 +1,74 @@
+"""What the page is told of its terrains (terrains.json), served or published."""
+
+import re
+from itertools import islice
+from typing import Any
+
+from terrainwave._version import __version__
+from terrainwave.arguments import in_one_line
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.export.frames import EARTH
+from terrainwave.globe import terrain_rgb as tiling
+from terrainwave.globe.lonlat import Globe
+from terrainwave.render.ramps import RAMPS, ramp_stops
+
+# Names of tags that say where data are from, and whose they are.
+_ORIGIN = re.compile(
+    r"licen[cs]e|^lic$|copyright|rights|attribution|credit|source|author|artist|provider"
+    r"|publisher|producer|citation|doi|sensor|organi[sz]ation",
+    re.IGNORECASE,
+)
+_N_TAGS, _LONGEST_TAG = 8, 400
+
+
+def describe(name: str, globe: Globe) -> dict[str, Any]:
+    """Return what the page shows of a file; no path. Its tags may hold any text."""
+    info, (lowest, highest) = globe.terrain.info(), globe.height_range
+    is_earth = globe.ellipsoid == EARTH
+    return {
+        "name": name,
+        "bounds": list(globe.extent),
+        "maxzoom": tiling.max_zoom(globe),
+        "lowest": lowest,
+        "highest": highest,
+        "error": globe.effective_error,
+        "bytes": info.n_bytes,
+        "rows": info.n_rows,
+        "columns": info.n_cols,
+        "bits_per_sample": info.bits_per_sample,
+        "method": info.method,
+        "on_earth": is_earth,
+        "ramp": "tints" if is_earth else "grey",
+        "ramps": {ramp: ramp_stops(ramp, lowest, highest) for ramp in RAMPS},
+        "origin": origin_of({**info.tags, **info.band_tags}),
+        "version": __version__,
+    }
+
+
+def origin_of(tags: dict[str, str]) -> dict[str, str]:
+    """Return the tags that say whose data it is: a few, each a line that is not too long."""
+    told = {name: text for name, text in tags.items() if text and _ORIGIN.search(name)}
+    return {
+        in_one_line(name)[:_LONGEST_TAG]: in_one_line(text)[:_LONGEST_TAG]
+        for name, text in islice(told.items(), _N_TAGS)
+    }
+
+
+def layer_names(paths: list[str]) -> dict[str, str]:
+    """Return {name in URLs: path}: the files' names without ending, letters, digits, - and _.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If two files have the same name.
+    """
+    names: dict[str, str] = {}
+    for path in paths:
+        stem = re.split(r"[/\\]", path.split("?")[0])[-1].rsplit(".", 1)[0]
+        name = re.sub(r"[^A-Za-z0-9_-]+", "-", stem).strip("-") or "terrain"
+        if name in names:
+            raise InvalidHeightsError(
+                f"{names[name]} and {path} would both be served as {name}: rename one"
+            )
+        names[name] = path
+    return names

@@ -1,0 +1,235 @@
+"""A PMTiles archive (version 3) of a terrain's terrain-RGB tiles: one file for a static host.
+
+The package ``pmtiles`` of the format's authors writes directories and header. Tiles lie in the
+order of the format's curve, so that readers take neighbours in one request.
+"""
+
+import math
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, closing
+from dataclasses import asdict, dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, Any
+
+from terrainwave._version import __version__
+from terrainwave.arguments import check_ending, checked_threads
+from terrainwave.container.publish import publish
+from terrainwave.container.spool import storage_errors
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
+from terrainwave.extras import need
+from terrainwave.globe import terrain_rgb as tiling
+from terrainwave.globe.lonlat import Globe
+from terrainwave.progress import ProgressCallback, Reporter
+
+if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
+
+ENDING = ".pmtiles"
+# Tiles under work or waiting to be written, per thread.
+_AHEAD = 4
+
+
+@dataclass(frozen=True)
+class ArchivedZoom:
+    """What was written of one zoom; errors in metres, the largest of its tiles (`RgbTile`).
+
+    Parameters
+    ----------
+    zoom, n_tiles, n_bytes : int
+    surface_error : float
+        Of resampling to Web Mercator and of the format's steps of 0.1 m.
+    terrain_error : float
+        What originals can be from the level that the tiles were made from.
+    """
+
+    zoom: int
+    n_tiles: int
+    n_bytes: int
+    surface_error: float
+    terrain_error: float
+
+
+def write_pmtiles(
+    terrain: "TerrainFile",
+    target: str | os.PathLike[str],
+    *,
+    min_zoom: int = 0,
+    max_zoom: int | None = None,
+    rim: int = 0,
+    void_height: float | None = None,
+    radius: float | None = None,
+    attribution: str = "",
+    threads: int | None = None,
+    overwrite: bool = False,
+    progress: ProgressCallback | None = None,
+) -> list[ArchivedZoom]:
+    """Write a terrain's terrain-RGB tiles as one PMTiles archive.
+
+    Parameters
+    ----------
+    terrain : TerrainFile
+    target : path
+        Its name ends in ``.pmtiles``; it appears complete or not at all.
+    min_zoom, max_zoom : int, optional
+        The first zoom, and the last: by default the first one whose pixels are no larger than the
+        raster's, which is the largest allowed.
+    rim : int
+        Pixels by which heights go on beyond the terrain's edges and into voids (`rgb_tile`).
+    void_height : float, optional
+        Height in metres of voids, which the format does not have; by default 1 m below the lowest.
+    radius : float, optional
+        Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
+    attribution : str
+        For the metadata: whose data these are.
+    threads : int, optional
+        All processors by default; the bytes don't depend on it.
+    overwrite : bool
+        Replace an existing file.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If an argument is out of range, or the raster has no valid height, or no place on a globe.
+    CorruptStreamError
+        If a block is damaged.
+    StorageError
+        If something cannot be written.
+    TerrainwaveError
+        If pmtiles or pillow is missing.
+
+    Notes
+    -----
+    Tiles without terrain are left out. Until the end the tiles are in a temporary file too.
+    """
+    check_ending(target, (ENDING,))
+    need("PIL", extra="pmtiles", purpose="a terrain-RGB tile")
+    writing = need("pmtiles.writer", extra="pmtiles", purpose="a PMTiles archive")
+    globe = Globe(terrain, radius=radius)
+    zooms = _checked_zooms(globe, min_zoom, max_zoom)
+    if not 0 <= rim <= tiling.MAX_RIM:
+        raise InvalidArgumentError(f"found `rim` {rim}, expected 0 … {tiling.MAX_RIM}")
+    numbers = {zoom: _numbers(globe, zoom, rim) for zoom in zooms}
+    reporter, n_done, total = Reporter(progress), 0, sum(map(len, numbers.values()))
+    n_threads = checked_threads(threads)
+    summaries = []
+    with (
+        publish(target, overwrite) as part,
+        ExitStack() as temporary,
+        ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
+        storage_errors(f"cannot write {os.fspath(target)}"),
+    ):
+        writer = writing.Writer(part.file)
+        temporary.enter_context(closing(writer.tile_f))  # the writer does not where it fails
+        for zoom in zooms:
+            written = []
+            for number, tile in _tiles(
+                globe, numbers[zoom], rim, void_height, executor, _AHEAD * n_threads
+            ):
+                if tile is not None:
+                    writer.write_tile(number, tile.png)
+                    written.append((len(tile.png), tile.error, tile.terrain_error))
+                n_done += 1
+                reporter.report("writing tiles", n_done, total)
+            if written:
+                n_bytes, errors, terrain_errors = zip(*written, strict=True)
+                summaries.append(
+                    ArchivedZoom(zoom, len(written), sum(n_bytes), max(errors), max(terrain_errors))
+                )
+        if not summaries:
+            raise InvalidHeightsError("there is no valid height: an archive would have no tile")
+        writer.finalize(*_description(globe, summaries, attribution))
+    return summaries
+
+
+def _checked_zooms(globe: Globe, first: int, last: int | None) -> range:
+    """Return the zooms to write.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If there are none, or their pixels would be smaller than the raster's.
+    """
+    finest = tiling.max_zoom(globe)
+    last = finest if last is None else last
+    if not 0 <= last <= finest:
+        raise InvalidArgumentError(
+            f"found `max_zoom` {last}, expected 0 … {finest}: pixels of the last are no larger"
+            " than the raster's"
+        )
+    if not 0 <= first <= last:
+        raise InvalidArgumentError(f"found `min_zoom` {first}, expected 0 … {last}")
+    return range(first, last + 1)
+
+
+def _numbers(globe: Globe, zoom: int, rim: int) -> list[int]:
+    """Return the numbers of a zoom's tiles that meet the terrain, ascending."""
+    number_of = need("pmtiles.tile", extra="pmtiles").zxy_to_tileid
+    last = (1 << zoom) - 1
+    west, south, east, north = globe.extent
+    far = rim / tiling.TILE_SIZE
+    top, bottom = tiling.row_of(zoom, north) - far, tiling.row_of(zoom, south) + far
+    left, right = tiling.column_of(zoom, west) - far, tiling.column_of(zoom, east) + far
+    columns = {x % (last + 1) for x in range(math.floor(left), math.floor(right) + 1)}
+    return sorted(
+        number_of(zoom, x, y)
+        for x in columns
+        for y in range(max(int(top), 0), min(int(bottom), last) + 1)
+        if tiling.meets(globe, zoom, x, y, rim)
+    )
+
+
+def _tiles(
+    globe: Globe,
+    numbers: list[int],
+    rim: int,
+    void_height: float | None,
+    executor: ThreadPoolExecutor,
+    n_ahead: int,
+) -> Iterator[tuple[int, tiling.RgbTile | None]]:
+    """Yield numbers and tiles in order; few wait at a time."""
+    place_of = need("pmtiles.tile", extra="pmtiles").tileid_to_zxy
+
+    def tile(number: int) -> tiling.RgbTile | None:
+        z, x, y = place_of(number)
+        return tiling.rgb_tile(globe, z, x, y, rim, void_height=void_height)
+
+    left = iter(numbers)
+    while batch := list(islice(left, n_ahead)):
+        yield from zip(batch, executor.map(tile, batch), strict=True)
+
+
+def _description(
+    globe: Globe, summaries: list[ArchivedZoom], attribution: str
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return an archive's header and its metadata."""
+    kinds = need("pmtiles.tile", extra="pmtiles")
+    west, south, east, north = globe.extent
+    if east > 180:  # bounds end there: the whole round, of which most tiles are empty
+        west, east = -180.0, 180.0
+    south, north = (
+        min(max(lat, -tiling.MAX_LATITUDE), tiling.MAX_LATITUDE) for lat in (south, north)
+    )
+    header = {
+        "tile_type": kinds.TileType.PNG,
+        "tile_compression": kinds.Compression.NONE,
+        "min_lon_e7": round(west * 1e7),
+        "min_lat_e7": round(south * 1e7),
+        "max_lon_e7": round(east * 1e7),
+        "max_lat_e7": round(north * 1e7),
+        "center_zoom": max(summaries[-1].zoom - 3, summaries[0].zoom),
+        "center_lon_e7": round((west + east) / 2 * 1e7),
+        "center_lat_e7": round((south + north) / 2 * 1e7),
+    }
+    metadata = {
+        "type": "baselayer",
+        "format": "png",
+        "encoding": "mapbox",
+        "tileSize": tiling.TILE_SIZE,
+        "generator": f"terrainwave {__version__}",
+        "attribution": attribution,
+        "max_error": globe.effective_error,
+        "zooms": [asdict(zoom) for zoom in summaries],
+    }
+    return header, metadata

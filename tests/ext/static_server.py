@@ -1,0 +1,52 @@
+"""A plain web server of a folder, with byte ranges or without, that notes what it is asked for."""
+
+import contextlib
+import re
+import threading
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+
+class Handler(SimpleHTTPRequestHandler):
+    """Answers requests of ranges as the server is told to."""
+
+    extensions_map = SimpleHTTPRequestHandler.extensions_map | {
+        ".mjs": "text/javascript", ".js": "text/javascript",
+    }  # fmt: skip
+
+    def do_GET(self):
+        asked = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
+        path = Path(self.translate_path(self.path))
+        with self.server.lock:
+            self.server.asked.append((self.path, asked and tuple(map(int, asked.groups()))))
+        if not (asked and self.server.has_ranges and path.is_file()):
+            super().do_GET()
+            return
+        data = path.read_bytes()
+        first, last = int(asked[1]), min(int(asked[2]), len(data) - 1)
+        self.send_response(206)
+        self.send_header("Content-Range", f"bytes {first}-{last}/{len(data)}")
+        self.send_header("Content-Length", str(last + 1 - first))
+        self.end_headers()
+        with contextlib.suppress(ConnectionError):
+            self.wfile.write(data[first : last + 1])
+
+    def log_message(self, *_):
+        pass
+
+
+@contextlib.contextmanager
+def static_server(folder, *, has_ranges=True):
+    """Yield a server: `address`, and `asked`, a list of paths with ranges or None."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(folder)))
+    server.asked, server.has_ranges, server.lock = [], has_ranges, threading.Lock()
+    server.address = f"http://127.0.0.1:{server.server_address[1]}"
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    try:
+        yield server
+    finally:
+        server.shutdown()
+        thread.join(30)
+        server.server_close()

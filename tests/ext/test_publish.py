@@ -1,0 +1,297 @@
+"""Does the folder of `terrainwave publish` show from any web server what `serve` shows?"""
+
+import base64
+import io
+import json
+import math
+import os
+import re
+import shutil
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from ext.browser import chromium, console, screenshot, wait_until
+from ext.rasters import hills, write_raster, write_twz
+from ext.static_server import static_server
+from ext.test_javascript import node
+from PIL import Image
+from rasterio.warp import transform
+from selenium.webdriver import ActionChains
+
+import terrainwave
+from terrainwave.cli import main
+from terrainwave.ext.publish import publish_site
+from terrainwave.globe import terrain_rgb as tiling
+from terrainwave.globe.lonlat import Globe
+
+BOUNDS = (8.0, 46.0, 8.5, 46.4)
+RIM = 4
+
+
+def run(*args):
+    return CliRunner().invoke(main, [str(arg) for arg in args], prog_name="terrainwave")
+
+
+def with_hole(heights):
+    heights = heights.copy()
+    heights[30:60, 40:90] = -9999
+    return heights
+
+
+@pytest.fixture(scope="module")
+def twz(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("hills")
+    return write_twz(folder, with_hole(hills(300, 341) * 4), BOUNDS, max_error=8, nodata=-9999)
+
+
+@pytest.fixture(scope="module")
+def site(twz, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site") / "site"
+    publish_site([str(twz)], folder)
+    return folder
+
+
+# The folder
+
+
+def test_the_folder_is_whole_and_replaced_only_if_told(twz, tmp_path):
+    target = tmp_path / "site"
+    result = run("publish", twz, target, "--json")
+    assert result.exit_code == 0, result.output
+    (told,) = json.loads(result.stdout)["terrains"]
+    assert told["place_error"] < 1e-4
+    assert (target / told["file"]).read_bytes() == twz.read_bytes()
+    (described,) = json.loads((target / "terrains.json").read_text())
+    assert str(twz.parent) not in json.dumps(described)
+    # All that the page and the modules import is there, and nothing is fetched from elsewhere.
+    for module in (path for path in target.rglob("*js") if path.parent.name != "maplibre"):
+        text = module.read_text(encoding="utf-8")
+        for name in re.findall(r'(?:from|import\(?|URL\()\s*"(\.[^"]+js)"', text):
+            assert (module.parent / name).is_file(), (module, name)
+        assert "http" not in text.replace("http://www.w3.org", "")
+    again = run("publish", twz, target)
+    assert again.exit_code == 1
+    assert "--overwrite" in again.stderr
+    (target / "more").touch()
+    assert run("publish", twz, target, "--overwrite", "-q").exit_code == 0
+    assert not (target / "more").exists()
+
+
+@pytest.mark.parametrize(
+    ("crs", "options", "line"),
+    [
+        ("EPSG:4326", {"method": "cdf97"}, "found method cdf97, which is not read in browsers"),
+        (None, {}, "it has no place on a globe"),
+        # Goode's homolosine is cut between the continents.
+        ("ESRI:54052", {}, "not smooth enough to be told by polynomials"),
+    ],
+)
+def test_what_browsers_cannot_show_leaves_no_folder(tmp_path, crs, options, line):
+    around = BOUNDS if crs == "EPSG:4326" else (-18e6, -8e6, 18e6, 8e6)
+    source = write_raster(tmp_path / "a.tif", hills(40, 90), around, crs)
+    options = {"max_error": 1, "block": 32, "mesh": "none", "method": "store"} | options
+    terrainwave.compress(source, tmp_path / "a.twz", **options)
+    source.unlink()
+    result = run("publish", tmp_path / "a.twz", tmp_path / "site")
+    assert result.exit_code == 1
+    assert line in result.stderr
+    assert os.listdir(tmp_path) == ["a.twz"]
+
+
+@pytest.mark.parametrize("target", ["site.zip", "-", "site.pmtiles"])
+def test_only_directories_are_published(twz, tmp_path, target):
+    result = run("publish", twz, target if target == "-" else tmp_path / target)
+    assert result.exit_code == 2
+    assert "expected a directory" in result.stderr
+
+
+def test_a_file_that_is_none_is_named(twz, tmp_path):
+    (tmp_path / "a.twz").write_bytes(b"no terrain")
+    result = run("publish", twz, tmp_path / "a.twz", tmp_path / "site")
+    assert result.exit_code == 1
+    assert f"{tmp_path / 'a.twz'}: " in result.stderr
+    assert os.listdir(tmp_path) == ["a.twz"]
+
+
+# Tiles
+
+RASTERS = {
+    "degrees": ("EPSG:4326", BOUNDS),
+    "strait": ("EPSG:4326", (179.6, -17.0, 180.2, -16.6)),
+    "turn": ("EPSG:4326", (0.0, -90.0, 360.0, 90.0)),
+    "utm": ("EPSG:32633", (250000, 6990000, 259000, 6999000)),
+    "pole": ("EPSG:3031", (-2e6, -2e6, 2e6, 2e6)),
+}
+
+
+def tiles_of(globe):
+    """Return a tile of a low, a middle and the highest zoom that have terrain, as z, x, y."""
+    west, south, east, north = globe.extent
+    last = tiling.max_zoom(globe)
+    lat = south + 0.6 * (north - south) if north < 80 else 20.0
+    places = [(z, west + 0.4 * (east - west), lat) for z in (max(last - 4, 0), last - 1, last)]
+    if globe.extent.south < -80:
+        places = [(z, lon, -80.0) for z, lon, _ in places]
+    return [
+        (z, int(tiling.column_of(z, lon)) % 2**z, int(tiling.row_of(z, lat)))
+        for z, lon, lat in places
+    ]
+
+
+def decoded(text, dtype=np.uint8):
+    return np.frombuffer(base64.b64decode(text), dtype)
+
+
+def codes(pixels):
+    pixels = pixels.astype(np.int64)
+    return pixels[..., 0] << 16 | pixels[..., 1] << 8 | pixels[..., 2]
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("name", RASTERS)
+def test_tiles_made_in_javascript_are_those_of_the_server(tmp_path, name):
+    crs, bounds = RASTERS[name]
+    heights = with_hole(hills(200, 220) * 3)
+    twz = write_twz(tmp_path, heights, bounds, crs, max_error=2, name=name, nodata=-9999)
+    publish_site([str(twz)], tmp_path / "site")
+    with terrainwave.open(twz) as terrain:
+        globe = Globe(terrain)
+        places = {f"rgb/{z}/{x}/{y}": (z, x, y) for z, x, y in tiles_of(globe)}
+        found = json.loads(node("testing/tiles.js", tmp_path / "site", name, RIM, *places))
+        for place, at in places.items():
+            expected, tile = tiling.rgb_tile(globe, *at, RIM), found[place]
+            with Image.open(io.BytesIO(expected.png)) as image:
+                difference = np.abs(
+                    codes(np.asarray(image)) - codes(decoded(tile["pixels"]).reshape(256, 256, 4))
+                )
+            # Steps of 0.1 m: a place that is 1e-5 samples off may fall on the other side of one.
+            assert difference.max() <= 1, place
+            assert (difference != 0).mean() < 0.001, place
+            voids = decoded(tile["voids"]).reshape(256, 256).astype(int)
+            assert (np.abs(voids - expected.voids) > 1).mean() < 0.001, place
+            assert tile["level"] == expected.level
+            assert tile["error"] == pytest.approx(expected.error, abs=0.02)
+            assert tile["terrainError"] == pytest.approx(expected.terrain_error)
+
+
+@pytest.mark.full
+def test_height_maps_state_their_errors(twz, site):
+    """The place of a height map in longitude and latitude, its heights and what it states."""
+    z, size = 9, 180 / 2**9
+    x, y = int((8.25 + 180) / size), int((90 - 46.2) / size)
+    found = json.loads(node("testing/tiles.js", site, "hills", 0, f"map/{z}/{x}/{y}"))
+    tile = found[f"map/{z}/{x}/{y}"]
+    heights = decoded(tile["heights"], "<f4").reshape(65, 65)
+    west, north = x * size - 180, 90 - y * size
+    with terrainwave.open(twz) as terrain:
+        globe = Globe(terrain)
+        level = globe.level_for(math.radians(size / 64) * globe.ellipsoid.axis)
+        at = np.linspace(0, size, 65)
+        lon, lat = np.meshgrid(west + at, north - at)
+        rows, cols = globe.to_samples(lon.ravel(), lat.ravel())
+        expected, window = globe.heights_at(rows, cols, level)
+        known = np.isfinite(expected)
+        assert known.any()
+        assert np.abs(heights.ravel() - expected)[known].max() < 0.01
+        assert (heights.ravel()[~known] == np.float32(globe.height_range[0] - 1)).all()
+        assert tile["terrainError"] == pytest.approx(globe.heights_error(window))
+    assert 0 < tile["error"] < 200
+
+
+# The page
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as driver:
+        yield driver
+
+
+def show(driver, server, state="complete", hash_=""):
+    driver.get("about:blank")
+    driver.execute_cdp_cmd("Network.clearBrowserCache", {})
+    console(driver)
+    driver.get(f"{server.address}/#{hash_}")
+    wait_until(driver, f"document.body.dataset.state === '{state}'")
+    return driver
+
+
+def asked_of_files(server):
+    return [span for path, span in server.asked if path.endswith(".twz")]
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory):
+    """Return a file of many blocks of 128 KiB, on UTM."""
+    folder = tmp_path_factory.mktemp("large")
+    square = (250000, 5090000, 280000, 5120000)
+    source = write_raster(folder / "large.tif", hills(1500, 1500) * 4, square, "EPSG:32633")
+    terrainwave.compress(source, folder / "large.twz", max_error=0, method="store", mesh="none")
+    return folder / "large.twz"
+
+
+@pytest.mark.full
+@pytest.mark.gl
+@pytest.mark.large
+def test_the_first_picture_takes_few_requests(large, browser, tmp_path):
+    publish_site([str(large)], tmp_path / "site")
+    with static_server(tmp_path / "site") as server:
+        driver = show(browser, server)
+        spans = asked_of_files(server)
+        assert 1 <= len(spans) <= 12
+        assert all(spans)
+        n_bytes = sum(last + 1 - first for first, last in spans)
+        assert n_bytes < 0.7 * large.stat().st_size
+        assert len(set(spans)) == len(spans)
+        picture = screenshot(driver)[200:, 280:]
+        assert picture.astype(float).mean(axis=2).std() > 8
+        with terrainwave.open(large) as terrain:
+            x, y = transform("EPSG:4326", terrain.crs, [12.0], [46.1])
+            height = terrain.sample([(x[0], y[0])])[0]
+        drawn = driver.execute_script("return terrainMap.queryTerrainElevation([12.0, 46.1])")
+        assert drawn == pytest.approx(height, abs=150)
+        assert not console(driver)
+
+
+@pytest.mark.full
+@pytest.mark.gl
+@pytest.mark.large
+def test_the_page_tells_heights_of_the_file(twz, site, browser):
+    with static_server(site) as server:
+        driver = show(browser, server, hash_="terrain=hills&view=46.1,8.35,11,0,40")
+        ActionChains(driver).move_to_element(driver.find_element("id", "map")).perform()
+        wait_until(driver, "document.getElementById('place').textContent.includes('(± 8 m)')")
+        told = driver.find_element("id", "place").text
+        latitude, longitude, height = map(
+            float, re.fullmatch(r"(\S+)° N, (\S+)° E: (\S+) m \(± 8 m\)", told).groups()
+        )
+        with terrainwave.open(twz) as terrain:
+            assert terrain.sample([(longitude, latitude)])[0] == pytest.approx(height, abs=0.2)
+        assert not console(driver)
+
+
+@pytest.mark.full
+@pytest.mark.gl
+@pytest.mark.large
+def test_a_server_without_ranges_sends_the_file_once(site, browser):
+    with static_server(site, has_ranges=False) as server:
+        driver = show(browser, server)
+        assert len(asked_of_files(server)) == 1
+        assert screenshot(driver)[200:, 280:].astype(float).mean(axis=2).std() > 8
+        assert not console(driver)
+
+
+@pytest.mark.full
+@pytest.mark.gl
+@pytest.mark.large
+@pytest.mark.parametrize(
+    ("gone", "line"),
+    [("hills.twz", "HTTP status 404"), ("terrainwave/map/worker.js", "module of the worker")],
+)
+def test_what_is_gone_is_said(site, browser, tmp_path, gone, line):
+    shutil.copytree(site, tmp_path / "site")
+    (tmp_path / "site" / gone).unlink()
+    with static_server(tmp_path / "site") as server:
+        driver = show(browser, server, "failed")
+        assert line in driver.find_element("id", "message").text
