@@ -68,17 +68,27 @@ export function lg(v) {
   return EIGHTHS[Math.min(Math.floor(v / 2 ** 24), 4095)] + 192;
 }
 
+/** 2^f, -16 <= f < 48: powers by `**` are calls. */
+const POWERS = Float64Array.from({ length: 64 }, (_, i) => 2 ** (i - 16));
+export const power = (f) => POWERS[f + 16];
+
 /** Counts quanta in steps (P.5). */
 export class Scale {
   constructor(step) {
-    this.shift = 0;
-    while (Math.floor(step / 2 ** this.shift) >= 4096) this.shift++;
-    this.unit = 2 ** this.shift;
+    let shift = 0;
+    while (Math.floor(step / 2 ** shift) >= 4096) shift++;
+    this.unit = 2 ** shift;
     this.inverse = Math.floor(2 ** 22 / Math.floor(step / this.unit));
+    this.perStep = this.inverse / 2 ** 22;
+    this.most = shift === 0 ? 2 ** 31 : 0; // below it steps are products of less than 53 bits
   }
 
   /** Return about d / step in 1 / 2^f; d >= 0. */
   steps(d, f) {
+    return d < this.most ? Math.floor(d * (this.perStep * POWERS[f + 16])) : this.largeSteps(d, f);
+  }
+
+  largeSteps(d, f) {
     const x = Math.floor(Math.min(d, 2 ** 40) / this.unit);
     const over = 2 ** (22 - f);
     if (x < 2 ** 31) return Math.floor((x * this.inverse) / over);

@@ -6,7 +6,7 @@
  * more than 32 bits are whole doubles below 2^53.
  */
 
-import { lg, meanBit } from "./predictive-bits.js";
+import { lg, meanBit, power } from "./predictive-bits.js";
 import { HH, HL, PARITY } from "./predictive-lattice.js";
 
 const OWN = [[0, -2], [-2, 0], [-2, -2], [-2, 2]];
@@ -339,7 +339,7 @@ export class PlaneDecoder {
       if (k === 0) model += 1 + bit;
     }
     const rest = Math.max(kappa - 2, 0);
-    return upper * 2 ** kappa + low * 2 ** rest + decoder.raw(rest);
+    return upper * power(kappa) + low * power(rest) + decoder.raw(rest);
   }
 }
 
@@ -349,7 +349,7 @@ const kappaOf = (beta) => (beta ? Math.max(0, ((24 + 4 * (beta - 1)) >> 3) - 9) 
 function aheadOf(distance, half, kappa, scale) {
   if (distance <= 0) return -1;
   const t = scale.steps(distance + half, 0);
-  return t > 0 ? Math.min(Math.floor((t - 1) / 2 ** kappa), 15) : -1;
+  return t > 0 ? Math.min(Math.floor((t - 1) * power(-kappa)), 15) : -1;
 }
 
 function rho(d, e) {
