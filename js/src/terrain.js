@@ -5,6 +5,7 @@ import { Container } from "./container.js";
 import { ArgumentError, LimitExceededError } from "./errors.js";
 import { half, nameOf } from "./grid.js";
 import { requireMethod } from "./header.js";
+import { loadKernels } from "./kernels.js";
 import { METHODS } from "./methods.js";
 import { decodePayload } from "./payload.js";
 import { Heights } from "./quanta.js";
@@ -50,7 +51,7 @@ class Cache {
 export async function open(from, options = {}) {
   const found = openSource(from, options);
   const source = options.blocks ? new BlockSource(found) : found;
-  const container = await Container.open(source);
+  const [container] = await Promise.all([Container.open(source), loadKernels()]);
   requireMethod(container.header, METHODS);
   return new Terrain(container, { ...DEFAULTS, ...options });
 }
