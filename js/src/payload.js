@@ -32,8 +32,9 @@ export function decodePayload(file, unit, payload, parent) {
     sections[bit] = payload.subarray(start, at);
   }
   const [mask, exceptions, rest] = sections;
-  const implied = impliedVoid(unit, parent);
-  const valid = mask ? decodeMask(mask, implied, unit.rows.n, unit.cols.n) : inverted(implied);
+  const valid = mask
+    ? decodeMask(mask, impliedVoid(unit, parent), unit.rows.n, unit.cols.n)
+    : unmasked(unit, parent, n);
   require(valid.includes(1), "a payload of a unit without valid samples");
   const heights = file.decodeMethod(file, unit, payload.subarray(at), valid, parent);
   clip(heights, header.zMin, header.zMax);
@@ -42,8 +43,10 @@ export function decodePayload(file, unit, payload, parent) {
   return { unit, heights, valid, remainders, hasVoid: valid.includes(0) };
 }
 
-function inverted(implied) {
-  const valid = new Uint8Array(implied.length);
+function unmasked(unit, parent, n) {
+  const valid = new Uint8Array(n);
+  if (parent === null || !parent.hasVoid) return valid.fill(1);
+  const implied = impliedVoid(unit, parent);
   for (let i = 0; i < valid.length; i++) valid[i] = implied[i] ^ 1;
   return valid;
 }

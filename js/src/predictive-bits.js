@@ -3,10 +3,10 @@
 import { learned } from "./rangecoder.js";
 
 /** Logits of probabilities, and probabilities of mixed logits (P.1). */
-const LOGITS = Int32Array.from({ length: 1024 }, (_, k) =>
+export const LOGITS = Int32Array.from({ length: 1024 }, (_, k) =>
   Math.floor(256 * Math.log((2 * k + 1) / (2047 - 2 * k)) + 0.5),
 );
-const MIXED = Int32Array.from({ length: 704 }, (_, k) =>
+export const MIXED = Int32Array.from({ length: 704 }, (_, k) =>
   Math.floor(65536 / (1 + Math.exp((703 - 2 * k) / 64)) + 0.5),
 );
 
@@ -56,7 +56,7 @@ const BINS = Uint8Array.from({ length: 4096 }, (_, s) => THRESHOLDS.filter((t) =
 export const binOf = (s) => BINS[Math.min(s, 4095)];
 
 /** By v, eighths of octaves: the largest g with 2^g <= v^8. */
-const EIGHTHS = Uint8Array.from({ length: 4096 }, (_, v) =>
+export const EIGHTHS = Uint8Array.from({ length: 4096 }, (_, v) =>
   v === 0 ? 0 : (BigInt(v) ** 8n).toString(2).length - 1,
 );
 

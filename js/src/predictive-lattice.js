@@ -18,18 +18,20 @@ function folded(n) {
   return Int32Array.from({ length: n + 2 * REACH }, (_, i) => fold(i - REACH, n));
 }
 
+/** Arrays of n zeros; values are whole numbers whose products need more than 32 bits. */
+export const newArrays = (n) => ({
+  values: new Float64Array(n), errors: new Int32Array(n), activity: new Int32Array(n),
+  bends: new Float64Array(n),
+});
+
 /** Samples of a lattice, and what is known of planes coded before, with margins of REACH. */
 export class Lattice {
-  constructor(unit, stride, heights) {
+  constructor(unit, stride, heights, arrays = newArrays) {
     Object.assign(this, { unit, stride, heights });
     this.nRows = Math.floor((unit.rows.nCore - 1) / stride) + 1;
     this.nCols = Math.floor((unit.cols.nCore - 1) / stride) + 1;
     this.pitch = this.nCols + 2 * REACH;
-    const n = (this.nRows + 2 * REACH) * this.pitch;
-    this.values = new Float64Array(n); // whole numbers, whose products need more than 32 bits
-    this.errors = new Int32Array(n);
-    this.activity = new Int32Array(n);
-    this.bends = new Float64Array(n);
+    Object.assign(this, arrays((this.nRows + 2 * REACH) * this.pitch));
     this.rowsOf = folded(this.nRows);
     this.colsOf = folded(this.nCols);
     this.load();

@@ -20,7 +20,7 @@ const DIAGONAL = [[-1, -1], [-1, 1], [1, -1], [1, 1]];
 const turned = (places) => places.map(([r, c]) => [c, r]);
 
 /** Places [row, column] in lattice steps from the sample that is predicted, by plane (P.5). */
-const PLACES = [
+export const PLACES = [
   { taps: [...OWN, ...ODD.flatMap((r) => ODD.map((c) => [r, c]))], core: DIAGONAL },
   { taps: [...OWN, ...AFTER_OWN], core: [[0, -1], [0, 1], [-1, 0], [1, 0]] },
   { taps: [...OWN, ...turned(AFTER_OWN), ...DIAGONAL], core: [[-1, 0], [1, 0], [0, -1], [0, 1]] },

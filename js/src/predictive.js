@@ -1,9 +1,11 @@
 /** Method predictive (docs/format-predictive.md, whose sections are cited as P.n). */
 
 import { require } from "./errors.js";
+import { kernels } from "./kernels.js";
 import { Mixers, Scale } from "./predictive-bits.js";
 import { Border } from "./predictive-border.js";
 import { HH, LH, Lattice, PARITY } from "./predictive-lattice.js";
+import { KernelUnit } from "./predictive-kernels.js";
 import { PlaneDecoder } from "./predictive-plane.js";
 import { startModels } from "./predictive-tables.js";
 import { RangeDecoder } from "./rangecoder.js";
@@ -33,19 +35,31 @@ export function decodePredictive(file, unit, payload, valid, parent) {
     isMixed: (flags & 1) !== 0, isClamped: (flags & 2) !== 0,
     step: header.step, zMin: header.zMin, zMax: header.zMax,
   };
-  while (stride > 1) {
-    stride /= 2;
-    const lattice = new Lattice(unit, stride, heights);
-    for (let plane = HH; plane <= LH; plane++) {
-      if (!lattice.isEmpty(PARITY[plane])) decodePlane(tables, lattice, plane, shared);
-    }
-  }
+  decodeLattices(tables, stride, unit, heights, shared);
   decoder.end();
   return heights;
 }
 
+/** Decode lattices of half the stride, a quarter and so on, into the heights of the region. */
+function decodeLattices(tables, stride, unit, heights, shared) {
+  const compiled = kernels.predictive ? new KernelUnit(unit, heights, shared) : null;
+  const decode = (lattice, plane, stencil, weights) => {
+    if (compiled) compiled.decodePlane(lattice, plane, stencil, weights);
+    else new PlaneDecoder(lattice, plane, stencil, weights, shared).run();
+  };
+  for (stride /= 2; stride >= 1; stride /= 2) {
+    const lattice = compiled
+      ? new Lattice(unit, stride, compiled.heights, (n) => compiled.arrays(n))
+      : new Lattice(unit, stride, heights);
+    for (let plane = HH; plane <= LH; plane++) {
+      if (!lattice.isEmpty(PARITY[plane])) decodePlane(tables, lattice, plane, shared, decode);
+    }
+  }
+  if (compiled) heights.set(compiled.heights);
+}
+
 /** Read the header of a plane and decode it (P.5). */
-function decodePlane(tables, lattice, plane, shared) {
+function decodePlane(tables, lattice, plane, shared, decode) {
   let set = 0;
   let class_ = 2;
   if (lattice.nRows * lattice.nCols >= SMALL) {
@@ -56,5 +70,5 @@ function decodePlane(tables, lattice, plane, shared) {
   require(set < tables.stencils[plane].length, "set of a plane");
   require(class_ < tables.weights[plane].length, "class of a plane");
   const { stencils, weights } = tables;
-  new PlaneDecoder(lattice, plane, stencils[plane][set], weights[plane][class_], shared).run();
+  decode(lattice, plane, stencils[plane][set], weights[plane][class_]);
 }

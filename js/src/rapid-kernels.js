@@ -98,6 +98,12 @@ function predictLH(m, first, n, weights, features) {
 
 export const predictRow = [predictHH, predictHL, predictLH];
 
+/** Fill curvatures of a row of plane A. */
+export function fillBends(m, first, n, shift, mostRange) {
+  kernels.rapid.run.fillBends(n, m.stride, place(m.coarse, first), place(m.bends, first), shift,
+    mostRange);
+}
+
 export function fillContexts(m, n, features, scale) {
   m.features.set(features);
   kernels.rapid.run.fillContexts(n, m.features.byteOffset, m.row.byteOffset, m.nMost,

@@ -211,13 +211,18 @@ class Coder {
     const { workspace: m, scale: { rangeShift: shift, mostRange } } = this;
     const { coarse: a, bends, stride } = m;
     const unit = 1 / 2 ** shift;
+    const arithmetic = this.arithmetic;
     for (let row = 0; row < nEven; row++) {
       const at = this.at(row);
-      for (let i = at; i < at + n; i++) {
-        const across = a[i - 2] + a[i + 2] - 4 * (a[i - 1] + a[i + 1]) + 6 * a[i];
-        const along = a[i - 2 * stride] + a[i + 2 * stride] -
-          4 * (a[i - stride] + a[i + stride]) + 6 * a[i];
-        bends[i] = Math.min((Math.abs(across) + Math.abs(along)) * unit, mostRange);
+      if (arithmetic === compiled) {
+        compiled.fillBends(m, at, n, shift, mostRange);
+      } else {
+        for (let i = at; i < at + n; i++) {
+          const across = a[i - 2] + a[i + 2] - 4 * (a[i - 1] + a[i + 1]) + 6 * a[i];
+          const along = a[i - 2 * stride] + a[i + 2 * stride] -
+            4 * (a[i - stride] + a[i + stride]) + 6 * a[i];
+          bends[i] = Math.min((Math.abs(across) + Math.abs(along)) * unit, mostRange);
+        }
       }
       bends[at + n] = bends[at + n - 1];
     }

@@ -22,6 +22,17 @@ static inline i32 magnitude(i32 a) { return a < 0 ? -a : a; }
   i32 to[n];                                                                                \
   _Pragma("clang loop unroll(full)") for (i32 k = 0; k < n; k++) to[k] = from[k]
 
+EXPORT("fillBends")
+void fill_bends(i32 n, i32 s, const i32 *a, i32 *bends, i32 shift, i32 most) {
+  ROWS for (i32 j = 0; j < n; j++) {
+    const i32 *at = a + j;
+    i32 across = at[-2] + at[2] - 4 * (at[-1] + at[1]) + 6 * at[0];
+    i32 along = at[-2 * s] + at[2 * s] - 4 * (at[-s] + at[s]) + 6 * at[0];
+    i32 both = magnitude(across) + magnitude(along);
+    bends[j] = min(both >> shift, most);
+  }
+}
+
 EXPORT("predictHH")
 void predict_hh(i32 n, i32 s, const i32 *a, const i32 *own, const i32 *error, const i32 *bends,
                 const i32 *weights, const i32 *features, i32 *row, i32 m) {
