@@ -272,7 +272,10 @@ export class Terrain {
       quantaOfNodata: this.#file.quantaOfNodata,
     };
     this.#pool ??= WorkerPool.start(this.#nWorkers, first).catch((error) => {
-      if (this.#isAsked) throw error;
+      if (this.#isAsked) {
+        this.#pool = null; // another read tries again
+        throw error;
+      }
       return null; // an engine without modules in workers, a page whose policy forbids them
     });
     return this.#pool;
@@ -300,7 +303,14 @@ export class Terrain {
       const name = nameOf(key);
       units.set(name, decode(key, name, payloads[i]));
     });
-    await Promise.all(units.values());
+    try {
+      await Promise.all(units.values());
+    } finally {
+      if (pool.isBroken) {
+        pool.close();
+        if ((await this.#pool) === pool) this.#pool = null; // another read starts new ones
+      }
+    }
   }
 
   async #ask(pool, key, payload, parent) {

@@ -21,9 +21,11 @@ export function numberOfWorkers(asked) {
 
 /** Return a function that starts a worker: { post, end, hold }, which calls what it is given. */
 async function starter(url) {
-  if (typeof globalThis.Worker === "function") {
+  if (typeof Worker === "function") {
     return (onMessage, onFailure) => {
-      const worker = new globalThis.Worker(url, { type: "module" });
+      // In these words bundlers find the module.
+      const worker = url ? new Worker(url, { type: "module" })
+        : new Worker(new URL("./unit-worker.js", import.meta.url), { type: "module" });
       worker.onmessage = ({ data }) => onMessage(data);
       worker.onerror = (event) => {
         event.preventDefault();
@@ -37,7 +39,7 @@ async function starter(url) {
   }
   const threads = await import(/* @vite-ignore */ THREADS);
   return (onMessage, onFailure) => {
-    const worker = new threads.Worker(url);
+    const worker = new threads.Worker(url ?? new URL("./unit-worker.js", import.meta.url));
     worker.on("message", onMessage);
     worker.on("error", (error) => onFailure(error.message));
     worker.on("exit", () => onFailure("it ended"));
@@ -65,8 +67,8 @@ export class WorkerPool {
   #n = 0;
   #failure = null;
 
-  /** Start workers, which all get the message `first`. */
-  static async start(n, first, url = new URL("./unit-worker.js", import.meta.url)) {
+  /** Start workers, which all get the message `first`; `url`: of another module (for tests). */
+  static async start(n, first, url = null) {
     const pool = new WorkerPool();
     try {
       const begin = await starter(url);
@@ -80,6 +82,11 @@ export class WorkerPool {
       throw error instanceof TerrainwaveError ? error : errorOf(error);
     }
     return pool;
+  }
+
+  /** Whether one of them failed, so that none is asked any more. */
+  get isBroken() {
+    return this.#failure !== null;
   }
 
   /** Return the answer to { message, moved } of `make`, called when a worker is free. */
