@@ -33,8 +33,7 @@ test("this engine has the kernels", () => {
   assert.ok(loaded.rapid && loaded.predictive);
 });
 
-for (const name of ["rapid-int16-lossless-nodata", "rapid-int32-rings", "rapid-float32-exact",
-  "rapid-int16-states", "predictive-int32-rings", "predictive-uint8-best", "predictive-fast-blocks",
+for (const name of ["rapid-int32-rings", "rapid-float32-exact", "predictive-fast-blocks",
   "predictive-int16-halves-bounded", "predictive-float64-exact"]) {
   test(`${name}: the same by both`, async () => {
     const [compiled, plain] = await both(await golden(name));
@@ -47,7 +46,7 @@ for (const name of ["rapid-int32-rings", "rapid-int16-states", "predictive-int32
   "predictive-uint8-best"]) {
   test(`${name}: the same by both of damaged payloads, checksums mended`, async () => {
     const bytes = await golden(name);
-    for (let turn = 0; turn < 24; turn++) {
+    for (let turn = 0; turn < 12; turn++) {
       const parts = new Parts(bytes);
       const payload = parts.payloads.filter(({ length }) => length > 9).at(-(turn % 2));
       payload[(turn * 7919) % payload.length] ^= 1 << (turn % 8);
