@@ -88,7 +88,7 @@ function gather(from, start, step, to, at, n) {
 
 /** Decodes the rows of one unit. */
 class Coder {
-  constructor(file, unit, payload, valid, parent) {
+  constructor(file, unit, payload, valid, parent, hasVoid) {
     const { header, tables } = file;
     const { rows, cols } = unit;
     Object.assign(this, { header, tables, unit, valid, parent });
@@ -101,7 +101,7 @@ class Coder {
     this.workspace = workspaceOf(this.arithmetic);
     this.workspace.reserve((rows.nCore + 1) >> 1, (cols.nCore + 1) >> 1);
     if (this.arithmetic === compiled) this.streams.moveTo(this.workspace);
-    this.hasVoid = valid.includes(0);
+    this.hasVoid = hasVoid;
     this.heights = new Int32Array(valid.length);
     this.takeClass(1);
   }
@@ -342,8 +342,8 @@ class Coder {
 }
 
 /** Return the heights of the region of a unit. */
-export function decodeRapid(file, unit, payload, valid, parent) {
-  const coder = new Coder(file, unit, payload, valid, parent);
+export function decodeRapid(file, unit, payload, valid, parent, hasVoid) {
+  const coder = new Coder(file, unit, payload, valid, parent, hasVoid);
   if (parent === null) coder.decodeRoot();
   else coder.decodeGroup(file.grid.rings);
   coder.streams.end();

@@ -27,6 +27,7 @@ import terrainwave
 JS = Path(__file__).parents[1]
 OTHER = {"rapid": "predictive", "predictive": "rapid"}
 N_ROUNDS = 5
+N_WARM = 3  # rounds that don't count: both compile
 READ = """
     const [path, done] = [arguments[0], arguments[arguments.length - 1]];
     Promise.all([import("/js/src/index.js"), import("/js/testing/levels.js")])
@@ -71,7 +72,7 @@ class Node:
     """A process that answers questions about files, warm from one to the next."""
 
     def __init__(self) -> None:
-        command = ["node", "--expose-gc", str(JS / "testing" / "serve.js")]
+        command = ["node", str(JS / "testing" / "serve.js")]
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
@@ -142,11 +143,11 @@ def speed(files: list[Path], out: Path) -> int:
     node = Node()
     times: dict[Path, list[tuple[float, float]]] = {path: [] for path in files}
     sizes = {}
-    for number in range(N_ROUNDS + 1):
-        for path in files:
+    for path in files:
+        for number in range(-N_WARM, N_ROUNDS):
             python, sizes[path] = seconds_of_python(path)
             taken = node.ask("seconds", path)
-            if number > 0:  # the first one warms up
+            if number >= 0:
                 times[path].append((python, taken))
     node.close()
     rows = []
@@ -167,9 +168,8 @@ def speed(files: list[Path], out: Path) -> int:
         writer.writerows(rows)
     for method in OTHER:
         ratios = [row["ratio"] for row in rows if row["method"] == method]
-        print(
-            f"{method}: ratios {min(ratios)} to {max(ratios)}, median {statistics.median(ratios)}"
-        )
+        middle = statistics.median(ratios)
+        print(f"{method}: ratios {min(ratios)} to {max(ratios)}, median {middle:.3f}")
     return sum(row["ratio"] < 0.3 for row in rows)
 
 
