@@ -21,6 +21,11 @@ export interface OpenOptions {
   cacheBytes?: number;
   /** Larger reads are refused; 2^28 unless told. */
   maxSamples?: number;
+  /**
+   * Threads that decode the units of a read, 0 to 64; 0: the caller's. Unless told: on pages the
+   * number of cores less one, at most 4, or 0 where none can start; elsewhere 0.
+   */
+  workers?: number;
   /** Of URLs: instead of the global one. */
   fetch?: typeof fetch;
   headers?: Record<string, string>;
@@ -86,6 +91,8 @@ export class Terrain {
   blockError(level: number, row: number, col: number): Promise<number>;
   /** Rows and columns of blocks. */
   blockShape(level?: number): Shape;
+  /** End the workers, if there are any; reads are refused from now on. */
+  close(): Promise<void>;
 }
 
 export class TerrainwaveError extends Error {}

@@ -32,6 +32,7 @@ export class Container {
     const container = new Container();
     container.source = source;
     container.header = header;
+    container.start = start.slice(0, HEADER_SIZE);
     container.metadata = readMetadata(start.subarray(HEADER_SIZE, parametersAt), header);
     container.parameters = start.slice(parametersAt, pageAt);
     require(crc32(container.parameters) === header.parametersCrc, "parameters_crc");

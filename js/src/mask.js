@@ -1,6 +1,6 @@
 /** Masks (FORMAT.md §5.1, §5.2). */
 
-import { Models, ONE, RATES, RangeDecoder, scaled } from "./rangecoder.js";
+import { Models, RangeDecoder, learned } from "./rangecoder.js";
 
 /** Start values of the models, in 1/256 (§5.2). */
 // prettier-ignore
@@ -93,9 +93,9 @@ export function decodeMask(section, implied, nRows, nCols) {
 
 /** What `RangeDecoder.bit` does, with all state in locals. */
 function decodeRow(decoder, models, valid, isImplied, start, end, stride) {
-  const { data } = decoder;
-  const { probability, count } = models;
-  let { range, code, position } = decoder;
+  const { data, state } = decoder;
+  const { cells } = models;
+  let [range, code, position] = state;
   for (let i = start; i < end; i++) {
     if (isImplied[i] !== 0) continue;
     const near = 32 * valid[i - 1] + 16 * valid[i - stride] + 8 * valid[i - stride - 1] +
@@ -104,24 +104,21 @@ function decodeRow(decoder, models, valid, isImplied, start, end, stride) {
     const far = isImplied[i + 2] + isImplied[i + stride - 1] + isImplied[i + stride + 1] +
       isImplied[i + 2 * stride];
     const model = (near * 3 + a) * 3 + (far < 2 ? far : 2);
-    const p = probability[model];
-    const bound = Math.imul(range >>> 16, (p >> 6) | 1);
-    const rate = RATES[count[model]];
+    const cell = cells[model];
+    const bound = Math.imul(range >>> 16, (cell >>> 14) | 1);
     if (code >>> 0 < bound >>> 0) {
       range = bound;
       valid[i] = 1;
-      probability[model] = p + scaled(ONE - p, rate);
     } else {
       code = (code - bound) | 0;
       range = (range - bound) | 0;
-      probability[model] = p - scaled(p, rate);
     }
-    if (count[model] < 254) count[model]++;
+    cells[model] = learned(cell, valid[i]);
     while (range >>> 24 === 0) {
       code = (code << 8) | (position < data.length ? data[position] : 0);
       position++;
       range <<= 8;
     }
   }
-  Object.assign(decoder, { range, code, position });
+  state.set([range, code, position]);
 }

@@ -32,18 +32,23 @@ export function decodePayload(file, unit, payload, parent) {
     sections[bit] = payload.subarray(start, at);
   }
   const [mask, exceptions, rest] = sections;
-  const implied = impliedVoid(unit, parent);
-  const valid = mask ? decodeMask(mask, implied, unit.rows.n, unit.cols.n) : inverted(implied);
-  require(valid.includes(1), "a payload of a unit without valid samples");
-  const heights = file.decodeMethod(file, unit, payload.subarray(at), valid, parent);
-  clip(heights, header.zMin, header.zMax);
+  const valid = mask
+    ? decodeMask(mask, impliedVoid(unit, parent), unit.rows.n, unit.cols.n)
+    : unmasked(unit, parent, n);
+  const hasVoid = (mask !== null || parent?.hasVoid === true) && valid.includes(0);
+  require(!hasVoid || valid.includes(1), "a payload of a unit without valid samples");
+  const heights = file.decodeMethod(file, unit, payload.subarray(at), valid, parent, hasVoid);
+  // Each height of rapid is within its limits (R.2), which are within these.
+  if (header.method !== "rapid") clip(heights, header.zMin, header.zMax);
   moveFromNodata(file.quantaOfNodata, heights, valid, exceptions);
   const remainders = rest && decodeRemainders(rest, n, header.dtype.bytes);
-  return { unit, heights, valid, remainders, hasVoid: valid.includes(0) };
+  return { unit, heights, valid, remainders, hasVoid };
 }
 
-function inverted(implied) {
-  const valid = new Uint8Array(implied.length);
+function unmasked(unit, parent, n) {
+  const valid = new Uint8Array(n);
+  if (parent === null || !parent.hasVoid) return valid.fill(1);
+  const implied = impliedVoid(unit, parent);
   for (let i = 0; i < valid.length; i++) valid[i] = implied[i] ^ 1;
   return valid;
 }

@@ -12,22 +12,22 @@ const MOST_SETS = 16;
 /** Indices among the taps of a stencil, by plane HH, HL, LH: those of the core, its first first. */
 const CORE_TAPS = [[9, 10, 13, 14], [4, 5, 8, 9], [4, 5, 8, 9]];
 
-let allStarts = null;
+let starts = null;
 
-function starts() {
-  if (allStarts === null) {
+/** Return { details, border }: the models that a unit begins with. */
+export function startModels() {
+  if (starts === null) {
     const bytes = unpackedTable(STARTS, 2 * (N_DETAIL_MODELS + N_BORDER_MODELS));
-    allStarts = Uint16Array.from({ length: bytes.length / 2 }, (_, i) =>
+    const all = Uint16Array.from({ length: bytes.length / 2 }, (_, i) =>
       bytes[2 * i] + 256 * bytes[2 * i + 1],
     );
+    starts = {
+      details: new Models(N_DETAIL_MODELS, all.subarray(0, N_DETAIL_MODELS)),
+      border: new Models(N_BORDER_MODELS, all.subarray(N_DETAIL_MODELS)),
+    };
   }
-  return allStarts;
+  return { details: starts.details.copy(), border: starts.border.copy() };
 }
-
-/** The models that a unit begins with. */
-export const detailModels = () =>
-  new Models(N_DETAIL_MODELS, starts().subarray(0, N_DETAIL_MODELS));
-export const borderModels = () => new Models(N_BORDER_MODELS, starts().subarray(N_DETAIL_MODELS));
 
 /** Return { stencils[plane][set], weights[plane][class] }, those of the file after the annex's. */
 export function readPredictiveTables(parameters) {

@@ -81,9 +81,12 @@ export class Heights {
    *
    * `from` and `to` are first places in the region and in `out`, of n samples of a row.
    */
-  write(out, to, { heights, valid, remainders }, from, n) {
+  write(out, to, { heights, valid, hasVoid, remainders }, from, n) {
     const empty = this.void;
-    if (this.isPlain && this.num === 1 && this.den === 1) {
+    if (this.isPlain && this.num === 1 && this.den === 1 && !hasVoid) {
+      const { first } = this;
+      for (let i = 0; i < n; i++) out[to + i] = first + heights[from + i];
+    } else if (this.isPlain && this.num === 1 && this.den === 1) {
       const { first } = this;
       for (let i = 0; i < n; i++) out[to + i] = valid[from + i] ? first + heights[from + i] : empty;
     } else if (this.isPlain) {

@@ -11,81 +11,96 @@ export function scaled(x, rate) {
   return (Math.imul(x >>> 8, rate) + (Math.imul(x & 255, rate) >>> 8)) >>> 8;
 }
 
-/** Adaptive models (P, c) (§6.1). */
+/**
+ * Adaptive models (P, c) (§6.1). `cells` holds P · 256 + c of each: one load and one store of what
+ * is read and written for every bit.
+ */
 export class Models {
   /** `starts`: pairs written as in §7.8, v = P / 2^10 · 16 + c / 2; without, all are (2^21, 0). */
   constructor(n, starts = null) {
-    this.probability = new Int32Array(n).fill(ONE / 2);
-    this.count = new Uint8Array(n);
-    if (starts) {
-      for (let i = 0; i < n; i++) {
-        this.probability[i] = (starts[i] >> 4) << 10;
-        this.count[i] = 2 * (starts[i] & 15);
-      }
-    }
+    this.cells = starts ? Int32Array.from(starts, (v) => ((v >> 4) << 18) | (2 * (v & 15)))
+      : new Int32Array(n).fill((ONE / 2) << 8);
   }
 
-  update(i, bit) {
-    const p = this.probability[i];
-    const count = this.count[i];
-    const rate = RATES[count];
-    this.probability[i] = bit ? p + scaled(ONE - p, rate) : p - scaled(p, rate);
-    if (count < 254) this.count[i] = count + 1;
+  /** Return models that begin as these are. */
+  copy() {
+    return Object.assign(Object.create(Models.prototype), { cells: this.cells.slice() });
   }
 }
 
-/** §6.2. range and code are kept as int32 whose bits are those of uint32. */
+/** Return a model after a bit. */
+export function learned(cell, bit) {
+  const p = cell >>> 8;
+  const count = cell & 255;
+  const rate = RATES[count];
+  const change = bit ? scaled(ONE - p, rate) : -scaled(p, rate);
+  return (cell + (change << 8) + (count < 254 ? 1 : 0)) | 0;
+}
+
+/** Places in a decoder's state. */
+const [RANGE, CODE, POSITION] = [0, 1, 2];
+
+/**
+ * §6.2. range and code are kept as int32 whose bits are those of uint32, in a typed array: fields of
+ * objects hold 31 bits in browsers, and numbers on the heap beyond.
+ */
 export class RangeDecoder {
   constructor(data) {
     this.data = data;
-    this.range = -1;
-    this.code = 0;
-    this.position = 0;
-    for (let i = 0; i < 4; i++) this.code = (this.code << 8) | this.nextByte();
-  }
-
-  nextByte() {
-    const at = this.position++;
-    return at < this.data.length ? this.data[at] : 0;
-  }
-
-  renormalise() {
-    while (this.range >>> 24 === 0) {
-      this.code = (this.code << 8) | this.nextByte();
-      this.range <<= 8;
+    this.state = Int32Array.of(-1, 0, 4);
+    for (let i = 0; i < 4; i++) {
+      this.state[CODE] = (this.state[CODE] << 8) | (i < data.length ? data[i] : 0);
     }
   }
 
-  /** Read a bit that is 1 with the probability p / 65536; the range is not renormalised. */
+  /** Read a bit that is 1 with the probability p / 65536. */
   split(p) {
-    const bound = Math.imul(this.range >>> 16, p);
-    if (this.code >>> 0 < bound >>> 0) {
-      this.range = bound;
-      return 1;
+    const { data, state } = this;
+    let range = state[RANGE];
+    let code = state[CODE];
+    const bound = Math.imul(range >>> 16, p);
+    let bit = 1;
+    if (code >>> 0 < bound >>> 0) {
+      range = bound;
+    } else {
+      bit = 0;
+      code = (code - bound) | 0;
+      range = (range - bound) | 0;
     }
-    this.code = (this.code - bound) | 0;
-    this.range = (this.range - bound) | 0;
-    return 0;
+    while (range >>> 24 === 0) {
+      const at = state[POSITION]++;
+      code = (code << 8) | (at < data.length ? data[at] : 0);
+      range <<= 8;
+    }
+    state[RANGE] = range;
+    state[CODE] = code;
+    return bit;
   }
 
   bit(models, i) {
-    const bit = this.split((models.probability[i] >> 6) | 1);
-    models.update(i, bit);
-    this.renormalise();
+    const { cells } = models;
+    const cell = cells[i];
+    const bit = this.split((cell >>> 14) | 1);
+    cells[i] = learned(cell, bit);
     return bit;
   }
 
   /** Return k <= 31 raw bits, the most significant first. */
   raw(k) {
+    const { data, state } = this;
     let value = 0;
     for (; k > 0; k--) {
-      this.range >>>= 1;
+      state[RANGE] >>>= 1;
       value *= 2;
-      if (this.code >>> 0 >= this.range >>> 0) {
-        this.code = (this.code - this.range) | 0;
+      if (state[CODE] >>> 0 >= state[RANGE] >>> 0) {
+        state[CODE] -= state[RANGE];
         value++;
       }
-      this.renormalise();
+      while (state[RANGE] >>> 24 === 0) {
+        const at = state[POSITION]++;
+        state[CODE] = (state[CODE] << 8) | (at < data.length ? data[at] : 0);
+        state[RANGE] <<= 8;
+      }
     }
     return value;
   }
@@ -106,6 +121,6 @@ export class RangeDecoder {
   }
 
   end() {
-    require(this.position - 3 === this.data.length, "a range coder stream has another length");
+    require(this.state[POSITION] - 3 === this.data.length, "a range coder stream has another length");
   }
 }

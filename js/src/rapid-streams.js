@@ -2,6 +2,7 @@
 
 import { readVarint } from "./bytes.js";
 import { require } from "./errors.js";
+import { readSymbols } from "./rapid-kernels.js";
 import { DOWN } from "./rapid-rows.js";
 import { SLOT_BITS } from "./rapid-tables.js";
 
@@ -12,7 +13,7 @@ const FIRST_RAW = 72; // contexts from here on have raw bits
 const START = 65536;
 
 export class Streams {
-  constructor(payload, { slots, frequencies }) {
+  constructor(payload, tables) {
     require(payload.length > 0 && payload[0] < 4, "flags of rapid");
     this.isWide = (payload[0] & 1) !== 0;
     const nStates = payload[0] & 2 ? 1 : 8;
@@ -30,11 +31,17 @@ export class Streams {
       this.words[i] = payload[at] | (payload[at + 1] << 8);
     }
     this.rawBytes = payload.subarray(wordsAt + 2 * nWords);
-    this.slots = slots;
-    this.frequencies = frequencies;
+    this.tables = tables;
+    this.held = null; // the kernels' workspace, if they read the symbols
     this.nSymbols = 0;
     this.nWordsUsed = 0;
     this.nBitsUsed = 0;
+  }
+
+  /** Let compiled kernels read the symbols, in whose memory a workspace lies. */
+  moveTo(workspace) {
+    this.states = workspace.takeStreams(this.words, this.states, this.tables);
+    this.held = workspace;
   }
 
   /**
@@ -43,14 +50,17 @@ export class Streams {
    * Samples that are not in `valid` (null: all are) have no symbol and the detail 0.
    */
   readDetails(m, first, stop, valid, mostDetail) {
-    if (this.readSymbols(m.contexts, m.details, first, stop, valid)) {
+    const hasRaw = this.held
+      ? readSymbols(m, this.states.length, this.nWords, first, stop, valid !== null)
+      : this.readSymbols(m.contexts, m.details, first, stop, valid);
+    if (hasRaw) {
       this.readRaw(m.contexts, m.details, first, stop, valid, mostDetail);
     }
   }
 
   /** Return whether any sample has raw bits. */
   readSymbols(contexts, details, first, stop, valid) {
-    const { states, words, slots, frequencies, nWords } = this;
+    const { states, words, nWords, tables: { slots, frequencies } } = this;
     const last = states.length - 1;
     let { nSymbols, nWordsUsed } = this;
     let hasRaw = false;
@@ -116,7 +126,8 @@ export class Streams {
   }
 
   end() {
-    require(this.nWordsUsed === this.nWords, "number of words");
+    const nWordsUsed = this.held ? this.held.used[1] : this.nWordsUsed;
+    require(nWordsUsed === this.nWords, "number of words");
     require(this.states.every((x) => x === START), "states at the end");
     require(Math.ceil(this.nBitsUsed / 8) === this.rawBytes.length, "number of raw bits");
     const nLeft = -this.nBitsUsed & 7;

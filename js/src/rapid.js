@@ -2,6 +2,8 @@
 
 import { bitLength } from "./bytes.js";
 import { require } from "./errors.js";
+import { kernels } from "./kernels.js";
+import * as compiled from "./rapid-kernels.js";
 import * as narrow from "./rapid-rows.js";
 import { DOWN, HH, HL, LH, MARGIN, Workspace } from "./rapid-rows.js";
 import { SharedRows } from "./rapid-shared.js";
@@ -15,12 +17,17 @@ const MOST_SYMBOL = 31;
 const REACH = 3; // rows and columns that are read outside a plane
 
 // One thread, one unit at a time: nothing is kept in them between units.
-const workspaces = { narrow: null, wide: null };
+const workspaces = new Map();
 
-function workspaceOf(isWide) {
-  const name = isWide ? "wide" : "narrow";
-  workspaces[name] ??= new Workspace(isWide ? Float64Array : Int32Array, 257, 257);
-  return workspaces[name];
+const MAKE = new Map([
+  [narrow, () => new Workspace(Int32Array, 257, 257)],
+  [wide, () => new Workspace(Float64Array, 257, 257)],
+  [compiled, () => new compiled.KernelWorkspace(257, 257)],
+]);
+
+function workspaceOf(arithmetic) {
+  if (!workspaces.has(arithmetic)) workspaces.set(arithmetic, MAKE.get(arithmetic)());
+  return workspaces.get(arithmetic);
 }
 
 /** What follows from the step and the range of heights. */
@@ -81,7 +88,7 @@ function gather(from, start, step, to, at, n) {
 
 /** Decodes the rows of one unit. */
 class Coder {
-  constructor(file, unit, payload, valid, parent) {
+  constructor(file, unit, payload, valid, parent, hasVoid) {
     const { header, tables } = file;
     const { rows, cols } = unit;
     Object.assign(this, { header, tables, unit, valid, parent });
@@ -90,10 +97,11 @@ class Coder {
     require(low <= high, "heights of a unit that is not wide");
     Object.assign(this, { low: low - origin, high: high - origin, origin });
     this.scale = scaleOf(header.step, low, high);
-    this.arithmetic = this.streams.isWide ? wide : narrow;
-    this.workspace = workspaceOf(this.streams.isWide);
+    this.arithmetic = this.streams.isWide ? wide : kernels.rapid ? compiled : narrow;
+    this.workspace = workspaceOf(this.arithmetic);
     this.workspace.reserve((rows.nCore + 1) >> 1, (cols.nCore + 1) >> 1);
-    this.hasVoid = valid.includes(0);
+    if (this.arithmetic === compiled) this.streams.moveTo(this.workspace);
+    this.hasVoid = hasVoid;
     this.heights = new Int32Array(valid.length);
     this.takeClass(1);
   }
@@ -203,13 +211,18 @@ class Coder {
     const { workspace: m, scale: { rangeShift: shift, mostRange } } = this;
     const { coarse: a, bends, stride } = m;
     const unit = 1 / 2 ** shift;
+    const arithmetic = this.arithmetic;
     for (let row = 0; row < nEven; row++) {
       const at = this.at(row);
-      for (let i = at; i < at + n; i++) {
-        const across = a[i - 2] + a[i + 2] - 4 * (a[i - 1] + a[i + 1]) + 6 * a[i];
-        const along = a[i - 2 * stride] + a[i + 2 * stride] -
-          4 * (a[i - stride] + a[i + stride]) + 6 * a[i];
-        bends[i] = Math.min((Math.abs(across) + Math.abs(along)) * unit, mostRange);
+      if (arithmetic === compiled) {
+        compiled.fillBends(m, at, n, shift, mostRange);
+      } else {
+        for (let i = at; i < at + n; i++) {
+          const across = a[i - 2] + a[i + 2] - 4 * (a[i - 1] + a[i + 1]) + 6 * a[i];
+          const along = a[i - 2 * stride] + a[i + 2 * stride] -
+            4 * (a[i - stride] + a[i + stride]) + 6 * a[i];
+          bends[i] = Math.min((Math.abs(across) + Math.abs(along)) * unit, mostRange);
+        }
       }
       bends[at + n] = bends[at + n - 1];
     }
@@ -286,9 +299,9 @@ class Coder {
         gather(this.valid, start + first * step, step, m.valid, first, stop - first);
       }
       this.streams.readDetails(m, first, stop, this.hasVoid ? m.valid : null, scale.mostDetail);
-      if (scale.isSmall && arithmetic === narrow) {
+      if (scale.isSmall && arithmetic !== wide) {
         const to = start + first * step;
-        narrow.finishRow(m, plane, at, first, stop, this, scale, heights, to, step);
+        arithmetic.finishRow(m, plane, at, first, stop, this, scale, heights, to, step);
         if (first === 0 && stop === n) return;
       } else {
         this.fillHeights(own, at, first, stop);
@@ -329,8 +342,8 @@ class Coder {
 }
 
 /** Return the heights of the region of a unit. */
-export function decodeRapid(file, unit, payload, valid, parent) {
-  const coder = new Coder(file, unit, payload, valid, parent);
+export function decodeRapid(file, unit, payload, valid, parent, hasVoid) {
+  const coder = new Coder(file, unit, payload, valid, parent, hasVoid);
   if (parent === null) coder.decodeRoot();
   else coder.decodeGroup(file.grid.rings);
   coder.streams.end();

@@ -5,14 +5,18 @@ import { Container } from "./container.js";
 import { ArgumentError, LimitExceededError } from "./errors.js";
 import { half, nameOf } from "./grid.js";
 import { requireMethod } from "./header.js";
+import { loadKernels } from "./kernels.js";
 import { METHODS } from "./methods.js";
 import { decodePayload } from "./payload.js";
 import { Heights } from "./quanta.js";
 import { openSource } from "./source.js";
+import { WorkerPool, numberOfWorkers } from "./workers.js";
 
 const DEFAULTS = { cacheBytes: 2 ** 27, maxSamples: 2 ** 28 };
 /** Payloads are fetched for so many units at a time. */
 const UNITS_AT_ONCE = 64;
+/** Fewer units are decoded at once: workers take their time to start. */
+const FEWEST_FOR_WORKERS = 3;
 
 /** Decoded units by key, the least recently used one dropped first. */
 class Cache {
@@ -50,9 +54,23 @@ class Cache {
 export async function open(from, options = {}) {
   const found = openSource(from, options);
   const source = options.blocks ? new BlockSource(found) : found;
-  const container = await Container.open(source);
+  const [container] = await Promise.all([Container.open(source), loadKernels()]);
   requireMethod(container.header, METHODS);
   return new Terrain(container, { ...DEFAULTS, ...options });
+}
+
+/** Return parent heights in arrays of their own. */
+function cutOut({ rows, cols, heights, valid, hasVoid, base, stride }) {
+  const part = {
+    rows, cols, hasVoid, base: 0, stride: cols.n,
+    heights: new Int32Array(rows.n * cols.n), valid: new Uint8Array(rows.n * cols.n),
+  };
+  for (let row = 0; row < rows.n; row++) {
+    const from = base + row * stride;
+    part.heights.set(heights.subarray(from, from + cols.n), row * cols.n);
+    part.valid.set(valid.subarray(from, from + cols.n), row * cols.n);
+  }
+  return part;
 }
 
 /** A multiresolution raster of heights. Level 0 is the coarsest, -1 the full grid. */
@@ -62,8 +80,13 @@ export class Terrain {
   #heights;
   #cache;
   #maxSamples;
+  #nWorkers;
+  #isAsked; // whether the caller named the number of workers
+  #pool = null; // a promise of workers, or of null
+  #pending = new Map(); // by name: promises of units that workers decode
+  #isClosed = false;
 
-  constructor(container, { cacheBytes, maxSamples }) {
+  constructor(container, { cacheBytes, maxSamples, workers }) {
     const { header, metadata, grid } = container;
     const { prepare, decode } = METHODS[header.method];
     const heights = new Heights(header, metadata);
@@ -71,6 +94,8 @@ export class Terrain {
     this.#heights = heights;
     this.#cache = new Cache(cacheBytes);
     this.#maxSamples = maxSamples;
+    this.#nWorkers = numberOfWorkers(workers);
+    this.#isAsked = workers !== undefined;
     this.#file = {
       header, grid, quantaOfNodata: heights.quantaOfNodata, decodeMethod: decode,
       tables: prepare(container.parameters, header),
@@ -137,6 +162,7 @@ export class Terrain {
    * or 0, row by row. Void samples hold `nodata`, or NaN, or 0 in an integer dtype without one.
    */
   async read(level = -1, window = {}) {
+    if (this.#isClosed) throw new ArgumentError("the terrain is closed");
     const found = this.#level(level);
     const shape = this.shape(found);
     const { row = 0, col = 0 } = window ?? {};
@@ -217,16 +243,91 @@ export class Terrain {
     for (const unit of held.values()) {
       if (asked.has(nameOf(unit.unit.key))) use(unit);
     }
+    const pool = list.length < FEWEST_FOR_WORKERS ? null : await this.#workers();
+    const done = (name, key, unit) => {
+      this.#cache.put(name, unit);
+      if (key.level < grid.kMax - 1) held.set(name, unit);
+      if (asked.has(name)) use(unit);
+    };
+    if (pool) {
+      await this.#decodeByWorkers(pool, list, payloads, held, done);
+      return;
+    }
     list.forEach((key, i) => {
       const parent = key.level < 0 ? null : this.#parent(key, held.get(nameOf(grid.keyOfBlock(key))));
       const name = nameOf(key);
       // Another reader may have decoded it while the payloads were on their way.
       const unit = this.#cache.get(name) ??
         decodePayload(this.#file, grid.unit(key), payloads[i], parent);
-      this.#cache.put(name, unit);
-      if (key.level < grid.kMax - 1) held.set(name, unit);
-      if (asked.has(name)) use(unit);
+      done(name, key, unit);
     });
+  }
+
+  /** Return the workers, started when they are first needed; null: decode here. */
+  #workers() {
+    if (this.#nWorkers === 0) return null;
+    const { start, parameters, header } = this.#container;
+    const first = {
+      what: "open", start, fileSize: header.fileSize, parameters,
+      quantaOfNodata: this.#file.quantaOfNodata,
+    };
+    this.#pool ??= WorkerPool.start(this.#nWorkers, first).catch((error) => {
+      if (this.#isAsked) {
+        this.#pool = null; // another read tries again
+        throw error;
+      }
+      return null; // an engine without modules in workers, a page whose policy forbids them
+    });
+    return this.#pool;
+  }
+
+  /** Decode units in the order in which their ancestors are there. */
+  async #decodeByWorkers(pool, list, payloads, held, done) {
+    const { grid } = this.#file;
+    const units = new Map();
+    const decode = async (key, name, payload) => {
+      const above = key.level < 0 ? null : nameOf(grid.keyOfBlock(key));
+      if (above !== null) await units.get(above);
+      // Another reader may have decoded it meanwhile, or be about to.
+      let unit = this.#cache.get(name) ?? this.#pending.get(name);
+      if (!unit) {
+        const parent = above === null ? null : this.#parent(key, held.get(above));
+        unit = this.#ask(pool, key, payload, parent);
+        this.#pending.set(name, unit);
+        const forget = () => this.#pending.delete(name);
+        unit.then(forget, forget);
+      }
+      done(name, key, await unit);
+    };
+    list.forEach((key, i) => {
+      const name = nameOf(key);
+      units.set(name, decode(key, name, payloads[i]));
+    });
+    try {
+      await Promise.all(units.values());
+    } finally {
+      if (pool.isBroken) {
+        pool.close();
+        if ((await this.#pool) === pool) this.#pool = null; // another read starts new ones
+      }
+    }
+  }
+
+  async #ask(pool, key, payload, parent) {
+    const found = await pool.ask(() => {
+      const own = payload.slice(); // or all bytes of its request would be copied
+      const part = parent && cutOut(parent);
+      const moved = part ? [own.buffer, part.heights.buffer, part.valid.buffer] : [own.buffer];
+      return { message: { what: "decode", key, payload: own, parent: part }, moved };
+    });
+    return { unit: this.#file.grid.unit(key), ...found };
+  }
+
+  /** End workers, if there are any; nothing can be read any more. */
+  async close() {
+    this.#isClosed = true;
+    const pool = await this.#pool?.catch(() => null);
+    pool?.close();
   }
 
   /** Return the parent heights of a group, as methods take them. */

@@ -1,12 +1,15 @@
 /** Windows, places, and where bytes come from. */
 
 import assert from "node:assert/strict";
+import { randomBytes } from "node:crypto";
 import { test } from "node:test";
+import { deflateRawSync } from "node:zlib";
 
 import {
   ArgumentError, CorruptStreamError, LimitExceededError, SourceError, UnsupportedError, open,
 } from "../src/index.js";
-import { golden } from "../testing/files.js";
+import { DICTIONARY } from "../src/dictionary.js";
+import { Parts, golden } from "../testing/files.js";
 
 const NAMES = ["rapid-int16-lossless-nodata", "rapid-int32-rings", "store-int16-segments"];
 
@@ -75,6 +78,16 @@ test("a URL is read by ranges, opened by one", async () => {
   assert.equal(asked.length, 1);
   const { heights } = await terrain.read();
   assert.deepEqual(heights, (await (await open(bytes)).read()).heights);
+});
+
+test("a head of any length takes two requests: pages have at most 32 KiB, however large the raster", async () => {
+  const parts = new Parts(await golden("rapid-int16-states"));
+  const text = JSON.stringify({ tags: { noise: randomBytes(30000).toString("hex") } });
+  parts.metadata = deflateRawSync(Buffer.from(text), { dictionary: DICTIONARY });
+  const bytes = parts.bytes();
+  const { fetch, asked } = server(bytes);
+  assert.equal((await open("https://example.org/a.twz", { fetch })).nRows, (await open(bytes)).nRows);
+  assert.deepEqual(asked.map(([first]) => first), [0, 16384]);
 });
 
 test("a server without ranges serves all at once", async () => {

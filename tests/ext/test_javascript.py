@@ -1,5 +1,6 @@
 """Does the reader in JavaScript (js/) give what Python gives?"""
 
+import gzip
 import json
 import re
 import subprocess
@@ -102,6 +103,11 @@ def test_it_opens_a_url_by_two_requests_at_most(server):
     assert bounds == {"left": left, "bottom": bottom, "right": right, "top": top}
 
 
+def test_the_module_has_at_most_150_kb_compressed():
+    modules = [path for path in (JS / "src").iterdir() if path.suffix == ".js"]
+    assert sum(len(gzip.compress(path.read_bytes())) for path in modules) <= 150_000
+
+
 def test_places_and_errors_are_those_of_python(server):
     x, y = 8.2503, 46.2041
     found = dump("values", server.address, x, y, 1, 2)
@@ -117,7 +123,7 @@ def test_places_and_errors_are_those_of_python(server):
 
 
 @pytest.mark.large
-def test_a_page_reads_a_window_by_ranges(twz):
+def test_a_page_reads_a_window_by_ranges_and_all_of_it_by_workers(twz):
     app = FastAPI()
     app.mount("/js", StaticFiles(directory=JS / "src"))
     app.mount("/data", StaticFiles(directory=twz.parent))
@@ -126,14 +132,18 @@ def test_a_page_reads_a_window_by_ranges(twz):
         import("/js/index.js").then(async ({ open }) => {
           const terrain = await open(new URL("/data/hills.twz", document.baseURI));
           const read = await terrain.read(-1, { row: 7, col: 250, nRows: 40, nCols: 60 });
-          return [...read.heights];
+          const all = await open("/data/hills.twz", { workers: 2 });
+          const whole = await all.read();
+          await all.close();
+          return [[...read.heights], [...whole.heights]];
         }).then(done, (error) => done(String(error)));
     """
     with served(app) as address, chromium() as driver:
         driver.get(f"{address}/js/index.js")
         found = driver.execute_async_script(script)
     with terrainwave.open(twz) as terrain:
-        assert found == terrain.read((7, 250, 40, 60)).ravel().tolist()
+        assert found[0] == terrain.read((7, 250, 40, 60)).ravel().tolist()
+        assert found[1] == terrain.read().ravel().tolist()
 
 
 def test_the_package_runs_the_example_of_its_readme(twz, tmp_path):

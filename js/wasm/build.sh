@@ -1,0 +1,17 @@
+#!/bin/sh
+# Compile the kernels to WebAssembly and write them into js/src/kernels-data.js, in base 64.
+# Needs clang and lld with the target wasm32 (Debian: clang-14 lld-14); CLANG names another clang.
+set -eu
+cd "$(dirname "$0")"
+out=$(mktemp)
+trap 'rm -f "$out"' EXIT
+"${CLANG:-clang-14}" --target=wasm32 -O3 -msimd128 -mbulk-memory -fwrapv -ffreestanding -nostdlib \
+    -Wall -Wextra -Werror -Wl,--no-entry -Wl,--strip-all -Wl,--export=__heap_base \
+    -o "$out" ./*.c
+{
+    echo '/** js/wasm/*.c as WebAssembly, in base 64: written by js/wasm/build.sh. */'
+    echo
+    echo '// prettier-ignore'
+    echo 'export const KERNELS ='
+    base64 -w 96 "$out" | sed 's/.*/  "&" +/; $s/ +$/;/'
+} > ../src/kernels-data.js
