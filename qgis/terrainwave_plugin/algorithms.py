@@ -27,13 +27,13 @@ METHODS = ["auto", "rapid", "predictive", "cdf97", "cdf53", "store"]
 class Algorithm(QgsProcessingAlgorithm):
     """A command with its parameters; subclasses say which.
 
-    `numbers` are outputs: {name: (label, keys that lead to it in what the command prints)}.
+    `numbers` are outputs: name, label, keys that lead to it in what the command prints.
     """
 
     command = ""
     label = ""
     about = ""
-    numbers: dict[str, tuple[str, tuple[str, ...]]] = {}
+    numbers: tuple[tuple[str, str, tuple[str, ...]], ...] = ()
 
     def parameters(self) -> list:
         """Return the definitions of the parameters."""
@@ -63,7 +63,7 @@ class Algorithm(QgsProcessingAlgorithm):
         """Define parameters and outputs."""
         for parameter in self.parameters():
             self.addParameter(parameter)
-        for name, (label, _) in self.numbers.items():
+        for name, label, _ in self.numbers:
             self.addOutput(QgsProcessingOutputNumber(name, label))
 
     def processAlgorithm(self, parameters, context, feedback) -> dict:
@@ -75,12 +75,12 @@ class Algorithm(QgsProcessingAlgorithm):
             arguments += [target, "--overwrite"]
             found[OUTPUT] = target
         printed = run(arguments, feedback)
-        for name, (_, keys) in self.numbers.items():
+        for name, _, keys in self.numbers:
             found[name] = _look_up(printed, keys)
         return found
 
-    def raster(self, values, name, context) -> str:
-        """Return the file of a raster layer.
+    def raster(self, values, name, context) -> list[str]:
+        """Return the arguments that name a raster and its band.
 
         Raises
         ------
@@ -90,7 +90,8 @@ class Algorithm(QgsProcessingAlgorithm):
         layer = self.parameterAsRasterLayer(values, name, context)
         if layer is None or layer.providerType() != "gdal":
             raise QgsProcessingException(f"{name}: expected a raster that GDAL reads")
-        return layer.source()
+        band = self.parameterAsInt(values, BAND, context) or 1
+        return ["--band", str(band), layer.source()]
 
     def bound(self, values, context) -> list[str]:
         """Return the option that names the bound, if one is given."""
@@ -110,6 +111,11 @@ def _bound_parameter(label: str) -> QgsProcessingParameterNumber:
     return QgsProcessingParameterNumber(MAX_ERROR, label, kind, None, optional=True, minValue=0)
 
 
+def _band_parameter(label: str, raster: str) -> QgsProcessingParameterBand:
+    # Optional, for QGIS takes none for granted otherwise.
+    return QgsProcessingParameterBand(BAND, label, 1, raster, optional=True)
+
+
 def _file_parameter() -> QgsProcessingParameterFile:
     return QgsProcessingParameterFile(
         INPUT, ".twz file (a path or an address)", fileFilter="terrainwave (*.twz)"
@@ -125,17 +131,17 @@ class Compress(Algorithm):
         "Writes an elevation raster to a .twz file. Every height stays within the largest allowed"
         " error, which is checked by decoding the finished file."
     )
-    numbers = {
-        "BOUND": ("Guaranteed error", ("effective_error",)),
-        "MEASURED_ERROR": ("Measured error", ("measured_error",)),
-        "RATIO": ("Times smaller than raw", ("ratio",)),
-    }
+    numbers = (
+        ("BOUND", "Guaranteed error", ("effective_error",)),
+        ("MEASURED_ERROR", "Measured error", ("measured_error",)),
+        ("RATIO", "Times smaller than raw", ("ratio",)),
+    )
 
     def parameters(self) -> list:
         """Return the definitions of the parameters."""
         return [
             QgsProcessingParameterRasterLayer(INPUT, "Elevation raster"),
-            QgsProcessingParameterBand(BAND, "Band", 1, INPUT),
+            _band_parameter("Band", INPUT),
             _bound_parameter(
                 "Largest allowed error, in the raster's unit; 0 is lossless (default: lossless"
                 " where the heights have a vertical step, else 0.01)"
@@ -147,9 +153,8 @@ class Compress(Algorithm):
     def arguments(self, values, context) -> list[str]:
         """Return the arguments of the command but for its target."""
         method = METHODS[self.parameterAsEnum(values, METHOD, context)]
-        band = self.parameterAsInt(values, BAND, context)
-        options = ["--json", "--method", method, "--band", str(band)]
-        return [*options, *self.bound(values, context), self.raster(values, INPUT, context)]
+        options = ["--json", "--method", method, *self.bound(values, context)]
+        return [*options, *self.raster(values, INPUT, context)]
 
 
 class Decompress(Algorithm):
@@ -182,18 +187,18 @@ class Verify(Algorithm):
         "Compares every height of a .twz file with its original raster; without that, checks all"
         " of the file. Fails where a height is further away than the bound."
     )
-    numbers = {
-        "BOUND": ("Bound", ("bound",)),
-        "MEASURED_ERROR": ("Largest error", ("errors", "max_error")),
-        "N_VALID": ("Heights compared", ("errors", "n_valid")),
-    }
+    numbers = (
+        ("BOUND", "Bound", ("bound",)),
+        ("MEASURED_ERROR", "Largest error", ("errors", "max_error")),
+        ("N_VALID", "Heights compared", ("errors", "n_valid")),
+    )
 
     def parameters(self) -> list:
         """Return the definitions of the parameters."""
         return [
             _file_parameter(),
             QgsProcessingParameterRasterLayer(ORIGINAL, "Original raster", optional=True),
-            QgsProcessingParameterBand(BAND, "Band of the original", 1, ORIGINAL, optional=True),
+            _band_parameter("Band of the original", ORIGINAL),
             _bound_parameter("Bound to hold it to (default: the file's own)"),
             QgsProcessingParameterBoolean(MESH, "Check all meshes too", defaultValue=False),
         ]
@@ -206,8 +211,7 @@ class Verify(Algorithm):
         file = self.parameterAsFile(values, INPUT, context)
         if values.get(ORIGINAL) is None:
             return [*options, file]
-        band = self.parameterAsInt(values, BAND, context) or 1
-        return [*options, "--band", str(band), file, self.raster(values, ORIGINAL, context)]
+        return [*options, file, *self.raster(values, ORIGINAL, context)]
 
 
 class Mesh(Algorithm):
@@ -219,10 +223,10 @@ class Mesh(Algorithm):
         "Writes one watertight triangle mesh of a .twz file, no further from the original raster"
         " than the bound. The format follows from the target's ending."
     )
-    numbers = {
-        "N_TRIANGLES": ("Triangles", ("n_triangles",)),
-        "ERROR": ("Guaranteed error", ("error",)),
-    }
+    numbers = (
+        ("N_TRIANGLES", "Triangles", ("n_triangles",)),
+        ("ERROR", "Guaranteed error", ("error",)),
+    )
 
     def parameters(self) -> list:
         """Return the definitions of the parameters."""

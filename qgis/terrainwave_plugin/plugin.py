@@ -132,10 +132,8 @@ class Plugin:
 
     def _mourn(self, last_line: str) -> None:
         self._lost.clear()
-        self._warn(
-            f"the server has ended ({last_line or 'no message'}); Plugins > {MENU} >"
-            " Connect Layers Again starts another"
-        )
+        reason = last_line or "no message"
+        self._warn(f"its server ended: {reason} (Plugins > {MENU} > Connect Layers Again)")
 
     def _warn(self, text: str) -> None:
         self._iface.messageBar().pushMessage(

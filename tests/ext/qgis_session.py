@@ -14,8 +14,16 @@ plugins, raster, folder = sys.argv[1:]
 sys.path[:0] = [plugins, "/usr/share/qgis/python/plugins"]
 
 from qgis.core import (  # noqa: E402
-    Qgis, QgsApplication, QgsMapRendererParallelJob, QgsMapSettings, QgsProcessingContext,
-    QgsProcessingException, QgsProcessingFeedback, QgsProject, QgsRasterBandStats, QgsSettings,
+    Qgis,
+    QgsApplication,
+    QgsMapRendererParallelJob,
+    QgsMapSettings,
+    QgsProcessingContext,
+    QgsProcessingException,
+    QgsProcessingFeedback,
+    QgsProject,
+    QgsRasterBandStats,
+    QgsSettings,
 )  # fmt: skip
 from qgis.gui import QgsMessageBar  # noqa: E402
 from qgis.PyQt.QtCore import QMimeData, QSize, QUrl  # noqa: E402
@@ -66,19 +74,19 @@ def wait_for(condition):
         time.sleep(0.01)
 
 
-def process(name, feedback=None, **parameters):
+def run(name, feedback=None, **parameters):
     algorithm = QgsApplication.processingRegistry().createAlgorithmById(f"terrainwave:{name}")
     context = QgsProcessingContext()
     context.setProject(project)
     feedback = feedback or Feedback()
-    algorithm.checkParameterValues(parameters, context)
-    results, is_good = algorithm.run(parameters, context, feedback, catchExceptions=False)
-    return results
+    is_good, complaint = algorithm.checkParameterValues(parameters, context)
+    assert is_good, complaint
+    return algorithm.run(parameters, context, feedback, catchExceptions=False)[0]
 
 
 def failure(name, **parameters):
     try:
-        process(name, **parameters)
+        run(name, **parameters)
     except QgsProcessingException as error:
         return str(error)
 
@@ -89,8 +97,11 @@ def heights(layer):
     extent = layer.extent()
     block = provider.block(1, extent, layer.width(), layer.height())
     (folder / "heights").write_bytes(bytes(block.data()))
-    all_of = QgsRasterBandStats.Stats.All if hasattr(QgsRasterBandStats, "Stats") else (
-        QgsRasterBandStats.All)
+    all_of = (
+        QgsRasterBandStats.Stats.All
+        if hasattr(QgsRasterBandStats, "Stats")
+        else (QgsRasterBandStats.All)
+    )
     told = provider.bandStatistics(1, all_of, extent, 0)
     return [told.minimumValue, told.maximumValue, told.mean, told.elementCount]
 
@@ -138,15 +149,15 @@ found["entries"] = [action.text() for action in interface.entries]
 # Processing
 packed = str(folder / "packed.twz")
 feedback = Feedback()
-found["compress"] = process("compress", feedback, INPUT=raster, MAX_ERROR=2.0, OUTPUT=packed)
+found["compress"] = run("compress", feedback, INPUT=raster, MAX_ERROR=2.0, OUTPUT=packed)
 found["stages"], found["percents"] = feedback.stages, feedback.percents
-found["verify"] = process("verify", INPUT=packed, ORIGINAL=raster)
+found["verify"] = run("verify", INPUT=packed, ORIGINAL=raster)
 found["too strict"] = failure("verify", INPUT=packed, ORIGINAL=raster, MAX_ERROR=0.5)
-found["mesh"] = process("mesh", INPUT=packed, MAX_ERROR=20.0, OUTPUT=str(folder / "mesh.ply"))
-found["decompress"] = process("decompress", INPUT=packed, OUTPUT=str(folder / "back.tif"))
+found["mesh"] = run("mesh", INPUT=packed, MAX_ERROR=20.0, OUTPUT=str(folder / "mesh.ply"))
+found["decompress"] = run("decompress", INPUT=packed, OUTPUT=str(folder / "back.tif"))
 before = sorted(os.listdir(folder))
-found["cancelled"] = process(
-    "compress", Feedback(cancels=True), INPUT=raster, OUTPUT=str(folder / "never.twz")
+found["cancelled"] = failure(
+    "compress", feedback=Feedback(cancels=True), INPUT=raster, OUTPUT=str(folder / "never.twz")
 )
 found["left behind"] = sorted(set(os.listdir(folder)) - set(before))
 
@@ -184,11 +195,12 @@ source = layer.source()
 plugin.connect_again()
 wait_for(lambda: layer.source() != source)
 found["statistics after a crash"] = heights(layer)
+source = layer.source()
 project.write(str(folder / "project.qgz"))
 project.clear()
 plugin._server.close()
 project.read(str(folder / "project.qgz"))
-wait_for(lambda: only_layer().isValid())
+wait_for(lambda: only_layer().source() != source)
 found["statistics of a project"] = heights(only_layer())
 found["renderer of a project"] = only_layer().renderer().contrastEnhancement().maximumValue()
 
