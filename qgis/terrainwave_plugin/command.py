@@ -120,7 +120,7 @@ def _read_lines(stream, lines: queue.Queue) -> None:
 
 def _tell(lines: queue.Queue, process: subprocess.Popen, feedback) -> str:
     """Tell of all lines, end the process where that is asked for; return the last error."""
-    problem = ""
+    problem = stage = ""
     is_ending = False
     while True:
         if feedback.isCanceled() and not is_ending:
@@ -134,7 +134,9 @@ def _tell(lines: queue.Queue, process: subprocess.Popen, feedback) -> str:
             return problem
         progress = _PROGRESS.fullmatch(line)
         if progress:
-            feedback.setProgressText(progress[1])
+            if progress[1] != stage:
+                stage = progress[1]
+                feedback.setProgressText(stage)
             feedback.setProgress(int(progress[2]))
         elif line.startswith("terrainwave"):
             problem = line

@@ -186,6 +186,8 @@ class Shelf:
         (stem,) = layer_names([path])
         names = chain([stem], (f"{stem}-{number}" for number in count(2)))
         raster = Raster(next(name for name in names if name not in self._rasters), path)
+        # Its head and its coarsest tile are there when a program opens it, and waits.
+        raster.geotiff.read_at(raster.geotiff.size - 1, 1)
         self._rasters[raster.name] = raster
         return raster
 
