@@ -739,9 +739,10 @@ def test_progress_bar_is_drawn_on_a_terminal_only(monkeypatch):
 
 def test_program_that_asks_for_lines_is_told_each_percent_once(monkeypatch, capsys):
     monkeypatch.setenv("TERRAINWAVE_PROGRESS", "lines")
-    bar = Bar(quiet=True)
+    bar, quiet = Bar(), Bar(quiet=True)
     for done in (0, 1, 503, 509, 1000):
         bar(Progress("encoding", done, 1000))
+        quiet(Progress("encoding", done, 1000))
     assert capsys.readouterr().err.splitlines() == [
         f"progress: encoding {percent} %" for percent in (0, 50, 100)
     ]

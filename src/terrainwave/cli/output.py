@@ -173,7 +173,7 @@ class Bar:
         self._task: Any = None
         self._stage = ""
         self._line = ""
-        self._prints_lines = os.environ.get("TERRAINWAVE_PROGRESS") == "lines"
+        self._prints_lines = not quiet and os.environ.get("TERRAINWAVE_PROGRESS") == "lines"
         if not quiet and not self._prints_lines and sys.stderr.isatty():
             self._bar = _rich_bar()
 
