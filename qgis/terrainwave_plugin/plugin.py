@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from qgis.core import Qgis, QgsApplication, QgsProject, QgsSettings
+from qgis.core import Qgis, QgsApplication, QgsMessageLog, QgsProject, QgsSettings
 from qgis.PyQt.QtGui import QIcon
 from qgis.PyQt.QtWidgets import QAction, QFileDialog, QInputDialog
 
@@ -44,6 +44,7 @@ class Plugin:
         self._server = Server()
         self._server.served.connect(self._show)
         self._server.refused.connect(self._refuse)
+        self._server.told.connect(self._tell)
         self._server.crashed.connect(self._mourn)
         for text, do in (
             ("Add terrainwave Layer…", self.ask_for_files),
@@ -130,12 +131,16 @@ class Plugin:
         self._lost.pop(file, None)
         self._warn(reason)
 
-    def _mourn(self, last_line: str) -> None:
+    def _tell(self, text: str) -> None:
+        QgsMessageLog.logMessage(text, MENU, Qgis.MessageLevel.Info)
+        self._show_message(text.splitlines()[-1], Qgis.MessageLevel.Info)
+
+    def _mourn(self, reason: str) -> None:
         self._lost.clear()
-        reason = last_line or "no message"
         self._warn(f"its server ended: {reason} (Plugins > {MENU} > Connect Layers Again)")
 
     def _warn(self, text: str) -> None:
-        self._iface.messageBar().pushMessage(
-            MENU, text, Qgis.MessageLevel.Warning, _SECONDS_OF_MESSAGE
-        )
+        self._show_message(text, Qgis.MessageLevel.Warning)
+
+    def _show_message(self, text: str, level: Qgis.MessageLevel) -> None:
+        self._iface.messageBar().pushMessage(MENU, text, level, _SECONDS_OF_MESSAGE)

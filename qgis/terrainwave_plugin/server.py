@@ -20,7 +20,8 @@ class Server(QObject):
 
     served = pyqtSignal(str, str, dict)  # a file as it was asked for, its address, what info tells
     refused = pyqtSignal(str, str)  # a file, and why it is not served
-    crashed = pyqtSignal(str)  # the last line of stderr
+    told = pyqtSignal(str)  # what it says on stderr: that it compiles, that a block is damaged
+    crashed = pyqtSignal(str)  # why: the last line of stderr, if it ended by itself
 
     def __init__(self, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -53,12 +54,15 @@ class Server(QObject):
         process.finished.connect(self._ended)
         process.errorOccurred.connect(self._failed)
         self._process, self._last_line = process, ""
-        process.start(command, ["serve", "--stdin", "--quiet", "--port", "0"])
+        process.start(command, ["serve", "--stdin", "--port", "0"])
         return process
 
     def _read_answers(self) -> None:
         while self._process is not None and self._process.canReadLine():
-            answer = json.loads(bytes(self._process.readLine()))
+            line = bytes(self._process.readLine())
+            if not line.startswith(b"{"):  # its greeting
+                continue
+            answer = json.loads(line)
             file = answer["file"]
             if file in self._waiting:
                 self._waiting.remove(file)
@@ -69,7 +73,9 @@ class Server(QObject):
 
     def _read_complaints(self) -> None:
         text = bytes(self._process.readAllStandardError()).decode("utf-8", "replace").strip()
-        self._last_line = (text or self._last_line).splitlines()[-1]
+        if text:
+            self._last_line = text.splitlines()[-1]
+            self.told.emit(text)
 
     def _failed(self, error: QProcess.ProcessError) -> None:
         if error == QProcess.ProcessError.FailedToStart:  # no other error ends unheard
@@ -82,7 +88,8 @@ class Server(QObject):
             return
         process.deleteLater()
         self._waiting.clear()
-        self.crashed.emit(self._last_line or process.errorString())
+        is_told = process.exitStatus() == QProcess.ExitStatus.NormalExit and self._last_line
+        self.crashed.emit(self._last_line if is_told else process.errorString())
 
     def close(self) -> None:
         """End the process."""

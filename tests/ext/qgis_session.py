@@ -183,6 +183,7 @@ remote = next(other for other in project.mapLayers().values() if other != layer)
 found["statistics by address"] = heights(remote)
 project.removeMapLayer(remote.id())
 
+message()
 plugin.add(str(folder / "missing.twz"))
 wait_for(interface.bar.currentItem)
 found["missing"] = message()

@@ -17,6 +17,7 @@ import terrainwave
 ROOT = Path(__file__).parents[2]
 SESSION = Path(__file__).with_name("qgis_session.py")
 BOUND = 2
+OF_THIS_PYTHON = {"PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH", "PYTHONWARNINGS"}
 pytestmark = [pytest.mark.full, pytest.mark.qgis]
 
 
@@ -64,7 +65,8 @@ def found(folder, raster, plugins):
     }
     ended = subprocess.run(
         ["/usr/bin/python3", SESSION, plugins, raster, folder / "out"],
-        env=os.environ | variables,
+        env={name: value for name, value in os.environ.items() if name not in OF_THIS_PYTHON}
+        | variables,
         capture_output=True,
         text=True,
         timeout=500,

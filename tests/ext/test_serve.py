@@ -534,12 +534,16 @@ def test_names_on_stdin_are_served_until_it_ends(hilly, nowhere, tmp_path):
     missing = tmp_path / "missing.twz"
     answers = []
     with start("serve", "--stdin", "--quiet", "--port", "0", stdin=subprocess.PIPE) as server:
-        for name in (hilly, nowhere, missing, hilly):
-            print(name, file=server.stdin, flush=True)
-            answers.append(json.loads(server.stdout.readline()))
-        with urllib.request.urlopen(answers[1]["url"], timeout=30) as raster:
-            assert raster.read(4) in (b"II*\0", b"II+\0")
-    assert server.returncode == 0
+        try:
+            for name in (hilly, nowhere, missing, hilly):
+                print(name, file=server.stdin, flush=True)
+                answers.append(json.loads(server.stdout.readline()))
+            with urllib.request.urlopen(answers[1]["url"], timeout=30) as raster:
+                assert raster.read(4) in (b"II*\0", b"II+\0")
+            server.stdin.close()
+            assert server.wait(30) == 0
+        finally:
+            server.kill()
     assert [answer["file"] for answer in answers] == [
         str(hilly), str(nowhere), str(missing), str(hilly)
     ]  # fmt: skip
