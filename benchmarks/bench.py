@@ -1,6 +1,6 @@
 """All measurements in one command: ``make bench DATA=DIR``, ``python -m benchmarks.bench DIR``.
 
-Sizes and errors of terrainwave and its peers at equal bounds, then speeds beside SPERR, then the
+Sizes and errors of terrainwave and its peers at equal bounds, then speeds in turns, then the
 tables in the documents, ``bench.md`` and the plot. A run that was stopped goes on where it was.
 After a change of a codec, name its CSV: ``--again predictive speeds``.
 

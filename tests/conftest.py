@@ -43,8 +43,9 @@ WITHOUT_KERNELS = {
 # Tests of whole files: what their kernels compute has tests of its own. The others with kernels run
 # as plain Python, too, unless they are `large`.
 OF_FILES = {"export", "globe", "write", "test_names.py", "test_terrain.py"}
-# Workers begin at different ends of what compiles, or one would wait for the other: codecs, meshes.
-FIRST = ("test_terrain.py", "tri")
+# The longest of all. Then workers begin at different ends of what compiles, or one would wait for
+# the other: codecs, meshes.
+FIRST = ("test_warmup.py", "test_terrain.py", "tri")
 
 
 def pytest_configure(config):

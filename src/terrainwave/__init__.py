@@ -93,7 +93,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return what users can use, imported yet or not; completion in notebooks asks for it."""
+    """Return the public names, imported yet or not; completion in notebooks asks for them."""
     return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
 
 

@@ -54,7 +54,7 @@ class _Outcome:
         return text if name in text else f"{name}: {text}"
 
     def to_dict(self, word: str) -> dict[str, Any]:
-        """Return what --json prints of it."""
+        """Return its fields for --json."""
         named = {"source": self.job.source, "target": self.job.target}
         if self.error is not None:
             return named | {"status": "failed", "error": self.message}

@@ -252,7 +252,7 @@ def _run_to(
 
 
 def _sources_and_target(paths: tuple[str, ...]) -> tuple[list[str], str]:
-    """Return what `compress` reads and what it writes, by their order."""
+    """Return the sources and the target of `compress`, by their order."""
     if len(paths) < 2:
         missing = "TARGET" if paths else "SOURCE"
         raise click.UsageError(f"Missing argument '{missing}'.")
@@ -725,7 +725,7 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
 
 
 def _unit(units: str | None) -> str:
-    """Return what stands behind a height: its unit, or nothing if that is unknown."""
+    """Return the unit to print behind a height, or nothing if it is unknown."""
     return f" {plain(units)}" if units else ""
 
 

@@ -84,7 +84,7 @@ def warnings_as_notes() -> Iterator[None]:
 
 
 def _option(argument: str) -> str:
-    """Return what the command line calls an argument of a function."""
+    """Return the option for an argument of a function."""
     names = {"src": "SOURCE", "dst": "TARGET", "client": "--scheduler"}
     return names.get(argument, f"--{argument}".replace("_", "-"))
 

@@ -299,7 +299,7 @@ class Rapid:
         return max(low, spec.z_min) < origin - limit or min(high, spec.z_max) > origin + limit
 
     def _origin(self, spec: GroupSpec, parent: Heights | None, is_wide: bool) -> int:
-        """Return what the heights of a narrow unit are less: 0 where the header's range fits."""
+        """Return the height that a narrow unit's are less: 0 where the header's range fits."""
         if parent is None or max(-spec.z_min, spec.z_max) * self._widest <= _LIMIT32:
             return 0
         return (int(parent.min()) + int(parent.max())) >> 1

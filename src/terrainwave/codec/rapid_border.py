@@ -35,7 +35,7 @@ _U1, _U2 = np.uint64(1), np.uint64(2)
 
 
 def plan_lines(spec: GroupSpec) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return what is shared in a group: corner samples and lines, in coding order.
+    """Return the shared samples of a group: corners and lines, in coding order.
 
     Places are those in flat region and flat parent.
     """

@@ -52,7 +52,7 @@ _OWN_WEIGHTS, _U1, _U2 = np.uint64(OWN_WEIGHTS), np.uint64(1), np.uint64(2)
 
 
 def scale_of(step: int, low: int, high: int) -> Scale:
-    """Return what follows from a step and heights between `low` and `high` (R.4)."""
+    """Return the constants of a step and of heights between `low` and `high` (R.4)."""
     log2 = step.bit_length() - 1
     range_shift = max(log2 - 4, 0)
     return Scale(

@@ -89,12 +89,12 @@ class Coder(NamedTuple):
 
 
 def new_encoder(stream: NDArray[np.uint8], models: NDArray[np.uint32]) -> Coder:
-    """Return what encodes into `stream`, from its start."""
+    """Return an encoder into `stream`, from its start."""
     return Coder(start_encoder(), stream, models, True)
 
 
 def new_decoder(data: bytes, models: NDArray[np.uint32]) -> Coder:
-    """Return what decodes `data`, from their start."""
+    """Return a decoder of `data`, from their start."""
     # A copy that can be written to: types of what only an encoder does are inferred as well.
     stream = np.frombuffer(data, dtype=np.uint8).copy()
     state = np.zeros(STATE_SIZE, dtype=np.int64)
@@ -248,7 +248,7 @@ def _learned(weight, logit, mixed, bit):
 
 @inlined_kernel
 def take_out(state):
-    """Return what a loop keeps out of a coder's state."""
+    """Return a coder's state as scalars, for loops."""
     return state[RANGE], state[POINT], state[BYTE_POS]
 
 

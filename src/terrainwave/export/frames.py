@@ -238,7 +238,7 @@ def unit_text(units: str | None) -> str:
 
 
 def axis_labels(crs_text: str | None, *, is_placed: bool = True) -> tuple[str, str]:
-    """Return what x and y of a CRS are called, with their unit."""
+    """Return the names of x and y of a CRS, with their unit."""
     if not is_placed:
         return "x, samples", "y, samples"
     with warnings.catch_warnings():

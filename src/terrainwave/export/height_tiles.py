@@ -268,7 +268,7 @@ def _warn_of_aspect(
 
 
 def checked_voids(voids: str | float) -> str | float:
-    """Return what voids become: a word, or a height as a float.
+    """Return the option for voids: a word, or a height as a float.
 
     Raises
     ------

@@ -51,7 +51,7 @@ class FittedPlaces:
     error: float
 
     def as_json(self, globe: Globe) -> dict[str, Any]:
-        """Return what a reader in JavaScript needs to know of the globe (js/map/globe.js)."""
+        """Return the globe's fields for the reader in JavaScript (js/map/globe.js)."""
         return {
             "domain": list(self.domain),
             "rows": self.rows.tolist(),

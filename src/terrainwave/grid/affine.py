@@ -65,7 +65,7 @@ def places_to_samples(transform: Transform, x: Numbers, y: Numbers) -> tuple[Num
 
 
 def without_shift(transform: Transform) -> Transform:
-    """Return what a transform does with differences of places."""
+    """Return a transform's linear part, for differences of places."""
     a, b, _, d, e, _ = transform
     return a, b, 0.0, d, e, 0.0
 

@@ -16,7 +16,7 @@ Remainders = NDArray[np.signedinteger[Any]]
 def remainders(
     raw: NDArray[np.generic], valid: NDArray[np.bool_], decoded: NDArray[np.generic]
 ) -> Remainders:
-    """Return what is missing from decoded heights; 0 where not `valid`.
+    """Count the floats from decoded heights up to originals; 0 where not `valid`.
 
     Parameters
     ----------

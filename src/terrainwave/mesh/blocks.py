@@ -171,7 +171,7 @@ class BlockMesher:
     def bounded_error(
         self, block: Block, heights: Heights, mask: Mask, lost: Fraction
     ) -> int | None:
-        """Return what a finest block's mesh is at most from its originals, less `lost` quanta.
+        """Return the bound on a finest block's mesh from its originals, less `lost` quanta.
 
         The block's own error, which has what is lost in it, and the tolerance, in 1/16 quanta; by
         construction, without making the mesh. None where measuring may tell much less: where the

@@ -45,7 +45,7 @@ _SMALLEST_SHARE = 0.05
 
 
 def geotiff_profile(info: RasterInfo) -> dict[str, Any]:
-    """Return what rasterio creates a tiled GeoTIFF of a raster with; no compression."""
+    """Return the profile by which rasterio creates a tiled GeoTIFF; no compression."""
     profile: dict[str, Any] = {
         "driver": "GTiff",
         "height": info.n_rows,

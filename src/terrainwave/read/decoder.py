@@ -155,7 +155,7 @@ class TreeDecoder:
         return heights, mask
 
     def samples(self, level: int, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Decoded:
-        """Return what is decoded at single samples of a level, which must lie inside it.
+        """Return the decoded heights at single samples of a level, which must lie inside it.
 
         Arrays of one row.
         """

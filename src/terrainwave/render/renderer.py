@@ -178,7 +178,7 @@ class Renderer:
         return max(nearest * 0.9, far * _NEAREST), far
 
     def _shared_uniforms(self, view: View, frames: Frames, style: Style) -> dict[str, Any]:
-        """Return what the terrain's program and that of the block under it have in common."""
+        """Return the uniforms that the terrain's program and that of the block under it share."""
         near, far = self.depth_range(view, frames)
         matrix = projection_matrix(view.camera, view.viewport, near, far)
         matrix = matrix @ view_matrix(view.camera)

@@ -80,7 +80,7 @@ class HeightTexels:
 
     @classmethod
     def of(cls, frame: Frame) -> Self:
-        """Return what fits the heights of a frame."""
+        """Return the one that fits the heights of a frame."""
         low, high = sorted(height * frame.metres[2] for height in frame.heights)
         reference = min(max(0.0, low), high)
         largest = max(reference - low, high - reference)

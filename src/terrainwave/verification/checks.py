@@ -242,7 +242,7 @@ def _coverage(rows, cols, triangles, tolerance, pieces):
 
 
 def pieces_of_mask(mask: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Return what a mesh of all samples covers: quads of four valid samples, triangles of three.
+    """Return the cover of a mesh of all samples: quads of four valid samples, triangles of three.
 
     Parameters
     ----------

@@ -80,5 +80,5 @@ def _windows(job: Job, heights: Reader, mask: MaskReader) -> list[tuple[GroupSpe
 
 
 def _n_bytes(refiner: Refiner, windows: list[tuple[GroupSpec, Heights, Mask]]) -> int:
-    """Return what windows take with a refiner."""
+    """Return the bytes that windows take with a refiner."""
     return sum(len(refiner.encode(spec, None, target, mask)[0]) for spec, target, mask in windows)

@@ -253,7 +253,7 @@ class Pyramid:
         return self._quantizer.quantize(raw, valid), valid
 
     def remainders(self, region: Region, quanta: Heights) -> Remainders:
-        """Return what decoded heights of the full grid leave of the originals; 0 in voids."""
+        """Return the originals less the decoded heights of the full grid; 0 in voids."""
         raw, valid = self._source.read(*region)
         return remainders(raw, valid, self._quantizer.dequantize(quanta))
 

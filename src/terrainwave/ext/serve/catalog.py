@@ -22,7 +22,7 @@ _N_TAGS, _LONGEST_TAG = 8, 400
 
 
 def describe(name: str, globe: Globe) -> dict[str, Any]:
-    """Return what the page shows of a file; no path. Its tags may hold any text."""
+    """Return a file's fields for the page; no path. Its tags may hold any text."""
     info, (lowest, highest) = globe.terrain.info(), globe.height_range
     is_earth = globe.ellipsoid == EARTH
     return {

@@ -25,7 +25,7 @@ class Span(NamedTuple):
 
 
 def asked_span(headers: Mapping[str, str], size: int, tag: str) -> Span | None:
-    """Return what a request's headers ask for; None if no byte of it is there.
+    """Return the range that a request's headers ask for; None if no byte of it is there.
 
     All, where there is no range, several, or one that is meant for another version than `tag`.
     """
