@@ -1,4 +1,4 @@
-# make demo | make test | make test-all | make bench | make clean
+# make demo | make test | make test-all | make qgis | make bench | make clean
 # All targets set up their own virtual environment in .venv; see CONTRIBUTING.md.
 
 PYTHON ?= python3
@@ -16,7 +16,7 @@ COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all system lint test-compiled test-full test-bounds test-python coverage bench clean
+.PHONY: help demo qgis test test-all system system-full lint test-compiled test-full test-bounds test-python coverage bench clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -26,6 +26,7 @@ help:
 	@echo "make coverage        the tests as plain Python, with the lines they miss"
 	@echo "make bench DATA=DIR  compare with other codecs on the rasters in DIR: what is not measured yet;"
 	@echo "                     AGAIN='predictive speeds' anew, ONLY='cdf97' that alone"
+	@echo "make qgis            the plugin for QGIS, as dist/terrainwave_plugin.zip"
 	@echo "make clean           remove what these made"
 
 # --- environments: one stamp per set of extras, renewed when pyproject.toml changes ---
@@ -55,9 +56,17 @@ $(VENV)/.installed-demo: $(VENV)/.created pyproject.toml
 demo: $(VENV)/.installed-demo
 	$(BIN)/terrainwave demo demo
 
+# Nothing but Python's own library is needed.
+qgis:
+	@$(PYTHON) tools/make_qgis_zip.py dist/terrainwave_plugin.zip
+
 # What tests of pictures and pages need; nothing happens where all of it is there.
 system:
 	@sh tools/install_system.sh
+
+# And QGIS's library with its Python.
+system-full:
+	@sh tools/install_system.sh qgis
 
 # The lock file would name a registry: versions are exact in package.json instead.
 tests/ext/node_modules/.installed: tests/ext/package.json
@@ -87,7 +96,7 @@ with_cache = digest=$$(find src tests -name '*.py' -type f -exec sha256sum {} + 
 test-compiled: $(VENV)/.installed-dev system
 	@$(call with_cache,compiled) $(COMPILED) -m "not full"
 
-test-full: $(VENV)/.installed-dev system tests/ext/node_modules/.installed
+test-full: $(VENV)/.installed-dev system-full tests/ext/node_modules/.installed
 	@$(call with_cache,compiled) $(COMPILED) -m "not kernels and (full or hypothesis)" --hypothesis-profile=full
 
 test-bounds: $(VENV)/.installed-dev system

@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import shutil
 import sys
 from collections import Counter
 from contextlib import contextmanager
@@ -108,8 +109,14 @@ def _why_no_gl() -> str:
     return ""
 
 
+def _lacks_qgis() -> bool:
+    """Say whether QGIS's Python is not there and cannot be installed as our targets do."""
+    has_qgis = Path("/usr/lib/python3/dist-packages/qgis/core").exists()
+    return not has_qgis and shutil.which("apt-get") is None
+
+
 def pytest_collection_modifyitems(config, items):
-    """Mark what holds kernels, sort files; leave out what needs OpenGL where it cannot be had."""
+    """Mark what holds kernels, sort files; leave out what needs what cannot be had here."""
     n_tests = Counter(item.path for item in items)
     for item in items:
         parts = item.path.relative_to(TESTS).parts
@@ -119,12 +126,12 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker("large")
     # Then files of many tests before those of few, so that workers end together.
     items.sort(key=lambda item: (_turn(item.path), -n_tests[item.path]))
-    if not _why_no_gl():
-        return
-    left_out = [item for item in items if item.get_closest_marker("gl")]
+    missing = {"gl": bool(_why_no_gl()), "qgis": _lacks_qgis()}
+    marks = [mark for mark, is_missing in missing.items() if is_missing]
+    left_out = [item for item in items if any(map(item.get_closest_marker, marks))]
     if left_out:
         config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if not item.get_closest_marker("gl")]
+        items[:] = [item for item in items if item not in left_out]
 
 
 def _turn(path: Path) -> int:

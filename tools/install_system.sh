@@ -1,12 +1,15 @@
 #!/bin/sh
 # What pictures without a screen need, a screen without a screen for the test of the window, and a
 # browser for the tests of pages: EGL, OpenGL with Mesa's software driver, Xvfb, xdotool, Chromium
-# with its driver, npm. Installed where this is Debian or Ubuntu and apt-get may run; elsewhere one
+# with its driver, npm; with the argument `qgis` also QGIS without its window, and its Python, for the
+# tests of the plugin. Installed where this is Debian or Ubuntu and apt-get may run; elsewhere one
 # line says what is missing, and the tests that need it fail.
 set -eu
 
 packages="libegl1 libgl1 libgl1-mesa-dri libglu1-mesa xvfb xauth xdotool chromium chromium-driver"
 command -v npm >/dev/null || packages="$packages npm"
+wants_qgis=${1:-}
+[ -z "$wants_qgis" ] || packages="$packages python3-qgis"
 
 has_library() {
     { ldconfig -p 2>/dev/null || /sbin/ldconfig -p 2>/dev/null || true; } | grep -q "$1"
@@ -24,7 +27,8 @@ is_complete() {
     has_library libEGL.so.1 && has_library libGL.so.1 && has_library libGLU.so.1 && has_driver &&
         command -v xvfb-run >/dev/null && command -v xauth >/dev/null &&
         command -v xdotool >/dev/null && command -v chromium >/dev/null &&
-        command -v chromedriver >/dev/null && command -v npm >/dev/null
+        command -v chromedriver >/dev/null && command -v npm >/dev/null &&
+        { [ -z "$wants_qgis" ] || [ -e /usr/lib/python3/dist-packages/qgis/core ]; }
 }
 
 [ "$(uname -s)" = Linux ] || exit 0

@@ -737,6 +737,17 @@ def test_progress_bar_is_drawn_on_a_terminal_only(monkeypatch):
     bar._bar.console.file.close()
 
 
+def test_program_that_asks_for_lines_is_told_each_percent_once(monkeypatch, capsys):
+    monkeypatch.setenv("TERRAINWAVE_PROGRESS", "lines")
+    bar, quiet = Bar(), Bar(quiet=True)
+    for done in (0, 1, 503, 509, 1000):
+        bar(Progress("encoding", done, 1000))
+        quiet(Progress("encoding", done, 1000))
+    assert capsys.readouterr().err.splitlines() == [
+        f"progress: encoding {percent} %" for percent in (0, 50, 100)
+    ]
+
+
 @pytest.mark.full
 @pytest.mark.large  # plain Python compiles nothing
 def test_compilation_is_announced_once_and_only_when_it_happens(tmp_path, dem):

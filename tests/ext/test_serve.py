@@ -1,8 +1,10 @@
 """Are tiles and heights of `terrainwave serve` right, and are wrong requests refused?"""
 
 import io
+import json
 import re
 import signal
+import subprocess
 import sys
 import threading
 import urllib.request
@@ -11,7 +13,7 @@ import numpy as np
 import pytest
 import rasterio
 from click.testing import CliRunner
-from commands import start
+from commands import one_line, run, start
 from ext.browser import served
 from ext.rasters import hills, write_twz
 from fastapi.testclient import TestClient
@@ -526,3 +528,30 @@ def test_ctrl_c_says_goodbye(hilly):
     assert said.strip() == "goodbye"
     assert "Traceback" not in complaint
     assert "target" not in complaint
+
+
+def test_names_on_stdin_are_served_until_it_ends(hilly, nowhere, tmp_path):
+    missing = tmp_path / "missing.twz"
+    answers = []
+    with start("serve", "--stdin", "--quiet", "--port", "0", stdin=subprocess.PIPE) as server:
+        try:
+            for name in (hilly, nowhere, missing, hilly):
+                print(name, file=server.stdin, flush=True)
+                answers.append(json.loads(server.stdout.readline()))
+            with urllib.request.urlopen(answers[1]["url"], timeout=30) as raster:
+                assert raster.read(4) in (b"II*\0", b"II+\0")
+            server.stdin.close()
+            assert server.wait(30) == 0
+        finally:
+            server.kill()
+    assert [answer["file"] for answer in answers] == [
+        str(hilly), str(nowhere), str(missing), str(hilly)
+    ]  # fmt: skip
+    names = [answer.get("url", "").rpartition("/")[2] for answer in answers]
+    assert names == ["hills.tif", "nowhere.tif", "", "hills-2.tif"]
+    assert answers[0]["info"]["effective_error"] > 0
+    assert "No such file" in answers[2]["error"]
+
+
+def test_serve_without_files_is_wrong_usage():
+    assert "FILES" in one_line(run("serve"), 2)

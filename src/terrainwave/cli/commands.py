@@ -907,15 +907,15 @@ def demo(directory: str, quiet: bool) -> None:
 
 def print_json(fields: dict[str, Any]) -> None:
     """Print a result as JSON."""
-    click.echo(json.dumps(_json_value(fields), indent=2, allow_nan=False))
+    click.echo(json.dumps(plain_json(fields), indent=2, allow_nan=False))
 
 
-def _json_value(value: Any) -> Any:
+def plain_json(value: Any) -> Any:
     """Return `value` with the numbers that JSON lacks as strings."""
     if isinstance(value, dict):
-        return {name: _json_value(item) for name, item in value.items()}
+        return {name: plain_json(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_json_value(item) for item in value]
+        return [plain_json(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return value

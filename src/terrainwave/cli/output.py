@@ -162,17 +162,28 @@ def _discard_stdout() -> None:
 
 
 class Bar:
-    """A progress bar on a terminal, nothing elsewhere; call it with a `Progress`."""
+    """A progress bar on a terminal; call it with a `Progress`.
+
+    Elsewhere nothing, or lines for a program if ``TERRAINWAVE_PROGRESS=lines``: an older command
+    would refuse an option that it does not know.
+    """
 
     def __init__(self, *, quiet: bool = False) -> None:
         self._bar: Any = None
         self._task: Any = None
         self._stage = ""
-        if not quiet and sys.stderr.isatty():
+        self._line = ""
+        self._prints_lines = not quiet and os.environ.get("TERRAINWAVE_PROGRESS") == "lines"
+        if not quiet and not self._prints_lines and sys.stderr.isatty():
             self._bar = _rich_bar()
 
     def __call__(self, progress: "Progress") -> None:
         """Show how far the work is."""
+        if self._prints_lines:
+            line = f"progress: {progress.stage} {100 * progress.done // max(progress.total, 1)} %"
+            if line != self._line:
+                self._line = line
+                click.echo(line, err=True)
         if self._bar is None:
             return
         if progress.stage != self._stage:

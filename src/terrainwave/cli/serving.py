@@ -1,21 +1,25 @@
 """The command that answers over HTTP: serve."""
 
+import json
 import socket
+import threading
 import webbrowser
+from collections.abc import Callable
+from typing import Any
 
 import click
 
 from terrainwave.arguments import count_of
-from terrainwave.cli.commands import main
+from terrainwave.cli.commands import main, plain_json
 from terrainwave.cli.options import NamedInput, Positive
-from terrainwave.cli.output import announce_compiling, print_note
+from terrainwave.cli.output import announce_compiling, message_of, print_note
 from terrainwave.cli.signals import Terminated
-from terrainwave.errors import StorageError
+from terrainwave.errors import StorageError, TerrainwaveError
 from terrainwave.extras import need
 
 
 @main.command()
-@click.argument("files", nargs=-1, required=True, type=NamedInput())
+@click.argument("files", nargs=-1, type=NamedInput())
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True,
               help="0 takes a free one.")  # fmt: skip
@@ -26,6 +30,9 @@ from terrainwave.extras import need
               help="Requests that decode at a time.")  # fmt: skip
 @click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
 @click.option("--open", "opens", is_flag=True, help="Open the page in a browser.")
+@click.option("--stdin", "listens", is_flag=True,
+              help="For programs: read names of further files from stdin, a line each, answer each"
+              " with a line of JSON, and end where stdin ends.")  # fmt: skip
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
 def serve(
     files: tuple[str, ...],
@@ -36,6 +43,7 @@ def serve(
     n_decoding: int,
     radius: float | None,
     opens: bool,
+    listens: bool,
     quiet: bool,
 ) -> None:
     """Serve FILES (.twz): a page that flies over them, terrain-RGB and quantized-mesh tiles.
@@ -43,6 +51,8 @@ def serve(
     Open the printed address in a browser. MapLibre reads NAME/tiles.json, CesiumJS NAME/mesh,
     NAME/height?lon=…&lat=… answers a height; NAME is the file's name without its ending.
     """
+    if not files and not listens:
+        raise click.UsageError("Missing argument 'FILES...'.")
     uvicorn = need("uvicorn", extra="serve", purpose="serve")
     for package in ("fastapi", "PIL"):
         need(package, extra="serve", purpose="serve")
@@ -60,15 +70,42 @@ def serve(
         print_note("asked by other names than localhost it refuses: name them with --allow-host")
     if opens:
         webbrowser.open(address)
-    config = uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=2)
+    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=2))
+    if listens:
+        add = app.state.shelf.add
+        threading.Thread(target=_serve_named, args=(add, address, server), daemon=True).start()
     with listener:
         try:
-            uvicorn.Server(config).run(sockets=[listener])
+            server.run(sockets=[listener])
         except Terminated:
             raise
         except KeyboardInterrupt:  # the way to end it, not a failure
             if not quiet:
                 click.echo("\ngoodbye")
+
+
+def _serve_named(add: Callable[[str], Any], address: str, server: Any) -> None:
+    """Serve each file that a line of stdin names, and answer it; end the server where stdin ends.
+
+    An answer has `file`, as it was named, and `url` and `info` or `error`.
+    """
+    # Without a buffer: the process may end while this thread waits for a line.
+    with open(0, "rb", buffering=0, closefd=False) as names:
+        try:
+            for line in names:
+                file = line.decode("utf-8", "replace").rstrip("\r\n")
+                click.echo(json.dumps({"file": file} | _answer(add, file, address)))
+        finally:
+            server.should_exit = True
+
+
+def _answer(add: Callable[[str], Any], file: str, address: str) -> dict[str, Any]:
+    try:
+        raster = add(file)
+    except TerrainwaveError as error:
+        return {"error": message_of(error)}
+    url = f"{address}{raster.name}.tif"
+    return {"url": url, "info": plain_json(raster.info.to_dict())}
 
 
 def _listen(host: str, port: int) -> socket.socket:

@@ -1,16 +1,18 @@
 """The web application: what is asked, checked, goes to `globe.terrain_rgb` and `globe.cesium`.
 
-Only the files named at start are served. Requests are answered in threads; at most `n_decoding` of
-them decode at a time and as many again as `N_WAITING` wait, the rest are told to come back.
+Only the files named at start are served, and those that `Shelf.add` names. Requests are answered
+in threads; at most `n_decoding` of them decode at a time and as many again as `N_WAITING` wait,
+the rest are told to come back.
 """
 
 import hashlib
 import logging
 import warnings
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
 from contextlib import ExitStack, asynccontextmanager
+from itertools import chain, count
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from anyio import CapacityLimiter, to_thread
@@ -86,23 +88,34 @@ class Desk:
             self._n_asked -= 1
 
 
-class Layer:
-    """One file as it is served: its place on the globe, and what names this version of it."""
+class Raster:
+    """One file as it is served: the raster, and what names this version of it."""
+
+    def __init__(self, name: str, path: str) -> None:
+        self.name = name
+        try:
+            self.terrain = TerrainFile(path)
+        except (InvalidHeightsError, CorruptStreamError) as error:
+            raise type(error)(f"{path}: {error}") from error
+        self.info = self.terrain.info()
+        self.geotiff = VirtualGeoTIFF(self.terrain)
+        self.tag = hashlib.sha256(repr((name, self.info.n_bytes, self.info)).encode()).hexdigest()
+
+
+class Layer(Raster):
+    """One file with its place on the globe."""
 
     def __init__(self, name: str, path: str, radius: float | None = None) -> None:
-        self.name = name
+        super().__init__(name, path)
         with ExitStack() as stack:
+            stack.enter_context(self.terrain)
             try:
-                terrain = stack.enter_context(TerrainFile(path))
-                self.globe = Globe(terrain, radius=radius)
+                self.globe = Globe(self.terrain, radius=radius)
                 self.tiles = TilePyramid(self.globe, void_height=tiling.height_of_voids(self.globe))
             except (InvalidHeightsError, CorruptStreamError) as error:
                 raise type(error)(f"{path}: {error}") from error
             stack.pop_all()
-        self.info = self.globe.terrain.info()
-        self.geotiff = VirtualGeoTIFF(self.globe.terrain)
         self._rgb_tiles: Cache[tuple[int, ...], tuple[tiling.RgbTile | None]] = Cache(_N_TILES)
-        self.tag = hashlib.sha256(repr((name, self.info.n_bytes, self.info)).encode()).hexdigest()
 
     def rgb_tile(self, z: int, x: int, y: int, rim: int) -> tiling.RgbTile | None:
         """Return a terrain-RGB tile; those asked for last are kept, for their voids."""
@@ -148,6 +161,58 @@ def open_layers(paths: list[str], radius: float | None) -> dict[str, Layer]:
     return layers
 
 
+class Shelf:
+    """Rasters that are served as GeoTIFFs and files, by name; more can be added at any time.
+
+    Parameters
+    ----------
+    rasters : iterable of Raster
+        Those of the start.
+    """
+
+    def __init__(self, rasters: Iterable[Raster]) -> None:
+        self._rasters = {raster.name: raster for raster in rasters}
+
+    def add(self, path: str) -> Raster:
+        """Serve one more file, under a name that no other has; not on the page.
+
+        From one thread at a time. A file that is added again is opened again.
+
+        Raises
+        ------
+        TerrainwaveError
+            If it cannot be opened.
+        """
+        (stem,) = layer_names([path])
+        names = chain([stem], (f"{stem}-{number}" for number in count(2)))
+        raster = Raster(next(name for name in names if name not in self._rasters), path)
+        # Its head and its coarsest tile are there when a program opens it, and waits.
+        raster.geotiff.read_at(raster.geotiff.size - 1, 1)
+        self._rasters[raster.name] = raster
+        return raster
+
+    def find(self, name: str) -> Raster:
+        """Return a raster.
+
+        Raises
+        ------
+        HTTPException
+            404 if there is none of that name.
+        """
+        if name not in self._rasters:
+            raise HTTPException(
+                404, f"no terrain {name[:80]!r}; there are: {', '.join(self._rasters)}"
+            )
+        return self._rasters[name]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for raster in self._rasters.values():
+            raster.terrain.close()
+
+
 class _Route(APIRoute):
     """A route that answers HEAD wherever it answers GET (RFC 9110, 9.1); the server cuts bodies."""
 
@@ -171,7 +236,7 @@ def make_app(
     Parameters
     ----------
     paths : list of str
-        Paths or URLs of .twz files.
+        Paths or URLs of .twz files; ``app.state.shelf`` takes more.
     hosts : tuple of str
         Names that a request's Host header may give besides `LOCAL_HOSTS`.
     cors : bool
@@ -189,13 +254,12 @@ def make_app(
         If no file can be opened; one that cannot beside others is a warning.
     """
     desk = Desk(n_decoding)
-    layers = open_layers(paths, radius)
+    layers = open_layers(paths, radius) if paths else {}
+    shelf = Shelf(layers.values())
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> Any:
-        with ExitStack() as opened:
-            for layer in layers.values():
-                opened.enter_context(layer.globe.terrain)
+        with shelf:
             yield
 
     app = FastAPI(
@@ -203,6 +267,7 @@ def make_app(
     )
     app.router.route_class = _Route
     app.state.layers = layers
+    app.state.shelf = shelf
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=[*LOCAL_HOSTS, *hosts])
     if cors:
         app.add_middleware(
@@ -236,7 +301,7 @@ def make_app(
             raise HTTPException(404, f"no terrain {name[:80]!r}; there are: {', '.join(layers)}")
         return layers[name]
 
-    def tagged(request: Request, layer: Layer) -> dict[str, str]:
+    def tagged(request: Request, layer: Raster) -> dict[str, str]:
         """Return the headers of a tile; 304 if the client has it."""
         tag = f'"{layer.tag[:16]}"'
         headers = {"ETag": tag, "Cache-Control": "max-age=3600"}
@@ -309,17 +374,17 @@ def make_app(
 
     @app.get("/{name}.tif")
     async def geotiff(request: Request, name: str) -> Response:
-        layer = find(name)
-        size = await desk.do(lambda: layer.geotiff.size)
-        headers = tagged(request, layer)
-        return await send(request, headers, "image/tiff", size, layer.geotiff.read_at)
+        raster = shelf.find(name)
+        size = await desk.do(lambda: raster.geotiff.size)
+        headers = tagged(request, raster)
+        return await send(request, headers, "image/tiff", size, raster.geotiff.read_at)
 
     @app.get("/{name}.twz")
     async def file(request: Request, name: str) -> Response:
-        layer = find(name)
-        source = layer.globe.terrain.container.source
+        raster = shelf.find(name)
+        source = raster.terrain.container.source
         media_type = "application/octet-stream"
-        return await send(request, tagged(request, layer), media_type, source.size, source.read)
+        return await send(request, tagged(request, raster), media_type, source.size, source.read)
 
     async def send(
         request: Request,
