@@ -75,7 +75,7 @@ tests/ext/node_modules/.installed: tests/ext/package.json
 	@touch $@
 
 # Side by side: tests wait for each other's compilations at times.
-test: $(VENV)/.installed-dev system
+test:
 	@$(MAKE) --no-print-directory -j2 lint test-compiled
 
 # What `make test` leaves out.

@@ -112,7 +112,7 @@ def draw(curves: Curves, results: Path) -> None:
 @common.option("--runs", type=common.COUNT, default=1)
 def main(paths, parts, again, bounds, runs, folder, out) -> None:
     """Measure what is missing; write CSVs, tables and the plot."""
-    common.pin_to_one_core()
+    common.pin_to_cores()
     for part in again:
         (out / f"{part}.csv").unlink(missing_ok=True)
     rows = []

@@ -216,10 +216,10 @@ def measure_speeds(
 
 def _speeds(trials: Sequence[Trial]) -> Iterator[SpeedRow]:
     threads = trials[0].codec.threads
-    common.pin_to_one_core(threads)
+    common.pin_to_cores(threads)
     clock = time.process_time if threads == 1 else time.perf_counter
     times = iter(time_trials(trials, SPEED_RUNS, patience=SPEED_PATIENCE, clock=clock))
-    common.pin_to_one_core()
+    common.pin_to_cores()
     for trial, encode, decode in zip(trials, times, times, strict=True):
         if trial.errors.problem:
             raise RuntimeError(f"{trial.raster.name}, {trial.codec.name}: {trial.errors}")
@@ -251,7 +251,7 @@ def exit_with_failures(rows: Sequence[Row]) -> None:
 @common.option("--runs", type=common.COUNT, default=3, help="Timed, after one that is not.")
 def main(paths, bounds, names, methods, crop, runs, folder, out) -> None:
     """Compare codecs."""
-    common.pin_to_one_core()
+    common.pin_to_cores()
     codecs = make_codecs(names, methods, folder)
     cases = measure_missing(paths, codecs, bounds, runs, crop=crop)
     exit_with_failures(common.write_rows(out, cases))

@@ -208,12 +208,12 @@ def describe_machine() -> dict[str, Any]:
     }
 
 
-def pin_to_one_core(n_cores: int = 1) -> None:
-    """Keep this process, and what it starts, on one core: libraries start threads unasked."""
+def pin_to_cores(n_cores: int = 1) -> None:
+    """Keep this process, and what it starts, on few cores: libraries start threads unasked."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, _CORES[-n_cores:])
     else:
-        click.echo("cannot pin to one core here: some codecs may use more")
+        click.echo(f"cannot pin to {n_cores} of the cores here: some codecs may use more")
 
 
 def _processor() -> str:

@@ -117,7 +117,7 @@ def measure(
 @common.option("--method", "methods", cls=common.ListOption, default=METHODS)
 def main(paths, bounds, crop, runs, methods, folder, out) -> None:
     """Write the nanoseconds per sample of each stage to a CSV."""
-    common.pin_to_one_core()
+    common.pin_to_cores()
     with ExitStack() as stack:
         for module in ("write.compress", "read.windows"):
             name = f"terrainwave.{module}.ThreadPoolExecutor"

@@ -87,7 +87,7 @@ def test_tasks_take_turns_and_stop_when_patience_ends():
 def test_a_second_run_measures_nothing_again(tmp_path, monkeypatch):
     from benchmarks import bench
 
-    monkeypatch.setattr(bench.common, "pin_to_one_core", lambda *_: None)
+    monkeypatch.setattr(bench.common, "pin_to_cores", lambda *_: None)
     rows, cols = np.mgrid[:60, :70]
     heights = (rows * cols // 40).astype(np.int16)
     profile = {"driver": "GTiff", "count": 1, "height": 60, "width": 70, "dtype": "int16"}

@@ -3,7 +3,7 @@
 Rows and columns of a full grid are smooth functions of longitude and latitude wherever a projection
 is. They are interpolated at Chebyshev nodes of the raster's extent, coefficients too small to count
 are dropped, and what is left is compared with PROJ at other places: the error is measured, not
-proved. A reader evaluates sums of products (docs/decisions/0013).
+proved. A reader evaluates sums of products (docs/decisions/0014).
 """
 
 import math

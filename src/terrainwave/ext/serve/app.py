@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
 from contextlib import ExitStack, asynccontextmanager
 from itertools import chain, count
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, TypeVar
 
 import numpy as np
 from anyio import CapacityLimiter, to_thread
@@ -133,6 +133,9 @@ class Layer(Raster):
         return tiling.cover_tile(voids, (red, green, blue)) if voids.any() else None
 
 
+_Served = TypeVar("_Served", bound=Raster)
+
+
 def open_layers(paths: list[str], radius: float | None) -> dict[str, Layer]:
     """Return {name in URLs: file} of what can be served; a warning names each file that cannot.
 
@@ -192,18 +195,8 @@ class Shelf:
         return raster
 
     def find(self, name: str) -> Raster:
-        """Return a raster.
-
-        Raises
-        ------
-        HTTPException
-            404 if there is none of that name.
-        """
-        if name not in self._rasters:
-            raise HTTPException(
-                404, f"no terrain {name[:80]!r}; there are: {', '.join(self._rasters)}"
-            )
-        return self._rasters[name]
+        """Return a raster; `HTTPException` 404 if there is none of that name."""
+        return _named(name, self._rasters)
 
     def __enter__(self) -> Self:
         return self
@@ -211,6 +204,12 @@ class Shelf:
     def __exit__(self, *exception: object) -> None:
         for raster in self._rasters.values():
             raster.terrain.close()
+
+
+def _named(name: str, rasters: dict[str, _Served]) -> _Served:
+    if name not in rasters:
+        raise HTTPException(404, f"no terrain {name[:80]!r}; there are: {', '.join(rasters)}")
+    return rasters[name]
 
 
 class _Route(APIRoute):
@@ -297,9 +296,7 @@ def make_app(
         return JSONResponse({"detail": "internal error"}, 500)
 
     def find(name: str) -> Layer:
-        if name not in layers:
-            raise HTTPException(404, f"no terrain {name[:80]!r}; there are: {', '.join(layers)}")
-        return layers[name]
+        return _named(name, layers)
 
     def tagged(request: Request, layer: Raster) -> dict[str, str]:
         """Return the headers of a tile; 304 if the client has it."""
