@@ -12,7 +12,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.render.modes.whole import MORPH, BuiltSamples, Drawn, WholeMode, eye_of
 from terrainwave.render.patches import Cancelled
 from terrainwave.render.selection import NodeTable, Piece, View
-from terrainwave.tri.dynamic import DynamicFrame, DynamicMesh
+from terrainwave.tri.dynamic import DynamicMesh, Followed
 
 PATCH = 256
 
@@ -22,7 +22,7 @@ class Dynamic(WholeMode):
 
     name = "dynamic"
     morph = MORPH
-    frame_mesh: DynamicFrame | None = None
+    followed: Followed | None = None
     _mesh: DynamicMesh | None = None
 
     @classmethod
@@ -53,12 +53,17 @@ class Dynamic(WholeMode):
             raise AssertionError("the piece is resident, so it has been built")
         return self._mesh
 
-    def mesh(self, table: NodeTable, view: View, tau: float) -> tuple[Drawn, float]:
-        """Return the mesh of a view, and its τ."""
+    def follow(self, view: View, tau: float) -> Followed:
+        """Bring the marks up to date with a view."""
         mesh = self.dynamic_mesh
-        frame = mesh.update(
+        self.followed = mesh.follow(
             eye_of(view), tau, morph=self.morph, max_vertices=self.max_vertices(mesh.least_vertices)
         )
-        self.frame_mesh = frame
+        return self.followed
+
+    def mesh(self, table: NodeTable, view: View, tau: float) -> tuple[Drawn, float]:
+        """Return the mesh of a view, and its τ."""
+        followed = self.follow(view, tau)
+        frame = self.dynamic_mesh.draw(eye_of(view), followed)
         sizes: NDArray[np.int32] = frame.nodes[:, 0]
-        return Drawn(frame.vertices, frame.triangles, sizes), frame.tau
+        return Drawn(frame.vertices, frame.triangles, sizes), followed.tau
