@@ -1,4 +1,4 @@
-"""Zero trees of decoded difference layers (docs/format-mesh-layer.md).
+"""Zero trees of decoded difference layers (docs/format-mesh-zerotree.md, §5).
 
 E. Yusov, V. Turlapov 2010, §2.4 takes the joint zero trees of the coefficients that code the
 group below a block. Files are smallest with next to no coefficients, so that such trees say little.
