@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.names import EFFORTS, MESH_CHOICES, METHODS
+from terrainwave.names import EFFORTS, MESH_CHOICES, METHODS, UNBOUNDED_MESHES, Method, methods_that
 
 # Cells on a side of a block.
 BLOCKS = (32, 64, 128, 256, 512, 1024)
@@ -126,6 +126,21 @@ def check_mesh(mesh: str, *, or_none: bool) -> None:
     if mesh not in ("auto", *known):
         raise InvalidArgumentError(
             f"found `mesh` {mesh!r}, expected one of auto, {', '.join(known)}"
+        )
+
+
+def check_mesh_of(mesh: str, method: Method) -> None:
+    """Check that files of a method can have meshes of a kind.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the kind follows wavelet coefficients that the method does not have.
+    """
+    if mesh in UNBOUNDED_MESHES and not method.is_tiled:
+        raise InvalidArgumentError(
+            f"found `mesh` {mesh!r} and method {method.name}, expected method"
+            f" {methods_that(lambda method: method.is_tiled)}, whose coefficients it follows"
         )
 
 

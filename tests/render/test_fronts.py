@@ -5,6 +5,8 @@ import pytest
 from render.scenes import ListStore, hills, terrain_of
 from tri.slow_dynamic import surfaces_at
 
+from terrainwave.errors import InvalidArgumentError
+from terrainwave.grid.quadtree import Region
 from terrainwave.render.camera import Camera, Viewport, home, project
 from terrainwave.render.modes import rqt
 from terrainwave.render.scene import Scene
@@ -60,6 +62,36 @@ def test_originals_are_within_tau_of_what_is_drawn(small, mode):
                 assert frames.n_triangles == len(scene.mode.drawn.triangles)
                 found.append(largest_error(scene, camera, 13) / tau)
         assert 0.05 < np.nanmax(found) <= 1
+
+
+def test_rqt_splits_by_the_coefficients_of_the_file(monkeypatch):
+    """Vertices of tiles and overview have at least the file's own coefficient as their error."""
+    monkeypatch.setattr(rqt, "TILE", 16)
+    heights = np.round(hills(60, 70, 3)).astype(np.int16)
+    with (
+        terrain_of(heights, max_error=0, method="cdf53") as terrain,
+        Scene(terrain, ListStore(), mode="rqt", error="coefficient") as scene,
+    ):
+        camera, counts = home(scene.frame.box, VIEWPORT), []
+        for tau in (2.0, 10.0, 60.0):
+            counts.append(scene.settle(scene.view(camera, VIEWPORT, tau)).n_triangles)
+        assert counts[0] > counts[1] > counts[2] > 0
+        found = terrain.decoder.coefficients(terrain.n_levels - 1, Region(0, 0, *terrain.shape))
+        mesh = scene.mode._mesh
+        assert mesh.n_loaded > 1
+        for row, col in np.argwhere(mesh._tiles._slot_of >= 0):
+            own = found[16 * row : 16 * row + 17, 16 * col : 16 * col + 17]
+            errors = np.abs(mesh._tiles._errors[mesh._tiles._slot_of[row, col]])
+            inside = np.s_[: own.shape[0], : own.shape[1]]
+            own[::16, ::16] = 0  # corners of tiles always are vertices
+            assert (errors[inside] >= own).all()
+            assert (errors[inside] == own).mean() > 0.2
+
+
+def test_coefficients_are_refused_where_there_are_none(small):
+    for mode, words in (("rqt", "method cdf53"), ("dynamic", "measured, paper")):
+        with pytest.raises(InvalidArgumentError, match=words):
+            Scene(small, ListStore(), mode=mode, error="coefficient")
 
 
 @pytest.mark.parametrize("mode", ["dynamic", "rqt"])

@@ -77,3 +77,26 @@ def test_virtual_rows_cover_all_samples_in_order(shape):
         assert set(np.diff(places).tolist()) <= {0, 1}
         if shape == (257, 257):
             assert places.tolist() == list(range(257))
+
+
+def test_by_coefficients_only_those_above_the_tolerance_are_selected_and_what_they_depend_on():
+    """The heights don't matter: a spike without a coefficient stays away. By hand as above."""
+    heights = np.zeros((5, 5), dtype=np.int32)
+    heights[3, 3] = 1000
+    mask, coefficients = np.ones((5, 5), dtype=bool), np.zeros((5, 5), dtype=np.int64)
+    coefficients[1, 0] = 3
+    for tolerance, n_selected in ((47, 9), (48, 4)):  # 3 quanta are 48 sixteenths
+        selection = select_vertices(heights, mask, tolerance, coefficients=coefficients)
+        assert np.count_nonzero(selection) == n_selected
+    mask[1, 0] = False
+    selection = select_vertices(heights, mask, 47, coefficients=coefficients)
+    without = select_vertices(heights, mask, 47, coefficients=0 * coefficients)
+    np.testing.assert_array_equal(selection, without)
+
+
+@given(terrain=slow.terrains(max_side=40), seed=st.integers(0, 99))
+def test_a_mesh_by_any_coefficients_conforms(terrain, seed):
+    heights, mask, tolerance = terrain
+    coefficients = np.random.default_rng(seed).geometric(0.02, heights.shape) - 1
+    selection = select_vertices(heights, mask, tolerance, coefficients=coefficients)
+    check_mesh(rqt_mesh(heights, mask, selection), heights, mask, None)

@@ -78,8 +78,10 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--radius", type=POSITIVE, help="Of the body, metres, for degrees."),
         click.option("--exaggeration", type=POSITIVE, default=1.0, show_default=True,
                      help="Factor of heights."),
-        click.option("--error", type=click.Choice(["measured", "paper"]), default="measured",
-                     show_default=True, help="Which errors and which formula choose blocks."),
+        click.option("--error", type=click.Choice(["measured", "paper", "coefficient"]),
+                     default="measured", show_default=True,
+                     help="Which errors and which formula choose blocks; coefficient, those of the"
+                     " wavelet, for mode rqt of files of method cdf53."),
         click.option("--max-pixel-error", type=POSITIVE, default=1.0, show_default=True,
                      help="Largest distance on screen from the full terrain, pixels."),
         click.option("--mode", type=click.Choice(MODES), default="adaptive", show_default=True,

@@ -65,8 +65,8 @@ class Scene:
     store : Store
     mode : str
         One of `terrainwave.render.modes.MODES`.
-    error : {"measured", "paper"}
-        Errors and γ: those that hold everywhere, or the paper's.
+    error : str
+        One of the mode's `errors`.
     exaggeration, radius : float, optional
         See `frame_of`.
     max_triangles : int

@@ -6,11 +6,13 @@ level: where it is selected, so must they be"). A vertex is the middle of the lo
 triangles beside it, which it splits; it depends on the vertices that made them. A selection that is
 closed under this has a conforming triangulation, without cracks.
 
-Two selections:
+Three selections:
 
+* by coefficients: those of a wavelet at the places of the vertices, above the tolerance: HL and LH
+  at the middles of edges, HH at centres (Zheng et al.). No bound.
 * `by_detail`: δ_v = |h_v - mean of its neighbours| above the tolerance, the neighbours being the
   four corners of the cell for a centre, the two ends of the edge and the centres beside it for the
-  middle of an edge (Zheng et al.; wavelet coefficients at the same place behave alike). No bound.
+  middle of an edge (Zheng et al., who find it much like the coefficient there). No bound.
 * `by_error`: a vertex is selected where one of the triangles it would split has an error, over all
   samples it covers, above the tolerance: what is left unsplit holds it, guaranteed.
 
@@ -33,7 +35,7 @@ from terrainwave.tri.labels import Keep, top_height, void_edges
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.triangle import area_of, check_block, check_tolerance, fits
 
-BY_DETAIL, BY_ERROR = 0, 1
+BY_DETAIL, BY_ERROR, BY_NOTHING = 0, 1, 2
 Selection = NDArray[np.uint8]
 
 
@@ -44,6 +46,7 @@ def select_vertices(
     *,
     rule: Literal["by_error", "by_detail"] = "by_error",
     keep: Keep | None = None,
+    coefficients: NDArray[np.int64] | None = None,
 ) -> Selection:
     """Return the closed selection of a block on its virtual grid; `rqt_mesh` makes the mesh.
 
@@ -59,6 +62,8 @@ def select_vertices(
         See the module's docstring; only the first guarantees the tolerance.
     keep : ndarray of bool, same shape, optional
         Samples that must be vertices besides those at voids.
+    coefficients : ndarray of int64, same shape, optional
+        Magnitudes in quanta: vertices are selected by them alone, whatever the rule.
 
     Returns
     -------
@@ -77,9 +82,14 @@ def select_vertices(
         check_block(keep, mask)
         at_rows, at_cols = np.nonzero(keep)
         selection[_coarsest(rows)[at_rows], _coarsest(cols)[at_cols]] = 1
+    number = BY_ERROR if rule == "by_error" else BY_DETAIL
+    if coefficients is not None:
+        number = BY_NOTHING
+        is_large = mask & (coefficients << FRACTION_BITS > tolerance)
+        selection |= is_large[np.ix_(rows, cols)]
     _select(
-        np.ascontiguousarray(heights), mask, check_tolerance(tolerance), rows, cols,
-        BY_ERROR if rule == "by_error" else BY_DETAIL, selection,
+        np.ascontiguousarray(heights), mask, check_tolerance(tolerance), rows, cols, number,
+        selection,
     )  # fmt: skip
     stack = _new_stack(len(rows))
     while _split_lines(rows, cols, stack, selection):
@@ -178,6 +188,8 @@ def _select(heights, mask, tolerance, rows, cols, rule, selection):
                     second = 0 <= r2 <= n and 0 <= c2 <= n
                     third = 0 <= r3 <= n and 0 <= c3 <= n
                     if not selection[row, col]:
+                        if rule == BY_NOTHING:
+                            continue
                         if rule == BY_DETAIL:
                             wanted = _has_detail(
                                 heights, mask, tolerance, rows, cols, row, col, r0, c0, r1, c1,

@@ -14,6 +14,7 @@ from terrainwave.arguments import (
     TWZ_ENDINGS,
     check_ending,
     check_mesh,
+    check_mesh_of,
     checked_error,
     checked_threads,
 )
@@ -95,6 +96,7 @@ def store_meshes(
         ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
     ):
         container = terrain.container
+        check_mesh_of(mesh, METHODS[container.header.method])
         header = replace(
             container.header,
             mesh=stored_mesh(mesh, METHODS[container.header.method]),

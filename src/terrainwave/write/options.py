@@ -7,6 +7,7 @@ from terrainwave.arguments import (
     BLOCKS,
     check_effort,
     check_mesh,
+    check_mesh_of,
     check_method,
     checked_error,
     checked_threads,
@@ -60,6 +61,7 @@ class Options:
         check_method(self.method)
         check_effort(self.effort)
         settled["mesh"] = stored_mesh(self.mesh, self.coding)
+        check_mesh_of(self.mesh, self.coding)
         if self.is_auto and self.effort != DEFAULT_EFFORT:
             # Fast and best say which method.
             method = AUTO_METHODS[0] if self.effort == EFFORTS[0] else AUTO_METHODS[-1]
