@@ -445,6 +445,12 @@ def decompress(
     help="Spend more time for fewer triangles at the same error.",
 )
 @click.option(
+    "--loose",
+    is_flag=True,
+    help="The triangulation of the zero trees alone, without a guarantee (Yusov & Turlapov 2010,"
+    " §2.4); its error is measured. --level -2 (default) is the finest.",
+)
+@click.option(
     "--frame",
     type=click.Choice(["local", "native", "ecef"]),
     help="Coordinates: metres from the middle, as in the CRS, or geocentric. Default: local where"
@@ -485,6 +491,14 @@ def mesh(context: click.Context, /, file: str, target: str, store: bool, **optio
         names = {"kind": "mesh"}
         flags = ", ".join(sorted(f"--{names.get(name, name)}".replace("_", "-") for name in unfit))
         raise click.UsageError(f"found {flags} {'with' if store else 'without'} --store")
+    if options["loose"]:
+        goals = sorted(given & {"max_error", "max_triangles", "optimise"})
+        if goals:
+            flags = ", ".join(f"--{name}".replace("_", "-") for name in goals)
+            raise click.UsageError(
+                f"found {flags} with --loose, which has no goal: its mesh follows the zero trees"
+            )
+        options["optimise"] = False
     if store:
         _store_meshes(file, target, **{name: options[name] for name in common | _STORE_OPTIONS})
     else:
@@ -525,6 +539,7 @@ def _export_mesh(
     solid: float | None,
     radius: float | None,
     optimise: bool,
+    loose: bool,
     overwrite: bool,
     threads: int | None,
     as_json: bool,
@@ -550,7 +565,7 @@ def _export_mesh(
         surface = _mesh_for(
             target,
             lambda max_error: terrain.mesh(
-                optimise=int(optimise), **options | {"max_error": max_error}
+                optimise=int(optimise), guarantee=not loose, **options | {"max_error": max_error}
             ),
             options["max_error"],
             shape,
@@ -559,7 +574,7 @@ def _export_mesh(
     if as_json:
         print_json(asdict(saved))
     elif not quiet:
-        _print_saved(saved)
+        _print_saved(saved, "measured" if loose else "guaranteed")
 
 
 def _mesh_for(
@@ -595,13 +610,13 @@ _MESH_ATTEMPTS = 3
 _ROUNDING_SLACK = 1.25
 
 
-def _print_saved(saved: Any) -> None:
+def _print_saved(saved: Any, kind_of_error: str) -> None:
     click.echo(
         f"{plain(saved.path)}: {count_of(saved.n_triangles, 'triangle')},"
         f" {saved.n_vertices:,} vertices,"
         f" {saved.n_bytes:,} bytes"
     )
-    click.echo(f"guaranteed error {saved.error:.6g}{_unit(saved.units)}, frame {saved.frame}")
+    click.echo(f"{kind_of_error} error {saved.error:.6g}{_unit(saved.units)}, frame {saved.frame}")
     _note_unit(saved.units)
     if saved.curvature:
         print_note(
