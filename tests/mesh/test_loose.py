@@ -1,5 +1,6 @@
 """Meshes of zero trees alone: watertight, once over their area, their errors true."""
 
+import json
 import os
 
 import pytest
@@ -96,3 +97,23 @@ def test_a_block_alone_keeps_any_tolerance(smooth, kind):
             assert apart <= tolerance
             counts.append(len(mesh.triangles))
         assert counts[0] > counts[-1]
+
+
+def test_info_lists_what_the_meshes_of_each_level_hold(smooth):
+    levels = json.loads(
+        CliRunner().invoke(main, ["info", str(smooth), "--meshes", "--json"]).output
+    )
+    levels = levels["meshes"]
+    with terrainwave.open(smooth) as terrain:
+        for found, shape in zip(levels, terrain.info().level_shapes, strict=True):
+            mesh = terrain.mesh(level=found["level"])
+            # The blocks' own, which reach past the raster's edge.
+            assert mesh.n_triangles <= found["n_triangles"] < 1.2 * mesh.n_triangles + 40
+            assert 0 < found["label_bits"] < 2
+            assert tuple(shape) == terrain.level_shape(found["level"])
+        is_finest = [found["significant"] is None for found in levels]
+        assert is_finest == [False, False, False, True]
+        assert 0 < levels[2]["significant"] < 0.5
+        assert levels[2]["n_loose"] < levels[2]["n_triangles"]
+    table = CliRunner().invoke(main, ["info", str(smooth), "--meshes"]).output
+    assert f"{levels[3]['n_triangles']:,}" in table

@@ -640,7 +640,15 @@ def _print_saved(saved: Any, kind_of_error: str) -> None:
     is_flag=True,
     help="List the bytes of each part by URL too, which takes many requests.",
 )
-def info(file: str, as_json: bool, errors: str | None, voids: bool, parts: bool) -> None:
+@click.option(
+    "--meshes",
+    is_flag=True,
+    help="List each level's triangles, the bits they take and what zero trees hold (slow: makes all"
+    " meshes).",
+)
+def info(
+    file: str, as_json: bool, errors: str | None, voids: bool, parts: bool, meshes: bool
+) -> None:
     """Show what the file FILE (.twz) holds."""
     import terrainwave
     from terrainwave.mesh.level_errors import level_errors
@@ -650,11 +658,13 @@ def info(file: str, as_json: bool, errors: str | None, voids: bool, parts: bool)
         by_part = terrain.parts() if parts or "://" not in file else None
         by_level = None if errors is None else level_errors(terrain, errors)
         n_voids = terrain.count_voids() if voids else None
+        by_mesh = _mesh_levels(terrain) if meshes else None
     if as_json:
         more = {
             "parts": None if by_part is None else asdict(by_part),
             "level_errors": by_level,
             "n_voids": n_voids,
+            "meshes": None if by_mesh is None else [level._asdict() for level in by_mesh],
         }
         found = {name: value for name, value in more.items() if value is not None}
         print_json(summary.to_dict() | found)
@@ -664,6 +674,14 @@ def info(file: str, as_json: bool, errors: str | None, voids: bool, parts: bool)
             _print_parts(by_part)
         if by_level is not None:
             _print_level_errors(summary.level_shapes, by_level)
+        if by_mesh is not None:
+            _print_mesh_levels(by_mesh)
+
+
+def _mesh_levels(terrain: Any) -> Any:
+    from terrainwave.mesh.statistics import mesh_levels
+
+    return mesh_levels(terrain)
 
 
 def _voids_in_words(info: Any, n_voids: int | None) -> str:
@@ -692,6 +710,20 @@ def _print_parts(parts: Any) -> None:
         ["part", "bytes", "share"],
         [[name, f"{size:,}", f"{100 * size / total:.3g} %"] for name, size in rows],
     )
+
+
+def _print_mesh_levels(levels: Any) -> None:
+    rows = [
+        [
+            str(found.level),
+            f"{found.n_triangles:,}",
+            f"{found.label_bits:.3f}",
+            "" if found.significant is None else f"{100 * found.significant:.3g} %",
+            "" if found.n_loose is None else f"{found.n_loose:,}",
+        ]
+        for found in levels
+    ]
+    print_grid(["level", "triangles", "bits/sample", "significant nodes", "loose triangles"], rows)
 
 
 def _print_level_errors(shapes: Any, errors: list[float]) -> None:
