@@ -43,7 +43,7 @@ def read_header(data):
     require(h.reserved == 0, "reserved", UnsupportedError)
     require(h.features <= 1, "features", UnsupportedError)
     require(h.padding == b"\0\0", "padding", UnsupportedError)
-    require(h.mesh <= 3, "mesh", UnsupportedError)
+    require(h.mesh <= 6, "mesh", UnsupportedError)
     require(h.mesh or h.mesh_tolerance == 0, "mesh_tolerance")
     require(h.file_size < 2**63, "file_size")
     require(1 <= h.n_rows <= 2**31 and 1 <= h.n_cols <= 2**31, "n_rows, n_cols")
