@@ -74,7 +74,7 @@ def select_vertices(
         at_rows, at_cols = np.nonzero(keep)
         selection[_coarsest(rows)[at_rows], _coarsest(cols)[at_cols]] = 1
     if coefficients is not None:
-        is_large = mask & (coefficients << FRACTION_BITS > tolerance)
+        is_large = coefficients << FRACTION_BITS > tolerance
         selection |= is_large[np.ix_(rows, cols)]
     _select(
         np.ascontiguousarray(heights), mask, check_tolerance(tolerance), rows, cols,
