@@ -1,5 +1,7 @@
 """Modes whose mesh is made anew each frame, without a GPU: what is drawn, what is read."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from render.scenes import ListStore, hills, terrain_of
@@ -141,6 +143,28 @@ def test_nothing_pops(small, mode):
         coarse, fine = (largest_jump(scene, n_steps) for n_steps in (9, 81))
         assert fine < 0.3 * coarse
         assert 0 < fine < 0.5  # without a morph: 4
+
+
+@pytest.mark.parametrize("mode", ["dynamic", "vertex-texture"])
+def test_steps_change_one_height_a_frame_and_what_they_keep_is_said(small, mode):
+    with Scene(small, ListStore(), mode=mode, stepwise=True, exaggeration=1.5) as scene:
+        low, high = scene.frame.box
+        far = Camera((0.0, 0.0, float(high[2]) + 1e6), 0, -90, 40)
+        near = Camera((0.0, float(low[1]), float(high[2]) + 500), 0, -50, 60)
+        scene.settle(scene.view(far, VIEWPORT, 1.5))
+        view, kept, counts = scene.view(near, VIEWPORT, 1.5), [], []
+        while not kept or scene.mode.followed.n_changed:
+            frames = scene.update(view)
+            kept.append(frames.tau)
+            counts.append(scene.mode.followed.n_vertices)
+            if mode == "dynamic":
+                assert largest_error(scene, near, 7) <= frames.tau
+        # From patches' roots to samples, and a frame in which nothing changes.
+        assert 5 < len(kept) <= 10
+        assert kept[0] > 20 * kept[-1]
+        assert kept[-1] == 1.5
+        assert kept == sorted(kept, reverse=True)
+        assert all(after <= 4 * before for before, after in pairwise(counts))
 
 
 def test_from_high_up_the_overview_is_drawn_alone(monkeypatch):

@@ -172,7 +172,7 @@ def test_a_view_that_stays_touches_only_what_it_shows():
         tree.layout, tree.z, tree.bounds, view, eye.planes, 6.0, mesh._stack, mesh.marks,
         mesh.has_changed,
     )  # fmt: skip
-    assert counts == (drawn, 0, 0)
+    assert counts == (drawn, 0, 0, 0.0)
     assert not mesh.has_changed.any()
     np.testing.assert_array_equal(mesh.marks, before)
 

@@ -103,6 +103,8 @@ class Followed(NamedTuple):
         Errors on screen below this were merged, pixels: τ, or τ / λ with a morph.
     tau : float
         Pixels; above what was asked for if the budget demands it.
+    within : float
+        What the mesh keeps with measured errors, pixels: τ, or more while steps lag behind.
     n_vertices : int
         Roots that are not void.
     n_touched : int
@@ -113,6 +115,7 @@ class Followed(NamedTuple):
 
     threshold: float
     tau: float
+    within: float
     n_vertices: int
     n_touched: int
     n_changed: int
@@ -245,7 +248,8 @@ class DynamicMesh:
             Budget; τ is raised until it is kept. At least `least_vertices`. Nodes around the eye
             are divided whatever it says.
         is_stepwise : bool
-            Change by one height at most, as the paper does; the mesh may lag behind the view.
+            Change by one height at most, as the paper does, but for the first view and where the
+            budget demands more; the mesh may lag behind the view.
 
         Raises
         ------
@@ -256,14 +260,16 @@ class DynamicMesh:
         check_budget(max_vertices, self.least_vertices, "patch")
         view = self._view(eye)
         self._pressure.relieve()
-        n_touched, n_changed = self._mark(view, eye.planes, tau / morph, is_stepwise)
+        n_touched, n_changed, largest = self._mark(view, eye.planes, tau / morph, is_stepwise)
         while (
             max_vertices is not None and self._n_vertices > max_vertices and self._pressure.rise()
         ):
-            more = self._mark(view, eye.planes, tau / morph, False)
+            *more, largest = self._mark(view, eye.planes, tau / morph, False)
             n_touched, n_changed = n_touched + more[0], n_changed + more[1]
         used = tau * self._pressure.factor
-        return Followed(used / morph, used, self._n_vertices, n_touched, n_changed)
+        return Followed(
+            used / morph, used, max(used, largest), self._n_vertices, n_touched, n_changed
+        )
 
     def draw(self, eye: Eye, followed: Followed) -> DynamicFrame:
         """Return the mesh of the marks; `followed` is what `follow` returned for this eye."""
@@ -299,22 +305,25 @@ class DynamicMesh:
 
     def _mark(
         self, view: NDArray[np.float64], planes: NDArray[np.float64], tau: float, is_stepwise: bool
-    ) -> tuple[int, int]:
-        """Bring the marks up to date; return how many nodes were touched and changed."""
+    ) -> tuple[int, int, float]:
+        """Bring the marks up to date; return how many nodes were touched and changed.
+
+        And the largest error on screen of roots that should be divided further, 0 without any.
+        """
         tree, tau = self.tree, tau * self._pressure.factor
         if not self._is_marked:
             self._is_marked = True
             mark_bottom_up(tree.layout, tree.z, tree.bounds, view, planes, tau, self.marks)
             self._n_vertices = int(np.count_nonzero((self.marks == ROOT) & ~np.isnan(tree.z)))
             self.has_changed[...] = True
-            return self.n_nodes, int(np.count_nonzero(self.marks == ROOT))
+            return self.n_nodes, int(np.count_nonzero(self.marks == ROOT)), 0.0
         walk = step_top_down if is_stepwise else settle_top_down
-        n_touched, n_changed, n_more = walk(
+        n_touched, n_changed, n_more, largest = walk(
             tree.layout, tree.z, tree.bounds, view, planes, tau, self._stack, self.marks,
             self.has_changed,
         )  # fmt: skip
         self._n_vertices += n_more
-        return n_touched, n_changed
+        return n_touched, n_changed, largest
 
     def _place(
         self, view: NDArray[np.float64], planes: NDArray[np.float64], followed: Followed
@@ -500,10 +509,12 @@ def _push_children(height, row, col, stack, depth):
 def step_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_changed):
     """Change marks by one height at most (RecursiveDetermineNullSubTrees, §3.4).
 
-    Return how many nodes were touched, how many became roots or ceased to be, and how many more
-    roots that are not void there are. `has_changed` is set for patches with changes.
+    Return how many nodes were touched, how many became roots or ceased to be, how many more roots
+    that are not void there are, and the largest error of roots that were divided: those below them
+    have none that is larger, if errors are bounds. `has_changed` is set for patches with changes.
     """
     n_touched = n_changed = n_more = 0
+    largest = 0.0
     for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
         n_before = n_changed
         depth = _push_patch(patch, layout, stack)
@@ -521,6 +532,7 @@ def step_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_change
                 continue
             error = screen_error(height, row, col, layout, z, bounds, view, planes)
             if is_root and error > tau:
+                largest = max(largest, error)
                 n_more += _split(node, child, down, z, marks)
                 n_changed += 5
             elif not is_root and error < tau:
@@ -530,7 +542,7 @@ def step_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_change
                 depth = _push_children(height, row, col, stack, depth)
         if n_changed > n_before:
             has_changed[patch // layout[-1, N_COLS], patch % layout[-1, N_COLS]] = 1
-    return n_touched, n_changed, n_more
+    return n_touched, n_changed, n_more, largest
 
 
 @kernel
@@ -574,7 +586,7 @@ def settle_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_chan
                 depth = _push_children(height, row, col, stack, depth)
         if n_changed > n_before:
             has_changed[patch // layout[-1, N_COLS], patch % layout[-1, N_COLS]] = 1
-    return n_touched, n_changed, n_more
+    return n_touched, n_changed, n_more, 0.0
 
 
 # Vertices

@@ -82,6 +82,9 @@ class Mode(ABC):
         As in ``--mode``.
     errors : tuple of str
         That it knows, as in ``--error``.
+    options : tuple of str
+        What it can be told besides, as `Scene` and the command line have it; the same keywords of
+        its constructor.
     is_partwise : bool
         All finest pieces are drawn, as many at a time as the store holds.
     n_levels : int
@@ -93,6 +96,7 @@ class Mode(ABC):
 
     name: str
     errors: tuple[str, ...] = ERRORS
+    options: tuple[str, ...] = ()
     is_partwise = False
     max_triangles = MAX_TRIANGLES
 
@@ -114,7 +118,7 @@ class Mode(ABC):
 
     @classmethod
     def preparation(cls, error: str) -> str | None:
-        """Name the long work when the mode begins, as "building …"; None if there is none."""
+        """Say what is decoded before the first picture, and what for; None if that is little."""
         return None
 
     def close(self) -> None:  # noqa: B027  most modes have nothing to close

@@ -32,7 +32,7 @@ class VertexTexture(Dynamic):
         n_triangles, used = 0, tau
         if len(nodes) and min(self.shape) > 1:
             followed = self.follow(view, tau)
-            n_triangles, used = 2 * followed.n_vertices, followed.tau
+            n_triangles, used = 2 * followed.n_vertices, followed.within
         none = np.zeros(len(nodes))
         return Frames(nodes, selection.distances[:1], none, none, n_triangles, used, n_missing)
 
