@@ -3,6 +3,7 @@
 import json
 import os
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
@@ -15,6 +16,9 @@ from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.quadtree import Region
 from terrainwave.mesh.loose import LooseMesher
 from terrainwave.mesh.sections import mesher_of
+from terrainwave.render.frame import frame_of
+from terrainwave.render.modes import mode_class
+from terrainwave.render.selection import Piece
 from terrainwave.tri.mesh import FRACTION_BITS
 from terrainwave.tri.stored import STORED_KINDS
 from terrainwave.tri.surface import largest_deviation
@@ -117,3 +121,19 @@ def test_info_lists_what_the_meshes_of_each_level_hold(smooth):
         assert levels[2]["n_loose"] < levels[2]["n_triangles"]
     table = CliRunner().invoke(main, ["info", str(smooth), "--meshes"]).output
     assert f"{levels[3]['n_triangles']:,}" in table
+
+
+def test_a_patch_of_a_loose_mesh_states_its_own_error(smooth):
+    """The file's error, which the guaranteed mesh keeps, is less."""
+    n_further = 0
+    with terrainwave.open(smooth) as terrain:
+        builder = mode_class("loose")(terrain, frame_of(terrain)).builder
+        for block in terrain.grid.blocks(terrain.n_levels - 2):
+            piece, region = Piece(*block), terrain.grid.full_region(block)
+            heights = SMOOTH.heights[region.slices_in(Region(0, 0, *SMOOTH.heights.shape))]
+            apart = largest_deviation(
+                builder.mesh(piece), 2, heights.astype(np.int32), np.ones(heights.shape, bool), 0, 0
+            ) / (1 << FRACTION_BITS)  # fmt: skip
+            assert apart <= builder.build(piece).error
+            n_further += apart > terrain.mesh_error(block)
+    assert n_further > 0
