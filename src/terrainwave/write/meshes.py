@@ -37,6 +37,7 @@ from terrainwave.mesh.sections import make_meshes
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.write.boxes import with_tolerances
 
 
 def store_meshes(
@@ -114,6 +115,10 @@ def store_meshes(
         count = reporter.counter("measuring meshes", *size)
         errors = measure_meshes(grid, mesher, originals, executor, count, lost)
         codes = mesh_codes(errors, lost)
+        if header.is_faithful:
+            codes = with_tolerances(
+                codes, lambda block: container.codes(block)[2], mesher.tolerance
+            )
         spools = _copied(terrain, codes, directory, sections)
         assemble(part.file, header, spools)
         for spool in spools.values():
