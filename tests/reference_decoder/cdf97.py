@@ -355,7 +355,10 @@ def extended(line):
 
 
 def decode_residuals(decoder, n, is_coarse, base, weights, core, heights, known, is_coded):
-    """§7.7, or §7.9 if `is_coarse`; `heights` and `known` are those of the region, `core` its place in them."""
+    """§7.7, or §7.9 if `is_coarse`.
+
+    `heights` and `known` are those of the region, `core` its place in them.
+    """
     models = Models(1527, STARTS_97["residual"])
     wide = [extended(row) for row in base]
     wide = list(zip(*(extended(column) for column in zip(*wide, strict=True)), strict=True))
