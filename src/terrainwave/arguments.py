@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.names import EFFORTS, METHODS, STORED_MESHES
+from terrainwave.names import EFFORTS, MESH_CHOICES, METHODS
 
 # Cells on a side of a block.
 BLOCKS = (32, 64, 128, 256, 512, 1024)
@@ -114,20 +114,19 @@ def check_effort(effort: str) -> None:
         )
 
 
-def checked_mesh(mesh: str, *, or_none: bool) -> str:
-    """Return the kind of meshes that a name stands for; "none" only where that is allowed.
+def check_mesh(mesh: str, *, or_none: bool) -> None:
+    """Check the name of a kind of meshes; "none" is one only where that is allowed.
 
     Raises
     ------
     InvalidArgumentError
         If it is no such name.
     """
-    known = (*STORED_MESHES, "none") if or_none else STORED_MESHES
+    known = (*MESH_CHOICES, "none") if or_none else MESH_CHOICES
     if mesh not in ("auto", *known):
         raise InvalidArgumentError(
             f"found `mesh` {mesh!r}, expected one of auto, {', '.join(known)}"
         )
-    return STORED_MESHES[0] if mesh == "auto" else mesh
 
 
 def checked_threads(threads: int | None) -> int:

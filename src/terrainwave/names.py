@@ -9,9 +9,11 @@ from dataclasses import dataclass
 # In the order in which files number them.
 EFFORTS = ("fast", "default", "best")
 # Kinds of meshes, in the order in which files number them.
-MESHES = ("none", "halves", "zerotree", "rqt")
-# Those that files store; "auto" is the first.
-STORED_MESHES = tuple(mesh for mesh in MESHES if mesh != "none")
+MESHES = ("none", "halves", "zerotree-plain", "rqt", "zerotree-layer", "zerotree-coded")
+# Those that can be asked for; "auto" is the first, `stored_mesh` says what files then hold.
+MESH_CHOICES = (
+    "halves", "zerotree", "rqt", "zerotree-plain", "zerotree-layer", "zerotree-coded",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,6 +44,8 @@ class Method:
         The file's header may hold tables for all of its units.
     is_read_in_browsers : bool
         The reader in JavaScript decodes it.
+    has_layers : bool
+        It codes difference layers, whose zero trees drive its meshes of the kind "zerotree".
     """
 
     name: str
@@ -55,6 +59,7 @@ class Method:
     is_patchable: bool = False
     has_parameters: bool = False
     is_read_in_browsers: bool = False
+    has_layers: bool = False
 
     @property
     def is_tiled(self) -> bool:
@@ -71,7 +76,7 @@ METHODS = {
         Method(name="predictive", number=2, refiner="predictive.Predictive", has_parameters=True,
                is_patchable=True, is_read_in_browsers=True, effort="1, 2 or 8 sets of weights"),
         Method(name="cdf97", number=1, refiner="cdf97.Cdf97", pyramid="lowpass",
-               may_be_faithful=True, effort="1, up to 3 or up to 7 steps"),
+               effort="1, up to 3 or up to 7 steps", has_layers=True, may_be_faithful=True),
         Method(name="cdf53", number=3, pyramid="lowpass53", is_cuttable=True, is_clusterable=False),
         Method(name="store", number=0, refiner="store.Store", is_read_in_browsers=True),
     )
@@ -82,6 +87,25 @@ DEFAULT_METHOD = METHODS["rapid"]
 AUTO_METHODS = (DEFAULT_METHOD, METHODS["predictive"])
 # Takes heights that no method makes smaller.
 PLAIN_METHOD = METHODS["store"]
+
+
+def stored_mesh(mesh: str, method: Method, *, is_faithful: bool = False) -> str:
+    """Return the kind of meshes that a file of a method holds where `mesh` is asked for.
+
+    Parameters
+    ----------
+    mesh : str
+        "auto", "none" or one of `MESH_CHOICES`.
+    is_faithful : bool
+        The file's coded zero trees are those of Yusov & Turlapov 2010.
+    """
+    if mesh == "auto":
+        return MESH_CHOICES[0]
+    if mesh != "zerotree":
+        return mesh
+    if not method.has_layers:
+        return "zerotree-plain"
+    return "zerotree-coded" if is_faithful else "zerotree-layer"
 
 
 def methods_that(can: Callable[[Method], bool]) -> str:

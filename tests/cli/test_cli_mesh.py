@@ -335,7 +335,7 @@ def test_store_adds_meshes_to_a_copy(tmp_path):
         ("--store --frame local --solid 3", "found --frame, --solid with --store"),
         ("--mesh halves", "found --mesh without --store"),
         ("--mesh-error 2", "found --mesh-error without --store"),
-        ("--store --mesh none", "expected one of auto, halves, zerotree, rqt"),
+        ("--store --mesh none", "expected one of auto, halves, zerotree, rqt, zerotree-plain"),
         ("--store --mesh rqt3", "rqt3"),
     ],
 )

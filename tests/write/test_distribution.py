@@ -64,7 +64,9 @@ def test_tasks_give_the_bytes_of_a_local_run(tmp_path, cluster, name):
 
 
 @pytest.mark.large
-@pytest.mark.parametrize("mesh", some(["halves", "none", "zerotree", "rqt"], 2))
+@pytest.mark.parametrize(
+    "mesh", some(["halves", "none", "zerotree-plain", "zerotree-layer", "rqt"], 2)
+)
 def test_meshes_are_those_of_a_local_run(tmp_path, cluster, mesh):
     here, there = both(tmp_path, cluster, "voids", mesh=mesh, max_error=3)
     assert there == here

@@ -60,8 +60,8 @@ from terrainwave.names import (
     AUTO_METHODS,
     DEFAULT_METHOD,
     EFFORTS,
+    MESH_CHOICES,
     METHODS,
-    STORED_MESHES,
     Method,
     methods_that,
 )
@@ -77,7 +77,7 @@ EFFORT = (
     f" {AUTO_METHODS[-1].name}; the others have one way."
 )
 WARMUP_TASKS = ("compress", "read", "verify", "mesh", "render")
-MESH = click.Choice(["auto", *STORED_MESHES, "none"])
+MESH = click.Choice(["auto", *MESH_CHOICES, "none"])
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -509,7 +509,7 @@ def _store_meshes(
 
     if kind == "none":
         raise click.UsageError(
-            f"found --mesh none with --store, expected one of auto, {', '.join(STORED_MESHES)}"
+            f"found --mesh none with --store, expected one of auto, {', '.join(MESH_CHOICES)}"
         )
     check_ending(target, TWZ_ENDINGS)
     announce_compiling(quiet=quiet)

@@ -23,8 +23,10 @@ from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.measure import with_outside
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, Quantizer, as_fraction
+from terrainwave.mesh.trees import ZeroTrees
 from terrainwave.tri.borders import beside_void, line_vertices
 from terrainwave.tri.halves import Lines, triangulate
+from terrainwave.tri.labels import Trees
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.stored import STORED_KINDS, has_triangles
 from terrainwave.tri.surface import largest_deviation
@@ -57,6 +59,18 @@ class BlockSamples(NamedTuple):
     locked: Mask
 
 
+class StoredSamples(NamedTuple):
+    """What a stored mesh follows from: `BlockSamples`, and zero trees for kinds that have them.
+
+    `trees` are those of the group that refines the block.
+    """
+
+    heights: Heights
+    mask: Mask
+    locked: Mask
+    trees: Trees | None
+
+
 class SideTolerances(NamedTuple):
     """Tolerances of a block's border lines, in 1/16 quanta."""
 
@@ -81,6 +95,8 @@ class BlockMesher:
         ``"halves"`` or one of `tri.stored.STORED_KINDS`.
     part : callable, optional
         The stored bytes of a block's mesh; kinds other than halves need them.
+    trees : callable, optional
+        The zero trees that meshes follow (`mesh.trees.tree_source`), for the kinds that do.
     """
 
     def __init__(
@@ -93,6 +109,7 @@ class BlockMesher:
         has_voids: bool,
         kind: str = "halves",
         part: Callable[[Block], bytes] | None = None,
+        trees: ZeroTrees | None = None,
     ) -> None:
         self._grid = grid
         self._decoder = decoder
@@ -101,6 +118,7 @@ class BlockMesher:
         self._has_voids = has_voids
         self.kind = kind
         self._part = part
+        self._trees = trees
 
     def tolerance(self, block: Block) -> int:
         """Return the tolerance of a block's mesh against its samples: Err_Tri, in 1/16 quanta.
@@ -162,6 +180,25 @@ class BlockMesher:
         n_cols = min(grid.block, -(-(grid.n_cols - 1) // stride) - block.col * grid.block) + 1
         return n_rows, n_cols
 
+    def stored_samples(self, block: Block) -> StoredSamples:
+        """Return the samples of a block, with the zero trees that its stored mesh follows."""
+        samples = self.samples(block)
+        trees = self.zero_trees(block)
+        if trees is not None:
+            # Samples past the raster's edge belong to the trees of the last ones inside.
+            outside = [(0, n - own) for n, own in zip(samples.mask.shape, trees.shape, strict=True)]
+            trees = np.pad(trees, outside, mode="edge")
+        return StoredSamples(*samples, trees)
+
+    def zero_trees(self, block: Block) -> Trees | None:
+        """Return the zero trees that the mesh of a block follows, by the samples in the raster.
+
+        None for kinds without, on the finest level, and where nothing is known of the group below.
+        """
+        if block.level == self._grid.k_max or self._trees is None:
+            return None
+        return self._trees(block, self.tolerance(block))
+
     def has_mesh(self, block: Block) -> bool:
         """Say whether the block's samples have triangles; decodes only where there may be voids."""
         if self._has_voids:
@@ -198,13 +235,13 @@ class BlockMesher:
         CorruptStreamError
             If the stored bytes of the mesh are damaged.
         """
-        samples = self.samples(block)
         if self.kind in STORED_KINDS:
-            return self._stored_mesh(block, samples)
+            return self._stored_mesh(block, self.stored_samples(block))
+        samples = self.samples(block)
         lines = border_lines(samples, self.side_tolerances(block), self._grid.block)
         return triangulate(*samples, lines, self.tolerance(block))
 
-    def _stored_mesh(self, block: Block, samples: BlockSamples) -> BlockMesh:
+    def _stored_mesh(self, block: Block, samples: StoredSamples) -> BlockMesh:
         if self._part is None:
             raise ValueError(f"meshes of kind {self.kind} have stored bytes")
         data = self._part(block)

@@ -25,6 +25,7 @@ from terrainwave.errors import CorruptStreamError
 from terrainwave.tri.agreement import BorderVertices, border_of, border_of_cut
 from terrainwave.tri.connect import mesh_of_cut
 from terrainwave.tri.guarantee import guaranteed_cut
+from terrainwave.tri.labels import Trees
 from terrainwave.tri.mesh import BlockMesh
 from terrainwave.tri.refinement import decode_refinement, encode_refinement
 from terrainwave.tri.rqt import rqt_mesh, select_vertices, vertices_of
@@ -35,7 +36,7 @@ _N_MODELS = 3 * _N_SPACINGS
 
 
 class Samples(Protocol):
-    """A block's samples; see `mesh.blocks.BlockSamples`."""
+    """A block's samples; see `mesh.blocks.StoredSamples`."""
 
     @property
     def heights(self) -> NDArray[np.int32]:
@@ -48,6 +49,10 @@ class Samples(Protocol):
     @property
     def locked(self) -> NDArray[np.bool_]:
         """Which samples are void or beside a void, in the block or beyond its border."""
+
+    @property
+    def trees(self) -> Trees | None:
+        """Zero trees of the group that refines the block, for kinds that have them."""
 
 
 class Draft(NamedTuple):
@@ -90,23 +95,26 @@ def _kept(samples: Samples, demanded: BorderVertices | None) -> NDArray[np.bool_
 
 
 class Zerotree:
-    """Algorithm I; the bytes are its refinement labels (`refinement`), without zero trees."""
+    """Algorithm I; the bytes are its refinement labels (`refinement`).
+
+    With zero trees the mesh is nowhere coarser than they are, and labels tell the difference.
+    """
 
     def draft(self, samples: Samples, tolerance: int, demanded: BorderVertices | None) -> Draft:
         """Return the cut, packed to wait."""
         keep = _kept(samples, demanded)
-        cut = guaranteed_cut(samples.heights, samples.mask, tolerance, keep=keep)
+        cut = guaranteed_cut(samples.heights, samples.mask, tolerance, samples.trees, keep)
         return Draft(border_of_cut(cut), zlib.compress(cut.tobytes(), 1))
 
     def encode(self, samples: Samples, tolerance: int, draft: Draft) -> bytes:
         """Return the refinement labels."""
         cut = np.frombuffer(zlib.decompress(draft.packed), dtype=np.uint8)
         cut = cut.reshape(samples.mask.shape)
-        return encode_refinement(cut, samples.heights, samples.mask, tolerance)
+        return encode_refinement(cut, samples.heights, samples.mask, tolerance, samples.trees)
 
     def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
         """Return the mesh of refinement labels."""
-        cut = decode_refinement(data, samples.heights, samples.mask, tolerance)
+        cut = decode_refinement(data, samples.heights, samples.mask, tolerance, samples.trees)
         return mesh_of_cut(samples.heights, samples.mask, cut)
 
 
@@ -148,7 +156,12 @@ class Rqt:
         return rqt_mesh(heights, mask, selection)
 
 
-STORED_KINDS: dict[str, StoredKind] = {"zerotree": Zerotree(), "rqt": Rqt()}
+STORED_KINDS: dict[str, StoredKind] = {
+    "zerotree-plain": Zerotree(),
+    "zerotree-layer": Zerotree(),
+    "zerotree-coded": Zerotree(),
+    "rqt": Rqt(),
+}
 
 
 @kernel

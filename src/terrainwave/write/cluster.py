@@ -42,6 +42,7 @@ from terrainwave.write.proof import measured_error
 from terrainwave.write.pyramid import Base, Part, Pyramid
 from terrainwave.write.subtrees import (
     ABOVE,
+    CODED,
     TOP,
     EncodedSubtree,
     RasterPlace,
@@ -326,11 +327,13 @@ class DistributedPasses:
     ) -> dict[Block | None, StoredSegment]:
         """Have meshes made and measured; return where the finished segments lie."""
         job, grid, sink = site.job, site.grid, codes.sink
-        decoder = TreeDecoder(grid, refiner, job.parameters, sink.payloads, _CACHE_BYTES)
-        mesher = mesher_of(site, decoder, lambda block: codes.errors.get(block, 0))
-        sections = make_sections(
-            grid, mesher, self.executor, lambda n_samples: None, range(site.level + 1)
-        )
+        # Meshes of the tasks' own blocks may follow the groups that tasks have coded.
+        with site.segments(CODED, ABOVE) as stored:
+            decoder = TreeDecoder(grid, refiner, job.parameters, stored.payloads, _CACHE_BYTES)
+            mesher = mesher_of(site, decoder, lambda block: codes.errors.get(block, 0))
+            sections = make_sections(
+                grid, mesher, self.executor, lambda n_samples: None, range(site.level + 1)
+            )
         sink.set_meshes(sections)
         self._store_top(site, TOP, sink)
         rounds = self._agree(site) if job.options.mesh in STORED_KINDS else {}

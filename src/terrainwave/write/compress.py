@@ -121,9 +121,11 @@ def compress(
     mesh : str
         Triangulation of every block: ``"halves"`` or ``"auto"`` (halves), which is made again when
         it is read and stores only its measured error; ``"zerotree"``, the guaranteed triangulation
-        of Yusov & Turlapov 2010, stored as labels; ``"rqt"``, a restricted quadtree, which stores
-        some vertices of borders; or ``"none"``. To make the second and third takes memory that
-        grows with the raster (`mesh.sections.make_sections`).
+        of Yusov & Turlapov 2010, stored as labels, with method cdf97 driven by zero trees
+        (``"zerotree-layer"``, ``"zerotree-plain"`` are with and without for any method);
+        ``"rqt"``, a restricted quadtree, which stores some vertices of borders; or ``"none"``. To
+        make the second and third takes memory that grows with the raster
+        (`mesh.sections.make_sections`).
     mesh_error : float, optional
         Largest vertical distance of the finest meshes from the decoded heights, in physical units;
         by default what `max_error` guarantees, or the vertical quantum if that is more (0.01 for

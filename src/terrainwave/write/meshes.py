@@ -13,8 +13,8 @@ import numpy as np
 from terrainwave.arguments import (
     TWZ_ENDINGS,
     check_ending,
+    check_mesh,
     checked_error,
-    checked_mesh,
     checked_threads,
 )
 from terrainwave.codec.refiner import Heights, Mask
@@ -34,6 +34,7 @@ from terrainwave.mesh.blocks import (
     mesh_tolerance,
 )
 from terrainwave.mesh.sections import make_meshes
+from terrainwave.names import METHODS, stored_mesh
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
@@ -60,7 +61,7 @@ def store_meshes(
     dst : path
         The file to make, whose name ends in ``.twz``. It appears complete or not at all.
     mesh : str
-        ``"halves"``, ``"zerotree"``, ``"rqt"`` or ``"auto"`` (halves), as in `compress`.
+        ``"auto"`` (halves) or one of `names.MESH_CHOICES`, as in `compress`.
     mesh_error : float, optional
         As in `compress`.
     original : path, dataset or array, optional
@@ -81,7 +82,8 @@ def store_meshes(
     StorageError
         If something cannot be read or written, or `dst` is `src`; `dst` is untouched.
     """
-    kind, error = checked_mesh(mesh, or_none=False), checked_error("mesh_error", mesh_error)
+    check_mesh(mesh, or_none=False)
+    error = checked_error("mesh_error", mesh_error)
     n_threads = checked_threads(threads)
     check_ending(dst, TWZ_ENDINGS)
     refuse_own_source(src, dst)
@@ -96,7 +98,11 @@ def store_meshes(
         container = terrain.container
         header = replace(
             container.header,
-            mesh=kind,
+            mesh=stored_mesh(
+                mesh,
+                METHODS[container.header.method],
+                is_faithful=container.header.is_faithful,
+            ),
             mesh_tolerance=_tolerance(terrain, error),
         )
         grid = header.grid

@@ -1,13 +1,14 @@
 """`Options`: what `compress` is asked for, checked where it is made and handed on whole."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from terrainwave.arguments import (
     BLOCKS,
     check_effort,
+    check_mesh,
     check_method,
     checked_error,
-    checked_mesh,
     checked_threads,
 )
 from terrainwave.errors import InvalidArgumentError
@@ -18,6 +19,7 @@ from terrainwave.names import (
     METHODS,
     Method,
     methods_that,
+    stored_mesh,
 )
 
 DEFAULT_EFFORT = "default"
@@ -49,15 +51,16 @@ class Options:
     threads: int | None = None
 
     def __post_init__(self) -> None:
-        settled = {
+        settled: dict[str, Any] = {
             "max_error": checked_error("max_error", self.max_error),
             "rate": checked_error("rate", self.rate),
             "psnr": checked_error("psnr", self.psnr),
-            "mesh": checked_mesh(self.mesh, or_none=True),
             "mesh_error": checked_error("mesh_error", self.mesh_error),
         }
+        check_mesh(self.mesh, or_none=True)
         check_method(self.method)
         check_effort(self.effort)
+        settled["mesh"] = stored_mesh(self.mesh, self.coding, is_faithful=self.faithful)
         if self.is_auto and self.effort != DEFAULT_EFFORT:
             # Fast and best say which method.
             method = AUTO_METHODS[0] if self.effort == EFFORTS[0] else AUTO_METHODS[-1]

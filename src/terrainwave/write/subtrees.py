@@ -33,6 +33,7 @@ from terrainwave.grid.quantum import HeightScan
 from terrainwave.mesh.blocks import BlockMesher, measure_meshes, mesh_codes
 from terrainwave.mesh.border_states import BorderState, draft_blocks, encode_parts
 from terrainwave.mesh.sections import parts_of_blocks, sections_of_parts
+from terrainwave.mesh.trees import tree_source
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder
@@ -304,6 +305,7 @@ def mesher_of(
         has_voids=job.has_voids,
         kind=job.options.mesh,
         part=part,
+        trees=tree_source(job.options.mesh, decoder),
     )
 
 
