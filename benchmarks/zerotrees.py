@@ -21,7 +21,7 @@ from benchmarks import common
 from benchmarks.render import KEYS, camera_at_key
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.mesh.statistics import mesh_levels
-from terrainwave.render.camera import Viewport, home
+from terrainwave.render.camera import Camera, Viewport, home
 from terrainwave.render.scene import Scene
 
 BLOCKS, BOUNDS, RINGS = (64, 256), (1.0, 3.0, 10.0), (1, 3)
@@ -38,8 +38,9 @@ GridRow = namedtuple(
     "raster block max_error rings trees rmse measured_error heights_bits labels_bits total_bits "
     "triangles regular coarse loose loose_error significant",
 )  # fmt: skip
-# A view: `triangles` of adaptive blocks, without skirts, and of regular ones in their places.
-ViewRow = namedtuple("ViewRow", "raster max_error trees camera tau blocks levels triangles regular")
+# Of the views with blocks of several levels: triangles of regular blocks over those of adaptive
+# ones in the same places, without skirts. `triangles`: the median of all views.
+ViewRow = namedtuple("ViewRow", "raster max_error trees tau views least median most triangles")
 
 
 def measure_grid(dem: Path, folder: Path) -> Iterator[GridRow]:
@@ -90,21 +91,25 @@ def measure_views(dem: Path, folder: Path) -> Iterator[ViewRow]:
                 terrainwave.open(file) as terrain,
                 Scene(terrain, Everything(), max_triangles=1 << 40) as scene,
             ):
-                cameras = {"overview": home(scene.frame.box, VIEWPORT)}
-                cameras |= {
-                    f"key {number}": camera_at_key(scene.frame, key)
-                    for number, key in enumerate(KEYS, 1)
-                }
-                for name, camera in cameras.items():
-                    for tau in TAUS:
-                        frames = scene.settle(scene.view(camera, VIEWPORT, tau))
-                        pieces = [scene.table.pieces[node] for node in frames.nodes]
-                        yield ViewRow(
-                            dem.stem, max_error, trees, name, tau, len(pieces),
-                            len({piece.level for piece in pieces}),
-                            sum(len(scene.mode.builder.mesh(piece).triangles) for piece in pieces),
-                            sum(n_cells(terrain.grid, piece.block) for piece in pieces) * 2,
-                        )  # fmt: skip
+                cameras = [home(scene.frame.box, VIEWPORT)]
+                cameras += [camera_at_key(scene.frame, key) for key in KEYS]
+                for tau in TAUS:
+                    found = [view_counts(scene, camera, tau) for camera in cameras]
+                    ratios = [regular / own for n_levels, own, regular in found if n_levels > 1]
+                    yield ViewRow(
+                        dem.stem, max_error, trees, tau, len(ratios),
+                        *(round(q, 3) for q in np.quantile(ratios or [np.nan], (0, 0.5, 1))),
+                        int(np.median([own for _, own, _ in found])),
+                    )  # fmt: skip
+
+
+def view_counts(scene: Scene, camera: Camera, tau: float) -> tuple[int, int, int]:
+    """Return the levels drawn, their triangles without skirts, and those of regular blocks."""
+    frames = scene.settle(scene.view(camera, VIEWPORT, tau))
+    pieces = [scene.table.pieces[node] for node in frames.nodes]
+    own = sum(len(scene.mode.builder.mesh(piece).triangles) for piece in pieces)
+    regular = sum(2 * n_cells(scene.terrain.grid, piece.block) for piece in pieces)
+    return len({piece.level for piece in pieces}), own, regular
 
 
 def n_cells(grid: Grid, block: Block) -> int:
