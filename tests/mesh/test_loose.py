@@ -117,7 +117,7 @@ def test_info_lists_what_the_meshes_of_each_level_hold(smooth):
             assert tuple(shape) == terrain.level_shape(found["level"])
         is_finest = [found["significant"] is None for found in levels]
         assert is_finest == [False, False, False, True]
-        assert 0 < levels[2]["significant"] < 0.5
+        assert 0 < levels[1]["significant"] < 0.5
         assert levels[2]["n_loose"] < levels[2]["n_triangles"]
     table = CliRunner().invoke(main, ["info", str(smooth), "--meshes"]).output
     assert f"{levels[3]['n_triangles']:,}" in table
