@@ -44,6 +44,7 @@ class Terrain(TerrainFile):
         max_error: float | None = None,
         max_triangles: int | None = None,
         optimise: int = 0,
+        guarantee: bool = True,
     ) -> "Mesh":
         """Return one connected watertight mesh of an area.
 
@@ -67,6 +68,10 @@ class Terrain(TerrainFile):
         optimise : int
             Sweeps of half-edge collapses over blocks of the full grid: one nearly halves the
             triangles. They too are of meshes made anew as `halves`.
+        guarantee : bool
+            False gives the triangulation of the zero trees alone (Yusov & Turlapov 2010, §2.4),
+            without any of the three arguments above: its `error` is what it turns out to be.
+            `level` -1 stands for -2 then, the finest one with zero trees.
 
         Returns
         -------
@@ -87,7 +92,7 @@ class Terrain(TerrainFile):
 
         placed = mesh_area(
             self, window, bounds=bounds, level=level, max_error=max_error,
-            max_triangles=max_triangles, optimise=optimise,
+            max_triangles=max_triangles, optimise=optimise, guarantee=guarantee,
         )  # fmt: skip
         return Mesh(*placed)
 

@@ -82,6 +82,7 @@ def test_options_reach_the_mesh(tmp_path, twz, asked):
         "window": (0, 0, 5, 6),
         "bounds": None,
         "optimise": 0,
+        "guarantee": True,
     }
 
 
@@ -94,6 +95,7 @@ def test_defaults_of_the_mesh(tmp_path, twz, asked):
         "window": None,
         "bounds": (400000.0, 3999800.0, 400200.0, 4000000.0),
         "optimise": 1,
+        "guarantee": True,
     }
 
 

@@ -451,6 +451,12 @@ def decompress(
     help="Spend more time for fewer triangles at the same error.",
 )
 @click.option(
+    "--loose",
+    is_flag=True,
+    help="The triangulation of the zero trees alone, without a guarantee (Yusov & Turlapov 2010,"
+    " §2.4); its error is measured. --level -2 (default) is the finest.",
+)
+@click.option(
     "--frame",
     type=click.Choice(["local", "native", "ecef"]),
     help="Coordinates: metres from the middle, as in the CRS, or geocentric. Default: local where"
@@ -491,6 +497,14 @@ def mesh(context: click.Context, /, file: str, target: str, store: bool, **optio
         names = {"kind": "mesh"}
         flags = ", ".join(sorted(f"--{names.get(name, name)}".replace("_", "-") for name in unfit))
         raise click.UsageError(f"found {flags} {'with' if store else 'without'} --store")
+    if options["loose"]:
+        goals = sorted(given & {"max_error", "max_triangles", "optimise"})
+        if goals:
+            flags = ", ".join(f"--{name}".replace("_", "-") for name in goals)
+            raise click.UsageError(
+                f"found {flags} with --loose, which has no goal: its mesh follows the zero trees"
+            )
+        options["optimise"] = False
     if store:
         _store_meshes(file, target, **{name: options[name] for name in common | _STORE_OPTIONS})
     else:
@@ -531,6 +545,7 @@ def _export_mesh(
     solid: float | None,
     radius: float | None,
     optimise: bool,
+    loose: bool,
     overwrite: bool,
     threads: int | None,
     as_json: bool,
@@ -556,7 +571,7 @@ def _export_mesh(
         surface = _mesh_for(
             target,
             lambda max_error: terrain.mesh(
-                optimise=int(optimise), **options | {"max_error": max_error}
+                optimise=int(optimise), guarantee=not loose, **options | {"max_error": max_error}
             ),
             options["max_error"],
             shape,
@@ -565,7 +580,7 @@ def _export_mesh(
     if as_json:
         print_json(asdict(saved))
     elif not quiet:
-        _print_saved(saved)
+        _print_saved(saved, "measured" if loose else "guaranteed")
 
 
 def _mesh_for(
@@ -601,13 +616,13 @@ _MESH_ATTEMPTS = 3
 _ROUNDING_SLACK = 1.25
 
 
-def _print_saved(saved: Any) -> None:
+def _print_saved(saved: Any, kind_of_error: str) -> None:
     click.echo(
         f"{plain(saved.path)}: {count_of(saved.n_triangles, 'triangle')},"
         f" {saved.n_vertices:,} vertices,"
         f" {saved.n_bytes:,} bytes"
     )
-    click.echo(f"guaranteed error {saved.error:.6g}{_unit(saved.units)}, frame {saved.frame}")
+    click.echo(f"{kind_of_error} error {saved.error:.6g}{_unit(saved.units)}, frame {saved.frame}")
     _note_unit(saved.units)
     if saved.curvature:
         print_note(
@@ -631,7 +646,15 @@ def _print_saved(saved: Any) -> None:
     is_flag=True,
     help="List the bytes of each part by URL too, which takes many requests.",
 )
-def info(file: str, as_json: bool, errors: str | None, voids: bool, parts: bool) -> None:
+@click.option(
+    "--meshes",
+    is_flag=True,
+    help="List each level's triangles, the bits they take and what zero trees hold (slow: makes all"
+    " meshes).",
+)
+def info(
+    file: str, as_json: bool, errors: str | None, voids: bool, parts: bool, meshes: bool
+) -> None:
     """Show what the file FILE (.twz) holds."""
     import terrainwave
     from terrainwave.mesh.level_errors import level_errors
@@ -641,11 +664,13 @@ def info(file: str, as_json: bool, errors: str | None, voids: bool, parts: bool)
         by_part = terrain.parts() if parts or "://" not in file else None
         by_level = None if errors is None else level_errors(terrain, errors)
         n_voids = terrain.count_voids() if voids else None
+        by_mesh = _mesh_levels(terrain) if meshes else None
     if as_json:
         more = {
             "parts": None if by_part is None else asdict(by_part),
             "level_errors": by_level,
             "n_voids": n_voids,
+            "meshes": None if by_mesh is None else [level._asdict() for level in by_mesh],
         }
         found = {name: value for name, value in more.items() if value is not None}
         print_json(summary.to_dict() | found)
@@ -655,6 +680,14 @@ def info(file: str, as_json: bool, errors: str | None, voids: bool, parts: bool)
             _print_parts(by_part)
         if by_level is not None:
             _print_level_errors(summary.level_shapes, by_level)
+        if by_mesh is not None:
+            _print_mesh_levels(by_mesh)
+
+
+def _mesh_levels(terrain: Any) -> Any:
+    from terrainwave.mesh.statistics import mesh_levels
+
+    return mesh_levels(terrain)
 
 
 def _voids_in_words(info: Any, n_voids: int | None) -> str:
@@ -683,6 +716,20 @@ def _print_parts(parts: Any) -> None:
         ["part", "bytes", "share"],
         [[name, f"{size:,}", f"{100 * size / total:.3g} %"] for name, size in rows],
     )
+
+
+def _print_mesh_levels(levels: Any) -> None:
+    rows = [
+        [
+            str(found.level),
+            f"{found.n_triangles:,}",
+            f"{found.label_bits:.3f}",
+            "" if found.significant is None else f"{100 * found.significant:.3g} %",
+            "" if found.n_loose is None else f"{found.n_loose:,}",
+        ]
+        for found in levels
+    ]
+    print_grid(["level", "triangles", "bits/sample", "significant nodes", "loose triangles"], rows)
 
 
 def _print_level_errors(shapes: Any, errors: list[float]) -> None:

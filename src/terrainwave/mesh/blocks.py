@@ -241,6 +241,20 @@ class BlockMesher:
         lines = border_lines(samples, self.side_tolerances(block), self._grid.block)
         return triangulate(*samples, lines, self.tolerance(block))
 
+    def coarser_mesh(self, block: Block, tolerance: int) -> BlockMesh:
+        """Return a mesh of the file's kind within a tolerance of a block's samples, 1/16 quanta.
+
+        It follows no zero trees. Borders of two blocks with the same tolerance are the same if the
+        kind is halves.
+        """
+        samples = self.samples(block)
+        if self.kind in STORED_KINDS:
+            if not has_triangles(samples.mask):
+                return no_mesh()
+            return STORED_KINDS[self.kind].alone(StoredSamples(*samples, None), tolerance)
+        sides = SideTolerances(tolerance, tolerance, tolerance, tolerance)
+        return triangulate(*samples, border_lines(samples, sides, self._grid.block), tolerance)
+
     def _stored_mesh(self, block: Block, samples: StoredSamples) -> BlockMesh:
         if self._part is None:
             raise ValueError(f"meshes of kind {self.kind} have stored bytes")

@@ -9,7 +9,7 @@ from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.mesh.blocks import BlockMesher, LevelSamples
-from terrainwave.mesh.trees import tree_source
+from terrainwave.mesh.trees import ZeroTrees, tree_source
 from terrainwave.read.decoder import TreeDecoder, unit_key
 from terrainwave.tri.agreement import BorderVertices, Position, agree
 from terrainwave.tri.stored import STORED_KINDS, Draft
@@ -174,10 +174,12 @@ def _level_parts(
     return parts
 
 
-def mesher_of(file: TerrainFile, samples: LevelSamples | None = None) -> BlockMesher:
+def mesher_of(
+    file: TerrainFile, samples: LevelSamples | None = None, trees: ZeroTrees | None = None
+) -> BlockMesher:
     """Return the mesher of an open file, for the stored mesh of any block.
 
-    `samples` stand in for the file's own, in meshes that are made anew.
+    `samples` and `trees` stand in for the file's own, in meshes that are made anew.
     """
     header = file.header
     return BlockMesher(
@@ -188,5 +190,5 @@ def mesher_of(file: TerrainFile, samples: LevelSamples | None = None) -> BlockMe
         has_voids=file.raster_info.mask_kind != "none",
         kind=header.mesh,
         part=parts_of_blocks(file.grid, file.container.mesh),
-        trees=tree_source(header.mesh, file.decoder),
+        trees=trees or tree_source(header.mesh, file.decoder),
     )

@@ -71,6 +71,9 @@ class StoredKind(Protocol):
     def encode(self, samples: Samples, tolerance: int, draft: Draft) -> bytes:
         """Return the bytes of a draft that the level has agreed on."""
 
+    def alone(self, samples: Samples, tolerance: int) -> BlockMesh:
+        """Return the mesh of a block that no neighbour demands anything of."""
+
     def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
         """Return the mesh that `encode` has written.
 
@@ -112,6 +115,12 @@ class Zerotree:
         cut = cut.reshape(samples.mask.shape)
         return encode_refinement(cut, samples.heights, samples.mask, tolerance, samples.trees)
 
+    def alone(self, samples: Samples, tolerance: int) -> BlockMesh:
+        """Return the mesh of Algorithm I."""
+        heights, mask, keep = samples.heights, samples.mask, samples.locked
+        cut = guaranteed_cut(heights, mask, tolerance, samples.trees, keep)
+        return mesh_of_cut(heights, mask, cut)
+
     def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
         """Return the mesh of refinement labels."""
         cut = decode_refinement(data, samples.heights, samples.mask, tolerance, samples.trees)
@@ -138,6 +147,10 @@ class Rqt:
         coder = new_encoder(out, new_models(_N_MODELS))
         _code_border(known, wanted, coder)
         return out[: finish_encoder(coder.state, out)].tobytes()
+
+    def alone(self, samples: Samples, tolerance: int) -> BlockMesh:
+        """Return the mesh with the border vertices of the block itself."""
+        return self.mesh(samples, tolerance, b"")
 
     def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
         """Return the mesh with the border vertices of the block itself and of `data`."""

@@ -19,6 +19,7 @@ _CLASSES = {
     "batched": ("batched", "Batched"),
     "dynamic": ("dynamic", "Dynamic"),
     "full": ("full", "Full"),
+    "loose": ("loose", "Loose"),
     "rqt": ("rqt", "Rqt"),
     "vertex-texture": ("vertex_texture", "VertexTexture"),
 }
