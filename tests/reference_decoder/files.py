@@ -44,7 +44,7 @@ def read_header(data):
     require(h.features <= 3, "features", UnsupportedError)
     require(not h.features & 2 or h.method == 1, "a faithful file of another method")
     require(h.padding == b"\0\0", "padding", UnsupportedError)
-    require(h.mesh <= 3, "mesh", UnsupportedError)
+    require(h.mesh <= 5, "mesh", UnsupportedError)
     require(h.mesh or h.mesh_tolerance == 0, "mesh_tolerance")
     require(h.file_size < 2**63, "file_size")
     require(1 <= h.n_rows <= 2**31 and 1 <= h.n_cols <= 2**31, "n_rows, n_cols")
