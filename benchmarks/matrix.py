@@ -5,8 +5,8 @@ every valid sample and the mask; decompressed to a GeoTIFF dtype, shape, transfo
 
 Meshes, with ``--meshes KIND ...``: heights within a quarter of the mesh error, stored meshes of all
 levels and meshes of the area (stored, and at several errors, one of them optimised) held against
-the original by `terrainwave.verification.meshes`, which knows nothing of the builder. Rasters of more
-than 513 samples a side are cropped to their middle.
+the original by `terrainwave.verification.meshes`, which knows nothing of the builder. Rasters of
+more than 513 samples a side are cropped to their middle.
 
 Exit status: 0 nothing wrong; 1 something is; 2 wrong usage.
 """
