@@ -149,6 +149,17 @@ CASES = {
         (50, 66), "int32", 90_000, "none", PLACE,
         {"max_error": 99, "method": "cdf97", "border_rings": 3, "mesh": "none"},
     ),
+    "cdf97-int16-nodata-faithful": (
+        (70, 66), "int16", 900, "nodata", PLACE,
+        {"max_error": 5, "method": "cdf97", "faithful": True, "mesh": "zerotree"},
+    ),
+    "cdf97-int32-rings-faithful": (
+        (50, 66), "int32", 90_000, "none", PLACE,
+        {
+            "max_error": 99, "method": "cdf97", "faithful": True, "border_rings": 3,
+            "mesh": "none",
+        },
+    ),
     "store-int16-nodata-halves": (
         (36, 35), "int16", 900, "nodata", PLACE, {"max_error": 0, "method": "store"},
     ),

@@ -40,6 +40,8 @@ class Method:
         Its streams can end early: at a rate, at a mean error, or where a reader has enough.
     is_clusterable : bool
         A part of the raster can be coded without the rest, on another machine.
+    may_be_faithful : bool
+        Its files may follow its paper to the letter (`write.options.Options.faithful`).
     is_patchable : bool
         A unit can be coded again so that heights that still hold come back as they were.
     has_parameters : bool
@@ -57,6 +59,7 @@ class Method:
     effort: str = ""
     is_cuttable: bool = False
     is_clusterable: bool = True
+    may_be_faithful: bool = False
     is_patchable: bool = False
     has_parameters: bool = False
     is_read_in_browsers: bool = False
@@ -77,7 +80,7 @@ METHODS = {
         Method(name="predictive", number=2, refiner="predictive.Predictive", has_parameters=True,
                is_patchable=True, is_read_in_browsers=True, effort="1, 2 or 8 sets of weights"),
         Method(name="cdf97", number=1, refiner="cdf97.Cdf97", pyramid="lowpass",
-               effort="1, up to 3 or up to 7 steps", has_layers=True),
+               effort="1, up to 3 or up to 7 steps", has_layers=True, may_be_faithful=True),
         Method(name="cdf53", number=3, pyramid="lowpass53", is_cuttable=True, is_clusterable=False),
         Method(name="store", number=0, refiner="store.Store", is_read_in_browsers=True),
     )

@@ -108,7 +108,7 @@ UNSUPPORTED = [
     (8, "B", 0, "format version 0, a draft"),
     (8, "B", 2, "format version 2; .*: install a newer one"),
     (9, "B", 1, "reserved"),
-    (12, "I", 2, "unknown features 0x2"),
+    (12, "I", 4, "unknown features 0x4"),
     (12, "I", 2**31, "unknown features"),
     (34, "B", 5, "unknown method 5"),
     (35, "B", 0, "unknown data type 0"),

@@ -79,6 +79,14 @@ def test_other_methods_give_the_bytes_of_a_local_run(tmp_path, cluster, method):
     assert there == here
 
 
+@pytest.mark.large
+@pytest.mark.parametrize("mesh", some(["zerotree", "halves"], 2))
+def test_a_faithful_file_is_that_of_a_local_run(tmp_path, cluster, mesh):
+    options = {"method": "cdf97", "faithful": True, "max_error": 3, "mesh": mesh}
+    here, there = both(tmp_path, cluster, "voids", **options)
+    assert there == here
+
+
 @pytest.mark.parametrize(
     ("shape", "task_samples", "level"),
     [

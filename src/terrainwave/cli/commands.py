@@ -71,6 +71,7 @@ from terrainwave.progress import ProgressCallback
 THREADS = click.IntRange(min=1)
 METHOD = click.Choice(["auto", *METHODS])
 CUTTABLE = methods_that(lambda method: method.is_cuttable)
+FAITHFUL = methods_that(lambda method: method.may_be_faithful)
 _EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if method.effort]
 EFFORT = (
     f"How much is tried: {'; '.join(_EFFORTS)}; auto with fast is {AUTO_METHODS[0].name}, with best"
@@ -151,6 +152,11 @@ def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
     type=Bound(),
     help="Distance of the finest meshes from the heights. Default: the guaranteed error, or the"
     " heights' vertical step if that is more.",
+)
+@click.option(
+    "--faithful",
+    is_flag=True,
+    help=f"With --method {FAITHFUL}: follow the method's paper to the letter.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @_batched
@@ -743,6 +749,7 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
     levels = ", ".join(f"{rows} x {cols}" for rows, cols in info.level_shapes)
     extent = "none" if info.minimum is None else f"{info.minimum:.6g} to {info.maximum:.6g}{unit}"
     scale = f"{info.scale:g}, offset {info.offset:g}"
+    way = "faithful to its paper" if info.faithful else f"effort {info.effort}"
     tolerance = f"within {info.mesh_tolerance:.6g}{unit} of the heights"
     if info.mesh in UNBOUNDED_MESHES:
         tolerance = f"coefficients above {info.mesh_tolerance:.6g}{unit}; errors are measured"
@@ -756,7 +763,7 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ("heights", extent),
         ("unit", info.units or "unknown"),
         ("voids", _voids_in_words(info, n_voids)),
-        ("method", f"{info.method}, effort {info.effort}, border rings {info.border_rings}"),
+        ("method", f"{info.method}, {way}, border rings {info.border_rings}"),
         ("block", f"{info.block} x {info.block} cells"),
         ("mesh", info.mesh if info.mesh == "none" else f"{info.mesh}, {tolerance}"),
         ("levels", f"{info.n_levels}: {levels}"),

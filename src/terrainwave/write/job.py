@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from terrainwave._version import __version__
-from terrainwave.container.header import HAS_REMAINDERS, Header
+from terrainwave.container.header import HAS_REMAINDERS, IS_FAITHFUL, Header
 from terrainwave.errors import (
     InvalidHeightsError,
 )
@@ -84,6 +84,11 @@ class Job:
         return self.quantizer.lost
 
     @property
+    def recursion_bound(self) -> int | None:
+        """Return delta, in quanta, if errors of blocks are those of Y10's recursion, else None."""
+        return (self.quantizer.step >> 1) + self.lost if self.options.faithful else None
+
+    @property
     def mesh_tolerance(self) -> int:
         """Return the tolerance of the finest meshes in 1/16 quanta, rounded down; 0 without."""
         quantizer = self.quantizer
@@ -100,7 +105,11 @@ class Job:
         """Return the parameters that all units share."""
         options = self.options
         return CodecParameters.of(
-            self.quantizer, self.info.nodata, options.border_rings, options.effort_number
+            self.quantizer,
+            self.info.nodata,
+            options.border_rings,
+            options.effort_number,
+            is_faithful=options.faithful,
         )
 
     def header(self, parameters: bytes) -> Header:
@@ -126,7 +135,8 @@ class Job:
             max_error=self.raw_bound,
             effective_bound=min(self.effective_error, self.raw_bound),
             rho=quantizer.rho,
-            features=HAS_REMAINDERS if quantizer.remainder_bytes else 0,
+            features=(HAS_REMAINDERS if quantizer.remainder_bytes else 0)
+            | (IS_FAITHFUL if options.faithful else 0),
             mesh=options.mesh,
             mesh_tolerance=self.mesh_tolerance,
             metadata={**metadata, "software": f"terrainwave {__version__}"},

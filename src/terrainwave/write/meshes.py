@@ -39,6 +39,7 @@ from terrainwave.names import METHODS, stored_mesh
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.write.boxes import with_tolerances
 
 
 def store_meshes(
@@ -99,7 +100,11 @@ def store_meshes(
         check_mesh_of(mesh, METHODS[container.header.method])
         header = replace(
             container.header,
-            mesh=stored_mesh(mesh, METHODS[container.header.method]),
+            mesh=stored_mesh(
+                mesh,
+                METHODS[container.header.method],
+                is_faithful=container.header.is_faithful,
+            ),
             mesh_tolerance=_tolerance(terrain, error),
         )
         grid = header.grid
@@ -118,6 +123,10 @@ def store_meshes(
         count = reporter.counter("measuring meshes", *size)
         errors = measure_meshes(grid, mesher, originals, executor, count, lost)
         codes = mesh_codes(errors, lost)
+        if header.is_faithful:
+            codes = with_tolerances(
+                codes, lambda block: container.codes(block)[2], mesher.tolerance
+            )
         spools = _copied(terrain, codes, directory, sections)
         assemble(part.file, header, spools)
         for spool in spools.values():

@@ -47,6 +47,7 @@ class Options:
     border_rings: int = 1
     mesh: str = "auto"
     mesh_error: float | None = None
+    faithful: bool = False
     verify: bool = True
     threads: int | None = None
 
@@ -60,7 +61,7 @@ class Options:
         check_mesh(self.mesh, or_none=True)
         check_method(self.method)
         check_effort(self.effort)
-        settled["mesh"] = stored_mesh(self.mesh, self.coding)
+        settled["mesh"] = stored_mesh(self.mesh, self.coding, is_faithful=self.faithful)
         check_mesh_of(self.mesh, self.coding)
         if self.is_auto and self.effort != DEFAULT_EFFORT:
             # Fast and best say which method.
@@ -81,6 +82,12 @@ class Options:
             raise InvalidArgumentError(
                 f"found `border_rings` {self.border_rings} and `method` {self.method}, expected"
                 " `border_rings` 1"
+            )
+        if self.faithful and (self.is_auto or not self.coding.may_be_faithful):
+            fit = methods_that(lambda method: method.may_be_faithful)
+            raise InvalidArgumentError(
+                f"found `faithful` and `method` {self.method}, expected `method` {fit}: the others"
+                " follow no paper to the letter"
             )
         checked_threads(self.threads)
 
@@ -133,6 +140,10 @@ class Options:
     @property
     def notes(self) -> list[str]:
         """Return remarks on options that change nothing."""
-        if self.effort == DEFAULT_EFFORT or self.coding.effort:
+        if self.effort == DEFAULT_EFFORT:
+            return []
+        if self.faithful:
+            return [f"effort {self.effort} changes nothing: faithful files have one wavelet step"]
+        if self.coding.effort:
             return []
         return [f"effort {self.effort} changes nothing: method {self.method} has no efforts"]
