@@ -154,11 +154,18 @@ def _render(folder: Path) -> None:
 
     for stem in ("int16-void", "float32"):
         path = folder / f"{stem}-{DEFAULT_METHOD.name}.twz"
-        for mode in MODES:
+        # Marks by steps are other kernels; those of vertex-texture are these.
+        for mode in (*MODES, "stepwise"):
             for error in ("measured", "paper"):
                 with (
                     terrainwave.open(path) as terrain,
-                    Offscreen(terrain, (320, 240), mode=mode, error=error) as offscreen,
+                    Offscreen(
+                        terrain,
+                        (320, 240),
+                        mode="dynamic" if mode == "stepwise" else mode,
+                        error=error,
+                        stepwise=mode == "stepwise",
+                    ) as offscreen,
                 ):
                     frame = offscreen.scene.frame
                     whole = choose_camera(frame, offscreen.viewport)
