@@ -132,7 +132,8 @@ def _mesh(folder: Path) -> None:
     """Make meshes of each kind, within errors and budgets."""
     for stem in ("int16", "int16-void", "float32-void"):
         path = folder / f"{stem}-{DEFAULT_METHOD.name}.twz"
-        for kind in sorted({*MESH_CHOICES} - {*UNBOUNDED_MESHES}):
+        # Those that files of every method can have.
+        for kind in sorted({*MESH_CHOICES} - {*UNBOUNDED_MESHES, "zerotree-coded"}):
             target = folder / f"mesh-{kind}.twz"
             terrainwave.store_meshes(path, target, mesh=kind, overwrite=True)
             with terrainwave.open(target) as terrain:
