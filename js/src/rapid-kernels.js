@@ -94,57 +94,76 @@ class KernelWorkspace {
 /** Arithmetic for units that are wide (R.2), or those that are not. */
 class KernelArithmetic {
   constructor(name, suffix, Numbers, { noteErrors }) {
-    Object.assign(this, { name, suffix, Numbers, noteErrors });
-    this.predictRow = [HH, HL, LH].map((plane) => (...told) => this.predict(plane, ...told));
+    Object.assign(this, { name, Numbers, noteErrors });
+    const predicting = ["predictHH", "predictHL", "predictLH"];
+    this.predictRow = predicting.map((predict) => this[predict].bind(this));
+    const kernelsOf = [...predicting, "fillBends", "fillContexts", "readDetails", "finishRow"];
+    this.names = Object.fromEntries(kernelsOf.map((kernel) => [kernel, kernel + suffix]));
   }
 
   makeWorkspace() {
     return new KernelWorkspace(this.name, this.Numbers);
   }
 
-  run(kernel, ...told) {
-    kernels[this.name].run[kernel + this.suffix](...told);
+  // Called for every row: no arrays of arguments here.
+
+  get run() {
+    return kernels[this.name].run;
   }
 
-  predict(plane, m, first, n, weights, features) {
+  predictHH(m, first, n, weights, features) {
     m.weights.set(weights);
     m.features.set(features);
-    const at = (array) => place(array, first);
-    const upTo = (arrays) => arrays.slice(0, plane + 1).map(at);
-    const errors = plane === HH ? [at(m.errors[HH])] : upTo(m.errors);
-    this.run(["predictHH", "predictHL", "predictLH"][plane], n, m.stride, at(m.coarse),
-      ...upTo(m.planes), ...errors, at(m.bends), m.weights.byteOffset, m.features.byteOffset, m.row,
-      m.nMost);
+    this.run[this.names.predictHH](n, m.stride, place(m.coarse, first), place(m.planes[HH], first),
+      place(m.errors[HH], first), place(m.bends, first), m.weights.byteOffset, m.features.byteOffset,
+      m.row, m.nMost);
+  }
+
+  predictHL(m, first, n, weights, features) {
+    m.weights.set(weights);
+    m.features.set(features);
+    this.run[this.names.predictHL](n, m.stride, place(m.coarse, first), place(m.planes[HH], first),
+      place(m.planes[HL], first), place(m.errors[HH], first), place(m.errors[HL], first),
+      place(m.bends, first), m.weights.byteOffset, m.features.byteOffset, m.row, m.nMost);
+  }
+
+  predictLH(m, first, n, weights, features) {
+    m.weights.set(weights);
+    m.features.set(features);
+    this.run[this.names.predictLH](n, m.stride, place(m.coarse, first), place(m.planes[HH], first),
+      place(m.planes[HL], first), place(m.planes[LH], first), place(m.errors[HH], first),
+      place(m.errors[HL], first), place(m.errors[LH], first), place(m.bends, first),
+      m.weights.byteOffset, m.features.byteOffset, m.row, m.nMost);
   }
 
   /** Fill curvatures of a row of plane A. */
   fillBends(m, first, n, shift, mostRange) {
-    this.run("fillBends", n, m.stride, place(m.coarse, first), place(m.bends, first), shift,
+    this.run[this.names.fillBends](n, m.stride, place(m.coarse, first), place(m.bends, first), shift,
       mostRange);
   }
 
   fillContexts(m, n, features, scale) {
     m.features.set(features);
-    this.run("fillContexts", n, m.features.byteOffset, m.row, m.nMost, scale.rangeShift,
+    this.run[this.names.fillContexts](n, m.features.byteOffset, m.row, m.nMost, scale.rangeShift,
       scale.mostRange, scale.isFine ? 1 : 0, scale.sideShift, scale.sideScale, scale.endShift);
   }
 
   /** Read the details of a row; of each, its validity is at every `step`-th place from `valid` on. */
   readDetails(m, first, stop, valid, step, mostDetail) {
-    this.run("readDetails", first, stop, m.row, m.nMost, valid, step, m.slots.byteOffset,
+    this.run[this.names.readDetails](first, stop, m.row, m.nMost, valid, step, m.slots.byteOffset,
       m.frequencies.byteOffset, m.allStates.byteOffset, m.nStates - 1, m.words.byteOffset, m.nWords,
       m.raw.byteOffset, m.nRaw, mostDetail, m.counts.byteOffset);
   }
 
   /** As in rapid-rows.js; `start` is that of the row's sample 0, of the heights of the region. */
   finishRow(m, plane, at, first, stop, { low, high, origin }, scale, start, step) {
-    this.run("finishRow", first, stop, m.row, m.nMost, place(m.planes[plane], at),
+    this.run[this.names.finishRow](first, stop, m.row, m.nMost, place(m.planes[plane], at),
       place(m.errors[plane], at), low, high, scale.step, scale.errorShift, place(m.heights, start),
       step, origin);
   }
 
   storeRow(m, n, from, start, step, origin) {
-    kernels[this.name].run.storeRow(n, place(m.coarse, from), place(m.heights, start), step, origin);
+    this.run.storeRow(n, place(m.coarse, from), place(m.heights, start), step, origin);
   }
 }
 
