@@ -219,6 +219,7 @@ void NAMED(finish_row)(i32 first, i32 stop, NUMBER *row, i32 m, i32 *own, i32 *e
 #undef TAKE_ROW
 #undef TAKE_CODED
 #undef NUMBER
+#undef ROWS
 #undef NAMED
 #undef SUFFIX
 #undef LARGE

@@ -5,8 +5,6 @@ typedef unsigned u32;
 typedef unsigned char u8;
 
 #define EXPORT(name) __attribute__((export_name(name)))
-#define ROWS _Pragma("clang loop vectorize(assume_safety)")
-
 static inline i32 min(i32 a, i32 b) { return a < b ? a : b; }
 static inline i32 max(i32 a, i32 b) { return a > b ? a : b; }
 static inline i32 magnitude(i32 a) { return a < 0 ? -a : a; }
@@ -33,6 +31,7 @@ static inline u32 read_bits(const u8 *raw, i32 n_raw, i32 *used, i32 n) {
   return held & ((1u << n) - 1);
 }
 
+#define ROWS _Pragma("clang loop vectorize(assume_safety)")
 #define NUMBER i32
 #define NAMED(name) name
 #define SUFFIX ""
@@ -43,6 +42,7 @@ static inline u32 read_bits(const u8 *raw, i32 n_raw, i32 *used, i32 n) {
 #define SHIFTED(x, n) ((x) >> (n))
 #include "rapid-rows.h"
 
+#define ROWS _Pragma("clang loop vectorize(disable) unroll(disable)") /* else twice as large */
 #define NUMBER double
 #define NAMED(name) name##_wide
 #define SUFFIX "Wide"
