@@ -17,6 +17,7 @@ TWZ_ENDINGS = (".twz",)
 GEOTIFF_ENDINGS = (".tif", ".tiff")
 HEIGHT_TILE_ENDINGS = (".r16", ".png")
 PICTURE_ENDINGS = (".png",)
+ARCHIVE_ENDING = ".pmtiles"
 
 # Longer ones are WKT, whose name is its first quoted string.
 _LONGEST_CODE = 40

@@ -56,7 +56,7 @@ class Directory(_Path):
 
     name = "directory"
     completes = "dir"
-    archives = (".mbtiles", ".pmtiles", ".tar", ".zip")
+    archives = (ARCHIVE_ENDING, ".mbtiles", ".tar", ".zip")
 
     def __init__(self, *, or_ending: str | None = None) -> None:
         self._or_ending = or_ending
