@@ -57,6 +57,7 @@ def test_all_meshes_of_a_file_are_right(case, kind, tmp_path_factory):
         assert verify_meshes(terrain)[1] == []
 
 
+@pytest.mark.full
 @given(case=cases(max_side=130))
 @settings(max_examples=N_EXAMPLES)
 def test_meshes_by_coefficient_are_surfaces_that_state_the_error_they_have(case, tmp_path_factory):
