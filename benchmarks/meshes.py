@@ -22,6 +22,7 @@ from pydelatin import Delatin
 import terrainwave
 from benchmarks import common
 from benchmarks.rasters import middle, whole_units
+from terrainwave.grid.quadtree import Region
 from terrainwave.tri import agreement, rqt
 from terrainwave.tri.connect import mesh_error, mesh_of_cut
 from terrainwave.tri.guarantee import guaranteed_cut
@@ -43,8 +44,8 @@ N_RUNS = 5
 # One line of the table of triangles; angles in degrees, speeds in Msamples/s of one thread.
 Row = namedtuple(
     "Row",
-    "raster n_rows n_cols error delatin halves optimised ratio optimised_ratio halves_speed "
-    "optimised_speed halves_min_angle optimised_min_angle optimised_share_below_5",
+    "raster n_rows n_cols error delatin halves optimised ratio optimised_ratio blocks_speed "
+    "halves_speed optimised_speed halves_min_angle optimised_min_angle optimised_share_below_5",
 )  # fmt: skip
 
 # One line about the papers' meshes; bits per sample, metres, Msamples/s of one thread.
@@ -71,22 +72,32 @@ def smallest_angles(mesh: terrainwave.Mesh) -> np.ndarray:
 def measure(name: str, heights: np.ndarray, folder: Path) -> Iterator[Row]:
     """Yield the rows of one raster."""
     path = folder / f"{name}.twz"
-    terrainwave.compress(heights, path, max_error=0, verify=False, overwrite=True)
-    with terrainwave.open(path, threads=1, cache_bytes=1 << 30) as terrain:
-        terrain.read()  # so that speeds are those of meshing
-        for error in ERRORS:
+    for error in ERRORS:
+        terrainwave.compress(
+            heights, path, max_error=0, mesh_error=error, verify=False, overwrite=True
+        )
+        with terrainwave.open(path, threads=1, cache_bytes=1 << 30) as terrain:
+            # So that speeds are those of meshing.
+            terrain.decoder.window(terrain.n_levels - 1, Region(0, 0, *heights.shape))
             tasks = [partial(terrain.mesh, max_error=error, optimise=n) for n in (0, 1)]
-            plain, swept = common.take_turns(lambda tasks=tasks: tasks, N_RUNS)
+            tasks.append(partial(derive_blocks, terrain))
+            plain, swept, blocks = common.take_turns(lambda tasks=tasks: tasks, N_RUNS)
             counts = [found.result.n_triangles for found in (plain, swept)]
             greedy = n_delatin(heights, error)
             angles = smallest_angles(swept.result)
             yield Row(
                 name, *heights.shape, float(error), greedy, *counts,
                 *(round(count / greedy, 4) for count in counts),
-                *(round(heights.size / found.seconds / 1e6, 2) for found in (plain, swept)),
+                *(round(heights.size / found.seconds / 1e6, 2) for found in (blocks, plain, swept)),
                 round(float(smallest_angles(plain.result).min()), 2),
                 round(float(angles.min()), 2), round(float((angles < 5).mean()), 5),
             )  # fmt: skip
+
+
+def derive_blocks(terrain: terrainwave.Terrain) -> None:
+    """Derive the meshes of all blocks of the full grid, which the viewer draws."""
+    for block in terrain.grid.blocks(terrain.n_levels - 1):
+        terrain.block_mesh(block)
 
 
 def measure_papers(name: str, heights: np.ndarray, error: int) -> PaperRow:

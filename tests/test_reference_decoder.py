@@ -37,7 +37,7 @@ from terrainwave.coding.deflate import deflate
 from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Block
-from terrainwave.read.zero_trees import count_significant
+from terrainwave.mesh.statistics import mesh_levels
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "FORMAT.md"
 
@@ -222,7 +222,7 @@ def test_faithful_files_decode_as_format_says(name, border_rings):
 @pytest.mark.large
 def test_significant_nodes_are_those_with_coefficients():
     heights = whole(np.random.default_rng(4), (66, 70))
-    data = twz_bytes(heights, max_error=20, method="cdf97", faithful=True)
+    data = twz_bytes(heights, max_error=20, method="cdf97", faithful=True, mesh="zerotree")
     decode_coefficients = cdf97.decode_coefficients
     counts = []
 
@@ -235,11 +235,12 @@ def test_significant_nodes_are_those_with_coefficients():
     with patch.object(cdf97, "decode_coefficients", recorded):
         decode(data)
     with terrainwave.open(data) as terrain:
-        found = count_significant(terrain.decoder)
+        shares = [found.significant for found in mesh_levels(terrain)]
     # Of the root unit, which refines no block, of its group, and of the four groups below.
     assert len(counts) == 1 + 1 + 4
-    assert found == [counts[1], tuple(map(sum, zip(*counts[2:], strict=True)))]
-    assert 0 < found[1].n_significant < found[1].n_nodes
+    below = [sum(column) for column in zip(*counts[2:], strict=True)]
+    assert shares == [counts[1][0] / counts[1][1], below[0] / below[1], None]
+    assert 0 < shares[1] < 1
 
 
 # Kernels with one model for each decision are compiled for the lowest effort alone.

@@ -114,18 +114,23 @@ def check_effort(effort: str) -> None:
         )
 
 
-def check_mesh(mesh: str, *, or_none: bool) -> None:
+def check_mesh(mesh: str, *, or_none: bool, is_faithful: bool) -> None:
     """Check the name of a kind of meshes; "none" is one only where that is allowed.
 
     Raises
     ------
     InvalidArgumentError
-        If it is no such name.
+        If it is no such name, or needs zero trees that only a faithful file codes.
     """
     known = (*MESH_CHOICES, "none") if or_none else MESH_CHOICES
     if mesh not in ("auto", *known):
         raise InvalidArgumentError(
             f"found `mesh` {mesh!r}, expected one of auto, {', '.join(known)}"
+        )
+    if mesh == "zerotree-coded" and not is_faithful:
+        raise InvalidArgumentError(
+            f"found `mesh` {mesh} for a file that codes no zero trees, expected `faithful`, or"
+            " `mesh` zerotree-layer, which follows those of the decoded heights"
         )
 
 

@@ -339,6 +339,7 @@ def test_store_adds_meshes_to_a_copy(tmp_path):
         ("--mesh-error 2", "found --mesh-error without --store"),
         ("--store --mesh none", "expected one of auto, halves, zerotree, rqt, zerotree-plain"),
         ("--store --mesh rqt3", "rqt3"),
+        ("--store --mesh zerotree-coded", "that codes no zero trees"),
     ],
 )
 def test_options_of_store_and_export_do_not_mix(tmp_path, twz, options, words):

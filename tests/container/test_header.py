@@ -115,7 +115,7 @@ UNSUPPORTED = [
     (35, "B", 2, "unknown data type 2"),
     (35, "B", 9, "unknown data type 9"),
     (36, "B", 10, "effort is 10"),
-    (37, "B", 4, "unknown mesh 4"),
+    (37, "B", 6, "unknown mesh 6"),
     (38, "B", 1, "reserved"),
     (39, "B", 128, "reserved"),
 ]

@@ -19,6 +19,7 @@ from terrainwave.write.options import Options
         ({"border_rings": 2}, "found border_rings 2, expected 1 or 3"),
         ({"border_rings": 3, "method": "cdf53"}, "found border_rings 3 and method cdf53"),
         ({"mesh": "rtin"}, "found mesh 'rtin'"),
+        ({"mesh": "zerotree-coded", "method": "cdf97"}, "expected faithful"),
         ({"threads": 0}, "found 0 threads, expected at least 1"),
         ({"max_error": 1, "rate": 1, "method": "cdf53"}, "found max_error and rate"),
         ({"rate": 0, "method": "cdf53"}, "found rate 0, expected a number > 0"),

@@ -34,7 +34,7 @@ from terrainwave.write.job import Job
 from terrainwave.write.proof import allowed_error, compare_window, measured_error, proof_windows
 from terrainwave.write.pyramid import Pyramid, SourceWindows
 
-_MESH_CACHE_BYTES = 128 << 20
+_MESH_CACHE_BYTES = _PROOF_CACHE_BYTES = 64 << 20
 
 
 @dataclass
@@ -318,7 +318,7 @@ def prove(
     regions = proof_windows(grid)
     allowed = allowed_error(job.quantizer, job.raw_bound)
     largest = 0.0
-    with TerrainFile(path, threads=1) as terrain:
+    with TerrainFile(path, threads=1, cache_bytes=_PROOF_CACHE_BYTES) as terrain:
 
         def compare(region: Region) -> float:
             return compare_window(terrain, source, region, allowed)

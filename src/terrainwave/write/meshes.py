@@ -82,7 +82,6 @@ def store_meshes(
     StorageError
         If something cannot be read or written, or `dst` is `src`; `dst` is untouched.
     """
-    check_mesh(mesh, or_none=False)
     error = checked_error("mesh_error", mesh_error)
     n_threads = checked_threads(threads)
     check_ending(dst, TWZ_ENDINGS)
@@ -96,6 +95,7 @@ def store_meshes(
         ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
     ):
         container = terrain.container
+        check_mesh(mesh, or_none=False, is_faithful=container.header.is_faithful)
         header = replace(
             container.header,
             mesh=stored_mesh(

@@ -57,7 +57,7 @@ class Options:
             "psnr": checked_error("psnr", self.psnr),
             "mesh_error": checked_error("mesh_error", self.mesh_error),
         }
-        check_mesh(self.mesh, or_none=True)
+        check_mesh(self.mesh, or_none=True, is_faithful=self.faithful)
         check_method(self.method)
         check_effort(self.effort)
         settled["mesh"] = stored_mesh(self.mesh, self.coding, is_faithful=self.faithful)
