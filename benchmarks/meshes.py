@@ -21,7 +21,7 @@ from pydelatin import Delatin
 
 import terrainwave
 from benchmarks import common
-from benchmarks.rasters import middle, whole_units
+from benchmarks.rasters import coefficients_of, middle, whole_units
 from terrainwave.grid.quadtree import Region
 from terrainwave.tri import agreement, rqt
 from terrainwave.tri.connect import mesh_error, mesh_of_cut
@@ -150,7 +150,7 @@ def measure_papers(name: str, heights, coefficients, error: int) -> PaperRow:
     )  # fmt: skip
 
 
-def paper_rows(directory: Path, folder: Path) -> Iterator[PaperRow]:
+def paper_rows(directory: Path) -> Iterator[PaperRow]:
     """Yield the rows of all crops."""
     noise = np.random.default_rng(0).integers(0, 9, (CROP_SIDE, CROP_SIDE), np.int32)
     measure_papers("compiles", noise, noise.astype(np.int64), 3)
@@ -158,11 +158,7 @@ def paper_rows(directory: Path, folder: Path) -> Iterator[PaperRow]:
         heights = whole_units(directory / f"{name}.tif")
         row, col = (min(at, n - CROP_SIDE) for at, n in zip(corner, heights.shape))
         crop = np.ascontiguousarray(heights[row : row + CROP_SIDE, col : col + CROP_SIDE])
-        file = folder / "crop.twz"
-        terrainwave.compress(crop, file, max_error=0, method="cdf53", mesh="none", overwrite=True)
-        with terrainwave.open(file) as terrain:
-            whole = Region(0, 0, *crop.shape)
-            coefficients = terrain.decoder.coefficients(terrain.n_levels - 1, whole)
+        coefficients = coefficients_of(crop)
         for error in ERRORS:
             yield measure_papers(name, crop, coefficients, error)
 
@@ -183,7 +179,7 @@ def mesh_rows(directory: Path, folder: Path) -> Iterator[Row]:
 def main(directory: Path, papers: bool, folder: Path, out: Path) -> None:
     """Measure, print and write the CSVs."""
     if papers:
-        common.write_rows(out.with_name("zerotree_mesh.csv"), paper_rows(directory, folder))
+        common.write_rows(out.with_name("zerotree_mesh.csv"), paper_rows(directory))
         return
     common.write_rows(out, mesh_rows(directory, folder))
 

@@ -1,9 +1,11 @@
 """Rasters as benchmarks need them: heights, mask, vertical quantum, fills for voids.
 
-What checks the package must not depend on it: only `mirrored_file` uses terrainwave.
+What checks the package must not depend on it: only `coefficients_of` and
+`mirrored_file` use terrainwave.
 """
 
 import math
+import tempfile
 import zlib
 from collections import namedtuple
 from collections.abc import Iterator
@@ -125,6 +127,18 @@ def _mirrored_indices(n: int, period: int) -> np.ndarray:
     turn = max(1, 2 * (period - 1))
     position = np.arange(n) % turn
     return np.minimum(position, turn - position) % period
+
+
+def coefficients_of(heights):
+    """Return the wavelet coefficients of whole numbers, as method cdf53 has them."""
+    import terrainwave
+    from terrainwave.grid.quadtree import Region
+
+    with tempfile.TemporaryDirectory() as folder:
+        file, whole = Path(folder, "a.twz"), heights.astype(np.int32)
+        terrainwave.compress(whole, file, max_error=0, method="cdf53", mesh="none", verify=False)
+        with terrainwave.open(file) as terrain:
+            return terrain.decoder.coefficients(terrain.n_levels - 1, Region(0, 0, *heights.shape))
 
 
 def mirrored_file(dem: Path, size: int, folder: Path, **options) -> Path:

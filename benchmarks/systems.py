@@ -5,8 +5,9 @@ one error on screen; and the papers' own figures beside those.
 
 ``--only dynamic`` flies over the first 512, 1024, 2048 and 4096 samples a side: down on the first
 512, the same for all; and low over the ground towards the far corner, which shows more the larger
-the raster is. On the first 512 also dynamic against rqt at one threshold, by the papers' errors and
-by measured ones. `largest_pixels` is the largest distance on screen of some originals in view.
+the raster is. On the first 512 also dynamic against rqt at one threshold, by the papers' errors, by
+coefficients of cdf53 and by measured ones; and dynamic by steps, down and 30 times as fast.
+`largest_pixels` is the largest distance on screen of some originals in view.
 
 CPU times are of the drawing thread, by its own clock, without draw calls: a software driver draws
 in that thread. "frame" is the time until the driver has drawn. Bytes are those handed to moderngl.
@@ -25,9 +26,9 @@ import numpy as np
 
 import terrainwave
 from benchmarks import common
-from benchmarks.rasters import load_raster
+from benchmarks.rasters import coefficients_of, load_raster
 from benchmarks.render import camera_at_key
-from terrainwave.render.camera import Camera, Viewport, home, look, project
+from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed, home, look, project
 from terrainwave.render.modes import MODES
 from terrainwave.render.modes.whole import eye_of
 from terrainwave.render.offscreen import Offscreen
@@ -48,6 +49,12 @@ N_FRAMES, N_DRAWN = 20, 3
 # A mode builds what comes into view as the camera moves; degrees per frame.
 TURN = 0.5
 # Cameras: name and key, as in `benchmarks.render`.
+# Zhang et al.'s factor, and their other filter.
+VARIANTS = {
+    "batched, paper, μ = 0.5": {"mode": "batched", "error": "paper"},
+    "batched, paper, μ = 1": {"mode": "batched", "error": "paper", "detail": 1.0},
+    "batched, order 2": {"mode": "batched", "order": 2},
+}
 KEYS = {"slope": (0.10, 0.10, 0.030, 45, -20), "low": (0.30, 0.35, 0.004, 75, -14)}
 # Of the flights. Shapes of meshes follow from the ratio of metres per sample to heights.
 SIDES, TAUS, SCREEN = (512, 1024, 2048, 4096), (1.0, 2.0, 4.0), Viewport(1280, 720)
@@ -60,10 +67,12 @@ MethodRow = namedtuple(
 # Milliseconds, medians over frames. `tau` is what the scene kept, pixels; what was asked for in
 # mode full, which splits all. `submitted` are the triangles the GPU is asked for: in mode
 # vertex-texture those of whole patches. `first_bytes` were uploaded until the picture was whole.
+# `largest_pixels`: of the measured errors of all blocks drawn, in mode batched.
 ModeRow = namedtuple(
     "ModeRow",
-    "raster renderer camera mode tau triangles submitted cpu_ms frame_ms first_bytes frame_bytes",
-)
+    "raster renderer camera mode tau triangles submitted cpu_ms frame_ms first_bytes frame_bytes "
+    "largest_pixels",
+)  # fmt: skip
 # A flight; milliseconds of CPU time of the one thread.
 FlightRow = namedtuple(
     "FlightRow",
@@ -143,7 +152,7 @@ def measure_mode(file: Path, name: str, camera_name: str, mode: str) -> ModeRow:
     """Return what a mode draws and takes from one camera; nothing has been read before."""
     with (
         terrainwave.open(file) as terrain,
-        Offscreen(terrain, SIZE, mode=mode, samples=0) as offscreen,
+        Offscreen(terrain, SIZE, samples=0, **VARIANTS.get(mode, {"mode": mode})) as offscreen,
     ):
         camera = camera_of(camera_name, offscreen)
         with counted_uploads() as first:
@@ -162,7 +171,18 @@ def measure_mode(file: Path, name: str, camera_name: str, mode: str) -> ModeRow:
             round(frames.tau or TAU, 3), frames.n_triangles,
             mine if mode == "vertex-texture" else frames.n_triangles, cpu_ms,
             round(float(np.median(times)), 1), sum(first), frame_bytes,
+            _largest_error(offscreen, camera) if mode.startswith("batched") else None,
         )  # fmt: skip
+
+
+def _largest_error(offscreen: Offscreen, camera: Camera) -> float:
+    """Return the largest error of a block on screen, pixels, by what was measured of it."""
+    scene = offscreen.scene
+    frames = scene.settle(scene.view(camera, offscreen.viewport, TAU))
+    pieces = [scene.table.pieces[node] for node in frames.nodes.tolist()]
+    errors = [scene.mode._levels.errors[piece.level][piece.row, piece.col] for piece in pieces]
+    pixels = np.array(errors) * gamma_guaranteed(camera, offscreen.viewport) / frames.distances
+    return round(float(pixels.max()), 2)
 
 
 def _turn(offscreen: Offscreen, camera: Camera) -> tuple[float, int, int]:
@@ -188,13 +208,13 @@ def measure_modes(file: Path, name: str) -> Iterator[ModeRow]:
     for mode in ("dynamic", "rqt"):
         measure_mode(file, name, "overview", mode)  # compiles
     for camera in ("overview", *KEYS):
-        for mode in MODES:
+        for mode in (*MODES, *VARIANTS):
             yield measure_mode(file, name, camera, mode)
 
 
 def camera_at(view: str, number: int, top: float) -> Camera:
     """Return the view of a frame, 10 m further each frame."""
-    away = 10.0 * number
+    away = number * (300.0 if view == "fast" else 10.0)
     if view == "low":
         x = 100 * PIXEL + away
         return Camera((x, -x, top + 5000), 135, -20, 60)
@@ -232,12 +252,16 @@ def fly(name: str, view: str, system: str, error: str, heights, tau: float, n: i
     """Return what a flight of `n` frames took."""
     top, matrix = float(heights.max()), (PIXEL, 0.0, 0.0, 0.0, -PIXEL, 0.0)
     started = time.thread_time()
-    if system == "dynamic":
+    if system.startswith("dynamic"):
         mesh = DynamicMesh(heights, sample_matrix=matrix, error=error)
-        n_nodes, options = mesh.n_nodes, {"morph": MORPH}
+        n_nodes = mesh.n_nodes
+        options = {"morph": MORPH, "is_stepwise": "stepwise" in system}
     else:
         limits = float(heights.min()), top
-        mesh = RestrictedMesh(heights.shape, limits, heights, sample_matrix=matrix, error=error)
+        known = {"coefficients": coefficients_of(heights)} if error == "coefficient" else {}
+        mesh = RestrictedMesh(
+            heights.shape, limits, heights, sample_matrix=matrix, error=error, **known
+        )
         n_nodes, options = heights.size, {}
     build = time.thread_time() - started
     times, touched = [], []
@@ -268,8 +292,9 @@ def measure_flights(dem: Path, n_frames: int) -> Iterator[FlightRow]:
             return
         runs = [(view, "dynamic", "measured") for view in ("down", "low")]
         if side == SIDES[0]:
-            runs += [("down", "dynamic", "paper")]
-            runs += [("down", "rqt", error) for error in ("measured", "paper")]
+            runs += [("down", "dynamic", "paper"), ("fast", "dynamic", "measured")]
+            runs += [(view, "dynamic, stepwise", "measured") for view in ("down", "fast")]
+            runs += [("down", "rqt", error) for error in ("measured", "paper", "coefficient")]
         for tau in TAUS:
             for run in runs:
                 yield fly(dem.name, *run, part, tau, n_frames)

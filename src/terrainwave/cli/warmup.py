@@ -132,7 +132,8 @@ def _mesh(folder: Path) -> None:
     """Make meshes of each kind, within errors and budgets."""
     for stem in ("int16", "int16-void", "float32-void"):
         path = folder / f"{stem}-{DEFAULT_METHOD.name}.twz"
-        for kind in sorted({*MESH_CHOICES} - {*UNBOUNDED_MESHES}):
+        # Those that files of every method can have.
+        for kind in sorted({*MESH_CHOICES} - {*UNBOUNDED_MESHES, "zerotree-coded"}):
             target = folder / f"mesh-{kind}.twz"
             terrainwave.store_meshes(path, target, mesh=kind, overwrite=True)
             with terrainwave.open(target) as terrain:
@@ -154,11 +155,18 @@ def _render(folder: Path) -> None:
 
     for stem in ("int16-void", "float32"):
         path = folder / f"{stem}-{DEFAULT_METHOD.name}.twz"
-        for mode in MODES:
+        # Marks by steps are other kernels; those of vertex-texture are these.
+        for mode in (*MODES, "stepwise"):
             for error in ("measured", "paper"):
                 with (
                     terrainwave.open(path) as terrain,
-                    Offscreen(terrain, (320, 240), mode=mode, error=error) as offscreen,
+                    Offscreen(
+                        terrain,
+                        (320, 240),
+                        mode="dynamic" if mode == "stepwise" else mode,
+                        error=error,
+                        stepwise=mode == "stepwise",
+                    ) as offscreen,
                 ):
                     frame = offscreen.scene.frame
                     whole = choose_camera(frame, offscreen.viewport)

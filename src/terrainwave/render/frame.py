@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -58,15 +59,17 @@ class Frame:
     body: str = UNKNOWN
     latitudes: tuple[float, float] | None = None
 
-    @property
+    @cached_property
     def box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the lowest and highest corner of the terrain in local metres."""
+        """Return the lowest and highest corner of the terrain in local metres, read-only."""
         n_rows, n_cols = self.shape
         rows = np.array([0, 0, n_rows - 1, n_rows - 1])
         cols = np.array([0, n_cols - 1, 0, n_cols - 1])
         xy = self.samples_to_local(rows, cols)
         z = np.array(self.heights) * self.metres[2] * self.exaggeration
-        return np.array([*xy.min(axis=0), z.min()]), np.array([*xy.max(axis=0), z.max()])
+        low, high = np.array([*xy.min(axis=0), z.min()]), np.array([*xy.max(axis=0), z.max()])
+        low.flags.writeable = high.flags.writeable = False
+        return low, high
 
     @property
     def base(self) -> float:
@@ -79,7 +82,7 @@ class Frame:
     def solid_box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the box of the terrain and the block under it."""
         low, high = self.box
-        return np.array([low[0], low[1], self.base]), high
+        return np.array([low[0], low[1], self.base]), high.copy()
 
     @property
     def outline(self) -> NDArray[np.float64]:

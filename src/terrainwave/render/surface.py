@@ -41,7 +41,8 @@ class Surface(Protocol):
 def set_uniforms(program: Any, values: Mapping[str, Any]) -> None:
     """Set those uniforms that the program has; compilers drop the ones it does not use."""
     for name, value in values.items():
-        if name in program:
+        # `in` would look at one name after the other.
+        if program.get(name, None) is not None:
             program[name] = value
 
 
