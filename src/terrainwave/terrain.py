@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block
+from terrainwave.progress import ProgressCallback
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -44,6 +45,7 @@ class Terrain(TerrainFile):
         max_error: float | None = None,
         max_triangles: int | None = None,
         optimise: int = 0,
+        progress: ProgressCallback | None = None,
     ) -> "Mesh":
         """Return one connected watertight mesh of an area.
 
@@ -67,6 +69,8 @@ class Terrain(TerrainFile):
         optimise : int
             Sweeps of half-edge collapses over blocks of the full grid: one nearly halves the
             triangles. They too are of meshes made anew as `halves`.
+        progress : callable, optional
+            Called with a `Progress`; a mesh that needs several tries begins anew with each.
 
         Returns
         -------
@@ -87,7 +91,7 @@ class Terrain(TerrainFile):
 
         placed = mesh_area(
             self, window, bounds=bounds, level=level, max_error=max_error,
-            max_triangles=max_triangles, optimise=optimise,
+            max_triangles=max_triangles, optimise=optimise, progress=progress,
         )  # fmt: skip
         return Mesh(*placed)
 

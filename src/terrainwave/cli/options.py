@@ -8,7 +8,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from terrainwave.arguments import BLOCKS, check_ending
+from terrainwave.arguments import ARCHIVE_ENDING, BLOCKS, check_ending
 from terrainwave.cli.streams import STREAM, read_stream
 from terrainwave.errors import InvalidArgumentError
 
