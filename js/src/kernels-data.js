@@ -1,5 +1,8 @@
 /** js/wasm/*.c as WebAssembly, in base 64: written by js/wasm/build.sh. */
 
+/** SHA-256 of build.sh, the .c and the .h files, one after the other: a test compares it. */
+export const SOURCES = "180573b72dc10e2fa597942e7609af82f6661f533b865c55bd2c4038945c5d23";
+
 // prettier-ignore
 export const KERNELS =
   "AGFzbQEAAAABnwENYAt/f39/f39/f39/fwBgCX9/f39/f39/fwF/YAF/AGACf38AYAV/f39/fwF/YAZ/f39/f38AYAp/f39/" +
