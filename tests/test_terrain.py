@@ -162,6 +162,8 @@ def test_a_whole_read_is_its_windows_and_keeps_no_unit_of_the_full_grid(raster, 
         k_max = terrain.grid.k_max
         whole = Region(0, 0, R, C)
         finest = terrain.decoder.keys(k_max, whole)
+        side = 2 * terrain.grid.block
+        np.testing.assert_array_equal(terrain.read((0, 0, side, side)), raster[:side, :side])
         assert not any(terrain.decoder._cache.get(key) for key in finest)
         np.testing.assert_array_equal(terrain.read((3, 5, 200, 100)), raster[3:203, 5:105])
         assert any(terrain.decoder._cache.get(key) for key in finest)

@@ -122,6 +122,10 @@ CASES = {
     "cdf53-int16-lossless": (
         (66, 47), "int16", 900, "nodata", PLACE, {"max_error": 0, "method": "cdf53"},
     ),
+    "cdf53-int16-nodata-rqt-coefficient": (
+        (66, 47), "int16", 900, "nodata", PLACE,
+        {"max_error": 3, "method": "cdf53", "mesh": "rqt-coefficient"},
+    ),
     "cdf53-uint16-rate": (
         (70, 75), "uint16", 900, "none", PLACE, {"rate": 4.0, "method": "cdf53", "mesh": "none"},
     ),

@@ -1,13 +1,14 @@
 /** Tiles of terrains, made in the browser: what asks the worker, and forgets what nobody wants. */
 
+import { Mailbox } from "../src/mailbox.js";
+
 /** Tiles under work, a view's: what is asked for later and dropped meanwhile is never begun. */
 const AT_ONCE = 24;
 
 export class TileMaker {
   #worker;
-  #asked = new Map(); // by id: { resolve, reject }
+  #mailbox = new Mailbox(({ name, message }) => Object.assign(new Error(message), { name }));
   #waiting = [];
-  #n = 0;
   #failure = null; // of the worker itself: there is none to ask
 
   /** @param {{ worker?: Worker }} options */
@@ -18,7 +19,7 @@ export class TileMaker {
       event.preventDefault();
       const message = event.message ?? "the module of the worker cannot be loaded";
       this.#failure = { name: "Error", message };
-      for (const id of [...this.#asked.keys()]) this.#settle({ id, error: this.#failure });
+      for (const id of this.#mailbox.ids) this.#settle({ id, error: this.#failure });
     };
   }
 
@@ -28,32 +29,29 @@ export class TileMaker {
    */
   ask(terrain, what, args, signal) {
     return new Promise((resolve, reject) => {
-      const id = this.#n++;
       const { name, url, described } = terrain;
-      const message = { id, terrain: { name, url: String(url), described }, what, args };
+      const message = { terrain: { name, url: String(url), described }, what, args };
       this.#waiting.push({ message, resolve, reject, signal });
       this.#begin();
     });
   }
 
   #begin() {
-    while (this.#asked.size < AT_ONCE && this.#waiting.length) {
+    while (this.#mailbox.size < AT_ONCE && this.#waiting.length) {
       const { message, resolve, reject, signal } = this.#waiting.shift();
       if (signal?.aborted) {
         reject(new DOMException("not wanted any more", "AbortError"));
         continue;
       }
-      this.#asked.set(message.id, { resolve, reject });
-      if (this.#failure) this.#settle({ id: message.id, error: this.#failure });
-      else this.#worker.postMessage(message);
+      const { id, answer } = this.#mailbox.ask(this.#worker);
+      answer.then(resolve, reject);
+      if (this.#failure) this.#settle({ id, error: this.#failure });
+      else this.#worker.postMessage({ ...message, id });
     }
   }
 
-  #settle({ id, answer, error }) {
-    const asked = this.#asked.get(id);
-    this.#asked.delete(id);
-    if (error) asked?.reject(Object.assign(new Error(error.message), { name: error.name }));
-    else asked?.resolve(answer);
+  #settle(message) {
+    this.#mailbox.settle(message);
     this.#begin();
   }
 }

@@ -69,9 +69,9 @@ const WORK = {
 self.onmessage = async ({ data: { id, terrain, what, args } }) => {
   try {
     const globe = await openGlobe(terrain);
-    const answer = await WORK[what](globe, terrain.name, ...args);
-    const moved = [answer?.image, answer?.heights?.buffer].filter(Boolean);
-    self.postMessage({ id, answer }, moved);
+    const found = await WORK[what](globe, terrain.name, ...args);
+    const moved = [found?.image, found?.heights?.buffer].filter(Boolean);
+    self.postMessage({ id, found }, moved);
   } catch (error) {
     self.postMessage({ id, error: { name: error.name, message: error.message } });
   }

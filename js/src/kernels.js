@@ -31,8 +31,8 @@ class Kernels {
   }
 }
 
-/** Of methods: null until `loadKernels`, and where there is no WebAssembly with SIMD. */
-export const kernels = { rapid: null, predictive: null };
+/** By what uses them: null until `loadKernels`, and where there is no WebAssembly with SIMD. */
+export const kernels = { rapid: null, rapidWide: null, predictive: null, masks: null };
 let loaded = null;
 
 async function load() {
@@ -53,7 +53,7 @@ export function loadKernels() {
   return loaded;
 }
 
-/** Run without kernels from now on, or with those that were loaded (for tests). */
+/** Run with these kernels from now on; without, where there are none (for tests). */
 export function useKernels(found) {
-  Object.assign(kernels, found);
+  for (const name of Object.keys(kernels)) kernels[name] = found[name] ?? null;
 }

@@ -1,6 +1,8 @@
 /** Masks (FORMAT.md §5.1, §5.2). */
 
-import { Models, RangeDecoder, learned } from "./rangecoder.js";
+import { require } from "./errors.js";
+import { kernels } from "./kernels.js";
+import { Models, RATES, RangeDecoder, learned } from "./rangecoder.js";
 
 /** Start values of the models, in 1/256 (§5.2). */
 // prettier-ignore
@@ -33,7 +35,7 @@ const STARTS = [
 const MODELS = Int32Array.from(STARTS, (s) => ((16 * s) << 4) | 1); // as `Models` takes them
 
 /** Return 1 where a void sample of the parent heights touches a sample of the region, else 0. */
-export function impliedVoid(unit, parent) {
+function impliedVoid(unit, parent) {
   const { rows, cols } = unit;
   const implied = new Uint8Array(rows.n * cols.n);
   if (parent === null || !parent.hasVoid) return implied;
@@ -67,28 +69,84 @@ function touching(axis, parentAxis) {
   return [before, after];
 }
 
-/** Return the validity of all samples of a region, 1 or 0. */
-export function decodeMask(section, implied, nRows, nCols) {
+/** Return the validity of all samples of a unit that has a mask, 1 or 0. */
+export function decodeMask(section, unit, parent) {
+  const { rows, cols } = unit;
+  if (kernels.masks) return decodeByKernels(section, unit, parent);
+  const implied = impliedVoid(unit, parent);
   // Two samples of margin on each side stand for what lies outside the region.
-  const stride = nCols + 4;
-  const valid = new Uint8Array((nRows + 4) * stride);
-  const isImplied = new Uint8Array((nRows + 4) * stride);
-  for (let r = 0; r < nRows; r++) {
-    isImplied.set(implied.subarray(r * nCols, (r + 1) * nCols), (r + 2) * stride + 2);
+  const stride = cols.n + 4;
+  const valid = new Uint8Array((rows.n + 4) * stride);
+  const isImplied = new Uint8Array((rows.n + 4) * stride);
+  for (let r = 0; r < rows.n; r++) {
+    isImplied.set(implied.subarray(r * cols.n, (r + 1) * cols.n), (r + 2) * stride + 2);
   }
   const decoder = new RangeDecoder(section);
   const models = new Models(MODELS.length, MODELS);
-  for (let r = 0; r < nRows; r++) {
+  for (let r = 0; r < rows.n; r++) {
     const at = (r + 2) * stride + 2;
-    decodeRow(decoder, models, valid, isImplied, at, at + nCols, stride);
+    decodeRow(decoder, models, valid, isImplied, at, at + cols.n, stride);
   }
   decoder.end();
+  return withoutMargin(valid, rows.n, cols.n);
+}
+
+function withoutMargin(valid, nRows, nCols) {
   const inside = new Uint8Array(nRows * nCols);
   for (let r = 0; r < nRows; r++) {
-    const at = (r + 2) * stride + 2;
+    const at = (r + 2) * (nCols + 4) + 2;
     inside.set(valid.subarray(at, at + nCols), r * nCols);
   }
   return inside;
+}
+
+/** Return the validity of all samples of a unit without a mask: those not implied are valid. */
+export function unmasked(unit, parent) {
+  const { rows, cols } = unit;
+  const valid = new Uint8Array(rows.n * cols.n).fill(1);
+  if (parent === null || !parent.hasVoid) return valid;
+  const implied = impliedVoid(unit, parent);
+  for (let i = 0; i < valid.length; i++) valid[i] = implied[i] ^ 1;
+  return valid;
+}
+
+const START = new Models(MODELS.length, MODELS).cells;
+
+/** The same by compiled kernels (js/wasm/masks.c). */
+function decodeByKernels(section, unit, parent) {
+  const { rows, cols } = unit;
+  const stride = cols.n + 4;
+  const n = (rows.n + 4) * stride;
+  const nAbove = parent ? parent.rows.n * parent.cols.n : 0;
+  const m = kernels.masks.arrange({
+    cells: [Int32Array, START.length], rates: [Int32Array, RATES.length],
+    above: [Int32Array, rows.n], below: [Int32Array, rows.n], left: [Int32Array, cols.n],
+    right: [Int32Array, cols.n], parentValid: [Uint8Array, nAbove],
+    both: [Uint8Array, parent ? parent.cols.n : 0], valid: [Uint8Array, n],
+    implied: [Uint8Array, n], data: [Uint8Array, section.length],
+  });
+  m.valid.fill(0);
+  m.implied.fill(0);
+  if (parent?.hasVoid) {
+    const [above, below] = touching(rows, parent.rows);
+    const [left, right] = touching(cols, parent.cols);
+    for (const [name, lines] of Object.entries({ above, below, left, right })) m[name].set(lines);
+    for (let r = 0; r < parent.rows.n; r++) {
+      const start = parent.base + r * parent.stride;
+      m.parentValid.set(parent.valid.subarray(start, start + parent.cols.n), r * parent.cols.n);
+    }
+    kernels.masks.run.imply(rows.n, cols.n, m.parentValid.byteOffset, parent.cols.n,
+      m.above.byteOffset, m.below.byteOffset, m.left.byteOffset, m.right.byteOffset,
+      m.both.byteOffset, m.implied.byteOffset + 2 * stride + 2, stride);
+  }
+  m.cells.set(START);
+  m.rates.set(RATES);
+  m.data.set(section);
+  const position = kernels.masks.run.decodeMask(rows.n, cols.n, stride, m.valid.byteOffset,
+    m.implied.byteOffset, m.cells.byteOffset, m.rates.byteOffset, m.data.byteOffset,
+    section.length);
+  require(position - 3 === section.length, "a range coder stream has another length");
+  return withoutMargin(m.valid, rows.n, cols.n);
 }
 
 /** What `RangeDecoder.bit` does, with all state in locals. */

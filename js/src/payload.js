@@ -4,7 +4,7 @@ import { readVarint } from "./bytes.js";
 import { require } from "./errors.js";
 import { HAS_REMAINDERS } from "./header.js";
 import { inflateZlib } from "./inflate.js";
-import { decodeMask, impliedVoid } from "./mask.js";
+import { decodeMask, unmasked } from "./mask.js";
 
 /**
  * Decode a unit: { unit, heights, valid, hasVoid, remainders }, of its region in raster order.
@@ -32,9 +32,7 @@ export function decodePayload(file, unit, payload, parent) {
     sections[bit] = payload.subarray(start, at);
   }
   const [mask, exceptions, rest] = sections;
-  const valid = mask
-    ? decodeMask(mask, impliedVoid(unit, parent), unit.rows.n, unit.cols.n)
-    : unmasked(unit, parent, n);
+  const valid = mask ? decodeMask(mask, unit, parent) : unmasked(unit, parent);
   const hasVoid = (mask !== null || parent?.hasVoid === true) && valid.includes(0);
   require(!hasVoid || valid.includes(1), "a payload of a unit without valid samples");
   const heights = file.decodeMethod(file, unit, payload.subarray(at), valid, parent, hasVoid);
@@ -43,14 +41,6 @@ export function decodePayload(file, unit, payload, parent) {
   moveFromNodata(file.quantaOfNodata, heights, valid, exceptions);
   const remainders = rest && decodeRemainders(rest, n, header.dtype.bytes);
   return { unit, heights, valid, remainders, hasVoid };
-}
-
-function unmasked(unit, parent, n) {
-  const valid = new Uint8Array(n);
-  if (parent === null || !parent.hasVoid) return valid.fill(1);
-  const implied = impliedVoid(unit, parent);
-  for (let i = 0; i < valid.length; i++) valid[i] = implied[i] ^ 1;
-  return valid;
 }
 
 /** Step 1 of §5.1. */

@@ -41,9 +41,17 @@ export class Workspace {
     this.expected = new Int32Array(this.nMost);
     this.whole = new Int32Array(this.nMost);
     this.contexts = new Int32Array(this.nMost);
-    this.details = new Int32Array(this.nMost);
+    this.details = new Numbers(this.nMost);
     this.valid = new Uint8Array(this.nMost);
     this.result = new Int32Array(this.nMost);
+  }
+
+  /** Take a unit: rows and columns of plane A, validity of the region. */
+  take(nRows, nCols, valid) {
+    this.reserve(nRows, nCols);
+    this.heights = new Int32Array(valid.length);
+    this.regionValid = valid;
+    this.nHeights = valid.length;
   }
 
   /** Make room for a lattice whose plane A has so many rows and columns. */
@@ -232,15 +240,15 @@ export function fillContexts(m, n, features, scale) {
 
 /**
  * Fill the heights first … stop - 1 of a row whose samples begin at `at`, and their errors; write
- * heights to every `step`-th place of `out` too, the first one at `start`.
+ * heights to every `step`-th place of the region too, that of sample 0 is `start`.
  */
-export function finishRow(m, plane, at, first, stop, limits, scale, out, start, step) {
-  const { predicted, whole, details, contexts } = m;
+export function finishRow(m, plane, at, first, stop, limits, scale, start, step) {
+  const { predicted, whole, details, contexts, heights: out } = m;
   const own = m.planes[plane];
   const errors = m.errors[plane];
   const { low, high, origin } = limits;
   const { errorShift, step: quantum } = scale;
-  for (let j = first, k = start; j < stop; j++, k += step) {
+  for (let j = first, k = start + first * step; j < stop; j++, k += step) {
     const change = imul(details[j], quantum);
     const height = min(max((contexts[j] & DOWN ? whole[j] - change : whole[j] + change) | 0, low), high);
     own[at + j] = height;
@@ -249,14 +257,14 @@ export function finishRow(m, plane, at, first, stop, limits, scale, out, start, 
   }
 }
 
-/** Fill the errors of a row of samples that begins at `first` (R.6). */
-export function noteErrors(m, plane, first, n, scale) {
+/** Fill the errors of samples first … stop - 1 of a row that begins at `at` (R.6). */
+export function noteErrors(m, plane, at, first, stop, scale) {
   const { predicted } = m;
   const heights = m.planes[plane];
   const errors = m.errors[plane];
   const { errorShift } = scale;
-  for (let j = 0; j < n; j++) {
-    const error = abs(((heights[first + j] << 6) - predicted[j]) | 0) >> errorShift;
-    errors[first + j] = min(error, MOST_ERROR);
+  for (let j = first; j < stop; j++) {
+    const error = abs(((heights[at + j] << 6) - predicted[j]) | 0) >> errorShift;
+    errors[at + j] = min(error, MOST_ERROR);
   }
 }

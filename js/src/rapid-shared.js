@@ -165,7 +165,7 @@ export class SharedRows {
     if (n === 0) return;
     coder.arithmetic.fillContexts(m, n, this.features, coder.scale);
     for (let j = 0; j < n; j++) m.valid[j] = valid[places[j]];
-    coder.streams.readDetails(m, 0, n, m.valid, coder.scale.mostDetail);
+    coder.readLine(n);
     coder.fillHeights(m.result, 0, 0, n);
     for (let j = 0; j < n; j++) {
       heights[places[j]] = m.result[j] + coder.origin;

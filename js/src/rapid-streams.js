@@ -2,7 +2,6 @@
 
 import { readVarint } from "./bytes.js";
 import { require } from "./errors.js";
-import { readSymbols } from "./rapid-kernels.js";
 import { DOWN } from "./rapid-rows.js";
 import { SLOT_BITS } from "./rapid-tables.js";
 
@@ -11,6 +10,8 @@ const ZERO = 31; // the symbol of no detail
 const ESCAPE = 0;
 const FIRST_RAW = 72; // contexts from here on have raw bits
 const START = 65536;
+/** What counts are of: symbols, words and raw bits that were read. */
+const [SYMBOLS, WORDS, BITS] = [0, 1, 2];
 
 export class Streams {
   constructor(payload, tables) {
@@ -32,16 +33,13 @@ export class Streams {
     }
     this.rawBytes = payload.subarray(wordsAt + 2 * nWords);
     this.tables = tables;
-    this.held = null; // the kernels' workspace, if they read the symbols
-    this.nSymbols = 0;
-    this.nWordsUsed = 0;
-    this.nBitsUsed = 0;
+    this.counts = new Int32Array(3);
   }
 
-  /** Let compiled kernels read the symbols, in whose memory a workspace lies. */
+  /** Let compiled kernels read on, in whose memory a workspace lies that took the streams. */
   moveTo(workspace) {
-    this.states = workspace.takeStreams(this.words, this.states, this.tables);
-    this.held = workspace;
+    this.states = workspace.allStates.subarray(0, this.states.length);
+    this.counts = workspace.counts;
   }
 
   /**
@@ -50,10 +48,7 @@ export class Streams {
    * Samples that are not in `valid` (null: all are) have no symbol and the detail 0.
    */
   readDetails(m, first, stop, valid, mostDetail) {
-    const hasRaw = this.held
-      ? readSymbols(m, this.states.length, this.nWords, first, stop, valid !== null)
-      : this.readSymbols(m.contexts, m.details, first, stop, valid);
-    if (hasRaw) {
+    if (this.readSymbols(m.contexts, m.details, first, stop, valid)) {
       this.readRaw(m.contexts, m.details, first, stop, valid, mostDetail);
     }
   }
@@ -62,7 +57,7 @@ export class Streams {
   readSymbols(contexts, details, first, stop, valid) {
     const { states, words, nWords, tables: { slots, frequencies } } = this;
     const last = states.length - 1;
-    let { nSymbols, nWordsUsed } = this;
+    let [nSymbols, nWordsUsed] = this.counts;
     let hasRaw = false;
     for (let j = first; j < stop; j++) {
       if (valid !== null && valid[j] === 0) {
@@ -84,8 +79,8 @@ export class Streams {
       details[j] = symbol - ZERO;
       if (symbol === ESCAPE || context >= FIRST_RAW) hasRaw = true;
     }
-    this.nSymbols = nSymbols;
-    this.nWordsUsed = nWordsUsed;
+    this.counts[SYMBOLS] = nSymbols;
+    this.counts[WORDS] = nWordsUsed;
     return hasRaw;
   }
 
@@ -109,9 +104,10 @@ export class Streams {
   /** Return the next n <= 24 raw bits, the first one lowest; 0 beyond the end. */
   bits(n) {
     const bytes = this.rawBytes;
-    const at = this.nBitsUsed >>> 3;
-    const shift = this.nBitsUsed & 7;
-    this.nBitsUsed += n;
+    const used = this.counts[BITS];
+    const at = used >>> 3;
+    const shift = used & 7;
+    this.counts[BITS] = used + n;
     if (at + 4 > bytes.length) return this.lastBits(at, shift, n);
     const held = bytes[at] | (bytes[at + 1] << 8) | (bytes[at + 2] << 16) | (bytes[at + 3] << 24);
     return (held >>> shift) & ((1 << n) - 1);
@@ -126,11 +122,10 @@ export class Streams {
   }
 
   end() {
-    const nWordsUsed = this.held ? this.held.used[1] : this.nWordsUsed;
-    require(nWordsUsed === this.nWords, "number of words");
+    require(this.counts[WORDS] === this.nWords, "number of words");
     require(this.states.every((x) => x === START), "states at the end");
-    require(Math.ceil(this.nBitsUsed / 8) === this.rawBytes.length, "number of raw bits");
-    const nLeft = -this.nBitsUsed & 7;
+    require(Math.ceil(this.counts[BITS] / 8) === this.rawBytes.length, "number of raw bits");
+    const nLeft = -this.counts[BITS] & 7;
     if (nLeft > 0) require(this.rawBytes.at(-1) >> (8 - nLeft) === 0, "filling of the raw bits");
   }
 }

@@ -84,9 +84,9 @@ export function fillContexts(m, n, features, scale) {
   }
 }
 
-export function noteErrors(m, plane, first, n, { errorShift }) {
-  for (let j = 0; j < n; j++) {
-    const error = Math.abs(64 * m.planes[plane][first + j] - m.predicted[j]);
-    m.errors[plane][first + j] = Math.min(Math.floor(error / 2 ** errorShift), MOST_ERROR);
+export function noteErrors(m, plane, at, first, stop, { errorShift }) {
+  for (let j = first; j < stop; j++) {
+    const error = Math.abs(64 * m.planes[plane][at + j] - m.predicted[j]);
+    m.errors[plane][at + j] = Math.min(Math.floor(error / 2 ** errorShift), MOST_ERROR);
   }
 }

@@ -3,7 +3,7 @@
 import { bitLength } from "./bytes.js";
 import { require } from "./errors.js";
 import { kernels } from "./kernels.js";
-import * as compiled from "./rapid-kernels.js";
+import { compiledNarrow, compiledWide } from "./rapid-kernels.js";
 import * as narrow from "./rapid-rows.js";
 import { DOWN, HH, HL, LH, MARGIN, Workspace } from "./rapid-rows.js";
 import { SharedRows } from "./rapid-shared.js";
@@ -22,7 +22,8 @@ const workspaces = new Map();
 const MAKE = new Map([
   [narrow, () => new Workspace(Int32Array, 257, 257)],
   [wide, () => new Workspace(Float64Array, 257, 257)],
-  [compiled, () => new compiled.KernelWorkspace(257, 257)],
+  [compiledNarrow, () => compiledNarrow.makeWorkspace()],
+  [compiledWide, () => compiledWide.makeWorkspace()],
 ]);
 
 function workspaceOf(arithmetic) {
@@ -97,12 +98,18 @@ class Coder {
     require(low <= high, "heights of a unit that is not wide");
     Object.assign(this, { low: low - origin, high: high - origin, origin });
     this.scale = scaleOf(header.step, low, high);
-    this.arithmetic = this.streams.isWide ? wide : kernels.rapid ? compiled : narrow;
-    this.workspace = workspaceOf(this.arithmetic);
-    this.workspace.reserve((rows.nCore + 1) >> 1, (cols.nCore + 1) >> 1);
-    if (this.arithmetic === compiled) this.streams.moveTo(this.workspace);
+    this.isCompiled = kernels.rapid !== null;
+    const choice = this.isCompiled ? [compiledNarrow, compiledWide] : [narrow, wide];
+    this.arithmetic = choice[this.streams.isWide ? 1 : 0];
+    const m = this.workspace = workspaceOf(this.arithmetic);
+    m.take((rows.nCore + 1) >> 1, (cols.nCore + 1) >> 1, valid, this.streams);
+    if (this.isCompiled) this.streams.moveTo(m);
+    // Rows are finished with their errors in one pass, where numbers of the pass hold them.
+    this.finishes = this.isCompiled ? this.streams.isWide || this.scale.isSmall
+      : !this.streams.isWide && this.scale.isSmall;
     this.hasVoid = hasVoid;
-    this.heights = new Int32Array(valid.length);
+    this.heights = m.heights.subarray(0, valid.length);
+    if (this.isCompiled) this.heights.fill(0);
     this.takeClass(1);
   }
 
@@ -214,8 +221,8 @@ class Coder {
     const arithmetic = this.arithmetic;
     for (let row = 0; row < nEven; row++) {
       const at = this.at(row);
-      if (arithmetic === compiled) {
-        compiled.fillBends(m, at, n, shift, mostRange);
+      if (this.isCompiled) {
+        arithmetic.fillBends(m, at, n, shift, mostRange);
       } else {
         for (let i = at; i < at + n; i++) {
           const across = a[i - 2] + a[i + 2] - 4 * (a[i - 1] + a[i + 1]) + 6 * a[i];
@@ -295,20 +302,36 @@ class Coder {
     for (let j = 0; j < first; j++) own[at + j] = this.inside(heights[start + j * step]);
     for (let j = stop; j < n; j++) own[at + j] = this.inside(heights[start + j * step]);
     if (first < stop) {
-      if (this.hasVoid) {
-        gather(this.valid, start + first * step, step, m.valid, first, stop - first);
+      this.readDetails(first, stop, start, step);
+      if (this.finishes) {
+        arithmetic.finishRow(m, plane, at, first, stop, this, scale, start, step);
+        if (first > 0) arithmetic.noteErrors(m, plane, at, 0, first, scale);
+        if (stop < n) arithmetic.noteErrors(m, plane, at, stop, n, scale);
+        return;
       }
-      this.streams.readDetails(m, first, stop, this.hasVoid ? m.valid : null, scale.mostDetail);
-      if (scale.isSmall && arithmetic !== wide) {
-        const to = start + first * step;
-        arithmetic.finishRow(m, plane, at, first, stop, this, scale, heights, to, step);
-        if (first === 0 && stop === n) return;
-      } else {
-        this.fillHeights(own, at, first, stop);
-        spread(own, at + first, stop - first, heights, start + first * step, step, origin);
-      }
+      this.fillHeights(own, at, first, stop);
+      spread(own, at + first, stop - first, heights, start + first * step, step, origin);
     }
-    arithmetic.noteErrors(m, plane, at, n, scale);
+    arithmetic.noteErrors(m, plane, at, 0, n, scale);
+  }
+
+  /** Read the details of a row; of each, the sample is at every `step`-th place of the region. */
+  readDetails(first, stop, start, step) {
+    const { workspace: m, arithmetic, scale: { mostDetail } } = this;
+    if (this.isCompiled) {
+      const valid = this.hasVoid ? m.regionValid.byteOffset + start : 0;
+      arithmetic.readDetails(m, first, stop, valid, step, mostDetail);
+      return;
+    }
+    if (this.hasVoid) gather(this.valid, start + first * step, step, m.valid, first, stop - first);
+    this.streams.readDetails(m, first, stop, this.hasVoid ? m.valid : null, mostDetail);
+  }
+
+  /** Read details of samples that are valid where the workspace says so. */
+  readLine(n) {
+    const { workspace: m, arithmetic, scale: { mostDetail } } = this;
+    if (this.isCompiled) arithmetic.readDetails(m, 0, n, m.valid.byteOffset, 1, mostDetail);
+    else this.streams.readDetails(m, 0, n, m.valid, mostDetail);
   }
 
   /** Write the heights of samples first … stop - 1 of a row to `to`, its own from `at` on. */
@@ -334,6 +357,10 @@ class Coder {
     const { workspace: m, unit: { rows, cols }, heights, origin } = this;
     for (let row = 0; row < nEven; row++) {
       const to = (rows.core + 2 * row * stride) * cols.n + cols.core;
+      if (this.isCompiled) {
+        this.arithmetic.storeRow(m, n, this.at(row), to, 2 * stride, origin);
+        continue;
+      }
       for (let j = 0, at = this.at(row); j < n; j++, at++) {
         heights[to + 2 * j * stride] = m.coarse[at] + origin;
       }
@@ -347,5 +374,5 @@ export function decodeRapid(file, unit, payload, valid, parent, hasVoid) {
   if (parent === null) coder.decodeRoot();
   else coder.decodeGroup(file.grid.rings);
   coder.streams.end();
-  return coder.heights;
+  return coder.isCompiled ? coder.heights.slice() : coder.heights;
 }

@@ -1,6 +1,7 @@
 /** Workers that decode units: those of browsers, or threads of Node. */
 
 import * as errors from "./errors.js";
+import { Mailbox } from "./mailbox.js";
 
 const { ArgumentError, TerrainwaveError } = errors;
 /** By default, on pages alone, where decoding would hold up the page. */
@@ -63,8 +64,7 @@ export class WorkerPool {
   #workers = [];
   #idle = [];
   #waiting = [];
-  #asked = new Map(); // by id: { resolve, reject, worker }
-  #n = 0;
+  #mailbox = new Mailbox(errorOf);
   #failure = null;
 
   /** Start workers, which all get the message `first`; `url`: of another module (for tests). */
@@ -104,13 +104,11 @@ export class WorkerPool {
   }
 
   #give(worker, message, moved = []) {
-    return new Promise((resolve, reject) => {
-      const id = this.#n++;
-      this.#asked.set(id, { resolve, reject, worker });
-      worker.hold(true);
-      if (this.#failure) this.#settle({ id, error: this.#failure });
-      else worker.post({ ...message, id }, moved);
-    });
+    const { id, answer } = this.#mailbox.ask(worker);
+    worker.hold(true);
+    if (this.#failure) this.#settle({ id, error: this.#failure });
+    else worker.post({ ...message, id }, moved);
+    return answer;
   }
 
   #begin() {
@@ -125,21 +123,18 @@ export class WorkerPool {
     }
   }
 
-  #settle({ id, found, error }) {
-    const asked = this.#asked.get(id);
-    if (!asked) return;
-    this.#asked.delete(id);
-    asked.worker.hold(false);
-    this.#idle.push(asked.worker);
-    if (error) asked.reject(errorOf(error));
-    else asked.resolve(found);
+  #settle(message) {
+    const worker = this.#mailbox.settle(message);
+    if (!worker) return;
+    worker.hold(false);
+    this.#idle.push(worker);
     this.#begin();
   }
 
   /** All fail with one of them: what it was asked, nobody else was told. */
   #fail(message) {
     this.#failure ??= { name: "Error", message };
-    for (const id of [...this.#asked.keys()]) this.#settle({ id, error: this.#failure });
+    for (const id of this.#mailbox.ids) this.#settle({ id, error: this.#failure });
     this.#begin();
   }
 }

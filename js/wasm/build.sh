@@ -5,7 +5,7 @@ set -eu
 cd "$(dirname "$0")"
 out=$(mktemp)
 trap 'rm -f "$out"' EXIT
-"${CLANG:-clang-14}" --target=wasm32 -O3 -msimd128 -mbulk-memory -fwrapv -ffreestanding -nostdlib \
+"${CLANG:-clang-14}" --target=wasm32 -O3 -msimd128 -mbulk-memory -mnontrapping-fptoint -fwrapv -ffreestanding -nostdlib \
     -Wall -Wextra -Werror -Wl,--no-entry -Wl,--strip-all -Wl,--export=__heap_base \
     -o "$out" ./*.c
 {

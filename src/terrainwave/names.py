@@ -9,11 +9,15 @@ from dataclasses import dataclass
 # In the order in which files number them.
 EFFORTS = ("fast", "default", "best")
 # Kinds of meshes, in the order in which files number them.
-MESHES = ("none", "halves", "zerotree-plain", "rqt", "zerotree-layer", "zerotree-coded")
+MESHES = ("none", "halves", "zerotree-plain", "rqt", "zerotree-layer", "zerotree-coded",
+          "rqt-coefficient")  # fmt: skip
 # Those that can be asked for; "auto" is the first, `stored_mesh` says what files then hold.
 MESH_CHOICES = (
     "halves", "zerotree", "rqt", "zerotree-plain", "zerotree-layer", "zerotree-coded",
+    "rqt-coefficient",
 )  # fmt: skip
+# Those whose tolerance only selects vertices: their errors are measured, and may be larger.
+UNBOUNDED_MESHES = ("rqt-coefficient",)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +110,11 @@ def stored_mesh(mesh: str, method: Method, *, is_faithful: bool = False) -> str:
     if not method.has_layers:
         return "zerotree-plain"
     return "zerotree-coded" if is_faithful else "zerotree-layer"
+
+
+def mesh_without_coefficients(mesh: str, method: Method) -> str:
+    """Return the kind of meshes that stands in where a method lacks what a kind follows."""
+    return "rqt" if mesh in UNBOUNDED_MESHES and not method.is_tiled else mesh
 
 
 def methods_that(can: Callable[[Method], bool]) -> str:

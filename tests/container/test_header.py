@@ -115,7 +115,7 @@ UNSUPPORTED = [
     (35, "B", 2, "unknown data type 2"),
     (35, "B", 9, "unknown data type 9"),
     (36, "B", 10, "effort is 10"),
-    (37, "B", 6, "unknown mesh 6"),
+    (37, "B", 7, "unknown mesh 7"),
     (38, "B", 1, "reserved"),
     (39, "B", 128, "reserved"),
 ]
@@ -169,6 +169,7 @@ CORRUPT = [
     (116, "I", 0, "top page of 0"),
     (116, "I", 2**15 + 1, "top page of 32769"),
     (120, "I", 1, "a mesh tolerance without meshes"),
+    (37, "B", 6, "has no coefficients"),
 ]
 
 

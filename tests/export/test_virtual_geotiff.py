@@ -256,3 +256,10 @@ def test_rioxarray_reads_windows(source_and_terrain):
 def test_a_stream_cannot_be_written(plane):
     with pytest.raises(io.UnsupportedOperation, match="made when it is read"):
         stream_of(plane).write(b"II")
+
+
+def test_opening_it_over_http_decodes_nothing(source_and_terrain, monkeypatch):
+    _, terrain = source_and_terrain
+    monkeypatch.setattr(VirtualGeoTIFF, "_tile", None)
+    # GDAL asks for pieces of 16 KiB.
+    assert len(VirtualGeoTIFF(terrain).read_at(0, 16384)) == 16384

@@ -25,7 +25,7 @@ from scipy.ndimage import maximum_filter, minimum_filter
 import terrainwave
 from terrainwave.cli import main
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
-from terrainwave.ext.serve import app as serving
+from terrainwave.ext.serve import sending
 from terrainwave.ext.serve.app import make_app
 from terrainwave.ext.serve.catalog import origin_of
 from terrainwave.globe import cesium as tile_pyramid
@@ -284,7 +284,7 @@ def test_faults_of_our_own_show_no_traceback(hilly, monkeypatch):
 
 
 def test_no_more_requests_decode_at_a_time_than_allowed(hilly, monkeypatch):
-    monkeypatch.setattr(serving, "N_WAITING", 2)
+    monkeypatch.setattr(sending, "N_WAITING", 2)
     release, lock = threading.Event(), threading.Lock()
     running, most = 0, 0
 

@@ -1,5 +1,8 @@
 """`/NAME.tif` of `terrainwave serve`: what GDAL and browsers get of it."""
 
+import asyncio
+import socket
+
 import numpy as np
 import pytest
 import rasterio
@@ -9,8 +12,10 @@ from fastapi.testclient import TestClient
 from rasterio.windows import Window
 
 import terrainwave
+from terrainwave.cli.serving import _listen
 from terrainwave.ext.serve.app import make_app
 from terrainwave.ext.serve.ranges import Span, asked_span
+from terrainwave.ext.serve.sending import PART, Ahead, Desk, parts
 
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
 TAG = '"abc"'
@@ -75,6 +80,39 @@ def test_a_range_behind_the_end_is_refused_with_the_size(client):
     answer = client.get("/hills.tif", headers={"Range": f"bytes={size}-"})
     assert answer.status_code == 416
     assert answer.headers["content-range"] == f"bytes */{size}"
+
+
+def test_short_answers_do_not_wait_for_acknowledgements():
+    # asyncio switches Nagle's algorithm off for sockets of this protocol only.
+    with _listen("127.0.0.1", 0) as listener:
+        assert listener.proto == socket.IPPROTO_TCP
+
+
+def places_read(spans):
+    """Return the places that are read, a part each, while one client gets spans of 20 parts."""
+    places = []
+
+    def read(place, n_bytes):
+        places.append(place // PART)
+        return bytes(n_bytes)
+
+    async def get_all():
+        desk, ahead = Desk(1), Ahead(read)
+        for start, stop in spans:
+            span = Span(start * PART, stop * PART, 20 * PART, is_part=True)
+            sent = [part async for part in parts(desk, read, span, ahead)]
+            assert sum(map(len, sent)) == span.stop - span.start
+            while not desk.is_free or (ahead._task and not ahead._task.done()):
+                await asyncio.sleep(0.001)
+
+    asyncio.run(get_all())
+    return places
+
+
+def test_what_a_client_that_reads_on_will_ask_for_is_made_before():
+    assert places_read([(4, 6), (9, 11)]) == [4, 5, 9, 10]
+    assert places_read([(4, 6), (6, 8)]) == [4, 5, 6, 7, 8, 9, 10, 11]
+    assert places_read([(12, 18)]) == [12, 13, 14, 15, 16, 17, 18, 19]
 
 
 def test_another_name_is_not_found(client):

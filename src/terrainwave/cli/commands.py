@@ -62,6 +62,7 @@ from terrainwave.names import (
     EFFORTS,
     MESH_CHOICES,
     METHODS,
+    UNBOUNDED_MESHES,
     Method,
     methods_that,
 )
@@ -750,6 +751,8 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
     scale = f"{info.scale:g}, offset {info.offset:g}"
     way = "faithful to its paper" if info.faithful else f"effort {info.effort}"
     tolerance = f"within {info.mesh_tolerance:.6g}{unit} of the heights"
+    if info.mesh in UNBOUNDED_MESHES:
+        tolerance = f"coefficients above {info.mesh_tolerance:.6g}{unit}; errors are measured"
     rows = [
         ("file", f"{info.path}, {info.n_bytes:,} bytes"),
         ("size", f"{info.n_rows} rows x {info.n_cols} columns, {info.dtype}"),

@@ -8,7 +8,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from terrainwave.arguments import BLOCKS, check_ending
+from terrainwave.arguments import ARCHIVE_ENDING, BLOCKS, check_ending
 from terrainwave.cli.streams import STREAM, read_stream
 from terrainwave.errors import InvalidArgumentError
 
@@ -56,7 +56,7 @@ class Directory(_Path):
 
     name = "directory"
     completes = "dir"
-    archives = (".mbtiles", ".pmtiles", ".tar", ".zip")
+    archives = (ARCHIVE_ENDING, ".mbtiles", ".tar", ".zip")
 
     def __init__(self, *, or_ending: str | None = None) -> None:
         self._or_ending = or_ending

@@ -6,18 +6,16 @@ from typing import Any
 
 import click
 
-from terrainwave.arguments import count_of
+from terrainwave.arguments import ARCHIVE_ENDING, count_of
 from terrainwave.cli.commands import THREADS, main, print_json
 from terrainwave.cli.options import Directory, Finite, Input, Positive
 from terrainwave.cli.output import Bar, announce_compiling, plain, print_grid, reading
 from terrainwave.errors import InvalidArgumentError
 
-_ARCHIVE = ".pmtiles"
-
 
 @main.command()
 @click.argument("file", type=Input())
-@click.argument("target", type=Directory(or_ending=_ARCHIVE))
+@click.argument("target", type=Directory(or_ending=ARCHIVE_ENDING))
 @click.option(
     "--max-zoom",
     type=click.IntRange(min=0),
@@ -51,7 +49,7 @@ def tiles(
     """
     import terrainwave
 
-    is_archive = target.lower().endswith(_ARCHIVE)
+    is_archive = target.lower().endswith(ARCHIVE_ENDING)
     write = _write_archive if is_archive else _write_directory
     announce_compiling(quiet=quiet)
     with (
@@ -87,7 +85,7 @@ def _write_directory(
 
     for name, value in (("min_zoom", min_zoom), ("rim", rim)):
         if value is not None:
-            raise InvalidArgumentError(f"`{name}` is for an archive ({_ARCHIVE})")
+            raise InvalidArgumentError(f"`{name}` is for an archive ({ARCHIVE_ENDING})")
     return write_tiles(terrain, target, void_height=void_height or 0.0, **options)
 
 

@@ -19,7 +19,7 @@ from terrainwave.errors import (
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import Quantizer
-from terrainwave.names import MESHES, METHODS
+from terrainwave.names import MESHES, METHODS, UNBOUNDED_MESHES
 
 MAGIC = b"\x89TWZ\r\n\x1a\n"  # as PNG's: a text-mode or 7-bit copy damages it visibly
 FORMAT_VERSION = 1
@@ -358,6 +358,8 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
         yield _Violation(f"border_rings is {header.border_rings}, not 1 or 3")
     if not 0 <= header.effort <= MAX_EFFORT:
         yield _Violation(f"effort is {header.effort}, not 0 ... 9", UnsupportedVersionError)
+    if header.mesh in UNBOUNDED_MESHES and not METHODS[header.method].is_tiled:
+        yield _Violation(f"the mesh is {header.mesh}, and {header.method} has no coefficients")
     numerator = header.quantum.numerator
     if not 0 < numerator <= MAX_QUANTUM_PART or header.quantum.denominator > MAX_QUANTUM_PART:
         yield _Violation(f"quantum {header.quantum} is not positive and of parts < 2^63")

@@ -14,7 +14,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from terrainwave._version import __version__
-from terrainwave.arguments import check_ending, checked_threads
+from terrainwave.arguments import ARCHIVE_ENDING, check_ending, checked_threads
 from terrainwave.container.publish import publish
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
@@ -26,7 +26,6 @@ from terrainwave.progress import ProgressCallback, Reporter
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
-ENDING = ".pmtiles"
 # Tiles under work or waiting to be written, per thread.
 _AHEAD = 4
 
@@ -103,7 +102,7 @@ def write_pmtiles(
     -----
     Tiles without terrain are left out. Until the end the tiles are in a temporary file too.
     """
-    check_ending(target, (ENDING,))
+    check_ending(target, (ARCHIVE_ENDING,))
     need("PIL", extra="pmtiles", purpose="a terrain-RGB tile")
     writing = need("pmtiles.writer", extra="pmtiles", purpose="a PMTiles archive")
     globe = Globe(terrain, radius=radius)

@@ -23,7 +23,9 @@ from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.measure import with_outside
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, Quantizer, as_fraction
+from terrainwave.mesh.coefficients import BlockCoefficients
 from terrainwave.mesh.trees import ZeroTrees
+from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.tri.borders import beside_void, line_vertices
 from terrainwave.tri.halves import Lines, triangulate
 from terrainwave.tri.labels import Trees
@@ -60,15 +62,17 @@ class BlockSamples(NamedTuple):
 
 
 class StoredSamples(NamedTuple):
-    """What a stored mesh follows from: `BlockSamples`, and zero trees for kinds that have them.
+    """What a stored mesh follows from: `BlockSamples`, and more for kinds that follow it.
 
-    `trees` are those of the group that refines the block.
+    `trees` are the zero trees of the group that refines the block, `coefficients` the magnitudes
+    of wavelet coefficients at its samples, in quanta.
     """
 
     heights: Heights
     mask: Mask
     locked: Mask
     trees: Trees | None
+    coefficients: NDArray[np.int64] | None = None
 
 
 class SideTolerances(NamedTuple):
@@ -97,6 +101,8 @@ class BlockMesher:
         The stored bytes of a block's mesh; kinds other than halves need them.
     trees : callable, optional
         The zero trees that meshes follow (`mesh.trees.tree_source`), for the kinds that do.
+    coefficients : callable, optional
+        The coefficients that they follow (`mesh.coefficients.coefficient_source`), likewise.
     """
 
     def __init__(
@@ -110,6 +116,7 @@ class BlockMesher:
         kind: str = "halves",
         part: Callable[[Block], bytes] | None = None,
         trees: ZeroTrees | None = None,
+        coefficients: BlockCoefficients | None = None,
     ) -> None:
         self._grid = grid
         self._decoder = decoder
@@ -119,6 +126,7 @@ class BlockMesher:
         self.kind = kind
         self._part = part
         self._trees = trees
+        self._coefficients = coefficients
 
     def tolerance(self, block: Block) -> int:
         """Return the tolerance of a block's mesh against its samples: Err_Tri, in 1/16 quanta.
@@ -188,7 +196,13 @@ class BlockMesher:
             # Samples past the raster's edge belong to the trees of the last ones inside.
             outside = [(0, n - own) for n, own in zip(samples.mask.shape, trees.shape, strict=True)]
             trees = np.pad(trees, outside, mode="edge")
-        return StoredSamples(*samples, trees)
+        coefficients = None
+        if self._coefficients is not None:
+            found = self._coefficients(block)
+            # Samples past the raster's edge have none.
+            outside = [(0, n - own) for n, own in zip(samples.mask.shape, found.shape, strict=True)]
+            coefficients = np.pad(found, outside)
+        return StoredSamples(*samples, trees, coefficients)
 
     def zero_trees(self, block: Block) -> Trees | None:
         """Return the zero trees that the mesh of a block follows, by the samples in the raster.
@@ -213,14 +227,14 @@ class BlockMesher:
         The block's own error, which has what is lost in it, and the tolerance, in 1/16 quanta; by
         construction, without making the mesh. None where measuring may tell much less: where the
         originals are so alike that the block may have one height, and where the mask leaves open
-        whether it has a mesh.
+        whether it has a mesh. Nor for kinds whose tolerance is no bound.
 
         Parameters
         ----------
         heights, mask : ndarray, shape (n_rows, n_cols)
             The block's originals, or some of them, in quanta.
         """
-        if not has_triangles(mask):
+        if self.kind in UNBOUNDED_MESHES or not has_triangles(mask):
             return None
         own, valid = decode_error(self._error_code(block)), heights[mask]
         if int(valid.max()) - int(valid.min()) <= 2 * own:

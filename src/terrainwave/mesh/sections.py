@@ -9,6 +9,7 @@ from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.mesh.blocks import BlockMesher, LevelSamples
+from terrainwave.mesh.coefficients import coefficient_source
 from terrainwave.mesh.trees import ZeroTrees, tree_source
 from terrainwave.read.decoder import TreeDecoder, unit_key
 from terrainwave.tri.agreement import BorderVertices, Position, agree
@@ -122,6 +123,7 @@ def make_meshes(
         kind=kind,
         part=parts_of_blocks(grid, lambda key: sections.get(key, b"")),
         trees=tree_source(kind, decoder),
+        coefficients=coefficient_source(kind, decoder),
     )
     sections.update(make_sections(grid, mesher, executor, on_samples))
     return mesher, sections
@@ -191,4 +193,5 @@ def mesher_of(
         kind=header.mesh,
         part=parts_of_blocks(file.grid, file.container.mesh),
         trees=trees or tree_source(header.mesh, file.decoder),
+        coefficients=coefficient_source(header.mesh, file.decoder),
     )

@@ -28,8 +28,9 @@ _TILE_WIDTH, _TILE_LENGTH, _TILE_OFFSETS, _TILE_BYTES = 322, 323, 324, 325
 _FORMATS = {3: "<H", 4: "<I", 16: "<Q"}
 _IS_MASK = 4
 _UNCOMPRESSED = 1
-# Tiles begin at a multiple of it.
-_ALIGNMENT = 4096
+# Tiles begin at a multiple of it. GDAL asks over HTTP for whole pieces of this size: no tile is in
+# that of the head.
+_ALIGNMENT = 1 << 14
 # Above this, 32-bit offsets don't reach: heads are far smaller than what is kept free.
 _MOST_CLASSIC = (1 << 32) - (1 << 28)
 

@@ -77,7 +77,8 @@ class WindowReader:
         for first in range(0, len(keys), _BATCH):
             batch = keys[first : first + _BATCH]
             needed = list(dict.fromkeys([*decoder.prefetch(batch), *batch]))
-            if len(needed) == 1 or self._n_threads == 1:
+            # What is above one unit is a chain, in which threads would only wait for one another.
+            if len(batch) == 1 or self._n_threads == 1:
                 for key in batch:
                     fill(key)
             else:

@@ -18,6 +18,7 @@ from terrainwave.cache import Cache
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.mesh.loose import LooseMesher
 from terrainwave.mesh.sections import mesher_of
+from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.render.frame import Frame
 from terrainwave.render.kernels import SKIRT_FLAG, border_edges, rasterize, slopes
 from terrainwave.render.scales import (
@@ -189,7 +190,8 @@ class PatchBuilder:
             return self._variant_error(piece.variant)
         terrain, block = self._terrain, piece.block
         per_unit = self._frame.metres[2]
-        if self._recursive is None and terrain.mesh_kind != "none":
+        is_unbounded = terrain.mesh_kind in UNBOUNDED_MESHES
+        if is_unbounded or (self._recursive is None and terrain.mesh_kind != "none"):
             return terrain.mesh_error(block) * per_unit
         tolerance = self._mesher.tolerance(block) / (1 << FRACTION_BITS)
         return self._heights_error(block) * per_unit + tolerance * abs(self._scale.per_quantum)

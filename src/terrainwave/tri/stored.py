@@ -28,7 +28,7 @@ from terrainwave.tri.guarantee import guaranteed_cut
 from terrainwave.tri.labels import Trees
 from terrainwave.tri.mesh import BlockMesh
 from terrainwave.tri.refinement import decode_refinement, encode_refinement
-from terrainwave.tri.rqt import rqt_mesh, select_vertices, vertices_of
+from terrainwave.tri.rqt import Selection, rqt_mesh, select_vertices, vertices_of
 
 # A border line has at most 4097 samples; contexts: spacing, and how many ends are vertices.
 _N_SPACINGS = 13
@@ -49,6 +49,10 @@ class Samples(Protocol):
     @property
     def locked(self) -> NDArray[np.bool_]:
         """Which samples are void or beside a void, in the block or beyond its border."""
+
+    @property
+    def coefficients(self) -> NDArray[np.int64] | None:
+        """Magnitudes of wavelet coefficients, in quanta, for kinds that follow them."""
 
     @property
     def trees(self) -> Trees | None:
@@ -127,13 +131,22 @@ class Zerotree:
         return mesh_of_cut(samples.heights, samples.mask, cut)
 
 
+def _select(samples: Samples, tolerance: int, keep: NDArray[np.bool_]) -> Selection:
+    """Return a block's restricted quadtree, by coefficients where there are some."""
+    return select_vertices(
+        samples.heights, samples.mask, tolerance, keep=keep, coefficients=samples.coefficients
+    )
+
+
 class Rqt:
-    """The restricted quadtree; the bytes are the border vertices that only neighbours need."""
+    """The restricted quadtree; the bytes are the border vertices that only neighbours need.
+
+    With coefficients these select vertices, and the tolerance is no bound.
+    """
 
     def draft(self, samples: Samples, tolerance: int, demanded: BorderVertices | None) -> Draft:
         """Return the border vertices; the rest follows from them."""
-        keep = _kept(samples, demanded)
-        selection = select_vertices(samples.heights, samples.mask, tolerance, keep=keep)
+        selection = _select(samples, tolerance, _kept(samples, demanded))
         return Draft(border_of(vertices_of(selection, samples.mask.shape)), b"")
 
     def encode(self, samples: Samples, tolerance: int, draft: Draft) -> bytes:
@@ -155,7 +168,7 @@ class Rqt:
     def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
         """Return the mesh with the border vertices of the block itself and of `data`."""
         heights, mask = samples.heights, samples.mask
-        selection = select_vertices(heights, mask, tolerance, keep=samples.locked)
+        selection = _select(samples, tolerance, samples.locked)
         if data:
             on_border = border_of(vertices_of(selection, mask.shape)).keep(mask.shape)
             n_own = np.count_nonzero(on_border)
@@ -164,8 +177,7 @@ class Rqt:
             raise_for_status(*finish_decoder(coder.state, coder.stream))
             if np.count_nonzero(on_border) == n_own:
                 raise CorruptStreamError("border vertices take bytes, but there are none")
-            keep = samples.locked | on_border
-            selection = select_vertices(heights, mask, tolerance, keep=keep)
+            selection = _select(samples, tolerance, samples.locked | on_border)
         return rqt_mesh(heights, mask, selection)
 
 
@@ -174,6 +186,7 @@ STORED_KINDS: dict[str, StoredKind] = {
     "zerotree-layer": Zerotree(),
     "zerotree-coded": Zerotree(),
     "rqt": Rqt(),
+    "rqt-coefficient": Rqt(),
 }
 
 

@@ -17,7 +17,7 @@ from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, HeightScan, Quantizer, as_fraction
 from terrainwave.mesh.blocks import default_mesh_error, mesh_tolerance
-from terrainwave.names import Method
+from terrainwave.names import Method, mesh_without_coefficients
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.write.options import Options
 
@@ -61,8 +61,12 @@ class Job:
         return replace(self, measured=measured, bound=as_fraction(measured) * scale_of(self.info))
 
     def with_method(self, method: Method) -> "Job":
-        """Return the job with another method; all that is settled stays."""
-        return replace(self, options=replace(self.options, method=method.name))
+        """Return the job with another method; all that is settled stays.
+
+        But for meshes that follow coefficients, where the method has none: these are measured.
+        """
+        mesh = mesh_without_coefficients(self.options.mesh, method)
+        return replace(self, options=replace(self.options, method=method.name, mesh=mesh))
 
     @property
     def has_voids(self) -> bool:

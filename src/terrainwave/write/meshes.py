@@ -14,6 +14,7 @@ from terrainwave.arguments import (
     TWZ_ENDINGS,
     check_ending,
     check_mesh,
+    check_mesh_of,
     checked_error,
     checked_threads,
 )
@@ -82,6 +83,7 @@ def store_meshes(
     StorageError
         If something cannot be read or written, or `dst` is `src`; `dst` is untouched.
     """
+    check_mesh(mesh, or_none=False)
     error = checked_error("mesh_error", mesh_error)
     n_threads = checked_threads(threads)
     check_ending(dst, TWZ_ENDINGS)
@@ -95,14 +97,11 @@ def store_meshes(
         ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
     ):
         container = terrain.container
-        check_mesh(mesh, or_none=False, is_faithful=container.header.is_faithful)
+        method, is_faithful = METHODS[container.header.method], container.header.is_faithful
+        check_mesh_of(mesh, method, is_faithful=is_faithful)
         header = replace(
             container.header,
-            mesh=stored_mesh(
-                mesh,
-                METHODS[container.header.method],
-                is_faithful=container.header.is_faithful,
-            ),
+            mesh=stored_mesh(mesh, method, is_faithful=is_faithful),
             mesh_tolerance=_tolerance(terrain, error),
         )
         grid = header.grid

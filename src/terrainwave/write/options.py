@@ -7,6 +7,7 @@ from terrainwave.arguments import (
     BLOCKS,
     check_effort,
     check_mesh,
+    check_mesh_of,
     check_method,
     checked_error,
     checked_threads,
@@ -57,10 +58,11 @@ class Options:
             "psnr": checked_error("psnr", self.psnr),
             "mesh_error": checked_error("mesh_error", self.mesh_error),
         }
-        check_mesh(self.mesh, or_none=True, is_faithful=self.faithful)
+        check_mesh(self.mesh, or_none=True)
         check_method(self.method)
         check_effort(self.effort)
         settled["mesh"] = stored_mesh(self.mesh, self.coding, is_faithful=self.faithful)
+        check_mesh_of(self.mesh, self.coding, is_faithful=self.faithful)
         if self.is_auto and self.effort != DEFAULT_EFFORT:
             # Fast and best say which method.
             method = AUTO_METHODS[0] if self.effort == EFFORTS[0] else AUTO_METHODS[-1]

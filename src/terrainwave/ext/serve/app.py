@@ -1,27 +1,28 @@
 """The web application: what is asked, checked, goes to `globe.terrain_rgb` and `globe.cesium`.
 
 Only the files named at start are served, and those that `Shelf.add` names. Requests are answered
-in threads; at most `n_decoding` of them decode at a time and as many again as `N_WAITING` wait,
+in threads; at most `n_decoding` of them decode at a time and `sending.N_WAITING` wait,
 the rest are told to come back.
 """
 
 import hashlib
 import logging
 import warnings
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack, asynccontextmanager
 from itertools import chain, count
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
 
 import numpy as np
-from anyio import CapacityLimiter, to_thread
 from fastapi import FastAPI, HTTPException, Query, Request, Response
 from fastapi.middleware.cors import CORSMiddleware
 from fastapi.responses import FileResponse, JSONResponse, StreamingResponse
 from fastapi.routing import APIRoute
 from fastapi.staticfiles import StaticFiles
+from starlette.datastructures import MutableHeaders
 from starlette.middleware.trustedhost import TrustedHostMiddleware
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from terrainwave.cache import Cache
 from terrainwave.errors import (
@@ -32,7 +33,8 @@ from terrainwave.errors import (
 )
 from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
 from terrainwave.ext.serve.catalog import describe, layer_names
-from terrainwave.ext.serve.ranges import Span, asked_span
+from terrainwave.ext.serve.ranges import asked_span
+from terrainwave.ext.serve.sending import PART, Ahead, Desk, parts
 from terrainwave.file import TerrainFile
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.cesium import MAX_ZOOM as LAST_MESH_ZOOM
@@ -40,9 +42,6 @@ from terrainwave.globe.cesium import TilePyramid
 from terrainwave.globe.lonlat import Globe
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
-N_WAITING = 64
-# Bytes of a GeoTIFF that are made at a time.
-_PART = 2 << 20
 # Tiles of a file that are kept: the page asks for the heights and the voids of one place.
 _N_TILES = 32
 _STATIC = Path(__file__).parent / "static"
@@ -57,37 +56,6 @@ _CONTENT_POLICY = (
 )
 
 
-class Desk:
-    """Lets a bounded number of requests decode at a time.
-
-    Parameters
-    ----------
-    n_decoding : int
-        Threads that decode at once.
-    """
-
-    def __init__(self, n_decoding: int) -> None:
-        self._limiter = CapacityLimiter(n_decoding)
-        self._most = n_decoding + N_WAITING
-        self._n_asked = 0
-
-    async def do(self, work: Callable[..., Any], *args: Any) -> Any:
-        """Return ``work(*args)``, done in a thread.
-
-        Raises
-        ------
-        HTTPException
-            503 if too many requests wait already.
-        """
-        if self._n_asked >= self._most:
-            raise HTTPException(503, "too many requests at once", {"Retry-After": "1"})
-        self._n_asked += 1
-        try:
-            return await to_thread.run_sync(work, *args, limiter=self._limiter)
-        finally:
-            self._n_asked -= 1
-
-
 class Raster:
     """One file as it is served: the raster, and what names this version of it."""
 
@@ -99,6 +67,7 @@ class Raster:
             raise type(error)(f"{path}: {error}") from error
         self.info = self.terrain.info()
         self.geotiff = VirtualGeoTIFF(self.terrain)
+        self.ahead = Ahead(self.geotiff.read_at)
         self.tag = hashlib.sha256(repr((name, self.info.n_bytes, self.info)).encode()).hexdigest()
 
 
@@ -212,6 +181,26 @@ def _named(name: str, rasters: dict[str, _Served]) -> _Served:
     return rasters[name]
 
 
+class _Guarded:
+    """Says with every answer what a page may do with it.
+
+    Not a middleware of Starlette's own kind, through which each part of a body takes longer.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def send_guarded(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                headers["X-Content-Type-Options"] = "nosniff"
+                headers["Content-Security-Policy"] = _CONTENT_POLICY
+            await send(message)
+
+        await self._app(scope, receive, send_guarded)
+
+
 class _Route(APIRoute):
     """A route that answers HEAD wherever it answers GET (RFC 9110, 9.1); the server cuts bodies."""
 
@@ -277,14 +266,7 @@ def make_app(
             expose_headers=["Accept-Ranges", "Content-Range", "ETag"],
         )
 
-    @app.middleware("http")
-    async def answer(
-        request: Request, call_next: Callable[[Request], Awaitable[Response]]
-    ) -> Response:
-        response = await call_next(request)
-        response.headers["X-Content-Type-Options"] = "nosniff"
-        response.headers["Content-Security-Policy"] = _CONTENT_POLICY
-        return response
+    app.add_middleware(_Guarded)
 
     @app.exception_handler(TerrainwaveError)
     def damaged(request: Request, error: TerrainwaveError) -> JSONResponse:
@@ -374,7 +356,8 @@ def make_app(
         raster = shelf.find(name)
         size = await desk.do(lambda: raster.geotiff.size)
         headers = tagged(request, raster)
-        return await send(request, headers, "image/tiff", size, raster.geotiff.read_at)
+        read = raster.geotiff.read_at
+        return await send(request, headers, "image/tiff", size, read, raster.ahead)
 
     @app.get("/{name}.twz")
     async def file(request: Request, name: str) -> Response:
@@ -389,6 +372,7 @@ def make_app(
         media_type: str,
         size: int,
         read: Callable[[int, int], bytes],
+        ahead: Ahead | None = None,
     ) -> Response:
         """Return the bytes that are asked for of a resource, or what HEAD wants to know."""
         span = asked_span(request.headers, size, headers["ETag"])
@@ -398,10 +382,10 @@ def make_app(
         status = 206 if span.is_part else 200
         if request.method == "HEAD":
             return Response(status_code=status, headers=headers, media_type=media_type)
-        if span.stop - span.start <= _PART:
+        if span.stop - span.start <= PART:
             body = await desk.do(read, span.start, span.stop - span.start)
             return Response(body, status, headers, media_type)
-        return StreamingResponse(_parts(desk, read, span), status, headers, media_type)
+        return StreamingResponse(parts(desk, read, span, ahead), status, headers, media_type)
 
     @app.get("/{name}/height")
     async def height(
@@ -414,12 +398,6 @@ def make_app(
 
     app.mount("/static", StaticFiles(directory=_STATIC), name="static")
     return app
-
-
-async def _parts(desk: Desk, read: Callable[[int, int], bytes], span: Span) -> AsyncIterator[bytes]:
-    """Yield the bytes of a span, so many at a time that none of them takes long."""
-    for start in range(span.start, span.stop, _PART):
-        yield await desk.do(read, start, min(_PART, span.stop - start))
 
 
 def check_tile(z: int, x: int, y: int, last_zoom: int, n_first: int = 1) -> None:

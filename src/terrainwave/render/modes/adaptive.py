@@ -43,7 +43,9 @@ class Adaptive(BoundedMode):
     @classmethod
     def preparation(cls, error: str) -> str | None:
         """Say that the recursion decodes the whole file."""
-        return "following the error recursion of Yusov & Turlapov" if error == "paper" else None
+        if error != "paper":
+            return None
+        return "following the error recursion of Yusov & Turlapov: this decodes the whole file once"
 
     def _recursive_errors(
         self, progress: ProgressCallback | None

@@ -1,0 +1,111 @@
+"""Bytes that are made when they are asked for: in bounded numbers of threads, before they are sent.
+
+While one part of an answer is sent the next one is made; and where a client reads on from where it
+stopped, as GDAL does through a whole raster, so is what it will ask for next.
+"""
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
+from typing import Any
+
+from anyio import CapacityLimiter, to_thread
+from fastapi import HTTPException
+
+from terrainwave.errors import TerrainwaveError
+from terrainwave.ext.serve.ranges import Span
+
+N_WAITING = 64
+# Bytes that are made at a time.
+PART = 1 << 20
+# Bytes that are made before they are asked for: as many as GDAL asks for at once.
+_AHEAD = 4 << 20
+
+Read = Callable[[int, int], bytes]
+
+
+class Desk:
+    """Lets a bounded number of requests decode at a time.
+
+    Parameters
+    ----------
+    n_decoding : int
+        Threads that decode at once.
+    """
+
+    def __init__(self, n_decoding: int) -> None:
+        self._limiter = CapacityLimiter(n_decoding)
+        self._n_decoding = n_decoding
+        self._n_asked = 0
+
+    async def do(self, work: Callable[..., Any], *args: Any) -> Any:
+        """Return ``work(*args)``, done in a thread.
+
+        Raises
+        ------
+        HTTPException
+            503 if too many requests wait already.
+        """
+        if self._n_asked >= self._n_decoding + N_WAITING:
+            raise HTTPException(503, "too many requests at once", {"Retry-After": "1"})
+        self._n_asked += 1
+        try:
+            return await to_thread.run_sync(work, *args, limiter=self._limiter)
+        finally:
+            self._n_asked -= 1
+
+    @property
+    def is_free(self) -> bool:
+        """Say whether work that is begun now is begun at once."""
+        return self._n_asked < self._n_decoding
+
+
+class Ahead:
+    """Has bytes made before they are asked for, where a client reads on; for one resource.
+
+    Parameters
+    ----------
+    read : callable
+        Makes bytes from a place on, and keeps what it made them of.
+    """
+
+    def __init__(self, read: Read) -> None:
+        self._read = read
+        self._stop = -1
+        self._task: asyncio.Task[None] | None = None
+
+    def note(self, desk: Desk, span: Span) -> None:
+        """Take note that a span is nearly sent, and go on behind it if the client may.
+
+        It may if the span goes on from the last one, or if it is as long as those of whoever reads
+        all there is.
+        """
+        is_read_on = span.start == self._stop or span.stop - span.start >= _AHEAD
+        self._stop = span.stop
+        if is_read_on and (self._task is None or self._task.done()):
+            self._task = asyncio.create_task(self._go_on(desk, span.stop, span.size))
+
+    async def _go_on(self, desk: Desk, start: int, size: int) -> None:
+        for place in range(start, min(start + _AHEAD, size), PART):
+            if not desk.is_free:
+                return
+            # Whoever asks for it is told.
+            with suppress(TerrainwaveError):
+                await desk.do(self._read, place, min(PART, size - place))
+
+
+async def parts(desk: Desk, read: Read, span: Span, ahead: Ahead | None) -> AsyncIterator[bytes]:
+    """Yield the bytes of a span, so many at a time that none of them takes long."""
+    n_bytes = span.stop - span.start
+    making = asyncio.ensure_future(desk.do(read, span.start, min(PART, n_bytes)))
+    try:
+        for start in range(span.start + PART, span.stop, PART):
+            made = await making
+            making = asyncio.ensure_future(desk.do(read, start, min(PART, span.stop - start)))
+            yield made
+        made = await making
+        if ahead is not None:
+            ahead.note(desk, span)
+        yield made
+    finally:
+        making.cancel()
