@@ -238,7 +238,7 @@ def cut_streams(results: Path) -> Rows:
 
 def flights(results: Path) -> Rows:
     """Return flights by error and threshold."""
-    return sorted(read(results, "dynamic"), key=lambda row: (row["error"], row["tau"]))
+    return sorted(read(results, "dynamic"), key=lambda row: (row["view"], row["error"]))
 
 
 def remote_windows(results: Path) -> Rows:

@@ -63,10 +63,10 @@ def test_speeds_are_told_beside_cogs_by_as_many_threads_with_geometric_means(tmp
 
 def test_a_table_says_what_was_not_measured(tmp_path):
     heading = "raster,renderer,camera,mode,tau,triangles,submitted,cpu_ms,frame_ms,first_bytes,"
-    line = "hill,a driver,low,full,2.0,1234,1234,,12.3,5000,"
-    (tmp_path / "systems_modes.csv").write_text(f"{heading}frame_bytes\n{line}\n")
+    line = "hill,a driver,low,full,2.0,1234,1234,,12.3,5000,,"
+    (tmp_path / "systems_modes.csv").write_text(f"{heading}frame_bytes,largest_pixels\n{line}\n")
     found = markdown("systems_modes", tmp_path).splitlines()
-    assert found[2] == "| low | full | 1,234 | 1,234 | – | 12 | 5 | – |"
+    assert found[2] == "| low | full | 1,234 | 1,234 | – | 12 | 5 | – | – |"
     assert found[-1] == "Renderer: a driver. τ kept: 2 pixels."
 
 
