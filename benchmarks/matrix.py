@@ -3,10 +3,10 @@
 Files: each is compressed with the proof, read back and compared with rasterio and numpy alone:
 every valid sample and the mask; decompressed to a GeoTIFF dtype, shape, transform and CRS, too.
 
-Meshes, with ``--meshes``: heights within a quarter of the mesh error, stored meshes of all levels
-and meshes of the area (stored, and at several errors, one of them optimised) held against the
-original by `terrainwave.verification.meshes`, which knows nothing of the builder. Rasters of more
-than 513 samples a side are cropped to their middle.
+Meshes, with ``--meshes KIND ...``: heights within a quarter of the mesh error, stored meshes of all
+levels and meshes of the area (stored, and at several errors, one of them optimised) held against
+the original by `terrainwave.verification.meshes`, which knows nothing of the builder. Rasters of
+more than 513 samples a side are cropped to their middle.
 
 Exit status: 0 nothing wrong; 1 something is; 2 wrong usage.
 """
@@ -15,6 +15,7 @@ import time
 from collections import namedtuple
 from collections.abc import Iterator, Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import click
@@ -25,12 +26,14 @@ import terrainwave
 from benchmarks import common
 from benchmarks.codecs import compare
 from benchmarks.rasters import Raster, load_raster, middle, write_geotiff
+from terrainwave.names import MESH_CHOICES
 from terrainwave.verification.meshes import verify_meshes
 
 BOUNDS = (0.5, 1.0, 3.0, 10.0)
 BOUNDS_OF_FLOATS = (0.1, 0.5)
 MESH_ERRORS = (1.0, 3.0, 10.0)
 MESH_BLOCKS = (64, 128, 256)
+TREES = ("zerotree-layer", "zerotree-coded")
 MESH_SIDE = 513
 
 # One file; `problem` is empty where all is well.
@@ -46,10 +49,10 @@ Row = namedtuple(
 # which took `seconds` of processor time; `worst_share` is the largest measured over stated error.
 MeshRow = namedtuple(
     "MeshRow",
-    "raster n_rows n_cols void_share error block violations cracks folds stored_triangles "
+    "raster n_rows n_cols void_share mesh error block violations cracks folds stored_triangles "
     "area_triangles worst_share seconds check_seconds",
 )
-WRONG, WRONG_MESHES = slice(12, 13), slice(6, 9)  # columns that tell what is wrong
+WRONG, WRONG_MESHES = slice(12, 13), slice(7, 10)  # columns that tell what is wrong
 
 
 def bounds_for(raster: Raster) -> list[float]:
@@ -102,11 +105,14 @@ def _compare_geotiff(raster: Raster, source: Path, target: Path, max_error: floa
     return f"GeoTIFF: {problem}" if problem else ""
 
 
-def check_meshes(raster: Raster, source: Path, path: Path, error: float, block: int) -> MeshRow:
+def check_meshes(
+    raster: Raster, source: Path, path: Path, mesh: str, error: float, block: int
+) -> MeshRow:
     """Compress, mesh and check one case; print all problems."""
     terrainwave.compress(
-        source, path, max_error=error / 4, mesh_error=error, block=block, verify=False,
-        overwrite=True,
+        source, path, max_error=error / 4, mesh_error=error, block=block, mesh=mesh,
+        method="cdf97" if mesh in TREES else "auto", faithful=mesh == "zerotree-coded",
+        verify=False, overwrite=True,
     )  # fmt: skip
 
     def original(region) -> tuple[np.ndarray, np.ndarray]:
@@ -125,7 +131,8 @@ def check_meshes(raster: Raster, source: Path, path: Path, error: float, block: 
     for problem in problems:
         click.echo(f"  {problem}")
     return MeshRow(
-        raster.name, *raster.heights.shape, round(float((~raster.mask).mean()), 4), error, block,
+        raster.name, *raster.heights.shape, round(float((~raster.mask).mean()), 4), mesh, error,
+        block,
         violations, len(problems) - violations - folds, folds, report.levels[-1].n_triangles,
         meshed.result.n_triangles,
         round(max((measured / bound for measured, bound in stated if bound), default=0.0), 4),
@@ -134,7 +141,7 @@ def check_meshes(raster: Raster, source: Path, path: Path, error: float, block: 
 
 
 def cases(
-    paths: Sequence[Path], meshes: bool, blocks, methods, folder: Path
+    paths: Sequence[Path], meshes: tuple[str, ...], blocks, methods, folder: Path
 ) -> Iterator[Row | MeshRow]:
     """Yield the rows of all rasters or, for meshes, of their middle."""
     middle_file, target = folder / "middle.tif", folder / "a.twz"
@@ -143,9 +150,8 @@ def cases(
             raster = load_raster(path, window=middle(dataset.shape, MESH_SIDE) if meshes else None)
         if meshes:
             write_geotiff(raster, middle_file)
-            for error in MESH_ERRORS:
-                for block in blocks or MESH_BLOCKS:
-                    yield check_meshes(raster, middle_file, target, error, block)
+            for mesh, error, block in product(meshes, MESH_ERRORS, blocks or MESH_BLOCKS):
+                yield check_meshes(raster, middle_file, target, mesh, error, block)
             continue
         for method in methods:
             for max_error in bounds_for(raster):
@@ -155,7 +161,12 @@ def cases(
 
 @common.command("matrix.csv")
 @common.rasters_argument
-@click.option("--meshes", is_flag=True, help="Check meshes, into mesh_matrix.csv.")
+@click.option(
+    "--meshes",
+    cls=common.ListOption,
+    type=click.Choice(MESH_CHOICES),
+    help="Check meshes of these kinds, into mesh_matrix.csv.",
+)
 @click.option("--block", "blocks", cls=common.ListOption, type=int)
 @common.option("--method", "methods", cls=common.ListOption, default=("auto",))
 def main(paths, meshes, blocks, methods, folder, out) -> None:

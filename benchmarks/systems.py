@@ -1,7 +1,6 @@
 """The systems of the sources side by side: ``python -m benchmarks.systems DEM.tif``.
 
-Of one raster the grid of Yusov & Turlapov 2010 (blocks, bounds, border rings, method cdf97 with
-zerotree meshes); all methods at the same bounds; all modes of the viewer from the same cameras at
+Of one raster all methods at the same bounds; all modes of the viewer from the same cameras at
 one error on screen; and the papers' own figures beside those.
 
 ``--only dynamic`` flies over the first 512, 1024, 2048 and 4096 samples a side: down on the first
@@ -39,7 +38,7 @@ from terrainwave.tri.rqt_view import RestrictedMesh
 
 # The papers' figures; "ours" are format strings.
 PAPERS = Path(__file__).with_name("papers.csv")
-BLOCKS, BOUNDS, RINGS = (64, 256), (1.0, 3.0, 10.0), (1, 3)
+BOUNDS = (1.0, 3.0, 10.0)
 METHODS = ("predictive", "cdf97", "cdf53", "store")
 EMBEDDED = "cdf53"
 # Of the file that all modes draw.
@@ -54,13 +53,6 @@ KEYS = {"slope": (0.10, 0.10, 0.030, 45, -20), "low": (0.30, 0.35, 0.004, 75, -1
 SIDES, TAUS, SCREEN = (512, 1024, 2048, 4096), (1.0, 2.0, 4.0), Viewport(1280, 720)
 PIXEL, MORPH, N_CHECKED = 118.0, 1.25, 400
 
-# Bits per sample of the raster, metres. `triangles` are those of all blocks of the finest level,
-# `regular` those of the full grid.
-GridRow = namedtuple(
-    "GridRow",
-    "raster block max_error rings rmse measured_error heights_bits labels_bits total_bits "
-    "triangles regular",
-)  # fmt: skip
 # One method at one bound, without meshes. Where the goal is "rate", it was the size of predictive.
 MethodRow = namedtuple(
     "MethodRow", "raster method goal max_error bits_per_sample rmse measured_error"
@@ -80,33 +72,6 @@ FlightRow = namedtuple(
 )  # fmt: skip
 # A figure of a paper, ours beside it, and what differs.
 PaperRow = namedtuple("PaperRow", "source what paper ours differs")
-
-
-def measure_grid(dem: Path, folder: Path) -> Iterator[GridRow]:
-    """Yield the cases of the grid."""
-    file = folder / "grid.twz"
-    cases = [(block, bound, rings) for block in BLOCKS for bound in BOUNDS for rings in RINGS]
-    for block, max_error, rings in cases:
-        terrainwave.compress(
-            dem, file, max_error=max_error, method="cdf97", block=block, border_rings=rings,
-            mesh="zerotree", verify=False, overwrite=True,
-        )  # fmt: skip
-        errors = _errors(file, dem)
-        with terrainwave.open(file) as terrain:
-            n_rows, n_cols = terrain.shape
-            pages = [found.page for found in terrain.container.present_segments()]
-            blocks = terrain.grid.blocks(terrain.n_levels - 1)
-            n_triangles = sum(len(terrain.block_mesh(found).triangles) for found in blocks)
-        lengths = [
-            sum(int(getattr(page, name).sum()) for page in pages)
-            for name in ("payload_lengths", "mesh_lengths")
-        ]
-        lengths.append(file.stat().st_size)
-        yield GridRow(
-            dem.stem, block, max_error, rings, round(errors.rmse, 4), errors.max_error,
-            *(round(8 * n / (n_rows * n_cols), 4) for n in lengths), n_triangles,
-            2 * (n_rows - 1) * (n_cols - 1),
-        )  # fmt: skip
 
 
 def measure_methods(dem: Path, folder: Path) -> Iterator[MethodRow]:
@@ -312,22 +277,30 @@ def measure_flights(dem: Path, n_frames: int) -> Iterator[FlightRow]:
 
 def compare_papers(results: Path) -> Iterator[PaperRow]:
     """Yield the papers' figures beside those of the CSVs, which `PAPERS` names in braces."""
-    grid, methods, modes, flights = (
+    grid, views, methods, modes, flights = (
         common.read_rows(results / f"{name}.csv")
-        for name in ("systems", "systems_methods", "systems_modes", "dynamic")
-    )
+        for name in (
+            "zerotrees", "zerotree_views", "systems_methods", "systems_modes", "dynamic"
+        )
+    )  # fmt: skip
     flights = [row for row in flights if row["side"] == SIDES[0]]
     ours = {
         mode: _range(1e3 / row["frame_ms"] for row in modes if row["mode"] == mode)
         for mode in ("adaptive", "batched")
     }
     ours["most"] = max(row["triangles"] for row in modes if row["mode"] == "batched") / 1e6
-    ours["regular"] = _range(row["regular"] / row["triangles"] for row in grid)
+    views = [row for row in views if row["trees"] == "coded" and row["views"]]
+    ours["regular"] = _range(row["median"] for row in views)
+    cases: dict[str, list[str]] = {}
     for row in grid:
-        found = (row[key] for key in ("rmse", "heights_bits", "labels_bits", "total_bits"))
-        if row["rings"] == max(RINGS):
-            case = f"case_{row['block']}_{row['max_error']:g}"
-            ours[case] = " / ".join(f"{value:.3f}" for value in found)
+        if row["trees"] == "coded":
+            found = [row[key] for key in ("rmse", "heights_bits", "labels_bits", "total_bits")]
+            case = f"case_{row['block']}_{row['max_error']:g}_{row['rings']}"
+            figures = " / ".join(f"{value:.3f}" for value in found)
+            cases.setdefault(case, []).append(f"{row['raster']} {figures}")
+            heights = f"{row['raster']} {found[1]:.3f}"
+            cases.setdefault(f"heights_{case}", []).append(heights)
+    ours |= {case: "; ".join(figures) for case, figures in cases.items()}
     for row in flights:
         if row["view"] == "down":
             ours[f"{row['system']}_{row['error']}_{row['tau']:g}"] = row["triangles"]
@@ -345,7 +318,7 @@ def _range(values) -> str:
     return f"{ordered[0]:.1f}–{ordered[-1]:.1f}"
 
 
-PARTS = ("grid", "methods", "modes", "papers", "dynamic")
+PARTS = ("methods", "modes", "papers", "dynamic")
 
 
 @common.command()
@@ -358,7 +331,6 @@ def main(dem: Path, only: tuple[str, ...], frames: int, folder: Path, out: Path)
     if "modes" in only:
         terrainwave.compress(dem, file, max_error=VIEW_ERROR, verify=False, overwrite=True)
     measures = {
-        "grid": ("systems", lambda: measure_grid(dem, folder)),
         "methods": ("systems_methods", lambda: measure_methods(dem, folder)),
         "modes": ("systems_modes", lambda: measure_modes(file, dem.stem)),
         "papers": ("systems_papers", lambda: compare_papers(out)),

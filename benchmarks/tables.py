@@ -200,17 +200,6 @@ def compared_speeds(results: Path) -> Rows:
     ]
 
 
-def mesh_speeds(results: Path) -> Rows:
-    """Return how fast meshes are derived, and the seconds of whole calls."""
-    rows = read(results, "meshes", what=lambda row: row["raster"])
-    for row in read(results, "meshes_large"):
-        what = "{raster}, {size}², {threads} threads, decoding included".format_map(row)
-        speeds = {"halves_speed": "", "optimised_speed": ""}
-        speeds["optimised_speed" if row["sweeps"] else "halves_speed"] = f"{row['seconds']} s"
-        rows.append({"what": what, "error": row["error"], **speeds})
-    return rows
-
-
 def left_out(results: Path) -> Rows:
     """Return sizes with tables that never saw the raster over others: means over its bounds."""
     found: dict[str, dict[str, list[float]]] = {}

@@ -69,12 +69,12 @@ def hard_rasters(shape, largest):
     }
 
 
-def check_neighbours(refiner, grid, levels, rings, effort, masks):
+def check_neighbours(refiner, grid, levels, rings, effort, masks, *, is_faithful=False):
     """Code all units of all levels in random order, with a step of 5; they must agree.
 
     `levels` and `masks` are the heights and the valid samples of each level, the coarsest first.
     """
-    parameters = CodecParameters(5, -BIG, BIG, (1, 0), rings, effort)
+    parameters = CodecParameters(5, -BIG, BIG, (1, 0), rings, effort, is_faithful=is_faithful)
     rng = np.random.default_rng(11)
     above = None
     for level, (target, mask) in enumerate(zip(levels, masks, strict=True)):

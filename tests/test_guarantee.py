@@ -150,7 +150,14 @@ of_units = st.fixed_dictionaries(
     }
 )
 of_tiles = st.fixed_dictionaries({"block": st.sampled_from([32, 64]), "method": st.just("cdf53")})
-options = of_units | of_tiles
+of_faithful = st.fixed_dictionaries(
+    {
+        "border_rings": st.sampled_from([1, 3]),
+        "method": st.just("cdf97"),
+        "faithful": st.just(True),
+    }
+)
+options = of_units | of_tiles | of_faithful
 tiny = st.tuples(st.integers(1, 6), st.integers(1, 6))
 sides = st.sampled_from([1, 2, 3, 31, 32, 33, 34, 63, 64, 65, 66, 129, 130, 150])
 medium = st.tuples(sides, sides) | st.tuples(st.just(1), st.integers(1, 300))

@@ -37,6 +37,7 @@ from terrainwave.coding.deflate import deflate
 from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Block
+from terrainwave.mesh.statistics import mesh_levels
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "FORMAT.md"
 
@@ -202,6 +203,44 @@ def test_files_of_many_segments_decode_as_format_says(shape, border_rings, metho
         for segment in segments
     )
     check_same(data)
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("border_rings", some([1, 3], 2))
+@pytest.mark.parametrize(
+    "name", some(["voids", "lossless", "noise, bound 5", "continuous, NaN"], 4)
+)
+def test_faithful_files_decode_as_format_says(name, border_rings):
+    make, options = RASTERS[name]
+    heights = make(np.random.default_rng(4), (66, 70))
+    options = options | {"method": "cdf97", "faithful": True, "border_rings": border_rings}
+    data = twz_bytes(heights, **options)
+    assert read_file(data).header.features == 2
+    check_same(data)
+
+
+@pytest.mark.large
+def test_significant_nodes_are_those_with_coefficients():
+    heights = whole(np.random.default_rng(4), (66, 70))
+    data = twz_bytes(heights, max_error=20, method="cdf97", faithful=True, mesh="zerotree")
+    decode_coefficients = cdf97.decode_coefficients
+    counts = []
+
+    def recorded(*args):
+        found = decode_coefficients(*args)
+        finest = np.array([found[1][0][band] for band in cdf97.BANDS])
+        counts.append((np.count_nonzero(finest.any(axis=0)), finest[0].size))
+        return found
+
+    with patch.object(cdf97, "decode_coefficients", recorded):
+        decode(data)
+    with terrainwave.open(data) as terrain:
+        shares = [found.significant for found in mesh_levels(terrain)]
+    # Of the root unit, which refines no block, of its group, and of the four groups below.
+    assert len(counts) == 1 + 1 + 4
+    below = [sum(column) for column in zip(*counts[2:], strict=True)]
+    assert shares == [counts[1][0] / counts[1][1], below[0] / below[1], None]
+    assert 0 < shares[1] < 1
 
 
 # Kernels with one model for each decision are compiled for the lowest effort alone.
@@ -580,6 +619,8 @@ def random_header(rng, shape, method, border_rings):
         z_max=z_min + span,
         step=int(rng.integers(0, 2**30)) >> int(rng.integers(0, 31)) << 1 | 1,
     )
+    if method == "cdf97":
+        changes["features"] = 2 * int(rng.integers(2))
     for name, value in changes.items():
         setattr(file.header, name, value)
     if rng.random() < 0.5:

@@ -122,6 +122,10 @@ CASES = {
     "cdf53-int16-lossless": (
         (66, 47), "int16", 900, "nodata", PLACE, {"max_error": 0, "method": "cdf53"},
     ),
+    "cdf53-int16-nodata-rqt-coefficient": (
+        (66, 47), "int16", 900, "nodata", PLACE,
+        {"max_error": 3, "method": "cdf53", "mesh": "rqt-coefficient"},
+    ),
     "cdf53-uint16-rate": (
         (70, 75), "uint16", 900, "none", PLACE, {"rate": 4.0, "method": "cdf53", "mesh": "none"},
     ),
@@ -130,7 +134,12 @@ CASES = {
     ),
     "cdf97-float32-nan-zerotree": (
         (40, 60), "float32", 500, "nan", PLACE,
-        {"max_error": 1, "method": "cdf97", "mesh": "zerotree"},
+        {"max_error": 1, "method": "cdf97", "mesh": "zerotree-plain"},
+    ),
+    # Clipped blocks, voids, aprons; heights so smooth that few nodes are significant.
+    "cdf97-int16-mask-zerotree-layer": (
+        (109, 86), "int16", 150, "mask", PLACE,
+        {"max_error": 4, "method": "cdf97", "mesh": "zerotree", "border_rings": 3},
     ),
     "cdf97-uint16-mask-rqt": (
         (44, 39), "uint16", 900, "mask", PLACE,
@@ -139,6 +148,17 @@ CASES = {
     "cdf97-int32-rings": (
         (50, 66), "int32", 90_000, "none", PLACE,
         {"max_error": 99, "method": "cdf97", "border_rings": 3, "mesh": "none"},
+    ),
+    "cdf97-int16-nodata-faithful": (
+        (70, 66), "int16", 900, "nodata", PLACE,
+        {"max_error": 5, "method": "cdf97", "faithful": True, "mesh": "zerotree"},
+    ),
+    "cdf97-int32-rings-faithful": (
+        (50, 66), "int32", 90_000, "none", PLACE,
+        {
+            "max_error": 99, "method": "cdf97", "faithful": True, "border_rings": 3,
+            "mesh": "none",
+        },
     ),
     "store-int16-nodata-halves": (
         (36, 35), "int16", 900, "nodata", PLACE, {"max_error": 0, "method": "store"},

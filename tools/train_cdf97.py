@@ -86,7 +86,7 @@ class Recorder:
 
         def recorded_residuals(*args):
             code_residuals(*args)
-            target, heights, kinds, base, step, weights = args[:6]
+            target, heights, kinds, base, step, _, weights = args[:7]
             recorder._last = Coded(target, heights.copy(), kinds, base.copy(), step, weights)
 
         def recorded_attempt(encoder, step_code):

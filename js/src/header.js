@@ -7,7 +7,8 @@ export const HEADER_SIZE = 128;
 export const HAS_REMAINDERS = 1;
 const MAGIC = [0x89, 0x54, 0x57, 0x5a, 0x0d, 0x0a, 0x1a, 0x0a];
 const METHODS = ["store", "cdf97", "predictive", "cdf53", "rapid"];
-const MESHES = ["none", "halves", "zerotree", "rqt"];
+const MESHES = ["none", "halves", "zerotree-plain", "rqt", "zerotree-layer", "zerotree-coded",
+  "rqt-coefficient"];
 
 /** By code: name, constructor of arrays, bytes, and the range of integers. */
 const DTYPES = {

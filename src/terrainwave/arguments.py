@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.names import EFFORTS, METHODS, STORED_MESHES
+from terrainwave.names import EFFORTS, MESH_CHOICES, METHODS, UNBOUNDED_MESHES, Method, methods_that
 
 # Cells on a side of a block.
 BLOCKS = (32, 64, 128, 256, 512, 1024)
@@ -115,20 +115,39 @@ def check_effort(effort: str) -> None:
         )
 
 
-def checked_mesh(mesh: str, *, or_none: bool) -> str:
-    """Return the kind of meshes that a name stands for; "none" only where that is allowed.
+def check_mesh(mesh: str, *, or_none: bool) -> None:
+    """Check the name of a kind of meshes; "none" is one only where that is allowed.
 
     Raises
     ------
     InvalidArgumentError
         If it is no such name.
     """
-    known = (*STORED_MESHES, "none") if or_none else STORED_MESHES
+    known = (*MESH_CHOICES, "none") if or_none else MESH_CHOICES
     if mesh not in ("auto", *known):
         raise InvalidArgumentError(
             f"found `mesh` {mesh!r}, expected one of auto, {', '.join(known)}"
         )
-    return STORED_MESHES[0] if mesh == "auto" else mesh
+
+
+def check_mesh_of(mesh: str, method: Method, *, is_faithful: bool) -> None:
+    """Check that files of a method, faithful to its paper or not, can have meshes of a kind.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the kind follows wavelet coefficients or zero trees that such files do not have.
+    """
+    if mesh == "zerotree-coded" and not is_faithful:
+        raise InvalidArgumentError(
+            f"found `mesh` {mesh} for a file that codes no zero trees, expected `faithful`, or"
+            " `mesh` zerotree-layer, which follows those of the decoded heights"
+        )
+    if mesh in UNBOUNDED_MESHES and not method.is_tiled:
+        raise InvalidArgumentError(
+            f"found `mesh` {mesh!r} and method {method.name}, expected method"
+            f" {methods_that(lambda method: method.is_tiled)}, whose coefficients it follows"
+        )
 
 
 def checked_threads(threads: int | None) -> int:

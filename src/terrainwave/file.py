@@ -41,6 +41,7 @@ DEFAULT_MAX_BYTES = 4 << 30
 class Info:
     """What a .twz file says about itself; errors are in physical units.
 
+    `faithful`: the file follows the paper of its method to the letter.
     `moved_error` is the share of `effective_error` that patches have added.
     `voids` is how voids are told: ``"none"``, by their ``"nodata"`` value, as ``"nan"``, or by a
     ``"mask"``; it is the way of the source, which may have no void at all.
@@ -61,6 +62,7 @@ class Info:
     units: str | None
     method: str
     effort: str
+    faithful: bool
     block: int
     border_rings: int
     mesh: str
@@ -328,6 +330,7 @@ class TerrainFile:
             units=raster.units,
             method=header.method,
             effort=EFFORTS[min(header.effort, len(EFFORTS) - 1)],
+            faithful=header.is_faithful,
             block=header.block,
             border_rings=header.border_rings,
             mesh=header.mesh,
@@ -367,10 +370,10 @@ class TerrainFile:
         return n_voids
 
     def block_error(self, block: Block) -> float:
-        """Return the stored measured error of a block's bilinear surface, in physical units.
+        """Return the stored error of a block's bilinear surface, in physical units.
 
         No valid original under the block is further from the bilinear interpolation of its
-        decoded samples.
+        decoded samples. It has been measured; that of a faithful file is an upper bound.
         """
         code = self.container.codes(block)[2]
         return decode_error(code) * self.quantizer.quantum * abs(self._raster.scale)

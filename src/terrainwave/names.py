@@ -9,9 +9,15 @@ from dataclasses import dataclass
 # In the order in which files number them.
 EFFORTS = ("fast", "default", "best")
 # Kinds of meshes, in the order in which files number them.
-MESHES = ("none", "halves", "zerotree", "rqt")
-# Those that files store; "auto" is the first.
-STORED_MESHES = tuple(mesh for mesh in MESHES if mesh != "none")
+MESHES = ("none", "halves", "zerotree-plain", "rqt", "zerotree-layer", "zerotree-coded",
+          "rqt-coefficient")  # fmt: skip
+# Those that can be asked for; "auto" is the first, `stored_mesh` says what files then hold.
+MESH_CHOICES = (
+    "halves", "zerotree", "rqt", "zerotree-plain", "zerotree-layer", "zerotree-coded",
+    "rqt-coefficient",
+)  # fmt: skip
+# Those whose tolerance only selects vertices: their errors are measured, and may be larger.
+UNBOUNDED_MESHES = ("rqt-coefficient",)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,12 +40,16 @@ class Method:
         Its streams can end early: at a rate, at a mean error, or where a reader has enough.
     is_clusterable : bool
         A part of the raster can be coded without the rest, on another machine.
+    may_be_faithful : bool
+        Its files may follow its paper to the letter (`write.options.Options.faithful`).
     is_patchable : bool
         A unit can be coded again so that heights that still hold come back as they were.
     has_parameters : bool
         The file's header may hold tables for all of its units.
     is_read_in_browsers : bool
         The reader in JavaScript decodes it.
+    has_layers : bool
+        It codes difference layers, whose zero trees drive its meshes of the kind "zerotree".
     """
 
     name: str
@@ -49,9 +59,11 @@ class Method:
     effort: str = ""
     is_cuttable: bool = False
     is_clusterable: bool = True
+    may_be_faithful: bool = False
     is_patchable: bool = False
     has_parameters: bool = False
     is_read_in_browsers: bool = False
+    has_layers: bool = False
 
     @property
     def is_tiled(self) -> bool:
@@ -68,7 +80,7 @@ METHODS = {
         Method(name="predictive", number=2, refiner="predictive.Predictive", has_parameters=True,
                is_patchable=True, is_read_in_browsers=True, effort="1, 2 or 8 sets of weights"),
         Method(name="cdf97", number=1, refiner="cdf97.Cdf97", pyramid="lowpass",
-               effort="1, up to 3 or up to 7 steps"),
+               effort="1, up to 3 or up to 7 steps", has_layers=True, may_be_faithful=True),
         Method(name="cdf53", number=3, pyramid="lowpass53", is_cuttable=True, is_clusterable=False),
         Method(name="store", number=0, refiner="store.Store", is_read_in_browsers=True),
     )
@@ -79,6 +91,30 @@ DEFAULT_METHOD = METHODS["rapid"]
 AUTO_METHODS = (DEFAULT_METHOD, METHODS["predictive"])
 # Takes heights that no method makes smaller.
 PLAIN_METHOD = METHODS["store"]
+
+
+def stored_mesh(mesh: str, method: Method, *, is_faithful: bool = False) -> str:
+    """Return the kind of meshes that a file of a method holds where `mesh` is asked for.
+
+    Parameters
+    ----------
+    mesh : str
+        "auto", "none" or one of `MESH_CHOICES`.
+    is_faithful : bool
+        The file's coded zero trees are those of Yusov & Turlapov 2010.
+    """
+    if mesh == "auto":
+        return MESH_CHOICES[0]
+    if mesh != "zerotree":
+        return mesh
+    if not method.has_layers:
+        return "zerotree-plain"
+    return "zerotree-coded" if is_faithful else "zerotree-layer"
+
+
+def mesh_without_coefficients(mesh: str, method: Method) -> str:
+    """Return the kind of meshes that stands in where a method lacks what a kind follows."""
+    return "rqt" if mesh in UNBOUNDED_MESHES and not method.is_tiled else mesh
 
 
 def methods_that(can: Callable[[Method], bool]) -> str:

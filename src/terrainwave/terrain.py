@@ -45,6 +45,7 @@ class Terrain(TerrainFile):
         max_error: float | None = None,
         max_triangles: int | None = None,
         optimise: int = 0,
+        guarantee: bool = True,
         progress: ProgressCallback | None = None,
     ) -> "Mesh":
         """Return one connected watertight mesh of an area.
@@ -69,6 +70,10 @@ class Terrain(TerrainFile):
         optimise : int
             Sweeps of half-edge collapses over blocks of the full grid: one nearly halves the
             triangles. They too are of meshes made anew as `halves`.
+        guarantee : bool
+            False gives the triangulation of the zero trees alone (Yusov & Turlapov 2010, §2.4),
+            without any of the three arguments above: its `error` is what it turns out to be.
+            `level` -1 stands for -2 then, the finest one with zero trees.
         progress : callable, optional
             Called with a `Progress`; a mesh that needs several tries begins anew with each.
 
@@ -91,7 +96,7 @@ class Terrain(TerrainFile):
 
         placed = mesh_area(
             self, window, bounds=bounds, level=level, max_error=max_error,
-            max_triangles=max_triangles, optimise=optimise, progress=progress,
+            max_triangles=max_triangles, optimise=optimise, guarantee=guarantee, progress=progress,
         )  # fmt: skip
         return Mesh(*placed)
 

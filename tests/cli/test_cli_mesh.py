@@ -82,6 +82,7 @@ def test_options_reach_the_mesh(tmp_path, twz, asked):
         "window": (0, 0, 5, 6),
         "bounds": None,
         "optimise": 0,
+        "guarantee": True,
     }
 
 
@@ -94,6 +95,7 @@ def test_defaults_of_the_mesh(tmp_path, twz, asked):
         "window": None,
         "bounds": (400000.0, 3999800.0, 400200.0, 4000000.0),
         "optimise": 1,
+        "guarantee": True,
     }
 
 
@@ -335,8 +337,9 @@ def test_store_adds_meshes_to_a_copy(tmp_path):
         ("--store --frame local --solid 3", "found --frame, --solid with --store"),
         ("--mesh halves", "found --mesh without --store"),
         ("--mesh-error 2", "found --mesh-error without --store"),
-        ("--store --mesh none", "expected one of auto, halves, zerotree, rqt"),
+        ("--store --mesh none", "expected one of auto, halves, zerotree, rqt, zerotree-plain"),
         ("--store --mesh rqt3", "rqt3"),
+        ("--store --mesh zerotree-coded", "that codes no zero trees"),
     ],
 )
 def test_options_of_store_and_export_do_not_mix(tmp_path, twz, options, words):

@@ -63,6 +63,21 @@ def test_full_and_adaptive_pictures_are_alike(file, tmp_path):
     assert apart.mean() < 2
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["batched", "--error", "paper", "--detail", "9", "--order", "2"], "whole file twice"),
+        (["dynamic", "--stepwise"], "of all nodes: this decodes it once"),
+        (["adaptive"], None),
+    ],
+)
+def test_what_is_decoded_before_the_first_picture_is_said(file, tmp_path, options, words):
+    done = run("render", file, tmp_path / "a.png", "--size", "90x60", "--mode", *options)
+    assert done.exit_code == 0, done.output
+    assert ("decodes" in done.stderr) == (words is not None)
+    assert (words or "") in done.stderr
+
+
 def test_a_legend_and_a_scale_bar_are_drawn_where_asked_for(file, tmp_path):
     size = ("--size", "300x200")
     run("render", file, tmp_path / "a.png", *size)
@@ -120,6 +135,9 @@ def test_a_flight_writes_numbered_pictures(file, tmp_path):
         (["--bounds", "5,5,1,1"], "left < right", 2),
         (["--coloring", "ground"], "'auto', 'absolute', 'relative'", 2),
         (["--legend", "--coloring", "plain"], "found --legend with --coloring plain", 2),
+        (["--stepwise"], "--stepwise in mode adaptive, expected mode dynamic", 2),
+        (["--order", "3"], "'2', '4'", 2),
+        (["--error", "coefficient"], "found --error 'coefficient' in mode adaptive", 2),
         (["--scale-bar", "--size", "100x90"], "found --size 100x90, expected at least", 2),
     ],
 )

@@ -18,7 +18,7 @@ from lone_units import (
     terrain,
 )
 
-from terrainwave.codec.cdf97 import Cdf97
+from terrainwave.codec.cdf97 import _HAS_COEFFS, Cdf97, _read_header
 from terrainwave.codec.refiner import Sides
 from terrainwave.codec.zerotree import mark_labels, node_offsets
 from terrainwave.coding.filters import lowpass_analysis
@@ -45,6 +45,35 @@ def test_bound_holds_on(name, step):
     for shared in (NOT_SHARED, Sides(True, False, True, True)):
         check(lone_spec(target.shape, step, 2, shared), parent_of(target), target)
         check(lone_spec(target.shape, step, 0, shared, parent=False), None, target)
+
+
+@pytest.mark.parametrize("name", list(hard_rasters((2, 2), 1)))
+@pytest.mark.parametrize("step", [1, 3, (1 << 28) + 1])
+def test_bound_holds_in_faithful_files_on(name, step):
+    target = hard_rasters((17, 16), 1 << 29)[name]
+    mask = np.random.default_rng(1).random(target.shape) < 0.9
+    for spec, parent in (
+        (lone_spec(target.shape, step, shared=ALL_SHARED), parent_of(target)),
+        (lone_spec(target.shape, step, parent=False), None),
+    ):
+        check(faithful(spec), parent, target, mask)
+
+
+def faithful(spec, *, is_finest=False):
+    is_coarse = not is_finest and spec.step > 1
+    return dataclasses.replace(spec, is_faithful=True, has_coarse_residuals=is_coarse)
+
+
+@pytest.mark.parametrize("parent", [False, True])
+@pytest.mark.parametrize("is_finest", [False, True])
+def test_faithful_units_have_coefficients_of_one_step_where_others_have_none(parent, is_finest):
+    # A plane whose residuals are small: coefficients don't pay, and cdf97 would have none.
+    target = terrain((33, 33), relief=1)
+    spec = faithful(lone_spec(target.shape, 3, parent=parent), is_finest=is_finest)
+    payload, _ = check(spec, parent_of(target) if parent else None, target)
+    coding, _ = _read_header(payload)
+    assert coding.flags & _HAS_COEFFS
+    assert coding.step_code == 36  # 2.25 (delta + p / 2), in 1/16
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 1), (1, 9), (8, 1), (2, 2), (3, 3), (5, 2)])
@@ -152,16 +181,18 @@ def test_neighbours_decode_the_same_bits_in_any_order(size, rings, has_voids):
     levels.reverse()
     rng = np.random.default_rng(11)
     masks = [rng.random(level.shape) < (0.7 if has_voids else 2) for level in levels]
-    check_neighbours(Cdf97(), grid, levels, rings, 0, masks)
+    # Those with a void of the file are to the letter.
+    check_neighbours(Cdf97(), grid, levels, rings, 0, masks, is_faithful=has_voids)
 
 
 # Damage ----------------------------------------------------------------------------------------
 
 
 @cache
-def small_payload():
+def small_payload(*, is_faithful=False):
     target = terrain((21, 18))
     spec = lone_spec(target.shape, 5, 0, Sides(True, False, False, True))
+    spec = faithful(spec) if is_faithful else spec
     parent, mask = parent_of(target), np.ones(target.shape, dtype=bool)
     payload, _, _ = Cdf97().encode(spec, parent, target, mask)
     return spec, parent, mask, payload
@@ -187,8 +218,9 @@ def test_an_extra_byte_is_rejected():
         Cdf97().decode(spec, parent, mask, payload + b"\0")
 
 
-def test_every_flipped_byte_gives_heights_or_our_own_error():
-    spec, parent, mask, payload = small_payload()
+@pytest.mark.parametrize("is_faithful", [False, True])
+def test_every_flipped_byte_gives_heights_or_our_own_error(is_faithful):
+    spec, parent, mask, payload = small_payload(is_faithful=is_faithful)
     for pos in range(len(payload)):
         for change in (1, 128, 255):
             broken = bytearray(payload)
@@ -196,10 +228,16 @@ def test_every_flipped_byte_gives_heights_or_our_own_error():
             check_damaged(Cdf97(), spec, parent, mask, bytes(broken))
 
 
-@given(st.binary(max_size=80), st.booleans(), st.sampled_from([1, 3, 1001, (1 << 29) + 1]))
-def test_any_bytes_give_heights_or_our_own_error(payload, has_parent, step):
+@given(
+    st.binary(max_size=80),
+    st.booleans(),
+    st.sampled_from([1, 3, 1001, (1 << 29) + 1]),
+    st.booleans(),
+)
+def test_any_bytes_give_heights_or_our_own_error(payload, has_parent, step, is_faithful):
     spec, parent, mask, _ = small_payload()
     spec = dataclasses.replace(spec, step=step)
+    spec = faithful(spec) if is_faithful else spec
     if not has_parent:
         spec, parent = dataclasses.replace(spec, parent_region=None), None
     check_damaged(Cdf97(), spec, parent, mask, payload)

@@ -14,6 +14,7 @@ from terrainwave.codec.residual import (
     frame_base,
     new_scratch,
     open_loop_costs,
+    rounding_of,
 )
 from terrainwave.coding.rangecoder import (
     finish_decoder,
@@ -33,23 +34,24 @@ def framed(base):
     return wide
 
 
-def encode(target, kinds, base, step, weights, heights=None):
+def encode(target, kinds, base, step, weights, heights=None, *, is_coarse=False):
     """Return the stream and the heights it stands for."""
     heights = np.zeros_like(target) if heights is None else heights.copy()
     out = np.zeros(4096, dtype=np.uint8)
     coder = new_encoder(out, tables97.start_residual_models())
     code_residuals(
-        target, heights, kinds, base, step, weights, tables97.E_WEIGHTS,
-        new_scratch(target.shape[1]), coder,
+        target, heights, kinds, base, step, rounding_of(step, is_coarse=is_coarse), weights,
+        tables97.E_WEIGHTS, new_scratch(target.shape[1]), coder,
     )  # fmt: skip
     return out[: finish_encoder(coder.state, out)], heights
 
 
-def residuals_of(errors, step):
+def rebuilt(errors, step, *, is_coarse):
+    """Return the residuals that come back."""
     target = np.array([errors], dtype=np.int32)
     kinds = np.full(target.shape, CODED, dtype=np.uint8)
-    _, heights = encode(target, kinds, framed(np.zeros_like(target)), step, NO_PREDICTION)
-    return heights[0] // step
+    base = framed(np.zeros_like(target))
+    return encode(target, kinds, base, step, NO_PREDICTION, is_coarse=is_coarse)[1][0]
 
 
 @pytest.mark.parametrize("half", [0, 1, 7, 50])
@@ -57,32 +59,36 @@ def test_finest_level_is_equation_1_on_the_grid(half):
     # With p = 1 and delta = half: floor((|r| + delta) / (2 delta + p)), the sign of r.
     errors = np.arange(-150, 151)
     printed = np.sign(errors) * ((np.abs(errors) + half) // (2 * half + 1))
-    assert residuals_of(errors, 2 * half + 1).tolist() == printed.tolist()
+    step = 2 * half + 1
+    assert rebuilt(errors, step, is_coarse=False).tolist() == (printed * step).tolist()
 
 
 @pytest.mark.parametrize("half", [1, 2, 7, 50])
-def test_the_papers_coarse_quantiser_keeps_the_bound_but_costs_a_symbol_more(half):
-    # Y10 for coarse levels: r~ = round(|r| / delta), rebuilt as (r~ + 1/2) delta, 0 as 0.
-    errors = np.arange(0, 40 * half)
-    symbols = np.floor(errors / half + 0.5)
-    rebuilt = np.where(symbols > 0, (symbols + 0.5) * half, 0)
-    assert np.abs(rebuilt - errors).max() <= half
-    ours = residuals_of(errors, 2 * half + 1)
-    # Steps of delta instead of 2 delta + p: about twice as many symbols for the same errors.
-    assert symbols.max() >= 2 * ours.max()
+def test_coarse_levels_of_faithful_files_are_quantised_as_printed(half):
+    # Y10 for coarse levels: r~ = floor(|r| / delta), rebuilt as (r~ + 1/2) delta, 0 as 0.
+    errors = np.arange(-40 * half, 40 * half + 1)
+    symbols = np.abs(errors) // half
+    printed = np.sign(errors) * np.where(symbols > 0, np.floor((symbols + 0.5) * half), 0)
+    found = rebuilt(errors, 2 * half + 1, is_coarse=True)
+    np.testing.assert_array_equal(found, printed)
+    assert np.abs(found - errors).max() <= half
 
 
-def test_decoding_gives_what_was_encoded_with_voids_and_known_samples():
+@pytest.mark.parametrize("is_coarse", [False, True])
+def test_decoding_gives_what_was_encoded_with_voids_and_known_samples(is_coarse):
     rng = np.random.default_rng(3)
     target = rng.integers(-40, 40, (9, 12), dtype=np.int32)
     kinds = rng.choice([VOID, CODED, CODED, KNOWN], target.shape).astype(np.uint8)
     base = framed(np.zeros_like(target))
     start = np.where(kinds == KNOWN, target + 1, 0).astype(np.int32)
     weights = tables97.TERM_WEIGHTS[-1]
-    stream, heights = encode(target, kinds, base, 5, weights, start)
+    stream, heights = encode(target, kinds, base, 5, weights, start, is_coarse=is_coarse)
     back = start.copy()
     coder = new_decoder(stream.tobytes(), tables97.start_residual_models())
-    code_residuals(None, back, kinds, base, 5, weights, tables97.E_WEIGHTS, new_scratch(12), coder)
+    rounding = rounding_of(5, is_coarse=is_coarse)
+    code_residuals(
+        None, back, kinds, base, 5, rounding, weights, tables97.E_WEIGHTS, new_scratch(12), coder
+    )
     assert finish_decoder(coder.state, coder.stream)[0] == 0
     np.testing.assert_array_equal(back, heights)
     assert np.abs(heights - target)[kinds == CODED].max() <= 2

@@ -24,7 +24,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.render.modes import neville, regular
 
 with event.install_recorder("numba:compile") as recorder:
-    neville.filter_rows(np.zeros((4, 4), np.float32), np.zeros((1, 1), np.float32))
+    neville.filter_rows(np.zeros((4, 4), np.float32), 1.0, 0.0, np.zeros((1, 1), np.float32))
     regular.fill_vertices(np.zeros((3, 3), np.float32), np.zeros((3, 3), np.float32))
     results = example.scaled(3), example.first_of(example.pair())
 functions = [e.data["dispatcher"].py_func for _, e in recorder.buffer]

@@ -108,14 +108,14 @@ UNSUPPORTED = [
     (8, "B", 0, "format version 0, a draft"),
     (8, "B", 2, "format version 2; .*: install a newer one"),
     (9, "B", 1, "reserved"),
-    (12, "I", 2, "unknown features 0x2"),
+    (12, "I", 4, "unknown features 0x4"),
     (12, "I", 2**31, "unknown features"),
     (34, "B", 5, "unknown method 5"),
     (35, "B", 0, "unknown data type 0"),
     (35, "B", 2, "unknown data type 2"),
     (35, "B", 9, "unknown data type 9"),
     (36, "B", 10, "effort is 10"),
-    (37, "B", 4, "unknown mesh 4"),
+    (37, "B", 7, "unknown mesh 7"),
     (38, "B", 1, "reserved"),
     (39, "B", 128, "reserved"),
 ]
@@ -168,6 +168,7 @@ CORRUPT = [
     (116, "I", 0, "top page of 0"),
     (116, "I", 2**15 + 1, "top page of 32769"),
     (120, "I", 1, "a mesh tolerance without meshes"),
+    (37, "B", 6, "has no coefficients"),
 ]
 
 

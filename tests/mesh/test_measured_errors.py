@@ -13,6 +13,7 @@ from twz import twz_bytes
 from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.grid.measure import measure_block
 from terrainwave.grid.quadtree import Region
+from terrainwave.mesh.sections import mesher_of
 from terrainwave.terrain import Terrain
 
 # Measuring
@@ -124,6 +125,32 @@ class File:
             self.masks = {b: unit.mask[at[b]] for b, unit in units.items()}
             self.stored = {b: terrain.block_error(b) for b in self.blocks}
             self.codes = {b: terrain.container.codes(b) for b in self.blocks}
+            self.bound = terrain.effective_error
+            if terrain.mesh_kind != "none":
+                self.mesh_errors = {b: terrain.mesh_error(b) for b in self.blocks}
+                mesher = mesher_of(terrain)
+                self.tolerances = {b: mesher.tolerance(b) / 16 * self.quantum for b in self.blocks}
+
+    def by_recursion(self, block):
+        """Return Err_Appr of Yusov & Turlapov 2010, (2), over blocks with originals.
+
+        Or the true error where that is larger: past the last samples of a coarse level.
+        """
+        if block.level == self.grid.k_max:
+            return self.bound
+        children = [b for b in self.grid.children(block) if self.quanta_under(b).size]
+        errors = [self.by_recursion(child) for child in children]
+        first = self.grid.block_region(block)
+        apart = 0
+        for child in children:
+            region = self.grid.block_region(child)
+            for row, col in np.argwhere(self.masks[child]).tolist():
+                at = region.row + row - 2 * first.row, region.col + col - 2 * first.col
+                if at[0] <= 2 * (first.n_rows - 1) and at[1] <= 2 * (first.n_cols - 1):
+                    there = surface_at(self.decoded[block], 2, *at)
+                    apart = max(apart, abs(there - int(self.decoded[child][row, col])))
+        error = max(errors) + float(apart * self.quantum) + self.bound
+        return max(error, self.true_error(block))
 
     def true_error(self, block):
         """Return the largest distance of the originals from the decoded surface, in raw units."""
@@ -154,7 +181,7 @@ class File:
         return raw // int(self.quantum) - self.base
 
 
-def file_of(name):
+def file_of(name, **options):
     kind, method, *numbers = name.split()
     max_error, rings = map(int, numbers)
     heights = terrain_like(140, 9, seed=4) if kind == "whole" else terrain_like(261, 12, seed=5)
@@ -162,7 +189,7 @@ def file_of(name):
     if kind == "holed":
         valid = np.random.default_rng(5).random(heights.shape) < 0.98
         valid[90:170] = False  # two blocks of the finest level
-    return File(heights, valid, method=method, max_error=max_error, border_rings=rings)
+    return File(heights, valid, method=method, max_error=max_error, border_rings=rings, **options)
 
 
 WHOLE = ["whole store 4 1", "whole cdf97 4 1", "whole cdf97 0 1"]
@@ -188,6 +215,23 @@ def test_stored_errors_are_at_least_the_true_ones(file):
 def test_stored_errors_are_hardly_larger(file):
     for block in file.blocks:
         assert file.stored[block] <= 1.2 * file.true_error(block) + file.quantum, block
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("name", ["whole cdf97 4 1", "holed cdf97 2 3"])
+def test_errors_of_a_faithful_file_are_those_of_the_papers_recursion(name):
+    file = file_of(name, faithful=True, mesh="halves")
+    for block in file.blocks:
+        stored, tolerance = file.stored[block], file.tolerances[block]
+        if not file.quanta_under(block).size:
+            assert file.codes[block] == (0, 0, 0, 0)
+            continue
+        assert stored >= file.true_error(block), block
+        # Codes are rounded up to eight steps an octave.
+        by_recursion = file.by_recursion(block)
+        assert by_recursion <= stored <= 9 / 8 * by_recursion + 1, block
+        if file.mesh_errors[block]:
+            assert file.mesh_errors[block] >= stored + tolerance, block
 
 
 @pytest.mark.large

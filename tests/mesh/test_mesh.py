@@ -116,9 +116,9 @@ def test_meshes_of_many_levels_meet_without_gaps(void, share, tmp_path, monkeypa
     levels = []
     assemble_all = extraction._Extractor._assemble
 
-    def spy(extractor, cut, built):
-        levels.append({block.level for block in cut})
-        return assemble_all(extractor, cut, built)
+    def spy(extractor, built):
+        levels.append({block.level for block in built})
+        return assemble_all(extractor, built)
 
     monkeypatch.setattr(extraction._Extractor, "_assemble", spy)
     monkeypatch.setattr(extraction, "_COARSE_SHARE", share)
@@ -144,15 +144,15 @@ def test_coarse_blocks_reach_the_rasters_edge(shape, is_beside_finer, tmp_path, 
     found = []
     assemble_all = extraction._Extractor._assemble
 
-    def spy(extractor, cut, built):
+    def spy(extractor, built):
         grid = extractor._grid
-        for block in cut:
+        for block in built:
             reach = grid.block * grid.stride(block.level)
             on_edge = (block.col + 1) * reach >= grid.n_cols - 1
             if block.level < grid.k_max and on_edge:
-                sides = {side for side, _ in extractor._finer(cut, block)}
+                sides = {side for side, _ in extractor._finer(built, block)}
                 found.append(bool(sides & {"top", "bottom"}))
-        return assemble_all(extractor, cut, built)
+        return assemble_all(extractor, built)
 
     monkeypatch.setattr(extraction._Extractor, "_assemble", spy)
     for kind, seed in (("graded", 2), ("rough patch", 5), ("smooth", 3)):

@@ -354,8 +354,11 @@ def extended(line):
     return before + list(line) + after
 
 
-def decode_residuals(decoder, n, base, weights, core, heights, known, is_coded):
-    """§7.7; `heights` and `known` are those of the region, `core` its place in them."""
+def decode_residuals(decoder, n, is_coarse, base, weights, core, heights, known, is_coded):
+    """§7.7, or §7.9 if `is_coarse`.
+
+    `heights` and `known` are those of the region, `core` its place in them.
+    """
     models = Models(1527, STARTS_97["residual"])
     wide = [extended(row) for row in base]
     wide = list(zip(*(extended(column) for column in zip(*wide, strict=True)), strict=True))
@@ -370,7 +373,8 @@ def decode_residuals(decoder, n, base, weights, core, heights, known, is_coded):
     def cut(x):
         return clamp(x, -(2**30), 2**30)
 
-    limit = 2**31 // n + 1
+    d = (n - 1) // 2 if is_coarse else n
+    limit = 2**31 // d + 1
     n_rows, n_cols = len(base), len(base[0])
     errors, mus, signs = (zeros(n_rows, n_cols) for _ in range(3))
     for r in range(n_rows):
@@ -397,7 +401,7 @@ def decode_residuals(decoder, n, base, weights, core, heights, known, is_coded):
                 slope = abs(e_n - e_nw) + abs(e_ne - e_n)
                 total += E_WEIGHTS_97[7] + steps(E_WEIGHTS_97[6] * slope, -1)
                 eta = clamp(((lg(min(total >> 4, 2**28 - 1)) - 24) >> 2) + 1, 0, 43)
-                value = 0
+                change = 0
                 if decoder.bit(models, 4 * (44 * phase + eta) + min(steps(abs(phi), -3), 3)):
                     s_w, s_n, s_nw, s_ne, *_ = (
                         at_or_zero(signs, r + di, c + dj) for di, dj in NEIGHBOURS
@@ -408,11 +412,12 @@ def decode_residuals(decoder, n, base, weights, core, heights, known, is_coded):
                     side = min((steps(6 * abs(phi), -5) + 1) >> 1, 3)
                     sigma = 3 + side if phi > 0 else 3 - side
                     sign = -1 if decoder.bit(models, 704 + 7 * (5 * x + y) + sigma) else 1
+                    eta = min(eta + 2, 43) if is_coarse else eta
                     kappa = max(0, ((20 + 4 * eta) >> 3) - 9)
                     value = 1 + decoder.magnitude(models, 879 + 14 * eta, 1495, kappa)
-                    value = sign * min(value, limit)
+                    change = sign * (min(value, limit) * d + (d // 2 if is_coarse else 0))
                     signs[r][c] = sign
-                heights[i][j] = clamp(h + value * n, -M, M)
+                heights[i][j] = clamp(h + change, -M, M)
             elif not known[i][j]:
                 heights[i][j] = h
             if is_coded(r, c) or known[i][j]:
@@ -504,7 +509,10 @@ def decode_cdf97(file, unit, payload, valid, parent_unit, parent_heights):
     core = SimpleNamespace(row=rows.core, col=cols.core)
     if with_residuals:
         weights = TERM_WEIGHTS_97[weight_set]
-        decode_residuals(decoder, n, base, weights, core, heights, border.known, is_coded)
+        is_coarse = h.features & 2 and unit.level < file.grid.k_max and n > 1
+        decode_residuals(
+            decoder, n, is_coarse, base, weights, core, heights, border.known, is_coded
+        )
     else:
         for r in range(rows.n_core):
             for c in range(cols.n_core):

@@ -41,9 +41,11 @@ def read_header(data):
     require(h.header_size == 128, "header_size")
     require(h.header_crc == zlib.crc32(data[:124]), "header_crc")
     require(h.reserved == 0, "reserved", UnsupportedError)
-    require(h.features <= 1, "features", UnsupportedError)
+    require(h.features <= 3, "features", UnsupportedError)
+    require(not h.features & 2 or h.method == 1, "a faithful file of another method")
     require(h.padding == b"\0\0", "padding", UnsupportedError)
-    require(h.mesh <= 3, "mesh", UnsupportedError)
+    require(h.mesh <= 6, "mesh", UnsupportedError)
+    require(h.mesh != 6 or h.method == 3, "a mesh by coefficients of another method")
     require(h.mesh or h.mesh_tolerance == 0, "mesh_tolerance")
     require(h.file_size < 2**63, "file_size")
     require(1 <= h.n_rows <= 2**31 and 1 <= h.n_cols <= 2**31, "n_rows, n_cols")
@@ -63,7 +65,7 @@ def read_header(data):
     require(isfinite(h.max_error) and h.max_error >= 0, "max_error")
     require(0 <= h.effective_bound <= h.max_error, "effective_bound")
     require(isfinite(h.rho) and h.rho >= 0, "rho")
-    if h.features:
+    if h.features & 1:
         require(h.dtype in (6, 7, 8) and h.method != 3, "remainders of a dtype or a method")
         require(h.step == 1 and h.effective_bound == 0, "remainders beside a bound")
     else:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from render.scenes import ListStore, hills, random_camera, terrain_of
 
+from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.quadtree import Region
 from terrainwave.render.camera import Camera, Viewport, focal_length, home, project
-from terrainwave.render.modes.batched import MU
 from terrainwave.render.modes.block_surface import grid_mesh
 from terrainwave.render.modes.neville import NevillePyramid
 from terrainwave.render.modes.regular import fill_vertices, surface_height
@@ -34,11 +34,11 @@ def original_and_terrain(request):
         yield heights, valid, terrain
 
 
-def pyramid_of(heights, n_levels, tmp_path):
+def pyramid_of(heights, n_levels, tmp_path, **options):
     def read(region):
         return heights[region.slices_in(Region(0, 0, *heights.shape))].astype(np.float32)
 
-    return NevillePyramid(heights.shape, read, n_levels, tmp_path)
+    return NevillePyramid(heights.shape, read, n_levels, tmp_path, **options)
 
 
 # The pyramid
@@ -65,6 +65,14 @@ def test_the_filter_has_the_weights_of_the_paper(tmp_path):
     expected = np.zeros((4, 4))
     expected[1, 2], expected[1, 1], expected[2, 2] = 10, -1, -1
     np.testing.assert_array_equal(found, expected)
+
+
+def test_the_filter_of_order_two_takes_the_mean_of_the_four_samples_it_replaces(tmp_path):
+    """Fig. 2a: four times 1/4; planes are kept."""
+    heights = np.random.default_rng(8).random((12, 8))
+    found = pyramid_of(heights, 2, tmp_path, order=2).window(1, Region(0, 0, 6, 4), replicate=False)
+    expected = heights.reshape(6, 2, 4, 2).mean(axis=(1, 3))
+    np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_the_border_is_repeated_and_voids_are_left_out(tmp_path):
@@ -210,11 +218,34 @@ def test_boxes_hold_the_originals_and_all_vertices(original_and_terrain):
 # The paper's criterion
 
 
-@pytest.fixture
-def paper_scene():
+@pytest.fixture(params=[None, 1.25])
+def paper_scene(request):
     with terrain_of(np.round(hills(150, 140, 5)).astype(np.int16), block=32) as terrain:
-        with Scene(terrain, ListStore(), mode="batched", error="paper") as scene:
+        options = {"mode": "batched", "error": "paper", "detail": request.param}
+        with Scene(terrain, ListStore(), **options) as scene:
             yield scene
+
+
+@pytest.fixture
+def mu(request):
+    """The constant of eq. 2 that `paper_scene` was asked for; without, the paper's first."""
+    return request.node.callspec.params["paper_scene"] or 0.5
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"detail": 1.0}, "expected error 'paper'"),
+        ({"detail": -1.0, "error": "paper"}, "expected a number > 0"),
+        ({"order": 3}, "expected 2 or 4"),
+        ({"order": 2, "mode": "adaptive"}, "expected mode batched"),
+        ({"stepwise": True}, "expected mode dynamic or vertex-texture"),
+    ],
+)
+def test_options_that_a_mode_does_not_have_are_refused(options, words):
+    heights = np.zeros((40, 40), dtype=np.int16)
+    with terrain_of(heights, block=32) as terrain, pytest.raises(InvalidArgumentError, match=words):
+        Scene(terrain, ListStore(), **{"mode": "batched", **options})
 
 
 def levels_of(scene, nodes):
@@ -223,7 +254,7 @@ def levels_of(scene, nodes):
 
 
 @pytest.mark.large
-def test_levels_follow_from_distances_as_in_equation_6(paper_scene):
+def test_levels_follow_from_distances_as_in_equation_6(paper_scene, mu):
     scene, seen = paper_scene, set()
     rng = np.random.default_rng(6)
     spacing = 30.0
@@ -234,7 +265,7 @@ def test_levels_follow_from_distances_as_in_equation_6(paper_scene):
         assert alpha == pytest.approx(tau / focal_length(camera, VIEWPORT))
         levels = levels_of(scene, frames.nodes)
         # ⌊log2(ε(P′) / ε_0)⌋ of the block is its level at least, of its parent less than that's.
-        own = np.floor(np.log2(alpha * np.maximum(frames.distances, 1e-9) / (MU * spacing)))
+        own = np.floor(np.log2(alpha * np.maximum(frames.distances, 1e-9) / (mu * spacing)))
         assert ((levels <= own) | (levels == 0)).all()
         parents = scene.table.parents[frames.nodes]
         selection = scene.table.select(scene.view(camera, VIEWPORT), tau)
@@ -242,21 +273,21 @@ def test_levels_follow_from_distances_as_in_equation_6(paper_scene):
         low, high = scene.table.low[parents], scene.table.high[parents]
         apart = np.maximum(np.maximum(low - camera.eye, camera.eye - high), 0)
         away = np.linalg.norm(apart, axis=1)
-        assert (alpha * away < MU * spacing * 2.0 ** (levels + 1) + 1e-6)[parents >= 0].all()
+        assert (alpha * away < mu * spacing * 2.0 ** (levels + 1) + 1e-6)[parents >= 0].all()
         seen |= set(levels.tolist())
     assert len(seen) > 2
 
 
 @pytest.mark.large
-def test_skirts_and_morphs_are_those_of_equations_10_and_12(paper_scene):
+def test_skirts_and_morphs_are_those_of_equations_10_and_12(paper_scene, mu):
     scene = paper_scene
     camera = Camera((0.0, -2500.0, scene.frame.box[1][2] + 300), 0, -25, 60)
-    tau = 1.5
+    tau = 3 * mu
     frames = scene.settle(scene.view(camera, VIEWPORT, tau))
     alpha = tau / focal_length(camera, VIEWPORT)
     levels = levels_of(scene, frames.nodes)
-    errors = MU * 30.0 * 2.0**levels
-    largest_step = np.log2((32 - 1) * alpha / MU + 2)
+    errors = mu * 30.0 * 2.0**levels
+    largest_step = np.log2((32 - 1) * alpha / mu + 2)
     np.testing.assert_allclose(frames.skirts, (2**largest_step + 1) * errors)
     assert (frames.skirts >= 3 * errors).all()
     new, old = errors / alpha, 2 * errors / alpha

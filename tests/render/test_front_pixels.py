@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from render.scenes import LOUD, eroded, hills, loud, terrain_of
 from render.test_fronts import cameras
-from scipy.spatial import KDTree
+from tri.slow_dynamic import drawn_samples
 
 from terrainwave.render.camera import top_view
 from terrainwave.render.modes import rqt
+from terrainwave.render.modes.whole import eye_of
 from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.style import Style
 from terrainwave.render.vertex_texture_surface import VERTEX_SHADER
@@ -110,11 +111,21 @@ def test_the_picture_is_that_of_the_full_terrain_but_for_tau(context, rough, mod
         assert np.quantile(apart, 0.99) <= 6
 
 
-def test_the_vertex_shader_moves_samples_to_the_vertices_of_the_dynamic_mesh(context, rough):
-    """The set of places that full grids have on the GPU, with geomorph off, against the CPU's."""
-    with Offscreen(rough, SIZE, mode="vertex-texture", samples=0, context=context) as offscreen:
-        offscreen.scene.mode.morph = 1.0
-        surface, n_checked = offscreen.surface, 0
+@pytest.mark.parametrize("morph", [1.0, 1.6])
+@pytest.mark.parametrize("error", ["measured", "paper"])
+def test_the_vertex_shader_puts_each_sample_where_the_dynamic_mesh_has_its_root(
+    context, rough, error, morph
+):
+    """By transform feedback: roots and morphs that the GPU finds, against the processor's.
+
+    The camera goes on, so that the marks come in parts, over those of the views before.
+    """
+    n_checked = n_morphed = 0
+    with Offscreen(
+        rough, SIZE, mode="vertex-texture", error=error, samples=0, context=context
+    ) as offscreen:
+        mode, surface = offscreen.scene.mode, offscreen.surface
+        mode.morph = morph
         program = context.program(
             vertex_shader=VERTEX_SHADER.strip(), varyings=["v_seen", "gl_ClipDistance"]
         )
@@ -129,14 +140,20 @@ def test_the_vertex_shader_moves_samples_to_the_vertices_of_the_dynamic_mesh(con
             program["z_scale"] = 1.0
             buffer = context.buffer(reserve=n * 257 * 257 * 16)
             array.transform(buffer, instances=n)
-            found = np.frombuffer(buffer.read(), dtype=np.float32).reshape(-1, 4)
+            found = np.frombuffer(buffer.read(), dtype=np.float32).reshape(257, 257, 4)
             buffer.release()
-            moved = np.unique(found[found[:, 3] > 0, :3], axis=0).astype(float) + camera.eye
-            expected = offscreen.scene.mode.drawn.vertices
+            placed = mode.dynamic_mesh.draw(eye_of(view), mode.followed)
+            expected = drawn_samples(placed, (256, 256)) - camera.eye
+            found, is_drawn = found[:256, :256, :3], found[:256, :256, 3] > 0
+            np.testing.assert_array_equal(is_drawn, ~np.isnan(expected[..., 0]))
             # Metres; the GPU's are float32 relative to the eye.
-            assert KDTree(moved).query(expected)[0].max() < 0.01
-            assert KDTree(expected).query(moved)[0].max() < 0.01
-            n_checked += len(expected)
+            apart = np.abs(found - expected)[is_drawn]
+            assert apart.max() < (0.01 if morph == 1.0 else 0.05)
+            n_checked += is_drawn.sum()
+            followed = mode.followed._replace(threshold=mode.followed.tau)
+            still = mode.dynamic_mesh.draw(eye_of(view), followed)
+            n_morphed += (np.abs(placed.vertices - still.vertices).max(axis=1) > 0.5).sum()
         array.release()
         program.release()
-        assert n_checked > 300
+    assert n_checked >= 3 * 90 * 110
+    assert (n_morphed > 10) == (morph > 1), n_morphed

@@ -1,10 +1,14 @@
 """Modes whose mesh is made anew each frame, without a GPU: what is drawn, what is read."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from render.scenes import ListStore, hills, terrain_of
 from tri.slow_dynamic import surfaces_at
 
+from terrainwave.errors import InvalidArgumentError
+from terrainwave.grid.quadtree import Region
 from terrainwave.render.camera import Camera, Viewport, home, project
 from terrainwave.render.modes import rqt
 from terrainwave.render.scene import Scene
@@ -49,7 +53,7 @@ def largest_error(scene, camera, every):
     return np.nanmax(found)
 
 
-@pytest.mark.parametrize("mode", ["dynamic", "rqt", "vertex-texture"])
+@pytest.mark.parametrize("mode", ["dynamic", "rqt"])
 def test_originals_are_within_tau_of_what_is_drawn(small, mode):
     with Scene(small, ListStore(), mode=mode, exaggeration=1.5) as scene:
         found = []
@@ -60,6 +64,36 @@ def test_originals_are_within_tau_of_what_is_drawn(small, mode):
                 assert frames.n_triangles == len(scene.mode.drawn.triangles)
                 found.append(largest_error(scene, camera, 13) / tau)
         assert 0.05 < np.nanmax(found) <= 1
+
+
+def test_rqt_splits_by_the_coefficients_of_the_file(monkeypatch):
+    """Vertices of tiles and overview have at least the file's own coefficient as their error."""
+    monkeypatch.setattr(rqt, "TILE", 16)
+    heights = np.round(hills(60, 70, 3)).astype(np.int16)
+    with (
+        terrain_of(heights, max_error=0, method="cdf53") as terrain,
+        Scene(terrain, ListStore(), mode="rqt", error="coefficient") as scene,
+    ):
+        camera, counts = home(scene.frame.box, VIEWPORT), []
+        for tau in (2.0, 10.0, 60.0):
+            counts.append(scene.settle(scene.view(camera, VIEWPORT, tau)).n_triangles)
+        assert counts[0] > counts[1] > counts[2] > 0
+        found = terrain.decoder.coefficients(terrain.n_levels - 1, Region(0, 0, *terrain.shape))
+        mesh = scene.mode._mesh
+        assert mesh.n_loaded > 1
+        for row, col in np.argwhere(mesh._tiles._slot_of >= 0):
+            own = found[16 * row : 16 * row + 17, 16 * col : 16 * col + 17]
+            errors = np.abs(mesh._tiles._errors[mesh._tiles._slot_of[row, col]])
+            inside = np.s_[: own.shape[0], : own.shape[1]]
+            own[::16, ::16] = 0  # corners of tiles always are vertices
+            assert (errors[inside] >= own).all()
+            assert (errors[inside] == own).mean() > 0.2
+
+
+def test_coefficients_are_refused_where_there_are_none(small):
+    for mode, words in (("rqt", "method cdf53"), ("dynamic", "measured, paper")):
+        with pytest.raises(InvalidArgumentError, match=words):
+            Scene(small, ListStore(), mode=mode, error="coefficient")
 
 
 @pytest.mark.parametrize("mode", ["dynamic", "rqt"])
@@ -79,7 +113,8 @@ def test_triangles_keep_to_their_limit_and_tau_says_so(small, mode):
         frames = scene.settle(scene.view(camera, VIEWPORT, 0.5))
         assert 30 < frames.n_triangles <= 300
         assert frames.tau > 0.5
-        assert largest_error(scene, camera, 13) <= frames.tau
+        if mode != "vertex-texture":  # the GPU makes its mesh
+            assert largest_error(scene, camera, 13) <= frames.tau
         for _ in range(400):
             frames = scene.update(scene.view(camera, VIEWPORT, 500.0))
         assert frames.tau == 500.0
@@ -101,13 +136,35 @@ def largest_jump(scene, n_steps):
     return max(jumps)
 
 
-@pytest.mark.parametrize("mode", ["dynamic", "rqt", "vertex-texture"])
+@pytest.mark.parametrize("mode", ["dynamic", "rqt"])
 def test_nothing_pops(small, mode):
     """A tenth of a camera's step moves what is drawn a tenth as far."""
     with Scene(small, ListStore(), mode=mode) as scene:
         coarse, fine = (largest_jump(scene, n_steps) for n_steps in (9, 81))
         assert fine < 0.3 * coarse
         assert 0 < fine < 0.5  # without a morph: 4
+
+
+@pytest.mark.parametrize("mode", ["dynamic", "vertex-texture"])
+def test_steps_change_one_height_a_frame_and_what_they_keep_is_said(small, mode):
+    with Scene(small, ListStore(), mode=mode, stepwise=True, exaggeration=1.5) as scene:
+        low, high = scene.frame.box
+        far = Camera((0.0, 0.0, float(high[2]) + 1e6), 0, -90, 40)
+        near = Camera((0.0, float(low[1]), float(high[2]) + 500), 0, -50, 60)
+        scene.settle(scene.view(far, VIEWPORT, 1.5))
+        view, kept, counts = scene.view(near, VIEWPORT, 1.5), [], []
+        while not kept or scene.mode.followed.n_changed:
+            frames = scene.update(view)
+            kept.append(frames.tau)
+            counts.append(scene.mode.followed.n_vertices)
+            if mode == "dynamic":
+                assert largest_error(scene, near, 7) <= frames.tau
+        # From patches' roots to samples, and a frame in which nothing changes.
+        assert 5 < len(kept) <= 10
+        assert kept[0] > 20 * kept[-1]
+        assert kept[-1] == 1.5
+        assert kept == sorted(kept, reverse=True)
+        assert all(after <= 4 * before for before, after in pairwise(counts))
 
 
 def test_from_high_up_the_overview_is_drawn_alone(monkeypatch):
@@ -197,7 +254,7 @@ def test_slopes_of_the_overview_are_spread_linearly(monkeypatch):
 def test_a_raster_of_one_row_draws_nothing():
     heights = np.arange(9, dtype=np.int16)[None]
     with terrain_of(heights, max_error=0) as terrain:
-        for mode in ("dynamic", "rqt"):
+        for mode in ("dynamic", "rqt", "vertex-texture"):
             with Scene(terrain, ListStore(), mode=mode) as scene:
                 view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT)
                 assert scene.settle(view).n_triangles == 0

@@ -25,6 +25,7 @@ def rasters():
         "rough": (rough, {"max_error": 0}),
         "voids": (with_voids, {"max_error": 2, "nodata": -32768}),
         "floats": (smooth, {"max_error": 0.5}),
+        "trees": (smooth, {"max_error": 0.5, "method": "cdf97", "mesh": "zerotree"}),
         "no meshes": (rough[:100, :90], {"max_error": 1, "mesh": "none"}),
     }
 
@@ -37,12 +38,16 @@ def original_and_terrain(request):
         yield heights, valid, terrain
 
 
-@pytest.mark.parametrize("error", ["measured", "paper"])
-def test_no_original_in_view_is_further_than_tau_from_the_surface(original_and_terrain, error):
+@pytest.mark.parametrize(
+    ("mode", "error"), [("adaptive", "measured"), ("adaptive", "paper"), ("loose", "measured")]
+)
+def test_no_original_in_view_is_further_than_tau_from_the_surface(
+    original_and_terrain, mode, error
+):
     heights, valid, terrain = original_and_terrain
     rng = np.random.default_rng(4)
     n_compared = n_coarse = n_morphed = 0
-    with Scene(terrain, ListStore(), error=error) as scene:
+    with Scene(terrain, ListStore(), mode=mode, error=error) as scene:
         for _ in range(8):
             camera = random_camera(rng, scene)
             tau = rng.uniform(1, 12)

@@ -36,8 +36,12 @@ class Level:
         keep = None if demanded is None else demanded.keep(mask.shape)
         if self.kind == "zerotree":
             return guaranteed_cut(heights, mask, self.tolerance, None, keep)
-        rule = "by_error" if self.kind == "rqt" else "by_detail"
-        return rqt.select_vertices(heights, mask, self.tolerance, rule=rule, keep=keep)
+        coefficients = None
+        if self.kind == "rqt by coefficients":  # alike in all blocks that share a sample
+            coefficients = np.abs(heights.astype(np.int64)) % 97
+        return rqt.select_vertices(
+            heights, mask, self.tolerance, keep=keep, coefficients=coefficients
+        )
 
     def border(self, position, result):
         if self.kind == "zerotree":
@@ -78,7 +82,7 @@ class Level:
         )
 
 
-KINDS = ["zerotree", "rqt", "rqt by detail"]
+KINDS = ["zerotree", "rqt", "rqt by coefficients"]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -87,7 +91,7 @@ def test_blocks_of_a_level_join_without_a_crack(kind, terrain, block):
     heights, mask, tolerance = terrain
     level = Level(heights, mask, tolerance, block, kind)
     results, _ = level.agree(level.positions)
-    bound = None if kind == "rqt by detail" else tolerance
+    bound = None if kind == "rqt by coefficients" else tolerance
     # Edges used twice, area once, Euler characteristic: of the whole raster at once.
     check_mesh(level.joined(results), heights, mask, bound)
 

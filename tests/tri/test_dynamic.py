@@ -167,11 +167,46 @@ def test_a_view_that_stays_touches_only_what_it_shows():
     assert drawn / 4 < frame.n_touched <= drawn < 0.7 * mesh.n_nodes
     tree, view = mesh.tree, mesh._view(eye)
     before = mesh.marks.copy()
-    n_touched, n_changed = step_top_down(
-        tree.layout, tree.z, tree.bounds, view, eye.planes, 6.0, mesh._stack, mesh.marks
-    )
-    assert (n_touched, n_changed) == (drawn, 0)
+    mesh.has_changed[...] = False
+    counts = step_top_down(
+        tree.layout, tree.z, tree.bounds, view, eye.planes, 6.0, mesh._stack, mesh.marks,
+        mesh.has_changed,
+    )  # fmt: skip
+    assert counts == (drawn, 0, 0, 0.0)
+    assert not mesh.has_changed.any()
     np.testing.assert_array_equal(mesh.marks, before)
+
+
+def test_marks_count_vertices_and_name_the_patches_that_changed():
+    """What the GPU is told instead of a mesh: against marks of all nodes before and after."""
+    shape, patch = (30, 24), 8
+    mesh = DynamicMesh(
+        rough(shape), mask=with_void(shape), sample_matrix=NORTH_UP, patch=patch, error="paper"
+    )
+    some_changed = 0
+    for number, camera in enumerate(cameras(shape, 12, seed=6)):
+        before = marks_by_patch(mesh, shape)
+        mesh.has_changed[...] = False
+        followed = mesh.follow(eye_of(camera), 4.0, is_stepwise=number % 2 == 1)
+        frame = mesh.draw(eye_of(camera), followed)
+        assert followed.n_vertices == len(frame.nodes)
+        changed = (before != marks_by_patch(mesh, shape)).any(axis=2)
+        if number:
+            np.testing.assert_array_equal(mesh.has_changed.astype(bool), changed)
+            some_changed += 0 < changed.sum() < changed.size
+    assert some_changed > 3
+
+
+def marks_by_patch(mesh, shape):
+    """Which nodes lie above roots, by patches: shape (rows, columns, nodes of a patch)."""
+    n_rows, n_cols = (int(n) for n in mesh.tree.layout[-1, 1:])
+    found = []
+    for first, rows, cols in mesh.tree.layout.tolist():
+        marks = mesh.marks[first : first + rows * cols] == INNER
+        side = rows // n_rows
+        marks = marks.reshape(n_rows, side, n_cols, side).swapaxes(1, 2)
+        found.append(marks.reshape(n_rows, n_cols, side * side))
+    return np.concatenate(found, axis=2)
 
 
 # The mesh

@@ -16,7 +16,7 @@ import terrainwave
 from terrainwave.cli import main
 from terrainwave.container.publish import scratch_directory
 from terrainwave.container.writer import assemble
-from terrainwave.errors import CorruptStreamError, TruncatedStreamError
+from terrainwave.errors import CorruptStreamError, InvalidArgumentError, TruncatedStreamError
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.sections import pack_section, unpack_section
 from terrainwave.read.decoder import unit_key
@@ -26,7 +26,10 @@ from terrainwave.verification.meshes import verify_meshes
 from terrainwave.write.meshes import _copied, store_meshes
 
 N_EXAMPLES = 2 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else 15
-KINDS = sorted(STORED_KINDS)
+# Coded trees are of faithful files alone: tests/codec/test_faithful.py.
+# Coefficients are of cdf53 alone: below.
+KINDS = sorted({*STORED_KINDS} - {"zerotree-coded", "rqt-coefficient"})
+BY_COEFFICIENT = {"mesh": "rqt-coefficient", "method": "cdf53"}
 
 
 def with_kind(case, kind, **options):
@@ -52,6 +55,49 @@ def test_all_meshes_of_a_file_are_right(case, kind, tmp_path_factory):
         for level in report.levels:
             assert level.measured_error <= level.stored_error * (1 + 1e-9) + terrain.info().quantum
         assert verify_meshes(terrain)[1] == []
+
+
+@given(case=cases(max_side=130))
+@settings(max_examples=N_EXAMPLES)
+def test_meshes_by_coefficient_are_surfaces_that_state_the_error_they_have(case, tmp_path_factory):
+    options = {**case.options, **BY_COEFFICIENT, "border_rings": 1}
+    path = write_case(replace(case, options=options), tmp_path_factory.mktemp("coefficient"))
+    with terrainwave.open(path, threads=1) as terrain:
+        # Heights that do not compress are stored as they are, which has no coefficients.
+        kind = "rqt-coefficient" if terrain.info().method == "cdf53" else "rqt"
+        assert terrain.mesh_kind == kind
+        report, problems = verify_meshes(terrain, reader(case))
+        assert problems == []
+        for level in report.levels:
+            assert level.measured_error <= level.stored_error * (1 + 1e-9) + terrain.info().quantum
+        assert verify_meshes(terrain)[1] == []
+
+
+@pytest.mark.large
+def test_a_mesh_by_coefficient_claims_no_tolerance_but_its_measured_error(tmp_path):
+    case = make_case("cliffs", "none", (100, 130), 4, amplitude=900.0, max_error=0, block=32)
+    measured, selected = tmp_path / "measured", tmp_path / "selected"
+    paths = []
+    for folder, kind in ((measured, "rqt"), (selected, "rqt-coefficient")):
+        folder.mkdir()
+        paths.append(write_case(with_kind(case, kind, method="cdf53", mesh_error=9), folder))
+    with terrainwave.open(paths[0]) as bounded, terrainwave.open(paths[1]) as terrain:
+        assert bounded.mesh().error <= 9 < terrain.mesh().error
+        assert terrain.mesh().n_triangles < 0.9 * 2 * case.heights.size
+        # What is made anew keeps what it is asked for.
+        assert terrain.mesh(max_error=9).error <= 9
+    found = CliRunner().invoke(main, ["info", os.fspath(paths[1])])
+    assert "rqt-coefficient, coefficients above 9; errors are measured" in found.output
+    assert terrainwave.verify(paths[1], selected / "case.tif", mesh=True).ok
+
+
+def test_meshes_by_coefficient_need_coefficients(tmp_path):
+    case = make_case("smooth", "none", (40, 40), 1, max_error=1, block=32)
+    with pytest.raises(InvalidArgumentError, match="expected method cdf53"):
+        write_case(with_kind(case, "rqt-coefficient"), tmp_path)
+    path = write_case(case, tmp_path)
+    with pytest.raises(InvalidArgumentError, match="expected method cdf53"):
+        store_meshes(path, tmp_path / "other.twz", mesh="rqt-coefficient")
 
 
 @pytest.mark.large
@@ -167,6 +213,7 @@ def test_a_raster_of_one_line_has_no_meshes(tmp_path):
 class Samples:
     def __init__(self, heights, mask):
         self.heights, self.mask, self.locked = heights, mask, ~mask
+        self.coefficients = None
 
 
 @given(seed=st.integers(0, 1 << 16), n_rows=st.integers(2, 33), n_cols=st.integers(2, 33))
@@ -195,7 +242,7 @@ def test_the_example_of_the_annex():
     samples = Samples(np.zeros((5, 5), dtype=np.int32), np.ones((5, 5), dtype=bool))
     mesh = STORED_KINDS["rqt"].mesh(samples, 16, payload)
     vertices = [f"({row},{col})" for row, col in zip(mesh.rows >> 1, mesh.cols >> 1, strict=True)]
-    assert text.split("Vertices: ")[1].strip() == ", ".join(vertices) + "."
+    assert text.split("Vertices: ")[1].splitlines()[0] == ", ".join(vertices) + "."
     wanted = np.zeros((5, 5), dtype=bool)
     wanted[0, 1] = True
     draft = STORED_KINDS["rqt"].draft(samples, 16, border_of(wanted))

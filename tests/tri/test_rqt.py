@@ -10,28 +10,27 @@ from tri.rasterise import check_mesh
 from terrainwave.tri.rqt import rqt_mesh, select_vertices, vertices_of, virtual_places
 
 
-@given(terrain=slow.terrains(max_side=40), rule=st.sampled_from(["by_error", "by_detail"]))
-def test_mesh_conforms_and_by_error_holds_the_tolerance(terrain, rule):
+@given(terrain=slow.terrains(max_side=40), seed=st.none() | st.integers(0, 99))
+def test_a_mesh_conforms_and_holds_the_tolerance_but_by_coefficients(terrain, seed):
     heights, mask, tolerance = terrain
-    selection = select_vertices(heights, mask, tolerance, rule=rule)
+    coefficients = None
+    if seed is not None:
+        coefficients = np.random.default_rng(seed).geometric(0.02, heights.shape) - 1
+    selection = select_vertices(heights, mask, tolerance, coefficients=coefficients)
     mesh = rqt_mesh(heights, mask, selection)
-    check_mesh(mesh, heights, mask, tolerance if rule == "by_error" else None)
+    check_mesh(mesh, heights, mask, tolerance if seed is None else None)
     places = set(zip((mesh.rows // 2).tolist(), (mesh.cols // 2).tolist(), strict=True))
     on_grid = {tuple(p) for p in np.argwhere(vertices_of(selection, mask.shape)).tolist()}
     # Selected samples in voids have no triangle; all others are the mesh's vertices.
     assert places == on_grid & {p for t in slow.full_grid(mask) for p in t}
 
 
-@pytest.mark.parametrize("rule", ["by_error", "by_detail"])
 @pytest.mark.parametrize("shape", [(2, 2), (33, 33), (20, 33), (7, 30), (33, 2)])
-def test_a_plane_is_two_triangles(rule, shape):
+def test_a_plane_is_two_triangles(shape):
     rows, cols = np.indices(shape)
     heights = (3 * rows - 2 * cols).astype(np.int32)
     mask = np.ones(shape, dtype=bool)
-    if rule == "by_detail" and shape not in {(2, 2), (33, 33)}:
-        # Neighbours on uneven places, or fewer than four, have another mean.
-        heights[:] = 7
-    mesh = rqt_mesh(heights, mask, select_vertices(heights, mask, 16 * 70, rule=rule))
+    mesh = rqt_mesh(heights, mask, select_vertices(heights, mask, 16 * 70))
     assert len(mesh.triangles) == 2
 
 
@@ -50,25 +49,6 @@ def test_a_vertex_brings_what_it_depends_on():
     check_mesh(rqt_mesh(heights, mask, selection), heights, mask, 0)
 
 
-def test_detail_is_the_distance_from_the_mean_of_the_neighbours():
-    # 3 x 3: the centre's neighbours are the corners, mean 3; its detail is |4.25 - 3| in quanta of
-    # 1/4, here times 4: heights 12, so |17 - 12| = 5.
-    heights = np.array([[0, 9, 8], [9, 17, 9], [16, 9, 24]], dtype=np.int32)
-    mask = np.ones((3, 3), dtype=bool)
-
-    def selects_centre(tolerance):
-        # Middles of edges would select it too; the largest of their details, by hand, is at the
-        # top: |9 - (0 + 8 + 17) / 3| = 2/3, left |9 - (0 + 16 + 17) / 3| = 2, right
-        # |9 - (8 + 24 + 17) / 3| = 22/3, bottom |9 - (16 + 24 + 17) / 3| = 10.
-        return select_vertices(heights, mask, tolerance, rule="by_detail")
-
-    assert selects_centre(160).tolist() == [[1, 0, 1], [0, 0, 0], [1, 0, 1]]
-    assert selects_centre(159).tolist() == [[1, 0, 1], [0, 1, 0], [1, 1, 1]]
-    heights[2, 1], heights[1, 2] = 18, 16
-    assert selects_centre(80).tolist() == [[1, 0, 1], [0, 0, 0], [1, 0, 1]]
-    assert selects_centre(79).tolist() == [[1, 0, 1], [0, 1, 0], [1, 0, 1]]
-
-
 @pytest.mark.parametrize("shape", [(1, 1), (2, 9), (20, 33), (100, 257), (257, 257)])
 def test_virtual_rows_cover_all_samples_in_order(shape):
     for places, n in zip(virtual_places(shape), shape, strict=True):
@@ -77,3 +57,14 @@ def test_virtual_rows_cover_all_samples_in_order(shape):
         assert set(np.diff(places).tolist()) <= {0, 1}
         if shape == (257, 257):
             assert places.tolist() == list(range(257))
+
+
+def test_by_coefficients_only_those_above_the_tolerance_are_selected_and_what_they_depend_on():
+    """The heights don't matter: a spike without a coefficient stays away. By hand as above."""
+    heights = np.zeros((5, 5), dtype=np.int32)
+    heights[3, 3] = 1000
+    mask, coefficients = np.ones((5, 5), dtype=bool), np.zeros((5, 5), dtype=np.int64)
+    coefficients[1, 0] = 3
+    for tolerance, n_selected in ((47, 9), (48, 4)):  # 3 quanta are 48 sixteenths
+        selection = select_vertices(heights, mask, tolerance, coefficients=coefficients)
+        assert np.count_nonzero(selection) == n_selected

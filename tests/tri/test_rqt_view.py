@@ -344,7 +344,7 @@ def test_a_budget_that_cannot_be_kept_ends():
         ({"tile": 6}, "tile 6"),
         ({"tile": 4, "stride": 8}, "stride 8 and tile 4"),
         ({"stride": 2}, "overview of shape"),
-        ({"error": "none"}, "measured or paper"),
+        ({"error": "none"}, "measured, paper or coefficient"),
     ],
 )
 def test_what_is_no_raster_is_refused(options, words):
@@ -386,3 +386,43 @@ def test_errors_are_not_below_the_distance_of_any_sample_from_the_triangles_that
         assert mesh._tiles._coarse_errors[row, col] >= worst * (1 - 1e-6)
         n_equal += abs(mesh._tiles._coarse_errors[row, col] - worst) < 1e-4
     assert n_equal > 100
+
+
+@pytest.mark.parametrize("stride", [1, 4])
+def test_errors_by_coefficient_are_those_given_and_of_what_depends_on_a_vertex(stride):
+    """Against the least errors that hold those of dependents, vertex by vertex, finest first."""
+    shape, tile = (33, 33), 32
+    rng = np.random.default_rng(5)
+    given = rng.random(shape)
+    heights = heights_of(shape, has_void=False)
+    mesh = RestrictedMesh(
+        shape, RANGE, heights[::stride, ::stride], stride=stride, tile=tile,
+        sample_matrix=NORTH_UP, error="coefficient", coefficients=given[::stride, ::stride],
+    )  # fmt: skip
+    if stride > 1:
+        mesh.load(0, 0, mesh.measure(0, 0, heights, coefficients=given))
+    expected = given.astype(np.float32)
+    below = sorted(vertices_below_corners(mesh), key=lambda found: _order(*found[0]))
+    for (row, col), needs in below:
+        for place in needs:
+            expected[place] = max(expected[place], expected[row, col])
+    for (row, col), _ in below:
+        own = mesh._tiles._coarse_errors if stride == 1 else mesh._tiles._errors[0]
+        if stride == 1 or (row % stride or col % stride):
+            assert own[row, col] == expected[row, col]
+        else:
+            at = row // stride, col // stride
+            assert mesh._tiles._fine_errors[at] == expected[row, col]
+
+
+def _order(row, col):
+    """Middles of edges before the centres of their stride, fine strides first."""
+    stride = (row | col) & -(row | col)
+    return stride, bool(row & stride and col & stride)
+
+
+def test_coefficients_are_refused_but_with_their_own_error():
+    heights = np.zeros((9, 9))
+    for options in ({"error": "coefficient"}, {"coefficients": heights}):
+        with pytest.raises(InvalidHeightsError, match="coefficients"):
+            RestrictedMesh((9, 9), RANGE, heights, tile=8, **options)

@@ -64,7 +64,9 @@ def test_tasks_give_the_bytes_of_a_local_run(tmp_path, cluster, name):
 
 
 @pytest.mark.large
-@pytest.mark.parametrize("mesh", some(["halves", "none", "zerotree", "rqt"], 2))
+@pytest.mark.parametrize(
+    "mesh", some(["halves", "none", "zerotree-plain", "zerotree-layer", "rqt"], 2)
+)
 def test_meshes_are_those_of_a_local_run(tmp_path, cluster, mesh):
     here, there = both(tmp_path, cluster, "voids", mesh=mesh, max_error=3)
     assert there == here
@@ -74,6 +76,14 @@ def test_meshes_are_those_of_a_local_run(tmp_path, cluster, mesh):
 @pytest.mark.parametrize("method", ["rapid", "predictive", "cdf97", "store"])
 def test_other_methods_give_the_bytes_of_a_local_run(tmp_path, cluster, method):
     here, there = both(tmp_path, cluster, "voids", method=method, border_rings=3, mesh="none")
+    assert there == here
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("mesh", some(["zerotree", "halves"], 2))
+def test_a_faithful_file_is_that_of_a_local_run(tmp_path, cluster, mesh):
+    options = {"method": "cdf97", "faithful": True, "max_error": 3, "mesh": mesh}
+    here, there = both(tmp_path, cluster, "voids", **options)
     assert there == here
 
 

@@ -19,10 +19,13 @@ from terrainwave.write.options import Options
         ({"border_rings": 2}, "found border_rings 2, expected 1 or 3"),
         ({"border_rings": 3, "method": "cdf53"}, "found border_rings 3 and method cdf53"),
         ({"mesh": "rtin"}, "found mesh 'rtin'"),
+        ({"mesh": "zerotree-coded", "method": "cdf97"}, "expected faithful"),
         ({"threads": 0}, "found 0 threads, expected at least 1"),
         ({"max_error": 1, "rate": 1, "method": "cdf53"}, "found max_error and rate"),
         ({"rate": 0, "method": "cdf53"}, "found rate 0, expected a number > 0"),
         ({"psnr": float("nan"), "method": "cdf53"}, "found psnr nan, expected a finite number"),
+        ({"faithful": True}, "found faithful and method auto, expected method cdf97"),
+        ({"faithful": True, "method": "store"}, "found faithful and method store, expected"),
         ({"rate": 1}, "found rate and method auto, expected method cdf53: the others"),
     ],
 )
@@ -47,6 +50,12 @@ def test_a_method_without_efforts_says_so(tmp_path, method):
         assert len(result.notes) == n_notes
     note = f"effort best changes nothing: method {method} has no efforts"
     assert Options(method=method, effort="best").notes == [note]
+
+
+def test_faithful_files_have_no_efforts():
+    (note,) = Options(method="cdf97", faithful=True, effort="best").notes
+    assert note.startswith("effort best changes nothing: faithful")
+    assert Options(method="cdf97", faithful=True).notes == []
 
 
 def test_a_size_of_tasks_is_refused_where_there_are_none(tmp_path):

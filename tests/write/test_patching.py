@@ -56,7 +56,7 @@ def copied_units(before, after):
 
 
 @pytest.mark.large
-@pytest.mark.parametrize("mesh", ["none", "halves", "zerotree", "rqt"])
+@pytest.mark.parametrize("mesh", ["none", "halves", "zerotree-plain", "zerotree-layer", "rqt"])
 def test_a_lossless_file_becomes_that_of_the_new_raster(file, mesh):
     # So small a raster has no tables of its own, which a patch would keep.
     options = {"max_error": 0, "mesh": mesh, "method": "predictive"}

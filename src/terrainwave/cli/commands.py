@@ -60,8 +60,9 @@ from terrainwave.names import (
     AUTO_METHODS,
     DEFAULT_METHOD,
     EFFORTS,
+    MESH_CHOICES,
     METHODS,
-    STORED_MESHES,
+    UNBOUNDED_MESHES,
     Method,
     methods_that,
 )
@@ -70,13 +71,14 @@ from terrainwave.progress import ProgressCallback
 THREADS = click.IntRange(min=1)
 METHOD = click.Choice(["auto", *METHODS])
 CUTTABLE = methods_that(lambda method: method.is_cuttable)
+FAITHFUL = methods_that(lambda method: method.may_be_faithful)
 _EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if method.effort]
 EFFORT = (
     f"How much is tried: {'; '.join(_EFFORTS)}; auto with fast is {AUTO_METHODS[0].name}, with best"
     f" {AUTO_METHODS[-1].name}; the others have one way."
 )
 WARMUP_TASKS = ("compress", "read", "verify", "mesh", "render")
-MESH = click.Choice(["auto", *STORED_MESHES, "none"])
+MESH = click.Choice(["auto", *MESH_CHOICES, "none"])
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
@@ -150,6 +152,11 @@ def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
     type=Bound(),
     help="Distance of the finest meshes from the heights. Default: the guaranteed error, or the"
     " heights' vertical step if that is more.",
+)
+@click.option(
+    "--faithful",
+    is_flag=True,
+    help=f"With --method {FAITHFUL}: follow the method's paper to the letter.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @_batched
@@ -445,6 +452,12 @@ def decompress(
     help="Spend more time for fewer triangles at the same error.",
 )
 @click.option(
+    "--loose",
+    is_flag=True,
+    help="The triangulation of the zero trees alone, without a guarantee (Yusov & Turlapov 2010,"
+    " §2.4); its error is measured. --level -2 (default) is the finest.",
+)
+@click.option(
     "--frame",
     type=click.Choice(["local", "native", "ecef"]),
     help="Coordinates: metres from the middle, as in the CRS, or geocentric. Default: local where"
@@ -485,6 +498,14 @@ def mesh(context: click.Context, /, file: str, target: str, store: bool, **optio
         names = {"kind": "mesh"}
         flags = ", ".join(sorted(f"--{names.get(name, name)}".replace("_", "-") for name in unfit))
         raise click.UsageError(f"found {flags} {'with' if store else 'without'} --store")
+    if options["loose"]:
+        goals = sorted(given & {"max_error", "max_triangles", "optimise"})
+        if goals:
+            flags = ", ".join(f"--{name}".replace("_", "-") for name in goals)
+            raise click.UsageError(
+                f"found {flags} with --loose, which has no goal: its mesh follows the zero trees"
+            )
+        options["optimise"] = False
     if store:
         _store_meshes(file, target, **{name: options[name] for name in common | _STORE_OPTIONS})
     else:
@@ -503,7 +524,7 @@ def _store_meshes(
 
     if kind == "none":
         raise click.UsageError(
-            f"found --mesh none with --store, expected one of auto, {', '.join(STORED_MESHES)}"
+            f"found --mesh none with --store, expected one of auto, {', '.join(MESH_CHOICES)}"
         )
     check_ending(target, TWZ_ENDINGS)
     announce_compiling(quiet=quiet)
@@ -525,6 +546,7 @@ def _export_mesh(
     solid: float | None,
     radius: float | None,
     optimise: bool,
+    loose: bool,
     overwrite: bool,
     threads: int | None,
     as_json: bool,
@@ -554,7 +576,10 @@ def _export_mesh(
         surface = _mesh_for(
             target,
             lambda max_error: terrain.mesh(
-                optimise=int(optimise), progress=bar, **options | {"max_error": max_error}
+                optimise=int(optimise),
+                guarantee=not loose,
+                progress=bar,
+                **options | {"max_error": max_error},
             ),
             options["max_error"],
             shape,
@@ -563,7 +588,7 @@ def _export_mesh(
     if as_json:
         print_json(asdict(saved))
     elif not quiet:
-        _print_saved(saved)
+        _print_saved(saved, "measured" if loose else "guaranteed")
 
 
 def _mesh_for(
@@ -599,13 +624,13 @@ _MESH_ATTEMPTS = 3
 _ROUNDING_SLACK = 1.25
 
 
-def _print_saved(saved: Any) -> None:
+def _print_saved(saved: Any, kind_of_error: str) -> None:
     click.echo(
         f"{plain(saved.path)}: {count_of(saved.n_triangles, 'triangle')},"
         f" {saved.n_vertices:,} vertices,"
         f" {saved.n_bytes:,} bytes"
     )
-    click.echo(f"guaranteed error {saved.error:.6g}{_unit(saved.units)}, frame {saved.frame}")
+    click.echo(f"{kind_of_error} error {saved.error:.6g}{_unit(saved.units)}, frame {saved.frame}")
     _note_unit(saved.units)
     if saved.curvature:
         print_note(
@@ -629,7 +654,15 @@ def _print_saved(saved: Any) -> None:
     is_flag=True,
     help="List the bytes of each part by URL too, which takes many requests.",
 )
-def info(file: str, as_json: bool, errors: str | None, voids: bool, parts: bool) -> None:
+@click.option(
+    "--meshes",
+    is_flag=True,
+    help="List each level's triangles, the bits they take and what zero trees hold (slow: makes all"
+    " meshes).",
+)
+def info(
+    file: str, as_json: bool, errors: str | None, voids: bool, parts: bool, meshes: bool
+) -> None:
     """Show what the file FILE (.twz) holds."""
     import terrainwave
     from terrainwave.mesh.level_errors import level_errors
@@ -639,11 +672,13 @@ def info(file: str, as_json: bool, errors: str | None, voids: bool, parts: bool)
         by_part = terrain.parts() if parts or "://" not in file else None
         by_level = None if errors is None else level_errors(terrain, errors)
         n_voids = terrain.count_voids() if voids else None
+        by_mesh = _mesh_levels(terrain) if meshes else None
     if as_json:
         more = {
             "parts": None if by_part is None else asdict(by_part),
             "level_errors": by_level,
             "n_voids": n_voids,
+            "meshes": None if by_mesh is None else [level._asdict() for level in by_mesh],
         }
         found = {name: value for name, value in more.items() if value is not None}
         print_json(summary.to_dict() | found)
@@ -653,6 +688,14 @@ def info(file: str, as_json: bool, errors: str | None, voids: bool, parts: bool)
             _print_parts(by_part)
         if by_level is not None:
             _print_level_errors(summary.level_shapes, by_level)
+        if by_mesh is not None:
+            _print_mesh_levels(by_mesh)
+
+
+def _mesh_levels(terrain: Any) -> Any:
+    from terrainwave.mesh.statistics import mesh_levels
+
+    return mesh_levels(terrain)
 
 
 def _voids_in_words(info: Any, n_voids: int | None) -> str:
@@ -683,6 +726,20 @@ def _print_parts(parts: Any) -> None:
     )
 
 
+def _print_mesh_levels(levels: Any) -> None:
+    rows = [
+        [
+            str(found.level),
+            f"{found.n_triangles:,}",
+            f"{found.label_bits:.3f}",
+            "" if found.significant is None else f"{100 * found.significant:.3g} %",
+            "" if found.n_loose is None else f"{found.n_loose:,}",
+        ]
+        for found in levels
+    ]
+    print_grid(["level", "triangles", "bits/sample", "significant nodes", "loose triangles"], rows)
+
+
 def _print_level_errors(shapes: Any, errors: list[float]) -> None:
     rows = [
         [str(level), *map(str, shape), f"{error:.6g}"]
@@ -699,7 +756,10 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
     levels = ", ".join(f"{rows} x {cols}" for rows, cols in info.level_shapes)
     extent = "none" if info.minimum is None else f"{info.minimum:.6g} to {info.maximum:.6g}{unit}"
     scale = f"{info.scale:g}, offset {info.offset:g}"
+    way = "faithful to its paper" if info.faithful else f"effort {info.effort}"
     tolerance = f"within {info.mesh_tolerance:.6g}{unit} of the heights"
+    if info.mesh in UNBOUNDED_MESHES:
+        tolerance = f"coefficients above {info.mesh_tolerance:.6g}{unit}; errors are measured"
     rows = [
         ("file", f"{info.path}, {info.n_bytes:,} bytes"),
         ("size", f"{info.n_rows} rows x {info.n_cols} columns, {info.dtype}"),
@@ -710,7 +770,7 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ("heights", extent),
         ("unit", info.units or "unknown"),
         ("voids", _voids_in_words(info, n_voids)),
-        ("method", f"{info.method}, effort {info.effort}, border rings {info.border_rings}"),
+        ("method", f"{info.method}, {way}, border rings {info.border_rings}"),
         ("block", f"{info.block} x {info.block} cells"),
         ("mesh", info.mesh if info.mesh == "none" else f"{info.mesh}, {tolerance}"),
         ("levels", f"{info.n_levels}: {levels}"),

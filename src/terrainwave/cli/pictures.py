@@ -56,6 +56,10 @@ class Color(click.ParamType):
         return red, green, blue
 
 
+def _as_int(ctx: Any, param: Any, value: str | None) -> int | None:
+    return None if value is None else int(value)
+
+
 def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options that render and view share."""
     for option in (
@@ -78,10 +82,20 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--radius", type=POSITIVE, help="Of the body, metres, for degrees."),
         click.option("--exaggeration", type=POSITIVE, default=1.0, show_default=True,
                      help="Factor of heights."),
-        click.option("--error", type=click.Choice(["measured", "paper"]), default="measured",
-                     show_default=True, help="Which errors and which formula choose blocks."),
+        click.option("--error", type=click.Choice(["measured", "paper", "coefficient"]),
+                     default="measured", show_default=True,
+                     help="Which errors and which formula choose blocks; coefficient, those of the"
+                     " wavelet, for mode rqt of files of method cdf53."),
         click.option("--max-pixel-error", type=POSITIVE, default=1.0, show_default=True,
                      help="Largest distance on screen from the full terrain, pixels."),
+        click.option("--detail", type=POSITIVE, metavar="FACTOR",
+                     help="Of mode batched with --error paper: a level's error is this factor times"
+                     " its spacing; 0.5 by default."),
+        click.option("--order", type=click.Choice(["2", "4"]), callback=_as_int,
+                     help="Of the filter that makes the levels of mode batched; 4 by default."),
+        click.option("--stepwise", is_flag=True,
+                     help="Modes dynamic and vertex-texture change by one height of their quadtree"
+                     " a frame."),
         click.option("--mode", type=click.Choice(MODES), default="adaptive", show_default=True,
                      help="Meshes of blocks, regular blocks, a mesh made anew each frame, or all."),
         click.option("--camera", help="x,y,z,heading,pitch,fov: place in the file's coordinates,"
@@ -98,7 +112,7 @@ def _announce_preparation(options: dict[str, Any]) -> None:
 
     preparation = mode_class(options["mode"]).preparation(options["error"])
     if preparation is not None:
-        click.echo(f"{preparation}: this decodes the whole file once", err=True)
+        click.echo(preparation, err=True)
 
 
 def _suggest_exaggeration(frame: Any) -> None:

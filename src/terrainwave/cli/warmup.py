@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 import terrainwave
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
-from terrainwave.names import AUTO_METHODS, DEFAULT_METHOD, EFFORTS, METHODS, STORED_MESHES
+from terrainwave.names import (
+    AUTO_METHODS,
+    DEFAULT_METHOD,
+    EFFORTS,
+    MESH_CHOICES,
+    METHODS,
+    UNBOUNDED_MESHES,
+)
 from terrainwave.raster_io.info import SUPPORTED_DTYPES, RasterInfo
 from terrainwave.raster_io.sink import RasterSink
 
@@ -125,7 +132,7 @@ def _mesh(folder: Path) -> None:
     """Make meshes of each kind, within errors and budgets."""
     for stem in ("int16", "int16-void", "float32-void"):
         path = folder / f"{stem}-{DEFAULT_METHOD.name}.twz"
-        for kind in STORED_MESHES:
+        for kind in sorted({*MESH_CHOICES} - {*UNBOUNDED_MESHES}):
             target = folder / f"mesh-{kind}.twz"
             terrainwave.store_meshes(path, target, mesh=kind, overwrite=True)
             with terrainwave.open(target) as terrain:

@@ -23,6 +23,7 @@ from terrainwave.codec.residual import (
     frame_base,
     new_scratch,
     open_loop_costs,
+    rounding_of,
 )
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.codec.zerotree import (
@@ -78,6 +79,9 @@ _MAX_STEP_CODE = 1 << 32
 _FINEST_STEPS = ((0,), (0, 40), (0, 28, 40, 64, 128))
 _COARSE_STEPS = ((20,), (0, 20, 40), (0, 14, 17, 20, 27, 40, 64))
 _RATE_OF_TRIALS = 1.5
+# The one step of faithful files, 2.25 (delta + p / 2), which is small near 2 bits per sample (Y10
+# leaves it to its reference 14, which could not be had).
+FAITHFUL_STEP = 36
 # Bits that a sample of a parent whose errors are spread evenly over a step costs its children.
 _NOISE_BITS = 0.8
 
@@ -176,6 +180,7 @@ class Cdf97:
                 frame_base(work.base)
                 code_residuals(
                     None, inner, _kinds(mask[core], is_known[core]), work.base, spec.step,
+                    rounding_of(spec.step, is_coarse=spec.has_coarse_residuals),
                     tables97.TERM_WEIGHTS[coding.term_set], tables97.E_WEIGHTS, work.rows,
                     border._replace(models=tables97.start_residual_models()),
                 )  # fmt: skip
@@ -217,17 +222,16 @@ class _Encoder:
         self.best: tuple[bytes, Heights, Labels | None] | None = None
 
     def run(self) -> tuple[bytes, Heights, Labels | None]:
-        """Try some steps; return the smallest result, or the one that serves finer levels best."""
-        effort = self.spec.effort
-        steps = (_FINEST_STEPS if self.spec.is_finest else _COARSE_STEPS)[effort]
-        for step_code in steps:
-            self.attempt(step_code)
-            least = _RATE_OF_TRIALS * self.target.size
-            if self.spec.is_finest and effort == 1 and self.n_bits < least:
-                break
-        if self.best is None:  # indices too large: only at extreme heights
-            self.attempt(0)
-        self.attempt_raw()
+        """Return the payload, the heights and the zero trees of the best coding."""
+        if self.spec.is_faithful:
+            self.attempt(FAITHFUL_STEP)
+            if self.best is None:  # indices too large: only at extreme heights
+                self.attempt_raw()
+        else:
+            self.attempt_steps()
+            if self.best is None:
+                self.attempt(0)
+            self.attempt_raw()
         assert self.best is not None
         payload, inner, labels = self.best
         heights = self.heights
@@ -236,6 +240,15 @@ class _Encoder:
             return payload, heights, None
         nodes = self.work.nodes._replace(labels=labels)
         return payload, heights, _zero_trees(nodes, inner.shape)
+
+    def attempt_steps(self) -> None:
+        """Try some steps; keep the smallest result, or the one that serves finer levels best."""
+        effort = self.spec.effort
+        for step_code in (_FINEST_STEPS if self.spec.is_finest else _COARSE_STEPS)[effort]:
+            self.attempt(step_code)
+            least = _RATE_OF_TRIALS * self.target.size
+            if self.spec.is_finest and effort == 1 and self.n_bits < least:
+                break
 
     def attempt(self, step_code: int) -> None:
         """Encode with this step, 0 for no coefficients; keep the result if it costs least.
@@ -270,6 +283,7 @@ class _Encoder:
             )
             code_residuals(
                 self.target, inner, self.kinds, work.base, spec.step,
+                rounding_of(spec.step, is_coarse=spec.has_coarse_residuals),
                 tables97.TERM_WEIGHTS[coding.term_set], tables97.E_WEIGHTS, work.rows,
                 self.coder._replace(models=tables97.start_residual_models()),
             )  # fmt: skip
@@ -305,15 +319,14 @@ class _Encoder:
         width = (
             ((int(valid.max()) - base + spec.half) // spec.step).bit_length() if valid.size else 0
         )
-        assert self.best is not None
-        if len(self.best[0]) < (width * valid.size) >> 3:
+        if self.best is not None and len(self.best[0]) < (width * valid.size) >> 3:
             return
         self.coder.state[:] = self.border_state
         inner = self.start.copy()
         _code_raw_heights(self.target, base, width, spec.step, self.coded, self.coder, inner)
         n_bytes = finish_encoder(self.coder.state, self.out)
         header = _write_header(Coding(_IS_RAW, raw_width=width, raw_base=base))
-        if n_bytes + len(header) < len(self.best[0]):
+        if self.best is None or n_bytes + len(header) < len(self.best[0]):
             self.best = (header + self.out[:n_bytes].tobytes(), inner, None)
 
 

@@ -56,6 +56,10 @@ class GroupSpec:
     wants_labels: bool = True
     # Bytes per sample of remainders, which make heights exact beyond their quanta; 0 without.
     remainder_bytes: int = 0
+    # Whether the file follows its method's paper to the letter (FORMAT.md §7.9), and whether
+    # residuals of this level are quantised as the paper prints it for coarse ones.
+    is_faithful: bool = False
+    has_coarse_residuals: bool = False
 
     @property
     def half(self) -> int:

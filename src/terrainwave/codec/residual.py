@@ -1,7 +1,8 @@
-"""Residuals in quantiser steps: what makes the bound hold (FORMAT.md §7.7).
+"""Residuals in quantiser steps: what makes the bound hold (FORMAT.md §7.7, §7.9).
 
-D. Yusov, V. Turlapov 2010, §2.2: r = round(error / n), coded in the sample domain after the
-wavelet stage, with the same bound on every level. Departure: the error is not that of the wavelet's
+D. Yusov, V. Turlapov 2010, §2.1: r = round(error / n), coded in the sample domain after the
+wavelet stage, with the same bound on every level; coarse levels of faithful files are quantised
+as it prints for them. Departure: the error is not that of the wavelet's
 heights (the *base*) alone but what is left of it after a prediction from the base's curvature and
 from the errors decoded before, which are alike where small coefficients were dropped.
 """
@@ -64,6 +65,30 @@ _SIGN_MODELS = _N_PHASES * N_E_BINS * _N_FRACTIONS
 _MAG_MODELS = _SIGN_MODELS + 25 * _N_SIDES
 _PREFIX_MODELS = _MAG_MODELS + N_E_BINS * N_UNARY
 N_RESIDUAL_MODELS = _PREFIX_MODELS + N_PREFIX
+
+
+class Rounding(NamedTuple):
+    """How residuals r become indices ``(abs(r) + bias) // width``, and come back.
+
+    An index stands for ``index * width + shift``, 0 for 0. `octaves`: indices are 2**octaves times
+    finer than steps.
+    """
+
+    width: int
+    bias: int
+    shift: int
+    octaves: int
+
+
+def rounding_of(step: int, *, is_coarse: bool) -> Rounding:
+    """Return how residuals are rounded: to steps, or as Y10 §2.1 prints it for coarse levels.
+
+    There, with the bound ``delta = step >> 1`` (> 0) for a unit, ``abs(r) // delta`` stands for the
+    middle of its interval. (The text reads the brackets as "nearest integer"; so the bound would
+    hold, but every error had the sign of its residual, and by equation 1 it would not hold at all.)
+    """
+    half = step >> 1
+    return Rounding(half, 0, half >> 1, 1) if is_coarse else Rounding(step, half, 0, 0)
 
 
 class Scratch(NamedTuple):
@@ -198,7 +223,9 @@ def _sign_context(signs, above_signs, col, side):
 
 
 @kernel
-def code_residuals(target, heights, kinds, base, step, weights, e_weights, scratch, coder):
+def code_residuals(
+    target, heights, kinds, base, step, rounding, weights, e_weights, scratch, coder
+):
     """Encode `target` (int32), or decode where it is None, into `heights`, row by row.
 
     `base` is framed; `weights` (4, N_TERMS) int32 are those of the phases 2 (row & 1) + (col & 1).
@@ -214,8 +241,8 @@ def code_residuals(target, heights, kinds, base, step, weights, e_weights, scrat
     for parity in range(2):
         _spread_weights(weights, parity, wide[parity])
     scale_shift, inverse = step_scale(step)
-    half = step >> 1
-    most = 2 * MAX_HEIGHT // step + 1
+    width, bias, shift, octaves = rounding
+    most = 2 * MAX_HEIGHT // width + 1
     highest = np.int64(MAX_HEIGHT) << BASE_BITS
     w_e_west, w_e_west2 = np.int64(e_weights[F_W]), np.int64(e_weights[F_WW])
     # What follows from a prediction's distance to the nearest integer, at most 32.
@@ -257,7 +284,7 @@ def code_residuals(target, heights, kinds, base, step, weights, e_weights, scrat
                 residual = np.int64(0)
                 if target is not None:
                     error = np.int64(target[row, j]) - height
-                    residual = (abs(error) + half) // step
+                    residual = (abs(error) + bias) // width
                     sign = np.int64(-1 if error < 0 else 1)
                 bit = np.int64(residual != 0)
                 bit, at = code_step(at, state, stream, models, is_encoder, zero, bit)
@@ -269,13 +296,16 @@ def code_residuals(target, heights, kinds, base, step, weights, e_weights, scrat
                     bit = np.int64(sign < 0)
                     bit, at = code_step(at, state, stream, models, is_encoder, index, bit)
                     sign = np.int64(1 - 2 * bit)
-                    first = _MAG_MODELS + e_bin * N_UNARY
+                    # Two bins an octave.
+                    mag_bin = min(e_bin + 2 * octaves, N_E_BINS - 1)
+                    first = _MAG_MODELS + mag_bin * N_UNARY
                     residual, at = code_magnitude_step(
                         at, state, stream, models, is_encoder, first, np.int64(_PREFIX_MODELS),
-                        SHIFT_OF_E[e_bin], residual - 1,
+                        SHIFT_OF_E[mag_bin], residual - 1,
                     )  # fmt: skip
                     residual = min(residual + 1, most)
-                    height = min(max(height + sign * residual * step, -MAX_HEIGHT), MAX_HEIGHT)
+                    height += sign * (residual * width + shift)
+                    height = min(max(height, -MAX_HEIGHT), MAX_HEIGHT)
                     distance = abs((height << BASE_BITS) - value)
                     mag = in_steps(distance, scale_shift, inverse, _ERROR_BITS - BASE_BITS)
                     mag = min(mag, _MAX_ERROR)

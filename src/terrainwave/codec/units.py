@@ -46,8 +46,12 @@ def unit_spec(grid: Grid, parameters: CodecParameters, key: Block) -> GroupSpec:
         rings=parameters.rings,
         effort=parameters.effort,
         is_finest=level == grid.k_max,
-        wants_labels=False,
+        # Trees of a faithful file say where its meshes are fine; a root block refines none.
+        wants_labels=parameters.is_faithful and not key.is_root_key,
         remainder_bytes=parameters.remainder_bytes if level == grid.k_max else 0,
+        is_faithful=parameters.is_faithful,
+        # As printed where the bound is a quantum or more; lossless is lossless on all levels.
+        has_coarse_residuals=parameters.is_faithful and level < grid.k_max and parameters.step > 1,
     )
 
 

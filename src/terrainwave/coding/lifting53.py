@@ -168,6 +168,25 @@ def inverse_transform(
     return levels
 
 
+def places_of(field: NDArray[np.int64], n_levels: int) -> NDArray[np.int64]:
+    """Return what `forward_transform` left in bands by place: HL and LH on edges, HH in cells.
+
+    The sample that a step t, counted from 1, takes its coefficient from lies on an odd multiple of
+    2**(t - 1) rows or columns; samples of the last LL band on multiples of 2**n_levels.
+    """
+    found = np.empty_like(field)
+    shapes = level_shapes(field.shape, n_levels)
+    for t in range(n_levels):
+        (n_rows, n_cols), (low_rows, low_cols) = shapes[t], shapes[t + 1]
+        low, high = slice(None, None, 2 << t), slice(1 << t, None, 2 << t)
+        found[low, high] = field[:low_rows, low_cols:n_cols]
+        found[high, low] = field[low_rows:n_rows, :low_cols]
+        found[high, high] = field[low_rows:n_rows, low_cols:n_cols]
+    last = 1 << n_levels
+    found[::last, ::last] = field[: shapes[-1][0], : shapes[-1][1]]
+    return found
+
+
 def lowpass_window(
     heights: NDArray[np.int32],
     first: tuple[int, int],

@@ -72,21 +72,80 @@ def grow_zero_trees(trees):
     tallest = 0
     for height in range(1, tree_height(n_rows, n_cols) + 1):
         size = 1 << height
-        half = size >> 1
         for row in range(0, n_rows, size):
             for col in range(0, n_cols, size):
-                is_zero = trees[row, col] == height
-                if col + half < n_cols:
-                    is_zero = is_zero and trees[row, col + half] == height
-                if row + half < n_rows:
-                    is_zero = is_zero and trees[row + half, col] == height
-                    if col + half < n_cols:
-                        is_zero = is_zero and trees[row + half, col + half] == height
-                if is_zero:
+                if _are_children_zero(trees, row, col, height):
                     tallest = height
                     trees[row, col] = height + 1
         if tallest < height:
             break
+    _fill_trees(trees, tallest)
+
+
+@kernel
+def mark_zero_trees(field, thresholds, trees):
+    """Fill `trees` from coefficients: a node is significant if one of its three is not small.
+
+    Parameters
+    ----------
+    field : ndarray of int64, shape (n_rows, n_cols)
+        As `filters.forward_transform` leaves it.
+    thresholds : ndarray of int64, shape (at least n_transforms, 4)
+        By transform and band (LL, which counts for nothing, HL, LH, HH): the smallest magnitude
+        that is significant.
+    trees : ndarray of uint8, shape (ceil(n_rows / 2), ceil(n_cols / 2))
+        A map of zero trees, with coarse nodes that are significant above ones that are not.
+    """
+    n_rows, n_cols = field.shape
+    tallest = 0
+    for height in range(tree_height(trees.shape[0], trees.shape[1]) + 1):
+        rows, cols = ((n_rows - 1) >> (height + 1)) + 1, ((n_cols - 1) >> (height + 1)) + 1
+        high_rows = (((n_rows - 1) >> height) + 1) >> 1
+        high_cols = (((n_cols - 1) >> height) + 1) >> 1
+        is_any = False
+        for i in range(rows):
+            for j in range(cols):
+                row, col = i << height, j << height
+                if height == 0:
+                    trees[row, col] = 0
+                elif not _are_children_zero(trees, row, col, height):
+                    continue
+                is_zero = True
+                if j < high_cols:
+                    is_zero = abs(field[2 * row, cols + j]) < thresholds[height, 1]
+                if i < high_rows:
+                    high_row = (2 * i + 1) << height
+                    is_zero = is_zero and abs(field[high_row, j]) < thresholds[height, 2]
+                    if j < high_cols:
+                        is_zero = is_zero and abs(field[high_row, cols + j]) < thresholds[height, 3]
+                if is_zero:
+                    is_any = True
+                    trees[row, col] = height + 1
+        if not is_any:
+            break
+        tallest = height
+    _fill_trees(trees, tallest)
+
+
+@kernel
+def _are_children_zero(trees, row, col, height):
+    """Say whether all nodes right below that of `height` at (row, col) are zero trees."""
+    n_rows, n_cols = trees.shape
+    half = 1 << (height - 1)
+    is_zero = trees[row, col] == height
+    if col + half < n_cols:
+        is_zero = is_zero and trees[row, col + half] == height
+    if row + half < n_rows:
+        is_zero = is_zero and trees[row + half, col] == height
+        if col + half < n_cols:
+            is_zero = is_zero and trees[row + half, col + half] == height
+    return is_zero
+
+
+@kernel
+def _fill_trees(trees, tallest):
+    """Give all nodes of a zero tree what its first one has, the tallest trees first."""
+    n_rows, n_cols = trees.shape
     for height in range(tallest, 0, -1):
         size = 1 << height
         for row in range(0, n_rows, size):

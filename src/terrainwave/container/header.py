@@ -19,7 +19,7 @@ from terrainwave.errors import (
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import Quantizer
-from terrainwave.names import MESHES, METHODS
+from terrainwave.names import MESHES, METHODS, UNBOUNDED_MESHES
 
 MAGIC = b"\x89TWZ\r\n\x1a\n"  # as PNG's: a text-mode or 7-bit copy damages it visibly
 FORMAT_VERSION = 1
@@ -30,7 +30,9 @@ _METHOD_NAMES = {method.number: method.name for method in METHODS.values()}
 DTYPE_CODES = {"uint8": 1, "uint16": 3, "int16": 4, "int32": 6, "float32": 7, "float64": 8}
 # Remainders make every height of the full grid exact (FORMAT.md §5.3).
 HAS_REMAINDERS = 1
-KNOWN_FEATURES = HAS_REMAINDERS
+# The file follows the paper of its method to the letter (FORMAT.md §7.9).
+IS_FAITHFUL = 2
+KNOWN_FEATURES = HAS_REMAINDERS | IS_FAITHFUL
 
 MAX_SIDE = 2**31
 MAX_SAMPLES = 2**50
@@ -85,7 +87,7 @@ class Header:
     mesh_tolerance : int
         Its tolerance on the finest level, in 1/16 quanta; 0 without meshes.
     features : int
-        Must-understand mask: `HAS_REMAINDERS` or 0.
+        Must-understand mask: `HAS_REMAINDERS`, `IS_FAITHFUL`, both or 0.
     metadata : dict
         The JSON metadata (`container.metadata`).
     parameters : bytes
@@ -122,6 +124,11 @@ class Header:
     def has_remainders(self) -> bool:
         """Say whether remainders make heights of the full grid exact."""
         return bool(self.features & HAS_REMAINDERS)
+
+    @property
+    def is_faithful(self) -> bool:
+        """Say whether the file follows the paper of its method to the letter."""
+        return bool(self.features & IS_FAITHFUL)
 
     @property
     def moved(self) -> int:
@@ -163,7 +170,9 @@ class Header:
         nodata = self.metadata.get("nodata")
         # A string stands for NaN or an infinity, which no quantum gives.
         number = nodata if isinstance(nodata, int | float) else None
-        return CodecParameters.of(self.quantizer, number, self.border_rings, self.effort)
+        return CodecParameters.of(
+            self.quantizer, number, self.border_rings, self.effort, is_faithful=self.is_faithful
+        )
 
 
 @dataclass(frozen=True)
@@ -349,6 +358,8 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
         yield _Violation(f"border_rings is {header.border_rings}, not 1 or 3")
     if not 0 <= header.effort <= MAX_EFFORT:
         yield _Violation(f"effort is {header.effort}, not 0 ... 9", UnsupportedVersionError)
+    if header.mesh in UNBOUNDED_MESHES and not METHODS[header.method].is_tiled:
+        yield _Violation(f"the mesh is {header.mesh}, and {header.method} has no coefficients")
     numerator = header.quantum.numerator
     if not 0 < numerator <= MAX_QUANTUM_PART or header.quantum.denominator > MAX_QUANTUM_PART:
         yield _Violation(f"quantum {header.quantum} is not positive and of parts < 2^63")
@@ -366,6 +377,8 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
         yield _Violation("an error bound is negative or not finite")
     if header.effective_bound > header.max_error:
         yield _Violation(f"effective bound {header.effective_bound} exceeds {header.max_error}")
+    if header.is_faithful and not METHODS[header.method].may_be_faithful:
+        yield _Violation(f"a faithful file of method {header.method}, which has none")
     if header.has_remainders:
         if header.dtype not in ("int32", "float32", "float64"):
             yield _Violation(f"remainders of {header.dtype}, which has none")

@@ -15,12 +15,14 @@ Mask = NDArray[np.bool_]
 class BlockStats:
     """What is known of the originals under a block: their range, and the error of its heights.
 
-    In quanta; an empty block (all void) has ``z_low > z_high``.
+    In quanta; an empty block (all void) has ``z_low > z_high``. `apart`, in 1/4 quanta, is how far
+    the next level is from the block's surface (`distance_of_children`), where that is asked for.
     """
 
     z_low: int = 1 << 31
     z_high: int = -(1 << 31)
     error: int = 0
+    apart: int = 0
 
     @property
     def is_empty(self) -> bool:
@@ -32,6 +34,7 @@ class BlockStats:
         self.z_low = min(self.z_low, other.z_low)
         self.z_high = max(self.z_high, other.z_high)
         self.error = max(self.error, other.error)
+        self.apart = max(self.apart, other.apart)
 
 
 def with_outside(heights: Heights, n_rows: int, n_cols: int) -> Heights:
@@ -128,6 +131,38 @@ def _largest_deviation(heights, shift, originals, mask, first_row, first_col, lo
             deviation = cast(abs(cast(surface[col] - height)))
             largest = max(largest, deviation if is_valid[col] else cast(0))
     return np.int64(largest)
+
+
+def distance_of_children(heights: Heights, finer: Heights, mask: Mask) -> int:
+    """Return how far samples of a block's children are from its bilinear surface: Err_Int.
+
+    D. Yusov, V. Turlapov 2010, §2.2.
+
+    Parameters
+    ----------
+    heights : ndarray of int32
+        The block's samples in quanta.
+    finer, mask : ndarray, shape (n_rows, n_cols)
+        Those of the next level, the first ones at the same place, and which are valid. Samples past
+        the block's last row or column inside the raster are left out.
+
+    Returns
+    -------
+    int
+        In 1/4 quanta, exactly.
+    """
+    surface = _twice_as_fine(_twice_as_fine(heights.astype(np.int64)).T).T
+    n_rows, n_cols = min(surface.shape[0], finer.shape[0]), min(surface.shape[1], finer.shape[1])
+    part = np.s_[:n_rows, :n_cols]
+    apart = np.abs(surface[part] - 4 * finer[part].astype(np.int64))
+    return int(apart[mask[part]].max(initial=0))
+
+
+def _twice_as_fine(values: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the rows of `values` and the means of each two between them, all times two."""
+    rows = np.repeat(2 * values, 2, axis=0)[:-1]
+    rows[1::2] = values[:-1] + values[1:]
+    return rows
 
 
 def measure_samples(originals: Heights, mask: Mask, decoded: Heights) -> BlockStats:

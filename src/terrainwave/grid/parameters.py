@@ -17,9 +17,18 @@ class CodecParameters:
     rings: int
     effort: int
     remainder_bytes: int = 0
+    is_faithful: bool = False
 
     @classmethod
-    def of(cls, quantizer: Quantizer, nodata: float | int | None, rings: int, effort: int) -> Self:
+    def of(
+        cls,
+        quantizer: Quantizer,
+        nodata: float | int | None,
+        rings: int,
+        effort: int,
+        *,
+        is_faithful: bool = False,
+    ) -> Self:
         """Return the parameters of heights with a nodata value, in raw units, if there is one."""
         return cls(
             step=quantizer.step,
@@ -29,4 +38,5 @@ class CodecParameters:
             rings=rings,
             effort=effort,
             remainder_bytes=quantizer.remainder_bytes,
+            is_faithful=is_faithful,
         )

@@ -38,6 +38,7 @@ from terrainwave.grid.affine import (
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import as_fraction
 from terrainwave.mesh.blocks import BlockSamples, SideTolerances, border_lines
+from terrainwave.mesh.loose import LooseMesher
 from terrainwave.mesh.outlines import CoveredSamples, finest_outline
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.progress import ProgressCallback, Reporter
@@ -130,9 +131,17 @@ def mesh_area(
     max_error: float | None = None,
     max_triangles: int | None = None,
     optimise: int = 0,
+    guarantee: bool = True,
     progress: ProgressCallback | None = None,
 ) -> PlacedMesh:
     """Return the mesh of `Terrain.mesh`, where arguments and errors are told."""
+    if not guarantee:
+        if max_error is not None or max_triangles is not None or optimise:
+            raise InvalidArgumentError(
+                "found an error, a budget or sweeps with no guarantee, expected none of them: the"
+                " zero trees alone say what the mesh is"
+            )
+        level = _level_with_trees(terrain, level)
     index = terrain.level_index(level)
     region = terrain.region(window, bounds=bounds, level=level)
     if min(region.shape) < 2:
@@ -149,9 +158,22 @@ def mesh_area(
     area = _Area(region, index, int(optimise))
     with ThreadPoolExecutor(terrain.n_threads, thread_name_prefix="terrainwave") as executor:
         extractor = _Extractor(terrain, area, executor, Reporter(progress))
+        if not guarantee:
+            return extractor.loose_mesh()
         if max_triangles is not None:
             return extractor.within_budget(max_triangles, max_error)
         return extractor.mesh(max_error)
+
+
+def _level_with_trees(terrain: TerrainFile, level: int) -> int:
+    """Return the level to mesh by zero trees: the finest that has some, where -1 is asked for."""
+    index = terrain.level_index(level)
+    if terrain.n_levels == 1 or (level >= 0 and index == terrain.n_levels - 1):
+        raise InvalidArgumentError(
+            f"found level {index} of {terrain.n_levels}, expected a coarser one: the finest has no"
+            " zero trees, which a mesh without a guarantee is made of"
+        )
+    return min(index, terrain.n_levels - 2)
 
 
 class _Extractor:
@@ -453,12 +475,12 @@ class _Extractor:
             return self._mesh_within(self._coded + max(self._coded, Fraction(1)))
         cut = {block: self._stored_piece(block) for block in self._blocks(level)}
         if level == self._grid.k_max and self._area.sweeps:
-            return self._assemble(cut, self._build_all(cut))
+            return self._assemble(self._build_all(cut))
 
         def build(block: Block) -> _MeshedBlock:
             return _MeshedBlock(self._mesher.mesh(block), cut[block].error)
 
-        return self._assemble(cut, dict(self._each(build, sorted(cut))))
+        return self._assemble(dict(self._each(build, sorted(cut))))
 
     def _each(
         self, build: Callable[[Block], _MeshedBlock], blocks: list[Block]
@@ -471,6 +493,20 @@ class _Extractor:
         for n_done, (block, meshed) in enumerate(zip(blocks, meshes, strict=True), 1):
             self._reporter.report(stage, n_done * n_samples, len(blocks) * n_samples)
             yield block, meshed
+
+    def loose_mesh(self) -> PlacedMesh:
+        """Return the mesh of the zero trees alone, with the error that it turns out to have."""
+        level = self._area.level
+        stride = self._grid.stride(level)
+        meshes = LooseMesher(self._terrain).meshes(self._blocks(level), self._executor.map)
+
+        def measured(block: Block) -> _MeshedBlock:
+            samples, mesh = self._samples_of(block), meshes[block]
+            apart = deviation_from_bilinear(mesh, stride, samples.heights, samples.mask)
+            error = self._heights_error(block) + Fraction(apart, 1 << FRACTION_BITS)
+            return _MeshedBlock(mesh, error)
+
+        return self._assemble(dict(self._each(measured, list(meshes))))
 
     def _mesh_within(self, error: Fraction, n_most: int | None = None) -> PlacedMesh:
         """Return the mesh for an error in quanta.
@@ -487,7 +523,7 @@ class _Extractor:
         while True:
             failed = sorted(block for block, mesh in built.items() if mesh.error is None)
             if not failed:
-                return self._assemble(cut, built)
+                return self._assemble(built)
             if level < self._grid.k_max and any(block.level == level for block in failed):
                 raise _UnreachableError(
                     f"found max_error {float(error * self._quantum):g}, which level {level} cannot"
@@ -573,8 +609,8 @@ class _Extractor:
         header = self._header
         return Fraction(2 * (header.z_max - header.z_min) + 2) + self._smallest_error()
 
-    def _assemble(self, cut: dict[Block, _Piece], built: dict[Block, _MeshedBlock]) -> PlacedMesh:
-        blocks = sorted(cut)
+    def _assemble(self, built: dict[Block, _MeshedBlock]) -> PlacedMesh:
+        blocks = sorted(built)
         meshes = [built[block].mesh for block in blocks]
         vertices, triangles = _joined(self._grid, blocks, meshes)
         vertices, triangles = _clipped(vertices, triangles, self._limits())

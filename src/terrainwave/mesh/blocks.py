@@ -23,8 +23,12 @@ from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.measure import with_outside
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, Quantizer, as_fraction
+from terrainwave.mesh.coefficients import BlockCoefficients
+from terrainwave.mesh.trees import ZeroTrees
+from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.tri.borders import beside_void, line_vertices
 from terrainwave.tri.halves import Lines, triangulate
+from terrainwave.tri.labels import Trees
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
 from terrainwave.tri.stored import STORED_KINDS, has_triangles
 from terrainwave.tri.surface import largest_deviation
@@ -57,6 +61,20 @@ class BlockSamples(NamedTuple):
     locked: Mask
 
 
+class StoredSamples(NamedTuple):
+    """What a stored mesh follows from: `BlockSamples`, and more for kinds that follow it.
+
+    `trees` are the zero trees of the group that refines the block, `coefficients` the magnitudes
+    of wavelet coefficients at its samples, in quanta.
+    """
+
+    heights: Heights
+    mask: Mask
+    locked: Mask
+    trees: Trees | None
+    coefficients: NDArray[np.int64] | None = None
+
+
 class SideTolerances(NamedTuple):
     """Tolerances of a block's border lines, in 1/16 quanta."""
 
@@ -81,6 +99,10 @@ class BlockMesher:
         ``"halves"`` or one of `tri.stored.STORED_KINDS`.
     part : callable, optional
         The stored bytes of a block's mesh; kinds other than halves need them.
+    trees : callable, optional
+        The zero trees that meshes follow (`mesh.trees.tree_source`), for the kinds that do.
+    coefficients : callable, optional
+        The coefficients that they follow (`mesh.coefficients.coefficient_source`), likewise.
     """
 
     def __init__(
@@ -93,6 +115,8 @@ class BlockMesher:
         has_voids: bool,
         kind: str = "halves",
         part: Callable[[Block], bytes] | None = None,
+        trees: ZeroTrees | None = None,
+        coefficients: BlockCoefficients | None = None,
     ) -> None:
         self._grid = grid
         self._decoder = decoder
@@ -101,6 +125,8 @@ class BlockMesher:
         self._has_voids = has_voids
         self.kind = kind
         self._part = part
+        self._trees = trees
+        self._coefficients = coefficients
 
     def tolerance(self, block: Block) -> int:
         """Return the tolerance of a block's mesh against its samples: Err_Tri, in 1/16 quanta.
@@ -162,6 +188,31 @@ class BlockMesher:
         n_cols = min(grid.block, -(-(grid.n_cols - 1) // stride) - block.col * grid.block) + 1
         return n_rows, n_cols
 
+    def stored_samples(self, block: Block) -> StoredSamples:
+        """Return the samples of a block, with the zero trees that its stored mesh follows."""
+        samples = self.samples(block)
+        trees = self.zero_trees(block)
+        if trees is not None:
+            # Samples past the raster's edge belong to the trees of the last ones inside.
+            outside = [(0, n - own) for n, own in zip(samples.mask.shape, trees.shape, strict=True)]
+            trees = np.pad(trees, outside, mode="edge")
+        coefficients = None
+        if self._coefficients is not None:
+            found = self._coefficients(block)
+            # Samples past the raster's edge have none.
+            outside = [(0, n - own) for n, own in zip(samples.mask.shape, found.shape, strict=True)]
+            coefficients = np.pad(found, outside)
+        return StoredSamples(*samples, trees, coefficients)
+
+    def zero_trees(self, block: Block) -> Trees | None:
+        """Return the zero trees that the mesh of a block follows, by the samples in the raster.
+
+        None for kinds without, on the finest level, and where nothing is known of the group below.
+        """
+        if block.level == self._grid.k_max or self._trees is None:
+            return None
+        return self._trees(block, self.tolerance(block))
+
     def has_mesh(self, block: Block) -> bool:
         """Say whether the block's samples have triangles; decodes only where there may be voids."""
         if self._has_voids:
@@ -176,14 +227,14 @@ class BlockMesher:
         The block's own error, which has what is lost in it, and the tolerance, in 1/16 quanta; by
         construction, without making the mesh. None where measuring may tell much less: where the
         originals are so alike that the block may have one height, and where the mask leaves open
-        whether it has a mesh.
+        whether it has a mesh. Nor for kinds whose tolerance is no bound.
 
         Parameters
         ----------
         heights, mask : ndarray, shape (n_rows, n_cols)
             The block's originals, or some of them, in quanta.
         """
-        if not has_triangles(mask):
+        if self.kind in UNBOUNDED_MESHES or not has_triangles(mask):
             return None
         own, valid = decode_error(self._error_code(block)), heights[mask]
         if int(valid.max()) - int(valid.min()) <= 2 * own:
@@ -198,13 +249,27 @@ class BlockMesher:
         CorruptStreamError
             If the stored bytes of the mesh are damaged.
         """
-        samples = self.samples(block)
         if self.kind in STORED_KINDS:
-            return self._stored_mesh(block, samples)
+            return self._stored_mesh(block, self.stored_samples(block))
+        samples = self.samples(block)
         lines = border_lines(samples, self.side_tolerances(block), self._grid.block)
         return triangulate(*samples, lines, self.tolerance(block))
 
-    def _stored_mesh(self, block: Block, samples: BlockSamples) -> BlockMesh:
+    def coarser_mesh(self, block: Block, tolerance: int) -> BlockMesh:
+        """Return a mesh of the file's kind within a tolerance of a block's samples, 1/16 quanta.
+
+        It follows no zero trees. Borders of two blocks with the same tolerance are the same if the
+        kind is halves.
+        """
+        samples = self.samples(block)
+        if self.kind in STORED_KINDS:
+            if not has_triangles(samples.mask):
+                return no_mesh()
+            return STORED_KINDS[self.kind].alone(StoredSamples(*samples, None), tolerance)
+        sides = SideTolerances(tolerance, tolerance, tolerance, tolerance)
+        return triangulate(*samples, border_lines(samples, sides, self._grid.block), tolerance)
+
+    def _stored_mesh(self, block: Block, samples: StoredSamples) -> BlockMesh:
         if self._part is None:
             raise ValueError(f"meshes of kind {self.kind} have stored bytes")
         data = self._part(block)

@@ -94,7 +94,7 @@ def encode_parts(mesher: BlockMesher, state: BorderState) -> dict[Block, bytes]:
     kind = STORED_KINDS[mesher.kind]
     return {
         block: kind.encode(
-            mesher.samples(block),
+            mesher.stored_samples(block),
             mesher.tolerance(block),
             _draft(mesher, block, state.demanded.get(block)),
         )
@@ -104,4 +104,4 @@ def encode_parts(mesher: BlockMesher, state: BorderState) -> dict[Block, bytes]:
 
 def _draft(mesher: BlockMesher, block: Block, demanded: BorderVertices | None) -> Draft:
     kind = STORED_KINDS[mesher.kind]
-    return kind.draft(mesher.samples(block), mesher.tolerance(block), demanded)
+    return kind.draft(mesher.stored_samples(block), mesher.tolerance(block), demanded)

@@ -9,6 +9,8 @@ from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Grid
 from terrainwave.mesh.blocks import BlockMesher, LevelSamples
+from terrainwave.mesh.coefficients import coefficient_source
+from terrainwave.mesh.trees import ZeroTrees, tree_source
 from terrainwave.read.decoder import TreeDecoder, unit_key
 from terrainwave.tri.agreement import BorderVertices, Position, agree
 from terrainwave.tri.stored import STORED_KINDS, Draft
@@ -120,6 +122,8 @@ def make_meshes(
         has_voids=has_voids,
         kind=kind,
         part=parts_of_blocks(grid, lambda key: sections.get(key, b"")),
+        trees=tree_source(kind, decoder),
+        coefficients=coefficient_source(kind, decoder),
     )
     sections.update(make_sections(grid, mesher, executor, on_samples))
     return mesher, sections
@@ -148,11 +152,11 @@ def _level_parts(
 
     def draft(position: Position, demanded: BorderVertices | None) -> Draft:
         block = Block(level, *position)
-        return kind.draft(mesher.samples(block), mesher.tolerance(block), demanded)
+        return kind.draft(mesher.stored_samples(block), mesher.tolerance(block), demanded)
 
     def encode(position: Position) -> bytes:
         block = Block(level, *position)
-        return kind.encode(mesher.samples(block), mesher.tolerance(block), drafts[position])
+        return kind.encode(mesher.stored_samples(block), mesher.tolerance(block), drafts[position])
 
     blocks = grid.blocks(level)
     is_meshed = executor.map(mesher.has_mesh, blocks)
@@ -172,10 +176,12 @@ def _level_parts(
     return parts
 
 
-def mesher_of(file: TerrainFile, samples: LevelSamples | None = None) -> BlockMesher:
+def mesher_of(
+    file: TerrainFile, samples: LevelSamples | None = None, trees: ZeroTrees | None = None
+) -> BlockMesher:
     """Return the mesher of an open file, for the stored mesh of any block.
 
-    `samples` stand in for the file's own, in meshes that are made anew.
+    `samples` and `trees` stand in for the file's own, in meshes that are made anew.
     """
     header = file.header
     return BlockMesher(
@@ -186,4 +192,6 @@ def mesher_of(file: TerrainFile, samples: LevelSamples | None = None) -> BlockMe
         has_voids=file.raster_info.mask_kind != "none",
         kind=header.mesh,
         part=parts_of_blocks(file.grid, file.container.mesh),
+        trees=trees or tree_source(header.mesh, file.decoder),
+        coefficients=coefficient_source(header.mesh, file.decoder),
     )

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
 from terrainwave.codec.cdf53 import LevelHeights, decode_tile
@@ -10,14 +11,16 @@ from terrainwave.codec.refiner import Decoded, Heights
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.tiles import TileLayout
 from terrainwave.codec.units import unit_spec
+from terrainwave.coding.lifting53 import forward_transform, places_of
 from terrainwave.container.header import Header
-from terrainwave.errors import CorruptStreamError
+from terrainwave.errors import CorruptStreamError, InvalidArgumentError
 from terrainwave.grid.parameters import CodecParameters
-from terrainwave.grid.quadtree import Block, Grid
-from terrainwave.names import METHODS
-from terrainwave.read.decoder import TreeDecoder, unit_name
+from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.names import METHODS, methods_that
+from terrainwave.read.decoder import TreeDecoder, unit_key, unit_name
 
 Tile = list[LevelHeights]
+Coefficients = NDArray[np.int64]
 
 
 class TileDecoder(TreeDecoder):
@@ -38,11 +41,14 @@ class TileDecoder(TreeDecoder):
         *,
         are_prefixes: bool = False,
     ) -> None:
-        # Half for units, half for tiles.
+        # Half for units, half for tiles; coefficients, which few ask for, come on top.
         super().__init__(grid, None, parameters, payloads, cache_bytes // 2)
         self._layout = TileLayout(grid)
         self._are_prefixes = are_prefixes
         self._tiles: Cache[Block, Tile] = Cache(cache_bytes // 2, size_of=_n_bytes)
+        self._coefficients: Cache[Block, Coefficients] = Cache(
+            cache_bytes // 2, size_of=lambda found: found.nbytes
+        )
 
     def prefetch(self, keys: Sequence[Block]) -> list[Block]:
         """Fetch the payloads of the tiles that decoding `keys` will need, in one call.
@@ -69,6 +75,57 @@ class TileDecoder(TreeDecoder):
         level = tile[key.level + 1 - max(tile_key.level + 1, 0)]
         return final_heights(level.part(region), self._parameters)
 
+    def coefficients(self, level: int, region: Region) -> Coefficients:
+        """Return the magnitude of the wavelet coefficient at each sample of a level, in quanta.
+
+        Of the transform that makes the coarsest level with this sample; the sample that all levels
+        begin at has none: 0. Alike in all tiles that share a sample, and on all levels.
+
+        Parameters
+        ----------
+        region : Region
+            Inside the level.
+        """
+        found = np.empty(region.shape, dtype=np.int64)
+        side = self.grid.block
+        # One block of those that share a line is enough.
+        for row in _blocks_along(region.row, region.n_rows, side):
+            for col in _blocks_along(region.col, region.n_cols, side):
+                block = Block(level, row, col)
+                here = self.grid.block_region(block).intersect(region)
+                found[here.slices_in(region)] = self._coefficients_in(block, here)
+        return found
+
+    def _coefficients_in(self, block: Block, region: Region) -> Coefficients:
+        key = self._layout.key_of(unit_key(block))
+        spec = self._layout.spec(key)
+        stride = 1 << (spec.last - block.level)
+        coarse = spec.regions[block.level - spec.last - 1]
+        return self._of_tile(key)[::stride, ::stride][region.slices_in(coarse)] * np.int64(
+            self._parameters.step
+        )
+
+    def _of_tile(self, key: Block) -> Coefficients:
+        return self._coefficients.get_or_make(key, lambda: self._transform_tile(key))
+
+    def _transform_tile(self, key: Block) -> Coefficients:
+        """Return the magnitudes of a tile's coefficients by the samples of its finest level.
+
+        The transform is reversible, so what it makes of the decoded heights is what was decoded.
+        """
+        spec, above = self._layout.spec(key), self._layout.above(key)
+        field = self._tile(key)[-1].heights.astype(np.int64)
+        forward_transform(field, spec.n_transforms, spec.held)
+        np.abs(field, out=field)
+        found = places_of(field, spec.n_transforms)
+        lowest = found[:: 1 << spec.n_transforms, :: 1 << spec.n_transforms]
+        if above is None or spec.outer is None:
+            lowest[...] = 0
+        else:
+            outer = self._layout.spec(above).region
+            lowest[...] = self._of_tile(above)[spec.outer.slices_in(outer)]
+        return found
+
     def _tile(self, key: Block) -> Tile:
         """Return a decoded tile; those above it are decoded as needed."""
         # Tiles above never wait for those below.
@@ -94,6 +151,28 @@ def make_decoder(
         return TileDecoder(header.grid, header.codec_parameters, payloads, cache_bytes)
     refiner = refiner_by_name(header.method, header.parameters)
     return TreeDecoder(header.grid, refiner, header.codec_parameters, payloads, cache_bytes)
+
+
+def with_coefficients(decoder: TreeDecoder) -> TileDecoder:
+    """Return a decoder that has wavelet coefficients.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If this one has none.
+    """
+    if not isinstance(decoder, TileDecoder):
+        raise InvalidArgumentError(
+            "the file has no coefficients of a 5/3 wavelet; those of method"
+            f" {methods_that(lambda method: method.is_tiled)} have"
+        )
+    return decoder
+
+
+def _blocks_along(first: int, n: int, side: int) -> range:
+    """Return the blocks of `side` cells that hold `n` samples from `first` on, along a line."""
+    start = first // side if n > 1 else max(first - 1, 0) // side
+    return range(start, max((first + n - 2) // side, start) + 1)
 
 
 def _n_bytes(tile: Tile) -> int:

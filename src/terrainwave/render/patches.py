@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
 from terrainwave.grid.quadtree import Block, Region
-from terrainwave.mesh.blocks import SideTolerances, border_lines
+from terrainwave.mesh.loose import LooseMesher
 from terrainwave.mesh.sections import mesher_of
+from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.render.frame import Frame
 from terrainwave.render.kernels import SKIRT_FLAG, border_edges, rasterize, slopes
 from terrainwave.render.scales import (
@@ -28,7 +29,6 @@ from terrainwave.render.scales import (
     with_ring,
 )
 from terrainwave.render.selection import NodeInfo, Piece
-from terrainwave.tri.halves import triangulate
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.surface import deviation_from_bilinear
 
@@ -98,6 +98,9 @@ class PatchBuilder:
     recursive : list of ndarray, optional
         Err_Appr of every block (`level_errors.recursive_errors`): errors are then Err_Appr +
         Err_Tri, Yusov & Turlapov 2010, eq. (3). By default they are those stored for meshes.
+    is_loose : bool
+        Blocks above the finest level have their non-guaranteed meshes (`mesh.loose`): their errors
+        are known once they are built.
     """
 
     def __init__(
@@ -106,11 +109,13 @@ class PatchBuilder:
         frame: Frame,
         *,
         recursive: list[NDArray[np.float64]] | None = None,
+        is_loose: bool = False,
     ) -> None:
         self._terrain = terrain
         self._frame = frame
         self._recursive = recursive
         self._mesher = mesher_of(terrain)
+        self._loose = LooseMesher(terrain) if is_loose else None
         self._scale = HeightScale.of(terrain, frame)
         self._slope_scale, self._height_texels = SlopeScale(frame), HeightTexels.of(frame)
         self._meshes: Cache[Piece, BlockMesh] = Cache(_CACHED_MESHES)
@@ -185,7 +190,8 @@ class PatchBuilder:
             return self._variant_error(piece.variant)
         terrain, block = self._terrain, piece.block
         per_unit = self._frame.metres[2]
-        if self._recursive is None and terrain.mesh_kind != "none":
+        is_unbounded = terrain.mesh_kind in UNBOUNDED_MESHES
+        if is_unbounded or (self._recursive is None and terrain.mesh_kind != "none"):
             return terrain.mesh_error(block) * per_unit
         tolerance = self._mesher.tolerance(block) / (1 << FRACTION_BITS)
         return self._heights_error(block) * per_unit + tolerance * abs(self._scale.per_quantum)
@@ -205,14 +211,12 @@ class PatchBuilder:
         return self._meshes.get_or_make(piece, lambda: self._triangulate(piece))
 
     def _triangulate(self, piece: Piece) -> BlockMesh:
-        mesher, block = self._mesher, piece.block
-        if not piece.variant:
-            return mesher.mesh(block)
-        tolerance = self._variant_tolerance(piece.variant)
-        samples = mesher.samples(block)
-        sides = SideTolerances(tolerance, tolerance, tolerance, tolerance)
-        lines = border_lines(samples, sides, self._terrain.grid.block)
-        return triangulate(*samples, lines, tolerance)
+        block = piece.block
+        if piece.variant:
+            return self._mesher.coarser_mesh(block, self._variant_tolerance(piece.variant))
+        if self._loose is not None and block.level < self._terrain.n_levels - 1:
+            return self._loose.mesh(block)
+        return self._mesher.mesh(block)
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> Patch:
         """Return the patch of a piece.
@@ -247,7 +251,8 @@ class PatchBuilder:
         )
         morph = float(np.abs(z - z_parent).max(initial=0))
         error = self.error(piece)
-        if terrain.mesh_kind == "none" and block.level < terrain.n_levels - 1:
+        is_unmeasured = terrain.mesh_kind == "none" or self._loose is not None
+        if is_unmeasured and block.level < terrain.n_levels - 1:
             error = self._derived_error(block, mesh)
         return Patch(
             piece,

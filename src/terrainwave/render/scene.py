@@ -13,7 +13,7 @@ from terrainwave.progress import ProgressCallback
 from terrainwave.render.camera import Camera, Viewport, predict
 from terrainwave.render.frame import Frame, frame_of
 from terrainwave.render.frustum import may_see
-from terrainwave.render.modes import mode_class
+from terrainwave.render.modes import mode_class, options_of
 from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode
 from terrainwave.render.paging import Pager
 from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Piece, Selection, View
@@ -65,8 +65,16 @@ class Scene:
     store : Store
     mode : str
         One of `terrainwave.render.modes.MODES`.
-    error : {"measured", "paper"}
-        Errors and γ: those that hold everywhere, or the paper's.
+    error : str
+        One of the mode's `errors`.
+    detail : float, optional
+        μ > 0 of mode batched with error "paper": a level's error is μ times its spacing; 0.5 by
+        default.
+    order : int, optional
+        Of Neville's filter, 2 or 4 (default), that makes the levels of mode batched.
+    stepwise : bool
+        Modes dynamic and vertex-texture change by one height of their quadtree a frame, as their
+        paper does: what they keep is `Frames.tau`, more than τ while they lag behind the view.
     exaggeration, radius : float, optional
         See `frame_of`.
     max_triangles : int
@@ -90,6 +98,9 @@ class Scene:
         *,
         mode: str = "adaptive",
         error: str = "measured",
+        detail: float | None = None,
+        order: int | None = None,
+        stepwise: bool = False,
         exaggeration: float = 1.0,
         radius: float | None = None,
         max_triangles: int = MAX_TRIANGLES,
@@ -99,7 +110,10 @@ class Scene:
     ) -> None:
         self.terrain = terrain
         self.frame: Frame = frame_of(terrain, radius=radius, exaggeration=exaggeration)
-        self.mode: Mode = mode_class(mode)(terrain, self.frame, error=error, progress=progress)
+        given = options_of(mode, detail=detail, order=order, stepwise=stepwise)
+        self.mode: Mode = mode_class(mode)(
+            terrain, self.frame, error=error, progress=progress, **given
+        )
         self.store = store
         self.table = NodeTable()
         self.mode.max_triangles = max_triangles

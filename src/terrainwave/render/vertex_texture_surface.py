@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from terrainwave.render.modes.whole import BuiltSamples
     from terrainwave.render.scene import Scene
 
-_SLOPES, _HEIGHTS, _BOUNDS, _ROOTS = OWN_UNIT, OWN_UNIT + 1, OWN_UNIT + 2, OWN_UNIT + 3
+_SLOPES, _HEIGHTS, _BOUNDS, _MARKS = OWN_UNIT, OWN_UNIT + 1, OWN_UNIT + 2, OWN_UNIT + 3
 _VOID = np.float32(-1e38)
-_BYTES_PER_SAMPLE = 10  # heights 16/3, bounds 4, roots 1
+_BYTES_PER_SAMPLE = 10  # heights 16/3, bounds 4, marks 1/3
 
 VERTEX_SHADER = """
 #version 330 core
@@ -31,7 +31,7 @@ in uvec2 in_place;              // column and row in a patch
 in vec4 in_patch;               // its first sample relative to the eye (x, y); column, row
 uniform sampler2D heights;      // level h: nodes of height h
 uniform sampler2D bounds;       // level h - 1: error, low, high
-uniform usampler2D roots;
+uniform sampler2D marks;        // level h - 1: 0 above roots
 uniform int top;
 uniform vec2 threshold;         // τ / λ, τ
 uniform vec4 level_axes;        // metres per sample of the level: x by col, x by row, y ...
@@ -81,20 +81,24 @@ float screen_error(int h, ivec2 node, vec2 middle) {
 }
 
 void main() {
-    ivec2 place = ivec2(in_place), first = ivec2(in_patch.zw), size = textureSize(roots, 0);
+    ivec2 place = ivec2(in_place), first = ivec2(in_patch.zw), size = textureSize(heights, 0);
     ivec2 at = first + place;
     bool is_void = any(greaterThanEqual(at, size));
     at = min(at, size - 1);
     place = at - first;
-    int root = int(texelFetch(roots, at, 0).r);
-    is_void = is_void || texelFetch(heights, at >> root, root).r < -1e37;
     vec3 drawn = vec3(0.0);     // column and row in the patch, height
     float share = 1.0;
-    for (int h = top; h >= root; --h) {
+    int h = top;
+    for (; h >= 0; --h) {
         vec2 middle = (vec2(place >> h) + 0.5) * float(1 << h) - 0.5;
-        drawn = mix(drawn, vec3(middle, texelFetch(heights, at >> h, h).r), share);
+        vec3 own = vec3(middle, texelFetch(heights, at >> h, h).r);
+        drawn = mix(drawn, own, share);
+        if (h == 0 || texelFetch(marks, at >> h, h - 1).r > 0.0) {
+            is_void = is_void || own.z < -1e37;
+            break;
+        }
         share = 1.0;
-        if (h > root && threshold.y > threshold.x) {
+        if (threshold.y > threshold.x) {
             float error = screen_error(h, at >> h, middle);
             share = clamp((error - threshold.x) / (threshold.y - threshold.x), 0.0, 1.0);
         }
@@ -104,7 +108,7 @@ void main() {
     v_sample = drawn.xy + vec2(first);
     v_layers = ivec2(0, -1);
     v_grid = v_sample * stride;
-    v_parent = vec4(0.0, 0.0, float(root), base_error);
+    v_parent = vec4(0.0, 0.0, float(h), base_error);
     // A triangle with a void corner shrinks to nothing beside the others.
     gl_ClipDistance[0] = is_void ? -1e9 : 1.0;
     gl_Position = view_projection * vec4(v_seen, 1.0);
@@ -154,22 +158,42 @@ class TreeStore(WholeStore):
         self.textures = [
             self._levels(tree, z, 0, 1),
             self._levels(tree, tree.bounds, 1, 3),
-            self._context.texture((n_cols, n_rows), 1, dtype="u1", alignment=1),
+            self._levels(tree, built.mesh.marks, 1, 1, "f1"),
         ]
-        self.textures[2].filter = (moderngl.NEAREST, moderngl.NEAREST)
         return True
 
+    def send_marks(self, mesh: DynamicMesh) -> None:
+        """Bring the auxiliary texture up to date: the rows of patches whose marks have changed."""
+        patch_rows = np.flatnonzero(mesh.has_changed.any(axis=1))
+        if not len(patch_rows):
+            return
+        layout = mesh.tree.layout
+        for height in range(1, len(layout)):
+            first, _, n_cols = (int(n) for n in layout[height])
+            side = 1 << (mesh.tree.top - height)
+            start, end = int(patch_rows[0]) * side, (int(patch_rows[-1]) + 1) * side
+            self.textures[2].write(
+                mesh.marks[first + start * n_cols : first + end * n_cols],
+                viewport=(0, start, n_cols, end - start), level=height - 1,
+            )  # fmt: skip
+        mesh.has_changed[...] = False
+
     def _levels(
-        self, tree: HaarTree, values: NDArray[np.float32], lowest: int, n_components: int
+        self,
+        tree: HaarTree,
+        values: NDArray[np.generic],
+        lowest: int,
+        n_components: int,
+        dtype: str = "f4",
     ) -> Any:
         """Return a texture whose levels are the nodes of heights from `lowest`."""
         layout = tree.layout
         n_rows, n_cols = (int(n) for n in layout[lowest, N_ROWS:])
-        texture = self._context.texture((n_cols, n_rows), n_components, dtype="f4")
+        texture = self._context.texture((n_cols, n_rows), n_components, dtype=dtype, alignment=1)
         texture.build_mipmaps()
         texture.filter = (moderngl.NEAREST_MIPMAP_NEAREST, moderngl.NEAREST)
         for height in range(lowest, tree.top + 1):
-            start = int(layout[height, FIRST] - layout[lowest, FIRST])
+            start = int(layout[height, FIRST]) - (len(tree.z) - len(values))
             end = start + int(layout[height, N_ROWS] * layout[height, N_COLS])
             texture.write(np.ascontiguousarray(values[start:end]).tobytes(), level=height - lowest)
         return texture
@@ -205,9 +229,7 @@ class VertexTextureSurface:
         self._array: Any = None
 
     def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
-        """Upload the roots, and draw the grids of all patches in view."""
-        if scene.mode.drawn is None:  # type: ignore[attr-defined]
-            return 0
+        """Upload what has changed, and draw the grids of all patches in view."""
         n = self.prepare(scene, view, self.program)
         if not n:
             return 0
@@ -223,21 +245,23 @@ class VertexTextureSurface:
     def prepare(self, scene: "Scene", view: View, program: Any) -> int:
         """Fill buffers, textures and uniforms; return how many patches are in view."""
         mode: Any = scene.mode
+        followed = mode.followed
+        if followed is None:
+            return 0
         mesh, eye, matrix = mode.dynamic_mesh, eye_of(view), mode.sample_matrix
         patches = _patches_in_view(mesh.tree, matrix, view)
         if not len(patches):
             return 0
         self._fill_patches(patches, matrix, view)
-        heights, bounds, roots = self.store.textures
-        roots.write(mesh.root_heights().tobytes())
+        self.store.send_marks(mesh)
+        heights, bounds, marks = self.store.textures
         a, b, _, d, e, _ = matrix
         planes = eye.planes.copy()
         planes[:, 3] += planes[:, :3] @ eye.position
-        frame = mode.frame_mesh
         values = {
-            "slopes": _SLOPES, "heights": _HEIGHTS, "bounds": _BOUNDS, "roots": _ROOTS,
+            "slopes": _SLOPES, "heights": _HEIGHTS, "bounds": _BOUNDS, "marks": _MARKS,
             "side": float(self.store.side), "top": mesh.tree.top, "stride": float(mode.stride),
-            "threshold": (frame.threshold, frame.tau), "level_axes": (a, b, d, e),
+            "threshold": (followed.threshold, followed.tau), "level_axes": (a, b, d, e),
             "eye_z": float(eye.position[2]), "base_error": mesh.base_error,
             "reach": mesh.tree.reach, "focal": eye.focal, "slant": eye.slant,
             "is_bound": mode.error == "measured", "forward": tuple(eye.forward),
@@ -245,7 +269,7 @@ class VertexTextureSurface:
         }  # fmt: skip
         set_uniforms(program, values)
         for unit, texture in (
-            (_SLOPES, self.store.slopes), (_HEIGHTS, heights), (_BOUNDS, bounds), (_ROOTS, roots)
+            (_SLOPES, self.store.slopes), (_HEIGHTS, heights), (_BOUNDS, bounds), (_MARKS, marks)
         ):  # fmt: skip
             texture.use(unit)
         return len(patches)

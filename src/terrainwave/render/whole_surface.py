@@ -131,6 +131,14 @@ class WholeSurface:
 
     def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
         """Upload and draw the mesh of the frame."""
+        n = self.prepare(scene, view, self.program)
+        if not n:
+            return 0
+        self._array.render(moderngl.TRIANGLES, vertices=n)
+        return 1
+
+    def prepare(self, scene: "Scene", view: View, program: Any) -> int:
+        """Fill buffers, textures and uniforms; return how many corners triangles have."""
         mode: Any = scene.mode
         drawn = mode.drawn
         if drawn is None or not len(drawn.triangles):
@@ -141,15 +149,14 @@ class WholeSurface:
         vertices["size"] = drawn.sizes
         self._upload(vertices.tobytes(), drawn.triangles.astype("<u4").tobytes())
         set_uniforms(
-            self.program,
+            program,
             {
                 "slopes": _SLOPES, "side": float(self.store.side), "stride": float(mode.stride),
                 "error": mode.base_error,
             },
         )  # fmt: skip
         self.store.slopes.use(_SLOPES)
-        self._array.render(moderngl.TRIANGLES, vertices=drawn.triangles.size)
-        return 1
+        return int(drawn.triangles.size)
 
     def _upload(self, vertices: bytes, triangles: bytes) -> None:
         """Fill the buffers, with larger ones where they are too small."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.labels import Cut, Trees, promote, root_along, set_node, void_edges
+from terrainwave.tri.labels import Cut, Keep, Trees, promote, root_along, set_node, void_edges
 from terrainwave.tri.labels import zero_tree_cut as _zero_tree_cut
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.triangle import area_of, check_block, deviation
@@ -34,7 +34,12 @@ class LooseMesh(NamedTuple):
     n_folded: int
 
 
-def loose_mesh(heights: NDArray[np.int32], mask: NDArray[np.bool_], trees: Trees) -> LooseMesh:
+def loose_mesh(
+    heights: NDArray[np.int32],
+    mask: NDArray[np.bool_],
+    trees: Trees,
+    keep: Keep | None = None,
+) -> LooseMesh:
     """Return the non-guaranteed triangulation of a block (Yusov & Turlapov 2010, §2.4).
 
     Parameters
@@ -44,7 +49,9 @@ def loose_mesh(heights: NDArray[np.int32], mask: NDArray[np.bool_], trees: Trees
     mask : ndarray of bool, same shape
         Which samples are valid.
     trees : ndarray of uint8, same shape
-        Zero trees of the group that refines the block (`Decoded.labels`).
+        Zero trees of the group that refines the block (`coding.zerotrees`).
+    keep : ndarray of bool, same shape, optional
+        Samples that must be vertices besides those at voids.
 
     Raises
     ------
@@ -54,7 +61,10 @@ def loose_mesh(heights: NDArray[np.int32], mask: NDArray[np.bool_], trees: Trees
     check_block(heights, mask)
     check_block(trees, mask)
     mask = np.ascontiguousarray(mask)
-    cut = _zero_tree_cut(trees, void_edges(mask))
+    kept = void_edges(mask)
+    if keep is not None:
+        kept |= keep
+    cut = _zero_tree_cut(trees, kept)
     n_folded = unfold(mask, cut)
     mesh = mesh_of_cut(heights, mask, cut)
     return LooseMesh(mesh, cut, mesh_error(heights, mesh), n_folded)

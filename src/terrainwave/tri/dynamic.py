@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.coding.jit import kernel
+from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.tri.budget import Pressure, check_budget
 from terrainwave.tri.haar import (
@@ -94,6 +94,33 @@ def check_update(tau: float, morph: float) -> None:
         raise InvalidHeightsError(f"found tau {tau} and morph {morph}, expected > 0 and >= 1")
 
 
+class Followed(NamedTuple):
+    """What marks say after they have followed a view.
+
+    Parameters
+    ----------
+    threshold : float
+        Errors on screen below this were merged, pixels: τ, or τ / λ with a morph.
+    tau : float
+        Pixels; above what was asked for if the budget demands it.
+    within : float
+        What the mesh keeps with measured errors, pixels: τ, or more while steps lag behind.
+    n_vertices : int
+        Roots that are not void.
+    n_touched : int
+        Nodes that marking looked at.
+    n_changed : int
+        Nodes that became a root or ceased to be one; 0 where marks have settled.
+    """
+
+    threshold: float
+    tau: float
+    within: float
+    n_vertices: int
+    n_touched: int
+    n_changed: int
+
+
 class DynamicFrame(NamedTuple):
     """A mesh for one view.
 
@@ -105,14 +132,8 @@ class DynamicFrame(NamedTuple):
         Counter-clockwise seen from above; a root's fan is consecutive.
     nodes : ndarray of int32, shape (n_vertices, 3)
         Height, row and column of each vertex's node.
-    threshold : float
-        Errors on screen below this were merged, pixels: τ, or τ / λ with a morph.
-    tau : float
-        Pixels; above what was asked for if the budget demands it.
-    n_touched : int
-        Nodes that marking looked at.
-    n_changed : int
-        Nodes that became a root or ceased to be one.
+    threshold, tau, n_touched, n_changed
+        See `Followed`.
     """
 
     vertices: NDArray[np.float64]
@@ -141,6 +162,13 @@ class DynamicMesh:
         box; or Haar coefficients with the direction to the node, as printed.
     base_error : float
         Largest distance of `heights` from what errors count from; added to measured errors.
+
+    Attributes
+    ----------
+    marks : ndarray of uint8, shape (n_nodes,)
+        `INNER`, `ROOT` or, somewhere below a root, anything.
+    has_changed : ndarray of uint8, shape (patch rows, patch columns)
+        Patches with marks that have changed; whoever keeps a copy of the marks clears it.
 
     Raises
     ------
@@ -174,6 +202,10 @@ class DynamicMesh:
         self._stack = np.empty((4 * len(layout), 3), dtype=np.int64)
         self._places = np.empty((4 * len(layout), 4))
         self._allocate(_FIRST_CAPACITY)
+        self.has_changed: NDArray[np.uint8] = np.ones(
+            tuple(layout[-1, N_ROWS:].tolist()), dtype=np.uint8
+        )
+        self._n_vertices = 0
         self._is_marked = False
         self._pressure = Pressure()
 
@@ -194,7 +226,7 @@ class DynamicMesh:
 
     # One frame
 
-    def update(
+    def follow(
         self,
         eye: Eye,
         tau: float,
@@ -202,8 +234,8 @@ class DynamicMesh:
         morph: float = 1.0,
         max_vertices: int | None = None,
         is_stepwise: bool = False,
-    ) -> DynamicFrame:
-        """Return the mesh for a view.
+    ) -> Followed:
+        """Bring marks up to date with a view: all that the GPU needs to move vertices itself.
 
         Parameters
         ----------
@@ -216,7 +248,8 @@ class DynamicMesh:
             Budget; τ is raised until it is kept. At least `least_vertices`. Nodes around the eye
             are divided whatever it says.
         is_stepwise : bool
-            Change by one height at most, as the paper does; the mesh may lag behind the view.
+            Change by one height at most, as the paper does, but for the first view and where the
+            budget demands more; the mesh may lag behind the view.
 
         Raises
         ------
@@ -227,51 +260,81 @@ class DynamicMesh:
         check_budget(max_vertices, self.least_vertices, "patch")
         view = self._view(eye)
         self._pressure.relieve()
-        n_touched, n_changed = self._mark(view, eye.planes, tau / morph, is_stepwise)
-        n_vertices, n_voids = self._place(view, eye.planes, tau, morph)
-        while max_vertices is not None and n_vertices > max_vertices and self._pressure.rise():
-            more = self._mark(view, eye.planes, tau / morph, False)
+        n_touched, n_changed, largest = self._mark(view, eye.planes, tau / morph, is_stepwise)
+        while (
+            max_vertices is not None and self._n_vertices > max_vertices and self._pressure.rise()
+        ):
+            *more, largest = self._mark(view, eye.planes, tau / morph, False)
             n_touched, n_changed = n_touched + more[0], n_changed + more[1]
-            n_vertices, n_voids = self._place(view, eye.planes, tau, morph)
+        used = tau * self._pressure.factor
+        return Followed(
+            used / morph, used, max(used, largest), self._n_vertices, n_touched, n_changed
+        )
+
+    def draw(self, eye: Eye, followed: Followed) -> DynamicFrame:
+        """Return the mesh of the marks; `followed` is what `follow` returned for this eye."""
+        n_vertices, n_voids = self._place(self._view(eye), eye.planes, followed)
         n_triangles = draw_fans(
             self.marks, self.tree.layout, self.tree.z, self._nodes, n_vertices, n_voids,
             self._vertex_of, self._is_mirrored, self._stack, self._triangles,
         )  # fmt: skip
-        used = tau * self._pressure.factor
         return DynamicFrame(
             self._vertices[:n_vertices].copy(),
             self._triangles[:n_triangles].copy(),
             self._nodes[:n_vertices].copy(),
-            used / morph,
-            used,
-            n_touched,
-            n_changed,
+            followed.threshold,
+            followed.tau,
+            followed.n_touched,
+            followed.n_changed,
+        )
+
+    def update(
+        self,
+        eye: Eye,
+        tau: float,
+        *,
+        morph: float = 1.0,
+        max_vertices: int | None = None,
+        is_stepwise: bool = False,
+    ) -> DynamicFrame:
+        """Return the mesh for a view: `follow`, whose arguments these are, and `draw`."""
+        return self.draw(
+            eye,
+            self.follow(eye, tau, morph=morph, max_vertices=max_vertices, is_stepwise=is_stepwise),
         )
 
     def _mark(
         self, view: NDArray[np.float64], planes: NDArray[np.float64], tau: float, is_stepwise: bool
-    ) -> tuple[int, int]:
-        """Bring the marks up to date; return how many nodes were touched and changed."""
+    ) -> tuple[int, int, float]:
+        """Bring the marks up to date; return how many nodes were touched and changed.
+
+        And the largest error on screen of roots that should be divided further, 0 without any.
+        """
         tree, tau = self.tree, tau * self._pressure.factor
         if not self._is_marked:
             self._is_marked = True
             mark_bottom_up(tree.layout, tree.z, tree.bounds, view, planes, tau, self.marks)
-            return self.n_nodes, int(np.count_nonzero(self.marks == ROOT))
-        follow = step_top_down if is_stepwise else settle_top_down
-        counts: tuple[int, int] = follow(
-            tree.layout, tree.z, tree.bounds, view, planes, tau, self._stack, self.marks
-        )
-        return counts
+            self._n_vertices = int(np.count_nonzero((self.marks == ROOT) & ~np.isnan(tree.z)))
+            self.has_changed[...] = True
+            return self.n_nodes, int(np.count_nonzero(self.marks == ROOT)), 0.0
+        walk = step_top_down if is_stepwise else settle_top_down
+        n_touched, n_changed, n_more, largest = walk(
+            tree.layout, tree.z, tree.bounds, view, planes, tau, self._stack, self.marks,
+            self.has_changed,
+        )  # fmt: skip
+        self._n_vertices += n_more
+        return n_touched, n_changed, largest
 
     def _place(
-        self, view: NDArray[np.float64], planes: NDArray[np.float64], tau: float, morph: float
+        self, view: NDArray[np.float64], planes: NDArray[np.float64], followed: Followed
     ) -> tuple[int, int]:
         """Fill vertices and nodes of all roots; return how many have vertices, how many not."""
-        tree, tau = self.tree, tau * self._pressure.factor
+        tree = self.tree
         while True:
             n_vertices, n_voids = place_vertices(
-                tree.layout, tree.z, tree.bounds, self.marks, view, planes, tau / morph, tau,
-                self._stack, self._places, self._vertex_of, self._nodes, self._vertices,
+                tree.layout, tree.z, tree.bounds, self.marks, view, planes, followed.threshold,
+                followed.tau, self._stack, self._places, self._vertex_of, self._nodes,
+                self._vertices,
             )  # fmt: skip
             if n_vertices + n_voids <= len(self._nodes):
                 return n_vertices, n_voids
@@ -284,17 +347,11 @@ class DynamicMesh:
         )  # fmt: skip
         return np.array([*numbers, *self._matrix], dtype=np.float64)
 
-    def root_heights(self) -> NDArray[np.uint8]:
-        """Return the height of each sample's root after the last update, padded to patches."""
-        heights = np.empty(tuple(self.tree.layout[0, N_ROWS:].tolist()), dtype=np.uint8)
-        fill_root_heights(self.tree.layout, self.marks, self._stack, heights)
-        return heights
-
 
 # Errors on screen
 
 
-@kernel
+@inlined_kernel
 def screen_error(height, row, col, layout, z, bounds, view, planes):
     """Return the error on screen of a node of height >= 1, pixels; 0 outside the view (§3.3).
 
@@ -348,7 +405,7 @@ def screen_error(height, row, col, layout, z, bounds, view, planes):
     return scale * (error * z_scale + base) * np.sqrt(across / (across + near_z * near_z))
 
 
-@kernel
+@inlined_kernel
 def _is_hidden(planes, x, y, half_x, half_y, low, high, is_sphere):
     """Say whether a box, or the sphere around it, lies wholly behind one of the planes."""
     mid_z, half_z = (low + high) / 2, (high - low) / 2
@@ -391,6 +448,29 @@ def _mark_children(child, down, mark, marks):
 
 
 @kernel
+def _n_valid(child, down, z):
+    """Return how many of four children are not void."""
+    n_void = np.isnan(z[child]) + np.isnan(z[child + 1])
+    return 4 - n_void - np.isnan(z[child + down]) - np.isnan(z[child + down + 1])
+
+
+@kernel
+def _merge(node, child, down, z, marks):
+    """Make a root of a node whose children are; return how many more roots have heights."""
+    marks[node] = ROOT
+    _mark_children(child, down, BELOW, marks)
+    return 0 if np.isnan(z[node]) else 1 - _n_valid(child, down, z)
+
+
+@kernel
+def _split(node, child, down, z, marks):
+    """Make roots of the children of a root that is not void; return as `_merge`."""
+    marks[node] = INNER
+    _mark_children(child, down, ROOT, marks)
+    return _n_valid(child, down, z) - 1
+
+
+@kernel
 def mark_bottom_up(layout, z, bounds, view, planes, tau, marks):
     """Mark all nodes (NonRecursiveDetermineNullSubTrees, §3.4)."""
     marks[: layout[1, FIRST]] = ROOT
@@ -426,17 +506,21 @@ def _push_children(height, row, col, stack, depth):
 
 
 @kernel
-def step_top_down(layout, z, bounds, view, planes, tau, stack, marks):
+def step_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_changed):
     """Change marks by one height at most (RecursiveDetermineNullSubTrees, §3.4).
 
-    Return how many nodes were touched, and how many became roots or ceased to be.
+    Return how many nodes were touched, how many became roots or ceased to be, how many more roots
+    that are not void there are, and the largest error of roots that were divided: those below them
+    have none that is larger, if errors are bounds. `has_changed` is set for patches with changes.
     """
-    n_touched = n_changed = 0
+    n_touched = n_changed = n_more = 0
+    largest = 0.0
     for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
+        n_before = n_changed
         depth = _push_patch(patch, layout, stack)
         while depth > 0:
             depth -= 1
-            height, row, col = stack[depth]
+            height, row, col = stack[depth, 0], stack[depth, 1], stack[depth, 2]
             n_touched += 1
             if height == 0:
                 continue
@@ -448,31 +532,33 @@ def step_top_down(layout, z, bounds, view, planes, tau, stack, marks):
                 continue
             error = screen_error(height, row, col, layout, z, bounds, view, planes)
             if is_root and error > tau:
-                marks[node] = INNER
-                _mark_children(child, down, ROOT, marks)
+                largest = max(largest, error)
+                n_more += _split(node, child, down, z, marks)
                 n_changed += 5
             elif not is_root and error < tau:
-                marks[node] = ROOT
-                _mark_children(child, down, BELOW, marks)
+                n_more += _merge(node, child, down, z, marks)
                 n_changed += 5
             elif not is_root:
                 depth = _push_children(height, row, col, stack, depth)
-    return n_touched, n_changed
+        if n_changed > n_before:
+            has_changed[patch // layout[-1, N_COLS], patch % layout[-1, N_COLS]] = 1
+    return n_touched, n_changed, n_more, largest
 
 
 @kernel
-def settle_top_down(layout, z, bounds, view, planes, tau, stack, marks):
+def settle_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_changed):
     """Change marks until a step would change nothing, in one walk; returns as `step_top_down`.
 
     A node that ceases to be a root is looked at again with its children; one all of whose children
     have become roots is looked at again after them. `~row` on the stack stands for "after".
     """
-    n_touched = n_changed = 0
+    n_touched = n_changed = n_more = 0
     for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
+        n_before = n_changed
         depth = _push_patch(patch, layout, stack)
         while depth > 0:
             depth -= 1
-            height, row, col = stack[depth]
+            height, row, col = stack[depth, 0], stack[depth, 1], stack[depth, 2]
             is_after = row < 0
             if is_after:
                 row = ~row
@@ -482,26 +568,25 @@ def settle_top_down(layout, z, bounds, view, planes, tau, stack, marks):
                 continue
             node = layout[height, FIRST] + row * layout[height, N_COLS] + col
             child, down = _first_child(height, row, col, layout)
-            if is_after:
-                if _are_roots(child, down, marks) and (
-                    screen_error(height, row, col, layout, z, bounds, view, planes) < tau
-                ):
-                    marks[node] = ROOT
-                    _mark_children(child, down, BELOW, marks)
+            if is_after or marks[node] == ROOT:
+                if is_after and not _are_roots(child, down, marks):
+                    continue
+                is_good = screen_error(height, row, col, layout, z, bounds, view, planes) < tau
+                if is_after and is_good:
+                    n_more += _merge(node, child, down, z, marks)
                     n_changed += 5
-                continue
-            if marks[node] == INNER:
+                if is_after or is_good:
+                    continue
+                n_more += _split(node, child, down, z, marks)
+                n_changed += 5
+            else:
                 stack[depth, 0], stack[depth, 1], stack[depth, 2] = height, ~row, col
                 depth += 1
-            elif screen_error(height, row, col, layout, z, bounds, view, planes) < tau:
-                continue
-            else:
-                marks[node] = INNER
-                _mark_children(child, down, ROOT, marks)
-                n_changed += 5
             if height > 1:
                 depth = _push_children(height, row, col, stack, depth)
-    return n_touched, n_changed
+        if n_changed > n_before:
+            has_changed[patch // layout[-1, N_COLS], patch % layout[-1, N_COLS]] = 1
+    return n_touched, n_changed, n_more, 0.0
 
 
 # Vertices
@@ -525,7 +610,7 @@ def place_vertices(
         places[0, 3] = 1.0
         while depth > 0:
             depth -= 1
-            height, row, col = stack[depth]
+            height, row, col = stack[depth, 0], stack[depth, 1], stack[depth, 2]
             node = layout[height, FIRST] + row * layout[height, N_COLS] + col
             if np.isnan(z[node]):  # a root: its error is 0
                 if n_voids < limit:
@@ -559,23 +644,6 @@ def place_vertices(
                 places[depth + k, 2], places[depth + k, 3] = up, share
             depth = _push_children(height, row, col, stack, depth)
     return count, n_voids
-
-
-@kernel
-def fill_root_heights(layout, marks, stack, out):
-    """Fill the height of the root above each sample."""
-    for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
-        depth = _push_patch(patch, layout, stack)
-        while depth > 0:
-            depth -= 1
-            height, row, col = stack[depth]
-            if marks[layout[height, FIRST] + row * layout[height, N_COLS] + col] == INNER:
-                depth = _push_children(height, row, col, stack, depth)
-                continue
-            side = 1 << height
-            for r in range(row * side, (row + 1) * side):
-                for c in range(col * side, (col + 1) * side):
-                    out[r, c] = height
 
 
 # Fans
@@ -625,7 +693,7 @@ def _add_side(
     depth = 1
     while depth > 0:
         depth -= 1
-        height, row, col = stack[depth]
+        height, row, col = stack[depth, 0], stack[depth, 1], stack[depth, 2]
         node = layout[height, FIRST] + row * layout[height, N_COLS] + col
         if marks[node] == INNER:
             # Clockwise around the root: the second on the stack comes first.

@@ -6,13 +6,12 @@ level: where it is selected, so must they be"). A vertex is the middle of the lo
 triangles beside it, which it splits; it depends on the vertices that made them. A selection that is
 closed under this has a conforming triangulation, without cracks.
 
-Two selections:
+Two selections, by
 
-* `by_detail`: δ_v = |h_v - mean of its neighbours| above the tolerance, the neighbours being the
-  four corners of the cell for a centre, the two ends of the edge and the centres beside it for the
-  middle of an edge (Zheng et al.; wavelet coefficients at the same place behave alike). No bound.
-* `by_error`: a vertex is selected where one of the triangles it would split has an error, over all
-  samples it covers, above the tolerance: what is left unsplit holds it, guaranteed.
+* error: a vertex is selected where one of the triangles it would split has an error, over all
+  samples it covers, above the tolerance: what is left unsplit holds it, guaranteed;
+* coefficients of a wavelet, where they are above the tolerance: HL and LH are those of vertices in
+  the middles of edges, HH of those at centres (Zheng et al.). No bound.
 
 Blocks of any size: triangles live on a virtual grid of 2**n + 1, n the least that will do, whose
 rows and columns are laid over the samples' monotonically, some twice. Triangles that become
@@ -21,8 +20,6 @@ block of 2**n + 1 samples is its own virtual grid. Voids as in `labels`. All rul
 "where these vertices are, so is that", and so has keeping more of them (`agreement`): there is a
 least selection that obeys them, whatever the order.
 """
-
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +30,6 @@ from terrainwave.tri.labels import Keep, top_height, void_edges
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.triangle import area_of, check_block, check_tolerance, fits
 
-BY_DETAIL, BY_ERROR = 0, 1
 Selection = NDArray[np.uint8]
 
 
@@ -42,8 +38,8 @@ def select_vertices(
     mask: NDArray[np.bool_],
     tolerance: int,
     *,
-    rule: Literal["by_error", "by_detail"] = "by_error",
     keep: Keep | None = None,
+    coefficients: NDArray[np.int64] | None = None,
 ) -> Selection:
     """Return the closed selection of a block on its virtual grid; `rqt_mesh` makes the mesh.
 
@@ -55,10 +51,10 @@ def select_vertices(
         Which samples are valid.
     tolerance : int
         In 1/16 quanta; >= 0.
-    rule : {"by_error", "by_detail"}
-        See the module's docstring; only the first guarantees the tolerance.
     keep : ndarray of bool, same shape, optional
         Samples that must be vertices besides those at voids.
+    coefficients : ndarray of int64, same shape, optional
+        Magnitudes in quanta: vertices are selected by them, and the tolerance is not guaranteed.
 
     Returns
     -------
@@ -77,9 +73,12 @@ def select_vertices(
         check_block(keep, mask)
         at_rows, at_cols = np.nonzero(keep)
         selection[_coarsest(rows)[at_rows], _coarsest(cols)[at_cols]] = 1
+    if coefficients is not None:
+        is_large = coefficients << FRACTION_BITS > tolerance
+        selection |= is_large[np.ix_(rows, cols)]
     _select(
         np.ascontiguousarray(heights), mask, check_tolerance(tolerance), rows, cols,
-        BY_ERROR if rule == "by_error" else BY_DETAIL, selection,
+        coefficients is None, selection,
     )  # fmt: skip
     stack = _new_stack(len(rows))
     while _split_lines(rows, cols, stack, selection):
@@ -163,7 +162,7 @@ def own_neighbours(row, col):
 
 
 @kernel
-def _select(heights, mask, tolerance, rows, cols, rule, selection):
+def _select(heights, mask, tolerance, rows, cols, is_bound, selection):
     """Select from the finest vertices upwards; what is selected selects what it depends on."""
     n = rows.shape[0] - 1
     s = 1
@@ -178,20 +177,14 @@ def _select(heights, mask, tolerance, rows, cols, rule, selection):
                     second = 0 <= r2 <= n and 0 <= c2 <= n
                     third = 0 <= r3 <= n and 0 <= c3 <= n
                     if not selection[row, col]:
-                        if rule == BY_DETAIL:
-                            wanted = _has_detail(
-                                heights, mask, tolerance, rows, cols, row, col, r0, c0, r1, c1,
-                                r2, c2, second, r3, c3, third,
-                            )  # fmt: skip
-                        else:
-                            wanted = second and _exceeds(
-                                heights, mask, tolerance, rows[r0], cols[c0], rows[r1], cols[c1],
-                                rows[r2], cols[c2],
-                            )  # fmt: skip
-                            wanted = wanted or (third and _exceeds(
-                                heights, mask, tolerance, rows[r0], cols[c0], rows[r1], cols[c1],
-                                rows[r3], cols[c3],
-                            ))  # fmt: skip
+                        wanted = is_bound and second and _exceeds(
+                            heights, mask, tolerance, rows[r0], cols[c0], rows[r1], cols[c1],
+                            rows[r2], cols[c2],
+                        )  # fmt: skip
+                        wanted = wanted or (is_bound and third and _exceeds(
+                            heights, mask, tolerance, rows[r0], cols[c0], rows[r1], cols[c1],
+                            rows[r3], cols[c3],
+                        ))  # fmt: skip
                         if not wanted:
                             continue
                         selection[row, col] = 1
@@ -215,33 +208,6 @@ def _exceeds(heights, mask, tolerance, r0, c0, r1, c1, r2, c2):
     if area < 0:
         return not fits(heights, r0, c0, r2, c2, r1, c1, tolerance)
     return not fits(heights, r0, c0, r1, c1, r2, c2, tolerance)
-
-
-@kernel
-def _has_detail(
-    heights, mask, tolerance, rows, cols, row, col, r0, c0, r1, c1, r2, c2, second, r3, c3, third
-):
-    """Say whether a vertex differs by more than the tolerance from the mean of its neighbours.
-
-    Neighbours outside the block or void don't count.
-    """
-    if not mask[rows[row], cols[col]]:
-        return False
-    count = total = np.int64(0)
-    if mask[rows[r0], cols[c0]]:
-        count += 1
-        total += np.int64(heights[rows[r0], cols[c0]])
-    if mask[rows[r1], cols[c1]]:
-        count += 1
-        total += np.int64(heights[rows[r1], cols[c1]])
-    if second and mask[rows[r2], cols[c2]]:
-        count += 1
-        total += np.int64(heights[rows[r2], cols[c2]])
-    if third and mask[rows[r3], cols[c3]]:
-        count += 1
-        total += np.int64(heights[rows[r3], cols[c3]])
-    detail = abs(count * np.int64(heights[rows[row], cols[col]]) - total)
-    return (detail << FRACTION_BITS) > count * tolerance
 
 
 @kernel

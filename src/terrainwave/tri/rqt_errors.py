@@ -46,12 +46,13 @@ def needs_of(row, col, tile):
 
 
 @kernel
-def measure_tile(first_row, first_col, base, is_bound, z, errors):
+def measure_tile(first_row, first_col, base, is_bound, z, coefficients, errors):
     """Widen the errors of a tile's vertices, finest first, by what is in the tile.
 
     `z` and `errors` are those of the tile, whose first sample is at `first_row` and `first_col`:
-    these matter for which way its cells are cut. A coefficient on the tile's border takes the mean
-    of the neighbours inside.
+    these matter for which way its cells are cut. `coefficients` are magnitudes by vertex, or none
+    at all: then it is the distance from the mean of the neighbours, on the tile's border of those
+    inside.
     """
     side = z.shape[0] - 1
     stride = 1
@@ -63,19 +64,26 @@ def measure_tile(first_row, first_col, base, is_bound, z, errors):
                     continue
                 for col in range(stride if is_centre or not is_odd else 0, side + 1, 2 * stride):
                     _measure_vertex(
-                        row, col, stride, first_row, first_col, base, is_bound, z, errors
-                    )
+                        row, col, stride, first_row, first_col, base, is_bound, z, coefficients,
+                        errors,
+                    )  # fmt: skip
         stride *= 2
 
 
 @kernel
-def _measure_vertex(row, col, stride, first_row, first_col, base, is_bound, z, errors):
+def _measure_vertex(
+    row, col, stride, first_row, first_col, base, is_bound, z, coefficients, errors
+):
     """Widen the error of one vertex by its triangles in a tile, and those it depends on by that."""
     r0, c0, r1, c1, r2, c2, r3, c3 = neighbours(row + first_row, col + first_col, stride)
     r0, r1, r2, r3 = r0 - first_row, r1 - first_row, r2 - first_row, r3 - first_row
     c0, c1, c2, c3 = c0 - first_col, c1 - first_col, c2 - first_col, c3 - first_col
     if not is_bound:
-        widen(errors, row, col, _coefficient(row, col, r0, c0, r1, c1, r2, c2, r3, c3, z))
+        detail = _detail(row, col, r0, c0, r1, c1, r2, c2, r3, c3, z)
+        if coefficients.shape[0] > 0 and not np.isnan(z[row, col]):
+            own = np.float64(coefficients[row, col])
+            detail = own if detail >= 0 else -own - _TINY
+        widen(errors, row, col, detail)
     for r, c in ((r2, c2), (r3, c3)):
         if is_bound and _is_inside(r, c, z.shape):
             error = _distance(r0, c0, r1, c1, r, c, z)
@@ -120,7 +128,7 @@ def widen(errors, row, col, error):
 
 
 @kernel
-def _coefficient(row, col, r0, c0, r1, c1, r2, c2, r3, c3, z):
+def _detail(row, col, r0, c0, r1, c1, r2, c2, r3, c3, z):
     """Return |h - mean of its neighbours|; a negative number beside a void."""
     total, count = 0.0, 0
     for r, c in ((r0, c0), (r1, c1), (r2, c2), (r3, c3)):

@@ -48,6 +48,14 @@ def tile_bytes(tile: int) -> int:
     return 2 * 4 * (tile + 1) ** 2
 
 
+def _padded(
+    values: NDArray[np.floating], shape: tuple[int, int], beyond: float
+) -> NDArray[np.float32]:
+    padded = np.full(shape, beyond, dtype=np.float32)
+    padded[: values.shape[0], : values.shape[1]] = values
+    return padded
+
+
 class Tiles:
     """The samples and errors that a mesh knows.
 
@@ -64,7 +72,9 @@ class Tiles:
     heights : tuple of float
         Bounds of all heights.
     is_bound : bool
-        Whether errors are measured; else coefficients.
+        Whether errors are measured; else details or coefficients.
+    coefficients : ndarray, optional
+        Of the overview's samples, and then of all tiles: magnitudes.
     base_error : float
         Largest distance of the overview's bilinear surface from what errors count from.
 
@@ -84,13 +94,16 @@ class Tiles:
         heights: tuple[float, float],
         is_bound: bool,
         base_error: float,
+        coefficients: NDArray[np.floating] | None = None,
     ) -> None:
         self.tile, self.stride, self._is_bound = tile, stride, is_bound
         self._rounding = rounding_of(heights)
         side = tile // stride
         shape = n_tiles[0] * side + 1, n_tiles[1] * side + 1
-        self._coarse_heights = np.full(shape, np.nan, dtype=np.float32)
-        self._coarse_heights[: overview.shape[0], : overview.shape[1]] = overview
+        self._coarse_heights = _padded(overview, shape, np.nan)
+        self._coarse_coefficients = np.zeros((0, 0), dtype=np.float32)
+        if coefficients is not None:
+            self._coarse_coefficients = _padded(coefficients, shape, 0.0)
         self._coarse_errors = np.zeros(shape, dtype=np.float32)
         self._fine_errors = np.zeros(shape, dtype=np.float32)
         self._slot_of = np.full(n_tiles, -1, dtype=np.int32)
@@ -118,7 +131,8 @@ class Tiles:
         self.overview_errors[row, col] = base
         measure_tile(
             first_row, first_col, base if self._is_bound else 0.0, self._is_bound,
-            self._coarse_heights[rows, cols], self._coarse_errors[rows, cols],
+            self._coarse_heights[rows, cols], self._coarse_coefficients[rows, cols],
+            self._coarse_errors[rows, cols],
         )  # fmt: skip
 
     # Tiles
@@ -149,13 +163,22 @@ class Tiles:
         """Say whether all samples of a tile are known."""
         return self.stride == 1 or bool(self._slot_of[row, col] >= 0)
 
-    def measure(self, row: int, col: int, heights: NDArray[np.floating], base_error: float) -> Tile:
+    def measure(
+        self,
+        row: int,
+        col: int,
+        heights: NDArray[np.floating],
+        base_error: float,
+        coefficients: NDArray[np.floating] | None = None,
+    ) -> Tile:
         """Return a tile of all its samples inside the raster; thread-safe."""
-        padded = np.full((self.tile + 1, self.tile + 1), np.nan, dtype=np.float32)
-        padded[: heights.shape[0], : heights.shape[1]] = heights
+        shape = self.tile + 1, self.tile + 1
+        padded, own = _padded(heights, shape, np.nan), np.zeros((0, 0), dtype=np.float32)
+        if coefficients is not None:
+            own = _padded(coefficients, shape, 0.0)
         errors = np.zeros_like(padded)
         base = base_error + self._rounding if self._is_bound else 0.0
-        measure_tile(row * self.tile, col * self.tile, base, self._is_bound, padded, errors)
+        measure_tile(row * self.tile, col * self.tile, base, self._is_bound, padded, own, errors)
         return Tile(padded, errors)
 
     def load(self, row: int, col: int, tile: Tile) -> None:

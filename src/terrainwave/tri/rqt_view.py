@@ -9,11 +9,12 @@ always are vertices.
 A tile is known by every `stride`-th sample, the overview, until it is loaded. Vertices that would
 need more in one of the tiles they touch are not split.
 
-Two errors of a vertex, both made no smaller than those of the vertices that depend on it, so that a
-front from coarse to fine finds all:
+Three errors of a vertex, all made no smaller than those of the vertices that depend on it, so that
+a front from coarse to fine finds all:
 
-* `"paper"`: the coefficient at its place, |h - mean of its four neighbours| (that of the 5/3
-  wavelet's high pass behaves alike). No bound.
+* `"coefficient"`: the magnitude of the wavelet coefficient at its place. No bound.
+* `"paper"`: the paper's δ, |h - mean of its four neighbours|, which it finds much like the
+  coefficient. No bound.
 * `"measured"`: the largest vertical distance of the samples of the two triangles that it splits. No
   sample of a loaded tile is further than τ on screen.
 
@@ -104,8 +105,12 @@ class RestrictedMesh:
         A power of two, at most `tile`; 1 has all samples.
     tile : int
         Cells per side of a tile: a power of two.
-    sample_matrix, error
+    sample_matrix
         As for `DynamicMesh`.
+    error : {"measured", "paper", "coefficient"}
+        See the module's docstring.
+    coefficients : ndarray, shape of `overview`, optional
+        Magnitudes of the overview's coefficients, in the unit of heights, for those alone.
     base_error : float
         Largest distance of the overview's bilinear surface from what errors count from.
 
@@ -126,6 +131,7 @@ class RestrictedMesh:
         sample_matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
         error: str = "measured",
         base_error: float = 0.0,
+        coefficients: NDArray[np.floating] | None = None,
     ) -> None:
         for name, value in (("tile", tile), ("stride", stride)):
             if value < 1 or value & (value - 1):
@@ -139,15 +145,20 @@ class RestrictedMesh:
             raise InvalidHeightsError(
                 f"found an overview of shape {np.shape(overview)}, expected {expected}"
             )
-        if error not in ("measured", "paper"):
-            raise InvalidHeightsError(f"found error {error!r}, expected measured or paper")
+        if error not in ("measured", "paper", "coefficient"):
+            raise InvalidHeightsError(
+                f"found error {error!r}, expected measured, paper or coefficient"
+            )
+        self._needs_coefficients = error == "coefficient"
+        self._check_coefficients(coefficients, expected)
         self.shape, self.tile, self.stride = shape, tile, stride
         n_rows, n_cols = (max(-(-(n - 1) // tile), 1) for n in shape)
         self.n_tiles = n_rows, n_cols
         self._is_bound = error == "measured"
         self._tiles = Tiles(
-            self.n_tiles, tile, stride, overview, heights, self._is_bound, base_error
-        )
+            self.n_tiles, tile, stride, overview, heights, self._is_bound, base_error,
+            coefficients,
+        )  # fmt: skip
         self._heights = heights
         self._matrix = tuple(float(value) for value in sample_matrix)
         padded = n_rows * tile + 1, n_cols * tile + 1
@@ -159,6 +170,16 @@ class RestrictedMesh:
         self._reset()
         self._stack = np.empty((_MOST_DEPENDENCIES, 6), dtype=np.int64)
         self._pressure = Pressure()
+
+    def _check_coefficients(
+        self, coefficients: NDArray[np.floating] | None, expected: tuple[int, ...]
+    ) -> None:
+        if (coefficients is not None) != self._needs_coefficients or (
+            coefficients is not None and np.shape(coefficients) != expected
+        ):
+            raise InvalidHeightsError(
+                "expected coefficients, one for each height, with error 'coefficient' alone"
+            )
 
     def _reset(self) -> None:
         """Merge all vertices but the corners of tiles."""
@@ -205,7 +226,12 @@ class RestrictedMesh:
         return self._tiles.n_loaded
 
     def measure(
-        self, row: int, col: int, heights: NDArray[np.floating], base_error: float = 0.0
+        self,
+        row: int,
+        col: int,
+        heights: NDArray[np.floating],
+        base_error: float = 0.0,
+        coefficients: NDArray[np.floating] | None = None,
     ) -> Tile:
         """Build the argument of `load`. Thread-safe.
 
@@ -215,12 +241,15 @@ class RestrictedMesh:
             All samples of a tile, those it shares with others too; NaN is void.
         base_error : float
             Largest distance of these samples from what errors count from.
+        coefficients : ndarray, shape of `heights`, optional
+            As for the overview.
         """
+        self._check_coefficients(coefficients, np.shape(heights))
         if np.shape(heights) != self.tile_shape(row, col):
             raise InvalidHeightsError(
                 f"found a tile of shape {np.shape(heights)}, expected {self.tile_shape(row, col)}"
             )
-        return self._tiles.measure(row, col, heights, base_error)
+        return self._tiles.measure(row, col, heights, base_error, coefficients)
 
     def load(self, row: int, col: int, tile: Tile) -> None:
         """Take all samples of a tile."""

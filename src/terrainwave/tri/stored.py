@@ -25,9 +25,10 @@ from terrainwave.errors import CorruptStreamError
 from terrainwave.tri.agreement import BorderVertices, border_of, border_of_cut
 from terrainwave.tri.connect import mesh_of_cut
 from terrainwave.tri.guarantee import guaranteed_cut
+from terrainwave.tri.labels import Trees
 from terrainwave.tri.mesh import BlockMesh
 from terrainwave.tri.refinement import decode_refinement, encode_refinement
-from terrainwave.tri.rqt import rqt_mesh, select_vertices, vertices_of
+from terrainwave.tri.rqt import Selection, rqt_mesh, select_vertices, vertices_of
 
 # A border line has at most 4097 samples; contexts: spacing, and how many ends are vertices.
 _N_SPACINGS = 13
@@ -35,7 +36,7 @@ _N_MODELS = 3 * _N_SPACINGS
 
 
 class Samples(Protocol):
-    """A block's samples; see `mesh.blocks.BlockSamples`."""
+    """A block's samples; see `mesh.blocks.StoredSamples`."""
 
     @property
     def heights(self) -> NDArray[np.int32]:
@@ -48,6 +49,14 @@ class Samples(Protocol):
     @property
     def locked(self) -> NDArray[np.bool_]:
         """Which samples are void or beside a void, in the block or beyond its border."""
+
+    @property
+    def coefficients(self) -> NDArray[np.int64] | None:
+        """Magnitudes of wavelet coefficients, in quanta, for kinds that follow them."""
+
+    @property
+    def trees(self) -> Trees | None:
+        """Zero trees of the group that refines the block, for kinds that have them."""
 
 
 class Draft(NamedTuple):
@@ -65,6 +74,9 @@ class StoredKind(Protocol):
 
     def encode(self, samples: Samples, tolerance: int, draft: Draft) -> bytes:
         """Return the bytes of a draft that the level has agreed on."""
+
+    def alone(self, samples: Samples, tolerance: int) -> BlockMesh:
+        """Return the mesh of a block that no neighbour demands anything of."""
 
     def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
         """Return the mesh that `encode` has written.
@@ -90,33 +102,51 @@ def _kept(samples: Samples, demanded: BorderVertices | None) -> NDArray[np.bool_
 
 
 class Zerotree:
-    """Algorithm I; the bytes are its refinement labels (`refinement`), without zero trees."""
+    """Algorithm I; the bytes are its refinement labels (`refinement`).
+
+    With zero trees the mesh is nowhere coarser than they are, and labels tell the difference.
+    """
 
     def draft(self, samples: Samples, tolerance: int, demanded: BorderVertices | None) -> Draft:
         """Return the cut, packed to wait."""
         keep = _kept(samples, demanded)
-        cut = guaranteed_cut(samples.heights, samples.mask, tolerance, keep=keep)
+        cut = guaranteed_cut(samples.heights, samples.mask, tolerance, samples.trees, keep)
         return Draft(border_of_cut(cut), zlib.compress(cut.tobytes(), 1))
 
     def encode(self, samples: Samples, tolerance: int, draft: Draft) -> bytes:
         """Return the refinement labels."""
         cut = np.frombuffer(zlib.decompress(draft.packed), dtype=np.uint8)
         cut = cut.reshape(samples.mask.shape)
-        return encode_refinement(cut, samples.heights, samples.mask, tolerance)
+        return encode_refinement(cut, samples.heights, samples.mask, tolerance, samples.trees)
+
+    def alone(self, samples: Samples, tolerance: int) -> BlockMesh:
+        """Return the mesh of Algorithm I."""
+        heights, mask, keep = samples.heights, samples.mask, samples.locked
+        cut = guaranteed_cut(heights, mask, tolerance, samples.trees, keep)
+        return mesh_of_cut(heights, mask, cut)
 
     def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
         """Return the mesh of refinement labels."""
-        cut = decode_refinement(data, samples.heights, samples.mask, tolerance)
+        cut = decode_refinement(data, samples.heights, samples.mask, tolerance, samples.trees)
         return mesh_of_cut(samples.heights, samples.mask, cut)
 
 
+def _select(samples: Samples, tolerance: int, keep: NDArray[np.bool_]) -> Selection:
+    """Return a block's restricted quadtree, by coefficients where there are some."""
+    return select_vertices(
+        samples.heights, samples.mask, tolerance, keep=keep, coefficients=samples.coefficients
+    )
+
+
 class Rqt:
-    """The restricted quadtree; the bytes are the border vertices that only neighbours need."""
+    """The restricted quadtree; the bytes are the border vertices that only neighbours need.
+
+    With coefficients these select vertices, and the tolerance is no bound.
+    """
 
     def draft(self, samples: Samples, tolerance: int, demanded: BorderVertices | None) -> Draft:
         """Return the border vertices; the rest follows from them."""
-        keep = _kept(samples, demanded)
-        selection = select_vertices(samples.heights, samples.mask, tolerance, keep=keep)
+        selection = _select(samples, tolerance, _kept(samples, demanded))
         return Draft(border_of(vertices_of(selection, samples.mask.shape)), b"")
 
     def encode(self, samples: Samples, tolerance: int, draft: Draft) -> bytes:
@@ -131,10 +161,14 @@ class Rqt:
         _code_border(known, wanted, coder)
         return out[: finish_encoder(coder.state, out)].tobytes()
 
+    def alone(self, samples: Samples, tolerance: int) -> BlockMesh:
+        """Return the mesh with the border vertices of the block itself."""
+        return self.mesh(samples, tolerance, b"")
+
     def mesh(self, samples: Samples, tolerance: int, data: bytes) -> BlockMesh:
         """Return the mesh with the border vertices of the block itself and of `data`."""
         heights, mask = samples.heights, samples.mask
-        selection = select_vertices(heights, mask, tolerance, keep=samples.locked)
+        selection = _select(samples, tolerance, samples.locked)
         if data:
             on_border = border_of(vertices_of(selection, mask.shape)).keep(mask.shape)
             n_own = np.count_nonzero(on_border)
@@ -143,12 +177,17 @@ class Rqt:
             raise_for_status(*finish_decoder(coder.state, coder.stream))
             if np.count_nonzero(on_border) == n_own:
                 raise CorruptStreamError("border vertices take bytes, but there are none")
-            keep = samples.locked | on_border
-            selection = select_vertices(heights, mask, tolerance, keep=keep)
+            selection = _select(samples, tolerance, samples.locked | on_border)
         return rqt_mesh(heights, mask, selection)
 
 
-STORED_KINDS: dict[str, StoredKind] = {"zerotree": Zerotree(), "rqt": Rqt()}
+STORED_KINDS: dict[str, StoredKind] = {
+    "zerotree-plain": Zerotree(),
+    "zerotree-layer": Zerotree(),
+    "zerotree-coded": Zerotree(),
+    "rqt": Rqt(),
+    "rqt-coefficient": Rqt(),
+}
 
 
 @kernel

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from terrainwave.errors import CorruptStreamError, TerrainwaveError
 from terrainwave.grid.affine import determinant, places_to_pixels, places_to_samples, without_shift
 from terrainwave.grid.quadtree import Block, Region
+from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.progress import Progress, ProgressCallback
 from terrainwave.verification.checks import (
     NOTHING,
@@ -345,6 +346,8 @@ class MeshVerification:
         self._read = read or self._decoded
         self._progress = progress
         self._ruler = Ruler(terrain)
+        # Of kinds that state what was measured and promise nothing more.
+        self._is_unbounded = terrain.mesh_kind in UNBOUNDED_MESHES
         self._allowed = self._ruler.slack + (0 if read else self._ruler.coded)
         self._checks = Checks()
         self._lines: dict[tuple[Block, int], Line] = {}
@@ -437,7 +440,7 @@ class MeshVerification:
             wanted = must_be_covered(valid) if block.level == self._grid.k_max else valid
             if min(valid.shape) > 1:
                 self._checks.add(where, _missing(errors, wanted, region))
-            if block.level == self._grid.k_max:
+            if block.level == self._grid.k_max and not self._is_unbounded:
                 self._checks.add(where, self._tolerance_problems(surface, region))
 
     def _tolerance_problems(self, surface: Surface, region: Region) -> Iterator[str]:

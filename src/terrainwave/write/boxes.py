@@ -1,7 +1,7 @@
 """The codes of blocks in the index: boxes and errors, rounded outward (FORMAT.md §4.4)."""
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.spool import SegmentSpool
@@ -10,10 +10,73 @@ from terrainwave.write.encoder import Stats
 
 Box = tuple[int, int]
 
+_NONE: Mapping[Block, int] = {}
 
-def error_codes(stats: Stats, lost: int) -> dict[Block, int]:
-    """Return the codes of measured errors; `lost` quanta are added to each."""
-    return {block: encode_error(own.error + lost) for block, own in stats.items()}
+
+def error_codes(
+    stats: Stats, lost: int, bound: int | None = None, below: Mapping[Block, int] = _NONE
+) -> dict[Block, int]:
+    """Return the codes of measured errors; `lost` quanta are added to each.
+
+    With a bound, those of `recursive_errors`.
+    """
+    if bound is None:
+        return {block: encode_error(own.error + lost) for block, own in stats.items()}
+    errors = recursive_errors(stats, lost, bound, below)
+    return {block: encode_error(-(-error // 4)) for block, error in errors.items()}
+
+
+def recursive_errors(
+    stats: Stats, lost: int, bound: int, below: Mapping[Block, int] = _NONE
+) -> dict[Block, int]:
+    """Return Err_Appr of every block, by equation (2) of Yusov & Turlapov 2010, in 1/4 quanta.
+
+    The bound on the finest level; above it the largest of a block's children, and its children's
+    distance from it, and the bound. Where the measured error is larger, that: where originals lie
+    past the last samples of a coarse level, the equation does not see them.
+
+    Parameters
+    ----------
+    lost, bound : int
+        What is added to measured errors, and the bound, both in quanta.
+    below : mapping
+        Errors of blocks that are known, of whose children nothing is.
+    """
+    errors = dict(below)
+    children: dict[Block, int] = {}
+    for block in sorted(stats, reverse=True):  # the finest level first
+        own = stats[block]
+        if own.is_empty:
+            continue
+        if block not in below:
+            error = children.get(block, 0) + own.apart + 4 * bound
+            errors[block] = max(error, 4 * (own.error + lost))
+        if block.level > 0:
+            children[block.parent] = max(children.get(block.parent, 0), errors[block])
+    return errors
+
+
+def with_tolerances(
+    mesh_errors: Mapping[Block, int],
+    error_code: Callable[[Block], int],
+    tolerance: Callable[[Block], int],
+) -> dict[Block, int]:
+    """Return codes of errors of meshes that are not below Err_Appr + Err_Tri.
+
+    Equation (3) of Yusov & Turlapov 2010. Measured errors can be larger: the equation takes a
+    surface of triangles for the bilinear one.
+
+    Parameters
+    ----------
+    mesh_errors : mapping
+        Codes of measured errors.
+    error_code, tolerance : callable
+        Return the code of a block's Err_Appr, and its Err_Tri in 1/16 quanta.
+    """
+    return {
+        block: max(code, encode_error(decode_error(error_code(block)) - (-tolerance(block) // 16)))
+        for block, code in mesh_errors.items()
+    }
 
 
 def set_codes(

@@ -33,7 +33,7 @@ from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.tri.stored import STORED_KINDS
-from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, set_codes
+from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, set_codes, with_tolerances
 from terrainwave.write.choice import prepared
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
@@ -42,6 +42,7 @@ from terrainwave.write.proof import measured_error
 from terrainwave.write.pyramid import Base, Part, Pyramid
 from terrainwave.write.subtrees import (
     ABOVE,
+    CODED,
     TOP,
     EncodedSubtree,
     RasterPlace,
@@ -187,10 +188,10 @@ class DistributedPasses:
             encoder = TreeEncoder(
                 job.grid, refiner, job.parameters, top, sink, lambda n_samples: None, self.level
             )
-            encoder.run(self.executor)
+            stats = encoder.run(self.executor)
         finally:
             top.close()
-        below = self._encode_below(site, sink)
+        below = self._encode_below(site, sink, stats)
         codes = _TopCodes(site, sink, below)
         codes.set({})
         segments = below.segments
@@ -305,12 +306,12 @@ class DistributedPasses:
 
     # Payloads
 
-    def _encode_below(self, site: Site, sink: SpoolSink) -> "_Below":
-        """Have the groups below the tasks' blocks coded."""
+    def _encode_below(self, site: Site, sink: SpoolSink, stats: Stats) -> "_Below":
+        """Have the groups below the tasks' blocks coded; `stats` are of the blocks above."""
         _set_no_codes(site.grid, sink)
         self._store_top(site, ABOVE, sink)
         count = self._counter("encoding")
-        below = _Below()
+        below = _Below(stats=stats)
         for head, encoded in run_tasks(self.cluster, encode_subtree, self._each(site)):
             below.take(site, encoded)
             count(_n_samples(site, head))
@@ -326,11 +327,13 @@ class DistributedPasses:
     ) -> dict[Block | None, StoredSegment]:
         """Have meshes made and measured; return where the finished segments lie."""
         job, grid, sink = site.job, site.grid, codes.sink
-        decoder = TreeDecoder(grid, refiner, job.parameters, sink.payloads, _CACHE_BYTES)
-        mesher = mesher_of(site, decoder, lambda block: codes.errors.get(block, 0))
-        sections = make_sections(
-            grid, mesher, self.executor, lambda n_samples: None, range(site.level + 1)
-        )
+        # Meshes of the tasks' own blocks may follow the groups that tasks have coded.
+        with site.segments(CODED, ABOVE) as stored:
+            decoder = TreeDecoder(grid, refiner, job.parameters, stored.payloads, _CACHE_BYTES)
+            mesher = mesher_of(site, decoder, lambda block: codes.errors.get(block, 0))
+            sections = make_sections(
+                grid, mesher, self.executor, lambda n_samples: None, range(site.level + 1)
+            )
         sink.set_meshes(sections)
         self._store_top(site, TOP, sink)
         rounds = self._agree(site) if job.options.mesh in STORED_KINDS else {}
@@ -343,7 +346,10 @@ class DistributedPasses:
             for block, error in finished.ancestors.items():
                 errors[block] = max(errors.get(block, 0), error)
             count(_n_samples(site, head))
-        codes.set(mesh_codes(errors, Fraction(job.lost)))
+        own = mesh_codes(errors, Fraction(job.lost))
+        if job.options.faithful:
+            own = with_tolerances(own, lambda block: codes.errors.get(block, 0), mesher.tolerance)
+        codes.set(own)
         return segments
 
     def _agree(self, site: Site) -> dict[Block, int]:
@@ -386,6 +392,7 @@ class _Below:
     segments: dict[Block | None, StoredSegment] = field(default_factory=dict)
     stats: Stats = field(default_factory=dict)
     boxes: dict[Block, Box] = field(default_factory=dict)
+    errors: dict[Block, int] = field(default_factory=dict)
     n_bytes: int = 0
 
     def take(self, site: Site, encoded: EncodedSubtree) -> None:
@@ -395,6 +402,7 @@ class _Below:
             self.stats.setdefault(block, BlockStats()).merge(stats)
         if encoded.box is not None:
             self.boxes[encoded.head] = encoded.box
+            self.errors[encoded.head] = encoded.error
         self.n_bytes += encoded.n_bytes
 
 
@@ -404,7 +412,8 @@ class _TopCodes:
     def __init__(self, site: Site, sink: SpoolSink, below: _Below) -> None:
         quantizer = site.job.quantizer
         self.sink = sink
-        self.errors = error_codes(below.stats, site.job.lost)
+        job = site.job
+        self.errors = error_codes(below.stats, job.lost, job.recursion_bound, below.errors)
         self._grid = site.grid
         self._whole = quantizer.z_min, quantizer.z_max
         self._boxes = enclosing_boxes(below.stats, self.errors, self._whole, below.boxes)

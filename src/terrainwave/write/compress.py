@@ -74,6 +74,7 @@ def compress(
     border_rings: int = 1,
     mesh: str = "auto",
     mesh_error: float | None = None,
+    faithful: bool = False,
     temp_dir: str | os.PathLike[str] | None = None,
     verify: bool = True,
     threads: int | None = None,
@@ -120,13 +121,19 @@ def compress(
     mesh : str
         Triangulation of every block: ``"halves"`` or ``"auto"`` (halves), which is made again when
         it is read and stores only its measured error; ``"zerotree"``, the guaranteed triangulation
-        of Yusov & Turlapov 2010, stored as labels; ``"rqt"``, a restricted quadtree, which stores
-        some vertices of borders; or ``"none"``. To make the second and third takes memory that
-        grows with the raster (`mesh.sections.make_sections`).
+        of Yusov & Turlapov 2010, stored as labels, with method cdf97 driven by zero trees
+        (``"zerotree-layer"``, ``"zerotree-plain"`` are with and without for any method);
+        ``"rqt"``, a restricted quadtree, which stores some vertices of borders; or ``"none"``. To
+        make the second and third takes memory that grows with the raster
+        (`mesh.sections.make_sections`).
     mesh_error : float, optional
         Largest vertical distance of the finest meshes from the decoded heights, in physical units;
         by default what `max_error` guarantees, or the vertical quantum if that is more (0.01 for
         exact heights on no grid).
+    faithful : bool
+        With method cdf97, follow Yusov & Turlapov 2010 to the letter: coefficients of one wavelet
+        step on all levels, the coarse levels' quantiser and the errors of blocks as printed. Files
+        become larger; their zero trees say where the terrain is rough.
     temp_dir : path, optional
         Where large temporary data go; by default beside `dst`. With `client` a path or a URL that
         fsspec can write to, seen by all workers.
@@ -169,6 +176,7 @@ def compress(
         border_rings=border_rings,
         mesh=mesh,
         mesh_error=mesh_error,
+        faithful=faithful,
         verify=verify,
         threads=threads,
     )
@@ -284,7 +292,8 @@ def _write(
             marks = note_on_marks(source, scan.minimum, scan.maximum)
             job, notes = settled(options, scan, source.info)
             coded = passes.encode(job)
-            is_large = coded.n_bytes > source.info.n_bytes and not options.is_embedded
+            is_large = coded.n_bytes > source.info.n_bytes
+            is_large = is_large and not (options.is_embedded or options.faithful)
             if is_large and options.coding != PLAIN_METHOD:
                 coded = smaller(coded, passes.encode(job.with_method(PLAIN_METHOD)))
                 if coded.job.options.coding == PLAIN_METHOD:

@@ -14,7 +14,12 @@ from typing import NamedTuple, Protocol
 from terrainwave.codec.group import encode_unit
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
 from terrainwave.codec.units import block_of_unit, unit_spec
-from terrainwave.grid.measure import BlockStats, measure_block, measure_samples
+from terrainwave.grid.measure import (
+    BlockStats,
+    distance_of_children,
+    measure_block,
+    measure_samples,
+)
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.write.pyramid import Pyramid
@@ -76,7 +81,7 @@ class TreeEncoder:
     def run(self, executor: Executor) -> Stats:
         """Encode all down to the last level; return range and measured error of every block.
 
-        Without the finest level nothing is measured.
+        Without the finest level nothing of the originals is measured.
         """
         starts: list[tuple[Block, Decoded | None, list[_Ancestor]]]
         starts = [(key, None, []) for key in self._grid.root_keys()]
@@ -122,6 +127,8 @@ class TreeEncoder:
         self._sink(key, payload)
         blocks = grid.key_blocks(key)
         parts = [block_of_unit(grid, spec, decoded, block) for block in blocks]
+        if self._parameters.is_faithful and not key.is_root_key:
+            self._measure_children(spec, chain[-1], decoded)
         if spec.level == grid.k_max:
             core = spec.core.slices_in(spec.region)
             is_measured = self.measured(spec.core, mask[core])
@@ -152,6 +159,13 @@ class TreeEncoder:
         region = self._grid.block_region(block)
         framed = self._grid.block_region(block, 1 if self._parameters.rings == 3 else 0)
         return _Ancestor(block, region, decoded.heights[region.slices_in(framed)])
+
+    def _measure_children(self, spec: GroupSpec, above: _Ancestor, decoded: Decoded) -> None:
+        """Update the statistics of the block that a group refines."""
+        core = spec.core.slices_in(spec.region)
+        apart = distance_of_children(above.heights, decoded.heights[core], decoded.mask[core])
+        with self._lock:
+            self._stats.setdefault(above.block, BlockStats()).merge(BlockStats(apart=apart))
 
     def _measure(
         self,

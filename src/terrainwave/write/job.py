@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from terrainwave._version import __version__
-from terrainwave.container.header import HAS_REMAINDERS, Header
+from terrainwave.container.header import HAS_REMAINDERS, IS_FAITHFUL, Header
 from terrainwave.errors import (
     InvalidHeightsError,
 )
@@ -17,7 +17,7 @@ from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, HeightScan, Quantizer, as_fraction
 from terrainwave.mesh.blocks import default_mesh_error, mesh_tolerance
-from terrainwave.names import Method
+from terrainwave.names import Method, mesh_without_coefficients
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.write.options import Options
 
@@ -61,8 +61,12 @@ class Job:
         return replace(self, measured=measured, bound=as_fraction(measured) * scale_of(self.info))
 
     def with_method(self, method: Method) -> "Job":
-        """Return the job with another method; all that is settled stays."""
-        return replace(self, options=replace(self.options, method=method.name))
+        """Return the job with another method; all that is settled stays.
+
+        But for meshes that follow coefficients, where the method has none: these are measured.
+        """
+        mesh = mesh_without_coefficients(self.options.mesh, method)
+        return replace(self, options=replace(self.options, method=method.name, mesh=mesh))
 
     @property
     def has_voids(self) -> bool:
@@ -78,6 +82,11 @@ class Job:
     def lost(self) -> int:
         """Return the largest loss by rounding to quanta, in quanta, rounded up."""
         return self.quantizer.lost
+
+    @property
+    def recursion_bound(self) -> int | None:
+        """Return delta, in quanta, if errors of blocks are those of Y10's recursion, else None."""
+        return (self.quantizer.step >> 1) + self.lost if self.options.faithful else None
 
     @property
     def mesh_tolerance(self) -> int:
@@ -96,7 +105,11 @@ class Job:
         """Return the parameters that all units share."""
         options = self.options
         return CodecParameters.of(
-            self.quantizer, self.info.nodata, options.border_rings, options.effort_number
+            self.quantizer,
+            self.info.nodata,
+            options.border_rings,
+            options.effort_number,
+            is_faithful=options.faithful,
         )
 
     def header(self, parameters: bytes) -> Header:
@@ -122,7 +135,8 @@ class Job:
             max_error=self.raw_bound,
             effective_bound=min(self.effective_error, self.raw_bound),
             rho=quantizer.rho,
-            features=HAS_REMAINDERS if quantizer.remainder_bytes else 0,
+            features=(HAS_REMAINDERS if quantizer.remainder_bytes else 0)
+            | (IS_FAITHFUL if options.faithful else 0),
             mesh=options.mesh,
             mesh_tolerance=self.mesh_tolerance,
             metadata={**metadata, "software": f"terrainwave {__version__}"},

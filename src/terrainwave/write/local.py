@@ -27,14 +27,14 @@ from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.tiles import make_decoder
-from terrainwave.write.boxes import enclosing_boxes, error_codes, set_codes
+from terrainwave.write.boxes import enclosing_boxes, error_codes, set_codes, with_tolerances
 from terrainwave.write.choice import prepared
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
 from terrainwave.write.proof import allowed_error, compare_window, measured_error, proof_windows
 from terrainwave.write.pyramid import Pyramid, SourceWindows
 
-_MESH_CACHE_BYTES = 128 << 20
+_MESH_CACHE_BYTES = _PROOF_CACHE_BYTES = 64 << 20
 
 
 @dataclass
@@ -230,7 +230,7 @@ def encode(
             job, section, stats = _encode_units(job, pyramid, sink, on_samples, executor)
         if job.options.is_embedded:
             job = job.with_measured(_finest_error(job, stats))
-        errors = error_codes(stats, job.lost)
+        errors = error_codes(stats, job.lost, job.recursion_bound)
         mesh_errors = _mesh_errors(job, section, pyramid, sink, errors, executor, reporter)
     finally:
         pyramid.close()
@@ -290,7 +290,11 @@ def _mesh_errors(
     sink.set_meshes(sections)
     count = reporter.counter("measuring meshes", *size)
     lost = Fraction(job.lost)
-    return mesh_codes(measure_meshes(grid, mesher, pyramid.originals, executor, count, lost), lost)
+    found = measure_meshes(grid, mesher, pyramid.originals, executor, count, lost)
+    codes = mesh_codes(found, lost)
+    if job.options.faithful:
+        return with_tolerances(codes, lambda block: errors.get(block, 0), mesher.tolerance)
+    return codes
 
 
 # Pass C
@@ -314,7 +318,7 @@ def prove(
     regions = proof_windows(grid)
     allowed = allowed_error(job.quantizer, job.raw_bound)
     largest = 0.0
-    with TerrainFile(path, threads=1) as terrain:
+    with TerrainFile(path, threads=1, cache_bytes=_PROOF_CACHE_BYTES) as terrain:
 
         def compare(region: Region) -> float:
             return compare_window(terrain, source, region, allowed)

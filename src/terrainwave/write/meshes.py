@@ -13,8 +13,9 @@ import numpy as np
 from terrainwave.arguments import (
     TWZ_ENDINGS,
     check_ending,
+    check_mesh,
+    check_mesh_of,
     checked_error,
-    checked_mesh,
     checked_threads,
 )
 from terrainwave.codec.refiner import Heights, Mask
@@ -34,9 +35,11 @@ from terrainwave.mesh.blocks import (
     mesh_tolerance,
 )
 from terrainwave.mesh.sections import make_meshes
+from terrainwave.names import METHODS, stored_mesh
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
+from terrainwave.write.boxes import with_tolerances
 
 
 def store_meshes(
@@ -59,7 +62,7 @@ def store_meshes(
     dst : path
         The file to make, whose name ends in ``.twz``. It appears complete or not at all.
     mesh : str
-        ``"halves"``, ``"zerotree"``, ``"rqt"`` or ``"auto"`` (halves), as in `compress`.
+        ``"auto"`` (halves) or one of `names.MESH_CHOICES`, as in `compress`.
     mesh_error : float, optional
         As in `compress`.
     original : path, dataset or array, optional
@@ -80,7 +83,8 @@ def store_meshes(
     StorageError
         If something cannot be read or written, or `dst` is `src`; `dst` is untouched.
     """
-    kind, error = checked_mesh(mesh, or_none=False), checked_error("mesh_error", mesh_error)
+    check_mesh(mesh, or_none=False)
+    error = checked_error("mesh_error", mesh_error)
     n_threads = checked_threads(threads)
     check_ending(dst, TWZ_ENDINGS)
     refuse_own_source(src, dst)
@@ -93,9 +97,11 @@ def store_meshes(
         ThreadPoolExecutor(n_threads, thread_name_prefix="terrainwave") as executor,
     ):
         container = terrain.container
+        method, is_faithful = METHODS[container.header.method], container.header.is_faithful
+        check_mesh_of(mesh, method, is_faithful=is_faithful)
         header = replace(
             container.header,
-            mesh=kind,
+            mesh=stored_mesh(mesh, method, is_faithful=is_faithful),
             mesh_tolerance=_tolerance(terrain, error),
         )
         grid = header.grid
@@ -114,6 +120,10 @@ def store_meshes(
         count = reporter.counter("measuring meshes", *size)
         errors = measure_meshes(grid, mesher, originals, executor, count, lost)
         codes = mesh_codes(errors, lost)
+        if header.is_faithful:
+            codes = with_tolerances(
+                codes, lambda block: container.codes(block)[2], mesher.tolerance
+            )
         spools = _copied(terrain, codes, directory, sections)
         assemble(part.file, header, spools)
         for spool in spools.values():

@@ -1,13 +1,15 @@
 """`Options`: what `compress` is asked for, checked where it is made and handed on whole."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from terrainwave.arguments import (
     BLOCKS,
     check_effort,
+    check_mesh,
+    check_mesh_of,
     check_method,
     checked_error,
-    checked_mesh,
     checked_threads,
 )
 from terrainwave.errors import InvalidArgumentError
@@ -18,6 +20,7 @@ from terrainwave.names import (
     METHODS,
     Method,
     methods_that,
+    stored_mesh,
 )
 
 DEFAULT_EFFORT = "default"
@@ -44,19 +47,22 @@ class Options:
     border_rings: int = 1
     mesh: str = "auto"
     mesh_error: float | None = None
+    faithful: bool = False
     verify: bool = True
     threads: int | None = None
 
     def __post_init__(self) -> None:
-        settled = {
+        settled: dict[str, Any] = {
             "max_error": checked_error("max_error", self.max_error),
             "rate": checked_error("rate", self.rate),
             "psnr": checked_error("psnr", self.psnr),
-            "mesh": checked_mesh(self.mesh, or_none=True),
             "mesh_error": checked_error("mesh_error", self.mesh_error),
         }
+        check_mesh(self.mesh, or_none=True)
         check_method(self.method)
         check_effort(self.effort)
+        settled["mesh"] = stored_mesh(self.mesh, self.coding, is_faithful=self.faithful)
+        check_mesh_of(self.mesh, self.coding, is_faithful=self.faithful)
         if self.is_auto and self.effort != DEFAULT_EFFORT:
             # Fast and best say which method.
             method = AUTO_METHODS[0] if self.effort == EFFORTS[0] else AUTO_METHODS[-1]
@@ -76,6 +82,12 @@ class Options:
             raise InvalidArgumentError(
                 f"found `border_rings` {self.border_rings} and `method` {self.method}, expected"
                 " `border_rings` 1"
+            )
+        if self.faithful and (self.is_auto or not self.coding.may_be_faithful):
+            fit = methods_that(lambda method: method.may_be_faithful)
+            raise InvalidArgumentError(
+                f"found `faithful` and `method` {self.method}, expected `method` {fit}: the others"
+                " follow no paper to the letter"
             )
         checked_threads(self.threads)
 
@@ -128,6 +140,10 @@ class Options:
     @property
     def notes(self) -> list[str]:
         """Return remarks on options that change nothing."""
-        if self.effort == DEFAULT_EFFORT or self.coding.effort:
+        if self.effort == DEFAULT_EFFORT:
+            return []
+        if self.faithful:
+            return [f"effort {self.effort} changes nothing: faithful files have one wavelet step"]
+        if self.coding.effort:
             return []
         return [f"effort {self.effort} changes nothing: method {self.method} has no efforts"]

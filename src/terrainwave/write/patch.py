@@ -39,6 +39,7 @@ from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.remainders import Remainders
 from terrainwave.mesh.blocks import measure_meshes, mesh_codes
 from terrainwave.mesh.sections import make_meshes
+from terrainwave.mesh.trees import tree_source
 from terrainwave.names import METHODS, methods_that
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.info import RasterInfo
@@ -601,6 +602,9 @@ class _Patcher:
         grid = self._grid
         causes = set(changes)
         causes |= {block for block in errors if errors[block] != self._container.codes(block)[2]}
+        if tree_source(self._container.header.mesh, self._terrain.decoder) is not None:
+            # The group below a block changes its zero trees.
+            causes |= {block.parent for block in changes if block.level > 0}
         moved = {
             Block(level, row + down, col + right)
             for level, row, col in causes

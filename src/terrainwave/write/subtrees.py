@@ -27,16 +27,25 @@ from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import store_segments, stored_places
 from terrainwave.file import TerrainFile
+from terrainwave.grid.measure import BlockStats
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.mesh.blocks import BlockMesher, measure_meshes, mesh_codes
 from terrainwave.mesh.border_states import BorderState, draft_blocks, encode_parts
 from terrainwave.mesh.sections import parts_of_blocks, sections_of_parts
+from terrainwave.mesh.trees import tree_source
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.tri.stored import STORED_KINDS
-from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, set_codes
+from terrainwave.write.boxes import (
+    Box,
+    enclosing_boxes,
+    error_codes,
+    recursive_errors,
+    set_codes,
+    with_tolerances,
+)
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
 from terrainwave.write.proof import allowed_error, compare_window, proof_windows
@@ -229,7 +238,8 @@ class EncodedSubtree(NamedTuple):
     """What a task tells of the groups it has coded.
 
     `ancestors` are what the originals below tell of the subtree's head and the blocks above it,
-    `box` what the head's box must enclose, None if all is void.
+    `box` what the head's box must enclose, None if all is void; `error` is the head's in a faithful
+    file (`boxes.recursive_errors`).
     """
 
     head: Block
@@ -237,6 +247,7 @@ class EncodedSubtree(NamedTuple):
     ancestors: Stats
     box: Box | None
     n_bytes: int
+    error: int
 
 
 def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
@@ -254,13 +265,17 @@ def encode_subtree(site: Site, head: Block) -> EncodedSubtree:
         stats = encoder.run_subtree(head, decoder.block)
         own = {block: of_block for block, of_block in stats.items() if block.level > head.level}
         ancestors = {block: of_block for block, of_block in stats.items() if block not in own}
-        errors = error_codes(own, job.lost)
+        errors = error_codes(own, job.lost, job.recursion_bound)
+        error = 0
+        if job.recursion_bound is not None:
+            whole_tree = own | {head: ancestors.get(head, BlockStats())}
+            error = recursive_errors(whole_tree, job.lost, job.recursion_bound).get(head, 0)
         whole = job.quantizer.z_min, job.quantizer.z_max
         boxes = enclosing_boxes(own, errors, whole, {})
         box = boxes.pop(head, None)
         set_codes(grid, sink.spools, whole, boxes, errors, {})
         places = store_segments(site.depot, site.name(CODED, head), grid, heads, sink.spools)
-    return EncodedSubtree(head, tuple(places.values()), ancestors, box, sink.n_bytes)
+    return EncodedSubtree(head, tuple(places.values()), ancestors, box, sink.n_bytes, error)
 
 
 # Meshes
@@ -290,6 +305,7 @@ def mesher_of(
         has_voids=job.has_voids,
         kind=job.options.mesh,
         part=part,
+        trees=tree_source(job.options.mesh, decoder),
     )
 
 
@@ -372,6 +388,8 @@ def finish_subtree(site: Site, head: Block, last_round: int | None) -> FinishedS
         )
         own = {block: error for block, error in found.items() if block.level > head.level}
         codes = mesh_codes(own, lost)
+        if site.job.options.faithful:
+            codes = with_tolerances(codes, lambda block: stored.codes(block)[2], mesher.tolerance)
         heads: list[Block | None] = [*grid.segment_heads_below(head)]
         spools = _finished_spools(grid, heads, stored, sections, codes, bench.directory)
         places = store_segments(site.depot, site.name(FINISHED, head), grid, heads, spools)

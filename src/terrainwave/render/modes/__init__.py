@@ -4,7 +4,7 @@ Importing this package imports no mode: `mode_class` does.
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from terrainwave.errors import (
     InvalidArgumentError,
@@ -19,10 +19,29 @@ _CLASSES = {
     "batched": ("batched", "Batched"),
     "dynamic": ("dynamic", "Dynamic"),
     "full": ("full", "Full"),
+    "loose": ("loose", "Loose"),
     "rqt": ("rqt", "Rqt"),
     "vertex-texture": ("vertex_texture", "VertexTexture"),
 }
 MODES = tuple(_CLASSES)
+
+
+def options_of(name: str, **options: Any) -> dict[str, Any]:
+    """Return those options of a mode that were given: neither None nor False.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the mode does not have one of them.
+    """
+    given = {option: value for option, value in options.items() if value not in (None, False)}
+    for option in given:
+        if option not in mode_class(name).options:
+            fit = [mode for mode in MODES if option in mode_class(mode).options]
+            raise InvalidArgumentError(
+                f"found `{option}` in mode {name}, expected mode {' or '.join(fit)}"
+            )
+    return given
 
 
 def mode_class(name: str) -> "type[Mode]":

@@ -25,6 +25,7 @@ class Adaptive(BoundedMode):
     """
 
     name = "adaptive"
+    is_loose = False
 
     def __init__(
         self,
@@ -35,12 +36,16 @@ class Adaptive(BoundedMode):
         progress: ProgressCallback | None = None,
     ) -> None:
         super().__init__(terrain, frame, error=error)
-        self.builder = PatchBuilder(terrain, frame, recursive=self._recursive_errors(progress))
+        self.builder = PatchBuilder(
+            terrain, frame, recursive=self._recursive_errors(progress), is_loose=self.is_loose
+        )
 
     @classmethod
     def preparation(cls, error: str) -> str | None:
         """Say that the recursion decodes the whole file."""
-        return "following the error recursion of Yusov & Turlapov" if error == "paper" else None
+        if error != "paper":
+            return None
+        return "following the error recursion of Yusov & Turlapov: this decodes the whole file once"
 
     def _recursive_errors(
         self, progress: ProgressCallback | None

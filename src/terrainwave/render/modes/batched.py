@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.read.decoder import units_of
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 
 # The quadtrees of the list (TQL) per side; theirs are as many as regions.
 ROOTS_PER_SIDE = 2
-# μ of ε_l = μ g_l; they show 0.5 and 1.
+# μ of ε_l = μ g_l where none is asked for; they show 0.5 and 1.
 MU = 0.5
 
 
@@ -81,6 +82,13 @@ class _Levels:
 class Batched(BoundedMode):
     """Zhang et al.'s blocks, chosen by their criterion or by measured errors.
 
+    Parameters
+    ----------
+    detail : float, optional
+        μ > 0, for error "paper" alone.
+    order : int
+        Of the filter: 2 or 4.
+
     Notes
     -----
     The pyramid and the errors are made when the mode begins: that decodes the file twice. Memory is
@@ -88,6 +96,7 @@ class Batched(BoundedMode):
     """
 
     name = "batched"
+    options = ("detail", "order")
 
     def __init__(
         self,
@@ -96,8 +105,11 @@ class Batched(BoundedMode):
         *,
         error: str = "measured",
         progress: ProgressCallback | None = None,
+        detail: float | None = None,
+        order: int = 4,
     ) -> None:
         super().__init__(terrain, frame, error=error)
+        self._mu = self._checked_detail(detail)
         self._side = terrain.grid.block
         self._scale = HeightScale.of(terrain, frame)
         self._slope_scale, self._height_texels = SlopeScale(frame), HeightTexels.of(frame)
@@ -114,6 +126,7 @@ class Batched(BoundedMode):
             self.n_levels,
             Path(tempfile.gettempdir()),
             reporter.counter("pyramid", n_samples, 4),
+            order=order,
         )
         try:
             self._levels = self._measure(reporter.counter("errors", n_samples, 4))
@@ -123,8 +136,23 @@ class Batched(BoundedMode):
 
     @classmethod
     def preparation(cls, error: str) -> str | None:
-        """Say that the pyramid needs every sample."""
-        return "building the pyramid of Zhang et al. from all samples"
+        """Say that pyramid and errors need every sample."""
+        return (
+            "building the pyramid of Zhang et al. and measuring its blocks: this decodes the whole"
+            " file twice"
+        )
+
+    def _checked_detail(self, detail: float | None) -> float:
+        if detail is None:
+            return MU
+        if self.error != "paper":
+            raise InvalidArgumentError(
+                f"found `detail` {detail:g} and `error` {self.error!r}, expected `error` 'paper':"
+                " measured errors need no factor"
+            )
+        if not 0 < detail < math.inf:
+            raise InvalidArgumentError(f"found `detail` {detail:g}, expected a number > 0")
+        return detail
 
     def close(self) -> None:
         """Delete the pyramid."""
@@ -260,7 +288,7 @@ class Batched(BoundedMode):
 
     def _error(self, piece: Piece) -> float:
         if self.error == "paper":
-            return MU * self.spacing * (1 << self._shift(piece.level))
+            return self._mu * self.spacing * (1 << self._shift(piece.level))
         error = float(self._levels.errors[piece.level][piece.row, piece.col])
         return error + 4 * self._largest * FLOAT32_ROUNDING
 
@@ -335,7 +363,7 @@ class Batched(BoundedMode):
         # The block replaces its parent at twice the distance at which it is replaced itself.
         nearest = errors / alpha
         morphs = np.clip((distances - nearest) / nearest, 0.0, 1.0)
-        mu = MU * view.exaggeration
+        mu = self._mu * view.exaggeration
         steepest = (self._side - 1) * alpha / mu + 2  # 2^Δl_max, eq. (9), M = N samples
         return Frames(
             nodes, distances, morphs, (steepest + 1) * errors,

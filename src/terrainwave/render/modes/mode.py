@@ -70,8 +70,9 @@ class Mode(ABC):
     terrain : TerrainFile
     frame : Frame
         Local metres; its exaggeration is not used: the GPU applies it.
-    error : {"measured", "paper"}
-        Errors and γ: those that hold everywhere, or the paper's.
+    error : str
+        One of `errors`: errors and γ that hold everywhere ("measured"), those of its paper
+        ("paper"), or the file's wavelet coefficients ("coefficient").
     progress : callable, optional
         Called with a `Progress` where the mode prepares for long.
 
@@ -79,6 +80,11 @@ class Mode(ABC):
     ----------
     name : str
         As in ``--mode``.
+    errors : tuple of str
+        That it knows, as in ``--error``.
+    options : tuple of str
+        What it can be told besides, as `Scene` and the command line have it; the same keywords of
+        its constructor.
     is_partwise : bool
         All finest pieces are drawn, as many at a time as the store holds.
     n_levels : int
@@ -89,6 +95,8 @@ class Mode(ABC):
     """
 
     name: str
+    errors: tuple[str, ...] = ERRORS
+    options: tuple[str, ...] = ()
     is_partwise = False
     max_triangles = MAX_TRIANGLES
 
@@ -100,16 +108,17 @@ class Mode(ABC):
         error: str = "measured",
         progress: ProgressCallback | None = None,
     ) -> None:
-        if error not in ERRORS:
+        if error not in self.errors:
             raise InvalidArgumentError(
-                f"found `error` {error!r}, expected one of {', '.join(ERRORS)}"
+                f"found `error` {error!r} in mode {self.name}, expected one of"
+                f" {', '.join(self.errors)}"
             )
         self.terrain, self.frame, self.error = terrain, frame, error
         self.n_levels = terrain.n_levels
 
     @classmethod
     def preparation(cls, error: str) -> str | None:
-        """Name the long work when the mode begins, as "building …"; None if there is none."""
+        """Say what is decoded before the first picture, and what for; None if that is little."""
         return None
 
     def close(self) -> None:  # noqa: B027  most modes have nothing to close

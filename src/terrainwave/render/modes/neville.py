@@ -1,4 +1,4 @@
-"""The pyramid of Zhang et al. 2012, §1: Neville filters of order 4, levels of regular samples.
+"""The pyramid of Zhang et al. 2012, §1: Neville filters of order 4 or 2, levels of regular samples.
 
 Here, as there, level 0 is the **finest**. Sample i of level l lies at (i + ½) · 2^l − ½ of the
 finest grid, in the middle of the two samples per axis that it replaces, so the levels do not nest
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
+from terrainwave.errors import InvalidArgumentError
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.temporary import TILE, Spool
 
@@ -22,12 +23,12 @@ Heights = NDArray[np.float32]
 # Metres, NaN in voids; a region inside the finest level.
 ReadHeights = Callable[[Region], Heights]
 
-# The 4 x 4 window of order 4, in 32nds: the inner four, the eight beside them; corners are 0.
-_INNER, _OUTER = 10.0 / 32.0, -1.0 / 32.0
+# Of each order: the inner four of the 4 x 4 window, the eight beside them; corners are 0.
+WEIGHTS = {2: (0.25, 0.0), 4: (10.0 / 32.0, -1.0 / 32.0)}
 
 
 @kernel
-def filter_rows(fine, coarse):
+def filter_rows(fine, inner_weight, outer_weight, coarse):
     """Fill `coarse`, float32 (n, m), from `fine`, float32 (2n + 2, 2m + 2), NaN in voids.
 
     Sample (r, c) takes rows 2r … 2r + 3 of `fine`, whose first row is 2i − 1 of the paper. Where
@@ -48,9 +49,9 @@ def filter_rows(fine, coarse):
                     if is_inner:
                         n_inner += 1
                         inner += value
-                        total += _INNER * value
+                        total += inner_weight * value
                     else:
-                        total += _OUTER * value
+                        total += outer_weight * value
             if n_all == 12:
                 coarse[r, c] = total
             elif n_inner > 0:
@@ -71,6 +72,8 @@ class NevillePyramid:
     n_levels : int
     directory : Path
         For temporary files.
+    order : int
+        Of the filter: 2 or 4.
     count : callable
         Called with numbers of samples of the finest level as they have been read.
 
@@ -87,8 +90,12 @@ class NevillePyramid:
         n_levels: int,
         directory: Path,
         count: Callable[[int], None] = lambda n_samples: None,
+        *,
+        order: int = 4,
     ) -> None:
-        self._read = read
+        if order not in WEIGHTS:
+            raise InvalidArgumentError(f"found `order` {order}, expected 2 or 4")
+        self._read, self._weights = read, WEIGHTS[order]
         self.shapes = [(_ceil(shape[0], k), _ceil(shape[1], k)) for k in range(n_levels)]
         self._spools = [Spool(self.shapes[k], np.float32, directory) for k in range(1, n_levels)]
         for level in range(1, n_levels):
@@ -104,7 +111,7 @@ class NevillePyramid:
             row, col, n_rows, n_cols = part
             window = Region(2 * row - 1, 2 * col - 1, 2 * n_rows + 2, 2 * n_cols + 2)
             coarse = np.empty(part.shape, dtype=np.float32)
-            filter_rows(self.window(level - 1, window, replicate=True), coarse)
+            filter_rows(self.window(level - 1, window, replicate=True), *self._weights, coarse)
             self._spools[level - 1].write(part, coarse)
             count(4 * n_rows * n_cols)
 

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback
+from terrainwave.read.tiles import TileDecoder, with_coefficients
 from terrainwave.render.camera import Camera
 from terrainwave.render.frame import Frame
+from terrainwave.render.modes.mode import ERRORS
 from terrainwave.render.modes.whole import (
     MORPH,
     BuiltSamples,
@@ -64,6 +66,7 @@ class Rqt(WholeMode):
     """A restricted quadtree over an overview and those tiles that the view needs."""
 
     name = "rqt"
+    errors = (*ERRORS, "coefficient")
     frame_mesh: RestrictedFrame | None = None
 
     def __init__(
@@ -75,6 +78,10 @@ class Rqt(WholeMode):
         progress: ProgressCallback | None = None,
     ) -> None:
         super().__init__(terrain, frame, error=error)
+        if error == "coefficient":
+            self._tile_decoder: TileDecoder | None = with_coefficients(terrain.decoder)
+        else:
+            self._tile_decoder = None
         self._overview_level = max(self.level - _OVERVIEW_LEVELS, 0)
         self._overview_stride = 1 << (self.level - self._overview_level)
         largest = self._largest_error(self._overview_level)
@@ -109,12 +116,14 @@ class Rqt(WholeMode):
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> BuiltSamples:
         """Return the samples of the overview or of a tile, and what the mesh takes of them."""
         if piece.level:
-            samples = self.read(self.level, self._region(piece.row, piece.col))
+            region = self._region(piece.row, piece.col)
+            samples = self.read(self.level, region)
             if is_cancelled():
                 raise Cancelled
             tile = self._overview_mesh.measure(
-                piece.row, piece.col, samples.heights, self.base_error
-            )
+                piece.row, piece.col, samples.heights, self.base_error,
+                self._coefficients(self.level, region),
+            )  # fmt: skip
             return BuiltSamples(samples, self.base_error, tile=tile)
         shape = self.terrain.grid.level_shape(self._overview_level)
         samples = self.read(self._overview_level, Region(0, 0, *shape))
@@ -128,12 +137,20 @@ class Rqt(WholeMode):
             sample_matrix=self.sample_matrix,
             error=self.error,
             base_error=self._overview_error,
+            coefficients=self._coefficients(self._overview_level, samples.region),
         )
         wide = samples._replace(
             region=Region(0, 0, *self.shape),
             slopes=spread_slopes(samples.slopes, self._overview_stride, self.shape),
         )
         return BuiltSamples(wide, self._overview_error, mesh)
+
+    def _coefficients(self, level: int, region: Region) -> NDArray[np.float64] | None:
+        """Return the magnitudes of the file's coefficients in metres; None without `error`."""
+        if self._tile_decoder is None:
+            return None
+        quanta = self._tile_decoder.coefficients(level, region)
+        return np.multiply(quanta, abs(self._scale.per_quantum), dtype=np.float64)
 
     @property
     def _overview_mesh(self) -> RestrictedMesh:

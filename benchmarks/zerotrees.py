@@ -1,0 +1,165 @@
+"""The system of Yusov & Turlapov 2010: ``python -m benchmarks.zerotrees DEM.tif …``.
+
+Of each raster the grid of their tables 1 and 2 (blocks, bounds, border rings of method cdf97),
+three times: faithful to the paper, with trees of decoded layers, and without trees. And views of
+the files with levels mixed, whose triangles stand beside those of regular blocks.
+
+``--factor``: the last raster again, with so many times the samples a side, in steps of 0.1 m.
+"""
+
+from collections import namedtuple
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import numpy as np
+import rasterio
+from scipy import ndimage
+
+import terrainwave
+from benchmarks import common
+from benchmarks.render import KEYS, camera_at_key
+from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.mesh.statistics import mesh_levels
+from terrainwave.render.camera import Camera, Viewport, home
+from terrainwave.render.scene import Scene
+
+BLOCKS, BOUNDS, RINGS = (64, 256), (1.0, 3.0, 10.0), (1, 3)
+# What the trees are, and whether the file is faithful.
+TREES = {"coded": ("zerotree-coded", True), "layers": ("zerotree-layer", False),
+         "none": ("zerotree-plain", False)}  # fmt: skip
+VIEWPORT, TAUS = Viewport(1920, 1080), (1.0, 4.0)
+
+# Bits per sample of the raster, metres. `triangles` are those of all blocks of the finest level,
+# `regular` those of the full grid; `coarse`, `loose` and `significant` (a share of the finest
+# nodes) are of the level above it.
+GridRow = namedtuple(
+    "GridRow",
+    "raster block max_error rings trees rmse measured_error heights_bits labels_bits total_bits "
+    "triangles regular coarse loose loose_error significant",
+)  # fmt: skip
+# Of the views with blocks of several levels: triangles of regular blocks over those of adaptive
+# ones in the same places, without skirts. `triangles`: the median of all views.
+ViewRow = namedtuple("ViewRow", "raster max_error trees tau views least median most triangles")
+
+
+def measure_grid(dem: Path, folder: Path) -> Iterator[GridRow]:
+    """Yield the cases of the grid; heights are coded once for all trees of a kind of file."""
+    heights, file = folder / "heights.twz", folder / "trees.twz"
+    cases = [(block, bound, rings) for block in BLOCKS for bound in BOUNDS for rings in RINGS]
+    for block, max_error, rings in cases:
+        for is_faithful in (True, False):
+            terrainwave.compress(
+                dem, heights, max_error=max_error, method="cdf97", block=block, mesh="none",
+                border_rings=rings, faithful=is_faithful, verify=False, overwrite=True,
+            )  # fmt: skip
+            report = terrainwave.verify(heights, dem)
+            assert report.ok, report.problems
+            for trees, (kind, is_such) in TREES.items():
+                if is_such == is_faithful:
+                    terrainwave.store_meshes(heights, file, mesh=kind, overwrite=True)
+                    case = dem.stem, block, max_error, rings, trees
+                    yield grid_row(file, case, report.errors)
+
+
+def grid_row(file: Path, case: tuple, errors) -> GridRow:
+    """Return the line of a file."""
+    with terrainwave.open(file) as terrain:
+        n_rows, n_cols = terrain.shape
+        parts, levels = terrain.parts(), mesh_levels(terrain)
+        loose = terrain.mesh(guarantee=False) if levels[-2].n_loose else None
+    lengths = sum(parts.heights), parts.meshes, file.stat().st_size
+    return GridRow(
+        *case, round(errors.rmse, 4), errors.max_error,
+        *(round(8 * length / (n_rows * n_cols), 4) for length in lengths),
+        levels[-1].n_triangles, 2 * (n_rows - 1) * (n_cols - 1), levels[-2].n_triangles,
+        loose.n_triangles if loose else "", round(loose.error, 3) if loose else "",
+        round(levels[-2].significant, 5) if loose else "",
+    )  # fmt: skip
+
+
+def measure_views(dem: Path, folder: Path) -> Iterator[ViewRow]:
+    """Yield views of the files of each raster, with blocks of 256."""
+    file = folder / "view.twz"
+    for max_error in BOUNDS:
+        for trees, (kind, is_faithful) in TREES.items():
+            terrainwave.compress(
+                dem, file, max_error=max_error, method="cdf97", mesh=kind, faithful=is_faithful,
+                verify=False, overwrite=True,
+            )  # fmt: skip
+            with (
+                terrainwave.open(file) as terrain,
+                Scene(terrain, Everything(), max_triangles=1 << 40) as scene,
+            ):
+                cameras = [home(scene.frame.box, VIEWPORT)]
+                cameras += [camera_at_key(scene.frame, key) for key in KEYS]
+                for tau in TAUS:
+                    found = [view_counts(scene, camera, tau) for camera in cameras]
+                    ratios = [regular / own for n_levels, own, regular in found if n_levels > 1]
+                    yield ViewRow(
+                        dem.stem, max_error, trees, tau, len(ratios),
+                        *(round(q, 3) for q in np.quantile(ratios or [np.nan], (0, 0.5, 1))),
+                        int(np.median([own for _, own, _ in found])),
+                    )  # fmt: skip
+
+
+def view_counts(scene: Scene, camera: Camera, tau: float) -> tuple[int, int, int]:
+    """Return the levels drawn, their triangles without skirts, and those of regular blocks."""
+    frames = scene.settle(scene.view(camera, VIEWPORT, tau))
+    pieces = [scene.table.pieces[node] for node in frames.nodes]
+    own = sum(len(scene.mode.builder.mesh(piece).triangles) for piece in pieces)
+    regular = sum(2 * n_cells(scene.terrain.grid, piece.block) for piece in pieces)
+    return len({piece.level for piece in pieces}), own, regular
+
+
+def n_cells(grid: Grid, block: Block) -> int:
+    """Return how many cells of samples a block has inside the raster."""
+    region = grid.block_region(block)
+    return (region.n_rows - 1) * (region.n_cols - 1)
+
+
+class Everything:
+    """A store that keeps all patches, and nothing of them."""
+
+    max_blocks, n_bytes = 1 << 30, 0
+
+    def put(self, node: int, built) -> bool:
+        """Say that it is kept."""
+        return True
+
+    def drop(self, node: int) -> None:
+        """Forget it."""
+
+
+def resampled(dem: Path, factor: int, folder: Path) -> Path:
+    """Return a raster with `factor` x as many samples a side, bicubic, in steps of 0.1 m."""
+    target = folder / f"{dem.stem}_{factor}x.tif"
+    with rasterio.open(dem) as source:
+        heights = source.read(1).astype(np.float64)
+    n_rows, n_cols = ((side - 1) * factor + 1 for side in heights.shape)
+    fine = ndimage.zoom(heights, (n_rows / heights.shape[0], n_cols / heights.shape[1]), order=3)
+    profile = {"driver": "GTiff", "height": n_rows, "width": n_cols, "count": 1, "dtype": "int16"}
+    with rasterio.open(target, "w", **profile) as dataset:
+        dataset.write(np.rint(10 * fine).astype(np.int16), 1)
+        dataset.scales = (0.1,)
+    return target
+
+
+@common.command()
+@common.rasters_argument
+@common.option("--only", cls=common.ListOption, type=click.Choice(["grid", "views"]), default=None)
+@common.option("--factor", type=common.COUNT, help="Resample the last raster, and take that too.")
+def main(paths: list[Path], only: tuple[str, ...], factor: int, folder: Path, out: Path) -> None:
+    """Measure, print and write the CSVs."""
+    if factor:
+        paths = [*paths, resampled(paths[-1], factor, folder)]
+    for part, name, measure in (
+        ("grid", "zerotrees", measure_grid), ("views", "zerotree_views", measure_views),
+    ):  # fmt: skip
+        if part in (only or ("grid", "views")):
+            rows = (row for dem in paths for row in measure(dem, folder))
+            common.write_rows(out / f"{name}.csv", rows)
+
+
+if __name__ == "__main__":
+    main()

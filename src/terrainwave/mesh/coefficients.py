@@ -1,0 +1,28 @@
+"""The wavelet coefficients that stored meshes follow, by their kind (Zheng, Wang, Wang)."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.grid.quadtree import Block
+from terrainwave.names import UNBOUNDED_MESHES
+from terrainwave.read.decoder import TreeDecoder
+from terrainwave.read.tiles import with_coefficients
+
+# Magnitudes in quanta by the samples of a block that lie inside the raster.
+BlockCoefficients = Callable[[Block], NDArray[np.int64]]
+
+
+def coefficient_source(kind: str, decoder: TreeDecoder) -> BlockCoefficients | None:
+    """Return where meshes of a kind have coefficients from; None if they follow none.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If they do, and the file's method has none.
+    """
+    if kind not in UNBOUNDED_MESHES:
+        return None
+    tiled = with_coefficients(decoder)
+    return lambda block: tiled.coefficients(block.level, decoder.grid.block_region(block))

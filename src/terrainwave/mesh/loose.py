@@ -1,0 +1,69 @@
+"""Non-guaranteed triangulations: what the zero trees alone say (Yusov & Turlapov 2010, §2.4).
+
+Every sample of a block moves to the root of the zero tree that holds it. The trees are those that
+the file's meshes follow, and those of decoded layers where they follow none. Nothing bounds the
+error beforehand: it is measured.
+"""
+
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from terrainwave.file import TerrainFile
+from terrainwave.grid.quadtree import Block
+from terrainwave.mesh.sections import mesher_of
+from terrainwave.mesh.trees import layer_source, tree_source
+from terrainwave.tri.agreement import BorderVertices, Position, agree, border_of_cut
+from terrainwave.tri.connect import LooseMesh, loose_mesh
+from terrainwave.tri.mesh import BlockMesh, no_mesh
+from terrainwave.tri.stored import has_triangles
+
+
+class LooseMesher:
+    """The non-guaranteed mesh of any block above the finest level of a file."""
+
+    def __init__(self, file: TerrainFile) -> None:
+        source = tree_source(file.header.mesh, file.decoder) or layer_source(file.decoder)
+        self._mesher = mesher_of(file, trees=source)
+
+    def mesh(self, block: Block) -> BlockMesh:
+        """Return the mesh of a block alone; its borders may differ from its neighbours'."""
+        loose = self._triangulate(block, None)
+        return no_mesh() if loose is None else loose.mesh
+
+    def meshes(
+        self, blocks: Iterable[Block], run: Callable[..., Iterable[LooseMesh]] = map
+    ) -> dict[Block, BlockMesh]:
+        """Return the meshes of blocks of one level, with the same vertices on shared borders.
+
+        `run` as in `tri.agreement.agree`. Blocks without triangles are left out.
+        """
+        meshed = [block for block in blocks if self._mesher.has_mesh(block)]
+        if not meshed:
+            return {}
+        level = meshed[0].level
+
+        def triangulate(position: Position, demanded: BorderVertices | None) -> LooseMesh:
+            loose = self._triangulate(Block(level, *position), demanded)
+            assert loose is not None  # `has_mesh` has said so
+            return loose
+
+        agreed, _ = agree(
+            [(block.row, block.col) for block in meshed],
+            triangulate,
+            lambda loose: border_of_cut(loose.cut),
+            run,
+        )
+        return {Block(level, *position): loose.mesh for position, loose in agreed.items()}
+
+    def _triangulate(self, block: Block, demanded: BorderVertices | None) -> LooseMesh | None:
+        samples = self._mesher.stored_samples(block)
+        if not has_triangles(samples.mask):
+            return None
+        keep = samples.locked
+        if demanded is not None:
+            keep = keep | demanded.keep(keep.shape)
+        trees = samples.trees
+        if trees is None:  # the group below is coded without: all detail may be there
+            trees = np.zeros(keep.shape, dtype=np.uint8)
+        return loose_mesh(samples.heights, samples.mask, trees, keep)

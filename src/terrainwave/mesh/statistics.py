@@ -1,0 +1,69 @@
+"""What the meshes of each level of a file take, and what their zero trees hold."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from terrainwave.file import TerrainFile
+from terrainwave.mesh.loose import LooseMesher
+from terrainwave.mesh.sections import mesher_of, parts_of_blocks
+
+
+class MeshLevel(NamedTuple):
+    """The meshes of the blocks of a level.
+
+    Parameters
+    ----------
+    level : int
+        Counted from the coarsest, 0.
+    n_triangles : int
+        Of the stored meshes.
+    label_bits : float
+        Bits per sample of the level that the meshes are stored by (Yusov & Turlapov 2010, tables 1
+        and 2); 0 for kinds that follow from heights alone.
+    significant : float, optional
+        Share of the finest nodes of the trees with a significant coefficient. This and the next
+        are None for meshes that follow no zero trees, and on the finest level.
+    n_loose : int, optional
+        Triangles of the blocks' non-guaranteed meshes, each block by itself.
+    """
+
+    level: int
+    n_triangles: int
+    label_bits: float
+    significant: float | None
+    n_loose: int | None
+
+
+def mesh_levels(terrain: TerrainFile) -> list[MeshLevel]:
+    """Return what there is to say about each level's meshes, the coarsest first.
+
+    Decodes all of the file, and makes its meshes; levels one after the other.
+    """
+    if terrain.header.mesh == "none":
+        return []
+    return [_mesh_level(terrain, level) for level in range(terrain.n_levels)]
+
+
+def _mesh_level(terrain: TerrainFile, level: int) -> MeshLevel:
+    mesher, loose = mesher_of(terrain), LooseMesher(terrain)
+    part = parts_of_blocks(terrain.grid, terrain.container.mesh)
+    nodes = np.zeros(2, dtype=np.int64)
+    n_triangles = n_bytes = n_loose = 0
+    for block in terrain.grid.blocks(level):
+        n_triangles += len(mesher.mesh(block).triangles)
+        n_bytes += len(part(block))
+        trees = mesher.zero_trees(block)
+        if trees is not None:
+            nodes += np.array([np.count_nonzero(trees == 0), trees.size])
+            n_loose += len(loose.mesh(block).triangles)
+
+    n_rows, n_cols = terrain.level_shape(level)
+    has_trees = bool(nodes[1])
+    return MeshLevel(
+        level,
+        n_triangles,
+        8 * n_bytes / (n_rows * n_cols),
+        float(nodes[0] / nodes[1]) if has_trees else None,
+        n_loose if has_trees else None,
+    )

@@ -1,0 +1,41 @@
+"""The zero trees that stored meshes follow, by their kind (Yusov & Turlapov 2010, §2.4)."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from terrainwave.grid.quadtree import Block
+from terrainwave.read.decoder import TreeDecoder, unit_key
+from terrainwave.tri.labels import Trees
+from terrainwave.tri.layers import layer_trees
+
+# Of a block and its tolerance, in 1/16 quanta; None where nothing is known of the group below it.
+ZeroTrees = Callable[[Block, int], Trees | None]
+
+
+def layer_source(decoder: TreeDecoder) -> ZeroTrees:
+    """Return the trees of decoded difference layers (`tri.layers`)."""
+
+    def trees(block: Block, tolerance: int) -> Trees:
+        grid = decoder.grid
+        _, own = decoder.part(unit_key(block), grid.block_region(block))
+        _, finer = decoder.part(block, grid.group_region(block))
+        return layer_trees(
+            np.ascontiguousarray(own.heights), own.mask, finer.heights, finer.mask, tolerance
+        )
+
+    return trees
+
+
+def coded_source(decoder: TreeDecoder) -> ZeroTrees:
+    """Return the trees that payloads have coded; there are none in a unit of plain bits."""
+    return lambda block, tolerance: decoder.unit(block).labels
+
+
+_SOURCES = {"zerotree-layer": layer_source, "zerotree-coded": coded_source}
+
+
+def tree_source(kind: str, decoder: TreeDecoder) -> ZeroTrees | None:
+    """Return where meshes of a kind have their zero trees from; None if they have none."""
+    source = _SOURCES.get(kind)
+    return None if source is None else source(decoder)
