@@ -14,6 +14,7 @@ from pathlib import Path
 import click
 import numpy as np
 import rasterio
+from rasterio.transform import Affine
 from scipy import ndimage
 
 import terrainwave
@@ -135,12 +136,15 @@ def resampled(dem: Path, factor: int, folder: Path) -> Path:
     """Return a raster with `factor` x as many samples a side, bicubic, in steps of 0.1 m."""
     target = folder / f"{dem.stem}_{factor}x.tif"
     with rasterio.open(dem) as source:
-        heights = source.read(1).astype(np.float64)
+        heights, crs = source.read(1).astype(np.float64), source.crs
+        # The first samples' centres stay where they are.
+        middle = Affine.translation(0.5, 0.5)
+        transform = source.transform @ middle @ Affine.scale(1 / factor) @ ~middle
     n_rows, n_cols = ((side - 1) * factor + 1 for side in heights.shape)
     fine = ndimage.zoom(heights, (n_rows / heights.shape[0], n_cols / heights.shape[1]), order=3)
-    profile = {"driver": "GTiff", "height": n_rows, "width": n_cols, "count": 1, "dtype": "int16"}
-    with rasterio.open(target, "w", **profile) as dataset:
-        dataset.write(np.rint(10 * fine).astype(np.int16), 1)
+    profile = {"driver": "GTiff", "height": n_rows, "width": n_cols, "count": 1, "dtype": "uint16"}
+    with rasterio.open(target, "w", crs=crs, transform=transform, **profile) as dataset:
+        dataset.write(np.rint(10 * fine).astype(np.uint16), 1)
         dataset.scales = (0.1,)
     return target
 

@@ -7,6 +7,8 @@ const MAX_GAP = 3;
 const MOST_AT_ONCE = 64;
 /** Milliseconds in which wishes are gathered: tiles of one view come one after another. */
 const GATHERING = 10;
+/** Blocks of what is announced that are asked for with it. */
+const AHEAD = 6;
 /** Blocks that are kept. */
 const N_KEPT = 512;
 
@@ -44,6 +46,14 @@ export class BlockSource {
       found.set(part, Math.max(at - start, 0));
     });
     return found;
+  }
+
+  /** Take note that some of these bytes will be read next: the first of them come at once. */
+  announce(start, end) {
+    const last = Math.min(end, start + AHEAD * BLOCK, this.size);
+    for (let number = Math.floor(start / BLOCK); number * BLOCK < last; number++) {
+      this.block(number).catch(() => {}); // whoever reads them is told
+    }
   }
 
   block(number) {

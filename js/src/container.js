@@ -12,6 +12,8 @@ import { readRanges } from "./source.js";
 const FIRST_READ = 16384;
 const HAVE_PARAMETERS = ["predictive", "rapid"];
 const MOST_SEGMENTS = 512;
+/** Where no more segments are needed at once, payloads behind their pages are too. */
+const FEW_SEGMENTS = 8;
 const TOP = "top";
 
 export class Container {
@@ -66,6 +68,9 @@ export class Container {
     const ranges = places.map((place) =>
       place ? [place.start, place.start + place.pageLength] : [0, 0],
     );
+    if (missing.size <= FEW_SEGMENTS) {
+      for (const place of places) if (place) this.source.announce?.(place.start, place.end);
+    }
     const pages = await readRanges(this.source, ranges);
     names.forEach((name, i) => {
       const head = missing.get(name);

@@ -2,6 +2,7 @@
 # Compile the kernels to WebAssembly and write them into js/src/kernels-data.js, in base 64.
 # Needs clang and lld with the target wasm32 (Debian: clang-14 lld-14); CLANG names another clang.
 set -eu
+export LC_ALL=C # for the order of files
 cd "$(dirname "$0")"
 out=$(mktemp)
 trap 'rm -f "$out"' EXIT
@@ -10,6 +11,9 @@ trap 'rm -f "$out"' EXIT
     -o "$out" ./*.c
 {
     echo '/** js/wasm/*.c as WebAssembly, in base 64: written by js/wasm/build.sh. */'
+    echo
+    echo '/** SHA-256 of build.sh, the .c and the .h files, one after the other: a test compares it. */'
+    echo "export const SOURCES = \"$(cat build.sh ./*.c ./*.h | sha256sum | cut -c 1-64)\";"
     echo
     echo '// prettier-ignore'
     echo 'export const KERNELS ='

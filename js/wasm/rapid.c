@@ -25,7 +25,7 @@ static inline i32 bin_of(i32 e) {
 /* The next n <= 24 raw bits, the first one lowest; four zeros lie behind the n_raw bytes. */
 static inline u32 read_bits(const u8 *raw, i32 n_raw, i32 *used, i32 n) {
   u32 held;
-  __builtin_memcpy(&held, raw + min(used[2] >> 3, n_raw), 4);
+  __builtin_memcpy(&held, raw + min((i32)((u32)used[2] >> 3), n_raw), 4);
   held >>= used[2] & 7;
   used[2] += n;
   return held & ((1u << n) - 1);

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block
+from terrainwave.progress import ProgressCallback
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -45,6 +46,7 @@ class Terrain(TerrainFile):
         max_triangles: int | None = None,
         optimise: int = 0,
         guarantee: bool = True,
+        progress: ProgressCallback | None = None,
     ) -> "Mesh":
         """Return one connected watertight mesh of an area.
 
@@ -72,6 +74,8 @@ class Terrain(TerrainFile):
             False gives the triangulation of the zero trees alone (Yusov & Turlapov 2010, §2.4),
             without any of the three arguments above: its `error` is what it turns out to be.
             `level` -1 stands for -2 then, the finest one with zero trees.
+        progress : callable, optional
+            Called with a `Progress`; a mesh that needs several tries begins anew with each.
 
         Returns
         -------
@@ -92,7 +96,7 @@ class Terrain(TerrainFile):
 
         placed = mesh_area(
             self, window, bounds=bounds, level=level, max_error=max_error,
-            max_triangles=max_triangles, optimise=optimise, guarantee=guarantee,
+            max_triangles=max_triangles, optimise=optimise, guarantee=guarantee, progress=progress,
         )  # fmt: skip
         return Mesh(*placed)
 

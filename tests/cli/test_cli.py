@@ -198,6 +198,19 @@ def test_info_json_is_complete(twz):
     assert len(fields["level_errors"]) == fields["n_levels"]
 
 
+def test_info_says_that_a_file_is_faithful(tmp_path, dem):
+    target = tmp_path / "a.twz"
+    options = ["--method", "cdf97", "--faithful", "--max-error", 20, "--no-mesh"]
+    assert run("compress", dem, target, *options).exit_code == 0
+    assert json.loads(run("info", target, "--json").stdout)["faithful"] is True
+    assert "cdf97, faithful to its paper" in run("info", target).stdout
+
+
+def test_methods_without_a_paper_are_not_faithful(tmp_path, dem):
+    done = run("compress", dem, tmp_path / "a.twz", "--faithful")
+    assert "found --faithful and --method auto, expected --method cdf97" in one_line(done, 2)
+
+
 def test_unknown_unit_is_said(tmp_path):
     path = write_geotiff(tmp_path / "a.tif", terrain_like(40, 40))
     target = tmp_path / "a.twz"

@@ -51,7 +51,7 @@ def asked(monkeypatch):
     """Let `Terrain.mesh` give two triangles per cell; return the options it was called with."""
     asked = {}
 
-    def mesh(self, **options):
+    def mesh(self, *, progress, **options):
         asked.update(options)
         heights = self.read(options["window"], bounds=options["bounds"])
         return grid_mesh(
@@ -380,3 +380,12 @@ def test_window_as_size_keeps_the_window(tmp_path, twz):
 def test_wrong_options_of_a_tile_are_one_line(tmp_path, twz, target, options, words):
     assert words in one_line(run("decompress", twz, tmp_path / target, *options.split()), 2)
     assert not (tmp_path / target).exists()
+
+
+def test_meshing_tells_programs_how_far_it_is(tmp_path, twz, monkeypatch):
+    monkeypatch.setenv("TERRAINWAVE_PROGRESS", "lines")
+    done = run("mesh", twz, tmp_path / "a.ply", "--max-triangles", "40")
+    told = [line for line in done.stderr.splitlines() if line.startswith("progress: meshing")]
+    assert told[0].startswith("progress: meshing ")
+    assert told[-1].endswith(" 100 %") or ", try " in told[-1]
+    assert any("meshing, try 2 " in line for line in told)

@@ -129,6 +129,7 @@ def test_what_a_newer_version_may_write_is_unsupported(offset, layout, value, me
 
 CORRUPT = [
     (10, "H", 127, "header size 127"),
+    (12, "I", 2, "a faithful file of method store"),
     (16, "Q", 547, "does not hold"),
     (16, "Q", 2**63, "does not hold"),
     (24, "I", 0, "n_rows is 0"),

@@ -153,7 +153,9 @@ found["compress"] = run("compress", feedback, INPUT=raster, MAX_ERROR=2.0, OUTPU
 found["stages"], found["percents"] = feedback.stages, feedback.percents
 found["verify"] = run("verify", INPUT=packed, ORIGINAL=raster)
 found["too strict"] = failure("verify", INPUT=packed, ORIGINAL=raster, MAX_ERROR=0.5)
-found["mesh"] = run("mesh", INPUT=packed, MAX_ERROR=20.0, OUTPUT=str(folder / "mesh.ply"))
+meshing = Feedback()
+found["mesh"] = run("mesh", meshing, INPUT=packed, MAX_ERROR=20.0, OUTPUT=str(folder / "mesh.ply"))
+found["stages of mesh"] = meshing.stages
 found["decompress"] = run("decompress", INPUT=packed, OUTPUT=str(folder / "back.tif"))
 before = sorted(os.listdir(folder))
 found["cancelled"] = failure(

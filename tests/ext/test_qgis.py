@@ -135,6 +135,7 @@ def test_processing_decompresses_and_meshes(found, decoded, folder):
 def test_processing_tells_progress_of_each_stage(found):
     assert {"scanning", "encoding", "proving"} <= set(found["stages"])
     assert found["percents"][-1] == 100
+    assert "meshing" in found["stages of mesh"]
 
 
 def test_cancelled_algorithm_leaves_nothing_behind(found):

@@ -310,8 +310,9 @@ def test_a_try_beyond_the_budget_ends_early(tmp_path, monkeypatch):
     with terrainwave.open(write_case(case, tmp_path), threads=1) as terrain:
         with pytest.raises(extraction._TooManyTrianglesError):
             extraction._Extractor(
-                terrain, extraction._Area(Region(0, 0, 130, 130), terrain.grid.k_max), Inline()
-            )._mesh_within(Fraction(2), 3000)
+                terrain, extraction._Area(Region(0, 0, 130, 130), terrain.grid.k_max), Inline(),
+                extraction.Reporter(None),
+            )._mesh_within(Fraction(2), 3000)  # fmt: skip
     assert 3000 < sum(made) < 6000
 
 

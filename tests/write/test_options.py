@@ -1,5 +1,6 @@
 """`Options` are checked where they are made, and say what they stand for."""
 
+import numpy as np
 import pytest
 from strategies import terrain_like, write_geotiff
 
@@ -56,6 +57,14 @@ def test_faithful_files_have_no_efforts():
     (note,) = Options(method="cdf97", faithful=True, effort="best").notes
     assert note.startswith("effort best changes nothing: faithful")
     assert Options(method="cdf97", faithful=True).notes == []
+
+
+def test_a_faithful_file_stays_one_where_heights_do_not_compress(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 256, (33, 33), dtype="uint8")
+    target = tmp_path / "noise.twz"
+    result = compress(noise, target, max_error=0, method="cdf97", faithful=True, mesh="none")
+    assert result.n_bytes > 1.1 * noise.nbytes
+    assert result.method == "cdf97"
 
 
 def test_a_size_of_tasks_is_refused_where_there_are_none(tmp_path):

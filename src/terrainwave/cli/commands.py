@@ -568,11 +568,18 @@ def _export_mesh(
     prepare(target, overwrite=overwrite)
     shape = {"frame": frame, "z_scale": z_scale, "solid": solid, "radius": radius}
     announce_compiling(quiet=quiet)
-    with reading(file), terrainwave.open(file, threads=threads) as terrain:
+    with (
+        reading(file),
+        terrainwave.open(file, threads=threads) as terrain,
+        Bar(quiet=quiet) as bar,
+    ):
         surface = _mesh_for(
             target,
             lambda max_error: terrain.mesh(
-                optimise=int(optimise), guarantee=not loose, **options | {"max_error": max_error}
+                optimise=int(optimise),
+                guarantee=not loose,
+                progress=bar,
+                **options | {"max_error": max_error},
             ),
             options["max_error"],
             shape,

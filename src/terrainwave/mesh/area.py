@@ -11,8 +11,9 @@ With a budget of triangles the outlines of voids are those of a level that the b
 (`mesh.outlines`): all originals are covered, and small voids may be.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, NamedTuple
@@ -40,6 +41,7 @@ from terrainwave.mesh.blocks import BlockSamples, SideTolerances, border_lines
 from terrainwave.mesh.loose import LooseMesher
 from terrainwave.mesh.outlines import CoveredSamples, finest_outline
 from terrainwave.mesh.sections import mesher_of
+from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.tri.halves import Lines, triangulate
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.simplify import simplify
@@ -130,6 +132,7 @@ def mesh_area(
     max_triangles: int | None = None,
     optimise: int = 0,
     guarantee: bool = True,
+    progress: ProgressCallback | None = None,
 ) -> PlacedMesh:
     """Return the mesh of `Terrain.mesh`, where arguments and errors are told."""
     if not guarantee:
@@ -154,7 +157,7 @@ def mesh_area(
         raise InvalidArgumentError(f"found `optimise` {optimise}, expected 0 or more sweeps")
     area = _Area(region, index, int(optimise))
     with ThreadPoolExecutor(terrain.n_threads, thread_name_prefix="terrainwave") as executor:
-        extractor = _Extractor(terrain, area, executor)
+        extractor = _Extractor(terrain, area, executor, Reporter(progress))
         if not guarantee:
             return extractor.loose_mesh()
         if max_triangles is not None:
@@ -174,12 +177,16 @@ def _level_with_trees(terrain: TerrainFile, level: int) -> int:
 
 
 class _Extractor:
-    def __init__(self, terrain: TerrainFile, area: _Area, executor: ThreadPoolExecutor) -> None:
+    def __init__(
+        self, terrain: TerrainFile, area: _Area, executor: ThreadPoolExecutor, reporter: Reporter
+    ) -> None:
         header = terrain.header
         self._terrain, self._header, self._area = terrain, header, area
         self._grid = terrain.grid
         self._mesher = mesher_of(terrain)
         self._executor = executor
+        self._reporter = reporter
+        self._n_tries = 0
         self._scale = abs(as_fraction(terrain.raster_info.scale))
         self._quantum = header.quantum * self._scale  # physical height of one quantum
         rho = Fraction(header.rho) / header.quantum
@@ -473,9 +480,7 @@ class _Extractor:
         def build(block: Block) -> _MeshedBlock:
             return _MeshedBlock(self._mesher.mesh(block), cut[block].error)
 
-        blocks = sorted(cut)
-        built = dict(zip(blocks, self._executor.map(build, blocks), strict=True))
-        return self._assemble(built)
+        return self._assemble(dict(self._each(build, sorted(cut))))
 
     def loose_mesh(self) -> PlacedMesh:
         """Return the mesh of the zero trees alone, with the error that it turns out to have."""
@@ -489,7 +494,19 @@ class _Extractor:
             error = self._heights_error(block) + Fraction(apart, 1 << FRACTION_BITS)
             return _MeshedBlock(mesh, error)
 
-        return self._assemble(dict(zip(meshes, self._executor.map(measured, meshes), strict=True)))
+        return self._assemble(dict(self._each(measured, list(meshes))))
+
+    def _each(
+        self, build: Callable[[Block], _MeshedBlock], blocks: list[Block]
+    ) -> Generator[tuple[Block, _MeshedBlock]]:
+        """Yield blocks with what is built of them, in threads, and tell how far it is."""
+        self._n_tries += 1
+        stage = "meshing" if self._n_tries == 1 else f"meshing, try {self._n_tries}"
+        n_samples = self._grid.block**2
+        meshes = self._executor.map(build, blocks)
+        for n_done, (block, meshed) in enumerate(zip(blocks, meshes, strict=True), 1):
+            self._reporter.report(stage, n_done * n_samples, len(blocks) * n_samples)
+            yield block, meshed
 
     def _mesh_within(self, error: Fraction, n_most: int | None = None) -> PlacedMesh:
         """Return the mesh for an error in quanta.
@@ -531,16 +548,15 @@ class _Extractor:
     def _build_all(
         self, cut: dict[Block, _Piece], n_most: int | None = None
     ) -> dict[Block, _MeshedBlock]:
-        blocks, built, n_triangles = sorted(cut), {}, 0
-        meshes = self._executor.map(lambda block: self._build(cut, block), blocks)
-        for block, meshed in zip(blocks, meshes, strict=True):
-            built[block] = meshed
-            if n_most is not None and meshed.error is not None:
-                n_triangles += self._n_inside(block, meshed.mesh)
-                if n_triangles > n_most:
-                    # What has not been begun is not made.
-                    del meshes
-                    raise _TooManyTrianglesError(f"more than {n_most} triangles")
+        built, n_triangles = {}, 0
+        # Closed before its end, it begins no more.
+        with closing(self._each(lambda block: self._build(cut, block), sorted(cut))) as meshes:
+            for block, meshed in meshes:
+                built[block] = meshed
+                if n_most is not None and meshed.error is not None:
+                    n_triangles += self._n_inside(block, meshed.mesh)
+                    if n_triangles > n_most:
+                        raise _TooManyTrianglesError(f"more than {n_most} triangles")
         return built
 
     def _n_inside(self, block: Block, mesh: BlockMesh) -> int:
