@@ -97,9 +97,9 @@ def measure_views(dem: Path, folder: Path) -> Iterator[ViewRow]:
                 for tau in TAUS:
                     found = [view_counts(scene, camera, tau) for camera in cameras]
                     ratios = [regular / own for n_levels, own, regular in found if n_levels > 1]
+                    shares = np.quantile(ratios, (0, 0.5, 1)).round(3) if ratios else ("",) * 3
                     yield ViewRow(
-                        dem.stem, max_error, trees, tau, len(ratios),
-                        *(round(q, 3) for q in np.quantile(ratios or [np.nan], (0, 0.5, 1))),
+                        dem.stem, max_error, trees, tau, len(ratios), *shares,
                         int(np.median([own for _, own, _ in found])),
                     )  # fmt: skip
 
