@@ -314,7 +314,8 @@ def compare_papers(results: Path) -> Iterator[PaperRow]:
         for mode in ("adaptive", "batched")
     }
     ours["most"] = max(row["triangles"] for row in modes if row["mode"] == "batched") / 1e6
-    views = [row for row in views if row["trees"] == "coded" and row["views"]]
+    views = [row for row in views if (row["trees"], row["max_error"]) == ("coded", 1)]
+    views = [row for row in views if row["views"]]
     ours["regular"] = _range(row["median"] for row in views)
     cases: dict[str, list[str]] = {}
     for row in grid:
