@@ -57,14 +57,15 @@ def draw_modes(data: Path, folder: Path, out: Path) -> None:
     """Draw the meshes of all modes of the viewer from one camera, side by side."""
     (width, height), file = MODE_SIZE, folder / "modes.twz"
     terrainwave.compress(data / f"{MESHED}.tif", file, max_error=1, verify=False, overwrite=True)
-    sheet = Image.new("RGB", (3 * width, 2 * height))
+    n_cols = -(-len(MODES) // 2)
+    sheet = Image.new("RGB", (n_cols * width, 2 * height))
     style = Style(wireframe=True, haze=0, background=(16, 18, 22))
     for k, mode in enumerate(MODES):
         with terrainwave.open(file) as terrain, Offscreen(terrain, MODE_SIZE, mode=mode) as view:
             pixels, frames = view.picture(camera_of("slope", view), style, max_pixel_error=TAU)
         picture, label = Image.fromarray(pixels), f"{mode}: {frames.n_triangles:,}"
         ImageDraw.Draw(picture).text((8, 6), label, fill=(255, 255, 255))
-        sheet.paste(picture, (k % 3 * width, k // 3 * height))
+        sheet.paste(picture, (k % n_cols * width, k // n_cols * height))
     sheet.save(out / "systems-modes.jpg", quality=48, optimize=True)
 
 
