@@ -44,17 +44,22 @@ def same_mesh(one, other):
     return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
+def check_meshes(terrain, case, kind):
+    """Check that all meshes are surfaces, of this kind, and have the errors that they state."""
+    assert terrain.mesh_kind == kind
+    report, problems = verify_meshes(terrain, reader(case))
+    assert problems == []
+    for level in report.levels:
+        assert level.measured_error <= level.stored_error * (1 + 1e-9) + terrain.info().quantum
+    assert verify_meshes(terrain)[1] == []
+
+
 @given(case=cases(max_side=130), kind=st.sampled_from(KINDS))
 @settings(max_examples=N_EXAMPLES)
 def test_all_meshes_of_a_file_are_right(case, kind, tmp_path_factory):
     path = write_case(with_kind(case, kind), tmp_path_factory.mktemp("all"))
     with terrainwave.open(path, threads=1) as terrain:
-        assert terrain.mesh_kind == kind
-        report, problems = verify_meshes(terrain, reader(case))
-        assert problems == []
-        for level in report.levels:
-            assert level.measured_error <= level.stored_error * (1 + 1e-9) + terrain.info().quantum
-        assert verify_meshes(terrain)[1] == []
+        check_meshes(terrain, case, kind)
 
 
 @pytest.mark.full
@@ -66,12 +71,7 @@ def test_meshes_by_coefficient_are_surfaces_that_state_the_error_they_have(case,
     with terrainwave.open(path, threads=1) as terrain:
         # Heights that do not compress are stored as they are, which has no coefficients.
         kind = "rqt-coefficient" if terrain.info().method == "cdf53" else "rqt"
-        assert terrain.mesh_kind == kind
-        report, problems = verify_meshes(terrain, reader(case))
-        assert problems == []
-        for level in report.levels:
-            assert level.measured_error <= level.stored_error * (1 + 1e-9) + terrain.info().quantum
-        assert verify_meshes(terrain)[1] == []
+        check_meshes(terrain, case, kind)
 
 
 @pytest.mark.large

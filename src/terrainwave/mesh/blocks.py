@@ -241,6 +241,25 @@ class BlockMesher:
             return None
         return (own << FRACTION_BITS) + self._tolerance - math.floor(lost * (1 << FRACTION_BITS))
 
+    def error_codes(
+        self, errors: dict[Block, int], lost: Fraction, *, by_recursion: bool
+    ) -> dict[Block, int]:
+        """Return the codes of errors of meshes, as `mesh_codes`.
+
+        With the recursion none is below Err_Appr + Err_Tri, equation (3) of Yusov & Turlapov 2010.
+        Measured errors can be larger: the equation takes a surface of triangles for the bilinear
+        one.
+        """
+        codes = mesh_codes(errors, lost)
+        if not by_recursion:
+            return codes
+        return {block: max(code, self._sum_code(block)) for block, code in codes.items()}
+
+    def _sum_code(self, block: Block) -> int:
+        """Return the code of Err_Appr + Err_Tri, rounded up."""
+        own = decode_error(self._error_code(block)) << FRACTION_BITS
+        return encode_error(-(-(own + self.tolerance(block)) // (1 << FRACTION_BITS)))
+
     def mesh(self, block: Block) -> BlockMesh:
         """Return the block's stored mesh; places count from the block's first sample.
 

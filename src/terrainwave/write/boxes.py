@@ -1,7 +1,7 @@
 """The codes of blocks in the index: boxes and errors, rounded outward (FORMAT.md §4.4)."""
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.spool import SegmentSpool
@@ -54,29 +54,6 @@ def recursive_errors(
         if block.level > 0:
             children[block.parent] = max(children.get(block.parent, 0), errors[block])
     return errors
-
-
-def with_tolerances(
-    mesh_errors: Mapping[Block, int],
-    error_code: Callable[[Block], int],
-    tolerance: Callable[[Block], int],
-) -> dict[Block, int]:
-    """Return codes of errors of meshes that are not below Err_Appr + Err_Tri.
-
-    Equation (3) of Yusov & Turlapov 2010. Measured errors can be larger: the equation takes a
-    surface of triangles for the bilinear one.
-
-    Parameters
-    ----------
-    mesh_errors : mapping
-        Codes of measured errors.
-    error_code, tolerance : callable
-        Return the code of a block's Err_Appr, and its Err_Tri in 1/16 quanta.
-    """
-    return {
-        block: max(code, encode_error(decode_error(error_code(block)) - (-tolerance(block) // 16)))
-        for block, code in mesh_errors.items()
-    }
 
 
 def set_codes(

@@ -26,14 +26,13 @@ from terrainwave.errors import ClusterError, InvalidHeightsError
 from terrainwave.grid.measure import BlockStats
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
-from terrainwave.mesh.blocks import mesh_codes
 from terrainwave.mesh.sections import make_sections
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.tri.stored import STORED_KINDS
-from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, set_codes, with_tolerances
+from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, set_codes
 from terrainwave.write.choice import prepared
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
@@ -346,10 +345,8 @@ class DistributedPasses:
             for block, error in finished.ancestors.items():
                 errors[block] = max(errors.get(block, 0), error)
             count(_n_samples(site, head))
-        own = mesh_codes(errors, Fraction(job.lost))
-        if job.options.faithful:
-            own = with_tolerances(own, lambda block: codes.errors.get(block, 0), mesher.tolerance)
-        codes.set(own)
+        lost = Fraction(job.lost)
+        codes.set(mesher.error_codes(errors, lost, by_recursion=job.options.faithful))
         return segments
 
     def _agree(self, site: Site) -> dict[Block, int]:

@@ -20,14 +20,14 @@ from terrainwave.errors import StorageError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import HeightScan
-from terrainwave.mesh.blocks import measure_meshes, mesh_codes
+from terrainwave.mesh.blocks import measure_meshes
 from terrainwave.mesh.sections import make_meshes
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.tiles import make_decoder
-from terrainwave.write.boxes import enclosing_boxes, error_codes, set_codes, with_tolerances
+from terrainwave.write.boxes import enclosing_boxes, error_codes, set_codes
 from terrainwave.write.choice import prepared
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
@@ -291,10 +291,7 @@ def _mesh_errors(
     count = reporter.counter("measuring meshes", *size)
     lost = Fraction(job.lost)
     found = measure_meshes(grid, mesher, pyramid.originals, executor, count, lost)
-    codes = mesh_codes(found, lost)
-    if job.options.faithful:
-        return with_tolerances(codes, lambda block: errors.get(block, 0), mesher.tolerance)
-    return codes
+    return mesher.error_codes(found, lost, by_recursion=job.options.faithful)
 
 
 # Pass C

@@ -31,7 +31,6 @@ from terrainwave.mesh.blocks import (
     Originals,
     default_mesh_error,
     measure_meshes,
-    mesh_codes,
     mesh_tolerance,
 )
 from terrainwave.mesh.sections import make_meshes
@@ -39,7 +38,6 @@ from terrainwave.names import METHODS, stored_mesh
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.source import RasterSource
-from terrainwave.write.boxes import with_tolerances
 
 
 def store_meshes(
@@ -119,11 +117,7 @@ def store_meshes(
         originals, lost = _originals(terrain, original)
         count = reporter.counter("measuring meshes", *size)
         errors = measure_meshes(grid, mesher, originals, executor, count, lost)
-        codes = mesh_codes(errors, lost)
-        if header.is_faithful:
-            codes = with_tolerances(
-                codes, lambda block: container.codes(block)[2], mesher.tolerance
-            )
+        codes = mesher.error_codes(errors, lost, by_recursion=header.is_faithful)
         spools = _copied(terrain, codes, directory, sections)
         assemble(part.file, header, spools)
         for spool in spools.values():

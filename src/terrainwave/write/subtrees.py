@@ -30,7 +30,7 @@ from terrainwave.file import TerrainFile
 from terrainwave.grid.measure import BlockStats
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
-from terrainwave.mesh.blocks import BlockMesher, measure_meshes, mesh_codes
+from terrainwave.mesh.blocks import BlockMesher, measure_meshes
 from terrainwave.mesh.border_states import BorderState, draft_blocks, encode_parts
 from terrainwave.mesh.sections import parts_of_blocks, sections_of_parts
 from terrainwave.mesh.trees import tree_source
@@ -44,7 +44,6 @@ from terrainwave.write.boxes import (
     error_codes,
     recursive_errors,
     set_codes,
-    with_tolerances,
 )
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
@@ -387,9 +386,7 @@ def finish_subtree(site: Site, head: Block, last_round: int | None) -> FinishedS
             grid.descendants(head, grid.k_max),
         )
         own = {block: error for block, error in found.items() if block.level > head.level}
-        codes = mesh_codes(own, lost)
-        if site.job.options.faithful:
-            codes = with_tolerances(codes, lambda block: stored.codes(block)[2], mesher.tolerance)
+        codes = mesher.error_codes(own, lost, by_recursion=site.job.options.faithful)
         heads: list[Block | None] = [*grid.segment_heads_below(head)]
         spools = _finished_spools(grid, heads, stored, sections, codes, bench.directory)
         places = store_segments(site.depot, site.name(FINISHED, head), grid, heads, spools)
