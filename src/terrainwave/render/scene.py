@@ -1,5 +1,6 @@
 """One terrain as seen by moving cameras: what is here, what is wanted, what to draw. No GPU."""
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -146,8 +147,18 @@ class Scene:
 
     def view(self, camera: Camera, viewport: Viewport, max_pixel_error: float = 1.0) -> View:
         """Return a view of this scene, in more detail where the terrain is flat."""
-        max_pixel_error *= self.frame.detail
+        max_pixel_error *= self.frame.detail(camera.eye)
         return View(camera, viewport, max_pixel_error, self.mode.gamma, self.frame.exaggeration)
+
+    @property
+    def build_ms(self) -> list[float]:
+        """Return what the last pieces took to read, decode and build: CPU milliseconds."""
+        return list(self._pager.build_ms)
+
+    @property
+    def n_cancelled(self) -> int:
+        """Return how many pieces were no longer wanted while they were built."""
+        return self._pager.n_cancelled
 
     # One frame
 
@@ -187,6 +198,19 @@ class Scene:
                 return frames
             if not self._pager.wait(max(end - time.monotonic(), 0.0)):
                 raise TerrainwaveError(f"the picture is not complete after {timeout:g} seconds")
+
+    def drawn_error(self, view: View, frames: Frames) -> float:
+        """Return the largest error on screen, pixels, of what is drawn and could be finer.
+
+        0 where all of it is the finest that the file has, at most the picture's diagonal. Above τ
+        only while finer pieces are on their way, or do not fit.
+        """
+        table, nodes = self.table, frames.nodes
+        is_finest = table.is_known[nodes] & (table.children[nodes] < 0).all(axis=1)
+        errors = (table.errors[nodes] + frames.morphs * table.morphs[nodes]) * view.exaggeration
+        on_screen = view.gamma * errors / np.maximum(frames.distances, 1e-9)
+        diagonal = math.hypot(view.viewport.width, view.viewport.height)
+        return min(float(on_screen[~is_finest].max(initial=0.0)), diagonal)
 
     def _split_error(self, view: View) -> float:
         """Return the τ below which blocks are split, before the governor."""
