@@ -58,6 +58,64 @@ def _node_distance(node, low, high, z_scale, eye):
 
 
 @kernel
+def oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
+    """Return a d for which γ · e / d bounds all vertical steps of length e in a box on screen.
+
+    Yusov 2006, §3.3, weighs errors with the sine of the angle between the ray and the vertical;
+    here so that it holds for any step and point. Let p be a point and q = p + s ẑ, |s| <= e, both
+    in the box and in the picture, relative to the eye, and p' = p / p_D, q' = q / q_D on the plane
+    at depth 1. The triangle (eye, p', q') has the area ½ |p' × q'|, and ½ |p' − q'| times the
+    distance of the line through p' and q' from the eye, which is >= 1: so
+
+        |p' − q'| <= |p' × q'| = |p × q| / (p_D q_D) = |s| h / (p_D q_D) <= S² |s| h / (|p| |q|),
+
+    h being the horizontal distance of both from the eye and S the largest distance / depth in
+    view. `gamma_guaranteed` is >= f S², f the focal length, so 1 / d is the maximum of
+    h / (h² + v²) over the box, v its least vertical distance: it grows up to h = v, then sinks.
+    It is never more than 1 / the distance to the box, and nothing straight below or above.
+    """
+    x = max(low_x - eye[0], 0.0, eye[0] - high_x)
+    y = max(low_y - eye[1], 0.0, eye[1] - high_y)
+    v = max(low_z - eye[2], 0.0, eye[2] - high_z)
+    far_x = max(abs(low_x - eye[0]), abs(high_x - eye[0]))
+    far_y = max(abs(low_y - eye[1]), abs(high_y - eye[1]))
+    h = min(max(v, np.sqrt(x * x + y * y)), np.sqrt(far_x * far_x + far_y * far_y))
+    if h > 0:
+        return h + v * (v / h)
+    return np.inf if v > 0 else 0.0
+
+
+@kernel
+def oriented_distances(low, high, eye, out):
+    """Fill `out` with `oriented_distance` of boxes, `low` and `high` of shape (n, 3)."""
+    for k in range(out.shape[0]):
+        out[k] = oriented_distance(
+            eye, low[k, 0], low[k, 1], low[k, 2], high[k, 0], high[k, 1], high[k, 2]
+        )
+
+
+@kernel
+def _screen_error(node, low, high, errors, z_scale, eye, gamma, is_oriented):
+    """Return a bound of a node's error on screen, pixels; inf where the eye is in its box."""
+    error = errors[node] * z_scale
+    if error <= 0:
+        return 0.0
+    if is_oriented:
+        distance = oriented_distance(
+            eye,
+            low[node, 0],
+            low[node, 1],
+            low[node, 2] * z_scale,
+            high[node, 0],
+            high[node, 1],
+            high[node, 2] * z_scale,
+        )
+    else:
+        distance = _node_distance(node, low, high, z_scale, eye)
+    return gamma * error / distance if distance > 0 else np.inf
+
+
+@kernel
 def select_nodes(
     roots,
     low,
@@ -71,6 +129,7 @@ def select_nodes(
     eye,
     z_scale,
     gamma,
+    is_oriented,
     tau,
     stack,
     out_nodes,
@@ -78,9 +137,9 @@ def select_nodes(
 ):
     """Fill the nodes to draw and their distances; return (their number, their triangles).
 
-    A node is split while its error on screen, gamma * error / distance, exceeds `tau` and all of
-    its children in view are resident: else it stands in for them. `stack`, `out_nodes` and
-    `out_distances` hold as many entries as there are nodes.
+    A node is split while its error on screen exceeds `tau` and all of its children in view are
+    resident: else it stands in for them. `stack`, `out_nodes` and `out_distances` hold as many
+    entries as there are nodes.
     """
     n_out, total, top = 0, 0, 0
     for root in roots[::-1]:
@@ -91,9 +150,10 @@ def select_nodes(
         node = stack[top]
         if not is_resident[node] or _is_hidden(node, low, high, z_scale, planes):
             continue
-        distance = _node_distance(node, low, high, z_scale, eye)
         first = top
-        is_split = is_known[node] and gamma * errors[node] * z_scale > tau * distance
+        is_split = is_known[node] and (
+            _screen_error(node, low, high, errors, z_scale, eye, gamma, is_oriented) > tau
+        )
         if is_split:
             has_children = False
             for k in range(4):
@@ -112,7 +172,7 @@ def select_nodes(
         if not is_split:
             top = first
             out_nodes[n_out] = node
-            out_distances[n_out] = distance
+            out_distances[n_out] = _node_distance(node, low, high, z_scale, eye)
             n_out += 1
             total += n_triangles[node]
     return n_out, total
@@ -130,6 +190,7 @@ def wanted_nodes(
     eye,
     z_scale,
     gamma,
+    is_oriented,
     tau,
     out_nodes,
 ):
@@ -149,7 +210,7 @@ def wanted_nodes(
         done += 1
         if not is_known[node]:
             continue
-        if gamma * errors[node] * z_scale <= tau * _node_distance(node, low, high, z_scale, eye):
+        if _screen_error(node, low, high, errors, z_scale, eye, gamma, is_oriented) <= tau:
             continue
         for k in range(4):
             child = children[node, k]

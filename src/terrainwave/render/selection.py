@@ -81,6 +81,8 @@ class View:
         Returns γ of a camera and a viewport; by default one that holds in the corners too.
     exaggeration : float
         Factor of heights.
+    is_oriented : bool
+        Errors, being vertical, count less the steeper they are looked down at.
     """
 
     camera: Camera
@@ -88,6 +90,7 @@ class View:
     max_pixel_error: float = 1.0
     gamma_of: Callable[[Camera, Viewport], float] = gamma_guaranteed
     exaggeration: float = 1.0
+    is_oriented: bool = False
 
     @property
     def gamma(self) -> float:
@@ -208,6 +211,7 @@ class NodeTable:
             view.camera.eye,
             view.exaggeration,
             view.gamma,
+            view.is_oriented,
             view.max_pixel_error if tau is None else tau,
             self._stack,
             self._nodes,
@@ -244,6 +248,7 @@ class NodeTable:
             camera.eye,
             view.exaggeration,
             view.gamma,
+            view.is_oriented,
             view.max_pixel_error if tau is None else tau,
             out,
         )
