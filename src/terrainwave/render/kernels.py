@@ -59,18 +59,14 @@ def _node_distance(node, low, high, z_scale, eye):
 
 @kernel
 def oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
-    """Return a d for which γ · e / d bounds all vertical steps of length e in a box on screen.
+    """Return a d to be taken for the distance of a box as to vertical steps in it.
 
     Yusov 2006, §3.3, weighs errors with the sine of the angle between the ray and the vertical;
-    here so that it holds for any step and point. Let p be a point and q = p + s ẑ, |s| <= e, both
-    in the box and in the picture, relative to the eye, and p' = p / p_D, q' = q / q_D on the plane
-    at depth 1. The triangle (eye, p', q') has the area ½ |p' × q'|, and ½ |p' − q'| times the
-    distance of the line through p' and q' from the eye, which is >= 1: so
+    here so that it holds for any step and point. In the derivation of `_spread`
 
-        |p' − q'| <= |p' × q'| = |p × q| / (p_D q_D) = |s| h / (p_D q_D) <= S² |s| h / (|p| |q|),
+        |p × q| / (|p| |q|) = |s| h / (|p| |q|),
 
-    h being the horizontal distance of both from the eye and S the largest distance / depth in
-    view. `gamma_guaranteed` is >= f S², f the focal length, so 1 / d is the maximum of
+    h being the horizontal distance of both points from the eye, so 1 / d is the maximum of
     h / (h² + v²) over the box, v its least vertical distance: it grows up to h = v, then sinks.
     It is never more than 1 / the distance to the box, and nothing straight below or above.
     """
@@ -94,25 +90,95 @@ def oriented_distances(low, high, eye, out):
         )
 
 
+# What `View.lens` holds: pixels per unit of tangent, the largest (distance / depth)² in view, the
+# view's direction.
+LENS_SCALE, LENS_SLANT, LENS_X, LENS_Y, LENS_Z = range(5)
+N_LENS = 5
+
+
 @kernel
-def _screen_error(node, low, high, errors, z_scale, eye, gamma, is_oriented):
+def _cosine_of_least(cosine, sine_apart):
+    """Return cos(max(a - b, 0)) of a's cosine and b's sine, b <= 90 degrees."""
+    cosine_apart = np.sqrt(max(1.0 - sine_apart * sine_apart, 0.0))
+    if cosine >= cosine_apart:
+        return 1.0
+    return cosine * cosine_apart + np.sqrt(max(1.0 - cosine * cosine, 0.0)) * sine_apart
+
+
+@kernel
+def _spread(eye, low_x, low_y, low_z, high_x, high_y, high_z, lens):
+    """Return a k for which f k e / d bounds vertical steps of length e in a box on screen, pixels.
+
+    f is the focal length and d the distance of the box. Let p be a point and q = p + s ẑ, |s| <= e,
+    both in the box and in the picture, relative to the eye, and p' = p / p_D, q' = q / q_D on the
+    plane at depth 1. The triangle (eye, p', q') has the area ½ |p' × q'|, and also ½ |p' − q'| r, r
+    being the distance from the eye of the line through p' and q'. So
+
+        |p' − q'| = |p × q| / (p_D q_D r) <= |s| S² / (d r),
+
+    S being the largest |p| / p_D of a point of the box in the picture: 1 / cos of the angle between
+    the view and the box's ball, or what the picture's corners have if that is less. The line lies
+    in the vertical plane through the eye and p, so 1 / r is the length of the view's direction as
+    it projects onto that plane: √(cos²φ cos²β + sin²φ), φ the pitch and β the azimuth of the plane
+    from the view's: least where it is nearest to it.
+
+    No more than S² of the corners, which is what `gamma_guaranteed` takes everywhere.
+    """
+    slant = lens[LENS_SLANT]
+    if slant <= 1.0:
+        return slant
+    x, y = (low_x + high_x) / 2 - eye[0], (low_y + high_y) / 2 - eye[1]
+    z = (low_z + high_z) / 2 - eye[2]
+    across = ((high_x - low_x) ** 2 + (high_y - low_y) ** 2) / 4
+    radius = np.sqrt(across + (high_z - low_z) ** 2 / 4)
+    away = np.sqrt(x * x + y * y + z * z)
+    if away > radius:
+        cosine = (x * lens[LENS_X] + y * lens[LENS_Y] + z * lens[LENS_Z]) / away
+        # The angle of the ball's farthest side: the sum of two.
+        sine_apart = radius / away
+        farthest = cosine * np.sqrt(max(1.0 - sine_apart * sine_apart, 0.0))
+        farthest -= np.sqrt(max(1.0 - cosine * cosine, 0.0)) * sine_apart
+        if farthest > 0:
+            slant = min(slant, 1.0 / (farthest * farthest))
+    level = lens[LENS_X] * lens[LENS_X] + lens[LENS_Y] * lens[LENS_Y]  # cos²φ
+    apart, width = np.sqrt(x * x + y * y), np.sqrt(across)
+    if apart > width and level > 0:
+        cosine = (x * lens[LENS_X] + y * lens[LENS_Y]) / (apart * np.sqrt(level))
+        nearest = _cosine_of_least(min(max(cosine, -1.0), 1.0), width / apart)
+        if cosine > 0 and nearest > 0:  # else some of it lies behind, where the cosine grows again
+            slant *= np.sqrt(level * nearest * nearest + 1.0 - level)
+    return slant
+
+
+@kernel
+def node_scale(node, low, high, z_scale, eye, lens, is_oriented):
+    """Return pixels on screen per metre of a node's vertical error; inf where the eye is in it."""
+    low_x, low_y, low_z = low[node, 0], low[node, 1], low[node, 2] * z_scale
+    high_x, high_y, high_z = high[node, 0], high[node, 1], high[node, 2] * z_scale
+    if is_oriented:
+        distance = oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z)
+    else:
+        distance = _distance(eye, low_x, low_y, low_z, high_x, high_y, high_z)
+    if distance <= 0:
+        return np.inf
+    spread = _spread(eye, low_x, low_y, low_z, high_x, high_y, high_z, lens)
+    return lens[LENS_SCALE] * spread / distance
+
+
+@kernel
+def node_scales(nodes, low, high, z_scale, eye, lens, is_oriented, out):
+    """Fill `out` with the `node_scale` of each node."""
+    for k in range(nodes.shape[0]):
+        out[k] = node_scale(nodes[k], low, high, z_scale, eye, lens, is_oriented)
+
+
+@kernel
+def _screen_error(node, low, high, errors, z_scale, eye, lens, is_oriented):
     """Return a bound of a node's error on screen, pixels; inf where the eye is in its box."""
     error = errors[node] * z_scale
     if error <= 0:
         return 0.0
-    if is_oriented:
-        distance = oriented_distance(
-            eye,
-            low[node, 0],
-            low[node, 1],
-            low[node, 2] * z_scale,
-            high[node, 0],
-            high[node, 1],
-            high[node, 2] * z_scale,
-        )
-    else:
-        distance = _node_distance(node, low, high, z_scale, eye)
-    return gamma * error / distance if distance > 0 else np.inf
+    return error * node_scale(node, low, high, z_scale, eye, lens, is_oriented)
 
 
 @kernel
@@ -128,7 +194,7 @@ def select_nodes(
     planes,
     eye,
     z_scale,
-    gamma,
+    lens,
     is_oriented,
     tau,
     stack,
@@ -152,7 +218,7 @@ def select_nodes(
             continue
         first = top
         is_split = is_known[node] and (
-            _screen_error(node, low, high, errors, z_scale, eye, gamma, is_oriented) > tau
+            _screen_error(node, low, high, errors, z_scale, eye, lens, is_oriented) > tau
         )
         if is_split:
             has_children = False
@@ -189,7 +255,7 @@ def wanted_nodes(
     planes,
     eye,
     z_scale,
-    gamma,
+    lens,
     is_oriented,
     tau,
     out_nodes,
@@ -210,7 +276,7 @@ def wanted_nodes(
         done += 1
         if not is_known[node]:
             continue
-        if _screen_error(node, low, high, errors, z_scale, eye, gamma, is_oriented) <= tau:
+        if _screen_error(node, low, high, errors, z_scale, eye, lens, is_oriented) <= tau:
             continue
         for k in range(4):
             child = children[node, k]

@@ -148,7 +148,10 @@ class Scene:
     def view(self, camera: Camera, viewport: Viewport, max_pixel_error: float = 1.0) -> View:
         """Return a view of this scene, in more detail where the terrain is flat."""
         max_pixel_error *= self.frame.detail(camera.eye)
-        return View(camera, viewport, max_pixel_error, self.mode.gamma, self.frame.exaggeration)
+        return View(
+            camera, viewport, max_pixel_error, self.mode.gamma, self.frame.exaggeration,
+            is_exact=self.mode.is_exact,
+        )  # fmt: skip
 
     @property
     def build_ms(self) -> list[float]:
@@ -208,7 +211,7 @@ class Scene:
         table, nodes = self.table, frames.nodes
         is_finest = table.is_known[nodes] & (table.children[nodes] < 0).all(axis=1)
         errors = (table.errors[nodes] + frames.morphs * table.morphs[nodes]) * view.exaggeration
-        on_screen = view.gamma * errors / np.maximum(frames.distances, 1e-9)
+        on_screen = errors * np.minimum(table.scales(view, nodes), 1e12)
         diagonal = math.hypot(view.viewport.width, view.viewport.height)
         return min(float(on_screen[~is_finest].max(initial=0.0)), diagonal)
 

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Block
-from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed
+from terrainwave.render.camera import Camera, Viewport, focal_length, gamma_guaranteed, slant
 from terrainwave.render.frustum import frustum_planes
-from terrainwave.render.kernels import priorities, select_nodes, wanted_nodes
+from terrainwave.render.kernels import node_scales, priorities, select_nodes, wanted_nodes
 
 _FIRST_CAPACITY = 256
 
@@ -83,6 +83,9 @@ class View:
         Factor of heights.
     is_oriented : bool
         Errors, being vertical, count less the steeper they are looked down at.
+    is_exact : bool
+        Errors count as each block's place in the picture has it (`kernels.node_scale`), not by one
+        γ for all of it.
     """
 
     camera: Camera
@@ -91,11 +94,31 @@ class View:
     gamma_of: Callable[[Camera, Viewport], float] = gamma_guaranteed
     exaggeration: float = 1.0
     is_oriented: bool = False
+    is_exact: bool = False
 
     @property
     def gamma(self) -> float:
         """Return γ of ``error on screen = γ · error / distance``."""
         return self.gamma_of(self.camera, self.viewport)
+
+    @property
+    def least_gamma(self) -> float:
+        """Return the γ with which errors of blocks count at least, in pixels · distance / error.
+
+        In `kernels._spread` S is 1 or more, and r, the distance of a line through a point of the
+        picture, at most that of its corners.
+        """
+        if not self.is_exact:
+            return self.gamma
+        return focal_length(self.camera, self.viewport) / slant(self.camera, self.viewport)
+
+    @property
+    def lens(self) -> NDArray[np.float64]:
+        """Return what `kernels.node_scale` takes: see there."""
+        if not self.is_exact:
+            return np.array([self.gamma, 1.0, *self.camera.forward])
+        scale = focal_length(self.camera, self.viewport)
+        return np.array([scale, slant(self.camera, self.viewport) ** 2, *self.camera.forward])
 
     @property
     def planes(self) -> NDArray[np.float64]:
@@ -191,6 +214,13 @@ class NodeTable:
         scale = np.array([1.0, 1.0, exaggeration])
         return self.low[nodes] * scale, self.high[nodes] * scale
 
+    def scales(self, view: View, nodes: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return pixels on screen per metre of nodes' errors; inf where the eye is in their box."""
+        scales = np.empty(len(nodes))
+        eye, z_scale = view.camera.eye, view.exaggeration
+        node_scales(nodes, self.low, self.high, z_scale, eye, view.lens, view.is_oriented, scales)
+        return scales
+
     def select(self, view: View, tau: float | None = None) -> Selection:
         """Return the resident blocks that show the view within τ where they are here.
 
@@ -210,7 +240,7 @@ class NodeTable:
             view.planes,
             view.camera.eye,
             view.exaggeration,
-            view.gamma,
+            view.lens,
             view.is_oriented,
             view.max_pixel_error if tau is None else tau,
             self._stack,
@@ -247,7 +277,7 @@ class NodeTable:
             frustum_planes(camera, view.viewport),
             camera.eye,
             view.exaggeration,
-            view.gamma,
+            view.lens,
             view.is_oriented,
             view.max_pixel_error if tau is None else tau,
             out,
