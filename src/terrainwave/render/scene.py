@@ -17,6 +17,7 @@ from terrainwave.render.frustum import may_see
 from terrainwave.render.modes import mode_class, options_of
 from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode
 from terrainwave.render.paging import Pager
+from terrainwave.render.problems import Problems, replies_of
 from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Piece, Selection, View
 
 if TYPE_CHECKING:
@@ -84,6 +85,9 @@ class Scene:
         Per frame; τ is raised where it takes longer.
     n_workers : int
         Threads that read, decode and build.
+    retries : bool
+        Ask again for what a server did not send, after pauses, and the roots too; by default what
+        cannot be read is drawn coarser, and a root raises.
     progress : callable, optional
         Called with a `Progress` where a mode prepares for long.
 
@@ -107,6 +111,7 @@ class Scene:
         max_triangles: int = MAX_TRIANGLES,
         target_ms: float | None = None,
         n_workers: int = 2,
+        retries: bool = False,
         progress: ProgressCallback | None = None,
     ) -> None:
         self.terrain = terrain
@@ -120,7 +125,7 @@ class Scene:
         self.mode.max_triangles = max_triangles
         self.governor = ErrorGovernor(max_triangles, target_ms)
         self.timings = Timings()
-        self.problems: dict[Piece, str] = {}
+        self.problems = Problems(retries=retries, n_replies=replies_of(terrain))
         for info in self.mode.roots():
             self.table.add(info)
         self._pager = Pager(
@@ -182,7 +187,8 @@ class Scene:
         self._last_camera = view.camera
         paged = time.perf_counter()
         selection, used = self.governor.select(self.table, replace(view, max_pixel_error=tau))
-        frames = self.mode.frames(self.table, view, selection, used, len(missing))
+        n_missing = len(missing) + self.problems.n_held
+        frames = self.mode.frames(self.table, view, selection, used, n_missing)
         self.timings = Timings((paged - started) * 1e3, (time.perf_counter() - paged) * 1e3)
         return frames
 
@@ -234,7 +240,7 @@ class Scene:
     def _missing(self, wanted: NDArray[np.int32]) -> list[Piece]:
         absent = wanted[~self.table.is_resident[wanted]]
         pieces = [self.table.pieces[node] for node in absent.tolist()]
-        return [piece for piece in pieces if piece not in self.problems]
+        return [piece for piece in pieces if not self.problems.holds(piece)]
 
     def _ahead(self, view: View, tau: float) -> list[Piece]:
         """Return the pieces the next view will need, if all of this one's are here."""
@@ -260,10 +266,12 @@ class Scene:
             if error is not None:
                 if not isinstance(error, TerrainwaveError):
                     raise error
-                self.problems[piece] = str(error)
-                if node in self.table.roots:
+                self.problems.add(piece, error)
+                if node in self.table.roots and piece in self.problems.damaged:
                     raise error
-            elif node is not None and not self.table.is_resident[node]:
+                continue
+            self.problems.came()
+            if node is not None and not self.table.is_resident[node]:
                 self._keep(view, node, built, keep)
         return True
 
