@@ -363,7 +363,7 @@ def measure(open_session: Callable, ground: Ground, what: str, seconds: float, t
 @common.option("--size", default="1920x1080")
 @common.option("--max-pixel-error", "tau", default=1.0)
 @common.option("--threads", default=2)
-@common.option("--memory", default=512, help="MiB.")
+@common.option("--memory", default=1024, help="MiB.")
 @common.option("--radius", type=float, help="Of the body, without a CRS.")
 @common.option("--gpu", is_flag=True, help="Draw by OpenGL.")
 def main(

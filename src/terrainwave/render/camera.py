@@ -359,12 +359,3 @@ def along(cameras: list[Camera], share: float) -> Camera:
         start.pitch + (end.pitch - start.pitch) * smooth,
         start.fov + (end.fov - start.fov) * smooth,
     )
-
-
-def predict(before: Camera, now: Camera, steps: float = 1.0) -> Camera:
-    """Return where the camera is going: P₂ = 2 P₁ − P₀ (Zhang et al. 2012, eq. 15).
-
-    `steps` goes further along the same way.
-    """
-    x, y, z = now.eye + (now.eye - before.eye) * steps
-    return replace(now, position=(float(x), float(y), float(z)))

@@ -117,11 +117,13 @@ class GpuStore:
         arena: Arena = getattr(self, name)
         start = arena.take(size)
         while start is None:
-            capacity = 2 * arena.capacity
             itemsize = VERTEX.itemsize if name == "_vertices" else _INDEX_BYTES
             other = self._indices if name == "_vertices" else self._vertices
             other_size = _INDEX_BYTES if name == "_vertices" else VERTEX.itemsize
-            if capacity * itemsize + other.capacity * other_size > self._mesh_bytes:
+            # Twice as much; the last time by less, what is left.
+            most = (self._mesh_bytes - other.capacity * other_size) // itemsize
+            capacity = min(2 * arena.capacity, most)
+            if capacity < arena.capacity + size:
                 return None
             self._grow_buffer(
                 "vertex_buffer" if name == "_vertices" else "index_buffer", capacity * itemsize

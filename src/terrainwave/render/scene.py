@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import LimitExceededError, TerrainwaveError
 from terrainwave.progress import ProgressCallback
-from terrainwave.render.camera import Camera, Viewport, predict
+from terrainwave.render.camera import Camera, Viewport
 from terrainwave.render.frame import Frame, frame_of
 from terrainwave.render.frustum import may_see
 from terrainwave.render.modes import mode_class, options_of
 from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode
+from terrainwave.render.motion import Motion
 from terrainwave.render.paging import Pager
 from terrainwave.render.problems import Problems, replies_of
 from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Piece, Selection, View
@@ -23,13 +24,17 @@ from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Piece,
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
-DEFAULT_MAX_BYTES = 512 << 20
+DEFAULT_MAX_BYTES = 1 << 30
 _UPLOADS_PER_FRAME = 4
 _READY_PER_WORKER = 4
 # Depth planes where all is drawn in parts: one for all of them.
 _NEAREST_PART = 0.0
 # Where what is needed does not fit, τ is raised by steps; it sinks again as the camera moves on.
 _PRESSURE, _RELIEF = 1.1, 1.02
+# How much a piece is needed: not, soon, now.
+_NOT, _AHEAD, _WANTED = range(3)
+# What a moving camera will need is looked at every so many frames.
+_FRAMES_PER_LOOK = 6
 
 
 class Store(Protocol):
@@ -131,9 +136,12 @@ class Scene:
         self._pager = Pager(
             self.mode.build, n_workers=n_workers, max_ready=_READY_PER_WORKER * n_workers
         )
+        self._motion = Motion()
+        self._n_updates = 0
+        self._looked = np.empty(0, dtype=np.int32)
         self._last_camera: Camera | None = None
         self._requested: list[Piece] = []
-        self._memory_factor = 1.0
+        self._memory_factor, self._is_short = 1.0, True
 
     def __enter__(self) -> "Scene":
         return self
@@ -173,17 +181,17 @@ class Scene:
     def update(self, view: View, *, max_uploads: int = _UPLOADS_PER_FRAME) -> Frames:
         """Take what has been built, ask for what is missing, return what to draw. Never waits."""
         started = time.perf_counter()
-        if self._last_camera != view.camera:
+        self._motion.see(view.camera)
+        if self._last_camera != view.camera and not self._is_short:
             self._memory_factor = max(self._memory_factor / _RELIEF, 1.0)
         tau = self._split_error(view)
         wanted = self._wanted(view, tau)
-        spare = self._spare(view, wanted)
-        if self._take(view, np.concatenate([wanted, spare]), max_uploads):
+        ahead = self._ahead(view, tau, wanted)
+        if self._take(view, wanted, ahead, max_uploads):
             wanted = self._wanted(view, tau)  # what came may have children
-            spare = self._spare(view, wanted)
         missing = self._missing(wanted)
-        ahead = [] if missing else (self._missing(spare) or self._ahead(view, tau))
-        self._request(missing + ahead)
+        self._is_short = bool(missing)
+        self._request(missing + self._missing(ahead))
         self._last_camera = view.camera
         paged = time.perf_counter()
         selection, used = self.governor.select(self.table, replace(view, max_pixel_error=tau))
@@ -231,35 +239,42 @@ class Scene:
         camera = camera or view.camera
         return self.mode.wanted(self.table, view, tau, self.store.max_blocks, camera)
 
-    def _spare(self, view: View, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return the pieces to have besides `wanted`, as many as there is room for."""
-        spare = self.mode.spare(self.table, view, self.store.max_blocks)
-        spare = spare[~np.isin(spare, wanted)]
-        return spare[: self.store.max_blocks - len(wanted)]
+    def _ahead(self, view: View, tau: float, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return the pieces to have besides `wanted`, as many as there is room for.
+
+        What the camera will see if it goes on as it does, soonest first, then the mode's own.
+        Looked at anew every few frames.
+        """
+        self._n_updates += 1
+        if self._n_updates % _FRAMES_PER_LOOK == 1 or self._last_camera is None:
+            cameras = self._motion.ahead()
+            nodes = [self._wanted(view, tau, camera) for camera in cameras]
+            nodes.append(self.mode.spare(self.table, view, self.store.max_blocks))
+            found = np.concatenate(nodes)
+            _, first = np.unique(found, return_index=True)
+            self._looked = found[np.sort(first)]
+        ahead = self._looked[~np.isin(self._looked, wanted)]
+        return ahead[: max(self.store.max_blocks - len(wanted), 0)]
 
     def _missing(self, wanted: NDArray[np.int32]) -> list[Piece]:
         absent = wanted[~self.table.is_resident[wanted]]
         pieces = [self.table.pieces[node] for node in absent.tolist()]
         return [piece for piece in pieces if not self.problems.holds(piece)]
 
-    def _ahead(self, view: View, tau: float) -> list[Piece]:
-        """Return the pieces the next view will need, if all of this one's are here."""
-        if self._last_camera is None or self._last_camera.position == view.camera.position:
-            return []
-        camera = predict(self._last_camera, view.camera)
-        return self._missing(self._wanted(view, tau, camera))
-
     def _request(self, pieces: list[Piece]) -> None:
         if pieces != self._requested:
             self._pager.request(pieces)
             self._requested = pieces
 
-    def _take(self, view: View, wanted: NDArray[np.int32], max_uploads: int) -> bool:
+    def _take(
+        self, view: View, wanted: NDArray[np.int32], ahead: NDArray[np.int32], max_uploads: int
+    ) -> bool:
+        """Put what has been built into the store; say whether anything came."""
         taken = self._pager.take(max_uploads)
         if not taken:
             return False
-        keep = np.zeros(len(self.table), dtype=np.bool_)
-        keep[wanted] = True
+        needs = np.zeros(len(self.table), dtype=np.int8)
+        needs[ahead], needs[wanted] = _AHEAD, _WANTED
         self._requested = []  # what could not be kept is asked for again
         for piece, built, error in taken:
             node = self.table.find(piece)
@@ -272,25 +287,33 @@ class Scene:
                 continue
             self.problems.came()
             if node is not None and not self.table.is_resident[node]:
-                self._keep(view, node, built, keep)
+                self._keep(view, node, built, needs)
         return True
 
-    def _keep(self, view: View, node: int, built: Built, keep: NDArray[np.bool_]) -> None:
-        """Put what was built into the store; what is needed least makes room."""
+    def _keep(self, view: View, node: int, built: Built, needs: NDArray[np.int8]) -> None:
+        """Put what was built into the store; what is needed least, and less than it, makes room."""
         table = self.table
         table.add_children(node, built.children)
-        if len(keep) < len(table):
-            keep = np.pad(keep, (0, len(table) - len(keep)))
-        for victim in [None, *table.lowest_priority(view, keep).tolist()]:
-            if victim is not None:
-                self._drop(victim)
-            if self.store.put(node, built):
-                break
-        else:
-            self._memory_factor *= _PRESSURE  # all that is here is needed: need less
+        need = int(needs[node]) if node < len(needs) else _NOT
+        if not self.store.put(node, built) and not self._make_room(view, node, built, needs, need):
+            if need == _WANTED:
+                self._memory_factor *= _PRESSURE  # all that is here is needed: need less
             return
         table.describe(node, built)
         self.mode.keep(table.pieces[node], built)
+
+    def _make_room(
+        self, view: View, node: int, built: Built, needs: NDArray[np.int8], need: int
+    ) -> bool:
+        """Drop pieces until one fits; say whether it does."""
+        table = self.table
+        needs = np.pad(needs, (0, len(table) - len(needs)))
+        for threshold in range(_AHEAD, need + 1):
+            for victim in table.lowest_priority(view, needs >= threshold).tolist():
+                self._drop(victim)
+                if self.store.put(node, built):
+                    return True
+        return False
 
     # Everything, a part at a time
 
