@@ -301,43 +301,6 @@ def priorities(nodes, low, high, z_scale, eye, forward, out):
 
 
 @kernel
-def rasterize(rows, cols, heights, triangles, factor, first_row, first_col, out):
-    """Fill `out`, float64, with a mesh's heights at places of a grid, NaN where it has none.
-
-    Place (r, c) of `out` is (first_row + r, first_col + c) in units of which a vertex's row and
-    column count `factor` each.
-    """
-    n_rows, n_cols = out.shape
-    out[:] = np.nan
-    for t in range(triangles.shape[0]):
-        p_0, p_1, p_2 = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        row_0 = np.int64(rows[p_0]) * factor - first_row
-        row_1 = np.int64(rows[p_1]) * factor - first_row
-        row_2 = np.int64(rows[p_2]) * factor - first_row
-        top, bottom = max(min(row_0, row_1, row_2), 0), min(max(row_0, row_1, row_2), n_rows - 1)
-        if top > bottom:
-            continue
-        col_0 = np.int64(cols[p_0]) * factor - first_col
-        col_1 = np.int64(cols[p_1]) * factor - first_col
-        col_2 = np.int64(cols[p_2]) * factor - first_col
-        left, right = max(min(col_0, col_1, col_2), 0), min(max(col_0, col_1, col_2), n_cols - 1)
-        area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
-        if left > right or area <= 0:
-            continue
-        z_0 = float(heights[p_0])
-        rise_1, rise_2 = float(heights[p_1]) - z_0, float(heights[p_2]) - z_0
-        step_1, step_2 = row_2 - row_0, row_0 - row_1
-        for row in range(top, bottom + 1):
-            weight_1 = (left - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row - row_0)
-            weight_2 = (col_1 - col_0) * (row - row_0) - (left - col_0) * (row_1 - row_0)
-            for col in range(left, right + 1):
-                if weight_1 >= 0 and weight_2 >= 0 and weight_1 + weight_2 <= area:
-                    out[row, col] = z_0 + (weight_1 * rise_1 + weight_2 * rise_2) / area
-                weight_1 += step_1
-                weight_2 += step_2
-
-
-@kernel
 def slopes(heights, mask, first_row, first_col, out):
     """Fill `out`, float32 (n_rows, n_cols, 2), with differences per column and per row.
 
@@ -374,19 +337,146 @@ def slopes(heights, mask, first_row, first_col, out):
 
 
 @kernel
-def border_edges(rows, cols, triangles, last_row, last_col, out):
-    """Fill the edges of triangles on the border of a block; return their number.
+def surface_at(rows, cols, heights, triangles, factor, first_row, first_col, numbers, out):
+    """Fill `out`, float64, with a mesh's heights at points of a grid; others stay as they are.
 
-    `last_row` and `last_col` are those of the block in half samples. `out` is int32 (n, 2).
+    `numbers`, int32, has the points: place (r, c), which is (first_row + r, first_col + c) in units
+    of which a vertex's row and column count `factor` each, is point `numbers[r, c]`, or none where
+    that is < 0.
     """
-    n_out = 0
+    n_rows, n_cols = numbers.shape
+    for t in range(triangles.shape[0]):
+        p_0, p_1, p_2 = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        row_0 = np.int64(rows[p_0]) * factor - first_row
+        row_1 = np.int64(rows[p_1]) * factor - first_row
+        row_2 = np.int64(rows[p_2]) * factor - first_row
+        top, bottom = max(min(row_0, row_1, row_2), 0), min(max(row_0, row_1, row_2), n_rows - 1)
+        if top > bottom:
+            continue
+        col_0 = np.int64(cols[p_0]) * factor - first_col
+        col_1 = np.int64(cols[p_1]) * factor - first_col
+        col_2 = np.int64(cols[p_2]) * factor - first_col
+        left, right = max(min(col_0, col_1, col_2), 0), min(max(col_0, col_1, col_2), n_cols - 1)
+        area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
+        if left > right or area <= 0:
+            continue
+        z_0 = float(heights[p_0])
+        rise_1, rise_2 = float(heights[p_1]) - z_0, float(heights[p_2]) - z_0
+        step_1, step_2 = row_2 - row_0, row_0 - row_1
+        for row in range(top, bottom + 1):
+            weight_1 = (left - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row - row_0)
+            weight_2 = (col_1 - col_0) * (row - row_0) - (left - col_0) * (row_1 - row_0)
+            for col in range(left, right + 1):
+                # All three weights are >= 0.
+                if (weight_1 | weight_2 | (area - weight_1 - weight_2)) >= 0:
+                    number = numbers[row, col]
+                    if number >= 0:
+                        out[number] = z_0 + (weight_1 * rise_1 + weight_2 * rise_2) / area
+                weight_1 += step_1
+                weight_2 += step_2
+
+
+@kernel
+def fill_texels(heights, mask, first_row, first_col, n_rows, n_cols, slopes_of, colors_of, out):
+    """Fill `out`, float32 (m, n, 3), with slopes to the east and north and heights to colour by.
+
+    Parameters
+    ----------
+    heights, mask : ndarray, 2-D
+        Samples around a block.
+    first_row, first_col, n_rows, n_cols : int
+        The part of them that `out` begins with may reach past all sides of it: place (r, c) is
+        sample (first_row + r, first_col + c), or the nearest one of the `n_rows` x `n_cols` from
+        (max(first_row, 0), max(first_col, 0)) on.
+    slopes_of : ndarray of float64, shape (5,)
+        Slopes are ``(a c + b r, d c + e r)`` of differences per column c and row r, 0 below the
+        fifth.
+    colors_of : ndarray of float64, shape (3,)
+        Of heights: factor, shift, and what is the most.
+    """
+    a, b, d, e, least = slopes_of
+    factor, shift, most = colors_of
+    low_row, low_col = max(first_row, 0), max(first_col, 0)
+    last_row, last_col = heights.shape[0] - 1, heights.shape[1] - 1
+    for r in range(out.shape[0]):
+        row = min(max(first_row + r, low_row), low_row + n_rows - 1)
+        above, below = max(row - 1, 0), min(row + 1, last_row)
+        for c in range(out.shape[1]):
+            col = min(max(first_col + c, low_col), low_col + n_cols - 1)
+            left, right = max(col - 1, 0), min(col + 1, last_col)
+            across, down = 0.0, 0.0
+            if mask[row, col]:
+                here = float(heights[row, col])
+                low, high, n = here, here, 0
+                if left < col and mask[row, left]:
+                    low = float(heights[row, left])
+                    n += 1
+                if right > col and mask[row, right]:
+                    high = float(heights[row, right])
+                    n += 1
+                if n > 0:
+                    across = (high - low) / n
+                low, high, n = here, here, 0
+                if above < row and mask[above, col]:
+                    low = float(heights[above, col])
+                    n += 1
+                if below > row and mask[below, col]:
+                    high = float(heights[below, col])
+                    n += 1
+                if n > 0:
+                    down = (high - low) / n
+                height = here * factor + shift
+            else:
+                height = _mean_around(heights, mask, row, col, factor, shift)
+            east, north = a * across + b * down, d * across + e * down
+            out[r, c, 0] = min(max(east, -most), most) if abs(east) >= least else 0.0
+            out[r, c, 1] = min(max(north, -most), most) if abs(north) >= least else 0.0
+            out[r, c, 2] = min(max(height, -most), most)
+
+
+@kernel
+def _mean_around(heights, mask, row, col, factor, shift):
+    """Return the mean of valid samples around a void one, so that colours don't change beside it.
+
+    Samples past the side count as those at it; 0 where none is valid.
+    """
+    total, n = 0.0, 0
+    for r in range(row - 1, row + 2):
+        for c in range(col - 1, col + 2):
+            at = min(max(r, 0), heights.shape[0] - 1), min(max(c, 0), heights.shape[1] - 1)
+            if mask[at]:
+                total += float(heights[at]) * factor + shift
+                n += 1
+    return total / n if n else 0.0
+
+
+@kernel
+def border_edges(rows, cols, triangles, last_row, last_col, lower, edges):
+    """Fill the edges of triangles on the border of a block; return their number and ends'.
+
+    `last_row` and `last_col` are those of the block in half samples. `edges` is int32 (n, 2),
+    `lower`, of each vertex, is filled with its number among the ends of edges, -1 elsewhere.
+    """
+    n_edges, n_ends = 0, 0
+    for v in range(rows.shape[0]):
+        is_border = rows[v] == 0 or rows[v] == last_row or cols[v] == 0 or cols[v] == last_col
+        lower[v] = -1 if is_border else -2
     for t in range(triangles.shape[0]):
         for k in range(3):
-            a, b = triangles[t, k], triangles[t, (k + 1) % 3]
+            a = triangles[t, k]
+            if lower[a] == -2:
+                continue
+            b = triangles[t, (k + 1) % 3]
+            if lower[b] == -2:
+                continue
             same_row = rows[a] == rows[b] and (rows[a] == 0 or rows[a] == last_row)
             same_col = cols[a] == cols[b] and (cols[a] == 0 or cols[a] == last_col)
-            if (same_row or same_col) and n_out < out.shape[0]:
-                out[n_out, 0] = a
-                out[n_out, 1] = b
-                n_out += 1
-    return n_out
+            if (same_row or same_col) and n_edges < edges.shape[0]:
+                edges[n_edges, 0] = a
+                edges[n_edges, 1] = b
+                n_edges += 1
+                for end in (a, b):
+                    if lower[end] == -1:
+                        lower[end] = n_ends
+                        n_ends += 1
+    return n_edges, n_ends

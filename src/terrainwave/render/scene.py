@@ -191,6 +191,10 @@ class Scene:
             wanted = self._wanted(view, tau)  # what came may have children
         missing = self._missing(wanted)
         self._is_short = bool(missing)
+        if missing:  # what leaves τ first, then what is to be split a little before it is left
+            most = view.max_pixel_error * self._memory_factor
+            urgent = self._missing(self._wanted(view, most))
+            missing = list(dict.fromkeys(urgent + missing))
         self._request(missing + self._missing(ahead))
         self._last_camera = view.camera
         paged = time.perf_counter()
