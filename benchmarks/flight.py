@@ -37,8 +37,11 @@ SETTLING_S = 2.0
 # Metres per second, metres over the highest ground around, degrees: how flights are.
 LOW, FAST = (250.0, 300.0, -12.0), (2500.0, 1000.0, -15.0)
 TURN_DEGREES_PER_S = 2.0
-JUMPS, JUMP_TIMEOUT_S = 12, 10.0
-SPIRAL_HEIGHTS, SPIRAL_TURNS = (12_000.0, 300.0), 3.0
+# Metres over the ground, degrees: down at a place, as when one looks for it; low, to the horizon.
+JUMPS = {"jump": (1000.0, -30.0), "horizon": LOW[1:]}
+N_JUMPS, JUMP_TIMEOUT_S = 13, 10.0
+# A spiral: from and to so many metres over the ground, radius in metres, degrees per second.
+SPIRAL_HEIGHTS, SPIRAL_RADIUS, SPIRAL_TURN = (6000.0, 300.0), 3000.0, 15.0
 Place = Callable[[float], Camera]
 
 # One line of the CSV: milliseconds of CPU, pixels of error.
@@ -153,27 +156,27 @@ class Flights:
         top, bottom = SPIRAL_HEIGHTS
 
         def at(now: float) -> Camera:
-            share = min(now / seconds, 1.0)
-            above = top * (bottom / top) ** share
-            angle = 2 * math.pi * SPIRAL_TURNS * share
-            x, y = self._low + self._size * 0.4 + above * np.array([-math.cos(angle), math.sin(angle)])
+            above = top * (bottom / top) ** min(now / seconds, 1.0)
+            angle = math.radians(SPIRAL_TURN) * now
+            side = SPIRAL_RADIUS * np.array([-math.cos(angle), math.sin(angle)])
+            x, y = self._low + self._size * 0.4 + side
             return self._camera(x, y, above, math.degrees(angle), -30.0)
 
         return at
 
-    def jumps(self) -> list[Camera]:
-        """Return places far from one another, low over the ground."""
+    def jumps(self, above: float, pitch: float) -> list[Camera]:
+        """Return places far from one another."""
         random = np.random.default_rng(5)
-        places = self._low + self._size * random.uniform(0.1, 0.9, (JUMPS, 2))
-        headings = random.uniform(0, 360, JUMPS)
+        places = self._low + self._size * random.uniform(0.1, 0.9, (N_JUMPS, 2))
+        headings = random.uniform(0, 360, N_JUMPS)
         return [
-            self._camera(x, y, LOW[1], heading, LOW[2])
+            self._camera(x, y, above, heading, pitch)
             for (x, y), heading in zip(places, headings, strict=True)
         ]
 
     def _camera(self, x: float, y: float, above: float, heading: float, pitch: float) -> Camera:
         z = self._ground.height(x, y) + above
-        return Camera((float(x), float(y), z), heading % 360, pitch, 60.0)
+        return Camera((float(x), float(y), z), heading % 360, pitch)
 
 
 class Recorder:
@@ -333,7 +336,9 @@ def flights_of(ground: Ground, seconds: float) -> dict[str, tuple[float, Place]]
     return {
         "low": (LOW[0], flights.straight(*LOW)),
         "fast": (FAST[0], flights.straight(*FAST)),
-        "spiral": (0.0, flights.spiral(seconds)),
+        "spiral": (
+            round(SPIRAL_RADIUS * math.radians(SPIRAL_TURN)), flights.spiral(seconds)
+        ),
     }
 
 
@@ -342,8 +347,8 @@ def measure(open_session: Callable, ground: Ground, what: str, seconds: float, t
     session, file = open_session()
     with contextlib.closing(session), contextlib.closing(file):
         recorder = Recorder(session, tau)
-        if what == "jump":
-            first, *others = Flights(ground).jumps()
+        if what in JUMPS:
+            first, *others = Flights(ground).jumps(*JUMPS[what])
             session.scene.settle(session.scene.view(first, session.viewport, tau))
             for camera in others:
                 recorder.fly(lambda _, camera=camera: camera, JUMP_TIMEOUT_S, stops=True)
@@ -359,7 +364,7 @@ def measure(open_session: Callable, ground: Ground, what: str, seconds: float, t
 @common.option("--side", default=16384, help="Of the mirrored DEM.")
 @common.option("--max-error", default=1.0)
 @common.option("--mode", "modes", cls=common.ListOption, default=("adaptive", "batched"))
-@common.option("--what", cls=common.ListOption, default=("low", "fast", "jump", "spiral"))
+@common.option("--what", cls=common.ListOption, default=("low", "fast", "jump", "horizon", "spiral"))
 @common.option("--size", default="1920x1080")
 @common.option("--max-pixel-error", "tau", default=1.0)
 @common.option("--threads", default=2)
@@ -397,7 +402,7 @@ def _warm_up(path: Path, mode: str, viewport: Viewport, ground: Ground, tau: flo
     """Compile what flights use."""
     session = Session(path, mode, viewport, gpu=False, n_threads=1, memory=256)
     with contextlib.closing(session):
-        for camera in Flights(ground).jumps()[:2]:
+        for camera in Flights(ground).jumps(*JUMPS["horizon"])[:2]:
             view = session.scene.view(camera, session.viewport, 4 * tau)
             session.submit(view, session.scene.settle(view))
             session.scene.update(view)

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -198,7 +198,7 @@ class Scene:
         self._request(missing + self._missing(ahead))
         self._last_camera = view.camera
         paged = time.perf_counter()
-        selection, used = self.governor.select(self.table, replace(view, max_pixel_error=tau))
+        selection, used = self.governor.select(self.table, view, tau)
         n_missing = len(missing) + self.problems.n_held
         frames = self.mode.frames(self.table, view, selection, used, n_missing)
         self.timings = Timings((paged - started) * 1e3, (time.perf_counter() - paged) * 1e3)
@@ -254,10 +254,11 @@ class Scene:
             cameras = self._motion.ahead()
             nodes = [self._wanted(view, tau, camera) for camera in cameras]
             nodes.append(self.mode.spare(self.table, view, self.store.max_blocks))
-            found = np.concatenate(nodes)
-            _, first = np.unique(found, return_index=True)
-            self._looked = found[np.sort(first)]
-        ahead = self._looked[~np.isin(self._looked, wanted)]
+            found = dict.fromkeys(np.concatenate(nodes).tolist())
+            self._looked = np.array(list(found), dtype=np.int32)
+        is_wanted = np.zeros(len(self.table), dtype=np.bool_)
+        is_wanted[wanted] = True
+        ahead = self._looked[~is_wanted[self._looked]]
         return ahead[: max(self.store.max_blocks - len(wanted), 0)]
 
     def _missing(self, wanted: NDArray[np.int32]) -> list[Piece]:

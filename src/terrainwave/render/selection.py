@@ -6,6 +6,7 @@ outside the frustum end the recursion, and those good enough do.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -96,12 +97,12 @@ class View:
     is_oriented: bool = False
     is_exact: bool = False
 
-    @property
+    @cached_property
     def gamma(self) -> float:
         """Return γ of ``error on screen = γ · error / distance``."""
         return self.gamma_of(self.camera, self.viewport)
 
-    @property
+    @cached_property
     def least_gamma(self) -> float:
         """Return the γ with which errors of blocks count at least, in pixels · distance / error.
 
@@ -112,7 +113,7 @@ class View:
             return self.gamma
         return focal_length(self.camera, self.viewport) / slant(self.camera, self.viewport)
 
-    @property
+    @cached_property
     def lens(self) -> NDArray[np.float64]:
         """Return what `kernels.node_scale` takes: see there."""
         if not self.is_exact:
@@ -120,7 +121,7 @@ class View:
         scale = focal_length(self.camera, self.viewport)
         return np.array([scale, slant(self.camera, self.viewport) ** 2, *self.camera.forward])
 
-    @property
+    @cached_property
     def planes(self) -> NDArray[np.float64]:
         """Return the planes of the frustum."""
         return frustum_planes(self.camera, self.viewport)
@@ -265,16 +266,19 @@ class NodeTable:
         camera = camera or view.camera
         out = np.empty(max_blocks, dtype=np.int32)
         # Near roots first.
-        middle = (self.low[self.roots] + self.high[self.roots]) / 2
-        order = np.argsort(np.linalg.norm(middle - camera.eye, axis=1), kind="stable")
+        roots = self.roots
+        if len(roots) > 1:
+            middle = (self.low[roots] + self.high[roots]) / 2
+            away = np.linalg.norm(middle - camera.eye, axis=1)
+            roots = roots[np.argsort(away, kind="stable")]
         n_out = wanted_nodes(
-            self.roots[order],
+            roots,
             self.low,
             self.high,
             self.errors,
             self.children,
             self.is_known,
-            frustum_planes(camera, view.viewport),
+            view.planes if camera is view.camera else frustum_planes(camera, view.viewport),
             camera.eye,
             view.exaggeration,
             view.lens,
@@ -328,9 +332,11 @@ class ErrorGovernor:
         elif ratio < 0.8:
             self.factor = max(self.factor / 1.05, 1.0)
 
-    def select(self, table: NodeTable, view: View) -> tuple[Selection, float]:
-        """Return a selection within the budget, and its τ."""
-        tau = view.max_pixel_error * self.factor
+    def select(
+        self, table: NodeTable, view: View, tau: float | None = None
+    ) -> tuple[Selection, float]:
+        """Return a selection within the budget, and its τ; `tau` is to be kept, or the view's."""
+        tau = (view.max_pixel_error if tau is None else tau) * self.factor
         selection = table.select(view, tau)
         while selection.n_triangles > self.max_triangles and tau < 1e6:
             tau = max(tau, 0.05) * 1.3
