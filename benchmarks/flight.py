@@ -107,7 +107,9 @@ class Ground:
         with terrainwave.open(path) as terrain:
             self.frame = frame_of(terrain, radius=radius)
             level = max(terrain.n_levels - 6, 0)
-            heights = np.asarray(terrain.read(level=level, masked=True).astype(float).filled(np.nan))
+            heights = np.asarray(
+                terrain.read(level=level, masked=True).astype(float).filled(np.nan)
+            )
             self._stride = terrain.grid.stride(level)
         wide = np.pad(heights, 1, mode="edge")
         shifts = [
@@ -146,7 +148,9 @@ class Flights:
             turn = math.radians(TURN_DEGREES_PER_S)
             radius = min(speed / turn, float(self._size.min()) * 0.3)
             angle = speed * seconds / radius
-            x, y = self._low + self._size / 2 + radius * np.array([-math.cos(angle), math.sin(angle)])
+            x, y = (
+                self._low + self._size / 2 + radius * np.array([-math.cos(angle), math.sin(angle)])
+            )
             return self._camera(x, y, above, math.degrees(angle), pitch)
 
         return at
@@ -336,9 +340,7 @@ def flights_of(ground: Ground, seconds: float) -> dict[str, tuple[float, Place]]
     return {
         "low": (LOW[0], flights.straight(*LOW)),
         "fast": (FAST[0], flights.straight(*FAST)),
-        "spiral": (
-            round(SPIRAL_RADIUS * math.radians(SPIRAL_TURN)), flights.spiral(seconds)
-        ),
+        "spiral": (round(SPIRAL_RADIUS * math.radians(SPIRAL_TURN)), flights.spiral(seconds)),
     }
 
 
@@ -364,7 +366,9 @@ def measure(open_session: Callable, ground: Ground, what: str, seconds: float, t
 @common.option("--side", default=16384, help="Of the mirrored DEM.")
 @common.option("--max-error", default=1.0)
 @common.option("--mode", "modes", cls=common.ListOption, default=("adaptive", "batched"))
-@common.option("--what", cls=common.ListOption, default=("low", "fast", "jump", "horizon", "spiral"))
+@common.option(
+    "--what", cls=common.ListOption, default=("low", "fast", "jump", "horizon", "spiral")
+)
 @common.option("--size", default="1920x1080")
 @common.option("--max-pixel-error", "tau", default=1.0)
 @common.option("--threads", default=2)

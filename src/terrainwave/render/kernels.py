@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from terrainwave.coding.jit import kernel
+from terrainwave.coding.jit import inlined_kernel, kernel
 
 # Rows of a frustum: inward planes (x, y, z, w), a point is inside where x·p + w >= 0.
 N_PLANES = 5
@@ -378,7 +378,7 @@ def surface_at(rows, cols, heights, triangles, factor, first_row, first_col, num
 
 @kernel
 def fill_texels(heights, mask, first_row, first_col, n_rows, n_cols, slopes_of, colors_of, out):
-    """Fill `out`, float32 (m, n, 3), with slopes to the east and north and heights to colour by.
+    """Fill `out` with slopes to the east and north and heights to colour by, as float16.
 
     Parameters
     ----------
@@ -393,7 +393,12 @@ def fill_texels(heights, mask, first_row, first_col, n_rows, n_cols, slopes_of, 
         fifth.
     colors_of : ndarray of float64, shape (3,)
         Of heights: factor, shift, and what is the most.
+    out : ndarray of uint16, shape (m, 3 n)
+        Bits of float16; what is below 2⁻¹⁴ is 0.
     """
+    texels = np.empty(out.shape[1], dtype=np.float32)
+    bits = texels.view(np.uint32)
+    is_valid = mask.all()
     a, b, d, e, least = slopes_of
     factor, shift, most = colors_of
     low_row, low_col = max(first_row, 0), max(first_col, 0)
@@ -401,37 +406,53 @@ def fill_texels(heights, mask, first_row, first_col, n_rows, n_cols, slopes_of, 
     for r in range(out.shape[0]):
         row = min(max(first_row + r, low_row), low_row + n_rows - 1)
         above, below = max(row - 1, 0), min(row + 1, last_row)
-        for c in range(out.shape[1]):
+        for c in range(out.shape[1] // 3):
             col = min(max(first_col + c, low_col), low_col + n_cols - 1)
             left, right = max(col - 1, 0), min(col + 1, last_col)
             across, down = 0.0, 0.0
-            if mask[row, col]:
-                here = float(heights[row, col])
-                low, high, n = here, here, 0
-                if left < col and mask[row, left]:
-                    low = float(heights[row, left])
-                    n += 1
-                if right > col and mask[row, right]:
-                    high = float(heights[row, right])
-                    n += 1
-                if n > 0:
-                    across = (high - low) / n
-                low, high, n = here, here, 0
-                if above < row and mask[above, col]:
-                    low = float(heights[above, col])
-                    n += 1
-                if below > row and mask[below, col]:
-                    high = float(heights[below, col])
-                    n += 1
-                if n > 0:
-                    down = (high - low) / n
-                height = here * factor + shift
+            if is_valid:
+                height = float(heights[row, col]) * factor + shift
+                if right > left:
+                    across = float(heights[row, right] - heights[row, left]) / (right - left)
+                if below > above:
+                    down = float(heights[below, col] - heights[above, col]) / (below - above)
+            elif mask[row, col]:
+                height = float(heights[row, col]) * factor + shift
+                across = _difference(heights, mask, row, left, row, col, row, right)
+                down = _difference(heights, mask, above, col, row, col, below, col)
             else:
                 height = _mean_around(heights, mask, row, col, factor, shift)
             east, north = a * across + b * down, d * across + e * down
-            out[r, c, 0] = min(max(east, -most), most) if abs(east) >= least else 0.0
-            out[r, c, 1] = min(max(north, -most), most) if abs(north) >= least else 0.0
-            out[r, c, 2] = min(max(height, -most), most)
+            texels[3 * c] = min(max(east, -most), most) if abs(east) >= least else 0.0
+            texels[3 * c + 1] = min(max(north, -most), most) if abs(north) >= least else 0.0
+            texels[3 * c + 2] = min(max(height, -most), most)
+        for k in range(out.shape[1]):
+            out[r, k] = _half(bits[k])
+
+
+@inlined_kernel
+def _half(bits):
+    """Return the bits of a float16, rounded to even, of a float32's; below 2⁻¹⁴ that is 0."""
+    magnitude = bits & np.uint32(0x7FFFFFFF)
+    rounded = (
+        magnitude + np.uint32(0x0FFF) + ((bits >> np.uint32(13)) & np.uint32(1))
+    ) >> np.uint32(13)
+    half = (rounded - np.uint32(0x1C000)) | ((bits >> np.uint32(16)) & np.uint32(0x8000))
+    return np.uint16(half) if magnitude >= np.uint32(0x38800000) else np.uint16(0)
+
+
+@kernel
+def _difference(heights, mask, row_0, col_0, row, col, row_1, col_1):
+    """Return the difference per sample over a valid one: central, one-sided, or 0."""
+    low = high = float(heights[row, col])
+    n = 0
+    if (row_0 != row or col_0 != col) and mask[row_0, col_0]:
+        low = float(heights[row_0, col_0])
+        n += 1
+    if (row_1 != row or col_1 != col) and mask[row_1, col_1]:
+        high = float(heights[row_1, col_1])
+        n += 1
+    return (high - low) / n if n else 0.0
 
 
 @kernel

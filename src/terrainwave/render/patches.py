@@ -310,15 +310,13 @@ class PatchBuilder:
         near = grid.block_region(block, 1).intersect(level)
         wide = grid.block_region(block, 2).intersect(level)
         heights, mask = terrain.decoder.window(block.level, wide)
-        n_rows, n_cols = (
-            n + 2 + min(1, grid.block + 1 - n) for n in (inner.n_rows, inner.n_cols)
-        )
-        texels = np.empty((n_rows, n_cols, 3), dtype=np.float32)
+        n_rows, n_cols = (n + 2 + min(1, grid.block + 1 - n) for n in (inner.n_rows, inner.n_cols))
+        texels = np.empty((n_rows, 3 * n_cols), dtype=np.uint16)
         first = inner.row - 1 - wide.row, inner.col - 1 - wide.col
         slopes_of = self._slope_scale.terms(self._scale.per_quantum / grid.stride(block.level))
         colors_of = self._height_texels.terms(self._scale)
         fill_texels(heights, mask, *first, *near.shape, slopes_of, colors_of, texels)
-        return texels.astype(np.float16)
+        return texels.view(np.float16).reshape(n_rows, n_cols, 3)
 
 
 def _with_skirts(
