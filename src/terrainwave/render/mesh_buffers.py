@@ -91,9 +91,9 @@ class GpuStore:
             if first_vertex is not None:
                 self._vertices.give_back(first_vertex, len(patch.vertices))
             return False
-        self.vertex_buffer.write(patch.vertices.tobytes(), offset=first_vertex * VERTEX.itemsize)
+        self.vertex_buffer.write(patch.vertices, offset=first_vertex * VERTEX.itemsize)
         indices = patch.triangles + np.uint32(first_vertex)
-        self.index_buffer.write(indices.tobytes(), offset=first_index * _INDEX_BYTES)
+        self.index_buffer.write(indices, offset=first_index * _INDEX_BYTES)
         self.layers.write(layer, [patch.slopes])
         self._place(node, Slot(first_vertex, len(patch.vertices), first_index, n_indices, layer))
         return True

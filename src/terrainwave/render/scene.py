@@ -35,6 +35,7 @@ _PRESSURE, _RELIEF = 1.1, 1.02
 _NOT, _AHEAD, _WANTED = range(3)
 # What a moving camera will need is looked at every so many frames.
 _FRAMES_PER_LOOK = 6
+_MOST_ASKED = 96
 
 
 class Store(Protocol):
@@ -140,7 +141,7 @@ class Scene:
         self._n_updates = 0
         self._looked = np.empty(0, dtype=np.int32)
         self._last_camera: Camera | None = None
-        self._requested: list[Piece] = []
+        self._requested: list[int] = []
         self._memory_factor, self._is_short = 1.0, True
 
     def __enter__(self) -> "Scene":
@@ -190,12 +191,12 @@ class Scene:
         if self._take(view, wanted, ahead, max_uploads):
             wanted = self._wanted(view, tau)  # what came may have children
         missing = self._missing(wanted)
-        self._is_short = bool(missing)
-        if missing:  # what leaves τ first, then what is to be split a little before it is left
+        self._is_short = len(missing) > 0
+        asked = [missing, self._missing(ahead)]
+        if self._is_short:  # what leaves τ first, then what is to be split a little before it is
             most = view.max_pixel_error * self._memory_factor
-            urgent = self._missing(self._wanted(view, most))
-            missing = list(dict.fromkeys(urgent + missing))
-        self._request(missing + self._missing(ahead))
+            asked.insert(0, self._missing(self._wanted(view, most)))
+        self._request(np.concatenate(asked))
         self._last_camera = view.camera
         paged = time.perf_counter()
         selection, used = self.governor.select(self.table, view, tau)
@@ -261,15 +262,20 @@ class Scene:
         ahead = self._looked[~is_wanted[self._looked]]
         return ahead[: max(self.store.max_blocks - len(wanted), 0)]
 
-    def _missing(self, wanted: NDArray[np.int32]) -> list[Piece]:
+    def _missing(self, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return the nodes that are not here and can be asked for."""
         absent = wanted[~self.table.is_resident[wanted]]
-        pieces = [self.table.pieces[node] for node in absent.tolist()]
-        return [piece for piece in pieces if not self.problems.holds(piece)]
+        if self.problems.is_clear:
+            return absent
+        holds, pieces = self.problems.holds, self.table.pieces
+        return np.array([n for n in absent.tolist() if not holds(pieces[n])], dtype=np.int32)
 
-    def _request(self, pieces: list[Piece]) -> None:
-        if pieces != self._requested:
-            self._pager.request(pieces)
-            self._requested = pieces
+    def _request(self, nodes: NDArray[np.int32]) -> None:
+        """Ask for the first of some nodes; the others' turn comes in later frames."""
+        first = list(dict.fromkeys(nodes[:_MOST_ASKED].tolist()))
+        if first != self._requested:
+            self._pager.request([self.table.pieces[node] for node in first])
+            self._requested = first
 
     def _take(
         self, view: View, wanted: NDArray[np.int32], ahead: NDArray[np.int32], max_uploads: int
