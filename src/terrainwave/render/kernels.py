@@ -62,11 +62,7 @@ def oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
     """Return a d to be taken for the distance of a box as to vertical steps in it.
 
     Yusov 2006, §3.3, weighs errors with the sine of the angle between the ray and the vertical;
-    here so that it holds for any step and point. In the derivation of `_spread`
-
-        |p × q| / (|p| |q|) = |s| h / (|p| |q|),
-
-    h being the horizontal distance of both points from the eye, so 1 / d is the maximum of
+    here so that it holds for any step and point (`pixels_per_metre`): 1 / d is the maximum of
     h / (h² + v²) over the box, v its least vertical distance: it grows up to h = v, then sinks.
     It is never more than 1 / the distance to the box, and nothing straight below or above.
     """
@@ -106,63 +102,92 @@ def _cosine_of_least(cosine, sine_apart):
 
 
 @kernel
-def _spread(eye, low_x, low_y, low_z, high_x, high_y, high_z, lens):
-    """Return a k for which f k e / d bounds vertical steps of length e in a box on screen, pixels.
+def pixels_per_metre(eye, low_x, low_y, low_z, high_x, high_y, high_z, lens, is_oriented):
+    """Return a bound of pixels on screen per metre of vertical steps in a box.
 
-    f is the focal length and d the distance of the box. Let p be a point and q = p + s ẑ, |s| <= e,
-    both in the box and in the picture, relative to the eye, and p' = p / p_D, q' = q / q_D on the
-    plane at depth 1. The triangle (eye, p', q') has the area ½ |p' × q'|, and also ½ |p' − q'| r, r
-    being the distance from the eye of the line through p' and q'. So
+    Let p be a point and q = p + s ẑ, |s| <= e, both in the box and in the picture, relative to the
+    eye, and p' = p / p_D, q' = q / q_D on the plane at depth 1, which is f pixels per unit. The
+    triangle (eye, p', q') has the area ½ |p' × q'|, and also ½ |p' − q'| r, r being the distance
+    from the eye of the line through p' and q'. With h the horizontal distance of both points
 
-        |p' − q'| = |p × q| / (p_D q_D r) <= |s| S² / (d r),
+        |p' − q'| = |p × q| / (p_D q_D r) = |s| h / (p_D q_D r) <= |s| S / (D r),
 
-    S being the largest |p| / p_D of a point of the box in the picture: 1 / cos of the angle between
-    the view and the box's ball, or what the picture's corners have if that is less. The line lies
-    in the vertical plane through the eye and p, so 1 / r is the length of the view's direction as
-    it projects onto that plane: √(cos²φ cos²β + sin²φ), φ the pitch and β the azimuth of the plane
-    from the view's: least where it is nearest to it.
+    S being the largest |p| / p_D of the box in the picture and D its least depth. S is that of one
+    of its corners, since the points with less are a cone, which is convex; or that of the picture's
+    corners, if less, and then D >= d / S, d the distance of the box. The line lies in the vertical
+    plane through the eye and p, so 1 / r is the length of the view's direction as it projects onto
+    that plane: √(cos²φ cos²β + sin²φ), φ the pitch and β the azimuth of the plane from the view's.
 
-    No more than S² of the corners, which is what `gamma_guaranteed` takes everywhere.
+    Oriented (Yusov 2006, §3.3, who weighs with the sine of the angle between ray and vertical):
+    h / (p_D q_D) <= S² h / (|p| |q|) as well, whose maximum `oriented_distance` has.
+
+    Where the lens has slant 1 it is the lens's γ over the distance.
     """
-    slant = lens[LENS_SLANT]
-    if slant <= 1.0:
-        return slant
+    distance = _distance(eye, low_x, low_y, low_z, high_x, high_y, high_z)
+    if is_oriented:
+        oriented = oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z)
+    else:
+        oriented = distance
+    if oriented <= 0:
+        return np.inf
+    if lens[LENS_SLANT] <= 1.0:
+        return lens[LENS_SCALE] / oriented
     x, y = (low_x + high_x) / 2 - eye[0], (low_y + high_y) / 2 - eye[1]
     z = (low_z + high_z) / 2 - eye[2]
-    across = ((high_x - low_x) ** 2 + (high_y - low_y) ** 2) / 4
-    radius = np.sqrt(across + (high_z - low_z) ** 2 / 4)
-    away = np.sqrt(x * x + y * y + z * z)
-    if away > radius:
-        cosine = (x * lens[LENS_X] + y * lens[LENS_Y] + z * lens[LENS_Z]) / away
-        # The angle of the ball's farthest side: the sum of two.
-        sine_apart = radius / away
-        farthest = cosine * np.sqrt(max(1.0 - sine_apart * sine_apart, 0.0))
-        farthest -= np.sqrt(max(1.0 - cosine * cosine, 0.0)) * sine_apart
-        if farthest > 0:
-            slant = min(slant, 1.0 / (farthest * farthest))
+    half_x, half_y, half_z = (high_x - low_x) / 2, (high_y - low_y) / 2, (high_z - low_z) / 2
+    depth = x * lens[LENS_X] + y * lens[LENS_Y] + z * lens[LENS_Z]
+    depth -= half_x * abs(lens[LENS_X]) + half_y * abs(lens[LENS_Y]) + half_z * abs(lens[LENS_Z])
+    slant = lens[LENS_SLANT]  # S²
+    if depth > 0:
+        slant = min(slant, _largest_slant(x, y, z, half_x, half_y, half_z, lens))
+    depth = max(depth, distance / np.sqrt(lens[LENS_SLANT]))
+    least = np.sqrt(slant) / depth if depth > 0 else np.inf
+    if is_oriented:
+        least = min(least, slant / oriented)
+    return lens[LENS_SCALE] * least * _share_across(x, y, half_x, half_y, lens)
+
+
+@kernel
+def _largest_slant(x, y, z, half_x, half_y, half_z, lens):
+    """Return the largest (|p| / p_D)² of a box before the eye, given by its centre and halves."""
+    largest = 0.0
+    for k in range(8):
+        p_x = x + (half_x if k & 1 else -half_x)
+        p_y = y + (half_y if k & 2 else -half_y)
+        p_z = z + (half_z if k & 4 else -half_z)
+        depth = p_x * lens[LENS_X] + p_y * lens[LENS_Y] + p_z * lens[LENS_Z]
+        largest = max(largest, (p_x * p_x + p_y * p_y + p_z * p_z) / (depth * depth))
+    return largest
+
+
+@kernel
+def _share_across(x, y, half_x, half_y, lens):
+    """Return the largest 1 / r of a box: that of its azimuth nearest to the view's, or 1."""
     level = lens[LENS_X] * lens[LENS_X] + lens[LENS_Y] * lens[LENS_Y]  # cos²φ
-    apart, width = np.sqrt(x * x + y * y), np.sqrt(across)
-    if apart > width and level > 0:
-        cosine = (x * lens[LENS_X] + y * lens[LENS_Y]) / (apart * np.sqrt(level))
-        nearest = _cosine_of_least(min(max(cosine, -1.0), 1.0), width / apart)
-        if cosine > 0 and nearest > 0:  # else some of it lies behind, where the cosine grows again
-            slant *= np.sqrt(level * nearest * nearest + 1.0 - level)
-    return slant
+    apart, width = np.sqrt(x * x + y * y), np.sqrt(half_x * half_x + half_y * half_y)
+    if apart <= width or level <= 0:
+        return 1.0
+    cosine = (x * lens[LENS_X] + y * lens[LENS_Y]) / (apart * np.sqrt(level))
+    if cosine <= 0:  # some of it lies behind, where the cosine grows again
+        return 1.0
+    nearest = _cosine_of_least(min(cosine, 1.0), width / apart)
+    return np.sqrt(level * nearest * nearest + 1.0 - level)
 
 
 @kernel
 def node_scale(node, low, high, z_scale, eye, lens, is_oriented):
     """Return pixels on screen per metre of a node's vertical error; inf where the eye is in it."""
-    low_x, low_y, low_z = low[node, 0], low[node, 1], low[node, 2] * z_scale
-    high_x, high_y, high_z = high[node, 0], high[node, 1], high[node, 2] * z_scale
-    if is_oriented:
-        distance = oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z)
-    else:
-        distance = _distance(eye, low_x, low_y, low_z, high_x, high_y, high_z)
-    if distance <= 0:
-        return np.inf
-    spread = _spread(eye, low_x, low_y, low_z, high_x, high_y, high_z, lens)
-    return lens[LENS_SCALE] * spread / distance
+    return pixels_per_metre(
+        eye,
+        low[node, 0],
+        low[node, 1],
+        low[node, 2] * z_scale,
+        high[node, 0],
+        high[node, 1],
+        high[node, 2] * z_scale,
+        lens,
+        is_oriented,
+    )
 
 
 @kernel

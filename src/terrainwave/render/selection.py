@@ -106,8 +106,8 @@ class View:
     def least_gamma(self) -> float:
         """Return the γ with which errors of blocks count at least, in pixels · distance / error.
 
-        In `kernels._spread` S is 1 or more, and r, the distance of a line through a point of the
-        picture, at most that of its corners.
+        In `kernels.pixels_per_metre` S / D is at least 1 / distance, and r, the distance of a line
+        through a point of the picture, at most that of its corners.
         """
         if not self.is_exact:
             return self.gamma
