@@ -19,7 +19,7 @@ from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode
 from terrainwave.render.motion import Motion
 from terrainwave.render.paging import Outcome, Pager
 from terrainwave.render.problems import Problems, replies_of
-from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Piece, Selection, View
+from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Selection, View
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
