@@ -17,6 +17,7 @@ from terrainwave.render.modes import mode_class, options_of
 from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode
 from terrainwave.render.paging import Pager
 from terrainwave.render.problems import Problems, replies_of
+from terrainwave.render.read_ahead import read_ahead_of
 from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Piece, Selection, View
 
 if TYPE_CHECKING:
@@ -130,6 +131,7 @@ class Scene:
         self._pager = Pager(
             self.mode.build, n_workers=n_workers, max_ready=_READY_PER_WORKER * n_workers
         )
+        self._ahead_reader = read_ahead_of(terrain, self.mode)
         self._last_camera: Camera | None = None
         self._requested: list[Piece] = []
         self._memory_factor = 1.0
@@ -143,6 +145,8 @@ class Scene:
     def close(self) -> None:
         """Stop the workers."""
         self._pager.close()
+        if self._ahead_reader is not None:
+            self._ahead_reader.close()
         self.mode.close()
 
     def exaggerate(self, factor: float) -> None:
@@ -225,6 +229,8 @@ class Scene:
     def _request(self, pieces: list[Piece]) -> None:
         if pieces != self._requested:
             self._pager.request(pieces)
+            if self._ahead_reader is not None:
+                self._ahead_reader.request(pieces)
             self._requested = pieces
 
     def _take(self, view: View, wanted: NDArray[np.int32], max_uploads: int) -> bool:
