@@ -18,6 +18,7 @@ from terrainwave.render.solid import build_solid
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
     from terrainwave.raster_io.drape import Drape
+    from terrainwave.render.solid import Solid
     from terrainwave.render.style import Style
 
 _HELP = (
@@ -60,6 +61,8 @@ class Offscreen:
         Path of an orthophoto to lie on the terrain.
     samples : int
         Per pixel, against jagged edges; 0 none.
+    is_late : bool
+        Leave out the block under the terrain until `set_solid`: reading it may take long.
     options
         Of `Scene`.
     """
@@ -74,6 +77,7 @@ class Offscreen:
         samples: int = 4,
         max_bytes: int = DEFAULT_MAX_BYTES,
         context: Any = None,
+        is_late: bool = False,
         **options: Any,
     ) -> None:
         self._owns_context = context is None
@@ -88,14 +92,19 @@ class Offscreen:
         )
         self.store = self.surface.store
         self.scene = Scene(terrain, self.store, mode=mode, **options)
-        solid = build_solid(terrain, self.scene.frame)
-        self.has_voids = solid.has_lids
+        solid = None if is_late else build_solid(terrain, self.scene.frame)
+        self.has_voids = solid is not None and solid.has_lids
         self.renderer = Renderer(self.context, self.scene, self.surface, picture, solid)
         self._samples = min(samples, int(self.context.max_samples))
         self._target: Any = None
         self._resolved: Any = None
         self._drawn: tuple[View, tuple[float, float]] | None = None
         self.resize(size)
+
+    def set_solid(self, solid: "Solid") -> None:
+        """Draw the block under the terrain from now on."""
+        self.has_voids = solid.has_lids
+        self.renderer.set_solid(solid)
 
     def _read_drape(self, terrain: "TerrainFile", path: str, max_bytes: int) -> "Drape":
         from terrainwave.raster_io.drape import read_drape
@@ -185,9 +194,13 @@ class Offscreen:
         As `draw`.
         """
         frames = self.draw(camera, style, max_pixel_error=max_pixel_error, settle=settle)
+        return self.grab(), frames
+
+    def grab(self) -> NDArray[np.uint8]:
+        """Return the last picture, uint8 (height, width, 3), the first row on top."""
         data = self._resolved.read(components=3, alignment=1)
         size = (self.viewport.height, self.viewport.width, 3)
-        return np.frombuffer(data, dtype=np.uint8).reshape(size)[::-1].copy(), frames
+        return np.frombuffer(data, dtype=np.uint8).reshape(size)[::-1].copy()
 
     def is_blank(self) -> bool:
         """Say whether the last picture shows no terrain. Waits for the GPU."""

@@ -119,6 +119,11 @@ class Renderer:
         error = self._scene.terrain.effective_error * frame.metres[2]
         return absolute_palette(low, high, min(error, _MOST_WAVES) + _ROUNDED, frame.latitudes)
 
+    def set_solid(self, solid: Solid) -> None:
+        """Draw the block under the terrain from now on."""
+        release_all(self._solid)
+        self._solid = SolidSurface(self._context, solid)
+
     # One frame
 
     def clear(self, view: View, style: Style) -> None:

@@ -116,7 +116,8 @@ class Scene:
     ) -> None:
         self.terrain = terrain
         self.frame: Frame = frame_of(terrain, radius=radius, exaggeration=exaggeration)
-        given = options_of(mode, detail=detail, order=order, stepwise=stepwise)
+        self.n_workers = n_workers
+        self.options = given = options_of(mode, detail=detail, order=order, stepwise=stepwise)
         self.mode: Mode = mode_class(mode)(
             terrain, self.frame, error=error, progress=progress, **given
         )
