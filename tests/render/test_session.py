@@ -175,7 +175,7 @@ def test_degrees_are_measured_on_the_ellipsoid():
 
 @pytest.mark.parametrize(
     ("bound", "text"),
-    [(0.5, "1234.50 m ± 0.50 m"), (0, "1234.5 m exactly"), (12, "1234 m ± 12 m")],
+    [(0.5, "1234.50 m ± 0.50 m"), (0, "1234.50 m ± 0 m"), (12, "1234 m ± 12 m")],
 )
 def test_heights_have_the_digits_of_their_bound(bound, text):
     assert with_bound(1234.5, bound, "m") == text

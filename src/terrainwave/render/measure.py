@@ -155,6 +155,6 @@ def with_bound(height: float, bound: float, unit: str) -> str:
     """Return a height with its bound, to two digits of the bound."""
     unit = f" {unit}" if unit else ""
     if not bound:
-        return f"{height:.10g}{unit} exactly"
+        return f"{height:.2f}{unit} ± 0{unit}"
     digits = min(max(1 - math.floor(math.log10(bound)), 0), 9)
     return f"{height:.{digits}f}{unit} ± {bound:.{digits}f}{unit}"

@@ -128,7 +128,7 @@ class Session:
                 return  # there are other points by now
             self.profile = outcome.value
             if outcome.problem is not None:
-                self._note(outcome.problem)
+                self.note(outcome.problem)
             else:
                 for line in describe_profile(self._scene.terrain, outcome.value):
                     self._say(line)
@@ -154,7 +154,7 @@ class Session:
     def _save(self, stem: str, ending: str, data: Callable[[], bytes]) -> None:
         def show(outcome: Outcome) -> None:
             line = outcome.problem or f"saved {outcome.value}"
-            self._note(line)
+            self.note(line)
             self._say(line)
 
         folder = self._folder
@@ -172,21 +172,22 @@ class Session:
         assert recorder is not None
         name = save_as_new(recorder.to_json().encode(), "flight", ".json", self._folder)
         frames = max(round(recorder.seconds * 30), 2)
-        self._note(f"saved {name}")
+        self.note(f"saved {name}")
         self._say(
             f"saved {name}: terrainwave render FILE PICTURE.png --flight {name} --frames {frames}"
         )
 
     def _save_profile(self) -> None:
         if self.profile is None:
-            self._note("nothing is measured: M, then click two places or more")
+            self.note("nothing is measured: M, then click two places or more")
             return
         table = self.profile.csv().encode()
         self._save("profile", ".csv", lambda: table)
 
     # What is said
 
-    def _note(self, line: str) -> None:
+    def note(self, line: str) -> None:
+        """Show a line for some seconds."""
         self._notes.append((time.monotonic() + _NOTE_SECONDS, line))
 
     def lines(self, frames: Frames) -> list[str]:

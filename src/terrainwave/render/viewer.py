@@ -11,6 +11,7 @@ from terrainwave.errors import TerrainwaveError
 from terrainwave.extras import need
 from terrainwave.render.background import Outcome
 from terrainwave.render.controls import HELP, Controls
+from terrainwave.render.drape_detail import DrapeDetail
 from terrainwave.render.frame import check_drawable
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.offscreen import Offscreen
@@ -183,8 +184,10 @@ class Viewer:
         self._times: deque[float] = deque(maxlen=60)
         self._overlay_time = 0.0
         self._keys = _key_names(window.keys)
-        self._solid_at = 0.0
+        self._solid_at = self._first_seen = 0.0
         self._wants_solid = True
+        self._wants_drape = offscreen.photo is not None
+        self._detail: DrapeDetail | None = None
 
     def render(self, frame_time: float) -> None:
         """Draw a frame."""
@@ -202,8 +205,11 @@ class Viewer:
         )
         if self._wants_solid and started > self._solid_at and self._is_at_rest(frames):
             self._read_solid()
-        if controls.wishes:
-            self._session.grant(offscreen.grab)
+        if self._wants_drape and len(frames.nodes):
+            self._read_drape()
+        if self._detail is not None:
+            height = controls.height_over_ground
+            self._detail.tick(controls.camera, height, offscreen.scene.frame)
         offscreen.context.copy_framebuffer(self._window.fbo, offscreen.framebuffer)
         self._window.use()
         self._times.append(frame_time)
@@ -215,10 +221,35 @@ class Viewer:
         self.overlay.draw()
         offscreen.scene.governor.after_frame((time.perf_counter() - started) * 1e3)
 
+    def _read_drape(self) -> None:
+        """Read the orthophoto in the background, first as a whole, then finer near the camera."""
+        offscreen = self._offscreen
+        self._wants_drape = False
+        assert offscreen.photo is not None
+        background = self._session.background
+        self._detail = DrapeDetail(
+            offscreen.photo,
+            offscreen.drape_texels_per_pixel,
+            background,
+            offscreen.renderer.set_detail,
+        )
+
+        def take(outcome: Outcome) -> None:
+            if outcome.problem is None:
+                offscreen.renderer.set_drape(outcome.value)
+            else:
+                self._session.note(outcome.problem)
+
+        background.start(offscreen.read_drape, take)
+
     def _is_at_rest(self, frames: Frames) -> bool:
         """Say whether reading for the block under the terrain delays no part of the terrain."""
+        if not len(frames.nodes):
+            return False
+        self._first_seen = self._first_seen or time.perf_counter()
         is_remote = replies_of(self._offscreen.scene.terrain) is not None
-        return len(frames.nodes) > 0 and not (is_remote and frames.n_missing)
+        has_waited = time.perf_counter() - self._first_seen > _SOLID_PAUSE
+        return has_waited or not (is_remote and frames.n_missing)
 
     def _read_solid(self) -> None:
         """Read the block under the terrain in the background; again later, if that fails."""
@@ -247,6 +278,7 @@ class Viewer:
             return
         if is_press:
             self.controls.press(name, self._offscreen.viewport)
+            self._session.grant(self._offscreen.grab)
             self._overlay_time = 0.0
         else:
             self.controls.release(name)
