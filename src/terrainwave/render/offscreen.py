@@ -94,9 +94,10 @@ class Offscreen:
 
         kind = mode_class(mode)
         self.photo = None if drape is None else _open_photo(terrain, drape)
-        self._drape_limits = (
-            int(self.context.info["GL_MAX_TEXTURE_SIZE"]), max_bytes // _DRAPE_SHARE
-        )  # fmt: skip
+        side = int(self.context.info["GL_MAX_TEXTURE_SIZE"])
+        if is_late:  # finer parts come as the camera comes near
+            side = min(side, DETAIL_SIDE)
+        self._drape_limits = side, max_bytes // _DRAPE_SHARE
         picture = None if is_late else self.read_drape()
         self._drape_bytes = self._bytes_of_drape(has_detail=is_late)
         self.surface = kind.surface(

@@ -1,6 +1,7 @@
 """Text, scale bar and north arrow over the picture, drawn with Pillow into one texture."""
 
 import math
+from functools import partial
 from typing import Any
 
 import moderngl
@@ -14,6 +15,7 @@ from terrainwave.render.surface import release_all
 
 LINE_COLOR = (255, 214, 64, 255)
 _GRAPH, _MARGIN = (420, 130), 18
+_LETTER = 7  # pixels, about
 _LINE_WIDTH, _DOT = 3.0, 7.0  # pixels
 
 _VERTEX = """
@@ -78,6 +80,11 @@ def line_triangles(pixels: NDArray[np.float64], viewport: Viewport) -> NDArray[n
     return shown.astype(np.float32)
 
 
+def shortened(line: str, most: int) -> str:
+    """Return a line of at most so many letters."""
+    return line if len(line) <= most else line[: most - 1] + "…"
+
+
 def draw_overlay(
     viewport: Viewport,
     camera: Camera,
@@ -96,7 +103,8 @@ def draw_overlay(
     ink = Ink(image)
     draw, font = ink.draw, ink.font
     if lines:
-        ink.text(12, 10, "\n".join(lines))
+        most = max((viewport.width - 100) // _LETTER, 20)
+        ink.text(12, 10, "\n".join(map(partial(shortened, most=most), lines)))
     if metres_per_pixel is not None and metres_per_pixel > 0:
         ink.scale_bar(metres_per_pixel)
     _draw_arrow(draw, viewport, camera, font)

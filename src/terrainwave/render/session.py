@@ -38,6 +38,11 @@ class Session:
         Of the body in metres, for degrees.
     folder : path
         Where files are written.
+
+    Attributes
+    ----------
+    background, slow : Background
+        What clicks and keys ask for, and what takes longer: an answer never waits for that.
     """
 
     def __init__(
@@ -50,7 +55,7 @@ class Session:
         folder: str = ".",
     ) -> None:
         self._scene, self.controls, self._say, self._folder = scene, controls, say, folder
-        self.background = Background()
+        self.background, self.slow = Background(), Background()
         self._ground = Ground(scene.terrain, scene.table, self.background)
         self._ruler = Ruler(scene.terrain, radius)
         self._points: list[tuple[float, float]] = []
@@ -64,6 +69,7 @@ class Session:
         if self._recorder is not None:
             self._end_flight()
         self.background.close()
+        self.slow.close()
 
     @property
     def camera_line(self) -> str:
@@ -73,6 +79,7 @@ class Session:
     def tick(self, seconds: float) -> None:
         """Take results, move on, and record, for the time since the last frame."""
         self.background.poll()
+        self.slow.poll()
         controls = self.controls
         controls.height_over_ground = self._ground.height_over(controls.camera, self._scene.frame)
         controls.tick(seconds)

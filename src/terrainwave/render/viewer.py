@@ -226,7 +226,7 @@ class Viewer:
         offscreen = self._offscreen
         self._wants_drape = False
         assert offscreen.photo is not None
-        background = self._session.background
+        background = self._session.slow
         self._detail = DrapeDetail(
             offscreen.photo,
             offscreen.drape_texels_per_pixel,
@@ -262,7 +262,7 @@ class Viewer:
             else:
                 self._wants_solid, self._solid_at = True, time.perf_counter() + _SOLID_PAUSE
 
-        self._session.background.start(lambda: build_solid(scene.terrain, scene.frame), take)
+        self._session.slow.start(lambda: build_solid(scene.terrain, scene.frame), take)
 
     def resize(self) -> None:
         """Follow the window's size."""
