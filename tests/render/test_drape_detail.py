@@ -27,6 +27,16 @@ def test_the_square_lies_ahead_and_grows_with_the_height():
     assert not is_near(down, square_near(Camera((100.0, 200.0, 900.0), 90, -90), 600.0))
 
 
+def test_a_coarse_photo_fills_the_texture_with_more_ground():
+    photo = SimpleNamespace(place=WHOLE, finer=4.0, part=lambda place, size: (place, size))
+    waiting = []
+    background = SimpleNamespace(start=lambda work, then: waiting.append(work))
+    DrapeDetail(photo, 2.0, background, None).tick(Camera((0.0, 0.0, 0.0), 0, -90), 20.0, FRAME)
+    place, size = waiting[0]()  # 2048 texels, four to a pixel
+    assert place[2:] == pytest.approx((512, 512))
+    assert size == (2048, 2048)
+
+
 def test_its_place_is_in_pixels_of_the_grid_and_within_the_photo():
     down = square_near(Camera((15.0, -15.0, 0.0), 0, -90), 100.0)
     # The local origin is the corner of four pixels in the middle; sample (500, 500) is 15 m off.

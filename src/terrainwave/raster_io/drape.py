@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple, Self
+from urllib.parse import urlsplit
 from xml.sax.saxutils import escape
 
 import numpy as np
@@ -129,6 +130,11 @@ class Photo:
             raise StorageError(
                 f"cannot warp {self._path} to the terrain: {one_line(error)}"
             ) from error
+
+    @property
+    def credit(self) -> str | None:
+        """Return the server whose tiles they are; None for a file."""
+        return urlsplit(self._path).hostname if self.is_tiled else None
 
     def size(self, max_side: int, max_bytes: int) -> tuple[int, int]:
         """Return width and height, in texels, of the picture of all of it within these limits."""

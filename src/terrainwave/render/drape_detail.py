@@ -34,15 +34,19 @@ class Square(NamedTuple):
     half: float
 
 
-def square_near(camera: Camera, height: float) -> Square:
-    """Return the square that a camera so high above the ground is near to."""
+def square_near(camera: Camera, height: float, least: float = 0.0) -> Square:
+    """Return the square that a camera so high above the ground is near to.
+
+    `least` is how long its side is in any case, metres.
+    """
     height = max(abs(height), _LEAST_HEIGHT)
     down = max(-math.sin(math.radians(camera.pitch)), 0.0)
     level = math.cos(math.radians(camera.pitch))
     ahead = height * min(level / down if down else math.inf, _AHEAD)
     heading = math.radians(camera.heading)
     x, y, _ = camera.position
-    return Square(x + ahead * math.sin(heading), y + ahead * math.cos(heading), _SIDE * height / 2)
+    half = max(_SIDE * height, least) / 2
+    return Square(x + ahead * math.sin(heading), y + ahead * math.cos(heading), half)
 
 
 def is_near(one: Square, other: Square) -> bool:
@@ -97,11 +101,16 @@ class DrapeDetail:
         self._is_reading = False
         self.problem: str | None = None
 
+    def _least(self, frame: Frame) -> float:
+        """Return the side, in metres, of what the texture holds at the photo's own resolution."""
+        a, b, _, d, e, _ = frame.sample_matrix
+        return DETAIL_SIDE / self._photo.finer * min(math.hypot(a, d), math.hypot(b, e))
+
     def tick(self, camera: Camera, height: float | None, frame: Frame) -> None:
         """Begin to read another part if the camera has left the last one."""
         if height is None or self._is_reading:
             return
-        square = square_near(camera, height)
+        square = square_near(camera, height, self._least(frame))
         if self._square is not None and is_near(self._square, square):
             return
         self._square = square

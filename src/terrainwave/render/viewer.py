@@ -326,7 +326,10 @@ class Viewer:
             x, y, z = scene.frame.to_world(under[None])[0]
             unit = scene.terrain.raster_info.units or ""
             lines.append(f"{x:.10g}, {y:.10g}: {z:.6g} {unit}".rstrip())
-        lines += [*self._session.lines(frames), "H: help"]
+        lines += self._session.lines(frames)
+        if offscreen.photo is not None and offscreen.photo.credit is not None:
+            lines.append(f"tiles: {offscreen.photo.credit}")
+        lines.append("H: help")
         shown = None
         if controls.shows_help:
             found = self._session.settings(frames, offscreen.n_bytes, self._max_bytes)
