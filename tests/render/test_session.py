@@ -193,6 +193,15 @@ def test_the_graph_of_a_profile_lies_below_on_the_left(stage):
     assert rising[0] > rising[1]
 
 
+def test_a_long_help_fits_a_small_window():
+    lines = [(f"key {number}", "what it does, in some words") for number in range(26)]
+    image = draw_overlay(Viewport(480, 360), Camera((0, 0, 0)), [], None, lines)
+    words = np.argwhere((image[..., 0] == 255) & (image[..., 1] == 222) & (image[..., 2] == 140))
+    assert len(words)
+    assert (words.min(axis=0) > 10).all()
+    assert words.max(axis=0)[0] < 350
+
+
 def test_a_line_has_gaps_where_it_is_behind_the_eye_and_dots_at_its_ends():
     pixels = np.array([(10.0, 10.0), (20.0, 10.0), (np.nan, np.nan), (30.0, 20.0)])
     corners = line_triangles(pixels, VIEWPORT)

@@ -46,6 +46,8 @@ xdotool keydown w; sleep 0.6; xdotool keyup w
 wait_for $(( $(grep -c camera {folder}/out.txt) + 1 ))
 xdotool windowsize --sync $window 640 420
 sleep 0.7
+xdotool key t
+sleep 0.5
 xdotool mousemove --window $window 320 210 click 1
 xdotool key i f
 sleep 0.7

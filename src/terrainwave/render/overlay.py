@@ -16,6 +16,7 @@ from terrainwave.render.surface import release_all
 LINE_COLOR = (255, 214, 64, 255)
 _GRAPH, _MARGIN = (420, 130), 18
 _LETTER = 7  # pixels, about
+_LEAST_FONT = 8
 _LINE_WIDTH, _DOT = 3.0, 7.0  # pixels
 
 _VERTEX = """
@@ -111,7 +112,7 @@ def draw_overlay(
     if profile is not None:
         _draw_profile(ink, profile)
     if help_lines is not None:
-        _draw_help(draw, viewport, help_lines, font)
+        _draw_help(draw, viewport, help_lines)
     return np.asarray(image)
 
 
@@ -144,11 +145,18 @@ def _draw_profile(ink: Ink, profile: Profile) -> None:
         ink.draw.text(place, text, font=ink.font, fill=WHITE, anchor=anchor)
 
 
-def _draw_help(draw: Any, viewport: Viewport, lines: list[tuple[str, str]], font: Any) -> None:
-    """Draw two columns in the middle."""
-    widths = [max(draw.textlength(line[k], font=font) for line in lines) for k in (0, 1)]
-    gap, pitch = 24, 1.45 * FONT_SIZE
-    width, height = widths[0] + gap + widths[1], pitch * len(lines)
+def _draw_help(draw: Any, viewport: Viewport, lines: list[tuple[str, str]]) -> None:
+    """Draw two columns in the middle, in smaller letters where they would not fit."""
+    from PIL import ImageFont
+
+    gap = 24
+    for size in range(FONT_SIZE, _LEAST_FONT - 1, -1):
+        font = ImageFont.load_default(size)
+        widths = [max(draw.textlength(line[k], font=font) for line in lines) for k in (0, 1)]
+        width, pitch = widths[0] + gap + widths[1], 1.45 * size
+        height = pitch * len(lines)
+        if width + 32 <= viewport.width and height + 24 <= viewport.height:
+            break
     x, y = (viewport.width - width) / 2, (viewport.height - height) / 2
     draw.rectangle((x - 16, y - 12, x + width + 16, y + height + 10), fill=(0, 0, 0, 170))
     for number, (key, meaning) in enumerate(lines):
