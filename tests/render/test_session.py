@@ -196,7 +196,7 @@ def test_the_graph_of_a_profile_lies_below_on_the_left(stage):
 def test_a_long_help_fits_a_small_window():
     lines = [(f"key {number}", "what it does, in some words") for number in range(26)]
     image = draw_overlay(Viewport(480, 360), Camera((0, 0, 0)), [], None, lines)
-    words = np.argwhere((image[..., 0] == 255) & (image[..., 1] == 222) & (image[..., 2] == 140))
+    words = np.argwhere((image[..., 0] > 150) & (image[..., 1] > 120) & (image[..., 2] < 150))
     assert len(words)
     assert (words.min(axis=0) > 10).all()
     assert words.max(axis=0)[0] < 350
