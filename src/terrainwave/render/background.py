@@ -1,12 +1,11 @@
 """Work beside the thread that draws, which looks for results and never waits. No GPU."""
 
+import threading
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple
 
 from terrainwave.errors import TerrainwaveError
-
-_THREADS = 2
 
 
 class Outcome(NamedTuple):
@@ -16,21 +15,32 @@ class Outcome(NamedTuple):
     problem: str | None
 
 
+_Then = Callable[[Outcome], None]
+
+
 class Background:
-    """Runs functions in threads; their results are taken by `poll`. Used by one thread."""
+    """Runs functions in threads; their results are taken by `poll`. Used by one thread.
 
-    def __init__(self) -> None:
-        self._executor = ThreadPoolExecutor(_THREADS, thread_name_prefix="terrainwave-background")
-        self._tasks: list[tuple[Future[Any], Callable[[Outcome], None]]] = []
+    Parameters
+    ----------
+    n_threads : int
+        They end with the process, whatever they wait for.
+    """
 
-    def start(self, work: Callable[[], Any], then: Callable[[Outcome], None]) -> None:
+    def __init__(self, n_threads: int = 2) -> None:
+        self._tasks: SimpleQueue[tuple[Callable[[], Any], _Then] | None] = SimpleQueue()
+        self._done: SimpleQueue[tuple[Any, Exception | None, _Then]] = SimpleQueue()
+        self._n_threads = n_threads
+        self._is_closed = False
+        self.n_running = 0  # results still to come
+        for number in range(n_threads):
+            name = f"terrainwave-background-{number}"
+            threading.Thread(target=self._work, name=name, daemon=True).start()
+
+    def start(self, work: Callable[[], Any], then: _Then) -> None:
         """Run `work` in a thread and `then`, with its outcome, in a later `poll`."""
-        self._tasks.append((self._executor.submit(work), then))
-
-    @property
-    def n_running(self) -> int:
-        """Return how many results are still to come."""
-        return len(self._tasks)
+        self.n_running += 1
+        self._tasks.put((work, then))
 
     def poll(self) -> None:
         """Hand over the results that are here.
@@ -40,16 +50,26 @@ class Background:
         Exception
             What a function raised, if it is no `TerrainwaveError`.
         """
-        done = [task for task in self._tasks if task[0].done()]
-        self._tasks = [task for task in self._tasks if task not in done]
-        for future, then in done:
+        while True:
             try:
-                outcome = Outcome(future.result(), None)
-            except TerrainwaveError as error:
-                outcome = Outcome(None, str(error))
-            then(outcome)
+                value, error, then = self._done.get_nowait()
+            except Empty:
+                return
+            self.n_running -= 1
+            if error is not None and not isinstance(error, TerrainwaveError):
+                raise error
+            then(Outcome(value, None if error is None else str(error)))
 
     def close(self) -> None:
         """Begin no more work; what runs is not waited for."""
-        self._executor.shutdown(wait=False, cancel_futures=True)
-        self._tasks = []
+        self._is_closed = True
+        for _ in range(self._n_threads):
+            self._tasks.put(None)
+
+    def _work(self) -> None:
+        while (task := self._tasks.get()) is not None and not self._is_closed:
+            work, then = task
+            try:
+                self._done.put((work(), None, then))
+            except Exception as error:  # noqa: BLE001  `poll` decides what it means
+                self._done.put((None, error, then))

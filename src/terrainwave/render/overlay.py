@@ -2,7 +2,7 @@
 
 import math
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import moderngl
 import numpy as np
@@ -116,6 +116,32 @@ def draw_overlay(
     return np.asarray(image)
 
 
+class Change(NamedTuple):
+    """An image and the rows in which it differs from the one before.
+
+    Parameters
+    ----------
+    image : ndarray of uint8, shape (height, width, 4)
+    first_row, n_rows : int
+    data : bytes
+        Of these rows.
+    """
+
+    image: NDArray[np.uint8]
+    first_row: int
+    n_rows: int
+    data: bytes
+
+
+def change_of(before: NDArray[np.uint8] | None, image: NDArray[np.uint8]) -> Change:
+    """Return what is to be sent to the GPU where it has the image `before`; None: nothing."""
+    first, end = 0, image.shape[0]
+    if before is not None and before.shape == image.shape:
+        differs = np.flatnonzero((before.view(np.uint32) != image.view(np.uint32)).any(axis=(1, 2)))
+        first, end = (int(differs[0]), int(differs[-1]) + 1) if len(differs) else (0, 0)
+    return Change(image, first, end - first, image[first:end].tobytes())
+
+
 def _draw_profile(ink: Ink, profile: Profile) -> None:
     """Draw heights over distances below on the left, with the ends of both axes."""
     width = min(_GRAPH[0], ink.image.width - 2 * _MARGIN)
@@ -206,15 +232,17 @@ class Overlay:
         array.render(moderngl.TRIANGLES)
         release_all(array, buffer)
 
-    def set(self, image: NDArray[np.uint8]) -> None:
-        """Take another image."""
-        size = image.shape[1], image.shape[0]
+    def set(self, change: Change) -> None:
+        """Take another image, of which all but the rows that have changed is here."""
+        height, width, _ = change.image.shape
+        size = width, height
         if self._texture is None or self._texture.size != size:
             if self._texture is not None:
                 self._texture.release()
             self._texture = self._context.texture(size, 4, alignment=4)
             self._texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
-        self._texture.write(np.ascontiguousarray(image).tobytes())
+        if change.n_rows:
+            self._texture.write(change.data, (0, change.first_row, width, change.n_rows))
 
     def draw(self) -> None:
         """Draw it into the framebuffer in use."""

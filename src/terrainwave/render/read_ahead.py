@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 # Two calls are on their way at a time, so that the line is never idle between them; each is of so
 # few pieces that another camera need not wait long for its own.
 _THREADS, _BATCH = 2, 8
+PATIENCE = 1.0  # seconds
 # Samples around a block that its slopes are made of.
 _RING = 2
 
@@ -72,12 +73,12 @@ class ReadAhead:
                     self._done.difference_update(batch)
 
     def close(self) -> None:
-        """Stop the threads; a request on its way is waited for."""
+        """Stop the threads; a request on its way is not waited for long."""
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()
         for thread in self._threads:
-            thread.join()
+            thread.join(PATIENCE)
 
 
 def units_of_piece(terrain: "TerrainFile", piece: Piece) -> list[Block]:

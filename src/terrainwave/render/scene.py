@@ -17,7 +17,7 @@ from terrainwave.render.modes import mode_class, options_of
 from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode
 from terrainwave.render.paging import Pager
 from terrainwave.render.problems import Problems, replies_of
-from terrainwave.render.read_ahead import read_ahead_of
+from terrainwave.render.read_ahead import PATIENCE, read_ahead_of
 from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Piece, Selection, View
 
 if TYPE_CHECKING:
@@ -145,7 +145,8 @@ class Scene:
 
     def close(self) -> None:
         """Stop the workers."""
-        self._pager.close()
+        # A server that is silent would hold them for long.
+        self._pager.close(None if replies_of(self.terrain) is None else PATIENCE)
         if self._ahead_reader is not None:
             self._ahead_reader.close()
         self.mode.close()

@@ -9,7 +9,7 @@ import numpy as np
 
 from terrainwave.errors import TerrainwaveError
 from terrainwave.extras import need
-from terrainwave.render.background import Outcome
+from terrainwave.render.background import Background, Outcome
 from terrainwave.render.controls import HELP, Controls
 from terrainwave.render.drape_detail import DrapeDetail
 from terrainwave.render.frame import check_drawable
@@ -84,7 +84,7 @@ def run(
         _loop(config, viewer)
         line = session.camera_line
         session.close()
-        viewer.overlay.release()
+        viewer.close()
     config.wnd.destroy()
     return line
 
@@ -182,6 +182,8 @@ class Viewer:
         self.overlay = Overlay(offscreen.context)
         self.cursor = (0, 0)
         self._times: deque[float] = deque(maxlen=60)
+        self._ink = Background(1)  # draws the overlay, which takes longer than a frame may
+        self._drawn: Any = None
         self._overlay_time = 0.0
         self._keys = _key_names(window.keys)
         self._solid_at = self._first_seen = 0.0
@@ -197,6 +199,7 @@ class Viewer:
         if size != self._window.buffer_size:
             self.resize()
         self._session.tick(frame_time)
+        self._ink.poll()
         frames = offscreen.draw(
             controls.camera,
             controls.style,
@@ -264,6 +267,11 @@ class Viewer:
 
         self._session.slow.start(lambda: build_solid(scene.terrain, scene.frame), take)
 
+    def close(self) -> None:
+        """Free the overlay."""
+        self._ink.close()
+        self.overlay.release()
+
     def resize(self) -> None:
         """Follow the window's size."""
         width, height = self._window.buffer_size
@@ -307,9 +315,15 @@ class Viewer:
         return self._offscreen.pick(x * ratio, y * ratio)
 
     def _update_overlay(self, frames: Frames) -> None:
-        from terrainwave.render.overlay import draw_overlay  # late: moderngl
+        from terrainwave.render.overlay import (  # late: moderngl
+            Change,
+            change_of,
+            draw_overlay,
+        )
 
         self._overlay_time = time.perf_counter()
+        if self._ink.n_running:
+            return
         offscreen, controls = self._offscreen, self.controls
         viewport, scene = offscreen.viewport, offscreen.scene
         seconds = float(np.mean(self._times)) if self._times else 0.0
@@ -335,9 +349,18 @@ class Viewer:
             found = self._session.settings(frames, offscreen.n_bytes, self._max_bytes)
             shown = [*HELP, ("", ""), *found]
         scale = offscreen.metres_per_pixel()
-        self.overlay.set(
-            draw_overlay(viewport, controls.camera, lines, scale, shown, self._session.profile)
-        )
+        camera, profile = controls.camera, self._session.profile
+        before = self._drawn
+
+        def draw() -> Change:
+            image = draw_overlay(viewport, camera, lines, scale, shown, profile)
+            return change_of(before, image)
+
+        def take(outcome: Outcome) -> None:
+            self.overlay.set(outcome.value)
+            self._drawn = outcome.value.image
+
+        self._ink.start(draw, take)
 
 
 def _key_names(keys: Any) -> dict[Any, str]:
