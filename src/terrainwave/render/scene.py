@@ -19,6 +19,7 @@ from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode
 from terrainwave.render.motion import Motion
 from terrainwave.render.paging import Outcome, Pager
 from terrainwave.render.problems import Problems, replies_of
+from terrainwave.render.read_ahead import PATIENCE, read_ahead_of
 from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Selection, View
 
 if TYPE_CHECKING:
@@ -123,7 +124,8 @@ class Scene:
     ) -> None:
         self.terrain = terrain
         self.frame: Frame = frame_of(terrain, radius=radius, exaggeration=exaggeration)
-        given = options_of(mode, detail=detail, order=order, stepwise=stepwise)
+        self.n_workers = n_workers
+        self.options = given = options_of(mode, detail=detail, order=order, stepwise=stepwise)
         self.mode: Mode = mode_class(mode)(
             terrain, self.frame, error=error, progress=progress, **given
         )
@@ -138,6 +140,7 @@ class Scene:
         self._pager = Pager(
             self.mode.build, n_workers=n_workers, max_ready=_READY_PER_WORKER * n_workers
         )
+        self._ahead_reader = read_ahead_of(terrain, self.mode)
         self._motion = Motion()
         self._n_updates = 0
         self._looked = np.empty(0, dtype=np.int32)
@@ -153,7 +156,10 @@ class Scene:
 
     def close(self) -> None:
         """Stop the workers."""
-        self._pager.close()
+        # A server that is silent would hold them for long.
+        self._pager.close(None if replies_of(self.terrain) is None else PATIENCE)
+        if self._ahead_reader is not None:
+            self._ahead_reader.close()
         self.mode.close()
 
     def exaggerate(self, factor: float) -> None:
@@ -283,7 +289,10 @@ class Scene:
         """Ask for the first of some nodes; the others' turn comes in later frames."""
         first = list(dict.fromkeys(nodes[:_MOST_ASKED].tolist()))
         if first != self._requested:
-            self._pager.request([self.table.pieces[node] for node in first])
+            pieces = [self.table.pieces[node] for node in first]
+            self._pager.request(pieces)
+            if self._ahead_reader is not None:
+                self._ahead_reader.request(pieces)
             self._requested = first
 
     def _take(
