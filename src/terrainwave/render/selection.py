@@ -288,6 +288,14 @@ class NodeTable:
         )
         return out[:n_out]
 
+    def coarse_nodes(self, most: int) -> NDArray[np.int32]:
+        """Return the known nodes of the coarsest levels, no more than `most`, by level."""
+        levels = self.keys[: len(self), 0]
+        order = np.argsort(levels, kind="stable").astype(np.int32)
+        if len(order) <= most:
+            return order
+        return order[: np.searchsorted(levels[order], levels[order[most]])]
+
     def lowest_priority(self, view: View, keep: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return resident nodes that may be evicted, the least needed first.
 
