@@ -1,136 +1,153 @@
-"""The pyramid of Zhang et al. 2012, §1: Neville filters of order 4 or 2, levels of regular samples.
+"""Neville filters of order 2 or 4 (Kovačević, Sweldens 2000) as Zhang et al. 2012, §1, have them.
 
-Here, as there, level 0 is the **finest**. Sample i of level l lies at (i + ½) · 2^l − ½ of the
-finest grid, in the middle of the two samples per axis that it replaces, so the levels do not nest
-as the file's do and the pyramid is built beside them, in temporary files where it is large.
+They predict a sample from those around it: on a line from the two beside it by ½, or from four by
+9/16 and -1/16; in the middle of four by ¼ each, or by 10/32 each less 1/32 of the eight beside
+those (Zhang et al., fig. 2). A level is made of the finer one by their update, a quarter of the
+transposed filters: half of it on a line. Samples of levels then nest as the file's do, and no level
+has to be made of the finest one: that of one block needs the file's next finer level under it.
 
 Zhang, Zhang, Zhang: GPU-based real-time terrain rendering algorithm using batched LOD. Journal of
-Image and Graphics 17(4), 2012, pp. 582–588. Kovačević, Sweldens 2000 for the filters.
+Image and Graphics 17(4), 2012, pp. 582–588. Kovačević, Sweldens: Wavelet families of increasing
+order in arbitrary dimensions. IEEE Transactions on Image Processing 9(3), 2000.
 """
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
-from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.errors import InvalidArgumentError
-from terrainwave.grid.quadtree import Region
-from terrainwave.raster_io.temporary import TILE, Spool
 
-Heights = NDArray[np.float32]
-# Metres, NaN in voids; a region inside the finest level.
-ReadHeights = Callable[[Region], Heights]
-
-# Of each order: the inner four of the 4 x 4 window, the eight beside them; corners are 0.
-WEIGHTS = {2: (0.25, 0.0), 4: (10.0 / 32.0, -1.0 / 32.0)}
+ORDERS = 2, 4
+# Weights of the nearest samples and of the others, on a line and in the middle of four.
+_LINE = (9.0 / 16.0, -1.0 / 16.0)
+_MIDDLE = (10.0 / 32.0, -1.0 / 32.0)
 
 
 @kernel
-def filter_rows(fine, inner_weight, outer_weight, coarse):
-    """Fill `coarse`, float32 (n, m), from `fine`, float32 (2n + 2, 2m + 2), NaN in voids.
+def _has(valid, row, col):
+    return 0 <= row < valid.shape[0] and 0 <= col < valid.shape[1] and valid[row, col]
 
-    Sample (r, c) takes rows 2r … 2r + 3 of `fine`, whose first row is 2i − 1 of the paper. Where
-    the window has voids the valid ones of its inner four are averaged; without any it is void.
-    """
-    for r in range(coarse.shape[0]):
-        for c in range(coarse.shape[1]):
-            total, inner, n_inner, n_all = 0.0, 0.0, 0, 0
-            for i in range(4):
-                for j in range(4):
-                    is_inner = 1 <= i <= 2 and 1 <= j <= 2
-                    if not is_inner and i % 3 == 0 and j % 3 == 0:
-                        continue
-                    value = float(fine[2 * r + i, 2 * c + j])
-                    if np.isnan(value):
-                        continue
-                    n_all += 1
-                    if is_inner:
-                        n_inner += 1
-                        inner += value
-                        total += inner_weight * value
-                    else:
-                        total += outer_weight * value
-            if n_all == 12:
-                coarse[r, c] = total
-            elif n_inner > 0:
-                coarse[r, c] = inner / n_inner
+
+@kernel
+def _on_line(fine, valid, row, col, is_row, order):
+    """Return how far a sample is from what those on its row or column predict; 0 if they can't."""
+    r, c = (0, 1) if is_row else (1, 0)
+    if not (_has(valid, row - r, col - c) and _has(valid, row + r, col + c)):
+        return 0.0
+    near = fine[row - r, col - c] + fine[row + r, col + c]
+    r, c = 3 * r, 3 * c
+    if order == 4 and _has(valid, row - r, col - c) and _has(valid, row + r, col + c):
+        far = fine[row - r, col - c] + fine[row + r, col + c]
+        return fine[row, col] - (_LINE[0] * near + _LINE[1] * far)
+    return fine[row, col] - near / 2
+
+
+@kernel
+def _in_middle(fine, valid, row, col, order):
+    """Return how far a sample is from what those around it predict; 0 if they cannot."""
+    near, far, is_far = 0.0, 0.0, order == 4
+    for r in (-1, 1):
+        for c in (-1, 1):
+            if not _has(valid, row + r, col + c):
+                return 0.0
+            near += fine[row + r, col + c]
+            if is_far and _has(valid, row + 3 * r, col + c) and _has(valid, row + r, col + 3 * c):
+                far += fine[row + 3 * r, col + c] + fine[row + r, col + 3 * c]
             else:
-                coarse[r, c] = np.nan
+                is_far = False
+    if is_far:
+        return fine[row, col] - (_MIDDLE[0] * near + _MIDDLE[1] * far)
+    return fine[row, col] - near / 4
 
 
-class NevillePyramid:
-    """All levels of a terrain's heights.
+@kernel
+def fill_details(fine, valid, order, out):
+    """Fill `out` with how far samples of odd rows or columns are from what even ones predict.
+
+    `fine` and `out` are float64 of odd shape, `valid` says which samples are not void. Where those
+    of order 4 are void or outside, order 2 predicts; where its are, the detail is 0.
+    """
+    for row in range(fine.shape[0]):
+        for col in range(fine.shape[1]):
+            out[row, col] = 0.0
+            if not valid[row, col]:
+                continue
+            if row % 2 and col % 2:
+                out[row, col] = _in_middle(fine, valid, row, col, order)
+            elif row % 2 or col % 2:
+                out[row, col] = _on_line(fine, valid, row, col, col % 2 == 1, order)
+
+
+@kernel
+def _detail(details, row, col):
+    if 0 <= row < details.shape[0] and 0 <= col < details.shape[1]:
+        return details[row, col]
+    return 0.0
+
+
+@kernel
+def _line_update(details, row, col, is_row, order):
+    r, c = (0, 1) if is_row else (1, 0)
+    near = _detail(details, row - r, col - c) + _detail(details, row + r, col + c)
+    if order == 2:
+        return near / 2
+    r, c = 3 * r, 3 * c
+    far = _detail(details, row - r, col - c) + _detail(details, row + r, col + c)
+    return _LINE[0] * near + _LINE[1] * far
+
+
+@kernel
+def _middle_update(details, row, col, order):
+    near, far = 0.0, 0.0
+    for r in (-1, 1):
+        for c in (-1, 1):
+            near += _detail(details, row + r, col + c)
+            far += _detail(details, row + 3 * r, col + c) + _detail(details, row + r, col + 3 * c)
+    return near / 4 if order == 2 else _MIDDLE[0] * near + _MIDDLE[1] * far
+
+
+@kernel
+def update(fine, valid, details, order, coarse):
+    """Change `coarse`, float64 (n, m), to the level above `fine`, (2n - 1, 2m - 1), of a block.
+
+    Samples that are void in `fine` stay. Those on the block's border follow from that line alone,
+    so that its neighbours have the same, and its corners stay. None leaves the range of the valid
+    samples of `fine` beside it.
+    """
+    last_row, last_col = fine.shape[0] - 1, fine.shape[1] - 1
+    for row in range(0, last_row + 1, 2):
+        is_end_row = row in (0, last_row)
+        for col in range(0, last_col + 1, 2):
+            is_end_col = col in (0, last_col)
+            if not valid[row, col]:
+                continue
+            change, low, high = 0.0, fine[row, col], fine[row, col]
+            if is_end_row and is_end_col:
+                pass
+            elif is_end_row or is_end_col:
+                change = _line_update(details, row, col, is_end_row, order) / 2
+            else:
+                change = _line_update(details, row, col, True, order)
+                change += _line_update(details, row, col, False, order)
+                change = (change + _middle_update(details, row, col, order)) / 4
+            for r in range(0 if is_end_row else -1, 1 if is_end_row else 2):
+                for c in range(0 if is_end_col else -1, 1 if is_end_col else 2):
+                    if valid[row + r, col + c]:
+                        low = min(low, fine[row + r, col + c])
+                        high = max(high, fine[row + r, col + c])
+            coarse[row // 2, col // 2] = min(max(fine[row, col] + change, low), high)
+
+
+def filtered(fine, valid, order, coarse):
+    """Return the level above `fine`; `coarse` has its heights where those of `fine` are void.
 
     Parameters
     ----------
-    shape : tuple of int
-        Rows and columns of the finest level.
-    read : callable
-        Returns heights of a region of the finest level, metres above any zero, NaN in voids.
-    n_levels : int
-    directory : Path
-        For temporary files.
+    fine, valid : ndarray of float64 and of bool, shape (2n - 1, 2m - 1)
     order : int
-        Of the filter: 2 or 4.
-    count : callable
-        Called with numbers of samples of the finest level as they have been read.
-
-    Notes
-    -----
-    Building reads every sample once: O(n_rows * n_cols) time; memory is that of some tiles, and of
-    small levels.
+        One of `ORDERS`.
+    coarse : ndarray of float64, shape (n, m)
+        NaN where there are none either.
     """
-
-    def __init__(
-        self,
-        shape: tuple[int, int],
-        read: ReadHeights,
-        n_levels: int,
-        directory: Path,
-        count: Callable[[int], None] = lambda n_samples: None,
-        *,
-        order: int = 4,
-    ) -> None:
-        if order not in WEIGHTS:
-            raise InvalidArgumentError(f"found `order` {order}, expected 2 or 4")
-        self._read, self._weights = read, WEIGHTS[order]
-        self.shapes = [(_ceil(shape[0], k), _ceil(shape[1], k)) for k in range(n_levels)]
-        self._spools = [Spool(self.shapes[k], np.float32, directory) for k in range(1, n_levels)]
-        for level in range(1, n_levels):
-            self._fill(level, count if level == 1 else lambda n_samples: None)
-
-    def close(self) -> None:
-        """Delete the temporary files."""
-        for spool in self._spools:
-            spool.close()
-
-    def _fill(self, level: int, count: Callable[[int], None]) -> None:
-        for part in Region(0, 0, *self.shapes[level]).tiles(TILE, TILE):
-            row, col, n_rows, n_cols = part
-            window = Region(2 * row - 1, 2 * col - 1, 2 * n_rows + 2, 2 * n_cols + 2)
-            coarse = np.empty(part.shape, dtype=np.float32)
-            filter_rows(self.window(level - 1, window, replicate=True), *self._weights, coarse)
-            self._spools[level - 1].write(part, coarse)
-            count(4 * n_rows * n_cols)
-
-    def window(self, level: int, region: Region, *, replicate: bool) -> Heights:
-        """Return heights of a region, which may reach past the level's edges.
-
-        There the border is repeated, or all is void.
-        """
-        inside = region.intersect(Region(0, 0, *self.shapes[level]))
-        heights = self._read(inside) if level == 0 else self._spools[level - 1].read(inside)
-        before = inside.row - region.row, inside.col - region.col
-        padding = [
-            (before[axis], region.shape[axis] - before[axis] - inside.shape[axis])
-            for axis in (0, 1)
-        ]
-        if replicate:
-            return np.pad(heights, padding, mode="edge")
-        return np.pad(heights, padding, constant_values=np.nan)
-
-
-def _ceil(n: int, shift: int) -> int:
-    return (n + (1 << shift) - 1) >> shift
+    details, out = np.empty_like(fine), coarse.copy()
+    fill_details(fine, valid, order, details)
+    update(fine, valid, details, order, out)
+    return out
