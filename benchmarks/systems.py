@@ -67,7 +67,7 @@ MethodRow = namedtuple(
 # Milliseconds, medians over frames. `tau` is what the scene kept, pixels; what was asked for in
 # mode full, which splits all. `submitted` are the triangles the GPU is asked for: in mode
 # vertex-texture those of whole patches. `first_bytes` were uploaded until the picture was whole.
-# `largest_pixels`: of the measured errors of all blocks drawn, in mode batched.
+# `largest_pixels`: of the bounds of all blocks drawn, in mode batched.
 ModeRow = namedtuple(
     "ModeRow",
     "raster renderer camera mode tau triangles submitted cpu_ms frame_ms first_bytes frame_bytes "
@@ -176,11 +176,11 @@ def measure_mode(file: Path, name: str, camera_name: str, mode: str) -> ModeRow:
 
 
 def _largest_error(offscreen: Offscreen, camera: Camera) -> float:
-    """Return the largest error of a block on screen, pixels, by what was measured of it."""
+    """Return the largest error of a block on screen, pixels, by the bound that it has."""
     scene = offscreen.scene
     frames = scene.settle(scene.view(camera, offscreen.viewport, TAU))
-    pieces = [scene.table.pieces[node] for node in frames.nodes.tolist()]
-    errors = [scene.mode._levels.errors[piece.level][piece.row, piece.col] for piece in pieces]
+    blocks = [scene.table.pieces[node].block for node in frames.nodes.tolist()]
+    errors = [scene.mode.grid(block).error for block in blocks]
     pixels = np.array(errors) * gamma_guaranteed(camera, offscreen.viewport) / frames.distances
     return round(float(pixels.max()), 2)
 
