@@ -137,6 +137,11 @@ def test_a_flight_writes_numbered_pictures(file, tmp_path):
         (["--legend", "--coloring", "plain"], "found --legend with --coloring plain", 2),
         (["--stepwise"], "--stepwise in mode adaptive, expected mode dynamic", 2),
         (["--order", "3"], "'2', '4'", 2),
+        (
+            ["--mode", "batched", "--orientation", "--error", "paper"],
+            "--error 'paper', expected",
+            2,
+        ),
         (["--error", "coefficient"], "found --error 'coefficient' in mode adaptive", 2),
         (["--scale-bar", "--size", "100x90"], "found --size 100x90, expected at least", 2),
     ],

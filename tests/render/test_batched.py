@@ -1,11 +1,13 @@
 """Zhang et al. 2012: the filters, the criterion, skirts, morphs, loading, and τ on screen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from render.scenes import ListStore, hills, random_camera, terrain_of
+from render.scenes import ListStore, apart_on_screen, hills, random_camera, terrain_of
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.render.camera import Camera, Viewport, focal_length, home, project
+from terrainwave.render.camera import Camera, Viewport, focal_length, home
 from terrainwave.render.modes.block_surface import grid_mesh
 from terrainwave.render.modes.neville import fill_details, filtered
 from terrainwave.render.modes.regular import half_place, largest_deviation
@@ -183,28 +185,25 @@ def drawn_samples(scene, frames, heights):
 
 
 @pytest.mark.large
-def test_no_original_in_view_is_further_than_tau_from_the_surface(original_and_terrain):
+@pytest.mark.parametrize("orientation", [False, True])
+def test_no_original_in_view_is_further_than_tau_from_the_surface(
+    original_and_terrain, orientation
+):
     heights, valid, terrain = original_and_terrain
     rng = np.random.default_rng(4)
     n_compared = n_coarse = n_morphed = 0
-    with Scene(terrain, ListStore(), mode="batched") as scene:
+    with Scene(terrain, ListStore(), mode="batched", orientation=orientation) as scene:
         finest = scene.mode.n_levels - 1
-        for _ in range(24):
+        for number in range(24):
             camera, tau = random_camera(rng, scene), rng.uniform(1, 25)
+            if orientation and number % 2:
+                camera = replace(camera, pitch=-90.0 + number)
             view = scene.view(camera, VIEWPORT, tau)
             frames = scene.settle(view)
             distances = dict(zip(frames.nodes.tolist(), frames.distances, strict=True))
             n_morphed += (frames.morphs > 0).sum()
             for node, rows, cols, z in drawn_samples(scene, frames, heights):
-                known = valid[rows, cols]
-                rows, cols, z = rows[known], cols[known], z[known]
-                xy = scene.frame.samples_to_local(rows, cols)
-                drawn = project(camera, VIEWPORT, np.column_stack([xy, z]))
-                true = project(camera, VIEWPORT, np.column_stack([xy, heights[rows, cols]]))
-                with np.errstate(invalid="ignore"):
-                    seen = ((true >= 0) & (true <= [480, 320, np.inf])).all(axis=1)
-                    seen &= ((drawn >= 0) & (drawn <= [480, 320, np.inf])).all(axis=1)
-                apart = np.hypot(*(drawn - true)[seen, :2].T)
+                apart = apart_on_screen(view, scene, heights, valid, rows, cols, z)
                 allowed = tau
                 if scene.table.pieces[node].level == finest:  # the file's own error
                     own = view.gamma * scene.table.errors[node] / max(distances[node], 1e-9)

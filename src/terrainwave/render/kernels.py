@@ -86,12 +86,19 @@ def oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
 
 
 @kernel
-def oriented_distances(low, high, eye, out):
-    """Fill `out` with `oriented_distance` of boxes, `low` and `high` of shape (n, 3)."""
+def box_distances(low, high, eye, is_oriented):
+    """Return the distances of boxes, or the `oriented_distance`, `low` and `high` (n, 3)."""
+    out = np.empty(low.shape[0])
     for k in range(out.shape[0]):
-        out[k] = oriented_distance(
-            eye, low[k, 0], low[k, 1], low[k, 2], high[k, 0], high[k, 1], high[k, 2]
-        )
+        if is_oriented:
+            out[k] = oriented_distance(
+                eye, low[k, 0], low[k, 1], low[k, 2], high[k, 0], high[k, 1], high[k, 2]
+            )
+        else:
+            out[k] = _distance(
+                eye, low[k, 0], low[k, 1], low[k, 2], high[k, 0], high[k, 1], high[k, 2]
+            )
+    return out
 
 
 @kernel

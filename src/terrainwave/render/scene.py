@@ -75,6 +75,9 @@ class Scene:
     stepwise : bool
         Modes dynamic and vertex-texture change by one height of their quadtree a frame, as their
         paper does: what they keep is `Frames.tau`, more than τ while they lag behind the view.
+    orientation : bool
+        In modes adaptive, batched and loose with measured errors, these count less the steeper they
+        are looked down at; τ holds all the same.
     exaggeration, radius : float, optional
         See `frame_of`.
     max_triangles : int
@@ -101,6 +104,7 @@ class Scene:
         detail: float | None = None,
         order: int | None = None,
         stepwise: bool = False,
+        orientation: bool = False,
         exaggeration: float = 1.0,
         radius: float | None = None,
         max_triangles: int = MAX_TRIANGLES,
@@ -110,7 +114,9 @@ class Scene:
     ) -> None:
         self.terrain = terrain
         self.frame: Frame = frame_of(terrain, radius=radius, exaggeration=exaggeration)
-        given = options_of(mode, detail=detail, order=order, stepwise=stepwise)
+        given = options_of(
+            mode, detail=detail, order=order, stepwise=stepwise, orientation=orientation
+        )
         self.mode: Mode = mode_class(mode)(
             terrain, self.frame, error=error, progress=progress, **given
         )
@@ -147,7 +153,10 @@ class Scene:
     def view(self, camera: Camera, viewport: Viewport, max_pixel_error: float = 1.0) -> View:
         """Return a view of this scene, in more detail where the terrain is flat."""
         max_pixel_error *= self.frame.detail
-        return View(camera, viewport, max_pixel_error, self.mode.gamma, self.frame.exaggeration)
+        mode, exaggeration = self.mode, self.frame.exaggeration
+        return View(
+            camera, viewport, max_pixel_error, mode.gamma, exaggeration, mode.is_oriented
+        )  # fmt: skip
 
     # One frame
 

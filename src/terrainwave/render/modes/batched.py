@@ -93,7 +93,7 @@ class Batched(BoundedMode):
     """
 
     name = "batched"
-    options = ("detail", "order")
+    options = ("detail", "order", "orientation")
 
     def __init__(
         self,
@@ -104,8 +104,9 @@ class Batched(BoundedMode):
         progress: ProgressCallback | None = None,
         detail: float | None = None,
         order: int = 4,
+        orientation: bool = False,
     ) -> None:
-        super().__init__(terrain, frame, error=error)
+        super().__init__(terrain, frame, error=error, orientation=orientation)
         self._mu = self._checked_detail(detail)
         if order not in ORDERS:
             raise InvalidArgumentError(f"found `order` {order}, expected 2 or 4")
