@@ -30,7 +30,7 @@ import numpy as np
 import terrainwave
 from benchmarks import common
 from benchmarks.rasters import coefficients_of, load_raster
-from benchmarks.render import camera_at_key
+from benchmarks.render import SMALL_BLOCK, camera_at_key
 from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed, home, look, project
 from terrainwave.render.modes import MODES
 from terrainwave.render.modes.whole import eye_of
@@ -384,14 +384,20 @@ PARTS = ("methods", "modes", "papers", "orientation", "dynamic")
 @common.option("--frames", type=common.COUNT, default=60, help="Of each flight.")
 def main(dem: Path, only: tuple[str, ...], frames: int, folder: Path, out: Path) -> None:
     """Measure, print and write the CSVs."""
-    file = folder / "view.twz"
-    if {"modes", "orientation"} & set(only):
-        terrainwave.compress(dem, file, max_error=VIEW_ERROR, verify=False, overwrite=True)
+    for part, block in (("modes", 256), ("orientation", SMALL_BLOCK)):
+        if part in only:
+            options = {"max_error": VIEW_ERROR, "block": block}
+            terrainwave.compress(
+                dem, folder / f"{part}.twz", verify=False, overwrite=True, **options
+            )
     measures = {
         "methods": ("systems_methods", lambda: measure_methods(dem, folder)),
-        "modes": ("systems_modes", lambda: measure_modes(file, dem.stem)),
+        "modes": ("systems_modes", lambda: measure_modes(folder / "modes.twz", dem.stem)),
         "papers": ("systems_papers", lambda: compare_papers(out)),
-        "orientation": ("orientation", lambda: measure_orientation(file, dem.stem)),
+        "orientation": (
+            "orientation",
+            lambda: measure_orientation(folder / "orientation.twz", dem.stem),
+        ),
         "dynamic": ("dynamic", lambda: measure_flights(dem, frames)),
     }
     for part in only:
