@@ -141,12 +141,14 @@ def test_the_deviation_is_the_largest_between_a_bilinear_surface_and_the_triangl
         for row in places[0]
         for col in places[1]
     )
-    found = largest_deviation(vertices, fine, valid, True)
+    found = largest_deviation(vertices, fine, valid, (0, 5), (0, 7), True)
     assert apart <= found <= apart * 1.01
     at_samples = max(
         abs(fine[row, col] - height_at(vertices, row / 2, col / 2)) for row, col in np.ndindex(5, 7)
     )
-    assert largest_deviation(vertices, fine, valid, False) == pytest.approx(at_samples)
+    assert largest_deviation(vertices, fine, valid, (0, 5), (0, 7), False) == pytest.approx(
+        at_samples
+    )
     assert at_samples < found
 
 

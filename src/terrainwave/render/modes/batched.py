@@ -256,13 +256,12 @@ class Batched(BoundedMode):
         """
         terrain, is_finest = self.terrain, child.level == self.terrain.grid.k_max
         own = terrain.quanta_error if is_finest else terrain.block_error(child)
-        firsts = [(number & 1) * self._side for number in (child.row, child.col)]
         # No original lies beyond these samples of the child's level.
-        part = tuple(
-            slice(first, first + n) for first, n in zip(firsts, self._reach(child), strict=True)
+        rows, cols = (
+            ((number & 1) * self._side, (number & 1) * self._side + n)
+            for number, n in zip((child.row, child.col), self._reach(child), strict=True)
         )
-        here = tuple(slice(first // 2, None) for first in firsts)
-        apart = largest_deviation(vertices[here], fine[part], valid[part], not is_finest)
+        apart = largest_deviation(vertices, fine, valid, rows, cols, not is_finest)
         return own * self.frame.metres[2] + apart
 
     def _reach(self, block: Block) -> tuple[int, int]:

@@ -34,30 +34,30 @@ def fill_parent_heights(vertices, parent, first_row, first_col, out):
 
 
 @kernel
-def largest_deviation(vertices, fine, valid, has_between):
-    """Return how far the bilinear surface of the finer samples is from a block's, at valid ones.
+def largest_deviation(vertices, fine, valid, rows, cols, has_between):
+    """Return how far the bilinear surface of finer samples is from a block's, at valid ones.
 
     Parameters
     ----------
     vertices : ndarray of float32, shape (n, m)
-    fine, valid : ndarray of float64 and of bool
-        Heights and validity of the next finer level from the block's first vertex on; at most
-        (2n - 1, 2m - 1).
+    fine, valid : ndarray of float64 and of bool, shape (2n - 1, 2m - 1)
+        Heights and validity of the next finer level.
+    rows, cols : tuple of int
+        The first and the end of those to look at.
     has_between : bool
         Whether there are originals between samples of the finer level. If so what lies between is
         measured too: along edges of its cells both are linear, and a bilinear cell less a plane is
         largest on edges; so only cuts of cells are to be looked at, where it is quadratic.
     """
     largest = 0.0
-    n_rows, n_cols = fine.shape
-    for row in range(n_rows):
-        for col in range(n_cols):
+    for row in range(rows[0], rows[1]):
+        for col in range(cols[0], cols[1]):
             if not valid[row, col]:
                 continue
             one = fine[row, col] - half_place(vertices, row, col)
             if abs(one) > largest:  # never for NaN
                 largest = abs(one)
-            is_cut = (row + col) % 2 == 0 and row + 1 < n_rows and col + 1 < n_cols
+            is_cut = (row + col) % 2 == 0 and row + 1 < rows[1] and col + 1 < cols[1]
             if not has_between or not is_cut or not valid[row + 1, col + 1]:
                 continue
             if not valid[row, col + 1] or not valid[row + 1, col]:
