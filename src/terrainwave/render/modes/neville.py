@@ -21,119 +21,110 @@ _LINE = (9.0 / 16.0, -1.0 / 16.0)
 _MIDDLE = (10.0 / 32.0, -1.0 / 32.0)
 
 
-@kernel
-def _has(valid, row, col):
-    return 0 <= row < valid.shape[0] and 0 <= col < valid.shape[1] and valid[row, col]
+# Around samples, as far as the filters reach.
+RING = 3
 
 
 @kernel
-def _on_line(fine, valid, row, col, is_row, order):
-    """Return how far a sample is from what those on its row or column predict; 0 if they can't."""
-    r, c = (0, 1) if is_row else (1, 0)
-    if not (_has(valid, row - r, col - c) and _has(valid, row + r, col + c)):
-        return 0.0
-    near = fine[row - r, col - c] + fine[row + r, col + c]
-    r, c = 3 * r, 3 * c
-    if order == 4 and _has(valid, row - r, col - c) and _has(valid, row + r, col + c):
-        far = fine[row - r, col - c] + fine[row + r, col + c]
-        return fine[row, col] - (_LINE[0] * near + _LINE[1] * far)
-    return fine[row, col] - near / 2
+def _missed(height, near, far, n_near, near_weight, far_weight, order):
+    """Return a height less what sums of others predict: by order 4 where it can, else 2, else 0."""
+    if order == 4:
+        apart = height - (near_weight * near + far_weight * far)
+        if not np.isnan(apart):
+            return apart
+    apart = height - near / n_near
+    return 0.0 if np.isnan(apart) else apart
 
 
 @kernel
-def _in_middle(fine, valid, row, col, order):
-    """Return how far a sample is from what those around it predict; 0 if they cannot."""
-    near, far, is_far = 0.0, 0.0, order == 4
-    for r in (-1, 1):
-        for c in (-1, 1):
-            if not _has(valid, row + r, col + c):
-                return 0.0
-            near += fine[row + r, col + c]
-            if is_far and _has(valid, row + 3 * r, col + c) and _has(valid, row + r, col + 3 * c):
-                far += fine[row + 3 * r, col + c] + fine[row + r, col + 3 * c]
-            else:
-                is_far = False
-    if is_far:
-        return fine[row, col] - (_MIDDLE[0] * near + _MIDDLE[1] * far)
-    return fine[row, col] - near / 4
-
-
-@kernel
-def fill_details(fine, valid, order, out):
+def fill_details(fine, order, out):
     """Fill `out` with how far samples of odd rows or columns are from what even ones predict.
 
-    `fine` and `out` are float64 of odd shape, `valid` says which samples are not void. Where those
-    of order 4 are void or outside, order 2 predicts; where its are, the detail is 0.
+    Parameters
+    ----------
+    fine : ndarray of float64, shape (2n + 5, 2m + 5)
+        Samples in a ring of `RING`, where NaN is: what is void and what is not known.
+    order : int
+        Where samples that order 4 takes are NaN, order 2 predicts; where its are, 0 is the detail.
+    out : ndarray of float64, shape (2n + 5, 2m + 5)
     """
-    for row in range(fine.shape[0]):
-        for col in range(fine.shape[1]):
-            out[row, col] = 0.0
-            if not valid[row, col]:
-                continue
-            if row % 2 and col % 2:
-                out[row, col] = _in_middle(fine, valid, row, col, order)
-            elif row % 2 or col % 2:
-                out[row, col] = _on_line(fine, valid, row, col, col % 2 == 1, order)
+    out[:] = 0.0
+    for r in range(RING, fine.shape[0] - RING):
+        above, below = fine[r - 1], fine[r + 1]
+        here, high, low = fine[r], fine[r - 3], fine[r + 3]
+        if r % 2:  # even rows of samples, as the ring is odd
+            for c in range(RING + 1, fine.shape[1] - RING, 2):
+                near, far = here[c - 1] + here[c + 1], here[c - 3] + here[c + 3]
+                out[r, c] = _missed(here[c], near, far, 2, _LINE[0], _LINE[1], order)
+            continue
+        for c in range(RING, fine.shape[1] - RING, 2):
+            near, far = above[c] + below[c], high[c] + low[c]
+            out[r, c] = _missed(here[c], near, far, 2, _LINE[0], _LINE[1], order)
+        for c in range(RING + 1, fine.shape[1] - RING, 2):
+            near = above[c - 1] + above[c + 1] + below[c - 1] + below[c + 1]
+            far = high[c - 1] + high[c + 1] + low[c - 1] + low[c + 1]
+            far += above[c - 3] + above[c + 3] + below[c - 3] + below[c + 3]
+            out[r, c] = _missed(here[c], near, far, 4, _MIDDLE[0], _MIDDLE[1], order)
 
 
 @kernel
-def _detail(details, row, col):
-    if 0 <= row < details.shape[0] and 0 <= col < details.shape[1]:
-        return details[row, col]
-    return 0.0
-
-
-@kernel
-def _line_update(details, row, col, is_row, order):
-    r, c = (0, 1) if is_row else (1, 0)
-    near = _detail(details, row - r, col - c) + _detail(details, row + r, col + c)
+def _line_update(details, r, c, r_step, c_step, order):
+    near = details[r - r_step, c - c_step] + details[r + r_step, c + c_step]
     if order == 2:
         return near / 2
-    r, c = 3 * r, 3 * c
-    far = _detail(details, row - r, col - c) + _detail(details, row + r, col + c)
+    r_step, c_step = 3 * r_step, 3 * c_step
+    far = details[r - r_step, c - c_step] + details[r + r_step, c + c_step]
     return _LINE[0] * near + _LINE[1] * far
 
 
 @kernel
-def _middle_update(details, row, col, order):
-    near, far = 0.0, 0.0
-    for r in (-1, 1):
-        for c in (-1, 1):
-            near += _detail(details, row + r, col + c)
-            far += _detail(details, row + 3 * r, col + c) + _detail(details, row + r, col + 3 * c)
-    return near / 4 if order == 2 else _MIDDLE[0] * near + _MIDDLE[1] * far
+def _middle_update(details, r, c, order):
+    above, below = details[r - 1], details[r + 1]
+    near = above[c - 1] + above[c + 1] + below[c - 1] + below[c + 1]
+    if order == 2:
+        return near / 4
+    high, low = details[r - 3], details[r + 3]
+    far = above[c - 3] + above[c + 3] + below[c - 3] + below[c + 3]
+    far += high[c - 1] + high[c + 1] + low[c - 1] + low[c + 1]
+    return _MIDDLE[0] * near + _MIDDLE[1] * far
 
 
 @kernel
-def update(fine, valid, details, order, coarse):
-    """Change `coarse`, float64 (n, m), to the level above `fine`, (2n - 1, 2m - 1), of a block.
+def update(fine, details, order, coarse):
+    """Change `coarse`, float64 (n, m), to the level above `fine` and `details` of `fill_details`.
 
     Samples that are void in `fine` stay. Those on the block's border follow from that line alone,
-    so that its neighbours have the same, and its corners stay. None leaves the range of the valid
-    samples of `fine` beside it.
+    so that its neighbours have the same, and its corners stay. None leaves the range of the samples
+    of `fine` beside it.
     """
-    last_row, last_col = fine.shape[0] - 1, fine.shape[1] - 1
-    for row in range(0, last_row + 1, 2):
+    last_row, last_col = coarse.shape[0] - 1, coarse.shape[1] - 1
+    for row in range(last_row + 1):
         is_end_row = row in (0, last_row)
-        for col in range(0, last_col + 1, 2):
+        for col in range(last_col + 1):
             is_end_col = col in (0, last_col)
-            if not valid[row, col]:
+            r, c = 2 * row + RING, 2 * col + RING
+            height = fine[r, c]
+            if np.isnan(height):
                 continue
-            change, low, high = 0.0, fine[row, col], fine[row, col]
-            if is_end_row and is_end_col:
-                pass
-            elif is_end_row or is_end_col:
-                change = _line_update(details, row, col, is_end_row, order) / 2
-            else:
-                change = _line_update(details, row, col, True, order)
-                change += _line_update(details, row, col, False, order)
-                change = (change + _middle_update(details, row, col, order)) / 4
-            for r in range(0 if is_end_row else -1, 1 if is_end_row else 2):
-                for c in range(0 if is_end_col else -1, 1 if is_end_col else 2):
-                    if valid[row + r, col + c]:
-                        low = min(low, fine[row + r, col + c])
-                        high = max(high, fine[row + r, col + c])
-            coarse[row // 2, col // 2] = min(max(fine[row, col] + change, low), high)
+            change = 0.0
+            if not (is_end_row or is_end_col):
+                change = _line_update(details, r, c, 0, 1, order)
+                change += _line_update(details, r, c, 1, 0, order)
+                change = (change + _middle_update(details, r, c, order)) / 4
+            elif not is_end_row:
+                change = _line_update(details, r, c, 1, 0, order) / 2
+            elif not is_end_col:
+                change = _line_update(details, r, c, 0, 1, order) / 2
+            low, high = height, height
+            r_reach, c_reach = 0 if is_end_row else 1, 0 if is_end_col else 1
+            for i in range(r - r_reach, r + r_reach + 1):
+                for j in range(c - c_reach, c + c_reach + 1):
+                    beside = fine[i, j]  # NaN changes nothing
+                    if beside < low:
+                        low = beside
+                    if beside > high:
+                        high = beside
+            coarse[row, col] = min(max(height + change, low), high)
 
 
 def filtered(fine, valid, order, coarse):
@@ -147,7 +138,8 @@ def filtered(fine, valid, order, coarse):
     coarse : ndarray of float64, shape (n, m)
         NaN where there are none either.
     """
-    details, out = np.empty_like(fine), coarse.copy()
-    fill_details(fine, valid, order, details)
-    update(fine, valid, details, order, out)
+    known = np.pad(np.where(valid, fine, np.nan), RING, constant_values=np.nan)
+    details, out = np.empty_like(known), coarse.copy()
+    fill_details(known, order, details)
+    update(known, details, order, out)
     return out
