@@ -58,8 +58,10 @@ def _node_distance(node, low, high, z_scale, eye):
 
 
 @kernel
-def oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
+def oriented_distance(eye, direction, low_x, low_y, low_z, high_x, high_y, high_z):
     """Return a d for which γ · e / d bounds all vertical steps of length e in a box on screen.
+
+    `direction` is that of the view, a unit vector, and γ / f, f the focal length.
 
     Yusov 2006, §3.3, weighs errors with the sine of the angle between the ray and the vertical;
     here so that it holds for any step and point. Let p be a point and q = p + s ẑ, |s| <= e, both
@@ -67,32 +69,39 @@ def oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
     at depth 1. The triangle (eye, p', q') has the area ½ |p' × q'|, and ½ |p' − q'| times the
     distance of the line through p' and q' from the eye, which is >= 1: so
 
-        |p' − q'| <= |p' × q'| = |p × q| / (p_D q_D) = |s| h / (p_D q_D) <= S² |s| h / (|p| |q|),
+        |p' − q'| <= |p' × q'| = |p × q| / (p_D q_D) = |s| h / (p_D q_D),
 
-    h being the horizontal distance of both from the eye and S the largest distance / depth in
-    view. `gamma_guaranteed` is >= f S², f the focal length, so 1 / d is the maximum of
-    h / (h² + v²) over the box, v its least vertical distance: it grows up to h = v, then sinks.
-    It is never more than 1 / the distance to the box, and nothing straight below or above.
+    h being the horizontal distance of both from the eye. That bounds it twice. No depth is less
+    than the box's least, z, nor h more than its largest: f |s| h / z². And no depth is less than
+    |p| / S, S the largest distance / depth in view, of which γ >= f S²: γ |s| h / (|p| |q|), which
+    is at most γ |s| times the maximum of h / (h² + v²) over the box, v its least vertical
+    distance: it grows up to h = v, then sinks. The latter is never more than 1 / the distance to
+    the box, and both are nothing straight below or above.
     """
     x = max(low_x - eye[0], 0.0, eye[0] - high_x)
     y = max(low_y - eye[1], 0.0, eye[1] - high_y)
     v = max(low_z - eye[2], 0.0, eye[2] - high_z)
     far_x = max(abs(low_x - eye[0]), abs(high_x - eye[0]))
     far_y = max(abs(low_y - eye[1]), abs(high_y - eye[1]))
-    h = min(max(v, np.sqrt(x * x + y * y)), np.sqrt(far_x * far_x + far_y * far_y))
-    if h > 0:
-        return h + v * (v / h)
-    return np.inf if v > 0 else 0.0
+    furthest = np.sqrt(far_x * far_x + far_y * far_y)
+    h = min(max(v, np.sqrt(x * x + y * y)), furthest)
+    if h <= 0:
+        return np.inf if v > 0 else 0.0
+    depth = direction[0] * ((low_x if direction[0] > 0 else high_x) - eye[0])
+    depth += direction[1] * ((low_y if direction[1] > 0 else high_y) - eye[1])
+    depth += direction[2] * ((low_z if direction[2] > 0 else high_z) - eye[2])
+    depth = max(depth, 0.0)
+    return max(h + v * (v / h), direction[3] * depth * (depth / furthest))
 
 
 @kernel
-def box_distances(low, high, eye, is_oriented):
-    """Return the distances of boxes, or the `oriented_distance`, `low` and `high` (n, 3)."""
+def box_distances(low, high, eye, direction):
+    """Return the distances of boxes, `low` and `high` (n, 3), as `_screen_error` takes them."""
     out = np.empty(low.shape[0])
     for k in range(out.shape[0]):
-        if is_oriented:
+        if direction[3] > 0:
             out[k] = oriented_distance(
-                eye, low[k, 0], low[k, 1], low[k, 2], high[k, 0], high[k, 1], high[k, 2]
+                eye, direction, low[k, 0], low[k, 1], low[k, 2], high[k, 0], high[k, 1], high[k, 2]
             )
         else:
             out[k] = _distance(
@@ -102,14 +111,18 @@ def box_distances(low, high, eye, is_oriented):
 
 
 @kernel
-def _screen_error(node, low, high, errors, z_scale, eye, gamma, is_oriented):
-    """Return a bound of a node's error on screen, pixels; inf where the eye is in its box."""
+def _screen_error(node, low, high, errors, z_scale, eye, gamma, direction):
+    """Return a bound of a node's error on screen, pixels; inf where the eye is in its box.
+
+    `direction` is that of `oriented_distance`, or all 0: then it is γ · error / distance.
+    """
     error = errors[node] * z_scale
     if error <= 0:
         return 0.0
-    if is_oriented:
+    if direction[3] > 0:
         distance = oriented_distance(
             eye,
+            direction,
             low[node, 0],
             low[node, 1],
             low[node, 2] * z_scale,
@@ -136,7 +149,7 @@ def select_nodes(
     eye,
     z_scale,
     gamma,
-    is_oriented,
+    direction,
     tau,
     stack,
     out_nodes,
@@ -159,7 +172,7 @@ def select_nodes(
             continue
         first = top
         is_split = is_known[node] and (
-            _screen_error(node, low, high, errors, z_scale, eye, gamma, is_oriented) > tau
+            _screen_error(node, low, high, errors, z_scale, eye, gamma, direction) > tau
         )
         if is_split:
             has_children = False
@@ -197,7 +210,7 @@ def wanted_nodes(
     eye,
     z_scale,
     gamma,
-    is_oriented,
+    direction,
     tau,
     out_nodes,
 ):
@@ -217,7 +230,7 @@ def wanted_nodes(
         done += 1
         if not is_known[node]:
             continue
-        if _screen_error(node, low, high, errors, z_scale, eye, gamma, is_oriented) <= tau:
+        if _screen_error(node, low, high, errors, z_scale, eye, gamma, direction) <= tau:
             continue
         for k in range(4):
             child = children[node, k]

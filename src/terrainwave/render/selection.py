@@ -5,14 +5,14 @@ outside the frustum end the recursion, and those good enough do.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Block
-from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed
+from terrainwave.render.camera import Camera, Viewport, focal_length, gamma_guaranteed
 from terrainwave.render.frustum import frustum_planes
 from terrainwave.render.kernels import priorities, select_nodes, wanted_nodes
 
@@ -96,6 +96,14 @@ class View:
     def gamma(self) -> float:
         """Return γ of ``error on screen = γ · error / distance``."""
         return self.gamma_of(self.camera, self.viewport)
+
+    @property
+    def direction(self) -> NDArray[np.float64]:
+        """Return what `kernels.oriented_distance` takes; all 0 where errors have no direction."""
+        if not self.is_oriented:
+            return np.zeros(4)
+        focal = focal_length(self.camera, self.viewport)
+        return np.append(self.camera.forward, self.gamma / focal)
 
     @property
     def planes(self) -> NDArray[np.float64]:
@@ -211,7 +219,7 @@ class NodeTable:
             view.camera.eye,
             view.exaggeration,
             view.gamma,
-            view.is_oriented,
+            view.direction,
             view.max_pixel_error if tau is None else tau,
             self._stack,
             self._nodes,
@@ -248,7 +256,7 @@ class NodeTable:
             camera.eye,
             view.exaggeration,
             view.gamma,
-            view.is_oriented,
+            replace(view, camera=camera).direction,
             view.max_pixel_error if tau is None else tau,
             out,
         )

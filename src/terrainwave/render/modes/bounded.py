@@ -65,7 +65,7 @@ class BoundedMode(Mode):
             # A morph leads out of the box, by as much as the parent's surface is away.
             spread = np.zeros((len(nodes), 3))
             spread[:, 2] = table.morphs[nodes] * view.exaggeration
-            near = box_distances(low - spread, high + spread, view.camera.eye, True)
+            near = box_distances(low - spread, high + spread, view.camera.eye, view.direction)
         allowed = tau * MORPH_START * near / view.gamma
         morphs = self._morphs(table, view, nodes, allowed, tau)
         drawn = (table.errors[nodes] + morphs * table.morphs[nodes]) * view.exaggeration
@@ -101,7 +101,7 @@ class BoundedMode(Mode):
         has_parent = parents >= 0
         above = np.where(has_parent, parents, 0)
         low, high = table.boxes(above, view.exaggeration)
-        distances = box_distances(low, high, view.camera.eye, view.is_oriented)
+        distances = box_distances(low, high, view.camera.eye, view.direction)
         distances = np.maximum(distances, 1e-9)
         screen = view.gamma * table.errors[above] * z_scale / distances
         start, end = tau, tau * MORPH_START
@@ -121,8 +121,8 @@ def _furthest(
     if not view.is_oriented:
         distances: NDArray[np.float64] = np.linalg.norm(away, axis=1)
         return distances
-    # (h² + v²) / h is largest at one of the ends of h.
+    # Neither bound's d is more than γ / f (h² + v²) / h, which is largest at one of the ends of h.
     nearest = np.maximum(np.maximum(low - eye, eye - high), 0.0)
     least, most = (np.hypot(*sides[:, :2].T) for sides in (nearest, away))
     ends = [h + away[:, 2] ** 2 / np.maximum(h, 1e-9) for h in (least, most)]
-    return np.maximum(*ends)
+    return view.direction[3] * np.maximum(*ends)
