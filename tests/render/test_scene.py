@@ -279,7 +279,7 @@ def test_a_damaged_block_is_drawn_coarser_and_named():
         scene._pager._build = damaged
         frames = scene.settle(scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 0.2))
         assert len(frames.nodes)
-        assert set(scene.problems.values()) == {"the group is damaged"}
+        assert set(scene.problems.damaged.values()) == {"the group is damaged"}
 
 
 def test_all_finest_blocks_in_view_come_in_parts_that_fit():

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.progress import ProgressCallback
 from terrainwave.render.frame import Frame
-from terrainwave.render.kernels import box_distances
 from terrainwave.render.modes.mode import Frames, Mode
 from terrainwave.render.selection import NodeTable, Selection, View
 
@@ -17,6 +16,8 @@ if TYPE_CHECKING:
 
 # A block is drawn a little before its parent's error reaches τ, and moves from there to its place.
 MORPH_START = 1.25
+# Pixels per metre that count as none.
+_LEAST_SCALE = 1e-12
 
 
 class BoundedMode(Mode):
@@ -60,18 +61,18 @@ class BoundedMode(Mode):
         nodes, distances = selection.nodes[order], selection.distances[order]
         tau = max(tau, 0.0)
         low, high = table.boxes(nodes, view.exaggeration)
-        near = distances
+        scales = table.scales(view, nodes)
         if view.is_oriented:
             # A morph leads out of the box, by as much as the parent's surface is away.
             spread = np.zeros((len(nodes), 3))
             spread[:, 2] = table.morphs[nodes] * view.exaggeration
-            near = box_distances(low - spread, high + spread, view.camera.eye, view.direction)
-        allowed = tau * MORPH_START * near / view.gamma
+            scales = np.maximum(view.scales(low - spread, high + spread), _LEAST_SCALE)
+        allowed = tau * MORPH_START / scales  # metres of error within τ
         morphs = self._morphs(table, view, nodes, allowed, tau)
         drawn = (table.errors[nodes] + morphs * table.morphs[nodes]) * view.exaggeration
         # A neighbour's error: within τ at the furthest point that it may share with this block,
         # or one that stands in for others.
-        beside = tau * MORPH_START * _furthest(view, low, high) / view.gamma
+        beside = tau * MORPH_START * _furthest(view, low, high) / view.least_gamma
         too_coarse = drawn[drawn > allowed]
         beside = np.maximum(beside, too_coarse.max(initial=0.0))
         beside = np.minimum(beside, drawn.max(initial=0.0))
@@ -100,10 +101,7 @@ class BoundedMode(Mode):
         parents = table.parents[nodes]
         has_parent = parents >= 0
         above = np.where(has_parent, parents, 0)
-        low, high = table.boxes(above, view.exaggeration)
-        distances = box_distances(low, high, view.camera.eye, view.direction)
-        distances = np.maximum(distances, 1e-9)
-        screen = view.gamma * table.errors[above] * z_scale / distances
+        screen = table.errors[above] * z_scale * np.minimum(table.scales(view, above), 1e12)
         start, end = tau, tau * MORPH_START
         shares = np.clip((end - screen) / (end - start), 0.0, 1.0)
         spread = table.morphs[nodes] * z_scale
@@ -115,14 +113,14 @@ class BoundedMode(Mode):
 def _furthest(
     view: View, low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the largest d of points in boxes for which γ · e / d is their error on screen."""
+    """Return d: boxes with points in these have at least `least_gamma` / d pixels a metre."""
     eye = view.camera.eye
     away = np.maximum(np.abs(low - eye), np.abs(high - eye))
     if not view.is_oriented:
         distances: NDArray[np.float64] = np.linalg.norm(away, axis=1)
         return distances
-    # Neither bound's d is more than γ / f (h² + v²) / h, which is largest at one of the ends of h.
+    # (h² + v²) / h is largest at one of the ends of h.
     nearest = np.maximum(np.maximum(low - eye, eye - high), 0.0)
     least, most = (np.hypot(*sides[:, :2].T) for sides in (nearest, away))
     ends = [h + away[:, 2] ** 2 / np.maximum(h, 1e-9) for h in (least, most)]
-    return view.direction[3] * np.maximum(*ends)
+    return np.maximum(*ends)
