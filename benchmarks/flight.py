@@ -183,48 +183,6 @@ class Flights:
         return Camera((float(x), float(y), z), heading % 360, pitch)
 
 
-class Recorder:
-    """Runs frames by the clock and notes what they took and drew."""
-
-    def __init__(self, scene: Scene, surface: Any, viewport: Viewport, tau: float) -> None:
-        self.scene, self._surface, self._viewport, self._tau = scene, surface, viewport, tau
-        self._draw: Callable[[View, Any], None] | None = None
-        # Of each frame: seconds since the start, CPU ms, wall ms, error, missing, triangles.
-        self.notes: list[tuple[float, float, float, float, int, int]] = []
-        self.n_late = 0
-
-    def frame(self, camera: Camera, now: float) -> float:
-        """Page, select, submit; return the error drawn."""
-        scene, started, cpu = self.scene, time.perf_counter(), time.thread_time()
-        view = scene.view(camera, self._viewport, self._tau)
-        frames = scene.update(view)
-        self._surface.submit(scene, view, frames)
-        cpu_ms, wall_ms = (time.thread_time() - cpu) * 1e3, (time.perf_counter() - started) * 1e3
-        error = scene.drawn_error(view, frames) / view.max_pixel_error * self._tau
-        if not len(frames.nodes):
-            error = math.inf
-        self.notes.append((now, cpu_ms, wall_ms, error, frames.n_missing, frames.n_triangles))
-        return error
-
-    def fly(self, place: Place, seconds: float, until_tau: bool = False) -> float | None:
-        """Fly by the clock; return when all was within τ first."""
-        start, number, reached = time.perf_counter(), 0, None
-        while (now := time.perf_counter() - start) < seconds:
-            error = self.frame(place(now), now)
-            if reached is None and error <= self._tau * (1 + 1e-9):
-                reached = time.perf_counter() - start
-                if until_tau:
-                    break
-            number += 1
-            wait = number / HERTZ - (time.perf_counter() - start)
-            if wait < 0:  # these frames are lost
-                lost = math.ceil(-wait * HERTZ)
-                number, self.n_late = number + lost, self.n_late + lost
-                wait = number / HERTZ - (time.perf_counter() - start)
-            time.sleep(max(wait, 0.0))
-        return reached
-
-
 class Session:
     """A file opened, its scene and what takes the uploads."""
 

@@ -73,11 +73,21 @@ class _Handler(BaseHTTPRequestHandler):
             body, match, size, first = None, None, 0, 0
         self.send_response(404 if body is None else 206 if match else 200)
         self.send_header("Content-Length", str(len(body or b"")))
+        self.send_header("Accept-Ranges", "bytes")
         self.send_header("ETag", f'"{size}"')
         if match:
             self.send_header("Content-Range", f"bytes {first}-{first + len(body) - 1}/{size}")
         self.end_headers()
         self._send(body or b"", start)
+
+    def do_HEAD(self) -> None:
+        """Say how long a file is, as GDAL asks first."""
+        path = self.server.owner.folder / unquote(self.path).lstrip("/")
+        time.sleep(self.server.owner.latency)
+        self.send_response(200 if path.is_file() else 404)
+        self.send_header("Content-Length", str(path.stat().st_size if path.is_file() else 0))
+        self.send_header("Accept-Ranges", "bytes")
+        self.end_headers()
 
     def _send(self, body: bytes, start: float) -> None:
         """Send a body at the pace of the line; noted before its last bytes."""

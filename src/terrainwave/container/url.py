@@ -21,6 +21,7 @@ import urllib.request
 import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any, NamedTuple
 from urllib.parse import SplitResult, unquote, urljoin, urlsplit
 
@@ -95,6 +96,7 @@ class HttpSource(MergingSource):
         self._lock = threading.Lock()
         self._idle: list[tuple[tuple[str, str], http.client.HTTPConnection]] = []
         self.n_replies = 0  # so far, for those who wait
+        self._in_use: set[http.client.HTTPConnection] = set()
         self._is_closed = False
         self._resolved = url
         self._version = version
@@ -176,6 +178,8 @@ class HttpSource(MergingSource):
                 raise _unreadable(self.name, error) from error
             except (OSError, http.client.HTTPException):
                 pass
+            if self._is_closed:
+                raise StorageError(f"{self.name} is closed")
             time.sleep(delay)
         try:
             return self._ask_once(wanted)
@@ -211,6 +215,8 @@ class HttpSource(MergingSource):
             if connection is None:
                 connection = self._connect(parts)
             is_reusable = False
+            with self._lock:
+                self._in_use.add(connection)
             try:
                 connection.request("GET", _target(parts), headers=self._headers(parts, wanted))
                 response = connection.getresponse()
@@ -219,7 +225,7 @@ class HttpSource(MergingSource):
                 is_reusable = response.isclosed() and not response.will_close
                 return reply
             except (OSError, http.client.HTTPException):
-                if is_fresh:
+                if is_fresh or self._is_closed:
                     raise
             finally:
                 self._give_back(key, connection, is_reusable)
@@ -267,18 +273,23 @@ class HttpSource(MergingSource):
         self, key: tuple[str, str], connection: http.client.HTTPConnection, is_reusable: bool
     ) -> None:
         with self._lock:
+            self._in_use.discard(connection)
             if is_reusable and not self._is_closed and len(self._idle) < N_CONNECTIONS:
                 self._idle.append((key, connection))
                 return
         connection.close()
 
     def close(self) -> None:
-        """Close all connections."""
+        """Close all connections; who waits for one is told so."""
         with self._lock:
             self._is_closed = True
             idle, self._idle = self._idle, []
+            sockets = [connection.sock for connection in self._in_use if connection.sock]
         for _, connection in idle:
             connection.close()
+        for waiting in sockets:
+            with suppress(OSError):
+                waiting.shutdown(socket.SHUT_RDWR)
 
     def __reduce__(self) -> tuple[type["HttpSource"], tuple[str, str | None]]:
         return HttpSource, (self._url, self._version)

@@ -99,8 +99,11 @@ class Pager:
                 lambda: bool(self._ready) or not (self._queue or self._running), timeout
             )
 
-    def close(self) -> None:
-        """Stop the threads; unfinished work is dropped."""
+    def close(self, patience: float | None = None) -> None:
+        """Stop the threads; unfinished work is dropped.
+
+        `patience` is for how many seconds each may go on; by default until its work is done.
+        """
         with self._changed:
             self._is_closed = True
             self._queue.clear()
@@ -108,7 +111,7 @@ class Pager:
                 running.is_wanted = False
             self._changed.notify_all()
         for thread in self._threads:
-            thread.join()
+            thread.join(patience)
 
     def _work(self) -> None:
         while True:

@@ -20,7 +20,13 @@ from terrainwave.mesh.loose import LooseMesher
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.render.frame import Frame
-from terrainwave.render.kernels import SKIRT_FLAG, border_edges, fill_texels, surface_at
+from terrainwave.render.kernels import (
+    SKIRT_FLAG,
+    bilinear_at,
+    border_edges,
+    fill_texels,
+    surface_at,
+)
 from terrainwave.render.scales import (
     FLOAT32_ROUNDING,
     HeightScale,
@@ -279,10 +285,16 @@ class PatchBuilder:
     def _parent_heights(
         self, piece: Piece, mesh: BlockMesh, z: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the heights of the parent's surface at the vertices; `z` where it has none."""
+        """Return the heights of the parent's surface at the vertices; `z` where it has none.
+
+        Of a coarser level it is the surface of the samples: within a mesh's tolerance, a quarter
+        of its error, of what is drawn, and nobody has to make that mesh.
+        """
         above = self.parent(piece)
         if above is None or not len(z):
             return z
+        if above.level < piece.level and self._loose is None:
+            return self._coarser_heights(piece, mesh, z)
         parent = self.mesh(above)
         numbers = np.full((int(mesh.rows.max()) + 1, int(mesh.cols.max()) + 1), -1, dtype=np.int32)
         numbers[mesh.rows, mesh.cols] = np.arange(len(z), dtype=np.int32)
@@ -297,6 +309,23 @@ class PatchBuilder:
         )  # fmt: skip
         heights = self._scale.metres(heights / (1 << FRACTION_BITS))
         return np.where(np.isnan(heights), z, heights)
+
+    def _coarser_heights(
+        self, piece: Piece, mesh: BlockMesh, z: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the heights between samples of the level above at the vertices of a mesh."""
+        grid = self._terrain.grid
+        inner = grid.block_region(piece.block)
+        level = Region(0, 0, *grid.level_shape(piece.level - 1))
+        row, col = inner.row // 2, inner.col // 2
+        n_rows, n_cols = (n // 2 + 2 for n in inner.shape)
+        region = Region(row, col, n_rows, n_cols).intersect(level)
+        heights, mask = self._terrain.decoder.window(piece.level - 1, region)
+        out = np.empty(len(z))
+        first = 2 * (inner.row - 2 * row), 2 * (inner.col - 2 * col)
+        quanta = (z - self._scale.zero) / self._scale.per_quantum
+        bilinear_at(mesh.rows, mesh.cols, heights, mask, *first, quanta, out)
+        return self._scale.metres(out)
 
     def slopes(self, block: Block) -> NDArray[np.float16]:
         """Return slopes and heights at the samples of a block and at one more on each side.

@@ -17,15 +17,17 @@ from terrainwave.render.frustum import may_see
 from terrainwave.render.modes import mode_class, options_of
 from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode
 from terrainwave.render.motion import Motion
-from terrainwave.render.paging import Pager
+from terrainwave.render.paging import Outcome, Pager
 from terrainwave.render.problems import Problems, replies_of
+from terrainwave.render.read_ahead import PATIENCE, read_ahead_of
 from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Selection, View
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
 DEFAULT_MAX_BYTES = 1 << 30
-_UPLOADS_PER_FRAME = 4
+# Pieces that one frame takes, and seconds of processor time.
+_UPLOADS_PER_FRAME, _UPLOAD_S = 6, 0.0006
 _READY_PER_WORKER = 4
 # Depth planes where all is drawn in parts: one for all of them.
 _NEAREST_PART = 0.0
@@ -126,7 +128,8 @@ class Scene:
     ) -> None:
         self.terrain = terrain
         self.frame: Frame = frame_of(terrain, radius=radius, exaggeration=exaggeration)
-        given = options_of(
+        self.n_workers = n_workers
+        self.options = given = options_of(
             mode, detail=detail, order=order, stepwise=stepwise, orientation=orientation
         )
         self.mode: Mode = mode_class(mode)(
@@ -143,6 +146,7 @@ class Scene:
         self._pager = Pager(
             self.mode.build, n_workers=n_workers, max_ready=_READY_PER_WORKER * n_workers
         )
+        self._ahead_reader = read_ahead_of(terrain, self.mode)
         self._motion = Motion()
         self._n_updates = 0
         self._looked = np.empty(0, dtype=np.int32)
@@ -158,7 +162,10 @@ class Scene:
 
     def close(self) -> None:
         """Stop the workers."""
-        self._pager.close()
+        # A server that is silent would hold them for long.
+        self._pager.close(None if replies_of(self.terrain) is None else PATIENCE)
+        if self._ahead_reader is not None:
+            self._ahead_reader.close()
         self.mode.close()
 
     def exaggerate(self, factor: float) -> None:
@@ -201,7 +208,7 @@ class Scene:
         asked = [missing, self._missing(ahead)]
         if self._is_short:  # what leaves τ first, then what is to be split a little before it is
             most = view.max_pixel_error * self._memory_factor
-            asked.insert(0, self._missing(self._wanted(view, most)))
+            asked.insert(0, self._by_error(view, self._missing(self._wanted(view, most))))
         self._request(np.concatenate(asked))
         self._last_camera = view.camera
         paged = time.perf_counter()
@@ -276,36 +283,59 @@ class Scene:
         holds, pieces = self.problems.holds, self.table.pieces
         return np.array([n for n in absent.tolist() if not holds(pieces[n])], dtype=np.int32)
 
+    def _by_error(self, view: View, nodes: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return nodes in the order of the error on screen of what stands in for them."""
+        table = self.table
+        parents = table.parents[nodes]
+        above = np.maximum(parents, 0)
+        errors = np.where(parents < 0, np.inf, table.errors[above] * table.scales(view, above))
+        return nodes[np.argsort(-errors, kind="stable")]
+
     def _request(self, nodes: NDArray[np.int32]) -> None:
         """Ask for the first of some nodes; the others' turn comes in later frames."""
         first = list(dict.fromkeys(nodes[:_MOST_ASKED].tolist()))
         if first != self._requested:
-            self._pager.request([self.table.pieces[node] for node in first])
+            pieces = [self.table.pieces[node] for node in first]
+            self._pager.request(pieces)
+            if self._ahead_reader is not None:
+                self._ahead_reader.request(pieces)
             self._requested = first
 
     def _take(
         self, view: View, wanted: NDArray[np.int32], ahead: NDArray[np.int32], max_uploads: int
     ) -> bool:
-        """Put what has been built into the store; say whether anything came."""
-        taken = self._pager.take(max_uploads)
-        if not taken:
-            return False
-        needs = np.zeros(len(self.table), dtype=np.int8)
-        needs[ahead], needs[wanted] = _AHEAD, _WANTED
-        self._requested = []  # what could not be kept is asked for again
-        for piece, built, error in taken:
-            node = self.table.find(piece)
-            if error is not None:
-                if not isinstance(error, TerrainwaveError):
-                    raise error
-                self.problems.add(piece, error)
-                if node in self.table.roots and piece in self.problems.damaged:
-                    raise error
-                continue
+        """Put what has been built into the store; say whether anything came.
+
+        At most `max_uploads`, and for no longer than `_UPLOAD_S` where that is more than one: the
+        rest comes next frame.
+        """
+        needs, started = None, time.thread_time()
+        for number in range(max_uploads):
+            is_late = number and time.thread_time() - started > _UPLOAD_S
+            taken = [] if is_late and max_uploads <= _UPLOADS_PER_FRAME else self._pager.take(1)
+            if not taken:
+                break
+            if needs is None:
+                needs = np.zeros(len(self.table), dtype=np.int8)
+                needs[ahead], needs[wanted] = _AHEAD, _WANTED
+                self._requested = []  # what could not be kept is asked for again
+            self._take_in(view, taken[0], needs)
+        return needs is not None
+
+    def _take_in(self, view: View, outcome: Outcome, needs: NDArray[np.int8]) -> None:
+        """Keep what was built, or note why it could not be."""
+        piece, built, error = outcome
+        node = self.table.find(piece)
+        if error is None:
             self.problems.came()
             if node is not None and not self.table.is_resident[node]:
                 self._keep(view, node, built, needs)
-        return True
+            return
+        if not isinstance(error, TerrainwaveError):
+            raise error
+        self.problems.add(piece, error)
+        if node in self.table.roots and piece in self.problems.damaged:
+            raise error
 
     def _keep(self, view: View, node: int, built: Built, needs: NDArray[np.int8]) -> None:
         """Put what was built into the store; what is needed least, and less than it, makes room."""
