@@ -66,7 +66,7 @@ def test_full_and_adaptive_pictures_are_alike(file, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["batched", "--error", "paper", "--detail", "9", "--order", "2"], "whole file twice"),
+        (["batched", "--error", "paper", "--detail", "9", "--order", "2"], None),
         (["dynamic", "--stepwise"], "of all nodes: this decodes it once"),
         (["adaptive"], None),
     ],
@@ -137,6 +137,11 @@ def test_a_flight_writes_numbered_pictures(file, tmp_path):
         (["--legend", "--coloring", "plain"], "found --legend with --coloring plain", 2),
         (["--stepwise"], "--stepwise in mode adaptive, expected mode dynamic", 2),
         (["--order", "3"], "'2', '4'", 2),
+        (
+            ["--mode", "batched", "--orientation", "--error", "paper"],
+            "--error 'paper', expected",
+            2,
+        ),
         (["--error", "coefficient"], "found --error 'coefficient' in mode adaptive", 2),
         (["--scale-bar", "--size", "100x90"], "found --size 100x90, expected at least", 2),
     ],

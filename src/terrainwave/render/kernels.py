@@ -77,15 +77,6 @@ def oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
     return np.inf if v > 0 else 0.0
 
 
-@kernel
-def oriented_distances(low, high, eye, out):
-    """Fill `out` with `oriented_distance` of boxes, `low` and `high` of shape (n, 3)."""
-    for k in range(out.shape[0]):
-        out[k] = oriented_distance(
-            eye, low[k, 0], low[k, 1], low[k, 2], high[k, 0], high[k, 1], high[k, 2]
-        )
-
-
 # What `View.lens` holds: pixels per unit of tangent, the largest (distance / depth)² in view, the
 # view's direction.
 LENS_SCALE, LENS_SLANT, LENS_X, LENS_Y, LENS_Z = range(5)

@@ -88,6 +88,9 @@ class Scene:
     stepwise : bool
         Modes dynamic and vertex-texture change by one height of their quadtree a frame, as their
         paper does: what they keep is `Frames.tau`, more than τ while they lag behind the view.
+    orientation : bool
+        In modes adaptive, batched and loose with measured errors, these count less the steeper they
+        are looked down at; τ holds all the same.
     exaggeration, radius : float, optional
         See `frame_of`.
     max_triangles : int
@@ -117,6 +120,7 @@ class Scene:
         detail: float | None = None,
         order: int | None = None,
         stepwise: bool = False,
+        orientation: bool = False,
         exaggeration: float = 1.0,
         radius: float | None = None,
         max_triangles: int = MAX_TRIANGLES,
@@ -128,7 +132,9 @@ class Scene:
         self.terrain = terrain
         self.frame: Frame = frame_of(terrain, radius=radius, exaggeration=exaggeration)
         self.n_workers = n_workers
-        self.options = given = options_of(mode, detail=detail, order=order, stepwise=stepwise)
+        self.options = given = options_of(
+            mode, detail=detail, order=order, stepwise=stepwise, orientation=orientation
+        )
         self.mode: Mode = mode_class(mode)(
             terrain, self.frame, error=error, progress=progress, **given
         )
@@ -176,7 +182,7 @@ class Scene:
         max_pixel_error *= self.frame.detail(camera.eye)
         return View(
             camera, viewport, max_pixel_error, self.mode.gamma, self.frame.exaggeration,
-            is_exact=self.mode.is_exact,
+            self.mode.is_oriented, self.mode.is_exact,
         )  # fmt: skip
 
     @property

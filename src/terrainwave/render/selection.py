@@ -121,6 +121,13 @@ class View:
         scale = focal_length(self.camera, self.viewport)
         return np.array([scale, slant(self.camera, self.viewport) ** 2, *self.camera.forward])
 
+    def scales(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return pixels on screen per metre of vertical errors in boxes; inf where the eye is."""
+        numbers, scales = np.arange(len(low), dtype=np.int32), np.empty(len(low))
+        eye = self.camera.eye
+        node_scales(numbers, low, high, 1.0, eye, self.lens, self.is_oriented, scales)
+        return scales
+
     @cached_property
     def planes(self) -> NDArray[np.float64]:
         """Return the planes of the frustum."""
