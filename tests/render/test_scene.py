@@ -264,7 +264,7 @@ def test_what_the_camera_flies_to_is_read_ahead():
         soon = scene.view(camera(1.0 + AHEAD[-1]), VIEWPORT, 1.0)
         later = set(scene.table.wanted(soon, 10_000, scene._split_error(soon)).tolist())
         assert later - needed
-        for _ in range(20):  # a camera each
+        for _ in range(60):  # a camera each, a level of the tree at a time
             scene.update(view)
             assert scene._pager.wait(30)
         assert scene.table.is_resident[list(later)].all()
