@@ -30,7 +30,7 @@ from benchmarks.rasters import coefficients_of, load_raster
 from benchmarks.render import camera_at_key
 from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed, home, look, project
 from terrainwave.render.modes import MODES
-from terrainwave.render.modes.whole import eye_of
+from terrainwave.render.modes.front import eye_of
 from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.selection import View
 from terrainwave.render.style import Style

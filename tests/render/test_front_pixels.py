@@ -8,7 +8,7 @@ from tri.slow_dynamic import drawn_samples
 
 from terrainwave.render.camera import top_view
 from terrainwave.render.modes import rqt
-from terrainwave.render.modes.whole import eye_of
+from terrainwave.render.modes.front import eye_of
 from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.style import Style
 from terrainwave.render.vertex_texture_surface import VERTEX_SHADER

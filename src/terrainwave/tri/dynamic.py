@@ -31,6 +31,7 @@ from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.tri.budget import Pressure, check_budget
 from terrainwave.tri.haar import (
+    CLOSED,
     ERROR,
     FIRST,
     HIGH,
@@ -162,6 +163,8 @@ class DynamicMesh:
         box; or Haar coefficients with the direction to the node, as printed.
     base_error : float
         Largest distance of `heights` from what errors count from; added to measured errors.
+    open_sides, margin
+        See `haar.build_tree`.
 
     Attributes
     ----------
@@ -189,8 +192,12 @@ class DynamicMesh:
         patch: int = 256,
         error: str = "measured",
         base_error: float = 0.0,
+        open_sides: tuple[bool, bool, bool, bool] = CLOSED,
+        margin: int = 0,
     ) -> None:
-        self.tree: HaarTree = build_tree(heights, mask, patch=patch, error=error)
+        self.tree: HaarTree = build_tree(
+            heights, mask, patch=patch, error=error, open_sides=open_sides, margin=margin
+        )
         self.marks: NDArray[np.uint8] = np.full(len(self.tree.z), BELOW, dtype=np.uint8)
         layout = self.tree.layout
         self.marks[layout[-1, FIRST] :] = ROOT
@@ -270,6 +277,19 @@ class DynamicMesh:
         return Followed(
             used / morph, used, max(used, largest), self._n_vertices, n_touched, n_changed
         )
+
+    def largest_error(self, eye: Eye, followed: Followed) -> float:
+        """Return how far what is drawn in view is from `heights` at most, vertically.
+
+        In their unit, without the view's factor. Where errors are no bounds, the largest range of
+        heights that one triangle may cover.
+        """
+        tree = self.tree
+        error: float = largest_error_in_view(
+            tree.layout, tree.z, tree.bounds, self._view(eye), eye.planes, followed.tau,
+            self._stack, self.marks,
+        )  # fmt: skip
+        return error
 
     def draw(self, eye: Eye, followed: Followed) -> DynamicFrame:
         """Return the mesh of the marks; `followed` is what `follow` returned for this eye."""
@@ -587,6 +607,36 @@ def settle_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_chan
         if n_changed > n_before:
             has_changed[patch // layout[-1, N_COLS], patch % layout[-1, N_COLS]] = 1
     return n_touched, n_changed, n_more, 0.0
+
+
+@kernel
+def largest_error_in_view(layout, z, bounds, view, planes, tau, stack, marks):
+    """Return the largest error of nodes in view that are roots or have others on their way to them.
+
+    Those are roots and nodes whose error on screen is below `tau`; none below them has a larger
+    error. Near an outline, and where errors are no bounds, the range of heights counts.
+    """
+    largest = 0.0
+    for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
+        depth = _push_patch(patch, layout, stack)
+        while depth > 0:
+            depth -= 1
+            height, row, col = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+            if height == 0:
+                continue
+            on_screen = screen_error(height, row, col, layout, z, bounds, view, planes)
+            if on_screen == 0:
+                continue
+            node = layout[height, FIRST] + row * layout[height, N_COLS] + col
+            if marks[node] == INNER and on_screen >= tau:
+                depth = _push_children(height, row, col, stack, depth)
+                continue
+            inner = node - layout[1, FIRST]
+            error = np.float64(bounds[inner, ERROR])
+            if error < 0 or view[_IS_BOUND] == 0:
+                error = np.float64(bounds[inner, HIGH]) - np.float64(bounds[inner, LOW])
+            largest = max(largest, error)
+    return largest
 
 
 # Vertices

@@ -40,7 +40,7 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import kernel
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.tri.budget import Pressure, check_budget
-from terrainwave.tri.dynamic import Eye, check_update
+from terrainwave.tri.dynamic import Eye, Followed, check_update
 from terrainwave.tri.rqt import neighbours
 from terrainwave.tri.rqt_errors import is_corner, needs_of
 from terrainwave.tri.rqt_morph import number_vertices, place_vertices
@@ -304,6 +304,12 @@ class RestrictedMesh:
         InvalidHeightsError
             If an argument is out of range.
         """
+        return self.draw(eye, self.follow(eye, tau, morph=morph, max_vertices=max_vertices))
+
+    def follow(
+        self, eye: Eye, tau: float, *, morph: float = 1.0, max_vertices: int | None = None
+    ) -> Followed:
+        """Split and merge for a view: the first half of `update`, whose arguments these are."""
         check_update(tau, morph)
         check_budget(max_vertices, self.least_vertices, "corner of a tile")
         view, planes = self._view(eye), self._planes(eye)
@@ -318,7 +324,12 @@ class RestrictedMesh:
             if not self._pressure.rise():
                 break
         used = tau * self._pressure.factor
-        count = self._place(view, planes, used / morph, used)
+        return Followed(used / morph, used, used, self._n_active, n_touched, n_changed)
+
+    def draw(self, eye: Eye, followed: Followed) -> RestrictedFrame:
+        """Return the mesh of a view; `followed` is what `follow` returned for this eye."""
+        view, planes = self._view(eye), self._planes(eye)
+        count = self._place(view, planes, followed.threshold, followed.tau)
         a, b, _, d, e, _ = self._matrix
         n_triangles = draw_triangles(
             *self._tiles.known_heights, self._is_active, a * e < b * d, self._vertex_of,
@@ -326,7 +337,8 @@ class RestrictedMesh:
         )  # fmt: skip
         return RestrictedFrame(
             self._vertices[:count].copy(), self._triangles[:n_triangles].copy(),
-            self._places[:count].copy(), self._n_active, n_touched, n_changed, used,
+            self._places[:count].copy(), followed.n_vertices, followed.n_touched,
+            followed.n_changed, followed.tau,
         )  # fmt: skip
 
     def _follow(
