@@ -257,11 +257,8 @@ def fly(name: str, view: str, system: str, error: str, heights, tau: float, n: i
         n_nodes = mesh.n_nodes
         options = {"morph": MORPH, "is_stepwise": "stepwise" in system}
     else:
-        limits = float(heights.min()), top
         known = {"coefficients": coefficients_of(heights)} if error == "coefficient" else {}
-        mesh = RestrictedMesh(
-            heights.shape, limits, heights, sample_matrix=matrix, error=error, **known
-        )
+        mesh = RestrictedMesh(heights, sample_matrix=matrix, error=error, **known)
         n_nodes, options = heights.size, {}
     build = time.thread_time() - started
     times, touched = [], []

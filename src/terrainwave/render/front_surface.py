@@ -160,7 +160,7 @@ class FrontSurface:
             places = patch.places(drawn.vertices[starts[k] : starts[k + 1]])
             stride = scene.terrain.grid.stride(patch.piece.level)
             part["sample"] = places
-            part["grid"] = (places + (patch.region.col, patch.region.row)) * stride
+            part["grid"] = np.add(places, (patch.region.col, patch.region.row)) * stride
             part["about"][:, 0] = self.store.layer_of[node]
             part["about"][:, 2] = patch.error
         self._upload(vertices.tobytes(), drawn.triangles.astype("<u4").tobytes())

@@ -1,5 +1,6 @@
 """Full grids whose vertices a shader moves to their roots (Yusov & Turlapov 2008)."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import moderngl
@@ -7,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.front_surface import FrontStore
-from terrainwave.render.modes.dynamic import TREE
 from terrainwave.render.modes.front import eye_of
 from terrainwave.render.selection import View
 from terrainwave.render.shaders import TERRAIN_FRAGMENT
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _SLOPES, _HEIGHTS, _BOUNDS, _MARKS = OWN_UNIT, OWN_UNIT + 1, OWN_UNIT + 2, OWN_UNIT + 3
 _VOID = np.float32(-1e38)
 _SKIRT = 1 << 15
+Grid = tuple[NDArray[np.uint16], NDArray[np.uint32]]
 
 VERTEX_SHADER = """
 #version 330 core
@@ -121,7 +122,7 @@ void main() {
 """
 
 
-def tree_grid(side: int) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
+def tree_grid(side: int) -> Grid:
     """Return vertices (column, row) and triangles of the quads of a tree, cut as the full grid."""
     rows, cols = np.divmod(np.arange((side + 1) ** 2), side + 1)
     numbers = np.arange((side + 1) ** 2, dtype=np.uint32).reshape(side + 1, side + 1)
@@ -131,22 +132,19 @@ def tree_grid(side: int) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
     return np.column_stack([cols, rows]).astype(np.uint16), triangles
 
 
-def skirt_grid(
-    shape: tuple[int, int], open_sides: "Sides"
-) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
+def skirt_grid(shape: tuple[int, int], open_sides: "Sides") -> Grid:
     """Return vertices (column, row) and triangles of skirts below the open sides of a raster."""
     (n_rows, n_cols), places, triangles = shape, [], []
-    lines = (
-        (np.arange(n_cols), 0), (0, np.arange(n_rows)),
-        (np.arange(n_cols), n_rows - 1), (n_cols - 1, np.arange(n_rows)),
-    )  # fmt: skip
+    rows, cols = np.arange(n_rows), np.arange(n_cols)
+    none, last = (0 * cols, 0 * rows), (0 * cols + n_rows - 1, 0 * rows + n_cols - 1)
+    lines = (cols, none[0]), (none[1], rows), (cols, last[0]), (last[1], rows)
     n_before = 0
-    for (cols, rows), is_open in zip(lines, open_sides, strict=True):
+    for places_along, is_open in zip(lines, open_sides, strict=True):
         if not is_open:
             continue
-        line = np.column_stack(np.broadcast_arrays(cols, rows))
+        line = np.column_stack(places_along)
         n = len(line)
-        places += [line, line + (_SKIRT, 0)]
+        places += [line, np.add(line, (_SKIRT, 0))]
         a, c = np.arange(n - 1) + n_before, np.arange(n - 1) + n_before + n
         triangles += [np.column_stack([a, a + 1, c]), np.column_stack([a + 1, c + 1, c])]
         n_before += 2 * n
@@ -250,12 +248,9 @@ class VertexTextureSurface:
         self.program = context.program(
             vertex_shader=VERTEX_SHADER.strip(), fragment_shader=TERRAIN_FRAGMENT.strip()
         )
-        places, triangles = tree_grid(TREE)
-        self.places = context.buffer(places.tobytes())
-        self._triangles = context.buffer(triangles.tobytes())
         self.trees = context.buffer(reserve=16)
-        self._array: Any = None
-        self._skirts: dict[Any, tuple[Any, ...]] = {}
+        # Vertices, triangles and both together, of trees by their side and of skirts.
+        self.grids: dict[Any, tuple[Any, ...]] = {}
 
     def submit(self, scene: "Scene", view: View, frames: "Frames") -> int:
         """Upload what has changed, and draw the grids of all trees in view, patch by patch."""
@@ -267,31 +262,26 @@ class VertexTextureSurface:
             n = self.prepare(scene, node, patch, followed, eye, self.program)
             if not n:
                 continue
-            if self._array is None:
-                self._array = self._new_array(self.places, self._triangles)
             set_uniforms(self.program, {"skirt": depth})
-            self._array.render(moderngl.TRIANGLES, instances=n)
+            self._draw_grid(tree_grid, 1 << patch.mesh.tree.top, n=n)
             n_calls += 1
             if any(patch.open_sides):
-                self._draw_skirts(patch, eye)
+                self._fill_trees(np.zeros((1, 2), dtype=np.int64), patch, eye)
+                self._draw_grid(skirt_grid, patch.region.shape, patch.open_sides, n=1)
                 n_calls += 1
         return n_calls
 
-    def _new_array(self, places: Any, triangles: Any) -> Any:
-        return self._context.vertex_array(
-            self.program,
-            [(places, "2u2", "in_place"), (self.trees, "4f4/i", "in_tree")],
-            index_buffer=triangles, index_element_size=4,
-        )  # fmt: skip
-
-    def _draw_skirts(self, patch: "FrontPatch", eye: "Eye") -> None:
-        """Draw the skirts of a patch whose uniforms are set."""
-        key = patch.region.shape, patch.open_sides
-        if key not in self._skirts:
-            parts = [self._context.buffer(part.tobytes()) for part in skirt_grid(*key)]
-            self._skirts[key] = *parts, self._new_array(*parts)
-        self._fill_trees(np.zeros((1, 2), dtype=np.int64), patch.matrix, eye)
-        self._skirts[key][-1].render(moderngl.TRIANGLES, instances=1)
+    def _draw_grid(self, make: Callable[..., Grid], *arguments: Any, n: int) -> None:
+        """Draw a grid for each of the `n` places in `trees`."""
+        if arguments not in self.grids:
+            places, triangles = (self._context.buffer(part.tobytes()) for part in make(*arguments))
+            array = self._context.vertex_array(
+                self.program,
+                [(places, "2u2", "in_place"), (self.trees, "4f4/i", "in_tree")],
+                index_buffer=triangles, index_element_size=4,
+            )  # fmt: skip
+            self.grids[arguments] = places, triangles, array
+        self.grids[arguments][-1].render(moderngl.TRIANGLES, instances=n)
 
     def prepare(
         self,
@@ -307,7 +297,7 @@ class VertexTextureSurface:
         trees = _trees_in_view(mesh.tree, patch.matrix, eye)
         if not len(trees):
             return 0
-        self._fill_trees(trees, patch.matrix, eye)
+        self._fill_trees(trees, patch, eye)
         textures = self.store.trees[node]
         textures.send_marks()
         a, b, _, d, e, _ = patch.matrix
@@ -334,11 +324,9 @@ class VertexTextureSurface:
             texture.use(unit)
         return len(trees)
 
-    def _fill_trees(
-        self, trees: NDArray[np.int64], matrix: tuple[float, ...], eye: "Eye"
-    ) -> None:
-        a, b, c, d, e, f = matrix
-        rows, cols = (trees * TREE).T
+    def _fill_trees(self, trees: NDArray[np.int64], patch: "FrontPatch", eye: "Eye") -> None:
+        a, b, c, d, e, f = patch.matrix
+        rows, cols = (trees << patch.mesh.tree.top).T
         places = np.column_stack([a * cols + b * rows + c, d * cols + e * rows + f])
         content = np.column_stack([places - eye.position[:2], cols, rows]).astype("<f4")
         if content.nbytes > self.trees.size:
@@ -347,26 +335,23 @@ class VertexTextureSurface:
 
     def release(self) -> None:
         """Free the GPU's memory."""
-        skirts = [part for parts in self._skirts.values() for part in reversed(parts)]
-        release_all(
-            self._array, *skirts, self.places, self._triangles, self.trees, self.program,
-            self.store,
-        )  # fmt: skip
+        grids = [part for parts in self.grids.values() for part in reversed(parts)]
+        release_all(*grids, self.trees, self.program, self.store)
 
 
 def _trees_in_view(tree: HaarTree, matrix: tuple[float, ...], eye: "Eye") -> NDArray[np.int64]:
     """Return rows and columns of trees whose boxes are not behind a plane, shape (n, 2)."""
     n_rows, n_cols = (int(n) for n in tree.layout[-1, N_ROWS:])
-    bounds = tree.bounds[-n_rows * n_cols :].astype(np.float64)
+    bounds, side = tree.bounds[-n_rows * n_cols :].astype(np.float64), 1 << tree.top
     rows, cols = np.divmod(np.arange(n_rows * n_cols), n_cols)
-    mid_rows, mid_cols = ((places + 0.5) * TREE - 0.5 for places in (rows, cols))
+    mid_rows, mid_cols = ((places + 0.5) * side - 0.5 for places in (rows, cols))
     a, b, c, d, e, f = matrix
     middle = np.column_stack(
         [a * mid_cols + b * mid_rows + c, d * mid_cols + e * mid_rows + f,
          (bounds[:, LOW] + bounds[:, HIGH]) / 2 * eye.z_scale]
     )  # fmt: skip
     extent = np.empty_like(middle)
-    extent[:, 0], extent[:, 1] = (abs(a) + abs(b)) * TREE, (abs(d) + abs(e)) * TREE
+    extent[:, 0], extent[:, 1] = (abs(a) + abs(b)) * side, (abs(d) + abs(e)) * side
     extent[:, 2] = (bounds[:, HIGH] - bounds[:, LOW]) / 2 * eye.z_scale
     planes = eye.planes
     most = middle @ planes[:, :3].T + planes[:, 3] + extent @ np.abs(planes[:, :3]).T

@@ -41,6 +41,7 @@ from terrainwave.tri.haar import (
     HaarTree,
     build_tree,
 )
+from terrainwave.tri.scratch import Scratch
 
 # NotNullNode, NullSubTreeRoot, NullSubTreeSubNode: what is above roots, roots, what is below them.
 INNER, ROOT, BELOW = 0, 1, 2
@@ -163,8 +164,10 @@ class DynamicMesh:
         box; or Haar coefficients with the direction to the node, as printed.
     base_error : float
         Largest distance of `heights` from what errors count from; added to measured errors.
-    open_sides, margin
+    open_sides, is_surface
         See `haar.build_tree`.
+    scratch : Scratch, optional
+        Memory that meshes drawn by one thread share.
 
     Attributes
     ----------
@@ -193,10 +196,11 @@ class DynamicMesh:
         error: str = "measured",
         base_error: float = 0.0,
         open_sides: tuple[bool, bool, bool, bool] = CLOSED,
-        margin: int = 0,
+        is_surface: bool = False,
+        scratch: Scratch | None = None,
     ) -> None:
         self.tree: HaarTree = build_tree(
-            heights, mask, patch=patch, error=error, open_sides=open_sides, margin=margin
+            heights, mask, patch=patch, error=error, open_sides=open_sides, is_surface=is_surface
         )
         self.marks: NDArray[np.uint8] = np.full(len(self.tree.z), BELOW, dtype=np.uint8)
         layout = self.tree.layout
@@ -205,21 +209,15 @@ class DynamicMesh:
         self.base_error = base_error + self.tree.rounding if self._is_bound else 0.0
         self._matrix = tuple(float(value) for value in sample_matrix)
         self._is_mirrored = self._matrix[0] * self._matrix[4] < self._matrix[1] * self._matrix[3]
-        self._vertex_of = np.empty(len(self.tree.z), dtype=np.int32)
+        self._scratch = scratch or Scratch()
         self._stack = np.empty((4 * len(layout), 3), dtype=np.int64)
         self._places = np.empty((4 * len(layout), 4))
-        self._allocate(_FIRST_CAPACITY)
         self.has_changed: NDArray[np.uint8] = np.ones(
             tuple(layout[-1, N_ROWS:].tolist()), dtype=np.uint8
         )
         self._n_vertices = 0
         self._is_marked = False
         self._pressure = Pressure()
-
-    def _allocate(self, capacity: int) -> None:
-        self._vertices = np.empty((capacity, 3))
-        self._nodes = np.empty((capacity, 3), dtype=np.int32)
-        self._triangles = np.empty((2 * capacity, 3), dtype=np.int32)
 
     @property
     def n_nodes(self) -> int:
@@ -293,15 +291,18 @@ class DynamicMesh:
 
     def draw(self, eye: Eye, followed: Followed) -> DynamicFrame:
         """Return the mesh of the marks; `followed` is what `follow` returned for this eye."""
-        n_vertices, n_voids = self._place(self._view(eye), eye.planes, followed)
+        tree = self.tree
+        vertex_of = self._scratch.take("vertex_of", (len(tree.z),), np.int32)
+        vertices, nodes, n_vertices, n_voids = self._place(eye, followed, vertex_of)
+        triangles = self._scratch.take("triangles", (2 * len(nodes), 3), np.int32)
         n_triangles = draw_fans(
-            self.marks, self.tree.layout, self.tree.z, self._nodes, n_vertices, n_voids,
-            self._vertex_of, self._is_mirrored, self._stack, self._triangles,
+            self.marks, tree.layout, tree.z, nodes, n_vertices, n_voids, vertex_of,
+            self._is_mirrored, self._stack, triangles,
         )  # fmt: skip
         return DynamicFrame(
-            self._vertices[:n_vertices].copy(),
-            self._triangles[:n_triangles].copy(),
-            self._nodes[:n_vertices].copy(),
+            vertices[:n_vertices].copy(),
+            triangles[:n_triangles].copy(),
+            nodes[:n_vertices].copy(),
             followed.threshold,
             followed.tau,
             followed.n_touched,
@@ -346,19 +347,21 @@ class DynamicMesh:
         return n_touched, n_changed, largest
 
     def _place(
-        self, view: NDArray[np.float64], planes: NDArray[np.float64], followed: Followed
-    ) -> tuple[int, int]:
-        """Fill vertices and nodes of all roots; return how many have vertices, how many not."""
-        tree = self.tree
+        self, eye: Eye, followed: Followed, vertex_of: NDArray[np.int32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.int32], int, int]:
+        """Return vertices and nodes of all roots; and how many have vertices, how many not."""
+        tree, capacity = self.tree, max(2 * self._n_vertices, _FIRST_CAPACITY)
         while True:
+            nodes = self._scratch.take("nodes", (capacity, 3), np.int32)
+            vertices = self._scratch.take("vertices", (capacity, 3), np.float64)
             n_vertices, n_voids = place_vertices(
-                tree.layout, tree.z, tree.bounds, self.marks, view, planes, followed.threshold,
-                followed.tau, self._stack, self._places, self._vertex_of, self._nodes,
-                self._vertices,
+                tree.layout, tree.z, tree.bounds, self.marks, self._view(eye), eye.planes,
+                followed.threshold, followed.tau, self._stack, self._places, vertex_of, nodes,
+                vertices,
             )  # fmt: skip
-            if n_vertices + n_voids <= len(self._nodes):
-                return n_vertices, n_voids
-            self._allocate(2 * (n_vertices + n_voids))
+            if n_vertices + n_voids <= capacity:
+                return vertices, nodes, n_vertices, n_voids
+            capacity = 2 * (n_vertices + n_voids)
 
     def _view(self, eye: Eye) -> NDArray[np.float64]:
         numbers = (

@@ -27,9 +27,6 @@ from terrainwave.tri.haar import N_COLS, N_ROWS
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
-# Samples per side of the trees of a patch: no node is larger.
-TREE = 32
-
 
 class Dynamic(FrontMode):
     """A mesh from the marks of a Haar quadtree that follows the camera.
@@ -43,11 +40,13 @@ class Dynamic(FrontMode):
     name = "dynamic"
     options = ("stepwise",)
     morph = MORPH
-    # A node at the end of a patch has its vertex up to half a tree inside. Whole trees fit the
-    # samples of a patch, and those beyond its cells reach further than that.
-    apron = TREE // 2
+    # Samples per side of the trees of a patch: no node is larger. One at the end of a patch has its
+    # vertex up to half a tree inside. Whole trees fit the samples of a patch, and those beyond its
+    # cells reach further than that.
+    tree = 32
+    apron = tree // 2
     cells = 31 * apron
-    sample_bytes = 16
+    sample_bytes = 11
 
     def __init__(
         self,
@@ -70,20 +69,28 @@ class Dynamic(FrontMode):
         base_error: float,
         open_sides: Sides,
     ) -> DynamicMesh:
-        """Return the tree of a patch. Thread-safe.
-
-        Errors hold at samples alone where these are all originals and none overlaps a neighbour.
-        """
-        is_finest = piece.level == self.n_levels - 1
+        """Return the tree of a patch. Thread-safe."""
         return DynamicMesh(
             heights,
             sample_matrix=matrix,
-            patch=TREE,
+            patch=self.tree,
             error=self.error,
             base_error=base_error,
             open_sides=open_sides,
-            margin=0 if is_finest and not any(open_sides) else 1,
+            is_surface=piece.level < self.n_levels - 1,
+            scratch=self.scratch,
         )
+
+    def between(self, level: int, heights: NDArray[np.float64]) -> float:
+        """Return as much as heights change to the next sample, down and across.
+
+        A place is no more than half a sample each way from one in the same window of `haar`: by no
+        more than that the window's plane and the surface rise to there, one up, the other down.
+        """
+        if level < self.n_levels - 1:
+            return 0.0  # trees have measured it
+        steps = (np.abs(np.diff(heights, axis=axis)) for axis in (0, 1))
+        return sum(float(np.max(step, initial=0.0, where=~np.isnan(step))) for step in steps)
 
     def follow(self, patch: FrontPatch, eye: Eye, tau: float, max_vertices: int) -> Followed:
         """Bring the marks of a patch up to date with a view."""

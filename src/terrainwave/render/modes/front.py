@@ -37,6 +37,7 @@ from terrainwave.render.scales import (
 from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
 from terrainwave.tri.budget import Pressure
 from terrainwave.tri.dynamic import Eye, Followed
+from terrainwave.tri.scratch import Scratch
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -140,6 +141,9 @@ class FrontPatch:
         Samples of the mode's largest patches, a side.
     room : int
         Bytes of memory that a patch may take beside its slopes.
+    between : float
+        How much further triangles may be from the bilinear surface between samples than
+        `PatchFrame.error` says, metres.
     """
 
     piece: Piece
@@ -152,6 +156,7 @@ class FrontPatch:
     children: list[NodeInfo]
     side: int
     room: int
+    between: float = 0.0
     n_triangles: int = 0
     base: float = 0.0
     morph: float = 0.0
@@ -187,6 +192,8 @@ class FrontMode(Mode):
         many beyond the last ones.
     sample_bytes : int
         Of a mesh, at most.
+    scratch : Scratch
+        Of the thread that draws.
     drawn : Drawn, optional
         The mesh of the last frame.
     shown : list of FrontPatch
@@ -213,6 +220,7 @@ class FrontMode(Mode):
         self._scale, self._slope_scale = HeightScale.of(terrain, frame), SlopeScale(frame)
         self._height_texels = HeightTexels.of(frame)
         self._patches: dict[Piece, FrontPatch] = {}
+        self.scratch = Scratch()
         self._pressure, self._room_pressure = Pressure(), Pressure()
         self._last_camera: Camera | None = None
         self.drawn: Drawn | None = None
@@ -256,8 +264,8 @@ class FrontMode(Mode):
         """Return the samples of a piece, and on which sides its level goes on."""
         reach = self.cells + max(3 * self.apron, 1)
         level = Region(0, 0, *self.terrain.grid.level_shape(piece.level))
-        first = [max(k * self.cells - self.apron, 0) for k in (piece.row, piece.col)]
-        region = Region(*first, reach, reach).intersect(level)
+        row, col = (max(k * self.cells - self.apron, 0) for k in (piece.row, piece.col))
+        region = Region(row, col, reach, reach).intersect(level)
         return region, (
             region.row > 0,
             region.col > 0,
@@ -266,14 +274,18 @@ class FrontMode(Mode):
         )
 
     def _blocks(self, level: int, region: Region) -> list[Block]:
+        """Return the blocks whose cells a region of samples has; it may end before its level."""
         grid = self.terrain.grid
-        ranges = [
-            range(first // grid.block, min(max(first + n - 2, 0) // grid.block + 1, n_blocks))
+        rows, cols = (
+            range(
+                min(first // grid.block, n_blocks - 1),
+                min((first + max(n - 2, 0)) // grid.block, n_blocks - 1) + 1,
+            )
             for first, n, n_blocks in zip(
                 region[:2], region[2:], grid.level_blocks(level), strict=True
             )
-        ]
-        return [Block(level, row, col) for row in ranges[0] for col in ranges[1]]
+        )
+        return [Block(level, row, col) for row in rows for col in cols]
 
     def _info(self, piece: Piece) -> NodeInfo:
         """Return box and error of a piece, as the index has them."""
@@ -321,11 +333,18 @@ class FrontMode(Mode):
         side = self.side
         return FrontPatch(
             piece, region, open_sides, matrix, samples.slopes, mesh, error, children, side,
-            self.sample_bytes * side * side,
+            self.sample_bytes * side * side, self.between(piece.level, samples.heights),
         )  # fmt: skip
 
     def cut_error(self, level: int, heights: NDArray[np.float64]) -> float:
         """Return how far triangles between the samples of a cell may be from what lies in it."""
+        return 0.0
+
+    def between(self, level: int, heights: NDArray[np.float64]) -> float:
+        """Return how much further triangles may be from originals between samples than at them.
+
+        For skirts alone: where levels have all originals, these are at samples.
+        """
         return 0.0
 
     @abstractmethod
@@ -471,10 +490,10 @@ class FrontMode(Mode):
     ) -> NDArray[np.float64]:
         """Return how deep the skirts of each patch are, local metres.
 
-        As its own error, `PatchFrame.error` with that of its level, and the largest of those that
-        touch it.
+        As its own error, `PatchFrame.error` with that of its level and what may be between samples,
+        and the largest of those that touch it.
         """
-        own = np.array([patch.error for patch in self.shown]) + errors
+        own = np.array([patch.error + patch.between for patch in self.shown]) + errors
         own *= [any(patch.open_sides) * eye.z_scale for patch in self.shown]
         if not own.any():
             return own
@@ -523,4 +542,3 @@ def _with_skirts(frame: PatchFrame, depth: float) -> Drawn:
         np.concatenate([drawn.triangles, skirts.astype(np.int32)]),
         np.concatenate([drawn.sizes, drawn.sizes[top]]),
     )
-

@@ -19,6 +19,7 @@ from terrainwave.render.selection import Piece
 from terrainwave.tri.dynamic import Eye, Followed
 from terrainwave.tri.rqt_errors import twist_of
 from terrainwave.tri.rqt_view import RestrictedFrame, RestrictedMesh
+from terrainwave.tri.scratch import Scratch
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -40,20 +41,22 @@ class Tile(RestrictedMesh):
         error: str,
         base_error: float,
         coefficients: NDArray[np.float64] | None,
+        scratch: Scratch,
     ) -> None:
         cells = max(heights.shape) - 1
         super().__init__(
-            (heights.shape[0], heights.shape[1]),
-            (float(np.nanmin(heights)) - base_error, float(np.nanmax(heights)) + base_error),
             heights,
             tile=max(1 << (cells - 1).bit_length(), 2),
             sample_matrix=matrix,
             error=error,
             base_error=base_error,
             coefficients=coefficients,
+            scratch=scratch,
         )
         # In the order of `FrontPatch.open_sides`.
-        self._lines = [line.copy() for line in (heights[0], heights[:, 0], heights[-1], heights[:, -1])]
+        self._lines = [
+            line.copy() for line in (heights[0], heights[:, 0], heights[-1], heights[:, -1])
+        ]
 
     def border(
         self, frame: RestrictedFrame, side: int, eye: Eye
@@ -93,7 +96,7 @@ class Rqt(FrontMode):
     name = "rqt"
     errors = (*ERRORS, "coefficient")
     cells = 512
-    sample_bytes = 34
+    sample_bytes = 12
 
     def __init__(
         self,
@@ -128,6 +131,7 @@ class Rqt(FrontMode):
             self.error,
             base_error,
             self._coefficients(piece.level, region),
+            self.scratch,
         )
 
     def _coefficients(self, level: int, region: Region) -> NDArray[np.float64] | None:
@@ -143,9 +147,7 @@ class Rqt(FrontMode):
         frame = tile.draw(eye, followed)
         both = frame.places[:, 0] | frame.places[:, 1] | tile.tile
         sizes = np.log2(both & -both).astype(np.int32) + (self.n_levels - 1 - patch.piece.level)
-        borders = [
-            tile.border(frame, side, eye) for side in range(4) if patch.open_sides[side]
-        ]
+        borders = [tile.border(frame, side, eye) for side in range(4) if patch.open_sides[side]]
         drawn = Drawn(frame.vertices, frame.triangles, sizes)
         none = np.empty((0, 2), dtype=np.int32)
         return PatchFrame(
