@@ -134,6 +134,8 @@ class DynamicFrame(NamedTuple):
         Counter-clockwise seen from above; a root's fan is consecutive.
     nodes : ndarray of int32, shape (n_vertices, 3)
         Height, row and column of each vertex's node.
+    edges : ndarray of int32, shape (n_edges, 2)
+        Vertices of the edges that end the mesh on open sides.
     threshold, tau, n_touched, n_changed
         See `Followed`.
     """
@@ -141,6 +143,7 @@ class DynamicFrame(NamedTuple):
     vertices: NDArray[np.float64]
     triangles: NDArray[np.int32]
     nodes: NDArray[np.int32]
+    edges: NDArray[np.int32]
     threshold: float
     tau: float
     n_touched: int
@@ -205,7 +208,7 @@ class DynamicMesh:
         self.marks: NDArray[np.uint8] = np.full(len(self.tree.z), BELOW, dtype=np.uint8)
         layout = self.tree.layout
         self.marks[layout[-1, FIRST] :] = ROOT
-        self._is_bound = error == "measured"
+        self._is_bound, self._open_sides = error == "measured", open_sides
         self.base_error = base_error + self.tree.rounding if self._is_bound else 0.0
         self._matrix = tuple(float(value) for value in sample_matrix)
         self._is_mirrored = self._matrix[0] * self._matrix[4] < self._matrix[1] * self._matrix[3]
@@ -303,6 +306,7 @@ class DynamicMesh:
             vertices[:n_vertices].copy(),
             triangles[:n_triangles].copy(),
             nodes[:n_vertices].copy(),
+            self._outer_edges(vertex_of),
             followed.threshold,
             followed.tau,
             followed.n_touched,
@@ -362,6 +366,15 @@ class DynamicMesh:
             if n_vertices + n_voids <= capacity:
                 return vertices, nodes, n_vertices, n_voids
             capacity = 2 * (n_vertices + n_voids)
+
+    def _outer_edges(self, vertex_of: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return the edges between roots along open sides."""
+        layout, edges = self.tree.layout, [np.empty((0, 2), dtype=np.int32)]
+        for side in np.flatnonzero(self._open_sides).tolist():
+            along = np.empty((int(layout[0, N_COLS - side % 2]), 2), dtype=np.int32)
+            n = fill_outer_edges(side, self.marks, layout, self.tree.z, vertex_of, along)
+            edges.append(along[:n])
+        return np.concatenate(edges)
 
     def _view(self, eye: Eye) -> NDArray[np.float64]:
         numbers = (
@@ -824,4 +837,36 @@ def draw_fans(
             count = _add_corner(
                 root, ne, se, sw, z, vertex_of, is_mirrored, triangles, count
             )  # fmt: skip
+    return count
+
+
+@kernel
+def fill_outer_edges(side, marks, layout, z, vertex_of, edges):
+    """Fill the edges between the roots along a side that has some; return how many there are.
+
+    Sides are the first row and column, the last row and column.
+    """
+    n_rows, n_cols = layout[0, N_ROWS], layout[0, N_COLS]
+    top = layout.shape[0] - 1
+    count, before, at = 0, -1, 0
+    while at < (n_rows if side & 1 else n_cols):
+        row, col = at, at
+        if side & 1:
+            col = 0 if side == 1 else n_cols - 1
+        else:
+            row = 0 if side == 0 else n_rows - 1
+        height = top
+        node = layout[top, FIRST] + (row >> top) * layout[top, N_COLS] + (col >> top)
+        while marks[node] == INNER:
+            height -= 1
+            node = layout[height, FIRST] + (row >> height) * layout[height, N_COLS]
+            node += col >> height
+        if np.isnan(z[node]):
+            before = -1
+        else:
+            if before >= 0:
+                edges[count, 0], edges[count, 1] = vertex_of[before], vertex_of[node]
+                count += 1
+            before = node
+        at += 1 << height
     return count

@@ -38,6 +38,7 @@ from terrainwave.coding.jit import kernel
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.tri.budget import Pressure, check_budget
 from terrainwave.tri.dynamic import Eye, Followed, check_update
+from terrainwave.tri.haar import CLOSED
 from terrainwave.tri.rqt import neighbours
 from terrainwave.tri.rqt_errors import (
     is_corner,
@@ -74,6 +75,10 @@ class RestrictedFrame(NamedTuple):
         Counter-clockwise seen from above.
     places : ndarray of int32, shape (n_vertices, 2)
         Row and column of each vertex's sample.
+    edges : ndarray of int32, shape (n_edges, 2)
+        Vertices of the edges along open sides.
+    border_error : float
+        How far those in view are from the samples on them, vertically.
     n_active : int
         Vertices of the quadtree, with those in voids.
     n_touched : int
@@ -87,6 +92,8 @@ class RestrictedFrame(NamedTuple):
     vertices: NDArray[np.float64]
     triangles: NDArray[np.int32]
     places: NDArray[np.int32]
+    edges: NDArray[np.int32]
+    border_error: float
     n_active: int
     n_touched: int
     n_changed: int
@@ -110,6 +117,8 @@ class RestrictedMesh:
         Magnitudes of coefficients, in the unit of heights, for "coefficient" alone.
     base_error : float
         Largest distance of the samples' surface from what errors count from.
+    open_sides : tuple of bool
+        Whether the raster goes on beyond its first row and column, its last row and column.
     scratch : Scratch, optional
         Memory that meshes drawn by one thread share.
 
@@ -128,6 +137,7 @@ class RestrictedMesh:
         error: str = "measured",
         base_error: float = 0.0,
         coefficients: NDArray[np.floating] | None = None,
+        open_sides: tuple[bool, bool, bool, bool] = CLOSED,
         scratch: Scratch | None = None,
     ) -> None:
         if tile < 2 or tile & (tile - 1):
@@ -149,7 +159,7 @@ class RestrictedMesh:
         self.shape, self.tile = (heights.shape[0], heights.shape[1]), tile
         n_rows, n_cols = (max(-(-(n - 1) // tile), 1) for n in self.shape)
         self.n_tiles = n_rows, n_cols
-        self._is_bound = error == "measured"
+        self._is_bound, self._open_sides = error == "measured", open_sides
         valid = heights[np.isfinite(heights)]
         self._limits = (
             float(valid.min(initial=np.inf)) - base_error if len(valid) else 0.0,
@@ -272,9 +282,10 @@ class RestrictedMesh:
             self._heights, self.tile, self._is_active, a * e < b * d, vertex_of, self._stack,
             triangles,
         )  # fmt: skip
+        edges, error = self._borders(eye, view, vertex_of, vertices)
         return RestrictedFrame(
             vertices[:count].copy(), triangles[:n_triangles].copy(), places[:count].copy(),
-            followed.n_vertices, followed.n_touched, followed.n_changed, followed.tau,
+            edges, error, followed.n_vertices, followed.n_touched, followed.n_changed, followed.tau,
         )  # fmt: skip
 
     def _follow(
@@ -327,6 +338,25 @@ class RestrictedMesh:
             active, vertex_of, shares, heights, view[_Z_SCALE], view[_MATRIX:], vertices, places
         )
         return count
+
+    def _borders(
+        self,
+        eye: Eye,
+        view: NDArray[np.float64],
+        vertex_of: NDArray[np.int32],
+        vertices: NDArray[np.float64],
+    ) -> tuple[NDArray[np.int32], float]:
+        """Return the edges along open sides, and how far those in view are from samples."""
+        edges, errors = [np.empty((0, 2), dtype=np.int32)], [0.0]
+        for side in np.flatnonzero(self._open_sides).tolist():
+            along = np.empty((self.shape[1 - side % 2], 2), dtype=np.int32)
+            n, error = follow_border(
+                side, self.shape, self._heights, self._is_active, vertex_of, vertices,
+                view[_Z_SCALE], view[_MATRIX:], eye.planes, along,
+            )  # fmt: skip
+            edges.append(along[:n])
+            errors.append(error)
+        return np.concatenate(edges), max(errors)
 
     def _view(self, eye: Eye) -> NDArray[np.float64]:
         numbers = (
@@ -665,3 +695,61 @@ def _add_in_quad(
     r1, c1 = (top, left + 1) if is_ne else (top + 1, left)
     r2, c2 = (top + 1, left) if is_sw and is_ne else (top + 1, left + 1)
     return _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count)
+
+
+# Borders
+
+
+@kernel
+def follow_border(
+    side, shape, heights, is_active, vertex_of, vertices, z_scale, matrix, planes, edges
+):
+    """Fill the edges along a side; return how many, and how far those in view are from samples.
+
+    Sides are the first row and column, the last row and column. Without the factor of heights.
+    """
+    count, largest, before, start = 0, 0.0, -1, 0
+    place = 0 if side < 2 else shape[side - 2] - 1
+    down, right = side & 1, 1 - (side & 1)
+    first_row, first_col = (0, place) if down else (place, 0)
+    ends = np.empty((4, 3))
+    for at in range(shape[0] if down else shape[1]):
+        row, col = first_row + at * down, first_col + at * right
+        if np.isnan(heights[row, col]):
+            before = -1
+            continue
+        if not is_active[row, col]:
+            continue
+        vertex = vertex_of[row, col]
+        if before >= 0:
+            edges[count, 0], edges[count, 1] = before, vertex
+            count += 1
+            rise = (vertices[vertex, 2] - vertices[before, 2]) / (at - start)
+            for k in range(start, at):
+                apart = 0.0
+                for m in range(2):
+                    r, c = first_row + (k + m) * down, first_col + (k + m) * right
+                    drawn = vertices[before, 2] + (k + m - start) * rise
+                    original = heights[r, c] * z_scale
+                    ends[m, 2], ends[2 + m, 2] = drawn, original
+                    ends[m, 0] = matrix[0] * c + matrix[1] * r + matrix[2]
+                    ends[m, 1] = matrix[3] * c + matrix[4] * r + matrix[5]
+                    ends[2 + m, 0], ends[2 + m, 1] = ends[m, 0], ends[m, 1]
+                    apart = max(apart, abs(drawn - original))
+                if apart > largest and not _are_hidden(ends, planes):
+                    largest = apart
+        before, start = vertex, at
+    return count, largest / z_scale
+
+
+@kernel
+def _are_hidden(points, planes):
+    """Say whether points lie wholly behind one of the planes."""
+    for k in range(planes.shape[0]):
+        is_behind = True
+        for m in range(points.shape[0]):
+            most = planes[k, 0] * points[m, 0] + planes[k, 1] * points[m, 1]
+            is_behind = is_behind and most + planes[k, 2] * points[m, 2] + planes[k, 3] < 0
+        if is_behind:
+            return True
+    return False

@@ -21,8 +21,7 @@ from terrainwave.render.modes.front import (
     Sides,
 )
 from terrainwave.render.selection import Piece
-from terrainwave.tri.dynamic import DynamicFrame, DynamicMesh, Eye, Followed
-from terrainwave.tri.haar import N_COLS, N_ROWS
+from terrainwave.tri.dynamic import DynamicMesh, Eye, Followed
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -45,7 +44,7 @@ class Dynamic(FrontMode):
     # cells reach further than that.
     tree = 32
     apron = tree // 2
-    cells = 31 * apron
+    cells = 15 * apron
     sample_bytes = 11
 
     def __init__(
@@ -103,10 +102,8 @@ class Dynamic(FrontMode):
         """Return the mesh of a patch."""
         frame = patch.mesh.draw(eye, followed)
         sizes = frame.nodes[:, 0] + (self.n_levels - 1 - patch.piece.level)
-        shape = tuple(patch.mesh.tree.layout[0, N_ROWS : N_COLS + 1].tolist())
-        edges = _outer_edges(frame, patch.open_sides, shape)
         error = self.mesh_error(patch, eye, followed)
-        return PatchFrame(Drawn(frame.vertices, frame.triangles, sizes), edges, error)
+        return PatchFrame(Drawn(frame.vertices, frame.triangles, sizes), frame.edges, error)
 
     def mesh_error(self, patch: FrontPatch, eye: Eye, followed: Followed) -> float:
         """Return how far the mesh in view is from the samples of a patch, metres."""
@@ -114,24 +111,3 @@ class Dynamic(FrontMode):
             return 0.0
         mesh: DynamicMesh = patch.mesh
         return mesh.largest_error(eye, followed) + mesh.tree.rounding
-
-
-def _outer_edges(
-    frame: DynamicFrame, open_sides: Sides, shape: tuple[int, ...]
-) -> NDArray[np.int32]:
-    """Return the edges of a mesh along the open sides of a raster."""
-    height = frame.nodes[:, 0]
-    first = [frame.nodes[:, 1 + axis].astype(np.int64) << height for axis in (0, 1)]
-    size = np.int64(1) << height
-    edges = [np.empty((0, 2), dtype=np.int32)]
-    for side, is_open in enumerate(open_sides):
-        if not is_open:
-            continue
-        axis = side % 2
-        is_outer = first[axis] == 0 if side < 2 else first[axis] + size == shape[axis]
-        numbers = np.flatnonzero(is_outer)
-        numbers = numbers[np.argsort(first[1 - axis][numbers])]
-        along = first[1 - axis][numbers]
-        is_beside = along[1:] == along[:-1] + size[numbers[:-1]]
-        edges.append(np.column_stack([numbers[:-1], numbers[1:]])[is_beside].astype(np.int32))
-    return np.concatenate(edges)

@@ -49,6 +49,10 @@ MORPH = 1.25
 _LEVEL_SHARE = 0.5
 # What stands in for others is drawn at most so much coarser than τ.
 _MOST_RELAXED = 8.0
+# Where patches do not fit, τ is raised so far; around the eye no level is good enough.
+_MOST_SHORT = 16.0
+# What τ is said to be where nothing is promised, pixels.
+_NO_PROMISE = 1e6
 
 Sides = tuple[bool, bool, bool, bool]
 
@@ -223,6 +227,7 @@ class FrontMode(Mode):
         self.scratch = Scratch()
         self._pressure, self._room_pressure = Pressure(), Pressure()
         self._last_camera: Camera | None = None
+        self._is_short = False
         self.drawn: Drawn | None = None
         self.shown: list[FrontPatch] = []
         self.followed: list[Followed] = []
@@ -403,8 +408,11 @@ class FrontMode(Mode):
             nodes = table.wanted(view, max_blocks, tau * self._room_pressure.factor, camera)
             # Before the first one is here, nobody knows how many fit.
             is_full = len(nodes) == max_blocks > len(table.roots)
-            if not is_own or not is_full or not self._room_pressure.rise():
+            if is_own:
+                self._is_short = is_full
+            if not is_own or not is_full or self._room_pressure.factor >= _MOST_SHORT:
                 return nodes
+            self._room_pressure.rise()
 
     def split_error(self, tau: float) -> float:
         """Return the error of levels above which pieces are split, for τ asked for."""
@@ -423,9 +431,10 @@ class FrontMode(Mode):
         on_screen = view.gamma * table.errors[nodes] * view.exaggeration
         is_finest = np.array([patch.piece.level == self.n_levels - 1 for patch in self.shown])
         with np.errstate(divide="ignore", invalid="ignore"):
-            relaxed = np.clip(on_screen / (tau * distances), 1.0, _MOST_RELAXED)
-        relaxed = np.where(is_finest, 1.0, relaxed)
-        within = self._follow_all(eye, wanted, relaxed)
+            relaxed = np.where(is_finest, 1.0, np.maximum(on_screen / (tau * distances), 1.0))
+        within = self._follow_all(eye, wanted, np.minimum(relaxed, _MOST_RELAXED))
+        if self._is_short and not n_missing:
+            within = min(within * float(relaxed.max(initial=1.0)), _NO_PROMISE)
         depths, n_triangles = self.draw(eye, *table.boxes(nodes, view.exaggeration))
         none = np.zeros(len(nodes))
         return Frames(nodes, distances, none, depths, n_triangles, within, n_missing)

@@ -18,76 +18,10 @@ from terrainwave.render.modes.mode import ERRORS
 from terrainwave.render.selection import Piece
 from terrainwave.tri.dynamic import Eye, Followed
 from terrainwave.tri.rqt_errors import twist_of
-from terrainwave.tri.rqt_view import RestrictedFrame, RestrictedMesh
-from terrainwave.tri.scratch import Scratch
+from terrainwave.tri.rqt_view import RestrictedMesh
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
-
-
-class Tile(RestrictedMesh):
-    """A mesh over all samples of a patch, which knows those on its borders.
-
-    Parameters
-    ----------
-    heights : ndarray of float64, shape (n_rows, n_cols)
-        Metres; NaN is void.
-    """
-
-    def __init__(
-        self,
-        heights: NDArray[np.float64],
-        matrix: tuple[float, ...],
-        error: str,
-        base_error: float,
-        coefficients: NDArray[np.float64] | None,
-        scratch: Scratch,
-    ) -> None:
-        cells = max(heights.shape) - 1
-        super().__init__(
-            heights,
-            tile=max(1 << (cells - 1).bit_length(), 2),
-            sample_matrix=matrix,
-            error=error,
-            base_error=base_error,
-            coefficients=coefficients,
-            scratch=scratch,
-        )
-        # In the order of `FrontPatch.open_sides`.
-        self._lines = [
-            line.copy() for line in (heights[0], heights[:, 0], heights[-1], heights[:, -1])
-        ]
-
-    def border(
-        self, frame: RestrictedFrame, side: int, eye: Eye
-    ) -> tuple[NDArray[np.int32], float]:
-        """Return the edges along a side of the patch, and how far those in view are from samples.
-
-        Vertically, without exaggeration.
-        """
-        line, axis = self._lines[side], side % 2
-        place = 0 if side < 2 else self.shape[axis] - 1
-        numbers = np.flatnonzero(frame.places[:, axis] == place)
-        numbers = numbers[np.argsort(frame.places[numbers, 1 - axis])]
-        if len(numbers) < 2:
-            return np.empty((0, 2), dtype=np.int32), 0.0
-        along, vertices = frame.places[numbers, 1 - axis], frame.vertices[numbers]
-        n_void = np.concatenate([[0], np.cumsum(np.isnan(line))])
-        is_whole = n_void[along[1:]] == n_void[along[:-1]]
-        edges = np.column_stack([numbers[:-1], numbers[1:]])[is_whole].astype(np.int32)
-        at = np.arange(along[0], along[-1] + 1)
-        drawn = np.column_stack([np.interp(at, along, vertices[:, k]) for k in range(3)])
-        original = drawn.copy()
-        original[:, 2] = line[at] * eye.z_scale
-        behind = [
-            points @ eye.planes[:, :3].T + eye.planes[:, 3] < 0 for points in (drawn, original)
-        ]
-        both = behind[0] & behind[1]
-        is_hidden = (both[1:] & both[:-1]).any(axis=1)  # of the parts between two samples
-        apart = np.abs(drawn[:, 2] - original[:, 2])
-        apart = np.maximum(apart[1:], apart[:-1])
-        is_seen = ~is_hidden & ~np.isnan(apart)
-        return edges, float(apart.max(initial=0.0, where=is_seen)) / eye.z_scale
 
 
 class Rqt(FrontMode):
@@ -95,7 +29,7 @@ class Rqt(FrontMode):
 
     name = "rqt"
     errors = (*ERRORS, "coefficient")
-    cells = 512
+    cells = 256
     sample_bytes = 12
 
     def __init__(
@@ -123,15 +57,17 @@ class Rqt(FrontMode):
         matrix: tuple[float, ...],
         base_error: float,
         open_sides: Sides,
-    ) -> Tile:
-        """Return the quadtree of a patch. Thread-safe."""
-        return Tile(
+    ) -> RestrictedMesh:
+        """Return the quadtree of a patch, of one tile. Thread-safe."""
+        return RestrictedMesh(
             heights,
-            matrix,
-            self.error,
-            base_error,
-            self._coefficients(piece.level, region),
-            self.scratch,
+            tile=max(1 << (max(heights.shape) - 2).bit_length(), 2),
+            sample_matrix=matrix,
+            error=self.error,
+            base_error=base_error,
+            coefficients=self._coefficients(piece.level, region),
+            open_sides=open_sides,
+            scratch=self.scratch,
         )
 
     def _coefficients(self, level: int, region: Region) -> NDArray[np.float64] | None:
@@ -143,15 +79,9 @@ class Rqt(FrontMode):
 
     def frame_of(self, patch: FrontPatch, eye: Eye, followed: Followed) -> PatchFrame:
         """Return the mesh of a patch."""
-        tile: Tile = patch.mesh
-        frame = tile.draw(eye, followed)
-        both = frame.places[:, 0] | frame.places[:, 1] | tile.tile
+        mesh: RestrictedMesh = patch.mesh
+        frame = mesh.draw(eye, followed)
+        both = frame.places[:, 0] | frame.places[:, 1] | mesh.tile
         sizes = np.log2(both & -both).astype(np.int32) + (self.n_levels - 1 - patch.piece.level)
-        borders = [tile.border(frame, side, eye) for side in range(4) if patch.open_sides[side]]
         drawn = Drawn(frame.vertices, frame.triangles, sizes)
-        none = np.empty((0, 2), dtype=np.int32)
-        return PatchFrame(
-            drawn,
-            np.concatenate([none, *(edges for edges, _ in borders)]),
-            max((error for _, error in borders), default=0.0),
-        )
+        return PatchFrame(drawn, frame.edges, frame.border_error)
