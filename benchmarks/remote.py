@@ -8,13 +8,9 @@ opening is not counted. `--reader` tells versions of the code apart in the CSV.
 Exit status: 0 good; 1 a limit was passed; 2 wrong usage.
 """
 
-import re
-import threading
-import time
 from collections import namedtuple
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from collections.abc import Callable, Sequence
+from math import inf
 from statistics import median
 
 import click
@@ -23,6 +19,7 @@ import numpy as np
 import terrainwave
 from benchmarks import common
 from benchmarks.rasters import mirrored_file
+from benchmarks.slow_server import SlowServer
 from terrainwave.grid.quadtree import Region
 from terrainwave.read.decoder import unit_key, units_of
 
@@ -30,7 +27,6 @@ from terrainwave.read.decoder import unit_key, units_of
 # the full grid.
 LIMITS = 12, 3, 1.5
 _SEED = 20260101
-_RANGE = re.compile(r"bytes=(\d+)-(\d+)")
 
 # What a window took; `needed_bytes` are its groups' payloads and those above, `ratio` is over them.
 Cost = namedtuple("Cost", "requests rounds bytes needed_bytes ratio")
@@ -42,59 +38,6 @@ Row = namedtuple(
 )  # fmt: skip
 
 
-class _Handler(BaseHTTPRequestHandler):
-    protocol_version = "HTTP/1.1"
-    disable_nagle_algorithm = True
-
-    def do_GET(self) -> None:
-        """Answer one range after the server's delay."""
-        server = self.server
-        start = time.monotonic()
-        time.sleep(server.delay)
-        match = _RANGE.fullmatch(self.headers.get("Range", ""))
-        first, last = int(match[1]), int(match[2])
-        body = server.data[first : last + 1]
-        self.send_response(206)
-        self.send_header("Content-Length", str(len(body)))
-        place = f"bytes {first}-{first + len(body) - 1}/{len(server.data)}"
-        self.send_header("Content-Range", place)
-        self.send_header("ETag", '"1"')
-        self.end_headers()
-        # Noted first: the client may look before this thread goes on.
-        server.log.append((start, time.monotonic(), len(body)))
-        self.wfile.write(body)
-
-    def log_message(self, *_: object) -> None:
-        """Say nothing."""
-
-
-class RangeServer(ThreadingHTTPServer):
-    """Serves one file by ranges; `log` has start, end (seconds) and bytes of each request."""
-
-    daemon_threads = True
-    request_queue_size = 64
-
-    def __init__(self, data: bytes, delay: float) -> None:
-        super().__init__(("127.0.0.1", 0), _Handler)
-        self.data, self.delay = data, delay
-        self.log: list[tuple[float, float, int]] = []
-        self.url = f"http://127.0.0.1:{self.server_port}/a.twz"
-
-
-@contextmanager
-def serving(data: bytes, delay: float) -> Iterator[RangeServer]:
-    """Serve `data` while the context lasts."""
-    server = RangeServer(data, delay)
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-    thread.start()
-    try:
-        yield server
-    finally:
-        server.shutdown()
-        thread.join()
-        server.server_close()
-
-
 def count_rounds(intervals: Sequence[tuple[float, float]]) -> int:
     """Return the most intervals of which each begins after the one before has ended."""
     n_rounds, last_end = 0, -np.inf
@@ -104,15 +47,17 @@ def count_rounds(intervals: Sequence[tuple[float, float]]) -> int:
     return n_rounds
 
 
-def window_cost(server: RangeServer, window: tuple[int, int, int, int], level: int = -1) -> Cost:
+def window_cost(
+    server: SlowServer, name: str, window: tuple[int, int, int, int], level: int = -1
+) -> Cost:
     """Read (row, col, n_rows, n_cols) of a level by a newly opened `Terrain`."""
-    with terrainwave.open(server.url) as terrain:
+    with terrainwave.open(server.url(name)) as terrain:
         n_before = len(server.log)
         terrain.read(window, level=level)
         log = server.log[n_before:]
         needed = needed_bytes(terrain, window, level)
-    rounds = count_rounds([(start, end) for start, end, _ in log])
-    n_bytes = sum(length for _, _, length in log)
+    rounds = count_rounds([(exchange.start, exchange.end) for exchange in log])
+    n_bytes = sum(exchange.n_bytes for exchange in log)
     return Cost(len(log), rounds, n_bytes, needed, round(n_bytes / needed, 3))
 
 
@@ -150,9 +95,9 @@ def main(dem, size, max_error, reader, level, side, n_windows, delay, folder, ou
     with terrainwave.open(path) as terrain:
         method = terrain.info().method
         n_rows, _ = terrain.grid.level_shape(level % terrain.n_levels)
-    with serving(path.read_bytes(), delay) as server:
+    with SlowServer(path.parent, delay, inf) as server:
         windows = windows_of(n_rows, side, n_windows)
-        costs = [window_cost(server, window, level) for window in windows]
+        costs = [window_cost(server, path.name, window, level) for window in windows]
     worst = _summary(costs, max)
     statistics = {"centre": costs[0], "median": _summary(costs, median), "worst": worst}
     case = reader, dem.stem, size, max_error, method, level, side, n_windows

@@ -51,6 +51,10 @@ class Cache(Generic[Key, Value]):
             self._values.move_to_end(key)
         return value
 
+    def is_coming(self, key: Key) -> bool:
+        """Say whether a value is being made by `get_or_make`."""
+        return key in self._in_work
+
     def put(self, key: Key, value: Value) -> None:
         """Keep a value; one that is here already stays instead, as they are equal."""
         dropped = []

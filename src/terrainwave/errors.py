@@ -9,6 +9,7 @@ TerrainwaveError
 ├── LimitExceededError        legal, but larger than the caller allowed
 ├── UnsupportedVersionError   the bytes need a newer terrainwave
 └── StorageError              (also OSError) a file cannot be read or written
+    └── SourceUnavailableError  not now: the server cannot be reached, is busy or hung up
 
 TerrainwaveWarning            (a UserWarning) something of the input is left out, and what
 """
@@ -71,6 +72,10 @@ class UnsupportedVersionError(TerrainwaveError):
 
 class StorageError(TerrainwaveError, OSError):
     """A file, directory or URL cannot be read or written; the target is untouched."""
+
+
+class SourceUnavailableError(StorageError):
+    """A server cannot be reached, is busy or has hung up, more than once; it may answer later."""
 
 
 class ClusterError(TerrainwaveError):

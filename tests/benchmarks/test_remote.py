@@ -1,9 +1,15 @@
 """Counting of requests: rounds by the times they were in flight, bytes by the server."""
 
+import time
+
 import numpy as np
+import pytest
 from click.testing import CliRunner
 
-from benchmarks.remote import count_rounds, main, serving, window_cost, windows_of
+from benchmarks.remote import count_rounds, main, window_cost, windows_of
+from benchmarks.slow_server import SlowServer
+from terrainwave.container.source import open_source
+from terrainwave.errors import StorageError
 
 
 def test_requests_in_flight_together_are_one_round():
@@ -26,11 +32,26 @@ def test_a_window_of_a_file_costs_what_the_server_sends(tmp_path):
     heights = np.random.default_rng(1).integers(0, 1000, (300, 300)).astype(np.int16)
     path = tmp_path / "a.twz"
     terrainwave.compress(heights, path, max_error=0, block=32, mesh="none")
-    with serving(path.read_bytes(), 0.0) as server:
-        cost = window_cost(server, (100, 100, 8, 8))
+    with SlowServer(tmp_path, 0.0) as server:
+        cost = window_cost(server, path.name, (100, 100, 8, 8))
     assert cost.requests >= cost.rounds >= 1
     assert cost.bytes >= cost.needed_bytes - 16 * 1024  # opening brought as much
     assert cost.needed_bytes > 0
+
+
+def test_a_slow_server_takes_its_time_and_can_go_down(tmp_path):
+    (tmp_path / "a").write_bytes(bytes(25_000))
+    with SlowServer(tmp_path, 0.05, 1e6) as server:
+        started = time.monotonic()
+        source = open_source(server.url("a"))  # 16 KiB: two round trips, 0.13 s of line
+        assert 0.23 < time.monotonic() - started < 1.0
+        assert (server.n_requests, server.n_bytes) == (1, 16_384)
+        server.is_down = True
+        with pytest.raises(StorageError):
+            source.read(20_000, 5_000)
+        server.is_down = False
+        assert source.read(20_000, 5_000) == bytes(5_000)
+    source.close()
 
 
 def test_a_raster_that_is_missing_is_wrong_usage(tmp_path):

@@ -40,6 +40,9 @@ class Handler(BaseHTTPRequestHandler):
         server.encodings.add(self.headers.get("Accept-Encoding"))
         if isinstance(fault, int) and fault >= 300:
             return self.reply(fault, b"no")
+        if fault == "silent":
+            server.woken.wait(30)
+            return None
         if fault == "busy once":
             server.faults.pop(path)
             return self.reply(503, b"later")
@@ -109,6 +112,7 @@ class Server(ThreadingHTTPServer):
         super().__init__(("127.0.0.1", 0), Handler)
         self.files, self.faults, self.requests, self.logins = {}, {}, [], []
         self.n_bytes = 0
+        self.woken = threading.Event()
         self.encodings = set()
         self.etags, self.obeys_if_match = {}, False
 
@@ -581,3 +585,26 @@ def test_without_fsspec_the_message_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(TerrainwaveError, match=r'pip install "terrainwave\[remote\]"'):
         open_source("s3://bucket/a.twz")
+
+
+def test_closing_ends_what_waits_for_a_silent_server(server):
+    server.files["/a"] = bytes(40_000)
+    source = open_source(server.url("/a"))
+    server.faults["/a"] = "silent"
+    problems = []
+
+    def read():
+        try:
+            source.read(20_000, 10)
+        except StorageError as error:
+            problems.append(str(error))
+
+    thread = threading.Thread(target=read)
+    thread.start()
+    while len(server.requests) < 2:
+        pass
+    source.close()
+    thread.join(10)
+    server.woken.set()
+    assert problems
+    assert problems[0].endswith("is closed")

@@ -1,12 +1,16 @@
 """Orthophotos warped to a terrain's grid: where they lie, how large they get, what is refused."""
 
+import math
+
 import numpy as np
 import pytest
 import rasterio
+from PIL import Image
 from rasterio.enums import ColorInterp
 
+from benchmarks.slow_server import SlowServer
 from terrainwave.errors import InvalidHeightsError, StorageError
-from terrainwave.raster_io.drape import read_drape
+from terrainwave.raster_io.drape import Photo
 
 # A grid of 30 m pixels in UTM zone 33 north.
 GRID = (30.0, 0.0, 500000.0, 0.0, -30.0, 5200000.0)
@@ -29,7 +33,8 @@ def write(path, bands, *, crs="EPSG:32633", transform=GRID, alpha=False, colorma
 
 
 def drape(path, *, crs="EPSG:32633", affine=GRID, shape=SHAPE, **limits):
-    return read_drape(path, crs=crs, affine=affine, shape=shape, **(LIMITS | limits))
+    with Photo(path, crs=crs, affine=affine, shape=shape) as photo:
+        return photo.whole(**(LIMITS | limits))
 
 
 def noise(*shape, seed=1):
@@ -145,3 +150,65 @@ def test_a_file_that_is_missing_or_damaged_is_named(tmp_path):
     (tmp_path / "a.tif").write_bytes((tmp_path / "a.tif").read_bytes()[:9000])
     with pytest.raises(StorageError, match=r"a\.tif"):
         drape(path)
+
+
+def test_of_a_large_file_on_a_server_only_what_a_window_needs_is_read(tmp_path):
+    path, side = tmp_path / "a.tif", 4096
+    bands = noise(3, side, side)
+    with rasterio.open(
+        path, "w", driver="COG", count=3, height=side, width=side, dtype="uint8", blocksize=256,
+        crs="EPSG:32633", transform=rasterio.Affine(0.4, 0, 500000, 0, -0.4, 5200000),
+    ) as target:  # fmt: skip
+        target.write(bands)
+    with (
+        SlowServer(tmp_path, 0.0, 0) as server,
+        Photo(server.url("a.tif"), crs="EPSG:32633", affine=GRID, shape=SHAPE) as photo,
+    ):
+        assert photo.whole(250, 1 << 24).pixels.shape == (181, 250, 4)
+        assert server.n_bytes < 0.1 * path.stat().st_size
+        found = photo.part((10.0, 20.0, 2.0, 2.0), (150, 150))  # 60 m of 0.4 m
+        assert server.n_bytes < 0.15 * path.stat().st_size
+        expected = np.moveaxis(bands[:, 1500:1650, 750:900], 0, -1)
+        np.testing.assert_array_equal(found.pixels[..., :3], expected)
+        server.is_down = True
+        with pytest.raises(StorageError, match=r"cannot warp http.*a\.tif") as raised:
+            photo.part((40.0, 30.0, 2.0, 2.0), (150, 150))
+        assert "\n" not in str(raised.value)
+
+
+def test_of_tiles_those_of_the_zoom_that_fits_are_fetched_and_missing_ones_are_clear(tmp_path):
+    # 1,800 m in 256 texels are 7.0 m; at 47 degrees, pixels of zoom 14 are 6.5 m.
+    left, bottom, right, top = rasterio.warp.transform_bounds(
+        "EPSG:32633", "EPSG:3857", 500000, 5198800, 501800, 5200000
+    )
+    edge = math.pi * 6378137
+    cols, rows = (
+        range(int((edge + low) / (2 * edge) * 2**14), int((edge + high) / (2 * edge) * 2**14) + 1)
+        for low, high in ((left, right), (-top, -bottom))
+    )
+    for col in cols:
+        (tmp_path / f"14/{col}").mkdir(parents=True)
+        for row in rows:
+            Image.new("RGB", (256, 256), (200, col % 256, row % 256)).save(
+                tmp_path / f"14/{col}/{row}.png"
+            )
+    with (
+        SlowServer(tmp_path, 0.0, 0) as server,
+        Photo(
+            server.url("{z}/{x}/{y}.png?key=a&b=c"), crs="EPSG:32633", affine=GRID, shape=SHAPE
+        ) as photo,
+    ):
+        pixels = photo.whole(256, 1 << 24).pixels
+        assert max(pixels.shape) in (255, 256)
+        assert (pixels[..., 3] == 255).all()
+        assert (pixels[..., 0] == 200).all()
+        assert set(np.unique(pixels[..., 1])) <= {col % 256 for col in cols}
+        asked = {exchange.path for exchange in server.log}
+        expected = {f"/14/{col}/{row}.png?key=a&b=c" for col in cols for row in rows}
+        assert asked == expected
+        assert {exchange.user_agent for exchange in server.log} == {"terrainwave"}
+        clear = photo.part((10.0, 20.0, 2.0, 2.0), (200, 200)).pixels  # zooms that are not there
+        assert not clear[..., 3].any()
+        server.is_down = True
+        with pytest.raises(StorageError, match="cannot warp http"):
+            photo.part((0.0, 0.0, 60.0, 40.0), (60, 40))

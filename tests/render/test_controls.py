@@ -38,7 +38,7 @@ def press(controls, *keys):
 
 
 def test_held_keys_fly_as_long_as_they_are_held(controls):
-    controls.speed = 100.0
+    controls.height_over_ground = 100.0
     controls.press("w", VIEWPORT)
     controls.tick(0.1)
     np.testing.assert_allclose(
@@ -129,9 +129,31 @@ def test_places_to_go(controls):
     assert controls.camera.pitch == -90
     press(controls, "home")
     assert controls.camera.pitch > -90
-    press(controls, "escape", "p")
+    press(controls, "escape", "p", "i", "f", "m", "x")
     assert controls.is_closing
-    assert controls.wants_camera_line
+    assert controls.is_measuring
+    assert controls.wishes == ["camera", "picture", "flight", "measure", "profile"]
+
+
+def test_flying_is_as_fast_as_the_ground_is_far_below(controls):
+    far_below = []
+    for height in (1000.0, 20.0, 1.0, -20.0):
+        controls.height_over_ground = height
+        far_below.append(controls.speed)
+    assert far_below == [1000.0, 20.0, 5.0, 20.0]
+    press(controls, "tab")
+    controls.scroll(2, None)
+    assert controls.speed == pytest.approx(20 * 1.25**2)
+
+
+def test_a_button_that_hardly_moves_is_a_click(controls):
+    controls.grab(np.zeros(3))
+    controls.drag(2, 1)
+    assert controls.was_click
+    controls.drag(-2, 0)
+    assert not controls.was_click
+    controls.grab(None)
+    assert controls.was_click
 
 
 @pytest.mark.parametrize(

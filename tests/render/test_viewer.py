@@ -11,6 +11,7 @@ EVENTS = {
     "on_resize": (640, 420),
     "on_key_event": ("p", "press", None),
     "on_mouse_press_event": (3, 4, 1),
+    "on_mouse_release_event": (3, 4, 1),
     "on_mouse_drag_event": (3, 4, 1, 1),
     "on_mouse_position_event": (3, 4, 1, 1),
     "on_mouse_scroll_event": (0.0, 1.0),

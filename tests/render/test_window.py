@@ -1,5 +1,6 @@
 """The window under Xvfb, driven by xdotool; and what is said where there is no display."""
 
+import json
 import os
 import re
 import subprocess
@@ -23,6 +24,7 @@ def file(tmp_path_factory):
 
 DRIVER = """
 set -u
+cd {folder}
 {python} -m terrainwave view {file} --size 500x300 > {folder}/out.txt 2> {folder}/err.txt &
 pid=$!
 for _ in $(seq 300); do
@@ -44,6 +46,12 @@ xdotool keydown w; sleep 0.6; xdotool keyup w
 wait_for $(( $(grep -c camera {folder}/out.txt) + 1 ))
 xdotool windowsize --sync $window 640 420
 sleep 0.7
+xdotool key t
+sleep 0.5
+xdotool mousemove --window $window 320 210 click 1
+xdotool key i f
+sleep 0.7
+xdotool key f
 xdotool mousemove --window $window 320 210 mousedown 1
 xdotool mousemove --window $window 380 210
 sleep 0.3
@@ -69,13 +77,18 @@ def test_keys_and_mouse_move_the_camera_and_escape_closes(file, tmp_path):
     )  # fmt: skip
     errors = (tmp_path / "err.txt").read_text()
     assert "status 0" in done.stdout, done.stdout + done.stderr + errors
-    cameras = [numbers(line) for line in (tmp_path / "out.txt").read_text().splitlines()]
+    said = (tmp_path / "out.txt").read_text().splitlines()
+    cameras = [numbers(line) for line in said if line.startswith("--camera")]
     first, flown, last = cameras[0], cameras[-2], cameras[-1]
     assert flown[1] > first[1]  # W: north, as it looked
     assert flown[3] == first[3]
     assert last[3] != flown[3]  # dragging turned it
+    assert any(line.endswith("± 0") for line in said), said  # the click
+    assert len(json.loads(next(tmp_path.glob("flight-*.json")).read_text())) >= 1
     from PIL import Image
 
+    with Image.open(next(tmp_path.glob("terrainwave-*.png"))) as image:
+        assert image.size == (640, 420)
     with Image.open(tmp_path / "screen.png") as image:
         screen = np.asarray(image.convert("RGB")).astype(int)
     # The window has grown, and shows more than one colour in its new part.

@@ -78,7 +78,8 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--coloring", type=click.Choice(list(MEANINGS)), metavar="NAME",
                      default="auto", show_default=True, help=COLORING_HELP),
         click.option("--drape", type=click.Path(), metavar="IMAGE",
-                     help="Orthophoto to lay on the terrain; it is warped to it."),
+                     help="Orthophoto to lay on the terrain; it is warped to it. A file, its URL"
+                     " or that of tiles, https://.../{z}/{x}/{y}.png."),
         click.option("--radius", type=POSITIVE, help="Of the body, metres, for degrees."),
         click.option("--exaggeration", type=POSITIVE, default=1.0, show_default=True,
                      help="Factor of heights."),
@@ -272,7 +273,7 @@ def _write(target: str, data: bytes, overwrite: bool) -> None:
 def view(
     file: str, camera: str | None, max_pixel_error: float, memory: int, **options: Any
 ) -> None:
-    """Open a window and fly over FILE (.twz); H shows the keys."""
+    """Open a window and fly over FILE (.twz) or its URL; H shows the keys and settings."""
     import terrainwave
     from terrainwave.render.frame import frame_of
     from terrainwave.render.viewer import run

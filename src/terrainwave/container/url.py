@@ -21,12 +21,18 @@ import urllib.request
 import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import Any, NamedTuple
 from urllib.parse import SplitResult, unquote, urljoin, urlsplit
 
 from terrainwave.container.ranges import ByteRange
 from terrainwave.container.source import ByteSource, FileSource, MergingSource
-from terrainwave.errors import StorageError, TerrainwaveError, TerrainwaveWarning
+from terrainwave.errors import (
+    SourceUnavailableError,
+    StorageError,
+    TerrainwaveError,
+    TerrainwaveWarning,
+)
 from terrainwave.extras import need
 
 FIRST_REQUEST = 16 * 1024
@@ -89,6 +95,8 @@ class HttpSource(MergingSource):
         self.name = _display_name(url)
         self._lock = threading.Lock()
         self._idle: list[tuple[tuple[str, str], http.client.HTTPConnection]] = []
+        self.n_replies = 0  # so far, for those who wait
+        self._in_use: set[http.client.HTTPConnection] = set()
         self._is_closed = False
         self._resolved = url
         self._version = version
@@ -127,7 +135,8 @@ class HttpSource(MergingSource):
             return self._take_whole(reply)
         if reply.status != 206:
             reason = http.client.responses.get(reply.status, "")
-            raise StorageError(f"cannot read {self.name}: {reply.status} {reason}".rstrip())
+            kind = SourceUnavailableError if reply.status in _BUSY else StorageError
+            raise kind(f"cannot read {self.name}: {reply.status} {reason}".rstrip())
         if not match or match[1] is None:
             raise StorageError(f"{self.name}: no usable Content-Range in the server's reply")
         size = int(match[3])
@@ -169,6 +178,8 @@ class HttpSource(MergingSource):
                 raise _unreadable(self.name, error) from error
             except (OSError, http.client.HTTPException):
                 pass
+            if self._is_closed:
+                raise StorageError(f"{self.name} is closed")
             time.sleep(delay)
         try:
             return self._ask_once(wanted)
@@ -204,14 +215,17 @@ class HttpSource(MergingSource):
             if connection is None:
                 connection = self._connect(parts)
             is_reusable = False
+            with self._lock:
+                self._in_use.add(connection)
             try:
                 connection.request("GET", _target(parts), headers=self._headers(parts, wanted))
                 response = connection.getresponse()
                 reply = _read_reply(response, wanted.length, takes_whole=self.size == -1)
+                self.n_replies += 1
                 is_reusable = response.isclosed() and not response.will_close
                 return reply
             except (OSError, http.client.HTTPException):
-                if is_fresh:
+                if is_fresh or self._is_closed:
                     raise
             finally:
                 self._give_back(key, connection, is_reusable)
@@ -259,18 +273,23 @@ class HttpSource(MergingSource):
         self, key: tuple[str, str], connection: http.client.HTTPConnection, is_reusable: bool
     ) -> None:
         with self._lock:
+            self._in_use.discard(connection)
             if is_reusable and not self._is_closed and len(self._idle) < N_CONNECTIONS:
                 self._idle.append((key, connection))
                 return
         connection.close()
 
     def close(self) -> None:
-        """Close all connections."""
+        """Close all connections; who waits for one is told so."""
         with self._lock:
             self._is_closed = True
             idle, self._idle = self._idle, []
+            sockets = [connection.sock for connection in self._in_use if connection.sock]
         for _, connection in idle:
             connection.close()
+        for waiting in sockets:
+            with suppress(OSError):
+                waiting.shutdown(socket.SHUT_RDWR)
 
     def __reduce__(self) -> tuple[type["HttpSource"], tuple[str, str | None]]:
         return HttpSource, (self._url, self._version)
@@ -282,7 +301,11 @@ def _changed(name: str) -> StorageError:
 
 def _unreadable(name: str, error: Exception) -> StorageError:
     problem = str(error).split("\n")[0] or type(error).__name__
-    return StorageError(f"cannot read {name}: {problem}")
+    may_pass = isinstance(error, OSError | http.client.HTTPException)
+    if isinstance(error, ssl.SSLCertVerificationError | PermissionError):
+        may_pass = False
+    kind = SourceUnavailableError if may_pass else StorageError
+    return kind(f"cannot read {name}: {problem}")
 
 
 def _read_reply(
@@ -344,6 +367,7 @@ class FsspecSource(MergingSource):
     def __init__(self, url: str, version: str | None = None) -> None:
         self._url = url
         self.name = _display_name(url)
+        self.n_replies = 0  # so far, for those who wait
         fsspec = need("fsspec", extra="remote", purpose=f"reading {self.name}")
         self._fs, self._path = self._call(fsspec.core.url_to_fs, url)
         info = self._info()
@@ -369,7 +393,9 @@ class FsspecSource(MergingSource):
         # File systems raise what their libraries raise; few of those are OSErrors.
         for delay in (*_DELAYS, None):
             try:
-                return function(*args, **options)
+                result = function(*args, **options)
+                self.n_replies += 1
+                return result
             except TerrainwaveError:
                 raise
             except FileNotFoundError as error:

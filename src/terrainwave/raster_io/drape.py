@@ -1,18 +1,24 @@
 """An orthophoto, warped to the grid of a terrain, as one picture for a texture."""
 
 import math
-from typing import Any, NamedTuple
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple, Self
+from urllib.parse import urlsplit
+from xml.sax.saxutils import escape
 
 import numpy as np
 import rasterio
 from numpy.typing import NDArray
 from rasterio.crs import CRS
 from rasterio.enums import ColorInterp, Resampling
-from rasterio.errors import CRSError
+from rasterio.errors import CRSError, NotGeoreferencedWarning
 from rasterio.vrt import WarpedVRT
 from rasterio.warp import transform, transform_bounds
 
-from terrainwave.errors import InvalidHeightsError, StorageError
+from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
 from terrainwave.grid.affine import Transform, determinant, pixels_to_places, places_to_pixels
 from terrainwave.raster_io.crs import parse_crs
 from terrainwave.raster_io.dataset import open_dataset
@@ -21,6 +27,28 @@ from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 _TEXEL_BYTES = 4
 # Points per side along which bounds are projected: sides become curves.
 _DENSITY = 21
+# Texels a side that tiles are fetched for: some hundred tiles of 256 pixels.
+_MOST_TILED = 2048
+_PATIENCE = 2.0  # seconds
+# Overviews whose factor is so little above the one wanted serve as well.
+_ROUNDED = 1.01
+# How GDAL asks: by name, not for long, and for nothing but what it was told to read.
+_WEB = {
+    "GDAL_HTTP_USERAGENT": "terrainwave", "GDAL_HTTP_TIMEOUT": 30, "GDAL_HTTP_CONNECTTIMEOUT": 10,
+    "GDAL_HTTP_MAX_RETRY": 2, "GDAL_HTTP_RETRY_DELAY": 1,
+    "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
+}  # fmt: skip
+# Zooms 0 to 19 as one image with overviews; what a server does not have is clear.
+_TILES = (
+    '<GDAL_WMS><Service name="TMS"><ServerUrl>{url}</ServerUrl></Service><DataWindow>'
+    "<UpperLeftX>-{edge}</UpperLeftX><UpperLeftY>{edge}</UpperLeftY>"
+    "<LowerRightX>{edge}</LowerRightX><LowerRightY>-{edge}</LowerRightY>"
+    "<TileLevel>19</TileLevel><TileCountX>1</TileCountX><TileCountY>1</TileCountY>"
+    "<YOrigin>top</YOrigin></DataWindow><Projection>EPSG:3857</Projection>"
+    "<BlockSizeX>256</BlockSizeX><BlockSizeY>256</BlockSizeY><BandsCount>4</BandsCount>"
+    "<MaxConnections>4</MaxConnections><Timeout>30</Timeout><UserAgent>terrainwave</UserAgent>"
+    "<ZeroBlockHttpCodes>204,404</ZeroBlockHttpCodes></GDAL_WMS>"
+)
 _ANY_CRS = CRS.from_epsg(3857)
 
 
@@ -42,29 +70,24 @@ class Drape(NamedTuple):
     n_rows: float
 
 
-def read_drape(
-    path: str,
-    *,
-    crs: str | None,
-    affine: Transform,
-    shape: tuple[int, int],
-    max_side: int,
-    max_bytes: int,
-) -> Drape:
-    """Return an image file warped to a grid, at its own resolution as far as limits allow.
+class Photo:
+    """An open image that windows are read of, warped to a grid. Thread-safe; a context manager.
+
+    What a window needs is read and no more: parts of the file, or of its overviews where these are
+    fine enough; of tiles, those of the zoom that fits.
 
     Parameters
     ----------
     path : str
-        Bands grey or red, green, blue, each with an alpha band or not, or a palette; 8 bits.
+        A file, or a URL: of a file that is read by ranges, such as a COG, or of tiles of 256 x 256
+        pixels in Web Mercator, with ``{z}``, ``{x}`` and ``{y}``. Bands grey or red, green, blue,
+        each with an alpha band or not, or a palette; 8 bits.
     crs : str, optional
         Of the grid, as `parse_crs` reads it.
     affine : tuple of float
         a, b, c, d, e, f of the grid: x = a col + b row + c.
     shape : tuple of int
         Rows and columns of the grid.
-    max_side, max_bytes : int
-        Of the picture, whose texels take four bytes.
 
     Raises
     ------
@@ -73,26 +96,124 @@ def read_drape(
     StorageError
         If it cannot be read.
     """
-    grid_crs = parse_crs(crs)
-    if determinant(affine) == 0:
-        raise InvalidHeightsError("the terrain's affine transform cannot be inverted")
-    with bounded_env(), open_dataset(path) as photo:
-        _check(path, photo, grid_crs)
-        # Where neither says what its coordinates are, any projected system does for both.
-        photo_crs, grid_crs = photo.crs or _ANY_CRS, grid_crs or _ANY_CRS
-        try:
-            col, row, n_cols, n_rows = _overlap(path, photo, photo_crs, grid_crs, affine, shape)
+
+    def __init__(
+        self, path: str, *, crs: str | None, affine: Transform, shape: tuple[int, int]
+    ) -> None:
+        self.is_tiled = is_tile_url(path)
+        self._path, self._affine = path, affine
+        self._lock = threading.Lock()
+        self._file: Any = None
+        self._levels: dict[int, Any] = {}
+        grid_crs = parse_crs(crs)
+        if determinant(affine) == 0:
+            raise InvalidHeightsError("the terrain's affine transform cannot be inverted")
+        with self._reading():
+            self._file = _open(path)
+            _check(path, self._file, grid_crs)
+            # Where neither says what its coordinates are, any projected system does for both.
+            self._crs, self._grid_crs = self._file.crs or _ANY_CRS, grid_crs or _ANY_CRS
+            self.place = _overlap(path, self._file, self._crs, self._grid_crs, affine, shape)
+            col, row, n_cols, n_rows = self.place
             middle = col + n_cols / 2, row + n_rows / 2
-            finer = _texels_per_pixel(photo, photo_crs, grid_crs, affine, *middle)
-            width, height = _size(n_cols * finer, n_rows * finer, max_side, max_bytes)
-            a, b, _, d, e, _ = affine
-            along, down = n_cols / width, n_rows / height  # pixels of the grid per texel
-            x, y = pixels_to_places(affine, row, col)
-            placed = rasterio.Affine(a * along, b * down, x, d * along, e * down, y)
-            pixels = _warped(photo, photo_crs, grid_crs, placed, width, height)
+            self.finer = _texels_per_pixel(self._file, self._crs, self._grid_crs, affine, *middle)
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        try:
+            with self._lock, bounded_env(**_WEB):
+                yield
+        except TerrainwaveError:
+            self.close()
+            raise
         except (*GDAL_ERRORS, CRSError) as error:
-            raise StorageError(f"cannot warp {path} to the terrain: {one_line(error)}") from error
-    return Drape(pixels, col, row, n_cols, n_rows)
+            raise StorageError(
+                f"cannot warp {self._path} to the terrain: {one_line(error)}"
+            ) from error
+
+    @property
+    def credit(self) -> str | None:
+        """Return the server whose tiles they are; None for a file."""
+        return urlsplit(self._path).hostname if self.is_tiled else None
+
+    def size(self, max_side: int, max_bytes: int) -> tuple[int, int]:
+        """Return width and height, in texels, of the picture of all of it within these limits."""
+        _, _, n_cols, n_rows = self.place
+        max_side = min(max_side, _MOST_TILED) if self.is_tiled else max_side
+        return _size(n_cols * self.finer, n_rows * self.finer, max_side, max_bytes)
+
+    def whole(self, max_side: int, max_bytes: int) -> Drape:
+        """Return all of it that lies on the grid, at its own resolution as far as limits allow.
+
+        `max_side` and `max_bytes` are of the picture, whose texels take four bytes. Tiles are
+        fetched for 2048 texels a side at most.
+        """
+        return self.part(self.place, self.size(max_side, max_bytes))
+
+    def part(self, place: tuple[float, float, float, float], size: tuple[int, int]) -> Drape:
+        """Return a part of the grid.
+
+        Parameters
+        ----------
+        place : tuple of float
+            Column, row, columns and rows, in pixels of the full grid.
+        size : tuple of int
+            Width and height in texels.
+        """
+        col, row, n_cols, n_rows = place
+        width, height = size
+        a, b, _, d, e, _ = self._affine
+        along, down = n_cols / width, n_rows / height  # pixels of the grid per texel
+        x, y = pixels_to_places(self._affine, row, col)
+        placed = rasterio.Affine(a * along, b * down, x, d * along, e * down, y)
+        with self._reading():
+            # GDAL warps from the full resolution, however coarse the result.
+            file = self._level(self.finer * min(along, down))
+            pixels = _warped(file, self._crs, self._grid_crs, placed, width, height)
+        return Drape(pixels, col, row, n_cols, n_rows)
+
+    def _level(self, coarser: float) -> Any:
+        """Return the coarsest overview with at least one pixel per texel, or the file itself."""
+        factors = self._file.overviews(1)
+        fit = [number for number, factor in enumerate(factors) if factor <= coarser * _ROUNDED]
+        if not fit:
+            return self._file
+        if fit[-1] not in self._levels:
+            self._levels[fit[-1]] = _open(self._path, overview_level=fit[-1])
+        return self._levels[fit[-1]]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file; one that another thread is still reading is left to the process's end."""
+        if not self._lock.acquire(timeout=_PATIENCE):
+            return
+        try:
+            for file in (self._file, *self._levels.values()):
+                if file is not None:
+                    file.close()
+        finally:
+            self._lock.release()
+
+
+def is_tile_url(path: str) -> bool:
+    """Say whether a path is the URL of tiles."""
+    return path.startswith(("http://", "https://")) and all(
+        part in path for part in ("{z}", "{x}", "{y}")
+    )
+
+
+def _open(path: str, **options: Any) -> Any:
+    if not is_tile_url(path):
+        return rasterio.open(path, **options) if options else open_dataset(path)
+    url = escape(path.replace("{z}", "${z}").replace("{x}", "${x}").replace("{y}", "${y}"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        return rasterio.open(_TILES.format(url=url, edge=math.pi * 6378137.0), **options)
 
 
 def _check(path: str, photo: Any, grid_crs: Any) -> None:

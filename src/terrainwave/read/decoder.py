@@ -1,6 +1,5 @@
 """Decode units on demand, each from its ancestors alone, through a bounded cache."""
 
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -16,9 +15,11 @@ from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region, morton
 from terrainwave.grid.remainders import Remainders
+from terrainwave.read.fetched import FetchedPayloads
 
-# Payloads held between being fetched and being decoded.
-_MAX_FETCHED = 1024
+_MAX_SPECS = 1024
+# Units of scattered samples whose payloads are fetched in one call.
+_AT_A_TIME = 64
 
 
 def _n_bytes(unit: Decoded) -> int:
@@ -50,11 +51,9 @@ class TreeDecoder:
         self.grid = grid
         self._refiner = refiner
         self._parameters = parameters
-        self._payloads = payloads
+        self._fetched = FetchedPayloads(payloads)
         self._cache: Cache[Block, Decoded] = Cache(cache_bytes, size_of=_n_bytes)
-        self._fetched: dict[Block, bytes] = {}
-        self._lock = threading.Lock()
-        self._specs: Cache[Block, GroupSpec] = Cache(_MAX_FETCHED)
+        self._specs: Cache[Block, GroupSpec] = Cache(_MAX_SPECS)
 
     def prefetch(self, keys: Sequence[Block]) -> list[Block]:
         """Fetch the payloads that decoding `keys` will need, in one call.
@@ -66,6 +65,8 @@ class TreeDecoder:
         for key in keys:
             chain = []
             while key not in missing and self._cache.get(key) is None:
+                if self._cache.is_coming(key):  # another thread has its payload already
+                    break
                 chain.append(key)
                 if key.is_root_key:
                     break
@@ -76,16 +77,8 @@ class TreeDecoder:
 
     def _fetch(self, keys: list[Block]) -> None:
         """Fetch payloads ahead of decoding, if there are several."""
-        if len(keys) < 2:
-            return
-        try:
-            payloads = self._payloads(keys)
-        except CorruptStreamError:
-            return
-        with self._lock:
-            if len(self._fetched) > _MAX_FETCHED:  # left over where another thread was quicker
-                self._fetched.clear()
-            self._fetched.update(zip(keys, payloads, strict=True))
+        if len(keys) > 1:
+            self._fetched.fetch(keys)
 
     def unit(self, key: Block) -> Decoded:
         """Return the decoded unit `key`; its ancestors are decoded as needed.
@@ -100,9 +93,7 @@ class TreeDecoder:
 
     def _payload(self, key: Block) -> bytes:
         """Return the payload of a unit, fetched now unless it has been."""
-        with self._lock:
-            payload = self._fetched.pop(key, None)
-        return self._payloads([key])[0] if payload is None else payload
+        return self._fetched.take(key)
 
     def _decode(self, key: Block, out: Heights | None = None) -> Decoded:
         """Decode a unit, into memory `out` if there is some."""
@@ -152,7 +143,9 @@ class TreeDecoder:
         """Return decoded heights and validity of any region inside a level."""
         heights = np.zeros(region.shape, dtype=np.int32)
         mask = np.zeros(region.shape, dtype=np.bool_)
-        for key in self.keys(level, region):
+        keys = self.keys(level, region)
+        self.prefetch(keys)
+        for key in keys:
             there, unit = self.part(key, region)
             heights[there], mask[there] = unit.heights, unit.mask
         return heights, mask
@@ -169,7 +162,11 @@ class TreeDecoder:
         shape = 1, rows.size
         heights, mask = np.zeros(shape, dtype=np.int32), np.zeros(shape, dtype=np.bool_)
         rest: Remainders | None = None
-        for row, col in sorted(set(zip(unit_rows.tolist(), unit_cols.tolist(), strict=True))):
+        places = sorted(set(zip(unit_rows.tolist(), unit_cols.tolist(), strict=True)))
+        for number, (row, col) in enumerate(places):
+            if number % _AT_A_TIME == 0:
+                near = places[number : number + _AT_A_TIME]
+                self.prefetch([Block(level - 1, *place) for place in near])
             key = Block(level - 1, row, col)
             spec, unit = self._spec(key), self.unit(key)
             here = (unit_rows == row) & (unit_cols == col)

@@ -26,6 +26,7 @@ HELP = [
     ("drag", "orbit around the point under the cursor"),
     ("right drag", "look around"),
     ("wheel", "zoom to the cursor (orbit), speed (fly)"),
+    ("click", "coordinates, height and the file's bound"),
     ("Tab", "orbit or fly: in fly, drag looks around"),
     ("Home  T  N", "the whole terrain, from above, north up"),
     ("C  R", "colour by height, slope, level, error; ramp"),
@@ -33,6 +34,8 @@ HELP = [
     (",  .", "turn the sun; Shift: raise it, lower it"),
     ("[  ]", "vertical exaggeration"),
     ("-  +", "pixel error"),
+    ("M  X", "measure: click places, Backspace takes back; save the profile"),
+    ("I  F", "save the picture; record a flight, for --flight"),
     ("P", "print the camera, for --camera"),
     ("H  Esc", "this help; close"),
 ]
@@ -42,6 +45,12 @@ _ORBIT_SPEED = 0.3
 _ZOOM_STEP = 0.85
 _SPEED_STEP = 1.25
 _FASTER = 4.0
+# Of the height above the ground, the share flown per second; metres that count at least.
+_FIRST_PACE, _LEAST_HEIGHT = 1.0, 5.0
+_SLOWEST, _FASTEST = 1e-3, 1e3
+# Pixels that a click may move: more is a drag.
+_STILL = 4.0
+_WISHES = {"p": "camera", "i": "picture", "f": "flight", "x": "profile", "backspace": "undo"}
 _LOWEST_SUN, _HIGHEST_SUN = 3.0, 88.0  # degrees
 
 
@@ -49,6 +58,15 @@ class Controls:
     """Camera and style of a viewer, changed by keys and mouse.
 
     Keys are names: letters, ``tab``, ``home``, ``shift`` and so on.
+
+    Attributes
+    ----------
+    pace : float
+        Of flying: shares of the height above the ground, per second.
+    height_over_ground : float, optional
+        Local metres; None where it is not known yet.
+    wishes : list of str
+        What keys have asked others to do, in order; whoever does it takes it out.
     """
 
     def __init__(self, scene: Scene, camera: Camera, style: Style, max_pixel_error: float) -> None:
@@ -59,11 +77,22 @@ class Controls:
         self.is_flying = False
         self.shows_help = False
         self.is_closing = False
-        self.wants_camera_line = False
+        self.is_measuring = False
+        self.wishes: list[str] = []
+        self.pace = _FIRST_PACE
+        self.height_over_ground: float | None = None
         low, high = scene.frame.box
-        self.speed = float(np.linalg.norm(high - low)) / 20  # metres per second
+        self._extent = float(np.linalg.norm(high - low))
+        self._dragged = 0.0  # pixels since a button went down
         self._held: set[str] = set()
         self._pivot: Vector | None = None
+
+    @property
+    def speed(self) -> float:
+        """Return how fast keys fly, metres per second: faster high above the ground."""
+        height = self.height_over_ground
+        height = self._extent / 20 if height is None else abs(height)
+        return self.pace * min(max(height, _LEAST_HEIGHT), self._extent)
 
     def press(self, key: str, viewport: Viewport) -> None:
         """Take a key down into account."""
@@ -103,8 +132,11 @@ class Controls:
         elif key in ("-", "+"):
             factor = 2**0.5 if key == "+" else 2**-0.5
             self.max_pixel_error = min(max(self.max_pixel_error * factor, 0.1), 64.0)
-        elif key == "p":
-            self.wants_camera_line = True
+        elif key == "m":
+            self.is_measuring = not self.is_measuring
+            self.wishes.append("measure")
+        elif key in _WISHES:
+            self.wishes.append(_WISHES[key])
 
     def _move_sun(self, sign: int) -> None:
         """Turn the sun, or with Shift raise or lower it."""
@@ -137,9 +169,16 @@ class Controls:
     def grab(self, point: Vector | None) -> None:
         """Begin to drag at a point of the surface; None: at the sky."""
         self._pivot = point
+        self._dragged = 0.0
+
+    @property
+    def was_click(self) -> bool:
+        """Say whether the button that went up has not dragged anything."""
+        return self._dragged < _STILL
 
     def drag(self, dx: float, dy: float, *, is_right: bool = False) -> None:
         """Turn by a movement of the mouse in pixels, y down."""
+        self._dragged += abs(dx) + abs(dy)
         if self.is_flying or is_right or self._pivot is None:
             speed = _LOOK_SPEED * math.tan(math.radians(self.camera.fov) / 2) / 0.47
             sign = 1 if self.is_flying else -1
@@ -150,7 +189,7 @@ class Controls:
     def scroll(self, steps: float, point: Vector | None) -> None:
         """Zoom to a point, or change the speed; positive is away from the user."""
         if self.is_flying:
-            self.speed = min(max(self.speed * _SPEED_STEP**steps, 0.1), 1e6)
+            self.pace = min(max(self.pace * _SPEED_STEP**steps, _SLOWEST), _FASTEST)
         elif point is not None:
             self.camera = zoom(self.camera, point, _ZOOM_STEP**steps)
         else:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from terrainwave.errors import TerrainwaveError
 from terrainwave.extras import need
 from terrainwave.render.camera import Camera, Viewport, focal_length, ray
+from terrainwave.render.drape_detail import DETAIL_SIDE
 from terrainwave.render.modes import mode_class
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.scene import DEFAULT_MAX_BYTES, Scene
@@ -17,7 +18,8 @@ from terrainwave.render.solid import build_solid
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
-    from terrainwave.raster_io.drape import Drape
+    from terrainwave.raster_io.drape import Drape, Photo
+    from terrainwave.render.solid import Solid
     from terrainwave.render.style import Style
 
 _HELP = (
@@ -47,6 +49,12 @@ def create_context() -> Any:
     raise TerrainwaveError(f"no OpenGL context ({'; '.join(problems)}): {_HELP}")
 
 
+def _open_photo(terrain: "TerrainFile", path: str) -> "Photo":
+    from terrainwave.raster_io.drape import Photo
+
+    return Photo(path, crs=terrain.crs, affine=terrain.raster_info.transform, shape=terrain.shape)
+
+
 class Offscreen:
     """A scene with a framebuffer of its own.
 
@@ -57,9 +65,12 @@ class Offscreen:
     mode : str
         One of `terrainwave.render.modes.MODES`.
     drape : str, optional
-        Path of an orthophoto to lie on the terrain.
+        Path or URL of an orthophoto to lie on the terrain, as of `raster_io.drape.Photo`.
     samples : int
         Per pixel, against jagged edges; 0 none.
+    is_late : bool
+        Leave out the block under the terrain until `set_solid`, and the orthophoto until the
+        renderer's `set_drape`: reading them may take long.
     options
         Of `Scene`.
     """
@@ -74,6 +85,7 @@ class Offscreen:
         samples: int = 4,
         max_bytes: int = DEFAULT_MAX_BYTES,
         context: Any = None,
+        is_late: bool = False,
         **options: Any,
     ) -> None:
         self._owns_context = context is None
@@ -81,15 +93,20 @@ class Offscreen:
         from terrainwave.render.renderer import Renderer
 
         kind = mode_class(mode)
-        picture = None if drape is None else self._read_drape(terrain, drape, max_bytes)
-        self._drape_bytes = 0 if picture is None else picture.pixels.size * 4 // 3
+        self.photo = None if drape is None else _open_photo(terrain, drape)
+        side = int(self.context.info["GL_MAX_TEXTURE_SIZE"])
+        if is_late:  # finer parts come as the camera comes near
+            side = min(side, DETAIL_SIDE)
+        self._drape_limits = side, max_bytes // _DRAPE_SHARE
+        picture = None if is_late else self.read_drape()
+        self._drape_bytes = self._bytes_of_drape(has_detail=is_late)
         self.surface = kind.surface(
             self.context, terrain.grid.block, max_bytes=max_bytes - self._drape_bytes
         )
         self.store = self.surface.store
         self.scene = Scene(terrain, self.store, mode=mode, **options)
-        solid = build_solid(terrain, self.scene.frame)
-        self.has_voids = solid.has_lids
+        solid = None if is_late else build_solid(terrain, self.scene.frame)
+        self.has_voids = solid is not None and solid.has_lids
         self.renderer = Renderer(self.context, self.scene, self.surface, picture, solid)
         self._samples = min(samples, int(self.context.max_samples))
         self._target: Any = None
@@ -97,17 +114,29 @@ class Offscreen:
         self._drawn: tuple[View, tuple[float, float]] | None = None
         self.resize(size)
 
-    def _read_drape(self, terrain: "TerrainFile", path: str, max_bytes: int) -> "Drape":
-        from terrainwave.raster_io.drape import read_drape
+    def set_solid(self, solid: "Solid") -> None:
+        """Draw the block under the terrain from now on."""
+        self.has_voids = solid.has_lids
+        self.renderer.set_solid(solid)
 
-        return read_drape(
-            path,
-            crs=terrain.crs,
-            affine=terrain.raster_info.transform,
-            shape=terrain.shape,
-            max_side=int(self.context.info["GL_MAX_TEXTURE_SIZE"]),
-            max_bytes=max_bytes // _DRAPE_SHARE,
-        )
+    def read_drape(self) -> "Drape | None":
+        """Return the orthophoto as a whole, read now, in any thread; None where there is none."""
+        return None if self.photo is None else self.photo.whole(*self._drape_limits)
+
+    @property
+    def drape_texels_per_pixel(self) -> float:
+        """Return how many texels of the orthophoto as a whole lie along a pixel of the grid."""
+        assert self.photo is not None
+        width, _ = self.photo.size(*self._drape_limits)
+        return width / self.photo.place[2]
+
+    def _bytes_of_drape(self, *, has_detail: bool) -> int:
+        """Return the bytes on the GPU of the orthophoto, with smaller copies of itself."""
+        if self.photo is None:
+            return 0
+        width, height = self.photo.size(*self._drape_limits)
+        texels = width * height + (DETAIL_SIDE**2 if has_detail else 0)
+        return texels * 4 * 4 // 3
 
     @property
     def n_bytes(self) -> int:
@@ -139,6 +168,8 @@ class Offscreen:
     def close(self) -> None:
         """Stop the workers and free the GPU's memory."""
         self.scene.close()
+        if self.photo is not None:
+            self.photo.close()
         self.renderer.release()
         self._release_framebuffers()
         if self._owns_context:
@@ -185,9 +216,13 @@ class Offscreen:
         As `draw`.
         """
         frames = self.draw(camera, style, max_pixel_error=max_pixel_error, settle=settle)
+        return self.grab(), frames
+
+    def grab(self) -> NDArray[np.uint8]:
+        """Return the last picture, uint8 (height, width, 3), the first row on top."""
         data = self._resolved.read(components=3, alignment=1)
         size = (self.viewport.height, self.viewport.width, 3)
-        return np.frombuffer(data, dtype=np.uint8).reshape(size)[::-1].copy(), frames
+        return np.frombuffer(data, dtype=np.uint8).reshape(size)[::-1].copy()
 
     def is_blank(self) -> bool:
         """Say whether the last picture shows no terrain. Waits for the GPU."""

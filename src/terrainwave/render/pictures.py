@@ -195,5 +195,5 @@ def statistics(
         "page_ms": scene.timings.page,
         "select_ms": scene.timings.select,
         "seconds": seconds,
-        "problems": sorted(scene.problems.values()),
+        "problems": sorted(scene.problems.damaged.values()),
     }

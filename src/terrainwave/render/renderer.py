@@ -24,6 +24,7 @@ from terrainwave.render.solid import Solid, distance_to_walls, haze_of
 from terrainwave.render.solid_surface import SolidSurface
 from terrainwave.render.style import COLORINGS, Style
 from terrainwave.render.surface import (
+    DETAIL_UNIT,
     DRAPE_UNIT,
     RAMP_UNIT,
     Surface,
@@ -35,6 +36,26 @@ _CLIP_DISTANCE_0 = 0x3000
 _NEAREST = 1e-5  # of the farthest
 _MOST_WAVES, _ROUNDED = 1.0, 0.02  # metres
 _GROUND_REACH = 0.38  # of the terrain's diagonal
+
+
+class _DrapeTexture:
+    """A drape on the GPU; one clear texel without one."""
+
+    def __init__(self, context: Any, drape: Drape | None) -> None:
+        self.is_there, self.place = drape is not None, (0.0, 0.0, 1.0, 1.0)
+        pixels = np.zeros((1, 1, 4), dtype=np.uint8)
+        if drape is not None:
+            pixels = drape.pixels
+            self.place = (drape.col, drape.row, 1 / drape.n_cols, 1 / drape.n_rows)
+        height, width = pixels.shape[:2]
+        self.texture = context.texture((width, height), 4, pixels.tobytes(), alignment=4)
+        self.texture.repeat_x = self.texture.repeat_y = False
+        self.texture.build_mipmaps()
+        self.texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+
+    def release(self) -> None:
+        """Free the GPU's memory."""
+        self.texture.release()
 
 
 class Renderer:
@@ -74,24 +95,22 @@ class Renderer:
         self._texels = HeightTexels.of(scene.frame)
         self._ramp: Any = None
         self._ramp_key: tuple[object, ...] = ()
-        self._drape = self._drape_texture(drape)
-        self._has_drape = drape is not None
-        self._drape_place = (0.0, 0.0, 1.0, 1.0)
+        self._drape, self._detail = (_DrapeTexture(context, None) for _ in range(2))
         if drape is not None:
-            self._drape_place = (drape.col, drape.row, 1 / drape.n_cols, 1 / drape.n_rows)
+            self.set_drape(drape)
         self.n_draw_calls = 0
 
     # Parts that last
 
-    def _drape_texture(self, drape: Drape | None) -> Any:
-        """Return the texture of the drape; one clear texel without one."""
-        pixels = np.zeros((1, 1, 4), dtype=np.uint8) if drape is None else drape.pixels
-        height, width = pixels.shape[:2]
-        texture = self._context.texture((width, height), 4, pixels.tobytes(), alignment=4)
-        texture.repeat_x = texture.repeat_y = False
-        texture.build_mipmaps()
-        texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
-        return texture
+    def set_drape(self, drape: Drape) -> None:
+        """Lay a picture on the terrain from now on."""
+        self._drape.release()
+        self._drape = _DrapeTexture(self._context, drape)
+
+    def set_detail(self, drape: Drape) -> None:
+        """Lay a finer part of the picture over it from now on."""
+        self._detail.release()
+        self._detail = _DrapeTexture(self._context, drape)
 
     def _ramp_texture(self, key: tuple[object, ...], palette: Palette) -> Any:
         if key != self._ramp_key:
@@ -118,6 +137,11 @@ class Renderer:
         # What decodes to 0 within the bound is water; a float32 on the way has rounded it.
         error = self._scene.terrain.effective_error * frame.metres[2]
         return absolute_palette(low, high, min(error, _MOST_WAVES) + _ROUNDED, frame.latitudes)
+
+    def set_solid(self, solid: Solid) -> None:
+        """Draw the block under the terrain from now on."""
+        release_all(self._solid)
+        self._solid = SolidSurface(self._context, solid)
 
     # One frame
 
@@ -147,7 +171,8 @@ class Renderer:
         # Errors change their range from frame to frame, not their colours.
         key = (style.coloring, style.ramp)
         self._ramp_texture(key, palette).use(RAMP_UNIT)
-        self._drape.use(DRAPE_UNIT)
+        self._drape.texture.use(DRAPE_UNIT)
+        self._detail.texture.use(DETAIL_UNIT)
         context.enable_only(moderngl.DEPTH_TEST)
         clips = range(_CLIP_DISTANCE_0, _CLIP_DISTANCE_0 + self.surface.n_clip_distances)
         for clip in clips:
@@ -207,8 +232,11 @@ class Renderer:
             "coloring": COLORINGS[style.coloring],
             "ramp": RAMP_UNIT,
             "drape": DRAPE_UNIT,
-            "drape_place": self._drape_place,
-            "drape_share": style.drape if self._has_drape else 0.0,
+            "drape_place": self._drape.place,
+            "drape_share": style.drape if self._drape.is_there else 0.0,
+            "detail": DETAIL_UNIT,
+            "detail_place": self._detail.place,
+            "detail_share": 1.0 if self._detail.is_there else 0.0,
             "last": (scene.frame.shape[1] - 1.0, scene.frame.shape[0] - 1.0),
         }
 
@@ -240,4 +268,5 @@ class Renderer:
 
     def release(self) -> None:
         """Free the GPU's memory."""
-        release_all(self.surface, self._solid, self._ramp, self._drape, self._sky_array, self._sky)
+        release_all(self.surface, self._solid, self._ramp, self._drape, self._detail)
+        release_all(self._sky_array, self._sky)

@@ -81,6 +81,9 @@ uniform sampler2DArray slopes;
 uniform sampler2D drape;
 uniform vec4 drape_place;   // first column and row it covers, 1 / columns, 1 / rows
 uniform float drape_share;
+uniform sampler2D detail;    // a finer part of the drape
+uniform vec4 detail_place;
+uniform float detail_share;
 uniform sampler2D ramp;      // columns: the sea's colours, then the land's; rows: to the north
 uniform vec4 ramp_range;    // values of the sea's first and last colour, of the land's
 uniform vec2 height_texels;  // metres: of texel 0, per 1
@@ -147,8 +150,13 @@ void main() {
     float draped = 0.0;
     if (drape_share > 0.0) {
         vec4 photo = texture(drape, at, -0.5);  // a little sharper: slopes are seen aslant
-        if (all(greaterThanEqual(at, vec2(0.0))) && all(lessThanEqual(at, vec2(1.0))))
-            draped = photo.a * drape_share;
+        if (any(lessThan(at, vec2(0.0))) || any(greaterThan(at, vec2(1.0)))) photo.a = 0.0;
+        vec2 near = (v_grid + 0.5 - detail_place.xy) * detail_place.zw;
+        vec4 fine = texture(detail, near, -0.5);
+        vec2 rim = min(near, 1.0 - near);
+        float share = clamp(min(rim.x, rim.y) * 16.0, 0.0, 1.0) * detail_share * fine.a;
+        photo = mix(photo, vec4(fine.rgb, 1.0), share);
+        draped = photo.a * drape_share;
         base = mix(base, photo.rgb, draped);
     }
     // A photo has light and shadow of its own.

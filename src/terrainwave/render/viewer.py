@@ -9,19 +9,24 @@ import numpy as np
 
 from terrainwave.errors import TerrainwaveError
 from terrainwave.extras import need
-from terrainwave.render.camera import format_camera
+from terrainwave.render.background import Background, Outcome
 from terrainwave.render.controls import HELP, Controls
+from terrainwave.render.drape_detail import DrapeDetail
 from terrainwave.render.frame import check_drawable
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.pictures import choose_camera
+from terrainwave.render.problems import replies_of
 from terrainwave.render.scene import DEFAULT_MAX_BYTES
+from terrainwave.render.session import Session
+from terrainwave.render.solid import build_solid
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
     from terrainwave.render.style import Style
 
 _OVERLAY_SECONDS = 0.2
+_SOLID_PAUSE = 5.0
 _NO_WINDOW = (
     "cannot open a window ({problem}); a picture needs none: terrainwave render FILE PICTURE.png;"
     " a window needs a display and OpenGL 3.3, on Debian and Ubuntu: apt-get install libgl1"
@@ -63,17 +68,30 @@ def run(
         lines = str(error).strip().splitlines() or [type(error).__name__]
         raise TerrainwaveError(_NO_WINDOW.format(problem=lines[0][:200])) from error
     with Offscreen(
-        terrain, config.wnd.buffer_size, context=config.ctx, max_bytes=max_bytes, **options
+        terrain,
+        config.wnd.buffer_size,
+        context=config.ctx,
+        max_bytes=max_bytes,
+        is_late=True,
+        retries=True,
+        **options,
     ) as offscreen:
         style.check_body(offscreen.scene.frame.body)
         first = choose_camera(offscreen.scene.frame, offscreen.viewport, camera)
         controls = Controls(offscreen.scene, first, style, max_pixel_error)
-        viewer = config.viewer = Viewer(config.wnd, offscreen, controls)
+        session = Session(offscreen.scene, controls, _say, radius=options.get("radius"))
+        viewer = config.viewer = Viewer(config.wnd, offscreen, session, max_bytes)
         _loop(config, viewer)
-        line = viewer.camera_line
-        viewer.overlay.release()
+        line = session.camera_line
+        session.close()
+        viewer.close()
     config.wnd.destroy()
     return line
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
 
 
 def window_config(base: Any, caption: str, size: tuple[int, int]) -> Any:
@@ -119,6 +137,10 @@ def window_config(base: Any, caption: str, size: tuple[int, int]) -> Any:
             if self.viewer:
                 self.viewer.press(x, y)
 
+        def on_mouse_release_event(self, x: int, y: int, button: int) -> None:
+            if self.viewer:
+                self.viewer.release(x, y)
+
         def on_mouse_drag_event(self, x: int, y: int, dx: int, dy: int) -> None:
             if self.viewer:
                 self.viewer.drag(dx, dy)
@@ -149,24 +171,25 @@ def _loop(config: Any, viewer: "Viewer") -> None:
 
 
 class Viewer:
-    """A window's content: scene, controls, overlay."""
+    """A window's content: scene, session, overlay."""
 
-    def __init__(self, window: Any, offscreen: Offscreen, controls: Controls) -> None:
+    def __init__(self, window: Any, offscreen: Offscreen, session: Session, max_bytes: int) -> None:
         self._window = window
         self._offscreen = offscreen
-        self.controls = controls
+        self._session, self.controls, self._max_bytes = session, session.controls, max_bytes
         from terrainwave.render.overlay import Overlay  # late: moderngl
 
         self.overlay = Overlay(offscreen.context)
         self.cursor = (0, 0)
         self._times: deque[float] = deque(maxlen=60)
+        self._ink = Background(1)  # draws the overlay, which takes longer than a frame may
+        self._drawn: Any = None
         self._overlay_time = 0.0
         self._keys = _key_names(window.keys)
-
-    @property
-    def camera_line(self) -> str:
-        """Return the camera as a line for ``--camera``."""
-        return format_camera(self.controls.camera, self._offscreen.scene.frame)
+        self._solid_at = self._first_seen = 0.0
+        self._wants_solid = True
+        self._wants_drape = offscreen.photo is not None
+        self._detail: DrapeDetail | None = None
 
     def render(self, frame_time: float) -> None:
         """Draw a frame."""
@@ -175,24 +198,79 @@ class Viewer:
         size = offscreen.viewport.width, offscreen.viewport.height
         if size != self._window.buffer_size:
             self.resize()
-        controls.tick(frame_time)
+        self._session.tick(frame_time)
+        self._ink.poll()
         frames = offscreen.draw(
             controls.camera,
             controls.style,
             max_pixel_error=controls.max_pixel_error,
             settle=offscreen.scene.mode.is_partwise,
         )
+        if self._wants_solid and started > self._solid_at and self._is_at_rest(frames):
+            self._read_solid()
+        if self._wants_drape and len(frames.nodes):
+            self._read_drape()
+        if self._detail is not None:
+            height = controls.height_over_ground
+            self._detail.tick(controls.camera, height, offscreen.scene.frame)
         offscreen.context.copy_framebuffer(self._window.fbo, offscreen.framebuffer)
         self._window.use()
         self._times.append(frame_time)
         if time.perf_counter() - self._overlay_time > _OVERLAY_SECONDS:
             self._update_overlay(frames)
+        line = self._session.line
+        if len(line):
+            self.overlay.draw_line(line, controls.camera, offscreen.viewport)
         self.overlay.draw()
-        if controls.wants_camera_line:
-            controls.wants_camera_line = False
-            sys.stdout.write(f"--camera {self.camera_line}\n")
-            sys.stdout.flush()
         offscreen.scene.governor.after_frame((time.perf_counter() - started) * 1e3)
+
+    def _read_drape(self) -> None:
+        """Read the orthophoto in the background, first as a whole, then finer near the camera."""
+        offscreen = self._offscreen
+        self._wants_drape = False
+        assert offscreen.photo is not None
+        background = self._session.slow
+        self._detail = DrapeDetail(
+            offscreen.photo,
+            offscreen.drape_texels_per_pixel,
+            background,
+            offscreen.renderer.set_detail,
+        )
+
+        def take(outcome: Outcome) -> None:
+            if outcome.problem is None:
+                offscreen.renderer.set_drape(outcome.value)
+            else:
+                self._session.note(outcome.problem)
+
+        background.start(offscreen.read_drape, take)
+
+    def _is_at_rest(self, frames: Frames) -> bool:
+        """Say whether reading for the block under the terrain delays no part of the terrain."""
+        if not len(frames.nodes):
+            return False
+        self._first_seen = self._first_seen or time.perf_counter()
+        is_remote = replies_of(self._offscreen.scene.terrain) is not None
+        has_waited = time.perf_counter() - self._first_seen > _SOLID_PAUSE
+        return has_waited or not (is_remote and frames.n_missing)
+
+    def _read_solid(self) -> None:
+        """Read the block under the terrain in the background; again later, if that fails."""
+        self._wants_solid = False
+        scene = self._offscreen.scene
+
+        def take(outcome: Outcome) -> None:
+            if outcome.problem is None:
+                self._offscreen.set_solid(outcome.value)
+            else:
+                self._wants_solid, self._solid_at = True, time.perf_counter() + _SOLID_PAUSE
+
+        self._session.slow.start(lambda: build_solid(scene.terrain, scene.frame), take)
+
+    def close(self) -> None:
+        """Free the overlay."""
+        self._ink.close()
+        self.overlay.release()
 
     def resize(self) -> None:
         """Follow the window's size."""
@@ -208,6 +286,7 @@ class Viewer:
             return
         if is_press:
             self.controls.press(name, self._offscreen.viewport)
+            self._session.grant(self._offscreen.grab)
             self._overlay_time = 0.0
         else:
             self.controls.release(name)
@@ -216,6 +295,12 @@ class Viewer:
         """Take a mouse button into account."""
         self.cursor = int(x), int(y)
         self.controls.grab(self._pick(x, y))
+
+    def release(self, x: float, y: float) -> None:
+        """Take a mouse button that goes up into account: a click, unless it has dragged."""
+        if self.controls.was_click:
+            self._session.click(self._pick(x, y))
+            self._overlay_time = 0.0
 
     def drag(self, dx: float, dy: float) -> None:
         """Take a movement with a button down into account."""
@@ -230,9 +315,15 @@ class Viewer:
         return self._offscreen.pick(x * ratio, y * ratio)
 
     def _update_overlay(self, frames: Frames) -> None:
-        from terrainwave.render.overlay import draw_overlay  # late: moderngl
+        from terrainwave.render.overlay import (  # late: moderngl
+            Change,
+            change_of,
+            draw_overlay,
+        )
 
         self._overlay_time = time.perf_counter()
+        if self._ink.n_running:
+            return
         offscreen, controls = self._offscreen, self.controls
         viewport, scene = offscreen.viewport, offscreen.scene
         seconds = float(np.mean(self._times)) if self._times else 0.0
@@ -249,17 +340,35 @@ class Viewer:
             x, y, z = scene.frame.to_world(under[None])[0]
             unit = scene.terrain.raster_info.units or ""
             lines.append(f"{x:.10g}, {y:.10g}: {z:.6g} {unit}".rstrip())
+        lines += self._session.lines(frames)
+        if offscreen.photo is not None and offscreen.photo.credit is not None:
+            lines.append(f"tiles: {offscreen.photo.credit}")
         lines.append("H: help")
-        shown = HELP if controls.shows_help else None
+        shown = None
+        if controls.shows_help:
+            found = self._session.settings(frames, offscreen.n_bytes, self._max_bytes)
+            shown = [*HELP, ("", ""), *found]
         scale = offscreen.metres_per_pixel()
-        self.overlay.set(draw_overlay(viewport, controls.camera, lines, scale, shown))
+        camera, profile = controls.camera, self._session.profile
+        before = self._drawn
+
+        def draw() -> Change:
+            image = draw_overlay(viewport, camera, lines, scale, shown, profile)
+            return change_of(before, image)
+
+        def take(outcome: Outcome) -> None:
+            self.overlay.set(outcome.value)
+            self._drawn = outcome.value.image
+
+        self._ink.start(draw, take)
 
 
 def _key_names(keys: Any) -> dict[Any, str]:
     """Map a backend's key codes to the names that `Controls` knows."""
-    names = {getattr(keys, letter.upper()): letter for letter in "abcdehlnopqrstw"}
+    names = {getattr(keys, letter.upper()): letter for letter in "abcdefhilmnopqrstwx"}
     others = {
-        "ESCAPE": "escape", "TAB": "tab", "HOME": "home", "COMMA": "comma", "PERIOD": "period",
+        "ESCAPE": "escape", "BACKSPACE": "backspace", "TAB": "tab", "HOME": "home",
+        "COMMA": "comma", "PERIOD": "period",
         "LEFT_BRACKET": "[", "RIGHT_BRACKET": "]", "MINUS": "-", "EQUAL": "+",
         "LEFT_SHIFT": "shift", "RIGHT_SHIFT": "shift", "UP": "w", "DOWN": "s",
         "LEFT": "a", "RIGHT": "d", "PAGE_UP": "e", "PAGE_DOWN": "q",

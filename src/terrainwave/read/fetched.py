@@ -1,0 +1,76 @@
+"""Payloads between being fetched, many at a time, and being decoded, one at a time."""
+
+import threading
+from collections.abc import Callable, Sequence
+
+from terrainwave.errors import CorruptStreamError
+from terrainwave.grid.quadtree import Block
+
+# Left over where what was fetched is not wanted any more: the oldest go.
+_MAX_BYTES = 32 << 20
+
+
+class FetchedPayloads:
+    """Fetches payloads, each for one thread only. Thread-safe.
+
+    Parameters
+    ----------
+    payloads : callable
+        Returns the checked payloads of several units, near ones in one request.
+    """
+
+    def __init__(self, payloads: Callable[[Sequence[Block]], list[bytes]]) -> None:
+        self._payloads = payloads
+        self._lock = threading.Lock()
+        self._here: dict[Block, bytes] = {}  # the oldest first
+        self._n_bytes = 0
+        self._on_the_way: dict[Block, threading.Event] = {}
+
+    def fetch(self, keys: Sequence[Block]) -> None:
+        """Fetch, in one call, those that are neither here nor on their way to another thread.
+
+        A damaged payload is left for `take` to report, so that it costs no other unit.
+        """
+        done = threading.Event()
+        with self._lock:
+            own = [key for key in keys if key not in self._here and key not in self._on_the_way]
+            if not own:
+                return
+            self._on_the_way.update(dict.fromkeys(own, done))
+        payloads: list[bytes] = []
+        try:
+            payloads = self._payloads(own)
+        except CorruptStreamError:
+            pass
+        finally:
+            with self._lock:
+                for key in own:
+                    del self._on_the_way[key]
+                self._make_room()
+                for key, payload in zip(own, payloads, strict=False):
+                    self._here[key] = payload
+                    self._n_bytes += len(payload)
+            done.set()
+
+    def _make_room(self) -> None:
+        while self._n_bytes > _MAX_BYTES:
+            self._n_bytes -= len(self._here.pop(next(iter(self._here))))
+
+    def take(self, key: Block) -> bytes:
+        """Return a payload, which is not kept; fetched now unless it is here or on its way.
+
+        Raises
+        ------
+        CorruptStreamError
+            If its checksum or an index page on the way to it is wrong.
+        """
+        with self._lock:
+            coming = self._on_the_way.get(key)
+        if coming is not None:
+            coming.wait()
+        with self._lock:
+            payload = self._here.pop(key, None)
+            if payload is not None:
+                self._n_bytes -= len(payload)
+                return payload
+        return self._payloads([key])[0]

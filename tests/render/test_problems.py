@@ -1,0 +1,104 @@
+"""What could not be read: held back for growing pauses, or damaged for good. No GPU."""
+
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from render.scenes import ListStore, hills
+
+import terrainwave
+from benchmarks.slow_server import SlowServer
+from terrainwave.errors import CorruptStreamError, SourceUnavailableError
+from terrainwave.render.camera import Viewport, home
+from terrainwave.render.problems import Problems
+from terrainwave.render.scene import Scene
+
+VIEWPORT = Viewport(480, 320)
+LOST = SourceUnavailableError("cannot read a: refused")
+
+
+@pytest.fixture
+def world():
+    """A clock and a count of replies that tests move."""
+    return SimpleNamespace(now=100.0, n_replies=3)
+
+
+@pytest.fixture
+def problems(world):
+    return Problems(retries=True, n_replies=lambda: world.n_replies, clock=lambda: world.now)
+
+
+def test_pauses_grow_while_the_server_is_away_and_end_when_it_replies(world, problems):
+    pauses = []
+    for _ in range(7):
+        problems.add("a", LOST)
+        problems.add("b", LOST)  # the same interruption
+        started = world.now
+        while problems.holds("a"):
+            world.now += 0.5
+        pauses.append(world.now - started)
+        assert not problems.holds("b")
+    assert pauses == [1, 2, 4, 8, 16, 30, 30]
+    problems.came()  # of what was here already
+    assert problems.lines() == ["connection lost: cannot read a: refused, trying again"]
+    world.n_replies += 1
+    problems.came()
+    assert problems.lines() == []
+    problems.add("a", LOST)
+    assert problems.lines()[0].endswith("trying again in 1 s")
+
+
+def test_damaged_pieces_are_counted_and_never_asked_for_again(world, problems):
+    problems.add("a", CorruptStreamError("the group is damaged"))
+    world.now += 1e6
+    assert problems.holds("a")
+    assert problems.lines() == ["1 damaged block drawn coarser"]
+
+
+def test_a_silent_server_has_a_line_while_something_is_asked_for(world, problems):
+    world.now += 7
+    assert problems.lines(n_missing=2) == ["waiting for the server: nothing for 7 s"]
+    assert problems.lines(n_missing=0) == []
+    assert problems.lines(n_missing=2) == []
+
+
+def test_without_retries_what_the_server_does_not_send_is_like_damaged():
+    problems = Problems()
+    problems.add("a", LOST)
+    assert problems.damaged == {"a": "cannot read a: refused"}
+
+
+@pytest.mark.large
+def test_a_scene_comes_through_an_interruption_without_its_roots_and_never_waits(tmp_path):
+    heights = np.round(hills(150, 210, 1)).astype(np.int16)
+    terrainwave.compress(heights, tmp_path / "a.twz", max_error=0, block=32)
+    with terrainwave.open(tmp_path / "a.twz") as terrain, Scene(terrain, ListStore()) as scene:
+        scene.settle(scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 0.5))  # compiles
+    with SlowServer(tmp_path, 0.2) as server:
+        with terrainwave.open(server.url("a.twz")) as terrain:
+            with Scene(terrain, ListStore(), retries=True) as scene:
+                view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 0.5)
+                server.is_down = True
+                # Opening brought all of so small a file.
+                terrain.container.source._start = terrain.container._start = b""
+                lost = _draw_until(scene, view, lambda frames: bool(scene.problems.lines()))
+                assert lost.startswith("connection lost: cannot read http://127.0.0.1")
+                server.is_down = False
+                assert _draw_until(scene, view, lambda frames: not frames.n_missing) is None
+                assert scene.problems.lines() == []
+                assert len(scene.update(view).nodes)
+
+
+def _draw_until(scene, view, is_done):
+    """Update a scene until it is so, and return what is to be said of problems."""
+    end = time.monotonic() + 60
+    while time.monotonic() < end:
+        started = time.perf_counter()
+        frames = scene.update(view)
+        assert time.perf_counter() - started < 0.15  # less than a request takes
+        if is_done(frames) and (scene.table.is_resident.any() or scene.problems.lines()):
+            return next(iter(scene.problems.lines()), None)
+        scene._pager.wait(0.05)
+        time.sleep(0.005)
+    raise TimeoutError

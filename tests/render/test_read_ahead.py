@@ -1,0 +1,51 @@
+"""Reading ahead: what queued pieces need comes in few calls, before they are built. No GPU."""
+
+import threading
+
+import numpy as np
+from render.scenes import hills, terrain_of
+
+from terrainwave.errors import StorageError
+from terrainwave.grid.quadtree import Block
+from terrainwave.render.read_ahead import ReadAhead, units_of_piece
+from terrainwave.render.selection import Piece
+
+
+def test_pieces_are_fetched_once_the_first_ones_first_and_again_after_an_error():
+    calls, done, fails = [], threading.Event(), [False]
+
+    def prefetch(keys):
+        calls.append(keys)
+        if sum(map(len, calls)) >= 20:
+            done.set()
+        if fails[0]:
+            raise StorageError("lost")
+
+    pieces = [Piece(1, 0, col) for col in range(20)]
+    ahead = ReadAhead(prefetch, lambda piece: [piece.block])
+    ahead.request(pieces)
+    assert done.wait(30)
+    ahead.request(pieces)
+    found = [key.col for keys in calls for key in keys]
+    assert sorted(found) == list(range(20))
+    assert calls[0] == [Block(1, 0, col) for col in range(8)]
+    fails[0], more = True, [*pieces, Piece(2, 0, 0)]
+    ahead.request(more)
+    while len(calls) < 4:
+        pass
+    ahead.close()
+    assert ahead._done == set(pieces)
+
+
+def test_all_that_a_piece_is_made_of_is_read_ahead():
+    heights = np.round(hills(150, 210, 1)).astype(np.int16)
+    with terrain_of(heights, max_error=0) as terrain:
+        level = terrain.n_levels - 1
+        asked = set()
+        terrain.decoder.unit = lambda key, unit=terrain.decoder.unit: (asked.add(key), unit(key))[1]
+        from terrainwave.render.frame import frame_of
+        from terrainwave.render.patches import PatchBuilder
+
+        PatchBuilder(terrain, frame_of(terrain)).build(Piece(level, 0, 0))
+        of_level = {key for key in asked if key.level == level - 1}
+        assert of_level <= set(units_of_piece(terrain, Piece(level, 0, 0)))
