@@ -123,7 +123,7 @@ def test_a_morph_never_takes_more_than_the_error_leaves(original_and_terrain):
     with Scene(terrain, ListStore()) as scene:
         for _ in range(60):
             camera = random_camera(rng, scene)
-            view = scene.view(camera, VIEWPORT, rng.uniform(0.5, 12))
+            view = scene.view(camera, VIEWPORT, rng.uniform(0.3, 6))
             frames = scene.settle(view)
             patches = [scene.store.patches[node] for node in frames.nodes.tolist()]
             errors = np.array([patch.error for patch in patches])
@@ -200,7 +200,7 @@ def test_skirts_reach_the_neighbours_surface(original_and_terrain):
     n_shared = 0
     with Scene(terrain, ListStore()) as scene:
         for _ in range(4):
-            frames = scene.settle(scene.view(random_camera(rng, scene), VIEWPORT, 3.0))
+            frames = scene.settle(scene.view(random_camera(rng, scene), VIEWPORT, 1.5))
             top = np.full(heights.shape, -np.inf)
             low, skirt = np.full(heights.shape, np.inf), np.full(heights.shape, np.inf)
             drawn = drawn_heights(scene, frames, heights.shape)
