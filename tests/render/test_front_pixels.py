@@ -6,7 +6,7 @@ from render.scenes import LOUD, eroded, hills, loud, terrain_of
 from render.test_fronts import cameras, low_flight
 from tri.slow_dynamic import drawn_samples
 
-from terrainwave.render.camera import top_view
+from terrainwave.render.camera import Camera, top_view
 from terrainwave.render.modes.front import eye_of
 from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.style import Style
@@ -70,6 +70,23 @@ def test_no_gap_shows_while_patches_come_and_go(context, gentle, small_patches, 
             levels |= {piece.level for piece in shown}
         assert len(counts) > 3
         assert len(levels) > 2
+
+
+def test_skirts_of_the_vertex_shader_are_those_of_the_dynamic_mesh(context, gentle, small_patches):
+    """From below the ground they hang in view. By what the depth buffer holds."""
+    pictures, skirts = [], []
+    for mode in ("dynamic", "vertex-texture"):
+        with Offscreen(gentle, SIZE, mode=mode, samples=0, context=context) as offscreen:
+            low, high = offscreen.scene.frame.box
+            x, y = (0.7 * low + 0.3 * high)[:2].tolist()
+            camera = Camera((x, y, float(low[2]) - 20), 40, 5, 50)
+            frames = offscreen.draw(camera, Style(background=LOUD), max_pixel_error=8.0)
+            depths = offscreen.framebuffer.read(components=1, attachment=-1, dtype="f4")
+            pictures.append(np.frombuffer(depths, dtype=np.float32))
+            skirts.append(frames.skirts)
+    np.testing.assert_allclose(*skirts)
+    assert (skirts[0] > 1).all()
+    assert (np.abs(pictures[0] - pictures[1]) > 1e-5).mean() < 0.01
 
 
 @pytest.mark.parametrize("mode", MODES)

@@ -49,8 +49,9 @@ MORPH = 1.25
 _LEVEL_SHARE = 0.5
 # What stands in for others is drawn at most so much coarser than τ.
 _MOST_RELAXED = 8.0
-# Where patches do not fit, τ is raised so far; around the eye no level is good enough.
-_MOST_SHORT = 16.0
+# Where patches do not fit, τ is raised by steps, so far: around the eye no level is good enough. It
+# sinks where no more than a share of the room is taken.
+_STEP, _MOST_SHORT, _WELL_FILLED = 1.1, 16.0, 0.95
 # What τ is said to be where nothing is promised, pixels.
 _NO_PROMISE = 1e6
 
@@ -225,7 +226,7 @@ class FrontMode(Mode):
         self._height_texels = HeightTexels.of(frame)
         self._patches: dict[Piece, FrontPatch] = {}
         self.scratch = Scratch()
-        self._pressure, self._room_pressure = Pressure(), Pressure()
+        self._pressure, self._shortage = Pressure(), 1.0
         self._last_camera: Camera | None = None
         self._is_short = False
         self.drawn: Drawn | None = None
@@ -399,20 +400,34 @@ class FrontMode(Mode):
     def wanted(
         self, table: NodeTable, view: View, tau: float, max_blocks: int, camera: Camera
     ) -> NDArray[np.int32]:
-        """Return the pieces to have for a camera; τ is raised until there is room for them."""
-        is_own = camera is view.camera
-        if is_own and camera != self._last_camera:
-            self._room_pressure.relieve()
-            self._last_camera = camera
-        while True:
-            nodes = table.wanted(view, max_blocks, tau * self._room_pressure.factor, camera)
+        """Return the pieces to have for a camera; τ is raised until there is room for them.
+
+        It sinks again as the camera moves and there is room enough.
+        """
+
+        def pieces(factor: float) -> NDArray[np.int32]:
+            return table.wanted(view, max_blocks, tau * factor, camera)
+
+        def are_too_many(nodes: NDArray[np.int32]) -> bool:
             # Before the first one is here, nobody knows how many fit.
-            is_full = len(nodes) == max_blocks > len(table.roots)
-            if is_own:
-                self._is_short = is_full
-            if not is_own or not is_full or self._room_pressure.factor >= _MOST_SHORT:
-                return nodes
-            self._room_pressure.rise()
+            return len(nodes) == max_blocks > len(table.roots)
+
+        nodes = pieces(self._shortage)
+        if camera is not view.camera:
+            return nodes
+        if camera != self._last_camera:
+            self._last_camera = camera
+            while self._shortage > 1:
+                less = max(self._shortage / _STEP, 1.0)
+                more = pieces(less)
+                if len(more) > _WELL_FILLED * max_blocks:
+                    break
+                self._shortage, nodes = less, more
+        while are_too_many(nodes) and self._shortage < _MOST_SHORT:
+            self._shortage *= _STEP
+            nodes = pieces(self._shortage)
+        self._is_short |= are_too_many(nodes)
+        return nodes
 
     def split_error(self, tau: float) -> float:
         """Return the error of levels above which pieces are split, for τ asked for."""
@@ -426,15 +441,15 @@ class FrontMode(Mode):
         order = [k for k in order if self._patch(table, selection.nodes[k]).mesh is not None]
         nodes, distances = selection.nodes[order], selection.distances[order]
         self.shown = [self._patch(table, node) for node in nodes.tolist()]
-        tau *= self._room_pressure.factor
+        tau *= self._shortage
         eye, wanted = eye_of(view), tau / _LEVEL_SHARE
-        on_screen = view.gamma * table.errors[nodes] * view.exaggeration
+        on_screen = table.errors[nodes] * view.exaggeration * table.scales(view, nodes)
         is_finest = np.array([patch.piece.level == self.n_levels - 1 for patch in self.shown])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            relaxed = np.where(is_finest, 1.0, np.maximum(on_screen / (tau * distances), 1.0))
+        relaxed = np.where(is_finest, 1.0, np.maximum(on_screen / tau, 1.0))
         within = self._follow_all(eye, wanted, np.minimum(relaxed, _MOST_RELAXED))
         if self._is_short and not n_missing:
             within = min(within * float(relaxed.max(initial=1.0)), _NO_PROMISE)
+        self._is_short = False
         depths, n_triangles = self.draw(eye, *table.boxes(nodes, view.exaggeration))
         none = np.zeros(len(nodes))
         return Frames(nodes, distances, none, depths, n_triangles, within, n_missing)
