@@ -7,6 +7,7 @@ from render.scenes import ListStore, drawn_heights, hills, random_camera, terrai
 from terrainwave.errors import CorruptStreamError
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.render.camera import Camera, Viewport, fly, home, look, project
+from terrainwave.render.motion import AHEAD, Motion
 from terrainwave.render.scene import Scene
 from terrainwave.render.selection import Piece
 
@@ -113,7 +114,7 @@ def test_paper_errors_follow_equations_2_and_3():
 
 
 def test_a_morph_never_takes_more_than_the_error_leaves(original_and_terrain):
-    """error + share · distance to the parent's surface <= τ · distance / γ, for each block."""
+    """error + share · distance to the parent's surface <= τ / pixels per metre, for each block."""
     _, _, terrain = original_and_terrain
     rng = np.random.default_rng(14)
     n_limited = 0
@@ -125,7 +126,7 @@ def test_a_morph_never_takes_more_than_the_error_leaves(original_and_terrain):
             patches = [scene.store.patches[node] for node in frames.nodes.tolist()]
             errors = np.array([patch.error for patch in patches])
             spread = np.array([patch.morph for patch in patches])
-            allowed = frames.tau * frames.distances / view.gamma
+            allowed = frames.tau / scene.table.scales(view, frames.nodes)
             used = errors + frames.morphs * spread
             assert (used <= np.maximum(allowed, errors) * (1 + 1e-9)).all()
             n_limited += ((frames.morphs > 0) & (errors + spread > allowed)).sum()
@@ -248,20 +249,43 @@ def test_what_the_camera_flies_to_is_read_ahead():
     with terrain_of(heights, max_error=0) as terrain, Scene(terrain, ListStore()) as scene:
         low, high = scene.frame.box
         x, z = float(low[0]), float(high[2]) + 500
-        first, second = (Camera((x + 800 * step, 0.0, z), 90, -60, 25) for step in (0, 1))
-        scene.settle(scene.view(first, VIEWPORT, 1.0))
-        scene.settle(scene.view(second, VIEWPORT, 1.0))
+        now = [0.0]
+        scene._motion = Motion(lambda: now[0])
+
+        def camera(seconds):
+            return Camera((x + 800 * seconds, 0.0, z), 90, -60, 25)
+
+        for now[0] in (0.0, 0.5, 1.0):
+            scene.settle(scene.view(camera(now[0]), VIEWPORT, 1.0))
+        view = scene.view(camera(1.0), VIEWPORT, 1.0)
         before = set(scene.store.patches)
-        scene._last_camera = first
-        scene.update(scene.view(second, VIEWPORT, 1.0))
-        third = scene.view(Camera((x + 1600, 0.0, z), 90, -60, 25), VIEWPORT, 1.0)
-        asked = set(scene._requested)
+        scene._n_updates = 0
+        scene.update(view)
+        asked, seen = set(scene._requested), set()
+        for later in AHEAD:
+            soon = scene.view(camera(1.0 + later), VIEWPORT, 1.0)
+            seen |= set(scene.table.wanted(soon, 10_000, scene._split_error(soon)).tolist())
         assert asked
-        wanted = scene.table.wanted(third, 10_000, scene._split_error(third))
-        assert asked <= {scene.table.pieces[node] for node in wanted}
+        assert asked <= seen
         assert scene._pager.wait(30)
-        scene.update(scene.view(second, VIEWPORT, 1.0))
+        scene.update(view)
         assert set(scene.store.patches) > before
+
+
+def test_a_camera_at_rest_or_that_has_jumped_is_going_nowhere():
+    now = [0.0]
+    motion = Motion(lambda: now[0])
+    for now[0] in (0.0, 0.1, 0.2, 0.3):
+        motion.see(Camera((0.0, 0.0, 50.0)))
+    assert motion.ahead() == []
+    for now[0] in (0.4, 0.5, 0.6, 0.7):
+        motion.see(Camera((100 * now[0], 0.0, 50.0), heading=(350 + 50 * now[0]) % 360))
+    soon = motion.ahead()
+    assert [round(camera.position[0]) for camera in soon] == [95, 145, 220, 370]
+    assert soon[1].heading == pytest.approx((350 + 50 * 1.45) % 360)
+    now[0] = 0.8
+    motion.see(Camera((90_000.0, 0.0, 50.0)))
+    assert motion.ahead() == []
 
 
 def test_a_damaged_block_is_drawn_coarser_and_named():

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from terrainwave.render.arena import Arena
-from terrainwave.render.camera import Camera, Viewport, project
+from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed, project
 from terrainwave.render.frustum import frustum_planes, may_see
+from terrainwave.render.kernels import oriented_distance
 from terrainwave.render.selection import ErrorGovernor, NodeInfo, NodeTable, Piece, View
 
 VIEWPORT = Viewport(640, 480)
@@ -108,6 +109,52 @@ def test_selection_is_that_of_the_obvious_recursion(seed):
             brute_selection(table, view, view.max_pixel_error)
         )
         assert found.n_triangles == table.n_triangles[found.nodes].sum()
+
+
+def in_picture(camera, points):
+    pixels = project(camera, VIEWPORT, points)
+    with np.errstate(invalid="ignore"):
+        seen = ((pixels >= 0) & (pixels <= [640, 480, np.inf])).all(axis=1)
+    return pixels[:, :2], seen
+
+
+@given(seed=st.integers(0, 1 << 16), pitch=st.sampled_from([-90, -60, -20, 0]))
+def test_a_vertical_step_in_a_box_is_never_longer_on_screen_than_its_oriented_error(seed, pitch):
+    rng = np.random.default_rng(seed)
+    camera = Camera((0.0, 0.0, 0.0), rng.uniform(0, 360), pitch, rng.uniform(20, 110))
+    low = camera.forward * rng.uniform(0, 300) - rng.uniform(0, 200, 3)
+    high = low + rng.uniform(0, 400, 3)
+    gamma = gamma_guaranteed(camera, VIEWPORT)
+    distance = oriented_distance(camera.eye, *low, *high)
+    p, q = rng.uniform(low, high, (2, 400, 3))
+    q[:, :2] = p[:, :2]
+    p[0], q[0] = (*low[:2], high[2]), low  # steps as high as the box, in its corner
+    (at, seen), (to, also) = in_picture(camera, p), in_picture(camera, q)
+    steps = abs(q - p)[:, 2]
+    apart = np.linalg.norm(to - at, axis=1)
+    assert (apart * distance <= gamma * steps * (1 + 1e-9))[seen & also].all()
+    nearest = np.linalg.norm(np.clip(0, low, high))
+    assert distance >= nearest * (1 - 1e-12)
+
+
+def test_oriented_errors_are_those_of_the_formula():
+    """The largest h / (h² + v²) of a box: at its side, where h = v, and at its far corner."""
+    eye = np.zeros(3)
+    assert oriented_distance(eye, 5.0, 0.0, -3.0, 9.0, 0.0, -1.0) == pytest.approx(26 / 5)
+    assert oriented_distance(eye, -9.0, 0.0, -8.0, 9.0, 0.0, -4.0) == pytest.approx(8.0)
+    assert oriented_distance(eye, 0.0, 0.0, -99.0, 3.0, 4.0, -20.0) == pytest.approx(425 / 5)
+    assert oriented_distance(eye, 0.0, 0.0, 10.0, 0.0, 0.0, 20.0) == np.inf
+    assert oriented_distance(eye, -1.0, -1.0, -1.0, 1.0, 1.0, 1.0) == 0
+
+
+def test_seen_from_above_oriented_errors_need_fewer_triangles():
+    table = random_tree(np.random.default_rng(8), share_resident=1.0)
+    camera = Camera((0, 0, 3000), 0, -90, 20)
+    free, oriented = (
+        table.select(View(camera, VIEWPORT, 0.5, is_oriented=is_oriented))
+        for is_oriented in (False, True)
+    )
+    assert oriented.n_triangles < free.n_triangles / 2
 
 
 def test_what_is_wanted_comes_breadth_first_with_its_ancestors():

@@ -1,6 +1,6 @@
 """Places in one large buffer: first fit over a list of free ranges."""
 
-from bisect import insort
+from bisect import bisect
 
 
 class Arena:
@@ -30,14 +30,14 @@ class Arena:
         if size == 0:
             return
         self.used -= size
-        insort(self._free, (start, size))
-        joined: list[tuple[int, int]] = []
-        for first, length in self._free:
-            if joined and joined[-1][0] + joined[-1][1] == first:
-                joined[-1] = (joined[-1][0], joined[-1][1] + length)
-            else:
-                joined.append((first, length))
-        self._free = joined
+        place = bisect(self._free, (start, size))
+        if place < len(self._free) and start + size == self._free[place][0]:
+            size += self._free.pop(place)[1]
+        if place and sum(self._free[place - 1]) == start:
+            start, size = self._free[place - 1][0], self._free[place - 1][1] + size
+            self._free[place - 1] = (start, size)
+        else:
+            self._free.insert(place, (start, size))
 
     def grow(self, capacity: int) -> None:
         """Add free items at the end."""

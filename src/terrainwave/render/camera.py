@@ -6,6 +6,7 @@ The GPU gets places relative to the eye, so that metres of a projection don't ji
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,14 +52,14 @@ class Camera:
     pitch: float = 0.0
     fov: float = DEFAULT_FOV
 
-    @property
+    @cached_property
     def eye(self) -> Vector:
-        """Return the position as an array."""
+        """Return the position as an array, for reading."""
         return np.array(self.position, dtype=np.float64)
 
-    @property
+    @cached_property
     def axes(self) -> Vector:
-        """Return unit vectors to the right, up and forward, shape (3, 3)."""
+        """Return unit vectors to the right, up and forward, shape (3, 3), for reading."""
         heading, pitch = math.radians(self.heading), math.radians(self.pitch)
         sin_h, cos_h = math.sin(heading), math.cos(heading)
         sin_p, cos_p = math.sin(pitch), math.cos(pitch)
@@ -359,12 +360,3 @@ def along(cameras: list[Camera], share: float) -> Camera:
         start.pitch + (end.pitch - start.pitch) * smooth,
         start.fov + (end.fov - start.fov) * smooth,
     )
-
-
-def predict(before: Camera, now: Camera, steps: float = 1.0) -> Camera:
-    """Return where the camera is going: P₂ = 2 P₁ − P₀ (Zhang et al. 2012, eq. 15).
-
-    `steps` goes further along the same way.
-    """
-    x, y, z = now.eye + (now.eye - before.eye) * steps
-    return replace(now, position=(float(x), float(y), float(z)))

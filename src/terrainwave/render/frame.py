@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 _BASE_SHARE, _LEAST_DEPTH = 0.035, 1.0
 _SEEN_RELIEF = 0.004
 _LEAST_RELIEF, _MOST_DETAIL = 0.02, 1 / 256
+# How far an eye sees, in its heights over the lowest ground; more than in any view of all.
+_SEEN_HEIGHTS = 8.0
 
 
 @dataclass(frozen=True)
@@ -92,18 +94,20 @@ class Frame:
             np.array([0, 0, n_rows - 1, n_rows - 1]), np.array([0, n_cols - 1, n_cols - 1, 0])
         )
 
-    @property
-    def detail(self) -> float:
-        """Return the factor of τ that the terrain's flatness asks for, at most 1.
+    def detail(self, eye: NDArray[np.float64]) -> float:
+        """Return the factor of τ that the flatness of what an eye sees asks for, at most 1.
 
         Light and colours come with the blocks that τ chooses, and there are mountains and coasts to
         see where the relief is next to nothing, as a planet's is: errors count as if it was a
-        fiftieth of the raster's extent.
+        fiftieth of the extent of what is seen: of the raster, or of what lies around an eye near
+        the ground.
         """
         relief, extent = self._relief_and_extent
-        if not 0 < relief < _LEAST_RELIEF * extent:
+        above = max(float(eye[2]) - float(self.box[0][2]), 0.0)
+        seen = min(extent, _SEEN_HEIGHTS * above)
+        if not 0 < relief < _LEAST_RELIEF * seen:
             return 1.0
-        return max(relief / (_LEAST_RELIEF * extent), _MOST_DETAIL)
+        return max(relief / (_LEAST_RELIEF * seen), _MOST_DETAIL)
 
     @property
     def suggested_exaggeration(self) -> float | None:

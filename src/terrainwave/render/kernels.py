@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from terrainwave.coding.jit import kernel
+from terrainwave.coding.jit import inlined_kernel, kernel
 
 # Rows of a frustum: inward planes (x, y, z, w), a point is inside where x·p + w >= 0.
 N_PLANES = 5
@@ -58,6 +58,155 @@ def _node_distance(node, low, high, z_scale, eye):
 
 
 @kernel
+def oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
+    """Return a d to be taken for the distance of a box as to vertical steps in it.
+
+    Yusov 2006, §3.3, weighs errors with the sine of the angle between the ray and the vertical;
+    here so that it holds for any step and point (`pixels_per_metre`): 1 / d is the maximum of
+    h / (h² + v²) over the box, v its least vertical distance: it grows up to h = v, then sinks.
+    It is never more than 1 / the distance to the box, and nothing straight below or above.
+    """
+    x = max(low_x - eye[0], 0.0, eye[0] - high_x)
+    y = max(low_y - eye[1], 0.0, eye[1] - high_y)
+    v = max(low_z - eye[2], 0.0, eye[2] - high_z)
+    far_x = max(abs(low_x - eye[0]), abs(high_x - eye[0]))
+    far_y = max(abs(low_y - eye[1]), abs(high_y - eye[1]))
+    h = min(max(v, np.sqrt(x * x + y * y)), np.sqrt(far_x * far_x + far_y * far_y))
+    if h > 0:
+        return h + v * (v / h)
+    return np.inf if v > 0 else 0.0
+
+
+@kernel
+def oriented_distances(low, high, eye, out):
+    """Fill `out` with `oriented_distance` of boxes, `low` and `high` of shape (n, 3)."""
+    for k in range(out.shape[0]):
+        out[k] = oriented_distance(
+            eye, low[k, 0], low[k, 1], low[k, 2], high[k, 0], high[k, 1], high[k, 2]
+        )
+
+
+# What `View.lens` holds: pixels per unit of tangent, the largest (distance / depth)² in view, the
+# view's direction.
+LENS_SCALE, LENS_SLANT, LENS_X, LENS_Y, LENS_Z = range(5)
+N_LENS = 5
+
+
+@kernel
+def _cosine_of_least(cosine, sine_apart):
+    """Return cos(max(a - b, 0)) of a's cosine and b's sine, b <= 90 degrees."""
+    cosine_apart = np.sqrt(max(1.0 - sine_apart * sine_apart, 0.0))
+    if cosine >= cosine_apart:
+        return 1.0
+    return cosine * cosine_apart + np.sqrt(max(1.0 - cosine * cosine, 0.0)) * sine_apart
+
+
+@kernel
+def pixels_per_metre(eye, low_x, low_y, low_z, high_x, high_y, high_z, lens, is_oriented):
+    """Return a bound of pixels on screen per metre of vertical steps in a box.
+
+    Let p be a point and q = p + s ẑ, |s| <= e, both in the box and in the picture, relative to the
+    eye, and p' = p / p_D, q' = q / q_D on the plane at depth 1, which is f pixels per unit. The
+    triangle (eye, p', q') has the area ½ |p' × q'|, and also ½ |p' − q'| r, r being the distance
+    from the eye of the line through p' and q'. With h the horizontal distance of both points
+
+        |p' − q'| = |p × q| / (p_D q_D r) = |s| h / (p_D q_D r) <= |s| S / (D r),
+
+    S being the largest |p| / p_D of the box in the picture and D its least depth. S is that of one
+    of its corners, since the points with less are a cone, which is convex; or that of the picture's
+    corners, if less, and then D >= d / S, d the distance of the box. The line lies in the vertical
+    plane through the eye and p, so 1 / r is the length of the view's direction as it projects onto
+    that plane: √(cos²φ cos²β + sin²φ), φ the pitch and β the azimuth of the plane from the view's.
+
+    Oriented (Yusov 2006, §3.3, who weighs with the sine of the angle between ray and vertical):
+    h / (p_D q_D) <= S² h / (|p| |q|) as well, whose maximum `oriented_distance` has.
+
+    Where the lens has slant 1 it is the lens's γ over the distance.
+    """
+    distance = _distance(eye, low_x, low_y, low_z, high_x, high_y, high_z)
+    if is_oriented:
+        oriented = oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z)
+    else:
+        oriented = distance
+    if oriented <= 0:
+        return np.inf
+    if lens[LENS_SLANT] <= 1.0:
+        return lens[LENS_SCALE] / oriented
+    x, y = (low_x + high_x) / 2 - eye[0], (low_y + high_y) / 2 - eye[1]
+    z = (low_z + high_z) / 2 - eye[2]
+    half_x, half_y, half_z = (high_x - low_x) / 2, (high_y - low_y) / 2, (high_z - low_z) / 2
+    depth = x * lens[LENS_X] + y * lens[LENS_Y] + z * lens[LENS_Z]
+    depth -= half_x * abs(lens[LENS_X]) + half_y * abs(lens[LENS_Y]) + half_z * abs(lens[LENS_Z])
+    slant = lens[LENS_SLANT]  # S²
+    if depth > 0:
+        slant = min(slant, _largest_slant(x, y, z, half_x, half_y, half_z, lens))
+    depth = max(depth, distance / np.sqrt(lens[LENS_SLANT]))
+    least = np.sqrt(slant) / depth if depth > 0 else np.inf
+    if is_oriented:
+        least = min(least, slant / oriented)
+    return lens[LENS_SCALE] * least * _share_across(x, y, half_x, half_y, lens)
+
+
+@kernel
+def _largest_slant(x, y, z, half_x, half_y, half_z, lens):
+    """Return the largest (|p| / p_D)² of a box before the eye, given by its centre and halves."""
+    largest = 0.0
+    for k in range(8):
+        p_x = x + (half_x if k & 1 else -half_x)
+        p_y = y + (half_y if k & 2 else -half_y)
+        p_z = z + (half_z if k & 4 else -half_z)
+        depth = p_x * lens[LENS_X] + p_y * lens[LENS_Y] + p_z * lens[LENS_Z]
+        largest = max(largest, (p_x * p_x + p_y * p_y + p_z * p_z) / (depth * depth))
+    return largest
+
+
+@kernel
+def _share_across(x, y, half_x, half_y, lens):
+    """Return the largest 1 / r of a box: that of its azimuth nearest to the view's, or 1."""
+    level = lens[LENS_X] * lens[LENS_X] + lens[LENS_Y] * lens[LENS_Y]  # cos²φ
+    apart, width = np.sqrt(x * x + y * y), np.sqrt(half_x * half_x + half_y * half_y)
+    if apart <= width or level <= 0:
+        return 1.0
+    cosine = (x * lens[LENS_X] + y * lens[LENS_Y]) / (apart * np.sqrt(level))
+    if cosine <= 0:  # some of it lies behind, where the cosine grows again
+        return 1.0
+    nearest = _cosine_of_least(min(cosine, 1.0), width / apart)
+    return np.sqrt(level * nearest * nearest + 1.0 - level)
+
+
+@kernel
+def node_scale(node, low, high, z_scale, eye, lens, is_oriented):
+    """Return pixels on screen per metre of a node's vertical error; inf where the eye is in it."""
+    return pixels_per_metre(
+        eye,
+        low[node, 0],
+        low[node, 1],
+        low[node, 2] * z_scale,
+        high[node, 0],
+        high[node, 1],
+        high[node, 2] * z_scale,
+        lens,
+        is_oriented,
+    )
+
+
+@kernel
+def node_scales(nodes, low, high, z_scale, eye, lens, is_oriented, out):
+    """Fill `out` with the `node_scale` of each node."""
+    for k in range(nodes.shape[0]):
+        out[k] = node_scale(nodes[k], low, high, z_scale, eye, lens, is_oriented)
+
+
+@kernel
+def _screen_error(node, low, high, errors, z_scale, eye, lens, is_oriented):
+    """Return a bound of a node's error on screen, pixels; inf where the eye is in its box."""
+    error = errors[node] * z_scale
+    if error <= 0:
+        return 0.0
+    return error * node_scale(node, low, high, z_scale, eye, lens, is_oriented)
+
+
+@kernel
 def select_nodes(
     roots,
     low,
@@ -70,7 +219,8 @@ def select_nodes(
     planes,
     eye,
     z_scale,
-    gamma,
+    lens,
+    is_oriented,
     tau,
     stack,
     out_nodes,
@@ -78,9 +228,9 @@ def select_nodes(
 ):
     """Fill the nodes to draw and their distances; return (their number, their triangles).
 
-    A node is split while its error on screen, gamma * error / distance, exceeds `tau` and all of
-    its children in view are resident: else it stands in for them. `stack`, `out_nodes` and
-    `out_distances` hold as many entries as there are nodes.
+    A node is split while its error on screen exceeds `tau` and all of its children in view are
+    resident: else it stands in for them. `stack`, `out_nodes` and `out_distances` hold as many
+    entries as there are nodes.
     """
     n_out, total, top = 0, 0, 0
     for root in roots[::-1]:
@@ -91,9 +241,10 @@ def select_nodes(
         node = stack[top]
         if not is_resident[node] or _is_hidden(node, low, high, z_scale, planes):
             continue
-        distance = _node_distance(node, low, high, z_scale, eye)
         first = top
-        is_split = is_known[node] and gamma * errors[node] * z_scale > tau * distance
+        is_split = is_known[node] and (
+            _screen_error(node, low, high, errors, z_scale, eye, lens, is_oriented) > tau
+        )
         if is_split:
             has_children = False
             for k in range(4):
@@ -112,7 +263,7 @@ def select_nodes(
         if not is_split:
             top = first
             out_nodes[n_out] = node
-            out_distances[n_out] = distance
+            out_distances[n_out] = _node_distance(node, low, high, z_scale, eye)
             n_out += 1
             total += n_triangles[node]
     return n_out, total
@@ -129,7 +280,8 @@ def wanted_nodes(
     planes,
     eye,
     z_scale,
-    gamma,
+    lens,
+    is_oriented,
     tau,
     out_nodes,
 ):
@@ -149,7 +301,7 @@ def wanted_nodes(
         done += 1
         if not is_known[node]:
             continue
-        if gamma * errors[node] * z_scale <= tau * _node_distance(node, low, high, z_scale, eye):
+        if _screen_error(node, low, high, errors, z_scale, eye, lens, is_oriented) <= tau:
             continue
         for k in range(4):
             child = children[node, k]
@@ -171,43 +323,6 @@ def priorities(nodes, low, high, z_scale, eye, forward, out):
         z = (low[node, 2] + high[node, 2]) / 2 * z_scale - eye[2]
         square = max(x * x + y * y + z * z, 1e-12)
         out[k] = (x * forward[0] + y * forward[1] + z * forward[2]) / square
-
-
-@kernel
-def rasterize(rows, cols, heights, triangles, factor, first_row, first_col, out):
-    """Fill `out`, float64, with a mesh's heights at places of a grid, NaN where it has none.
-
-    Place (r, c) of `out` is (first_row + r, first_col + c) in units of which a vertex's row and
-    column count `factor` each.
-    """
-    n_rows, n_cols = out.shape
-    out[:] = np.nan
-    for t in range(triangles.shape[0]):
-        p_0, p_1, p_2 = triangles[t, 0], triangles[t, 1], triangles[t, 2]
-        row_0 = np.int64(rows[p_0]) * factor - first_row
-        row_1 = np.int64(rows[p_1]) * factor - first_row
-        row_2 = np.int64(rows[p_2]) * factor - first_row
-        top, bottom = max(min(row_0, row_1, row_2), 0), min(max(row_0, row_1, row_2), n_rows - 1)
-        if top > bottom:
-            continue
-        col_0 = np.int64(cols[p_0]) * factor - first_col
-        col_1 = np.int64(cols[p_1]) * factor - first_col
-        col_2 = np.int64(cols[p_2]) * factor - first_col
-        left, right = max(min(col_0, col_1, col_2), 0), min(max(col_0, col_1, col_2), n_cols - 1)
-        area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
-        if left > right or area <= 0:
-            continue
-        z_0 = float(heights[p_0])
-        rise_1, rise_2 = float(heights[p_1]) - z_0, float(heights[p_2]) - z_0
-        step_1, step_2 = row_2 - row_0, row_0 - row_1
-        for row in range(top, bottom + 1):
-            weight_1 = (left - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row - row_0)
-            weight_2 = (col_1 - col_0) * (row - row_0) - (left - col_0) * (row_1 - row_0)
-            for col in range(left, right + 1):
-                if weight_1 >= 0 and weight_2 >= 0 and weight_1 + weight_2 <= area:
-                    out[row, col] = z_0 + (weight_1 * rise_1 + weight_2 * rise_2) / area
-                weight_1 += step_1
-                weight_2 += step_2
 
 
 @kernel
@@ -247,19 +362,198 @@ def slopes(heights, mask, first_row, first_col, out):
 
 
 @kernel
-def border_edges(rows, cols, triangles, last_row, last_col, out):
-    """Fill the edges of triangles on the border of a block; return their number.
+def surface_at(rows, cols, heights, triangles, factor, first_row, first_col, numbers, out):
+    """Fill `out`, float64, with a mesh's heights at points of a grid; others stay as they are.
 
-    `last_row` and `last_col` are those of the block in half samples. `out` is int32 (n, 2).
+    `numbers`, int32, has the points: place (r, c), which is (first_row + r, first_col + c) in units
+    of which a vertex's row and column count `factor` each, is point `numbers[r, c]`, or none where
+    that is < 0.
     """
-    n_out = 0
+    n_rows, n_cols = numbers.shape
+    for t in range(triangles.shape[0]):
+        p_0, p_1, p_2 = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        row_0 = np.int64(rows[p_0]) * factor - first_row
+        row_1 = np.int64(rows[p_1]) * factor - first_row
+        row_2 = np.int64(rows[p_2]) * factor - first_row
+        top, bottom = max(min(row_0, row_1, row_2), 0), min(max(row_0, row_1, row_2), n_rows - 1)
+        if top > bottom:
+            continue
+        col_0 = np.int64(cols[p_0]) * factor - first_col
+        col_1 = np.int64(cols[p_1]) * factor - first_col
+        col_2 = np.int64(cols[p_2]) * factor - first_col
+        left, right = max(min(col_0, col_1, col_2), 0), min(max(col_0, col_1, col_2), n_cols - 1)
+        area = (col_1 - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row_1 - row_0)
+        if left > right or area <= 0:
+            continue
+        z_0 = float(heights[p_0])
+        rise_1, rise_2 = float(heights[p_1]) - z_0, float(heights[p_2]) - z_0
+        step_1, step_2 = row_2 - row_0, row_0 - row_1
+        for row in range(top, bottom + 1):
+            weight_1 = (left - col_0) * (row_2 - row_0) - (col_2 - col_0) * (row - row_0)
+            weight_2 = (col_1 - col_0) * (row - row_0) - (left - col_0) * (row_1 - row_0)
+            for col in range(left, right + 1):
+                # All three weights are >= 0.
+                if (weight_1 | weight_2 | (area - weight_1 - weight_2)) >= 0:
+                    number = numbers[row, col]
+                    if number >= 0:
+                        out[number] = z_0 + (weight_1 * rise_1 + weight_2 * rise_2) / area
+                weight_1 += step_1
+                weight_2 += step_2
+
+
+@kernel
+def bilinear_at(rows, cols, heights, mask, first_row, first_col, fallback, out):
+    """Fill `out`, float64, with heights of a coarser level at vertices, between its samples.
+
+    Parameters
+    ----------
+    rows, cols : ndarray of int32, shape (n,)
+        Of vertices, in half samples of their level from their block's first.
+    heights, mask : ndarray, 2-D
+        Samples of the level above it, from the sample at that place on. Past their sides the last
+        two go on linearly.
+    first_row, first_col : int
+        Half samples from there to the block's first.
+    fallback : ndarray of float64, shape (n,)
+        What is taken beside voids.
+    """
+    last_row, last_col = max(heights.shape[0] - 2, 0), max(heights.shape[1] - 2, 0)
+    step_row, step_col = min(heights.shape[0] - 1, 1), min(heights.shape[1] - 1, 1)
+    for k in range(rows.shape[0]):
+        at_row, at_col = rows[k] + first_row, cols[k] + first_col
+        row, col = min(at_row >> 2, last_row), min(at_col >> 2, last_col)
+        down, right = (at_row - 4 * row) / 4, (at_col - 4 * col) / 4
+        below, beside = row + step_row, col + step_col
+        if mask[row, col] and mask[row, beside] and mask[below, col] and mask[below, beside]:
+            upper = heights[row, col] * (1 - right) + heights[row, beside] * right
+            lower = heights[below, col] * (1 - right) + heights[below, beside] * right
+            out[k] = upper * (1 - down) + lower * down
+        else:
+            out[k] = fallback[k]
+
+
+@kernel
+def fill_texels(heights, mask, first_row, first_col, n_rows, n_cols, slopes_of, colors_of, out):
+    """Fill `out` with slopes to the east and north and heights to colour by, as float16.
+
+    Parameters
+    ----------
+    heights, mask : ndarray, 2-D
+        Samples around a block.
+    first_row, first_col, n_rows, n_cols : int
+        The part of them that `out` begins with may reach past all sides of it: place (r, c) is
+        sample (first_row + r, first_col + c), or the nearest one of the `n_rows` x `n_cols` from
+        (max(first_row, 0), max(first_col, 0)) on.
+    slopes_of : ndarray of float64, shape (5,)
+        Slopes are ``(a c + b r, d c + e r)`` of differences per column c and row r, 0 below the
+        fifth.
+    colors_of : ndarray of float64, shape (3,)
+        Of heights: factor, shift, and what is the most.
+    out : ndarray of uint16, shape (m, 3 n)
+        Bits of float16; what is below 2⁻¹⁴ is 0.
+    """
+    texels = np.empty(out.shape[1], dtype=np.float32)
+    bits = texels.view(np.uint32)
+    is_valid = mask.all()
+    a, b, d, e, least = slopes_of
+    factor, shift, most = colors_of
+    low_row, low_col = max(first_row, 0), max(first_col, 0)
+    last_row, last_col = heights.shape[0] - 1, heights.shape[1] - 1
+    for r in range(out.shape[0]):
+        row = min(max(first_row + r, low_row), low_row + n_rows - 1)
+        above, below = max(row - 1, 0), min(row + 1, last_row)
+        for c in range(out.shape[1] // 3):
+            col = min(max(first_col + c, low_col), low_col + n_cols - 1)
+            left, right = max(col - 1, 0), min(col + 1, last_col)
+            across, down = 0.0, 0.0
+            if is_valid:
+                height = float(heights[row, col]) * factor + shift
+                if right > left:
+                    across = float(heights[row, right] - heights[row, left]) / (right - left)
+                if below > above:
+                    down = float(heights[below, col] - heights[above, col]) / (below - above)
+            elif mask[row, col]:
+                height = float(heights[row, col]) * factor + shift
+                across = _difference(heights, mask, row, left, row, col, row, right)
+                down = _difference(heights, mask, above, col, row, col, below, col)
+            else:
+                height = _mean_around(heights, mask, row, col, factor, shift)
+            east, north = a * across + b * down, d * across + e * down
+            texels[3 * c] = min(max(east, -most), most) if abs(east) >= least else 0.0
+            texels[3 * c + 1] = min(max(north, -most), most) if abs(north) >= least else 0.0
+            texels[3 * c + 2] = min(max(height, -most), most)
+        for k in range(out.shape[1]):
+            out[r, k] = _half(bits[k])
+
+
+@inlined_kernel
+def _half(bits):
+    """Return the bits of a float16, rounded to even, of a float32's; below 2⁻¹⁴ that is 0."""
+    magnitude = bits & np.uint32(0x7FFFFFFF)
+    rounded = (
+        magnitude + np.uint32(0x0FFF) + ((bits >> np.uint32(13)) & np.uint32(1))
+    ) >> np.uint32(13)
+    half = (rounded - np.uint32(0x1C000)) | ((bits >> np.uint32(16)) & np.uint32(0x8000))
+    return np.uint16(half) if magnitude >= np.uint32(0x38800000) else np.uint16(0)
+
+
+@kernel
+def _difference(heights, mask, row_0, col_0, row, col, row_1, col_1):
+    """Return the difference per sample over a valid one: central, one-sided, or 0."""
+    low = high = float(heights[row, col])
+    n = 0
+    if (row_0 != row or col_0 != col) and mask[row_0, col_0]:
+        low = float(heights[row_0, col_0])
+        n += 1
+    if (row_1 != row or col_1 != col) and mask[row_1, col_1]:
+        high = float(heights[row_1, col_1])
+        n += 1
+    return (high - low) / n if n else 0.0
+
+
+@kernel
+def _mean_around(heights, mask, row, col, factor, shift):
+    """Return the mean of valid samples around a void one, so that colours don't change beside it.
+
+    Samples past the side count as those at it; 0 where none is valid.
+    """
+    total, n = 0.0, 0
+    for r in range(row - 1, row + 2):
+        for c in range(col - 1, col + 2):
+            at = min(max(r, 0), heights.shape[0] - 1), min(max(c, 0), heights.shape[1] - 1)
+            if mask[at]:
+                total += float(heights[at]) * factor + shift
+                n += 1
+    return total / n if n else 0.0
+
+
+@kernel
+def border_edges(rows, cols, triangles, last_row, last_col, lower, edges):
+    """Fill the edges of triangles on the border of a block; return their number and ends'.
+
+    `last_row` and `last_col` are those of the block in half samples. `edges` is int32 (n, 2),
+    `lower`, of each vertex, is filled with its number among the ends of edges, -1 elsewhere.
+    """
+    n_edges, n_ends = 0, 0
+    for v in range(rows.shape[0]):
+        is_border = rows[v] == 0 or rows[v] == last_row or cols[v] == 0 or cols[v] == last_col
+        lower[v] = -1 if is_border else -2
     for t in range(triangles.shape[0]):
         for k in range(3):
-            a, b = triangles[t, k], triangles[t, (k + 1) % 3]
+            a = triangles[t, k]
+            if lower[a] == -2:
+                continue
+            b = triangles[t, (k + 1) % 3]
+            if lower[b] == -2:
+                continue
             same_row = rows[a] == rows[b] and (rows[a] == 0 or rows[a] == last_row)
             same_col = cols[a] == cols[b] and (cols[a] == 0 or cols[a] == last_col)
-            if (same_row or same_col) and n_out < out.shape[0]:
-                out[n_out, 0] = a
-                out[n_out, 1] = b
-                n_out += 1
-    return n_out
+            if (same_row or same_col) and n_edges < edges.shape[0]:
+                edges[n_edges, 0] = a
+                edges[n_edges, 1] = b
+                n_edges += 1
+                for end in (a, b):
+                    if lower[end] == -1:
+                        lower[end] = n_ends
+                        n_ends += 1
+    return n_edges, n_ends

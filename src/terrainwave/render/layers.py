@@ -86,7 +86,7 @@ class LayeredTextures:
         """Fill a layer of each texture from its first corner; arrays (n_rows, n_cols, n)."""
         for texture, content in zip(self.textures, contents, strict=True):
             n_rows, n_cols = content.shape[:2]
-            data = np.ascontiguousarray(content).tobytes()
+            data = np.ascontiguousarray(content)
             texture.write(data, viewport=(0, 0, layer, n_cols, n_rows, 1))
 
     def _grow(self, n_layers: int) -> None:

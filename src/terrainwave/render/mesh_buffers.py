@@ -91,9 +91,9 @@ class GpuStore:
             if first_vertex is not None:
                 self._vertices.give_back(first_vertex, len(patch.vertices))
             return False
-        self.vertex_buffer.write(patch.vertices.tobytes(), offset=first_vertex * VERTEX.itemsize)
+        self.vertex_buffer.write(patch.vertices, offset=first_vertex * VERTEX.itemsize)
         indices = patch.triangles + np.uint32(first_vertex)
-        self.index_buffer.write(indices.tobytes(), offset=first_index * _INDEX_BYTES)
+        self.index_buffer.write(indices, offset=first_index * _INDEX_BYTES)
         self.layers.write(layer, [patch.slopes])
         self._place(node, Slot(first_vertex, len(patch.vertices), first_index, n_indices, layer))
         return True
@@ -117,11 +117,13 @@ class GpuStore:
         arena: Arena = getattr(self, name)
         start = arena.take(size)
         while start is None:
-            capacity = 2 * arena.capacity
             itemsize = VERTEX.itemsize if name == "_vertices" else _INDEX_BYTES
             other = self._indices if name == "_vertices" else self._vertices
             other_size = _INDEX_BYTES if name == "_vertices" else VERTEX.itemsize
-            if capacity * itemsize + other.capacity * other_size > self._mesh_bytes:
+            # Twice as much; the last time by less, what is left.
+            most = (self._mesh_bytes - other.capacity * other_size) // itemsize
+            capacity = min(2 * arena.capacity, most)
+            if capacity < arena.capacity + size:
                 return None
             self._grow_buffer(
                 "vertex_buffer" if name == "_vertices" else "index_buffer", capacity * itemsize

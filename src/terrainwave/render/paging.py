@@ -1,12 +1,15 @@
 """Worker threads that build what is wanted, in order; the thread that draws never waits."""
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from terrainwave.render.patches import Cancelled
+
+_KEPT_TIMES = 4096
 
 
 class Outcome(NamedTuple):
@@ -34,6 +37,12 @@ class Pager:
     max_ready : int
         Results that may wait to be taken: workers rest while there are as many, so that memory is
         bounded by ``max_ready + n_workers`` of them.
+
+    Attributes
+    ----------
+    build_ms : deque of float
+        Processor time of the last builds, milliseconds.
+    n_cancelled : int
     """
 
     def __init__(
@@ -51,6 +60,8 @@ class Pager:
         self._ready_keys: set[Hashable] = set()
         self._changed = threading.Condition()
         self._is_closed = False
+        self.build_ms: deque[float] = deque(maxlen=_KEPT_TIMES)
+        self.n_cancelled = 0
         self._threads = [
             threading.Thread(target=self._work, name=f"terrainwave-pager-{k}", daemon=True)
             for k in range(n_workers)
@@ -115,10 +126,14 @@ class Pager:
                     return
                 key = self._queue.popleft()
                 running = self._running[key] = _Running()
+            started = time.thread_time()
             built = self._attempt(key, running)
             with self._changed:
                 del self._running[key]
-                if built is not None:
+                if built is None:
+                    self.n_cancelled += 1
+                else:
+                    self.build_ms.append((time.thread_time() - started) * 1e3)
                     self._ready.append(built)
                     self._ready_keys.add(key)
                 self._changed.notify_all()

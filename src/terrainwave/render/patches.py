@@ -20,13 +20,18 @@ from terrainwave.mesh.loose import LooseMesher
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.names import UNBOUNDED_MESHES
 from terrainwave.render.frame import Frame
-from terrainwave.render.kernels import SKIRT_FLAG, border_edges, rasterize, slopes
+from terrainwave.render.kernels import (
+    SKIRT_FLAG,
+    bilinear_at,
+    border_edges,
+    fill_texels,
+    surface_at,
+)
 from terrainwave.render.scales import (
     FLOAT32_ROUNDING,
     HeightScale,
     HeightTexels,
     SlopeScale,
-    with_ring,
 )
 from terrainwave.render.selection import NodeInfo, Piece
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
@@ -38,7 +43,8 @@ if TYPE_CHECKING:
 # col and row in half samples of the block's level (the column's top bit marks skirts); height and
 # height of the parent's surface above the patch's base, metres.
 VERTEX = np.dtype([("col", "<u2"), ("row", "<u2"), ("z", "<f4"), ("z_parent", "<f4")])
-_CACHED_MESHES = 128
+# Meshes that are kept: their children's vertices move to them.
+_CACHED_BYTES = 192 << 20
 _VARIANT_BITS = 2  # each variant has four times the tolerance of the one before
 _MAX_VARIANT = 5
 # Of the error of what it replaces, at most this share is a variant's.
@@ -118,7 +124,9 @@ class PatchBuilder:
         self._loose = LooseMesher(terrain) if is_loose else None
         self._scale = HeightScale.of(terrain, frame)
         self._slope_scale, self._height_texels = SlopeScale(frame), HeightTexels.of(frame)
-        self._meshes: Cache[Piece, BlockMesh] = Cache(_CACHED_MESHES)
+        self._meshes: Cache[Piece, BlockMesh] = Cache(
+            _CACHED_BYTES, size_of=lambda mesh: sum(part.nbytes for part in mesh)
+        )
 
     # What the index says
 
@@ -277,21 +285,47 @@ class PatchBuilder:
     def _parent_heights(
         self, piece: Piece, mesh: BlockMesh, z: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the heights of the parent's surface at the vertices; `z` where it has none."""
+        """Return the heights of the parent's surface at the vertices; `z` where it has none.
+
+        Of a coarser level it is the surface of the samples: within a mesh's tolerance, a quarter
+        of its error, of what is drawn, and nobody has to make that mesh.
+        """
         above = self.parent(piece)
         if above is None or not len(z):
             return z
+        if above.level < piece.level and self._loose is None:
+            return self._coarser_heights(piece, mesh, z)
         parent = self.mesh(above)
-        surface = np.empty((int(mesh.rows.max()) + 1, int(mesh.cols.max()) + 1))
+        numbers = np.full((int(mesh.rows.max()) + 1, int(mesh.cols.max()) + 1), -1, dtype=np.int32)
+        numbers[mesh.rows, mesh.cols] = np.arange(len(z), dtype=np.int32)
         factor, first = 1, (0, 0)
         if above.level < piece.level:
             side = 2 * self._terrain.grid.block
             factor, first = 2, ((piece.row & 1) * side, (piece.col & 1) * side)
-        rasterize(
-            parent.rows, parent.cols, parent.heights, parent.triangles, factor, *first, surface
-        )
-        heights = self._scale.metres(surface[mesh.rows, mesh.cols] / (1 << FRACTION_BITS))
+        heights = np.full(len(z), np.nan)
+        surface_at(
+            parent.rows, parent.cols, parent.heights, parent.triangles, factor, *first, numbers,
+            heights,
+        )  # fmt: skip
+        heights = self._scale.metres(heights / (1 << FRACTION_BITS))
         return np.where(np.isnan(heights), z, heights)
+
+    def _coarser_heights(
+        self, piece: Piece, mesh: BlockMesh, z: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the heights between samples of the level above at the vertices of a mesh."""
+        grid = self._terrain.grid
+        inner = grid.block_region(piece.block)
+        level = Region(0, 0, *grid.level_shape(piece.level - 1))
+        row, col = inner.row // 2, inner.col // 2
+        n_rows, n_cols = (n // 2 + 2 for n in inner.shape)
+        region = Region(row, col, n_rows, n_cols).intersect(level)
+        heights, mask = self._terrain.decoder.window(piece.level - 1, region)
+        out = np.empty(len(z))
+        first = 2 * (inner.row - 2 * row), 2 * (inner.col - 2 * col)
+        quanta = (z - self._scale.zero) / self._scale.per_quantum
+        bilinear_at(mesh.rows, mesh.cols, heights, mask, *first, quanta, out)
+        return self._scale.metres(out)
 
     def slopes(self, block: Block) -> NDArray[np.float16]:
         """Return slopes and heights at the samples of a block and at one more on each side.
@@ -305,24 +339,13 @@ class PatchBuilder:
         near = grid.block_region(block, 1).intersect(level)
         wide = grid.block_region(block, 2).intersect(level)
         heights, mask = terrain.decoder.window(block.level, wide)
-        in_quanta = np.empty((near.n_rows, near.n_cols, 2), dtype=np.float32)
-        slopes(heights, mask, near.row - wide.row, near.col - wide.col, in_quanta)
-        per_sample = in_quanta.astype(np.float64)
-        per_sample *= self._scale.per_quantum / grid.stride(block.level)
-        padding = [
-            (1 - (first - outer), 1 - (outer + n_outer - first - n) + min(1, grid.block + 1 - n))
-            for first, n, outer, n_outer in (
-                (inner.row, inner.n_rows, near.row, near.n_rows),
-                (inner.col, inner.n_cols, near.col, near.n_cols),
-            )
-        ]
-        part = near.slices_in(wide)
-        texels = self._height_texels.beside(
-            self._slope_scale.texels(per_sample),
-            self._scale.metres(with_ring(heights, part)),
-            with_ring(mask, part),
-        )
-        return np.pad(texels, (*padding, (0, 0)), mode="edge")
+        n_rows, n_cols = (n + 2 + min(1, grid.block + 1 - n) for n in (inner.n_rows, inner.n_cols))
+        texels = np.empty((n_rows, 3 * n_cols), dtype=np.uint16)
+        first = inner.row - 1 - wide.row, inner.col - 1 - wide.col
+        slopes_of = self._slope_scale.terms(self._scale.per_quantum / grid.stride(block.level))
+        colors_of = self._height_texels.terms(self._scale)
+        fill_texels(heights, mask, *first, *near.shape, slopes_of, colors_of, texels)
+        return texels.view(np.float16).reshape(n_rows, n_cols, 3)
 
 
 def _with_skirts(
@@ -334,13 +357,19 @@ def _with_skirts(
         return vertices, triangles
     last = int(mesh.rows.max()), int(mesh.cols.max())
     edges = np.empty((4 * (last[0] + last[1]) + 8, 2), dtype=np.int32)
-    edges = edges[: border_edges(mesh.rows, mesh.cols, mesh.triangles, *last, edges)]
-    top = np.unique(edges)
-    below = vertices[top].copy()
+    lower = np.empty(len(mesh.rows), dtype=np.int32)
+    n_edges, n_ends = border_edges(mesh.rows, mesh.cols, mesh.triangles, *last, lower, edges)
+    edges = edges[:n_edges]
+    ends = np.flatnonzero(lower >= 0)
+    below = np.empty(n_ends, dtype=VERTEX)
+    below[lower[ends]] = vertices[ends]
     below["col"] |= SKIRT_FLAG
-    lower = (len(vertices) + np.searchsorted(top, edges)).astype(np.uint32)
+    below_edges = (len(vertices) + lower[edges]).astype(np.uint32)
     a, b = edges[:, 0].astype(np.uint32), edges[:, 1].astype(np.uint32)
     skirts = np.concatenate(
-        [np.column_stack([b, a, lower[:, 0]]), np.column_stack([b, lower[:, 0], lower[:, 1]])]
+        [
+            np.column_stack([b, a, below_edges[:, 0]]),
+            np.column_stack([b, below_edges[:, 0], below_edges[:, 1]]),
+        ]
     )
     return np.concatenate([vertices, below]), np.concatenate([triangles, skirts])

@@ -85,6 +85,11 @@ class Problems:
         return piece in self._held or piece in self.damaged
 
     @property
+    def is_clear(self) -> bool:
+        """Say whether nothing is held."""
+        return not self._held and not self.damaged
+
+    @property
     def n_held(self) -> int:
         """Return how many pieces wait for a pause to pass."""
         return len(self._held)

@@ -55,6 +55,15 @@ class SlopeScale:
 
     frame: Frame
 
+    def terms(self, factor: float) -> NDArray[np.float64]:
+        """Return what `kernels.fill_texels` takes for slopes of heights in a unit.
+
+        `factor`: metres of a unit, per sample of the full grid between two samples.
+        """
+        a, b, _, d, e, _ = self.frame.sample_matrix
+        inverse = np.linalg.inv(np.array([[a, b], [d, e]])) * factor
+        return np.array([*inverse.T.ravel(), _LEAST_SLOPE])
+
     def texels(self, per_sample: NDArray[Any]) -> NDArray[np.float16]:
         """Return slopes per metre as the GPU takes them, of metres per sample of the full grid.
 
@@ -85,6 +94,11 @@ class HeightTexels:
         reference = min(max(0.0, low), high)
         largest = max(reference - low, high - reference)
         return cls(reference, max(largest / _LARGEST_HEIGHT, 1.0))
+
+    def terms(self, heights: HeightScale) -> NDArray[np.float64]:
+        """Return what `kernels.fill_texels` takes for heights in quanta."""
+        shift = (heights.zero - self.reference) / self.scale
+        return np.array([heights.per_quantum / self.scale, shift, _LARGEST_HEIGHT])
 
     def beside(
         self, slopes: NDArray[np.float16], metres: NDArray[np.float64], valid: NDArray[np.bool_]

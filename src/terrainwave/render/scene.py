@@ -1,8 +1,9 @@
 """One terrain as seen by moving cameras: what is here, what is wanted, what to draw. No GPU."""
 
+import math
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -10,26 +11,33 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import LimitExceededError, TerrainwaveError
 from terrainwave.progress import ProgressCallback
-from terrainwave.render.camera import Camera, Viewport, predict
+from terrainwave.render.camera import Camera, Viewport
 from terrainwave.render.frame import Frame, frame_of
 from terrainwave.render.frustum import may_see
 from terrainwave.render.modes import mode_class, options_of
 from terrainwave.render.modes.mode import MAX_TRIANGLES, Frames, Mode
-from terrainwave.render.paging import Pager
+from terrainwave.render.motion import Motion
+from terrainwave.render.paging import Outcome, Pager
 from terrainwave.render.problems import Problems, replies_of
 from terrainwave.render.read_ahead import PATIENCE, read_ahead_of
-from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Piece, Selection, View
+from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Selection, View
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
-DEFAULT_MAX_BYTES = 512 << 20
-_UPLOADS_PER_FRAME = 4
+DEFAULT_MAX_BYTES = 1 << 30
+# Pieces that one frame takes, and seconds of processor time.
+_UPLOADS_PER_FRAME, _UPLOAD_S = 6, 0.0006
 _READY_PER_WORKER = 4
 # Depth planes where all is drawn in parts: one for all of them.
 _NEAREST_PART = 0.0
 # Where what is needed does not fit, τ is raised by steps; it sinks again as the camera moves on.
 _PRESSURE, _RELIEF = 1.1, 1.02
+# How much a piece is needed: not, soon, now.
+_NOT, _AHEAD, _WANTED = range(3)
+# What a moving camera will need is looked at every so many frames.
+_FRAMES_PER_LOOK = 6
+_MOST_ASKED = 96
 
 
 class Store(Protocol):
@@ -133,9 +141,12 @@ class Scene:
             self.mode.build, n_workers=n_workers, max_ready=_READY_PER_WORKER * n_workers
         )
         self._ahead_reader = read_ahead_of(terrain, self.mode)
+        self._motion = Motion()
+        self._n_updates = 0
+        self._looked = np.empty(0, dtype=np.int32)
         self._last_camera: Camera | None = None
-        self._requested: list[Piece] = []
-        self._memory_factor = 1.0
+        self._requested: list[int] = []
+        self._memory_factor, self._is_short = 1.0, True
 
     def __enter__(self) -> "Scene":
         return self
@@ -157,28 +168,45 @@ class Scene:
 
     def view(self, camera: Camera, viewport: Viewport, max_pixel_error: float = 1.0) -> View:
         """Return a view of this scene, in more detail where the terrain is flat."""
-        max_pixel_error *= self.frame.detail
-        return View(camera, viewport, max_pixel_error, self.mode.gamma, self.frame.exaggeration)
+        max_pixel_error *= self.frame.detail(camera.eye)
+        return View(
+            camera, viewport, max_pixel_error, self.mode.gamma, self.frame.exaggeration,
+            is_exact=self.mode.is_exact,
+        )  # fmt: skip
+
+    @property
+    def build_ms(self) -> list[float]:
+        """Return what the last pieces took to read, decode and build: CPU milliseconds."""
+        return list(self._pager.build_ms)
+
+    @property
+    def n_cancelled(self) -> int:
+        """Return how many pieces were no longer wanted while they were built."""
+        return self._pager.n_cancelled
 
     # One frame
 
     def update(self, view: View, *, max_uploads: int = _UPLOADS_PER_FRAME) -> Frames:
         """Take what has been built, ask for what is missing, return what to draw. Never waits."""
         started = time.perf_counter()
-        if self._last_camera != view.camera:
+        self._motion.see(view.camera)
+        if self._last_camera != view.camera and not self._is_short:
             self._memory_factor = max(self._memory_factor / _RELIEF, 1.0)
         tau = self._split_error(view)
         wanted = self._wanted(view, tau)
-        spare = self._spare(view, wanted)
-        if self._take(view, np.concatenate([wanted, spare]), max_uploads):
+        ahead = self._ahead(view, tau, wanted)
+        if self._take(view, wanted, ahead, max_uploads):
             wanted = self._wanted(view, tau)  # what came may have children
-            spare = self._spare(view, wanted)
         missing = self._missing(wanted)
-        ahead = [] if missing else (self._missing(spare) or self._ahead(view, tau))
-        self._request(missing + ahead)
+        self._is_short = len(missing) > 0
+        asked = [missing, self._missing(ahead)]
+        if self._is_short:  # what leaves τ first, then what is to be split a little before it is
+            most = view.max_pixel_error * self._memory_factor
+            asked.insert(0, self._by_error(view, self._missing(self._wanted(view, most))))
+        self._request(np.concatenate(asked))
         self._last_camera = view.camera
         paged = time.perf_counter()
-        selection, used = self.governor.select(self.table, replace(view, max_pixel_error=tau))
+        selection, used = self.governor.select(self.table, view, tau)
         n_missing = len(missing) + self.problems.n_held
         frames = self.mode.frames(self.table, view, selection, used, n_missing)
         self.timings = Timings((paged - started) * 1e3, (time.perf_counter() - paged) * 1e3)
@@ -200,6 +228,19 @@ class Scene:
             if not self._pager.wait(max(end - time.monotonic(), 0.0)):
                 raise TerrainwaveError(f"the picture is not complete after {timeout:g} seconds")
 
+    def drawn_error(self, view: View, frames: Frames) -> float:
+        """Return the largest error on screen, pixels, of what is drawn and could be finer.
+
+        0 where all of it is the finest that the file has, at most the picture's diagonal. Above τ
+        only while finer pieces are on their way, or do not fit.
+        """
+        table, nodes = self.table, frames.nodes
+        is_finest = table.is_known[nodes] & (table.children[nodes] < 0).all(axis=1)
+        errors = (table.errors[nodes] + frames.morphs * table.morphs[nodes]) * view.exaggeration
+        on_screen = errors * np.minimum(table.scales(view, nodes), 1e12)
+        diagonal = math.hypot(view.viewport.width, view.viewport.height)
+        return min(float(on_screen[~is_finest].max(initial=0.0)), diagonal)
+
     def _split_error(self, view: View) -> float:
         """Return the τ below which blocks are split, before the governor."""
         return self.mode.split_error(view.max_pixel_error) * self._memory_factor
@@ -210,68 +251,110 @@ class Scene:
         camera = camera or view.camera
         return self.mode.wanted(self.table, view, tau, self.store.max_blocks, camera)
 
-    def _spare(self, view: View, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Return the pieces to have besides `wanted`, as many as there is room for."""
-        spare = self.mode.spare(self.table, view, self.store.max_blocks)
-        spare = spare[~np.isin(spare, wanted)]
-        return spare[: self.store.max_blocks - len(wanted)]
+    def _ahead(self, view: View, tau: float, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return the pieces to have besides `wanted`, as many as there is room for.
 
-    def _missing(self, wanted: NDArray[np.int32]) -> list[Piece]:
+        What the camera will see if it goes on as it does, soonest first, then the mode's own.
+        Looked at anew every few frames.
+        """
+        self._n_updates += 1
+        if self._n_updates % _FRAMES_PER_LOOK == 1 or self._last_camera is None:
+            cameras = self._motion.ahead()
+            nodes = [self._wanted(view, tau, camera) for camera in cameras]
+            nodes.append(self.mode.spare(self.table, view, self.store.max_blocks))
+            found = dict.fromkeys(np.concatenate(nodes).tolist())
+            self._looked = np.array(list(found), dtype=np.int32)
+        is_wanted = np.zeros(len(self.table), dtype=np.bool_)
+        is_wanted[wanted] = True
+        ahead = self._looked[~is_wanted[self._looked]]
+        return ahead[: max(self.store.max_blocks - len(wanted), 0)]
+
+    def _missing(self, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return the nodes that are not here and can be asked for."""
         absent = wanted[~self.table.is_resident[wanted]]
-        pieces = [self.table.pieces[node] for node in absent.tolist()]
-        return [piece for piece in pieces if not self.problems.holds(piece)]
+        if self.problems.is_clear:
+            return absent
+        holds, pieces = self.problems.holds, self.table.pieces
+        return np.array([n for n in absent.tolist() if not holds(pieces[n])], dtype=np.int32)
 
-    def _ahead(self, view: View, tau: float) -> list[Piece]:
-        """Return the pieces the next view will need, if all of this one's are here."""
-        if self._last_camera is None or self._last_camera.position == view.camera.position:
-            return []
-        camera = predict(self._last_camera, view.camera)
-        return self._missing(self._wanted(view, tau, camera))
+    def _by_error(self, view: View, nodes: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return nodes in the order of the error on screen of what stands in for them."""
+        table = self.table
+        parents = table.parents[nodes]
+        above = np.maximum(parents, 0)
+        errors = np.where(parents < 0, np.inf, table.errors[above] * table.scales(view, above))
+        return nodes[np.argsort(-errors, kind="stable")]
 
-    def _request(self, pieces: list[Piece]) -> None:
-        if pieces != self._requested:
+    def _request(self, nodes: NDArray[np.int32]) -> None:
+        """Ask for the first of some nodes; the others' turn comes in later frames."""
+        first = list(dict.fromkeys(nodes[:_MOST_ASKED].tolist()))
+        if first != self._requested:
+            pieces = [self.table.pieces[node] for node in first]
             self._pager.request(pieces)
             if self._ahead_reader is not None:
                 self._ahead_reader.request(pieces)
-            self._requested = pieces
+            self._requested = first
 
-    def _take(self, view: View, wanted: NDArray[np.int32], max_uploads: int) -> bool:
-        taken = self._pager.take(max_uploads)
-        if not taken:
-            return False
-        keep = np.zeros(len(self.table), dtype=np.bool_)
-        keep[wanted] = True
-        self._requested = []  # what could not be kept is asked for again
-        for piece, built, error in taken:
-            node = self.table.find(piece)
-            if error is not None:
-                if not isinstance(error, TerrainwaveError):
-                    raise error
-                self.problems.add(piece, error)
-                if node in self.table.roots and piece in self.problems.damaged:
-                    raise error
-                continue
+    def _take(
+        self, view: View, wanted: NDArray[np.int32], ahead: NDArray[np.int32], max_uploads: int
+    ) -> bool:
+        """Put what has been built into the store; say whether anything came.
+
+        At most `max_uploads`, and for no longer than `_UPLOAD_S` where that is more than one: the
+        rest comes next frame.
+        """
+        needs, started = None, time.thread_time()
+        for number in range(max_uploads):
+            is_late = number and time.thread_time() - started > _UPLOAD_S
+            taken = [] if is_late and max_uploads <= _UPLOADS_PER_FRAME else self._pager.take(1)
+            if not taken:
+                break
+            if needs is None:
+                needs = np.zeros(len(self.table), dtype=np.int8)
+                needs[ahead], needs[wanted] = _AHEAD, _WANTED
+                self._requested = []  # what could not be kept is asked for again
+            self._take_in(view, taken[0], needs)
+        return needs is not None
+
+    def _take_in(self, view: View, outcome: Outcome, needs: NDArray[np.int8]) -> None:
+        """Keep what was built, or note why it could not be."""
+        piece, built, error = outcome
+        node = self.table.find(piece)
+        if error is None:
             self.problems.came()
             if node is not None and not self.table.is_resident[node]:
-                self._keep(view, node, built, keep)
-        return True
+                self._keep(view, node, built, needs)
+            return
+        if not isinstance(error, TerrainwaveError):
+            raise error
+        self.problems.add(piece, error)
+        if node in self.table.roots and piece in self.problems.damaged:
+            raise error
 
-    def _keep(self, view: View, node: int, built: Built, keep: NDArray[np.bool_]) -> None:
-        """Put what was built into the store; what is needed least makes room."""
+    def _keep(self, view: View, node: int, built: Built, needs: NDArray[np.int8]) -> None:
+        """Put what was built into the store; what is needed least, and less than it, makes room."""
         table = self.table
         table.add_children(node, built.children)
-        if len(keep) < len(table):
-            keep = np.pad(keep, (0, len(table) - len(keep)))
-        for victim in [None, *table.lowest_priority(view, keep).tolist()]:
-            if victim is not None:
-                self._drop(victim)
-            if self.store.put(node, built):
-                break
-        else:
-            self._memory_factor *= _PRESSURE  # all that is here is needed: need less
+        need = int(needs[node]) if node < len(needs) else _NOT
+        if not self.store.put(node, built) and not self._make_room(view, node, built, needs, need):
+            if need == _WANTED:
+                self._memory_factor *= _PRESSURE  # all that is here is needed: need less
             return
         table.describe(node, built)
         self.mode.keep(table.pieces[node], built)
+
+    def _make_room(
+        self, view: View, node: int, built: Built, needs: NDArray[np.int8], need: int
+    ) -> bool:
+        """Drop pieces until one fits; say whether it does."""
+        table = self.table
+        needs = np.pad(needs, (0, len(table) - len(needs)))
+        for threshold in range(_AHEAD, need + 1):
+            for victim in table.lowest_priority(view, needs >= threshold).tolist():
+                self._drop(victim)
+                if self.store.put(node, built):
+                    return True
+        return False
 
     # Everything, a part at a time
 

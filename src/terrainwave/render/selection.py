@@ -6,15 +6,16 @@ outside the frustum end the recursion, and those good enough do.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Block
-from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed
+from terrainwave.render.camera import Camera, Viewport, focal_length, gamma_guaranteed, slant
 from terrainwave.render.frustum import frustum_planes
-from terrainwave.render.kernels import priorities, select_nodes, wanted_nodes
+from terrainwave.render.kernels import node_scales, priorities, select_nodes, wanted_nodes
 
 _FIRST_CAPACITY = 256
 
@@ -81,6 +82,11 @@ class View:
         Returns γ of a camera and a viewport; by default one that holds in the corners too.
     exaggeration : float
         Factor of heights.
+    is_oriented : bool
+        Errors, being vertical, count less the steeper they are looked down at.
+    is_exact : bool
+        Errors count as each block's place in the picture has it (`kernels.node_scale`), not by one
+        γ for all of it.
     """
 
     camera: Camera
@@ -88,13 +94,34 @@ class View:
     max_pixel_error: float = 1.0
     gamma_of: Callable[[Camera, Viewport], float] = gamma_guaranteed
     exaggeration: float = 1.0
+    is_oriented: bool = False
+    is_exact: bool = False
 
-    @property
+    @cached_property
     def gamma(self) -> float:
         """Return γ of ``error on screen = γ · error / distance``."""
         return self.gamma_of(self.camera, self.viewport)
 
-    @property
+    @cached_property
+    def least_gamma(self) -> float:
+        """Return the γ with which errors of blocks count at least, in pixels · distance / error.
+
+        In `kernels.pixels_per_metre` S / D is at least 1 / distance, and r, the distance of a line
+        through a point of the picture, at most that of its corners.
+        """
+        if not self.is_exact:
+            return self.gamma
+        return focal_length(self.camera, self.viewport) / slant(self.camera, self.viewport)
+
+    @cached_property
+    def lens(self) -> NDArray[np.float64]:
+        """Return what `kernels.node_scale` takes: see there."""
+        if not self.is_exact:
+            return np.array([self.gamma, 1.0, *self.camera.forward])
+        scale = focal_length(self.camera, self.viewport)
+        return np.array([scale, slant(self.camera, self.viewport) ** 2, *self.camera.forward])
+
+    @cached_property
     def planes(self) -> NDArray[np.float64]:
         """Return the planes of the frustum."""
         return frustum_planes(self.camera, self.viewport)
@@ -188,6 +215,13 @@ class NodeTable:
         scale = np.array([1.0, 1.0, exaggeration])
         return self.low[nodes] * scale, self.high[nodes] * scale
 
+    def scales(self, view: View, nodes: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return pixels on screen per metre of nodes' errors; inf where the eye is in their box."""
+        scales = np.empty(len(nodes))
+        eye, z_scale = view.camera.eye, view.exaggeration
+        node_scales(nodes, self.low, self.high, z_scale, eye, view.lens, view.is_oriented, scales)
+        return scales
+
     def select(self, view: View, tau: float | None = None) -> Selection:
         """Return the resident blocks that show the view within τ where they are here.
 
@@ -207,7 +241,8 @@ class NodeTable:
             view.planes,
             view.camera.eye,
             view.exaggeration,
-            view.gamma,
+            view.lens,
+            view.is_oriented,
             view.max_pixel_error if tau is None else tau,
             self._stack,
             self._nodes,
@@ -231,19 +266,23 @@ class NodeTable:
         camera = camera or view.camera
         out = np.empty(max_blocks, dtype=np.int32)
         # Near roots first.
-        middle = (self.low[self.roots] + self.high[self.roots]) / 2
-        order = np.argsort(np.linalg.norm(middle - camera.eye, axis=1), kind="stable")
+        roots = self.roots
+        if len(roots) > 1:
+            middle = (self.low[roots] + self.high[roots]) / 2
+            away = np.linalg.norm(middle - camera.eye, axis=1)
+            roots = roots[np.argsort(away, kind="stable")]
         n_out = wanted_nodes(
-            self.roots[order],
+            roots,
             self.low,
             self.high,
             self.errors,
             self.children,
             self.is_known,
-            frustum_planes(camera, view.viewport),
+            view.planes if camera is view.camera else frustum_planes(camera, view.viewport),
             camera.eye,
             view.exaggeration,
-            view.gamma,
+            view.lens,
+            view.is_oriented,
             view.max_pixel_error if tau is None else tau,
             out,
         )
@@ -293,9 +332,11 @@ class ErrorGovernor:
         elif ratio < 0.8:
             self.factor = max(self.factor / 1.05, 1.0)
 
-    def select(self, table: NodeTable, view: View) -> tuple[Selection, float]:
-        """Return a selection within the budget, and its τ."""
-        tau = view.max_pixel_error * self.factor
+    def select(
+        self, table: NodeTable, view: View, tau: float | None = None
+    ) -> tuple[Selection, float]:
+        """Return a selection within the budget, and its τ; `tau` is to be kept, or the view's."""
+        tau = (view.max_pixel_error if tau is None else tau) * self.factor
         selection = table.select(view, tau)
         while selection.n_triangles > self.max_triangles and tau < 1e6:
             tau = max(tau, 0.05) * 1.3

@@ -28,7 +28,8 @@ class BoundedMode(Mode):
         order = np.argsort(selection.distances, kind="stable")
         nodes, distances = selection.nodes[order], selection.distances[order]
         tau = max(tau, 0.0)
-        allowed = tau * MORPH_START * distances / view.gamma
+        # Metres of error within τ.
+        allowed = tau * MORPH_START / table.scales(view, nodes)
         morphs = self._morphs(table, view, nodes, allowed, tau)
         drawn = (table.errors[nodes] + morphs * table.morphs[nodes]) * view.exaggeration
         # A neighbour's error: within τ at the furthest point that it may share with this block,
@@ -36,7 +37,7 @@ class BoundedMode(Mode):
         low, high = table.boxes(nodes, view.exaggeration)
         eye = view.camera.eye
         furthest = np.linalg.norm(np.maximum(np.abs(low - eye), np.abs(high - eye)), axis=1)
-        beside = tau * MORPH_START * furthest / view.gamma
+        beside = tau * MORPH_START * furthest / view.least_gamma
         too_coarse = drawn[drawn > allowed]
         beside = np.maximum(beside, too_coarse.max(initial=0.0))
         return Frames(
@@ -64,11 +65,7 @@ class BoundedMode(Mode):
         parents = table.parents[nodes]
         has_parent = parents >= 0
         above = np.where(has_parent, parents, 0)
-        low, high = table.boxes(above, view.exaggeration)
-        eye = view.camera.eye
-        apart = np.maximum(np.maximum(low - eye, eye - high), 0.0)
-        distances = np.maximum(np.linalg.norm(apart, axis=1), 1e-9)
-        screen = view.gamma * table.errors[above] * z_scale / distances
+        screen = table.errors[above] * z_scale * np.minimum(table.scales(view, above), 1e12)
         start, end = tau, tau * MORPH_START
         shares = np.clip((end - screen) / (end - start), 0.0, 1.0)
         spread = table.morphs[nodes] * z_scale

@@ -163,6 +163,11 @@ class Mode(ABC):
         formula = gamma_paper if self.error == "paper" else gamma_guaranteed
         return formula(camera, viewport)
 
+    @property
+    def is_exact(self) -> bool:
+        """Say whether errors count as each piece's place in the picture has it (`View`)."""
+        return self.error == "measured"
+
     def split_error(self, tau: float) -> float:
         """Return the error on screen above which pieces are split, for τ asked for."""
         return tau
