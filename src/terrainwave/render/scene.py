@@ -20,7 +20,7 @@ from terrainwave.render.motion import Motion
 from terrainwave.render.paging import Outcome, Pager
 from terrainwave.render.problems import Problems, replies_of
 from terrainwave.render.read_ahead import PATIENCE, read_ahead_of
-from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Selection, View
+from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Piece, Selection, View
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -214,6 +214,8 @@ class Scene:
             most = view.max_pixel_error * self._memory_factor
             asked.insert(0, self._by_error(view, self._missing(self._wanted(view, most))))
         self._request(np.concatenate(asked))
+        if self._is_short and self._ahead_reader is not None:
+            self._ahead_reader.look(view, tau, self._is_here)
         self._last_camera = view.camera
         paged = time.perf_counter()
         selection, used = self.governor.select(self.table, view, tau)
@@ -291,6 +293,11 @@ class Scene:
             return absent
         holds, pieces = self.problems.holds, self.table.pieces
         return np.array([n for n in absent.tolist() if not holds(pieces[n])], dtype=np.int32)
+
+    def _is_here(self, piece: Piece) -> bool:
+        """Say whether a piece is drawn, or could be; called by other threads."""
+        node = self.table.find(piece)
+        return node is not None and bool(self.table.is_resident[node])
 
     def _by_error(self, view: View, nodes: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return nodes in the order of the error on screen of what stands in for them."""
