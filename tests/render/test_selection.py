@@ -122,8 +122,9 @@ def in_picture(camera, points):
 def test_a_vertical_step_in_a_box_is_never_longer_on_screen_than_its_error(seed, pitch):
     rng = np.random.default_rng(seed)
     camera = Camera((0.0, 0.0, 0.0), rng.uniform(0, 360), pitch, rng.uniform(20, 110))
-    low = camera.forward * rng.uniform(0, 300) - rng.uniform(0, 200, 3)
-    high = low + rng.uniform(0, 400, 3)
+    size = 10 ** rng.uniform(0, 2.6)
+    low = camera.forward * rng.uniform(0, 300) + rng.uniform(-1, 0.5, 3) * size
+    high = low + rng.uniform(0, 1, 3) * size
     p, q = rng.uniform(low, high, (2, 400, 3))
     q[:, :2] = p[:, :2]
     p[0], q[0] = (*low[:2], high[2]), low  # steps as high as the box, in its corner
@@ -133,38 +134,8 @@ def test_a_vertical_step_in_a_box_is_never_longer_on_screen_than_its_error(seed,
     for is_oriented, is_exact in ((False, True), (True, False), (True, True)):
         view = View(camera, VIEWPORT, is_oriented=is_oriented, is_exact=is_exact)
         (scale,) = view.scales(low[None], high[None])
-        assert (apart <= scale * steps * (1 + 1e-9))[seen & also].all()
+        assert (apart <= scale * steps * (1 + 1e-9) + 1e-9)[seen & also].all()
         assert nearest == 0 or scale <= view.gamma / nearest * (1 + 1e-9)
-
-
-@given(
-    seed=st.integers(0, 1 << 16),
-    pitch=st.sampled_from([-90, -60, -20, 0, 30]),
-    is_oriented=st.booleans(),
-)
-def test_a_vertical_step_in_a_box_is_never_longer_on_screen_than_its_bound(
-    seed, pitch, is_oriented
-):
-    """`pixels_per_metre`, beside the exact projections of random steps; never above γ / d."""
-    rng = np.random.default_rng(seed)
-    camera = Camera((0.0, 0.0, 0.0), rng.uniform(0, 360), pitch, rng.uniform(20, 110))
-    size = 10 ** rng.uniform(0, 2.6)
-    low = camera.forward * rng.uniform(0, 300) + rng.uniform(-1, 0.5, 3) * size
-    high = low + rng.uniform(0, 1, 3) * size
-    view = View(camera, VIEWPORT, is_oriented=is_oriented, is_exact=True)
-    bound = view.scales(low[None], high[None])[0]
-    p, q = rng.uniform(low, high, (2, 400, 3))
-    q[:, :2] = p[:, :2]
-    p[0], q[0] = (*low[:2], high[2]), low
-    (at, seen), (to, also) = in_picture(camera, p), in_picture(camera, q)
-    apart = np.linalg.norm(to - at, axis=1)
-    steps = abs(q - p)[:, 2]
-    assert (apart <= bound * steps * (1 + 1e-9) + 1e-9)[seen & also].all()
-    nearest = np.linalg.norm(np.clip(0, low, high))
-    assert bound * nearest <= gamma_guaranteed(camera, VIEWPORT) * (1 + 1e-9)
-    least = view.least_gamma / np.linalg.norm(np.maximum(abs(low), abs(high)))
-    if not is_oriented and (seen & also).any():
-        assert bound >= least * (1 - 1e-9)
 
 
 def test_oriented_errors_are_those_of_the_formula():
