@@ -67,8 +67,9 @@ def test_full_and_adaptive_pictures_are_alike(file, tmp_path):
     ("options", "words"),
     [
         (["batched", "--error", "paper", "--detail", "9", "--order", "2"], None),
-        (["dynamic", "--stepwise"], "of all nodes: this decodes it once"),
+        (["dynamic", "--stepwise"], None),
         (["adaptive"], None),
+        (["adaptive", "--error", "paper"], "decodes the whole file once"),
     ],
 )
 def test_what_is_decoded_before_the_first_picture_is_said(file, tmp_path, options, words):

@@ -3,16 +3,14 @@
 import numpy as np
 import pytest
 from render.scenes import LOUD, eroded, hills, loud, terrain_of
-from render.test_fronts import cameras
+from render.test_fronts import cameras, low_flight
 from tri.slow_dynamic import drawn_samples
 
-from terrainwave.render.camera import top_view
-from terrainwave.render.modes import rqt
-from terrainwave.render.modes.whole import eye_of
+from terrainwave.render.camera import Camera, top_view
+from terrainwave.render.modes.front import eye_of
 from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.style import Style
 from terrainwave.render.vertex_texture_surface import VERTEX_SHADER
-from terrainwave.tri.rqt_tiles import tile_bytes
 
 pytestmark = [pytest.mark.gl, pytest.mark.large, pytest.mark.usefixtures("no_gl_errors")]
 
@@ -49,30 +47,46 @@ def test_no_gap_shows_where_the_full_terrain_has_none(context, rough, mode):
         assert len(counts) > 4
 
 
-def test_no_gap_shows_while_tiles_of_rqt_come_and_go(context, rough, monkeypatch):
-    n_most = 8
-    monkeypatch.setattr(rqt, "TILE", 16)
-    monkeypatch.setattr(rqt, "_OVERVIEW_LEVELS", 2)
-    monkeypatch.setattr(rqt, "MAX_TILE_BYTES", n_most * tile_bytes(16))
+@pytest.mark.parametrize("mode", MODES)
+def test_no_gap_shows_while_patches_come_and_go(context, gentle, small_patches, mode):
+    """On the way, with what stands in for others, and when all is here: levels side by side."""
     style = Style(background=LOUD, coloring="flat")
     options = {"samples": 0, "context": context}
     with (
-        Offscreen(rough, SIZE, mode="full", **options) as full,
-        Offscreen(rough, SIZE, mode="rqt", n_workers=1, **options) as coarse,
+        Offscreen(gentle, SIZE, mode="full", **options) as full,
+        Offscreen(gentle, SIZE, mode=mode, n_workers=1, **options) as coarse,
     ):
-        counts = set()
-        for camera in cameras(full.scene.frame, 4, seed=5):
+        counts, levels = set(), set()
+        for camera in low_flight(full.scene, 3):
             reference, _ = full.picture(camera, style)
-            inside = eroded(~loud(reference), 10)  # the overview is coarse
-            assert inside.sum() > 300
-            for _ in range(5):
-                image, _ = coarse.picture(camera, style, max_pixel_error=3.0, settle=False)
-                if coarse.scene.mode._mesh is not None:
-                    assert (loud(image) & inside).sum() == 0
-                    counts.add(coarse.scene.mode._mesh.n_loaded)
+            for settle in (False, False, False, True):
+                image, _ = coarse.picture(camera, style, max_pixel_error=2.0, settle=settle)
+                shown = {patch.piece for patch in coarse.scene.mode.shown}
+                inside = eroded(~loud(reference), 3 if settle else 12)
+                assert inside.sum() > 300
+                assert not shown or (loud(image) & inside).sum() == 0
+                counts.add(len(shown))
                 coarse.scene._pager.wait(5)
-        assert len(counts) > 2
-        assert max(counts) <= n_most
+            levels |= {piece.level for piece in shown}
+        assert len(counts) > 3
+        assert len(levels) > 2
+
+
+def test_skirts_of_the_vertex_shader_are_those_of_the_dynamic_mesh(context, gentle, small_patches):
+    """From below the ground they hang in view. By what the depth buffer holds."""
+    pictures, skirts = [], []
+    for mode in ("dynamic", "vertex-texture"):
+        with Offscreen(gentle, SIZE, mode=mode, samples=0, context=context) as offscreen:
+            low, high = offscreen.scene.frame.box
+            x, y = (0.7 * low + 0.3 * high)[:2].tolist()
+            camera = Camera((x, y, float(low[2]) - 20), 40, 5, 50)
+            frames = offscreen.draw(camera, Style(background=LOUD), max_pixel_error=8.0)
+            depths = offscreen.framebuffer.read(components=1, attachment=-1, dtype="f4")
+            pictures.append(np.frombuffer(depths, dtype=np.float32))
+            skirts.append(frames.skirts)
+    np.testing.assert_allclose(*skirts)
+    assert (skirts[0] > 1).all()
+    assert (np.abs(pictures[0] - pictures[1]) > 1e-5).mean() < 0.01
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -129,31 +143,39 @@ def test_the_vertex_shader_puts_each_sample_where_the_dynamic_mesh_has_its_root(
         program = context.program(
             vertex_shader=VERTEX_SHADER.strip(), varyings=["v_seen", "gl_ClipDistance"]
         )
-        array = context.vertex_array(
-            program,
-            [(surface.places, "2u2", "in_place"), (surface.patches, "4f4/i", "in_patch")],
-        )
         for camera in cameras(offscreen.scene.frame, 3, seed=4):
             offscreen.draw(camera, Style(), max_pixel_error=3.0)
             view = offscreen.scene.view(camera, offscreen.viewport, 3.0)
-            n = surface.prepare(offscreen.scene, view, program)
+            (patch,), (followed,), eye = mode.shown, mode.followed, eye_of(view)
+            n = surface.prepare(offscreen.scene, 0, patch, followed, eye, program)
+            side = mode.tree + 1
+            array = context.vertex_array(
+                program,
+                [(surface.grids[(mode.tree,)][0], "2u2", "in_place"),
+                 (surface.trees, "4f4/i", "in_tree")],
+            )  # fmt: skip
             program["z_scale"] = 1.0
-            buffer = context.buffer(reserve=n * 257 * 257 * 16)
+            buffer = context.buffer(reserve=n * side * side * 16)
             array.transform(buffer, instances=n)
-            found = np.frombuffer(buffer.read(), dtype=np.float32).reshape(257, 257, 4)
+            parts = np.frombuffer(buffer.read(), dtype=np.float32).reshape(n, side, side, 4)
+            places = np.frombuffer(surface.trees.read(n * 16), dtype=np.float32).reshape(n, 4)
             buffer.release()
-            placed = mode.dynamic_mesh.draw(eye_of(view), mode.followed)
-            expected = drawn_samples(placed, (256, 256)) - camera.eye
-            found, is_drawn = found[:256, :256, :3], found[:256, :256, 3] > 0
+            array.release()
+            placed = patch.mesh.draw(eye, followed)
+            shape = tuple(patch.mesh.tree.layout[0, 1:].tolist())
+            expected = drawn_samples(placed, shape) - camera.eye
+            found = np.full((*shape, 4), np.nan)
+            for part, (col, row) in zip(parts, places[:, 2:].astype(int), strict=True):
+                found[row : row + side - 1, col : col + side - 1] = part[:-1, :-1]
+            expected[np.isnan(found[..., 0])] = np.nan  # trees out of view
+            found, is_drawn = found[..., :3], found[..., 3] > 0
             np.testing.assert_array_equal(is_drawn, ~np.isnan(expected[..., 0]))
             # Metres; the GPU's are float32 relative to the eye.
             apart = np.abs(found - expected)[is_drawn]
             assert apart.max() < (0.01 if morph == 1.0 else 0.05)
             n_checked += is_drawn.sum()
-            followed = mode.followed._replace(threshold=mode.followed.tau)
-            still = mode.dynamic_mesh.draw(eye_of(view), followed)
+            still = patch.mesh.draw(eye, followed._replace(threshold=followed.tau))
             n_morphed += (np.abs(placed.vertices - still.vertices).max(axis=1) > 0.5).sum()
-        array.release()
         program.release()
-    assert n_checked >= 3 * 90 * 110
+    assert n_checked > 90 * 110
     assert (n_morphed > 10) == (morph > 1), n_morphed

@@ -5,17 +5,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from render.scenes import ListStore, hills, terrain_of
-from tri.slow_dynamic import surfaces_at
+from tri.slow_dynamic import areas, surfaces_at
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.grid.quadtree import Region
 from terrainwave.render.camera import Camera, Viewport, home, project
-from terrainwave.render.modes import rqt
 from terrainwave.render.scene import Scene
 
 pytestmark = pytest.mark.large
 
 VIEWPORT = Viewport(320, 240)
+MODES = ["dynamic", "rqt", "vertex-texture"]
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +33,10 @@ def cameras(frame, n, seed=1):
         yield Camera((x, y, z), heading % 360, rng.uniform(-80, -15), rng.uniform(30, 80))
 
 
+def without_skirts(drawn):
+    return drawn._replace(triangles=drawn.triangles[np.abs(areas(drawn)) > 1e-9])
+
+
 def largest_error(scene, camera, every):
     """How far originals in view are on screen from the mesh drawn, pixels; NaN if none is."""
     heights = scene.terrain.read()
@@ -41,11 +44,11 @@ def largest_error(scene, camera, every):
     xy = scene.frame.samples_to_local(rows, cols)
     points = np.column_stack([xy, heights[rows, cols] * scene.frame.exaggeration])
     seen = project(camera, VIEWPORT, points)
-    found = [np.nan]
+    found, drawn = [np.nan], without_skirts(scene.mode.drawn)
     for point, pixel in zip(points, seen, strict=True):
         if not (0 <= pixel[0] <= VIEWPORT.width and 0 <= pixel[1] <= VIEWPORT.height):
             continue
-        over = surfaces_at(scene.mode.drawn, *point[:2])
+        over = surfaces_at(drawn, *point[:2])
         if len(over):
             above = np.column_stack([np.tile(point[:2], (len(over), 1)), over])
             apart = project(camera, VIEWPORT, above)[:, :2] - pixel[:2]
@@ -66,9 +69,8 @@ def test_originals_are_within_tau_of_what_is_drawn(small, mode):
         assert 0.05 < np.nanmax(found) <= 1
 
 
-def test_rqt_splits_by_the_coefficients_of_the_file(monkeypatch):
-    """Vertices of tiles and overview have at least the file's own coefficient as their error."""
-    monkeypatch.setattr(rqt, "TILE", 16)
+def test_rqt_splits_by_the_coefficients_of_the_file(small_patches):
+    """Vertices have at least the file's own coefficient as their error."""
     heights = np.round(hills(60, 70, 3)).astype(np.int16)
     with (
         terrain_of(heights, max_error=0, method="cdf53") as terrain,
@@ -78,16 +80,14 @@ def test_rqt_splits_by_the_coefficients_of_the_file(monkeypatch):
         for tau in (2.0, 10.0, 60.0):
             counts.append(scene.settle(scene.view(camera, VIEWPORT, tau)).n_triangles)
         assert counts[0] > counts[1] > counts[2] > 0
-        found = terrain.decoder.coefficients(terrain.n_levels - 1, Region(0, 0, *terrain.shape))
-        mesh = scene.mode._mesh
-        assert mesh.n_loaded > 1
-        for row, col in np.argwhere(mesh._tiles._slot_of >= 0):
-            own = found[16 * row : 16 * row + 17, 16 * col : 16 * col + 17]
-            errors = np.abs(mesh._tiles._errors[mesh._tiles._slot_of[row, col]])
-            inside = np.s_[: own.shape[0], : own.shape[1]]
-            own[::16, ::16] = 0  # corners of tiles always are vertices
-            assert (errors[inside] >= own).all()
-            assert (errors[inside] == own).mean() > 0.2
+        patches = list(scene.store.patches.values())
+        assert len(patches) > 4
+        for patch in patches:
+            own = terrain.decoder.coefficients(patch.piece.level, patch.region)
+            errors = np.abs(patch.mesh._errors)[: own.shape[0], : own.shape[1]]
+            own[::32, ::32] = 0  # corners of patches always are vertices
+            assert (errors >= own).all()
+            assert (errors == own).mean() > 0.2
 
 
 def test_coefficients_are_refused_where_there_are_none(small):
@@ -153,10 +153,10 @@ def test_steps_change_one_height_a_frame_and_what_they_keep_is_said(small, mode)
         near = Camera((0.0, float(low[1]), float(high[2]) + 500), 0, -50, 60)
         scene.settle(scene.view(far, VIEWPORT, 1.5))
         view, kept, counts = scene.view(near, VIEWPORT, 1.5), [], []
-        while not kept or scene.mode.followed.n_changed:
+        while not kept or scene.mode.followed[0].n_changed:
             frames = scene.update(view)
             kept.append(frames.tau)
-            counts.append(scene.mode.followed.n_vertices)
+            counts.append(scene.mode.followed[0].n_vertices)
             if mode == "dynamic":
                 assert largest_error(scene, near, 7) <= frames.tau
         # From patches' roots to samples, and a frame in which nothing changes.
@@ -167,88 +167,107 @@ def test_steps_change_one_height_a_frame_and_what_they_keep_is_said(small, mode)
         assert all(after <= 4 * before for before, after in pairwise(counts))
 
 
-def test_from_high_up_the_overview_is_drawn_alone(monkeypatch):
-    """Tiles come with the view, near ones first; what they replace stands in for them."""
-    monkeypatch.setattr(rqt, "TILE", 16)
-    heights = np.round(hills(60, 70, 3)).astype(np.int16)
-    store = ListStore()
-    with terrain_of(heights, max_error=0) as terrain, Scene(terrain, store, mode="rqt") as scene:
-        stride = scene.mode._overview_stride
-        assert stride > 1
-        high = Camera((0.0, 0.0, 1e6), 0, -90, 50)
-        scene.settle(scene.view(high, VIEWPORT, 1.0))
-        assert len(store.patches) == 1
-        assert (scene.mode.frame_mesh.places % stride == 0).all()
-        low, top = scene.frame.box
-        near = Camera((float(low[0]), 0.0, float(top[2]) + 50), 90, -35, 30)
-        view = scene.view(near, VIEWPORT, 1.0)
-        first = scene.update(view)
-        assert first.n_missing > 0
-        assert first.n_triangles > 0
-        scene.settle(view)
-        assert 1 < len(store.patches) < 1 + 4 * 5
-        assert (scene.mode.frame_mesh.places % stride != 0).any()
-
-
-@pytest.fixture
-def tiled(monkeypatch):
-    """A terrain of many tiles, small enough to look at each sample."""
-    monkeypatch.setattr(rqt, "TILE", 16)
-    monkeypatch.setattr(rqt, "_OVERVIEW_LEVELS", 2)
-    with terrain_of(np.round(hills(120, 130, 3)).astype(np.int16), max_error=0) as terrain:
-        yield terrain
+# Patches that come and go
 
 
 def low_flight(scene, n_steps):
-    """Across the terrain, near enough to see few tiles."""
+    """Across the terrain, its near parts much nearer than its far ones."""
     low, high = scene.frame.box
-    for share in np.linspace(0.1, 0.9, n_steps):
+    for share in np.linspace(0.25, 0.75, n_steps):
         x, y = low[:2] + share * (high - low)[:2]
-        yield Camera((float(x), float(y), float(high[2]) + 300), 60 + 90 * share, -50, 25)
+        yield Camera((float(x), float(y), float(high[2]) + 100), 720 * share % 360, -20, 40)
 
 
-def test_originals_are_within_tau_where_tiles_come_with_the_view(tiled):
-    with Scene(tiled, ListStore(), mode="rqt") as scene:
-        n_tiles = int(np.prod(scene.mode._n_tiles))
+@pytest.mark.parametrize("mode", MODES)
+def test_from_high_up_one_patch_is_drawn_and_near_the_ground_the_full_grid(
+    gentle, small_patches, mode
+):
+    """What a patch is replaced by comes from coarse to fine, and it stands in for it."""
+    with Scene(gentle, ListStore(), mode=mode) as scene:
+        scene.settle(scene.view(Camera((0.0, 0.0, 1e6), 0, -90, 50), VIEWPORT, 1.0))
+        (top,) = scene.mode.shown
+        assert top.region.shape == gentle.grid.level_shape(0)
+        low, high = scene.frame.box
+        corner = Camera((float(low[0]), float(low[1]), float(high[2]) + 100), 45, -20, 40)
+        view = scene.view(corner, VIEWPORT, 2.0)
+        assert scene.update(view).n_missing > 0
+        assert scene.mode.shown == [top]
+        scene.settle(view)
+        levels = [patch.piece.level for patch in scene.mode.shown]
+        assert levels[0] == gentle.n_levels - 1 > levels[-1]
+        assert 10 < len(scene.store.patches) < 60
+
+
+@pytest.mark.parametrize("mode", ["dynamic", "rqt"])
+def test_originals_are_within_tau_where_patches_come_with_the_view(gentle, small_patches, mode):
+    levels = set()
+    with Scene(gentle, ListStore(), mode=mode, exaggeration=1.5) as scene:
+        for tau, camera in zip((1.0, 2.0, 8.0), low_flight(scene, 3), strict=True):
+            frames = scene.settle(scene.view(camera, VIEWPORT, tau))
+            assert frames.tau == tau
+            assert 0.1 * tau < largest_error(scene, camera, 37) <= tau
+            levels |= {patch.piece.level for patch in scene.mode.shown}
+    assert len(levels) > 2
+
+
+@pytest.mark.parametrize("mode", ["dynamic", "rqt"])
+def test_skirts_reach_what_neighbours_draw(gentle, small_patches, mode):
+    """At every vertex on its border a patch is no higher over a neighbour than its skirt is deep.
+
+    The neighbour is looked at a hair's breadth inside, as borders may be the same.
+    """
+    n_checked = 0
+    with Scene(gentle, ListStore(), mode=mode) as scene:
+        for camera in low_flight(scene, 2):
+            frames = scene.settle(scene.view(camera, VIEWPORT, 3.0))
+            parts = list(parts_of(scene.mode))
+            for k, part in enumerate(parts):
+                for x, y, z, bottom in skirts_of(part):
+                    seen = project(camera, VIEWPORT, np.array([[x, y, z]]))[0]
+                    if not (0 <= seen[0] <= VIEWPORT.width and 0 <= seen[1] <= VIEWPORT.height):
+                        continue
+                    assert z - bottom == pytest.approx(frames.skirts[k])
+                    for other in parts[:k] + parts[k + 1 :]:
+                        beside = surfaces_at(without_skirts(other), x, y)
+                        n_checked += len(beside)
+                        assert (beside >= bottom - 1e-6).all()
+    assert n_checked > 100
+
+
+def parts_of(mode):
+    """The mesh of each patch."""
+    starts = mode.first_vertices
+    for first, end in pairwise(starts):
+        inside = (mode.drawn.triangles >= first).all(1) & (mode.drawn.triangles < end).all(1)
+        yield mode.drawn._replace(
+            vertices=mode.drawn.vertices[first:end], triangles=mode.drawn.triangles[inside] - first
+        )
+
+
+def skirts_of(part):
+    """Each vertex with one right below it: x, y, z and the other's z."""
+    places = {}
+    for x, y, z in part.vertices.tolist():
+        places.setdefault((x, y), []).append(z)
+    for (x, y), z in places.items():
+        if len(z) == 2:
+            yield x, y, z[0], z[1]
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_patches_keep_to_their_limit_on_a_flight_and_tau_says_so(gentle, small_patches, mode):
+    n_most = 12
+    with Scene(gentle, ListStore(max_blocks=n_most), mode=mode, exaggeration=1.5) as scene:
+        seen, taus = set(), set()
         for camera in low_flight(scene, 5):
             frames = scene.settle(scene.view(camera, VIEWPORT, 1.0))
-            assert frames.tau == 1.0
-            assert largest_error(scene, camera, 11) <= 1.0
-        assert 4 < scene.mode._mesh.n_loaded < n_tiles
-
-
-def test_memory_for_tiles_keeps_to_its_limit_on_a_flight(tiled):
-    n_most = 12
-    with Scene(tiled, ListStore(max_blocks=1 + n_most), mode="rqt") as scene:
-        seen = set()
-        for camera in low_flight(scene, 12):
-            frames = scene.settle(scene.view(camera, VIEWPORT, 2.0))
-            loaded = np.argwhere(scene.mode._mesh._tiles._slot_of >= 0).tolist()
-            assert len(loaded) == len(scene.store.patches) - 1 <= n_most
-            assert scene.mode._mesh._tiles._slot_of.max() < n_most  # slots are used again
-            assert largest_error(scene, camera, 31) <= frames.tau
-            seen |= {tuple(tile) for tile in loaded}
-        assert len(seen) > 2 * n_most
-
-
-def test_tiles_that_do_not_fit_raise_tau(tiled):
-    with Scene(tiled, ListStore(max_blocks=4), mode="rqt") as scene:
-        camera = home(scene.frame.box, VIEWPORT)
-        frames = scene.settle(scene.view(camera, VIEWPORT, 0.2))
-        assert scene.mode._mesh.n_loaded <= 3
-        assert frames.tau > 0.2
-        assert largest_error(scene, camera, 31) <= frames.tau
-
-
-def test_slopes_of_the_overview_are_spread_linearly(monkeypatch):
-    """A function that is linear between every fourth sample is kept; the last samples repeat."""
-    monkeypatch.setattr(rqt, "TILE", 4)
-    rows, cols = np.mgrid[0:10, 0:11]
-    expected = np.stack([rows + 2.0 * cols, 8.0 - cols], axis=-1)
-    found = rqt.spread_slopes(expected[::4, ::4].astype(np.float16), 4, (10, 11))
-    np.testing.assert_array_equal(found[:9, :9], expected[:9, :9])
-    np.testing.assert_array_equal(found[9], found[8])
-    np.testing.assert_array_equal(found[:, 10], found[:, 8])
+            assert len(scene.mode._patches) == len(scene.store.patches) <= n_most
+            taus.add(frames.tau)
+            if mode != "vertex-texture":  # the GPU makes its mesh
+                assert largest_error(scene, camera, 301) <= frames.tau
+            seen |= set(scene.mode._patches)
+        assert len(seen) > 1.5 * n_most
+        assert 1.0 < max(taus) < 100.0
 
 
 def test_a_raster_of_one_row_draws_nothing():

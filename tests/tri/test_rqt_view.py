@@ -27,7 +27,9 @@ def heights_of(shape, has_void, seed=1):
 
 def mesh_of(shape, tile, has_void, **options):
     heights = heights_of(shape, has_void)
-    return RestrictedMesh(shape, RANGE, heights, tile=tile, sample_matrix=NORTH_UP, **options)
+    mesh = RestrictedMesh(heights, tile=tile, sample_matrix=NORTH_UP, **options)
+    mesh._limits = RANGE  # boxes as high as those of `cameras`
+    return mesh
 
 
 def vertices_below_corners(mesh):
@@ -63,10 +65,8 @@ def test_by_coefficient_what_a_vertex_depends_on_is_split_with_it():
     # One spike of 8: its own coefficient is 8, those beside it have 8 / 4 = 2, all others 0.
     heights = np.zeros((33, 33))
     heights[21, 9] = 8.0
-    mesh = RestrictedMesh((33, 33), RANGE, heights, tile=32, sample_matrix=NORTH_UP, error="paper")
-    found = {
-        place: float(mesh._tiles._coarse_errors[place]) for place, _ in vertices_below_corners(mesh)
-    }
+    mesh = RestrictedMesh(heights, tile=32, sample_matrix=NORTH_UP, error="paper")
+    found = {place: float(mesh._errors[place]) for place, _ in vertices_below_corners(mesh)}
     assert found[21, 9] == 8
     assert found[1, 31] == 0
     eye = eye_of(Camera((16, -60, 100), 0, -45, 50))._replace(planes=np.empty((0, 4)))
@@ -104,7 +104,7 @@ def test_at_full_detail_voids_are_as_in_the_full_grid():
     """Each quad with three valid corners gives their triangle (by hand: 4 around a lone void)."""
     heights = np.zeros((5, 5))
     heights[2, 2] = np.nan
-    mesh = RestrictedMesh((5, 5), RANGE, heights, tile=4, sample_matrix=NORTH_UP)
+    mesh = RestrictedMesh(heights, tile=4, sample_matrix=NORTH_UP, base_error=1e-3)
     frame = mesh.update(eye_of(Camera((2, -2, 61), 0, -90, 90)), 1e-9)
     assert areas(frame).sum() == 2 * (16 - 4) + 4
     assert len(frame.vertices) == 24
@@ -137,85 +137,6 @@ def test_no_sample_is_further_than_tau_on_screen(shape, tile, has_void, morph):
     assert 0.1 < largest <= 1
 
 
-def test_tiles_are_split_below_the_overview_once_they_are_loaded():
-    shape, tile = (33, 33), 16
-    heights = heights_of(shape, False)
-    whole = RestrictedMesh(shape, RANGE, heights, tile=tile, sample_matrix=NORTH_UP)
-    mesh = RestrictedMesh(
-        shape, RANGE, heights[::4, ::4], stride=4, tile=tile, sample_matrix=NORTH_UP
-    )
-    eye = eye_of(Camera((16, -16, 70), 0, -89, 90))
-    frame = mesh.update(eye, 0.1)
-    assert (frame.places % 4 == 0).all()
-    assert len(frame.places) > 25
-    mesh.load(0, 1, mesh.measure(0, 1, heights[:17, 16:]))
-    frame = mesh.update(eye, 0.1)
-    is_fine = (frame.places % 4 != 0).any(axis=1)
-    assert is_fine.sum() > 50
-    # Not on the lines that it shares with tiles that are not.
-    assert ((frame.places[is_fine] > (-1, 16)) & (frame.places[is_fine] < (16, 33))).all()
-    assert (areas(frame) > 0).all()
-    for row in range(2):
-        for col in range(2):
-            if not mesh.is_loaded(row, col):
-                part = heights[16 * row : 16 * row + 17, 16 * col : 16 * col + 17]
-                mesh.load(row, col, mesh.measure(row, col, part))
-    again, expected = mesh.update(eye, 0.1), whole.update(eye, 0.1)
-    fine = {tuple(place) for place in expected.places.tolist()}
-    assert fine <= {tuple(place) for place in again.places.tolist()}
-
-
-def test_a_tile_that_goes_leaves_the_overview_and_comes_back_as_it_was():
-    shape, tile = (33, 33), 16
-    heights = heights_of(shape, False)
-    mesh = RestrictedMesh(
-        shape, RANGE, heights[::4, ::4], stride=4, tile=tile, sample_matrix=NORTH_UP
-    )
-    eye = eye_of(Camera((16, -16, 70), 0, -89, 90))
-    tiles = {}
-    for row, col in np.ndindex(2, 2):
-        part = heights[16 * row : 16 * row + 17, 16 * col : 16 * col + 17]
-        tiles[row, col] = mesh.measure(row, col, part)
-        mesh.load(row, col, tiles[row, col])
-    whole = mesh.update(eye, 0.1)
-    mesh.unload(0, 1)
-    assert mesh.n_loaded == 3
-    assert not mesh.is_loaded(0, 1)
-    frame = mesh.update(eye, 0.1)
-    is_inside = ((frame.places >= (0, 16)) & (frame.places <= (16, 32))).all(axis=1)
-    assert is_inside.sum() > 20
-    assert (frame.places[is_inside] % 4 == 0).all()
-    assert (areas(frame) > 0).all()
-    assert areas(frame).sum() == 2 * 32 * 32
-    mesh.load(0, 1, tiles[0, 1])
-    again = mesh.update(eye, 0.1)
-    assert {tuple(place) for place in again.places.tolist()} == {
-        tuple(place) for place in whole.places.tolist()
-    }
-
-
-def test_wanted_are_the_tiles_that_the_overview_does_not_show_the_worst_first():
-    """Against the errors by hand: a cell's twist is 8 / 4 beside the one spike of the overview."""
-    overview = np.zeros((9, 9))
-    overview[1, 5] = 8.0
-    mesh = RestrictedMesh(
-        (33, 33), (0.0, 8.0), overview, stride=4, tile=16, sample_matrix=NORTH_UP, base_error=1.0,
-        error="paper",
-    )  # fmt: skip
-    np.testing.assert_allclose(mesh._tiles.overview_errors, [[3, 3], [1, 1]], atol=1e-4)
-    eye = eye_of(Camera((30, -2, 100), 0, -89, 90))._replace(planes=np.empty((0, 4)))
-    assert mesh.wanted_tiles(eye, 1e-6).tolist()[:2] == [[0, 1], [0, 0]]
-    assert len(mesh.wanted_tiles(eye, 1e-6)) == 4
-    assert len(mesh.wanted_tiles(eye, 1e3)) == 0
-    # Out of view, but a stride or less away from it.
-    away = np.array([[0.0, 1.0, 0.0, 12.0]])  # y >= -12
-    rows = {row for row, _ in mesh.wanted_tiles(eye._replace(planes=away), 1e-6).tolist()}
-    assert rows == {0, 1}
-    further = np.array([[0.0, 1.0, 0.0, 11.0]])
-    rows = {row for row, _ in mesh.wanted_tiles(eye._replace(planes=further), 1e-6).tolist()}
-    assert rows == {0}
-
-
 def test_a_view_that_stays_changes_nothing_and_touches_what_it_shows():
     mesh = mesh_of((65, 65), 64, False)
     eye = eye_of(Camera((32, -80, 65), 0, -40, 40))
@@ -239,26 +160,11 @@ def surface_of(frame, shape, every=1):
     return found
 
 
-def partly_loaded(error):
-    """A mesh of four tiles, one of which is loaded: errors are not nested across its borders."""
-    shape = (9, 9)
-    heights = heights_of(shape, False)
-    mesh = RestrictedMesh(
-        shape, RANGE, heights[::2, ::2], stride=2, tile=4, sample_matrix=NORTH_UP, error=error
-    )
-    mesh.load(0, 1, mesh.measure(0, 1, heights[:5, 4:]))
-    return mesh
-
-
-@pytest.mark.parametrize("has_tiles", some([True, False], 2))
 @pytest.mark.parametrize("error", some(["paper", "measured"], 2))
-def test_what_is_drawn_is_the_mean_of_the_surfaces_for_all_thresholds(error, has_tiles):
+def test_what_is_drawn_is_the_mean_of_the_surfaces_for_all_thresholds(error):
     """Those change where a vertex's error is passed: the integral is a sum."""
     shape, tau, morph = (9, 9), 100.0, 16.0
-    mesh, slow = (
-        partly_loaded(error) if has_tiles else mesh_of(shape, 8, False, error=error)
-        for _ in range(2)
-    )
+    mesh, slow = (mesh_of(shape, 8, False, error=error) for _ in range(2))
     n_between = 0
     for camera in cameras(shape, 3, seed=5):
         eye = eye_of(camera)._replace(planes=np.empty((0, 4)))
@@ -278,7 +184,7 @@ def test_a_vertex_leaves_the_edge_it_splits_at_the_lower_threshold():
     """By hand: a pit of 8 in the middle of a tile, between corners of 0."""
     heights = np.zeros((3, 3))
     heights[1, 1] = -8.0
-    mesh = RestrictedMesh((3, 3), RANGE, heights, tile=2, sample_matrix=NORTH_UP)
+    mesh = RestrictedMesh(heights, tile=2, sample_matrix=NORTH_UP)
     eye = eye_of(Camera((1, -400, 200), 0, -27, 40))._replace(planes=np.empty((0, 4)))
     error = mesh.screen_error(eye, 1, 1)
     for share in (1e-9, 0.25, 1.0):
@@ -342,17 +248,16 @@ def test_a_budget_that_cannot_be_kept_ends():
     ("options", "words"),
     [
         ({"tile": 6}, "tile 6"),
-        ({"tile": 4, "stride": 8}, "stride 8 and tile 4"),
-        ({"stride": 2}, "overview of shape"),
+        ({"heights": np.zeros(5)}, "heights of shape"),
         ({"error": "none"}, "measured, paper or coefficient"),
     ],
 )
 def test_what_is_no_raster_is_refused(options, words):
     with pytest.raises(InvalidHeightsError, match=words):
-        RestrictedMesh((5, 5), RANGE, np.zeros((5, 5)), **options)
+        RestrictedMesh(**{"heights": np.zeros((5, 5)), **options})
 
 
-def test_options_and_tiles_are_checked():
+def test_options_are_checked():
     mesh = mesh_of((17, 17), 16, False)
     eye = eye_of(Camera((0, 0, 9)))
     with pytest.raises(InvalidHeightsError, match="tau"):
@@ -361,8 +266,6 @@ def test_options_and_tiles_are_checked():
         mesh.update(eye, 1.0, morph=0.5)
     with pytest.raises(InvalidHeightsError, match="corner of a tile: 4"):
         mesh.update(eye, 1.0, max_vertices=3)
-    with pytest.raises(InvalidHeightsError, match="tile of shape"):
-        mesh.measure(0, 0, np.zeros((4, 4)))
 
 
 def test_errors_are_not_below_the_distance_of_any_sample_from_the_triangles_that_are_split():
@@ -383,36 +286,26 @@ def test_errors_are_not_below_the_distance_of_any_sample_from_the_triangles_that
                 weights = np.linalg.solve(np.vstack([corners.T, np.ones(3)]), [*place, 1])
                 if weights.min() >= -1e-9:
                     worst = max(worst, abs(np.dot([*place, 1], plane) - heights[place]))
-        assert mesh._tiles._coarse_errors[row, col] >= worst * (1 - 1e-6)
-        n_equal += abs(mesh._tiles._coarse_errors[row, col] - worst) < 1e-4
+        assert mesh._errors[row, col] >= worst * (1 - 1e-6)
+        n_equal += abs(mesh._errors[row, col] - worst) < 1e-4
     assert n_equal > 100
 
 
-@pytest.mark.parametrize("stride", [1, 4])
-def test_errors_by_coefficient_are_those_given_and_of_what_depends_on_a_vertex(stride):
+def test_errors_by_coefficient_are_those_given_and_of_what_depends_on_a_vertex():
     """Against the least errors that hold those of dependents, vertex by vertex, finest first."""
-    shape, tile = (33, 33), 32
-    rng = np.random.default_rng(5)
-    given = rng.random(shape)
-    heights = heights_of(shape, has_void=False)
+    shape = (33, 33)
+    given = np.random.default_rng(5).random(shape)
     mesh = RestrictedMesh(
-        shape, RANGE, heights[::stride, ::stride], stride=stride, tile=tile,
-        sample_matrix=NORTH_UP, error="coefficient", coefficients=given[::stride, ::stride],
+        heights_of(shape, has_void=False), tile=32, sample_matrix=NORTH_UP, error="coefficient",
+        coefficients=given,
     )  # fmt: skip
-    if stride > 1:
-        mesh.load(0, 0, mesh.measure(0, 0, heights, coefficients=given))
     expected = given.astype(np.float32)
     below = sorted(vertices_below_corners(mesh), key=lambda found: _order(*found[0]))
     for (row, col), needs in below:
         for place in needs:
             expected[place] = max(expected[place], expected[row, col])
     for (row, col), _ in below:
-        own = mesh._tiles._coarse_errors if stride == 1 else mesh._tiles._errors[0]
-        if stride == 1 or (row % stride or col % stride):
-            assert own[row, col] == expected[row, col]
-        else:
-            at = row // stride, col // stride
-            assert mesh._tiles._fine_errors[at] == expected[row, col]
+        assert mesh._errors[row, col] == expected[row, col]
 
 
 def _order(row, col):
@@ -425,4 +318,4 @@ def test_coefficients_are_refused_but_with_their_own_error():
     heights = np.zeros((9, 9))
     for options in ({"error": "coefficient"}, {"coefficients": heights}):
         with pytest.raises(InvalidHeightsError, match="coefficients"):
-            RestrictedMesh((9, 9), RANGE, heights, tile=8, **options)
+            RestrictedMesh(heights, tile=8, **options)

@@ -31,6 +31,7 @@ from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.tri.budget import Pressure, check_budget
 from terrainwave.tri.haar import (
+    CLOSED,
     ERROR,
     FIRST,
     HIGH,
@@ -40,6 +41,7 @@ from terrainwave.tri.haar import (
     HaarTree,
     build_tree,
 )
+from terrainwave.tri.scratch import Scratch
 
 # NotNullNode, NullSubTreeRoot, NullSubTreeSubNode: what is above roots, roots, what is below them.
 INNER, ROOT, BELOW = 0, 1, 2
@@ -132,6 +134,8 @@ class DynamicFrame(NamedTuple):
         Counter-clockwise seen from above; a root's fan is consecutive.
     nodes : ndarray of int32, shape (n_vertices, 3)
         Height, row and column of each vertex's node.
+    edges : ndarray of int32, shape (n_edges, 2)
+        Vertices of the edges that end the mesh on open sides.
     threshold, tau, n_touched, n_changed
         See `Followed`.
     """
@@ -139,6 +143,7 @@ class DynamicFrame(NamedTuple):
     vertices: NDArray[np.float64]
     triangles: NDArray[np.int32]
     nodes: NDArray[np.int32]
+    edges: NDArray[np.int32]
     threshold: float
     tau: float
     n_touched: int
@@ -162,6 +167,10 @@ class DynamicMesh:
         box; or Haar coefficients with the direction to the node, as printed.
     base_error : float
         Largest distance of `heights` from what errors count from; added to measured errors.
+    open_sides, is_surface
+        See `haar.build_tree`.
+    scratch : Scratch, optional
+        Memory that meshes drawn by one thread share.
 
     Attributes
     ----------
@@ -189,30 +198,29 @@ class DynamicMesh:
         patch: int = 256,
         error: str = "measured",
         base_error: float = 0.0,
+        open_sides: tuple[bool, bool, bool, bool] = CLOSED,
+        is_surface: bool = False,
+        scratch: Scratch | None = None,
     ) -> None:
-        self.tree: HaarTree = build_tree(heights, mask, patch=patch, error=error)
+        self.tree: HaarTree = build_tree(
+            heights, mask, patch=patch, error=error, open_sides=open_sides, is_surface=is_surface
+        )
         self.marks: NDArray[np.uint8] = np.full(len(self.tree.z), BELOW, dtype=np.uint8)
         layout = self.tree.layout
         self.marks[layout[-1, FIRST] :] = ROOT
-        self._is_bound = error == "measured"
+        self._is_bound, self._open_sides = error == "measured", open_sides
         self.base_error = base_error + self.tree.rounding if self._is_bound else 0.0
         self._matrix = tuple(float(value) for value in sample_matrix)
         self._is_mirrored = self._matrix[0] * self._matrix[4] < self._matrix[1] * self._matrix[3]
-        self._vertex_of = np.empty(len(self.tree.z), dtype=np.int32)
+        self._scratch = scratch or Scratch()
         self._stack = np.empty((4 * len(layout), 3), dtype=np.int64)
         self._places = np.empty((4 * len(layout), 4))
-        self._allocate(_FIRST_CAPACITY)
         self.has_changed: NDArray[np.uint8] = np.ones(
             tuple(layout[-1, N_ROWS:].tolist()), dtype=np.uint8
         )
         self._n_vertices = 0
         self._is_marked = False
         self._pressure = Pressure()
-
-    def _allocate(self, capacity: int) -> None:
-        self._vertices = np.empty((capacity, 3))
-        self._nodes = np.empty((capacity, 3), dtype=np.int32)
-        self._triangles = np.empty((2 * capacity, 3), dtype=np.int32)
 
     @property
     def n_nodes(self) -> int:
@@ -271,17 +279,34 @@ class DynamicMesh:
             used / morph, used, max(used, largest), self._n_vertices, n_touched, n_changed
         )
 
+    def largest_error(self, eye: Eye, followed: Followed) -> float:
+        """Return how far what is drawn in view is from `heights` at most, vertically.
+
+        In their unit, without the view's factor. Where errors are no bounds, the largest range of
+        heights that one triangle may cover.
+        """
+        tree = self.tree
+        error: float = largest_error_in_view(
+            tree.layout, tree.z, tree.bounds, self._view(eye), eye.planes, followed.tau,
+            self._stack, self.marks,
+        )  # fmt: skip
+        return error
+
     def draw(self, eye: Eye, followed: Followed) -> DynamicFrame:
         """Return the mesh of the marks; `followed` is what `follow` returned for this eye."""
-        n_vertices, n_voids = self._place(self._view(eye), eye.planes, followed)
+        tree = self.tree
+        vertex_of = self._scratch.take("vertex_of", (len(tree.z),), np.int32)
+        vertices, nodes, n_vertices, n_voids = self._place(eye, followed, vertex_of)
+        triangles = self._scratch.take("triangles", (2 * len(nodes), 3), np.int32)
         n_triangles = draw_fans(
-            self.marks, self.tree.layout, self.tree.z, self._nodes, n_vertices, n_voids,
-            self._vertex_of, self._is_mirrored, self._stack, self._triangles,
+            self.marks, tree.layout, tree.z, nodes, n_vertices, n_voids, vertex_of,
+            self._is_mirrored, self._stack, triangles,
         )  # fmt: skip
         return DynamicFrame(
-            self._vertices[:n_vertices].copy(),
-            self._triangles[:n_triangles].copy(),
-            self._nodes[:n_vertices].copy(),
+            vertices[:n_vertices].copy(),
+            triangles[:n_triangles].copy(),
+            nodes[:n_vertices].copy(),
+            self._outer_edges(vertex_of),
             followed.threshold,
             followed.tau,
             followed.n_touched,
@@ -326,19 +351,30 @@ class DynamicMesh:
         return n_touched, n_changed, largest
 
     def _place(
-        self, view: NDArray[np.float64], planes: NDArray[np.float64], followed: Followed
-    ) -> tuple[int, int]:
-        """Fill vertices and nodes of all roots; return how many have vertices, how many not."""
-        tree = self.tree
+        self, eye: Eye, followed: Followed, vertex_of: NDArray[np.int32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.int32], int, int]:
+        """Return vertices and nodes of all roots; and how many have vertices, how many not."""
+        tree, capacity = self.tree, max(2 * self._n_vertices, _FIRST_CAPACITY)
         while True:
+            nodes = self._scratch.take("nodes", (capacity, 3), np.int32)
+            vertices = self._scratch.take("vertices", (capacity, 3), np.float64)
             n_vertices, n_voids = place_vertices(
-                tree.layout, tree.z, tree.bounds, self.marks, view, planes, followed.threshold,
-                followed.tau, self._stack, self._places, self._vertex_of, self._nodes,
-                self._vertices,
+                tree.layout, tree.z, tree.bounds, self.marks, self._view(eye), eye.planes,
+                followed.threshold, followed.tau, self._stack, self._places, vertex_of, nodes,
+                vertices,
             )  # fmt: skip
-            if n_vertices + n_voids <= len(self._nodes):
-                return n_vertices, n_voids
-            self._allocate(2 * (n_vertices + n_voids))
+            if n_vertices + n_voids <= capacity:
+                return vertices, nodes, n_vertices, n_voids
+            capacity = 2 * (n_vertices + n_voids)
+
+    def _outer_edges(self, vertex_of: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Return the edges between roots along open sides."""
+        layout, edges = self.tree.layout, [np.empty((0, 2), dtype=np.int32)]
+        for side in np.flatnonzero(self._open_sides).tolist():
+            along = np.empty((int(layout[0, N_COLS - side % 2]), 2), dtype=np.int32)
+            n = fill_outer_edges(side, self.marks, layout, self.tree.z, vertex_of, along)
+            edges.append(along[:n])
+        return np.concatenate(edges)
 
     def _view(self, eye: Eye) -> NDArray[np.float64]:
         numbers = (
@@ -589,6 +625,36 @@ def settle_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_chan
     return n_touched, n_changed, n_more, 0.0
 
 
+@kernel
+def largest_error_in_view(layout, z, bounds, view, planes, tau, stack, marks):
+    """Return the largest error of nodes in view that are roots or have others on their way to them.
+
+    Those are roots and nodes whose error on screen is below `tau`; none below them has a larger
+    error. Near an outline, and where errors are no bounds, the range of heights counts.
+    """
+    largest = 0.0
+    for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
+        depth = _push_patch(patch, layout, stack)
+        while depth > 0:
+            depth -= 1
+            height, row, col = stack[depth, 0], stack[depth, 1], stack[depth, 2]
+            if height == 0:
+                continue
+            on_screen = screen_error(height, row, col, layout, z, bounds, view, planes)
+            if on_screen == 0:
+                continue
+            node = layout[height, FIRST] + row * layout[height, N_COLS] + col
+            if marks[node] == INNER and on_screen >= tau:
+                depth = _push_children(height, row, col, stack, depth)
+                continue
+            inner = node - layout[1, FIRST]
+            error = np.float64(bounds[inner, ERROR])
+            if error < 0 or view[_IS_BOUND] == 0:
+                error = np.float64(bounds[inner, HIGH]) - np.float64(bounds[inner, LOW])
+            largest = max(largest, error)
+    return largest
+
+
 # Vertices
 
 
@@ -771,4 +837,36 @@ def draw_fans(
             count = _add_corner(
                 root, ne, se, sw, z, vertex_of, is_mirrored, triangles, count
             )  # fmt: skip
+    return count
+
+
+@kernel
+def fill_outer_edges(side, marks, layout, z, vertex_of, edges):
+    """Fill the edges between the roots along a side that has some; return how many there are.
+
+    Sides are the first row and column, the last row and column.
+    """
+    n_rows, n_cols = layout[0, N_ROWS], layout[0, N_COLS]
+    top = layout.shape[0] - 1
+    count, before, at = 0, -1, 0
+    while at < (n_rows if side & 1 else n_cols):
+        row, col = at, at
+        if side & 1:
+            col = 0 if side == 1 else n_cols - 1
+        else:
+            row = 0 if side == 0 else n_rows - 1
+        height = top
+        node = layout[top, FIRST] + (row >> top) * layout[top, N_COLS] + (col >> top)
+        while marks[node] == INNER:
+            height -= 1
+            node = layout[height, FIRST] + (row >> height) * layout[height, N_COLS]
+            node += col >> height
+        if np.isnan(z[node]):
+            before = -1
+        else:
+            if before >= 0:
+                edges[count, 0], edges[count, 1] = vertex_of[before], vertex_of[node]
+                count += 1
+            before = node
+        at += 1 << height
     return count

@@ -21,7 +21,9 @@ Two errors of a node, what is lost where it stands for all samples below it:
   smaller than their children's.
 
 Where the mesh ends, at voids and the raster's outline, it ends at the centres of cells. A node
-that touches the outline therefore has the diagonal of its box as its error (`OUTLINE`).
+that touches the outline therefore has the diagonal of its box as its error (`OUTLINE`). Where the
+raster goes on (`open_sides`) the mesh ends short of its last samples, by half a patch at most, and
+there is no outline: whoever draws the neighbour lets both overlap.
 """
 
 from typing import NamedTuple
@@ -39,6 +41,7 @@ ERROR, LOW, HIGH = 0, 1, 2
 # In place of an error: the node touches the outline.
 OUTLINE = -1.0
 MAX_TOP = 12
+CLOSED = False, False, False, False
 # A float32 is within this share of what it was rounded from.
 _ROUNDING = 2.0**-23
 
@@ -79,6 +82,8 @@ def build_tree(
     *,
     patch: int = 256,
     error: str = "measured",
+    open_sides: tuple[bool, bool, bool, bool] = CLOSED,
+    is_surface: bool = False,
 ) -> HaarTree:
     """Return the tree of a raster.
 
@@ -91,6 +96,11 @@ def build_tree(
         Samples per side of a patch: a power of two, 2 to 4096.
     error : {"measured", "paper"}
         See the module's docstring.
+    open_sides : tuple of bool
+        Whether the raster goes on beyond its first row and column, its last row and column. Where
+        it does beyond the last ones, whole patches must fit.
+    is_surface : bool
+        Errors hold for all of the bilinear surface of the samples, not at samples alone.
 
     Raises
     ------
@@ -106,6 +116,8 @@ def build_tree(
         raise InvalidHeightsError(f"found heights of shape {heights.shape}, expected rows, columns")
     if patch < 2 or patch & (patch - 1) or patch > 1 << MAX_TOP:
         raise InvalidHeightsError(f"found patch {patch}, expected a power of two from 2 to 4096")
+    if (open_sides[2] and heights.shape[0] % patch) or (open_sides[3] and heights.shape[1] % patch):
+        raise InvalidHeightsError(f"found shape {heights.shape} and open sides, expected patches")
     if error not in ("measured", "paper"):
         raise InvalidHeightsError(f"found error {error!r}, expected measured or paper")
     valid = np.isfinite(heights)
@@ -124,13 +136,13 @@ def build_tree(
     rounding = float(np.abs(heights[valid]).max(initial=0)) * _ROUNDING
     bounds = np.empty((len(z) - leaves.size, 3), dtype=np.float32)
     is_near_void = np.empty(len(z), dtype=np.bool_)
-    _mark_near_voids(leaves, is_near_void)
+    _mark_near_voids(leaves, open_sides, is_near_void)
     for height in range(1, len(layout)):
         _average(height, layout, z, is_near_void)
         if error == "paper":
             _haar_errors(height, layout, z, bounds)
         else:
-            _measured_errors(height, layout, z, is_near_void, bounds)
+            _measured_errors(height, is_surface, layout, z, is_near_void, bounds)
     return HaarTree(layout, z, bounds, 0.5 if error == "paper" else 1.0, rounding)
 
 
@@ -148,15 +160,17 @@ def _layout(shape: tuple[int, ...], patch: int) -> NDArray[np.int64]:
 
 
 @kernel
-def _mark_near_voids(leaves, is_near_void):
+def _mark_near_voids(leaves, open_sides, is_near_void):
     """Say of each sample whether it or one of the eight around it is void or outside."""
     n_rows, n_cols = leaves.shape
     for row in range(n_rows):
         for col in range(n_cols):
-            is_near = row == 0 or col == 0 or row == n_rows - 1 or col == n_cols - 1
+            is_near = (row == 0 and not open_sides[0]) or (col == 0 and not open_sides[1])
+            is_near = is_near or (row == n_rows - 1 and not open_sides[2])
+            is_near = is_near or (col == n_cols - 1 and not open_sides[3])
             if not is_near:
-                for r in range(row - 1, row + 2):
-                    for c in range(col - 1, col + 2):
+                for r in range(max(row - 1, 0), min(row + 2, n_rows)):
+                    for c in range(max(col - 1, 0), min(col + 2, n_cols)):
                         is_near = is_near or np.isnan(leaves[r, c])
             is_near_void[row * n_cols + col] = is_near
 
@@ -211,7 +225,7 @@ def _haar_errors(height, layout, z, bounds):
 
 
 @kernel
-def _measured_errors(height, layout, z, is_near_void, bounds):
+def _measured_errors(height, is_surface, layout, z, is_near_void, bounds):
     """Fill the measured errors of a height's nodes."""
     first, n_rows, n_cols = layout[height]
     below, _, n_cols_below = layout[height - 1]
@@ -227,9 +241,9 @@ def _measured_errors(height, layout, z, is_near_void, bounds):
                 continue
             bound[ERROR], bound[LOW], bound[HIGH] = 0.0, z[node], z[node]
             if _has_voids(height, row, col, layout, z):
-                _measure_all(height, row, col, layout, z, corners, bound)
+                _measure_all(height, row, col, is_surface, layout, z, corners, bound)
             else:
-                _measure_windows(height, row, col, layout, z, corners, bound)
+                _measure_windows(height, row, col, is_surface, layout, z, corners, bound)
             if height > 1:
                 for k in range(4):
                     child = below + (2 * row + (k >> 1)) * n_cols_below + 2 * col + (k & 1)
@@ -260,7 +274,7 @@ def _has_voids(height, row, col, layout, z):
 
 
 @kernel
-def _measure_windows(height, row, col, layout, z, corners, bound):
+def _measure_windows(height, row, col, is_surface, layout, z, corners, bound):
     """Widen error and heights by those of the nine windows of a node without voids around it.
 
     Corners smaller than those listed lie below nodes all of whose samples are in the window: they
@@ -269,7 +283,9 @@ def _measure_windows(height, row, col, layout, z, corners, bound):
     middle = np.float64(z[layout[height, FIRST] + row * layout[height, N_COLS] + col])
     side, half, fourth = 1 << height, 1 << (height - 1), max((1 << height) // 4, 1)
     mid_row, mid_col = row * side + half, col * side + half
-    _measure(mid_row - half, mid_col - half, side, side, layout, z, middle, corners, 0, bound)
+    _measure(
+        mid_row - half, mid_col - half, side, side, is_surface, layout, z, middle, corners, 0, bound
+    )  # fmt: skip
     for k in range(4):
         down, right = k >> 1, k & 1
         n = _add_node(height, row, col, layout, z, corners, 0)
@@ -277,7 +293,7 @@ def _measure_windows(height, row, col, layout, z, corners, bound):
         n = _add_node(height, row, col + 2 * right - 1, layout, z, corners, n)
         n = _add_node(height, row + 2 * down - 1, col + 2 * right - 1, layout, z, corners, n)
         r, c = mid_row - side * (1 - down), mid_col - side * (1 - right)
-        _measure(r, c, side, side, layout, z, middle, corners, n, bound)
+        _measure(r, c, side, side, is_surface, layout, z, middle, corners, n, bound)
     for k in range(4):
         away, is_across = 2 * (k >> 1) - 1, k & 1
         beside_row, beside_col = (row, col + away) if is_across else (row + away, col)
@@ -295,11 +311,11 @@ def _measure_windows(height, row, col, layout, z, corners, bound):
             r, c, n_r, n_c = mid_row - fourth, mid_col + start, 2 * fourth, side
         else:
             r, c, n_r, n_c = mid_row + start, mid_col - fourth, side, 2 * fourth
-        _measure(r, c, n_r, n_c, layout, z, middle, corners, n, bound)
+        _measure(r, c, n_r, n_c, is_surface, layout, z, middle, corners, n, bound)
 
 
 @kernel
-def _measure_all(height, row, col, layout, z, corners, bound):
+def _measure_all(height, row, col, is_surface, layout, z, corners, bound):
     """Widen error and heights by those of one window around a node, voids in it or not.
 
     All nodes are listed that touch it and are not larger.
@@ -319,7 +335,7 @@ def _measure_all(height, row, col, layout, z, corners, bound):
     end_row = min((row + 1) * side + half, layout[0, N_ROWS])
     end_col = min((col + 1) * side + half, layout[0, N_COLS])
     n_r, n_c = end_row - first_row, end_col - first_col
-    _measure(first_row, first_col, n_r, n_c, layout, z, middle, corners, n, bound)
+    _measure(first_row, first_col, n_r, n_c, is_surface, layout, z, middle, corners, n, bound)
 
 
 @kernel
@@ -337,10 +353,29 @@ def _add_node(height, row, col, layout, z, corners, n):
 
 
 @kernel
-def _measure(first_row, first_col, n_rows, n_cols, layout, z, middle, corners, n_corners, bound):
+def _place_around(k, first_row, first_col, end_row, end_col):
+    """Return which samples' mean is the k-th half way to those around a window.
+
+    Its first row and column, and how many of each: 2 and 1, 1 and 2, or 2 and 2 at corners.
+    """
+    if k < 4:
+        return (end_row if k & 1 else first_row - 1), (end_col if k & 2 else first_col - 1), 2, 2
+    k -= 4
+    n_cols = end_col - first_col + 1
+    if k < 2 * n_cols:
+        return (end_row if k & 1 else first_row - 1), first_col + k // 2, 2, 1
+    k -= 2 * n_cols
+    return first_row + k // 2, (end_col if k & 1 else first_col - 1), 1, 2
+
+
+@kernel
+def _measure(
+    first_row, first_col, n_rows, n_cols, is_surface, layout, z, middle, corners, n_corners, bound
+):
     """Widen an error and heights by those of one window, whose first samples are given.
 
-    `middle` is a height near the window's.
+    `middle` is a height near the window's. With `is_surface` the bilinear surface counts as far as
+    half way to the samples around.
     """
     width = layout[0, N_COLS]
     mid_row, mid_col = first_row + (n_rows - 1) / 2, first_col + (n_cols - 1) / 2
@@ -368,6 +403,21 @@ def _measure(first_row, first_col, n_rows, n_cols, layout, z, middle, corners, n
                 continue
             least, largest = min(least, value), max(largest, value)
             value -= start + right * (c - mid_col)
+            low, high = min(low, value), max(high, value)
+    if is_surface:
+        end_row, end_col = first_row + n_rows - 1, first_col + n_cols - 1
+        for k in range(2 * (n_rows + n_cols) + 4):
+            r, c, n_r, n_c = _place_around(k, first_row, first_col, end_row, end_col)
+            if r < 0 or c < 0 or r + n_r > layout[0, N_ROWS] or c + n_c > width:
+                continue
+            value = np.float64(z[r * width + c]) + z[(r + n_r - 1) * width + c + n_c - 1]
+            value += np.float64(z[r * width + c + n_c - 1]) + z[(r + n_r - 1) * width + c]
+            value /= 4
+            if np.isnan(value):
+                continue
+            least, largest = min(least, value), max(largest, value)
+            value -= mean + down * (r + (n_r - 1) / 2 - mid_row)
+            value -= right * (c + (n_c - 1) / 2 - mid_col)
             low, high = min(low, value), max(high, value)
     sample_low, sample_high = low, high
     for k in range(n_corners):

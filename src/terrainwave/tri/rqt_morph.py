@@ -14,20 +14,15 @@ import numpy as np
 
 from terrainwave.coding.jit import kernel
 from terrainwave.tri.rqt import own_neighbours
-from terrainwave.tri.rqt_tiles import height_of
 
 
 @kernel
-def number_vertices(
-    active, slot_of, tile_heights, coarse_heights, bits, step_bits, vertex_of, heights
-):
+def number_vertices(active, samples, vertex_of, heights):
     """Fill the number of each active vertex, and its sample's height; NaN is void."""
     for number in range(active.shape[0]):
         row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
         vertex_of[row, col] = number
-        heights[number] = height_of(
-            row, col, slot_of, tile_heights, coarse_heights, bits, step_bits
-        )
+        heights[number] = samples[row, col]
 
 
 @kernel

@@ -6,9 +6,6 @@ it depends on with it; it is merged where nothing depends on it any more. `rqt` 
 the dependencies and the sources; here the grid is a row of squares of `tile` cells, whose corners
 always are vertices.
 
-A tile is known by every `stride`-th sample, the overview, until it is loaded. Vertices that would
-need more in one of the tiles they touch are not split.
-
 Three errors of a vertex, all made no smaller than those of the vertices that depend on it, so that
 a front from coarse to fine finds all:
 
@@ -18,7 +15,7 @@ a front from coarse to fine finds all:
 * `"measured"`: the largest vertical distance of the samples of the two triangles that it splits. No
   sample of a loaded tile is further than τ on screen.
 
-Boxes are nested, too: where all is loaded, a vertex is active exactly where its own error on screen
+Boxes are nested, too: a vertex is active exactly where its own error on screen
 is above τ.
 
 Geomorphs, which the paper does not have: the surface drawn is the mean of those for all thresholds
@@ -40,11 +37,18 @@ from numpy.typing import NDArray
 from terrainwave.coding.jit import kernel
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.tri.budget import Pressure, check_budget
-from terrainwave.tri.dynamic import Eye, check_update
+from terrainwave.tri.dynamic import Eye, Followed, check_update
+from terrainwave.tri.haar import CLOSED
 from terrainwave.tri.rqt import neighbours
-from terrainwave.tri.rqt_errors import is_corner, needs_of
+from terrainwave.tri.rqt_errors import (
+    is_corner,
+    measure_tile,
+    needs_of,
+    rounding_of,
+    widen_everywhere,
+)
 from terrainwave.tri.rqt_morph import number_vertices, place_vertices
-from terrainwave.tri.rqt_tiles import Tile, Tiles, height_of, is_known, known_error
+from terrainwave.tri.scratch import Scratch
 from terrainwave.tri.triangle import area_of
 
 # Of a view as an array.
@@ -56,7 +60,7 @@ _IS_BOUND, _WIDTH, _DEPTH_LESS, _MATRIX = 11, 12, 14, 15
 # a x + b y + c + reach d.
 _ALONG_X, _ALONG_Y, _CONSTANT, _PER_REACH = 0, 1, 2, 3
 # Nodes that one vertex depends on and that are not active yet: at most a few of each stride.
-_MOST_DEPENDENCIES = 4096
+_MOST_DEPENDENCIES = 512
 _ROOM = 4 * _MOST_DEPENDENCIES  # for what depends on one vertex
 
 
@@ -71,6 +75,10 @@ class RestrictedFrame(NamedTuple):
         Counter-clockwise seen from above.
     places : ndarray of int32, shape (n_vertices, 2)
         Row and column of each vertex's sample.
+    edges : ndarray of int32, shape (n_edges, 2)
+        Vertices of the edges along open sides.
+    border_error : float
+        How far those in view are from the samples on them, vertically.
     n_active : int
         Vertices of the quadtree, with those in voids.
     n_touched : int
@@ -84,6 +92,8 @@ class RestrictedFrame(NamedTuple):
     vertices: NDArray[np.float64]
     triangles: NDArray[np.int32]
     places: NDArray[np.int32]
+    edges: NDArray[np.int32]
+    border_error: float
     n_active: int
     n_touched: int
     n_changed: int
@@ -95,24 +105,22 @@ class RestrictedMesh:
 
     Parameters
     ----------
-    shape : tuple of int
-        Rows and columns of samples.
-    heights : tuple of float
-        Bounds of all heights.
-    overview : ndarray, shape (ceil(n_rows / stride), ceil(n_cols / stride))
-        Every `stride`-th sample; NaN is void.
-    stride : int
-        A power of two, at most `tile`; 1 has all samples.
+    heights : ndarray, shape (n_rows, n_cols)
+        NaN is void.
     tile : int
         Cells per side of a tile: a power of two.
     sample_matrix
         As for `DynamicMesh`.
     error : {"measured", "paper", "coefficient"}
         See the module's docstring.
-    coefficients : ndarray, shape of `overview`, optional
-        Magnitudes of the overview's coefficients, in the unit of heights, for those alone.
+    coefficients : ndarray, shape of `heights`, optional
+        Magnitudes of coefficients, in the unit of heights, for "coefficient" alone.
     base_error : float
-        Largest distance of the overview's bilinear surface from what errors count from.
+        Largest distance of the samples' surface from what errors count from.
+    open_sides : tuple of bool
+        Whether the raster goes on beyond its first row and column, its last row and column.
+    scratch : Scratch, optional
+        Memory that meshes drawn by one thread share.
 
     Raises
     ------
@@ -122,64 +130,71 @@ class RestrictedMesh:
 
     def __init__(
         self,
-        shape: tuple[int, int],
-        heights: tuple[float, float],
-        overview: NDArray[np.floating],
+        heights: NDArray[np.floating],
         *,
-        stride: int = 1,
         tile: int = 256,
         sample_matrix: tuple[float, ...] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
         error: str = "measured",
         base_error: float = 0.0,
         coefficients: NDArray[np.floating] | None = None,
+        open_sides: tuple[bool, bool, bool, bool] = CLOSED,
+        scratch: Scratch | None = None,
     ) -> None:
-        for name, value in (("tile", tile), ("stride", stride)):
-            if value < 1 or value & (value - 1):
-                raise InvalidHeightsError(f"found {name} {value}, expected a power of two")
-        if stride > tile or tile < 2:
+        if tile < 2 or tile & (tile - 1):
+            raise InvalidHeightsError(f"found tile {tile}, expected a power of two from 2")
+        if np.ndim(heights) != 2 or not np.size(heights):
             raise InvalidHeightsError(
-                f"found stride {stride} and tile {tile}, expected 2 <= tile >= stride"
-            )
-        expected = tuple(-(-n // stride) for n in shape)
-        if np.shape(overview) != expected:
-            raise InvalidHeightsError(
-                f"found an overview of shape {np.shape(overview)}, expected {expected}"
+                f"found heights of shape {np.shape(heights)}, expected rows, columns"
             )
         if error not in ("measured", "paper", "coefficient"):
             raise InvalidHeightsError(
                 f"found error {error!r}, expected measured, paper or coefficient"
             )
-        self._needs_coefficients = error == "coefficient"
-        self._check_coefficients(coefficients, expected)
-        self.shape, self.tile, self.stride = shape, tile, stride
-        n_rows, n_cols = (max(-(-(n - 1) // tile), 1) for n in shape)
+        if (coefficients is not None) != (error == "coefficient") or (
+            coefficients is not None and np.shape(coefficients) != np.shape(heights)
+        ):
+            raise InvalidHeightsError(
+                "expected coefficients, one for each height, with error 'coefficient' alone"
+            )
+        self.shape, self.tile = (heights.shape[0], heights.shape[1]), tile
+        n_rows, n_cols = (max(-(-(n - 1) // tile), 1) for n in self.shape)
         self.n_tiles = n_rows, n_cols
-        self._is_bound = error == "measured"
-        self._tiles = Tiles(
-            self.n_tiles, tile, stride, overview, heights, self._is_bound, base_error,
-            coefficients,
-        )  # fmt: skip
-        self._heights = heights
-        self._matrix = tuple(float(value) for value in sample_matrix)
+        self._is_bound, self._open_sides = error == "measured", open_sides
+        valid = heights[np.isfinite(heights)]
+        self._limits = (
+            float(valid.min(initial=np.inf)) - base_error if len(valid) else 0.0,
+            float(valid.max(initial=-np.inf)) + base_error if len(valid) else 0.0,
+        )
         padded = n_rows * tile + 1, n_cols * tile + 1
+        self._heights = _padded(heights, padded, np.nan)
+        self._errors = self._measure(base_error, coefficients)
+        self._matrix = tuple(float(value) for value in sample_matrix)
         self._n_children = np.zeros(padded, dtype=np.uint8)
         self._is_active = np.zeros(padded, dtype=np.bool_)
-        self._vertex_of = np.empty(padded, dtype=np.int32)
+        self._scratch = scratch or Scratch()
         self._active, self._n_active = np.empty((0, 2), dtype=np.int32), 0
         self._on_screen = np.empty(0)
         self._reset()
         self._stack = np.empty((_MOST_DEPENDENCIES, 6), dtype=np.int64)
         self._pressure = Pressure()
 
-    def _check_coefficients(
-        self, coefficients: NDArray[np.floating] | None, expected: tuple[int, ...]
-    ) -> None:
-        if (coefficients is not None) != self._needs_coefficients or (
-            coefficients is not None and np.shape(coefficients) != expected
-        ):
-            raise InvalidHeightsError(
-                "expected coefficients, one for each height, with error 'coefficient' alone"
-            )
+    def _measure(
+        self, base_error: float, coefficients: NDArray[np.floating] | None
+    ) -> NDArray[np.float32]:
+        """Return the errors of all vertices."""
+        errors = np.zeros_like(self._heights)
+        own = np.zeros((0, 0), dtype=np.float32)
+        if coefficients is not None:
+            own = _padded(coefficients, errors.shape, 0.0)
+        base = base_error + rounding_of(self._limits) if self._is_bound else 0.0
+        for row, col in np.ndindex(self.n_tiles):
+            rows, cols = (slice(k * self.tile, (k + 1) * self.tile + 1) for k in (row, col))
+            measure_tile(
+                rows.start, cols.start, base, self._is_bound, self._heights[rows, cols],
+                own[rows, cols], errors[rows, cols],
+            )  # fmt: skip
+        widen_everywhere(errors, self.tile)
+        return errors
 
     def _reset(self) -> None:
         """Merge all vertices but the corners of tiles."""
@@ -202,79 +217,6 @@ class RestrictedMesh:
         on_screen = np.empty(capacity)
         on_screen[: self._n_active] = self._on_screen[: self._n_active]
         self._on_screen = on_screen
-        self._shares, self._own_heights = np.empty(capacity), np.empty(capacity)
-        self._vertices = np.empty((capacity, 3))
-        self._places = np.empty((capacity, 2), dtype=np.int32)
-        self._triangles = np.empty((2 * capacity, 3), dtype=np.int32)
-
-    # Tiles
-
-    def tile_shape(self, row: int, col: int) -> tuple[int, int]:
-        """Return the samples of a tile that lie inside the raster."""
-        return (
-            min(self.tile + 1, self.shape[0] - row * self.tile),
-            min(self.tile + 1, self.shape[1] - col * self.tile),
-        )
-
-    def is_loaded(self, row: int, col: int) -> bool:
-        """Say whether all samples of a tile are known."""
-        return self._tiles.is_loaded(row, col)
-
-    @property
-    def n_loaded(self) -> int:
-        """Return how many tiles are loaded."""
-        return self._tiles.n_loaded
-
-    def measure(
-        self,
-        row: int,
-        col: int,
-        heights: NDArray[np.floating],
-        base_error: float = 0.0,
-        coefficients: NDArray[np.floating] | None = None,
-    ) -> Tile:
-        """Build the argument of `load`. Thread-safe.
-
-        Parameters
-        ----------
-        heights : ndarray, shape `tile_shape`
-            All samples of a tile, those it shares with others too; NaN is void.
-        base_error : float
-            Largest distance of these samples from what errors count from.
-        coefficients : ndarray, shape of `heights`, optional
-            As for the overview.
-        """
-        self._check_coefficients(coefficients, np.shape(heights))
-        if np.shape(heights) != self.tile_shape(row, col):
-            raise InvalidHeightsError(
-                f"found a tile of shape {np.shape(heights)}, expected {self.tile_shape(row, col)}"
-            )
-        return self._tiles.measure(row, col, heights, base_error, coefficients)
-
-    def load(self, row: int, col: int, tile: Tile) -> None:
-        """Take all samples of a tile."""
-        self._tiles.load(row, col, tile)
-
-    def unload(self, row: int, col: int) -> None:
-        """Forget a tile but for what the overview has of it, and all vertices of the last view."""
-        self._tiles.unload(row, col)
-        self._reset()
-
-    def wanted_tiles(self, eye: Eye, tau: float) -> NDArray[np.int64]:
-        """Return the tiles that the overview does not show within `tau`: row and column of each.
-
-        Those with the largest error on screen come first. Tiles just out of view count: visible
-        vertices up to a stride of the overview away may depend on some on their borders.
-        """
-        if self.stride == 1:
-            return np.empty((0, 2), dtype=np.int64)
-        errors = np.empty(self.n_tiles)
-        tile_errors_on_screen(
-            self._tiles.overview_errors, self.tile, self.stride, self._view(eye),
-            self._planes(eye), errors,
-        )  # fmt: skip
-        tiles = np.argwhere(errors > tau)
-        return tiles[np.argsort(-errors[errors > tau], kind="stable")]
 
     # One frame
 
@@ -286,7 +228,7 @@ class RestrictedMesh:
     def update(
         self, eye: Eye, tau: float, *, morph: float = 1.0, max_vertices: int | None = None
     ) -> RestrictedFrame:
-        """Return the mesh for a view, within `tau` pixels where tiles are loaded.
+        """Return the mesh for a view, within `tau` pixels.
 
         Parameters
         ----------
@@ -304,6 +246,12 @@ class RestrictedMesh:
         InvalidHeightsError
             If an argument is out of range.
         """
+        return self.draw(eye, self.follow(eye, tau, morph=morph, max_vertices=max_vertices))
+
+    def follow(
+        self, eye: Eye, tau: float, *, morph: float = 1.0, max_vertices: int | None = None
+    ) -> Followed:
+        """Split and merge for a view: the first half of `update`, whose arguments these are."""
         check_update(tau, morph)
         check_budget(max_vertices, self.least_vertices, "corner of a tile")
         view, planes = self._view(eye), self._planes(eye)
@@ -318,15 +266,26 @@ class RestrictedMesh:
             if not self._pressure.rise():
                 break
         used = tau * self._pressure.factor
-        count = self._place(view, planes, used / morph, used)
+        return Followed(used / morph, used, used, self._n_active, n_touched, n_changed)
+
+    def draw(self, eye: Eye, followed: Followed) -> RestrictedFrame:
+        """Return the mesh of a view; `followed` is what `follow` returned for this eye."""
+        view, planes, n = self._view(eye), self._planes(eye), self._n_active
+        scratch = self._scratch
+        vertex_of = scratch.take("vertex_of", self._is_active.shape, np.int32)
+        vertices = scratch.take("vertices", (n, 3), np.float64)
+        places = scratch.take("places", (n, 2), np.int32)
+        triangles = scratch.take("triangles", (2 * n, 3), np.int32)
+        count = self._place(view, planes, followed, vertex_of, vertices, places)
         a, b, _, d, e, _ = self._matrix
         n_triangles = draw_triangles(
-            *self._tiles.known_heights, self._is_active, a * e < b * d, self._vertex_of,
-            self._stack, self._triangles,
+            self._heights, self.tile, self._is_active, a * e < b * d, vertex_of, self._stack,
+            triangles,
         )  # fmt: skip
+        edges, error = self._borders(eye, view, vertex_of, vertices)
         return RestrictedFrame(
-            self._vertices[:count].copy(), self._triangles[:n_triangles].copy(),
-            self._places[:count].copy(), self._n_active, n_touched, n_changed, used,
+            vertices[:count].copy(), triangles[:n_triangles].copy(), places[:count].copy(),
+            edges, error, followed.n_vertices, followed.n_touched, followed.n_changed, followed.tau,
         )  # fmt: skip
 
     def _follow(
@@ -337,10 +296,9 @@ class RestrictedMesh:
         max_vertices: int | None,
     ) -> tuple[int, int]:
         """Merge and split, until there are too many; return how many were touched and changed."""
-        state = (*self._tiles.known_errors, self._is_active)
         self._n_active, n_touched, n_changed = merge_vertices(
-            *state, self._n_children, self._active, self._on_screen, self._n_active, view, planes,
-            threshold,
+            self._errors, self.tile, self._is_active, self._n_children, self._active,
+            self._on_screen, self._n_active, view, planes, threshold,
         )  # fmt: skip
         limit = np.iinfo(np.int64).max if max_vertices is None else max_vertices
         done = 0
@@ -348,36 +306,62 @@ class RestrictedMesh:
             if self._n_active + _ROOM > len(self._active):
                 self._reserve()
             done, self._n_active, touched, changed = split_vertices(
-                *state, self._n_children, self._active, self._on_screen, done, self._n_active,
-                limit, view, planes, threshold, self._stack,
+                self._errors, self.tile, self._is_active, self._n_children, self._active,
+                self._on_screen, done, self._n_active, limit, view, planes, threshold, self._stack,
             )  # fmt: skip
             n_touched, n_changed = n_touched + touched, n_changed + changed
         return n_touched, n_changed
 
     def _place(
-        self, view: NDArray[np.float64], planes: NDArray[np.float64], start: float, end: float
+        self,
+        view: NDArray[np.float64],
+        planes: NDArray[np.float64],
+        followed: Followed,
+        vertex_of: NDArray[np.int32],
+        vertices: NDArray[np.float64],
+        places: NDArray[np.int32],
     ) -> int:
         """Fill the vertices that are not void and their samples; return how many there are."""
-        n = self._n_active
-        active, shares, heights = self._active[:n], self._shares[:n], self._own_heights[:n]
-        number_vertices(active, *self._tiles.known_heights, self._vertex_of, heights)
+        n, start, end = self._n_active, followed.threshold, followed.tau
+        active = self._active[:n]
+        shares = self._scratch.take("shares", (n,), np.float64)
+        heights = self._scratch.take("heights", (n,), np.float64)
+        number_vertices(active, self._heights, vertex_of, heights)
         if end > start:
             fill_shares(
-                *self._tiles.known_errors, active, self._on_screen, self._vertex_of, view, planes,
-                start, end, shares,
+                self._errors, self.tile, active, self._on_screen, vertex_of, view, planes, start,
+                end, shares,
             )  # fmt: skip
         else:
             shares[:] = 1.0
         count: int = place_vertices(
-            active, self._vertex_of, shares, heights, view[_Z_SCALE], view[_MATRIX:],
-            self._vertices, self._places,
-        )  # fmt: skip
+            active, vertex_of, shares, heights, view[_Z_SCALE], view[_MATRIX:], vertices, places
+        )
         return count
+
+    def _borders(
+        self,
+        eye: Eye,
+        view: NDArray[np.float64],
+        vertex_of: NDArray[np.int32],
+        vertices: NDArray[np.float64],
+    ) -> tuple[NDArray[np.int32], float]:
+        """Return the edges along open sides, and how far those in view are from samples."""
+        edges, errors = [np.empty((0, 2), dtype=np.int32)], [0.0]
+        for side in np.flatnonzero(self._open_sides).tolist():
+            along = np.empty((self.shape[1 - side % 2], 2), dtype=np.int32)
+            n, error = follow_border(
+                side, self.shape, self._heights, self._is_active, vertex_of, vertices,
+                view[_Z_SCALE], view[_MATRIX:], eye.planes, along,
+            )  # fmt: skip
+            edges.append(along[:n])
+            errors.append(error)
+        return np.concatenate(edges), max(errors)
 
     def _view(self, eye: Eye) -> NDArray[np.float64]:
         numbers = (
             *eye.position, *eye.forward, eye.focal, eye.slant, eye.z_scale,
-            *self._limits(eye), self._is_bound, *self._widths(),
+            *self._range(eye), self._is_bound, *self._widths(),
             float(np.abs(eye.forward[:2]) @ self._widths()),
         )  # fmt: skip
         return np.array([*numbers, *self._matrix], dtype=np.float64)
@@ -387,14 +371,14 @@ class RestrictedMesh:
         a, b, _, d, e, _ = self._matrix
         return abs(a) + abs(b), abs(d) + abs(e)
 
-    def _limits(self, eye: Eye) -> tuple[float, float]:
+    def _range(self, eye: Eye) -> tuple[float, float]:
         """Return the lowest and highest of all that is drawn."""
-        low, high = sorted(height * eye.z_scale for height in self._heights)
+        low, high = sorted(height * eye.z_scale for height in self._limits)
         return low, high
 
     def _planes(self, eye: Eye) -> NDArray[np.float64]:
         """Return the view's planes for boxes that reach from the lowest to the highest height."""
-        (low, high), normals = self._limits(eye), eye.planes[:, :3]
+        (low, high), normals = self._range(eye), eye.planes[:, :3]
         planes = np.empty((len(normals), 4))
         planes[:, :2] = normals[:, :2]
         planes[:, _CONSTANT] = np.maximum(normals[:, 2] * low, normals[:, 2] * high)
@@ -404,8 +388,16 @@ class RestrictedMesh:
 
     def screen_error(self, eye: Eye, row: int, col: int) -> float:
         """Return a vertex's error on screen, pixels."""
-        error = known_error(row, col, *self._tiles.known_errors)
+        error = float(self._errors[row, col])
         return float(screen_error(error, row, col, self.tile, self._view(eye), self._planes(eye)))
+
+
+def _padded(
+    values: NDArray[np.floating], shape: tuple[int, ...], beyond: float
+) -> NDArray[np.float32]:
+    padded = np.full(shape, beyond, dtype=np.float32)
+    padded[: values.shape[0], : values.shape[1]] = values
+    return padded
 
 
 # Errors on screen
@@ -467,24 +459,12 @@ def error_in_box(error, row, col, reach, view, planes):
     return view[_FOCAL] * error * min(farthest / depth, view[_SLANT]) / depth
 
 
-@kernel
-def tile_errors_on_screen(errors, tile, margin, view, planes, on_screen):
-    """Fill the errors on screen of tiles; their boxes reach over `margin` rows and columns more."""
-    for row in range(errors.shape[0]):
-        for col in range(errors.shape[1]):
-            on_screen[row, col] = error_in_box(
-                errors[row, col], (row + 0.5) * tile, (col + 0.5) * tile, tile / 2 + margin, view,
-                planes,
-            )  # fmt: skip
-
-
 # Shares of thresholds
 
 
 @kernel
 def fill_shares(
-    slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits, active, on_screen, vertex_of,
-    view, planes, start, end, shares,
+    errors, tile, active, on_screen, vertex_of, view, planes, start, end, shares
 ):  # fmt: skip
     """Fill for which share of the thresholds between `start` and `end` each vertex is there.
 
@@ -492,7 +472,6 @@ def fill_shares(
     it depends on, which comes before it in `active`.
     """
     n_rows, n_cols = vertex_of.shape
-    tile = 1 << bits
     shares[:] = 0.0
     for number in range(active.shape[0] - 1, -1, -1):
         row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
@@ -503,9 +482,7 @@ def fill_shares(
         if share < 1:
             pixels = on_screen[number]
             if np.isnan(pixels):
-                error = known_error(
-                    row, col, slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits
-                )
+                error = np.float64(errors[row, col])
                 pixels = screen_error(error, row, col, tile, view, planes)
             share = max(share, min((pixels - start) / (end - start), 1.0))
             shares[number] = share
@@ -534,9 +511,8 @@ def _child(row, col, tile, k):
 
 @kernel
 def merge_vertices(
-    slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits, is_active, n_children,
-    active, on_screen, n_active, view, planes, tau,
-):  # fmt: skip
+    errors, tile, is_active, n_children, active, on_screen, n_active, view, planes, tau
+):
     """Merge vertices that nothing depends on and whose error is not above `tau`, the last first.
 
     Fill the errors on screen that this takes, NaN elsewhere. Return how many are left, how many
@@ -544,16 +520,13 @@ def merge_vertices(
     it here.
     """
     n_touched = n_changed = 0
-    tile = 1 << bits
     for number in range(n_active - 1, -1, -1):
         row, col = np.int64(active[number, 0]), np.int64(active[number, 1])
         on_screen[number] = np.nan
         if n_children[row, col] or is_corner(row, col, tile):
             continue
         n_touched += 1
-        error = known_error(
-            row, col, slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits
-        )
+        error = np.float64(errors[row, col])
         on_screen[number] = screen_error(error, row, col, tile, view, planes)
         if on_screen[number] > tau:
             continue
@@ -574,8 +547,8 @@ def merge_vertices(
 
 @kernel
 def split_vertices(
-    slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits, is_active, n_children,
-    active, on_screen, done, n_active, limit, view, planes, tau, stack,
+    errors, tile, is_active, n_children, active, on_screen, done, n_active, limit, view, planes,
+    tau, stack,
 ):  # fmt: skip
     """Split what depends on active vertices where its error is above `tau`, and all it needs.
 
@@ -584,7 +557,6 @@ def split_vertices(
     """
     n_touched = n_changed = 0
     n_rows, n_cols = is_active.shape
-    tile = 1 << bits
     while done < n_active <= limit and n_active + _ROOM <= active.shape[0]:
         at_row, at_col = np.int64(active[done, 0]), np.int64(active[done, 1])
         done += 1
@@ -599,26 +571,21 @@ def split_vertices(
                 if is_active[r, c]:
                     continue  # looked at from there
             n_touched += 1
-            error = known_error(
-                row, col, slot_of, tile_errors, fine_errors, coarse_errors, bits, step_bits
-            )
+            error = np.float64(errors[row, col])
             pixels = screen_error(error, row, col, tile, view, planes)
             if pixels <= tau:
                 continue
-            n_more = _activate(
-                row, col, slot_of, bits, step_bits, is_active, n_children, active, n_active, stack
-            )
-            if n_more > 0:
-                on_screen[n_active : n_active + n_more] = np.nan
-                n_active += n_more
-                on_screen[n_active - 1] = pixels
+            n_more = _activate(row, col, tile, is_active, n_children, active, n_active, stack)
+            on_screen[n_active : n_active + n_more] = np.nan
+            n_active += n_more
+            on_screen[n_active - 1] = pixels
             n_changed += n_more
     return done, n_active, n_touched, n_changed
 
 
 @kernel
-def _activate(row, col, slot_of, bits, step_bits, is_active, n_children, active, n_active, stack):
-    """Append a vertex and all inactive ones that it needs; return how many, 0 if one is unknown.
+def _activate(row, col, tile, is_active, n_children, active, n_active, stack):
+    """Append a vertex and all inactive ones that it needs; return how many.
 
     They are appended so that each comes after those it depends on.
     """
@@ -628,9 +595,7 @@ def _activate(row, col, slot_of, bits, step_bits, is_active, n_children, active,
     while done < count:
         row, col = stack[done, 0], stack[done, 1]
         done += 1
-        if not is_known(row, col, slot_of, bits, step_bits):
-            return 0
-        r2, c2, r3, c3 = needs_of(row, col, 1 << bits)
+        r2, c2, r3, c3 = needs_of(row, col, tile)
         for r, c in ((r2, c2), (r3, c3)):
             is_new = 0 <= r < n_rows and 0 <= c < n_cols and not is_active[r, c]
             for number in range(done, count):
@@ -646,7 +611,7 @@ def _activate(row, col, slot_of, bits, step_bits, is_active, n_children, active,
         is_active[row, col] = True
         active[n_active + n_new, 0], active[n_active + n_new, 1] = row, col
         n_new += 1
-        r2, c2, r3, c3 = needs_of(row, col, 1 << bits)
+        r2, c2, r3, c3 = needs_of(row, col, tile)
         for r, c in ((r2, c2), (r3, c3)):
             if 0 <= r < n_rows and 0 <= c < n_cols:
                 n_children[r, c] += 1
@@ -657,13 +622,9 @@ def _activate(row, col, slot_of, bits, step_bits, is_active, n_children, active,
 
 
 @kernel
-def draw_triangles(
-    slot_of, tile_heights, coarse_heights, bits, step_bits, is_active, is_mirrored, vertex_of,
-    stack, triangles,
-):  # fmt: skip
+def draw_triangles(heights, tile, is_active, is_mirrored, vertex_of, stack, triangles):
     """Fill the triangles of the active vertices; return how many there are."""
     count = 0
-    tile = 1 << bits
     for row in range(0, is_active.shape[0] - 1, tile):
         for col in range(0, is_active.shape[1] - 1, tile):
             half = tile // 2
@@ -690,15 +651,10 @@ def draw_triangles(
                 elif is_whole:
                     count = _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count)
                 else:
-                    # All four samples are known: a vertex of stride 1 touches their tile.
                     r, c = min(r0, r1, r2), min(c0, c1, c2)
                     valid = 0
                     for k in range(4):
-                        height = height_of(
-                            r + (k >> 1), c + (k & 1), slot_of, tile_heights, coarse_heights, bits,
-                            step_bits,
-                        )  # fmt: skip
-                        valid |= (not np.isnan(height)) << k
+                        valid |= (not np.isnan(heights[r + (k >> 1), c + (k & 1)])) << k
                     count = _add_in_quad(
                         r0, c0, r1, c1, r2, c2, valid, is_mirrored, is_active, vertex_of,
                         triangles, count,
@@ -739,3 +695,61 @@ def _add_in_quad(
     r1, c1 = (top, left + 1) if is_ne else (top + 1, left)
     r2, c2 = (top + 1, left) if is_sw and is_ne else (top + 1, left + 1)
     return _add(r0, c0, r1, c1, r2, c2, is_mirrored, vertex_of, triangles, count)
+
+
+# Borders
+
+
+@kernel
+def follow_border(
+    side, shape, heights, is_active, vertex_of, vertices, z_scale, matrix, planes, edges
+):
+    """Fill the edges along a side; return how many, and how far those in view are from samples.
+
+    Sides are the first row and column, the last row and column. Without the factor of heights.
+    """
+    count, largest, before, start = 0, 0.0, -1, 0
+    place = 0 if side < 2 else shape[side - 2] - 1
+    down, right = side & 1, 1 - (side & 1)
+    first_row, first_col = (0, place) if down else (place, 0)
+    ends = np.empty((4, 3))
+    for at in range(shape[0] if down else shape[1]):
+        row, col = first_row + at * down, first_col + at * right
+        if np.isnan(heights[row, col]):
+            before = -1
+            continue
+        if not is_active[row, col]:
+            continue
+        vertex = vertex_of[row, col]
+        if before >= 0:
+            edges[count, 0], edges[count, 1] = before, vertex
+            count += 1
+            rise = (vertices[vertex, 2] - vertices[before, 2]) / (at - start)
+            for k in range(start, at):
+                apart = 0.0
+                for m in range(2):
+                    r, c = first_row + (k + m) * down, first_col + (k + m) * right
+                    drawn = vertices[before, 2] + (k + m - start) * rise
+                    original = heights[r, c] * z_scale
+                    ends[m, 2], ends[2 + m, 2] = drawn, original
+                    ends[m, 0] = matrix[0] * c + matrix[1] * r + matrix[2]
+                    ends[m, 1] = matrix[3] * c + matrix[4] * r + matrix[5]
+                    ends[2 + m, 0], ends[2 + m, 1] = ends[m, 0], ends[m, 1]
+                    apart = max(apart, abs(drawn - original))
+                if apart > largest and not _are_hidden(ends, planes):
+                    largest = apart
+        before, start = vertex, at
+    return count, largest / z_scale
+
+
+@kernel
+def _are_hidden(points, planes):
+    """Say whether points lie wholly behind one of the planes."""
+    for k in range(planes.shape[0]):
+        is_behind = True
+        for m in range(points.shape[0]):
+            most = planes[k, 0] * points[m, 0] + planes[k, 1] * points[m, 1]
+            is_behind = is_behind and most + planes[k, 2] * points[m, 2] + planes[k, 3] < 0
+        if is_behind:
+            return True
+    return False

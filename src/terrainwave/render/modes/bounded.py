@@ -61,12 +61,10 @@ class BoundedMode(Mode):
         nodes, distances = selection.nodes[order], selection.distances[order]
         tau = max(tau, 0.0)
         low, high = table.boxes(nodes, view.exaggeration)
-        scales = table.scales(view, nodes)
-        if view.is_oriented:
-            # A morph leads out of the box, by as much as the parent's surface is away.
-            spread = np.zeros((len(nodes), 3))
-            spread[:, 2] = table.morphs[nodes] * view.exaggeration
-            scales = np.maximum(view.scales(low - spread, high + spread), _LEAST_SCALE)
+        # A morph leads out of the box, by as much as the parent's surface is away.
+        spread = np.zeros((len(nodes), 3))
+        spread[:, 2] = table.morphs[nodes] * view.exaggeration
+        scales = np.maximum(view.scales(low - spread, high + spread), _LEAST_SCALE)
         allowed = tau * MORPH_START / scales  # metres of error within τ
         morphs = self._morphs(table, view, nodes, allowed, tau)
         drawn = (table.errors[nodes] + morphs * table.morphs[nodes]) * view.exaggeration

@@ -1,9 +1,9 @@
 """The dynamic triangulation of Yusov & Turlapov 2006 (`terrainwave.tri.dynamic`), frame by frame.
 
-The heights are read, and their tree is built, once, in a worker.
+Each patch has a Haar quadtree of its own, over some samples of its neighbours as well: where the
+raster goes on, a mesh ends short of its last samples, over a neighbour's, with skirts.
 """
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,18 +12,22 @@ from numpy.typing import NDArray
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback
 from terrainwave.render.frame import Frame
-from terrainwave.render.modes.whole import MAX_SIDE, MORPH, BuiltSamples, Drawn, WholeMode, eye_of
-from terrainwave.render.patches import Cancelled
-from terrainwave.render.selection import NodeTable, Piece, View
-from terrainwave.tri.dynamic import DynamicMesh, Followed
+from terrainwave.render.modes.front import (
+    MORPH,
+    Drawn,
+    FrontMode,
+    FrontPatch,
+    PatchFrame,
+    Sides,
+)
+from terrainwave.render.selection import Piece
+from terrainwave.tri.dynamic import DynamicMesh, Eye, Followed
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
-PATCH = 256
 
-
-class Dynamic(WholeMode):
+class Dynamic(FrontMode):
     """A mesh from the marks of a Haar quadtree that follows the camera.
 
     Parameters
@@ -35,8 +39,13 @@ class Dynamic(WholeMode):
     name = "dynamic"
     options = ("stepwise",)
     morph = MORPH
-    followed: Followed | None = None
-    _mesh: DynamicMesh | None = None
+    # Samples per side of the trees of a patch: no node is larger. One at the end of a patch has its
+    # vertex up to half a tree inside. Whole trees fit the samples of a patch, and those beyond its
+    # cells reach further than that.
+    tree = 32
+    apron = tree // 2
+    cells = 15 * apron
+    sample_bytes = 11
 
     def __init__(
         self,
@@ -50,48 +59,55 @@ class Dynamic(WholeMode):
         super().__init__(terrain, frame, error=error)
         self._is_stepwise = stepwise
 
-    @classmethod
-    def preparation(cls, error: str) -> str | None:
-        """Say that all heights of a level are read."""
-        measured = " and measuring the errors of all nodes" if error == "measured" else ""
-        return (
-            f"reading the finest level of at most {MAX_SIDE} samples a side{measured}: this decodes"
-            " it once"
-        )
-
-    def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> BuiltSamples:
-        """Return the samples and their tree."""
-        samples = self.read(self.level, Region(0, 0, *self.shape))
-        if is_cancelled():
-            raise Cancelled
-        self._mesh = DynamicMesh(
-            samples.heights,
-            sample_matrix=self.sample_matrix,
-            patch=PATCH,
+    def make_mesh(
+        self,
+        piece: Piece,
+        region: Region,
+        heights: NDArray[np.float64],
+        matrix: tuple[float, ...],
+        base_error: float,
+        open_sides: Sides,
+    ) -> DynamicMesh:
+        """Return the tree of a patch. Thread-safe."""
+        return DynamicMesh(
+            heights,
+            sample_matrix=matrix,
+            patch=self.tree,
             error=self.error,
-            base_error=self.base_error,
+            base_error=base_error,
+            open_sides=open_sides,
+            is_surface=piece.level < self.n_levels - 1,
+            scratch=self.scratch,
         )
-        return BuiltSamples(samples, self.base_error, self._mesh)
 
-    @property
-    def dynamic_mesh(self) -> DynamicMesh:
-        """Return the mesh, which has been built where the piece is resident."""
-        if self._mesh is None:
-            raise AssertionError("the piece is resident, so it has been built")
-        return self._mesh
+    def between(self, level: int, heights: NDArray[np.float64]) -> float:
+        """Return as much as heights change to the next sample, down and across.
 
-    def follow(self, view: View, tau: float) -> Followed:
-        """Bring the marks up to date with a view."""
-        mesh = self.dynamic_mesh
-        self.followed = mesh.follow(
-            eye_of(view), tau, morph=self.morph,
-            max_vertices=self.max_vertices(mesh.least_vertices), is_stepwise=self._is_stepwise,
-        )  # fmt: skip
-        return self.followed
+        A place is no more than half a sample each way from one in the same window of `haar`: by no
+        more than that the window's plane and the surface rise to there, one up, the other down.
+        """
+        if level < self.n_levels - 1:
+            return 0.0  # trees have measured it
+        steps = (np.abs(np.diff(heights, axis=axis)) for axis in (0, 1))
+        return sum(float(np.max(step, initial=0.0, where=~np.isnan(step))) for step in steps)
 
-    def mesh(self, table: NodeTable, view: View, tau: float) -> tuple[Drawn, float]:
-        """Return the mesh of a view, and what it keeps: its τ, or more while steps lag behind."""
-        followed = self.follow(view, tau)
-        frame = self.dynamic_mesh.draw(eye_of(view), followed)
-        sizes: NDArray[np.int32] = frame.nodes[:, 0]
-        return Drawn(frame.vertices, frame.triangles, sizes), followed.within
+    def follow(self, patch: FrontPatch, eye: Eye, tau: float, max_vertices: int) -> Followed:
+        """Bring the marks of a patch up to date with a view."""
+        followed: Followed = patch.mesh.follow(
+            eye, tau, morph=self.morph, max_vertices=max_vertices, is_stepwise=self._is_stepwise
+        )
+        return followed
+
+    def frame_of(self, patch: FrontPatch, eye: Eye, followed: Followed) -> PatchFrame:
+        """Return the mesh of a patch."""
+        frame = patch.mesh.draw(eye, followed)
+        sizes = frame.nodes[:, 0] + (self.n_levels - 1 - patch.piece.level)
+        error = self.mesh_error(patch, eye, followed)
+        return PatchFrame(Drawn(frame.vertices, frame.triangles, sizes), frame.edges, error)
+
+    def mesh_error(self, patch: FrontPatch, eye: Eye, followed: Followed) -> float:
+        """Return how far the mesh in view is from the samples of a patch, metres."""
+        if not any(patch.open_sides):
+            return 0.0
+        mesh: DynamicMesh = patch.mesh
+        return mesh.largest_error(eye, followed) + mesh.tree.rounding

@@ -1,0 +1,568 @@
+"""Meshes made anew each frame, patch by patch: what `dynamic`, `rqt` and `vertex-texture` share.
+
+The raster is a quadtree of patches of so many cells a side, each of one level of the file: the
+coarsest holds all of it, the finest ones its full grid. They come and go as blocks do. A patch is
+taken where the error of its level is at most `_LEVEL_SHARE` of τ on screen; its mesh follows the
+camera within it, so that both errors together are within τ.
+
+Neighbours may be of any level, and none knows of the other. What is drawn of both ends in skirts:
+at every place of a border each is within its own error of the originals, so that skirts as deep as
+both errors together leave no gap. A patch that is coarser than τ asks for stands in for others that
+are not here yet: it is drawn with a τ that its level is worth, not with all of its samples.
+"""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.grid.quadtree import Block, Region
+from terrainwave.progress import ProgressCallback
+from terrainwave.read.decoder import units_of
+from terrainwave.render.camera import Camera, focal_length, slant
+from terrainwave.render.frame import Frame
+from terrainwave.render.kernels import slopes
+from terrainwave.render.modes.mode import Frames, Mode
+from terrainwave.render.patches import Cancelled
+from terrainwave.render.scales import (
+    FLOAT32_ROUNDING,
+    HeightScale,
+    HeightTexels,
+    SlopeScale,
+    with_ring,
+)
+from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
+from terrainwave.tri.budget import Pressure
+from terrainwave.tri.dynamic import Eye, Followed
+from terrainwave.tri.scratch import Scratch
+
+if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
+
+MAX_VERTICES = 4_000_000
+# λ: vertices move while errors go from τ / λ to τ.
+MORPH = 1.25
+# Of τ, what the error of a level may be. A power of two: τ comes back from it as it was.
+_LEVEL_SHARE = 0.5
+# What stands in for others is drawn at most so much coarser than τ.
+_MOST_RELAXED = 8.0
+# Where patches do not fit, τ is raised by steps, so far: around the eye no level is good enough. It
+# sinks where no more than a share of the room is taken.
+_STEP, _MOST_SHORT, _WELL_FILLED = 1.1, 16.0, 0.95
+# What τ is said to be where nothing is promised, pixels.
+_NO_PROMISE = 1e6
+
+Sides = tuple[bool, bool, bool, bool]
+
+
+class Front(Protocol):
+    """A mesh over the samples of a patch: `DynamicMesh` or `RestrictedMesh`."""
+
+    @property
+    def least_vertices(self) -> int:
+        """Return how many vertices there are always."""
+
+    def follow(
+        self, eye: Eye, tau: float, *, morph: float = 1.0, max_vertices: int | None = None
+    ) -> Followed:
+        """Bring the mesh up to date with a view."""
+
+
+class Drawn(NamedTuple):
+    """A mesh for one frame.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (n, 3)
+        Local metres, heights with exaggeration.
+    triangles : ndarray of int32, shape (m, 3)
+        Those of skirts come last, patch by patch.
+    sizes : ndarray of int32, shape (n,)
+        What `--coloring level` shows: log2 of the vertex's share of the full grid.
+    """
+
+    vertices: NDArray[np.float64]
+    triangles: NDArray[np.int32]
+    sizes: NDArray[np.int32]
+
+
+class PatchFrame(NamedTuple):
+    """The mesh of a patch for one frame.
+
+    Parameters
+    ----------
+    drawn : Drawn
+    edges : ndarray of int32, shape (k, 2)
+        Vertices of edges beyond which neighbours go on.
+    error : float
+        How far the mesh is from the samples of its level, vertically, where such edges and those of
+        neighbours are in view; metres, without exaggeration.
+    """
+
+    drawn: Drawn
+    edges: NDArray[np.int32]
+    error: float
+
+
+class Samples(NamedTuple):
+    """A rectangle of a level.
+
+    Parameters
+    ----------
+    heights : ndarray of float64, shape (n_rows, n_cols)
+        Metres; NaN in voids.
+    slopes : ndarray of float16, shape (n_rows, n_cols, 3)
+        Metres per metre to the east and to the north, and heights (`HeightTexels`).
+    """
+
+    region: Region
+    heights: NDArray[np.float64]
+    slopes: NDArray[np.float16]
+
+
+@dataclass(frozen=True)
+class FrontPatch:
+    """What `build` returns: a mesh that follows the camera over samples of one level.
+
+    Parameters
+    ----------
+    region : Region
+        Of the level.
+    open_sides : tuple of bool
+        Whether neighbours go on beyond its first row and column, its last row and column.
+    matrix : tuple of float
+        How its samples lie in local metres, counted from its first.
+    slopes : ndarray of float16, shape (n_rows, n_cols, 3)
+        See `Samples`.
+    mesh : object, optional
+        None where there is nothing to draw.
+    error : float
+        Largest distance of originals from the samples' bilinear surface, metres.
+    children : list of NodeInfo
+    side : int
+        Samples of the mode's largest patches, a side.
+    room : int
+        Bytes of memory that a patch may take beside its slopes.
+    between : float
+        How much further triangles may be from the bilinear surface between samples than
+        `PatchFrame.error` says, metres.
+    """
+
+    piece: Piece
+    region: Region
+    open_sides: Sides
+    matrix: tuple[float, ...]
+    slopes: NDArray[np.float16]
+    mesh: Any
+    error: float
+    children: list[NodeInfo]
+    side: int
+    room: int
+    between: float = 0.0
+    n_triangles: int = 0
+    base: float = 0.0
+    morph: float = 0.0
+
+    def places(self, vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return columns and rows of its samples under local x, y; shape (n, 2)."""
+        a, b, c, d, e, f = self.matrix
+        inverse = np.linalg.inv(np.array([[a, b], [d, e]]))
+        return (vertices[:, :2] - (c, f)) @ inverse.T
+
+
+def eye_of(view: View) -> Eye:
+    """Return the numbers that errors on screen depend on."""
+    return Eye(
+        view.camera.eye,
+        view.camera.forward,
+        view.planes,
+        focal_length(view.camera, view.viewport),
+        slant(view.camera, view.viewport),
+        view.exaggeration,
+    )
+
+
+class FrontMode(Mode):
+    """A mode of patches whose meshes follow the camera.
+
+    Attributes
+    ----------
+    cells : int
+        Of a patch, per side.
+    apron : int
+        Samples that patches reach beyond their first row and column, where there are any; twice as
+        many beyond the last ones.
+    sample_bytes : int
+        Of a mesh, at most.
+    scratch : Scratch
+        Of the thread that draws.
+    drawn : Drawn, optional
+        The mesh of the last frame.
+    shown : list of FrontPatch
+        Those drawn in the last frame, in the order of `Frames.nodes`.
+    followed : list of Followed
+        What their meshes say.
+    first_vertices : list of int
+        Where the vertices of each begin in `drawn`.
+    """
+
+    cells: int
+    apron: int = 0
+    sample_bytes: int
+
+    def __init__(
+        self,
+        terrain: "TerrainFile",
+        frame: Frame,
+        *,
+        error: str = "measured",
+        progress: ProgressCallback | None = None,
+    ) -> None:
+        super().__init__(terrain, frame, error=error)
+        self._scale, self._slope_scale = HeightScale.of(terrain, frame), SlopeScale(frame)
+        self._height_texels = HeightTexels.of(frame)
+        self._patches: dict[Piece, FrontPatch] = {}
+        self.scratch = Scratch()
+        self._pressure, self._shortage = Pressure(), 1.0
+        self._last_camera: Camera | None = None
+        self._is_short = False
+        self.drawn: Drawn | None = None
+        self.shown: list[FrontPatch] = []
+        self.followed: list[Followed] = []
+        self.first_vertices: list[int] = []
+
+    # The tree
+
+    @property
+    def side(self) -> int:
+        """Return the samples of the largest patches, a side."""
+        return min(self.cells + max(3 * self.apron, 1), max(self.terrain.shape))
+
+    def _n_pieces(self, level: int) -> tuple[int, int]:
+        grid = self.terrain.grid
+        stride, n_rows, n_cols = grid.stride(level), grid.n_rows, grid.n_cols
+        rows, cols = (-(-(n - 1) // (stride * self.cells)) for n in (n_rows, n_cols))
+        return max(rows, 1), max(cols, 1)
+
+    def roots(self) -> list[NodeInfo]:
+        """Return the piece that holds all of the finest level that fits one."""
+        level = max(k for k in range(self.n_levels) if k == 0 or self._n_pieces(k) == (1, 1))
+        rows, cols = self._n_pieces(level)
+        return [self._info(Piece(level, r, c)) for r in range(rows) for c in range(cols)]
+
+    def children(self, piece: Piece) -> list[NodeInfo]:
+        """Return the four pieces of the next level, as far as the raster goes. Thread-safe."""
+        level = piece.level + 1
+        if level == self.n_levels:
+            return []
+        n_rows, n_cols = self._n_pieces(level)
+        return [
+            self._info(Piece(level, row, col))
+            for row in (2 * piece.row, 2 * piece.row + 1)
+            for col in (2 * piece.col, 2 * piece.col + 1)
+            if row < n_rows and col < n_cols
+        ]
+
+    def region(self, piece: Piece) -> tuple[Region, Sides]:
+        """Return the samples of a piece, and on which sides its level goes on."""
+        reach = self.cells + max(3 * self.apron, 1)
+        level = Region(0, 0, *self.terrain.grid.level_shape(piece.level))
+        row, col = (max(k * self.cells - self.apron, 0) for k in (piece.row, piece.col))
+        region = Region(row, col, reach, reach).intersect(level)
+        return region, (
+            region.row > 0,
+            region.col > 0,
+            region.row + region.n_rows < level.n_rows,
+            region.col + region.n_cols < level.n_cols,
+        )
+
+    def _blocks(self, level: int, region: Region) -> list[Block]:
+        """Return the blocks whose cells a region of samples has; it may end before its level."""
+        grid = self.terrain.grid
+        rows, cols = (
+            range(
+                min(first // grid.block, n_blocks - 1),
+                min((first + max(n - 2, 0)) // grid.block, n_blocks - 1) + 1,
+            )
+            for first, n, n_blocks in zip(
+                region[:2], region[2:], grid.level_blocks(level), strict=True
+            )
+        )
+        return [Block(level, row, col) for row in rows for col in cols]
+
+    def _info(self, piece: Piece) -> NodeInfo:
+        """Return box and error of a piece, as the index has them."""
+        terrain = self.terrain
+        region, _ = self.region(piece)
+        stride, per_unit = terrain.grid.stride(piece.level), self.frame.metres[2]
+        blocks = self._blocks(piece.level, region)
+        error = self._level_error(piece.level, blocks)
+        z = [height * per_unit for block in blocks for height in terrain.block_box(block)]
+        rows = np.array([region.row, region.row + region.n_rows - 1]) * stride
+        cols = np.array([region.col, region.col + region.n_cols - 1]) * stride
+        xy = self.frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
+        (left, bottom), (right, top) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
+        low, high = (left, bottom, min(z) - error), (right, top, max(z) + error)
+        return NodeInfo(piece, low, high, error)
+
+    def _level_error(self, level: int, blocks: list[Block]) -> float:
+        """Return the largest distance of originals from decoded samples of blocks, metres."""
+        terrain = self.terrain
+        error = terrain.quanta_error
+        if level < self.n_levels - 1:
+            error = max(terrain.block_error(block) for block in blocks)
+        largest = max(abs(height) for height in self.frame.heights)
+        return (error + largest * FLOAT32_ROUNDING) * self.frame.metres[2]
+
+    # In worker threads
+
+    def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> FrontPatch:
+        """Return the patch of a piece. Thread-safe."""
+        region, open_sides = self.region(piece)
+        info = self._info(piece)
+        children = self.children(piece)
+        samples = self.read(piece.level, region)
+        if is_cancelled():
+            raise Cancelled
+        a, b, c, d, e, f = self.frame.sample_matrix
+        stride = self.terrain.grid.stride(piece.level)
+        row, col = region.row * stride, region.col * stride
+        x, y = a * col + b * row + c, d * col + e * row + f
+        matrix = a * stride, b * stride, x, d * stride, e * stride, y
+        error, mesh = info.error, None
+        if min(region.shape) > 1 and not np.isnan(samples.heights).all():
+            error += self.cut_error(piece.level, samples.heights)
+            mesh = self.make_mesh(piece, region, samples.heights, matrix, error, open_sides)
+        side = self.side
+        return FrontPatch(
+            piece, region, open_sides, matrix, samples.slopes, mesh, error, children, side,
+            self.sample_bytes * side * side, self.between(piece.level, samples.heights),
+        )  # fmt: skip
+
+    def cut_error(self, level: int, heights: NDArray[np.float64]) -> float:
+        """Return how far triangles between the samples of a cell may be from what lies in it."""
+        return 0.0
+
+    def between(self, level: int, heights: NDArray[np.float64]) -> float:
+        """Return how much further triangles may be from originals between samples than at them.
+
+        For skirts alone: where levels have all originals, these are at samples.
+        """
+        return 0.0
+
+    @abstractmethod
+    def make_mesh(
+        self,
+        piece: Piece,
+        region: Region,
+        heights: NDArray[np.float64],
+        matrix: tuple[float, ...],
+        base_error: float,
+        open_sides: Sides,
+    ) -> Any:
+        """Return the mesh of a patch. Thread-safe."""
+
+    def read(self, level: int, region: Region) -> Samples:
+        """Return samples of a level. Thread-safe."""
+        terrain = self.terrain
+        whole = Region(0, 0, *terrain.grid.level_shape(level))
+        wide = Region(region.row - 1, region.col - 1, region.n_rows + 2, region.n_cols + 2)
+        wide = wide.intersect(whole)
+        terrain.decoder.prefetch(units_of(terrain.grid, level, wide))
+        quanta, mask = terrain.decoder.window(level, wide)
+        in_quanta = np.empty((region.n_rows, region.n_cols, 2), dtype=np.float32)
+        slopes(quanta, mask, region.row - wide.row, region.col - wide.col, in_quanta)
+        per_sample = in_quanta * (self._scale.per_quantum / terrain.grid.stride(level))
+        here = region.slices_in(wide)
+        heights = np.where(mask[here], self._scale.metres(quanta[here]), np.nan)
+        texels = self._height_texels.beside(
+            self._slope_scale.texels(per_sample),
+            self._scale.metres(with_ring(quanta, here)),
+            with_ring(mask, here),
+        )
+        return Samples(region, heights, texels)
+
+    # As pieces come and go
+
+    def keep(self, piece: Piece, built: Any) -> None:
+        """Take a patch."""
+        self._patches[piece] = built
+
+    def drop(self, piece: Piece) -> None:
+        """Forget a patch."""
+        del self._patches[piece]
+
+    # Each frame
+
+    def wanted(
+        self, table: NodeTable, view: View, tau: float, max_blocks: int, camera: Camera
+    ) -> NDArray[np.int32]:
+        """Return the pieces to have for a camera; τ is raised until there is room for them.
+
+        It sinks again as the camera moves and there is room enough.
+        """
+
+        def pieces(factor: float) -> NDArray[np.int32]:
+            return table.wanted(view, max_blocks, tau * factor, camera)
+
+        def are_too_many(nodes: NDArray[np.int32]) -> bool:
+            # Before the first one is here, nobody knows how many fit.
+            return len(nodes) == max_blocks > len(table.roots)
+
+        nodes = pieces(self._shortage)
+        if camera is not view.camera:
+            return nodes
+        if camera != self._last_camera:
+            self._last_camera = camera
+            while self._shortage > 1:
+                less = max(self._shortage / _STEP, 1.0)
+                more = pieces(less)
+                if len(more) > _WELL_FILLED * max_blocks:
+                    break
+                self._shortage, nodes = less, more
+        while are_too_many(nodes) and self._shortage < _MOST_SHORT:
+            self._shortage *= _STEP
+            nodes = pieces(self._shortage)
+        self._is_short |= are_too_many(nodes)
+        return nodes
+
+    def split_error(self, tau: float) -> float:
+        """Return the error of levels above which pieces are split, for τ asked for."""
+        return tau * _LEVEL_SHARE
+
+    def frames(
+        self, table: NodeTable, view: View, selection: Selection, tau: float, n_missing: int
+    ) -> Frames:
+        """Make the meshes of a selection that was split at `tau`, from `split_error`."""
+        order = np.argsort(selection.distances, kind="stable").tolist()
+        order = [k for k in order if self._patch(table, selection.nodes[k]).mesh is not None]
+        nodes, distances = selection.nodes[order], selection.distances[order]
+        self.shown = [self._patch(table, node) for node in nodes.tolist()]
+        tau *= self._shortage
+        eye, wanted = eye_of(view), tau / _LEVEL_SHARE
+        on_screen = table.errors[nodes] * view.exaggeration * table.scales(view, nodes)
+        is_finest = np.array([patch.piece.level == self.n_levels - 1 for patch in self.shown])
+        relaxed = np.where(is_finest, 1.0, np.maximum(on_screen / tau, 1.0))
+        within = self._follow_all(eye, wanted, np.minimum(relaxed, _MOST_RELAXED))
+        if self._is_short and not n_missing:
+            within = min(within * float(relaxed.max(initial=1.0)), _NO_PROMISE)
+        self._is_short = False
+        depths, n_triangles = self.draw(eye, *table.boxes(nodes, view.exaggeration))
+        none = np.zeros(len(nodes))
+        return Frames(nodes, distances, none, depths, n_triangles, within, n_missing)
+
+    def _patch(self, table: NodeTable, node: int) -> FrontPatch:
+        return self._patches[table.pieces[node]]
+
+    def _follow_all(self, eye: Eye, tau: float, relaxed: NDArray[np.float64]) -> float:
+        """Bring all meshes up to date, within the budget; return what they keep, pixels."""
+        budget = self._max_vertices()
+        self._pressure.relieve()
+        while True:
+            used = tau * self._pressure.factor
+            self.followed = [
+                self.follow(patch, eye, used * factor, max(budget, patch.mesh.least_vertices))
+                for patch, factor in zip(self.shown, relaxed.tolist(), strict=True)
+            ]
+            n_vertices = sum(followed.n_vertices for followed in self.followed)
+            if n_vertices <= budget or not self._pressure.rise():
+                break
+        kept = [
+            followed.within / factor
+            for followed, factor in zip(self.followed, relaxed.tolist(), strict=True)
+        ]
+        return max(kept, default=tau)
+
+    def _max_vertices(self) -> int:
+        """Return the budget of a frame: a mesh has less than two triangles per vertex.
+
+        With skirts, two more per edge on borders: less than three.
+        """
+        per_vertex = 3 if any(any(patch.open_sides) for patch in self.shown) else 2
+        least = sum(patch.mesh.least_vertices for patch in self.shown)
+        return max(min(self.max_triangles // per_vertex, MAX_VERTICES), least)
+
+    def follow(self, patch: FrontPatch, eye: Eye, tau: float, max_vertices: int) -> Followed:
+        """Bring the mesh of a patch up to date."""
+        followed: Followed = patch.mesh.follow(eye, tau, morph=MORPH, max_vertices=max_vertices)
+        return followed
+
+    def draw(
+        self, eye: Eye, low: NDArray[np.float64], high: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], int]:
+        """Make what is drawn; return the depths of skirts, and how many triangles there are.
+
+        `low` and `high` are corners of the boxes of `shown`.
+        """
+        frames = [
+            self.frame_of(patch, eye, followed)
+            for patch, followed in zip(self.shown, self.followed, strict=True)
+        ]
+        depths = self.depths(eye, [frame.error for frame in frames], low, high)
+        self._join(frames, depths)
+        return depths, 0 if self.drawn is None else len(self.drawn.triangles)
+
+    @abstractmethod
+    def frame_of(self, patch: FrontPatch, eye: Eye, followed: Followed) -> PatchFrame:
+        """Return the mesh of a patch."""
+
+    def depths(
+        self, eye: Eye, errors: list[float], low: NDArray[np.float64], high: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return how deep the skirts of each patch are, local metres.
+
+        As its own error, `PatchFrame.error` with that of its level and what may be between samples,
+        and the largest of those that touch it.
+        """
+        own = np.array([patch.error + patch.between for patch in self.shown]) + errors
+        own *= [any(patch.open_sides) * eye.z_scale for patch in self.shown]
+        if not own.any():
+            return own
+        slack = 1e-6 * (high - low).max()
+        apart = np.maximum(
+            low[:, None, :2] - high[None, :, :2], low[None, :, :2] - high[:, None, :2]
+        )
+        touches = (apart <= slack).all(axis=2) & ~np.eye(len(own), dtype=np.bool_)
+        beside: NDArray[np.float64] = np.where(touches, own[None, :], 0.0).max(axis=1)
+        return own + beside
+
+    @staticmethod
+    def surface(context: Any, side: int, *, max_bytes: int) -> Any:
+        """Return a buffer for the mesh of a frame, and the program that draws it."""
+        from terrainwave.render.front_surface import FrontSurface
+
+        return FrontSurface(context, max_bytes=max_bytes)
+
+    def _join(self, frames: list[PatchFrame], depths: NDArray[np.float64]) -> None:
+        """Make one mesh of all patches with their skirts."""
+        parts, starts = [], [0]
+        for frame, depth in zip(frames, depths.tolist(), strict=True):
+            part = _with_skirts(frame, depth)
+            parts.append(part._replace(triangles=part.triangles + np.int32(starts[-1])))
+            starts.append(starts[-1] + len(part.vertices))
+        self.first_vertices = starts
+        self.drawn = Drawn(*map(np.concatenate, zip(*parts, strict=True))) if parts else None
+
+
+def _with_skirts(frame: PatchFrame, depth: float) -> Drawn:
+    """Return a patch with two triangles more below each of its edges."""
+    drawn, edges, _ = frame
+    if not len(edges):
+        return drawn
+    n = len(drawn.vertices)
+    top, numbers = np.unique(edges, return_inverse=True)
+    below = drawn.vertices[top]
+    below[:, 2] -= depth
+    a, b = edges.T
+    lower_a, lower_b = (n + numbers.reshape(edges.shape)).T
+    skirts = np.concatenate(
+        [np.column_stack([b, a, lower_a]), np.column_stack([b, lower_a, lower_b])]
+    )
+    return Drawn(
+        np.concatenate([drawn.vertices, below]),
+        np.concatenate([drawn.triangles, skirts.astype(np.int32)]),
+        np.concatenate([drawn.sizes, drawn.sizes[top]]),
+    )

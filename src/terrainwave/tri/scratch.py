@@ -1,0 +1,21 @@
+"""Memory that is filled anew each frame: meshes that one thread draws share it."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+
+class Scratch:
+    """Arrays by name, as large as they have ever been asked for. Used by one thread."""
+
+    def __init__(self) -> None:
+        self._arrays: dict[str, NDArray[Any]] = {}
+
+    def take(self, name: str, shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+        """Return an array; what it holds is of whoever took it before."""
+        size = int(np.prod(shape))
+        array = self._arrays.get(name)
+        if array is None or array.size < size or array.dtype != dtype:
+            array = self._arrays[name] = np.empty(size + size // 4, dtype=dtype)
+        return array[:size].reshape(shape)
