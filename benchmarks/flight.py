@@ -5,6 +5,8 @@ take. Uploads go to a surface that draws nothing, a GPU that costs nothing, as s
 would take the cores that decode; with ``--gpu`` they go to OpenGL and are drawn. A DEM is mirrored
 to --side samples first, and compressed by `rapid`.
 
+`web` are the jumps and `web-low` the low flight over http, from a server 50 ms away, 20 Mbit/s.
+
 A frame is *above τ* if something in it has a larger error on screen than τ and the file has finer
 data for it; the largest error on screen is of such pieces (τ where there are none). Times to τ: of
 a jump until all is within τ; of other flights from opening the file. CPU is the drawing thread's.
@@ -16,13 +18,15 @@ import time
 from collections import namedtuple
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 import terrainwave
 from benchmarks import common
 from benchmarks.rasters import mirrored_file
+from benchmarks.render import CountingFile
+from benchmarks.slow_server import SlowServer
 from terrainwave.render.camera import Camera, Viewport
 from terrainwave.render.frame import frame_of
 from terrainwave.render.modes import mode_class
@@ -40,6 +44,8 @@ TURN_DEGREES_PER_S = 2.0
 # Metres over the ground, degrees: down at a place, as when one looks for it; low, to the horizon.
 JUMPS = {"jump": (1000.0, -30.0), "horizon": LOW[1:]}
 N_JUMPS, JUMP_TIMEOUT_S = 13, 10.0
+# From a server with 50 ms of latency and 20 Mbit/s.
+WEB = {"web": "jump", "web-low": "low"}
 # A spiral: from and to so many metres over the ground, radius in metres, degrees per second.
 SPIRAL_HEIGHTS, SPIRAL_RADIUS, SPIRAL_TURN = (6000.0, 300.0), 3000.0, 15.0
 Place = Callable[[float], Camera]
@@ -48,8 +54,8 @@ Place = Callable[[float], Camera]
 Row = namedtuple(
     "Row",
     "renderer what mode speed frames late_frames above_tau_share missing_share median_error_px "
-    "p99_error_px largest_error_px time_to_tau_s median_cpu_ms p99_cpu_ms median_build_ms "
-    "p99_build_ms built cancelled read_mib median_triangles store_mib fps low_fps",
+    "p99_error_px largest_error_px median_time_to_tau_s time_to_tau_s median_cpu_ms p99_cpu_ms "
+    "median_build_ms p99_build_ms built cancelled read_mib median_triangles store_mib fps low_fps",
 )  # fmt: skip
 
 
@@ -83,21 +89,6 @@ class NoGpu(_Nothing):
         return _Nothing()
 
     buffer = texture = texture_array = program = vertex_array = _make
-
-
-class CountingFile:
-    """A file that counts the bytes read of it."""
-
-    def __init__(self, path: Path) -> None:
-        self.name, self.n_read = str(path), 0
-        self._file = path.open("rb", buffering=0)
-        self.seek, self.close = self._file.seek, self._file.close
-
-    def read(self, length: int = -1) -> bytes:
-        """Return what the file gives."""
-        data = self._file.read(length)
-        self.n_read += len(data)
-        return data
 
 
 class Ground:
@@ -219,6 +210,12 @@ class Session:
         self._offscreen.renderer.draw(view, frames, Style())
         self._offscreen.context.finish()
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     def close(self) -> None:
         """Close the scene and the file."""
         self._closing.close()
@@ -281,8 +278,8 @@ class Recorder:
             fps, low_fps = 1e3 / np.median(wall_ms), 1e3 / np.quantile(wall_ms, 0.99)
         numbers = [
             above.mean(), (missing[flown] > 0).mean(), *np.quantile(drawn, [0.5, 0.99, 1.0]),
-            max(self.reached), np.median(cpu_ms[flown]), np.quantile(cpu_ms[flown], 0.99),
-            np.median(builds), np.quantile(builds, 0.99),
+            np.median(self.reached), max(self.reached), *np.quantile(cpu_ms[flown], [0.5, 0.99]),
+            *np.quantile(builds, [0.5, 0.99]),
         ]  # fmt: skip
         return Row(
             session.renderer, what, scene.mode.name, speed, int(flown.sum()), self.n_late,
@@ -302,20 +299,34 @@ def flights_of(ground: Ground, seconds: float) -> dict[str, tuple[float, Place]]
     }
 
 
-def measure(open_session: Callable, ground: Ground, what: str, seconds: float, tau: float) -> Row:
-    """Return the row of a flight, or of jumps."""
-    session, file = open_session()
-    with contextlib.closing(session), contextlib.closing(file):
-        recorder = Recorder(session, tau)
-        if what in JUMPS:
-            first, *others = Flights(ground).jumps(*JUMPS[what])
-            session.scene.settle(session.scene.view(first, session.viewport, tau))
-            for camera in others:
-                recorder.fly(lambda _, camera=camera: camera, JUMP_TIMEOUT_S, stops=True)
-            return recorder.row(what, 0.0, file.n_read, 0.0)
-        speed, place = flights_of(ground, seconds)[what]
+def measure(session: Session, ground: Ground, what: str, seconds: float, tau: float) -> Recorder:
+    """Fly, or jump; return what was noted."""
+    recorder = Recorder(session, tau)
+    if what in JUMPS:
+        first, *others = Flights(ground).jumps(*JUMPS[what])
+        session.scene.settle(session.scene.view(first, session.viewport, tau))
+        for camera in others:
+            recorder.fly(lambda _, camera=camera: camera, JUMP_TIMEOUT_S, stops=True)
+    else:
+        _, place = flights_of(ground, seconds)[what]
         recorder.fly(place, seconds, since=session.opened)
-        return recorder.row(what, speed, file.n_read, SETTLING_S)
+    return recorder
+
+
+def row_of(path: Path, ground: Ground, what: str, seconds: float, tau: float, **options) -> Row:
+    """Return the row of a flight from a file, or over a slow line (`WEB`)."""
+    flown, settling = WEB.get(what, what), 0.0 if WEB.get(what, what) in JUMPS else SETTLING_S
+    speed = 0.0 if flown in JUMPS else flights_of(ground, seconds)[flown][0]
+    with contextlib.ExitStack() as closing:
+        if what in WEB:
+            server = closing.enter_context(SlowServer(path.parent))
+            session = closing.enter_context(Session(server.url(path.name), **options))
+            recorder = measure(session, ground, flown, seconds, tau)
+            return recorder.row(what, speed, server.n_bytes, settling)
+        file = closing.enter_context(contextlib.closing(CountingFile(path)))
+        session = closing.enter_context(Session(file, **options))
+        recorder = measure(session, ground, flown, seconds, tau)
+        return recorder.row(what, speed, file.n_read, settling)
 
 
 @common.command("flight.csv")
@@ -325,7 +336,9 @@ def measure(open_session: Callable, ground: Ground, what: str, seconds: float, t
 @common.option("--max-error", default=1.0)
 @common.option("--mode", "modes", cls=common.ListOption, default=("adaptive", "batched"))
 @common.option(
-    "--what", cls=common.ListOption, default=("low", "fast", "jump", "horizon", "spiral")
+    "--what",
+    cls=common.ListOption,
+    default=("low", "fast", "jump", "horizon", "spiral", "web", "web-low"),
 )
 @common.option("--size", default="1920x1080")
 @common.option("--max-pixel-error", "tau", default=1.0)
@@ -345,25 +358,21 @@ def main(
 
     def rows() -> Iterator[Row]:
         for mode in modes:
-            _warm_up(path, mode, viewport, ground, tau)
-
-            def opened(mode: str = mode) -> tuple[Session, CountingFile]:
-                file = CountingFile(path)
-                options = {} if radius is None else {"radius": radius}
-                return Session(
-                    file, mode, viewport, gpu=gpu, n_threads=threads, memory=memory, **options
-                ), file
-
+            options = {
+                "mode": mode, "viewport": viewport, "gpu": gpu, "n_threads": threads,
+                "memory": memory,
+            }  # fmt: skip
+            options |= {} if radius is None else {"radius": radius}
+            _warm_up(path, ground, tau, options)
             for one in what:
-                yield measure(opened, ground, one, seconds, tau)
+                yield row_of(path, ground, one, seconds, tau, **options)
 
     common.write_rows(out, rows())
 
 
-def _warm_up(path: Path, mode: str, viewport: Viewport, ground: Ground, tau: float) -> None:
+def _warm_up(path: Path, ground: Ground, tau: float, options: dict[str, Any]) -> None:
     """Compile what flights use."""
-    session = Session(path, mode, viewport, gpu=False, n_threads=1, memory=256)
-    with contextlib.closing(session):
+    with Session(path, **options | {"gpu": False, "memory": 256}) as session:
         for camera in Flights(ground).jumps(*JUMPS["horizon"])[:2]:
             view = session.scene.view(camera, session.viewport, 4 * tau)
             session.submit(view, session.scene.settle(view))

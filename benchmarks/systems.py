@@ -9,6 +9,9 @@ the raster is. On the first 512 also dynamic against rqt at one threshold, by th
 coefficients of cdf53 and by measured ones; and dynamic by steps, down and 30 times as fast.
 `largest_pixels` is the largest distance on screen of some originals in view.
 
+``--only orientation`` appends triangles from above, at 45 degrees and level, with and without
+``--orientation``.
+
 CPU times are of the drawing thread, by its own clock, without draw calls: a software driver draws
 in that thread. "frame" is the time until the driver has drawn. Bytes are those handed to moderngl.
 """
@@ -27,7 +30,7 @@ import numpy as np
 import terrainwave
 from benchmarks import common
 from benchmarks.rasters import coefficients_of, load_raster
-from benchmarks.render import camera_at_key
+from benchmarks.render import SMALL_BLOCK, camera_at_key
 from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed, home, look, project
 from terrainwave.render.modes import MODES
 from terrainwave.render.modes.front import eye_of
@@ -56,6 +59,11 @@ VARIANTS = {
     "batched, order 2": {"mode": "batched", "order": 2},
 }
 KEYS = {"slope": (0.10, 0.10, 0.030, 45, -20), "low": (0.30, 0.35, 0.004, 75, -14)}
+# Straight down, at 45 degrees and level; the same fields.
+PITCHES = {
+    "above": (0.5, 0.5, 0.25, 0, -90), "45 degrees": (0.5, 0.3, 0.2, 0, -45),
+    "level": (0.5, 0.02, 0.005, 0, 0),
+}  # fmt: skip
 # Of the flights. Shapes of meshes follow from the ratio of metres per sample to heights.
 SIDES, TAUS, SCREEN = (512, 1024, 2048, 4096), (1.0, 2.0, 4.0), Viewport(1280, 720)
 PIXEL, MORPH, N_CHECKED = 118.0, 1.25, 400
@@ -67,11 +75,15 @@ MethodRow = namedtuple(
 # Milliseconds, medians over frames. `tau` is what the scene kept, pixels; what was asked for in
 # mode full, which splits all. `submitted` are the triangles the GPU is asked for: in mode
 # vertex-texture those of whole patches. `first_bytes` were uploaded until the picture was whole.
-# `largest_pixels`: of the measured errors of all blocks drawn, in mode batched.
+# `largest_pixels`: of the bounds of all blocks drawn, in mode batched.
 ModeRow = namedtuple(
     "ModeRow",
     "raster renderer camera mode tau triangles submitted cpu_ms frame_ms first_bytes frame_bytes "
     "largest_pixels",
+)  # fmt: skip
+# A picture at one τ, with errors by orientation or without.
+OrientationRow = namedtuple(
+    "OrientationRow", "raster mode camera orientation tau blocks triangles"
 )  # fmt: skip
 # A flight; milliseconds of CPU time of the one thread.
 FlightRow = namedtuple(
@@ -176,11 +188,11 @@ def measure_mode(file: Path, name: str, camera_name: str, mode: str) -> ModeRow:
 
 
 def _largest_error(offscreen: Offscreen, camera: Camera) -> float:
-    """Return the largest error of a block on screen, pixels, by what was measured of it."""
+    """Return the largest error of a block on screen, pixels, by the bound that it has."""
     scene = offscreen.scene
     frames = scene.settle(scene.view(camera, offscreen.viewport, TAU))
-    pieces = [scene.table.pieces[node] for node in frames.nodes.tolist()]
-    errors = [scene.mode._levels.errors[piece.level][piece.row, piece.col] for piece in pieces]
+    blocks = [scene.table.pieces[node].block for node in frames.nodes.tolist()]
+    errors = [scene.mode.grid(block).error for block in blocks]
     pixels = np.array(errors) * gamma_guaranteed(camera, offscreen.viewport) / frames.distances
     return round(float(pixels.max()), 2)
 
@@ -210,6 +222,25 @@ def measure_modes(file: Path, name: str) -> Iterator[ModeRow]:
     for camera in ("overview", *KEYS):
         for mode in (*MODES, *VARIANTS):
             yield measure_mode(file, name, camera, mode)
+
+
+def measure_orientation(file: Path, name: str) -> Iterator[OrientationRow]:
+    """Yield both modes that know orientation from all pitches; none is drawn."""
+    for mode in ("adaptive", "batched"):
+        for is_oriented in (False, True):
+            options = {"mode": mode, "orientation": is_oriented, "samples": 0}
+            with (
+                terrainwave.open(file) as terrain,
+                Offscreen(terrain, SIZE, **options) as offscreen,
+            ):
+                scene = offscreen.scene
+                for camera, key in PITCHES.items():
+                    view = scene.view(camera_at_key(scene.frame, key), offscreen.viewport, TAU)
+                    frames = scene.settle(view)
+                    yield OrientationRow(
+                        name, mode, camera, is_oriented, frames.tau, len(frames.nodes),
+                        frames.n_triangles,
+                    )  # fmt: skip
 
 
 def camera_at(view: str, number: int, top: float) -> Camera:
@@ -341,27 +372,34 @@ def _range(values) -> str:
     return f"{ordered[0]:.1f}–{ordered[-1]:.1f}"
 
 
-PARTS = ("methods", "modes", "papers", "dynamic")
+PARTS = ("methods", "modes", "papers", "orientation", "dynamic")
 
 
 @common.command()
 @common.dem_argument
-@common.option("--only", cls=common.ListOption, type=click.Choice(PARTS), default=PARTS[:-1])
+@common.option("--only", cls=common.ListOption, type=click.Choice(PARTS), default=PARTS[:3])
 @common.option("--frames", type=common.COUNT, default=60, help="Of each flight.")
 def main(dem: Path, only: tuple[str, ...], frames: int, folder: Path, out: Path) -> None:
     """Measure, print and write the CSVs."""
-    file = folder / "view.twz"
-    if "modes" in only:
-        terrainwave.compress(dem, file, max_error=VIEW_ERROR, verify=False, overwrite=True)
+    for part, block in (("modes", 256), ("orientation", SMALL_BLOCK)):
+        if part in only:
+            options = {"max_error": VIEW_ERROR, "block": block}
+            terrainwave.compress(
+                dem, folder / f"{part}.twz", verify=False, overwrite=True, **options
+            )
     measures = {
         "methods": ("systems_methods", lambda: measure_methods(dem, folder)),
-        "modes": ("systems_modes", lambda: measure_modes(file, dem.stem)),
+        "modes": ("systems_modes", lambda: measure_modes(folder / "modes.twz", dem.stem)),
         "papers": ("systems_papers", lambda: compare_papers(out)),
+        "orientation": (
+            "orientation",
+            lambda: measure_orientation(folder / "orientation.twz", dem.stem),
+        ),
         "dynamic": ("dynamic", lambda: measure_flights(dem, frames)),
     }
     for part in only:
         name, measure = measures[part]
-        common.write_rows(out / f"{name}.csv", measure())
+        common.write_rows(out / f"{name}.csv", measure(), append=part == "orientation")
 
 
 if __name__ == "__main__":

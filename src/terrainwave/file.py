@@ -392,8 +392,10 @@ class TerrainFile:
 
     def box_quanta(self, block: Block) -> tuple[int, int]:
         """Return a block's lowest and highest height as the index states them, in quanta."""
-        header = self.header
-        outer = (header.z_min, header.z_max) if block.level == 0 else self.box_quanta(block.parent)
+        header, key = self.header, block.parent
+        # Inside the box of the key if the segment of the key lists that block, else the raster's.
+        is_first = block.level == 0 or self.grid.segment_head(key) == key
+        outer = (header.z_min, header.z_max) if is_first else self.box_quanta(key)
         below, above = self.container.codes(block)[:2]
         return decode_range(below, above, *outer)
 

@@ -211,8 +211,8 @@ class Terrain(TerrainFile):
         style : terrainwave.render.style.Style, optional
             Colours, light and haze.
         options
-            ``mode``, ``error``, ``detail``, ``order``, ``stepwise``, ``drape``, ``exaggeration``,
-            ``radius`` as on the command line.
+            ``mode``, ``error``, ``detail``, ``order``, ``stepwise``, ``orientation``, ``drape``,
+            ``exaggeration``, ``radius`` as on the command line.
 
         Returns
         -------

@@ -66,8 +66,10 @@ def test_full_and_adaptive_pictures_are_alike(file, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["batched", "--error", "paper", "--detail", "9", "--order", "2"], "whole file twice"),
+        (["batched", "--error", "paper", "--detail", "9", "--order", "2"], None),
         (["dynamic", "--stepwise"], None),
+        (["adaptive"], None),
+        (["adaptive", "--error", "paper"], "decodes the whole file once"),
     ],
 )
 def test_what_is_decoded_before_the_first_picture_is_said(file, tmp_path, options, words):
@@ -136,6 +138,11 @@ def test_a_flight_writes_numbered_pictures(file, tmp_path):
         (["--legend", "--coloring", "plain"], "found --legend with --coloring plain", 2),
         (["--stepwise"], "--stepwise in mode adaptive, expected mode dynamic", 2),
         (["--order", "3"], "'2', '4'", 2),
+        (
+            ["--mode", "batched", "--orientation", "--error", "paper"],
+            "--error 'paper', expected",
+            2,
+        ),
         (["--error", "coefficient"], "found --error 'coefficient' in mode adaptive", 2),
         (["--scale-bar", "--size", "100x90"], "found --size 100x90, expected at least", 2),
     ],

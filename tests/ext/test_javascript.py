@@ -5,8 +5,6 @@ import json
 import re
 import subprocess
 import tarfile
-import threading
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
@@ -17,6 +15,7 @@ from fastapi.staticfiles import StaticFiles
 from golden_files import GOLDEN, digests
 
 import terrainwave
+from benchmarks.slow_server import SlowServer
 from terrainwave.grid.quadtree import Block
 
 JS = Path(__file__).parents[2] / "js"
@@ -46,36 +45,11 @@ def twz(tmp_path_factory):
     return write_twz(folder, hills(300, 341) * 4, BOUNDS, max_error=8)
 
 
-class Handler(BaseHTTPRequestHandler):
-    """Serves one file by ranges and notes them."""
-
-    def do_GET(self):
-        data = self.server.data
-        first, last = map(int, re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers["Range"]).groups())
-        body = data[first : last + 1]
-        self.server.asked.append((first, first + len(body)))
-        self.send_response(206)
-        self.send_header("Content-Range", f"bytes {first}-{first + len(body) - 1}/{len(data)}")
-        self.send_header("Content-Length", str(len(body)))
-        self.end_headers()
-        self.wfile.write(body)
-
-    def log_message(self, *_):
-        pass
-
-
 @pytest.fixture
 def server(twz):
-    """Yield a server of the file, which notes the ranges it was asked for."""
-    found = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    found.data, found.asked = twz.read_bytes(), []
-    found.address = f"http://127.0.0.1:{found.server_address[1]}/hills.twz"
-    thread = threading.Thread(target=found.serve_forever)
-    thread.start()
-    yield found
-    found.shutdown()
-    thread.join(30)
-    found.server_close()
+    """Yield a server of the file, which counts what it is asked for."""
+    with SlowServer(twz.parent, 0.0, 0) as found:
+        yield found
 
 
 def test_its_own_tests_pass():
@@ -92,10 +66,10 @@ def test_heights_and_masks_of_golden_files_are_those_of_python(twz):
         assert found[str(path)] == {"heights": expected["heights"], "mask": expected["mask"]}
 
 
-def test_it_opens_a_url_by_two_requests_at_most(server):
-    found = dump("open", server.address)
-    assert 1 <= len(server.asked) <= 2
-    with terrainwave.open(server.data) as terrain:
+def test_it_opens_a_url_by_two_requests_at_most(server, twz):
+    found = dump("open", server.url(twz.name))
+    assert 1 <= server.n_requests <= 2
+    with terrainwave.open(twz) as terrain:
         assert found["nRows"] == terrain.shape[0]
         assert found["crs"] == terrain.crs
         left, bottom, right, top = terrain.bounds
@@ -108,10 +82,10 @@ def test_the_module_has_at_most_150_kb_compressed():
     assert sum(len(gzip.compress(path.read_bytes())) for path in modules) <= 150_000
 
 
-def test_places_and_errors_are_those_of_python(server):
+def test_places_and_errors_are_those_of_python(server, twz):
     x, y = 8.2503, 46.2041
-    found = dump("values", server.address, x, y, 1, 2)
-    with terrainwave.open(server.data) as terrain:
+    found = dump("values", server.url(twz.name), x, y, 1, 2)
+    with terrainwave.open(twz) as terrain:
         assert found["sample"] == pytest.approx(terrain.sample([(x, y)])[0], rel=1e-9)
         assert found["coarse"] == pytest.approx(terrain.sample([(x, y)], level=1)[0], rel=1e-9)
         last = terrain.n_levels - 1
@@ -119,7 +93,7 @@ def test_places_and_errors_are_those_of_python(server):
         assert found["rootError"] == terrain.block_error(Block(0, 0, 0)) > 0
         assert found["transform"] == pytest.approx(terrain.transform(0), rel=1e-12)
         assert found["maxError"] == terrain.max_error
-    assert sum(end - start for start, end in server.asked) < len(server.data)
+    assert server.n_bytes < twz.stat().st_size
 
 
 @pytest.mark.large

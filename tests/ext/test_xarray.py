@@ -1,10 +1,7 @@
 """The xarray backend, found by its entry point, and the accessor."""
 
-import functools
-import http.server
 import io
 import pickle
-import threading
 
 import dask
 import numpy as np
@@ -15,6 +12,7 @@ from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
 
 import terrainwave
+from benchmarks.slow_server import SlowServer
 from terrainwave.ext import xarray_backend
 from terrainwave.file import TerrainFile
 
@@ -225,31 +223,9 @@ def test_bytes_and_file_objects_open(terrain_file):
 
 
 def test_url_opens(terrain_file):
-    handler = functools.partial(RangeHandler, directory=terrain_file.parent)
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        url = f"http://127.0.0.1:{server.server_address[1]}/a.twz"
-        with xr.open_dataset(url) as remote, xr.open_dataset(terrain_file) as local:
+    with SlowServer(terrain_file.parent, 0.0, 0) as server:
+        with xr.open_dataset(server.url("a.twz")) as remote, xr.open_dataset(terrain_file) as local:
             np.testing.assert_array_equal(remote.heights[5:20, 30:60], local.heights[5:20, 30:60])
-        server.shutdown()
-
-
-class RangeHandler(http.server.SimpleHTTPRequestHandler):
-    """A web server that serves byte ranges, which Python's own does not."""
-
-    def do_GET(self):
-        with open(self.translate_path(self.path), "rb") as file:
-            data = file.read()
-        first, last = self.headers["Range"].removeprefix("bytes=").split("-")
-        part = data[int(first) : int(last) + 1]
-        self.send_response(206)
-        self.send_header("Content-Range", f"bytes {first}-{int(first) + len(part) - 1}/{len(data)}")
-        self.send_header("Content-Length", str(len(part)))
-        self.end_headers()
-        self.wfile.write(part)
-
-    def log_message(self, *args):
-        """Say nothing."""
 
 
 def test_missing_file_is_named(tmp_path):

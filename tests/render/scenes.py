@@ -5,7 +5,7 @@ import io
 import numpy as np
 from twz import twz_bytes
 
-from terrainwave.render.camera import Camera
+from terrainwave.render.camera import Camera, project
 from terrainwave.render.kernels import SKIRT_FLAG
 from terrainwave.terrain import Terrain
 
@@ -130,6 +130,21 @@ def random_camera(rng, scene):
     z = high[2] + rng.uniform(20, 1.0 * (high - low).max())
     heading = np.degrees(np.arctan2(-x, -y)) + rng.uniform(-40, 40)
     return Camera((x, y, z), heading % 360, rng.uniform(-70, -10), rng.uniform(30, 80))
+
+
+def apart_on_screen(view, scene, heights, valid, rows, cols, z):
+    """Return how far valid originals in view are from drawn heights of samples, pixels."""
+    known = valid[rows, cols]
+    rows, cols, z = rows[known], cols[known], z[known]
+    xy, scale = scene.frame.samples_to_local(rows, cols), view.exaggeration
+    size = [view.viewport.width, view.viewport.height, np.inf]
+    drawn, true = (
+        project(view.camera, view.viewport, np.column_stack([xy, scale * metres]))
+        for metres in (z, heights[rows, cols].astype(float))
+    )
+    with np.errstate(invalid="ignore"):
+        seen = ((true >= 0) & (true <= size) & (drawn >= 0) & (drawn <= size)).all(axis=1)
+    return np.hypot(*(drawn - true)[seen, :2].T)
 
 
 def loud(image):

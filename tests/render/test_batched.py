@@ -1,15 +1,16 @@
-"""Zhang et al. 2012: the pyramid, the criterion, skirts, morphs, loading, and τ on screen."""
+"""Zhang et al. 2012: the filters, the criterion, skirts, morphs, loading, and τ on screen."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from render.scenes import ListStore, hills, random_camera, terrain_of
+from render.scenes import ListStore, apart_on_screen, hills, random_camera, terrain_of
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.grid.quadtree import Region
-from terrainwave.render.camera import Camera, Viewport, focal_length, home, project
+from terrainwave.render.camera import Camera, Viewport, focal_length, home
 from terrainwave.render.modes.block_surface import grid_mesh
-from terrainwave.render.modes.neville import NevillePyramid
-from terrainwave.render.modes.regular import fill_vertices, surface_height
+from terrainwave.render.modes.neville import fill_details, filtered
+from terrainwave.render.modes.regular import half_place, largest_deviation
 from terrainwave.render.scene import Scene
 
 VIEWPORT = Viewport(480, 320)
@@ -22,7 +23,7 @@ def rasters():
     return {
         "rough": (np.round(hills(75, 105, 1)).astype(np.int16), {"max_error": 0}),
         "voids": (with_voids, {"max_error": 2, "nodata": -32768}),
-        "floats": (hills(80, 60, 4).astype(np.float32), {"max_error": 0.5}),
+        "wavelets": (hills(80, 60, 4).astype(np.float32), {"max_error": 0.5, "method": "cdf97"}),
     }
 
 
@@ -34,75 +35,77 @@ def original_and_terrain(request):
         yield heights, valid, terrain
 
 
-def pyramid_of(heights, n_levels, tmp_path, **options):
-    def read(region):
-        return heights[region.slices_in(Region(0, 0, *heights.shape))].astype(np.float32)
-
-    return NevillePyramid(heights.shape, read, n_levels, tmp_path, **options)
+# The filters
 
 
-# The pyramid
+def coarser(fine, order, valid=None):
+    """Return the level above `fine`, and NaN where its samples are void."""
+    valid = np.ones(fine.shape, bool) if valid is None else valid
+    return filtered(fine, valid, order, np.full((np.array(fine.shape) + 1) // 2, np.nan))
 
 
-def test_the_filter_of_order_four_keeps_cubics(tmp_path):
-    rows, cols = np.mgrid[0:40, 0:24] / 10
-
-    def cubic(r, c):
-        return 2 + r - 3 * c + r * c - r**2 + 0.5 * c**3 + 0.25 * r * c**2
-
-    pyramid = pyramid_of(cubic(rows, cols), 2, tmp_path)
-    found = pyramid.window(1, Region(1, 1, 18, 10), replicate=False)
-    # Sample i of level l lies at (i + ½) · 2^l − ½.
-    r, c = np.mgrid[1:19, 1:11] * 2 + 0.5
-    np.testing.assert_allclose(found, cubic(r / 10, c / 10), atol=1e-5)
+@pytest.mark.parametrize("order", [2, 4])
+def test_filters_keep_the_polynomials_of_their_order(order):
+    r, c = np.mgrid[0:17, 0:25] / 10
+    heights = 2 + r - 3 * c + r * c
+    if order == 4:
+        heights += -(r**2) + 0.5 * c**3 + 0.25 * r**2 * c
+    found = coarser(heights, order)
+    inner = np.s_[3:-3, 3:-3] if order == 4 else np.s_[:]
+    np.testing.assert_allclose(found[inner], heights[::2, ::2][inner], atol=1e-12)
 
 
-def test_the_filter_has_the_weights_of_the_paper(tmp_path):
-    """Fig. 2b: inner four 10/32, the eight beside them -1/32, corners 0."""
-    impulse = np.zeros((8, 8))
-    impulse[3, 4] = 32
-    found = pyramid_of(impulse, 2, tmp_path).window(1, Region(0, 0, 4, 4), replicate=False)
-    expected = np.zeros((4, 4))
-    expected[1, 2], expected[1, 1], expected[2, 2] = 10, -1, -1
-    np.testing.assert_array_equal(found, expected)
+@pytest.mark.parametrize(("order", "near", "far", "beside", "beyond"), [
+    (4, 10 / 32, -1 / 32, 9 / 16, -1 / 16), (2, 1 / 4, 0, 1 / 2, 0)
+])  # fmt: skip
+def test_the_filters_have_the_weights_of_the_paper(order, near, far, beside, beyond):
+    """Fig. 2: inner four 10/32, the eight beside them -1/32, corners 0; or four times 1/4."""
+    impulse, details = np.full((23, 23), np.nan), np.empty((23, 23))
+    impulse[3:-3, 3:-3] = 0
+    impulse[11, 11] = 1
+    fill_details(impulse, order, details)
+    expected = np.zeros((17, 17))
+    expected[7:10:2, 7:10:2] = -near
+    expected[5:12:6, 7:10:2] = expected[7:10:2, 5:12:6] = -far
+    expected[8, 7:10:2] = expected[7:10:2, 8] = -beside
+    expected[8, 5:12:6] = expected[5:12:6, 8] = -beyond
+    np.testing.assert_allclose(details[3:-3, 3:-3], expected, atol=1e-15)
 
 
-def test_the_filter_of_order_two_takes_the_mean_of_the_four_samples_it_replaces(tmp_path):
-    """Fig. 2a: four times 1/4; planes are kept."""
-    heights = np.random.default_rng(8).random((12, 8))
-    found = pyramid_of(heights, 2, tmp_path, order=2).window(1, Region(0, 0, 6, 4), replicate=False)
-    expected = heights.reshape(6, 2, 4, 2).mean(axis=(1, 3))
-    np.testing.assert_allclose(found, expected, atol=1e-6)
+def test_the_update_is_a_quarter_of_the_transposed_filter_and_leaves_no_range():
+    impulse = np.zeros((17, 17))
+    impulse[7, 9] = 1
+    expected = np.zeros((9, 9))
+    expected[3:5, 4:6] = 10 / 32 / 4  # the eight beside these would be below all around them
+    np.testing.assert_allclose(coarser(impulse, 4), expected, atol=1e-15)
 
 
-def test_the_border_is_repeated_and_voids_are_left_out(tmp_path):
-    constant = np.full((13, 9), 7.0)
-    constant[4:8, 2:6] = np.nan
-    constant[5, 3] = 7.0
-    pyramid = pyramid_of(constant, 4, tmp_path)
-    assert pyramid.shapes == [(13, 9), (7, 5), (4, 3), (2, 2)]
-    level = pyramid.window(1, Region(0, 0, 7, 5), replicate=False)
-    expected = np.full((7, 5), 7.0)
-    expected[2:4, 1:3] = np.nan
-    expected[2, 1] = 7.0  # one of its inner four is valid
-    np.testing.assert_array_equal(level, expected)
-    beyond = pyramid.window(1, Region(-1, -1, 2, 2), replicate=False)
-    assert np.isnan(beyond[0]).all()
-    assert np.isnan(beyond[1, 0])
-    assert beyond[1, 1] == 7.0
+def test_the_border_follows_from_its_line_alone_and_voids_stay():
+    rng = np.random.default_rng(1)
+    one, two = rng.random((17, 17)), rng.random((17, 17))
+    two[:, 0] = one[:, -1]
+    for order in (2, 4):
+        left, right = coarser(one, order), coarser(two, order)
+        np.testing.assert_array_equal(left[:, -1], right[:, 0])
+        assert left[0, 0] == one[0, 0]
+        assert (left[1:-1, 1:-1] != one[2:-2:2, 2:-2:2]).any()
+    valid = np.ones((17, 17), bool)
+    valid[4:9, 4:9] = False
+    found = coarser(one, 4, valid)
+    assert np.isnan(found[2:5, 2:5]).all()
+    assert np.isnan(found).sum() == 9
 
 
 # The surface of a block
 
 
-def test_blocks_of_one_level_meet_on_equal_vertices():
-    rng = np.random.default_rng(1)
-    samples = rng.random((10, 6)).astype(np.float32)
-    upper, lower = np.empty((6, 6), np.float32), np.empty((6, 6), np.float32)
-    fill_vertices(samples[:6], upper)
-    fill_vertices(samples[4:], lower)
-    np.testing.assert_array_equal(upper[-1], lower[0])
-    np.testing.assert_allclose(upper[-1, 1:-1], (samples[4, 1:-1] + samples[5, 1:-1]) / 2)
+def height_at(vertices, row, col):
+    """Return the height of a surface of cells cut from (0, 0) to (1, 1); NaN in voids."""
+    r, c = min(int(row), vertices.shape[0] - 2), min(int(col), vertices.shape[1] - 2)
+    t, s = row - r, col - c
+    corner = (0, 1, s - t) if s >= t else (1, 0, t - s)
+    corners = (0, 0, 1 - max(s, t)), corner, (1, 1, min(s, t))
+    return sum(float(vertices[r + i, c + j]) * weight for i, j, weight in corners if weight > 0)
 
 
 def test_the_measured_surface_is_that_of_the_triangles_drawn():
@@ -110,16 +113,50 @@ def test_the_measured_surface_is_that_of_the_triangles_drawn():
     rng = np.random.default_rng(2)
     vertices = rng.random((n, n)).astype(np.float32)
     places, triangles = grid_mesh(n)
-    at = np.clip(places[: n * n] - 0.5, 0, n - 2)  # cells: column, row
+    at = places[: n * n].astype(float)  # column, row
     n_cells = 2 * (n - 1) ** 2
     for triangle in triangles[:n_cells]:
+        heights = vertices.ravel()[triangle].astype(float)
+        for one, two in ((0, 1), (1, 2), (2, 0)):
+            col, row = at[triangle[one]] + at[triangle[two]]
+            found = half_place(vertices, int(row), int(col))
+            assert found == pytest.approx((heights[one] + heights[two]) / 2, abs=1e-6)
         weights = rng.dirichlet([1, 1, 1])
         col, row = weights @ at[triangle]
-        expected = weights @ vertices.ravel()[triangle].astype(float)
-        assert surface_height(vertices, row, col) == pytest.approx(expected, abs=1e-6)
+        assert height_at(vertices, row, col) == pytest.approx(weights @ heights, abs=1e-6)
     assert (places[n * n :, 0] >= 1 << 15).all()
     assert len(triangles) - n_cells == 8 * (n - 1)
     assert triangles.max() == len(places) - 1
+
+
+def test_the_deviation_is_the_largest_between_a_bilinear_surface_and_the_triangles():
+    rng = np.random.default_rng(3)
+    vertices = rng.random((3, 4)).astype(np.float32)
+    fine = np.array([[half_place(vertices, r, c) for c in range(7)] for r in range(5)])
+    fine += rng.random(fine.shape) / 10
+    valid = np.ones(fine.shape, bool)
+    n = 24  # places per cell of `fine`
+    places = np.arange(4 * n + 1) / n, np.arange(6 * n + 1) / n
+    apart = max(
+        abs(bilinear(fine, row, col) - height_at(vertices, row / 2, col / 2))
+        for row in places[0]
+        for col in places[1]
+    )
+    found = largest_deviation(vertices, fine, valid, (0, 5), (0, 7), True)
+    assert apart <= found <= apart * 1.01
+    at_samples = max(
+        abs(fine[row, col] - height_at(vertices, row / 2, col / 2)) for row, col in np.ndindex(5, 7)
+    )
+    assert largest_deviation(vertices, fine, valid, (0, 5), (0, 7), False) == pytest.approx(
+        at_samples
+    )
+    assert at_samples < found
+
+
+def bilinear(fine, row, col):
+    r, c = min(int(row), fine.shape[0] - 2), min(int(col), fine.shape[1] - 2)
+    t, s = row - r, col - c
+    return np.array([1 - t, t]) @ fine[r : r + 2, c : c + 2] @ np.array([1 - s, s])
 
 
 # What is drawn
@@ -127,51 +164,49 @@ def test_the_measured_surface_is_that_of_the_triangles_drawn():
 
 def drawn_samples(scene, frames, heights):
     """Yield node, rows, cols and drawn metres of the samples under each block."""
-    side, mode = scene.terrain.grid.block, scene.mode
+    side, grid = scene.terrain.grid.block, scene.terrain.grid
     for node, morph in zip(frames.nodes.tolist(), frames.morphs.tolist(), strict=True):
         block = scene.store.patches[node]
-        level, row, col, _ = scene.table.pieces[node]
-        size = 1 << (mode.n_levels - 1 - level)
+        region, size = (
+            grid.full_region(scene.table.pieces[node].block),
+            grid.stride(scene.table.pieces[node].level),
+        )
         z = block.heights.astype(float)
+        assert z.shape == (side + 1, side + 1, 2)
         z = z[..., 0] + morph * (z[..., 1] - z[..., 0])
-        rows = np.arange(row * side * size, min((row + 1) * side * size, heights.shape[0]))
-        cols = np.arange(col * side * size, min((col + 1) * side * size, heights.shape[1]))
         found = np.array(
             [
-                [
-                    surface_height(z, (r + 0.5) / size - row * side, (c + 0.5) / size - col * side)
-                    for c in cols
-                ]
-                for r in rows
+                [height_at(z, row / size, col / size) for col in range(region.n_cols)]
+                for row in range(region.n_rows)
             ]
         )
         inside = np.argwhere(~np.isnan(found))
-        yield node, rows[inside[:, 0]], cols[inside[:, 1]], found[tuple(inside.T)] + block.base
+        yield (
+            node, inside[:, 0] + region.row, inside[:, 1] + region.col,
+            found[tuple(inside.T)] + block.base,
+        )  # fmt: skip
 
 
 @pytest.mark.large
-def test_no_original_in_view_is_further_than_tau_from_the_surface(original_and_terrain):
+@pytest.mark.parametrize("orientation", [False, True])
+def test_no_original_in_view_is_further_than_tau_from_the_surface(
+    original_and_terrain, orientation
+):
     heights, valid, terrain = original_and_terrain
     rng = np.random.default_rng(4)
     n_compared = n_coarse = n_morphed = 0
-    with Scene(terrain, ListStore(), mode="batched") as scene:
+    with Scene(terrain, ListStore(), mode="batched", orientation=orientation) as scene:
         finest = scene.mode.n_levels - 1
-        for _ in range(24):
+        for number in range(24):
             camera, tau = random_camera(rng, scene), rng.uniform(1, 25)
+            if orientation and number % 2:
+                camera = replace(camera, pitch=-90.0 + number)
             view = scene.view(camera, VIEWPORT, tau)
             frames = scene.settle(view)
             distances = dict(zip(frames.nodes.tolist(), frames.distances, strict=True))
             n_morphed += (frames.morphs > 0).sum()
             for node, rows, cols, z in drawn_samples(scene, frames, heights):
-                known = valid[rows, cols]
-                rows, cols, z = rows[known], cols[known], z[known]
-                xy = scene.frame.samples_to_local(rows, cols)
-                drawn = project(camera, VIEWPORT, np.column_stack([xy, z]))
-                true = project(camera, VIEWPORT, np.column_stack([xy, heights[rows, cols]]))
-                with np.errstate(invalid="ignore"):
-                    seen = ((true >= 0) & (true <= [480, 320, np.inf])).all(axis=1)
-                    seen &= ((drawn >= 0) & (drawn <= [480, 320, np.inf])).all(axis=1)
-                apart = np.hypot(*(drawn - true)[seen, :2].T)
+                apart = apart_on_screen(view, scene, heights, valid, rows, cols, z)
                 allowed = tau
                 if scene.table.pieces[node].level == finest:  # the file's own error
                     own = view.gamma * scene.table.errors[node] / max(distances[node], 1e-9)
@@ -186,28 +221,30 @@ def test_no_original_in_view_is_further_than_tau_from_the_surface(original_and_t
 
 
 @pytest.mark.large
-def test_every_valid_sample_lies_under_one_block(original_and_terrain):
+def test_every_valid_sample_is_drawn_and_no_block_twice(original_and_terrain):
     heights, valid, terrain = original_and_terrain
     with Scene(terrain, ListStore(), mode="batched") as scene:
-        frames = scene.settle(scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 0.3))
-        count = np.zeros(heights.shape, dtype=int)
-        for _, rows, cols, _ in drawn_samples(scene, frames, heights):
-            count[rows, cols] += 1
-        assert count.max() == 1
-        if valid.all():
-            assert count.min() == 1
+        for tau in (0.3, 30.0):
+            frames = scene.settle(scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, tau))
+            is_drawn = np.zeros(heights.shape, dtype=bool)
+            for _, rows, cols, _ in drawn_samples(scene, frames, heights):
+                is_drawn[rows, cols] = True
+            assert is_drawn[valid].all()
+            regions = [scene.terrain.grid.full_region(scene.table.pieces[node].block)
+                       for node in frames.nodes.tolist()]  # fmt: skip
+            n_cells = sum((region.n_rows - 1) * (region.n_cols - 1) for region in regions)
+            assert n_cells == (heights.shape[0] - 1) * (heights.shape[1] - 1)
 
 
 @pytest.mark.large
 def test_boxes_hold_the_originals_and_all_vertices(original_and_terrain):
     heights, valid, terrain = original_and_terrain
-    side = terrain.grid.block
     with Scene(terrain, ListStore(), mode="batched") as scene:
         scene.settle(scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 0.01))
         for node, block in scene.store.patches.items():
-            level, row, col, _ = scene.table.pieces[node]
-            size = side << (scene.mode.n_levels - 1 - level)
-            at = np.s_[row * size : (row + 1) * size, col * size : (col + 1) * size]
+            region = terrain.grid.full_region(scene.table.pieces[node].block)
+            at = (slice(region.row, region.row + region.n_rows),
+                  slice(region.col, region.col + region.n_cols))  # fmt: skip
             inside = heights[at][valid[at]].astype(float)
             low, high = scene.table.low[node, 2], scene.table.high[node, 2]
             z = block.heights[..., 0] + block.base
@@ -287,7 +324,7 @@ def test_skirts_and_morphs_are_those_of_equations_10_and_12(paper_scene, mu):
     alpha = tau / focal_length(camera, VIEWPORT)
     levels = levels_of(scene, frames.nodes)
     errors = mu * 30.0 * 2.0**levels
-    largest_step = np.log2((32 - 1) * alpha / mu + 2)
+    largest_step = np.log2(32 * alpha / mu + 2)
     np.testing.assert_allclose(frames.skirts, (2**largest_step + 1) * errors)
     assert (frames.skirts >= 3 * errors).all()
     new, old = errors / alpha, 2 * errors / alpha
@@ -313,10 +350,17 @@ def test_all_blocks_in_view_are_loaded_breadth_first_once_the_needed_are_here():
             assert len(scene.store.patches) == 20
             levels = levels_of(scene, np.array(list(scene.store.patches)))
             counts = np.bincount(levels)
-            # 2 x 2 roots, their children, and as many of the next as fit; of these none before.
-            assert counts[-1] == 4
-            assert counts[-2] == 16
+            # The root, its children, and as many of the next as fit; of these none before.
+            assert counts[-1] == 1
+            assert counts[-2] == 4
+            assert counts[-3] == 15
             before = set(scene.store.patches)
             scene.update(view)
             assert not scene._requested
             assert set(scene.store.patches) == before
+
+
+def test_nothing_is_decoded_before_a_block_is_wanted():
+    with terrain_of(np.round(hills(150, 140, 5)).astype(np.int16), block=32) as terrain:
+        with Scene(terrain, ListStore(), mode="batched"):
+            assert not len(terrain.decoder._cache)

@@ -9,6 +9,7 @@ import pytest
 from cases import some
 from render.scenes import LOUD, eroded, hills, loud, terrain_of, terrain_with_hole
 
+from terrainwave.raster_io.drape import Drape
 from terrainwave.render import patch_surface
 from terrainwave.render.camera import Camera, home, project, top_view
 from terrainwave.render.offscreen import Offscreen
@@ -272,3 +273,13 @@ def test_a_drape_lies_where_its_coordinates_say(context, rough, tmp_path, mode):
                     n_outside += 1
         assert n_inside > 30
         assert n_outside > 30
+        # A finer part: blue over columns 70 to 100 and rows 50 to 80 of the grid.
+        blue = np.full((64, 64, 4), (0, 0, 255, 255), dtype=np.uint8)
+        offscreen.renderer.set_detail(Drape(blue, 70.0, 50.0, 30.0, 30.0))
+        frame = offscreen.scene.frame
+        camera = top_view(frame.box, offscreen.viewport)
+        image, _ = offscreen.picture(camera, style)
+        for row, col, is_fine in ((65, 85, True), (65, 125, False), (100, 85, False)):
+            at = np.array([*frame.samples_to_local(np.array([row]), np.array([col]))[0], 0.0])
+            x, y, _ = project(camera, offscreen.viewport, at[None])[0]
+            assert (image[int(y), int(x)].tolist() == [0, 0, 255]) == is_fine

@@ -3,12 +3,16 @@
 import threading
 
 import numpy as np
-from render.scenes import hills, terrain_of
+from render.scenes import ListStore, hills, terrain_of
 
 from terrainwave.errors import StorageError
 from terrainwave.grid.quadtree import Block
-from terrainwave.render.read_ahead import ReadAhead, units_of_piece
+from terrainwave.render.camera import Viewport, home
+from terrainwave.render.read_ahead import Descent, ReadAhead, units_of_piece
+from terrainwave.render.scene import Scene
 from terrainwave.render.selection import Piece
+
+VIEWPORT = Viewport(480, 320)
 
 
 def test_pieces_are_fetched_once_the_first_ones_first_and_again_after_an_error():
@@ -49,3 +53,31 @@ def test_all_that_a_piece_is_made_of_is_read_ahead():
         PatchBuilder(terrain, frame_of(terrain)).build(Piece(level, 0, 0))
         of_level = {key for key in asked if key.level == level - 1}
         assert of_level <= set(units_of_piece(terrain, Piece(level, 0, 0)))
+
+
+def test_a_view_is_fetched_on_all_levels_at_once_but_for_what_is_here():
+    heights = np.round(hills(150, 210, 1)).astype(np.int16)
+    with (
+        terrain_of(heights, max_error=0, block=32) as terrain,
+        Scene(terrain, ListStore()) as scene,
+    ):
+        view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 2.0)
+        scene.settle(view)
+        drawn = {scene.table.pieces[node] for node in scene.store.patches}
+        for here in (set(), drawn):
+            fetched = fetched_for(scene, view, here)
+            assert fetched & here == set()
+            assert fetched | here == drawn
+        assert len({piece.level for piece in drawn}) > 1
+
+
+def fetched_for(scene, view, here):
+    """Return the pieces that a descent fetches for a view."""
+    fetched, done = set(), threading.Event()
+    descent = Descent(scene.mode, fetched.update, lambda piece: [piece])
+    fetch = descent._fetch
+    descent._fetch = lambda pieces: (fetch(pieces), done.set())
+    descent.look(view, scene._split_error(view), here.__contains__)
+    assert done.wait(30)
+    descent.close()
+    return fetched

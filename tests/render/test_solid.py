@@ -149,8 +149,10 @@ def test_voids_are_hatched_where_the_sky_showed_and_no_terrain_is_hidden(context
     plain = {"coloring": "plain", "shade": 0.0, "haze": 0.0}
     with Offscreen(with_voids, SIZE, samples=0, context=context, mode=mode) as offscreen:
         camera = top_view(offscreen.scene.frame.box, offscreen.viewport)
-        before, _ = offscreen.picture(camera, Style(background=LOUD, solid=False, **plain))
-        after, _ = offscreen.picture(camera, Style(background=LOUD, **plain))
+        # The finest blocks: a coarser surface may lie below the lids beside it, by up to τ.
+        fine = {"max_pixel_error": 0.3}
+        before, _ = offscreen.picture(camera, Style(background=LOUD, solid=False, **plain), **fine)
+        after, _ = offscreen.picture(camera, Style(background=LOUD, **plain), **fine)
         holes = loud(before) & ~loud(after)
         assert holes.sum() > 800
         seen = eroded(~loud(before))

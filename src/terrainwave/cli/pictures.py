@@ -97,6 +97,9 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--stepwise", is_flag=True,
                      help="Modes dynamic and vertex-texture change by one height of their quadtree"
                      " a frame."),
+        click.option("--orientation", is_flag=True,
+                     help="Modes adaptive, batched and loose draw fewer triangles where the ground"
+                     " is looked down at: errors are vertical."),
         click.option("--mode", type=click.Choice(MODES), default="adaptive", show_default=True,
                      help="Meshes of blocks, regular blocks, a mesh made anew each frame, or all."),
         click.option("--camera", help="x,y,z,heading,pitch,fov: place in the file's coordinates,"

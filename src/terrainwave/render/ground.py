@@ -32,14 +32,19 @@ def level_here(table: NodeTable, x: float, y: float) -> int | None:
 class Ground:
     """The ground under a moving camera.
 
-    It is read in the background, of the level that is drawn there: next to nothing is decoded or
-    fetched for it. Used by one thread.
+    It is read in the background. Used by one thread.
+
+    Parameters
+    ----------
+    table : NodeTable, optional
+        Of blocks: the ground is that of the level that is drawn, and next to nothing is decoded or
+        fetched for it. By default it is that of the finest level.
     """
 
     def __init__(
         self,
         terrain: "TerrainFile",
-        table: NodeTable,
+        table: NodeTable | None,
         background: Background,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -61,12 +66,13 @@ class Ground:
 
     def _look(self, camera: Camera, frame: Frame) -> None:
         x, y, _ = camera.position
-        level = level_here(self._table, x, y)
+        level: int | None = -1
+        if self._table is not None:
+            level = level_here(self._table, x, y)
         if level is None:
             return
         self._look_at = math.inf  # one look at a time
         place = frame.to_world(camera.eye[None])[:, :2]
-        level = min(level, self._terrain.n_levels - 1)
 
         def take(outcome: Outcome) -> None:
             self._look_at = self._clock() + _SECONDS

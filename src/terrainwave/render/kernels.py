@@ -77,28 +77,9 @@ def oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
     return np.inf if v > 0 else 0.0
 
 
-@kernel
-def oriented_distances(low, high, eye, out):
-    """Fill `out` with `oriented_distance` of boxes, `low` and `high` of shape (n, 3)."""
-    for k in range(out.shape[0]):
-        out[k] = oriented_distance(
-            eye, low[k, 0], low[k, 1], low[k, 2], high[k, 0], high[k, 1], high[k, 2]
-        )
-
-
 # What `View.lens` holds: pixels per unit of tangent, the largest (distance / depth)² in view, the
-# view's direction.
-LENS_SCALE, LENS_SLANT, LENS_X, LENS_Y, LENS_Z = range(5)
-N_LENS = 5
-
-
-@kernel
-def _cosine_of_least(cosine, sine_apart):
-    """Return cos(max(a - b, 0)) of a's cosine and b's sine, b <= 90 degrees."""
-    cosine_apart = np.sqrt(max(1.0 - sine_apart * sine_apart, 0.0))
-    if cosine >= cosine_apart:
-        return 1.0
-    return cosine * cosine_apart + np.sqrt(max(1.0 - cosine * cosine, 0.0)) * sine_apart
+# largest K² there (see `pixels_per_metre`), the view's direction.
+LENS_SCALE, LENS_SLANT, LENS_STEP, LENS_X, LENS_Y, LENS_Z = range(6)
 
 
 @kernel
@@ -106,22 +87,21 @@ def pixels_per_metre(eye, low_x, low_y, low_z, high_x, high_y, high_z, lens, is_
     """Return a bound of pixels on screen per metre of vertical steps in a box.
 
     Let p be a point and q = p + s ẑ, |s| <= e, both in the box and in the picture, relative to the
-    eye, and p' = p / p_D, q' = q / q_D on the plane at depth 1, which is f pixels per unit. The
-    triangle (eye, p', q') has the area ½ |p' × q'|, and also ½ |p' − q'| r, r being the distance
-    from the eye of the line through p' and q'. With h the horizontal distance of both points
+    eye, and p' and q' their projections to the plane at depth 1, which is f pixels per unit. In the
+    camera's axes ẑ is (u, sin φ), φ the pitch and u = (0, cos φ), so
 
-        |p' − q'| = |p × q| / (p_D q_D r) = |s| h / (p_D q_D r) <= |s| S / (D r),
+        q' − p' = (s u − s p' sin φ) / q_D,    |q' − p'| = |s| K / q_D,    K = |u − p' sin φ|.
 
-    S being the largest |p| / p_D of the box in the picture and D its least depth. S is that of one
-    of its corners, since the points with less are a cone, which is convex; or that of the picture's
-    corners, if less, and then D >= d / S, d the distance of the box. The line lies in the vertical
-    plane through the eye and p, so 1 / r is the length of the view's direction as it projects onto
-    that plane: √(cos²φ cos²β + sin²φ), φ the pitch and β the azimuth of the plane from the view's.
+    K is the length of an affine function of p', hence convex, and largest at a corner of the box's
+    projection: K² = 1 − 2 sin φ p_z / p_D + sin² φ (|p| / p_D)². Or it is the largest K of the
+    picture's corners, if that is less. The depth q_D is at least that of the box's nearest corner,
+    and at least d / S, d the distance of the box and S the largest distance / depth in view.
 
-    Oriented (Yusov 2006, §3.3, who weighs with the sine of the angle between ray and vertical):
-    h / (p_D q_D) <= S² h / (|p| |q|) as well, whose maximum `oriented_distance` has.
+    Seen from above K is less than 1, as steps are seen from their end. That counts if oriented
+    (Yusov 2006, §3.3, who weighs errors with the sine of the angle between ray and vertical); and
+    then also K / (p_D q_D) <= S² h / (|p| |q|), whose maximum `oriented_distance` has.
 
-    Where the lens has slant 1 it is the lens's γ over the distance.
+    Where the lens has S = 1 it is the lens's γ over the distance.
     """
     distance = _distance(eye, low_x, low_y, low_z, high_x, high_y, high_z)
     if is_oriented:
@@ -137,41 +117,30 @@ def pixels_per_metre(eye, low_x, low_y, low_z, high_x, high_y, high_z, lens, is_
     half_x, half_y, half_z = (high_x - low_x) / 2, (high_y - low_y) / 2, (high_z - low_z) / 2
     depth = x * lens[LENS_X] + y * lens[LENS_Y] + z * lens[LENS_Z]
     depth -= half_x * abs(lens[LENS_X]) + half_y * abs(lens[LENS_Y]) + half_z * abs(lens[LENS_Z])
-    slant = lens[LENS_SLANT]  # S²
+    step = lens[LENS_STEP]
     if depth > 0:
-        slant = min(slant, _largest_slant(x, y, z, half_x, half_y, half_z, lens))
+        step = min(step, _largest_step(x, y, z, half_x, half_y, half_z, lens))
+    if not is_oriented:
+        step = max(step, 1.0)
     depth = max(depth, distance / np.sqrt(lens[LENS_SLANT]))
-    least = np.sqrt(slant) / depth if depth > 0 else np.inf
+    least = np.sqrt(step) / depth if depth > 0 else np.inf
     if is_oriented:
-        least = min(least, slant / oriented)
-    return lens[LENS_SCALE] * least * _share_across(x, y, half_x, half_y, lens)
+        least = min(least, lens[LENS_SLANT] / oriented)
+    return lens[LENS_SCALE] * least
 
 
 @kernel
-def _largest_slant(x, y, z, half_x, half_y, half_z, lens):
-    """Return the largest (|p| / p_D)² of a box before the eye, given by its centre and halves."""
-    largest = 0.0
+def _largest_step(x, y, z, half_x, half_y, half_z, lens):
+    """Return the largest K² of a box before the eye, given by its centre and halves."""
+    largest, sine = 0.0, lens[LENS_Z]
     for k in range(8):
         p_x = x + (half_x if k & 1 else -half_x)
         p_y = y + (half_y if k & 2 else -half_y)
         p_z = z + (half_z if k & 4 else -half_z)
         depth = p_x * lens[LENS_X] + p_y * lens[LENS_Y] + p_z * lens[LENS_Z]
-        largest = max(largest, (p_x * p_x + p_y * p_y + p_z * p_z) / (depth * depth))
+        square = (p_x * p_x + p_y * p_y + p_z * p_z) / (depth * depth)
+        largest = max(largest, 1.0 - 2.0 * sine * p_z / depth + sine * sine * square)
     return largest
-
-
-@kernel
-def _share_across(x, y, half_x, half_y, lens):
-    """Return the largest 1 / r of a box: that of its azimuth nearest to the view's, or 1."""
-    level = lens[LENS_X] * lens[LENS_X] + lens[LENS_Y] * lens[LENS_Y]  # cos²φ
-    apart, width = np.sqrt(x * x + y * y), np.sqrt(half_x * half_x + half_y * half_y)
-    if apart <= width or level <= 0:
-        return 1.0
-    cosine = (x * lens[LENS_X] + y * lens[LENS_Y]) / (apart * np.sqrt(level))
-    if cosine <= 0:  # some of it lies behind, where the cosine grows again
-        return 1.0
-    nearest = _cosine_of_least(min(cosine, 1.0), width / apart)
-    return np.sqrt(level * nearest * nearest + 1.0 - level)
 
 
 @kernel

@@ -105,7 +105,7 @@ class Problems:
         if self._message:
             left = math.ceil(max(self._try_at - now, 0.0))
             again = f"trying again in {left} s" if left else "trying again"
-            lines.append(f"connection lost: {self._message}, {again}")
+            lines.append(f"connection lost, {again}: {self._message}")
         elif self._count is not None and now - self._last_sign > _SILENCE:
             lines.append(f"waiting for the server: nothing for {now - self._last_sign:.0f} s")
         if self.damaged:

@@ -20,7 +20,7 @@ from terrainwave.render.motion import Motion
 from terrainwave.render.paging import Outcome, Pager
 from terrainwave.render.problems import Problems, replies_of
 from terrainwave.render.read_ahead import PATIENCE, read_ahead_of
-from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Selection, View
+from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Piece, Selection, View
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -35,9 +35,12 @@ _NEAREST_PART = 0.0
 _PRESSURE, _RELIEF = 1.1, 1.02
 # How much a piece is needed: not, soon, now.
 _NOT, _AHEAD, _WANTED = range(3)
-# What a moving camera will need is looked at every so many frames.
-_FRAMES_PER_LOOK = 6
-_MOST_ASKED = 96
+# What will be needed is looked at every so many frames, one more than `AHEAD` has.
+_FRAMES_PER_LOOK = 5
+# Of the pieces that fit, at most this share are coarse ones all around.
+_COARSE_SHARE = 32
+# Pieces that are asked for at a time.
+_MOST_ASKED = 64
 
 
 class Store(Protocol):
@@ -85,6 +88,9 @@ class Scene:
     stepwise : bool
         Modes dynamic and vertex-texture change by one height of their quadtree a frame, as their
         paper does: what they keep is `Frames.tau`, more than τ while they lag behind the view.
+    orientation : bool
+        In modes adaptive, batched and loose with measured errors, these count less the steeper they
+        are looked down at; τ holds all the same.
     exaggeration, radius : float, optional
         See `frame_of`.
     max_triangles : int
@@ -114,6 +120,7 @@ class Scene:
         detail: float | None = None,
         order: int | None = None,
         stepwise: bool = False,
+        orientation: bool = False,
         exaggeration: float = 1.0,
         radius: float | None = None,
         max_triangles: int = MAX_TRIANGLES,
@@ -125,7 +132,9 @@ class Scene:
         self.terrain = terrain
         self.frame: Frame = frame_of(terrain, radius=radius, exaggeration=exaggeration)
         self.n_workers = n_workers
-        self.options = given = options_of(mode, detail=detail, order=order, stepwise=stepwise)
+        self.options = given = options_of(
+            mode, detail=detail, order=order, stepwise=stepwise, orientation=orientation
+        )
         self.mode: Mode = mode_class(mode)(
             terrain, self.frame, error=error, progress=progress, **given
         )
@@ -143,7 +152,9 @@ class Scene:
         self._ahead_reader = read_ahead_of(terrain, self.mode)
         self._motion = Motion()
         self._n_updates = 0
-        self._looked = np.empty(0, dtype=np.int32)
+        self._cameras: list[Camera] = []
+        self._looks: dict[int, NDArray[np.int32]] = {}
+        self._needed = self._soon = np.empty(0, dtype=np.int32)
         self._last_camera: Camera | None = None
         self._requested: list[int] = []
         self._memory_factor, self._is_short = 1.0, True
@@ -171,7 +182,7 @@ class Scene:
         max_pixel_error *= self.frame.detail(camera.eye)
         return View(
             camera, viewport, max_pixel_error, self.mode.gamma, self.frame.exaggeration,
-            is_exact=self.mode.is_exact,
+            self.mode.is_oriented, self.mode.is_exact,
         )  # fmt: skip
 
     @property
@@ -193,10 +204,9 @@ class Scene:
         if self._last_camera != view.camera and not self._is_short:
             self._memory_factor = max(self._memory_factor / _RELIEF, 1.0)
         tau = self._split_error(view)
-        wanted = self._wanted(view, tau)
-        ahead = self._ahead(view, tau, wanted)
-        if self._take(view, wanted, ahead, max_uploads):
-            wanted = self._wanted(view, tau)  # what came may have children
+        self._take(view, max_uploads)
+        wanted = self._needed = self._wanted(view, tau)
+        ahead = self._soon = self._ahead(view, tau, wanted)
         missing = self._missing(wanted)
         self._is_short = len(missing) > 0
         asked = [missing, self._missing(ahead)]
@@ -204,6 +214,8 @@ class Scene:
             most = view.max_pixel_error * self._memory_factor
             asked.insert(0, self._by_error(view, self._missing(self._wanted(view, most))))
         self._request(np.concatenate(asked))
+        if self._is_short and self._ahead_reader is not None:
+            self._ahead_reader.look(view, tau, self._is_here)
         self._last_camera = view.camera
         paged = time.perf_counter()
         selection, used = self.governor.select(self.table, view, tau)
@@ -254,19 +266,24 @@ class Scene:
     def _ahead(self, view: View, tau: float, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return the pieces to have besides `wanted`, as many as there is room for.
 
-        What the camera will see if it goes on as it does, soonest first, then the mode's own.
-        Looked at anew every few frames.
+        Those of coarse levels all around, which stand in where the camera turns to; what it
+        will see if it goes on as it does, soonest first; then the
+        mode's own. One of these is looked at each frame.
         """
+        turn = self._n_updates % _FRAMES_PER_LOOK
         self._n_updates += 1
-        if self._n_updates % _FRAMES_PER_LOOK == 1 or self._last_camera is None:
-            cameras = self._motion.ahead()
-            nodes = [self._wanted(view, tau, camera) for camera in cameras]
-            nodes.append(self.mode.spare(self.table, view, self.store.max_blocks))
-            found = dict.fromkeys(np.concatenate(nodes).tolist())
-            self._looked = np.array(list(found), dtype=np.int32)
+        if turn == 0:
+            self._cameras = self._motion.ahead()
+            n_looks = len(self._cameras) + 1
+            self._looks = {k: nodes for k, nodes in self._looks.items() if k < n_looks}
+            self._looks[0] = self.table.coarse_nodes(self.store.max_blocks // _COARSE_SHARE)
+            self._looks[_FRAMES_PER_LOOK] = self.mode.spare(self.table, view, self.store.max_blocks)
+        elif turn <= len(self._cameras):
+            self._looks[turn] = self._wanted(view, tau, self._cameras[turn - 1])
+        looked = np.concatenate([nodes for _, nodes in sorted(self._looks.items())])
         is_wanted = np.zeros(len(self.table), dtype=np.bool_)
         is_wanted[wanted] = True
-        ahead = self._looked[~is_wanted[self._looked]]
+        ahead = looked[~is_wanted[looked]]
         return ahead[: max(self.store.max_blocks - len(wanted), 0)]
 
     def _missing(self, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -276,6 +293,11 @@ class Scene:
             return absent
         holds, pieces = self.problems.holds, self.table.pieces
         return np.array([n for n in absent.tolist() if not holds(pieces[n])], dtype=np.int32)
+
+    def _is_here(self, piece: Piece) -> bool:
+        """Say whether a piece is drawn, or could be; called by other threads."""
+        node = self.table.find(piece)
+        return node is not None and bool(self.table.is_resident[node])
 
     def _by_error(self, view: View, nodes: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return nodes in the order of the error on screen of what stands in for them."""
@@ -287,7 +309,7 @@ class Scene:
 
     def _request(self, nodes: NDArray[np.int32]) -> None:
         """Ask for the first of some nodes; the others' turn comes in later frames."""
-        first = list(dict.fromkeys(nodes[:_MOST_ASKED].tolist()))
+        first = list(dict.fromkeys(nodes[: 2 * _MOST_ASKED].tolist()))[:_MOST_ASKED]
         if first != self._requested:
             pieces = [self.table.pieces[node] for node in first]
             self._pager.request(pieces)
@@ -295,10 +317,8 @@ class Scene:
                 self._ahead_reader.request(pieces)
             self._requested = first
 
-    def _take(
-        self, view: View, wanted: NDArray[np.int32], ahead: NDArray[np.int32], max_uploads: int
-    ) -> bool:
-        """Put what has been built into the store; say whether anything came.
+    def _take(self, view: View, max_uploads: int) -> None:
+        """Put what has been built into the store, where the last frame needs it.
 
         At most `max_uploads`, and for no longer than `_UPLOAD_S` where that is more than one: the
         rest comes next frame.
@@ -311,10 +331,9 @@ class Scene:
                 break
             if needs is None:
                 needs = np.zeros(len(self.table), dtype=np.int8)
-                needs[ahead], needs[wanted] = _AHEAD, _WANTED
+                needs[self._soon], needs[self._needed] = _AHEAD, _WANTED
                 self._requested = []  # what could not be kept is asked for again
             self._take_in(view, taken[0], needs)
-        return needs is not None
 
     def _take_in(self, view: View, outcome: Outcome, needs: NDArray[np.int8]) -> None:
         """Keep what was built, or note why it could not be."""

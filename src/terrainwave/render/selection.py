@@ -4,6 +4,7 @@ A node is a piece that the viewer has heard of. Its cost per frame follows what 
 outside the frustum end the recursion, and those good enough do.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -106,20 +107,33 @@ class View:
     def least_gamma(self) -> float:
         """Return the γ with which errors of blocks count at least, in pixels · distance / error.
 
-        In `kernels.pixels_per_metre` S / D is at least 1 / distance, and r, the distance of a line
-        through a point of the picture, at most that of its corners.
+        In `kernels.pixels_per_metre` K counts as 1 or more, and depths are at most distances.
+        Oriented, K / p_D is h / (p_D² r), h the horizontal distance and r that of a line through
+        the picture, at most its corners': distance is then (h² + v²) / h.
         """
         if not self.is_exact:
             return self.gamma
-        return focal_length(self.camera, self.viewport) / slant(self.camera, self.viewport)
+        length = focal_length(self.camera, self.viewport)
+        return length / slant(self.camera, self.viewport) if self.is_oriented else length
 
     @cached_property
     def lens(self) -> NDArray[np.float64]:
-        """Return what `kernels.node_scale` takes: see there."""
+        """Return what `kernels.pixels_per_metre` takes: see there."""
+        forward = self.camera.forward
         if not self.is_exact:
-            return np.array([self.gamma, 1.0, *self.camera.forward])
+            return np.array([self.gamma, 1.0, 1.0, *forward])
         scale = focal_length(self.camera, self.viewport)
-        return np.array([scale, slant(self.camera, self.viewport) ** 2, *self.camera.forward])
+        up, right = self.viewport.height / 2 / scale, self.viewport.width / 2 / scale
+        sine, cosine = forward[2], math.hypot(*forward[:2])
+        step = (right * sine) ** 2 + (cosine + abs(sine) * up) ** 2
+        return np.array([scale, slant(self.camera, self.viewport) ** 2, step, *forward])
+
+    def scales(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return pixels on screen per metre of vertical errors in boxes; inf where the eye is."""
+        numbers, scales = np.arange(len(low), dtype=np.int32), np.empty(len(low))
+        eye = self.camera.eye
+        node_scales(numbers, low, high, 1.0, eye, self.lens, self.is_oriented, scales)
+        return scales
 
     @cached_property
     def planes(self) -> NDArray[np.float64]:
@@ -287,6 +301,14 @@ class NodeTable:
             out,
         )
         return out[:n_out]
+
+    def coarse_nodes(self, most: int) -> NDArray[np.int32]:
+        """Return the known nodes of the coarsest levels, no more than `most`, by level."""
+        levels = self.keys[: len(self), 0]
+        order = np.argsort(levels, kind="stable").astype(np.int32)
+        if len(order) <= most:
+            return order
+        return order[: np.searchsorted(levels[order], levels[order[most]])]
 
     def lowest_priority(self, view: View, keep: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return resident nodes that may be evicted, the least needed first.

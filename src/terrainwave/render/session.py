@@ -56,7 +56,8 @@ class Session:
     ) -> None:
         self._scene, self.controls, self._say, self._folder = scene, controls, say, folder
         self.background, self.slow = Background(), Background()
-        self._ground = Ground(scene.terrain, scene.table, self.background)
+        table = scene.table if hasattr(scene.mode, "builder") else None
+        self._ground = Ground(scene.terrain, table, self.background)
         self._ruler = Ruler(scene.terrain, radius)
         self._points: list[tuple[float, float]] = []
         self.profile: Profile | None = None

@@ -25,6 +25,7 @@ class Adaptive(BoundedMode):
     """
 
     name = "adaptive"
+    options: tuple[str, ...] = ("orientation",)
     is_loose = False
 
     def __init__(
@@ -34,8 +35,9 @@ class Adaptive(BoundedMode):
         *,
         error: str = "measured",
         progress: ProgressCallback | None = None,
+        orientation: bool = False,
     ) -> None:
-        super().__init__(terrain, frame, error=error)
+        super().__init__(terrain, frame, error=error, orientation=orientation)
         self.builder = PatchBuilder(
             terrain, frame, recursive=self._recursive_errors(progress), is_loose=self.is_loose
         )

@@ -1,53 +1,59 @@
 """Regular blocks in batches: Zhang et al. 2012 (see `neville`), over the file's decoded heights.
 
-Blocks of N x N samples of a pyramid of their own, one draw call for all of them. Its criterion is
-theirs with ``error="paper"``: a level's error is taken as μ times its spacing, and the finest level
+Blocks of N x N cells, the file's own, one draw call for all of them. A block's heights are made
+when it is wanted, of the file's next finer level under it. Its criterion is theirs with
+``error="paper"``: a level's error is taken as μ times its spacing, and the finest level
 l with ε_l <= α d is drawn (eqs. 3–6), skirts are (2^Δl_max + 1) ε_l deep (eq. 10) and heights move
 from the coarser level's with the distance (eqs. 11, 12). With ``error="measured"`` each block has
-the measured error of its surface, and τ is kept as in the adaptive mode.
+a bound on the error of its surface, and τ is kept as in the adaptive mode.
 
 The loading scheme is theirs in both (§4.2): roots near to far, children in view breadth first until
 M blocks, eviction by w, and once all are here what P₂ = 2 P₁ − P₀ sees. One departure: blocks that
-the criterion needs come first, because breadth first alone would fill M with distant ones.
+the criterion needs come first, because breadth first alone would fill M with distant ones. Another
+is the pyramid: theirs is made from the finest level up, so that a coarse block is made of all data
+beneath it, and it is stored (docs/decisions/0017-neville-levels-on-demand.md).
 """
 
 import math
-import tempfile
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.cache import Cache
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.grid.quadtree import Region
-from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.read.decoder import units_of
+from terrainwave.grid.measure import with_outside
+from terrainwave.grid.quadtree import Block, Region
+from terrainwave.progress import ProgressCallback
+from terrainwave.read.decoder import unit_key, units_of
 from terrainwave.render.camera import Camera, Viewport, focal_length
 from terrainwave.render.frame import Frame
-from terrainwave.render.kernels import slopes
 from terrainwave.render.modes.bounded import BoundedMode
 from terrainwave.render.modes.mode import Frames
-from terrainwave.render.modes.neville import Heights, NevillePyramid
-from terrainwave.render.modes.regular import (
-    fill_parent_heights,
-    fill_vertices,
-    largest_deviation,
-)
-from terrainwave.render.patches import Cancelled
-from terrainwave.render.scales import FLOAT32_ROUNDING, HeightScale, HeightTexels, SlopeScale
+from terrainwave.render.modes.neville import ORDERS, filtered
+from terrainwave.render.modes.regular import fill_parent_heights, largest_deviation
+from terrainwave.render.patches import Cancelled, PatchBuilder
+from terrainwave.render.scales import FLOAT32_ROUNDING, HeightScale
 from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
     from terrainwave.render.modes.block_surface import BlockSurface
 
-# The quadtrees of the list (TQL) per side; theirs are as many as regions.
-ROOTS_PER_SIDE = 2
 # μ of ε_l = μ g_l where none is asked for; they show 0.5 and 1.
 MU = 0.5
+# A parent's heights are needed by each of its children.
+_CACHED_GRIDS = 64
+
+Heights = NDArray[np.float32]
+
+
+class BlockGrid(NamedTuple):
+    """A block's heights, metres above the mode's middle, NaN in voids, and their error, metres."""
+
+    heights: Heights
+    error: float
 
 
 class RegularBlock(NamedTuple):
@@ -55,10 +61,11 @@ class RegularBlock(NamedTuple):
 
     Parameters
     ----------
-    heights : ndarray of float32, shape (n + 2, n + 2, 2)
-        Of its vertices (see `regular`) and of its parent's surface there, metres; NaN in voids.
-    slopes : ndarray of float16, shape (n + 2, n + 2, 3)
-        Metres per metre to the east and to the north at its samples and one around them.
+    heights : ndarray of float32, shape (n + 1, n + 1, 2)
+        Of its vertices (see `regular`) and of its parent's surface there, metres above `base`; NaN
+        in voids and past the raster's edge.
+    slopes : ndarray of float16, shape (n + 3, n + 3, 3)
+        As `PatchBuilder.slopes` has them.
     """
 
     heights: Heights
@@ -70,17 +77,8 @@ class RegularBlock(NamedTuple):
     children: list[NodeInfo]
 
 
-class _Levels:
-    """Errors, lowest and highest heights of all blocks, metres; one array per level, 0 coarsest."""
-
-    def __init__(self, shapes: list[tuple[int, int]]) -> None:
-        self.errors = [np.zeros(shape) for shape in shapes]
-        self.low = [np.full(shape, np.inf) for shape in shapes]
-        self.high = [np.full(shape, -np.inf) for shape in shapes]
-
-
 class Batched(BoundedMode):
-    """Zhang et al.'s blocks, chosen by their criterion or by measured errors.
+    """Zhang et al.'s blocks, chosen by their criterion or by errors that hold.
 
     Parameters
     ----------
@@ -91,12 +89,11 @@ class Batched(BoundedMode):
 
     Notes
     -----
-    The pyramid and the errors are made when the mode begins: that decodes the file twice. Memory is
-    bounded; a large pyramid lies in temporary files (4/3 bytes per sample).
+    Nothing is decoded before a block is wanted.
     """
 
     name = "batched"
-    options = ("detail", "order")
+    options = ("detail", "order", "orientation")
 
     def __init__(
         self,
@@ -107,40 +104,19 @@ class Batched(BoundedMode):
         progress: ProgressCallback | None = None,
         detail: float | None = None,
         order: int = 4,
+        orientation: bool = False,
     ) -> None:
-        super().__init__(terrain, frame, error=error)
+        super().__init__(terrain, frame, error=error, orientation=orientation)
         self._mu = self._checked_detail(detail)
+        if order not in ORDERS:
+            raise InvalidArgumentError(f"found `order` {order}, expected 2 or 4")
+        self._order = order
         self._side = terrain.grid.block
         self._scale = HeightScale.of(terrain, frame)
-        self._slope_scale, self._height_texels = SlopeScale(frame), HeightTexels.of(frame)
+        self._slopes = PatchBuilder(terrain, frame).slopes
         low, high = (height * frame.metres[2] for height in frame.heights)
         self._middle, self._largest = (low + high) / 2, abs(high - low) / 2
-        self.n_levels = 1
-        while self._n_blocks(0) > ROOTS_PER_SIDE:
-            self.n_levels += 1
-        reporter = Reporter(progress)
-        n_samples = terrain.shape[0] * terrain.shape[1]
-        self._pyramid = NevillePyramid(
-            terrain.shape,
-            self._read,
-            self.n_levels,
-            Path(tempfile.gettempdir()),
-            reporter.counter("pyramid", n_samples, 4),
-            order=order,
-        )
-        try:
-            self._levels = self._measure(reporter.counter("errors", n_samples, 4))
-        except BaseException:
-            self.close()
-            raise
-
-    @classmethod
-    def preparation(cls, error: str) -> str | None:
-        """Say that pyramid and errors need every sample."""
-        return (
-            "building the pyramid of Zhang et al. and measuring its blocks: this decodes the whole"
-            " file twice"
-        )
+        self._grids: Cache[Block, BlockGrid] = Cache(_CACHED_GRIDS)
 
     def _checked_detail(self, detail: float | None) -> float:
         if detail is None:
@@ -154,143 +130,40 @@ class Batched(BoundedMode):
             raise InvalidArgumentError(f"found `detail` {detail:g}, expected a number > 0")
         return detail
 
-    def close(self) -> None:
-        """Delete the pyramid."""
-        self._pyramid.close()
-
-    # Arithmetic of levels: pieces count from the coarsest, as everywhere here
-
-    def _shift(self, level: int) -> int:
-        return self.n_levels - 1 - level
-
-    def _n_blocks(self, level: int) -> int:
-        """Return the larger number of blocks per side of a level."""
-        return max(self._blocks(level))
-
-    def _blocks(self, level: int) -> tuple[int, int]:
-        size = self._side << self._shift(level)
-        n_rows, n_cols = self.terrain.shape
-        return -(-n_rows // size), -(-n_cols // size)
-
-    def _children(self, piece: Piece) -> list[Piece]:
-        level = piece.level + 1
-        if level == self.n_levels:
-            return []
-        n_rows, n_cols = self._blocks(level)
-        return [
-            Piece(level, row, col)
-            for row in (2 * piece.row, 2 * piece.row + 1)
-            for col in (2 * piece.col, 2 * piece.col + 1)
-            if row < n_rows and col < n_cols
-        ]
-
-    def _read(self, region: Region) -> Heights:
-        """Return heights of the full grid, metres above the middle of the file's range."""
-        terrain = self.terrain
-        level = terrain.n_levels - 1
-        terrain.decoder.prefetch(units_of(terrain.grid, level, region))
-        quanta, mask = terrain.decoder.window(level, region)
-        return np.where(mask, self._scale.metres(quanta) - self._middle, np.nan).astype(np.float32)
-
-    def _samples(self, piece: Piece, apron: int, *, replicate: bool) -> Heights:
-        region = Region(
-            piece.row * self._side - apron,
-            piece.col * self._side - apron,
-            self._side + 2 * apron,
-            self._side + 2 * apron,
-        )
-        return self._pyramid.window(self._shift(piece.level), region, replicate=replicate)
-
-    def _vertices(self, piece: Piece) -> Heights:
-        samples = self._samples(piece, 1, replicate=True)
-        vertices = np.empty_like(samples)
-        fill_vertices(samples, vertices)
-        return vertices
-
-    # Measured errors and boxes
-
-    def _measure(self, count: Callable[[int], None]) -> _Levels:
-        levels = _Levels([self._blocks(level) for level in range(self.n_levels)])
-        roots = self._root_pieces()
-        with ThreadPoolExecutor(min(self.terrain.n_threads, len(roots))) as executor:
-            for _ in executor.map(lambda root: self._measure_below(root, [], levels, count), roots):
-                pass
-        return levels
-
-    def _measure_below(
-        self,
-        piece: Piece,
-        above: list[tuple[Piece, Heights]],
-        levels: _Levels,
-        count: Callable[[int], None],
-    ) -> None:
-        """Measure a block, those below it, and those `above` against what lies here."""
-        level, row, col = piece.level, piece.row, piece.col
-        vertices = self._vertices(piece)
-        children = self._children(piece)
-        if children:
-            for child in children:
-                self._measure_below(child, [*above, (piece, vertices)], levels, count)
-            low = [levels.low[c.level][c.row, c.col] for c in children]
-            high = [levels.high[c.level][c.row, c.col] for c in children]
-        else:
-            full = Region(row * self._side, col * self._side, self._side, self._side)
-            full = full.intersect(Region(0, 0, *self.terrain.shape))
-            # The inner vertices of the finest level are its samples.
-            heights = np.ascontiguousarray(vertices[1 : 1 + full.n_rows, 1 : 1 + full.n_cols])
-            for coarse, surface in above:
-                shift = level - coarse.level
-                first = full.row - (coarse.row * self._side << shift)
-                left = full.col - (coarse.col * self._side << shift)
-                error = largest_deviation(heights, surface, first, left, float(1 << shift))
-                errors = levels.errors[coarse.level]
-                errors[coarse.row, coarse.col] = max(errors[coarse.row, coarse.col], error)
-            count(heights.size)
-            low, high = [np.inf], [-np.inf]
-        known = vertices[~np.isnan(vertices)]
-        bound = self.terrain.quanta_error * self.frame.metres[2]
-        levels.errors[level][row, col] += bound
-        levels.low[level][row, col] = min(*low, known.min(initial=np.inf) - bound, np.inf)
-        levels.high[level][row, col] = max(*high, known.max(initial=-np.inf) + bound, -np.inf)
-
-    # The tree
-
-    def _root_pieces(self) -> list[Piece]:
-        n_rows, n_cols = self._blocks(0)
-        return [Piece(0, row, col) for row in range(n_rows) for col in range(n_cols)]
+    # The tree: what the index says
 
     def roots(self) -> list[NodeInfo]:
-        """Return the roots of the list of quadtrees."""
-        return [self._info(piece) for piece in self._root_pieces()]
+        """Return the root blocks, of which there is one."""
+        return [self._info(block) for block in self.terrain.grid.blocks(0)]
 
     def children(self, piece: Piece) -> list[NodeInfo]:
         """Return the blocks one level finer."""
-        return [self._info(child) for child in self._children(piece)]
+        return [self._info(child) for child in self.terrain.grid.children(piece.block)]
 
-    def _info(self, piece: Piece) -> NodeInfo:
-        level, row, col = piece.level, piece.row, piece.col
-        size = self._side << self._shift(level)
-        n_rows, n_cols = self.terrain.shape
-        rows = np.clip([row * size - 0.5, (row + 1) * size - 0.5], 0, n_rows - 1)
-        cols = np.clip([col * size - 0.5, (col + 1) * size - 0.5], 0, n_cols - 1)
+    def _info(self, block: Block) -> NodeInfo:
+        region = self.terrain.grid.full_region(block)
+        rows = np.array([region.row, region.row + region.n_rows - 1])
+        cols = np.array([region.col, region.col + region.n_cols - 1])
         xy = self.frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
-        (left, bottom), (right, top) = xy.min(axis=0), xy.max(axis=0)
-        low, high = self._levels.low[level][row, col], self._levels.high[level][row, col]
-        if low > high:  # void
-            low = high = 0.0
-        middle = self._middle
-        return NodeInfo(
-            piece,
-            (float(left), float(bottom), float(low) + middle),
-            (float(right), float(top), float(high) + middle),
-            self._error(piece),
-        )
+        (left, bottom), (right, top) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
+        low, high = self._limits(block)
+        error = self._bound(block, self.terrain.block_error(block) * self.frame.metres[2])
+        return NodeInfo(Piece(*block), (left, bottom, low), (right, top, high), error)
 
-    def _error(self, piece: Piece) -> float:
+    def _limits(self, block: Block) -> tuple[float, float]:
+        """Return what originals and decoded samples under a block lie between, metres.
+
+        Its vertices do, too, by `_grid`; the last of its float32 is left to them.
+        """
+        rounding = self._largest * FLOAT32_ROUNDING
+        low, high = sorted(z * self.frame.metres[2] for z in self.terrain.block_box(block))
+        return low - rounding, high + rounding
+
+    def _bound(self, block: Block, error: float) -> float:
+        """Return a block's error: of its level by eq. (2), or as measured."""
         if self.error == "paper":
-            return self._mu * self.spacing * (1 << self._shift(piece.level))
-        error = float(self._levels.errors[piece.level][piece.row, piece.col])
-        return error + 4 * self._largest * FLOAT32_ROUNDING
+            return self._mu * self.spacing * self.terrain.grid.stride(block.level)
+        return error
 
     @property
     def spacing(self) -> float:
@@ -302,38 +175,113 @@ class Batched(BoundedMode):
 
     def build(self, piece: Piece, is_cancelled: Callable[[], bool] = lambda: False) -> RegularBlock:
         """Return vertices and slopes of a block."""
-        vertices = self._vertices(piece)
-        if is_cancelled():
-            raise Cancelled
-        before = vertices
-        if piece.level:
-            parent = Piece(piece.level - 1, piece.row >> 1, piece.col >> 1)
-            before = np.empty_like(vertices)
-            first_row, first_col = (piece.row & 1) * self._side, (piece.col & 1) * self._side
-            fill_parent_heights(vertices, self._vertices(parent), first_row, first_col, before)
-        if is_cancelled():
-            raise Cancelled
+
+        def check() -> None:
+            if is_cancelled():
+                raise Cancelled
+
+        block = piece.block
+        children = self.children(piece)
+        self._prefetch(block)
+        check()
+        heights, error = self.grid(block)
+        check()
+        before = heights
+        if block.level:
+            parent, before = self.grid(block.parent).heights, np.empty_like(heights)
+            first_row, first_col = (block.row & 1) * self._side, (block.col & 1) * self._side
+            fill_parent_heights(heights, parent, first_row, first_col, before)
+        check()
+        slopes = self._slopes(block)
+        has_any = not np.isnan(heights).all()
+        missing = [(0, self._side + 1 - n) for n in heights.shape]
+        both = np.stack([heights, before], axis=-1)
         with np.errstate(invalid="ignore"):
-            apart = np.abs(vertices - before)
-        has_any = not np.isnan(vertices).all()
+            apart = np.abs(heights - before)
         return RegularBlock(
-            np.stack([vertices, before], axis=-1),
-            self._slopes(piece),
+            np.pad(both, (*missing, (0, 0)), constant_values=np.nan),
+            slopes,
             n_grid_triangles(self._side) if has_any else 0,
             self._middle,
-            self._error(piece),
+            self._bound(block, error),
             float(np.nanmax(apart)) if has_any else 0.0,
-            self.children(piece),
+            children,
         )
 
-    def _slopes(self, piece: Piece) -> NDArray[np.float16]:
-        samples = self._samples(piece, 2, replicate=False)
-        mask = ~np.isnan(samples)
-        gradients = np.empty((self._side + 2, self._side + 2, 2), dtype=np.float32)
-        slopes(np.where(mask, samples, 0), mask, 1, 1, gradients)
-        per_sample = gradients / (1 << self._shift(piece.level))
-        metres = samples.astype(np.float64) + self._middle
-        return self._height_texels.beside(self._slope_scale.texels(per_sample), metres, mask)
+    def _prefetch(self, block: Block) -> None:
+        """Fetch what a block and its slopes need in one go."""
+        grid, level = self.terrain.grid, block.level
+        near = grid.block_region(block, 2).intersect(Region(0, 0, *grid.level_shape(level)))
+        keys = units_of(grid, level, near)
+        if level < grid.k_max:
+            keys.append(block)
+        self.terrain.decoder.prefetch(keys)
+
+    def grid(self, block: Block) -> BlockGrid:
+        """Return a block's heights and their error; the last ones are kept."""
+        return self._grids.get_or_make(block, lambda: self._grid(block))
+
+    def _grid(self, block: Block) -> BlockGrid:
+        grid, finest = self.terrain.grid, self.terrain.grid.k_max
+        coarse, mask = self._samples(unit_key(block), grid.block_region(block))
+        if block.level == finest:
+            error = self.terrain.quanta_error * self.frame.metres[2]
+            heights = np.where(mask, self._metres(coarse), np.nan)
+            return BlockGrid(heights.astype(np.float32), self._plus(error))
+        fine, valid = self._samples(block, grid.group_region(block))
+        shape = self._reach(block)
+        coarse, mask = _continued(coarse, mask, shape)
+        fine, valid = _continued(fine, valid, (2 * shape[0] - 1, 2 * shape[1] - 1))
+        surface = self._metres(fine)
+        known = np.where(mask, self._metres(coarse), np.nan)
+        low, high = (z - self._middle for z in self._limits(block))
+        heights = filtered(surface, valid, self._order, known)
+        vertices = np.clip(heights, low, high).astype(np.float32)
+        error = max(
+            self._error_below(child, vertices, surface, valid) for child in grid.children(block)
+        )
+        return BlockGrid(vertices, self._plus(error))
+
+    def _error_below(
+        self,
+        child: Block,
+        vertices: Heights,
+        fine: NDArray[np.float64],
+        valid: NDArray[np.bool_],
+    ) -> float:
+        """Return how far originals under a child are from its parent's surface, metres.
+
+        That is at most how far they are from the child's bilinear surface, which the index says,
+        and that from its parent's; `fine` and `valid` are those of all children.
+        """
+        terrain, is_finest = self.terrain, child.level == self.terrain.grid.k_max
+        own = terrain.quanta_error if is_finest else terrain.block_error(child)
+        # No original lies beyond these samples of the child's level.
+        rows, cols = (
+            ((number & 1) * self._side, (number & 1) * self._side + n)
+            for number, n in zip((child.row, child.col), self._reach(child), strict=True)
+        )
+        apart = largest_deviation(vertices, fine, valid, rows, cols, not is_finest)
+        return own * self.frame.metres[2] + apart
+
+    def _reach(self, block: Block) -> tuple[int, int]:
+        """Return rows and columns of a block, with those past the raster's edge."""
+        side, stride = self._side, self.terrain.grid.stride(block.level)
+        rows, cols = (-(-(n - 1) // stride) for n in self.terrain.shape)
+        return min(side, rows - block.row * side) + 1, min(side, cols - block.col * side) + 1
+
+    def _plus(self, error: float) -> float:
+        """Return an error with what float32 and the GPU's sums lose."""
+        return error + 4 * self._largest * FLOAT32_ROUNDING
+
+    def _samples(self, key: Block, region: Region) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+        """Return quanta and validity of a unit's samples in a region."""
+        _, decoded = self.terrain.decoder.part(key, region)
+        return decoded.heights, decoded.mask
+
+    def _metres(self, quanta: NDArray[np.int32]) -> NDArray[np.float64]:
+        """Return heights above the middle, metres."""
+        return self._scale.metres(quanta) - self._middle
 
     # Each frame
 
@@ -364,7 +312,7 @@ class Batched(BoundedMode):
         nearest = errors / alpha
         morphs = np.clip((distances - nearest) / nearest, 0.0, 1.0)
         mu = self._mu * view.exaggeration
-        steepest = (self._side - 1) * alpha / mu + 2  # 2^Δl_max, eq. (9), M = N samples
+        steepest = self._side * alpha / mu + 2  # 2^Δl_max, eq. (9), M = N + 1 samples
         return Frames(
             nodes, distances, morphs, (steepest + 1) * errors,
             selection.n_triangles, tau, n_missing,
@@ -380,5 +328,12 @@ class Batched(BoundedMode):
 
 def n_grid_triangles(side: int) -> int:
     """Return the triangles of a block and its skirts."""
-    cells = side + 1
-    return 2 * cells * cells + 8 * cells
+    return 2 * side * side + 8 * side
+
+
+def _continued(
+    quanta: NDArray[np.int32], mask: NDArray[np.bool_], shape: tuple[int, int]
+) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    """Return samples continued past the raster's edge as in a block's error (FORMAT.md §4.4)."""
+    missing = [(0, n - own) for n, own in zip(shape, quanta.shape, strict=True)]
+    return with_outside(np.ascontiguousarray(quanta), *shape), np.pad(mask, missing, mode="edge")

@@ -34,13 +34,12 @@ uniform sampler2DArray heights;
 uniform mat4 view_projection;
 uniform vec4 sample_axes;   // metres per sample of the full grid: x by col, x by row, y ...
 uniform float z_scale;
-uniform float side;         // samples of a block per side
 out vec3 v_seen;            // relative to the eye
 out vec2 v_sample;          // in samples of the block's level
 flat out ivec2 v_layers;
 out vec2 v_grid;            // column, row of the full grid
 flat out vec4 v_parent;     // unused, unused, level, error
-out float gl_ClipDistance[5];
+out float gl_ClipDistance[3];
 void main() {
     vec4 a = texelFetch(instances, ivec2(0, gl_InstanceID), 0);
     vec4 b = texelFetch(instances, ivec2(1, gl_InstanceID), 0);
@@ -48,8 +47,7 @@ void main() {
     vec4 d = texelFetch(instances, ivec2(3, gl_InstanceID), 0);
     bool is_skirt = in_place.x >= 32768u;
     ivec2 vertex = ivec2(is_skirt ? in_place.x - 32768u : in_place.x, in_place.y);
-    vec2 cells = clamp(vec2(vertex) - 0.5, vec2(0.0), vec2(side));
-    vec2 full = cells * b.w;
+    vec2 full = vec2(vertex) * b.w;
     vec2 z_both = texelFetch(heights, ivec3(vertex, int(b.y)), 0).rg;
     bool is_void = z_both.x < -1e37;
     float z = is_void ? 0.0 : mix(z_both.x, z_both.y, a.w);
@@ -58,16 +56,14 @@ void main() {
     seen.y += full.x * sample_axes.z + full.y * sample_axes.w;
     seen.z += z * z_scale - (is_skirt ? b.x : 0.0);
     v_seen = seen;
-    v_sample = cells - 0.5;
+    v_sample = vec2(vertex);
     v_layers = ivec2(int(b.y), -1);
     v_parent = vec4(0.0, 0.0, b.z, d.x);
     v_grid = c.zw + full;
     gl_ClipDistance[0] = c.x - full.x;
     gl_ClipDistance[1] = c.y - full.y;
-    gl_ClipDistance[2] = c.z + full.x;
-    gl_ClipDistance[3] = c.w + full.y;
     // A triangle with a void corner shrinks to nothing beside the others.
-    gl_ClipDistance[4] = is_void ? -1e9 : 1.0;
+    gl_ClipDistance[2] = is_void ? -1e9 : 1.0;
     gl_Position = view_projection * vec4(seen, 1.0);
 }
 """
@@ -76,7 +72,7 @@ void main() {
 def grid_mesh(n: int) -> tuple[NDArray[np.uint16], NDArray[np.uint32]]:
     """Return the vertices (column, row) and triangles of n x n vertices, and of their skirts.
 
-    Cells are cut from their first corner to their last, as `regular.surface_height` has it.
+    Cells are cut from their first corner to their last, as `regular.half_place` has it.
     """
     numbers = np.arange(n * n, dtype=np.uint32).reshape(n, n)
     a, b = numbers[:-1, :-1].ravel(), numbers[:-1, 1:].ravel()
@@ -145,10 +141,10 @@ class BlockSurface:
     context : moderngl.Context
         OpenGL 3.3 core or newer.
     side : int
-        Samples of a block per side.
+        Cells of a block per side.
     """
 
-    n_clip_distances = 5
+    n_clip_distances = 3
 
     def __init__(self, context: Any, side: int, *, max_bytes: int) -> None:
         self._context = context
@@ -157,7 +153,7 @@ class BlockSurface:
         self.program = context.program(
             vertex_shader=_VERTEX.strip(), fragment_shader=TERRAIN_FRAGMENT.strip()
         )
-        places, triangles = grid_mesh(side + 2)
+        places, triangles = grid_mesh(side + 1)
         self._places = context.buffer(places.tobytes())
         self._triangles = context.buffer(triangles.tobytes())
         self._array = context.vertex_array(
@@ -171,8 +167,8 @@ class BlockSurface:
         table, nodes = scene.table, frames.nodes
         keys = table.keys[nodes]
         strides = np.left_shift(1, scene.mode.n_levels - 1 - keys[:, 0])
-        rows = keys[:, 1] * self._side * strides - 0.5
-        cols = keys[:, 2] * self._side * strides - 0.5
+        rows = keys[:, 1] * self._side * strides
+        cols = keys[:, 2] * self._side * strides
         bases = table.bases[nodes]
         origins = np.column_stack(
             [scene.frame.samples_to_local(rows, cols), bases * view.exaggeration]

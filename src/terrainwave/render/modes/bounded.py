@@ -1,17 +1,49 @@
 """Frames of pieces whose errors are bounds: morphs and skirts that keep the promise of τ pixels."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.errors import InvalidArgumentError
+from terrainwave.progress import ProgressCallback
+from terrainwave.render.frame import Frame
 from terrainwave.render.modes.mode import Frames, Mode
 from terrainwave.render.selection import NodeTable, Selection, View
 
+if TYPE_CHECKING:
+    from terrainwave.file import TerrainFile
+
 # A block is drawn a little before its parent's error reaches τ, and moves from there to its place.
 MORPH_START = 1.25
+# Pixels per metre that count as none.
+_LEAST_SCALE = 1e-12
 
 
 class BoundedMode(Mode):
-    """A mode whose pieces state errors that hold, and so do its pictures."""
+    """A mode whose pieces state errors that hold, and so do its pictures.
+
+    Parameters
+    ----------
+    orientation : bool
+        Errors count by the direction they are seen from (`kernels.oriented_distance`).
+    """
+
+    def __init__(
+        self,
+        terrain: "TerrainFile",
+        frame: Frame,
+        *,
+        error: str = "measured",
+        progress: ProgressCallback | None = None,
+        orientation: bool = False,
+    ) -> None:
+        super().__init__(terrain, frame, error=error, progress=progress)
+        if orientation and error != "measured":
+            raise InvalidArgumentError(
+                f"found `orientation` and `error` {error!r}, expected `error` 'measured'"
+            )
+        self.is_oriented = orientation
 
     def split_error(self, tau: float) -> float:
         """Return the error on screen above which pieces are split, for τ asked for."""
@@ -28,18 +60,20 @@ class BoundedMode(Mode):
         order = np.argsort(selection.distances, kind="stable")
         nodes, distances = selection.nodes[order], selection.distances[order]
         tau = max(tau, 0.0)
-        # Metres of error within τ.
-        allowed = tau * MORPH_START / table.scales(view, nodes)
+        low, high = table.boxes(nodes, view.exaggeration)
+        # A morph leads out of the box, by as much as the parent's surface is away.
+        spread = np.zeros((len(nodes), 3))
+        spread[:, 2] = table.morphs[nodes] * view.exaggeration
+        scales = np.maximum(view.scales(low - spread, high + spread), _LEAST_SCALE)
+        allowed = tau * MORPH_START / scales  # metres of error within τ
         morphs = self._morphs(table, view, nodes, allowed, tau)
         drawn = (table.errors[nodes] + morphs * table.morphs[nodes]) * view.exaggeration
         # A neighbour's error: within τ at the furthest point that it may share with this block,
         # or one that stands in for others.
-        low, high = table.boxes(nodes, view.exaggeration)
-        eye = view.camera.eye
-        furthest = np.linalg.norm(np.maximum(np.abs(low - eye), np.abs(high - eye)), axis=1)
-        beside = tau * MORPH_START * furthest / view.least_gamma
+        beside = tau * MORPH_START * _furthest(view, low, high) / view.least_gamma
         too_coarse = drawn[drawn > allowed]
         beside = np.maximum(beside, too_coarse.max(initial=0.0))
+        beside = np.minimum(beside, drawn.max(initial=0.0))
         return Frames(
             nodes, distances, morphs, drawn + beside,
             selection.n_triangles, tau * MORPH_START, n_missing,
@@ -72,3 +106,19 @@ class BoundedMode(Mode):
         errors = table.errors[nodes] * z_scale
         budget = np.clip((allowed - errors) / np.maximum(spread, 1e-12), 0.0, 1.0)
         return np.where(has_parent, np.minimum(shares, budget), 0.0)
+
+
+def _furthest(
+    view: View, low: NDArray[np.float64], high: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return d: boxes with points in these have at least `least_gamma` / d pixels a metre."""
+    eye = view.camera.eye
+    away = np.maximum(np.abs(low - eye), np.abs(high - eye))
+    if not view.is_oriented:
+        distances: NDArray[np.float64] = np.linalg.norm(away, axis=1)
+        return distances
+    # (h² + v²) / h is largest at one of the ends of h.
+    nearest = np.maximum(np.maximum(low - eye, eye - high), 0.0)
+    least, most = (np.hypot(*sides[:, :2].T) for sides in (nearest, away))
+    ends = [h + away[:, 2] ** 2 / np.maximum(h, 1e-9) for h in (least, most)]
+    return np.maximum(*ends)

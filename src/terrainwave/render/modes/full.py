@@ -8,6 +8,7 @@ class Full(Adaptive):
     """The finest blocks of `Adaptive`, without levels of detail."""
 
     name = "full"
+    options = ()
     is_partwise = True
 
     @classmethod

@@ -89,6 +89,8 @@ class Mode(ABC):
         All finest pieces are drawn, as many at a time as the store holds.
     n_levels : int
         Of its pieces; level 0 is the coarsest.
+    is_oriented : bool
+        Errors count by the direction they are seen from (`View.is_oriented`).
     max_triangles : int
         Per frame, for modes that make their triangles in `frames`: they raise τ beyond it. Those
         of pieces are counted by who selects them.
@@ -98,6 +100,7 @@ class Mode(ABC):
     errors: tuple[str, ...] = ERRORS
     options: tuple[str, ...] = ()
     is_partwise = False
+    is_oriented = False
     max_triangles = MAX_TRIANGLES
 
     def __init__(

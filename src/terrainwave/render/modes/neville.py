@@ -1,136 +1,145 @@
-"""The pyramid of Zhang et al. 2012, §1: Neville filters of order 4 or 2, levels of regular samples.
+"""Neville filters of order 2 or 4 (Kovačević, Sweldens 2000) as Zhang et al. 2012, §1, have them.
 
-Here, as there, level 0 is the **finest**. Sample i of level l lies at (i + ½) · 2^l − ½ of the
-finest grid, in the middle of the two samples per axis that it replaces, so the levels do not nest
-as the file's do and the pyramid is built beside them, in temporary files where it is large.
+They predict a sample from those around it: on a line from the two beside it by ½, or from four by
+9/16 and -1/16; in the middle of four by ¼ each, or by 10/32 each less 1/32 of the eight beside
+those (Zhang et al., fig. 2). A level is made of the finer one by their update, a quarter of the
+transposed filters: half of it on a line. Samples of levels then nest as the file's do, and no level
+has to be made of the finest one: that of one block needs the file's next finer level under it.
 
 Zhang, Zhang, Zhang: GPU-based real-time terrain rendering algorithm using batched LOD. Journal of
-Image and Graphics 17(4), 2012, pp. 582–588. Kovačević, Sweldens 2000 for the filters.
+Image and Graphics 17(4), 2012, pp. 582–588. Kovačević, Sweldens: Wavelet families of increasing
+order in arbitrary dimensions. IEEE Transactions on Image Processing 9(3), 2000.
 """
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
-from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.errors import InvalidArgumentError
-from terrainwave.grid.quadtree import Region
-from terrainwave.raster_io.temporary import TILE, Spool
 
-Heights = NDArray[np.float32]
-# Metres, NaN in voids; a region inside the finest level.
-ReadHeights = Callable[[Region], Heights]
+ORDERS = 2, 4
+# Weights of the nearest samples and of the others, on a line and in the middle of four.
+_LINE = (9.0 / 16.0, -1.0 / 16.0)
+_MIDDLE = (10.0 / 32.0, -1.0 / 32.0)
 
-# Of each order: the inner four of the 4 x 4 window, the eight beside them; corners are 0.
-WEIGHTS = {2: (0.25, 0.0), 4: (10.0 / 32.0, -1.0 / 32.0)}
+
+# Around samples, as far as the filters reach.
+RING = 3
 
 
 @kernel
-def filter_rows(fine, inner_weight, outer_weight, coarse):
-    """Fill `coarse`, float32 (n, m), from `fine`, float32 (2n + 2, 2m + 2), NaN in voids.
-
-    Sample (r, c) takes rows 2r … 2r + 3 of `fine`, whose first row is 2i − 1 of the paper. Where
-    the window has voids the valid ones of its inner four are averaged; without any it is void.
-    """
-    for r in range(coarse.shape[0]):
-        for c in range(coarse.shape[1]):
-            total, inner, n_inner, n_all = 0.0, 0.0, 0, 0
-            for i in range(4):
-                for j in range(4):
-                    is_inner = 1 <= i <= 2 and 1 <= j <= 2
-                    if not is_inner and i % 3 == 0 and j % 3 == 0:
-                        continue
-                    value = float(fine[2 * r + i, 2 * c + j])
-                    if np.isnan(value):
-                        continue
-                    n_all += 1
-                    if is_inner:
-                        n_inner += 1
-                        inner += value
-                        total += inner_weight * value
-                    else:
-                        total += outer_weight * value
-            if n_all == 12:
-                coarse[r, c] = total
-            elif n_inner > 0:
-                coarse[r, c] = inner / n_inner
-            else:
-                coarse[r, c] = np.nan
+def _missed(height, near, far, n_near, near_weight, far_weight, order):
+    """Return a height less what sums of others predict: by order 4 where it can, else 2, else 0."""
+    if order == 4:
+        apart = height - (near_weight * near + far_weight * far)
+        if not np.isnan(apart):
+            return apart
+    apart = height - near / n_near
+    return 0.0 if np.isnan(apart) else apart
 
 
-class NevillePyramid:
-    """All levels of a terrain's heights.
+@kernel
+def fill_details(fine, order, out):
+    """Fill `out` with how far samples of odd rows or columns are from what even ones predict.
 
     Parameters
     ----------
-    shape : tuple of int
-        Rows and columns of the finest level.
-    read : callable
-        Returns heights of a region of the finest level, metres above any zero, NaN in voids.
-    n_levels : int
-    directory : Path
-        For temporary files.
+    fine : ndarray of float64, shape (2n + 5, 2m + 5)
+        Samples in a ring of `RING`, where NaN is: what is void and what is not known.
     order : int
-        Of the filter: 2 or 4.
-    count : callable
-        Called with numbers of samples of the finest level as they have been read.
-
-    Notes
-    -----
-    Building reads every sample once: O(n_rows * n_cols) time; memory is that of some tiles, and of
-    small levels.
+        Where samples that order 4 takes are NaN, order 2 predicts; where its are, 0 is the detail.
+    out : ndarray of float64, shape (2n + 5, 2m + 5)
     """
-
-    def __init__(
-        self,
-        shape: tuple[int, int],
-        read: ReadHeights,
-        n_levels: int,
-        directory: Path,
-        count: Callable[[int], None] = lambda n_samples: None,
-        *,
-        order: int = 4,
-    ) -> None:
-        if order not in WEIGHTS:
-            raise InvalidArgumentError(f"found `order` {order}, expected 2 or 4")
-        self._read, self._weights = read, WEIGHTS[order]
-        self.shapes = [(_ceil(shape[0], k), _ceil(shape[1], k)) for k in range(n_levels)]
-        self._spools = [Spool(self.shapes[k], np.float32, directory) for k in range(1, n_levels)]
-        for level in range(1, n_levels):
-            self._fill(level, count if level == 1 else lambda n_samples: None)
-
-    def close(self) -> None:
-        """Delete the temporary files."""
-        for spool in self._spools:
-            spool.close()
-
-    def _fill(self, level: int, count: Callable[[int], None]) -> None:
-        for part in Region(0, 0, *self.shapes[level]).tiles(TILE, TILE):
-            row, col, n_rows, n_cols = part
-            window = Region(2 * row - 1, 2 * col - 1, 2 * n_rows + 2, 2 * n_cols + 2)
-            coarse = np.empty(part.shape, dtype=np.float32)
-            filter_rows(self.window(level - 1, window, replicate=True), *self._weights, coarse)
-            self._spools[level - 1].write(part, coarse)
-            count(4 * n_rows * n_cols)
-
-    def window(self, level: int, region: Region, *, replicate: bool) -> Heights:
-        """Return heights of a region, which may reach past the level's edges.
-
-        There the border is repeated, or all is void.
-        """
-        inside = region.intersect(Region(0, 0, *self.shapes[level]))
-        heights = self._read(inside) if level == 0 else self._spools[level - 1].read(inside)
-        before = inside.row - region.row, inside.col - region.col
-        padding = [
-            (before[axis], region.shape[axis] - before[axis] - inside.shape[axis])
-            for axis in (0, 1)
-        ]
-        if replicate:
-            return np.pad(heights, padding, mode="edge")
-        return np.pad(heights, padding, constant_values=np.nan)
+    out[:] = 0.0
+    for r in range(RING, fine.shape[0] - RING):
+        above, below = fine[r - 1], fine[r + 1]
+        here, high, low = fine[r], fine[r - 3], fine[r + 3]
+        if r % 2:  # even rows of samples, as the ring is odd
+            for c in range(RING + 1, fine.shape[1] - RING, 2):
+                near, far = here[c - 1] + here[c + 1], here[c - 3] + here[c + 3]
+                out[r, c] = _missed(here[c], near, far, 2, _LINE[0], _LINE[1], order)
+            continue
+        for c in range(RING, fine.shape[1] - RING, 2):
+            near, far = above[c] + below[c], high[c] + low[c]
+            out[r, c] = _missed(here[c], near, far, 2, _LINE[0], _LINE[1], order)
+        for c in range(RING + 1, fine.shape[1] - RING, 2):
+            near = above[c - 1] + above[c + 1] + below[c - 1] + below[c + 1]
+            far = high[c - 1] + high[c + 1] + low[c - 1] + low[c + 1]
+            far += above[c - 3] + above[c + 3] + below[c - 3] + below[c + 3]
+            out[r, c] = _missed(here[c], near, far, 4, _MIDDLE[0], _MIDDLE[1], order)
 
 
-def _ceil(n: int, shift: int) -> int:
-    return (n + (1 << shift) - 1) >> shift
+@kernel
+def _line_update(details, r, c, r_step, c_step, order):
+    near = details[r - r_step, c - c_step] + details[r + r_step, c + c_step]
+    if order == 2:
+        return near / 2
+    r_step, c_step = 3 * r_step, 3 * c_step
+    far = details[r - r_step, c - c_step] + details[r + r_step, c + c_step]
+    return _LINE[0] * near + _LINE[1] * far
+
+
+@kernel
+def _middle_update(details, r, c, order):
+    above, below = details[r - 1], details[r + 1]
+    near = above[c - 1] + above[c + 1] + below[c - 1] + below[c + 1]
+    if order == 2:
+        return near / 4
+    high, low = details[r - 3], details[r + 3]
+    far = above[c - 3] + above[c + 3] + below[c - 3] + below[c + 3]
+    far += high[c - 1] + high[c + 1] + low[c - 1] + low[c + 1]
+    return _MIDDLE[0] * near + _MIDDLE[1] * far
+
+
+@kernel
+def update(fine, details, order, coarse):
+    """Change `coarse`, float64 (n, m), to the level above `fine` and `details` of `fill_details`.
+
+    Samples that are void in `fine` stay. Those on the block's border follow from that line alone,
+    so that its neighbours have the same, and its corners stay. None leaves the range of the samples
+    of `fine` beside it.
+    """
+    last_row, last_col = coarse.shape[0] - 1, coarse.shape[1] - 1
+    for row in range(last_row + 1):
+        is_end_row = row in (0, last_row)
+        for col in range(last_col + 1):
+            is_end_col = col in (0, last_col)
+            r, c = 2 * row + RING, 2 * col + RING
+            height = fine[r, c]
+            if np.isnan(height):
+                continue
+            change = 0.0
+            if not (is_end_row or is_end_col):
+                change = _line_update(details, r, c, 0, 1, order)
+                change += _line_update(details, r, c, 1, 0, order)
+                change = (change + _middle_update(details, r, c, order)) / 4
+            elif not is_end_row:
+                change = _line_update(details, r, c, 1, 0, order) / 2
+            elif not is_end_col:
+                change = _line_update(details, r, c, 0, 1, order) / 2
+            low, high = height, height
+            r_reach, c_reach = 0 if is_end_row else 1, 0 if is_end_col else 1
+            for i in range(r - r_reach, r + r_reach + 1):
+                for j in range(c - c_reach, c + c_reach + 1):
+                    beside = fine[i, j]  # NaN changes nothing
+                    if beside < low:
+                        low = beside
+                    if beside > high:
+                        high = beside
+            coarse[row, col] = min(max(height + change, low), high)
+
+
+def filtered(fine, valid, order, coarse):
+    """Return the level above `fine`; `coarse` has its heights where those of `fine` are void.
+
+    Parameters
+    ----------
+    fine, valid : ndarray of float64 and of bool, shape (2n - 1, 2m - 1)
+    order : int
+        One of `ORDERS`.
+    coarse : ndarray of float64, shape (n, m)
+        NaN where there are none either.
+    """
+    known = np.pad(np.where(valid, fine, np.nan), RING, constant_values=np.nan)
+    details, out = np.empty_like(known), coarse.copy()
+    fill_details(known, order, details)
+    update(known, details, order, out)
+    return out

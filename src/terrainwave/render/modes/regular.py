@@ -1,10 +1,7 @@
-"""The surface of a regular block and how far samples are from it.
+"""The surface of a regular block and how far that of the next finer level is from it.
 
-A block of N x N samples covers the squares around them: its vertices are the samples and, on its
-border, the means of the samples on both sides, which its neighbours share. So blocks of one level
-meet, and those of other levels cover the same ground, though samples of levels do not nest; the
-paper does not say where its samples lie. Vertex 0 is on the border, vertex k = 1 … N half a cell
-before k, vertex N + 1 at N.
+A block of N x N cells has (N + 1)² vertices on the file's samples of its level, those on its border
+shared with its neighbours; cells are cut from their first corner to their last. NaN is void.
 """
 
 import numpy as np
@@ -13,81 +10,65 @@ from terrainwave.coding.jit import kernel
 
 
 @kernel
-def fill_vertices(samples, out):
-    """Fill `out`, float32 (n + 2, m + 2), from `samples` (n + 2, m + 2): a block and a ring around.
-
-    Inner vertices are samples; those on the border are means across it, void (NaN) where one is.
-    """
-    last_row, last_col = out.shape[0] - 1, out.shape[1] - 1
-    for r in range(out.shape[0]):
-        r_0 = min(r, last_row - 1)
-        r_1 = max(r, 1) if r < last_row else last_row
-        for c in range(out.shape[1]):
-            c_0 = min(c, last_col - 1)
-            c_1 = max(c, 1) if c < last_col else last_col
-            if r_0 == r_1 and c_0 == c_1:
-                out[r, c] = samples[r, c]
-                continue
-            total = float(samples[r_0, c_0]) + float(samples[r_0, c_1])
-            total += float(samples[r_1, c_0]) + float(samples[r_1, c_1])
-            out[r, c] = total / 4
-
-
-@kernel
-def _place(k, last):
-    """Return where vertex k of 0 … last lies, in cells."""
-    if k == 0:
-        return 0.0
-    return k - 0.5 if k < last else last - 1.0
-
-
-@kernel
-def surface_height(vertices, row, col):
-    """Return the height at a place in cells from the block's corner; NaN where a corner is void."""
-    last_row, last_col = vertices.shape[0] - 1, vertices.shape[1] - 1
-    r = min(max(int(np.floor(row + 0.5)), 0), last_row - 1)
-    c = min(max(int(np.floor(col + 0.5)), 0), last_col - 1)
-    row_0, col_0 = _place(r, last_row), _place(c, last_col)
-    t = (row - row_0) / (_place(r + 1, last_row) - row_0)
-    s = (col - col_0) / (_place(c + 1, last_col) - col_0)
-    z_00, z_11 = float(vertices[r, c]), float(vertices[r + 1, c + 1])
-    # Two triangles, cut from (0, 0) to (1, 1).
-    if s >= t:
-        corner = float(vertices[r, c + 1])
-        return z_00 + s * (corner - z_00) + t * (z_11 - corner)
-    corner = float(vertices[r + 1, c])
-    return z_00 + t * (corner - z_00) + s * (z_11 - corner)
-
-
-@kernel
-def largest_deviation(heights, vertices, first_row, first_col, size):
-    """Return how far `heights` are from a surface, both NaN in voids.
-
-    Sample (r, c) of `heights` lies (first_row + r + ½, first_col + c + ½) / size cells from the
-    corner of the block of `vertices`.
-    """
-    largest = 0.0
-    for r in range(heights.shape[0]):
-        row = (first_row + r + 0.5) / size
-        for c in range(heights.shape[1]):
-            apart = abs(
-                float(heights[r, c]) - surface_height(vertices, row, (first_col + c + 0.5) / size)
-            )
-            if apart > largest:  # never for NaN
-                largest = apart
-    return largest
+def half_place(vertices, row, col):
+    """Return a surface's height at (row / 2, col / 2); NaN where a corner is void or outside."""
+    r, c = row // 2, col // 2
+    r_1, c_1 = r + row % 2, c + col % 2
+    if not (0 <= r and r_1 < vertices.shape[0] and 0 <= c and c_1 < vertices.shape[1]):
+        return np.nan
+    # In the middle of a cell the mean of the corners that its cut joins.
+    return (float(vertices[r, c]) + float(vertices[r_1, c_1])) / 2
 
 
 @kernel
 def fill_parent_heights(vertices, parent, first_row, first_col, out):
-    """Fill `out`, float32 like `vertices`, with the parent's surface at them.
+    """Fill `out`, like `vertices`, with the parent's surface at them.
 
-    The block begins (first_row, first_col) cells of its own from its parent's corner. Where the
-    parent is void the block's own height is taken.
+    Vertex (0, 0) is at (first_row, first_col) halves of the parent's cells. Where the parent is
+    void the block's own height is taken.
     """
-    last_row, last_col = vertices.shape[0] - 1, vertices.shape[1] - 1
-    for r in range(vertices.shape[0]):
-        row = (first_row + _place(r, last_row)) / 2
-        for c in range(vertices.shape[1]):
-            z = surface_height(parent, row, (first_col + _place(c, last_col)) / 2)
-            out[r, c] = vertices[r, c] if np.isnan(z) else z
+    for row in range(vertices.shape[0]):
+        for col in range(vertices.shape[1]):
+            z = half_place(parent, first_row + row, first_col + col)
+            out[row, col] = vertices[row, col] if np.isnan(z) else z
+
+
+@kernel
+def largest_deviation(vertices, fine, valid, rows, cols, has_between):
+    """Return how far the bilinear surface of finer samples is from a block's, at valid ones.
+
+    Parameters
+    ----------
+    vertices : ndarray of float32, shape (n, m)
+    fine, valid : ndarray of float64 and of bool, shape (2n - 1, 2m - 1)
+        Heights and validity of the next finer level.
+    rows, cols : tuple of int
+        The first and the end of those to look at.
+    has_between : bool
+        Whether there are originals between samples of the finer level. If so what lies between is
+        measured too: along edges of its cells both are linear, and a bilinear cell less a plane is
+        largest on edges; so only cuts of cells are to be looked at, where it is quadratic.
+    """
+    largest = 0.0
+    for row in range(rows[0], rows[1]):
+        for col in range(cols[0], cols[1]):
+            if not valid[row, col]:
+                continue
+            one = fine[row, col] - half_place(vertices, row, col)
+            if abs(one) > largest:  # never for NaN
+                largest = abs(one)
+            is_cut = (row + col) % 2 == 0 and row + 1 < rows[1] and col + 1 < cols[1]
+            if not has_between or not is_cut or not valid[row + 1, col + 1]:
+                continue
+            if not valid[row, col + 1] or not valid[row + 1, col]:
+                continue
+            two = fine[row + 1, col + 1] - half_place(vertices, row + 1, col + 1)
+            twist = fine[row, col] + fine[row + 1, col + 1] - fine[row, col + 1]
+            twist -= fine[row + 1, col]
+            # one + t (two - one) - t (1 - t) twist
+            if abs(two - one) < abs(twist):
+                t = (1 - (two - one) / twist) / 2
+                apart = abs(one + t * (two - one) - t * (1 - t) * twist)
+                if apart > largest:
+                    largest = apart
+    return largest
