@@ -18,7 +18,7 @@ from tri.slow_dynamic import (
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.render.camera import Camera, project
 from terrainwave.tri.dynamic import INNER, ROOT, DynamicMesh, mark_bottom_up, step_top_down
-from terrainwave.tri.haar import ERROR, HIGH, LOW, OUTLINE, build_tree
+from terrainwave.tri.haar import ERROR, HIGH, LOW, OUTLINE, _measure, build_tree
 
 
 def rough(shape, seed=1, amplitude=4.0):
@@ -307,6 +307,53 @@ def test_no_sample_of_a_larger_raster_is_further_than_tau_on_screen(morph):
         frame = mesh.update(eye_of(camera, z_scale=1.5), 2.5, morph=morph)
         errors = pixel_errors(frame, heights, mask, camera, z_scale=1.5, every=37)
         assert errors.max(initial=0) <= 2.5
+
+
+# Rasters that go on
+
+
+def open_edges(frame):
+    """Edges of one triangle, each from its smaller vertex."""
+    of = frame.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    edges, counts = np.unique(np.sort(of, axis=1), axis=0, return_counts=True)
+    return {tuple(edge) for edge in edges[counts == 1].tolist()}
+
+
+@pytest.mark.parametrize("tau", [20.0, 60.0])
+def test_where_the_raster_goes_on_the_mesh_ends_short_of_its_last_samples(tau):
+    """By half a tree at most, with the edges that the frame names; errors there are measured."""
+    rng = np.random.default_rng(1)
+    heights = rng.normal(size=(32, 40)) * 3
+    mesh = DynamicMesh(heights, patch=8, sample_matrix=NORTH_UP, open_sides=(True,) * 4)
+    eye = eye_of(Camera((20, -60, 60), 0, -40, 60))._replace(planes=np.empty((0, 4)))
+    followed = mesh.follow(eye, tau, morph=1.5)
+    frame = mesh.draw(eye, followed)
+    assert {tuple(sorted(edge)) for edge in frame.edges.tolist()} == open_edges(frame)
+    ends = frame.vertices[np.unique(frame.edges)]
+    inside = np.minimum(ends[:, :2] * (1, -1), (39, 31) - ends[:, :2] * (1, -1)).min(axis=1)
+    assert inside.max() <= 3.5
+    apart = [
+        np.abs(over - heights[row, col]).max()
+        for row, col in np.ndindex(32, 40)
+        if len(over := surfaces_at(frame, col, -row))
+    ]
+    assert len(apart) > 800
+    assert max(apart) <= mesh.largest_error(eye, followed) < 4 * max(apart)
+    if tau > 50:
+        assert len(frame.vertices) < 250  # no outline that splits all nodes along it
+
+
+def test_the_surface_between_samples_counts_half_way_to_those_around():
+    """By hand: around four samples at 0 lie others at 8, in the corners of a cell with three."""
+    z = np.full((4, 4), 8.0)
+    z[1:3, 1:3] = 0.0
+    for is_surface, expected in ((False, 0.0), (True, 6.0)):
+        bound = np.zeros(3)
+        _measure(
+            1, 1, 2, 2, is_surface, np.array([[0, 4, 4]]), z.ravel(), 0.0, np.empty((0, 3)), 0,
+            bound,
+        )  # fmt: skip
+        assert bound.tolist() == [expected, 0.0, expected]
 
 
 def test_what_heights_are_off_by_counts():

@@ -137,6 +137,26 @@ def test_no_sample_is_further_than_tau_on_screen(shape, tile, has_void, morph):
     assert 0.1 < largest <= 1
 
 
+def test_borders_where_the_raster_goes_on_are_named_and_measured():
+    """By hand: a bump of 2 on the first row, on an edge from corner to corner."""
+    heights = np.zeros((17, 17))
+    heights[0, 5] = 2.0
+    mesh = RestrictedMesh(heights, tile=16, sample_matrix=NORTH_UP, open_sides=(True,) * 4)
+    eye = eye_of(Camera((8, -80, 40), 0, -30, 60))._replace(planes=np.empty((0, 4)))
+    assert mesh.update(eye, 1e9).border_error == 2.0
+    assert len(mesh.update(eye, 1e9).edges) == 4
+    away = np.array([[0.0, -1.0, 0.0, -1.0]])  # y <= -1: the first row is out of view
+    assert mesh.update(eye._replace(planes=away), 1e9).border_error == 0.0
+    frame = mesh.update(eye, 1.0)
+    assert frame.border_error < 0.01
+    of = frame.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    edges, counts = np.unique(np.sort(of, axis=1), axis=0, return_counts=True)
+    np.testing.assert_array_equal(
+        np.unique(np.sort(frame.edges, axis=1), axis=0), edges[counts == 1]
+    )
+    assert len(frame.edges) > 10
+
+
 def test_a_view_that_stays_changes_nothing_and_touches_what_it_shows():
     mesh = mesh_of((65, 65), 64, False)
     eye = eye_of(Camera((32, -80, 65), 0, -40, 40))

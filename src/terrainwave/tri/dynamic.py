@@ -282,13 +282,13 @@ class DynamicMesh:
     def largest_error(self, eye: Eye, followed: Followed) -> float:
         """Return how far what is drawn in view is from `heights` at most, vertically.
 
-        In their unit, without the view's factor. Where errors are no bounds, the largest range of
-        heights that one triangle may cover.
+        0 without open sides. In their unit, without the view's factor. Where errors are no bounds,
+        the largest range of heights that one triangle may cover.
         """
         tree = self.tree
         error: float = largest_error_in_view(
-            tree.layout, tree.z, tree.bounds, self._view(eye), eye.planes, followed.tau,
-            self._stack, self.marks,
+            any(self._open_sides), tree.layout, tree.z, tree.bounds, self._view(eye), eye.planes,
+            followed.tau, self._stack, self.marks,
         )  # fmt: skip
         return error
 
@@ -369,12 +369,12 @@ class DynamicMesh:
 
     def _outer_edges(self, vertex_of: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return the edges between roots along open sides."""
-        layout, edges = self.tree.layout, [np.empty((0, 2), dtype=np.int32)]
-        for side in np.flatnonzero(self._open_sides).tolist():
-            along = np.empty((int(layout[0, N_COLS - side % 2]), 2), dtype=np.int32)
-            n = fill_outer_edges(side, self.marks, layout, self.tree.z, vertex_of, along)
-            edges.append(along[:n])
-        return np.concatenate(edges)
+        layout = self.tree.layout
+        edges = np.empty((2 * int(layout[0, N_ROWS] + layout[0, N_COLS]), 2), dtype=np.int32)
+        n = fill_outer_edges(
+            self._open_sides, self.marks, layout, self.tree.z, vertex_of, edges
+        )  # fmt: skip
+        return edges[:n].copy()
 
     def _view(self, eye: Eye) -> NDArray[np.float64]:
         numbers = (
@@ -626,13 +626,17 @@ def settle_top_down(layout, z, bounds, view, planes, tau, stack, marks, has_chan
 
 
 @kernel
-def largest_error_in_view(layout, z, bounds, view, planes, tau, stack, marks):
+def largest_error_in_view(
+    is_needed, layout, z, bounds, view, planes, tau, stack, marks
+):  # fmt: skip
     """Return the largest error of nodes in view that are roots or have others on their way to them.
 
     Those are roots and nodes whose error on screen is below `tau`; none below them has a larger
     error. Near an outline, and where errors are no bounds, the range of heights counts.
     """
     largest = 0.0
+    if not is_needed:
+        return largest
     for patch in range(layout[-1, N_ROWS] * layout[-1, N_COLS]):
         depth = _push_patch(patch, layout, stack)
         while depth > 0:
@@ -841,32 +845,31 @@ def draw_fans(
 
 
 @kernel
-def fill_outer_edges(side, marks, layout, z, vertex_of, edges):
-    """Fill the edges between the roots along a side that has some; return how many there are.
-
-    Sides are the first row and column, the last row and column.
-    """
+def fill_outer_edges(open_sides, marks, layout, z, vertex_of, edges):
+    """Fill the edges between the roots along open sides; return how many there are."""
     n_rows, n_cols = layout[0, N_ROWS], layout[0, N_COLS]
     top = layout.shape[0] - 1
-    count, before, at = 0, -1, 0
-    while at < (n_rows if side & 1 else n_cols):
-        row, col = at, at
-        if side & 1:
-            col = 0 if side == 1 else n_cols - 1
-        else:
-            row = 0 if side == 0 else n_rows - 1
-        height = top
-        node = layout[top, FIRST] + (row >> top) * layout[top, N_COLS] + (col >> top)
-        while marks[node] == INNER:
-            height -= 1
-            node = layout[height, FIRST] + (row >> height) * layout[height, N_COLS]
-            node += col >> height
-        if np.isnan(z[node]):
-            before = -1
-        else:
-            if before >= 0:
-                edges[count, 0], edges[count, 1] = vertex_of[before], vertex_of[node]
-                count += 1
-            before = node
-        at += 1 << height
+    count = 0
+    for side in range(4):
+        before, at = -1, 0
+        while open_sides[side] and at < (n_rows if side & 1 else n_cols):
+            row, col = at, at
+            if side & 1:
+                col = 0 if side == 1 else n_cols - 1
+            else:
+                row = 0 if side == 0 else n_rows - 1
+            height = top
+            node = layout[top, FIRST] + (row >> top) * layout[top, N_COLS] + (col >> top)
+            while marks[node] == INNER:
+                height -= 1
+                node = layout[height, FIRST] + (row >> height) * layout[height, N_COLS]
+                node += col >> height
+            if np.isnan(z[node]):
+                before = -1
+            else:
+                if before >= 0:
+                    edges[count, 0], edges[count, 1] = vertex_of[before], vertex_of[node]
+                    count += 1
+                before = node
+            at += 1 << height
     return count

@@ -347,16 +347,12 @@ class RestrictedMesh:
         vertices: NDArray[np.float64],
     ) -> tuple[NDArray[np.int32], float]:
         """Return the edges along open sides, and how far those in view are from samples."""
-        edges, errors = [np.empty((0, 2), dtype=np.int32)], [0.0]
-        for side in np.flatnonzero(self._open_sides).tolist():
-            along = np.empty((self.shape[1 - side % 2], 2), dtype=np.int32)
-            n, error = follow_border(
-                side, self.shape, self._heights, self._is_active, vertex_of, vertices,
-                view[_Z_SCALE], view[_MATRIX:], eye.planes, along,
-            )  # fmt: skip
-            edges.append(along[:n])
-            errors.append(error)
-        return np.concatenate(edges), max(errors)
+        edges = np.empty((2 * sum(self.shape), 2), dtype=np.int32)
+        n, error = follow_borders(
+            self._open_sides, self.shape, self._heights, self._is_active, vertex_of, vertices,
+            view[_Z_SCALE], view[_MATRIX:], eye.planes, edges,
+        )  # fmt: skip
+        return edges[:n].copy(), error
 
     def _view(self, eye: Eye) -> NDArray[np.float64]:
         numbers = (
@@ -701,14 +697,30 @@ def _add_in_quad(
 
 
 @kernel
-def follow_border(
-    side, shape, heights, is_active, vertex_of, vertices, z_scale, matrix, planes, edges
+def follow_borders(
+    open_sides, shape, heights, is_active, vertex_of, vertices, z_scale, matrix, planes, edges
 ):
-    """Fill the edges along a side; return how many, and how far those in view are from samples.
+    """Fill the edges along open sides; return how many, and how far those in view are from samples.
 
-    Sides are the first row and column, the last row and column. Without the factor of heights.
+    Without the factor of heights.
     """
-    count, largest, before, start = 0, 0.0, -1, 0
+    count, largest = 0, 0.0
+    for side in range(4):
+        if open_sides[side]:
+            count, largest = _follow_border(
+                side, shape, heights, is_active, vertex_of, vertices, z_scale, matrix, planes,
+                edges, count, largest,
+            )  # fmt: skip
+    return count, largest / z_scale
+
+
+@kernel
+def _follow_border(
+    side, shape, heights, is_active, vertex_of, vertices, z_scale, matrix, planes, edges, count,
+    largest,
+):  # fmt: skip
+    """Append the edges along one side; return how many there are then, and the largest distance."""
+    before, start = -1, 0
     place = 0 if side < 2 else shape[side - 2] - 1
     down, right = side & 1, 1 - (side & 1)
     first_row, first_col = (0, place) if down else (place, 0)
@@ -739,7 +751,7 @@ def follow_border(
                 if apart > largest and not _are_hidden(ends, planes):
                     largest = apart
         before, start = vertex, at
-    return count, largest / z_scale
+    return count, largest
 
 
 @kernel

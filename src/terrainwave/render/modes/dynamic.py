@@ -107,7 +107,5 @@ class Dynamic(FrontMode):
 
     def mesh_error(self, patch: FrontPatch, eye: Eye, followed: Followed) -> float:
         """Return how far the mesh in view is from the samples of a patch, metres."""
-        if not any(patch.open_sides):
-            return 0.0
         mesh: DynamicMesh = patch.mesh
         return mesh.largest_error(eye, followed) + mesh.tree.rounding

@@ -37,6 +37,7 @@ from terrainwave.render.scales import (
 from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
 from terrainwave.tri.budget import Pressure
 from terrainwave.tri.dynamic import Eye, Followed
+from terrainwave.tri.rqt_errors import twist_of
 from terrainwave.tri.scratch import Scratch
 
 if TYPE_CHECKING:
@@ -140,7 +141,7 @@ class FrontPatch:
     mesh : object, optional
         None where there is nothing to draw.
     error : float
-        Largest distance of originals from the samples' bilinear surface, metres.
+        Largest distance of originals from triangles between all samples, metres.
     children : list of NodeInfo
     side : int
         Samples of the mode's largest patches, a side.
@@ -334,17 +335,14 @@ class FrontMode(Mode):
         matrix = a * stride, b * stride, x, d * stride, e * stride, y
         error, mesh = info.error, None
         if min(region.shape) > 1 and not np.isnan(samples.heights).all():
-            error += self.cut_error(piece.level, samples.heights)
+            if piece.level < self.n_levels - 1:  # originals lie between samples, too
+                error += twist_of(samples.heights)
             mesh = self.make_mesh(piece, region, samples.heights, matrix, error, open_sides)
         side = self.side
         return FrontPatch(
             piece, region, open_sides, matrix, samples.slopes, mesh, error, children, side,
             self.sample_bytes * side * side, self.between(piece.level, samples.heights),
         )  # fmt: skip
-
-    def cut_error(self, level: int, heights: NDArray[np.float64]) -> float:
-        """Return how far triangles between the samples of a cell may be from what lies in it."""
-        return 0.0
 
     def between(self, level: int, heights: NDArray[np.float64]) -> float:
         """Return how much further triangles may be from originals between samples than at them.

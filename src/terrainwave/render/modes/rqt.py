@@ -17,7 +17,6 @@ from terrainwave.render.modes.front import Drawn, FrontMode, FrontPatch, PatchFr
 from terrainwave.render.modes.mode import ERRORS
 from terrainwave.render.selection import Piece
 from terrainwave.tri.dynamic import Eye, Followed
-from terrainwave.tri.rqt_errors import twist_of
 from terrainwave.tri.rqt_view import RestrictedMesh
 
 if TYPE_CHECKING:
@@ -44,10 +43,6 @@ class Rqt(FrontMode):
         self._tile_decoder: TileDecoder | None = None
         if error == "coefficient":
             self._tile_decoder = with_coefficients(terrain.decoder)
-
-    def cut_error(self, level: int, heights: NDArray[np.float64]) -> float:
-        """Return how far the two halves of a cell may be from its bilinear surface, metres."""
-        return 0.0 if level == self.n_levels - 1 else twist_of(heights)
 
     def make_mesh(
         self,
