@@ -1,10 +1,11 @@
-# make demo | make test | make test-all | make qgis | make bench | make clean
+# make demo | make test | make test-all | make qgis | make bench | make fuzz | make clean
 # All targets set up their own virtual environment in .venv; see CONTRIBUTING.md.
 
 PYTHON ?= python3
 VENV ?= .venv
 WORKERS ?= 2
 DATA ?=
+SECONDS ?= 60
 
 BIN := $(VENV)/bin
 # Absolute: tests change their directory.
@@ -16,7 +17,7 @@ COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo qgis test test-all system system-full lint test-compiled test-full test-bounds test-python coverage bench clean
+.PHONY: help demo qgis test test-all system system-full lint test-compiled test-full test-bounds test-python coverage bench fuzz clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -26,6 +27,7 @@ help:
 	@echo "make coverage        the tests as plain Python, with the lines they miss"
 	@echo "make bench DATA=DIR  compare with other codecs on the rasters in DIR: what is not measured yet;"
 	@echo "                     AGAIN='predictive speeds' anew, ONLY='cdf97' that alone"
+	@echo "make fuzz SECONDS=60 fuzz each target that long, ONLY='rapid opening' these alone: docs/reliability.md"
 	@echo "make qgis            the plugin for QGIS, as dist/terrainwave_plugin.zip"
 	@echo "make clean           remove what these made"
 
@@ -114,6 +116,14 @@ coverage: $(VENV)/.installed-dev
 bench: $(VENV)/.installed-bench
 	@test -n "$(DATA)" || { echo "make bench DATA=a-directory-with-GeoTIFFs" >&2; exit 2; }
 	$(BIN)/python -m benchmarks.bench "$(DATA)" $(if $(ONLY),--only $(ONLY)) $(if $(AGAIN),--again $(AGAIN))
+
+$(VENV)/.installed-fuzz: $(VENV)/.created pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[fuzz]"
+	@touch $@
+
+# Bounds are checked here: kernels have a cache of their own.
+fuzz: $(VENV)/.installed-fuzz
+	NUMBA_CACHE_DIR="$(CURDIR)/build/fuzz/numba" $(BIN)/python -m fuzz.run --seconds $(SECONDS) $(ONLY)
 
 clean:
 	rm -rf $(VENV) demo build dist .numba .pytest_cache .hypothesis .mypy_cache .ruff_cache

@@ -120,6 +120,14 @@ def pivot(rows: Rows, by: tuple[str, ...], over: str) -> Rows:
     return list(found.values())
 
 
+def fuzzed_targets(results: Path) -> Rows:
+    """Return the runs of the fuzzer by target, and what they come to in all."""
+    rows = read(results, "fuzz")
+    total = {field: sum(row[field] for row in rows) for field in ("executions", "seconds", "finds")}
+    total |= {field: max(row[field] for row in rows) for field in ("memory_mb", "slowest_ms")}
+    return [*rows, {"target": "all", "mode": ""} | total]
+
+
 def compared_codecs(results: Path) -> Rows:
     """Return bits per sample of our codecs and the best peer by raster and bound.
 

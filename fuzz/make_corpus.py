@@ -1,0 +1,120 @@
+"""Write the corpus, small inputs that targets accept: ``python -m fuzz.make_corpus``.
+
+Of golden files and of units coded here; golden files themselves are not copied.
+"""
+
+import hashlib
+import struct
+from collections.abc import Iterator
+
+import numpy as np
+
+from fuzz.targets import _LAYOUTS, CORPUS, GOLDEN, REFINERS, _implied, _mesh_samples, call
+from fuzz.units import N_PARENTS, SPECS, payload_of
+from terrainwave.codec.cdf53 import encode_tile
+from terrainwave.codec.maskcoder import encode_mask
+from terrainwave.codec.registry import refiner_by_name
+from terrainwave.codec.remaindercoder import encode_remainders
+from terrainwave.codec.tiles import TileLayout
+from terrainwave.coding.deflate import inflate
+from terrainwave.container.dictionary import DICTIONARY
+from terrainwave.container.header import HEADER_SIZE, MAX_METADATA
+from terrainwave.container.page import empty_page, pack_columns, pack_page
+from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.mesh.sections import pack_section
+from terrainwave.terrain import Terrain
+from terrainwave.tri.stored import STORED_KINDS
+
+_MOST_BYTES = 1500
+
+
+def _of_files() -> Iterator[tuple[str, bytes]]:
+    for path in sorted(GOLDEN.glob("*.twz")):
+        data = path.read_bytes()
+        with Terrain(data, threads=1) as terrain:
+            container = terrain.container
+            extents, found = container.extents, container.header
+        yield "header", data[:HEADER_SIZE]
+        packed = data[HEADER_SIZE : extents.parameters_start]
+        yield "metadata", b"\1" + packed
+        yield "metadata", b"\0" + inflate(packed, MAX_METADATA, "metadata", DICTIONARY)
+        if found.method in ("rapid", "predictive"):
+            kind = [name for name in REFINERS if REFINERS[name].has_parameters].index(found.method)
+            yield "parameters", bytes([kind]) + found.parameters
+        number = sorted(GOLDEN.glob("*.twz")).index(path)
+        seeks = struct.pack("<iHBiHB", 0, 300, 0, -200, 400, 2)
+        yield "virtual", bytes([1, number]) + seeks
+
+
+def _of_units() -> Iterator[tuple[str, bytes]]:
+    for name in REFINERS:
+        for number in range(len(SPECS)):
+            for kind in (0, N_PARENTS - 1):
+                if name != "cdf97" and SPECS[number].is_faithful:
+                    continue
+                payload = payload_of(refiner_by_name(name), number, kind)
+                yield name, bytes([number, kind, 0]) + payload
+
+
+def _of_parts() -> Iterator[tuple[str, bytes]]:
+    for number, layout in enumerate(_LAYOUTS):
+        yield "pages", bytes([2 * number]) + pack_page(pack_columns(empty_page(layout)), 0)
+        yield "pages", bytes([2 * number + 1]) + bytes(40)
+    rng = np.random.default_rng(2)
+    for kind in range(12):
+        implied = _implied(kind)
+        yield (
+            "masks",
+            bytes([kind]) + encode_mask(~implied & (rng.random(implied.shape) < 0.7), implied),
+        )
+    for width in (4, 8):
+        rest = rng.integers(-100, 100, (5, 7)).astype(f"i{width}")
+        yield "remainders", bytes([width >> 3]) + encode_remainders(rest)
+        yield "remainders", bytes([width >> 3 | 2, 1]) + bytes(range(35))
+    for number in (0, 1):
+        grid = Grid(*((33, 30), (70, 67))[number], 32)
+        spec = TileLayout(grid).spec(Block(-1, 0, 0))
+        heights = rng.integers(0, 4, spec.region.shape).astype(np.int32)
+        masks = [np.ones(region.shape, dtype=np.bool_) for region in spec.regions]
+        coded = encode_tile(spec, heights, masks, None)
+        payload = coded.payload()
+        yield "cdf53", bytes([2 * number, 0]) + payload
+    for code, name in enumerate(("zerotree-plain", "rqt")):
+        for number in (0, 1, 4, 9, 22):
+            samples = _mesh_samples(number)
+            kind = STORED_KINDS[name]
+            part = kind.encode(samples, 64, kind.draft(samples, 64, None))
+            yield "meshes", bytes([code, number, 1]) + pack_section([part])
+            yield "meshes", bytes([code | 2, number, 1]) + pack_section([part, part, b"", b""][:4])
+    for count in (1, 5, 60):
+        places = rng.integers(0, 1 << 20, count)
+        yield (
+            "planner",
+            b"\x12\x05\x10\x20"
+            + b"".join(struct.pack("<QH", int(place) << 8, int(place) & 255) for place in places),
+        )
+        yield (
+            "rounds",
+            b"\2"
+            + b"".join(
+                struct.pack("<HHB", int(place) & 65535, 99, int(place) & 3) for place in places
+            ),
+        )
+
+
+def main() -> None:
+    """Write what is not there yet; say how much there is."""
+    for source in (_of_files, _of_units, _of_parts):
+        for name, data in source():
+            if len(data) <= _MOST_BYTES:
+                folder = CORPUS / name
+                folder.mkdir(parents=True, exist_ok=True)
+                (folder / hashlib.sha256(data).hexdigest()[:12]).write_bytes(data)
+    for folder in sorted(CORPUS.iterdir()):
+        inputs = [path.read_bytes() for path in folder.iterdir()]
+        n_good = sum(call(folder.name, data) for data in inputs)
+        print(f"{folder.name}: {len(inputs)} of {sum(map(len, inputs))} bytes, {n_good} accepted")
+
+
+if __name__ == "__main__":
+    main()

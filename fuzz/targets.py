@@ -1,0 +1,408 @@
+"""What is fuzzed: each target takes any bytes, and no error but one of ours may leave it.
+
+A target returns None where the bytes are accepted and what came of them is as it must be; it lets
+`TerrainwaveError` pass, which says that they are refused. Anything else is a find, an
+`AssertionError` of the target itself among them. Targets don't know who calls them.
+"""
+
+import json
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from fuzz.units import N_PARENTS, SPECS, parent_of
+from terrainwave.codec import cdf53, registry
+from terrainwave.codec.group import decode_unit
+from terrainwave.codec.maskcoder import decode_mask
+from terrainwave.codec.remaindercoder import decode_remainders
+from terrainwave.codec.tiles import TileLayout
+from terrainwave.coding.deflate import deflate
+from terrainwave.container.dictionary import DICTIONARY
+from terrainwave.container.header import HEADER_SIZE, MAX_METADATA, pack_header, unpack_header
+from terrainwave.container.metadata import unpack_metadata
+from terrainwave.container.page import N_CODES, page_layout, payload_starts, unpack_page
+from terrainwave.container.ranges import MAX_REQUEST, Budget, ByteRange, merge_ranges
+from terrainwave.container.rounds import RoundReader
+from terrainwave.container.source import BufferSource
+from terrainwave.errors import TerrainwaveError, TruncatedStreamError
+from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
+from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.mesh.blocks import StoredSamples
+from terrainwave.mesh.sections import unpack_section
+from terrainwave.names import METHODS
+from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.stream import GeoTIFFStream
+from terrainwave.terrain import Terrain
+from terrainwave.tri.borders import beside_void
+from terrainwave.tri.stored import STORED_KINDS
+
+GOLDEN = Path(__file__).parents[1] / "tests" / "golden" / "v1"
+CORPUS = Path(__file__).parent / "corpus"
+# A read of more is refused: what a file claims must not decide how much memory is taken.
+_MOST_SAMPLES = 1 << 16
+_SIDE = 200
+
+Target = Callable[[bytes], None]
+REFINERS = {name: method for name, method in METHODS.items() if method.refiner}
+
+
+def pick(number: int, choices):
+    """Return one of a sequence by any byte."""
+    return choices[number % len(choices)]
+
+
+# Files
+
+
+def opening(data: bytes) -> None:
+    """Open, read a window of each of few levels, ask for all a file says, mesh a block."""
+    with Terrain(data, threads=1, cache_bytes=1 << 22) as terrain:
+        repr(terrain)
+        json.dumps(terrain.info().to_dict())
+        for level in sorted({0, *range(max(0, terrain.n_levels - 3), terrain.n_levels)}):
+            n_rows, n_cols = terrain.level_shape(level)
+            window = (max(0, n_rows - _SIDE), max(0, n_cols - _SIDE), _SIDE, _SIDE)
+            heights, valid = terrain.read_with_mask(window, level=level)
+            assert heights.shape == valid.shape == (min(n_rows, _SIDE), min(n_cols, _SIDE))
+            assert heights.dtype == terrain.dtype
+        if terrain.mesh_kind != "none":
+            for block in (Block(0, 0, 0), Block(terrain.n_levels - 1, 0, 0)):
+                check_mesh(terrain.block_mesh(block))
+
+
+def header(data: bytes) -> None:
+    """Unpack a header; pack it again."""
+    found, extents = unpack_header(data)
+    assert pack_header(found, extents)[:-4] == data[: HEADER_SIZE - 4]
+    found.grid.level_shape(0)
+    assert found.codec_parameters.z_min == found.z_min
+
+
+_LAYOUTS = (
+    page_layout(Grid(131, 6, 32), None),
+    page_layout(Grid(1030, 2, 32), None),
+    page_layout(Grid(40000, 39000, 32), Block(3, 1, 1)),
+)
+
+
+def pages(data: bytes) -> None:
+    """Unpack an index page, of the bytes as they are or of columns made of them."""
+    if not data:
+        return
+    layout = pick(data[0] >> 1, _LAYOUTS)
+    page = data[1:]
+    if data[0] & 1:
+        n_keys, n_blocks, n_children = map(len, layout)
+        n_bytes = 17 * n_keys + N_CODES * n_blocks + 12 * n_children
+        page = page[:12].ljust(12, b"\0") + deflate(page[12:].ljust(n_bytes, b"\0")[:n_bytes])
+    found = unpack_page(page, layout, "a page")
+    starts = payload_starts(found, layout.keys, 1000)
+    assert min(starts) >= 1000
+    assert max(starts) <= 1000 + found.body_length
+    assert found.children_end >= found.first_child
+
+
+def metadata(data: bytes) -> None:
+    """Unpack metadata, of JSON or of deflated bytes; make them a raster's."""
+    if not data:
+        return
+    packed = data[1:] if data[0] & 1 else deflate(data[1:], DICTIONARY)
+    found = unpack_metadata(packed)
+    assert len(json.dumps(found)) <= 8 * MAX_METADATA
+    known = {name: value for name, value in found.items() if value is not None}
+    dtype = ("int16", "uint8", "float32", "float64")[data[0] >> 1 & 3]
+    info = RasterInfo.from_metadata(known | {"n_rows": 3, "n_cols": 5, "dtype": dtype})
+    again = RasterInfo.from_metadata(json.loads(json.dumps(info.to_metadata())))
+    assert repr(again) == repr(info)
+
+
+# Units
+
+
+@cache
+def _refiner(name: str, parameters: bytes):
+    return registry.refiner_by_name(name, parameters)
+
+
+@cache
+def _known_parameters(name: str) -> tuple[bytes, ...]:
+    """Return the parameters of golden files of a method, and none."""
+    found = {b""}
+    for path in sorted(GOLDEN.glob(f"{name}-*.twz")):
+        with Terrain(path.read_bytes(), threads=1) as terrain:
+            found.add(terrain.header.parameters)
+    return tuple(sorted(found))
+
+
+def unit_target(name: str) -> Target:
+    """Return the target of a method's payloads.
+
+    The first bytes choose the spec, the parent and the file's parameters.
+    """
+
+    def decode(data: bytes) -> None:
+        if len(data) < 3:
+            return
+        number, kind = data[0] % len(SPECS), data[1] % N_PARENTS
+        refiner = _refiner(name, pick(data[2], _known_parameters(name)))
+        spec, parent = SPECS[number], parent_of(number, kind)
+        payload = data[3:]
+        found = decode_unit(refiner, spec, parent, payload)
+        assert found.heights.shape == found.mask.shape == spec.region.shape
+        assert found.heights.dtype == np.int32
+        heights = found.heights[found.mask]
+        assert heights.min(initial=spec.z_max) >= spec.z_min
+        assert heights.max(initial=spec.z_min) <= spec.z_max
+
+    decode.__doc__ = f"Decode a payload of {name} with a true or a false parent."
+    return decode
+
+
+def parameters(data: bytes) -> None:
+    """Read the tables that a file brings along for its method."""
+    if data:
+        names = [name for name, method in REFINERS.items() if method.has_parameters]
+        registry.refiner_by_name(pick(data[0], names), data[1:])
+
+
+_TILES = TileLayout(Grid(33, 30, 32)), TileLayout(Grid(70, 67, 32))
+
+
+@cache
+def _outer(kind: int, region) -> cdf53.LevelHeights:
+    rng = np.random.default_rng(kind)
+    heights = rng.integers(-(1 << 30), 1 << 30, region.shape, np.int32)
+    if kind == 0:
+        heights[:] = 5
+    mask = rng.random(region.shape) < (0.8 if kind == 2 else 2)
+    return cdf53.LevelHeights(region, heights, mask)
+
+
+def tiles(data: bytes) -> None:
+    """Decode a tile of cdf53, the root one or one with a head, whole or a prefix."""
+    if len(data) < 2:
+        return
+    layout = pick(data[0] >> 1, _TILES)
+    spec = layout.spec(Block(-1, 0, 0))
+    outer = None
+    if data[1] % 4:
+        # A head above it, as if the tile were not the root.
+        regions = tuple(layout.grid.descendant_region(Block(0, 0, 0), 1) for _ in range(1))
+        if layout.grid.k_max:
+            region = layout.grid.block_region(Block(0, 0, 0))
+            spec = replace(
+                spec, key=Block(0, 0, 0), first=1, last=1, outer=region, regions=regions,
+                n_transforms=1, n_below=0, held=data[1] >> 2 & 15,
+            )  # fmt: skip
+            outer = _outer(data[1] % 4 - 1, region)
+    levels = cdf53.decode_tile(spec, outer, data[2:], is_prefix=bool(data[0] & 1))
+    assert len(levels) == len(spec.regions)
+    for level, region in zip(levels, spec.regions):
+        assert level.heights.shape == level.mask.shape == region.shape
+
+
+@cache
+def _implied(kind: int):
+    rng = np.random.default_rng(kind)
+    shape = ((9, 11), (1, 40), (33, 31), (2, 2))[kind % 4]
+    return rng.random(shape) < (0.0, 0.3, 0.9, 1.0)[kind // 4]
+
+
+def masks(data: bytes) -> None:
+    """Decode a mask, with voids known beforehand or without."""
+    if not data:
+        return
+    implied = _implied(data[0] % 16)
+    found = decode_mask(data[1:], implied)
+    assert found.shape == implied.shape
+    assert not (found & implied).any()
+
+
+def remainders(data: bytes) -> None:
+    """Decode remainders, as they are or of bytes deflated here."""
+    if len(data) < 2:
+        return
+    width = 8 if data[0] & 1 else 4
+    section = data[1:2] + deflate(data[2:]) if data[0] & 2 else data[1:]
+    found = decode_remainders(section, (5, 7), width)
+    assert found.shape == (5, 7)
+    assert found.dtype.itemsize == width
+
+
+# Meshes
+
+
+@cache
+def _mesh_samples(kind: int) -> StoredSamples:
+    shape = ((17, 17), (9, 13), (33, 33), (2, 2))[kind % 4]
+    rng = np.random.default_rng(kind)
+    heights = rng.integers(-300, 300, shape).astype(np.int32)
+    if kind & 8:
+        heights = rng.integers(-(1 << 30), 1 << 30, shape, np.int32)
+    beyond = np.ones((shape[0] + 2, shape[1] + 2), dtype=np.bool_)
+    if kind & 4:
+        beyond[1:-1, 1:-1] = rng.random(shape) < 0.95
+    mask = np.ascontiguousarray(beyond[1:-1, 1:-1])
+    coefficients = rng.integers(0, 100, shape) if kind & 16 else None
+    return StoredSamples(heights, mask, beside_void(beyond), None, coefficients)
+
+
+def check_mesh(mesh) -> None:
+    """Check that triangles are of vertices that are there."""
+    assert mesh.rows.shape == mesh.cols.shape == mesh.heights.shape
+    assert mesh.triangles.min(initial=0) >= 0
+    assert mesh.triangles.max(initial=-1) < mesh.rows.size
+
+
+def meshes(data: bytes) -> None:
+    """Unpack a mesh section; make the meshes of its parts."""
+    if len(data) < 3:
+        return
+    kind = STORED_KINDS[("zerotree-plain", "rqt")[data[0] & 1]]
+    n_parts = (1, 4)[data[0] >> 1 & 1]
+    for part in unpack_section(data[3:], n_parts):
+        check_mesh(kind.mesh(_mesh_samples(data[1] % 32), data[2] << 6, part))
+
+
+# Requests
+
+
+def planner(data: bytes) -> None:
+    """Merge ranges to requests: each covers what is in it, none is longer than allowed."""
+    if len(data) < 4:
+        return
+    budget = None if data[0] & 1 else Budget(data[1], data[2] << 12, data[3] << 13)
+    count, longest = len(data) // 10, 1 << (data[0] >> 1 & 31)
+    ranges = [
+        ByteRange(place >> 8, length % longest)
+        for place, length in struct.iter_unpack("<QH", data[4 : 4 + 10 * ((len(data) - 4) // 10)])
+    ]
+    merged = merge_ranges(ranges, budget)
+    members = [member for request in merged for member in request.members]
+    assert sorted(members) == [n for n, wanted in enumerate(ranges) if wanted.length]
+    assert len(merged) <= count
+    for (span, _), (after, _) in pairwise(merged):
+        assert span.offset <= after.offset
+    for span, inside in merged:
+        assert span.length <= max(MAX_REQUEST, *(ranges[member].length for member in inside))
+        assert all(span.offset <= ranges[member].offset for member in inside)
+        assert all(ranges[member].end <= span.end for member in inside)
+
+
+_MOST_RANGES = 40
+_BYTES = np.random.default_rng(1).bytes(1 << 20)
+
+
+def rounds(data: bytes) -> None:
+    """Fetch ranges in rounds: what comes is what the source has there."""
+    if not data:
+        return
+    reader = RoundReader(BufferSource(_BYTES), _BYTES[: data[0] << 6])
+    wanted: list[ByteRange] = []
+    count = min((len(data) - 1) // 5, _MOST_RANGES)
+    for place, length, ends in struct.iter_unpack("<HHB", data[1 : 1 + 5 * count]):
+        wanted.append(ByteRange(place << 4, length))
+        if ends & 3 == 0:
+            _fetch(reader, wanted)
+    _fetch(reader, wanted)
+
+
+def _fetch(reader: RoundReader, wanted: list[ByteRange]) -> None:
+    is_inside = all(place.end <= len(_BYTES) for place in wanted)
+    try:
+        reader.fetch(wanted)
+    except TruncatedStreamError:
+        assert not is_inside
+        raise
+    for place in wanted:
+        assert reader.take(place) == _BYTES[place.offset : place.end]
+
+
+# The virtual TIFF
+
+
+@cache
+def _golden_paths() -> tuple[Path, ...]:
+    return tuple(sorted(GOLDEN.glob("*.twz")))
+
+
+@cache
+def _virtual(number: int) -> tuple[VirtualGeoTIFF, bytes]:
+    file = VirtualGeoTIFF(Terrain(_golden_paths()[number].read_bytes(), threads=1))
+    return file, file.read_at(0, file.size)
+
+
+def virtual(data: bytes) -> None:
+    """Read and seek in a virtual TIFF of a golden file; or make the head of hostile metadata."""
+    if len(data) < 2:
+        return
+    number = data[1] % len(_golden_paths())
+    if data[0] == 0:
+        _virtual_of_metadata(number, data[2:])
+        return
+    file, expected = _virtual(number)
+    stream, place = GeoTIFFStream(file), 0
+    try:
+        for at, n, whence in struct.iter_unpack("<iHB", data[2 : 2 + 7 * ((len(data) - 2) // 7)]):
+            base = (0, place, len(expected))[whence % 3]
+            if base + at < 0:
+                continue
+            place = stream.seek(at, whence % 3)
+            assert place == base + at == stream.tell()
+            assert stream.read(n) == expected[place : place + n]
+            place += min(n, max(0, len(expected) - place))
+    finally:
+        stream.close()
+
+
+def _virtual_of_metadata(number: int, text: bytes) -> None:
+    with Terrain(_golden_paths()[number].read_bytes(), threads=1) as terrain:
+        known = unpack_metadata(deflate(text, DICTIONARY))
+        known = {name: value for name, value in known.items() if value is not None}
+        size = {"n_rows": terrain.shape[0], "n_cols": terrain.shape[1], "dtype": terrain.dtype.name}
+        terrain._raster = RasterInfo.from_metadata(known | size)
+        file = VirtualGeoTIFF(terrain)
+        assert len(file.read_at(0, file.size)) == file.size
+
+
+TARGETS: dict[str, Target] = {
+    "opening": opening,
+    "header": header,
+    "pages": pages,
+    "metadata": metadata,
+    **{name: unit_target(name) for name in REFINERS},
+    "cdf53": tiles,
+    "parameters": parameters,
+    "masks": masks,
+    "remainders": remainders,
+    "meshes": meshes,
+    "planner": planner,
+    "rounds": rounds,
+    "virtual": virtual,
+}
+
+
+def call(name: str, data: bytes) -> bool:
+    """Run a target over some bytes; return whether they were accepted.
+
+    Raises
+    ------
+    Exception
+        A find: anything but a `TerrainwaveError`.
+    """
+    try:
+        TARGETS[name](data)
+    except TerrainwaveError:
+        return False
+    return True
+
+
+def seeds(name: str) -> list[Path]:
+    """Return the files of a target's corpus; for opening golden files are among them."""
+    found = sorted((CORPUS / name).glob("*"))
+    return found + list(_golden_paths()) if name == "opening" else found

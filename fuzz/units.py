@@ -1,0 +1,106 @@
+"""Coded units to decode hostile payloads in: specs, true parents and false ones."""
+
+from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from terrainwave.codec.group import encode_unit, implied_voids
+from terrainwave.codec.refiner import Decoded, GroupSpec, Refiner, Sides
+from terrainwave.codec.units import unit_spec
+from terrainwave.grid.parameters import CodecParameters
+from terrainwave.grid.quadtree import Block, Grid, Region
+
+_BIG = 1 << 30
+_ALONE = Sides(False, False, False, False)
+_SHARED = Sides(True, True, True, True)
+
+
+def _group(shape, sides, step, **options):
+    """Return the spec of a unit that begins at its level's first sample."""
+    core = Region(0, 0, *shape)
+    above = Region(0, 0, (shape[0] + 1) // 2, (shape[1] + 1) // 2)
+    limits = {"z_min": -_BIG, "z_max": _BIG, "forbidden": (1, 0)} | options
+    return GroupSpec(
+        1, core, core, above, sides, step,
+        limits["z_min"], limits["z_max"], limits["forbidden"], 1, 1,
+    )  # fmt: skip
+
+
+def _in_grid(key, step, rings):
+    parameters = CodecParameters(step, -5000, 5000, (7, 7), rings, 1)
+    return unit_spec(Grid(70, 69, 32), parameters, key)
+
+
+_GROUP = _group((9, 11), _ALONE, 3, z_min=-50, z_max=50, forbidden=(2, 2))
+SPECS: tuple[GroupSpec, ...] = (
+    _GROUP,
+    replace(_GROUP, parent_region=None),
+    _group((9, 11), _SHARED, 1),
+    _group((1, 6), _ALONE, 5),
+    _group((17, 13), _SHARED, (1 << 30) + 1),
+    replace(_group((9, 9), _ALONE, 1), remainder_bytes=8),
+    replace(_group((9, 9), _SHARED, 3), is_faithful=True, has_coarse_residuals=True),
+    _in_grid(Block(1, 0, 0), 1, 3),
+    _in_grid(Block(-1, 0, 0), 3, 1),
+)
+N_PARENTS = 5
+
+
+class Heights(NamedTuple):
+    """Heights and validity, int32 and bool of one shape."""
+
+    heights: np.ndarray
+    mask: np.ndarray
+
+
+@cache
+def target_of(number: int) -> Heights:
+    """Return what a true payload of spec `number` holds."""
+    spec = SPECS[number]
+    rows, cols = np.mgrid[: spec.region.n_rows, : spec.region.n_cols]
+    noise = np.random.default_rng(number).integers(-2, 3, rows.shape)
+    heights = (30 * np.sin(rows / 5) * np.cos(cols / 7) + noise).astype(np.int32)
+    heights[heights == 2] = 3
+    mask = np.ones(heights.shape, dtype=np.bool_)
+    if number % 2 == 0:
+        mask[3:6, 2:4] = False
+    return Heights(heights, mask)
+
+
+@cache
+def parent_of(number: int, kind: int) -> Decoded | None:
+    """Return a parent for spec `number`: 0 the true one, else ones that no file would have.
+
+    They are: constant, at the limits in turn, random, with voids at random.
+    """
+    spec = SPECS[number]
+    if spec.parent_region is None:
+        return None
+    shape = spec.parent_region.shape
+    rng = np.random.default_rng(kind)
+    mask = np.ones(shape, dtype=np.bool_)
+    if kind == 0:
+        heights = target_of(number).heights[::2, ::2][: shape[0], : shape[1]]
+        heights = np.pad(heights, [(0, n - k) for n, k in zip(shape, heights.shape)], mode="edge")
+    elif kind == 1:
+        heights = np.full(shape, spec.z_max, dtype=np.int32)
+    elif kind == 2:
+        checks = np.indices(shape).sum(axis=0) % 2 == 0
+        heights = np.where(checks, spec.z_min, spec.z_max).astype(np.int32)
+    else:
+        heights = rng.integers(spec.z_min, spec.z_max, shape, np.int32, endpoint=True)
+        if kind == 4:
+            mask = rng.random(shape) < 0.8
+    heights = np.ascontiguousarray(heights, dtype=np.int32)
+    heights.flags.writeable = mask.flags.writeable = False
+    return Decoded(heights, mask, None)
+
+
+def payload_of(refiner: Refiner, number: int, kind: int) -> bytes:
+    """Return a payload that is right for a spec and a parent."""
+    spec, parent = SPECS[number], parent_of(number, kind)
+    target, mask = target_of(number)
+    mask = mask & ~implied_voids(spec, parent)
+    return encode_unit(refiner, spec, parent, target.copy(), mask)[0]

@@ -1,0 +1,42 @@
+"""The targets of the fuzzer (fuzz/) on their corpus, without the fuzzer."""
+
+import pytest
+
+from fuzz import checksums
+from fuzz.targets import TARGETS, call, seeds
+
+pytestmark = [pytest.mark.large, pytest.mark.filterwarnings("ignore")]
+# Their kernels are compiled by other tests, or they have none; the rest is left to `make test-all`.
+QUICK = ["header", "masks", "metadata", "pages", "planner", "remainders", "rounds", "store"]
+
+
+@pytest.fixture
+def ignored():
+    with checksums.ignored():
+        yield
+
+
+def test_each_target_has_a_corpus():
+    assert all(seeds(name) for name in TARGETS)
+
+
+@pytest.mark.usefixtures("ignored")
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[] if name in QUICK else pytest.mark.full) for name in TARGETS],
+)
+def test_inputs_are_accepted_or_refused_by_our_own_error(name):
+    inputs = [path.read_bytes() for path in seeds(name)]
+    accepted = [call(name, data) for data in inputs]
+    assert any(accepted)
+    for data in inputs[:5]:
+        for cut in range(1, min(len(data), 200), 23):
+            call(name, data[:cut])
+
+
+@pytest.mark.usefixtures("ignored")
+def test_a_changed_file_reaches_what_lies_behind_its_checksums():
+    golden = next(path for path in seeds("opening") if path.name == "store-int16-segments.twz")
+    changed = bytearray(golden.read_bytes())
+    changed[-1] ^= 1
+    assert call("opening", bytes(changed)) in (True, False)
