@@ -123,6 +123,8 @@ def pivot(rows: Rows, by: tuple[str, ...], over: str) -> Rows:
 def fuzzed_targets(results: Path) -> Rows:
     """Return the runs of the fuzzer by target, and what they come to in all."""
     rows = read(results, "fuzz")
+    if not rows:
+        return []
     total = {field: sum(row[field] for row in rows) for field in ("executions", "seconds", "finds")}
     total |= {field: max(row[field] for row in rows) for field in ("memory_mb", "slowest_ms")}
     return [*rows, {"target": "all", "mode": ""} | total]

@@ -9,7 +9,16 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fuzz.targets import _LAYOUTS, CORPUS, GOLDEN, REFINERS, _implied, _mesh_samples, call
+from fuzz.targets import (
+    _LAYOUTS,
+    CORPUS,
+    GOLDEN,
+    REFINERS,
+    VIRTUAL,
+    _implied,
+    _mesh_samples,
+    call,
+)
 from fuzz.units import N_PARENTS, SPECS, payload_of
 from terrainwave.codec.cdf53 import encode_tile
 from terrainwave.codec.maskcoder import encode_mask
@@ -37,13 +46,15 @@ def _of_files() -> Iterator[tuple[str, bytes]]:
         yield "header", data[:HEADER_SIZE]
         packed = data[HEADER_SIZE : extents.parameters_start]
         yield "metadata", b"\1" + packed
-        yield "metadata", b"\0" + inflate(packed, MAX_METADATA, "metadata", DICTIONARY)
+        text = inflate(packed, MAX_METADATA, "metadata", DICTIONARY)
+        yield "metadata", b"\0" + text
         if found.method in ("rapid", "predictive"):
             kind = [name for name in REFINERS if REFINERS[name].has_parameters].index(found.method)
             yield "parameters", bytes([kind]) + found.parameters
-        number = sorted(GOLDEN.glob("*.twz")).index(path)
-        seeks = struct.pack("<iHBiHB", 0, 300, 0, -200, 400, 2)
-        yield "virtual", bytes([1, number]) + seeks
+        if path in VIRTUAL:
+            yield "virtual", bytes([0, VIRTUAL.index(path)]) + text
+            seeks = struct.pack("<iHBiHB", 0, 300, 0, -200, 400, 2)
+            yield "virtual", bytes([1, VIRTUAL.index(path)]) + seeks
 
 
 def _of_units() -> Iterator[tuple[str, bytes]]:

@@ -331,9 +331,13 @@ def _golden_paths() -> tuple[Path, ...]:
     return tuple(sorted(GOLDEN.glob("*.twz")))
 
 
+# Of two methods, which have all kinds of heights: no other kernels are compiled for the TIFF.
+VIRTUAL = tuple(path for path in _golden_paths() if path.name.startswith(("rapid", "store")))
+
+
 @cache
 def _virtual(number: int) -> tuple[VirtualGeoTIFF, bytes]:
-    file = VirtualGeoTIFF(Terrain(_golden_paths()[number].read_bytes(), threads=1))
+    file = VirtualGeoTIFF(Terrain(VIRTUAL[number].read_bytes(), threads=1))
     return file, file.read_at(0, file.size)
 
 
@@ -341,7 +345,7 @@ def virtual(data: bytes) -> None:
     """Read and seek in a virtual TIFF of a golden file; or make the head of hostile metadata."""
     if len(data) < 2:
         return
-    number = data[1] % len(_golden_paths())
+    number = data[1] % len(VIRTUAL)
     if data[0] == 0:
         _virtual_of_metadata(number, data[2:])
         return
@@ -361,7 +365,7 @@ def virtual(data: bytes) -> None:
 
 
 def _virtual_of_metadata(number: int, text: bytes) -> None:
-    with Terrain(_golden_paths()[number].read_bytes(), threads=1) as terrain:
+    with Terrain(VIRTUAL[number].read_bytes(), threads=1) as terrain:
         known = unpack_metadata(deflate(text, DICTIONARY))
         known = {name: value for name, value in known.items() if value is not None}
         size = {"n_rows": terrain.shape[0], "n_cols": terrain.shape[1], "dtype": terrain.dtype.name}
