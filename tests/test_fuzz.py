@@ -6,8 +6,8 @@ from fuzz import checksums
 from fuzz.targets import TARGETS, call, seeds
 
 pytestmark = [pytest.mark.large, pytest.mark.filterwarnings("ignore")]
-# Their kernels are compiled by other tests, or they have none; the rest is left to `make test-all`.
-QUICK = ["header", "masks", "metadata", "pages", "planner", "remainders", "rounds", "store"]
+# No kernels run in these; the others compile theirs, in `make test-all`.
+QUICK = ["header", "metadata", "pages", "planner", "remainders", "rounds"]
 
 
 @pytest.fixture
