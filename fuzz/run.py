@@ -4,7 +4,7 @@ Targets with kernels run twice, in a process of their own: a fifth of the time w
 Python, which shows the fuzzer their branches, the rest with kernels compiled and bounds checked,
 which is fast. What a run finds worth keeping stays in ``build/fuzz/TARGET``, finds go to
 ``build/fuzz/finds``, and a line for each target and mode to ``benchmarks/results/fuzz.csv``:
-executions, seconds and finds of all runs with the same commit are added up.
+executions, seconds and finds are added to those of the runs before it.
 """
 
 import csv
@@ -68,9 +68,11 @@ def _command(name: str, mode: str, seconds: float) -> list[str]:
     if name == JAVASCRIPT:
         return ["node", "js/testing/fuzz.js", str(seconds), str(time.time_ns() % 2**31),
                 str(WORK / "finds"), str(WORK / "state.json")]  # fmt: skip
-    kept = WORK / name
-    kept.mkdir(parents=True, exist_ok=True)
-    corpus = [kept, ROOT / "fuzz" / "corpus" / name]
+    # Plain Python takes too long for all that is kept of runs that are compiled.
+    python = WORK / f"{name}-python"
+    kept = [python] if mode == "python" else [WORK / name, python]
+    kept[0].mkdir(parents=True, exist_ok=True)
+    corpus = [*kept, ROOT / "fuzz" / "corpus" / name]
     if name == "opening":
         corpus.append(ROOT / "tests" / "golden" / "v1")
     return [

@@ -190,16 +190,15 @@ def tiles(data: bytes) -> None:
     layout = pick(data[0] >> 1, _TILES)
     spec = layout.spec(Block(-1, 0, 0))
     outer = None
-    if data[1] % 4:
+    if data[1] % 4 and layout.grid.k_max:
         # A head above it, as if the tile were not the root.
-        regions = tuple(layout.grid.descendant_region(Block(0, 0, 0), 1) for _ in range(1))
-        if layout.grid.k_max:
-            region = layout.grid.block_region(Block(0, 0, 0))
-            spec = replace(
-                spec, key=Block(0, 0, 0), first=1, last=1, outer=region, regions=regions,
-                n_transforms=1, n_below=0, held=data[1] >> 2 & 15,
-            )  # fmt: skip
-            outer = _outer(data[1] % 4 - 1, region)
+        head = Block(0, 0, 0)
+        region = layout.grid.block_region(head)
+        spec = replace(
+            spec, key=head, first=1, last=1, outer=region, n_transforms=1, n_below=0,
+            regions=(layout.grid.descendant_region(head, 1),), held=data[1] >> 2 & 15,
+        )  # fmt: skip
+        outer = _outer(data[1] % 4 - 1, region)
     levels = cdf53.decode_tile(spec, outer, data[2:], is_prefix=bool(data[0] & 1))
     assert len(levels) == len(spec.regions)
     for level, region in zip(levels, spec.regions):
