@@ -5,7 +5,9 @@ person would fly; the same views once all blocks are here; one view of the same 
 two sizes; and the CPU's part of a frame with a thousand blocks in view. GPU times are the driver's,
 whose name is in the CSV: a software driver's say little about a GPU's. CPU times are of the drawing
 thread, by its own clock; those of paging and selection by the wall clock. A stall is a frame whose
-CPU part takes more than a frame of 60 Hz.
+CPU part takes more than a frame of 60 Hz. A frame misses blocks where coarser ones stand in for
+them; errors on screen are those of what is drawn and could be finer. `benchmarks.flight` flies by
+the clock.
 """
 
 import contextlib
@@ -44,7 +46,7 @@ Row = namedtuple(
     "Row",
     "renderer what size mode block width height max_pixel_error frames median_frame p99_frame "
     "median_cpu p99_cpu median_page median_select median_submit stalls read_mib "
-    "median_triangles median_blocks missing_frames gpu_mib",
+    "median_triangles median_blocks missing_frames median_error_px p99_error_px gpu_mib",
 )  # fmt: skip
 
 
@@ -73,7 +75,7 @@ class Recorder:
         self._n_read = file.n_read
         # Of each frame: milliseconds, CPU, paging, selection, submission; what was drawn.
         self._times: list[tuple[float, ...]] = []
-        self._drawn: list[tuple[int, int, int]] = []
+        self._drawn: list[tuple[float, ...]] = []
 
     def frame(self, camera: Camera, *, draws: bool) -> None:
         """Page, select, submit, and draw if asked to; nothing is waited for."""
@@ -89,23 +91,27 @@ class Recorder:
             offscreen._target.use()
             offscreen.renderer.draw(view, frames, Style())
             offscreen.context.finish()
-        self._note(frames, started, (ended - cpu) * 1e3, parts)
+        self._note(view, frames, started, (ended - cpu) * 1e3, parts)
 
     def picture(self, camera: Camera) -> None:
         """Draw a picture with all that it needs."""
         started = time.perf_counter()
         frames = self._offscreen.draw(camera, Style(), max_pixel_error=self._tau)
         self._offscreen.context.finish()
-        self._note(frames, started, 0.0, (0.0, 0.0, 0.0))
+        view = self._offscreen.scene.view(camera, self._offscreen.viewport, self._tau)
+        self._note(view, frames, started, 0.0, (0.0, 0.0, 0.0))
 
-    def _note(self, frames, started: float, cpu_ms: float, parts_ms: tuple[float, ...]) -> None:
+    def _note(self, view, frames, started: float, cpu_ms: float, parts_ms) -> None:
         self._times.append(((time.perf_counter() - started) * 1e3, cpu_ms, *parts_ms))
-        self._drawn.append((frames.n_triangles, len(frames.nodes), frames.n_missing))
+        error = 0.0
+        if not self._offscreen.scene.mode.is_partwise:
+            error = self._offscreen.scene.drawn_error(view, frames)
+        self._drawn.append((frames.n_triangles, len(frames.nodes), frames.n_missing, error))
 
     def row(self, what: str, size: int) -> Row:
         """Return the line of the CSV."""
         offscreen, viewport = self._offscreen, self._offscreen.viewport
-        triangles, blocks, missing = np.array(self._drawn).T
+        triangles, blocks, missing, errors = np.array(self._drawn).T
         frame_ms, cpu_ms, *parts_ms = np.array(self._times).T
         times = [np.quantile(ms, share) for ms in (frame_ms, cpu_ms) for share in (0.5, 0.99)]
         times += [np.median(ms) for ms in parts_ms]
@@ -115,6 +121,7 @@ class Recorder:
             len(self._drawn), *(round(float(ms), 3) for ms in times),
             int((cpu_ms > STALL_MS).sum()), round((self._file.n_read - self._n_read) / 2**20, 2),
             float(np.median(triangles)), float(np.median(blocks)), int((missing > 0).sum()),
+            *(round(float(np.quantile(errors, share)), 2) for share in (0.5, 0.99)),
             round(offscreen.n_bytes / 2**20, 1),
         )  # fmt: skip
 

@@ -118,24 +118,27 @@ def in_picture(camera, points):
     return pixels[:, :2], seen
 
 
-@given(seed=st.integers(0, 1 << 16), pitch=st.sampled_from([-90, -60, -20, 0]))
-def test_a_vertical_step_in_a_box_is_never_longer_on_screen_than_its_error(seed, pitch):
-    rng = np.random.default_rng(seed)
-    camera = Camera((0.0, 0.0, 0.0), rng.uniform(0, 360), pitch, rng.uniform(20, 110))
-    size = 10 ** rng.uniform(0, 2.6)
-    low = camera.forward * rng.uniform(0, 300) + rng.uniform(-1, 0.5, 3) * size
-    high = low + rng.uniform(0, 1, 3) * size
-    p, q = rng.uniform(low, high, (2, 400, 3))
-    q[:, :2] = p[:, :2]
-    p[0], q[0] = (*low[:2], high[2]), low  # steps as high as the box, in its corner
-    (at, seen), (to, also) = in_picture(camera, p), in_picture(camera, q)
-    steps, apart = abs(q - p)[:, 2], np.linalg.norm(to - at, axis=1)
-    nearest = np.linalg.norm(np.clip(0, low, high))
-    for is_oriented, is_exact in ((False, True), (True, False), (True, True)):
-        view = View(camera, VIEWPORT, is_oriented=is_oriented, is_exact=is_exact)
-        (scale,) = view.scales(low[None], high[None])
-        assert (apart <= scale * steps * (1 + 1e-9) + 1e-9)[seen & also].all()
-        assert nearest == 0 or scale <= view.gamma / nearest * (1 + 1e-9)
+@pytest.mark.parametrize("pitch", [-90, -60, -20, 0])
+def test_a_vertical_step_in_a_box_is_never_longer_on_screen_than_its_error(pitch):
+    rng = np.random.default_rng(90 + pitch)
+    largest = 0.0
+    for _ in range(150):
+        camera = Camera((0.0, 0.0, 0.0), rng.uniform(0, 360), pitch, rng.uniform(20, 110))
+        low = camera.forward * rng.uniform(0, 500) - rng.uniform(0, 200, 3)
+        high = low + rng.uniform(0, 400, 3) * rng.choice([0.1, 1.0])
+        p, q = rng.uniform(low, high, (2, 100, 3))
+        q[:, :2] = p[:, :2]
+        p[0], q[0] = (*low[:2], high[2]), low  # steps as high as the box, in its corner
+        (at, seen), (to, also) = in_picture(camera, p), in_picture(camera, q)
+        pixels = (np.linalg.norm(to - at, axis=1) / abs(q - p)[:, 2])[seen & also].max(initial=0)
+        nearest = np.linalg.norm(np.clip(0, low, high))
+        for is_oriented, is_exact in ((False, True), (True, False), (True, True)):
+            view = View(camera, VIEWPORT, is_oriented=is_oriented, is_exact=is_exact)
+            (scale,) = view.scales(low[None], high[None])
+            assert pixels <= scale * (1 + 1e-9)
+            assert nearest == 0 or scale <= view.gamma / nearest * (1 + 1e-9)
+        largest = max(largest, pixels / scale)
+    assert largest > 0.98  # the last of them is hardly more than it has to be
 
 
 def test_oriented_errors_are_those_of_the_formula():

@@ -99,7 +99,7 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
                      " a frame."),
         click.option("--orientation", is_flag=True,
                      help="Modes adaptive, batched and loose draw fewer triangles where the ground"
-                     " is looked down at: errors are vertical."),
+                     " is looked down at: errors are vertical. Light is coarser there, too."),
         click.option("--mode", type=click.Choice(MODES), default="adaptive", show_default=True,
                      help="Meshes of blocks, regular blocks, a mesh made anew each frame, or all."),
         click.option("--camera", help="x,y,z,heading,pitch,fov: place in the file's coordinates,"

@@ -80,6 +80,8 @@ def oriented_distance(eye, low_x, low_y, low_z, high_x, high_y, high_z):
 # What `View.lens` holds: pixels per unit of tangent, the largest (distance / depth)² in view, the
 # largest K² there (see `pixels_per_metre`), the view's direction.
 LENS_SCALE, LENS_SLANT, LENS_STEP, LENS_X, LENS_Y, LENS_Z = range(6)
+# Pixels per metre that count as none.
+LEAST_SCALE = 1e-12
 
 
 @kernel
@@ -280,6 +282,52 @@ def wanted_nodes(
                 out_nodes[n_out] = child
                 n_out += 1
     return n_out
+
+
+@kernel
+def bounded_errors(
+    nodes,
+    low,
+    high,
+    errors,
+    morphs,
+    parents,
+    z_scale,
+    eye,
+    lens,
+    is_oriented,
+    start,
+    end,
+    out,
+):
+    """Fill `out`, float64 (n, 3), with share of the parent's surface, error drawn, error allowed.
+
+    Metres, with exaggeration. The share is 0 where the parent's error on screen is `end` pixels, 1
+    where it is `start`, and no more than leaves the error drawn, a block's own and share ·
+    distance to the parent's surface, within `end`; that surface may lie outside of the box.
+    """
+    for k in range(nodes.shape[0]):
+        node = nodes[k]
+        own, spread = errors[node] * z_scale, morphs[node] * z_scale
+        scale = pixels_per_metre(
+            eye,
+            low[node, 0],
+            low[node, 1],
+            low[node, 2] * z_scale - spread,
+            high[node, 0],
+            high[node, 1],
+            high[node, 2] * z_scale + spread,
+            lens,
+            is_oriented,
+        )
+        allowed = end / max(scale, LEAST_SCALE)
+        share, parent = 0.0, parents[node]
+        if parent >= 0 and end > start:
+            above = _screen_error(parent, low, high, errors, z_scale, eye, lens, is_oriented)
+            share = min(max((end - above) / (end - start), 0.0), 1.0)
+            if spread > 0:
+                share = min(share, max(allowed - own, 0.0) / spread)
+        out[k, 0], out[k, 1], out[k, 2] = share, own + share * spread, allowed
 
 
 @kernel

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 DEFAULT_MAX_BYTES = 1 << 30
 # Pieces that one frame takes, and seconds of processor time.
-_UPLOADS_PER_FRAME, _UPLOAD_S = 6, 0.0006
+_UPLOADS_PER_FRAME, _UPLOAD_S = 6, 0.0005
 _READY_PER_WORKER = 4
 # Depth planes where all is drawn in parts: one for all of them.
 _NEAREST_PART = 0.0
@@ -278,7 +278,7 @@ class Scene:
             self._looks = {k: nodes for k, nodes in self._looks.items() if k < n_looks}
             self._looks[0] = self.table.coarse_nodes(self.store.max_blocks // _COARSE_SHARE)
             self._looks[_FRAMES_PER_LOOK] = self.mode.spare(self.table, view, self.store.max_blocks)
-        elif turn <= len(self._cameras):
+        elif turn <= len(self._cameras) and not self._is_short:
             self._looks[turn] = self._wanted(view, tau, self._cameras[turn - 1])
         looked = np.concatenate([nodes for _, nodes in sorted(self._looks.items())])
         is_wanted = np.zeros(len(self.table), dtype=np.bool_)

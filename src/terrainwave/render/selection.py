@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 from terrainwave.grid.quadtree import Block
 from terrainwave.render.camera import Camera, Viewport, focal_length, gamma_guaranteed, slant
 from terrainwave.render.frustum import frustum_planes
-from terrainwave.render.kernels import node_scales, priorities, select_nodes, wanted_nodes
+from terrainwave.render.kernels import (
+    bounded_errors,
+    node_scales,
+    priorities,
+    select_nodes,
+    wanted_nodes,
+)
 
 _FIRST_CAPACITY = 256
 
@@ -235,6 +241,22 @@ class NodeTable:
         eye, z_scale = view.camera.eye, view.exaggeration
         node_scales(nodes, self.low, self.high, z_scale, eye, view.lens, view.is_oriented, scales)
         return scales
+
+    def bounded_errors(
+        self, view: View, nodes: NDArray[np.int32], start: float, end: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return shares of parents' surfaces, errors drawn and errors within `end` pixels, metres.
+
+        1 where the parent would just be drawn (its error at `start`), 0 where that error reaches
+        `end`; and no more than leaves error + share · distance to the parent within it, which keeps
+        the promise exactly: between vertices both surfaces are linear.
+        """
+        out = np.empty((len(nodes), 3))
+        bounded_errors(
+            nodes, self.low, self.high, self.errors, self.morphs, self.parents, view.exaggeration,
+            view.camera.eye, view.lens, view.is_oriented, start, end, out,
+        )  # fmt: skip
+        return out[:, 0], out[:, 1], out[:, 2]
 
     def select(self, view: View, tau: float | None = None) -> Selection:
         """Return the resident blocks that show the view within τ where they are here.

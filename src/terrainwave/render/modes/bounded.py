@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
 # A block is drawn a little before its parent's error reaches τ, and moves from there to its place.
 MORPH_START = 1.25
-# Pixels per metre that count as none.
-_LEAST_SCALE = 1e-12
 
 
 class BoundedMode(Mode):
@@ -60,16 +58,10 @@ class BoundedMode(Mode):
         order = np.argsort(selection.distances, kind="stable")
         nodes, distances = selection.nodes[order], selection.distances[order]
         tau = max(tau, 0.0)
-        low, high = table.boxes(nodes, view.exaggeration)
-        # A morph leads out of the box, by as much as the parent's surface is away.
-        spread = np.zeros((len(nodes), 3))
-        spread[:, 2] = table.morphs[nodes] * view.exaggeration
-        scales = np.maximum(view.scales(low - spread, high + spread), _LEAST_SCALE)
-        allowed = tau * MORPH_START / scales  # metres of error within τ
-        morphs = self._morphs(table, view, nodes, allowed, tau)
-        drawn = (table.errors[nodes] + morphs * table.morphs[nodes]) * view.exaggeration
+        morphs, drawn, allowed = table.bounded_errors(view, nodes, tau, tau * MORPH_START)
         # A neighbour's error: within τ at the furthest point that it may share with this block,
         # or one that stands in for others.
+        low, high = table.boxes(nodes, view.exaggeration)
         beside = tau * MORPH_START * _furthest(view, low, high) / view.least_gamma
         too_coarse = drawn[drawn > allowed]
         beside = np.maximum(beside, too_coarse.max(initial=0.0))
@@ -78,34 +70,6 @@ class BoundedMode(Mode):
             nodes, distances, morphs, drawn + beside,
             selection.n_triangles, tau * MORPH_START, n_missing,
         )  # fmt: skip
-
-    def _morphs(
-        self,
-        table: NodeTable,
-        view: View,
-        nodes: NDArray[np.int32],
-        allowed: NDArray[np.float64],
-        tau: float,
-    ) -> NDArray[np.float64]:
-        """Return each block's share of its parent's surface.
-
-        1 where the parent would just be drawn (its error at τ / MORPH_START), 0 where that error
-        reaches τ; and no more than leaves error + share · distance to the parent within τ, which
-        keeps the promise exactly: between vertices both surfaces are linear.
-        """
-        if tau <= 0:
-            return np.zeros(len(nodes))
-        z_scale = view.exaggeration
-        parents = table.parents[nodes]
-        has_parent = parents >= 0
-        above = np.where(has_parent, parents, 0)
-        screen = table.errors[above] * z_scale * np.minimum(table.scales(view, above), 1e12)
-        start, end = tau, tau * MORPH_START
-        shares = np.clip((end - screen) / (end - start), 0.0, 1.0)
-        spread = table.morphs[nodes] * z_scale
-        errors = table.errors[nodes] * z_scale
-        budget = np.clip((allowed - errors) / np.maximum(spread, 1e-12), 0.0, 1.0)
-        return np.where(has_parent, np.minimum(shares, budget), 0.0)
 
 
 def _furthest(
