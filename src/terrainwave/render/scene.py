@@ -25,7 +25,6 @@ from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Piece,
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
-DEFAULT_MAX_BYTES = 1 << 30
 # Pieces that one frame takes, and seconds of processor time.
 _UPLOADS_PER_FRAME, _UPLOAD_S = 6, 0.0005
 _READY_PER_WORKER = 4
