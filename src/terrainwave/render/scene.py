@@ -247,8 +247,8 @@ class Scene:
         """
         table, nodes = self.table, frames.nodes
         is_finest = table.is_known[nodes] & (table.children[nodes] < 0).all(axis=1)
-        errors = (table.errors[nodes] + frames.morphs * table.morphs[nodes]) * view.exaggeration
-        on_screen = errors * np.minimum(table.scales(view, nodes), 1e12)
+        errors = table.errors[nodes] + frames.morphs * table.morphs[nodes]
+        on_screen = table.on_screen(view, nodes, errors)
         diagonal = math.hypot(view.viewport.width, view.viewport.height)
         return min(float(on_screen[~is_finest].max(initial=0.0)), diagonal)
 
@@ -303,7 +303,7 @@ class Scene:
         table = self.table
         parents = table.parents[nodes]
         above = np.maximum(parents, 0)
-        errors = np.where(parents < 0, np.inf, table.errors[above] * table.scales(view, above))
+        errors = np.where(parents < 0, np.inf, table.on_screen(view, above))
         return nodes[np.argsort(-errors, kind="stable")]
 
     def _request(self, nodes: NDArray[np.int32]) -> None:

@@ -437,7 +437,7 @@ class FrontMode(Mode):
         self.shown = [self._patch(table, node) for node in nodes.tolist()]
         tau *= self._shortage
         eye, wanted = eye_of(view), tau / _LEVEL_SHARE
-        on_screen = table.errors[nodes] * view.exaggeration * table.scales(view, nodes)
+        on_screen = table.on_screen(view, nodes)
         is_finest = np.array([patch.piece.level == self.n_levels - 1 for patch in self.shown])
         relaxed = np.where(is_finest, 1.0, np.maximum(on_screen / tau, 1.0))
         within = self._follow_all(eye, wanted, np.minimum(relaxed, _MOST_RELAXED))
