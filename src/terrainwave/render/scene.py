@@ -40,6 +40,7 @@ _FRAMES_PER_LOOK = 5
 _COARSE_SHARE = 32
 # Pieces that are asked for at a time.
 _MOST_ASKED = 64
+_NO_ROOM = "a block does not fit the memory allowed for pictures"
 
 
 class Store(Protocol):
@@ -355,6 +356,8 @@ class Scene:
         table.add_children(node, built.children)
         need = int(needs[node]) if node < len(needs) else _NOT
         if not self.store.put(node, built) and not self._make_room(view, node, built, needs, need):
+            if not table.is_resident.any():
+                raise LimitExceededError(_NO_ROOM)
             if need == _WANTED:
                 self._memory_factor *= _PRESSURE  # all that is here is needed: need less
             return
@@ -410,7 +413,7 @@ class Scene:
                 self.mode.keep(self.table.pieces[node], built)
                 batch.append(node)
             if not batch:
-                raise LimitExceededError("a block does not fit the memory allowed for pictures")
+                raise LimitExceededError(_NO_ROOM)
             selection = Selection(
                 np.array(batch, dtype=np.int32),
                 np.full(len(batch), _NEAREST_PART),
