@@ -59,7 +59,7 @@ def test_a_view_is_fetched_on_all_levels_at_once_but_for_what_is_here():
     heights = np.round(hills(150, 210, 1)).astype(np.int16)
     with (
         terrain_of(heights, max_error=0, block=32) as terrain,
-        Scene(terrain, ListStore()) as scene,
+        Scene(terrain, ListStore(), exaggeration=4.0) as scene,
     ):
         view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 2.0)
         scene.settle(view)
