@@ -8,6 +8,7 @@ from terrainwave.errors import InvalidArgumentError
 from terrainwave.render.camera import top_view
 from terrainwave.render.colorings import MEANINGS, RAMP_NAMES
 from terrainwave.render.frame import Frame, frame_of
+from terrainwave.render.kernels import fill_texels
 from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.ramps import (
     N_LATITUDES,
@@ -18,7 +19,7 @@ from terrainwave.render.ramps import (
     slope_palette,
     snow_line,
 )
-from terrainwave.render.scales import HeightTexels, with_ring
+from terrainwave.render.scales import HeightScale, HeightTexels
 from terrainwave.render.style import COLORINGS, Style
 
 MOON_RADIUS = 1_737_400.0
@@ -130,31 +131,32 @@ def test_auto_is_absolute_on_the_earth_and_relative_elsewhere():
     assert tuple(RAMPS) == RAMP_NAMES
 
 
+def stored_heights(texels, quanta, mask):
+    """Return what textures hold of heights in quarters of a metre, float64."""
+    out = np.empty((quanta.shape[0], 3 * quanta.shape[1]), dtype=np.uint16)
+    colors_of = texels.terms(HeightScale(0.25, 0.0))
+    fill_texels(quanta, mask, 0, 0, *quanta.shape, np.zeros(5), colors_of, out)
+    return out.view(np.float16)[:, 2::3].astype(float)
+
+
 @pytest.mark.parametrize("heights", [(-9000.0, 9000.0), (4000.0, 4010.0), (-5e6, 5e6)])
 def test_heights_in_textures_are_near_enough_to_colour_by(heights):
     frame = Frame((0, 0), (1, 1, 1), (1, 0, 0, 0, -1, 0), (9, 9), heights)
     texels = HeightTexels.of(frame)
-    metres = np.linspace(*heights, 64).reshape(8, 8)
-    metres[4, 4] = texels.reference + 0.25
-    valid = np.ones((8, 8), dtype=bool)
-    slopes = np.zeros((6, 6, 2), dtype=np.float16)
-    stored = texels.beside(slopes, metres, valid)[..., 2].astype(float)
-    apart = np.abs(stored * texels.scale + texels.reference - metres[1:-1, 1:-1])
+    quanta = np.round(4 * np.linspace(*heights, 64)).astype(np.int32).reshape(8, 8)
+    quanta[4, 4] = round(4 * texels.reference) + 1
+    stored = stored_heights(texels, quanta, np.ones((8, 8), dtype=bool))
+    apart = np.abs(stored * texels.scale + texels.reference - quanta / 4)
     assert apart.max() <= (heights[1] - heights[0]) / 2000
-    assert apart[3, 3] <= 0.001 * texels.scale
+    assert apart[4, 4] <= 0.001 * texels.scale
 
 
 def test_voids_take_the_colour_of_what_is_around():
     frame = Frame((0, 0), (1, 1, 1), (1, 0, 0, 0, -1, 0), (5, 5), (100.0, 200.0))
-    heights, valid = np.full((5, 5), 150.0), np.ones((5, 5), dtype=bool)
-    heights[2, 2], valid[2, 2] = -32768, False
-    found = HeightTexels.of(frame).beside(np.zeros((3, 3, 2), dtype=np.float16), heights, valid)[
-        ..., 2
-    ]
-    np.testing.assert_array_equal(found, 50.0)
-    part = with_ring(np.arange(12).reshape(3, 4), (slice(0, 2), slice(1, 4)))
-    np.testing.assert_array_equal(part[0], [0, 1, 2, 3, 3])
-    np.testing.assert_array_equal(part[-1], [8, 9, 10, 11, 11])
+    quanta, valid = np.full((5, 5), 600, dtype=np.int32), np.ones((5, 5), dtype=bool)
+    for place in ((2, 2), (0, 0)):
+        quanta[place], valid[place] = -32768, False
+    np.testing.assert_array_equal(stored_heights(HeightTexels.of(frame), quanta, valid), 50.0)
 
 
 @pytest.mark.gl

@@ -93,11 +93,13 @@ def test_a_scene_comes_through_an_interruption_without_its_roots_and_never_waits
 
 def _draw_until(scene, view, is_done):
     """Update a scene until it is so, and return what is to be said of problems."""
-    end = time.monotonic() + 60
+    end, n_slow = time.monotonic() + 60, 0
     while time.monotonic() < end:
         started = time.perf_counter()
         frames = scene.update(view)
-        assert time.perf_counter() - started < 0.15  # less than a request takes
+        # Less than a request takes; a busy machine may be slow once or twice.
+        n_slow += time.perf_counter() - started > 0.15
+        assert n_slow <= 2
         if is_done(frames) and (scene.table.is_resident.any() or scene.problems.lines()):
             return next(iter(scene.problems.lines()), None)
         scene._pager.wait(0.05)

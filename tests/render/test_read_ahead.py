@@ -59,16 +59,17 @@ def test_a_view_is_fetched_on_all_levels_at_once_but_for_what_is_here():
     heights = np.round(hills(150, 210, 1)).astype(np.int16)
     with (
         terrain_of(heights, max_error=0, block=32) as terrain,
-        Scene(terrain, ListStore()) as scene,
+        Scene(terrain, ListStore(), exaggeration=4.0) as scene,
     ):
         view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 2.0)
         scene.settle(view)
-        drawn = {scene.table.pieces[node] for node in scene.store.patches}
-        for here in (set(), drawn):
+        nodes = scene._wanted(view, scene._split_error(view))
+        wanted = {scene.table.pieces[node] for node in nodes.tolist()}
+        for here in (set(), wanted):
             fetched = fetched_for(scene, view, here)
             assert fetched & here == set()
-            assert fetched | here == drawn
-        assert len({piece.level for piece in drawn}) > 1
+            assert fetched | here == wanted
+        assert len({piece.level for piece in wanted}) > 1
 
 
 def fetched_for(scene, view, here):

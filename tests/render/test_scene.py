@@ -13,7 +13,7 @@ from render.scenes import (
     terrain_of,
 )
 
-from terrainwave.errors import CorruptStreamError
+from terrainwave.errors import CorruptStreamError, LimitExceededError
 from terrainwave.mesh.sections import mesher_of
 from terrainwave.render.camera import Camera, Viewport, fly, home, look, project
 from terrainwave.render.motion import AHEAD, Motion
@@ -244,6 +244,15 @@ def test_a_full_store_raises_tau_rather_than_wait_for_ever():
         view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 0.5)
         frames = scene.settle(view, timeout=60)
         assert frames.tau > 0.5
+
+
+def test_a_store_that_holds_no_block_at_all_is_an_error_rather_than_a_wait_for_ever():
+    store = ListStore()
+    store.put = lambda node, patch: False
+    with terrain_of(np.zeros((9, 9), np.int16), max_error=0) as terrain:
+        with Scene(terrain, store) as scene:
+            with pytest.raises(LimitExceededError, match="does not fit"):
+                scene.settle(scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT))
 
 
 def test_what_the_camera_flies_to_is_read_ahead():

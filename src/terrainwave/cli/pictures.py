@@ -15,6 +15,7 @@ from terrainwave.cli.commands import main
 from terrainwave.cli.options import Input, Numbers, Target
 from terrainwave.cli.output import Bar, announce_compiling, plain, print_note, reading
 from terrainwave.cli.streams import STREAM, printing_beside, written
+from terrainwave.render import DEFAULT_MAX_BYTES
 from terrainwave.render.colorings import AUTO, MEANINGS, RAMP_NAMES
 from terrainwave.render.modes import MODES
 
@@ -65,8 +66,8 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
     for option in (
         click.option("--threads", "n_workers", type=click.IntRange(1, 64), default=2,
                      show_default=True, help="Threads that read and decode."),
-        click.option("--memory", type=click.IntRange(min=64), default=512, show_default=True,
-                     help="Memory on the GPU, MiB."),
+        click.option("--memory", type=click.IntRange(min=64), default=DEFAULT_MAX_BYTES >> 20,
+                     show_default=True, help="Memory on the GPU, MiB."),
         click.option("--background", type=Color(), help="One colour instead of the sky."),
         click.option("--wireframe", is_flag=True, help="Draw edges only."),
         click.option("--haze", type=click.FloatRange(0, 1), default=0.25, show_default=True),

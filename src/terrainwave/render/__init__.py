@@ -3,3 +3,6 @@
 `camera`, `frustum`, `selection`, `patches`, `paging` and `scene` need no GPU; moderngl is imported
 by `renderer`, `mesh_buffers`, `offscreen` and `viewer` only.
 """
+
+# Of memory on the GPU, where nothing else is asked for.
+DEFAULT_MAX_BYTES = 1 << 30

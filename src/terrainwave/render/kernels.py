@@ -343,42 +343,6 @@ def priorities(nodes, low, high, z_scale, eye, forward, out):
 
 
 @kernel
-def slopes(heights, mask, first_row, first_col, out):
-    """Fill `out`, float32 (n_rows, n_cols, 2), with differences per column and per row.
-
-    Central where both neighbours are valid, one-sided where one is, else 0. `out` covers the
-    samples of `heights` from (first_row, first_col); its rest around them is the apron.
-    """
-    n_rows, n_cols = heights.shape
-    for r in range(out.shape[0]):
-        for c in range(out.shape[1]):
-            row, col = first_row + r, first_col + c
-            out[r, c, 0] = 0.0
-            out[r, c, 1] = 0.0
-            if not mask[row, col]:
-                continue
-            here = float(heights[row, col])
-            low, high, n = here, here, 0
-            if col > 0 and mask[row, col - 1]:
-                low = float(heights[row, col - 1])
-                n += 1
-            if col + 1 < n_cols and mask[row, col + 1]:
-                high = float(heights[row, col + 1])
-                n += 1
-            if n > 0:
-                out[r, c, 0] = (high - low) / n
-            low, high, n = here, here, 0
-            if row > 0 and mask[row - 1, col]:
-                low = float(heights[row - 1, col])
-                n += 1
-            if row + 1 < n_rows and mask[row + 1, col]:
-                high = float(heights[row + 1, col])
-                n += 1
-            if n > 0:
-                out[r, c, 1] = (high - low) / n
-
-
-@kernel
 def surface_at(rows, cols, heights, triangles, factor, first_row, first_col, numbers, out):
     """Fill `out`, float64, with a mesh's heights at points of a grid; others stay as they are.
 

@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 
 from terrainwave.errors import TerrainwaveError
 from terrainwave.extras import need
+from terrainwave.render import DEFAULT_MAX_BYTES
 from terrainwave.render.camera import Camera, Viewport, focal_length, ray
 from terrainwave.render.drape_detail import DETAIL_SIDE
 from terrainwave.render.modes import mode_class
 from terrainwave.render.modes.mode import Frames
-from terrainwave.render.scene import DEFAULT_MAX_BYTES, Scene
+from terrainwave.render.scene import Scene
 from terrainwave.render.selection import View
 from terrainwave.render.shaders import SOLID_ALPHA
 from terrainwave.render.solid import build_solid

@@ -85,8 +85,8 @@ class Descent:
         table, mode = self._table, self._mode
         while True:
             nodes = mode.wanted(table, wish.view, wish.tau, _MOST_PIECES, wish.view.camera)
-            errors = table.errors[nodes] * table.scales(wish.view, nodes)
-            new = nodes[~table.is_known[nodes] & (errors > wish.tau)]
+            is_split = table.on_screen(wish.view, nodes) > wish.tau
+            new = nodes[~table.is_known[nodes] & is_split]
             if not len(new) or self._is_stale:
                 break
             for node in new.tolist():

@@ -25,7 +25,6 @@ from terrainwave.render.selection import Built, ErrorGovernor, NodeTable, Piece,
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
 
-DEFAULT_MAX_BYTES = 1 << 30
 # Pieces that one frame takes, and seconds of processor time.
 _UPLOADS_PER_FRAME, _UPLOAD_S = 6, 0.0005
 _READY_PER_WORKER = 4
@@ -41,6 +40,7 @@ _FRAMES_PER_LOOK = 5
 _COARSE_SHARE = 32
 # Pieces that are asked for at a time.
 _MOST_ASKED = 64
+_NO_ROOM = "a block does not fit the memory allowed for pictures"
 
 
 class Store(Protocol):
@@ -248,8 +248,8 @@ class Scene:
         """
         table, nodes = self.table, frames.nodes
         is_finest = table.is_known[nodes] & (table.children[nodes] < 0).all(axis=1)
-        errors = (table.errors[nodes] + frames.morphs * table.morphs[nodes]) * view.exaggeration
-        on_screen = errors * np.minimum(table.scales(view, nodes), 1e12)
+        errors = table.errors[nodes] + frames.morphs * table.morphs[nodes]
+        on_screen = table.on_screen(view, nodes, errors)
         diagonal = math.hypot(view.viewport.width, view.viewport.height)
         return min(float(on_screen[~is_finest].max(initial=0.0)), diagonal)
 
@@ -304,7 +304,7 @@ class Scene:
         table = self.table
         parents = table.parents[nodes]
         above = np.maximum(parents, 0)
-        errors = np.where(parents < 0, np.inf, table.errors[above] * table.scales(view, above))
+        errors = np.where(parents < 0, np.inf, table.on_screen(view, above))
         return nodes[np.argsort(-errors, kind="stable")]
 
     def _request(self, nodes: NDArray[np.int32]) -> None:
@@ -356,6 +356,8 @@ class Scene:
         table.add_children(node, built.children)
         need = int(needs[node]) if node < len(needs) else _NOT
         if not self.store.put(node, built) and not self._make_room(view, node, built, needs, need):
+            if not table.is_resident.any():
+                raise LimitExceededError(_NO_ROOM)
             if need == _WANTED:
                 self._memory_factor *= _PRESSURE  # all that is here is needed: need less
             return
@@ -411,7 +413,7 @@ class Scene:
                 self.mode.keep(self.table.pieces[node], built)
                 batch.append(node)
             if not batch:
-                raise LimitExceededError("a block does not fit the memory allowed for pictures")
+                raise LimitExceededError(_NO_ROOM)
             selection = Selection(
                 np.array(batch, dtype=np.int32),
                 np.full(len(batch), _NEAREST_PART),

@@ -25,6 +25,7 @@ from terrainwave.render.kernels import (
 )
 
 _FIRST_CAPACITY = 256
+_MOST_SCALE = 1e12  # pixels per metre, where the eye is in a box
 
 
 class Piece(NamedTuple):
@@ -241,6 +242,16 @@ class NodeTable:
         eye, z_scale = view.camera.eye, view.exaggeration
         node_scales(nodes, self.low, self.high, z_scale, eye, view.lens, view.is_oriented, scales)
         return scales
+
+    def on_screen(
+        self, view: View, nodes: NDArray[np.int32], errors: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
+        """Return bounds on screen, pixels, of errors in metres: by default those of the nodes.
+
+        Finite, and 0 of errors of 0, also where the eye is in a node's box.
+        """
+        errors = self.errors[nodes] if errors is None else errors
+        return errors * view.exaggeration * np.minimum(self.scales(view, nodes), _MOST_SCALE)
 
     def bounded_errors(
         self, view: View, nodes: NDArray[np.int32], start: float, end: float

@@ -9,6 +9,7 @@ import numpy as np
 
 from terrainwave.errors import TerrainwaveError
 from terrainwave.extras import need
+from terrainwave.render import DEFAULT_MAX_BYTES
 from terrainwave.render.background import Background, Outcome
 from terrainwave.render.controls import HELP, Controls
 from terrainwave.render.drape_detail import DrapeDetail
@@ -17,7 +18,6 @@ from terrainwave.render.modes.mode import Frames
 from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.pictures import choose_camera
 from terrainwave.render.problems import replies_of
-from terrainwave.render.scene import DEFAULT_MAX_BYTES
 from terrainwave.render.session import Session
 from terrainwave.render.solid import build_solid
 

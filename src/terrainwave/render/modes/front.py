@@ -24,7 +24,7 @@ from terrainwave.progress import ProgressCallback
 from terrainwave.read.decoder import units_of
 from terrainwave.render.camera import Camera, focal_length, slant
 from terrainwave.render.frame import Frame
-from terrainwave.render.kernels import slopes
+from terrainwave.render.kernels import fill_texels
 from terrainwave.render.modes.mode import Frames, Mode
 from terrainwave.render.patches import Cancelled
 from terrainwave.render.scales import (
@@ -32,7 +32,6 @@ from terrainwave.render.scales import (
     HeightScale,
     HeightTexels,
     SlopeScale,
-    with_ring,
 )
 from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
 from terrainwave.tri.budget import Pressure
@@ -371,17 +370,14 @@ class FrontMode(Mode):
         wide = wide.intersect(whole)
         terrain.decoder.prefetch(units_of(terrain.grid, level, wide))
         quanta, mask = terrain.decoder.window(level, wide)
-        in_quanta = np.empty((region.n_rows, region.n_cols, 2), dtype=np.float32)
-        slopes(quanta, mask, region.row - wide.row, region.col - wide.col, in_quanta)
-        per_sample = in_quanta * (self._scale.per_quantum / terrain.grid.stride(level))
         here = region.slices_in(wide)
         heights = np.where(mask[here], self._scale.metres(quanta[here]), np.nan)
-        texels = self._height_texels.beside(
-            self._slope_scale.texels(per_sample),
-            self._scale.metres(with_ring(quanta, here)),
-            with_ring(mask, here),
-        )
-        return Samples(region, heights, texels)
+        texels = np.empty((region.n_rows, 3 * region.n_cols), dtype=np.uint16)
+        first = region.row - wide.row, region.col - wide.col
+        slopes_of = self._slope_scale.terms(self._scale.per_quantum / terrain.grid.stride(level))
+        colors_of = self._height_texels.terms(self._scale)
+        fill_texels(quanta, mask, *first, *region.shape, slopes_of, colors_of, texels)
+        return Samples(region, heights, texels.view(np.float16).reshape(*region.shape, 3))
 
     # As pieces come and go
 
@@ -441,7 +437,7 @@ class FrontMode(Mode):
         self.shown = [self._patch(table, node) for node in nodes.tolist()]
         tau *= self._shortage
         eye, wanted = eye_of(view), tau / _LEVEL_SHARE
-        on_screen = table.errors[nodes] * view.exaggeration * table.scales(view, nodes)
+        on_screen = table.on_screen(view, nodes)
         is_finest = np.array([patch.piece.level == self.n_levels - 1 for patch in self.shown])
         relaxed = np.where(is_finest, 1.0, np.maximum(on_screen / tau, 1.0))
         within = self._follow_all(eye, wanted, np.minimum(relaxed, _MOST_RELAXED))
