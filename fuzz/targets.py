@@ -61,6 +61,7 @@ def pick(number: int, choices):
 
 def opening(data: bytes) -> None:
     """Open, read a window of each of few levels, ask for all a file says, mesh a block."""
+    data = data[:16] + len(data).to_bytes(8, "little") + data[24:]  # its header's file size
     with Terrain(data, threads=1, cache_bytes=1 << 22) as terrain:
         repr(terrain)
         json.dumps(terrain.info().to_dict())
