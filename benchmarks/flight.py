@@ -80,6 +80,10 @@ class _Nothing:
         return lambda *_, **__: None
 
 
+class _Buffer(_Nothing):
+    size = 1 << 62
+
+
 class NoGpu(_Nothing):
     """A context of OpenGL that accepts all and draws nothing."""
 
@@ -88,7 +92,11 @@ class NoGpu(_Nothing):
     def _make(self, *_: Any, **__: Any) -> _Nothing:
         return _Nothing()
 
-    buffer = texture = texture_array = program = vertex_array = _make
+    def buffer(self, *_: Any, **__: Any) -> _Buffer:
+        """Return a buffer that is always large enough."""
+        return _Buffer()
+
+    texture = texture_array = program = vertex_array = _make
 
 
 class Ground:

@@ -21,11 +21,10 @@ from numba.core import event
 import terrainwave.terrain
 from terrainwave.codec import example
 from terrainwave.grid.quadtree import Region
-from terrainwave.render.modes import neville, regular
+from terrainwave.render.modes import regular
 
 with event.install_recorder("numba:compile") as recorder:
-    neville.filter_rows(np.zeros((4, 4), np.float32), 1.0, 0.0, np.zeros((1, 1), np.float32))
-    regular.fill_vertices(np.zeros((3, 3), np.float32), np.zeros((3, 3), np.float32))
+    regular.half_place(np.zeros((3, 3)), 2, 2)
     results = example.scaled(3), example.first_of(example.pair())
 functions = [e.data["dispatcher"].py_func for _, e in recorder.buffer]
 names = {f.__name__ for f in functions if f.__module__.startswith("terrainwave")}
@@ -119,7 +118,7 @@ def copied(tmp_path_factory):
     (package / "coding" / "example_part.py").write_text(PART)
     (package / "coding" / "example_pair.py").write_text(PAIR)
     (package / "codec" / "example.py").write_text(EXAMPLE)
-    assert used(package) == (["fill_vertices", "filter_rows", "first_of", "scaled"], (6, 10))
+    assert used(package) == (["first_of", "half_place", "scaled"], (6, 10))
     return package
 
 
@@ -161,9 +160,9 @@ def test_a_part_is_compiled_with_its_kernels_and_again_when_its_text_changes(cop
     assert scaled < 0
 
 
-def test_kernels_of_the_viewer_follow_what_they_import(copied):
-    edit(copied / "raster_io" / "temporary.py", '"""', '"""Edited. ')
-    assert used(copied)[0] == ["filter_rows"]
+def test_kernels_of_the_viewer_follow_their_own_text(copied):
+    edit(copied / "render" / "modes" / "regular.py", '"""', '"""Edited. ')
+    assert used(copied)[0] == ["half_place"]
 
 
 def test_fields_of_a_tuple_that_change_places_recompile_the_kernel_that_is_given_it(copied):

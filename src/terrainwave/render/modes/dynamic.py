@@ -42,9 +42,9 @@ class Dynamic(FrontMode):
     # Samples per side of the trees of a patch: no node is larger. One at the end of a patch has its
     # vertex up to half a tree inside. Whole trees fit the samples of a patch, and those beyond its
     # cells reach further than that.
-    tree = 32
+    tree = 16
     apron = tree // 2
-    cells = 15 * apron
+    cells = 31 * apron
     sample_bytes = 11
 
     def __init__(
