@@ -338,10 +338,9 @@ class NodeTable:
     def coarse_nodes(self, most: int) -> NDArray[np.int32]:
         """Return the known nodes of the coarsest levels, no more than `most`, by level."""
         levels = self.keys[: len(self), 0]
-        order = np.argsort(levels, kind="stable").astype(np.int32)
-        if len(order) <= most:
-            return order
-        return order[: np.searchsorted(levels[order], levels[order[most]])]
+        n_levels = np.searchsorted(np.cumsum(np.bincount(levels)), most, side="right")
+        nodes = np.flatnonzero(levels < n_levels).astype(np.int32)
+        return nodes[np.argsort(levels[nodes], kind="stable")]
 
     def lowest_priority(self, view: View, keep: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return resident nodes that may be evicted, the least needed first.
