@@ -240,6 +240,8 @@ def test_the_table_grows_without_losing_anything():
     assert table.errors[:1001].tolist() == [5.0, *range(1000)]
     assert table.find(Piece(1, 77, 0)) == 78
     assert table.roots.tolist() == [0]
+    assert table.coarse_nodes(1000).tolist() == [0]  # whole levels
+    assert table.coarse_nodes(1001).tolist() == list(range(1001))
 
 
 @given(sizes=st.lists(st.integers(0, 40), max_size=60), seed=st.integers(0, 9))
