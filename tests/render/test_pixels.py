@@ -4,11 +4,14 @@ These need EGL and an OpenGL 3.3 driver, such as Mesa's (see tools/install_syste
 they fail.
 """
 
+import threading
+
 import numpy as np
 import pytest
 from cases import some
 from render.scenes import LOUD, eroded, hills, loud, terrain_of, terrain_with_hole
 
+from terrainwave.errors import TerrainwaveError
 from terrainwave.raster_io.drape import Drape
 from terrainwave.render import patch_surface
 from terrainwave.render.camera import Camera, home, project, top_view
@@ -205,6 +208,13 @@ def test_a_picture_is_the_same_each_time(context, rough):
             camera = home(offscreen.scene.frame.box, offscreen.viewport)
             images.append(offscreen.picture(camera, Style())[0])
     np.testing.assert_array_equal(*images)
+
+
+def test_a_picture_of_an_impossible_size_leaves_no_threads(context, rough):
+    before = threading.active_count()
+    with pytest.raises(TerrainwaveError, match="pixels"):
+        Offscreen(rough, (10**6, 1), context=context)
+    assert threading.active_count() == before
 
 
 def test_buffers_grow_and_memory_keeps_to_its_limit(context, rough):

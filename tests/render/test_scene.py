@@ -279,6 +279,26 @@ def test_what_the_camera_flies_to_is_read_ahead():
         assert scene.table.is_resident[list(later)].all()
 
 
+def test_the_error_drawn_is_that_of_what_could_be_finer():
+    heights = np.round(hills(300, 300, 9)).astype(np.int16)
+    with terrain_of(heights, max_error=0) as terrain, Scene(terrain, ListStore()) as scene:
+        view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 2.0)
+        frames = scene.update(view)
+        for _ in range(3):  # the root is here, nothing finer
+            assert scene._pager.wait(30)
+            frames = scene.update(view)
+            if len(frames.nodes):
+                break
+        assert frames.nodes.tolist() == [0]
+        errors = scene.table.errors[[0]] * scene.table.scales(view, frames.nodes)
+        assert scene.drawn_error(view, frames) == pytest.approx(errors[0])
+        assert errors[0] > 2.0
+        frames = scene.settle(view)
+        assert 0 < scene.drawn_error(view, frames) <= 2.0
+        near = scene.view(Camera((0.0, 0.0, heights.max() + 5.0), 0, -80, 40), VIEWPORT, 0.01)
+        assert scene.drawn_error(near, scene.settle(near)) == 0  # the finest, however large it is
+
+
 def test_a_camera_at_rest_or_that_has_jumped_is_going_nowhere():
     now = [0.0]
     motion = Motion(lambda: now[0])

@@ -161,6 +161,18 @@ def test_seen_from_above_oriented_errors_need_fewer_triangles():
     assert oriented.n_triangles < free.n_triangles / 2
 
 
+def test_the_coarsest_levels_are_whole_or_not_at_all():
+    table = random_tree(np.random.default_rng(3), share_resident=0.5)
+    levels = table.keys[: len(table), 0]
+    for most in (0, 1, 4, 21, len(table)):
+        nodes = table.coarse_nodes(most)
+        assert len(nodes) <= most
+        left = np.setdiff1d(np.arange(len(table)), nodes)
+        if len(left):
+            assert len(nodes) == 0 or levels[nodes].max() < levels[left].min()
+            assert len(nodes) + (levels == levels[left].min()).sum() > most
+
+
 def test_what_is_wanted_comes_breadth_first_with_its_ancestors():
     rng = np.random.default_rng(5)
     table = random_tree(rng, share_resident=0.0)
@@ -228,6 +240,8 @@ def test_the_table_grows_without_losing_anything():
     assert table.errors[:1001].tolist() == [5.0, *range(1000)]
     assert table.find(Piece(1, 77, 0)) == 78
     assert table.roots.tolist() == [0]
+    assert table.coarse_nodes(1000).tolist() == [0]  # whole levels
+    assert table.coarse_nodes(1001).tolist() == list(range(1001))
 
 
 @given(sizes=st.lists(st.integers(0, 40), max_size=60), seed=st.integers(0, 9))

@@ -162,6 +162,15 @@ def test_the_ground_is_that_of_the_level_drawn_and_the_last_known_beside_the_ras
     background.close()
 
 
+def test_a_flight_that_cannot_be_saved_is_a_line_and_not_the_end(terrain, tmp_path):
+    stage = Stage(terrain, tmp_path / "gone")
+    stage.press("f", "f")
+    assert "gone" in stage.said[-1]
+    assert stage.session.lines(stage.frames) == [stage.said[-1]]
+    stage.session.close()
+    stage.scene.close()
+
+
 def test_degrees_are_measured_on_the_ellipsoid():
     heights = np.zeros((40, 40), dtype=np.int16)
     heights[0, 0] = 1

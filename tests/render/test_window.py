@@ -48,10 +48,18 @@ xdotool windowsize --sync $window 640 420
 sleep 0.7
 xdotool key t
 sleep 0.5
-xdotool mousemove --window $window 320 210 click 1
+for _ in $(seq 100); do  # until the click's height has been read
+    xdotool mousemove --window $window 320 210 click 1
+    sleep 0.3
+    grep -q '±' {folder}/out.txt && break
+done
 xdotool key i f
 sleep 0.7
 xdotool key f
+for _ in $(seq 100); do  # until both have been written
+    ls {folder}/terrainwave-*.png {folder}/flight-*.json > /dev/null 2>&1 && break
+    sleep 0.1
+done
 xdotool mousemove --window $window 320 210 mousedown 1
 xdotool mousemove --window $window 380 210
 sleep 0.3

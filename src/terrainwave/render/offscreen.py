@@ -106,14 +106,18 @@ class Offscreen:
         )
         self.store = self.surface.store
         self.scene = Scene(terrain, self.store, mode=mode, **options)
-        solid = None if is_late else build_solid(terrain, self.scene.frame)
-        self.has_voids = solid is not None and solid.has_lids
-        self.renderer = Renderer(self.context, self.scene, self.surface, picture, solid)
         self._samples = min(samples, int(self.context.max_samples))
         self._target: Any = None
         self._resolved: Any = None
         self._drawn: tuple[View, tuple[float, float]] | None = None
-        self.resize(size)
+        try:
+            solid = None if is_late else build_solid(terrain, self.scene.frame)
+            self.has_voids = solid is not None and solid.has_lids
+            self.renderer = Renderer(self.context, self.scene, self.surface, picture, solid)
+            self.resize(size)
+        except BaseException:
+            self.scene.close()  # else its threads would go on
+            raise
 
     def set_solid(self, solid: "Solid") -> None:
         """Draw the block under the terrain from now on."""

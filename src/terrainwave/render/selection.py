@@ -162,6 +162,7 @@ class NodeTable:
     def __init__(self) -> None:
         self._numbers: dict[Piece, int] = {}
         self.pieces: list[Piece] = []
+        self._of_level: dict[int, list[int]] = {}
         self.roots = np.empty(0, dtype=np.int32)
         self._allocate(_FIRST_CAPACITY)
 
@@ -210,6 +211,7 @@ class NodeTable:
         self.low[number], self.high[number] = info.low, info.high
         self.errors[number] = info.error
         self.keys[number] = info.piece
+        self._of_level.setdefault(info.piece.level, []).append(number)
         self.parents[number] = parent
         if parent < 0:
             self.roots = np.append(self.roots, np.int32(number))
@@ -337,11 +339,12 @@ class NodeTable:
 
     def coarse_nodes(self, most: int) -> NDArray[np.int32]:
         """Return the known nodes of the coarsest levels, no more than `most`, by level."""
-        levels = self.keys[: len(self), 0]
-        order = np.argsort(levels, kind="stable").astype(np.int32)
-        if len(order) <= most:
-            return order
-        return order[: np.searchsorted(levels[order], levels[order[most]])]
+        nodes: list[int] = []
+        for level in sorted(self._of_level):
+            if len(nodes) + len(self._of_level[level]) > most:
+                break
+            nodes += self._of_level[level]
+        return np.array(nodes, dtype=np.int32)
 
     def lowest_priority(self, view: View, keep: NDArray[np.bool_]) -> NDArray[np.int32]:
         """Return resident nodes that may be evicted, the least needed first.

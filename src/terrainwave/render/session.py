@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.errors import TerrainwaveError
 from terrainwave.render.background import Background, Outcome
 from terrainwave.render.camera import format_camera
 from terrainwave.render.captures import FlightRecorder, save_as_new
@@ -178,7 +179,12 @@ class Session:
     def _end_flight(self) -> None:
         recorder, self._recorder = self._recorder, None
         assert recorder is not None
-        name = save_as_new(recorder.to_json().encode(), "flight", ".json", self._folder)
+        try:
+            name = save_as_new(recorder.to_json().encode(), "flight", ".json", self._folder)
+        except TerrainwaveError as error:  # the window stays
+            self.note(str(error))
+            self._say(str(error))
+            return
         frames = max(round(recorder.seconds * 30), 2)
         self.note(f"saved {name}")
         self._say(
