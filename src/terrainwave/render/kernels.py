@@ -450,9 +450,13 @@ def fill_texels(heights, mask, first_row, first_col, n_rows, n_cols, slopes_of, 
             if is_valid:
                 height = float(heights[row, col]) * factor + shift
                 if right > left:
-                    across = float(heights[row, right] - heights[row, left]) / (right - left)
+                    across = (float(heights[row, right]) - float(heights[row, left])) / (
+                        right - left
+                    )
                 if below > above:
-                    down = float(heights[below, col] - heights[above, col]) / (below - above)
+                    down = (float(heights[below, col]) - float(heights[above, col])) / (
+                        below - above
+                    )
             elif mask[row, col]:
                 height = float(heights[row, col]) * factor + shift
                 across = _difference(heights, mask, row, left, row, col, row, right)
@@ -470,12 +474,12 @@ def fill_texels(heights, mask, first_row, first_col, n_rows, n_cols, slopes_of, 
 @inlined_kernel
 def _half(bits):
     """Return the bits of a float16, rounded to even, of a float32's; below 2⁻¹⁴ that is 0."""
-    magnitude = bits & np.uint32(0x7FFFFFFF)
-    rounded = (
-        magnitude + np.uint32(0x0FFF) + ((bits >> np.uint32(13)) & np.uint32(1))
-    ) >> np.uint32(13)
-    half = (rounded - np.uint32(0x1C000)) | ((bits >> np.uint32(16)) & np.uint32(0x8000))
-    return np.uint16(half) if magnitude >= np.uint32(0x38800000) else np.uint16(0)
+    whole = np.int64(bits)
+    magnitude = whole & 0x7FFFFFFF
+    if magnitude < 0x38800000:
+        return np.uint16(0)
+    rounded = (magnitude + 0x0FFF + ((magnitude >> 13) & 1)) >> 13
+    return np.uint16((rounded - 0x1C000) | ((whole >> 16) & 0x8000))
 
 
 @kernel
