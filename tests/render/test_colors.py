@@ -8,7 +8,6 @@ from terrainwave.errors import InvalidArgumentError
 from terrainwave.render.camera import top_view
 from terrainwave.render.colorings import MEANINGS, RAMP_NAMES
 from terrainwave.render.frame import Frame, frame_of
-from terrainwave.render.kernels import fill_texels
 from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.ramps import (
     N_LATITUDES,
@@ -19,7 +18,7 @@ from terrainwave.render.ramps import (
     slope_palette,
     snow_line,
 )
-from terrainwave.render.scales import HeightScale, HeightTexels
+from terrainwave.render.scales import HeightScale, HeightTexels, Texels
 from terrainwave.render.style import COLORINGS, Style
 
 MOON_RADIUS = 1_737_400.0
@@ -131,12 +130,10 @@ def test_auto_is_absolute_on_the_earth_and_relative_elsewhere():
     assert tuple(RAMPS) == RAMP_NAMES
 
 
-def stored_heights(texels, quanta, mask):
+def stored_heights(frame, quanta, mask):
     """Return what textures hold of heights in quarters of a metre, float64."""
-    out = np.empty((quanta.shape[0], 3 * quanta.shape[1]), dtype=np.uint16)
-    colors_of = texels.terms(HeightScale(0.25, 0.0))
-    fill_texels(quanta, mask, 0, 0, *quanta.shape, np.zeros(5), colors_of, out)
-    return out.view(np.float16)[:, 2::3].astype(float)
+    texels = Texels(frame, HeightScale(0.25, 0.0))
+    return texels.of((quanta, mask), (0, 0), quanta.shape, quanta.shape, 1)[:, :, 2].astype(float)
 
 
 @pytest.mark.parametrize("heights", [(-9000.0, 9000.0), (4000.0, 4010.0), (-5e6, 5e6)])
@@ -145,7 +142,7 @@ def test_heights_in_textures_are_near_enough_to_colour_by(heights):
     texels = HeightTexels.of(frame)
     quanta = np.round(4 * np.linspace(*heights, 64)).astype(np.int32).reshape(8, 8)
     quanta[4, 4] = round(4 * texels.reference) + 1
-    stored = stored_heights(texels, quanta, np.ones((8, 8), dtype=bool))
+    stored = stored_heights(frame, quanta, np.ones((8, 8), dtype=bool))
     apart = np.abs(stored * texels.scale + texels.reference - quanta / 4)
     assert apart.max() <= (heights[1] - heights[0]) / 2000
     assert apart[4, 4] <= 0.001 * texels.scale
@@ -156,7 +153,7 @@ def test_voids_take_the_colour_of_what_is_around():
     quanta, valid = np.full((5, 5), 600, dtype=np.int32), np.ones((5, 5), dtype=bool)
     for place in ((2, 2), (0, 0)):
         quanta[place], valid[place] = -32768, False
-    np.testing.assert_array_equal(stored_heights(HeightTexels.of(frame), quanta, valid), 50.0)
+    np.testing.assert_array_equal(stored_heights(frame, quanta, valid), 50.0)
 
 
 @pytest.mark.gl

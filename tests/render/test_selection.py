@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from terrainwave.render.arena import Arena
 from terrainwave.render.camera import Camera, Viewport, project
 from terrainwave.render.frustum import frustum_planes, may_see
-from terrainwave.render.kernels import oriented_distance
+from terrainwave.render.kernels import oriented_distance, pixels_per_metre
 from terrainwave.render.selection import ErrorGovernor, NodeInfo, NodeTable, Piece, View
 
 VIEWPORT = Viewport(640, 480)
@@ -56,7 +56,7 @@ def random_tree(rng, depth=5, share_resident=0.8):
     def grow(node, level, row, col):
         table.is_resident[node] = level == 0 or rng.random() < share_resident
         table.n_triangles[node] = rng.integers(1, 100)
-        if level == depth or rng.random() < 0.1:
+        if level == depth or (level and rng.random() < 0.1):
             return
         places = [(2 * row + r, 2 * col + c) for r in (0, 1) for c in (0, 1) if rng.random() < 0.9]
         table.add_children(node, [info(level + 1, *place) for place in places])
@@ -134,7 +134,7 @@ def test_a_vertical_step_in_a_box_is_never_longer_on_screen_than_its_error(pitch
         nearest = np.linalg.norm(np.clip(0, low, high))
         for is_oriented, is_exact in ((False, True), (True, False), (True, True)):
             view = View(camera, VIEWPORT, is_oriented=is_oriented, is_exact=is_exact)
-            (scale,) = view.scales(low[None], high[None])
+            scale = pixels_per_metre(camera.eye, *low, *high, view.lens, is_oriented)
             assert pixels <= scale * (1 + 1e-9)
             assert nearest == 0 or scale <= view.gamma / nearest * (1 + 1e-9)
         largest = max(largest, pixels / scale)
@@ -185,6 +185,14 @@ def test_what_is_wanted_comes_breadth_first_with_its_ancestors():
     # Once all of it is here, the selection needs nothing that was not wanted.
     table.is_resident[wanted] = True
     assert set(table.select(view).nodes.tolist()) <= set(wanted)
+
+
+def test_what_another_camera_will_want_is_what_it_wants_there():
+    table = random_tree(np.random.default_rng(5), share_resident=0.0)
+    here = View(Camera((0, -600, 200), 0, -20, 60), VIEWPORT, 1.0, is_exact=True)
+    there = View(Camera((0, -600, 200), 0, -60, 60), VIEWPORT, 1.0, is_exact=True)
+    found, expected = table.wanted(here, 1000, camera=there.camera), table.wanted(there, 1000)
+    assert found.tolist() == expected.tolist() != table.wanted(here, 1000).tolist()
 
 
 def test_eviction_takes_leaves_with_the_lowest_priority_first():

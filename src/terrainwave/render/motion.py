@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from terrainwave.render.camera import Camera
+from terrainwave.render.camera import Camera, look
 
 # Seconds ahead that are looked at, the nearest first: blocks are here in tenths of a second from a
 # disk, in a second or two from the web.
@@ -16,7 +16,6 @@ _WINDOW_S = 0.3
 _LEAST_MOTIONS = 3
 # Between two frames, what is further from the steady motion than so many times is no motion.
 _JUMP = 8.0
-_LARGEST_PITCH = 89.9
 
 
 class Motion:
@@ -37,13 +36,13 @@ class Motion:
     def see(self, camera: Camera) -> None:
         """Take down where the camera is now; after a jump, what was before is forgotten."""
         now = self._clock()
-        if self._seen and self._is_jump(camera):
+        if self._seen and self._is_jump(camera, now):
             self._seen.clear()
         self._seen.append((now, camera))
         while len(self._seen) > _LEAST_MOTIONS and self._seen[0][0] < now - _WINDOW_S:
             self._seen.popleft()
 
-    def _is_jump(self, camera: Camera) -> bool:
+    def _is_jump(self, camera: Camera, now: float) -> bool:
         """Say whether the camera is somewhere else than its motion, or its rest, explains."""
         first, last = self._seen[0], self._seen[-1]
         seconds = last[0] - first[0]
@@ -51,7 +50,7 @@ class Motion:
         if len(self._seen) < _LEAST_MOTIONS or seconds <= 0:
             return False
         speed = float(np.linalg.norm(last[1].eye - first[1].eye)) / seconds
-        steady = speed * max(self._clock() - last[0], 1e-3)
+        steady = speed * max(now - last[0], 1e-3)
         return step > _JUMP * steady and speed > 0
 
     def ahead(self) -> list[Camera]:
@@ -70,9 +69,6 @@ class Motion:
             x, y, z = now.eye + speed * later
             # A turn goes on for less long than a flight does.
             share = min(later, 1.0) / seconds
-            pitch = min(max(now.pitch + tilt * share, -_LARGEST_PITCH), _LARGEST_PITCH)
-            heading = (now.heading + turn * share) % 360
-            cameras.append(
-                replace(now, position=(float(x), float(y), float(z)), heading=heading, pitch=pitch)
-            )
+            there = replace(now, position=(float(x), float(y), float(z)))
+            cameras.append(look(there, turn * share, tilt * share))
         return cameras

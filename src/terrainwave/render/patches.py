@@ -24,14 +24,12 @@ from terrainwave.render.kernels import (
     SKIRT_FLAG,
     bilinear_at,
     border_edges,
-    fill_texels,
     surface_at,
 )
 from terrainwave.render.scales import (
     FLOAT32_ROUNDING,
     HeightScale,
-    HeightTexels,
-    SlopeScale,
+    Texels,
 )
 from terrainwave.render.selection import NodeInfo, Piece
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
@@ -123,7 +121,7 @@ class PatchBuilder:
         self._mesher = mesher_of(terrain)
         self._loose = LooseMesher(terrain) if is_loose else None
         self._scale = HeightScale.of(terrain, frame)
-        self._slope_scale, self._height_texels = SlopeScale(frame), HeightTexels.of(frame)
+        self._texels = Texels(frame, self._scale)
         self._meshes: Cache[Piece, BlockMesh] = Cache(
             _CACHED_BYTES, size_of=lambda mesh: sum(part.nbytes for part in mesh)
         )
@@ -338,14 +336,11 @@ class PatchBuilder:
         inner = grid.block_region(block)
         near = grid.block_region(block, 1).intersect(level)
         wide = grid.block_region(block, 2).intersect(level)
-        heights, mask = terrain.decoder.window(block.level, wide)
+        samples = terrain.decoder.window(block.level, wide)
         n_rows, n_cols = (n + 2 + min(1, grid.block + 1 - n) for n in (inner.n_rows, inner.n_cols))
-        texels = np.empty((n_rows, 3 * n_cols), dtype=np.uint16)
         first = inner.row - 1 - wide.row, inner.col - 1 - wide.col
-        slopes_of = self._slope_scale.terms(self._scale.per_quantum / grid.stride(block.level))
-        colors_of = self._height_texels.terms(self._scale)
-        fill_texels(heights, mask, *first, *near.shape, slopes_of, colors_of, texels)
-        return texels.view(np.float16).reshape(n_rows, n_cols, 3)
+        stride = grid.stride(block.level)
+        return self._texels.of(samples, first, near.shape, (n_rows, n_cols), stride)
 
 
 def _with_skirts(

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.frame import Frame
+from terrainwave.render.kernels import fill_texels
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -49,22 +50,6 @@ class HeightScale:
 
 
 @dataclass(frozen=True)
-class SlopeScale:
-    """Slopes to the east and north of slopes along columns and rows."""
-
-    frame: Frame
-
-    def terms(self, factor: float) -> NDArray[np.float64]:
-        """Return what `kernels.fill_texels` takes for slopes of heights in a unit.
-
-        `factor`: metres of a unit, per sample of the full grid between two samples.
-        """
-        a, b, _, d, e, _ = self.frame.sample_matrix
-        inverse = np.linalg.inv(np.array([[a, b], [d, e]])) * factor
-        return np.array([*inverse.T.ravel(), _LEAST_SLOPE])
-
-
-@dataclass(frozen=True)
 class HeightTexels:
     """Heights as a texture of float16 holds them, to colour by: (metres - reference) / scale.
 
@@ -83,7 +68,55 @@ class HeightTexels:
         largest = max(reference - low, high - reference)
         return cls(reference, max(largest / _LARGEST_HEIGHT, 1.0))
 
-    def terms(self, heights: HeightScale) -> NDArray[np.float64]:
-        """Return what `kernels.fill_texels` takes for heights in quanta."""
-        shift = (heights.zero - self.reference) / self.scale
-        return np.array([heights.per_quantum / self.scale, shift, _LARGEST_HEIGHT])
+
+class Texels:
+    """Slopes and heights of samples as textures hold them. Thread-safe.
+
+    Parameters
+    ----------
+    frame : Frame
+        Whose east and north slopes are along.
+    scale : HeightScale
+        Of the samples.
+    """
+
+    def __init__(self, frame: Frame, scale: HeightScale) -> None:
+        a, b, _, d, e, _ = frame.sample_matrix
+        self._slopes = np.linalg.inv(np.array([[a, b], [d, e]])).T.ravel() * scale.per_quantum
+        heights = HeightTexels.of(frame)
+        shift = (scale.zero - heights.reference) / heights.scale
+        self._heights = np.array([scale.per_quantum / heights.scale, shift, _LARGEST_HEIGHT])
+
+    def of(
+        self,
+        samples: tuple[NDArray[Any], NDArray[np.bool_]],
+        first: tuple[int, int],
+        inner: tuple[int, int],
+        shape: tuple[int, int],
+        stride: int,
+    ) -> NDArray[np.float16]:
+        """Return a texture of a part of samples.
+
+        Parameters
+        ----------
+        samples : tuple of ndarray, 2-D
+            Quanta of a level, and which are valid.
+        first : tuple of int
+            Where the texture begins in them, row and column; may be negative.
+        inner : tuple of int
+            Rows and columns that the texture has values of its own for; the nearest ones of these
+            are repeated.
+        shape : tuple of int
+            Of the texture.
+        stride : int
+            Samples of the full grid between two.
+
+        Returns
+        -------
+        ndarray of float16, shape (n_rows, n_cols, 3)
+            Metres per metre to the east and to the north, and heights (`HeightTexels`).
+        """
+        texels = np.empty((shape[0], 3 * shape[1]), dtype=np.uint16)
+        slopes_of = np.array([*self._slopes / stride, _LEAST_SLOPE])
+        fill_texels(*samples, *first, *inner, slopes_of, self._heights, texels)
+        return texels.view(np.float16).reshape(*shape, 3)

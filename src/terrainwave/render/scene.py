@@ -266,9 +266,9 @@ class Scene:
     def _ahead(self, view: View, tau: float, wanted: NDArray[np.int32]) -> NDArray[np.int32]:
         """Return the pieces to have besides `wanted`, as many as there is room for.
 
-        Those of coarse levels all around, which stand in where the camera turns to; what it
-        will see if it goes on as it does, soonest first; then the
-        mode's own. One of these is looked at each frame.
+        Those of coarse levels all around, which stand in where the camera turns to; what it will
+        see if it goes on as it does, soonest first; then the mode's own. One of these is looked at
+        each frame.
         """
         turn = self._n_updates % _FRAMES_PER_LOOK
         self._n_updates += 1

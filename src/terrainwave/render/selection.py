@@ -6,7 +6,7 @@ outside the frustum end the recursion, and those good enough do.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple, Protocol
 
@@ -134,13 +134,6 @@ class View:
         sine, cosine = forward[2], math.hypot(*forward[:2])
         step = (right * sine) ** 2 + (cosine + abs(sine) * up) ** 2
         return np.array([scale, slant(self.camera, self.viewport) ** 2, step, *forward])
-
-    def scales(self, low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return pixels on screen per metre of vertical errors in boxes; inf where the eye is."""
-        numbers, scales = np.arange(len(low), dtype=np.int32), np.empty(len(low))
-        eye = self.camera.eye
-        node_scales(numbers, low, high, 1.0, eye, self.lens, self.is_oriented, scales)
-        return scales
 
     @cached_property
     def planes(self) -> NDArray[np.float64]:
@@ -312,13 +305,14 @@ class NodeTable:
 
         `camera` looks from elsewhere than the view's own.
         """
-        camera = camera or view.camera
+        if camera is not None and camera is not view.camera:
+            view = replace(view, camera=camera)
         out = np.empty(max_blocks, dtype=np.int32)
         # Near roots first.
         roots = self.roots
         if len(roots) > 1:
             middle = (self.low[roots] + self.high[roots]) / 2
-            away = np.linalg.norm(middle - camera.eye, axis=1)
+            away = np.linalg.norm(middle - view.camera.eye, axis=1)
             roots = roots[np.argsort(away, kind="stable")]
         n_out = wanted_nodes(
             roots,
@@ -327,8 +321,8 @@ class NodeTable:
             self.errors,
             self.children,
             self.is_known,
-            view.planes if camera is view.camera else frustum_planes(camera, view.viewport),
-            camera.eye,
+            view.planes,
+            view.camera.eye,
             view.exaggeration,
             view.lens,
             view.is_oriented,

@@ -24,14 +24,12 @@ from terrainwave.progress import ProgressCallback
 from terrainwave.read.decoder import units_of
 from terrainwave.render.camera import Camera, focal_length, slant
 from terrainwave.render.frame import Frame
-from terrainwave.render.kernels import fill_texels
 from terrainwave.render.modes.mode import Frames, Mode
 from terrainwave.render.patches import Cancelled
 from terrainwave.render.scales import (
     FLOAT32_ROUNDING,
     HeightScale,
-    HeightTexels,
-    SlopeScale,
+    Texels,
 )
 from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
 from terrainwave.tri.budget import Pressure
@@ -222,8 +220,8 @@ class FrontMode(Mode):
         progress: ProgressCallback | None = None,
     ) -> None:
         super().__init__(terrain, frame, error=error)
-        self._scale, self._slope_scale = HeightScale.of(terrain, frame), SlopeScale(frame)
-        self._height_texels = HeightTexels.of(frame)
+        self._scale = HeightScale.of(terrain, frame)
+        self._texels = Texels(frame, self._scale)
         self._patches: dict[Piece, FrontPatch] = {}
         self.scratch = Scratch()
         self._pressure, self._shortage = Pressure(), 1.0
@@ -372,12 +370,11 @@ class FrontMode(Mode):
         quanta, mask = terrain.decoder.window(level, wide)
         here = region.slices_in(wide)
         heights = np.where(mask[here], self._scale.metres(quanta[here]), np.nan)
-        texels = np.empty((region.n_rows, 3 * region.n_cols), dtype=np.uint16)
         first = region.row - wide.row, region.col - wide.col
-        slopes_of = self._slope_scale.terms(self._scale.per_quantum / terrain.grid.stride(level))
-        colors_of = self._height_texels.terms(self._scale)
-        fill_texels(quanta, mask, *first, *region.shape, slopes_of, colors_of, texels)
-        return Samples(region, heights, texels.view(np.float16).reshape(*region.shape, 3))
+        slopes = self._texels.of(
+            (quanta, mask), first, region.shape, region.shape, terrain.grid.stride(level)
+        )
+        return Samples(region, heights, slopes)
 
     # As pieces come and go
 
