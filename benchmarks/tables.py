@@ -130,6 +130,20 @@ def fuzzed_targets(results: Path) -> Rows:
     return [*rows, {"target": "all", "mode": ""} | total]
 
 
+def strict_costs(results: Path) -> Rows:
+    """Return what strict files cost by how many steps of the grid the bound has."""
+    found: dict[float, Rows] = defaultdict(list)
+    for row in read(results, "strict"):
+        found[row["steps"]].append(row | {"ratio": row["strict_bytes"] / row["n_bytes"]})
+    return [
+        {"steps": steps, "n": len(rows), "holds": sum(row["holds"] for row in rows)}
+        | {name: of([row["ratio"] for row in rows])
+           for name, of in (("mean", geometric_mean), ("least", min), ("most", max))}
+        | {field: max(row[field] for row in rows) for field in ("excess", "largest")}
+        for steps, rows in sorted(found.items())
+    ]  # fmt: skip
+
+
 def compared_codecs(results: Path) -> Rows:
     """Return bits per sample of our codecs and the best peer by raster and bound.
 

@@ -42,6 +42,8 @@ class Info:
     """What a .twz file says about itself; errors are in physical units.
 
     `faithful`: the file follows the paper of its method to the letter.
+    `float_error` is how much further apart than `max_error` stored floats may be: one spacing,
+    where they name decimal numbers and the file is not strict.
     `moved_error` is the share of `effective_error` that patches have added.
     `voids` is how voids are told: ``"none"``, by their ``"nodata"`` value, as ``"nan"``, or by a
     ``"mask"``; it is the way of the source, which may have no void at all.
@@ -58,6 +60,7 @@ class Info:
     effective_error: float
     quantum: float
     rounding_error: float
+    float_error: float
     moved_error: float
     units: str | None
     method: str
@@ -304,6 +307,10 @@ class TerrainFile:
         """Return (left, bottom, right, top) of the raster's pixels in its CRS."""
         return bounds(self._raster.transform, self.shape)
 
+    def _float_error(self) -> float:
+        is_strict = self.quantizer.is_strict(self.header.max_error, self.header.effective_bound)
+        return 0.0 if is_strict else self.quantizer.float_error
+
     def info(self) -> Info:
         """Return a summary of the file, from its header alone."""
         header, raster = self.header, self._raster
@@ -326,6 +333,7 @@ class TerrainFile:
             effective_error=self.effective_error,
             quantum=quantum,
             rounding_error=self.quantizer.rho * abs(raster.scale),
+            float_error=self._float_error() * abs(raster.scale),
             moved_error=header.moved * quantum,
             units=raster.units,
             method=header.method,
@@ -476,7 +484,8 @@ class TerrainFile:
         heights : ndarray, shape (n_rows, n_cols)
             A copy. On the full grid every valid sample is within `effective_error` of the original;
             of floats on a decimal grid (0.1, 0.01 …) this holds for the decimal numbers, and the
-            floats nearest to two of them may differ by one float spacing more.
+            floats nearest to two of them may differ by one float spacing more (`Info.float_error`;
+            `compress` with `strict`).
 
         Raises
         ------

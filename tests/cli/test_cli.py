@@ -375,6 +375,23 @@ def test_verify_says_how_many_heights_it_compared(dem, twz, with_original):
     assert done.stderr == ""
 
 
+@pytest.mark.parametrize("is_strict", [False, True])
+def test_verify_and_info_say_whether_the_bound_is_strict(tmp_path, is_strict):
+    heights = np.float32(np.round(terrain_like(60, 70, "float32")) / 10)
+    path, target = write_geotiff(tmp_path / "a.tif", heights), tmp_path / "a.twz"
+    options = ["--max-error", 0.3, "--method", "store", *["--strict"] * is_strict]
+    assert run("compress", path, target, *options).exit_code == 0
+    done = run("verify", target, path)
+    assert done.exit_code == 0
+    assert ("holds of the stored values themselves" in done.stdout) is is_strict
+    assert ("by up to one float spacing more" in done.stdout) is not is_strict
+    assert json.loads(run("verify", target, path, "--json").stdout)["is_strict"] is is_strict
+    with terrainwave.open(target) as terrain:
+        decoded = terrain.read()
+    assert (float(np.abs(decoded - heights).max()) <= 0.3) is is_strict
+    assert ("stored floats may differ by" in run("info", target).stdout) is not is_strict
+
+
 def test_verify_notes_that_it_compared_nothing(tmp_path):
     path = write_geotiff(tmp_path / "a.tif", np.zeros((9, 9), "int16"), nodata=0)
     assert run("compress", path, tmp_path / "a.twz", "--method", "store").exit_code == 0

@@ -41,7 +41,7 @@ from terrainwave.codec.rapid_parameters import (
     parse_parameters,
     rest_symbols,
 )
-from terrainwave.codec.rapid_stencils import Samples, _normal, fit_weights, gather
+from terrainwave.codec.rapid_stencils import Samples, _normal, _solved, fit_weights, gather
 from terrainwave.codec.refiner import Sides
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 from terrainwave.grid.quadtree import Grid
@@ -504,3 +504,7 @@ def test_a_fitted_stencil_finds_the_weights_that_made_the_heights():
     samples = Samples(taps, np.rint(taps @ true / 4096), 1.0)
     (found,) = fit_weights({(0, 1): samples}, [0.0])
     np.testing.assert_allclose(found[0, 1], true, atol=2)
+
+
+def test_equations_without_a_solution_are_no_warning():
+    assert not np.isfinite(_solved(np.zeros((2, 3, 4)))).any()

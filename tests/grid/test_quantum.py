@@ -440,3 +440,66 @@ def test_a_billion_quanta_that_give_the_nodata_value_are_not_counted_one_by_one(
 
     monkeypatch.setattr(Quantizer, "height_of", counted)
     assert quantizer.quanta_of_value(value) == expected
+
+
+# The strict bound
+
+
+@given(
+    st.sampled_from(["float32", "float64"]),
+    st.sampled_from([TENTH, Fraction(1, 100), Fraction(3048, 10000), Fraction(1, 4), None]),
+    st.floats(0.001, 30) | st.sampled_from([0.1, 0.3, 0.5, 0.7, 1.0, 2.5, 10.0]),
+    st.integers(0, 2**32 - 1),
+)
+def test_a_strict_bound_holds_for_stored_floats(dtype, p, max_error, seed):
+    rng = np.random.default_rng(seed)
+    heights = rng.integers(-300, 300, (1, 60)) + rng.choice([0, 90_000]) * rng.integers(0, 2)
+    heights = (rng.uniform(0, 900, (1, 60)) if p is None else grid_numbers(heights, p)).astype(
+        dtype
+    )
+    quantizer = scan_of(heights).quantizer(as_fraction(max_error), is_strict=True)
+    assert quantizer.is_strict(max_error)
+    half = quantizer.step >> 1
+    for error in (-half, half):
+        decoded = there_and_back(quantizer, heights, error)
+        assert max(exact_errors(decoded, heights)) <= max_error
+        assert float(np.abs(decoded - heights).max()) <= max_error
+
+
+def grid_numbers(counts, p):
+    return np.array([[float(int(k) * p) for k in counts.flat]])
+
+
+@pytest.mark.parametrize(
+    ("p", "max_error", "quanta"),
+    [
+        (Fraction(1, 4), 1.0, 4),  # every multiple is a float: nothing to keep away from
+        (TENTH, 1.05, 10),  # room for a spacing
+        (TENTH, 0.05, 0),  # lossless
+    ],
+)
+def test_a_strict_bound_costs_nothing_where_there_is_room(p, max_error, quanta):
+    scan = scan_of(grid_of(p, "float32"))
+    strict = scan.quantizer(as_fraction(max_error), is_strict=True)
+    assert strict == scan.quantizer(as_fraction(max_error))
+    assert (strict.step, strict.rho) == (2 * quanta + 1, 0)
+
+
+@pytest.mark.parametrize("max_error", [0.1, 1.0, 10.0])
+def test_a_strict_bound_loses_at_most_a_quantum_of_a_bin(max_error):
+    scan = scan_of(grid_of(TENTH, "float32"))
+    plain, strict = (scan.quantizer(as_fraction(max_error), is_strict=k) for k in (False, True))
+    assert not plain.is_strict(max_error)
+    assert plain.step * plain.quantum > strict.step * strict.quantum
+    assert strict.step * strict.quantum > 0.99 * (plain.step - 1) * plain.quantum
+
+
+def test_a_strict_bound_counts_the_rounding_of_binary_steps_finer_than_floats():
+    # Floats around 90,000 lie 8/1024 apart: decoded 5/1024 lower, 90,000 would be 8/1024 off.
+    heights = np.array([[0.0, 1 / 1024, 0.5, 90_000.0]], dtype="float32")
+    scan, bound = scan_of(heights), Fraction(5, 1024)
+    plain, strict = (scan.quantizer(bound, is_strict=is_strict) for is_strict in (False, True))
+    assert max(exact_errors(there_and_back(plain, heights, -5), heights)) > bound
+    assert not plain.is_strict(float(bound))
+    half = strict.step >> 1
+    assert max(exact_errors(there_and_back(strict, heights, -half), heights)) <= bound

@@ -158,6 +158,12 @@ def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
     is_flag=True,
     help=f"With --method {FAITHFUL}: follow the method's paper to the letter.",
 )
+@click.option(
+    "--strict",
+    is_flag=True,
+    help="Floats with a decimal step (0.01 …): the stored floats are within the bound themselves,"
+    " not only the decimal numbers, for a larger file.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @_batched
 @_writing
@@ -760,11 +766,17 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
     tolerance = f"within {info.mesh_tolerance:.6g}{unit} of the heights"
     if info.mesh in UNBOUNDED_MESHES:
         tolerance = f"coefficients above {info.mesh_tolerance:.6g}{unit}; errors are measured"
+    floats = (
+        f"; stored floats may differ by {info.float_error:.3g} more" if info.float_error else ""
+    )
     rows = [
         ("file", f"{info.path}, {info.n_bytes:,} bytes"),
         ("size", f"{info.n_rows} rows x {info.n_cols} columns, {info.dtype}"),
         ("bits/sample", f"{info.bits_per_sample:.4g}, {info.ratio:.4g} times smaller than raw"),
-        ("max error", f"asked {info.max_error:.6g}, holds {info.effective_error:.6g}{unit}"),
+        (
+            "max error",
+            f"asked {info.max_error:.6g}, holds {info.effective_error:.6g}{unit}{floats}",
+        ),
         ("moved", f"{info.moved_error:.6g}{unit} of it by patches" if info.moved_error else ""),
         ("quantum", f"{info.quantum:.6g}{unit}"),
         ("heights", extent),
@@ -891,6 +903,13 @@ def _print_report(report: Any) -> None:
             f"{count_of(errors.n_valid, 'height')} compared: max error {errors.max_error:.6g}"
             f" (bound {report.bound:.6g}), RMSE {errors.rmse:.6g}"
         )
+        if not report.problems and not report.is_strict:
+            click.echo(
+                "the bound holds of the numbers that floats stand for; stored floats differ by up"
+                " to one float spacing more (compress --strict)"
+            )
+        elif report.is_strict and errors.n_valid:
+            click.echo("the bound holds of the stored values themselves")
     if report.errors is not None and not report.errors.n_valid:
         print_note("no height was compared: there is none that is valid in both")
     if report.original is None:

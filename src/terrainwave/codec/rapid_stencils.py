@@ -292,21 +292,24 @@ def _weights(systems: Reals, penalties: Reals, is_core: Reals, has_tap: Reals) -
     systems[:, :, :MAX_TAPS] *= has_tap[:, None]
     systems[:, diagonal, diagonal] += 1.0 - has_tap
     solution = _solved(systems)
-    rest = 1.0 - np.cumsum(solution, axis=1)[:, -1:]
-    wanted = np.rint(WHOLE * (solution + is_core * (rest / 4)))
+    with np.errstate(invalid="ignore", over="ignore"):
+        rest = 1.0 - np.cumsum(solution, axis=1)[:, -1:]
+        wanted = np.rint(WHOLE * (solution + is_core * (rest / 4)))
     return np.clip(np.where(np.isfinite(wanted), wanted, _FAR), -_FAR, _FAR)
 
 
 def _solved(systems: Reals) -> Reals:
     """Return the solutions of symmetric positive definite systems, shape (n, size, size + 1).
 
-    By elimination without a sum: each operation rounds alike on every machine.
+    By elimination without a sum: each operation rounds alike on every machine. What has no
+    solution, as its taps are all 0, is not finite.
     """
     size = systems.shape[1]
-    for k in range(size):
-        row = systems[:, k] / systems[:, k, k : k + 1]
-        systems -= systems[:, :, k : k + 1] * row[:, None]
-        systems[:, k] = row
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for k in range(size):
+            row = systems[:, k] / systems[:, k, k : k + 1]
+            systems -= systems[:, :, k : k + 1] * row[:, None]
+            systems[:, k] = row
     return systems[:, :, size].copy()
 
 

@@ -100,6 +100,30 @@ class Quantizer:
         return float((self.step >> 1) * Fraction(self.numerator, self.denominator)) + self.rho
 
     @property
+    def float_error(self) -> float:
+        """Return how much further apart stored floats may be than the heights that they name.
+
+        In raw units. Two floats are each at most half a spacing from their multiples of p; 0 where
+        every multiple is a float itself, and off the grid, where `rho` has it.
+        """
+        if np.dtype(self.dtype).kind != "f" or self.rho > 0:
+            return 0.0
+        spacing = _spacing(
+            self.dtype, max(abs(self.height_of(z)) for z in (self.z_min, self.z_max))
+        )
+        return float(_float_error(Fraction(self.numerator, self.denominator), spacing))
+
+    def is_strict(self, bound: float, error: float | None = None) -> bool:
+        """Say whether stored values themselves are within a bound, in raw units.
+
+        ``abs(decoded - original) <= bound``, exactly and as numpy computes it in `dtype`, where the
+        heights that they name are within `error`, by default `effective_error`.
+        """
+        error = self.effective_error if error is None else error
+        limit = _rounded_down(as_fraction(bound), self.dtype)
+        return error == 0 or as_fraction(error) + as_fraction(self.float_error) <= limit
+
+    @property
     def lost(self) -> int:
         """Return the largest loss by rounding to quanta, in quanta, rounded up."""
         return int(-(-Fraction(self.rho) * self.denominator // self.numerator))
@@ -243,11 +267,15 @@ class HeightScan:
         """Return the spacing of `dtype` at the largest absolute height; 0 for integers."""
         if np.dtype(self.dtype).kind != "f":
             return 0.0
-        largest = max(abs(self.minimum), abs(self.maximum))
-        return float(np.spacing(np.dtype(self.dtype).type(largest)))
+        return _spacing(self.dtype, max(abs(self.minimum), abs(self.maximum)))
 
-    def quantizer(self, max_error: Fraction, *, may_have_remainders: bool = False) -> Quantizer:
+    def quantizer(
+        self, max_error: Fraction, *, may_have_remainders: bool = False, is_strict: bool = False
+    ) -> Quantizer:
         """Choose p, base and step for a bound in raw units.
+
+        `is_strict`: it is to hold for the floats that are stored (`Quantizer.is_strict`), not for
+        the multiples of p that they name.
 
         Raises
         ------
@@ -259,9 +287,21 @@ class HeightScan:
             return Quantizer(self.dtype, 1, 1, 0, 1, 0.0, 0, 0)
         span = as_fraction(self.maximum) - as_fraction(self.minimum)
         p = self.true_quantum()
-        if p is not None and span / p < MAX_QUANTA and self._fits(p):
-            return self._with_quantum(p, max_error, Fraction(0))
-        return self._continuous(span, max_error, may_have_remainders)
+        limit = _rounded_down(max_error, self.dtype) if is_strict else max_error
+        if p is None or span / p >= MAX_QUANTA or not self._fits(p):
+            return self._continuous(span, limit, may_have_remainders)
+        plain = self._with_quantum(p, max_error, Fraction(0))
+        if not is_strict or plain.is_strict(float(max_error)):
+            return plain
+        # On the grid a whole quantum is lost at each end of a bin; off it hardly anything, but half
+        # of one, as originals are no longer in the middle.
+        floats = _float_error(p, _spacing(self.dtype, float(self._largest())))
+        narrow = self._with_quantum(p, max(limit - floats, Fraction(0)), Fraction(0))
+        try:
+            free = self._continuous(span, limit, may_have_remainders=False)
+        except InvalidHeightsError:
+            return narrow
+        return max(narrow, free, key=lambda quantizer: quantizer.step * quantizer.quantum)
 
     def _fits(self, p: Fraction) -> bool:
         return self._largest() / p * p.numerator < _MAX_NUMERATOR
@@ -324,6 +364,32 @@ class HeightScan:
             low - base,
             high - base,
         )
+
+
+def _spacing(dtype: str, largest: float) -> float:
+    """Return the spacing of floats at a height."""
+    return float(np.spacing(np.dtype(dtype).type(largest)))
+
+
+def _float_error(p: Fraction, spacing: float) -> Fraction:
+    """Return how much further apart than multiples of p the floats nearest to them may be."""
+    is_binary = p.denominator & (p.denominator - 1) == 0
+    exact = as_fraction(spacing)
+    if is_binary and p >= exact:
+        return Fraction(0)
+    # Heights are rounded twice: to float64, then to their type.
+    return exact * (1 + Fraction(1, 1 << 20))
+
+
+def _rounded_down(bound: Fraction, dtype: str) -> Fraction:
+    """Return a bound that no difference exceeds once it is rounded to a type, as numpy rounds."""
+    if np.dtype(dtype).kind != "f":
+        return bound
+    floats = np.dtype(dtype).type
+    nearest = floats(min(bound, Fraction(float(np.finfo(dtype).max))))
+    if Fraction(float(nearest)) > bound:
+        nearest = np.nextafter(nearest, floats(0))
+    return Fraction(float(nearest))
 
 
 def _on_grid(heights: NDArray[np.generic], wide: NDArray[np.float64], p: Fraction) -> bool:

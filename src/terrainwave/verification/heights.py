@@ -64,6 +64,11 @@ class VerifyReport:
         What was measured; None without an original.
     problems : tuple of str
         One sentence each; empty if all is well.
+    is_strict : bool or None
+        Whether ``abs(decoded - original) <= bound`` holds of all stored values, exactly and as
+        numpy computes it in their type; `bound` here is `max_error`, or the one given. Without
+        problems False means that it holds of the numbers that floats stand for: 0.01, 0.02 …
+        None without an original.
     mesh : MeshReport or None
         What was checked of the meshes, if that was asked for.
     """
@@ -75,6 +80,7 @@ class VerifyReport:
     effective_error: float
     errors: ErrorReport | None
     problems: tuple[str, ...]
+    is_strict: bool | None = None
     mesh: "MeshReport | None" = None
 
     @property
@@ -189,6 +195,7 @@ def _report(
     bound: float,
     errors: ErrorReport | None,
     problems: tuple[str, ...],
+    is_strict: bool | None = None,
 ) -> VerifyReport:
     return VerifyReport(
         path=os.fspath(twz),
@@ -198,6 +205,7 @@ def _report(
         effective_error=terrain.effective_error,
         errors=errors,
         problems=problems,
+        is_strict=is_strict,
     )
 
 
@@ -235,18 +243,19 @@ class _Comparison:
         self._nodata = declared if nodata is None else nodata
         self._scale = float(dataset.scales[band - 1])
         self._bound = _bound(terrain, max_error)
+        self._strict_bound = float(terrain.max_error if max_error is None else max_error)
         flags = dataset.mask_flag_enums[band - 1]
         self._has_mask = MaskFlags.all_valid not in flags and flags != [MaskFlags.nodata]
 
     def run(self, twz: Any, original: Any, progress: ProgressCallback | None) -> VerifyReport:
         terrain = self._terrain
         problems = list(self._compare_metadata())
-        errors = None
+        errors, is_strict = None, None
         shape = self._dataset.height, self._dataset.width
         if tuple(terrain.shape) == shape and np.dtype(terrain.dtype) == self._dtype:
-            errors, height_problems = self._compare_heights(progress)
+            errors, is_strict, height_problems = self._compare_heights(progress)
             problems += height_problems
-        return _report(terrain, twz, original, self._bound, errors, tuple(problems))
+        return _report(terrain, twz, original, self._bound, errors, tuple(problems), is_strict)
 
     def _compare_metadata(self) -> Iterator[str]:
         terrain, dataset, index = self._terrain, self._dataset, self._band - 1
@@ -279,7 +288,9 @@ class _Comparison:
     def _area_or_point(self) -> str:
         return str(self._dataset.tags().get("AREA_OR_POINT", "Area"))
 
-    def _compare_heights(self, progress: ProgressCallback | None) -> tuple[ErrorReport, list[str]]:
+    def _compare_heights(
+        self, progress: ProgressCallback | None
+    ) -> tuple[ErrorReport, bool, list[str]]:
         errors = ErrorSum(self._scale)
         beyond = _Worst()
         unreadable: list[str] = []
@@ -301,11 +312,16 @@ class _Comparison:
             if progress is not None:
                 progress(Progress("verify", n_done, total, n_done * self._dtype.itemsize))
         report = errors.report()
-        return report, [
-            *_shortened(unreadable),
-            *self._mask_problems(report, n_taken),
-            *beyond.problems(self._scale, self._bound),
-        ]
+        is_strict = errors.is_within(self._strict_bound / abs(self._scale or 1.0), self._dtype)
+        return (
+            report,
+            is_strict,
+            [
+                *_shortened(unreadable),
+                *self._mask_problems(report, n_taken),
+                *beyond.problems(self._scale, self._bound),
+            ],
+        )
 
     def _mask_problems(self, report: ErrorReport, n_taken: int) -> Iterator[str]:
         if report.n_mask_differences:

@@ -86,6 +86,11 @@ class ErrorSum:
             self._worst = row + at_row, col + at_col
         return differences
 
+    def is_within(self, bound: float, dtype: np.dtype[Any]) -> bool:
+        """Say whether all unscaled differences are within a bound, rounded to a type as well."""
+        rounded = float(dtype.type(self._largest)) if dtype.kind == "f" else self._largest
+        return max(self._largest, rounded) <= bound
+
     def report(self) -> ErrorReport:
         """Return the report so far."""
         worst_row, worst_col = self._worst or (None, None)

@@ -209,7 +209,7 @@ class DistributedPasses:
         for region, error in run_tasks(self.cluster, prove_region, tasks):
             largest = max(largest, error)
             count(region.n_rows * region.n_cols)
-        return measured_error(largest, job.quantizer, job.raw_bound)
+        return measured_error(largest, job.quantizer)
 
     def close(self) -> None:
         """Delete what tasks have left in the depot."""

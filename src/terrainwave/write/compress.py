@@ -75,6 +75,7 @@ def compress(
     mesh: str = "auto",
     mesh_error: float | None = None,
     faithful: bool = False,
+    strict: bool = False,
     temp_dir: str | os.PathLike[str] | None = None,
     verify: bool = True,
     threads: int | None = None,
@@ -134,6 +135,13 @@ def compress(
         With method cdf97, follow Yusov & Turlapov 2010 to the letter: coefficients of one wavelet
         step on all levels, the coarse levels' quantiser and the errors of blocks as printed. Files
         become larger; their zero trees say where the terrain is rough.
+    strict : bool
+        Of floats on a decimal grid (0.1, 0.01 …) keep the bound for what is stored:
+        ``abs(decoded - original) <= max_error``, exactly and as numpy computes it in their type. By
+        default it holds for the decimal numbers, and the floats nearest to two of these may differ
+        by one float spacing more. Where the bound leaves no room for that, heights are decoded off
+        the grid, and files become larger (docs/reliability.md). Other rasters' files change at
+        most in the last digit of a bound.
     temp_dir : path, optional
         Where large temporary data go; by default beside `dst`. With `client` a path or a URL that
         fsspec can write to, seen by all workers.
@@ -177,6 +185,7 @@ def compress(
         mesh=mesh,
         mesh_error=mesh_error,
         faithful=faithful,
+        strict=strict,
         verify=verify,
         threads=threads,
     )
@@ -234,6 +243,7 @@ def compress_to_bytes(
     effort: str = "default",
     nodata: float | None = None,
     mesh: str = "none",
+    strict: bool = False,
     verify: bool = True,
     threads: int | None = None,
 ) -> bytes:
@@ -248,6 +258,7 @@ def compress_to_bytes(
         block=block,
         effort=effort,
         mesh=mesh,
+        strict=strict,
         verify=verify,
         threads=threads,
     )

@@ -38,7 +38,8 @@ class Job:
     n_valid : int
         Samples of the raster that are valid.
     measured : float, optional
-        The error of an embedded file, once it is known; in raw units.
+        The bound that holds where the quantizer does not tell it, in raw units: of an embedded
+        file, once it is known, and where heights give way to the nodata value.
     """
 
     options: Options
@@ -175,12 +176,16 @@ def settled(options: Options, scan: HeightScan, info: RasterInfo) -> tuple[Job, 
         bound, notes = _choose_bound(options.max_error, scan, info)
         # Tiles code whole levels at once: nothing of theirs could take remainders.
         quantizer = scan.quantizer(
-            _raw_bound(bound, info), may_have_remainders=not options.coding.is_tiled
+            _raw_bound(bound, info),
+            may_have_remainders=not options.coding.is_tiled,
+            is_strict=options.strict,
         )
+    measured = None
     if options.coding.is_tiled:
-        quantizer = _with_room_for_nodata(quantizer, info)
+        quantizer, measured = _with_room_for_nodata(quantizer, info)
+        measured = None if options.is_embedded else measured
     grid = Grid(info.n_rows, info.n_cols, options.block)
-    return Job(options, info, grid, bound, quantizer, scan.n_valid), notes
+    return Job(options, info, grid, bound, quantizer, scan.n_valid, measured), notes
 
 
 def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:
@@ -194,15 +199,20 @@ def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:
     return raw_bound
 
 
-def _with_room_for_nodata(quantizer: Quantizer, info: RasterInfo) -> Quantizer:
+def _with_room_for_nodata(quantizer: Quantizer, info: RasterInfo) -> tuple[Quantizer, float | None]:
     """Return a quantizer whose bound still holds where a height gives way to the nodata value.
 
-    Methods of tiles move it past all quanta of that value, to one side (format-cdf53.md, C.6).
+    Methods of tiles move it past all quanta of that value, to one side (format-cdf53.md, C.6). The
+    second is the bound with these moves, in raw units, if there may be any.
     """
     first, last = quantizer.quanta_of_value(info.nodata)
     room = last - first + 1
     half = quantizer.step >> 1
-    return replace(quantizer, step=2 * max(half - room, 0) + 1) if room > 0 else quantizer
+    if room <= 0 or (half == 0 and quantizer.rho == 0):  # quanta of originals are not in the way
+        return quantizer, None
+    narrow = replace(quantizer, step=2 * max(half - room, 0) + 1)
+    moved = replace(quantizer, step=2 * max(half, room) + 1)
+    return narrow, moved.effective_error if narrow.step > 1 or quantizer.rho else None
 
 
 def _fine_quantizer(scan: HeightScan) -> Quantizer:

@@ -313,7 +313,7 @@ def prove(
     """
     grid = job.grid
     regions = proof_windows(grid)
-    allowed = allowed_error(job.quantizer, job.raw_bound)
+    allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
     largest = 0.0
     with TerrainFile(path, threads=1, cache_bytes=_PROOF_CACHE_BYTES) as terrain:
 
@@ -326,4 +326,4 @@ def prove(
             done += region.n_rows * region.n_cols
             n_bytes = done * np.dtype(job.info.dtype).itemsize
             reporter.report("proving", done, grid.n_rows * grid.n_cols, n_bytes)
-    return measured_error(largest, job.quantizer, job.raw_bound)
+    return measured_error(largest, job.quantizer)

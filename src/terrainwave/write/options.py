@@ -48,6 +48,7 @@ class Options:
     mesh: str = "auto"
     mesh_error: float | None = None
     faithful: bool = False
+    strict: bool = False
     verify: bool = True
     threads: int | None = None
 
@@ -102,6 +103,11 @@ class Options:
             )
         if not self.is_embedded:
             return
+        if self.strict:
+            raise InvalidArgumentError(
+                f"found `strict` and `{given[0]}`, expected `max_error`: there is no other bound to"
+                " keep strictly"
+            )
         (name,) = given
         if goals[name] == 0:
             raise InvalidArgumentError(f"found `{name}` 0, expected a number > 0")

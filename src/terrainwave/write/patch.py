@@ -655,7 +655,7 @@ class _Patcher:
             from where it was than the header says.
         """
         quantizer, bound = self._terrain.quantizer, self._asked_bound()
-        allowed = allowed_error(quantizer, bound)
+        allowed = allowed_error(quantizer, bound, quantizer.effective_error)
         count = self._count("proving")
         with TerrainFile(path, threads=1) as result:
 
@@ -670,7 +670,7 @@ class _Patcher:
                 return largest
 
             largest = max(self._executor.map(compare, proof_windows(self._grid)))
-        return measured_error(largest, quantizer, bound)
+        return measured_error(largest, quantizer)
 
     def _compare_rest(self, result: TerrainFile, region: Region) -> None:
         """Raise unless samples that the new raster does not cover are within the move stated."""

@@ -52,21 +52,19 @@ def compare_window(
     return largest
 
 
-def allowed_error(quantizer: Quantizer, raw_bound: float) -> float:
+def allowed_error(quantizer: Quantizer, raw_bound: float, error: float) -> float:
     """Return the largest difference of stored values that keeps the bound.
 
     On a true grid the bound holds for the numbers k * p; the floats nearest to two of them may
-    differ by one spacing more than the numbers do.
+    differ by one spacing more than the numbers do, unless the bound leaves room for that beyond
+    `error`, the one that holds.
     """
-    if np.dtype(quantizer.dtype).kind != "f" or quantizer.rho > 0:
-        return raw_bound
-    extremes = quantizer.dequantize(np.array([[quantizer.z_min, quantizer.z_max]], dtype=np.int32))
-    return raw_bound + float(np.spacing(np.abs(extremes)).max())
+    return raw_bound + (0 if quantizer.is_strict(raw_bound, error) else quantizer.float_error)
 
 
-def measured_error(largest: float, quantizer: Quantizer, raw_bound: float) -> float:
+def measured_error(largest: float, quantizer: Quantizer) -> float:
     """Return the largest difference of stored values as the error of the heights they name."""
-    if allowed_error(quantizer, raw_bound) > raw_bound:
+    if quantizer.float_error:
         # On a decimal grid the heights are multiples of p; floats name them with a spacing's error.
         return round(largest / quantizer.quantum) * quantizer.quantum
     return largest

@@ -427,7 +427,8 @@ def prove_region(site: Site, path: str | os.PathLike[str], region: Region) -> fl
     BoundViolationError
         If a sample is further than the bound from the original, or valid where that is void.
     """
-    allowed = allowed_error(site.job.quantizer, site.job.raw_bound)
+    job = site.job
+    allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
     with site.raster.open() as source, TerrainFile(path, threads=1) as terrain:
         return max(
             compare_window(terrain, source, window, allowed)
