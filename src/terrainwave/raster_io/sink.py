@@ -19,7 +19,7 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from terrainwave.container.publish import publish, scratch
+from terrainwave.container.publish import beside, publish, scratch
 from terrainwave.container.spool import cannot_write
 from terrainwave.errors import (
     CorruptStreamError,
@@ -254,7 +254,7 @@ class RasterSink:
 
     def _remove_overviews(self) -> None:
         """Remove what GDAL makes beside a COG while it computes overviews."""
-        for path in self._target.parent.glob(f"{self._target.name}.*"):
+        for path in beside(self._target):
             with contextlib.suppress(OSError):
                 path.unlink()
 
