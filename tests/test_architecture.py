@@ -15,7 +15,7 @@ REPOSITORY = Path(__file__).parent.parent
 PACKAGE = REPOSITORY / "src" / "terrainwave"
 PLAN = (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")
 
-ROOT = {"errors", "progress", "names", "arguments", "_version", "extras", "cache"}
+ROOT = {"errors", "progress", "names", "arguments", "_version", "extras", "forks", "cache"}
 # What each room may import besides itself, in the order of the data's path: rooms above it, and
 # none beside it. Nothing else, within functions neither.
 GRID = ROOT | {"coding", "grid"}
@@ -25,7 +25,8 @@ MAY_IMPORT = {
     "progress": {"errors"},
     "extras": {"errors"},
     "names": set(),
-    "cache": set(),
+    "forks": set(),
+    "cache": {"forks"},
     "arguments": {"errors", "names"},
     "coding": ROOT,
     "grid": ROOT | {"coding"},

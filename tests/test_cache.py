@@ -1,10 +1,12 @@
 """The cache: what stays, what goes, and how often values are made."""
 
+import os
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
+from forks import holds_in_a_fork
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -92,3 +94,22 @@ def test_making_one_value_may_ask_for_another():
     cache = Cache(4)
     below = cache.get_or_make("below", lambda: cache.get_or_make("above", lambda: 1) + 1)
     assert (below, cache.get("above")) == (2, 1)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_a_fork_makes_anew_what_a_thread_of_its_parent_is_making():
+    cache, is_in_work, may_end = Cache(4), threading.Event(), threading.Event()
+
+    def make():
+        with cache._lock:  # as a thread may hold it
+            is_in_work.set()
+            may_end.wait(30)
+        return "the parent's"
+
+    with ThreadPoolExecutor(1) as pool:
+        pool.submit(cache.get_or_make, "key", make)
+        is_in_work.wait(30)
+        try:
+            assert holds_in_a_fork(lambda: cache.get_or_make("key", lambda: "own") == "own")
+        finally:
+            may_end.set()

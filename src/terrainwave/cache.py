@@ -5,6 +5,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Generic, TypeVar
 
+from terrainwave.forks import renew_after_fork
+
 Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
 
@@ -36,6 +38,13 @@ class Cache(Generic[Key, Value]):
         self._values: OrderedDict[Key, Value] = OrderedDict()
         self._in_work: dict[Key, threading.Event] = {}
         self._lock = threading.Lock()
+        renew_after_fork(self)
+
+    def renew(self) -> None:
+        """Begin anew after a fork: values that were being made are made again."""
+        self._lock, self._in_work = threading.Lock(), {}
+        # A fork may come between two lines of `put`.
+        self._size = sum(map(self._size_of, self._values.values()))
 
     def __len__(self) -> int:
         return len(self._values)

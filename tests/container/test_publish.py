@@ -374,10 +374,11 @@ def test_a_scratch_directory_is_removed_at_the_end(tmp_path):
 def test_a_killed_runs_scratch_directory_is_removed_by_the_next(tmp_path):
     process = start(SCRATCH, tmp_path)
     try:
-        (left_over,) = tmp_path.iterdir()
+        left_over, lock = sorted(tmp_path.iterdir(), key=lambda path: path.is_file())
         with scratch_directory(tmp_path, "a.twz"), scratch_directory(tmp_path, "b.twz"):
-            assert len(list(tmp_path.iterdir())) == 3
+            assert len([path for path in tmp_path.iterdir() if path.is_dir()]) == 3
         assert (left_over / "big").exists()
+        assert lock.exists()
     finally:
         process.kill()
         process.wait()
@@ -385,7 +386,67 @@ def test_a_killed_runs_scratch_directory_is_removed_by_the_next(tmp_path):
     with scratch_directory(tmp_path, "b.twz"):
         assert left_over.exists()
     with scratch_directory(tmp_path, "a.twz") as path:
-        assert list(tmp_path.iterdir()) == [path]
+        assert [found for found in tmp_path.iterdir() if found.is_dir()] == [path]
+    assert list(tmp_path.iterdir()) == []
+
+
+# Forks that kill themselves before their first, second, … file operation in a folder, until one
+# gets by; after each, a run to the end must leave the folder as it was.
+KILLED_EVERYWHERE = """
+    import os, signal, sys
+    from pathlib import Path
+    from terrainwave.container.publish import {used} as used
+    folder = Path(sys.argv[1])
+
+    def use():
+        with used({arguments}) as made:
+            path = getattr(made, "path", made)
+            if path.is_dir():
+                (path / "big").write_bytes(b"spool")
+            else:  # as GDAL makes overviews
+                path.with_name(path.name + ".ovr.tmp").write_bytes(b"overviews")
+                path.with_name(path.name + ".ovr.tmp").unlink()
+
+    def die_before(number):
+        def hook(event, arguments):
+            nonlocal number
+            if event in ("open", "os.mkdir", "os.remove", "os.rmdir", "os.rename"):
+                number -= 1
+                if number < 0:
+                    os.kill(os.getpid(), signal.SIGKILL)
+        sys.addaudithook(hook)
+
+    status = number = 0
+    while True:
+        child = os.fork()
+        if child == 0:
+            die_before(number)
+            use()
+            os._exit(0)
+        if os.waitpid(child, 0)[1] == 0:
+            break
+        use()
+        left = sorted(set(os.listdir(folder)) - {{"a.twz"}})
+        assert left == [], (number, left)
+        number += 1
+    assert number > 5, number
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+@pytest.mark.parametrize(
+    ("used", "arguments"),
+    [("scratch_directory", "folder, 'a.twz'"), ("publish", "folder / 'a.twz', overwrite=True")],
+)
+def test_what_a_kill_before_any_file_operation_leaves_is_removed_by_the_next_run(
+    tmp_path, used, arguments
+):
+    script = textwrap.dedent(KILLED_EVERYWHERE.format(used=used, arguments=arguments))
+    subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path)],
+        check=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )
 
 
 def test_a_scratch_directory_in_a_missing_place_is_a_storage_error(tmp_path):

@@ -1,5 +1,6 @@
 """URLs: a local web server counts requests and bytes and misbehaves on demand."""
 
+import os
 import pickle
 import re
 import sys
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from container.toys import forge, paths_to_corner, toy_file, toy_header, toy_payload
 from containers import open_container
+from forks import holds_in_a_fork
 
 from terrainwave.container.page import empty_page, page_layout
 from terrainwave.container.ranges import ByteRange
@@ -197,6 +199,17 @@ def test_connections_are_reused(server):
         source.read(offset, 10)
     source.close()
     assert len({address for _, _, address in server.requests}) == 1
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_a_fork_reads_on_connections_of_its_own(server):
+    server.files["/a"] = data = np.random.default_rng(1).bytes(1_000_000)
+    source = open_source(server.url("/a"))
+    assert holds_in_a_fork(lambda: source.read(500_000, 9) == data[500_000:500_009])
+    assert source.read(600_000, 9) == data[600_000:600_009]
+    parent, child, again = (address for _, _, address in server.requests)
+    assert parent == again != child
+    source.close()
 
 
 def test_far_ranges_are_read_side_by_side_and_in_order(server):

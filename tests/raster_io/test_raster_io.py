@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import rasterio
+from forks import holds_in_a_fork
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rasterio.control import GroundControlPoint
@@ -36,7 +37,7 @@ from terrainwave.errors import (
 )
 from terrainwave.raster_io.crs import format_crs, parse_crs
 from terrainwave.raster_io.info import RasterInfo
-from terrainwave.raster_io.sink import RasterSink
+from terrainwave.raster_io.sink import TILE, RasterSink
 from terrainwave.raster_io.source import RasterSource
 
 MOON = (
@@ -823,3 +824,16 @@ def test_memory_stays_flat_on_a_raster_of_256_megabytes(tmp_path):
     )
     # 64 MiB of GDAL's cache and a few windows of 4 Mi samples.
     assert int(run.stdout) < 140
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_a_fork_writes_after_its_parent_has_written_with_threads(tmp_path):
+    heights = np.arange(TILE * TILE, dtype="int16").reshape(TILE, TILE)
+
+    def write(name):
+        with RasterSink(tmp_path / name, RasterInfo(TILE, TILE, "int16"), n_threads=2) as sink:
+            sink.write(0, 0, heights, np.ones(heights.shape, dtype=bool))
+        return np.array_equal(read_geotiff(tmp_path / name)[0], heights)
+
+    assert write("parent.tif")
+    assert holds_in_a_fork(lambda: write("child.tif"))

@@ -1,8 +1,10 @@
 """Payloads on their way: fetched by one thread each, waited for by the others."""
 
+import os
 import threading
 
 import pytest
+from forks import holds_in_a_fork
 
 from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.grid.quadtree import Block
@@ -66,3 +68,24 @@ def test_the_oldest_of_what_nobody_takes_goes(monkeypatch):
     for key in KEYS:
         store.take(key)
     assert calls == [KEYS[:2], KEYS[2:], [KEYS[0]]]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_a_fork_fetches_what_is_on_its_way_to_a_thread_of_its_parent():
+    parent, is_asked, gate = os.getpid(), threading.Event(), threading.Event()
+
+    def payloads(keys):
+        is_asked.set()
+        if os.getpid() == parent:
+            gate.wait(30)
+        return [bytes([key.col]) for key in keys]
+
+    store = FetchedPayloads(payloads)
+    thread = threading.Thread(target=store.fetch, args=(KEYS[:2],))
+    thread.start()
+    is_asked.wait(30)
+    try:
+        assert holds_in_a_fork(lambda: store.take(KEYS[1]) == b"\1")
+    finally:
+        gate.set()
+        thread.join(30)

@@ -2,12 +2,13 @@
 
 import shutil
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 
 import click
+
+from terrainwave.container.publish import system_scratch
 
 STREAM = "-"
 _KEY = "terrainwave.stdin"
@@ -23,8 +24,8 @@ def read_stream(ctx: click.Context) -> str:
 
 @contextmanager
 def _stdin_file() -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(prefix="terrainwave-") as directory:
-        path = Path(directory) / "stdin"
+    with system_scratch() as directory:
+        path = directory / "stdin"
         with path.open("wb") as file:
             shutil.copyfileobj(sys.stdin.buffer, file)
         yield path
@@ -41,8 +42,8 @@ def written(target: str, ending: str) -> Iterator[str]:
         return
     if sys.stdout.isatty():
         raise click.UsageError("found - and a terminal, expected stdout to be a pipe or a file")
-    with tempfile.TemporaryDirectory(prefix="terrainwave-") as directory:
-        path = Path(directory) / f"stdout{ending}"
+    with system_scratch() as directory:
+        path = directory / f"stdout{ending}"
         yield str(path)
         stdout = sys.stdout.buffer
         with path.open("rb") as file:

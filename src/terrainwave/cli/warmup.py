@@ -1,6 +1,5 @@
 """What `terrainwave warmup` does: run each kind of work once, so that its kernels are compiled."""
 
-import tempfile
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import terrainwave
+from terrainwave.container.publish import system_scratch
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.names import (
     AUTO_METHODS,
@@ -36,9 +36,8 @@ def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
         Of `TASKS`. Each needs files, so that what ``compress`` needs is always compiled.
     """
     left_out = []
-    with tempfile.TemporaryDirectory(prefix="terrainwave-") as name, warnings.catch_warnings():
+    with system_scratch() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", TerrainwaveWarning)
-        folder = Path(name)
         _compress(folder)
         for task in tasks or TASKS:
             try:

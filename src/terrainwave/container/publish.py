@@ -8,9 +8,10 @@ import re
 import secrets
 import shutil
 import stat
+import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -30,12 +31,12 @@ except ImportError:
 
 SUFFIX = ".twz-part"
 SCRATCH_SUFFIX = ".twz-scratch"
+LOCK_SUFFIX = ".twz-lock"
 
 _ON_WINDOWS = os.name == "nt"
 _RETRIES = 10
 _FIRST_DELAY = 0.05  # seconds; doubles. Virus scanners hold a new file for a moment on Windows
 _LOCKED_BYTE = 2**40  # msvcrt locks forbid reading what they cover: far behind any content
-_LOCK_NAME = "lock"
 _RANDOM_PART = re.compile("[0-9a-f]{16}")
 
 
@@ -162,8 +163,9 @@ def scratch(target: str | os.PathLike[str]) -> Iterator[Part]:
 def scratch_directory(parent: str | os.PathLike[str], name: str) -> Iterator[Path]:
     """Give a directory for temporary files that is removed when the block ends.
 
-    It is called ``.name.random.twz-scratch`` and holds a locked file. What killed runs with the
-    same `name` have left in `parent` is removed first, if no living process holds its lock.
+    It is called ``.name.random.twz-scratch``; beside it lies a locked file, ``.twz-lock``, which is
+    there before it and after it. What killed runs with the same `name` have left in `parent` is
+    removed first, if no living process holds its lock.
 
     Raises
     ------
@@ -171,28 +173,36 @@ def scratch_directory(parent: str | os.PathLike[str], name: str) -> Iterator[Pat
         If `parent` is missing or not writable.
     """
     parent = Path(parent)
-    for stale in _leftovers(parent, name, SCRATCH_SUFFIX):
-        with suppress(OSError), open(stale / _LOCK_NAME, "r+b") as file:
-            if _try_lock(file) is _Lock.TAKEN:
-                if fcntl is None:
-                    file.close()
-                shutil.rmtree(stale, ignore_errors=True)
-    path = parent / f".{name}.{secrets.token_hex(8)}{SCRATCH_SUFFIX}"
+    for stale in _leftovers(parent, name, LOCK_SUFFIX):
+        with _taken(stale) as file:
+            if file is not None:
+                _remove_scratch(stale, file)
+    created: list[Path] = []
     lock = None
     try:
-        with storage_errors(f"cannot make a temporary directory in {parent}"):
+        action = f"cannot make a temporary directory in {parent}"
+        lock = _create_locked(parent / name, LOCK_SUFFIX, created, action)
+        path = lock.path.with_suffix(SCRATCH_SUFFIX)
+        with storage_errors(action):
             path.mkdir(mode=0o700)
-            # From here to the lock another run may at worst take the directory for a left-over;
-            # the first file written into it then fails with a clear line.
-            lock = open(path / _LOCK_NAME, "w+b")
-        _try_lock(lock)
         yield path
     finally:
-        if lock is not None and fcntl is None:
-            lock.close()
-        shutil.rmtree(path, ignore_errors=True)
-        if lock is not None:
-            lock.close()
+        if lock is None:
+            _dispose(None, created)
+        else:
+            _remove_scratch(lock.path, lock.file)
+
+
+def system_scratch() -> AbstractContextManager[Path]:
+    """Give a scratch directory among the system's temporary files."""
+    return scratch_directory(tempfile.gettempdir(), "terrainwave")
+
+
+def _remove_scratch(lock_path: Path, lock: BinaryIO) -> None:
+    """Remove a scratch directory, then its lock; what cannot be removed keeps its lock's file."""
+    directory = lock_path.with_suffix(SCRATCH_SUFFIX)
+    shutil.rmtree(directory, ignore_errors=True)
+    _dispose(Part(lock_path, lock), [] if directory.exists() else [lock_path])
 
 
 @contextmanager
@@ -258,14 +268,17 @@ def _check_directory(final: Path, marker: str, overwrite: bool) -> None:
 def _leftovers(directory: Path, name: str, suffix: str) -> Iterator[Path]:
     """Yield the paths in `directory` that look like ``.name.random`` and the suffix."""
     prefix = f".{name}."
-    try:
-        entries = sorted(os.listdir(directory))
-    except OSError:
-        return
-    for entry in entries:
+    for entry in _listed(directory):
         if entry.startswith(prefix) and entry.endswith(suffix):
             if _RANDOM_PART.fullmatch(entry[len(prefix) : -len(suffix)]):
                 yield directory / entry
+
+
+def _listed(directory: Path) -> list[str]:
+    try:
+        return sorted(os.listdir(directory))
+    except OSError:
+        return []
 
 
 def _check_target(final: Path, overwrite: bool) -> None:
@@ -291,26 +304,50 @@ def remove_stale_parts(final: Path) -> list[Path]:
     """
     removed: list[Path] = []
     for path in _leftovers(final.parent, final.name, SUFFIX):
-        with suppress(OSError), open(path, "r+b") as file:
-            if _try_lock(file) is _Lock.TAKEN:
-                if fcntl is None:
-                    file.close()
-                os.unlink(path)
-                removed.append(path)
+        with _taken(path) as file:
+            if file is not None:
+                # What GDAL made beside it goes first: nothing would lead there later.
+                paths = [*beside(path), path]
+                _dispose(Part(path, file), paths)
+                removed += paths
     return removed
 
 
+def beside(part: Path) -> list[Path]:
+    """Return the files that GDAL made beside an unfinished one, such as overviews of a COG."""
+    prefix = f"{part.name}."
+    return [part.with_name(name) for name in _listed(part.parent) if name.startswith(prefix)]
+
+
+@contextmanager
+def _taken(path: Path) -> Iterator[BinaryIO | None]:
+    """Give a left-over file, locked; None if it is gone or not for us to take."""
+    try:
+        file = open(path, "r+b")
+    except OSError:
+        yield None
+        return
+    with file:
+        is_ours = _try_lock(file) is _Lock.TAKEN and _is_still_there(path, file)
+        yield file if is_ours else None
+
+
 def _create_part(final: Path, created: list[Path]) -> Part:
+    return _create_locked(final, SUFFIX, created, f"cannot write {final}")
+
+
+def _create_locked(final: Path, suffix: str, created: list[Path], action: str) -> Part:
     """Create and lock a new file beside `final`, as mkstemp does but with the umask's mode.
 
     Its name is in `created` before the file exists: an interruption at any moment leaves nothing.
+    Errors begin with `action`.
     """
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
     flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
     for _ in range(_RETRIES):
-        path = final.parent / f".{final.name}.{secrets.token_hex(8)}{SUFFIX}"
+        path = final.parent / f".{final.name}.{secrets.token_hex(8)}{suffix}"
         created.append(path)
-        with storage_errors(f"cannot write {final}"):
+        with storage_errors(action):
             file = os.fdopen(os.open(path, flags, 0o666), "w+b")
         try:
             # Another run may have taken it for a left-over before it was locked.
@@ -322,7 +359,7 @@ def _create_part(final: Path, created: list[Path]) -> Part:
         file.close()
         with suppress(OSError):
             os.unlink(path)
-    raise StorageError(f"cannot write {final}: its unfinished file cannot be locked")
+    raise StorageError(f"{action}: its unfinished file cannot be locked")
 
 
 def _is_still_there(path: Path, file: BinaryIO) -> bool:

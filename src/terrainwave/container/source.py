@@ -8,6 +8,7 @@ from typing import BinaryIO, Protocol, TypeAlias, runtime_checkable
 
 from terrainwave.container.ranges import ByteRange, merge_ranges, split_merged
 from terrainwave.errors import StorageError, TruncatedStreamError
+from terrainwave.forks import renew_after_fork
 
 
 @runtime_checkable
@@ -103,12 +104,17 @@ class FileSource(MergingSource):
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.name = os.fspath(path)
-        self._lock = threading.Lock()
+        self.renew()
+        renew_after_fork(self)
         try:
             self._file: BinaryIO | None = open(self.name, "rb", buffering=0)
             self.size = self._file.seek(0, os.SEEK_END)
         except OSError as error:
             raise StorageError(f"cannot read {self.name}: {error.strerror or error}") from error
+
+    def renew(self) -> None:
+        """Begin anew after a fork."""
+        self._lock = threading.Lock()
 
     def _read(self, offset: int, length: int) -> bytes:
         file = self._file
@@ -137,7 +143,8 @@ class BufferSource(MergingSource):
 
     def __init__(self, buffer: bytes | BinaryIO) -> None:
         self.name = getattr(buffer, "name", None) or "the buffer"
-        self._lock = threading.Lock()
+        self.renew()
+        renew_after_fork(self)
         self._bytes: bytes | None = None
         if isinstance(buffer, bytes | bytearray | memoryview):
             self._bytes = bytes(buffer)
@@ -149,6 +156,10 @@ class BufferSource(MergingSource):
             self.size = self._file.seek(0, os.SEEK_END)
         except (OSError, ValueError) as error:
             raise StorageError(f"cannot seek in {self.name}: {error}") from error
+
+    def renew(self) -> None:
+        """Begin anew after a fork. A file object's place is still the parent's as well."""
+        self._lock = threading.Lock()
 
     def _read(self, offset: int, length: int) -> bytes:
         if self._is_closed:

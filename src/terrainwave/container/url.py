@@ -34,6 +34,7 @@ from terrainwave.errors import (
     TerrainwaveWarning,
 )
 from terrainwave.extras import need
+from terrainwave.forks import renew_after_fork
 
 FIRST_REQUEST = 16 * 1024
 TIMEOUT = 30.0  # seconds without a byte
@@ -93,10 +94,10 @@ class HttpSource(MergingSource):
     def __init__(self, url: str, version: str | None = None) -> None:
         self._url = url
         self.name = _display_name(url)
-        self._lock = threading.Lock()
         self._idle: list[tuple[tuple[str, str], http.client.HTTPConnection]] = []
         self.n_replies = 0  # so far, for those who wait
-        self._in_use: set[http.client.HTTPConnection] = set()
+        self.renew()
+        renew_after_fork(self)
         self._is_closed = False
         self._resolved = url
         self._version = version
@@ -106,6 +107,17 @@ class HttpSource(MergingSource):
         except BaseException:
             self.close()
             raise
+
+    def renew(self) -> None:
+        """Begin anew after a fork: on the parent's connections each would read the other's bytes.
+
+        Those in use are left as they are: their locks may be held.
+        """
+        self._lock = threading.Lock()
+        idle, self._idle = self._idle, []
+        self._in_use: set[http.client.HTTPConnection] = set()
+        for _, connection in idle:
+            connection.close()
 
     def _read(self, offset: int, length: int) -> bytes:
         if self._is_closed:

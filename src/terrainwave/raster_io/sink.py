@@ -19,12 +19,13 @@ from rasterio.errors import NotGeoreferencedWarning
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from terrainwave.container.publish import publish, scratch
+from terrainwave.container.publish import beside, publish, scratch
 from terrainwave.container.spool import cannot_write
 from terrainwave.errors import (
     CorruptStreamError,
     StorageError,
 )
+from terrainwave.forks import renew_after_fork
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.gdal import (
@@ -81,6 +82,31 @@ def write_description(dataset: Any, info: RasterInfo) -> None:
         dataset.descriptions = (info.description,)
 
 
+class _Threads:
+    """How many threads GDAL may compress with.
+
+    A fork does not take GDAL's own along, and GDAL would wait for them for ever.
+    """
+
+    def __init__(self) -> None:
+        self._are_there = self._are_gone = False
+        renew_after_fork(self)
+
+    def renew(self) -> None:
+        """Begin anew after a fork."""
+        self._are_gone = self._are_there
+
+    def allowed(self, n_threads: int) -> int:
+        """Return how many of `n_threads` GDAL may have: one where it had some before a fork."""
+        if self._are_gone:
+            return 1
+        self._are_there |= n_threads > 1
+        return n_threads
+
+
+_THREADS = _Threads()
+
+
 class RasterSink:
     """A GeoTIFF written window by window, which appears at its place complete or not at all.
 
@@ -121,7 +147,7 @@ class RasterSink:
         self.info = info
         self._path = os.fspath(path)
         self._cog = cog
-        self._n_threads = n_threads
+        self._n_threads = _THREADS.allowed(n_threads)
         self._dtype = np.dtype(info.dtype)
         self._lock = threading.Lock()
         with ExitStack() as files:
@@ -254,7 +280,7 @@ class RasterSink:
 
     def _remove_overviews(self) -> None:
         """Remove what GDAL makes beside a COG while it computes overviews."""
-        for path in self._target.parent.glob(f"{self._target.name}.*"):
+        for path in beside(self._target):
             with contextlib.suppress(OSError):
                 path.unlink()
 

@@ -4,6 +4,7 @@ import threading
 from collections.abc import Callable, Sequence
 
 from terrainwave.errors import CorruptStreamError
+from terrainwave.forks import renew_after_fork
 from terrainwave.grid.quadtree import Block
 
 # Left over where what was fetched is not wanted any more: the oldest go.
@@ -21,8 +22,14 @@ class FetchedPayloads:
 
     def __init__(self, payloads: Callable[[Sequence[Block]], list[bytes]]) -> None:
         self._payloads = payloads
-        self._lock = threading.Lock()
         self._here: dict[Block, bytes] = {}  # the oldest first
+        self.renew()
+        renew_after_fork(self)
+
+    def renew(self) -> None:
+        """Begin anew after a fork: what was on its way is fetched again."""
+        self._lock = threading.Lock()
+        self._here.clear()
         self._n_bytes = 0
         self._on_the_way: dict[Block, threading.Event] = {}
 

@@ -1,7 +1,6 @@
 """Windows and places of a level as users get them: units decoded in threads, quanta converted."""
 
 import contextlib
-import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from terrainwave.codec.refiner import Decoded
 from terrainwave.errors import CorruptStreamError, StorageError
+from terrainwave.forks import renew_after_fork
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.remainders import restored
@@ -39,8 +39,12 @@ class WindowReader:
         self._dtype = np.dtype(quantizer.dtype)
         self._n_threads = n_threads
         self._executor: ThreadPoolExecutor | None = None
-        self._executor_pid = 0
         self._lock = threading.Lock()
+        renew_after_fork(self)
+
+    def renew(self) -> None:
+        """Begin anew after a fork, which takes no threads along: the first read starts some."""
+        self._executor, self._lock = None, threading.Lock()
 
     def close(self) -> None:
         """Stop the threads."""
@@ -121,12 +125,10 @@ class WindowReader:
     def _run(self, work: Callable[[Block], None], keys: list[Block]) -> None:
         """Call `work` for every unit, those above it first, in the threads."""
         with self._lock:
-            # A fork takes no threads along: its first read starts some.
-            if self._executor is None or self._executor_pid != os.getpid():
+            if self._executor is None:
                 self._executor = ThreadPoolExecutor(
                     self._n_threads, thread_name_prefix="terrainwave"
                 )
-                self._executor_pid = os.getpid()
             executor = self._executor
 
         def submit(function: Callable[[Block], None], key: Block) -> Future[None]:

@@ -7,7 +7,6 @@ disk with the ordinary decoder and compares every sample. Memory stays flat in a
 
 import io
 import os
-import tempfile
 import warnings
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import closing
@@ -17,7 +16,12 @@ from typing import Any, BinaryIO, NamedTuple, cast
 
 from terrainwave.arguments import TWZ_ENDINGS, check_ending
 from terrainwave.container.depot import Depot
-from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
+from terrainwave.container.publish import (
+    publish,
+    refuse_own_source,
+    scratch_directory,
+    system_scratch,
+)
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Grid
@@ -265,9 +269,9 @@ def compress_to_bytes(
     file = io.BytesIO()
     with (
         RasterSource(src, nodata=nodata) as source,
-        tempfile.TemporaryDirectory(prefix="terrainwave-") as directory,
+        system_scratch() as directory,
     ):
-        _write(file, None, source, options, Path(directory), Reporter(None))
+        _write(file, None, source, options, directory, Reporter(None))
     return file.getvalue()
 
 

@@ -7,7 +7,6 @@ memory is bounded by the subtree's levels in spools of 8 MiB each, the rest on t
 """
 
 import os
-import tempfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -23,6 +22,7 @@ from terrainwave.codec.refiner import Refiner
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.container.depot import Depot, StoredSegment, StoredSegments
 from terrainwave.container.page import N_CODES
+from terrainwave.container.publish import system_scratch
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import store_segments, stored_places
@@ -176,10 +176,10 @@ class _Bench(NamedTuple):
 def _bench(raster: RasterPlace) -> Iterator[_Bench]:
     with (
         raster.open() as source,
-        tempfile.TemporaryDirectory(prefix="terrainwave-", ignore_cleanup_errors=True) as directory,
+        system_scratch() as directory,
         ThreadPoolExecutor(1) as executor,
     ):
-        yield _Bench(source, Path(directory), executor)
+        yield _Bench(source, directory, executor)
 
 
 # Pass A

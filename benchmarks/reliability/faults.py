@@ -1,0 +1,75 @@
+"""Kill, starve, cut off and crowd the package, and count what comes of it.
+
+`kills`: commands killed with signal 9 while they write; `disk`: full disks; `network`: a server
+that fails, stalls or lies; `sharing`: writers of one target, forks, threads and 10,000 opens.
+Each writes a CSV, ``faults_NAME.csv``; the exit status is 1 if one of them found a fault.
+"""
+
+from collections.abc import Iterable
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import click
+
+from benchmarks.common import COUNT, EXISTING, ListOption, command, option, write_rows
+from benchmarks.reliability import disk, kills, network, sharing
+from benchmarks.reliability.commands import (
+    everything_on_disk,
+    make_inputs,
+    warm_up,
+    writing_commands,
+)
+
+# Columns in which every number but 0 is a fault.
+FAULTS = (
+    "broken", "leftovers_after_next", "failed_next", "others_touched", "unclear", "crashes",
+    "hangs", "wrong", "others", "then_wrong", "failed", "errors",
+)  # fmt: skip
+PARTS = ("kills", "disk", "network", "sharing")
+
+
+@command("")
+@option("--only", type=click.Choice(PARTS), cls=ListOption, default=PARTS)
+@option("--dem", type=EXISTING, help="A raster whose corner is taken. Default: made-up hills.")
+@option("--side", type=COUNT, default=400, help="Samples on a side.")
+@option("--kills", "n_kills", type=COUNT, default=200, help="Of each command, by the clock.")
+@option("--disks", "n_disks", type=COUNT, default=50, help="Sizes for each command.")
+@option("--pairs", "n_pairs", type=COUNT, default=50, help="Of writers, for each command.")
+@option("--forks", "n_forks", type=COUNT, default=100, help="Of each kind.")
+@option("--opens", "n_opens", type=COUNT, default=10_000, help="A tenth of them over http.")
+@option("--commands", cls=ListOption, help="These alone are killed or run on full disks.")
+@option("--seed", type=int, default=0)
+def main(
+    out: Path, folder: Path, only: tuple[str, ...], dem: Path | None, side: int, n_kills: int,
+    n_disks: int, n_pairs: int, n_forks: int, n_opens: int, commands: tuple[str, ...], seed: int,
+) -> None:  # fmt: skip
+    """Run the trials."""
+    everything_on_disk()
+    inputs = folder / "inputs"
+    inputs.mkdir(exist_ok=True)
+    make_inputs(inputs, dem, side)
+    chosen = [one for one in writing_commands(inputs) if one.name in (commands or (one.name,))]
+    warm_up(chosen, inputs)
+    exact, other = inputs / "exact.twz", inputs / "other.twz"
+    written: list[Any] = []
+
+    def write(name: str, rows: Iterable[Any]) -> None:
+        written.extend(write_rows(out / f"faults_{name}.csv", rows))
+
+    if "kills" in only:
+        write("kills", kills.rows(chosen, folder, n_kills, seed))
+    if "disk" in only:
+        write("disk", disk.rows(chosen, folder, n_disks, seed))
+    if "sharing" in only:  # forks first, while this process has one thread
+        write("writers", sharing.writers(chosen, folder, n_pairs, seed))
+        write("opens", sharing.opens(exact, n_opens, n_opens // 10))
+        readers = [sharing.forks(exact, n_forks, 10), sharing.threads(exact, 100)]
+        write("readers", chain.from_iterable(readers))
+    if "network" in only:
+        write("network", network.rows(exact, other))
+    raise SystemExit(any(getattr(row, name, 0) for row in written for name in FAULTS))
+
+
+if __name__ == "__main__":
+    main()
