@@ -16,8 +16,9 @@ from pathlib import Path
 
 import atheris
 
+from fuzz import IS_COMPILED
+
 ROOT = Path(__file__).parents[1]
-IS_COMPILED = os.environ.get("NUMBA_DISABLE_JIT", "0") in {"", "0"}
 # Address space that a target may take beyond what the process has at first.
 _MOST_BYTES = 2 << 30
 _FINDS_OF_A_PLACE = 3
