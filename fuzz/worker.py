@@ -6,7 +6,6 @@ JSON of what was done so far, written every second, since a crash or a hang ends
 
 import hashlib
 import json
-import os
 import resource
 import sys
 import time
