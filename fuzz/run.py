@@ -24,7 +24,9 @@ RESULTS = ROOT / "benchmarks" / "results" / "fuzz.csv"
 FIELDS = ("target", "mode", "executions", "accepted", "seconds", "memory_mb", "slowest_ms", "finds")
 # For one input; kernels as plain Python are some hundred times slower.
 _TIMEOUTS = {"python": 60, "compiled": 10}
-_LONGEST = 4096
+# Bytes of an input: what plain Python needs for few samples, what is read of ranges.
+_LONGEST = {"python": 256, "compiled": 4096}
+_LONGEST_OF = {"rounds": 64, "virtual": 1024, "remainders": 400}
 JAVASCRIPT = "javascript"
 # No kernel runs in these; in opening all do, and one file takes a minute as plain Python.
 _COMPILED_ONLY = (
@@ -78,7 +80,8 @@ def _command(name: str, mode: str, seconds: float) -> list[str]:
     return [
         sys.executable, "-m", "fuzz.worker", name, str(WORK / "finds"), str(WORK / "state.json"),
         f"-max_total_time={max(1, int(seconds))}", f"-timeout={_TIMEOUTS[mode]}",
-        f"-artifact_prefix={WORK / 'finds'}/{name}-", "-rss_limit_mb=3072", f"-max_len={_LONGEST}",
+        f"-artifact_prefix={WORK / 'finds'}/{name}-", "-rss_limit_mb=3072",
+        f"-max_len={_LONGEST_OF.get(name, _LONGEST[mode])}",
         "-print_final_stats=1", "-verbosity=0", *map(str, filter(Path.exists, corpus)),
     ]  # fmt: skip
 

@@ -6,7 +6,6 @@ JSON of what was done so far, written every second, since a crash or a hang ends
 
 import hashlib
 import json
-import os
 import resource
 import sys
 import time
@@ -16,8 +15,9 @@ from pathlib import Path
 
 import atheris
 
+from fuzz import IS_COMPILED
+
 ROOT = Path(__file__).parents[1]
-IS_COMPILED = os.environ.get("NUMBA_DISABLE_JIT", "0") in {"", "0"}
 # Address space that a target may take beyond what the process has at first.
 _MOST_BYTES = 2 << 30
 _FINDS_OF_A_PLACE = 3

@@ -9,11 +9,12 @@ import threading
 import time
 
 import numpy as np
-import uvicorn
 from PIL import Image
 from selenium import webdriver
 from selenium.webdriver.chrome.options import Options
 from selenium.webdriver.chrome.service import Service
+
+from terrainwave.ext.serve.connections import server_of
 
 ARGUMENTS = (
     "--headless=new", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-sync",
@@ -28,7 +29,7 @@ PATIENCE = 120  # seconds: WebGL runs on the processor, and machines are shared
 def served(app):
     """Yield the address at which `app` answers."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        server = uvicorn.Server(uvicorn.Config(app, log_level="warning"))
+        server = server_of(app)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
         try:

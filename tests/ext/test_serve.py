@@ -530,6 +530,20 @@ def test_ctrl_c_says_goodbye(hilly):
     assert "target" not in complaint
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="SIGTERM there ends a process at once")
+def test_a_signal_says_goodbye_and_nothing_of_targets(hilly):
+    server = start("serve", hilly, "--port", "0")
+    try:
+        server.stdout.readline()
+        server.send_signal(signal.SIGTERM)
+        said, complaint = server.communicate(timeout=30)
+    finally:
+        server.kill()
+    assert server.returncode == 128 + signal.SIGTERM
+    assert said.strip() == "goodbye"
+    assert complaint == ""
+
+
 def test_names_on_stdin_are_served_until_it_ends(hilly, nowhere, tmp_path):
     missing = tmp_path / "missing.twz"
     answers = []

@@ -2,20 +2,24 @@
 
 import asyncio
 import socket
+import threading
 
 import numpy as np
 import pytest
 import rasterio
 from ext.browser import served
 from ext.rasters import hills, write_twz
+from fastapi import HTTPException
 from fastapi.testclient import TestClient
 from rasterio.windows import Window
 
 import terrainwave
 from terrainwave.cli.serving import _listen
+from terrainwave.errors import CorruptStreamError
+from terrainwave.ext.serve import sending
 from terrainwave.ext.serve.app import make_app
-from terrainwave.ext.serve.ranges import Span, asked_span
-from terrainwave.ext.serve.sending import PART, Ahead, Desk, parts
+from terrainwave.ext.serve.ranges import Span, asked_span, is_same
+from terrainwave.ext.serve.sending import PART, Ahead, Desk, begun, parts
 
 BOUNDS = (8.0, 46.0, 8.5, 46.4)
 TAG = '"abc"'
@@ -115,6 +119,48 @@ def test_what_a_client_that_reads_on_will_ask_for_is_made_before():
     assert places_read([(12, 18)]) == [12, 13, 14, 15, 16, 17, 18, 19]
 
 
+@pytest.mark.parametrize(
+    ("asked", "is_same_version"),
+    [
+        ("", False),
+        (TAG, True),
+        (f"W/{TAG}", True),
+        (f'"x",{TAG}', True),
+        ("*", True),
+        ('"x"', False),
+    ],
+)
+def test_a_version_is_known_by_any_of_the_names_a_client_has(asked, is_same_version):
+    assert is_same(asked, TAG) is is_same_version
+
+
+def test_a_file_that_cannot_be_read_is_told_before_the_answer_begins(client, monkeypatch):
+    def damaged(place, n_bytes):
+        raise CorruptStreamError("no")
+
+    monkeypatch.setattr(client.app.state.layers["hills"].geotiff, "read_at", damaged)
+    assert client.get("/hills.tif").status_code == 500
+
+
+def test_an_answer_that_has_begun_waits_where_others_are_refused(monkeypatch):
+    monkeypatch.setattr(sending, "N_WAITING", 0)
+
+    async def get_all():
+        desk = Desk(1)
+        span = Span(0, 3 * PART, 3 * PART, is_part=False)
+        made = await begun(parts(desk, lambda place, n_bytes: bytes(n_bytes), span, None))
+        release = threading.Event()
+        other = asyncio.create_task(desk.do(release.wait, 20, is_begun=True))
+        await asyncio.sleep(0)
+        with pytest.raises(HTTPException, match="503"):
+            await desk.do(int)
+        release.set()
+        assert sum([len(part) async for part in made]) == 3 * PART
+        await other
+
+    asyncio.run(get_all())
+
+
 def test_another_name_is_not_found(client):
     assert client.get("/valleys.tif").status_code == 404
 
@@ -135,6 +181,12 @@ def test_another_name_is_not_found(client):
         ({"range": "bytes=9-3"}, (0, 1000, False)),
         ({"range": "bytes=0-3,6-9"}, (0, 1000, False)),
         ({"range": "samples=0-3"}, (0, 1000, False)),
+        ({"range": f"bytes=0-{'9' * 5000}"}, (0, 1000, False)),
+        ({"range": f"bytes={'9' * 5000}-"}, (0, 1000, False)),
+        ({"range": f"bytes=-{'9' * 5000}"}, (0, 1000, False)),
+        ({"range": f"bytes=5-{'9' * 18}"}, (5, 1000, True)),
+        ({"range": "bytes=+1-2"}, (0, 1000, False)),
+        ({"range": "bytes=\u0661-\u0662"}, (0, 1000, False)),
         ({"range": "bytes=0-3", "if-range": TAG}, (0, 4, True)),
         ({"range": "bytes=0-3", "if-range": '"old"'}, (0, 1000, False)),
     ],

@@ -1,10 +1,12 @@
 """The command that answers over HTTP: serve."""
 
 import json
+import re
 import socket
 import threading
 import webbrowser
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import click
@@ -17,13 +19,26 @@ from terrainwave.cli.signals import Terminated
 from terrainwave.errors import StorageError, TerrainwaveError
 from terrainwave.extras import need
 
+# A name, an address, all names below one, or any; without a port.
+_HOST_NAME = re.compile(r"(\*\.)?[\w.-]+|\[[0-9A-Fa-f:.]+\]|\*")
+
+
+def _host_names(_: Any, __: Any, names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        if not _HOST_NAME.fullmatch(name):
+            raise click.BadParameter(
+                f"found {name!r}, expected a host name without a port, *.name for all below one,"
+                " or * for any"
+            )
+    return names
+
 
 @main.command()
 @click.argument("files", nargs=-1, type=NamedInput())
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @click.option("--port", type=click.IntRange(0, 65535), default=8765, show_default=True,
               help="0 takes a free one.")  # fmt: skip
-@click.option("--allow-host", "hosts", multiple=True, metavar="NAME",
+@click.option("--allow-host", "hosts", multiple=True, metavar="NAME", callback=_host_names,
               help="Name it may be asked by, besides localhost.")  # fmt: skip
 @click.option("--cors", is_flag=True, help="Let pages of other sites read the tiles.")
 @click.option("--threads", "n_decoding", type=click.IntRange(1, 64), default=2, show_default=True,
@@ -53,35 +68,47 @@ def serve(
     """
     if not files and not listens:
         raise click.UsageError("Missing argument 'FILES...'.")
-    uvicorn = need("uvicorn", extra="serve", purpose="serve")
-    for package in ("fastapi", "PIL"):
+    for package in ("uvicorn", "fastapi", "PIL"):
         need(package, extra="serve", purpose="serve")
     from terrainwave.ext.serve.app import make_app
+    from terrainwave.ext.serve.connections import server_of
 
-    announce_compiling(quiet=quiet)
-    named = tuple(name for name in (host, *hosts) if name not in ("0.0.0.0", "::"))
-    app = make_app(list(files), hosts=named, cors=cors, n_decoding=n_decoding, radius=radius)
-    n_terrains = len(app.state.layers)
-    listener = _listen(host, port)
-    address = f"http://{_in_url(host)}:{listener.getsockname()[1]}/"
-    if not quiet:
-        click.echo(f"{count_of(n_terrains, 'terrain')} at {address}  (Ctrl-C ends)")
-    if host in ("0.0.0.0", "::") and not hosts:
-        print_note("asked by other names than localhost it refuses: name them with --allow-host")
-    if opens:
-        webbrowser.open(address)
-    server = uvicorn.Server(uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=2))
-    if listens:
-        add = app.state.shelf.add
-        threading.Thread(target=_serve_named, args=(add, address, server), daemon=True).start()
-    with listener:
-        try:
+    with _saying_goodbye(quiet=quiet):
+        announce_compiling(quiet=quiet)
+        named = tuple(name for name in (host, *hosts) if name not in ("0.0.0.0", "::"))
+        app = make_app(list(files), hosts=named, cors=cors, n_decoding=n_decoding, radius=radius)
+        listener = _listen(host, port)
+        address = f"http://{_in_url(host)}:{listener.getsockname()[1]}/"
+        if not quiet:
+            n_terrains = count_of(len(app.state.layers), "terrain")
+            click.echo(f"{n_terrains} at {address}  (Ctrl-C ends)")
+        if host in ("0.0.0.0", "::") and not hosts:
+            print_note(
+                "asked by other names than localhost it refuses: name them with --allow-host"
+            )
+        if opens:
+            webbrowser.open(address)
+        server = server_of(app, n_files=len(files))
+        if listens:
+            add = app.state.shelf.add
+            threading.Thread(target=_serve_named, args=(add, address, server), daemon=True).start()
+        with listener:
             server.run(sockets=[listener])
-        except Terminated:
-            raise
-        except KeyboardInterrupt:  # the way to end it, not a failure
-            if not quiet:
-                click.echo("\ngoodbye")
+
+
+@contextmanager
+def _saying_goodbye(*, quiet: bool) -> Iterator[None]:
+    """Let signals end the command: the way to end it, not a failure, and nothing is left to say.
+
+    The status is 0 after Ctrl-C, and after others what shells expect.
+    """
+    try:
+        yield
+    except KeyboardInterrupt as ended:
+        if not quiet:
+            click.echo("\ngoodbye")
+        if isinstance(ended, Terminated):
+            click.get_current_context().exit(ended.status)
 
 
 def _serve_named(add: Callable[[str], Any], address: str, server: Any) -> None:

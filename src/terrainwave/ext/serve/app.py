@@ -10,7 +10,8 @@ import logging
 import warnings
 from collections.abc import Callable, Iterable
 from contextlib import ExitStack, asynccontextmanager
-from itertools import chain, count
+from functools import cache
+from itertools import chain, count, islice
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
 
@@ -24,6 +25,7 @@ from starlette.datastructures import MutableHeaders
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from terrainwave.arguments import in_one_line
 from terrainwave.cache import Cache
 from terrainwave.errors import (
     CorruptStreamError,
@@ -33,8 +35,8 @@ from terrainwave.errors import (
 )
 from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
 from terrainwave.ext.serve.catalog import describe, layer_names
-from terrainwave.ext.serve.ranges import asked_span
-from terrainwave.ext.serve.sending import PART, Ahead, Desk, parts
+from terrainwave.ext.serve.ranges import asked_span, is_same
+from terrainwave.ext.serve.sending import PART, Ahead, Desk, begun, parts
 from terrainwave.file import TerrainFile
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.cesium import MAX_ZOOM as LAST_MESH_ZOOM
@@ -47,22 +49,33 @@ _N_TILES = 32
 _STATIC = Path(__file__).parent / "static"
 _log = logging.getLogger(__name__)
 
+# Of a request's address and headers, which answers of 404 and 422 may say again. Browsers send some
+# 2 kB.
+MAX_REQUEST_BYTES = 16 << 10
+# Addresses that are answered in parts.
+_RANGED = (".tif", ".twz")
+
 Rim = Annotated[int, Query(ge=0, le=tiling.MAX_RIM)]
 
 # A page may use what comes with it and nothing else; workers of the map are blobs.
 _CONTENT_POLICY = (
     "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline';"
-    " script-src 'self' 'wasm-unsafe-eval' blob:; worker-src 'self' blob:; connect-src 'self'"
+    " script-src 'self' 'wasm-unsafe-eval' blob:; worker-src 'self' blob:; connect-src 'self';"
+    " base-uri 'none'; form-action 'none'; frame-ancestors 'self'"
 )
+# Decoded heights that are kept of all files together, and of one at least.
+_CACHE_BYTES, _LEAST_CACHE_BYTES = 512 << 20, 16 << 20
+# Names that an answer lists.
+_N_NAMES = 10
 
 
 class Raster:
     """One file as it is served: the raster, and what names this version of it."""
 
-    def __init__(self, name: str, path: str) -> None:
+    def __init__(self, name: str, path: str, cache_bytes: int = 64 << 20) -> None:
         self.name = name
         try:
-            self.terrain = TerrainFile(path)
+            self.terrain = TerrainFile(path, cache_bytes=cache_bytes)
         except (InvalidHeightsError, CorruptStreamError) as error:
             raise type(error)(f"{path}: {error}") from error
         self.info = self.terrain.info()
@@ -74,8 +87,8 @@ class Raster:
 class Layer(Raster):
     """One file with its place on the globe."""
 
-    def __init__(self, name: str, path: str, radius: float | None = None) -> None:
-        super().__init__(name, path)
+    def __init__(self, name: str, path: str, cache_bytes: int, radius: float | None) -> None:
+        super().__init__(name, path, cache_bytes)
         with ExitStack() as stack:
             stack.enter_context(self.terrain)
             try:
@@ -117,10 +130,11 @@ def open_layers(paths: list[str], radius: float | None) -> dict[str, Layer]:
     """
     layers: dict[str, Layer] = {}
     refused: list[TerrainwaveError] = []
+    cache_bytes = max(_CACHE_BYTES // max(len(paths), 1), _LEAST_CACHE_BYTES)
     with ExitStack() as opened:
         for name, path in layer_names(paths).items():
             try:
-                layers[name] = Layer(name, path, radius)
+                layers[name] = Layer(name, path, cache_bytes, radius)
             except TerrainwaveError as error:
                 refused.append(error)
                 continue
@@ -177,28 +191,53 @@ class Shelf:
 
 def _named(name: str, rasters: dict[str, _Served]) -> _Served:
     if name not in rasters:
-        raise HTTPException(404, f"no terrain {name[:80]!r}; there are: {', '.join(rasters)}")
+        listed = [*islice(rasters, _N_NAMES), *(["…"] if len(rasters) > _N_NAMES else [])]
+        raise HTTPException(404, f"no terrain {name[:80]!r}; there are: {', '.join(listed)}")
     return rasters[name]
 
 
+def _guards(*, cors: bool) -> dict[str, str]:
+    """Return the headers that say with every answer what a page may do with it."""
+    return {
+        "X-Content-Type-Options": "nosniff",
+        "Content-Security-Policy": _CONTENT_POLICY,
+        "Cross-Origin-Resource-Policy": "cross-origin" if cors else "same-origin",
+        "Referrer-Policy": "same-origin",
+    }
+
+
 class _Guarded:
-    """Says with every answer what a page may do with it.
+    """Sends headers with every answer; takes ranges from requests for what is no raster.
+
+    Starlette would send some hundred pieces of a file of the page, which nobody asks for.
 
     Not a middleware of Starlette's own kind, through which each part of a body takes longer.
     """
 
-    def __init__(self, app: ASGIApp) -> None:
+    def __init__(self, app: ASGIApp, guards: dict[str, str]) -> None:
         self._app = app
+        self._guards = guards
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def send_guarded(message: Message) -> None:
             if message["type"] == "http.response.start":
-                headers = MutableHeaders(scope=message)
-                headers["X-Content-Type-Options"] = "nosniff"
-                headers["Content-Security-Policy"] = _CONTENT_POLICY
+                MutableHeaders(scope=message).update(self._guards)
             await send(message)
 
+        if scope["type"] == "http":
+            if _n_bytes(scope) > MAX_REQUEST_BYTES:
+                answer = JSONResponse({"detail": "the request is too long"}, 431, self._guards)
+                await answer(scope, receive, send)
+                return
+            if not scope["path"].endswith(_RANGED):
+                scope["headers"] = [item for item in scope["headers"] if item[0] != b"range"]
         await self._app(scope, receive, send_guarded)
+
+
+def _n_bytes(scope: Scope) -> int:
+    """Return the length of a request's address and headers."""
+    headers = sum(len(name) + len(value) for name, value in scope["headers"])
+    return len(scope["path"]) + len(scope["query_string"]) + headers
 
 
 class _Route(APIRoute):
@@ -251,12 +290,16 @@ def make_app(
             yield
 
     app = FastAPI(
-        title="terrainwave", lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None
-    )
+        title="terrainwave", lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None,
+        redirect_slashes=False,
+    )  # fmt: skip
+    guards = _guards(cors=cors)
     app.router.route_class = _Route
     app.state.layers = layers
     app.state.shelf = shelf
-    app.add_middleware(TrustedHostMiddleware, allowed_hosts=[*LOCAL_HOSTS, *hosts])
+    app.add_middleware(
+        TrustedHostMiddleware, allowed_hosts=[*LOCAL_HOSTS, *hosts], www_redirect=False
+    )
     if cors:
         app.add_middleware(
             CORSMiddleware,
@@ -266,16 +309,18 @@ def make_app(
             expose_headers=["Accept-Ranges", "Content-Range", "ETag"],
         )
 
-    app.add_middleware(_Guarded)
+    app.add_middleware(_Guarded, guards=guards)
 
     @app.exception_handler(TerrainwaveError)
-    def damaged(request: Request, error: TerrainwaveError) -> JSONResponse:
-        _log.warning("%s: %s", request.url.path, error)
+    async def damaged(request: Request, error: TerrainwaveError) -> JSONResponse:
+        # A path may have line feeds in it, as %0A.
+        _log.warning("%s: %s", in_one_line(request.url.path), in_one_line(error))
         return JSONResponse({"detail": "the file cannot be read there"}, 500)
 
     @app.exception_handler(Exception)
-    def broken(request: Request, error: Exception) -> JSONResponse:
-        return JSONResponse({"detail": "internal error"}, 500)
+    async def broken(request: Request, error: Exception) -> JSONResponse:
+        # The one answer that does not pass through `_Guarded`.
+        return JSONResponse({"detail": "internal error"}, 500, guards)
 
     def find(name: str) -> Layer:
         return _named(name, layers)
@@ -284,20 +329,25 @@ def make_app(
         """Return the headers of a tile; 304 if the client has it."""
         tag = f'"{layer.tag[:16]}"'
         headers = {"ETag": tag, "Cache-Control": "max-age=3600"}
-        if request.headers.get("if-none-match") == tag:
+        if is_same(request.headers.get("if-none-match", ""), tag):
             raise HTTPException(304, headers=headers)
         return headers
 
+    @cache
+    def described() -> bytes:
+        found = [describe(layer.name, layer.globe) for layer in layers.values()]
+        return bytes(JSONResponse(found).body)
+
     @app.get("/")
-    def page() -> FileResponse:
+    async def page() -> FileResponse:
         return FileResponse(_STATIC / "index.html")
 
     @app.get("/terrains.json")
-    def terrains() -> list[dict[str, object]]:
-        return [describe(layer.name, layer.globe) for layer in layers.values()]
+    async def terrains() -> Response:
+        return Response(described(), media_type="application/json")
 
     @app.get("/{name}/tiles.json")
-    def tiles(request: Request, name: str, rim: Rim = 0) -> dict[str, object]:
+    async def tiles(request: Request, name: str, rim: Rim = 0) -> dict[str, object]:
         layer = find(name)
         url = f"{request.base_url}{name}/rgb/{{z}}/{{x}}/{{y}}.png"
         return tiling.tile_json(layer.globe, f"{url}?rim={rim}" if rim else url, name)
@@ -385,7 +435,8 @@ def make_app(
         if span.stop - span.start <= PART:
             body = await desk.do(read, span.start, span.stop - span.start)
             return Response(body, status, headers, media_type)
-        return StreamingResponse(parts(desk, read, span, ahead), status, headers, media_type)
+        made = await begun(parts(desk, read, span, ahead))
+        return StreamingResponse(made, status, headers, media_type)
 
     @app.get("/{name}/height")
     async def height(

@@ -4,7 +4,8 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
-_RANGE = re.compile(r"bytes=(\d*)-(\d*)")
+# Of more digits is no file; Python refuses to read some thousand of them.
+_RANGE = re.compile(r"bytes=([0-9]{0,18})-([0-9]{0,18})")
 
 
 class Span(NamedTuple):
@@ -41,3 +42,9 @@ def asked_span(headers: Mapping[str, str], size: int, tag: str) -> Span | None:
         if match[2] and int(match[2]) < start:  # not a range
             return whole
     return Span(start, stop, size, is_part=True) if start < stop else None
+
+
+def is_same(asked: str, tag: str) -> bool:
+    """Say whether an If-None-Match header names the version `tag`, a proxy's weak one too."""
+    names = (name.strip().removeprefix("W/") for name in asked.split(","))
+    return any(name in ("*", tag) for name in names)

@@ -5,8 +5,8 @@ stopped, as GDAL does through a whole raster, so is what it will ask for next.
 """
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
-from contextlib import suppress
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from contextlib import aclosing, suppress
 from typing import Any
 
 from anyio import CapacityLimiter, to_thread
@@ -15,6 +15,7 @@ from fastapi import HTTPException
 from terrainwave.errors import TerrainwaveError
 from terrainwave.ext.serve.ranges import Span
 
+# Requests that wait for their turn: some seconds of work, after which a client would have given up.
 N_WAITING = 64
 # Bytes that are made at a time.
 PART = 1 << 20
@@ -38,15 +39,15 @@ class Desk:
         self._n_decoding = n_decoding
         self._n_asked = 0
 
-    async def do(self, work: Callable[..., Any], *args: Any) -> Any:
-        """Return ``work(*args)``, done in a thread.
+    async def do(self, work: Callable[..., Any], *args: Any, is_begun: bool = False) -> Any:
+        """Return ``work(*args)``, done in a thread; work for an answer that has begun waits.
 
         Raises
         ------
         HTTPException
             503 if too many requests wait already.
         """
-        if self._n_asked >= self._n_decoding + N_WAITING:
+        if not is_begun and self._n_asked >= self._n_decoding + N_WAITING:
             raise HTTPException(503, "too many requests at once", {"Retry-After": "1"})
         self._n_asked += 1
         try:
@@ -94,14 +95,20 @@ class Ahead:
                 await desk.do(self._read, place, min(PART, size - place))
 
 
-async def parts(desk: Desk, read: Read, span: Span, ahead: Ahead | None) -> AsyncIterator[bytes]:
-    """Yield the bytes of a span, so many at a time that none of them takes long."""
+async def parts(
+    desk: Desk, read: Read, span: Span, ahead: Ahead | None
+) -> AsyncGenerator[bytes, None]:
+    """Yield the bytes of a span, so many at a time that none of them takes long.
+
+    Once the first has come, the others wait as long as they must: an answer cannot be taken back.
+    """
     n_bytes = span.stop - span.start
     making = asyncio.ensure_future(desk.do(read, span.start, min(PART, n_bytes)))
     try:
         for start in range(span.start + PART, span.stop, PART):
             made = await making
-            making = asyncio.ensure_future(desk.do(read, start, min(PART, span.stop - start)))
+            n_next = min(PART, span.stop - start)
+            making = asyncio.ensure_future(desk.do(read, start, n_next, is_begun=True))
             yield made
         made = await making
         if ahead is not None:
@@ -109,3 +116,22 @@ async def parts(desk: Desk, read: Read, span: Span, ahead: Ahead | None) -> Asyn
         yield made
     finally:
         making.cancel()
+
+
+async def begun(made: AsyncGenerator[bytes, None]) -> AsyncIterator[bytes]:
+    """Return the same parts; the first is made now, so that why it cannot be made is told.
+
+    Raises
+    ------
+    HTTPException, TerrainwaveError
+        What the first one raises.
+    """
+    first = await anext(made)
+
+    async def all_parts() -> AsyncIterator[bytes]:
+        async with aclosing(made):
+            yield first
+            async for part in made:
+                yield part
+
+    return all_parts()

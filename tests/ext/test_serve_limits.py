@@ -1,0 +1,219 @@
+"""What `terrainwave serve` refuses, ends or does not say: limits against hostile clients."""
+
+import logging
+import select
+import socket
+import time
+
+import pytest
+from commands import one_line, run
+from ext.browser import served
+from ext.rasters import hills, write_twz
+from fastapi.testclient import TestClient
+
+from terrainwave.errors import CorruptStreamError
+from terrainwave.ext.serve import connections
+from terrainwave.ext.serve.app import make_app
+from terrainwave.globe import terrain_rgb as tiling
+
+BOUNDS = (8.0, 46.0, 8.5, 46.4)
+REQUEST = b"GET /terrains.json HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+
+
+@pytest.fixture(scope="module")
+def hilly(tmp_path_factory):
+    return write_twz(tmp_path_factory.mktemp("hills"), hills(65, 97), BOUNDS, max_error=2)
+
+
+@pytest.fixture
+def client(hilly):
+    app = make_app([str(hilly)])
+    with TestClient(app, "http://127.0.0.1", raise_server_exceptions=False) as client:
+        yield client
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Let a third of a second be too long."""
+    for name in ("ASK_SECONDS", "TAKE_SECONDS"):
+        monkeypatch.setattr(connections, name, 0.3)
+    monkeypatch.setattr(connections, "_LOOK_SECONDS", 0.05)
+
+
+@pytest.fixture
+def address(hilly):
+    with served(make_app([str(hilly)])) as url:
+        host, port = url.removeprefix("http://").split(":")
+        yield host, int(port)
+
+
+def connected(address):
+    found = socket.create_connection(address, timeout=10)
+    found.settimeout(10)
+    return found
+
+
+def is_ended(client):
+    """Say whether the server ends a connection, in ten seconds; what it sends is dropped."""
+    try:
+        while client.recv(1 << 16):
+            pass
+    except ConnectionError:
+        return True
+    except TimeoutError:
+        return False
+    return True
+
+
+# Connections
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("sent", [b"", REQUEST[:-2], REQUEST + REQUEST[:9]])
+def test_who_does_not_ask_to_the_end_is_cut_off(address, sent):
+    with connected(address) as client:
+        client.sendall(sent)
+        assert is_ended(client)
+
+
+@pytest.mark.usefixtures("quick")
+@pytest.mark.parametrize("drop", [b"a: b\r\n", b"x"])
+def test_a_request_in_drops_is_cut_off(address, drop):
+    """Headers, or the body of a request that is answered, a few bytes at a time."""
+    head = REQUEST[:-2] if drop != b"x" else REQUEST[:-2] + b"Content-Length: 9999\r\n\r\n"
+    with connected(address) as client:
+        client.sendall(head)
+        with pytest.raises(ConnectionError):  # noqa: PT012 - which of the sends fails is open
+            for _ in range(100):
+                client.sendall(drop)
+                time.sleep(0.02)
+
+
+async def large(scope, receive, send):
+    """Answer more than sockets hold, at once."""
+    if scope["type"] == "http":
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        await send({"type": "http.response.body", "body": bytes(32 << 20)})
+
+
+@pytest.mark.usefixtures("quick")
+def test_who_does_not_take_an_answer_is_cut_off():
+    with served(large) as url, connected(_place(url)) as client:
+        client.sendall(REQUEST)
+        ends = select.poll()
+        ends.register(client, select.POLLHUP | select.POLLERR)
+        assert ends.poll(10_000)
+
+
+@pytest.mark.usefixtures("quick")
+def test_work_that_takes_long_is_no_slow_client(hilly, monkeypatch):
+    monkeypatch.setattr(tiling, "rgb_tile", lambda *_: time.sleep(0.8))
+    with served(make_app([str(hilly)])) as url, connected(_place(url)) as client:
+        client.sendall(REQUEST.replace(b"terrains.json", b"hills/rgb/0/0/0.png"))
+        assert client.recv(100).startswith(b"HTTP/1.1 204 ")
+
+
+def _place(url):
+    host, port = url.removeprefix("http://").split(":")
+    return host, int(port)
+
+
+def test_more_connections_than_allowed_are_refused_at_once(hilly, monkeypatch):
+    monkeypatch.setattr(connections, "MAX_CONNECTIONS", 2)
+    with served(make_app([str(hilly)])) as url:
+        held = [connected(_place(url)) for _ in range(2)]
+        time.sleep(0.1)
+        with connected(_place(url)) as one_more:
+            assert one_more.recv(100).startswith(b"HTTP/1.1 503 ")
+            assert is_ended(one_more)
+        held.pop().close()
+        time.sleep(0.1)
+        with connected(_place(url)) as later:
+            later.sendall(REQUEST)
+            assert later.recv(100).startswith(b"HTTP/1.1 200 ")
+        held.pop().close()
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        REQUEST.replace(b"Host", b"X: " + 20000 * b"x" + b"\r\nHost"),
+        REQUEST.replace(b"/terrains", b"/" + 20000 * b"x"),
+        REQUEST.replace(b"Host: 127.0.0.1\r\n", b""),
+        REQUEST.replace(b"Host: 127.0.0.1", b"Host: 127.0.0.1\r\nHost: 127.0.0.1"),
+        REQUEST.replace(b"Host: 127.0.0.1", b"Host: 127.0.0.1/evil"),
+        REQUEST.replace(b"Host: 127.0.0.1", b"Host: 127.0.0.1.evil.example"),
+        b"\0\1\2\r\n\r\n",
+        REQUEST.replace(b"/terrains", b"/\xff"),
+    ],
+    ids=["long", "longer", "no host", "two hosts", "path", "suffix", "binary", "latin"],
+)
+def test_what_is_no_request_is_refused(address, request_):
+    with connected(address) as client:
+        client.sendall(request_)
+        # The second: a whole one that is too long.
+        assert client.recv(100).startswith((b"HTTP/1.1 400 ", b"HTTP/1.1 431 "))
+
+
+# Answers
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "status"),
+    [
+        ("GET", "/", 200), ("GET", "/none.tif", 404), ("POST", "/hills.twz", 405),
+        ("GET", "/hills/rgb/0/0/0.png", 500), ("GET", "/static/page.mjs", 200),
+    ],
+)  # fmt: skip
+def test_every_answer_says_what_a_page_may_do_with_it(client, monkeypatch, method, path, status):
+    monkeypatch.setattr(tiling, "rgb_tile", None)
+    answer = client.request(method, path)
+    assert answer.status_code == status
+    assert answer.headers["x-content-type-options"] == "nosniff"
+    assert "frame-ancestors 'self'" in answer.headers["content-security-policy"]
+    assert answer.headers["cross-origin-resource-policy"] == "same-origin"
+
+
+def test_the_page_is_not_sent_in_pieces(client):
+    pieces = ",".join(f"{k}-{k}" for k in range(0, 180, 2))
+    for path in ("/", "/static/page.mjs"):
+        assert client.get(path, headers={"Range": f"bytes={pieces}"}).status_code == 200
+
+
+def test_neither_a_path_nor_an_error_breaks_a_line_of_the_log(client, monkeypatch, caplog):
+    def damaged(*_):
+        raise CorruptStreamError("no\nsuch")
+
+    monkeypatch.setattr(tiling, "rgb_tile", damaged)
+    with caplog.at_level(logging.WARNING):
+        assert client.get("/hills/rgb/%0A0/0/0.png").status_code == 500
+    (message,) = caplog.messages
+    assert message == "/hills/rgb/0/0/0.png: no such"
+
+
+def test_an_answer_that_ends_early_is_a_line_without_a_traceback():
+    try:
+        try:
+            raise CorruptStreamError("the file\nis damaged")
+        except CorruptStreamError as error:
+            raise RuntimeError("response already started") from error
+    except RuntimeError as error:
+        told = (RuntimeError, error, error.__traceback__)
+    record = logging.LogRecord("x", logging.ERROR, "x", 1, "Exception", (), told)
+    assert connections._in_one_line(record)
+    assert record.getMessage() == "an answer ended early: the file is damaged"
+    assert record.exc_info is None
+
+
+def test_few_names_are_listed(hilly):
+    app = make_app([str(hilly)])
+    for _ in range(12):
+        app.state.shelf.add(str(hilly))
+    with TestClient(app, "http://127.0.0.1") as client:
+        detail = client.get("/none.tif").json()["detail"]
+    assert detail.endswith("hills-9, hills-10, …")
+
+
+@pytest.mark.parametrize("name", ["a b", "*x", "http://a", "a:80", ""])
+def test_what_is_no_host_name_is_wrong_usage(hilly, name):
+    assert "host name" in one_line(run("serve", hilly, "--allow-host", name, "--port", "0"), 2)
