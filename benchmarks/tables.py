@@ -270,6 +270,13 @@ def remote_windows(results: Path) -> Rows:
     return read(results, "remote", level=lambda row: str(row["level"]).replace("-", "−"))
 
 
+def network_faults(results: Path) -> Rows:
+    """Return what came of all sessions with a faulty server."""
+    rows = read(results, "faults_network")
+    fields = ("sessions", "right", "refused", "wrong", "others", "hangs", "then_wrong")
+    return [{field: sum(row[field] for row in rows) for field in fields}] if rows else []
+
+
 REPORTED = ("summary", "methods", "speeds", "cases")  # in bench.md
 _SLOT = re.compile(r"<!-- table: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
 

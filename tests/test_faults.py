@@ -4,6 +4,7 @@ import errno
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -371,3 +372,21 @@ def test_a_damaged_file_leaves_the_target_of_decompress_as_it_was(tiff, tmp_path
     with pytest.raises(CorruptStreamError, match="group"):
         decompress(tmp_path / "bad.twz", tiff, overwrite=True)
     assert_untouched(tiff)
+
+
+# The trials of benchmarks/reliability, fewer of each: figures are in docs/reliability.md.
+
+
+@pytest.mark.full
+@pytest.mark.large
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the trials need Linux")
+def test_a_few_trials_of_each_kind_find_no_fault(tmp_path):
+    few = "--side 200 --kills 4 --disks 2 --pairs 2 --forks 2 --opens 20".split()
+    subprocess.run(
+        [sys.executable, "-m", "benchmarks.reliability.faults", *few, "--out", str(tmp_path)],
+        check=True,  # its status is 1 where a trial found a fault
+        cwd=Path(__file__).parent.parent,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )
+    names = {path.stem.removeprefix("faults_") for path in tmp_path.glob("*.csv")}
+    assert names == {"kills", "disk", "writers", "opens", "readers", "network"}

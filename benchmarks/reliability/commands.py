@@ -73,7 +73,7 @@ def make_inputs(folder: Path, dem: Path | None, side: int) -> None:
     part = heights[side // 8 : side // 2, side // 8 : side // 2] + 50
     write_raster(folder / "dem.tif", heights)
     write_raster(folder / "moved.tif", heights[::-1] // 2)
-    for name, higher in (("part", 0), ("other_part", 3)):
+    for name, higher in (("part", 0), ("other_part", -3)):
         raised = (part + higher).astype(heights.dtype)
         write_raster(folder / f"{name}.tif", raised, side // 8, side // 8)
     options = ["--max-error", "1", "--block", "64", "--threads", "2", "-q"]

@@ -37,7 +37,7 @@ PARTS = ("kills", "disk", "network", "sharing")
 @option("--disks", "n_disks", type=COUNT, default=50, help="Sizes for each command.")
 @option("--pairs", "n_pairs", type=COUNT, default=50, help="Of writers, for each command.")
 @option("--forks", "n_forks", type=COUNT, default=100, help="Of each kind.")
-@option("--opens", "n_opens", type=COUNT, default=10_000, help="A tenth of them over http.")
+@option("--opens", "n_opens", type=COUNT, default=10_000, help="A tenth as many over http.")
 @option("--commands", cls=ListOption, help="These alone are killed or run on full disks.")
 @option("--seed", type=int, default=0)
 def main(
@@ -63,7 +63,7 @@ def main(
         write("disk", disk.rows(chosen, folder, n_disks, seed))
     if "sharing" in only:  # forks first, while this process has one thread
         write("writers", sharing.writers(chosen, folder, n_pairs, seed))
-        write("opens", sharing.opens(exact, n_opens, n_opens // 10))
+        write("opens", sharing.opens(exact, n_opens // 2, n_opens // 20))
         readers = [sharing.forks(exact, n_forks, 10), sharing.threads(exact, 100)]
         write("readers", chain.from_iterable(readers))
     if "network" in only:

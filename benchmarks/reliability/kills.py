@@ -34,18 +34,23 @@ Row = namedtuple(
 )
 _OPENED_TO_WRITE = os.O_WRONLY | os.O_RDWR
 _CHANGES = ("os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.chmod")
+MAIN_COMMANDS = ("compress", "patch", "mesh --store", "decompress")
 _MOST_OPENS = 30  # of the moments before files are opened to be written
 
 
 def rows(commands: list[Command], work: Path, n: int, seed: int) -> Iterator[Row]:
-    """Kill each command at `n` moments of its run, half as many of its end, and file operations."""
+    """Kill each command at `n` moments of its run, fewer of its end, and file operations.
+
+    Commands that are not `MAIN_COMMANDS` are killed at a quarter of the moments.
+    """
     temporary_in(work / "temporary")
     generator = random.Random(seed)
     for plain in commands:
         command, operations = measured(plain, work)
-        whole = moments(generator, n, 0, command.seconds)
+        n_own = n if plain.name in MAIN_COMMANDS else -(-n // 4)
+        whole = moments(generator, n_own, 0, command.seconds)
         yield _row("by the clock", command, work, [_after(seconds) for seconds in whole])
-        last = moments(generator, max(n // 2, 1), 0, command.last)
+        last = moments(generator, -(-n_own // 2), 0, command.last)
         yield _row("from fsync on", command, work, [_after_fsync(seconds) for seconds in last])
         opens = [k for k, kind in enumerate(operations) if kind == "open"]
         chosen = {k for k, kind in enumerate(operations) if kind in _CHANGES}
@@ -277,4 +282,4 @@ def bystanders(folder: Path, target: str) -> Iterator[dict[str, bytes]]:
 
 def _scratch(folder: Path, target: str, number: str) -> list[str]:
     """Return the names of a scratch directory's lock and of a file in it."""
-    return [f".{target}.{number}.twz-scratch/lock", f".{target}.{number}.twz-scratch/segment"]
+    return [f".{target}.{number}.twz-lock", f".{target}.{number}.twz-scratch/segment"]

@@ -24,6 +24,7 @@ Row = namedtuple(
 PATIENCE = 30.0  # seconds, after which a session hangs
 _TIMEOUT = 0.4  # seconds that the client waits for a byte; 30 as published
 _DELAYS = (0.01, 0.02)  # seconds before it asks again; 0.2 and 1 as published
+Heights = list[np.ndarray]
 # Levels, and where windows of a quarter of their side begin, in shares of it.
 WINDOWS = ((-1, 0.1, 0.2), (-2, 0.4, 0.1), (0, 0, 0), (-1, 0.7, 0.6))
 
@@ -35,16 +36,16 @@ def rows(path: Path, other: Path) -> Iterator[Row]:
     """
     url.TIMEOUT, url._DELAYS = _TIMEOUT, _DELAYS
     warnings.simplefilter("ignore", terrainwave.TerrainwaveWarning)
-    with terrainwave.open(path) as terrain:
-        expected = _read(terrain)
+    with terrainwave.open(path) as terrain, terrainwave.open(other) as another:
+        expected, expected_of_other = _read(terrain), _read(another)
     with FaultyServer(path.read_bytes(), other.read_bytes()) as server:
         n_requests = max(_n_requests(server, expected) for _ in range(3))
         for fault in FAULTS:
             for lasts in (False, True):
-                yield _row(server, expected, fault, n_requests, lasts=lasts)
+                yield _row(server, (expected, expected_of_other), fault, n_requests, lasts=lasts)
 
 
-def _n_requests(server: FaultyServer, expected: list[np.ndarray]) -> int:
+def _n_requests(server: FaultyServer, expected: Heights) -> int:
     server.begin("", 0, lasts=False)
     session = _Session(server.url, expected)
     if session.run() != "right":
@@ -54,14 +55,21 @@ def _n_requests(server: FaultyServer, expected: list[np.ndarray]) -> int:
 
 
 def _row(
-    server: FaultyServer, expected: list[np.ndarray], fault: str, n_requests: int, *, lasts: bool
+    server: FaultyServer,
+    files: tuple[Heights, Heights],
+    fault: str,
+    n_requests: int,
+    *,
+    lasts: bool,
 ) -> Row:
     found: Counter[str] = Counter()
     errors: set[str] = set()
     slowest = 0.0
     for first in range(n_requests):
         server.begin(fault, first, lasts=lasts)
-        session, start = _Session(server.url, expected), time.monotonic()
+        # Replaced before the first request: the other file is what there is.
+        is_other = fault == "replaced" and lasts and first == 0
+        session, start = _Session(server.url, files[is_other]), time.monotonic()
         found[session.run()] += 1
         slowest = max(slowest, time.monotonic() - start)
         if session.error:
@@ -80,7 +88,7 @@ def _row(
 class _Session:
     """Opens a file and reads windows of it, in a thread that may hang."""
 
-    def __init__(self, address: str, expected: list[np.ndarray]) -> None:
+    def __init__(self, address: str, expected: Heights) -> None:
         self._address, self._expected = address, expected
         self._terrain: terrainwave.Terrain | None = None
         self.error: BaseException | None = None
@@ -119,7 +127,7 @@ class _Session:
             self._terrain.close()
 
 
-def _read(terrain: terrainwave.Terrain) -> list[np.ndarray]:
+def _read(terrain: terrainwave.Terrain) -> Heights:
     windows = []
     for level, *place in WINDOWS:
         shape = terrain.info().level_shapes[level]

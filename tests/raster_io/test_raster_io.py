@@ -701,9 +701,11 @@ from terrainwave.errors import StorageError
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.sink import RasterSink
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), -1))
-heights = np.random.default_rng(0).integers(-9999, 9999, (1024, 1024)).astype("int16")
+n_threads, side = int(sys.argv[4]), int(sys.argv[5])
+heights = np.random.default_rng(0).integers(-9999, 9999, (side, side)).astype("int16")
 try:
-    with RasterSink(sys.argv[1], RasterInfo(1024, 1024, "int16"), cog=sys.argv[3] == "cog") as sink:
+    info = RasterInfo(side, side, "int16")
+    with RasterSink(sys.argv[1], info, cog=sys.argv[3] == "cog", n_threads=n_threads) as sink:
         for row, col, n_rows, n_cols in sink.blocks(2**19):
             part = heights[row:row + n_rows, col:col + n_cols]
             sink.write(row, col, part, part == part)
@@ -714,19 +716,26 @@ except StorageError as error:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit on file sizes to set")
 @pytest.mark.parametrize(
-    ("missing", "kind"),
+    ("missing", "kind", "threads", "side"),
     # The whole file, its second half, some of the last tile, the directory after it; of a COG the
-    # overviews.
-    [(2_000_000, "tif"), (1_000_000, "tif"), (5000, "tif"), (80, "tif"), (-10_000, "cog")],
+    # overviews. The only tile, which GDAL's threads replace by zeros where it could not be written.
+    [
+        (2_000_000, "tif", 1, 1024),
+        (1_000_000, "tif", 1, 1024),
+        (5000, "tif", 1, 1024),
+        (80, "tif", 1, 1024),
+        (-10_000, "cog", 1, 1024),
+        (200_000, "tif", 2, 400),
+    ],
 )
-def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, missing, kind):
-    heights = np.random.default_rng(0).integers(-9999, 9999, (1024, 1024)).astype("int16")
+def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, missing, kind, threads, side):
+    heights = np.random.default_rng(0).integers(-9999, 9999, (side, side)).astype("int16")
     path = tmp_path / "a.tif"
-    write_all(path, RasterInfo(1024, 1024, "int16"), heights, heights == heights)
+    write_all(path, RasterInfo(side, side, "int16"), heights, heights == heights)
     limit = path.stat().st_size - missing
     path.unlink()
     run = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, str(path), str(limit), kind],
+        [sys.executable, "-c", FULL_DISK, str(path), str(limit), kind, str(threads), str(side)],
         capture_output=True,
         text=True,
         check=False,

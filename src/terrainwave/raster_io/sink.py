@@ -5,11 +5,12 @@ import os
 import shutil
 import threading
 import warnings
+import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import rasterio
@@ -82,6 +83,14 @@ def write_description(dataset: Any, info: RasterInfo) -> None:
         dataset.descriptions = (info.description,)
 
 
+class _Written(NamedTuple):
+    """A window that was written, and checksums of its heights and of its mask, if it has one."""
+
+    window: Window
+    crc: int
+    mask_crc: int | None
+
+
 class _Threads:
     """How many threads GDAL may compress with.
 
@@ -131,7 +140,9 @@ class RasterSink:
     Notes
     -----
     Used as a context manager: leaving it normally publishes the file, leaving it by an exception
-    removes what was written. Windows may come in any order; those of `blocks` waste nothing.
+    removes what was written. Windows may come in any order, each sample once; those of `blocks`
+    waste nothing. Before the file is published all windows are read back: GDAL keeps errors of its
+    threads, and of what it writes last, to itself, and puts zeros in place of tiles that failed.
     Memory: one window and GDAL's cache. A COG needs room for the file twice while it is made.
     """
 
@@ -150,6 +161,7 @@ class RasterSink:
         self._n_threads = _THREADS.allowed(n_threads)
         self._dtype = np.dtype(info.dtype)
         self._lock = threading.Lock()
+        self._written: list[_Written] = []
         with ExitStack() as files:
             self._target = files.enter_context(publish(path, overwrite)).path
             self._check_free_space()
@@ -216,9 +228,13 @@ class RasterSink:
         try:
             # A mask in the file itself: a .msk beside it would not be renamed with it.
             with self._lock, bounded_env(GDAL_TIFF_INTERNAL_MASK=True):
-                self._dataset.write(heights.astype(self._dtype, copy=False), 1, window=window)
+                heights = np.ascontiguousarray(heights, dtype=self._dtype)
+                self._dataset.write(heights, 1, window=window)
+                mask_crc = None
                 if info.mask_kind == "mask":
                     self._dataset.write_mask(valid, window=window)
+                    mask_crc = zlib.crc32(np.packbits(valid))
+                self._written.append(_Written(window, zlib.crc32(heights), mask_crc))
         except GDAL_ERRORS as error:
             raise self._cannot_write(error) from error
 
@@ -261,7 +277,7 @@ class RasterSink:
             )
 
     def _check_complete(self, part: Path) -> None:
-        """Raise StorageError unless every tile lies inside the file.
+        """Raise StorageError unless every tile lies inside the file and holds what was written.
 
         GDAL writes the last tiles when the dataset is closed, and rasterio ignores the result: on
         a full disk `close` succeeds.
@@ -269,11 +285,22 @@ class RasterSink:
         with bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             try:
-                is_complete = _holds_all_tiles(part)
+                is_complete = _holds_all_tiles(part) and self._holds_what_was_written(part)
             except GDAL_ERRORS:
                 is_complete = False
         if not is_complete:
             raise StorageError(f"cannot write {self._path}: the disk is full")
+
+    def _holds_what_was_written(self, part: Path) -> bool:
+        with rasterio.open(part, num_threads=self._n_threads) as dataset:
+            for window, crc, mask_crc in self._written:
+                if zlib.crc32(dataset.read(1, window=window)) != crc:
+                    return False
+                if mask_crc is not None:
+                    valid = dataset.read_masks(1, window=window) != 0
+                    if zlib.crc32(np.packbits(valid)) != mask_crc:
+                        return False
+        return True
 
     def _cannot_write(self, error: BaseException) -> StorageError:
         return cannot_write(self._path, one_line(error))
