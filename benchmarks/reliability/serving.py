@@ -130,7 +130,8 @@ def rows_of(requests: list[list], seconds: float) -> list[Row]:
         kinds.setdefault("~", []).append((milliseconds, status))
     rows = []
     for kind, answers in sorted(kinds.items()):
-        times = [milliseconds for milliseconds, status in answers if status > 0] or [0.0]
+        # What is refused at once would hide what the others wait.
+        times = [ms for ms, status in answers if status > 0 and status != 503] or [0.0]
         found = Counter(
             status if status in (0, -1, 503) else status // 100 for _, status in answers
         )
