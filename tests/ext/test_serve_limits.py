@@ -148,11 +148,12 @@ def test_more_connections_than_allowed_are_refused_at_once(hilly, monkeypatch):
     ],
     ids=["long", "longer", "no host", "two hosts", "path", "suffix", "binary", "latin"],
 )
-def test_what_is_no_request_is_refused(address, request_):
+def test_what_is_no_request_is_refused_without_a_line_in_the_log(address, request_, caplog):
     with connected(address) as client:
         client.sendall(request_)
         # The second: a whole one that is too long.
         assert client.recv(100).startswith((b"HTTP/1.1 400 ", b"HTTP/1.1 431 "))
+    assert not caplog.messages
 
 
 # Answers
@@ -200,7 +201,7 @@ def test_an_answer_that_ends_early_is_a_line_without_a_traceback():
     except RuntimeError as error:
         told = (RuntimeError, error, error.__traceback__)
     record = logging.LogRecord("x", logging.ERROR, "x", 1, "Exception", (), told)
-    assert connections._in_one_line(record)
+    assert connections._is_told(record)
     assert record.getMessage() == "an answer ended early: the file is damaged"
     assert record.exc_info is None
 

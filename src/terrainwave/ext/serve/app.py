@@ -286,7 +286,7 @@ def make_app(
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> Any:
-        with shelf:
+        with shelf, desk:
             yield
 
     app = FastAPI(

@@ -14,7 +14,6 @@ from contextlib import suppress
 from typing import Any
 
 import uvicorn
-from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
@@ -126,7 +125,7 @@ def server_of(app: ASGIApp, n_files: int = 0) -> uvicorn.Server:
         timeout_keep_alive=IDLE_SECONDS,
         timeout_graceful_shutdown=_GRACE_SECONDS,
     )
-    logging.getLogger("uvicorn.error").addFilter(_in_one_line)
+    logging.getLogger("uvicorn.error").addFilter(_is_told)
     return uvicorn.Server(config)
 
 
@@ -143,16 +142,16 @@ def _limited(n_files: int) -> type[Connection]:
     return type("Connection", (Connection,), {"max_connections": most})
 
 
-def _in_one_line(record: logging.LogRecord) -> bool:
-    """Let a line be logged for an answer that ends early, where a file is to blame, no traceback.
+def _is_told(record: logging.LogRecord) -> bool:
+    """Say whether a line is logged: not what any client can cause, such as a malformed request.
 
-    Once an answer has begun, an error can only end the connection; uvicorn logs it as a fault.
+    Once an answer has begun, an error can only end the connection, and uvicorn logs it as a fault:
+    where a file is to blame that becomes a line without a traceback.
     """
     error: BaseException | None = record.exc_info[1] if record.exc_info else None
-    while error is not None and not isinstance(error, (TerrainwaveError, HTTPException)):
+    while error is not None and not isinstance(error, TerrainwaveError):
         error = error.__cause__
     if error is not None:
-        text = error.detail if isinstance(error, HTTPException) else error
-        record.msg, record.args = f"an answer ended early: {in_one_line(text)}", ()
+        record.msg, record.args = f"an answer ended early: {in_one_line(error)}", ()
         record.exc_info = record.exc_text = None
-    return True
+    return record.levelno >= logging.ERROR

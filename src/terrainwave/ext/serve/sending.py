@@ -6,10 +6,11 @@ stopped, as GDAL does through a whole raster, so is what it will ask for next.
 
 import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import aclosing, suppress
-from typing import Any
+from functools import partial
+from typing import Any, Self
 
-from anyio import CapacityLimiter, to_thread
 from fastapi import HTTPException
 
 from terrainwave.errors import TerrainwaveError
@@ -26,7 +27,7 @@ Read = Callable[[int, int], bytes]
 
 
 class Desk:
-    """Lets a bounded number of requests decode at a time.
+    """Lets a bounded number of requests decode at a time; a context manager that ends the threads.
 
     Parameters
     ----------
@@ -35,7 +36,8 @@ class Desk:
     """
 
     def __init__(self, n_decoding: int) -> None:
-        self._limiter = CapacityLimiter(n_decoding)
+        # Threads of their own: what one keeps to compute with, such as PROJ's, none other keeps.
+        self._threads = ThreadPoolExecutor(n_decoding, thread_name_prefix="decoding")
         self._n_decoding = n_decoding
         self._n_asked = 0
 
@@ -51,9 +53,16 @@ class Desk:
             raise HTTPException(503, "too many requests at once", {"Retry-After": "1"})
         self._n_asked += 1
         try:
-            return await to_thread.run_sync(work, *args, limiter=self._limiter)
+            loop = asyncio.get_running_loop()
+            return await loop.run_in_executor(self._threads, partial(work, *args))
         finally:
             self._n_asked -= 1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._threads.shutdown(cancel_futures=True)
 
     @property
     def is_free(self) -> bool:
