@@ -1,0 +1,1 @@
+"""Measurements of how the package holds: ``python -m benchmarks.reliability.NAME`` for each."""
