@@ -3,8 +3,8 @@
 In each environment (another processor for LLVM, fewer vector instructions, other loops of numpy,
 other numbers of threads, other releases) all files of ``tests/golden`` are decoded wholly, heights,
 masks and meshes of all levels, and compared with their manifest; and the raster of each is
-compressed anew, and the file compared byte by byte with the one of the first environment here. Each
-environment compiles its kernels itself, threads excepted.
+compressed anew, and the file compared byte by byte with the one of the first environment here.
+Kernels are compiled anew for each interpreter and for each setting that changes them.
 
 ``--python NAME=PATH`` adds an environment of another interpreter, which needs what the package
 depends on, and hypothesis (a test's module makes the rasters). `widest` is what the code of a loop
@@ -85,7 +85,8 @@ def measured(pythons: dict[str, str], threads: list[int], names: list[str], fold
     runs += [(name, python, {}, 1) for name, python in pythons.items()]
     first: dict[str, str] = {}
     for name, python, more, n_threads in runs:
-        cache = folder / f"cache {name}"
+        compiling = [name for name in more if name.startswith("NUMBA_")]
+        cache = folder / f"cache {Path(python).parts[-3]} {name if compiling else 'host'}"
         found = found_in(python, n_threads, cache, more, folder)
         first = first or found["written"]
         n_equal = sum(first[case] == digest for case, digest in found["written"].items())
