@@ -21,6 +21,7 @@ import statistics
 import subprocess
 import sys
 from collections import namedtuple
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import click
@@ -118,14 +119,15 @@ def row_of(size: int, stage: str, found: tuple, n_bytes: int, start: float) -> R
     )  # fmt: skip
 
 
-def measured(dem: Path, sizes: list[int], stages: tuple[str, ...], folder: Path):
-    """Yield the rows of all sizes; rasters are deleted when they are done with."""
+def measured(dem: Path, sizes: Sequence[int], stages: Sequence[str], folder: Path) -> Iterator[Row]:
+    """Yield the rows of all sizes; files that are there are used, and deleted in the end."""
     starts: dict[str, float] = {}
-    for size in [START, *sizes]:
+    for size in sizes:
         source, target = folder / f"mirrored-{size}.tif", folder / f"mirrored-{size}.twz"
-        maker = [sys.executable, "-c", _MAKE, str(dem), str(source), str(size), str(SPACING)]
-        subprocess.run(maker, check=True)
-        for stage in stages:
+        if not source.exists():
+            maker = [sys.executable, "-c", _MAKE, str(dem), str(source), str(size), str(SPACING)]
+            subprocess.run(maker, check=True)
+        for stage in stages if target.exists() else dict.fromkeys(["compress", *stages]):
             found = measure(source, target, size, stage)
             start = starts.setdefault(stage, found[-1].cpu_seconds)
             yield row_of(size, stage, found, target.stat().st_size, start)
@@ -136,13 +138,18 @@ def measured(dem: Path, sizes: list[int], stages: tuple[str, ...], folder: Path)
 
 @common.command("scale_commands.csv")
 @common.dem_argument
-@common.option("--largest", type=click.IntRange(min=SIZES[0]), default=SIZES[-1])
+@common.option("--sizes", cls=common.ListOption, type=click.IntRange(min=SIDE), default=SIZES)
 @common.option("--stages", cls=common.ListOption, type=click.Choice(STAGES), default=STAGES)
-def main(dem: Path, largest: int, stages: tuple[str, ...], folder: Path, out: Path) -> None:
+@common.option("--append", is_flag=True, help="Keep the rows that are there.")
+def main(
+    dem: Path, sizes: list[int], stages: list[str], append: bool, folder: Path, out: Path
+) -> None:
     """Run the measurement."""
     if not hasattr(os, "wait4"):
         raise click.UsageError("needs os.wait4: Linux or macOS")
-    common.write_rows(out, measured(dem, [s for s in SIZES if s <= largest], stages, folder))
+    rows = measured(dem, [START, *sizes], stages, folder)
+    kept = (row for row in rows if not (append and row.size == START))
+    common.write_rows(out, kept, append=append)
 
 
 if __name__ == "__main__":
