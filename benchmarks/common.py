@@ -1,6 +1,6 @@
 """What every benchmark shares: command lines, CSVs with the machine beside them, clocks, means.
 
-Imports little: `benchmarks.memory` must stay small before it measures another process.
+Imports little: what calls `run_and_measure` must stay small.
 """
 
 import csv
@@ -12,6 +12,7 @@ import platform
 import re
 import statistics
 import subprocess
+import sys
 import tempfile
 import time
 import warnings
@@ -248,6 +249,33 @@ class InlineExecutor(Executor):
         future: Future = Future()
         future.set_result(function(*arguments))
         return future
+
+
+# What a command took: wall clock, processor time of all its threads, most resident memory.
+Used = namedtuple("Used", "seconds cpu_seconds peak_mib")
+
+
+def run_and_measure(
+    command: Sequence[str], watch: Callable[[int], Any] = lambda _pid: None, **options: Any
+) -> Used:
+    """Run `command`, which must succeed; return what it took; `options` go to `Popen`.
+
+    Processes that the command itself has started and waited for are included. `watch` is given the
+    process's number when it has started. The caller must be small: Linux counts the memory of a
+    process at the moment it starts another towards that one's peak.
+    """
+    start = time.perf_counter()
+    process = subprocess.Popen(command, **options)
+    watch(process.pid)
+    _pid, wait_status, resources = os.wait4(process.pid, 0)
+    seconds = time.perf_counter() - start
+    process.returncode = os.waitstatus_to_exitcode(wait_status)
+    if process.returncode:
+        raise click.ClickException(f"the command ended with status {process.returncode}")
+    # ru_maxrss is in KiB on Linux and in bytes on macOS.
+    unit = 1 if sys.platform == "darwin" else 1024
+    cpu_seconds = resources.ru_utime + resources.ru_stime
+    return Used(seconds, cpu_seconds, resources.ru_maxrss * unit / 2**20)
 
 
 # The median seconds of some runs, how many they were, and what the last one returned.

@@ -11,9 +11,7 @@ Exit status: 0 good; 1 the command failed; 2 wrong usage.
 import os
 import subprocess
 import sys
-import time
 from collections import namedtuple
-from collections.abc import Sequence
 
 import click
 
@@ -31,23 +29,6 @@ _COMPRESS = "from terrainwave.cli import main; main()"
 Row = namedtuple(
     "Row", "raster size layout max_error method threads raw_mib n_bytes peak_mib seconds msamples_s"
 )
-
-
-def run_and_measure(command: Sequence[str]) -> tuple[float, float]:
-    """Run `command`; return its seconds and its own peak resident memory, MiB.
-
-    The peak includes processes that the command itself has started and waited for.
-    """
-    start = time.perf_counter()
-    process = subprocess.Popen(command)
-    _pid, wait_status, resources = os.wait4(process.pid, 0)
-    seconds = time.perf_counter() - start
-    process.returncode = os.waitstatus_to_exitcode(wait_status)
-    if process.returncode:
-        raise click.ClickException(f"terrainwave compress ended with status {process.returncode}")
-    # ru_maxrss is in KiB on Linux and in bytes on macOS.
-    unit = 1 if sys.platform == "darwin" else 1024
-    return seconds, resources.ru_maxrss * unit / 2**20
 
 
 @common.command("memory.csv")
@@ -69,11 +50,11 @@ def main(dem, extra, size, layout, max_error, method, threads, folder, out) -> N
     target.unlink(missing_ok=True)
     compress = [sys.executable, "-c", _COMPRESS, "compress", str(source), str(target)]
     compress += ["--max-error", str(max_error), "--method", method, "--threads", str(threads)]
-    seconds, peak = run_and_measure([*compress, *extra])
+    used = common.run_and_measure([*compress, *extra])
     row = Row(
         dem.stem, size, layout, max_error, method, threads,
-        round(source.stat().st_size / 2**20, 1), target.stat().st_size, round(peak, 1),
-        round(seconds, 2), round(size**2 / seconds / 1e6, 2),
+        round(source.stat().st_size / 2**20, 1), target.stat().st_size, round(used.peak_mib, 1),
+        round(used.seconds, 2), round(size**2 / used.seconds / 1e6, 2),
     )  # fmt: skip
     common.write_rows(out, [row], append=True)  # last, for it imports a lot
 

@@ -1,1 +1,4 @@
-"""How reliable the package is: what is done to it, and counted, in numbers that repeat."""
+"""How reliable the package is: what docs/reliability.md says is measured here.
+
+``python -m benchmarks.reliability.NAME`` for each module with a command.
+"""

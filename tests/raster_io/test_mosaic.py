@@ -1,5 +1,7 @@
 """Several rasters as one: where they lie, what is void, what is refused."""
 
+import os
+
 import numpy as np
 import pytest
 import rasterio
@@ -288,3 +290,20 @@ def test_vrt_without_nodata_is_noted(four_tiles, tmp_path):
     vrt = write_vrt(tmp_path / "a.vrt", [(paths[0], 0, 0)], None)
     with pytest.warns(TerrainwaveWarning, match="declares no nodata value.*-vrtnodata"):
         RasterSource(vrt).close()
+
+
+def test_vrt_of_more_files_than_may_be_open_says_what_helps(four_tiles, tmp_path):
+    import resource  # not on Windows
+
+    _, paths = four_tiles
+    vrt = write_vrt(tmp_path / "a.vrt", [(paths[0], 0, 0)], -9999)
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with RasterSource(vrt) as source:
+        first_free = os.open(os.devnull, os.O_RDONLY)
+        os.close(first_free)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (first_free, limits[1]))
+        try:
+            with pytest.raises(StorageError, match=r"Too many open files; .*GDAL_MAX_DATASET_POOL"):
+                source.read(0, 0, 40, 60)
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)

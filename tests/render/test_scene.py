@@ -246,6 +246,16 @@ def test_a_full_store_raises_tau_rather_than_wait_for_ever():
         assert frames.tau > 0.5
 
 
+def test_what_would_not_be_kept_does_not_keep_what_is_wanted_waiting(monkeypatch):
+    monkeypatch.setattr("terrainwave.render.scene._MOST_ASKED", 1)
+    heights = np.round(hills(300, 300, 8)).astype(np.int16)
+    with terrain_of(heights, max_error=0) as terrain:
+        with Scene(terrain, ListStore(max_blocks=20)) as scene:
+            view = scene.view(home(scene.frame.box, VIEWPORT), VIEWPORT, 0.5)
+            scene.settle(view, timeout=20)
+            assert scene.table.is_resident[scene._needed].all()
+
+
 def test_a_store_that_holds_no_block_at_all_is_an_error_rather_than_a_wait_for_ever():
     store = ListStore()
     store.put = lambda node, patch: False

@@ -1,5 +1,6 @@
 """A band of anything that rasterio opens."""
 
+import errno
 import os
 import warnings
 from collections.abc import Iterator
@@ -85,6 +86,17 @@ def refuse_raster(target: str | os.PathLike[str]) -> None:
         f"{os.fspath(target)} is a raster and is never replaced; expected another name for the"
         " result"
     )
+
+
+def _reason(error: BaseException) -> str:
+    """Return GDAL's reason for a failed read, and what helps where a VRT has many sources."""
+    reason = one_line(error)
+    if os.strerror(errno.EMFILE) in reason:
+        reason += (
+            "; a VRT keeps some 100 of its files open: allow more (ulimit -n 1024), or set"
+            " GDAL_MAX_DATASET_POOL_SIZE=10"
+        )
+    return reason
 
 
 def _is_twz(path: Path) -> bool:
@@ -196,7 +208,7 @@ class DatasetBackend:
         except GDAL_ERRORS as error:
             raise StorageError(
                 f"{self.name}: rows {row} to {row + n_rows - 1}, columns {col} to"
-                f" {col + n_cols - 1} cannot be read: {one_line(error)}"
+                f" {col + n_cols - 1} cannot be read: {_reason(error)}"
             ) from error
 
     def close(self) -> None:

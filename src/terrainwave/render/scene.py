@@ -212,7 +212,9 @@ class Scene:
         asked = [missing, self._missing(ahead)]
         if self._is_short:  # what leaves τ first, then what is to be split a little before it is
             most = view.max_pixel_error * self._memory_factor
-            asked.insert(0, self._by_error(view, self._missing(self._wanted(view, most))))
+            # Both are cut to what fits, by different orders: what is not wanted is never kept.
+            urgent = np.intersect1d(self._wanted(view, most), missing)
+            asked.insert(0, self._by_error(view, urgent))
         self._request(np.concatenate(asked))
         if self._is_short and self._ahead_reader is not None:
             self._ahead_reader.look(view, tau, self._is_here)
