@@ -1,7 +1,7 @@
 """A release as its users get it: built, looked at, installed in fresh environments, and used.
 
-Makes sdist and wheel into ``dist/``, makes them once more from a fresh copy of the last commit, and
-compares the bytes. Then installs the wheel alone, with each extra, and with all of them in their
+Makes sdist and wheel into ``dist/``, makes them once more from a copy of what git has, and compares
+the bytes. Then installs the wheel alone, with each extra, and with all of them in their
 newest and in the lowest versions that pyproject.toml allows; and runs there the commands and the
 Python of the README and of the quick start, in an empty folder with a small raster. What is not
 installed must be asked for by one line that names the extra.
@@ -100,7 +100,7 @@ def version() -> str:
 
 
 def built_twice(folder: Path) -> Iterator[Built]:
-    """Make sdist and wheel into ``dist/``; say of each whether the last commit makes the same.
+    """Make sdist and wheel into ``dist/``; say of each if a copy of what git has makes the same.
 
     Raises
     ------
@@ -114,7 +114,12 @@ def built_twice(folder: Path) -> Iterator[Built]:
     subprocess.run([sys.executable, "-m", "twine", "check", "--strict", *made], check=True)
     copy = folder / "copy"
     copy.mkdir()
-    subprocess.run(f"git -C '{ROOT}' archive HEAD | tar -x -C '{copy}'", shell=True, check=True)
+    # With what is changed and not committed, if anything is: `git stash create` names that.
+    changed = subprocess.check_output(["git", "-C", ROOT, "stash", "create"], text=True).strip()
+    archive = ["git", "-C", ROOT, "archive", "--output", folder / "copy.tar", changed or "HEAD"]
+    subprocess.run(archive, check=True)
+    with tarfile.open(folder / "copy.tar") as packed:
+        packed.extractall(copy, filter="data")
     again = build(copy, folder / "again")
     for path, other in zip(made, again, strict=True):
         found, expected = contents(path), expected_contents()[path.suffix]
