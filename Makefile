@@ -134,7 +134,7 @@ $(VENV)/.installed-release: $(VENV)/.created pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[release]"
 	@touch $@
 
-release-check: $(VENV)/.installed-release
+release-check: $(VENV)/.installed-release system
 	$(BIN)/python -m benchmarks.reliability.release
 
 clean:

@@ -2,7 +2,9 @@
 
 USES = {
     "core": """
+import subprocess, sys
 import terrainwave as tw
+subprocess.run([sys.executable, "-W", "error", "-c", "import terrainwave"], check=True)
 assert tw.compress("dem.tif", "core.twz", max_error=1).measured_error <= 1
 with tw.open("core.twz") as terrain:
     assert terrain.read((0, 0, 10, 20)).shape == (10, 20)
