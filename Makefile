@@ -1,4 +1,4 @@
-# make demo | make test | make test-all | make qgis | make bench | make fuzz | make clean
+# make demo | make test | make test-all | make docs | make qgis | make bench | make fuzz | make release-check | make clean
 # All targets set up their own virtual environment in .venv; see CONTRIBUTING.md.
 
 PYTHON ?= python3
@@ -17,7 +17,7 @@ COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo qgis test test-all system system-full lint test-compiled test-full test-bounds test-python coverage bench fuzz clean
+.PHONY: help demo qgis test test-all system system-full lint test-compiled test-full test-bounds test-python coverage docs bench fuzz release-check clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -28,6 +28,8 @@ help:
 	@echo "make bench DATA=DIR  compare with other codecs on the rasters in DIR: what is not measured yet;"
 	@echo "                     AGAIN='predictive speeds' anew, ONLY='cdf97' that alone"
 	@echo "make fuzz SECONDS=60 fuzz each target that long, ONLY='rapid opening' these alone: docs/reliability.md"
+	@echo "make docs            the site, as build/site; any warning is an error"
+	@echo "make release-check   sdist and wheel into dist/, built twice, installed without and with each extra"
 	@echo "make qgis            the plugin for QGIS, as dist/terrainwave_plugin.zip"
 	@echo "make clean           remove what these made"
 
@@ -124,6 +126,16 @@ $(VENV)/.installed-fuzz: $(VENV)/.created pyproject.toml
 # Bounds are checked here: kernels have a cache of their own.
 fuzz: $(VENV)/.installed-fuzz
 	NUMBA_CACHE_DIR="$(CURDIR)/build/fuzz/numba" $(BIN)/python -m fuzz.run --seconds $(SECONDS) $(ONLY)
+
+docs: $(VENV)/.installed-dev
+	$(BIN)/mkdocs build --strict
+
+$(VENV)/.installed-release: $(VENV)/.created pyproject.toml
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable ".[release]"
+	@touch $@
+
+release-check: $(VENV)/.installed-release system
+	$(BIN)/python -m benchmarks.reliability.release
 
 clean:
 	rm -rf $(VENV) demo build dist .numba .pytest_cache .hypothesis .mypy_cache .ruff_cache

@@ -77,6 +77,13 @@ def test_notebooks_run(path, tmp_path):
     NotebookClient(notebook, timeout=600, resources={"metadata": {"path": tmp_path}}).execute()
 
 
+def test_every_page_has_a_place_in_the_site():
+    """MkDocs builds the others too, but nobody finds them."""
+    pages = {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
+    nav = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:")[1]
+    assert sorted(re.findall(r"[\w/-]+\.md", nav)) == sorted(pages)
+
+
 @pytest.mark.full
 @pytest.mark.large
 def test_the_site_builds_without_a_warning(tmp_path):

@@ -1,6 +1,5 @@
 """Pack the QGIS plugin: ``python tools/make_qgis_zip.py TARGET.zip``; the same bytes each time."""
 
-import re
 import sys
 import zipfile
 from pathlib import Path
@@ -11,12 +10,9 @@ _TIME = (1980, 1, 1, 0, 0, 0)  # the earliest that a zip can hold
 
 
 def contents() -> dict[str, bytes]:
-    """Return {name in the zip: bytes}: the plugin with its licence and this package's version."""
+    """Return {name in the zip: bytes}: the plugin with its licence."""
     kinds = (".py", ".svg", ".txt")
     files = {path.name: path.read_bytes() for path in PLUGIN.iterdir() if path.suffix in kinds}
-    version = re.search(r'"(.+)"', (ROOT / "src/terrainwave/_version.py").read_text("utf-8"))[1]
-    metadata = files["metadata.txt"].decode("utf-8")
-    files["metadata.txt"] = re.sub("(?m)^version=.*", f"version={version}", metadata).encode()
     files["LICENSE"] = (ROOT / "LICENSE").read_bytes()
     return {f"{PLUGIN.name}/{name}": files[name] for name in sorted(files)}
 

@@ -7,6 +7,7 @@ import math
 import os
 import re
 import shutil
+import sys
 
 import numpy as np
 import pytest
@@ -53,6 +54,13 @@ def site(twz, tmp_path_factory):
 
 
 # The folder
+
+
+def test_without_pyproj_publish_asks_for_its_own_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyproj", None)
+    result = run("publish", tmp_path / "a.twz", tmp_path / "site")
+    assert result.exit_code == 1
+    assert 'publish needs pyproj: pip install "terrainwave[publish]"' in result.stderr
 
 
 def test_the_folder_is_whole_and_replaced_only_if_told(twz, tmp_path):
