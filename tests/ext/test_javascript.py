@@ -58,12 +58,11 @@ def test_its_own_tests_pass():
 
 def test_heights_and_masks_of_golden_files_are_those_of_python(twz):
     manifest = json.loads((GOLDEN / "v1" / "manifest.json").read_text())
-    paths = [GOLDEN / "v1" / name for name in manifest if name.startswith(METHODS)]
+    paths = [GOLDEN / "v1" / name for name in manifest["files"] if name.startswith(METHODS)]
     assert len(paths) >= 24
     found = dump("digests", *paths, twz)
     for path in (*paths, twz):
-        expected = digests(path)
-        assert found[str(path)] == {"heights": expected["heights"], "mask": expected["mask"]}
+        assert found[str(path)] == digests(path)
 
 
 def test_it_opens_a_url_by_two_requests_at_most(server, twz):
