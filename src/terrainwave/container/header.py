@@ -24,6 +24,7 @@ from terrainwave.names import MESHES, METHODS, UNBOUNDED_MESHES
 MAGIC = b"\x89TWZ\r\n\x1a\n"  # as PNG's: a text-mode or 7-bit copy damages it visibly
 FORMAT_VERSION = 1
 HEADER_SIZE = 128
+MEDIA_TYPE = "application/vnd.terrainwave"  # FORMAT.md §14
 # How messages of `UnsupportedVersionError` end (FORMAT.md §12.1).
 NEWER = ": install a newer terrainwave"
 
