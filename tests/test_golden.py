@@ -2,8 +2,12 @@
 
 import json
 import re
+import subprocess
 import sys
+import zipfile
+import zlib
 
+import numpy as np
 import pytest
 from conformance import invalid, library, reference
 from golden_files import GOLDEN, found, found_invalid
@@ -11,6 +15,7 @@ from golden_files import GOLDEN, found, found_invalid
 from terrainwave.container.header import FORMAT_VERSION
 
 sys.path.append(str(GOLDEN.parents[1] / "tools"))
+import make_conformance
 import run_conformance
 
 DOCS = GOLDEN.parents[1] / "docs"
@@ -88,6 +93,29 @@ def test_the_runner_fails_a_reader_that_is_wrong_in_any_part():
     assert failures("blocks") == ["blocks"]
     assert failures("mesh") == ["meshes"]
     assert failures("check") == ["invalid"]
+
+
+def test_the_packed_set_is_the_same_each_time_and_can_be_run(tmp_path):
+    for name in ("one.zip", "two.zip"):
+        make_conformance.main(tmp_path / name)
+    data = (tmp_path / "one.zip").read_bytes()
+    assert data == (tmp_path / "two.zip").read_bytes()
+    with zipfile.ZipFile(tmp_path / "one.zip") as archive:
+        archive.extractall(tmp_path)
+    folder = tmp_path / make_conformance.NAME
+    tables = json.loads((folder / "tables" / "predictive.json").read_text())
+    assert zlib.crc32(np.array(tables["STARTS"], "<u2").tobytes()) == 0xF08D6ECD  # P.9
+    # A reader that knows nothing refuses all, which is outside, and is wrong where it takes a file.
+    nothing = "; ".join([
+        "import json, sys",
+        "p = dict(name='none', methods=[], features=0, meshes=[], blocks=False, verifier=False)",
+        "a = lambda q: p if 'profile' in q else {'error': 'unsupported'}",
+        "[print(json.dumps(a(line)), flush=True) for line in sys.stdin]",
+    ])  # fmt: skip
+    command = [sys.executable, folder / "run_conformance.py", "--", sys.executable, "-c", nothing]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(rf"^heights +0 +{len(FILES)} +0$", done.stdout, re.M)
 
 
 def test_every_version_has_golden_files():

@@ -4,6 +4,7 @@ import gzip
 import json
 import re
 import subprocess
+import sys
 import tarfile
 from pathlib import Path
 
@@ -54,6 +55,16 @@ def server(twz):
 
 def test_its_own_tests_pass():
     node("--test")
+
+
+def test_it_passes_the_conformance_set():
+    runner = JS.parent / "tools" / "run_conformance.py"
+    command = [sys.executable, runner, "--", "node", JS / "testing" / "conformance.js"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    passed = dict(re.findall(r"^(heights|invalid) +(\d+)", done.stdout, re.M))
+    assert int(passed["heights"]) >= 28
+    assert int(passed["invalid"]) >= 120
 
 
 def test_heights_and_masks_of_golden_files_are_those_of_python(twz):

@@ -272,13 +272,10 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     if len(data) < HEADER_SIZE:
         raise TruncatedStreamError(f"the file ends in its header, at byte {len(data)}")
     version = data[8]
-    if version == 0:
-        raise UnsupportedVersionError(
-            "format version 0, a draft of before the first release: compress the raster again"
-        )
     if version != FORMAT_VERSION:
+        advice = NEWER if version > FORMAT_VERSION else ", which no release has written"
         raise UnsupportedVersionError(
-            f"format version {version}; this terrainwave reads version {FORMAT_VERSION}{NEWER}"
+            f"format version {version}{advice}; this terrainwave reads version {FORMAT_VERSION}"
         )
     body = data[: _LAYOUT.size]
     fields = _LAYOUT.unpack(body)
