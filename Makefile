@@ -1,4 +1,5 @@
-# make demo | make test | make test-all | make docs | make qgis | make bench | make fuzz | make release-check | make clean
+# make demo | make test | make test-all | make docs | make qgis | make conformance | make bench
+# make fuzz | make release-check | make clean
 # All targets set up their own virtual environment in .venv; see CONTRIBUTING.md.
 
 PYTHON ?= python3
@@ -17,7 +18,7 @@ COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo qgis test test-all system system-full lint test-compiled test-full test-bounds test-python coverage docs bench fuzz release-check clean
+.PHONY: help demo qgis conformance test test-all system system-full lint test-compiled test-full test-bounds test-python coverage docs bench fuzz release-check clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -31,6 +32,7 @@ help:
 	@echo "make docs            the site, as build/site; any warning is an error"
 	@echo "make release-check   sdist and wheel into dist/, built twice, installed without and with each extra"
 	@echo "make qgis            the plugin for QGIS, as dist/terrainwave_plugin.zip"
+	@echo "make conformance     the set for other readers of .twz, as dist/terrainwave-conformance-1.0.zip"
 	@echo "make clean           remove what these made"
 
 # --- environments: one stamp per set of extras, renewed when pyproject.toml changes ---
@@ -63,6 +65,9 @@ demo: $(VENV)/.installed-demo
 # Nothing but Python's own library is needed.
 qgis:
 	@$(PYTHON) tools/make_qgis_zip.py dist/terrainwave_plugin.zip
+
+conformance: $(VENV)/.installed
+	@$(BIN)/python tools/make_conformance.py dist/terrainwave-conformance-1.0.zip
 
 # What tests of pictures and pages need; nothing happens where all of it is there.
 system:

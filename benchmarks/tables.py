@@ -224,6 +224,54 @@ def compared_speeds(results: Path) -> Rows:
     ]
 
 
+# What tables that compare call codecs, and theirs in the CSVs of sizes and of speeds.
+SIDE_BY_SIDE = {
+    "terrainwave, default": ("terrainwave-auto", "terrainwave-auto+"),
+    "terrainwave, codec alone": ("terrainwave-auto", "terrainwave-auto"),
+    "`--method rapid`, codec alone": ("terrainwave-rapid", "terrainwave-rapid"),
+    "`--method predictive`, codec alone": (PREDICTIVE, PREDICTIVE),
+    "COG, LERC_ZSTD, overviews": ("cog-overviews", "cog-overviews"),
+    "JPEG XL": ("jxl-e9", "jxl-e7"),
+    "SZ3": ("sz3", "sz3"),
+    "SPERR": ("sperr", "sperr"),
+}
+
+
+def side_by_side(results: Path) -> Rows:
+    """Return sizes over COGs', speeds on one thread, and triangles over greedy Delaunay's."""
+    sizes: dict[str, dict[tuple, float]] = defaultdict(dict)
+    for row in (row for name in ("rapid", "predictive", "peers") for row in read(results, name)):
+        is_twice = row["dtype"].startswith("int") and 0 < row["max_error"] < 1
+        if not (is_twice or is_measured(row["problem"])):
+            sizes[row["codec"]][row["raster"], row["max_error"]] = row["n_bytes"]
+    speeds = {row["codec"]: row for row in compared_speeds(results) if row["threads"] == 1}
+    meshes = read(results, "meshes")
+    if not (sizes and speeds and meshes):
+        return []
+    found = []
+    for name, (codec, timed) in SIDE_BY_SIDE.items():
+        cogs = sizes["cog-overviews"]
+        ratios = {case: size / cogs[case] for case, size in sizes[codec].items() if case in cogs}
+        row = {
+            "codec": name,
+            "cases": len(ratios),
+            "is_first": "alone" not in name or "rapid" in name,
+            "size": geometric_mean(list(ratios.values())),
+            "lossless": geometric_mean([r for (_, bound), r in ratios.items() if not bound]),
+            "lossy": geometric_mean([r for (_, bound), r in ratios.items() if bound]),
+            "triangles": Missing(),
+        } | {key.replace(" ", "_"): value for key, value in speeds[timed].items() if "_" in key}
+        if timed == "terrainwave-auto+":
+            row["triangles"] = geometric_mean([mesh["ratio"] for mesh in meshes])
+        found.append(row)
+    return found
+
+
+def conformance(results: Path) -> Rows:
+    """Return what readers make of the conformance set, but for parts that they were not asked."""
+    return [row for row in read(results, "conformance") if row["files"]]
+
+
 def left_out(results: Path) -> Rows:
     """Return sizes with tables that never saw the raster over others: means over its bounds."""
     found: dict[str, dict[str, list[float]]] = {}

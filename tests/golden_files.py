@@ -1,47 +1,47 @@
 """Golden files: what a file of each format version decodes to, now and for ever.
 
-`tests/golden/vN/` holds files of format version N and `manifest.json`; `tools/make_golden.py` makes
-those of the current version.
+`tests/golden/vN/` holds files of format version N and `manifest.json`, as tests/golden/README.md
+says; `tools/make_golden.py` makes those of the current version.
 """
 
 import hashlib
 from pathlib import Path
 
-import numpy as np
+from conformance import invalid, library
 
 import terrainwave
 
 GOLDEN = Path(__file__).parent / "golden"
+OF_LEVEL = ("rows", "cols", "heights", "mask")
 
 
-def sha256(*arrays):
-    """Return the digest of shapes and values, little-endian, whatever the machine."""
-    digest = hashlib.sha256()
-    for array in arrays:
-        array = np.ascontiguousarray(array)
-        digest.update(f"{array.dtype.kind}{array.dtype.itemsize}{array.shape}".encode())
-        digest.update(array.astype(array.dtype.newbyteorder("<")).tobytes())
-    return digest.hexdigest()
+def sha256(path):
+    """Return the digest of a file's bytes."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def found(path):
+    """Return what the manifest says of a file, but for its purpose: all that it decodes to."""
+    with terrainwave.open(path, threads=1) as terrain:
+        header = terrain.header
+        return {
+            "sha256": sha256(path),
+            "features": header.features,
+            "mesh": header.mesh,
+            "block": header.block,
+            "border_rings": header.border_rings,
+            "step": header.step,
+            **library.describe(terrain),
+            "level": [library.level_of(terrain, level) for level in range(terrain.n_levels)],
+        }
 
 
 def digests(path):
-    """Return the digests of a file's bytes and of all it decodes to.
+    """Return size and digests of heights and mask of each level, as js/testing/files.js does."""
+    return [{key: level[key] for key in OF_LEVEL} for level in found(path)["level"]]
 
-    `heights` and `mask` are of all levels, the coarsest first; `mesh`, of all blocks, is None where
-    there is none.
-    """
-    data = Path(path).read_bytes()
-    with terrainwave.open(data, threads=1) as terrain:
-        levels = [terrain.read_with_mask(level=level) for level in range(terrain.n_levels)]
-        found = {
-            "file": hashlib.sha256(data).hexdigest(),
-            "heights": sha256(*(heights for heights, _ in levels)),
-            "mask": sha256(*(mask for _, mask in levels)),
-            "mesh": None,
-        }
-        if terrain.mesh_kind != "none":
-            blocks = [b for level in range(terrain.n_levels) for b in terrain.grid.blocks(level)]
-            errors = np.array([terrain.mesh_error(block) for block in blocks])
-            meshes = [array for block in blocks for array in terrain.block_mesh(block)]
-            found["mesh"] = sha256(errors, *meshes)
-    return found
+
+def found_invalid(path):
+    """Return what the manifest says of an invalid file."""
+    path = Path(path)
+    return {"sha256": sha256(path), **invalid.entry(path.name, path.read_bytes())}

@@ -3,11 +3,10 @@
 It also renews the checksum of the worked example's header (FORMAT.md §9.2), which the version is
 part of.
 
-Files that exist are left as they are: what a version wrote once must stay readable. ``--replace``
-makes all files of the current version anew, for as long as it is not released.
+Files that exist are left as they are: what a version wrote once must stay readable. So are what
+the manifest says of them; the table of tests/golden/README.md is written anew.
 """
 
-import argparse
 import json
 import re
 import sys
@@ -20,6 +19,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "src"), str(ROOT / "tests")]
 
 import golden_files  # noqa: E402
+from conformance import invalid  # noqa: E402
 from rasterio.transform import Affine  # noqa: E402
 from strategies import write_geotiff  # noqa: E402
 
@@ -177,6 +177,49 @@ CASES = {
 }  # fmt: skip
 
 
+# What a reader shows by decoding the file.
+EXERCISES = {
+    "predictive-int16-halves": "two levels of groups, lossy, shared lines, meshes `halves`",
+    "predictive-int16-lossless": "step 1",
+    "predictive-int16-nodata-zerotree": "voids by nodata, labels of `zerotree-plain`",
+    "predictive-int16-nodata-rqt": "voids by nodata, flags of `rqt`",
+    "predictive-int16-halves-bounded": "the finest meshes' errors are bounds, not measured",
+    "predictive-int16-nodata-zerotree-bounded": "the same with `zerotree-plain`",
+    "predictive-int16-nodata-rqt-bounded": "the same with `rqt`",
+    "predictive-uint8-best": "tables of the file's own (P.10)",
+    "predictive-uint16-mask": "a mask of its own, no nodata: voids are 0",
+    "predictive-int32-rings": "aprons (border_rings 3), a large step",
+    "predictive-float32-nan": "decimals, voids are NaN",
+    "predictive-float64-scaled": "scale and offset; quantum_den above 1",
+    "predictive-fast-blocks": "blocks of 64; payloads without *mixed*",
+    "rapid-int16-halves": "frequencies or stencils of the file's own (R.10), three levels",
+    "rapid-int16-lossless-nodata": "step 1, voids by nodata",
+    "rapid-int16-states": "eight states, blocks of 64",
+    "rapid-uint8": "the empty parameters or the smallest ones, degrees",
+    "rapid-int32-rings": "aprons, a mask of its own",
+    "rapid-int32-wide": "heights so far apart that predictions count from an offset (R.2)",
+    "rapid-float32-nan": "decimals, voids are NaN",
+    "rapid-float32-exact": "remainders (§5.3) of 4 bytes, NaN",
+    "predictive-float64-exact": "remainders of 8 bytes",
+    "cdf53-int16-lossless": "whole streams, masks of tiles",
+    "cdf53-int16-nodata-rqt-coefficient": "meshes by coefficients (mesh 6), voids",
+    "cdf53-uint16-rate": "streams that are cut",
+    "cdf97-int16-halves": "coefficients and residuals, three levels",
+    "cdf97-float32-nan-zerotree": "decimals, NaN, `zerotree-plain`",
+    "cdf97-int16-mask-zerotree-layer": "aprons, a mask, zero trees of difference layers (mesh 4)",
+    "cdf97-uint16-mask-rqt": "a mask of its own, `rqt`",
+    "cdf97-int32-rings": "aprons, a large step",
+    "cdf97-int16-nodata-faithful": "feature bit 1 (§7.9), coded zero trees (mesh 5)",
+    "cdf97-int32-rings-faithful": "feature bit 1 with aprons",
+    "store-int16-nodata-halves": "the smallest method, voids by nodata",
+    "store-float64-rqt": "decimals of float64, NaN",
+    "store-int16-segments": "six levels: several segments, absent ones (§3.4)",
+    "one-sample": "a raster of one sample",
+    "one-row": "a raster of one row",
+    "all-void": "no valid sample: z_min 0, z_max −1, empty payloads",
+}
+
+
 def write_case(path, shape, dtype, amplitude, kind, profile, options):
     """Write one golden file."""
     heights = terrain(*shape, amplitude).astype(dtype)
@@ -219,31 +262,67 @@ def write_manifest(path, manifest):
     path.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
 
 
+def table(head, rows):
+    """Return a Markdown table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join(f"| {' | '.join(map(str, line))} |\n" for line in lines)
+
+
+def write_readme(manifest):
+    """Write the tables of what the files are into README.md beside them."""
+    path = golden_files.GOLDEN / "README.md"
+    text = path.read_text(encoding="utf-8")
+    files = table(
+        ["file", "rows × columns", "levels", "dtype", "method", "mesh", "what it exercises"],
+        [
+            [
+                f"`{name}`", f"{entry['rows']} × {entry['cols']}", entry["levels"], entry["dtype"],
+                entry["method"], entry["mesh"], entry["exercises"],
+            ]
+            for name, entry in manifest["files"].items()
+        ],
+    )  # fmt: skip
+    wrong = table(
+        ["file", "clause", "what is wrong", "rejected as", "found by a reader of"],
+        [
+            [f"`{name}`", entry["clause"], entry["fault"], entry["outcome"], entry["found_by"]]
+            for name, entry in manifest["invalid"].items()
+        ],
+    )
+    for name, content in (("files", files), ("invalid", wrong)):
+        head, _, rest = text.partition(f"<!-- {name} -->\n")
+        text = f"{head}<!-- {name} -->\n{content}<!-- end -->{rest.partition('<!-- end -->')[2]}"
+    path.write_text(text, encoding="utf-8")
+
+
 def main():
-    """Write files that are missing, or all, and the manifest."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--replace", action="store_true", help="make all of this version anew")
-    replace = parser.parse_args().replace
+    """Write files that are missing, and what the manifest does not say of them yet."""
     directory = golden_files.GOLDEN / f"v{FORMAT_VERSION}"
-    directory.mkdir(parents=True, exist_ok=True)
+    (directory / "invalid").mkdir(parents=True, exist_ok=True)
     manifest_path = directory / "manifest.json"
-    manifest = {}
-    if manifest_path.exists() and not replace:
+    manifest = {"format_version": FORMAT_VERSION, "files": {}, "invalid": {}}
+    if manifest_path.exists():
         manifest = json.loads(manifest_path.read_text(encoding="utf-8"))
     for name, case in CASES.items():
         path = directory / f"{name}.twz"
-        if path.name in manifest:
-            continue
-        write_case(path, *case)
-        manifest[path.name] = golden_files.digests(path)
-        write_manifest(manifest_path, manifest)
-        print(f"{path.relative_to(ROOT)}: {path.stat().st_size:,} bytes")
-    for path in sorted(directory.glob("*.twz")):
-        if path.name not in manifest:
-            path.unlink()
-    total = sum(path.stat().st_size for path in directory.glob("*.twz"))
+        if not path.exists():
+            write_case(path, *case)
+            print(f"{path.relative_to(ROOT)}: {path.stat().st_size:,} bytes")
+        if path.name not in manifest["files"]:
+            found = {"exercises": EXERCISES[name]} | golden_files.found(path)
+            manifest["files"][path.name] = found
+            write_manifest(manifest_path, manifest)
+    for name, case in invalid.CASES.items():
+        path = directory / "invalid" / f"{name}.twz"
+        if not path.exists():
+            path.write_bytes(case.bytes())
+        if path.name not in manifest["invalid"]:
+            manifest["invalid"][path.name] = golden_files.found_invalid(path)
+    write_manifest(manifest_path, manifest)
+    write_readme(manifest)
+    total = sum(path.stat().st_size for path in directory.rglob("*.twz"))
     renew_example()
-    print(f"{len(manifest)} files, {total:,} bytes")
+    print(f"{len(manifest['files'])} files and {len(manifest['invalid'])} invalid, {total:,} bytes")
 
 
 if __name__ == "__main__":

@@ -81,7 +81,9 @@ function check(h, statedSize) {
   require(h.nRows * h.nCols <= 2 ** 50, "n_rows * n_cols");
   require(h.blockLog2 >= 5 && h.blockLog2 <= 10, "block_log2");
   require(h.borderRings === 1 || h.borderRings === 3, "border_rings");
+  require(h.method !== "cdf53" || h.borderRings === 1, "border_rings of cdf53");
   require(h.mesh !== "none" || h.meshTolerance === 0, "mesh_tolerance");
+  require(h.mesh !== "rqt-coefficient" || h.method === "cdf53", "a mesh by coefficients");
   const { quantumNum: num, quantumDen: den, base } = h;
   require(num >= 1n && num < 2n ** 63n && den >= 1n && den < 2n ** 63n, "quantum");
   require(gcd(num, den) === 1n, "the quantum is not in lowest terms");

@@ -130,6 +130,7 @@ const KINDS = {
   tags: isTexts,
   band_tags: isTexts,
   color_interpretation: isString,
+  moved: (value) => Number.isInteger(value) && value >= 0 && value <= 2 ** 31,
   software: isString,
 };
 

@@ -10,20 +10,22 @@ import { readHeader } from "../src/header.js";
 import { fileOrder, layoutOf } from "../src/segment.js";
 
 export const GOLDEN = new URL("../../tests/golden/v1/", import.meta.url);
-const KINDS = { uint8: "u1", uint16: "u2", int16: "i2", int32: "i4", float32: "f4", float64: "f8" };
 
 export const golden = (name) => readFile(new URL(`${name}.twz`, GOLDEN));
 
-/** Return the digests of heights and masks of all levels, as tests/golden_files.py makes them. */
+const digest = (array) => createHash("sha256").update(array).digest("hex");
+
+/** Return size and digests of a level, as tests/golden/README.md defines them. */
+export async function digestOfLevel(terrain, level) {
+  const { heights, valid, nRows, nCols } = await terrain.read(level);
+  return { rows: nRows, cols: nCols, heights: digest(heights), mask: digest(valid) };
+}
+
+/** Return those of all levels. */
 export async function digests(terrain) {
-  const [heights, mask] = [createHash("sha256"), createHash("sha256")];
-  for (let level = 0; level < terrain.nLevels; level++) {
-    const read = await terrain.read(level);
-    const shape = `(${read.nRows}, ${read.nCols})`;
-    heights.update(KINDS[terrain.dtype] + shape).update(read.heights);
-    mask.update(`b1${shape}`).update(read.valid);
-  }
-  return { heights: heights.digest("hex"), mask: mask.digest("hex") };
+  const levels = [];
+  for (let k = 0; k < terrain.nLevels; k++) levels.push(await digestOfLevel(terrain, k));
+  return levels;
 }
 
 /** The parts of a file of one segment, and a file of parts with all lengths and checksums mended. */

@@ -390,6 +390,11 @@ def test_head_is_answered_as_get_without_a_body(hilly, path):
         assert head.headers.get(name) == whole.headers.get(name)
 
 
+def test_the_file_itself_has_the_media_type_of_the_format(hilly):
+    with client_of(hilly) as client:
+        assert client.get("/hills.twz").headers["content-type"] == "application/vnd.terrainwave"
+
+
 def test_heights_below_what_a_tile_can_hold_are_in_its_error(tmp_path):
     path = write_twz(tmp_path, hills(33, 33) - 10700, BOUNDS, max_error=0)
     with terrainwave.open(path) as terrain:

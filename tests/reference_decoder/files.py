@@ -52,6 +52,7 @@ def read_header(data):
     require(h.n_rows * h.n_cols <= 2**50, "n_rows * n_cols")
     require(5 <= h.block_log2 <= 10, "block_log2")
     require(h.border_rings in (1, 3), "border_rings")
+    require(h.border_rings == 1 or h.method != 3, "aprons of tiles")
     require(h.method in METHODS, "method", UnsupportedError)
     require(h.dtype in DTYPES, "dtype", UnsupportedError)
     require(h.effort <= 9, "effort", UnsupportedError)
@@ -109,6 +110,7 @@ KINDS = {
     "transform": is_transform,
     "scale": lambda value: is_number(value) and value != 0,
     "offset": is_number,
+    "moved": lambda value: type(value) is int and 0 <= value <= 2**31,
     "mask_kind": lambda value: value in ("none", "nodata", "nan", "mask"),
     "area_or_point": lambda value: value in ("Area", "Point"),
     **dict.fromkeys(
@@ -137,9 +139,22 @@ def read_metadata(section, crc, dtype):
     def refuse(text):
         raise CorruptError(text)
 
+    def finite(kind):
+        def number(text):
+            require(isfinite(float(text)), "a number without finite binary64 value")
+            return kind(text)
+
+        return number
+
     try:
         text = inflate(section, 2**20, DICTIONARY).decode("utf-8")
-        metadata = json.loads(text, object_pairs_hook=unique, parse_constant=refuse)
+        metadata = json.loads(
+            text,
+            object_pairs_hook=unique,
+            parse_constant=refuse,
+            parse_int=finite(int),
+            parse_float=finite(float),
+        )
         json.dumps(metadata, ensure_ascii=False).encode()  # fails on a lone surrogate
     except (ValueError, RecursionError) as error:
         raise CorruptError(str(error)) from None
@@ -295,6 +310,11 @@ def read_file(data):
     )
 
 
+def decode_error(c):
+    """Return what the code of an error stands for, in quanta (§4.4)."""
+    return (8 + c % 8) * 2 ** (c // 8) // 8 if c else 0
+
+
 def block_codes(data):
     """Return (low, high, E) in quanta of every block, by block."""
     file = read_file(data)
@@ -306,7 +326,10 @@ def block_codes(data):
                 low, high, _ = found[key]
             for block in grid.blocks_of_key(key):
                 z_min, z_max, c, _ = file.codes[block]
-                error = (8 + c % 8) * 2 ** (c // 8) // 8 if c else 0
                 size = high - low
-                found[block] = low + z_min * size // 255, high - z_max * size // 255, error
+                found[block] = (
+                    low + z_min * size // 255,
+                    high - z_max * size // 255,
+                    decode_error(c),
+                )
     return found

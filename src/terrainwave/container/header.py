@@ -24,6 +24,9 @@ from terrainwave.names import MESHES, METHODS, UNBOUNDED_MESHES
 MAGIC = b"\x89TWZ\r\n\x1a\n"  # as PNG's: a text-mode or 7-bit copy damages it visibly
 FORMAT_VERSION = 1
 HEADER_SIZE = 128
+MEDIA_TYPE = "application/vnd.terrainwave"  # FORMAT.md §14
+# How messages of `UnsupportedVersionError` end (FORMAT.md §12.1).
+NEWER = ": install a newer terrainwave"
 
 _METHOD_NAMES = {method.number: method.name for method in METHODS.values()}
 # Codes 2 (int8) and 5 (uint32) are reserved.
@@ -269,14 +272,10 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     if len(data) < HEADER_SIZE:
         raise TruncatedStreamError(f"the file ends in its header, at byte {len(data)}")
     version = data[8]
-    if version == 0:
-        raise UnsupportedVersionError(
-            "format version 0, a draft of before the first release: compress the raster again"
-        )
     if version != FORMAT_VERSION:
+        advice = NEWER if version > FORMAT_VERSION else ", which no release has written"
         raise UnsupportedVersionError(
-            f"format version {version}; this terrainwave reads version {FORMAT_VERSION}:"
-            " install a newer one"
+            f"format version {version}{advice}; this terrainwave reads version {FORMAT_VERSION}"
         )
     body = data[: _LAYOUT.size]
     fields = _LAYOUT.unpack(body)
@@ -290,16 +289,16 @@ def unpack_header(data: bytes) -> tuple[Header, Extents]:
     if stored != zlib.crc32(body):
         raise CorruptStreamError("checksum of the header does not match")
     if reserved or padding != bytes(2):
-        raise UnsupportedVersionError("a reserved field of the header is not 0")
+        raise UnsupportedVersionError(f"a reserved field of the header is not 0{NEWER}")
     if not MIN_BLOCK_LOG2 <= block_log2 <= MAX_BLOCK_LOG2:
         raise CorruptStreamError(f"log2 of the block size is {block_log2}, not 5 ... 10 (byte 32)")
     if method not in _METHOD_NAMES:
-        raise UnsupportedVersionError(f"unknown method {method} (byte 34)")
+        raise UnsupportedVersionError(f"unknown method {method} (byte 34){NEWER}")
     if mesh >= len(MESHES):
-        raise UnsupportedVersionError(f"unknown mesh {mesh} (byte 37)")
+        raise UnsupportedVersionError(f"unknown mesh {mesh} (byte 37){NEWER}")
     names = {code: name for name, code in DTYPE_CODES.items()}
     if dtype not in names:
-        raise UnsupportedVersionError(f"unknown data type {dtype} (byte 35)")
+        raise UnsupportedVersionError(f"unknown data type {dtype} (byte 35){NEWER}")
     if not 0 < numerator <= MAX_QUANTUM_PART or not 0 < denominator <= MAX_QUANTUM_PART:
         raise CorruptStreamError(f"quantum {numerator}/{denominator} is not positive and < 2^63")
     if math.gcd(numerator, denominator) != 1:
@@ -346,7 +345,10 @@ class _Violation:
 def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
     """Yield what is outside the limits of FORMAT.md §4.1 and §10, in the order of the fields."""
     if header.features & ~KNOWN_FEATURES:
-        yield _Violation(f"unknown features {header.features:#x}", UnsupportedVersionError)
+        yield _Violation(
+            f"unknown features {header.features & ~KNOWN_FEATURES:#x}{NEWER}",
+            UnsupportedVersionError,
+        )
     for name, side in (("n_rows", header.n_rows), ("n_cols", header.n_cols)):
         if not 1 <= side <= MAX_SIDE:
             yield _Violation(f"{name} is {side}, not 1 ... 2^31")
@@ -356,8 +358,10 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
         yield _Violation(f"block is {header.block}, not 32 ... 1024")
     if header.border_rings not in (1, 3):
         yield _Violation(f"border_rings is {header.border_rings}, not 1 or 3")
+    if header.border_rings != 1 and METHODS[header.method].is_tiled:
+        yield _Violation(f"border_rings is {header.border_rings}, not 1, of method {header.method}")
     if not 0 <= header.effort <= MAX_EFFORT:
-        yield _Violation(f"effort is {header.effort}, not 0 ... 9", UnsupportedVersionError)
+        yield _Violation(f"effort is {header.effort}, not 0 ... 9{NEWER}", UnsupportedVersionError)
     if header.mesh in UNBOUNDED_MESHES and not METHODS[header.method].is_tiled:
         yield _Violation(f"the mesh is {header.mesh}, and {header.method} has no coefficients")
     numerator = header.quantum.numerator

@@ -68,6 +68,7 @@ def unpack_metadata(packed: bytes) -> dict[str, object]:
             text,
             object_pairs_hook=_unique_keys,
             parse_float=_finite,
+            parse_int=_whole,
             parse_constant=_no_constant,
         )
         # A lone surrogate escape is legal JSON but no text: it would fail when printed.
@@ -105,6 +106,11 @@ def _finite(text: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"number {text[:20]} is too large")
     return value
+
+
+def _whole(text: str) -> int:
+    _finite(text)  # before `int`, whose time grows with the square of the digits
+    return int(text)
 
 
 def _no_constant(text: str) -> NoReturn:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from terrainwave.coding.deflate import deflate, inflate
-from terrainwave.container.header import MAX_PAGE
+from terrainwave.container.header import MAX_PAGE, NEWER
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 from terrainwave.grid.quadtree import SEGMENT_LEVELS, Block, Grid
 
@@ -205,7 +205,7 @@ def unpack_page(data: bytes, layout: PageLayout, name: str) -> Page:
 
 def _check(page: Page, name: str) -> None:
     if page.flags.any():
-        raise UnsupportedVersionError(f"{name} has flags that this version does not know")
+        raise UnsupportedVersionError(f"{name} has flags that this version does not know{NEWER}")
     for kind, lengths, crcs in (
         ("payload", page.payload_lengths, page.payload_crcs),
         ("mesh", page.mesh_lengths, page.mesh_crcs),

@@ -1,29 +1,73 @@
-"""Whether every checksum of a file holds and every unit decodes."""
+"""Whether every checksum of a file holds, every unit decodes, and neighbours agree."""
 
 from collections.abc import Iterator
 
+import numpy as np
+
+from terrainwave.codec.refiner import Decoded
 from terrainwave.container.reader import Container
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Block
-from terrainwave.read.decoder import TreeDecoder
+from terrainwave.read.decoder import TreeDecoder, unit_name
 
 
 def check_units(container: Container, decoder: TreeDecoder) -> Iterator[str]:
     """Check all checksums and decode every unit; yield what is wrong, in plain words."""
     yield from container.check()
+    seams = _Seams(decoder)
     for key in container.grid.root_keys():
-        yield from _check_below(container, decoder, key)
+        yield from _check_below(container, decoder, seams, key)
 
 
-def _check_below(container: Container, decoder: TreeDecoder, key: Block) -> Iterator[str]:
+def _check_below(
+    container: Container, decoder: TreeDecoder, seams: "_Seams", key: Block
+) -> Iterator[str]:
     try:
         decoder.unit(key)
     except CorruptStreamError as exc:
         yield str(exc)
         return  # what lies below cannot be decoded either
+    yield from seams.differences(key)
     for block in container.grid.key_blocks(key):
         if block.level < container.grid.k_max and not _is_absent(container, block):
-            yield from _check_below(container, decoder, block)
+            yield from _check_below(container, decoder, seams, block)
+
+
+class _Seams:
+    """Whether units hold the same of the samples that they share (FORMAT.md §2.4).
+
+    Units of a level come in Morton order: those above and to the left have come before, and left
+    what they share with the next. Memory: a line of samples along the units still to come.
+    """
+
+    def __init__(self, decoder: TreeDecoder) -> None:
+        self._decoder = decoder
+        self._lines: dict[tuple[Block, Block], Decoded] = {}
+
+    def differences(self, key: Block) -> Iterator[str]:
+        """Compare a unit, which can be decoded, with those before it."""
+        if key.is_root_key:
+            return
+        for row, col in ((-1, 0), (0, -1)):
+            other = Block(key.level, key.row + row, key.col + col)
+            if self._decoder.grid.contains(other) and not self._agree(other, key):
+                yield f"{unit_name(key)} and {unit_name(other)} differ in samples that they share"
+        for row, col in ((1, 0), (0, 1)):
+            other = Block(key.level, key.row + row, key.col + col)
+            if self._decoder.grid.contains(other):
+                self._lines[key, other] = self._decoder.shared(key, other)
+
+    def _agree(self, before: Block, key: Block) -> bool:
+        one = self._lines.pop((before, key), None)
+        if one is None:  # damaged, or void and left out of the file
+            try:
+                one = self._decoder.shared(before, key)
+            except CorruptStreamError:
+                return True  # has been told
+        other = self._decoder.shared(key, before)
+        rests = [0 if part.remainders is None else part.remainders for part in (one, other)]
+        is_other = (one.heights != other.heights) | (rests[0] != rests[1])
+        return np.array_equal(one.mask, other.mask) and not bool(is_other[one.mask].any())
 
 
 def _is_absent(container: Container, block: Block) -> bool:

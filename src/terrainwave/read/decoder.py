@@ -121,6 +121,19 @@ class TreeDecoder:
         spec = self._spec(key)
         return _part(self.unit(key), spec, spec.core.intersect(region), region)
 
+    def shared(self, key: Block, other: Block) -> Decoded:
+        """Return a copy of what a unit holds of the samples that another one holds as well."""
+        here = self._spec(key).region
+        common = here.intersect(self._spec(other).region)
+        heights, mask, _, rest = self.unit(key)
+        there = common.slices_in(here)
+        return Decoded(
+            heights[there].copy(),
+            mask[there].copy(),
+            None,
+            None if rest is None else rest[there].copy(),
+        )
+
     @contextmanager
     def borrowed(self, key: Block, region: Region) -> Iterator[tuple[tuple[slice, slice], Decoded]]:
         """Lend `part` until the end of the `with` block.

@@ -27,6 +27,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from terrainwave.arguments import in_one_line
 from terrainwave.cache import Cache
+from terrainwave.container.header import MEDIA_TYPE
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidHeightsError,
@@ -413,8 +414,7 @@ def make_app(
     async def file(request: Request, name: str) -> Response:
         raster = shelf.find(name)
         source = raster.terrain.container.source
-        media_type = "application/octet-stream"
-        return await send(request, tagged(request, raster), media_type, source.size, source.read)
+        return await send(request, tagged(request, raster), MEDIA_TYPE, source.size, source.read)
 
     async def send(
         request: Request,

@@ -1,0 +1,189 @@
+"""Take a .twz file apart and put it together again, whatever is in it (FORMAT.md §3, §4).
+
+Lengths and checksums are made to match, unless they are what is to be wrong.
+"""
+
+import json
+import struct
+import zlib
+
+from reference_decoder.basics import inflate
+from reference_decoder.files import (
+    DICTIONARY,
+    HEADER,
+    NAMES,
+    file_order,
+    read_page,
+    segment_layout,
+)
+from reference_decoder.grid import Grid
+
+COLUMNS = {
+    "payload_length": 4, "mesh_length": 4, "flags": 1, "z_min": 1, "z_max": 1, "error": 1,
+    "mesh_error": 1, "child_page_length": 4, "child_length": 8, "payload_crc": 4, "mesh_crc": 4,
+}  # fmt: skip
+
+
+def planes(values, width):
+    """§3.3: all lowest bytes, then the second ones, …"""
+    return b"".join(bytes(value >> 8 * p & 255 for value in values) for p in range(width))
+
+
+def deflated(text):
+    """Return text as the metadata section holds it (§4.2)."""
+    stream = zlib.compressobj(9, zlib.DEFLATED, -15, zdict=DICTIONARY)
+    return stream.compress(text) + stream.flush()
+
+
+class Segment:
+    """One segment: what its page lists, and what is to be changed there."""
+
+    def __init__(self, head, layout):
+        self.head, self.layout = head, layout
+        self.payloads, self.meshes = {}, {}
+        self.columns = None
+        self.children = []  # segments, or None where absent
+        self.change_columns = lambda columns: None
+        self.change_page = lambda page: page
+        self.pack = lambda columns: zlib.compress(columns, 9)
+        self.first_child = None
+
+
+class Editor:
+    """The parts of a file, to be changed; `bytes` puts them together.
+
+    Attributes
+    ----------
+    header : dict
+        Fields that are to differ from the file's own; lengths and checksums too.
+    metadata, parameters : bytes
+    top : Segment
+    """
+
+    def __init__(self, data):
+        self.fields = dict(zip(NAMES, HEADER.unpack(data[:128]), strict=True))
+        self.header = {}
+        h = self.fields
+        at = 128
+        self.metadata = data[at : at + h["metadata_length"]]
+        at += h["metadata_length"]
+        self.parameters = data[at : at + h["parameters_length"]]
+        at += h["parameters_length"]
+        self.grid = Grid(h["n_rows"], h["n_cols"], 2 ** h["block_log2"], h["border_rings"])
+        self.top = self._read(data, None, at, h["top_page_length"])
+        self.gap = b""  # between the first segment and the others
+        self.end = b""
+        self.change_header = lambda header: header
+
+    def _read(self, data, head, at, page_length):
+        segment = Segment(head, segment_layout(self.grid, head))
+        keys, _, heads = segment.layout
+        first_child, page = read_page(data[at : at + page_length], segment.layout)
+        segment.columns = vars(page)
+        at += page_length
+        for key in file_order(keys):
+            i = keys.index(key)
+            for store, name in ((segment.payloads, "payload"), (segment.meshes, "mesh")):
+                n = segment.columns[f"{name}_length"][i]
+                store[key] = data[at : at + n]
+                at += n
+        at = first_child
+        for child, n_page, n in zip(heads, page.child_page_length, page.child_length, strict=True):
+            segment.children.append(self._read(data, child, at, n_page) if n else None)
+            at += n
+        return segment
+
+    def json(self):
+        """Return the metadata."""
+        return json.loads(inflate(self.metadata, 2**20, DICTIONARY))
+
+    def set_json(self, **changes):
+        """Change keys of the metadata."""
+        self.metadata = deflated(json.dumps(self.json() | changes).encode())
+
+    def _columns(self, segment, lengths):
+        keys = segment.layout[0]
+        columns = {name: list(values) for name, values in segment.columns.items()}
+        for name, store in (("payload", segment.payloads), ("mesh", segment.meshes)):
+            columns[f"{name}_length"] = [len(store[key]) for key in keys]
+            columns[f"{name}_crc"] = [zlib.crc32(store[key]) for key in keys]
+        columns["child_page_length"] = [n_page for n_page, _ in lengths]
+        columns["child_length"] = [n for _, n in lengths]
+        segment.change_columns(columns)
+        return columns
+
+    def _write(self, segments):
+        """Return (page but its head, rest) of segments of one level, and of the levels below."""
+        below = [child for segment in segments for child in segment.children if child]
+        written_below = self._write(below) if below else []
+        at = iter(written_below[0] if below else [])
+        level = []
+        for segment in segments:
+            lengths = []
+            for child in segment.children:
+                page, rest = next(at) if child else (b"", b"")
+                lengths.append((len(page), len(page) + len(rest)))
+            columns = self._columns(segment, lengths)
+            packed = segment.pack(
+                b"".join(planes(columns[name], width) for name, width in COLUMNS.items())
+            )
+            rest = b"".join(
+                store[key]
+                for key in file_order(segment.layout[0])
+                for store in (segment.payloads, segment.meshes)
+            )
+            level.append((bytes(12) + packed, rest))
+        return [level, *written_below]
+
+    def bytes(self):
+        """Return the file."""
+        levels, segments = self._write([self.top]), [[self.top]]
+        while below := [child for one in segments[-1] for child in one.children if child]:
+            segments.append(below)
+        page_length = len(levels[0][0][0])
+        fields = dict(
+            metadata_length=len(self.metadata),
+            metadata_crc=zlib.crc32(self.metadata),
+            parameters_length=len(self.parameters),
+            parameters_crc=zlib.crc32(self.parameters),
+            top_page_length=page_length,
+        )
+        start = 128 + len(self.metadata) + len(self.parameters)
+        body = bytearray(self.metadata + self.parameters)
+        at = start
+        starts = []
+        for number, level in enumerate(levels):
+            at += len(self.gap) if number == 1 else 0
+            for page, rest in level:
+                starts.append(at)
+                at += len(page) + len(rest)
+        n_done = 0
+        for number, (level, row) in enumerate(zip(levels, segments, strict=True)):
+            body += self.gap if number == 1 else b""
+            child = n_done + len(level)
+            for (page, rest), segment in zip(level, row, strict=True):
+                first = 0
+                if segment.layout[2]:
+                    first = starts[child] if child < len(starts) else at
+                    child += sum(one is not None for one in segment.children)
+                if segment.first_child is not None:
+                    first = segment.first_child(first)
+                page = page[:4] + struct.pack("<Q", first) + page[12:]
+                page = zlib.crc32(page[4:]).to_bytes(4, "little") + page[4:]
+                body += segment.change_page(page) + rest
+                n_done += 1
+        body += self.end
+        fields["file_size"] = 128 + len(body)
+        fields = self.fields | fields | self.header
+        header = HEADER.pack(*(fields[name] for name in NAMES))[:124]
+        header += zlib.crc32(header).to_bytes(4, "little")
+        return self.change_header(header) + bytes(body)
+
+
+def varint(value):
+    """§1.4."""
+    out = bytearray()
+    while value > 127:
+        out.append(value & 127 | 128)
+        value >>= 7
+    return bytes([*out, value])
