@@ -70,11 +70,12 @@ def everything_on_disk() -> None:
 def make_inputs(folder: Path, dem: Path | None, side: int) -> None:
     """Write rasters and files that the commands read: heights of `dem`, or synthesised ones."""
     heights = synthesised(side, side, 0) if dem is None else load_raster(dem, side).heights
-    part = heights[side // 8 : side // 2, side // 8 : side // 2] + 50
+    part = heights[side // 8 : side // 2, side // 8 : side // 2]
     write_raster(folder / "dem.tif", heights)
     write_raster(folder / "moved.tif", heights[::-1] // 2)
-    for name, higher in (("part", 0), ("other_part", -3)):
-        raised = (part + higher).astype(heights.dtype)
+    for name, higher in (("part", 50), ("other_part", 47)):
+        # A patch must stay within the range of the file.
+        raised = np.clip(part + higher, heights.min(), heights.max()).astype(heights.dtype)
         write_raster(folder / f"{name}.tif", raised, side // 8, side // 8)
     options = ["--max-error", "1", "--block", "64", "--threads", "2", "-q"]
     for name, source, more in (

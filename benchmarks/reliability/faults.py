@@ -1,8 +1,9 @@
 """Kill, starve, cut off and crowd the package, and count what comes of it.
 
 `kills`: commands killed with signal 9 while they write; `disk`: full disks; `network`: a server
-that fails, stalls or lies; `sharing`: writers of one target, forks, threads and 10,000 opens.
-Each writes a CSV, ``faults_NAME.csv``; the exit status is 1 if one of them found a fault.
+that fails, stalls or lies; `writers`: two of one target; `readers`: forks and threads; `opens`:
+10,000 of them. Each writes a CSV, ``faults_NAME.csv``; the exit status is 1 if one of them found
+a fault.
 """
 
 from collections.abc import Iterable
@@ -26,7 +27,7 @@ FAULTS = (
     "broken", "leftovers_after_next", "failed_next", "others_touched", "unclear", "crashes",
     "hangs", "wrong", "others", "then_wrong", "failed", "errors",
 )  # fmt: skip
-PARTS = ("kills", "disk", "network", "sharing")
+PARTS = ("kills", "disk", "writers", "opens", "readers", "network")
 
 
 @command("")
@@ -61,9 +62,11 @@ def main(
         write("kills", kills.rows(chosen, folder, n_kills, seed))
     if "disk" in only:
         write("disk", disk.rows(chosen, folder, n_disks, seed))
-    if "sharing" in only:  # forks first, while this process has one thread
+    if "writers" in only:
         write("writers", sharing.writers(chosen, folder, n_pairs, seed))
+    if "opens" in only:
         write("opens", sharing.opens(exact, n_opens // 2, n_opens // 20))
+    if "readers" in only:
         readers = [sharing.forks(exact, n_forks, 10), sharing.threads(exact, 100)]
         write("readers", chain.from_iterable(readers))
     if "network" in only:

@@ -50,8 +50,13 @@ def rows(commands: list[Command], work: Path, n: int, seed: int) -> Iterator[Row
         n_own = n if plain.name in MAIN_COMMANDS else -(-n // 4)
         whole = moments(generator, n_own, 0, command.seconds)
         yield _row("by the clock", command, work, [_after(seconds) for seconds in whole])
-        last = moments(generator, -(-n_own // 2), 0, command.last)
-        yield _row("from fsync on", command, work, [_after_fsync(seconds) for seconds in last])
+        last = moments(generator, -(-n_own // 3), 0, 1)  # most where the renaming is
+        yield _row(
+            "from fsync on",
+            command,
+            work,
+            [_after_fsync(command.last * share**3) for share in last],
+        )
         opens = [k for k, kind in enumerate(operations) if kind == "open"]
         chosen = {k for k, kind in enumerate(operations) if kind in _CHANGES}
         chosen |= set(generator.sample(opens, min(len(opens), _MOST_OPENS)))

@@ -20,10 +20,10 @@ from benchmarks.reliability.commands import Command, Run
 from benchmarks.reliability.faulty_server import FaultyServer
 from benchmarks.reliability.kills import fresh, left_over, measured
 
-# Pairs of runs; those in which one of them was refused; the first's, the second's or else lies at
-# the target.
+# Pairs of runs, and runs that were refused. What lies at the target: what the first writes, or the
+# second; of commands that change what is there, what one makes of the other's; or else.
 Writers = namedtuple(
-    "Writers", "command pairs failed first second broken leftovers hangs crashes seconds"
+    "Writers", "command pairs failed first second both broken leftovers hangs crashes seconds"
 )
 # Windows read in forks, or by threads, and how many of them were not what the file has.
 Readers = namedtuple("Readers", "what source trials windows wrong errors hangs seconds")
@@ -48,6 +48,9 @@ def writers(commands: list[Command], work: Path, n: int, seed: int) -> Iterator[
     for plain in commands:
         one, _ = measured(plain, work)
         two, _ = measured(_another(plain), work)
+        kinds = {one.expected: "first", two.expected: "second"}
+        if plain.before:
+            kinds |= {_one_after(pair, work): "both" for pair in ((one, two), (two, one))}
         found: Counter[str] = Counter()
         start = time.monotonic()
         for number in range(n):
@@ -58,7 +61,6 @@ def writers(commands: list[Command], work: Path, n: int, seed: int) -> Iterator[
             second = Run(two.arguments, folder, log="second log")
             both = first.wait(), second.wait()
             content = (folder / one.target).read_bytes()
-            kinds = {one.expected: "first", two.expected: "second"}
             found[kinds.get(content, "broken")] += 1
             found["leftovers"] += bool(left_over(folder, work, one, {}))
             for ended in both:
@@ -67,6 +69,14 @@ def writers(commands: list[Command], work: Path, n: int, seed: int) -> Iterator[
                 found["failed"] += ended.status == 1
         numbers = [found[field] for field in Writers._fields[2:-1]]
         yield Writers(one.name, n, *numbers, round(time.monotonic() - start, 1))
+
+
+def _one_after(pair: tuple[Command, Command], work: Path) -> bytes:
+    """Return what lies at the target after one run and then the other."""
+    folder = fresh(work, pair[0], pair[0].before)
+    for command in pair:
+        Run(command.arguments, folder).wait()
+    return (folder / command.target).read_bytes()
 
 
 def _another(command: Command) -> Command:

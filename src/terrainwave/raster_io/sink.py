@@ -233,8 +233,8 @@ class RasterSink:
                 mask_crc = None
                 if info.mask_kind == "mask":
                     self._dataset.write_mask(valid, window=window)
-                    mask_crc = zlib.crc32(np.packbits(valid))
-                self._written.append(_Written(window, zlib.crc32(heights), mask_crc))
+                    mask_crc = zlib.crc32(np.packbits(valid).data)
+                self._written.append(_Written(window, zlib.crc32(heights.data), mask_crc))
         except GDAL_ERRORS as error:
             raise self._cannot_write(error) from error
 
@@ -294,11 +294,11 @@ class RasterSink:
     def _holds_what_was_written(self, part: Path) -> bool:
         with rasterio.open(part, num_threads=self._n_threads) as dataset:
             for window, crc, mask_crc in self._written:
-                if zlib.crc32(dataset.read(1, window=window)) != crc:
+                if zlib.crc32(dataset.read(1, window=window).data) != crc:
                     return False
                 if mask_crc is not None:
                     valid = dataset.read_masks(1, window=window) != 0
-                    if zlib.crc32(np.packbits(valid)) != mask_crc:
+                    if zlib.crc32(np.packbits(valid).data) != mask_crc:
                         return False
         return True
 
