@@ -218,3 +218,17 @@ def test_few_names_are_listed(hilly):
 @pytest.mark.parametrize("name", ["a b", "*x", "http://a", "a:80", ""])
 def test_what_is_no_host_name_is_wrong_usage(hilly, name):
     assert "host name" in one_line(run("serve", hilly, "--allow-host", name, "--port", "0"), 2)
+
+
+def test_a_file_that_is_replaced_is_read_on_and_one_that_is_cut_is_a_line(tmp_path):
+    path = write_twz(tmp_path, hills(65, 97), BOUNDS)
+    data = path.read_bytes()
+    with TestClient(make_app([str(path)]), "http://127.0.0.1") as client:
+        path.rename(tmp_path / "old.twz")
+        path.write_bytes(b"something else")
+        assert client.get("/hills.twz").content == data
+        with open(tmp_path / "old.twz", "r+b") as file:
+            file.truncate(200)
+        answer = client.get("/hills.twz")
+    assert answer.status_code == 500
+    assert answer.json() == {"detail": "the file cannot be read there"}
