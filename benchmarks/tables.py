@@ -144,6 +144,35 @@ def strict_costs(results: Path) -> Rows:
     ]  # fmt: skip
 
 
+def scaled_commands(results: Path) -> Rows:
+    """Return whole commands by raster size: one row for each stage and what was measured of it."""
+    found: dict[str, dict[int, Row]] = defaultdict(dict)
+    for row in read(results, "scale_commands"):
+        found[row["stage"]][row["size"]] = row
+    sizes = (4096, 8192, 16384, 32768, 65536)
+    lines: Rows = []
+    for stage, of_size in found.items():
+        line: Row = {"stage": stage}
+        for size, name in itertools.product(sizes, ("net_per_million", "seconds", "peak_mib")):
+            line[f"{name}_{size}"] = of_size[size][name] if size in of_size else Missing()
+        # Against the first size at which starting is a small part of it.
+        small, large = (line[f"net_per_million_{size}"] for size in (16384, 65536))
+        is_known = is_measured(small) and is_measured(large)
+        lines.append(line | {"flatness": large / small if is_known else Missing()})
+    return lines
+
+
+def paper(results: Path) -> Rows:
+    """Return what 10^12 samples take on paper, numbers as texts: they span twelve decades."""
+    rows = read(results, "scale_paper")
+    for row, name in itertools.product(rows, ("measured", "paper")):
+        value = row[name]
+        is_known = is_measured(value) and not math.isnan(value)
+        row[name] = f"{value:,.0f}" if is_known and value >= 10 else f"{value:.2g}"
+        row[name] = row[name] if is_known else "–"
+    return rows
+
+
 def compared_codecs(results: Path) -> Rows:
     """Return bits per sample of our codecs and the best peer by raster and bound.
 

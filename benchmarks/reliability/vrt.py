@@ -1,6 +1,6 @@
 """Compress one raster as 10,000 files and as one: ``python -m benchmarks.reliability.vrt dem.tif``.
 
-The raster mirrors `dem.tif`: 100 x 100 tiles of 256², each a GeoTIFF of its own. It is compressed
+The raster mirrors `dem.tif`: 100 x 100 tiles of 128², each a GeoTIFF of its own. It is compressed
 (`rapid`, --max-error 1, two threads, without proof: the heights are read as often as `auto` reads
 them in passes A and B) as
 
@@ -31,7 +31,7 @@ import click
 
 from benchmarks import common
 
-SIDE = 256
+SIDE = 128
 LIMIT = 64
 
 # Imports rasterio, so it runs in another process.
