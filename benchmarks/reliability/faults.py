@@ -24,7 +24,7 @@ from benchmarks.reliability.commands import (
 
 # Columns in which every number but 0 is a fault.
 FAULTS = (
-    "broken", "leftovers_after_next", "failed_next", "others_touched", "unclear", "crashes",
+    "broken", "leftovers_after_next", "failed_next", "others_touched", "crashes",
     "hangs", "wrong", "others", "then_wrong", "failed", "errors",
 )  # fmt: skip
 PARTS = ("kills", "disk", "writers", "opens", "readers", "network")
