@@ -123,6 +123,8 @@ def main(pythons, threads, only, append, folder: Path, out: Path) -> None:
     """Run all environments."""
     names = ["host", *(name for name in only if name != "host")]
     rows: Iterator[Row] = measured(pythons, threads, names, folder)
+    if append and out.exists():
+        next(rows)  # what others are compared with is there
     written = common.write_rows(out, rows, append=append)
     is_good = all(
         row.decoded == row.decoded_equal and row.written == row.written_equal for row in written

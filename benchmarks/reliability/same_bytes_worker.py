@@ -53,7 +53,11 @@ def main(threads: str, folder: str, result: str) -> None:
     decoded, written = {}, {}
     for path in sorted(golden_files.GOLDEN.glob("v*/manifest.json")):
         for name, expected in json.loads(path.read_text(encoding="utf-8")).items():
-            found = golden_files.digests(path.with_name(name))
+            try:
+                found = golden_files.digests(path.with_name(name))
+            except (terrainwave.TerrainwaveError, TypeError) as error:  # TypeError: numba's own
+                print(f"{name}: {error}")
+                found = {"file": "not decoded"}
             decoded[f"{path.parent.name}/{name}"] = found == {key: expected[key] for key in found}
     for name, case in make_golden.CASES.items():
         target = Path(folder, f"{name}.twz")
