@@ -7,8 +7,8 @@ compressed anew, and the file compared byte by byte with the one of the first en
 Kernels are compiled anew for each interpreter and for each setting that changes them.
 
 ``--python NAME=PATH`` adds an environment of another interpreter, which needs what the package
-depends on, and hypothesis (a test's module makes the rasters). `widest` is what the code of a loop
-over int32 uses in that environment: xmm, ymm or zmm.
+depends on, and hypothesis (a test's module makes the rasters). `widest` is what additions of
+int32 in a loop use in that environment: xmm, ymm or zmm.
 
 Exit status: 0 good; 1 something differs; 2 wrong usage.
 """

@@ -15,7 +15,7 @@ import terrainwave
 
 
 def widest_registers() -> str:
-    """Return the widest vector registers in a compiled loop that vectorises."""
+    """Return the widest vector registers of additions in a compiled loop that vectorises."""
 
     @numba.njit
     def add(one, other, result):
@@ -25,7 +25,7 @@ def widest_registers() -> str:
     array = np.zeros(64, np.int32)
     add(array, array, array.copy())
     (code,) = add.inspect_asm().values()
-    return max(set(re.findall(r"\b([xyz]mm)\d", code)), default="none")
+    return max(re.findall(r"padd\w\b.*?([xyz]mm)\d", code), default="none")
 
 
 def processor() -> str:
