@@ -173,6 +173,11 @@ def paper(results: Path) -> Rows:
     return rows
 
 
+def same_bytes(results: Path) -> Rows:
+    """Return environments; what was switched off is in their names, and long."""
+    return read(results, "same_bytes", cpu=lambda row: row["cpu"].split(" ")[0])
+
+
 def compared_codecs(results: Path) -> Rows:
     """Return bits per sample of our codecs and the best peer by raster and bound.
 

@@ -1,9 +1,9 @@
 """Put 10^12 samples on paper: ``python -m benchmarks.reliability.paper``.
 
 Takes ``scale_commands.csv``, whose largest raster is scaled to 10^6 x 10^6 samples, and
-``scaling_extrapolated.csv`` for a cluster. What follows from the format is counted. Memory that
-grows is taken to grow with coded units, at the rate between 16384² and the largest raster, and
-processor time with samples.
+``scaling_extrapolated.csv`` for a cluster. What follows from the format is counted. Processor time
+is taken to grow with samples, and the memory of ``compress`` with coded units, at the rate between
+16384² and the largest raster.
 
 Exit status: 0 good; 1 there is nothing measured; 2 wrong usage.
 """
@@ -62,26 +62,27 @@ def rows_of(rows: list[dict[str, Any]], cluster: dict[str, Any]) -> Iterator[Row
     file_gb = found[side, "compress"]["n_bytes"] / 1e9
     yield Row("samples", "", here["samples"], there["samples"], "2^50")
     yield Row("levels", "", here["levels"], there["levels"], "27")
-    yield Row("units, segments", "", here["units"], there["units"], "none but memory")
+    yield Row("units", "", here["units"], there["units"], "none but memory")
     yield Row("segments", "", here["segments"], there["segments"], "none but memory")
     yield Row("file and its largest offset", "GB", file_gb, file_gb * scale, "2^63 bytes")
     yield Row("index, at most", "MB", here["index"], there["index"], f"{MAX_PAGE} bytes a page")
     payload = file_gb * 1e9 / here["units"]
     yield Row("mean payload", "bytes", payload, payload, f"{MAX_PAYLOAD} bytes")
     for stage in ("compress", "verify", "read"):
-        large, small = found[side, stage], found[SMALLER, stage]
+        large = found[side, stage]
         hours = large["net_per_million"] * there["samples"] / 1e6 / 3600
         yield Row(
             f"{stage}: processor time", "hours", large["cpu_seconds"] / 3600, hours,
-            f"{hours / CORES:.1f} hours by {CORES} cores, perfectly shared",
+            f"{hours / CORES:.2g} hours of {CORES} cores, if all is shared",
         )  # fmt: skip
-        growth = large["peak_mib"] - small["peak_mib"]
-        per_unit = growth / (here["units"] - counted(SMALLER)["units"])
-        peak = large["peak_mib"] + per_unit * (there["units"] - here["units"])
-        yield Row(
-            f"{stage}: memory", "MiB", large["peak_mib"], peak,
-            f"{per_unit * 2**20:.0f} bytes a unit",
-        )  # fmt: skip
+    large, small = found[side, "compress"], found[SMALLER, "compress"]
+    per_unit = large["peak_mib"] - small["peak_mib"]
+    per_unit /= here["units"] - counted(SMALLER)["units"]
+    yield Row(
+        "compress: memory", "MiB", large["peak_mib"],
+        large["peak_mib"] + per_unit * (there["units"] - here["units"]),
+        f"the machine's; {per_unit * 2**20:,.0f} bytes a unit",
+    )  # fmt: skip
     yield Row(
         "temporary files without voids", "GB", here["temporary"] + file_gb,
         there["temporary"] + file_gb * scale, "the disk",

@@ -7,8 +7,8 @@ compressed anew, and the file compared byte by byte with the one of the first en
 Kernels are compiled anew for each interpreter and for each setting that changes them.
 
 ``--python NAME=PATH`` adds an environment of another interpreter, which needs what the package
-depends on, and hypothesis (a test's module makes the rasters). `widest` is what the code of a loop
-over int32 uses in that environment: xmm, ymm or zmm.
+depends on, and hypothesis (a test's module makes the rasters). `widest` is what additions of
+int32 in a loop use in that environment: xmm, ymm or zmm.
 
 Exit status: 0 good; 1 something differs; 2 wrong usage.
 """
@@ -123,6 +123,8 @@ def main(pythons, threads, only, append, folder: Path, out: Path) -> None:
     """Run all environments."""
     names = ["host", *(name for name in only if name != "host")]
     rows: Iterator[Row] = measured(pythons, threads, names, folder)
+    if append and out.exists():
+        next(rows)  # what others are compared with is there
     written = common.write_rows(out, rows, append=append)
     is_good = all(
         row.decoded == row.decoded_equal and row.written == row.written_equal for row in written

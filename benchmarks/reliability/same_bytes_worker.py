@@ -15,7 +15,7 @@ import terrainwave
 
 
 def widest_registers() -> str:
-    """Return the widest vector registers in a compiled loop that vectorises."""
+    """Return the widest vector registers of additions in a compiled loop that vectorises."""
 
     @numba.njit
     def add(one, other, result):
@@ -25,7 +25,7 @@ def widest_registers() -> str:
     array = np.zeros(64, np.int32)
     add(array, array, array.copy())
     (code,) = add.inspect_asm().values()
-    return max(set(re.findall(r"\b([xyz]mm)\d", code)), default="none")
+    return max(re.findall(r"padd\w\b.*?([xyz]mm)\d", code), default="none")
 
 
 def processor() -> str:
@@ -53,7 +53,11 @@ def main(threads: str, folder: str, result: str) -> None:
     decoded, written = {}, {}
     for path in sorted(golden_files.GOLDEN.glob("v*/manifest.json")):
         for name, expected in json.loads(path.read_text(encoding="utf-8")).items():
-            found = golden_files.digests(path.with_name(name))
+            try:
+                found = golden_files.digests(path.with_name(name))
+            except (terrainwave.TerrainwaveError, TypeError) as error:  # TypeError: numba's own
+                print(f"{name}: {error}")
+                found = {"file": "not decoded"}
             decoded[f"{path.parent.name}/{name}"] = found == {key: expected[key] for key in found}
     for name, case in make_golden.CASES.items():
         target = Path(folder, f"{name}.twz")

@@ -112,6 +112,8 @@ class MosaicBackend:
             )
             for source, one, (row, col) in zip(sources, rasters, places)
         ]
+        regions = np.array([member.region for member in self._members], dtype=np.int64)
+        self._corners = regions[:, :2], regions[:, :2] + regions[:, 2:]
         self._notes = [note for one in rasters for note in one.notes]
         declared = [one.nodata for one in rasters if one.nodata is not None]
         self.nodata = declared[0] if declared else None
@@ -184,10 +186,12 @@ class MosaicBackend:
         window = Region(row, col, n_rows, n_cols)
         heights = np.full(window.shape, self._void_value(), dtype=self.dtype)
         valid = np.zeros(window.shape, dtype=np.bool_)
-        for member in self._members:
+        # All at once: there may be thousands.
+        first, last = self._corners
+        touching = (first < (row + n_rows, col + n_cols)) & (last > (row, col))
+        for number in np.flatnonzero(touching.all(axis=1)).tolist():
+            member = self._members[number]
             part = member.region.intersect(window)
-            if part.n_rows <= 0 or part.n_cols <= 0:
-                continue
             samples, is_valid = self._read_member(member, part)
             there = part.slices_in(window)
             heights[there][is_valid] = samples[is_valid]
