@@ -219,15 +219,21 @@ def milliseconds_of_import(environment: Environment) -> float:
 
 
 def documented(document: str) -> Iterator[tuple[str, str]]:
-    """Yield what a document says in its order: ("sh", a line) or ("python", a block)."""
+    """Yield what a document says in its order: ("sh", a line) or ("python", a block).
+
+    A line that comes again is left out: what it makes is there.
+    """
     text = (ROOT / document).read_text(encoding="utf-8")
+    seen: set[str] = set()
     for language, block in re.findall(r"^```(\w*)\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
         if language == "python":
             yield "python", block
         elif language in ("", "sh", "bash", "console"):
             for line in block.replace("\\\n", " ").splitlines():
-                if line.removeprefix("$ ").startswith("terrainwave "):
-                    yield "sh", line.removeprefix("$ ").split("  #")[0].strip()
+                command = line.removeprefix("$ ").split("  #")[0].strip()
+                if command.startswith("terrainwave ") and command not in seen:
+                    seen.add(command)
+                    yield "sh", command
 
 
 def make_rasters(folder: Path) -> None:
@@ -297,7 +303,8 @@ def ended(environment: Environment, kind: str, text: str, folder: Path) -> Ended
     last = lines[-1] if lines else ""
     if done.returncode == 0:
         return Ended(line, "ran", last)
-    wanted = re.search(r'needs .*: pip install "terrainwave\[(\w+)\]"', last or "")
+    # A server's line is followed by the shell's.
+    wanted = re.search(r'needs .*: pip install "terrainwave\[(\w+)\]"', done.stderr)
     asks = wanted and wanted[1] not in extras_of(environment.name)
     return Ended(line, wanted[1] if wanted and asks else "failed", last)
 

@@ -74,6 +74,7 @@ def test_meshes_by_coefficient_are_surfaces_that_state_the_error_they_have(case,
         check_meshes(terrain, case, kind)
 
 
+@pytest.mark.full  # what it compiles takes long
 @pytest.mark.large
 def test_a_mesh_by_coefficient_claims_no_tolerance_but_its_measured_error(tmp_path):
     case = make_case("cliffs", "none", (100, 130), 4, amplitude=900.0, max_error=0, block=32)

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import click
 
-from terrainwave.container.publish import system_scratch
-
 STREAM = "-"
 _KEY = "terrainwave.stdin"
 
@@ -24,6 +22,9 @@ def read_stream(ctx: click.Context) -> str:
 
 @contextmanager
 def _stdin_file() -> Iterator[Path]:
+    # Imported here: help needs no numpy.
+    from terrainwave.container.publish import system_scratch
+
     with system_scratch() as directory:
         path = directory / "stdin"
         with path.open("wb") as file:
@@ -42,6 +43,8 @@ def written(target: str, ending: str) -> Iterator[str]:
         return
     if sys.stdout.isatty():
         raise click.UsageError("found - and a terminal, expected stdout to be a pipe or a file")
+    from terrainwave.container.publish import system_scratch
+
     with system_scratch() as directory:
         path = directory / f"stdout{ending}"
         yield str(path)
