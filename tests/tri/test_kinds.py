@@ -28,6 +28,9 @@ from terrainwave.write.meshes import _copied, store_meshes
 N_EXAMPLES = 2 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else 15
 # Coded trees are of faithful files alone: tests/codec/test_faithful.py.
 # Coefficients are of cdf53 alone: below.
+# Making meshes of all kinds compiles for a minute; `make test` decodes them (tests/test_golden.py).
+pytestmark = pytest.mark.full
+
 KINDS = sorted({*STORED_KINDS} - {"zerotree-coded", "rqt-coefficient"})
 BY_COEFFICIENT = {"mesh": "rqt-coefficient", "method": "cdf53"}
 
@@ -74,7 +77,6 @@ def test_meshes_by_coefficient_are_surfaces_that_state_the_error_they_have(case,
         check_meshes(terrain, case, kind)
 
 
-@pytest.mark.full  # what it compiles takes long
 @pytest.mark.large
 def test_a_mesh_by_coefficient_claims_no_tolerance_but_its_measured_error(tmp_path):
     case = make_case("cliffs", "none", (100, 130), 4, amplitude=900.0, max_error=0, block=32)
