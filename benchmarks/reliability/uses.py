@@ -30,7 +30,7 @@ with tw.open("dem.twz") as terrain:
     mesh = terrain.mesh(max_error=5)
 for kind in ("ply", "obj", "stl", "glb", "gltf", "vtu", "terrain"):
     mesh.save(f"area.{kind}")
-assert len(trimesh.load_mesh("area.ply").faces) == mesh.n_triangles
+assert len(trimesh.load_mesh("used.ply").faces) == mesh.n_triangles
 """,
     "remote": """
 import fsspec
