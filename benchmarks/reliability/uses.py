@@ -29,7 +29,7 @@ import terrainwave as tw
 with tw.open("dem.twz") as terrain:
     mesh = terrain.mesh(max_error=5)
 for kind in ("ply", "obj", "stl", "glb", "gltf", "vtu", "terrain"):
-    mesh.save(f"area.{kind}")
+    mesh.save(f"used.{kind}")
 assert len(trimesh.load_mesh("used.ply").faces) == mesh.n_triangles
 """,
     "remote": """
