@@ -103,10 +103,10 @@ with_cache = digest=$$(find src tests -name '*.py' -type f -exec sha256sum {} + 
 	NUMBA_CACHE_DIR="$(CURDIR)/.numba/$$digest/$(1)"
 
 test-compiled: $(VENV)/.installed-dev system
-	@$(call with_cache,compiled) $(COMPILED) -m "not full"
+	@$(call with_cache,compiled) $(COMPILED) -m "not (full or slow_compile)"
 
 test-full: $(VENV)/.installed-dev system-full tests/ext/node_modules/.installed
-	@$(call with_cache,compiled) $(COMPILED) -m "not kernels and (full or hypothesis)" --hypothesis-profile=full
+	@$(call with_cache,compiled) $(COMPILED) -m "not kernels and (full or slow_compile or hypothesis)" --hypothesis-profile=full
 
 test-bounds: $(VENV)/.installed-dev system
 	@$(call with_cache,bounds) NUMBA_BOUNDSCHECK=1 $(COMPILED) -m kernels --hypothesis-profile=full

@@ -179,6 +179,7 @@ def test_small_rasters_decode_as_format_says(name, method, border_rings):
     check_raster(name, SMALL, method, border_rings)
 
 
+@pytest.mark.full
 @pytest.mark.large
 @pytest.mark.parametrize(("name", "method", "border_rings"), pairs(0, every=3))
 def test_rasters_of_several_levels_decode_as_format_says(name, method, border_rings):
@@ -262,8 +263,9 @@ def test_golden_files_decode_as_format_says(path):
     check_same(path.read_bytes())
 
 
+@pytest.mark.full
 @pytest.mark.large
-@pytest.mark.parametrize("shape", [(2, 1100), pytest.param((1100, 3), marks=pytest.mark.full)])
+@pytest.mark.parametrize("shape", [(2, 1100), (1100, 3)])
 def test_tiles_with_a_held_side_decode_as_format_says(shape):
     rng = np.random.default_rng(0)
     heights = np.cumsum(rng.normal(0, 9, shape[0] * shape[1])).astype("int16").reshape(shape)
@@ -273,6 +275,7 @@ def test_tiles_with_a_held_side_decode_as_format_says(shape):
     check_same(data)
 
 
+@pytest.mark.full
 @pytest.mark.large
 def test_tiles_with_held_sides_that_meet_decode_as_format_says():
     # The tile of the first 1025 rows and columns would take long; only its last ones are rough.

@@ -67,7 +67,7 @@ def test_full_and_adaptive_pictures_are_alike(file, tmp_path):
     ("options", "words"),
     [
         (["batched", "--error", "paper", "--detail", "9", "--order", "2"], None),
-        (["dynamic", "--stepwise"], None),
+        pytest.param(["dynamic", "--stepwise"], None, marks=pytest.mark.full),
         (["adaptive"], None),
         (["adaptive", "--error", "paper"], "decodes the whole file once"),
     ],

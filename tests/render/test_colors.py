@@ -160,7 +160,14 @@ def test_voids_take_the_colour_of_what_is_around():
 @pytest.mark.large
 @pytest.mark.parametrize(
     ("mode", "tau"),
-    [("adaptive", 9.0), ("batched", 0.01), ("dynamic", 9.0), ("rqt", 0.2), ("vertex-texture", 9.0)],
+    [
+        ("adaptive", 9.0),
+        ("batched", 0.01),
+        *(
+            pytest.param(mode, tau, marks=pytest.mark.full)
+            for mode, tau in (("dynamic", 9.0), ("rqt", 0.2), ("vertex-texture", 9.0))
+        ),
+    ],
 )
 def test_a_coast_is_where_the_samples_have_it_however_coarse_the_mesh(context, mode, tau):
     heights = np.maximum(np.round(hills(97, 97, 4, 60.0)), 0).astype(np.int16)

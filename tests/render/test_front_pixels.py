@@ -12,7 +12,10 @@ from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.style import Style
 from terrainwave.render.vertex_texture_surface import VERTEX_SHADER
 
-pytestmark = [pytest.mark.gl, pytest.mark.large, pytest.mark.usefixtures("no_gl_errors")]
+# What these modes compile takes a minute.
+pytestmark = [
+    pytest.mark.full, pytest.mark.gl, pytest.mark.large, pytest.mark.usefixtures("no_gl_errors")
+]  # fmt: skip
 
 SIZE = (160, 120)
 MODES = ["dynamic", "rqt", "vertex-texture"]

@@ -11,7 +11,8 @@ from terrainwave.errors import InvalidArgumentError
 from terrainwave.render.camera import Camera, Viewport, home, project
 from terrainwave.render.scene import Scene
 
-pytestmark = pytest.mark.large
+# What these modes compile takes a minute.
+pytestmark = [pytest.mark.full, pytest.mark.large]
 
 VIEWPORT = Viewport(320, 240)
 MODES = ["dynamic", "rqt", "vertex-texture"]

@@ -1,12 +1,14 @@
 """Frustum, selection, wanted lists and limits against obvious versions, without a GPU."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from terrainwave.render.arena import Arena
-from terrainwave.render.camera import Camera, Viewport, project
+from terrainwave.render.camera import Camera, Viewport, focal_length, project
 from terrainwave.render.frustum import frustum_planes, may_see
 from terrainwave.render.kernels import oriented_distance, pixels_per_metre
 from terrainwave.render.selection import ErrorGovernor, NodeInfo, NodeTable, Piece, View
@@ -50,7 +52,7 @@ def random_tree(rng, depth=5, share_resident=0.8):
         z = rng.uniform(0, 50)
         return NodeInfo(
             Piece(level, row, col), (x, y, z), (x + side, y + side, z + rng.uniform(0, 40)),
-            rng.uniform(0, 30) / (1 << level),
+            rng.uniform(0, 30) / (1 << level), side / 16,
         )  # fmt: skip
 
     def grow(node, level, row, col):
@@ -86,9 +88,11 @@ def brute_selection(table, view, tau):
             return []
         children = [child for child in table.children[node] if child >= 0]
         seen = [child for child in children if is_seen(child)]
+        away = distance(node)
         on_screen = view.gamma * table.errors[node] * view.exaggeration
+        is_sparse = focal_length(view.camera, VIEWPORT) * table.spacings[node] > away
         if (
-            on_screen > tau * distance(node)
+            on_screen > tau * (1 if is_sparse else view.flatness) * away
             and children
             and all(table.is_resident[child] for child in seen)
         ):
@@ -109,6 +113,25 @@ def test_selection_is_that_of_the_obvious_recursion(seed):
             brute_selection(table, view, view.max_pixel_error)
         )
         assert found.n_triangles == table.n_triangles[found.nodes].sum()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_of_flat_terrain_no_more_than_a_sample_for_each_pixel_is_asked_for(seed):
+    rng = np.random.default_rng(seed)
+    table = random_tree(rng, share_resident=1.0)
+    table.spacings /= 16  # dense enough somewhere
+    n_left = 0
+    for _ in range(10):
+        view = View(random_camera(rng), VIEWPORT, 0.05, flatness=rng.uniform(2, 80))
+        found = table.select(view)
+        assert sorted(found.nodes.tolist()) == sorted(brute_selection(table, view, 0.05))
+        assert set(found.nodes.tolist()) <= set(table.wanted(view, 10_000).tolist())
+        n_left += len(table.select(replace(view, flatness=1.0)).nodes) - len(found.nodes)
+        fine = table.are_fine(view, found.nodes, 0.05)
+        assert (fine | (table.children[found.nodes] < 0).all(axis=1)).all()
+        on_screen = table.on_screen(view, found.nodes[fine])
+        assert (on_screen <= 0.05 * view.flatness).all()
+    assert n_left > 50
 
 
 def in_picture(camera, points):

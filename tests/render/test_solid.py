@@ -144,7 +144,9 @@ def test_haze_fits_the_extent(scale):
 
 @pytest.mark.gl
 @pytest.mark.large
-@pytest.mark.parametrize("mode", ["adaptive", "full", "dynamic"])
+@pytest.mark.parametrize(
+    "mode", ["adaptive", "full", pytest.param("dynamic", marks=pytest.mark.full)]
+)
 def test_voids_are_hatched_where_the_sky_showed_and_no_terrain_is_hidden(context, with_voids, mode):
     plain = {"coloring": "plain", "shade": 0.0, "haze": 0.0}
     with Offscreen(with_voids, SIZE, samples=0, context=context, mode=mode) as offscreen:
@@ -168,7 +170,7 @@ def test_voids_are_hatched_where_the_sky_showed_and_no_terrain_is_hidden(context
 
 @pytest.mark.gl
 @pytest.mark.large
-@pytest.mark.parametrize("mode", ["adaptive", "full", "rqt"])
+@pytest.mark.parametrize("mode", ["adaptive", "full", pytest.param("rqt", marks=pytest.mark.full)])
 def test_walls_close_the_block_and_hide_no_terrain(context, mode):
     heights = np.round(hills(90, 110, 1)).astype(np.int16)
     with (

@@ -20,6 +20,8 @@ from terrainwave.render.camera import Camera, project
 from terrainwave.tri.dynamic import INNER, ROOT, DynamicMesh, mark_bottom_up, step_top_down
 from terrainwave.tri.haar import ERROR, HIGH, LOW, OUTLINE, _measure, build_tree
 
+pytestmark = pytest.mark.slow_compile
+
 
 def rough(shape, seed=1, amplitude=4.0):
     """Steps, slopes and noise of mixed sizes."""

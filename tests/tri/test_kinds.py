@@ -29,7 +29,7 @@ N_EXAMPLES = 2 if os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"} else
 # Coded trees are of faithful files alone: tests/codec/test_faithful.py.
 # Coefficients are of cdf53 alone: below.
 # Making meshes of all kinds compiles for a minute; `make test` decodes them (tests/test_golden.py).
-pytestmark = pytest.mark.full
+pytestmark = pytest.mark.slow_compile
 
 KINDS = sorted({*STORED_KINDS} - {"zerotree-coded", "rqt-coefficient"})
 BY_COEFFICIENT = {"mesh": "rqt-coefficient", "method": "cdf53"}

@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 
 from terrainwave.tri.layers import layer_trees
 
+pytestmark = pytest.mark.slow_compile
+
 
 def trees_of(heights, finer, tolerance, mask=None, finer_mask=None):
     mask = np.ones(heights.shape, bool) if mask is None else mask

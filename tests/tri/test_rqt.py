@@ -9,6 +9,8 @@ from tri.rasterise import check_mesh
 
 from terrainwave.tri.rqt import rqt_mesh, select_vertices, vertices_of, virtual_places
 
+pytestmark = pytest.mark.slow_compile
+
 
 @given(terrain=slow.terrains(max_side=40), seed=st.none() | st.integers(0, 99))
 def test_a_mesh_conforms_and_holds_the_tolerance_but_by_coefficients(terrain, seed):

@@ -10,8 +10,8 @@ from terrainwave.render.camera import Camera, project
 from terrainwave.tri.rqt import neighbours
 from terrainwave.tri.rqt_view import RestrictedMesh
 
-# What it compiles takes half a minute; `make test` draws by it (tests/render/test_fronts.py).
-pytestmark = pytest.mark.full
+# What it compiles takes half a minute.
+pytestmark = pytest.mark.slow_compile
 
 RANGE = (-30.0, 60.0)
 SHAPES = [((17, 17), 16, False), ((17, 25), 8, False), ((14, 19), 8, True)]

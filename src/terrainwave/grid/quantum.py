@@ -257,9 +257,8 @@ class HeightScan:
         if not self._candidates:
             return None
         p = self._candidates[0]
-        is_binary = p.denominator & (p.denominator - 1) == 0
         # Below twice the spacing of the floats themselves every float is "on" a decimal grid.
-        if not is_binary and p < 2 * as_fraction(self._output_ulp()):
+        if not _is_binary(p) and p < 2 * as_fraction(self._output_ulp()):
             return None
         return p
 
@@ -295,8 +294,8 @@ class HeightScan:
             return plain
         # On the grid a whole quantum is lost at each end of a bin; off it hardly anything, but half
         # of one, as originals are no longer in the middle.
-        floats = _float_error(p, _spacing(self.dtype, float(self._largest())))
-        narrow = self._with_quantum(p, max(limit - floats, Fraction(0)), Fraction(0))
+        narrow_limit = max(limit - as_fraction(plain.float_error), Fraction(0))
+        narrow = self._with_quantum(p, narrow_limit, Fraction(0))
         try:
             free = self._continuous(span, limit, may_have_remainders=False)
         except InvalidHeightsError:
@@ -373,12 +372,16 @@ def _spacing(dtype: str, largest: float) -> float:
 
 def _float_error(p: Fraction, spacing: float) -> Fraction:
     """Return how much further apart than multiples of p the floats nearest to them may be."""
-    is_binary = p.denominator & (p.denominator - 1) == 0
     exact = as_fraction(spacing)
-    if is_binary and p >= exact:
+    if _is_binary(p) and p >= exact:
         return Fraction(0)
     # Heights are rounded twice: to float64, then to their type.
     return exact * (1 + Fraction(1, 1 << 20))
+
+
+def _is_binary(p: Fraction) -> bool:
+    """Say whether multiples of p are binary fractions."""
+    return p.denominator & (p.denominator - 1) == 0
 
 
 def _rounded_down(bound: Fraction, dtype: str) -> Fraction:

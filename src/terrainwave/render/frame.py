@@ -73,6 +73,12 @@ class Frame:
         low.flags.writeable = high.flags.writeable = False
         return low, high
 
+    @cached_property
+    def spacing(self) -> float:
+        """Return how far full-grid samples are apart, local metres; the larger of both ways."""
+        a, b, _, d, e, _ = self.sample_matrix
+        return max(math.hypot(a, d), math.hypot(b, e))
+
     @property
     def base(self) -> float:
         """Return the local z of the plane on which the terrain stands as a block."""

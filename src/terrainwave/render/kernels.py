@@ -177,12 +177,43 @@ def _screen_error(node, low, high, errors, z_scale, eye, lens, is_oriented):
     return error * node_scale(node, low, high, z_scale, eye, lens, is_oriented)
 
 
+# What `View.tolerance` holds: τ; what is let be where samples are dense enough, both pixels; pixels
+# per unit of tangent.
+TOLERANCE_TAU, TOLERANCE_DENSE, TOLERANCE_LENGTH = range(3)
+
+
+@kernel
+def is_fine(node, low, high, errors, spacings, z_scale, eye, lens, is_oriented, tolerance):
+    """Say whether a node need not be split: its error is within τ on screen.
+
+    Or within the second tolerance, and its samples, seen squarely from the nearest place of its
+    box, are no further apart than pixels.
+    """
+    error = _screen_error(node, low, high, errors, z_scale, eye, lens, is_oriented)
+    if error <= tolerance[TOLERANCE_TAU]:
+        return True
+    if error > tolerance[TOLERANCE_DENSE]:
+        return False
+    pixels = spacings[node] * tolerance[TOLERANCE_LENGTH]
+    return pixels <= _node_distance(node, low, high, z_scale, eye)
+
+
+@kernel
+def fine_nodes(nodes, low, high, errors, spacings, z_scale, eye, lens, is_oriented, tolerance, out):
+    """Fill `out` with whether each node need not be split (`is_fine`)."""
+    for k in range(nodes.shape[0]):
+        out[k] = is_fine(
+            nodes[k], low, high, errors, spacings, z_scale, eye, lens, is_oriented, tolerance
+        )
+
+
 @kernel
 def select_nodes(
     roots,
     low,
     high,
     errors,
+    spacings,
     children,
     is_known,
     is_resident,
@@ -192,15 +223,15 @@ def select_nodes(
     z_scale,
     lens,
     is_oriented,
-    tau,
+    tolerance,
     stack,
     out_nodes,
     out_distances,
 ):
     """Fill the nodes to draw and their distances; return (their number, their triangles).
 
-    A node is split while its error on screen exceeds `tau` and all of its children in view are
-    resident: else it stands in for them. `stack`, `out_nodes` and `out_distances` hold as many
+    A node is split while it is not fine enough and all of its children in view are resident: else
+    it stands in for them. `stack`, `out_nodes` and `out_distances` hold as many
     entries as there are nodes.
     """
     n_out, total, top = 0, 0, 0
@@ -213,8 +244,8 @@ def select_nodes(
         if not is_resident[node] or _is_hidden(node, low, high, z_scale, planes):
             continue
         first = top
-        is_split = is_known[node] and (
-            _screen_error(node, low, high, errors, z_scale, eye, lens, is_oriented) > tau
+        is_split = is_known[node] and not is_fine(
+            node, low, high, errors, spacings, z_scale, eye, lens, is_oriented, tolerance
         )
         if is_split:
             has_children = False
@@ -246,6 +277,7 @@ def wanted_nodes(
     low,
     high,
     errors,
+    spacings,
     children,
     is_known,
     planes,
@@ -253,13 +285,13 @@ def wanted_nodes(
     z_scale,
     lens,
     is_oriented,
-    tau,
+    tolerance,
     out_nodes,
 ):
     """Fill the nodes in view that are needed, breadth first; return their number.
 
     Zhang et al. 2012, §4.2: the roots in view in the order given, then children in view, until
-    `out_nodes` is full. Unlike there, children whose parent is good enough are left out; tau < 0
+    `out_nodes` is full. Unlike there, children whose parent is good enough are left out; τ < 0
     takes them all.
     """
     n_out, done = 0, 0
@@ -272,7 +304,7 @@ def wanted_nodes(
         done += 1
         if not is_known[node]:
             continue
-        if _screen_error(node, low, high, errors, z_scale, eye, lens, is_oriented) <= tau:
+        if is_fine(node, low, high, errors, spacings, z_scale, eye, lens, is_oriented, tolerance):
             continue
         for k in range(4):
             child = children[node, k]

@@ -188,6 +188,7 @@ class PatchBuilder:
             (float(left), float(bottom), low - error),
             (float(right), float(top), high + error),
             error,
+            self._frame.spacing * self._terrain.grid.stride(block.level),
         )
 
     def error(self, piece: Piece) -> float:

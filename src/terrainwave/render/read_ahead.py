@@ -85,8 +85,7 @@ class Descent:
         table, mode = self._table, self._mode
         while True:
             nodes = mode.wanted(table, wish.view, wish.tau, _MOST_PIECES, wish.view.camera)
-            is_split = table.on_screen(wish.view, nodes) > wish.tau
-            new = nodes[~table.is_known[nodes] & is_split]
+            new = nodes[~table.is_known[nodes] & ~table.are_fine(wish.view, nodes, wish.tau)]
             if not len(new) or self._is_stale:
                 break
             for node in new.tolist():

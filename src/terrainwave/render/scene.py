@@ -178,11 +178,14 @@ class Scene:
         self.frame = self.frame.exaggerated(factor)
 
     def view(self, camera: Camera, viewport: Viewport, max_pixel_error: float = 1.0) -> View:
-        """Return a view of this scene, in more detail where the terrain is flat."""
-        max_pixel_error *= self.frame.detail(camera.eye)
+        """Return a view of this scene, in more detail where the terrain is flat.
+
+        But not in more than a sample for each pixel, which light and colours do not show.
+        """
+        detail = self.frame.detail(camera.eye)
         return View(
-            camera, viewport, max_pixel_error, self.mode.gamma, self.frame.exaggeration,
-            self.mode.is_oriented, self.mode.is_exact,
+            camera, viewport, max_pixel_error * detail, self.mode.gamma, self.frame.exaggeration,
+            self.mode.is_oriented, self.mode.is_exact, 1.0 / detail,
         )  # fmt: skip
 
     @property

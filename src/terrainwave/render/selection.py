@@ -18,6 +18,7 @@ from terrainwave.render.camera import Camera, Viewport, focal_length, gamma_guar
 from terrainwave.render.frustum import frustum_planes
 from terrainwave.render.kernels import (
     bounded_errors,
+    fine_nodes,
     node_scales,
     priorities,
     select_nodes,
@@ -46,12 +47,16 @@ class Piece(NamedTuple):
 
 
 class NodeInfo(NamedTuple):
-    """What the index says of a piece: its box in local metres, its error in metres."""
+    """What the index says of a piece: its box in local metres, its error in metres.
+
+    `spacing` is how far its samples are apart, local metres.
+    """
 
     piece: Piece
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     error: float
+    spacing: float = math.inf
 
 
 class Built(Protocol):
@@ -95,6 +100,9 @@ class View:
     is_exact : bool
         Errors count as each block's place in the picture has it (`kernels.node_scale`), not by one
         γ for all of it.
+    flatness : float
+        What is less than this many times τ is let be where a piece has a sample for each pixel
+        (`Scene.view`); 1: nothing is.
     """
 
     camera: Camera
@@ -104,6 +112,7 @@ class View:
     exaggeration: float = 1.0
     is_oriented: bool = False
     is_exact: bool = False
+    flatness: float = 1.0
 
     @cached_property
     def gamma(self) -> float:
@@ -135,6 +144,12 @@ class View:
         step = (right * sine) ** 2 + (cosine + abs(sine) * up) ** 2
         return np.array([scale, slant(self.camera, self.viewport) ** 2, step, *forward])
 
+    def tolerance(self, tau: float | None = None) -> NDArray[np.float64]:
+        """Return what `kernels.is_fine` takes, of another τ than the view's."""
+        tau = self.max_pixel_error if tau is None else tau
+        length = focal_length(self.camera, self.viewport)
+        return np.array([tau, tau * self.flatness, length])
+
     @cached_property
     def planes(self) -> NDArray[np.float64]:
         """Return the planes of the frustum."""
@@ -163,6 +178,7 @@ class NodeTable:
         self.low = np.zeros((capacity, 3))
         self.high = np.zeros((capacity, 3))
         self.errors = np.zeros(capacity)
+        self.spacings = np.zeros(capacity)
         self.children = np.full((capacity, 4), -1, dtype=np.int32)
         self.parents = np.full(capacity, -1, dtype=np.int32)
         self.keys = np.zeros((capacity, 4), dtype=np.int64)  # the pieces, as numbers
@@ -182,8 +198,8 @@ class NodeTable:
         old, n = dict(vars(self)), len(self)
         self._allocate(2 * len(self.errors))
         for name in (
-            "low", "high", "errors", "children", "parents", "keys", "is_known", "is_resident",
-            "n_triangles", "bases", "morphs",
+            "low", "high", "errors", "spacings", "children", "parents", "keys", "is_known",
+            "is_resident", "n_triangles", "bases", "morphs",
         ):  # fmt: skip
             getattr(self, name)[:n] = old[name][:n]
 
@@ -202,7 +218,7 @@ class NodeTable:
         self._numbers[info.piece] = number
         self.pieces.append(info.piece)
         self.low[number], self.high[number] = info.low, info.high
-        self.errors[number] = info.error
+        self.errors[number], self.spacings[number] = info.error, info.spacing
         self.keys[number] = info.piece
         self._of_level.setdefault(info.piece.level, []).append(number)
         self.parents[number] = parent
@@ -248,6 +264,15 @@ class NodeTable:
         errors = self.errors[nodes] if errors is None else errors
         return errors * view.exaggeration * np.minimum(self.scales(view, nodes), _MOST_SCALE)
 
+    def are_fine(self, view: View, nodes: NDArray[np.int32], tau: float) -> NDArray[np.bool_]:
+        """Say of nodes whether they need not be split in a view."""
+        out = np.empty(len(nodes), dtype=np.bool_)
+        fine_nodes(
+            nodes, self.low, self.high, self.errors, self.spacings, view.exaggeration,
+            view.camera.eye, view.lens, view.is_oriented, view.tolerance(tau), out,
+        )  # fmt: skip
+        return out
+
     def bounded_errors(
         self, view: View, nodes: NDArray[np.int32], start: float, end: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
@@ -276,6 +301,7 @@ class NodeTable:
             self.low,
             self.high,
             self.errors,
+            self.spacings,
             self.children,
             self.is_known,
             self.is_resident,
@@ -285,7 +311,7 @@ class NodeTable:
             view.exaggeration,
             view.lens,
             view.is_oriented,
-            view.max_pixel_error if tau is None else tau,
+            view.tolerance(tau),
             self._stack,
             self._nodes,
             self._distances,
@@ -319,6 +345,7 @@ class NodeTable:
             self.low,
             self.high,
             self.errors,
+            self.spacings,
             self.children,
             self.is_known,
             view.planes,
@@ -326,7 +353,7 @@ class NodeTable:
             view.exaggeration,
             view.lens,
             view.is_oriented,
-            view.max_pixel_error if tau is None else tau,
+            view.tolerance(tau),
             out,
         )
         return out[:n_out]

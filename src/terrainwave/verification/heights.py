@@ -253,8 +253,11 @@ class _Comparison:
         errors, is_strict = None, None
         shape = self._dataset.height, self._dataset.width
         if tuple(terrain.shape) == shape and np.dtype(terrain.dtype) == self._dtype:
-            errors, is_strict, height_problems = self._compare_heights(progress)
+            measured, height_problems = self._compare_heights(progress)
             problems += height_problems
+            errors = measured.report()
+            bound = self._strict_bound / abs(self._scale or 1.0)
+            is_strict = measured.is_within(bound, self._dtype)
         return _report(terrain, twz, original, self._bound, errors, tuple(problems), is_strict)
 
     def _compare_metadata(self) -> Iterator[str]:
@@ -288,9 +291,7 @@ class _Comparison:
     def _area_or_point(self) -> str:
         return str(self._dataset.tags().get("AREA_OR_POINT", "Area"))
 
-    def _compare_heights(
-        self, progress: ProgressCallback | None
-    ) -> tuple[ErrorReport, bool, list[str]]:
+    def _compare_heights(self, progress: ProgressCallback | None) -> tuple[ErrorSum, list[str]]:
         errors = ErrorSum(self._scale)
         beyond = _Worst()
         unreadable: list[str] = []
@@ -311,17 +312,12 @@ class _Comparison:
             n_done += n_rows * n_cols
             if progress is not None:
                 progress(Progress("verify", n_done, total, n_done * self._dtype.itemsize))
-        report = errors.report()
-        is_strict = errors.is_within(self._strict_bound / abs(self._scale or 1.0), self._dtype)
-        return (
-            report,
-            is_strict,
-            [
-                *_shortened(unreadable),
-                *self._mask_problems(report, n_taken),
-                *beyond.problems(self._scale, self._bound),
-            ],
-        )
+        problems = [
+            *_shortened(unreadable),
+            *self._mask_problems(errors.report(), n_taken),
+            *beyond.problems(self._scale, self._bound),
+        ]
+        return errors, problems
 
     def _mask_problems(self, report: ErrorReport, n_taken: int) -> Iterator[str]:
         if report.n_mask_differences:

@@ -148,7 +148,8 @@ class Batched(BoundedMode):
         (left, bottom), (right, top) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
         low, high = self._limits(block)
         error = self._bound(block, self.terrain.block_error(block) * self.frame.metres[2])
-        return NodeInfo(Piece(*block), (left, bottom, low), (right, top, high), error)
+        spacing = self.frame.spacing * self.terrain.grid.stride(block.level)
+        return NodeInfo(Piece(*block), (left, bottom, low), (right, top, high), error, spacing)
 
     def _limits(self, block: Block) -> tuple[float, float]:
         """Return what originals and decoded samples under a block lie between, metres.
@@ -315,7 +316,7 @@ class Batched(BoundedMode):
         steepest = self._side * alpha / mu + 2  # 2^Δl_max, eq. (9), M = N + 1 samples
         return Frames(
             nodes, distances, morphs, (steepest + 1) * errors,
-            selection.n_triangles, tau, n_missing,
+            selection.n_triangles, tau * view.flatness, n_missing,
         )  # fmt: skip
 
     @staticmethod

@@ -68,7 +68,7 @@ class BoundedMode(Mode):
         beside = np.minimum(beside, drawn.max(initial=0.0))
         return Frames(
             nodes, distances, morphs, drawn + beside,
-            selection.n_triangles, tau * MORPH_START, n_missing,
+            selection.n_triangles, tau * MORPH_START * view.flatness, n_missing,
         )  # fmt: skip
 
 

@@ -304,7 +304,7 @@ class FrontMode(Mode):
         xy = self.frame.samples_to_local(np.repeat(rows, 2), np.tile(cols, 2))
         (left, bottom), (right, top) = xy.min(axis=0).tolist(), xy.max(axis=0).tolist()
         low, high = (left, bottom, min(z) - error), (right, top, max(z) + error)
-        return NodeInfo(piece, low, high, error)
+        return NodeInfo(piece, low, high, error, self.frame.spacing * stride)
 
     def _level_error(self, level: int, blocks: list[Block]) -> float:
         """Return the largest distance of originals from decoded samples of blocks, metres."""
@@ -438,8 +438,8 @@ class FrontMode(Mode):
         is_finest = np.array([patch.piece.level == self.n_levels - 1 for patch in self.shown])
         relaxed = np.where(is_finest, 1.0, np.maximum(on_screen / tau, 1.0))
         within = self._follow_all(eye, wanted, np.minimum(relaxed, _MOST_RELAXED))
-        if self._is_short and not n_missing:
-            within = min(within * float(relaxed.max(initial=1.0)), _NO_PROMISE)
+        most = _NO_PROMISE if self._is_short and not n_missing else view.flatness
+        within = min(within * min(float(relaxed.max(initial=1.0)), most), _NO_PROMISE)
         self._is_short = False
         depths, n_triangles = self.draw(eye, *table.boxes(nodes, view.exaggeration))
         none = np.zeros(len(nodes))
