@@ -37,6 +37,14 @@ def check_refiner(refiner, spec, parent, target, mask=None):
     return payload, heights, labels
 
 
+def coarse_of(target, step):
+    """Return parent heights within the bound of the target's even samples."""
+    rng = np.random.default_rng(2)
+    coarse = target[::2, ::2].astype(np.int64)
+    half = step >> 1
+    return np.clip(coarse + rng.integers(-half, half + 1, coarse.shape), -BIG, BIG).astype(np.int32)
+
+
 def terrain(shape, seed=0, relief=400):
     """Return smooth random heights with some noise, the same for every machine."""
     rng = np.random.default_rng(seed)

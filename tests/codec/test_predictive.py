@@ -1,21 +1,12 @@
-"""The `predictive` refiner: the bound, the borders, voids, damage."""
+"""The `predictive` refiner: its parts, zero trees; what it shares is in `test_refiners`."""
 
 import dataclasses
-import itertools
-from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from lone_units import (
-    ALL_SHARED,
-    BIG,
-    NOT_SHARED,
-    check_damaged,
-    check_neighbours,
     check_refiner,
-    hard_rasters,
+    coarse_of,
     lone_spec,
     terrain,
 )
@@ -33,7 +24,6 @@ from terrainwave.codec.detail import (
 from terrainwave.codec.lattice import PAD, TAPS, fill_frame, merge, plane_sizes, split
 from terrainwave.codec.nested import fits_narrow
 from terrainwave.codec.predictive import Predictive, _Rows
-from terrainwave.codec.refiner import Sides
 from terrainwave.codec.tables import E_WEIGHTS, STENCILS, start_models
 from terrainwave.coding.rangecoder import (
     finish_decoder,
@@ -44,16 +34,6 @@ from terrainwave.coding.rangecoder import (
     put_back,
     take_out,
 )
-from terrainwave.errors import CorruptStreamError
-from terrainwave.grid.quadtree import Grid
-
-
-def coarse_of(target, step):
-    """Return parent heights within the bound of the target's even samples."""
-    rng = np.random.default_rng(2)
-    coarse = target[::2, ::2].astype(np.int64)
-    half = step >> 1
-    return np.clip(coarse + rng.integers(-half, half + 1, coarse.shape), -BIG, BIG).astype(np.int32)
 
 
 def check(spec, parent, target, mask=None):
@@ -63,77 +43,6 @@ def check(spec, parent, target, mask=None):
     if labels is not None:
         assert labels.shape == parent.shape
     return payload, heights
-
-
-@pytest.mark.parametrize("name", list(hard_rasters((2, 2), 1)))
-@pytest.mark.parametrize("step", [1, 3, 21, (1 << 28) + 1])
-@pytest.mark.parametrize("effort", [pytest.param(0, marks=pytest.mark.full), 1])
-def test_bound_holds_on(name, step, effort):
-    target = hard_rasters((17, 16), BIG)[name]
-    for shared in (NOT_SHARED, Sides(True, False, True, True)):
-        check(lone_spec(target.shape, step, effort, shared), coarse_of(target, step), target)
-        check(lone_spec(target.shape, step, effort, shared, parent=False), None, target)
-
-
-@pytest.mark.parametrize(
-    "shape",
-    [(1, 1), (1, 2), (2, 1), (1, 9), (8, 1), (2, 2), (3, 3), (5, 2), (1, 33), (33, 3), (12, 40)],
-)
-@pytest.mark.parametrize("shared", [NOT_SHARED, ALL_SHARED])
-@pytest.mark.parametrize("has_parent", [False, True])
-def test_tiny_regions_work(shape, shared, has_parent):
-    if shared.top and min(shape) < 2:
-        shared = Sides(True, True, False, False)
-    target = terrain(shape)
-    spec = lone_spec(shape, 3, 1, shared, has_parent)
-    check(spec, coarse_of(target, 3) if has_parent else None, target)
-
-
-@pytest.mark.parametrize("has_parent", [False, True])
-def test_void_samples_promise_nothing(has_parent):
-    target = terrain((33, 33))
-    mask = np.random.default_rng(1).random(target.shape) < 0.5
-    spec = lone_spec(target.shape, 3, 1, ALL_SHARED, has_parent)
-    parent = coarse_of(target, 3) if has_parent else None
-    check(spec, parent, target, mask)
-    check(spec, parent, np.where(mask, target, 77_777).astype(np.int32), mask)
-    check(spec, parent, target, np.zeros_like(mask))
-
-
-def test_even_samples_are_the_parents():
-    target = terrain((33, 29))
-    parent = coarse_of(target, 9)
-    _, heights = check(lone_spec(target.shape, 9, 1, ALL_SHARED), parent, target)
-    np.testing.assert_array_equal(heights[::2, ::2], parent)
-
-
-def test_wrong_parent_still_gives_the_bound_elsewhere():
-    target = terrain((33, 33))
-    spec = lone_spec(target.shape, 5)
-    parent = -coarse_of(target, 5) - 100_000
-    mask = np.ones(target.shape, dtype=bool)
-    _, heights, _ = Predictive().encode(spec, parent, target, mask)
-    error = np.abs(heights.astype(np.int64) - target)
-    error[::2, ::2] = 0
-    assert error.max() <= 2
-
-
-def test_a_plane_costs_next_to_nothing():
-    rows, cols = np.mgrid[:129, :129]
-    plane = (6 * rows - 4 * cols).astype(np.int32)
-    payload, _ = check(lone_spec(plane.shape, 3), np.ascontiguousarray(plane[::2, ::2]), plane)
-    assert len(payload) <= 60
-
-
-@pytest.mark.parametrize("step", [1, 3])
-def test_noise_costs_little_more_than_plain_bits(step):
-    rng = np.random.default_rng(5)
-    target = rng.integers(0, step << 13, (65, 65), dtype=np.int32)
-    payload, _ = check(lone_spec(target.shape, step, parent=False), None, target)
-    assert len(payload) <= 1.07 * 13 * target.size / 8 + 8
-
-
-# Parts -----------------------------------------------------------------------------------------
 
 
 def test_stencils_keep_a_constant():
@@ -242,83 +151,6 @@ def test_only_heights_whose_sums_fit_get_32_bits():
     steep = e_weights.copy()
     steep[0] = -1
     assert not fits_narrow(300, weights, steep)
-
-
-# Groups next to each other ---------------------------------------------------------------------
-
-
-@pytest.mark.large
-@pytest.mark.parametrize("rings", [1, 3])
-@pytest.mark.parametrize("has_voids", [False, True])
-@pytest.mark.parametrize(
-    "size", [(33, 33), (49, 65), (34, 50), (18, 41), (65, 66), (3, 70), (1, 40), (131, 131)]
-)
-def test_neighbours_decode_the_same_bits_in_any_order(size, rings, has_voids):
-    grid = Grid(*size, 8)
-    levels = [terrain(size, seed=7)]
-    for _ in range(grid.k_max):
-        levels.append(np.ascontiguousarray(levels[-1][::2, ::2]))
-    levels.reverse()
-    rng = np.random.default_rng(11)
-    masks = [rng.random(level.shape) < (0.7 if has_voids else 2) for level in levels]
-    for above, mask in itertools.pairwise(masks):
-        mask[::2, ::2] &= above  # a sample valid here was valid there
-    check_neighbours(Predictive(), grid, levels, rings, 1, masks)
-
-
-# Damage ----------------------------------------------------------------------------------------
-
-
-@cache
-def small_payload():
-    target = terrain((21, 18))
-    spec = lone_spec(target.shape, 5, 1, Sides(True, False, False, True))
-    parent, mask = coarse_of(target, 5), np.ones(target.shape, dtype=bool)
-    payload, _, _ = Predictive().encode(spec, parent, target, mask)
-    return spec, parent, mask, payload
-
-
-def test_every_prefix_is_rejected():
-    spec, parent, mask, payload = small_payload()
-    for length in range(len(payload)):
-        with pytest.raises(CorruptStreamError):
-            Predictive().decode(spec, parent, mask, payload[:length])
-
-
-def test_an_extra_byte_is_rejected():
-    spec, parent, mask, payload = small_payload()
-    with pytest.raises(CorruptStreamError):
-        Predictive().decode(spec, parent, mask, payload + b"\0")
-
-
-def test_every_flipped_byte_gives_heights_or_our_own_error():
-    spec, parent, mask, payload = small_payload()
-    for pos in range(len(payload)):
-        for change in (1, 128, 255):
-            broken = bytearray(payload)
-            broken[pos] ^= change
-            check_damaged(Predictive(), spec, parent, mask, bytes(broken))
-
-
-@pytest.mark.large
-def test_flipped_bytes_in_a_large_unit_give_heights_or_our_own_error():
-    target = terrain((97, 80))
-    spec = lone_spec(target.shape, 3)
-    parent, mask = coarse_of(target, 3), np.ones(target.shape, dtype=bool)
-    payload, _, _ = Predictive().encode(spec, parent, target, mask)
-    for pos in range(0, len(payload), 7):
-        broken = bytearray(payload)
-        broken[pos] ^= 255
-        check_damaged(Predictive(), spec, parent, mask, bytes(broken))
-
-
-@given(st.binary(max_size=80), st.booleans(), st.sampled_from([1, 3, 1001, (1 << 29) + 1]))
-def test_any_bytes_give_heights_or_our_own_error(payload, has_parent, step):
-    spec, parent, mask, _ = small_payload()
-    spec = dataclasses.replace(spec, step=step)
-    if not has_parent:
-        spec, parent = dataclasses.replace(spec, parent_region=None), None
-    check_damaged(Predictive(), spec, parent, mask, payload)
 
 
 # Zero trees ------------------------------------------------------------------------------------

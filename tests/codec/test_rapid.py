@@ -1,7 +1,8 @@
-"""The `rapid` refiner: the bound, the borders, voids, ranges, damage, its tables."""
+"""The `rapid` refiner: ranges, damage, its tables; what it shares is in `test_refiners`."""
 
 import dataclasses
 import itertools
+from functools import cache
 
 import numpy as np
 import pytest
@@ -9,12 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from lone_units import (
     ALL_SHARED,
-    BIG,
-    NOT_SHARED,
-    check_damaged,
-    check_neighbours,
     check_refiner,
-    hard_rasters,
+    coarse_of,
     lone_spec,
     terrain,
 )
@@ -52,53 +49,11 @@ pytestmark = pytest.mark.full
 WIDE = 1
 
 
-def coarse_of(target, step):
-    """Return parent heights within the bound of the target's even samples."""
-    rng = np.random.default_rng(2)
-    coarse = target[::2, ::2].astype(np.int64)
-    half = step >> 1
-    return np.clip(coarse + rng.integers(-half, half + 1, coarse.shape), -BIG, BIG).astype(np.int32)
-
-
 def check(spec, parent, target, mask=None, refiner=None):
     """Check everything promised; return the payload and the heights."""
     payload, heights, labels = check_refiner(refiner or Rapid(), spec, parent, target, mask)
     assert labels is None
     return payload, heights
-
-
-@pytest.mark.parametrize("name", list(hard_rasters((2, 2), 1)))
-@pytest.mark.parametrize("step", [1, 3, 21, (1 << 28) + 1])
-def test_bound_holds_on(name, step):
-    target = hard_rasters((17, 16), BIG)[name]
-    for shared in (NOT_SHARED, Sides(True, False, True, True)):
-        check(lone_spec(target.shape, step, 1, shared), coarse_of(target, step), target)
-        check(lone_spec(target.shape, step, 1, shared, parent=False), None, target)
-
-
-@pytest.mark.parametrize(
-    "shape",
-    [(1, 1), (1, 2), (2, 1), (1, 9), (8, 1), (2, 2), (3, 3), (5, 2), (1, 33), (33, 3), (12, 40)],
-)
-@pytest.mark.parametrize("shared", [NOT_SHARED, ALL_SHARED])
-@pytest.mark.parametrize("has_parent", [False, True])
-def test_tiny_regions_work(shape, shared, has_parent):
-    if shared.top and min(shape) < 2:
-        shared = Sides(True, True, False, False)
-    target = terrain(shape)
-    spec = lone_spec(shape, 3, 1, shared, has_parent)
-    check(spec, coarse_of(target, 3) if has_parent else None, target)
-
-
-@pytest.mark.parametrize("has_parent", [False, True])
-def test_void_samples_promise_nothing(has_parent):
-    target = terrain((33, 33))
-    mask = np.random.default_rng(1).random(target.shape) < 0.5
-    spec = lone_spec(target.shape, 3, 1, ALL_SHARED, has_parent)
-    parent = coarse_of(target, 3) if has_parent else None
-    check(spec, parent, target, mask)
-    check(spec, parent, np.where(mask, target, 77_777).astype(np.int32), mask)
-    check(spec, parent, target, np.zeros_like(mask))
 
 
 @pytest.mark.large
@@ -108,40 +63,6 @@ def test_units_with_many_rows_keep_the_bound():
     for step in (1, 7):
         check(lone_spec(target.shape, step, 1, ALL_SHARED), coarse_of(target, step), target)
         check(lone_spec(target.shape, step, parent=False), None, target)
-
-
-def test_even_samples_are_the_parents():
-    target = terrain((33, 29))
-    parent = coarse_of(target, 9)
-    _, heights = check(lone_spec(target.shape, 9, 1, ALL_SHARED), parent, target)
-    np.testing.assert_array_equal(heights[::2, ::2], parent)
-
-
-def test_wrong_parent_still_gives_the_bound_elsewhere():
-    target = terrain((33, 33))
-    spec = lone_spec(target.shape, 5)
-    parent = -coarse_of(target, 5) - 100_000
-    mask = np.ones(target.shape, dtype=bool)
-    _, heights, _ = Rapid().encode(spec, parent, target, mask)
-    error = np.abs(heights.astype(np.int64) - target)
-    error[::2, ::2] = 0
-    assert error.max() <= 2
-
-
-def test_a_plane_costs_next_to_nothing():
-    rows, cols = np.mgrid[:129, :129]
-    plane = (6 * rows - 4 * cols).astype(np.int32)
-    payload, _ = check(lone_spec(plane.shape, 3), np.ascontiguousarray(plane[::2, ::2]), plane)
-    assert len(payload) <= 129 * 129 // 40
-
-
-@pytest.mark.parametrize("step", [1, 3])
-def test_noise_costs_little_more_than_plain_bits(step):
-    rng = np.random.default_rng(5)
-    target = rng.integers(0, step << 13, (65, 65), dtype=np.int32)
-    payload, _ = check(lone_spec(target.shape, step, parent=False), None, target)
-    # Trained frequencies fall off like those of details of terrain, noise has all alike: 1.22.
-    assert len(payload) <= 1.25 * 13 * target.size / 8 + 8
 
 
 # Ranges -----------------------------------------------------------------------------------------
@@ -180,31 +101,10 @@ def test_sums_of_narrow_units_fit_32_bits():
             assert int((scaled_features(features, scale) * most * times).sum()) < 1 << 31
 
 
-# Groups next to each other ---------------------------------------------------------------------
-
-
-@pytest.mark.large
-@pytest.mark.parametrize("rings", [1, 3])
-@pytest.mark.parametrize("has_voids", [False, True])
-@pytest.mark.parametrize(
-    "size", [(33, 33), (49, 65), (34, 50), (18, 41), (65, 66), (3, 70), (1, 40), (131, 131)]
-)
-def test_neighbours_decode_the_same_bits_in_any_order(size, rings, has_voids):
-    grid = Grid(*size, 8)
-    levels = [terrain(size, seed=7)]
-    for _ in range(grid.k_max):
-        levels.append(np.ascontiguousarray(levels[-1][::2, ::2]))
-    levels.reverse()
-    rng = np.random.default_rng(11)
-    masks = [rng.random(level.shape) < (0.7 if has_voids else 2) for level in levels]
-    for above, mask in itertools.pairwise(masks):
-        mask[::2, ::2] &= above  # a sample valid here was valid there
-    check_neighbours(Rapid(), grid, levels, rings, 1, masks)
-
-
 # Damage -----------------------------------------------------------------------------------------
 
 
+@cache
 def small_payload():
     target = terrain((21, 18))
     spec = lone_spec(target.shape, 5, 1, Sides(True, False, False, True))
@@ -213,30 +113,14 @@ def small_payload():
     return spec, parent, mask, payload
 
 
-SMALL = small_payload()
-
-
-def test_every_prefix_is_rejected():
-    spec, parent, mask, payload = SMALL
-    for length in range(len(payload)):
-        with pytest.raises(CorruptStreamError):
-            Rapid().decode(spec, parent, mask, payload[:length])
-
-
-def test_an_extra_byte_is_rejected():
-    spec, parent, mask, payload = SMALL
-    with pytest.raises(CorruptStreamError):
-        Rapid().decode(spec, parent, mask, payload + b"\0")
-
-
 def test_unknown_flags_are_rejected():
-    spec, parent, mask, payload = SMALL
+    spec, parent, mask, payload = small_payload()
     with pytest.raises(CorruptStreamError, match="flags 0x4 are not defined"):
         Rapid().decode(spec, parent, mask, b"\4" + payload[1:])
 
 
 def test_symbols_that_end_in_another_state_are_rejected():
-    spec, parent, mask, payload = SMALL
+    spec, parent, mask, payload = small_payload()
     state = payload.index(payload[2:6])
     broken = bytearray(payload)
     broken[state] ^= 1
@@ -263,44 +147,6 @@ def test_filling_bits_must_be_zero():
         else:
             assert not np.array_equal(heights, target)  # a real bit
     pytest.fail("no payload had bits to spare")
-
-
-def test_every_flipped_byte_gives_heights_or_our_own_error():
-    spec, parent, mask, payload = SMALL
-    for pos in range(len(payload)):
-        for change in (1, 128, 255):
-            broken = bytearray(payload)
-            broken[pos] ^= change
-            check_damaged(Rapid(), spec, parent, mask, bytes(broken))
-
-
-@pytest.mark.large
-@pytest.mark.parametrize("z_max", [5000, BIG])
-def test_flipped_bytes_in_a_large_unit_give_heights_or_our_own_error(z_max):
-    target = terrain((135, 140))
-    spec = dataclasses.replace(lone_spec(target.shape, 3), z_min=-z_max, z_max=z_max)
-    parent, mask = coarse_of(target, 3), np.ones(target.shape, dtype=bool)
-    payload, _, _ = Rapid().encode(spec, parent, target, mask)
-    for pos in range(0, len(payload), 11):
-        broken = bytearray(payload)
-        broken[pos] ^= 255
-        check_damaged(Rapid(), spec, parent, mask, bytes(broken))
-
-
-@given(
-    st.binary(max_size=80),
-    st.booleans(),
-    st.sampled_from([1, 3, 1001, (1 << 29) + 1]),
-    st.booleans(),
-)
-def test_any_bytes_give_heights_or_our_own_error(payload, has_parent, step, has_header):
-    spec, parent, mask, _ = SMALL
-    spec = dataclasses.replace(spec, step=step)
-    if not has_parent:
-        spec, parent = dataclasses.replace(spec, parent_region=None), None
-    if has_header:  # a single state, no words: all the rest are raw bits
-        payload = b"\2\0" + payload
-    check_damaged(Rapid(), spec, parent, mask, payload)
 
 
 @pytest.mark.parametrize("shape", [(1, 6), (5, 1), (2, 3), (12, 9), (90, 7)])
