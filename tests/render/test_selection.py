@@ -257,16 +257,16 @@ def test_slow_frames_raise_tau_and_fast_ones_lower_it_to_what_was_asked():
 def test_around_the_eye_an_error_is_huge_on_screen_and_none_is_none():
     table = NodeTable()
     for number, error in enumerate((0.0, 2.0)):
-        table.add(NodeInfo(Piece(0, number, 0), (-9, -9, -9), (9, 9, 9), error))
+        table.add(NodeInfo(Piece(0, number, 0), (-9, -9, -9), (9, 9, 9), error, 1.0))
     view = View(Camera((0.0, 0.0, 0.0)), Viewport(100, 100))
     assert table.on_screen(view, table.roots).tolist() == [0.0, 2e12]
 
 
 def test_the_table_grows_without_losing_anything():
     table = NodeTable()
-    root = table.add(NodeInfo(Piece(0, 0, 0), (0, 0, 0), (1, 1, 1), 5.0))
+    root = table.add(NodeInfo(Piece(0, 0, 0), (0, 0, 0), (1, 1, 1), 5.0, 1.0))
     for number in range(1000):
-        info = NodeInfo(Piece(1, number, 0), (number, 0, 0), (number + 1, 1, 1), number)
+        info = NodeInfo(Piece(1, number, 0), (number, 0, 0), (number + 1, 1, 1), number, 1.0)
         assert table.add(info, root) == number + 1
     assert table.errors[:1001].tolist() == [5.0, *range(1000)]
     assert table.find(Piece(1, 77, 0)) == 78

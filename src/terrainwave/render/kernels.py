@@ -231,8 +231,8 @@ def select_nodes(
     """Fill the nodes to draw and their distances; return (their number, their triangles).
 
     A node is split while it is not fine enough and all of its children in view are resident: else
-    it stands in for them. `stack`, `out_nodes` and `out_distances` hold as many
-    entries as there are nodes.
+    it stands in for them. `stack`, `out_nodes` and `out_distances` hold as many entries as there
+    are nodes.
     """
     n_out, total, top = 0, 0, 0
     for root in roots[::-1]:

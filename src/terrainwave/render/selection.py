@@ -56,7 +56,7 @@ class NodeInfo(NamedTuple):
     low: tuple[float, float, float]
     high: tuple[float, float, float]
     error: float
-    spacing: float = math.inf
+    spacing: float
 
 
 class Built(Protocol):

@@ -438,6 +438,7 @@ class FrontMode(Mode):
         is_finest = np.array([patch.piece.level == self.n_levels - 1 for patch in self.shown])
         relaxed = np.where(is_finest, 1.0, np.maximum(on_screen / tau, 1.0))
         within = self._follow_all(eye, wanted, np.minimum(relaxed, _MOST_RELAXED))
+        # Levels above τ stay where there is no room for finer ones, or no need (`View.flatness`).
         most = _NO_PROMISE if self._is_short and not n_missing else view.flatness
         within = min(within * min(float(relaxed.max(initial=1.0)), most), _NO_PROMISE)
         self._is_short = False
