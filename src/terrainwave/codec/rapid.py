@@ -41,7 +41,7 @@ from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_pa
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
 from terrainwave.codec.spare import HeightMemory, Spares
 from terrainwave.codec.varint import decode_varint, encode_varint
-from terrainwave.coding.rans import N_STATES, STATE_START, encode_symbols
+from terrainwave.coding.rans import N_STATES, STATE_START, SYMBOL_BITS, encode_symbols
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Grid, Region
 
@@ -54,7 +54,7 @@ _NO_LOG = np.zeros(1, dtype=np.uint8)
 _NONE_SHARED = np.zeros((0, 5), dtype=np.int64), np.zeros((0, 9), dtype=np.int64)
 _NO_SLOTS = np.zeros(1, dtype=np.uint8)
 # For counting: no symbol is impossible yet.
-_ANY_SYMBOL = np.ones((N_CONTEXTS, N_SYMBOLS + 1), dtype=np.uint32)
+_ANY_SYMBOL = np.ones(N_CONTEXTS << SYMBOL_BITS, dtype=np.uint32)
 _NO_WORDS = np.zeros(SPARE_WORDS, dtype=np.uint16)
 # The validity of units without voids, which no kernel looks at.
 _NO_MASK = np.ones(1, dtype=np.bool_)

@@ -22,7 +22,7 @@ from terrainwave.codec.rapid_layout import (
 )
 from terrainwave.codec.rapid_magnitude import MOST_ERROR
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
-from terrainwave.coding.rans import N_STATES, decode_row, decode_symbol
+from terrainwave.coding.rans import N_STATES, SYMBOL_BITS, decode_row, decode_symbol
 
 # Symbols: an escape, then the upper parts of details, -30 … 31.
 ESCAPE, ZERO, N_SYMBOLS = 0, 31, 63
@@ -143,7 +143,8 @@ def _log_symbols(m, at, n, has_void, places, freqs, contexts_log, symbols_log):
         upper = cast(m[DETAIL + k] >> cast(low_bits(context)))
         is_near = (upper > -ZERO) and (upper <= ZERO)
         symbol = upper + ZERO if is_near else ESCAPE
-        symbol = symbol if (freqs[context, symbol] & _FREQ_MASK) > 0 else ESCAPE
+        own = freqs[np.uint64(context << SYMBOL_BITS) + np.uint64(symbol)]
+        symbol = symbol if (own & _FREQ_MASK) > 0 else ESCAPE
         m[SYMBOL + k] = symbol
         if not has_void or m[VALID + k] != 0:
             contexts_log[count], symbols_log[count] = context, symbol

@@ -82,67 +82,68 @@ def scaled_features(weights: NDArray[np.int64], scale: Scale) -> NDArray[np.int6
 @kernel
 def fill_contexts(m, reals, bits_of_reals, n, plane, scale):
     """Fill `CONTEXT`, and what it takes: `EXPECTED`, `WHOLE`, `SIDE`; clamp `PREDICTED`."""
-    _expect(m, n, plane, scale)
-    _round_predictions(m, n, scale)
-    _fill_contexts(m, reals, bits_of_reals, n, scale)
+    _expect(m, reals, n, plane, scale)
+    if scale.is_fine:
+        _fill_fine_contexts(m, bits_of_reals, n, scale)
+    else:
+        _fill_contexts(m, bits_of_reals, n, scale)
 
 
 @kernel_part
-def _expect(m, n, plane, scale):
-    """Complete `EXPECTED` with the features that need nothing coded before: const, range, twist."""
+def _expect(m, reals, n, plane, scale):
+    """Complete `EXPECTED` by what needs nothing coded before; fill `WHOLE`; clamp `PREDICTED`.
+
+    The features const, range and twist; predictions stay within the core's range. `reals` become
+    the upper bits of the expected magnitude, which float32 holds exactly.
+    """
     cast, shift = m.dtype.type, m[RANGE_SHIFT] & SHIFT_MASK
     most = cast(scale.most_range)
     w = WEIGHTS[plane] + _OWN_WEIGHTS
     of_const, of_range, of_twist = m[w], m[w + _U1], m[w + _U2]
     for j in range(n):
-        wide = min(cast(cast(m[MOST + j] - m[LEAST + j]) >> shift), most)
+        low, high = m[LEAST + j], m[MOST + j]
+        wide = min(cast(cast(high - low) >> shift), most)
         twist = min(cast(m[TWIST + j] >> shift), most)
         total = cast(m[EXPECTED + j] + of_const + of_range * wide + of_twist * twist)
-        m[EXPECTED + j] = total >> _EXPECTED_SHIFT
-
-
-@kernel_part
-def _round_predictions(m, n, scale):
-    """Clamp `PREDICTED` to the core's range; fill `WHOLE` and `SIDE`."""
-    cast = m.dtype.type
-    for j in range(n):
-        low, high = cast(m[LEAST + j] << 6), cast(m[MOST + j] << 6)
-        predicted = min(max(m[PREDICTED + j], low), high)
+        e = cast(total >> _EXPECTED_SHIFT)
+        m[EXPECTED + j] = e
+        reals[j] = e & cast(~_DROPPED) if e >= _EXACT else e
+        predicted = min(max(m[PREDICTED + j], cast(low << 6)), cast(high << 6))
         m[PREDICTED + j] = predicted
         m[WHOLE + j] = cast(predicted + 32) >> 6
-    if scale.is_fine:
-        for j in range(n):
-            m[SIDE + j] = m[PREDICTED + j] - 64 * m[WHOLE + j]
-    else:
-        for j in range(n):
-            m[SIDE + j] = 16 * m[SUM + j] - m[PREDICTED + j]
 
 
 @kernel_part
-def _fill_contexts(m, reals, bits_of_reals, n, scale):
-    """Fill `CONTEXT` from `EXPECTED` and `SIDE`.
+def _bin_of(bits):
+    """Return the bin of an expected magnitude from the bits of its float32: half octaves.
 
-    Bins are half octaves. float32 holds the upper bits of the expected magnitude exactly, so that
-    its exponent and first bit are the bin, on every machine.
+    Exponent and first bit of the fraction are the same on every machine.
     """
-    cast = m.dtype.type
+    return min(max((bits >> 22) - _FIRST_BIN, 0), N_BINS - 1)
+
+
+@kernel_part
+def _fill_fine_contexts(m, bits_of_reals, n, scale):
+    """Fill `CONTEXT` and `SIDE` by where predictions lie between quanta: steps are small."""
+    cast, side_scale = m.dtype.type, m.dtype.type(scale.side_scale)
     for j in range(n):
-        e = m[EXPECTED + j]
-        reals[j] = e & cast(~_DROPPED) if e >= _EXACT else e
-    for j in range(n):
-        bin_ = cast((bits_of_reals[j] >> 22) - _FIRST_BIN)
-        m[CONTEXT + j] = 4 * min(max(bin_, cast(0)), cast(N_BINS - 1))
-    side_scale = scale.side_scale
-    if scale.is_fine:
-        for j in range(n):
-            quarter = min(cast(cast(abs(m[SIDE + j]) * side_scale) >> 16), cast(3))
-            m[CONTEXT + j] += quarter if m[CONTEXT + j] < 4 * _FINE_BINS else cast(0)
-        return
+        side = cast(m[PREDICTED + j] - 64 * m[WHOLE + j])
+        m[SIDE + j] = side
+        context = cast(4 * _bin_of(bits_of_reals[j]))
+        quarter = min(cast(cast(abs(side) * side_scale) >> 16), cast(3))
+        m[CONTEXT + j] = context + (quarter if context < 4 * _FINE_BINS else cast(0))
+
+
+@kernel_part
+def _fill_contexts(m, bits_of_reals, n, scale):
+    """Fill `CONTEXT` and `SIDE` by how far predictions lie from the middle of the core."""
+    cast, side_scale = m.dtype.type, m.dtype.type(scale.side_scale)
     shift, end_shift = m[SIDE_SHIFT] & SHIFT_MASK, m[END_SHIFT] & SHIFT_MASK
     for j in range(n):
-        far = min(cast(abs(m[SIDE + j]) >> shift), cast(_MOST_SIDE))
+        side = cast(16 * m[SUM + j] - m[PREDICTED + j])
+        m[SIDE + j] = side
+        far = min(cast(abs(side) >> shift), cast(_MOST_SIDE))
         far = cast(cast(far * side_scale) >> end_shift)  # in 1/16384 step
         e = m[EXPECTED + j]
-        m[CONTEXT + j] += (
-            cast(far > e) + cast(cast(4 * far) > cast(11 * e)) + cast(far > cast(6 * e))
-        )
+        quarter = cast(far > e) + cast(cast(4 * far) > cast(11 * e)) + cast(far > cast(6 * e))
+        m[CONTEXT + j] = cast(4 * _bin_of(bits_of_reals[j])) + quarter

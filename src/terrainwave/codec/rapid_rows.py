@@ -193,7 +193,6 @@ def _look_around(m, at, n, plane):
         first, second = cast(a + b), cast(c + d)
         m[SUM + j] = first + second
         m[TWIST + j] = abs(cast(first - second))
-    for j in range(n):
         m[PREDICTED + j] >>= 6
 
 
@@ -208,10 +207,15 @@ def store_rows(m, at, row, out, grid, origin, shape):
         to = np.uint64(grid.start + (2 * row + parity) * grid.row_step)
         even = at + (_LH if parity else _A)
         odd = at + (_HH if parity else _HL)
-        for j in range(np.uint64(n_cols >> 1)):
-            k = to + _U2 * j * step
-            out[k] = m[even + j] + origin
-            out[k + step] = m[odd + j] + origin
+        if step == _U1:  # all but root blocks: known, it makes a loop of vectors
+            for j in range(np.uint64(n_cols >> 1)):
+                out[to + _U2 * j] = m[even + j] + origin
+                out[to + _U2 * j + _U1] = m[odd + j] + origin
+        else:
+            for j in range(np.uint64(n_cols >> 1)):
+                k = to + _U2 * j * step
+                out[k] = m[even + j] + origin
+                out[k + step] = m[odd + j] + origin
         if n_cols & 1:
             last = np.uint64(n_cols >> 1)
             out[to + _U2 * last * step] = m[even + last] + origin

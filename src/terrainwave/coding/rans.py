@@ -25,7 +25,8 @@ _SLOT_MASK, _SLOTS = np.uint64(N_SLOTS - 1), np.uint64(SLOT_BITS)
 _WORD, _REFILL = np.uint64(WORD_BITS), np.uint64(STATE_START)
 # Of a packed frequency: `packed_freqs`.
 _FREQ_BITS, _FREQ_MASK = np.uint64(16), np.uint64(0xFFFF)
-_CONTEXT_BITS = np.uint64(6)
+SYMBOL_BITS = 6
+_SYMBOLS = np.uint64(SYMBOL_BITS)
 
 
 def packed_freqs(freqs: NDArray[np.int64]) -> NDArray[np.uint32]:
@@ -38,13 +39,13 @@ def packed_freqs(freqs: NDArray[np.int64]) -> NDArray[np.uint32]:
 
     Returns
     -------
-    packed : ndarray of uint32, shape (n_contexts, 64)
-        ``before << 16 | freq``.
+    packed : ndarray of uint32, shape (64 * n_contexts,)
+        ``before << 16 | freq``, at ``context << SYMBOL_BITS | symbol``.
     """
-    packed = np.zeros((freqs.shape[0], 1 << int(_CONTEXT_BITS)), dtype=np.uint32)
+    packed = np.zeros((freqs.shape[0], 1 << SYMBOL_BITS), dtype=np.uint32)
     before = np.cumsum(freqs, 1) - freqs
     packed[:, : freqs.shape[1]] = before << int(_FREQ_BITS) | freqs
-    return packed
+    return packed.ravel()
 
 
 def slots_of(freqs: NDArray[np.int64]) -> NDArray[np.uint8]:
@@ -62,7 +63,7 @@ def _decoded(m, place, state, slots, packed, contexts, symbols, words, at):
     context, slot = np.uint64(m[contexts + place]), state & _SLOT_MASK
     symbol = np.uint64(slots[(context << _SLOTS) | slot])
     m[symbols + place] = np.int64(symbol)
-    own = np.uint64(packed[context, symbol])
+    own = np.uint64(packed[(context << _SYMBOLS) | symbol])
     state = (own & _FREQ_MASK) * (state >> _SLOTS) + slot - (own >> _FREQ_BITS)
     is_low = state < _REFILL
     filled = (state << _WORD) | np.uint64(words[at])
@@ -135,7 +136,7 @@ def encode_symbols(contexts, symbols, n, freqs, n_states, words, states):
     ----------
     contexts, symbols : ndarray of uint8
         The first `n` are coded, the last one first.
-    freqs : ndarray of uint32, shape (n_contexts, 64)
+    freqs : ndarray of uint32
         `packed_freqs`.
     n_states : int
         1 or N_STATES.
@@ -148,7 +149,7 @@ def encode_symbols(contexts, symbols, n, freqs, n_states, words, states):
     for k in range(N_STATES):
         states[k] = _REFILL
     for i in range(n - 1, -1, -1):
-        packed = freqs[contexts[i], symbols[i]]
+        packed = freqs[(np.uint64(contexts[i]) << _SYMBOLS) | np.uint64(symbols[i])]
         freq, before = np.uint32(packed & np.uint32(0xFFFF)), np.uint64(packed >> np.uint32(16))
         which = i & (n_states - 1)
         state = states[which]
