@@ -11,15 +11,17 @@ from terrainwave.codec.refiner import FittingRefiner, GroupSpec, Heights, Mask, 
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.windows import spread_windows
 from terrainwave.grid.quadtree import Region
-from terrainwave.names import AUTO_METHODS
+from terrainwave.names import AUTO_METHODS, EFFORTS
 from terrainwave.write.job import Job
 
 # A slower method must take so much less in windows, in percent: of files that is about 8, as each
 # window pays for what a file learns once.
 _LEAST_SAVED = 5
-# Or it must save a byte in so many samples, as on rough ground, where the share is less: 1/8 bit
+# Or it must save a byte in so many samples, as on rough ground, where the share is less: 1/9 bit
 # per sample, of files about 1/6. What it costs is time, and that is by the sample too.
-_MOST_SAMPLES_PER_BYTE = 64
+_MOST_SAMPLES_PER_BYTE = 72
+# Windows are coded with one try for each plane, which is faster and less to compile.
+_EFFORT = EFFORTS.index("fast")
 # Samples a side of a window, samples of the raster for one, and the fewest and most of them.
 _WINDOW, _SHARE = 129, 1 << 18
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 8
@@ -73,7 +75,7 @@ def _windows(job: Job, heights: Reader, mask: MaskReader) -> list[tuple[GroupSpe
         spec = GroupSpec(
             grid.k_max, region, region, None, Sides(False, False, False, False),
             parameters.step, parameters.z_min, parameters.z_max, parameters.forbidden, 1,
-            parameters.effort, wants_labels=False,
+            _EFFORT, wants_labels=False,
         )  # fmt: skip
         found.append((spec, target, valid))
     return found
