@@ -91,6 +91,10 @@ class TreeDecoder:
         # Ancestors never wait for descendants.
         return self._cache.get_or_make(key, lambda: self._decode(key))
 
+    def put(self, key: Block, unit: Decoded) -> None:
+        """Keep what a unit decodes to, known before, as if it had been decoded."""
+        self._cache.put(key, unit)
+
     def _payload(self, key: Block) -> bytes:
         """Return the payload of a unit, fetched now unless it has been."""
         return self._fetched.take(key)

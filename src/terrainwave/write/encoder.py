@@ -55,6 +55,8 @@ class TreeEncoder:
         Called with the number of full-grid samples whose unit is finished, from any thread.
     last_level : int, optional
         The finest level of blocks that is coded; by default all are.
+    on_unit : callable, optional
+        Called with the key of each unit and what it decodes to, from any thread.
     """
 
     def __init__(
@@ -66,6 +68,7 @@ class TreeEncoder:
         sink: PayloadSink,
         on_samples: Callable[[int], None],
         last_level: int | None = None,
+        on_unit: Callable[[Block, Decoded], None] | None = None,
     ) -> None:
         self._grid = grid
         self._refiner = refiner
@@ -73,6 +76,7 @@ class TreeEncoder:
         self._pyramid = pyramid
         self._sink = sink
         self._on_samples = on_samples
+        self._on_unit = on_unit
         self._last_level = grid.k_max if last_level is None else last_level
         self._stats: Stats = {}
         self._lock = threading.Lock()
@@ -125,6 +129,8 @@ class TreeEncoder:
         mask = self._pyramid.mask(spec.level, spec.region)
         payload, decoded = self.code_unit(key, spec, parent, target, mask)
         self._sink(key, payload)
+        if self._on_unit is not None:
+            self._on_unit(key, decoded)
         blocks = grid.key_blocks(key)
         parts = [block_of_unit(grid, spec, decoded, block) for block in blocks]
         if self._parameters.is_faithful and not key.is_root_key:

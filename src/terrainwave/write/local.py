@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec.refiner import Decoded
 from terrainwave.container.depot import StoredSegment
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
@@ -221,17 +222,18 @@ def encode(
                 )
 
         section = b""
+        units: dict[Block, Decoded] = {}
         if job.options.coding.is_tiled:
             # Imported here: compiling costs seconds that other methods need not pay.
             from terrainwave.write.tiles import encode_tiles
 
             stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
         else:
-            job, section, stats = _encode_units(job, pyramid, sink, on_samples, executor)
+            job, section, stats, units = _encode_units(job, pyramid, sink, on_samples, executor)
         if job.options.is_embedded:
             job = job.with_measured(_finest_error(job, stats))
         errors = error_codes(stats, job.lost, job.recursion_bound)
-        mesh_errors = _mesh_errors(job, section, pyramid, sink, errors, executor, reporter)
+        mesh_errors = _mesh_errors(job, section, pyramid, sink, units, errors, executor, reporter)
     finally:
         pyramid.close()
     whole = job.quantizer.z_min, job.quantizer.z_max
@@ -246,11 +248,20 @@ def _encode_units(
     sink: SpoolSink,
     on_samples: Callable[[int], None],
     executor: Executor,
-) -> tuple[Job, bytes, Stats]:
-    """Code every unit; return the job with its method, that one's tables, what was measured."""
+) -> tuple[Job, bytes, Stats, dict[Block, Decoded]]:
+    """Code every unit; return the job with its method, that one's tables, what was measured.
+
+    And what the units decode to, where meshes are to be made of it and all of it fits in memory.
+    """
     job, refiner, section = prepared(job, pyramid.heights, pyramid.mask)
-    encoder = TreeEncoder(job.grid, refiner, job.parameters, pyramid, sink, on_samples)
-    return job, section, encoder.run(executor)
+    units: dict[Block, Decoded] = {}
+    # Heights and masks of all levels: four thirds of five bytes for each sample.
+    is_kept = 20 * job.grid.n_rows * job.grid.n_cols <= 3 * _MESH_CACHE_BYTES
+    encoder = TreeEncoder(
+        job.grid, refiner, job.parameters, pyramid, sink, on_samples,
+        on_unit=units.__setitem__ if is_kept and job.options.mesh != "none" else None,
+    )  # fmt: skip
+    return job, section, encoder.run(executor), units
 
 
 def _finest_error(job: Job, stats: Stats) -> int:
@@ -267,15 +278,21 @@ def _mesh_errors(
     section: bytes,
     pyramid: Pyramid,
     sink: SpoolSink,
+    units: dict[Block, Decoded],
     errors: dict[Block, int],
     executor: Executor,
     reporter: Reporter,
 ) -> dict[Block, int]:
-    """Return the error code of every block's mesh against the originals."""
+    """Return the error code of every block's mesh against the originals.
+
+    `units` are not decoded again, and taken out.
+    """
     if job.options.mesh == "none":
         return {}
     grid = job.grid
     decoder = make_decoder(job.header(section), sink.payloads, _MESH_CACHE_BYTES)
+    while units:
+        decoder.put(*units.popitem())
     size = grid.n_rows * grid.n_cols, np.dtype(job.info.dtype).itemsize
     mesher, sections = make_meshes(
         grid,
