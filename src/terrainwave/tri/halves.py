@@ -284,8 +284,11 @@ def _sweep_cells(
     for cell_row in range((row_0 + 1) // height * height, row_0 + n_rows - 1, height):
         top, bottom = max(cell_row - row_0, 1), min(cell_row + height - 1 - row_0, n_rows - 2)
         for cell_col in range((col_0 + 1) // width * width, col_0 + n_cols - 1, width):
-            left, right = max(cell_col - col_0, 1), min(cell_col + width - 1 - col_0, n_cols - 2)
+            left = max(cell_col - col_0, 1)
             at = top * pitch + left
+            if not is_whole and work[np.uint64(levels + at)] != level - 1:
+                continue
+            right = min(cell_col + width - 1 - col_0, n_cols - 2)
             other = at
             is_quad = is_whole and level == 2 and bottom > top and right > left
             if is_quad:
@@ -299,8 +302,6 @@ def _sweep_cells(
                 if not _is_free(work, plane, pitch, top, bottom, left, right):
                     continue
             else:
-                if work[np.uint64(levels + at)] != level - 1:
-                    continue
                 row_2, col_2 = top, left
                 if level & 1:
                     col_2 = max(cell_col + (width >> 1) - col_0, left)
