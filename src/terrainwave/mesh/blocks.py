@@ -26,7 +26,7 @@ from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, Quantizer, as_fraction
 from terrainwave.mesh.coefficients import BlockCoefficients
 from terrainwave.mesh.trees import ZeroTrees
 from terrainwave.names import UNBOUNDED_MESHES
-from terrainwave.tri.borders import beside_void, line_vertices
+from terrainwave.tri.borders import beside_void, vertices_of_lines
 from terrainwave.tri.halves import Lines, triangulate
 from terrainwave.tri.labels import Trees
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
@@ -161,21 +161,19 @@ class BlockMesher:
         grid = self._grid
         region = grid.block_region(block)
         n_rows, n_cols = self._full_shape(block)
-        if self._has_voids:
-            level_shape = grid.level_shape(block.level)
-            wide = grid.block_region(block, 1).intersect(Region(0, 0, *level_shape))
-            heights, mask = self._decoder.window(block.level, wide)
-            inner = region.slices_in(wide)
-            padding = (
-                (region.row == wide.row, wide.row + wide.n_rows == region.row + region.n_rows),
-                (region.col == wide.col, wide.col + wide.n_cols == region.col + region.n_cols),
-            )
-            beyond = np.pad(mask, np.array(padding, dtype=int), constant_values=True)
-            heights = heights[inner]
-        else:
+        if not self._has_voids:
             heights, _ = self._decoder.window(block.level, region)
-            beyond = np.ones((region.n_rows + 2, region.n_cols + 2), dtype=np.bool_)
-        heights = with_outside(np.ascontiguousarray(heights), n_rows, n_cols)
+            mask = np.ones((n_rows, n_cols), dtype=np.bool_)
+            return BlockSamples(with_outside(heights, n_rows, n_cols), mask, ~mask)
+        wide = grid.block_region(block, 1).intersect(Region(0, 0, *grid.level_shape(block.level)))
+        heights, mask = self._decoder.window(block.level, wide)
+        padding = (
+            (region.row == wide.row, wide.row + wide.n_rows == region.row + region.n_rows),
+            (region.col == wide.col, wide.col + wide.n_cols == region.col + region.n_cols),
+        )
+        beyond = np.pad(mask, np.array(padding, dtype=int), constant_values=True)
+        heights = np.ascontiguousarray(heights[region.slices_in(wide)])
+        heights = with_outside(heights, n_rows, n_cols)
         beyond = _with_outside_mask(beyond, n_rows - region.n_rows)
         beyond = _with_outside_mask(beyond.T, n_cols - region.n_cols).T
         mask = np.ascontiguousarray(beyond[1:-1, 1:-1])
@@ -317,20 +315,7 @@ def border_lines(
 
     `offset` is the place of its first sample in its block of `side` cells.
     """
-
-    def line(at: tuple[int | slice, int | slice], tolerance: int, start: int) -> NDArray[np.bool_]:
-        heights = samples.heights[at].astype(np.int64) << FRACTION_BITS
-        forced = np.ascontiguousarray(samples.locked[at])
-        vertices: NDArray[np.bool_] = line_vertices(heights, forced, start, side, tolerance)
-        return vertices
-
-    every = slice(None)
-    return Lines(
-        top=line((0, every), tolerances.top, offset[1]),
-        bottom=line((-1, every), tolerances.bottom, offset[1]),
-        left=line((every, 0), tolerances.left, offset[0]),
-        right=line((every, -1), tolerances.right, offset[0]),
-    )
+    return Lines(*vertices_of_lines(samples.heights, samples.locked, *offset, side, *tolerances))
 
 
 def default_mesh_error(quantizer: Quantizer, bound: float, scale: Fraction) -> Fraction:

@@ -85,14 +85,17 @@ def fit_triangle(
     step_2 = -(step_0 + step_1)
     rise = float(step_1) * z_1 + float(step_2) * z_2
     is_wide = last_col - first_col > _NARROW
-    top, left = 2 * first_row, 2 * first_col
-    first_0 = (col_1 - left) * (row_2 - top) - (col_2 - left) * (row_1 - top)
-    first_1 = (col_2 - left) * (row_0 - top) - (col_0 - left) * (row_2 - top)
-    for row in range(first_row, last_row + 1):
+    # From the end nearer to vertex 0: the samples there narrow the interval most.
+    down, top = 1, first_row
+    if row_0 > first_row + last_row:
+        down, top = -1, last_row
+    left = 2 * first_col
+    first_0 = (col_1 - left) * (row_2 - 2 * top) - (col_2 - left) * (row_1 - 2 * top)
+    first_1 = (col_2 - left) * (row_0 - 2 * top) - (col_0 - left) * (row_2 - 2 * top)
+    at = start + top * pitch + first_col
+    for _ in range(last_row - first_row + 1):
         weight_0, weight_1 = first_0, first_1
         weight_2 = area - weight_0 - weight_1
-        first_0 += 2 * (col_2 - col_1)
-        first_1 += 2 * (col_0 - col_2)
         skip, most = 0, last_col - first_col
         if is_wide:
             # From where to where no weight is negative, and that of vertex 0 is none.
@@ -103,7 +106,11 @@ def fit_triangle(
             weight_1 += skip * step_1
             weight_2 += skip * step_2
         fixed = float(weight_1) * z_1 + float(weight_2) * z_2
-        at = start + row * pitch + first_col
+        if is_wide and not _narrows(
+            heights, at + skip, most - skip + 1, scale, slack, fixed, rise, float(weight_0),
+            float(step_0), low, high,
+        ):  # fmt: skip
+            most = -1
         for col in range(at + skip, at + most + 1):
             if weight_0 > 0 and (weight_1 | weight_2) >= 0:
                 rest = float(heights[np.uint64(col)]) * scale - fixed
@@ -118,7 +125,26 @@ def fit_triangle(
             fixed += rise
         if low > high:
             break
+        at += down * pitch
+        first_0 += 2 * down * (col_2 - col_1)
+        first_1 += 2 * down * (col_0 - col_2)
     return low, high
+
+
+@inlined_kernel
+def _narrows(heights, at, count, scale, slack, fixed, rise, share, step, low, high):
+    """Say whether any sample of a row of a triangle narrows the interval; a loop that vectorises.
+
+    All of it is exact, as in `fit_triangle`: so are weights times heights and their differences.
+    """
+    n_beyond = 0
+    for k in range(count):
+        place = float(np.int32(k))
+        rest = float(heights[np.uint64(at + k)]) * scale - (fixed + place * rise)
+        own = share + place * step
+        is_beyond = (rest - slack > low * own) | (rest + slack < high * own)
+        n_beyond += 1 if is_beyond else 0
+    return n_beyond > 0
 
 
 @inlined_kernel

@@ -11,13 +11,12 @@ grid with merged borders and stays a height field that covers the samples once, 
 a triangle of area <= 0.
 """
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.coding.jit import inlined_kernel, kernel
+from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.tri.certificates import refusal_stands, test_of
 from terrainwave.tri.fit import scale_of
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
@@ -33,6 +32,7 @@ from terrainwave.tri.workspace import (
     ROW_BITS,
     SWEEP,
     VERTEX,
+    WIDE,
     fill_workspace,
     finished_mesh,
 )
@@ -98,28 +98,13 @@ def triangulate(
     )  # fmt: skip
     has_table = max(-scale.lowest, scale.highest, scale.tolerance) <= MAX_PROGRAM_HEIGHT
     if n_rows > 2 and n_cols > 2:  # else border lines alone
-        for level, sweep, before in _sweeps(max(n_rows + offset[0], n_cols + offset[1])):
-            _sweep_cells(
-                space.work, space.floats, space.plane, space.pitch, n_rows, n_cols, *offset,
-                has_table, level, sweep, before, scale.tolerance, scale.lowest, scale.highest,
-            )  # fmt: skip
+        _merge_cells(
+            space.work, space.floats, space.plane, space.pitch, n_rows, n_cols, *offset, has_table,
+            scale.tolerance, scale.lowest, scale.highest,
+        )  # fmt: skip
     base, shift = scale.base << FRACTION_BITS, FRACTION_BITS - scale.bits
     has_voids = n_valid < n_rows * n_cols
     return finished_mesh(space, (n_rows, n_cols), base, shift, has_voids=has_voids)
-
-
-def _sweeps(reach: int) -> Iterator[tuple[int, int, int]]:
-    """Yield level, number and predecessor of each sweep: whole squares, then halves, finest first.
-
-    `reach` is the number of rows or columns, the greater one, from the block's first on. The loop
-    is Python, as a kernel around `_sweep_cells` would be that compiled once more.
-    """
-    n_levels, n_whole = (reach - 2).bit_length(), len(_WHOLE_LEVELS)
-    for sweep in range(1, n_whole + _PASSES * 2 * n_levels + 1):
-        level, before = (sweep - n_whole - 1) % (2 * n_levels) + 1, sweep - 2 * n_levels
-        if sweep <= n_whole:
-            level = _WHOLE_LEVELS[sweep - 1]
-        yield level, sweep, before if before > n_whole else 0
 
 
 @kernel
@@ -258,16 +243,48 @@ def _is_as_before(work, plane, pitch, top, bottom, left, right, before):
 
 @inlined_kernel
 def _move(work, plane, pitch, top, bottom, left, right, place, height, sweep):
-    """Let the samples of a cell share a vertex."""
+    """Let the samples of a cell share a vertex.
+
+    Those inside a wide one are left as they are: no ring meets them, and `read_mesh` passes over
+    them.
+    """
     vertices, sweeps = PLANES + VERTEX * plane, PLANES + SWEEP * plane
     for row in range(top, bottom + 1):
-        for at in range(row * pitch + left, row * pitch + right + 1):
+        step = right - left if top < row < bottom and right - left >= WIDE else 1
+        for at in range(row * pitch + left, row * pitch + right + 1, step):
             work[np.uint64(vertices + 2 * at)] = place
             work[np.uint64(vertices + 2 * at + 1)] = height
             work[np.uint64(sweeps + at)] = sweep
 
 
 @kernel
+def _merge_cells(
+    work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, tolerance, lowest, highest
+):
+    """Sweep over the cells of all levels: whole squares, then halves in passes, finest first."""
+    reach = max(n_rows + row_0, n_cols + col_0) - 2
+    n_levels = 0
+    while reach >> n_levels:
+        n_levels += 1
+    n_whole = len(_WHOLE_LEVELS)
+    found = 1  # a bit for each level that has had cells
+    for sweep in range(1, n_whole + _PASSES * 2 * n_levels + 1):
+        level, before = _WHOLE_LEVELS[min(sweep, n_whole) - 1], 0
+        if sweep > n_whole:
+            level = (sweep - n_whole - 1) % (2 * n_levels) + 1
+            if not found >> (level - 1) & 1:
+                continue  # no halves
+            if sweep - 2 * n_levels > n_whole:
+                before = sweep - 2 * n_levels
+        n_merged = _sweep_cells(
+            work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep,
+            before, tolerance, lowest, highest,
+        )  # fmt: skip
+        if n_merged:
+            found |= 1 << level
+
+
+@kernel_part
 def _sweep_cells(
     work, floats, plane, pitch, n_rows, n_cols, row_0, col_0, has_table, level, sweep, before,
     tolerance, lowest, highest,
@@ -275,8 +292,10 @@ def _sweep_cells(
     """Try to merge every cell of a level of the binary tree, of two halves or of single samples.
 
     A sample's sweep is the one in which its cell last grew; `before`, the sweep that tried this
-    level last: a cell that failed there, and has all around it as it was, would fail again.
+    level last: a cell that failed there, and has all around it as it was, would fail again. Returns
+    how many have merged.
     """
+    n_merged = 0
     is_whole = sweep <= len(_WHOLE_LEVELS)
     whole_tolerance = np.int64(tolerance)
     levels, sweeps = PLANES + LEVEL * plane, PLANES + SWEEP * plane
@@ -284,8 +303,11 @@ def _sweep_cells(
     for cell_row in range((row_0 + 1) // height * height, row_0 + n_rows - 1, height):
         top, bottom = max(cell_row - row_0, 1), min(cell_row + height - 1 - row_0, n_rows - 2)
         for cell_col in range((col_0 + 1) // width * width, col_0 + n_cols - 1, width):
-            left, right = max(cell_col - col_0, 1), min(cell_col + width - 1 - col_0, n_cols - 2)
+            left = max(cell_col - col_0, 1)
             at = top * pitch + left
+            if not is_whole and work[np.uint64(levels + at)] != level - 1:
+                continue
+            right = min(cell_col + width - 1 - col_0, n_cols - 2)
             other = at
             is_quad = is_whole and level == 2 and bottom > top and right > left
             if is_quad:
@@ -299,8 +321,6 @@ def _sweep_cells(
                 if not _is_free(work, plane, pitch, top, bottom, left, right):
                     continue
             else:
-                if work[np.uint64(levels + at)] != level - 1:
-                    continue
                 row_2, col_2 = top, left
                 if level & 1:
                     col_2 = max(cell_col + (width >> 1) - col_0, left)
@@ -310,6 +330,7 @@ def _sweep_cells(
                 if row_2 > bottom or col_2 > right or other == at:
                     # One half lies outside: the other is the whole.
                     work[np.uint64(levels + at)] = level
+                    n_merged += 1
                     continue
                 if work[np.uint64(levels + other)] != level - 1:
                     continue
@@ -348,6 +369,7 @@ def _sweep_cells(
             vertex = np.floor((low + high) * 0.5)
             if vertex > _MAX_INT32:
                 continue  # of a range of 2^31 quanta, and a tolerance of a half of it
+            n_merged += 1
             if is_whole:
                 for row in range(top, bottom + 1):
                     for col in range(left, right + 1):
@@ -359,3 +381,4 @@ def _sweep_cells(
                 work, plane, pitch, top, bottom, left, right,
                 np.int32((top + bottom) << ROW_BITS | left + right), np.int32(vertex), sweep,
             )  # fmt: skip
+    return n_merged

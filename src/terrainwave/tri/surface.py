@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.coding.jit import kernel
+from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.triangle import area_of
 
@@ -49,7 +49,8 @@ def largest_deviation(
 def _covered(weight_0, step_0, weight_1, step_1, weight_2, step_2, last):
     """Return from which to which place, 0 ... last, no weight is negative.
 
-    Weights, at place 0, grow by their steps from place to place.
+    Weights, at place 0, grow by their steps from place to place. They are below 2^53, so that the
+    float64 quotients round to the right floor and ceiling (`tri.fit`), faster than integers divide.
     """
     first = np.int64(0)
     for k in range(3):
@@ -57,12 +58,27 @@ def _covered(weight_0, step_0, weight_1, step_1, weight_2, step_2, last):
         step = step_0 if k == 0 else (step_1 if k == 1 else step_2)
         if step > 0:
             if weight < 0:
-                first = max(first, -(weight // step))
+                first = max(first, np.int64(np.ceil(float(-weight) / float(step))))
         elif weight < 0:
             last = np.int64(-1)
         elif step < 0:
-            last = min(last, weight // -step)
+            last = min(last, np.int64(np.floor(float(weight) / float(-step))))
     return first, last
+
+
+@inlined_kernel
+def _exceeds(samples, mask, row, col, count, level, slope, limit):
+    """Say whether valid samples from (row, col) on may be further than `limit` from a surface.
+
+    It begins at height `level` and rises by `slope`. A loop that vectorises.
+    """
+    n_beyond = 0
+    for k in range(count):
+        sample = float(samples[np.uint64(row), np.uint64(col + k)]) * float(1 << FRACTION_BITS)
+        apart = abs(level + float(np.int32(k)) * slope - sample)
+        is_beyond = (apart > limit) & mask[np.uint64(row), np.uint64(col + k)]
+        n_beyond += 1 if is_beyond else 0
+    return n_beyond > 0
 
 
 @kernel
@@ -95,6 +111,8 @@ def _largest_deviation(rows, cols, heights, triangles, stride, samples, mask, fi
         is_exact = area < _MAX_EXACT_AREA
         step_0, step_1 = -2 * (row_2 - row_1), -2 * (row_0 - row_2)
         step_2 = -(step_0 + step_1)
+        fall_1, fall_2 = float(rise_1) / float(area), float(rise_2) / float(area)
+        slope = step_1 * fall_1 + step_2 * fall_2
         for row in range(top, bottom + 1):
             weight_0 = area_of(2 * row, 2 * left, row_1, col_1, row_2, col_2)
             weight_1 = area_of(row_0, col_0, 2 * row, 2 * left, row_2, col_2)
@@ -102,6 +120,13 @@ def _largest_deviation(rows, cols, heights, triangles, stride, samples, mask, fi
             skip, most = _covered(
                 weight_0, step_0, weight_1, step_1, weight_2, step_2, right - left
             )
+            share_1, share_2 = weight_1 + skip * step_1, weight_2 + skip * step_2
+            level = float(z_0) + (share_1 * fall_1 + share_2 * fall_2)
+            if not _exceeds(
+                samples, mask, row, left + skip, most - skip + 1, level, slope,
+                float(largest) - _ROUNDING,
+            ):  # fmt: skip
+                continue
             for place in range(skip, most + 1):
                 if not mask[row, left + place]:
                     continue

@@ -40,6 +40,9 @@ ROW_BITS, COL_MASK = 16, (1 << 16) - 1
 FREE, LOCKED, MERGED = 0, -1, 127
 VOID = -1
 
+# From its first column to its last one, in a cell whose inner samples hold anything.
+WIDE = 7
+
 # Rows of the workspace have 8 samples more than a power of two: neighbours in a column don't share
 # a line of the cache.
 _MIN_CELLS, _PADDING = 256, 8
@@ -107,23 +110,28 @@ def fill_workspace(heights, mask, locked, lines, base, bits, work, plane, pitch)
     `lines` say which samples of the border are vertices: top, bottom, left and right one by one.
     """
     n_rows, n_cols = heights.shape
-    vertices, levels = PLANES + VERTEX * plane, PLANES + LEVEL * plane
-    sweeps, refusals = PLANES + SWEEP * plane, PLANES + REFUSAL * plane
+    own, vertices = PLANES + HEIGHT * plane, PLANES + VERTEX * plane
+    levels, sweeps = PLANES + LEVEL * plane, PLANES + SWEEP * plane
+    refusals = PLANES + REFUSAL * plane
     for row in range(n_rows):
         is_line = row == 0 or row == n_rows - 1
         first = row * pitch
+        # One loop for each plane, or two: so they vectorise.
         for col in range(n_cols):
-            height, place = np.int32(0), np.int32(VOID)
-            if mask[row, col]:
-                height = np.int32((np.int64(heights[row, col]) - base) << bits)
-                place = np.int32(2 * row << ROW_BITS | 2 * col)
+            height = np.int32((np.int64(heights[row, col]) - base) << bits)
+            work[np.uint64(own + first + col)] = height if mask[row, col] else 0
+        for col in range(n_cols):
             at = first + col
-            work[np.uint64(PLANES + HEIGHT * plane + at)] = height
+            place = np.int32(2 * row << ROW_BITS | 2 * col) if mask[row, col] else VOID
             work[np.uint64(vertices + 2 * at)] = place
-            work[np.uint64(vertices + 2 * at + 1)] = height
-            work[np.uint64(levels + at)] = LOCKED if is_line or locked[row, col] else FREE
-            work[np.uint64(sweeps + at)] = 0
-            work[np.uint64(refusals + at)] = 0
+            work[np.uint64(vertices + 2 * at + 1)] = work[np.uint64(own + at)]
+        for col in range(n_cols):
+            is_locked = is_line | locked[row, col]
+            work[np.uint64(levels + first + col)] = LOCKED if is_locked else FREE
+        for col in range(n_cols):
+            work[np.uint64(sweeps + first + col)] = 0
+        for col in range(n_cols):
+            work[np.uint64(refusals + first + col)] = 0
         work[np.uint64(levels + first)] = LOCKED
         work[np.uint64(levels + first + n_cols - 1)] = LOCKED
     first = 0
@@ -164,7 +172,10 @@ def read_mesh(work, plane, pitch, n_rows, n_cols, base, shift, rows, cols, heigh
         number = np.int64(VOID)
         # Of the quad whose lower right corner is at hand: a, b in the upper row; d, c below.
         a = d = np.int64(VOID)
+        next_col = 0
         for col in range(n_cols):
+            if col < next_col:
+                continue
             at = first + col
             place = np.int64(work[np.uint64(vertices + 2 * at)])
             if place == VOID:
@@ -172,6 +183,13 @@ def read_mesh(work, plane, pitch, n_rows, n_cols, base, shift, rows, cols, heigh
             elif col == 0 or place != last:
                 if row and place == work[np.uint64(vertices + 2 * (at - pitch))]:
                     number = np.int64(work[np.uint64(numbers + at - pitch)])
+                    right = (place & COL_MASK) - col
+                    if right - col >= WIDE:
+                        # On to the last column of the cell: what lies between has no triangles.
+                        next_col = right
+                        if place != work[np.uint64(vertices + 2 * (at + pitch))]:
+                            for k in range(at + 1, first + right):
+                                work[np.uint64(numbers + k)] = number  # for the row below
                 else:
                     number = np.int64(n_vertices)
                     rows[n_vertices] = place >> ROW_BITS
