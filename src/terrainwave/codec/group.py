@@ -43,19 +43,21 @@ def encode_unit(
     remainders : callable, optional
         Returns what decoded heights leave of the originals; with ``spec.remainder_bytes`` only.
     """
-    implied = implied_voids(spec, parent)
-    if not mask.any():
-        return b"", _all_void(spec)
     flags, sections = MASK_ALL_VALID, b""
-    if not np.array_equal(mask, ~implied):
-        flags = MASK_CODED
-        coded_mask = encode_mask(mask, implied)
-        sections += encode_varint(len(coded_mask)) + coded_mask
+    if not mask.all():  # else the parent implies no void
+        if not mask.any():
+            return b"", _all_void(spec)
+        implied = implied_voids(spec, parent)
+        if not np.array_equal(mask, ~implied):
+            flags = MASK_CODED
+            coded_mask = encode_mask(mask, implied)
+            sections += encode_varint(len(coded_mask)) + coded_mask
     parent_heights = None if parent is None else parent.heights
     body, heights, labels = refiner.encode(spec, parent_heights, target, mask)
-    np.clip(heights, spec.z_min, spec.z_max, out=heights)
-    collides = _collisions(spec, heights, mask)
-    if collides.any():
+    if _as_direct(refiner) is None:
+        np.clip(heights, spec.z_min, spec.z_max, out=heights)
+    collides = None if spec.forbidden[0] > spec.forbidden[1] else _collisions(spec, heights, mask)
+    if collides is not None and collides.any():
         # A height that is forbidden itself (rounding made it so) goes up where there is room.
         goes_down = (target[collides] < spec.forbidden[0]) | (spec.forbidden[1] >= spec.z_max)
         if goes_down.any():
@@ -187,8 +189,6 @@ def _all_void(spec: GroupSpec) -> Decoded:
 def _collisions(spec: GroupSpec, heights: Heights, mask: Mask) -> Mask:
     """Return the valid samples whose height would read as the nodata value."""
     low, high = spec.forbidden
-    if low > high:
-        return np.zeros(heights.shape, dtype=np.bool_)
     collides: Mask = mask & (heights >= low) & (heights <= high)
     return collides
 
