@@ -154,10 +154,15 @@ class RasterSource:
         )
 
     @property
+    def is_file(self) -> bool:
+        """Tell whether windows are decoded from a file."""
+        return self._backend.is_file
+
+    @property
     def is_striped(self) -> bool:
         """Tell whether a narrow window makes the source decode whole rows of blocks."""
         block_cols = self._backend.block_shape[1]
-        return block_cols >= self.info.n_cols > _NARROW_COLS and self._backend.is_file
+        return block_cols >= self.info.n_cols > _NARROW_COLS and self.is_file
 
     def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
         """Read the window of `n_rows` x `n_cols` samples at (row, col), which lies inside the grid.

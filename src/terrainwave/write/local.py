@@ -26,7 +26,7 @@ from terrainwave.mesh.sections import make_meshes
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
-from terrainwave.raster_io.temporary import Spool
+from terrainwave.raster_io.temporary import MEMORY_LIMIT, Spool
 from terrainwave.read.tiles import make_decoder
 from terrainwave.write.boxes import enclosing_boxes, error_codes, set_codes
 from terrainwave.write.choice import prepared
@@ -77,9 +77,10 @@ class LocalPasses:
 
 
 class Windows(SourceWindows):
-    """The source's windows; those of striped sources are spooled in tiles during the scan.
+    """The source's windows, spooled during the scan where its own are slow to read.
 
-    A narrow window of a striped raster decodes whole strips, once for every window beside it.
+    A narrow window of a striped raster decodes whole strips, once for every window beside it. And a
+    small raster is kept in memory: each sample is read two or three times.
     """
 
     def __init__(self, source: RasterSource, directory: Path) -> None:
@@ -88,7 +89,7 @@ class Windows(SourceWindows):
         self._directory = directory
         self._heights: Spool | None = None
         self._voids: Spool | None = None
-        if source.is_striped:
+        if source.is_striped or (source.is_file and source.info.n_bytes <= MEMORY_LIMIT):
             self._heights = Spool(self._shape, source.info.dtype, directory)
 
     def scan(self) -> Iterator[tuple[NDArray[Any], NDArray[np.bool_]]]:
