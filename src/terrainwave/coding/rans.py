@@ -153,10 +153,13 @@ def encode_symbols(contexts, symbols, n, freqs, n_states, words, states):
         freq, before = np.uint32(packed & np.uint32(0xFFFF)), np.uint64(packed >> np.uint32(16))
         which = i & (n_states - 1)
         state = states[which]
-        if state >= np.uint64(freq) << np.uint64(32 - SLOT_BITS):
-            at -= 1
-            words[at] = state & np.uint64(0xFFFF)
-            state >>= _WORD
+        # Without a branch, which would often be foretold wrongly: what is written stands or is
+        # written over. There is room, as no symbol takes more than a word.
+        is_high = state >= np.uint64(freq) << np.uint64(32 - SLOT_BITS)
+        words[at - 1] = state & np.uint64(0xFFFF)
+        at -= np.int64(is_high)
+        shifted = state >> _WORD
+        state = shifted if is_high else state
         low = np.uint32(state)
         quotient = low // freq
         rest = np.uint64(low - quotient * freq)
