@@ -192,7 +192,7 @@ class Pyramid:
                 known = self._known[finer].read(window)
                 if not known.all():
                     values = self._fills[finer].read(window)
-                    values[~known] = self._pulled(finer, window)[~known]
+                    self._fill(finer, window, values, known)
                     self._fills[finer].write(window, values)
         for spool in self._known.values():
             spool.close()
@@ -282,8 +282,7 @@ class Pyramid:
             return self._heights[shift].read(region)
         quanta, valid = self.originals(region)
         if self._has_voids and not valid.all():
-            fill = self._pulled(0, region)
-            quanta[~valid] = fill[~valid]
+            self._fill(0, region, quanta, valid)
         return quanta
 
     def _around(self, shift: int, region: Region, halo: int) -> Region:
@@ -333,13 +332,14 @@ class Pyramid:
     def _mask_window(self, shift: int, reach: int, region: Region) -> Mask:
         level = self._grid.k_max - (shift - 1)
         fine = self._gather(lambda window: self.mask(level, window), shift - 1, region, reach)
-        touched = np.zeros(region.shape, dtype=np.bool_)
-        for row in range(2 * reach + 1):
-            for col in range(2 * reach + 1):
-                touched |= fine[
-                    row : row + 2 * region.n_rows : 2, col : col + 2 * region.n_cols : 2
-                ][: region.n_rows, : region.n_cols]
-        return touched
+        rows, cols = (slice(2 * n - 1) for n in region.shape)
+        touched = fine[rows][::2].copy()
+        for row in range(1, 2 * reach + 1):
+            touched |= fine[row:][rows][::2]
+        mask = touched[:, cols][:, ::2].copy()
+        for col in range(1, 2 * reach + 1):
+            mask |= touched[:, col:][:, cols][:, ::2]
+        return mask
 
     def _pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
         def read(window: Region) -> Heights:
@@ -352,26 +352,27 @@ class Pyramid:
         push(fine, values, known)
         return values, known
 
-    def _pulled(self, shift: int, region: Region) -> Heights:
-        """Interpolate the filled level above at the places of `region`."""
+    def _fill(self, shift: int, region: Region, values: Heights, known: Mask) -> None:
+        """Interpolate the filled level above where values of a region are not known."""
+        rows, cols = np.nonzero(~known)
         if shift + 1 not in self._fills:  # a raster of one sample has no level above
-            return np.zeros(region.shape, dtype=np.int32)
-        coarse = self._fills[shift + 1]
-        rows = np.arange(region.row, region.row + region.n_rows)
-        cols = np.arange(region.col, region.col + region.n_cols)
-        shape = self._shape(shift + 1)
-        last_row, last_col = shape[0] - 1, shape[1] - 1
-        row_end, col_end = (
-            min(int(rows[-1] + 1 >> 1), last_row),
-            min(int(cols[-1] + 1 >> 1), last_col),
+            values[rows, cols] = 0
+            return
+        last_row, last_col = (n - 1 for n in self._shape(shift + 1))
+        outer = Region(
+            region.row >> 1,
+            region.col >> 1,
+            min(region.row + region.n_rows >> 1, last_row) - (region.row >> 1) + 1,
+            min(region.col + region.n_cols >> 1, last_col) - (region.col >> 1) + 1,
         )
-        outer = Region(region.row >> 1, region.col >> 1, 0, 0)
-        outer = Region(outer.row, outer.col, row_end - outer.row + 1, col_end - outer.col + 1)
-        known = coarse.read(outer).astype(np.int64)
-        above, below = (rows >> 1) - outer.row, np.minimum(rows + 1 >> 1, last_row) - outer.row
-        left, right = (cols >> 1) - outer.col, np.minimum(cols + 1 >> 1, last_col) - outer.col
-        pairs = known[above] + known[below]
-        return (pairs[:, left] + pairs[:, right] + 2 >> 2).astype(np.int32)
+        coarse = self._fills[shift + 1].read(outer)
+        above, left = (rows + region.row >> 1) - outer.row, (cols + region.col >> 1) - outer.col
+        below = np.minimum(rows + region.row + 1 >> 1, last_row) - outer.row
+        right = np.minimum(cols + region.col + 1 >> 1, last_col) - outer.col
+        total = np.full(rows.shape, 2, dtype=np.int64)
+        for row, col in ((above, left), (above, right), (below, left), (below, right)):
+            total += coarse[row, col]
+        values[rows, cols] = total >> 2
 
     def _gather(
         self,
@@ -385,23 +386,28 @@ class Pyramid:
         Row 2 i + halo of the result lies on row ``coarse.row + i``; places past the raster's edge
         repeat its border.
         """
-        n_rows, n_cols = self._shape(shift)
-        rows = np.clip(_halo_places(coarse.row, coarse.n_rows, halo), 0, n_rows - 1)
-        cols = np.clip(_halo_places(coarse.col, coarse.n_cols, halo), 0, n_cols - 1)
-        window = Region(
-            int(rows.min()), int(cols.min()), int(np.ptp(rows)) + 1, int(np.ptp(cols)) + 1
+        around = Region(
+            2 * coarse.row - halo,
+            2 * coarse.col - halo,
+            2 * (coarse.n_rows - 1 + halo) + 1,
+            2 * (coarse.n_cols - 1 + halo) + 1,
         )
+        window = around.intersect(Region(0, 0, *self._shape(shift)))
         values = read(window)
-        if rows.size == window.n_rows and cols.size == window.n_cols:
+        if window == around:
             return values
-        return values[rows - window.row][:, cols - window.col]
+        top, left = window.row - around.row, window.col - around.col
+        bottom, right = top + window.n_rows, left + window.n_cols
+        repeated = np.empty(around.shape, dtype=values.dtype)
+        repeated[top:bottom, left:right] = values
+        repeated[top:bottom, :left] = values[:, :1]
+        repeated[top:bottom, right:] = values[:, -1:]
+        repeated[:top] = repeated[top]
+        repeated[bottom:] = repeated[bottom - 1]
+        return repeated
 
     def _for_each_window(self, spool: Spool, make: Callable[[Region], NDArray[np.generic]]) -> None:
         for _ in self._executor.map(
             lambda region: spool.write(region, make(region)), spool.region.tiles(TILE, TILE)
         ):
             pass
-
-
-def _halo_places(first: int, n: int, halo: int) -> NDArray[np.intp]:
-    return np.arange(2 * first - halo, 2 * (first + n - 1) + halo + 1)
