@@ -49,6 +49,21 @@ def test_auto_is_the_fast_method_unless_the_other_saves_much(heights, method):
         assert np.abs(file.read().astype(int) - raster).max() <= 1
 
 
+@pytest.mark.parametrize(
+    ("n_saved", "n_bytes", "is_worth"),
+    [
+        (400, 20_000, True),  # 2 %, 1/8 bit per sample
+        (300, 20_000, False),  # 1.5 %, less than 1/9 bit
+        (120, 2_000, True),  # 6 %, more than 1/32 bit
+        (80, 2_000, False),  # 4 %
+        (90, 900, False),  # 10 %, less than 1/32 bit
+        (-90, 900, False),
+    ],
+)
+def test_what_is_saved_counts_by_share_and_by_sample(n_saved, n_bytes, is_worth):
+    assert choice._is_worth(n_saved, n_bytes, 25_600) == is_worth
+
+
 @pytest.mark.parametrize("method", ["rapid", "predictive"])
 def test_auto_gives_the_bytes_of_the_method_on_any_number_of_threads(monkeypatch, method):
     raster = terrain_like(140, 130, seed=4)

@@ -2,7 +2,7 @@
 
 That follows from the raster alone: windows chosen by position are coded with each method, as if
 they were rasters of their own. So it is the same for any number of threads and on any cluster.
-Why there are two thresholds is in docs/decisions/0013.
+Why there are three thresholds is in docs/decisions/0013.
 """
 
 from collections.abc import Callable
@@ -17,9 +17,12 @@ from terrainwave.write.job import Job
 # A slower method must take so much less in windows, in percent: of files that is about 8, as each
 # window pays for what a file learns once.
 _LEAST_SAVED = 5
-# Or it must save a byte in so many samples, as on rough ground, where the share is less: 1/9 bit
+# And it must save a byte in so many samples, 1/32 bit per sample: the smallest files are a few
+# hundredths of a bit, and a tenth of them is not worth being read five times slower.
+_MOST_SAMPLES_PER_BYTE = 256
+# On rough ground the share is less, but what is saved is not: this is enough without it, 1/9 bit
 # per sample, of files about 1/6. What it costs is time, and that is by the sample too.
-_MOST_SAMPLES_PER_BYTE = 72
+_ENOUGH_SAMPLES_PER_BYTE = 72
 # Windows are coded with one try for each plane, which is faster and less to compile.
 _EFFORT = EFFORTS.index("fast")
 # Samples a side of a window, samples of the raster for one, and the fewest and most of them.
@@ -54,7 +57,9 @@ def prepared(job: Job, heights: Reader, mask: MaskReader) -> tuple[Job, Refiner,
 
 def _is_worth(n_saved: int, n_bytes: int, n_samples: int) -> bool:
     """Return whether a slower method saves enough of the bytes that windows take."""
-    return 100 * n_saved >= _LEAST_SAVED * n_bytes or _MOST_SAMPLES_PER_BYTE * n_saved >= n_samples
+    is_share = 100 * n_saved >= _LEAST_SAVED * n_bytes
+    limit = _MOST_SAMPLES_PER_BYTE if is_share else _ENOUGH_SAMPLES_PER_BYTE
+    return limit * n_saved >= n_samples
 
 
 def _fitted(job: Job, heights: Reader, mask: MaskReader) -> tuple[Refiner, bytes]:
