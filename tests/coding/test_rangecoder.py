@@ -15,7 +15,9 @@ from terrainwave.coding.rangecoder import (
     code_bit,
     code_magnitude,
     code_mixed_step,
+    code_ones,
     code_raw,
+    code_step,
     finish_decoder,
     finish_encoder,
     new_decoder,
@@ -78,6 +80,44 @@ def test_bits_come_back(pairs):
     bits = np.array([b for b, _ in pairs], dtype=np.uint8)
     contexts = np.array([c for _, c in pairs], dtype=np.int64)
     assert decoded(encoded(bits, contexts, 4), contexts, 4).tolist() == bits.tolist()
+
+
+@kernel
+def code_runs(bits, coder, coded):
+    """Code bits with model 0: ones in runs, zeros one by one."""
+    state, stream, models, is_encoder = coder
+    at = take_out(state)
+    i, n = 0, bits.shape[0]
+    while i < n:
+        end = n
+        if is_encoder is not None:
+            end = i
+            while end < n and bits[end]:
+                end += 1
+        n_ones, at = code_ones(at, state, stream, models, is_encoder, 0, end - i)
+        coded[i : i + n_ones] = 1
+        i += n_ones
+        if i < n:
+            coded[i], at = code_step(at, state, stream, models, is_encoder, 0, np.int64(bits[i]))
+            i += 1
+    put_back(at, state, is_encoder)
+
+
+@settings(deadline=None)  # the first example compiles
+@given(st.lists(st.integers(0, 300), max_size=12), st.booleans())
+def test_runs_of_ones_are_coded_as_they_are_one_by_one(runs, ends_with_a_zero):
+    bits = np.array([bit for run in runs for bit in [1] * run + [0]], dtype=np.uint8)
+    bits = bits if ends_with_a_zero else bits[:-1]
+    expected = encoded(bits, np.zeros(len(bits), dtype=np.int64), 1)
+    out = np.zeros(2 * len(bits) + 16, dtype=np.uint8)
+    encoder, decoder = new_encoder(out, new_models(1)), new_decoder(expected, new_models(1))
+    code_runs(bits, encoder, np.zeros_like(bits))
+    assert out[: finish_encoder(encoder.state, out)].tobytes() == expected.tobytes()
+    found = np.zeros_like(bits)
+    code_runs(found, decoder, found)
+    raise_for_status(*finish_decoder(decoder.state, decoder.stream))
+    assert found.tolist() == bits.tolist()
+    assert decoder.models == encoder.models
 
 
 def test_the_example_of_the_format():

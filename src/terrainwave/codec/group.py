@@ -151,18 +151,23 @@ def voids_below(region: Region, outer: Region, outer_mask: Mask) -> Mask:
     """
     if outer_mask.all():
         return np.zeros(region.shape, dtype=np.bool_)
-    void = ~outer_mask
-    rows = void[_touching(region.row, region.n_rows, outer.row, outer.n_rows, 0)]
-    rows |= void[_touching(region.row, region.n_rows, outer.row, outer.n_rows, 1)]
-    implied: Mask = rows[:, _touching(region.col, region.n_cols, outer.col, outer.n_cols, 0)]
-    implied |= rows[:, _touching(region.col, region.n_cols, outer.col, outer.n_cols, 1)]
-    return implied
+    # By columns while there are half as many rows.
+    by_cols = _spread((~outer_mask).T, region.col, region.n_cols, outer.col).T
+    return _spread(np.ascontiguousarray(by_cols), region.row, region.n_rows, outer.row)
 
 
-def _touching(first: int, n: int, outer_first: int, outer_n: int, upper: int) -> NDArray[np.intp]:
-    """Return, for each sample of an axis, the index of the parent's sample below or above it."""
-    places = np.arange(first, first + n) + upper >> 1
-    return np.clip(places - outer_first, 0, outer_n - 1)
+def _spread(void: Mask, first: int, n: int, outer_first: int) -> Mask:
+    """Return, for `n` rows from `first` on, where a row of `void` that touches them is set.
+
+    Row i of this level touches rows i >> 1 and i + 1 >> 1 of `void`, which begins at `outer_first`.
+    """
+    n_pairs = (first + n + 1 >> 1) - (first >> 1)
+    places = np.arange(n_pairs + 1) + (first >> 1) - outer_first
+    near = void[np.clip(places, 0, void.shape[0] - 1)]
+    spread = np.empty((2 * n_pairs, void.shape[1]), dtype=np.bool_)
+    spread[::2] = near[:-1]
+    np.logical_or(near[:-1], near[1:], out=spread[1::2])
+    return spread[first & 1 :][:n]
 
 
 def _as_direct(refiner: Refiner) -> DirectRefiner | None:

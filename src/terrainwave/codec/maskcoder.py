@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from terrainwave.codec.refiner import Mask
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
+    code_ones,
     code_step,
     finish_decoder,
     finish_encoder,
@@ -28,6 +29,10 @@ from terrainwave.coding.status import raise_for_status
 _N_AHEAD = 9
 _FARTHEST = 2
 N_MASK_MODELS = 64 * _N_AHEAD
+# Where all six neighbours are valid and no void is ahead: what `row_contexts` says, and the model.
+_INSIDE = 29 * _N_AHEAD
+_ALL_VALID = 63 * _N_AHEAD
+_IMPLIED = -1
 # Start probabilities in 1/256, from tools/train_masks.py; an annex of the format, never edited.
 _STARTS = (
     "5d#Sn1_Bfm1`Y-dA|U}HA|Mk4D=7#9DJdxv8&p(J9aL0QZ5AbEWfEm&WiAB^Jv{|IJw0G)cXxMWcXxL>O>AszQfz"
@@ -57,8 +62,8 @@ def encode_mask(mask: Mask, implied: Mask) -> bytes:
     """
     out = np.empty(_BYTES_PER_SAMPLE * mask.size + 8, dtype=np.uint8)
     coder = new_encoder(out, start_models())
-    mask, implied = np.ascontiguousarray(mask), np.ascontiguousarray(implied)
-    _code_mask(mask, implied, coder, *_surroundings(implied))
+    mask = np.ascontiguousarray(mask)
+    _code_mask(mask, coder, *_surroundings(implied))
     n_bytes = finish_encoder(coder.state, out)
     return out[:n_bytes].tobytes()
 
@@ -72,9 +77,8 @@ def decode_mask(data: bytes, implied: Mask) -> Mask:
         If the bytes are not exactly one mask.
     """
     coder = new_decoder(data, start_models())
-    implied = np.ascontiguousarray(implied)
     surroundings = _surroundings(implied)
-    _code_mask(None, implied, coder, *surroundings)
+    _code_mask(None, coder, *surroundings)
     raise_for_status(*finish_decoder(coder.state, coder.stream))
     return surroundings.padded[2:, 2:-1].copy()
 
@@ -109,6 +113,8 @@ def pad_implied(implied: Mask) -> NDArray[np.uint8]:
 def row_contexts(padded, ahead, row, contexts):
     """Fill `contexts` with the part of each sample's model that its own row does not decide.
 
+    That is _IMPLIED where the sample is implied to be void, and not coded.
+
     `padded` holds the mask behind two rows and columns of voids: samples outside the unit count as
     void. `ahead` is what is implied, with one column before, two behind and two rows below that are
     not.
@@ -125,27 +131,47 @@ def row_contexts(padded, ahead, row, contexts):
         )
         near = np.int64(here[col + 2]) + below[col + 1]
         far = np.int64(here[col + 3]) + below[col] + below[col + 2] + below2[col + 1]
-        contexts[col] = causal * _N_AHEAD + 3 * near + min(far, _FARTHEST)
+        context = causal * _N_AHEAD + 3 * near + min(far, _FARTHEST)
+        contexts[col] = _IMPLIED if here[col + 1] else context
 
 
 @kernel
-def _code_mask(mask, implied, coder, ahead, contexts, padded):
+def _code_mask(mask, coder, ahead, contexts, padded):
     """Encode `mask` in raster order, or decode where it is None; either way into `padded`."""
-    n_rows, n_cols = implied.shape
+    n_rows, n_cols = padded.shape[0] - 2, contexts.shape[0]
     state, stream, models, is_encoder = coder
     at = take_out(state)
     for row in range(n_rows):
         row_contexts(padded, ahead, row, contexts)
         west = west2 = np.int64(0)
-        for col in range(n_cols):
+        col = end = 0
+        while col < n_cols:
+            if west & west2 and contexts[col] == _INSIDE:
+                end = max(end, col)
+                while end < n_cols and contexts[end] == _INSIDE:
+                    end += 1
+                last = end
+                if mask is not None:
+                    last = col
+                    while last < end and mask[row, last]:
+                        last += 1
+                n_ones, at = code_ones(
+                    at, state, stream, models, is_encoder, _ALL_VALID, last - col
+                )
+                for _ in range(n_ones):
+                    padded[row + 2, col + 2] = True
+                    col += 1
+                if col == n_cols:
+                    break
             bit = np.int64(0)
-            if not implied[row, col]:
+            if contexts[col] != _IMPLIED:
                 if mask is not None:
                     bit = np.int64(mask[row, col])
                 model = contexts[col] + (32 * west + 2 * west2) * _N_AHEAD
                 bit, at = code_step(at, state, stream, models, is_encoder, model, bit)
             padded[row + 2, col + 2] = bit == 1
             west2, west = west, bit
+            col += 1
         if mask is None and at[2] > stream.shape[0] + 4:
             break  # `finish_decoder` says so
     put_back(at, state, is_encoder)
