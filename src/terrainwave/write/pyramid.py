@@ -354,10 +354,12 @@ class Pyramid:
 
     def _fill(self, shift: int, region: Region, values: Heights, known: Mask) -> None:
         """Interpolate the filled level above where values of a region are not known."""
-        rows, cols = np.nonzero(~known)
+        # Flat places: a 2-D mask gives its own, and takes them, at a quarter of the speed.
+        places = np.flatnonzero(~known)
         if shift + 1 not in self._fills:  # a raster of one sample has no level above
-            values[rows, cols] = 0
+            np.put(values, places, 0)
             return
+        rows, cols = np.divmod(places, region.n_cols)
         last_row, last_col = (n - 1 for n in self._shape(shift + 1))
         outer = Region(
             region.row >> 1,
@@ -369,10 +371,11 @@ class Pyramid:
         above, left = (rows + region.row >> 1) - outer.row, (cols + region.col >> 1) - outer.col
         below = np.minimum(rows + region.row + 1 >> 1, last_row) - outer.row
         right = np.minimum(cols + region.col + 1 >> 1, last_col) - outer.col
-        total = np.full(rows.shape, 2, dtype=np.int64)
-        for row, col in ((above, left), (above, right), (below, left), (below, right)):
-            total += coarse[row, col]
-        values[rows, cols] = total >> 2
+        total = np.full(places.shape, 2, dtype=np.int64)
+        for row in (above * outer.n_cols, below * outer.n_cols):
+            for col in (left, right):
+                total += coarse.take(row + col)
+        np.put(values, places, total >> 2)
 
     def _gather(
         self,
