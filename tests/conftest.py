@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+from terrainwave.coding.jit import all_compiled
+
 # A silent overflow in an encoder is a broken bound in a file.
 np.seterr(all="raise")
 
@@ -37,9 +39,9 @@ settings.load_profile("fast")
 # marked `kernels`, and run with bounds checked, too.
 WITHOUT_KERNELS = {
     "benchmarks", "cli", "container", "ext", "raster_io",
-    "test_architecture.py", "test_docs.py", "test_examples.py", "test_faults.py",
-    "test_format_example.py", "test_javascript_kernels.py", "test_window.py", "test_archive.py",
-    "test_polynomials.py",
+    "test_architecture.py", "test_compiler.py", "test_docs.py", "test_examples.py",
+    "test_faults.py", "test_format_example.py", "test_javascript_kernels.py", "test_window.py",
+    "test_archive.py", "test_polynomials.py",
 }  # fmt: skip
 # Tests of whole files: what their kernels compute has tests of its own. The others with kernels run
 # as plain Python, too, unless they are `large`.
@@ -50,7 +52,8 @@ FIRST = ("test_warmup.py", "test_terrain.py", "tri")
 
 
 def pytest_configure(config):
-    """Let workers compile each kernel once, where they share a cache."""
+    """Compile rare kernels, too; let workers compile each kernel once, where they share a cache."""
+    all_compiled().__enter__()
     if hasattr(config, "workerinput") and "NUMBA_CACHE_DIR" in os.environ and not WITHOUT_JIT:
         _compile_in_turns(Path(os.environ["NUMBA_CACHE_DIR"]))
 

@@ -35,8 +35,11 @@ def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
     tasks : sequence of str
         Of `TASKS`. Each needs files, so that what ``compress`` needs is always compiled.
     """
+    # Imported here: numba.
+    from terrainwave.coding.jit import all_compiled
+
     left_out = []
-    with system_scratch() as folder, warnings.catch_warnings():
+    with system_scratch() as folder, warnings.catch_warnings(), all_compiled():
         warnings.simplefilter("ignore", TerrainwaveWarning)
         _compress(folder)
         for task in tasks or TASKS:

@@ -397,7 +397,7 @@ def _code_corner(unit: _Unit, place: int) -> None:
     """Encode or decode a sample that nothing predicts, on a grid of steps from the lowest height.
 
     It takes raw bits; a void one none, and the middle of the range of heights. There are a few of
-    these in a file: `read_bits` and `write_bits` would each be compiled once more for them.
+    these in a file, too few to compile anything for.
     """
     scale, streams = unit.scale, unit.streams
     if unit.has_void and not unit.valid[place]:

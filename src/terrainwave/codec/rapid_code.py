@@ -178,9 +178,9 @@ def _code_raw(m, at, n, is_encoding, has_void, most, places, raw, n_bits):
             continue
         if is_encoding:
             bits = np.int64(m[DETAIL + k]) & ((np.int64(1) << n_low) - 1)
-            write_bits(raw, bit_pos, bits)
+            _write_bits(raw, bit_pos, bits)
         else:
-            bits = read_bits(raw, bit_pos, n_low)
+            bits = _read_bits(raw, bit_pos, n_low)
             sign = np.int64(1) << (ESCAPE_BITS - 1)
             upper = np.int64(m[DETAIL + k]) << n_low
             detail = (bits ^ sign) - sign if is_escape else upper | bits
@@ -211,8 +211,8 @@ def note_errors(m, n, own):
         m[to + j] = min(cast(error >> shift), cast(MOST_ERROR))
 
 
-@inlined_kernel
-def read_bits(raw, bit_pos, n):
+@kernel_part
+def _read_bits(raw, bit_pos, n):
     """Return `n` <= 33 bits from a bit on, the first one lowest."""
     at = np.uint64(bit_pos >> 5)
     both = np.uint64(raw[at]) | np.uint64(raw[at + np.uint64(1)]) << np.uint64(32)
@@ -220,8 +220,8 @@ def read_bits(raw, bit_pos, n):
     return np.int64(shifted & ((np.uint64(1) << np.uint64(n)) - np.uint64(1)))
 
 
-@inlined_kernel
-def write_bits(raw, bit_pos, bits):
+@kernel_part
+def _write_bits(raw, bit_pos, bits):
     """Put bits, at most 33, where all following ones are still 0."""
     at = np.uint64(bit_pos >> 5)
     both = np.uint64(bits) << np.uint64(bit_pos & 31)

@@ -11,7 +11,7 @@ from terrainwave.codec.lattice import HH, HL, LH
 from terrainwave.codec.rapid_code import ESCAPE, N_SYMBOLS
 from terrainwave.codec.rapid_layout import CORES, MAX_TAPS, TAPS
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS
-from terrainwave.coding.jit import kernel
+from terrainwave.coding.jit import kernel, rare_kernel
 from terrainwave.coding.rangecoder import (
     MAGNITUDE_MODELS,
     N_UNARY,
@@ -340,7 +340,7 @@ def _tap_kinds() -> NDArray[np.int64]:
     return kinds
 
 
-@kernel
+@rare_kernel
 def _code_tables(coder, head, stencils, is_own, codes, tap_kinds, trained, rests):
     """Code the numbers of a section in place; return what is wrong with them, and where.
 

@@ -3,12 +3,18 @@
 import hashlib
 import os
 import re
+import time
 from collections.abc import Callable, Iterable, Iterator
-from functools import lru_cache
+from contextlib import contextmanager
+from functools import cached_property, lru_cache
+from types import FunctionType
 from typing import Any
 
-from numba import njit, types
-from numba.core import event
+from numba import njit, typeof, types
+from numba.core import config, event
+from numba.core.registry import CPUDispatcher
+
+from terrainwave.coding.compiler import Kernel
 
 # Numba does not notice edits in a callee's file; switch caching off while editing.
 _CACHE = os.environ.get("TERRAINWAVE_NUMBA_CACHE", "1") != "0"
@@ -90,14 +96,28 @@ def inlined_kernel(function: Callable[..., Any]) -> Any:
 def kernel_part(function: Callable[..., Any]) -> Any:
     """Make `function` a part of the kernels that call it, as if its text stood there.
 
-    Numba compiles each kernel on its own, and once more within each kernel above it. What has one
-    caller in compiled code and none in Python costs half as a part; at two calls it is there twice.
+    Numba copies it in before it infers types, which costs less than a call of it. At two calls it
+    is there twice.
     """
     return njit(inline="always", nogil=True)(function)
 
 
+def rare_kernel(function: Callable[..., Any]) -> Any:
+    """Compile `function` as `kernel` does, once plain Python has taken long enough for it.
+
+    For what Python calls now and then on little data: compiling would take longer than that ever
+    will. No kernel can call it.
+    """
+    compiled = kernel(function)
+    return compiled if config.DISABLE_JIT else _RareKernel(compiled)
+
+
 def _compile(function: Callable[..., Any], *, is_inlined: bool) -> Any:
+    if config.DISABLE_JIT:
+        return function
     options: dict[str, Any] = {
+        "nopython": True,
+        "boundscheck": None,  # as NUMBA_BOUNDSCHECK says
         "fastmath": False,
         "nogil": True,
         "forceinline": is_inlined,
@@ -106,7 +126,8 @@ def _compile(function: Callable[..., Any], *, is_inlined: bool) -> Any:
     }
     if _CACHE:
         try:
-            dispatcher = njit(cache=True, **options)(function)
+            dispatcher = Kernel(function, targetoptions=options)
+            dispatcher.enable_caching()
             _extend_cache_stamp(dispatcher)
             return dispatcher
         except (RuntimeError, AttributeError, OSError):
@@ -114,7 +135,70 @@ def _compile(function: Callable[..., Any], *, is_inlined: bool) -> Any:
             # numba that stores its stamp elsewhere: compile in every process rather than risk a
             # stale kernel.
             pass
-    return njit(cache=False, **options)(function)
+    return Kernel(function, targetoptions=options)
+
+
+# Seconds that plain Python may take for a rare kernel in a process; those that are rare take about
+# as long to compile.
+_MOST_PLAIN_SECONDS = 1.0
+_is_patient = True
+
+
+@contextmanager
+def all_compiled() -> Iterator[None]:
+    """Compile rare kernels, too, when they are called."""
+    global _is_patient
+    before, _is_patient = _is_patient, False
+    try:
+        yield
+    finally:
+        _is_patient = before
+
+
+class _RareKernel:
+    """What `rare_kernel` returns."""
+
+    def __init__(self, compiled: Kernel) -> None:
+        self._compiled = compiled
+        self._seconds = 0.0
+        self._are_missing: set[tuple[Any, ...]] = set()
+
+    def __call__(self, *arguments: Any) -> Any:
+        if not _is_patient or self._seconds > _MOST_PLAIN_SECONDS or self._is_at_hand(arguments):
+            return self._compiled(*arguments)
+        start = time.perf_counter()
+        try:
+            return self._plain(*arguments)
+        finally:
+            self._seconds += time.perf_counter() - start
+
+    def _is_at_hand(self, arguments: tuple[Any, ...]) -> bool:
+        """Return whether it has been compiled for arguments of such types, in any process."""
+        found = tuple(typeof(argument) for argument in arguments)
+        if found in self._compiled.overloads:
+            return True
+        if found not in self._are_missing:
+            if self._compiled._cache.load_overload(found, self._compiled.targetctx) is not None:
+                return True
+            self._are_missing.add(found)
+        return False
+
+    @cached_property
+    def _plain(self) -> Callable[..., Any]:
+        return _as_plain(self._compiled, {})
+
+
+def _as_plain(compiled: CPUDispatcher, done: dict[Any, Callable[..., Any]]) -> Callable[..., Any]:
+    """Return a kernel as plain Python, which calls what it calls as plain Python, too."""
+    function = compiled.py_func
+    if function not in done:
+        names = dict(function.__globals__)
+        plain = FunctionType(function.__code__, names, function.__name__, function.__defaults__)
+        done[function] = plain
+        for name in function.__code__.co_names:
+            if isinstance(names.get(name), CPUDispatcher):
+                names[name] = _as_plain(names[name], done)
+    return done[function]
 
 
 def _extend_cache_stamp(dispatcher: Any) -> None:
@@ -123,8 +207,6 @@ def _extend_cache_stamp(dispatcher: Any) -> None:
     In compiled code the fields of a named tuple are places. A kernel may be given one whose class
     its own file does not import, so the names of the fields go into the entry's key.
     """
-    if not hasattr(dispatcher, "_cache"):
-        return  # NUMBA_DISABLE_JIT: the function itself
     cache = dispatcher._cache
     cache_file = cache._cache_file
     digest = _digest(dispatcher.py_func.__code__.co_filename)

@@ -21,7 +21,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.coding.jit import inlined_kernel, kernel
+from terrainwave.coding.jit import inlined_kernel, kernel, rare_kernel
 from terrainwave.coding.status import Status
 
 # Indices into the state array (int64) of an encoder or a decoder. The *point* is an encoder's LOW,
@@ -119,7 +119,7 @@ def start_encoder() -> NDArray[np.int64]:
     return state
 
 
-@kernel
+@rare_kernel
 def reset_encoder(state):
     """Set `state` to that of an encoder that has written nothing."""
     state[RANGE] = _MASK32
@@ -181,7 +181,7 @@ def _refilled(span, code, pos, data):
     return span, code, pos
 
 
-@kernel
+@rare_kernel
 def finish_encoder(state, out):
     """Write the last byte; return the number of bytes of the stream.
 
@@ -195,7 +195,7 @@ def finish_encoder(state, out):
     return state[BYTE_POS]
 
 
-@kernel
+@rare_kernel
 def start_decoder(state, data):
     """Set `state` to the start of `data` (uint8)."""
     code = np.int64(0)
@@ -209,7 +209,7 @@ def start_decoder(state, data):
     state[BYTE_POS] = 4
 
 
-@kernel
+@rare_kernel
 def finish_decoder(state, data):
     """Return (status, position): OK if `data` ends exactly where the encoder ended it.
 

@@ -1,0 +1,187 @@
+"""How kernels are compiled.
+
+Numba compiles a kernel to the end (optimised, turned into instructions, wrapped for Python, stored)
+before it links it into a kernel that calls it, where all of it but the wrapper is done once more.
+Here a kernel has two sides. What Python calls is numba's own; what kernels call, a `_Part`, is only
+typed and lowered, and optimised where it ends up: as fast, and two thirds of the time to compile.
+
+The compiler is numba's, put together anew by its documented ways (pipelines of passes, classes for
+libraries), and by some attributes that are private.
+"""
+
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler, DefaultPassBuilder
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.compiler_machinery import register_pass
+from numba.core.inline_closurecall import InlineWorker
+from numba.core.registry import CPUDispatcher
+from numba.core.typed_passes import NativeLowering
+from numba.core.untyped_passes import InlineInlinables
+
+
+class Kernel(CPUDispatcher):
+    """What Python calls; kernels that call it get its `_Part`."""
+
+    def __init__(
+        self,
+        py_func: Callable[..., Any],
+        locals: dict[str, Any] | None = None,
+        targetoptions: dict[str, Any] | None = None,
+        pipeline_class: type[Compiler] | None = None,
+    ) -> None:
+        super().__init__(py_func, locals, targetoptions, pipeline_class or _KernelCompiler)
+        options = {**(targetoptions or {}), "no_cpython_wrapper": True}
+        self._part = _Part(py_func, locals, options, _PartCompiler)
+
+    def compile(self, sig: Any) -> Any:
+        """Compile for some types, or load what has been compiled for them."""
+        with global_compiler_lock, _without_collector():
+            entry = super().compile(sig)
+            # Parts were never made ready to be called: the objects that their code refers to.
+            found = self.overloads.get(tuple(getattr(sig, "args", sig)))
+            if found is not None and self._cache_misses:
+                for environment in found._find_referenced_environments():
+                    found.library.codegen.set_env(environment.env_name, environment)
+            return entry
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Return how another kernel calls this one."""
+        return self._part.get_call_template(args, kws)
+
+    def get_overload(self, sig: Any) -> Any:
+        """Return what stands for this kernel in another one."""
+        return self._part.get_overload(sig)
+
+    @property
+    def is_compiling(self) -> Any:
+        """Whether it is being compiled: then its calls of itself are told from others."""
+        return self._compiling_counter or self._part._compiling_counter
+
+
+class _Part(CPUDispatcher):
+    """A kernel as others call it."""
+
+    def compile(self, sig: Any) -> Any:
+        args = tuple(sig)
+        found = self.overloads.get(args)
+        if found is None:
+            with self._compiling_counter:
+                found = self.overloads[args] = self._compiler.compile(args, None)
+        return found.entry_point
+
+
+class _Inliner(InlineWorker):
+    """Numba's worker for parts of kernels, which copies each of them twice to keep its IR."""
+
+    def __init__(self, worker: InlineWorker) -> None:
+        self.__dict__.update(worker.__dict__)
+        self._compiler_pipeline = _untyped_passes
+
+    def run_untyped_passes(self, func: Any, enable_ssa: bool = False) -> Any:
+        """Return the IR of a part; nobody else has it, so that a copy of a block may be itself."""
+        found = super().run_untyped_passes(func, enable_ssa)
+        for block in found.blocks.values():
+            block.__deepcopy__ = lambda _memo, block=block: block
+        return found
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _Inlining(InlineInlinables):
+    """Inline parts of kernels."""
+
+    _name = "part_inlining"
+
+    def _do_work(self, *arguments: Any) -> Any:
+        *others, worker = arguments
+        return super()._do_work(*others, _Inliner(worker))
+
+
+def _untyped_passes(state: Any) -> Any:
+    """Return numba's passes before types are inferred, with our own among them."""
+    return _replaced(DefaultPassBuilder.define_untyped_pipeline(state), _OF_KERNELS)
+
+
+def _replaced(passes: Any, others: dict[type, type]) -> Any:
+    """Return a pipeline with some passes replaced, in place."""
+    passes.passes = [(others.get(one, one), text) for one, text in passes.passes]
+    passes._finalized = False
+    passes.finalize()
+    return passes
+
+
+class _KernelCompiler(Compiler):
+    """Numba's compiler with a faster way to inline."""
+
+    def define_pipelines(self) -> list[Any]:
+        """Return numba's passes, with our own among them."""
+        return [_replaced(passes, _OF_KERNELS) for passes in super().define_pipelines()]
+
+
+class _PartCompiler(Compiler):
+    """The same up to code that has not been optimised."""
+
+    def define_pipelines(self) -> list[Any]:
+        """Return numba's passes, with our own among them."""
+        return [_replaced(passes, _OF_PARTS) for passes in super().define_pipelines()]
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _PartLowering(NativeLowering):
+    """Lower into a `_PartLibrary`."""
+
+    _name = "part_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        """Lower a function; let others find it by an object that only stands for it."""
+
+        def entry(*_: Any) -> None:
+            raise AssertionError("a part of kernels is never called from Python")
+
+        state.library = _PartLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.flags.no_compile = True
+        super().run_pass(state)
+        lowered = state["cr"]
+        state.targetctx.insert_user_function(entry, lowered.fndesc, [state.library])
+        state["cr"] = lowered._replace(cfunc=entry)
+        return True
+
+
+class _PartLibrary(JITCodeLibrary):
+    """Code that is linked into that of others before it is optimised."""
+
+    def add_llvm_module(self, module: Any) -> None:
+        """Take a module's functions, simplified; without that, loops end up slower."""
+        module.data_layout = self._codegen._data_layout
+        passes, builder = self._codegen._function_pass_manager()
+        for function in module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
+        self._final_module.link_in(module)
+
+    def finalize(self) -> None:
+        """Link what these functions call; leave the rest to the library that they end up in."""
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalized = True
+
+
+_OF_KERNELS: dict[type, type] = {InlineInlinables: _Inlining}
+_OF_PARTS = {**_OF_KERNELS, NativeLowering: _PartLowering}
+
+
+@contextmanager
+def _without_collector() -> Iterator[None]:
+    """Let no garbage be collected: a compiler makes much of what stays, and little garbage."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()

@@ -1,0 +1,160 @@
+"""Do kernels that are called by kernels and by Python, or seldom, do what they should?"""
+
+import gc
+import os
+
+import numpy as np
+import pytest
+from numba.core import event
+
+from terrainwave.codec.rapid_parameters import (
+    FileStencil,
+    FileTables,
+    Tables,
+    default_codes,
+    pack_parameters,
+    parse_parameters,
+)
+from terrainwave.coding import jit
+from terrainwave.coding.jit import all_compiled, inlined_kernel, kernel, kernel_part, rare_kernel
+
+needs_jit = pytest.mark.skipif(
+    os.environ.get("NUMBA_DISABLE_JIT", "0") not in {"", "0"}, reason="nothing is compiled"
+)
+
+
+@kernel
+def doubled(number):
+    return 2 * number
+
+
+@inlined_kernel
+def tripled(number):
+    return 3 * number
+
+
+@kernel_part
+def summed(numbers):
+    total = 0
+    for number in numbers:
+        total += doubled(number)
+    return total
+
+
+@kernel
+def all_three(numbers):
+    return summed(numbers) + tripled(numbers[0]) + doubled(numbers[1])
+
+
+@kernel
+def factorial(number):
+    if number <= 1:
+        return 1
+    return number * factorial(number - 1)
+
+
+@kernel
+def of_factorials(number):
+    return factorial(number) + factorial(number + 1)
+
+
+@kernel
+def filled(numbers):
+    return numbers.sum() if numbers.shape[0] else np.zeros(4).sum()
+
+
+@kernel
+def of_library(n):
+    return filled(np.arange(n))
+
+
+@rare_kernel
+def quadrupled(number):
+    return doubled(doubled(number))
+
+
+def compiled_by(task):
+    """Return the kernels, by name, that a task has compiled for Python."""
+    with event.install_recorder("numba:compile") as recorder:
+        task()
+    functions = [e.data["dispatcher"].py_func for _, e in recorder.buffer]
+    return {f.__name__ for f in functions if f.__module__ == __name__}
+
+
+def test_kernels_parts_and_inlined_kernels_call_one_another():
+    numbers = np.array([5, 7, 11])
+    assert all_three(numbers) == 2 * (5 + 7 + 11) + 3 * 5 + 2 * 7
+
+
+def test_a_kernel_that_kernels_call_is_there_for_python_too():
+    assert all_three(np.array([1.5, 2.5])) == 2 * 4.0 + 4.5 + 5.0
+    assert doubled(4.25) == 8.5
+
+
+def test_kernels_may_call_themselves():
+    assert factorial(5) == 120
+    assert of_factorials(4) == 24 + 120
+
+
+def test_parts_may_use_what_numba_brings():
+    assert of_library(5) == 10
+    assert of_library(0) == 0
+
+
+@needs_jit
+def test_what_only_kernels_call_is_not_compiled_for_python():
+    assert compiled_by(lambda: all_three(np.array([1, 2], dtype=np.int16))) == {"all_three"}
+
+
+@needs_jit
+def test_the_collector_is_on_again_after_a_compilation():
+    assert gc.isenabled()
+    all_three(np.array([1, 2], dtype=np.uint8))
+    assert gc.isenabled()
+    with pytest.raises(Exception, match="string"):
+        doubled.compile(("string",))
+    assert gc.isenabled()
+
+
+@needs_jit
+def test_a_rare_kernel_is_plain_until_it_has_taken_long(monkeypatch):
+    monkeypatch.setattr(jit, "_is_patient", True)
+    assert compiled_by(lambda: quadrupled(np.int16(3))) == set()
+    assert quadrupled(np.int16(3)) == 12
+    assert quadrupled._seconds > 0
+    monkeypatch.setattr(quadrupled, "_seconds", 2.0)
+    assert compiled_by(lambda: quadrupled(np.int16(3))) == {"quadrupled"}
+    assert quadrupled(np.int16(3)) == 12
+
+
+@needs_jit
+def test_a_rare_kernel_that_has_been_compiled_is_used(monkeypatch):
+    with all_compiled():
+        assert compiled_by(lambda: quadrupled(np.int8(3))) == {"quadrupled"}
+    monkeypatch.setattr(jit, "_is_patient", True)
+    monkeypatch.setattr(quadrupled, "_plain", None)
+    assert quadrupled(np.int8(3)) == 12
+
+
+@needs_jit
+def test_tables_of_files_are_the_same_by_plain_python(monkeypatch):
+    tables = FileTables(
+        k_max=3,
+        family=1,
+        stencils=4 * ((FileStencil(1, 2, tuple(range(-9, 10))), FileStencil(0), FileStencil(0)),),
+        codes={5: freq_codes()},
+    )
+    compiled = pack_parameters(tables)
+    monkeypatch.setattr(jit, "_is_patient", True)
+    monkeypatch.setattr("terrainwave.coding.jit._RareKernel._is_at_hand", lambda *_: False)
+    assert pack_parameters(tables) == compiled
+    plain, usual = parse_parameters(compiled), Tables(tables)
+    np.testing.assert_array_equal(plain.stencils, usual.stencils)
+    np.testing.assert_array_equal(plain.packed_freqs(3), usual.packed_freqs(3))
+
+
+def freq_codes():
+    """Return codes of a context other than the trained ones, which leave something."""
+    codes = default_codes(1)[5].copy()
+    codes[np.flatnonzero(codes > 8)[:3]] -= 3
+    return codes
