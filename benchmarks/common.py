@@ -26,6 +26,8 @@ from typing import Any
 
 import click
 
+from terrainwave.coding.jit import all_compiled
+
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 IMAGES = ROOT / "docs" / "images"
@@ -83,7 +85,8 @@ def command(out: str = "", base: str = "benchmarks/results") -> Callable[[Callab
         @functools.wraps(function)
         def run(work: Path | None, **more) -> None:
             warnings.filterwarnings("ignore", message="Dataset has no geotransform")
-            with tempfile.TemporaryDirectory() as temporary:
+            # As after `terrainwave warmup`.
+            with tempfile.TemporaryDirectory() as temporary, all_compiled():
                 folder = work or Path(temporary)
                 folder.mkdir(parents=True, exist_ok=True)
                 function(folder=folder, **more)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numba.core import event
 
+from terrainwave.codec import rapid_parameters
 from terrainwave.codec.rapid_parameters import (
     FileStencil,
     FileTables,
@@ -119,6 +120,7 @@ def test_the_collector_is_on_again_after_a_compilation():
 @needs_jit
 def test_a_rare_kernel_is_plain_until_it_has_taken_long(monkeypatch):
     monkeypatch.setattr(jit, "_is_patient", True)
+    monkeypatch.setattr(quadrupled._compiled._cache, "load_overload", lambda *_: None)
     assert compiled_by(lambda: quadrupled(np.int16(3))) == set()
     assert quadrupled(np.int16(3)) == 12
     assert quadrupled._seconds > 0
@@ -129,11 +131,15 @@ def test_a_rare_kernel_is_plain_until_it_has_taken_long(monkeypatch):
 
 @needs_jit
 def test_a_rare_kernel_that_has_been_compiled_is_used(monkeypatch):
+    again = rare_kernel(quadrupled._compiled.py_func)
     with all_compiled():
-        assert compiled_by(lambda: quadrupled(np.int8(3))) == {"quadrupled"}
+        assert again(np.int8(3)) == 12
+    # As in another process.
+    loaded = rare_kernel(quadrupled._compiled.py_func)
     monkeypatch.setattr(jit, "_is_patient", True)
-    monkeypatch.setattr(quadrupled, "_plain", None)
-    assert quadrupled(np.int8(3)) == 12
+    monkeypatch.setattr(loaded, "_plain", None)
+    assert compiled_by(lambda: loaded(np.int8(3))) == set()
+    assert loaded(np.int8(3)) == 12
 
 
 @needs_jit
@@ -146,7 +152,8 @@ def test_tables_of_files_are_the_same_by_plain_python(monkeypatch):
     )
     compiled = pack_parameters(tables)
     monkeypatch.setattr(jit, "_is_patient", True)
-    monkeypatch.setattr("terrainwave.coding.jit._RareKernel._is_at_hand", lambda *_: False)
+    monkeypatch.setattr(rapid_parameters._code_tables, "_is_compiled", False)
+    monkeypatch.setattr(rapid_parameters._code_tables, "_is_cheap", lambda _: True)
     assert pack_parameters(tables) == compiled
     plain, usual = parse_parameters(compiled), Tables(tables)
     np.testing.assert_array_equal(plain.stencils, usual.stencils)

@@ -160,11 +160,13 @@ class _RareKernel:
 
     def __init__(self, compiled: Kernel) -> None:
         self._compiled = compiled
+        self._is_compiled = False
         self._seconds = 0.0
-        self._are_missing: set[tuple[Any, ...]] = set()
 
     def __call__(self, *arguments: Any) -> Any:
-        if not _is_patient or self._seconds > _MOST_PLAIN_SECONDS or self._is_at_hand(arguments):
+        if not self._is_compiled:
+            self._is_compiled = not (_is_patient and self._is_cheap(arguments))
+        if self._is_compiled:
             return self._compiled(*arguments)
         start = time.perf_counter()
         try:
@@ -172,16 +174,12 @@ class _RareKernel:
         finally:
             self._seconds += time.perf_counter() - start
 
-    def _is_at_hand(self, arguments: tuple[Any, ...]) -> bool:
-        """Return whether it has been compiled for arguments of such types, in any process."""
-        found = tuple(typeof(argument) for argument in arguments)
-        if found in self._compiled.overloads:
-            return True
-        if found not in self._are_missing:
-            if self._compiled._cache.load_overload(found, self._compiled.targetctx) is not None:
-                return True
-            self._are_missing.add(found)
-        return False
+    def _is_cheap(self, arguments: tuple[Any, ...]) -> bool:
+        """Return whether plain Python will do: it has not taken long, and none has compiled it."""
+        if self._seconds > 0:
+            return self._seconds < _MOST_PLAIN_SECONDS
+        found, context = tuple(map(typeof, arguments)), self._compiled.targetctx
+        return self._compiled._cache.load_overload(found, context) is None
 
     @cached_property
     def _plain(self) -> Callable[..., Any]:

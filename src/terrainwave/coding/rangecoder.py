@@ -119,15 +119,10 @@ def start_encoder() -> NDArray[np.int64]:
     return state
 
 
-@rare_kernel
-def reset_encoder(state):
+def reset_encoder(state: NDArray[np.int64]) -> None:
     """Set `state` to that of an encoder that has written nothing."""
-    state[RANGE] = _MASK32
-    state[LOW] = 0
-    state[CACHE] = 0
-    # The first byte out is always 0 and not written: it is "byte -1".
-    state[PENDING] = 1
-    state[BYTE_POS] = -1
+    # The first byte out is always 0 and not written: it is "byte -1", and pending.
+    state[:STATE_SIZE] = _MASK32, 0, 0, 1, -1
 
 
 @kernel
@@ -195,33 +190,22 @@ def finish_encoder(state, out):
     return state[BYTE_POS]
 
 
-@rare_kernel
-def start_decoder(state, data):
-    """Set `state` to the start of `data` (uint8)."""
-    code = np.int64(0)
-    for pos in range(4):
-        byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
-        code = ((code << 8) | byte) & _MASK32
-    state[RANGE] = _MASK32
-    state[CODE] = code
-    state[CACHE] = 0
-    state[PENDING] = 0
-    state[BYTE_POS] = 4
+def start_decoder(state: NDArray[np.int64], data: NDArray[np.uint8]) -> None:
+    """Set `state` to the start of `data`; bytes past their end count as zero."""
+    code = int.from_bytes(data[:4].tobytes().ljust(4, b"\0"), "big")
+    state[:STATE_SIZE] = _MASK32, code, 0, 0, 4
 
 
-@rare_kernel
-def finish_decoder(state, data):
+def finish_decoder(state: NDArray[np.int64], data: NDArray[np.uint8]) -> tuple[Status, int]:
     """Return (status, position): OK if `data` ends exactly where the encoder ended it.
 
     TRUNCATED if more than the three unwritten zero bytes were read past the end, TRAILING if
     bytes were not needed.
     """
-    needed = state[BYTE_POS] - 3
-    if needed > data.shape[0]:
-        return Status.TRUNCATED, data.shape[0]
-    if needed < data.shape[0]:
-        return Status.TRAILING, needed
-    return Status.OK, needed
+    needed, n_bytes = int(state[BYTE_POS]) - 3, len(data)
+    if needed > n_bytes:
+        return Status.TRUNCATED, n_bytes
+    return (Status.TRAILING if needed < n_bytes else Status.OK), needed
 
 
 @inlined_kernel
