@@ -8,6 +8,7 @@ from terrainwave.coding.jit import kernel
 _LARGE = 1 << 29
 # Stands for a void in the input of `push`.
 UNKNOWN = -(1 << 31)
+_ONE = np.uint64(1)
 
 
 @kernel
@@ -105,3 +106,23 @@ def push(fine, values, known):
                 values[i, j], known[i, j] = total // weight, True
             else:
                 values[i, j], known[i, j] = 0, False
+
+
+@kernel
+def pull(coarse, first_row, first_col, known, values):
+    """Give samples that are not `known` the mean of those around them on the level above, rounded.
+
+    `values` is in place. Its sample (i, j) lies on ``coarse[(i + first_row) / 2, (j + first_col) /
+    2]``, int32, or between samples, the last one counting twice where none follows.
+    """
+    last_row, last_col = np.uint64(coarse.shape[0] - 1), np.uint64(coarse.shape[1] - 1)
+    for i in range(values.shape[0]):
+        row = np.uint64(i + first_row)
+        above, below = row >> _ONE, min((row + _ONE) >> _ONE, last_row)
+        for j in range(values.shape[1]):
+            if not known[i, j]:
+                col = np.uint64(j + first_col)
+                left, right = col >> _ONE, min((col + _ONE) >> _ONE, last_col)
+                total = np.int64(coarse[above, left]) + np.int64(coarse[above, right])
+                total += np.int64(coarse[below, left]) + np.int64(coarse[below, right])
+                values[i, j] = (total + 2) >> 2

@@ -125,8 +125,7 @@ class TreeEncoder:
         """Encode one unit; return what is to be encoded below it."""
         grid = self._grid
         spec = unit_spec(grid, self._parameters, key)
-        target = self._pyramid.heights(spec.level, spec.region)
-        mask = self._pyramid.mask(spec.level, spec.region)
+        target, mask = self._pyramid.targets(spec.level, spec.region)
         payload, decoded = self.code_unit(key, spec, parent, target, mask)
         self._sink(key, payload)
         if self._on_unit is not None:
