@@ -111,16 +111,17 @@ def _fitted(tables: FileTables, sample: _Sample) -> tuple[FileTables, float]:
 def count(tables: FileTables, windows: Heights, masks: Mask, step: int) -> NDArray[np.int64]:
     """Code windows; return how often each symbol came: shape (N_CONTEXTS, N_SYMBOLS)."""
     refiner = Rapid.with_tables(Tables(tables))
-    symbols = np.zeros(N_CONTEXTS * N_SYMBOLS, dtype=np.int64)
-    for target, mask in zip(windows, masks, strict=True):
-        found = _coded(refiner, target, mask, tables.k_max, step)[0]
-        symbols += np.bincount(found, minlength=len(symbols))
+    found = [
+        _coded(refiner, target, mask, tables.k_max, step)[0]
+        for target, mask in zip(windows, masks, strict=True)
+    ]
+    symbols = np.bincount(np.concatenate(found), minlength=N_CONTEXTS * N_SYMBOLS)
     return symbols.reshape(N_CONTEXTS, N_SYMBOLS)
 
 
 def _coded(
     refiner: Rapid, target: Heights, mask: Mask, level: int, step: int
-) -> tuple[NDArray[np.int64], Heights]:
+) -> tuple[NDArray[np.uint16], Heights]:
     """Code a window as a root block; return contexts and symbols, and the decoded heights."""
     region = Region(0, 0, *target.shape)
     low, high = int(target.min()), int(target.max())

@@ -28,7 +28,9 @@ _FREQ_BITS, _FREQ_MASK = np.uint64(16), np.uint64(0xFFFF)
 # Quotients of a state and a frequency f by a product: the inverse is at most f / 2**43 of one too
 # large, and a state is below f * 2**21, so that neither the quotient nor 64 bits are exceeded.
 _INVERSE_BITS = np.uint64(43)
-_INVERSES = np.array([-(-(1 << 43) // max(freq, 1)) for freq in range(N_SLOTS + 1)], dtype=np.uint64)
+_INVERSES = np.array(
+    [-(-(1 << 43) // max(freq, 1)) for freq in range(N_SLOTS + 1)], dtype=np.uint64
+)
 SYMBOL_BITS = 6
 _SYMBOLS = np.uint64(SYMBOL_BITS)
 
