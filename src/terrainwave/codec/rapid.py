@@ -16,7 +16,6 @@ from terrainwave.codec.rapid_border import plan_lines
 from terrainwave.codec.rapid_code import (
     BIT_POS,
     COUNT,
-    N_SYMBOLS,
     SPARE_BITS,
     SPARE_WORDS,
     WORD_POS,
@@ -39,7 +38,13 @@ from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_pa
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
 from terrainwave.codec.spare import HeightMemory, Spares
 from terrainwave.codec.varint import decode_varint, encode_varint
-from terrainwave.coding.rans import N_STATES, STATE_START, SYMBOL_BITS, encode_symbols
+from terrainwave.coding.rans import (
+    N_STATES,
+    STATE_START,
+    SYMBOL_BITS,
+    count_symbols,
+    encode_symbols,
+)
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Grid, Region
 
@@ -186,12 +191,13 @@ class Rapid:
             memory.put_back(logs, streams)
         return payload, heights, None
 
-    def log(
-        self, spec: GroupSpec, target: Heights, mask: Mask
-    ) -> tuple[NDArray[np.uint16], Heights]:
-        """Return contexts and symbols of a root block, N_SYMBOLS·c + s, and its decoded heights.
+    def count(
+        self, spec: GroupSpec, target: Heights, mask: Mask, counts: NDArray[np.int64]
+    ) -> Heights:
+        """Count contexts and symbols of a root block; return its decoded heights.
 
-        As if no symbol had the frequency 0.
+        As if no symbol had the frequency 0. `counts`, shape (2, N_CONTEXTS << SYMBOL_BITS), get
+        one more at ``context << SYMBOL_BITS | symbol``, in either row.
         """
         flags = self._flags(spec, None, target, mask)
         with _MEMORY.lent() as memory:
@@ -199,12 +205,9 @@ class Rapid:
             heights, streams = self._encode(
                 spec, None, target, mask, flags, _ANY_SYMBOL, memory, logs
             )
-            n = int(streams.places[COUNT])
-            both = logs.contexts[:n].astype(np.uint16)
-            both *= N_SYMBOLS
-            both += logs.symbols[:n]
+            count_symbols(logs.contexts, logs.symbols, int(streams.places[COUNT]), counts)
             memory.put_back(logs, streams)
-        return both, heights
+        return heights
 
     def _flags(self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask) -> int:
         is_wide = self._is_wide(spec, parent, target if mask.all() else target[mask])

@@ -169,3 +169,15 @@ def encode_symbols(contexts, symbols, n, freqs, n_states, words, states):
         quotient = (state * _INVERSES[freq]) >> _INVERSE_BITS
         states[which] = (quotient << _SLOTS) + (state - quotient * freq) + before
     return words.shape[0] - at
+
+
+@kernel
+def count_symbols(contexts, symbols, n, counts):
+    """Count logged symbols by context, as `packed_freqs` has them.
+
+    Every second one in the other row of `counts`: most symbols are as the one before, whose count
+    would not have been stored yet.
+    """
+    for i in range(np.uint64(n)):
+        which = (np.uint64(contexts[i]) << _SYMBOLS) | np.uint64(symbols[i])
+        counts[i & np.uint64(1), which] += 1
