@@ -35,7 +35,7 @@ from terrainwave.grid.remainders import Remainders, remainders
 from terrainwave.raster_io.temporary import Spool
 
 TILE = 512  # samples per side of the windows in which levels are made
-_PUSH_HALO, _LOWPASS_HALO, _LOWPASS53_HALO = 1, 4, 2
+_LOWPASS_HALO, _LOWPASS53_HALO = 4, 2
 # Stands for a void among heights, which are far from it.
 _UNKNOWN = np.int32(UNKNOWN)
 
@@ -359,15 +359,16 @@ class Pyramid:
         return mask
 
     def _pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
-        def read(window: Region) -> Heights:
-            values, known = self.originals(window) if shift == 1 else self.pushed(shift - 1, window)
-            np.copyto(values, _UNKNOWN, where=~known)
-            return values
-
-        fine = self._gather(read, shift - 1, region, _PUSH_HALO)
+        window = Region(
+            2 * region.row - 1, 2 * region.col - 1, 2 * region.n_rows + 1, 2 * region.n_cols + 1
+        ).intersect(Region(0, 0, *self._shape(shift - 1)))
+        fine, is_known = self.originals(window) if shift == 1 else self.pushed(shift - 1, window)
+        np.copyto(fine, _UNKNOWN, where=~is_known)
         values = np.empty(region.shape, dtype=np.int32)
         known = np.empty(region.shape, dtype=np.bool_)
-        push(fine, values, known)
+        lines = np.empty((2, window.n_cols), dtype=np.int64)
+        first = 2 * region.row - window.row, 2 * region.col - window.col
+        push(fine, *first, lines, values, known)
         return values, known
 
     def _fill(self, shift: int, region: Region, values: Heights, known: Mask) -> None:
