@@ -12,12 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.lattice import HH
 from terrainwave.codec.rapid_border import plan_lines
 from terrainwave.codec.rapid_code import (
     BIT_POS,
     COUNT,
-    N_SYMBOLS,
     SPARE_BITS,
     SPARE_WORDS,
     WORD_POS,
@@ -30,7 +28,6 @@ from terrainwave.codec.rapid_lattice import (
 )
 from terrainwave.codec.rapid_layout import (
     MAX_COLS,
-    WEIGHTS,
     Scale,
     Workspace,
     arranged_weights,
@@ -41,7 +38,13 @@ from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_pa
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
 from terrainwave.codec.spare import HeightMemory, Spares
 from terrainwave.codec.varint import decode_varint, encode_varint
-from terrainwave.coding.rans import N_STATES, STATE_START, SYMBOL_BITS, encode_symbols
+from terrainwave.coding.rans import (
+    N_STATES,
+    STATE_START,
+    SYMBOL_BITS,
+    count_symbols,
+    encode_symbols,
+)
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Grid, Region
 
@@ -81,11 +84,14 @@ class _Memory:
         self._logs = _Logs(0)
 
     def logs(self, n: int) -> "_Logs":
-        """Return where to log a unit of `n` samples, its raw bits all 0."""
-        if len(self._logs.symbols) < n:
-            self._logs = _Logs(n)
-        self._logs.raw[: 2 * n + SPARE_BITS // 32] = 0
-        return self._logs
+        """Return where to log a unit of `n` samples, its raw bits all 0; see `put_back`."""
+        logs, self._logs = self._logs, _Logs(0)  # should coding fail, it is not used again
+        return logs if len(logs.symbols) >= n else _Logs(n)
+
+    def put_back(self, logs: "_Logs", streams: Streams) -> None:
+        """Keep where a unit has been logged for the next one."""
+        logs.raw[: (int(streams.places[BIT_POS]) >> 5) + 2] = 0
+        self._logs = logs
 
     def workspace(self, is_wide: bool) -> Workspace:
         """Return the arrays to code a unit in."""
@@ -129,8 +135,8 @@ class Rapid:
     def __init__(self, parameters: bytes = b"") -> None:
         self.parameters = parameters
         self._tables = parse_parameters(parameters)
-        # By class and step, as kernels want them.
-        self._weights: dict[tuple[int, int], NDArray[np.int64]] = {}
+        # By depth, stride and step, as kernels want them.
+        self._weights: dict[tuple[int, int, int], NDArray[np.int64]] = {}
 
     @classmethod
     def with_tables(cls, tables: Tables) -> "Rapid":
@@ -182,14 +188,16 @@ class Rapid:
                 + words[n_symbols - n_words :].astype("<u2").tobytes()
                 + used.astype("<u4").tobytes()[: (n_bits + 7) // 8]
             )
+            memory.put_back(logs, streams)
         return payload, heights, None
 
-    def log(
-        self, spec: GroupSpec, target: Heights, mask: Mask
-    ) -> tuple[NDArray[np.int64], Heights]:
-        """Return contexts and symbols of a root block, N_SYMBOLS·c + s, and its decoded heights.
+    def count(
+        self, spec: GroupSpec, target: Heights, mask: Mask, counts: NDArray[np.int64]
+    ) -> Heights:
+        """Count contexts and symbols of a root block; return its decoded heights.
 
-        As if no symbol had the frequency 0.
+        As if no symbol had the frequency 0. `counts`, shape (2, N_CONTEXTS << SYMBOL_BITS), get
+        one more at ``context << SYMBOL_BITS | symbol``, in either row.
         """
         flags = self._flags(spec, None, target, mask)
         with _MEMORY.lent() as memory:
@@ -197,10 +205,9 @@ class Rapid:
             heights, streams = self._encode(
                 spec, None, target, mask, flags, _ANY_SYMBOL, memory, logs
             )
-            n = int(streams.places[COUNT])
-            both = logs.contexts[:n].astype(np.int64) * N_SYMBOLS
-            both += logs.symbols[:n]
-        return both, heights
+            count_symbols(logs.contexts, logs.symbols, int(streams.places[COUNT]), counts)
+            memory.put_back(logs, streams)
+        return heights
 
     def _flags(self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask) -> int:
         is_wide = self._is_wide(spec, parent, target if mask.all() else target[mask])
@@ -359,37 +366,47 @@ class Rapid:
         for row in range(0, n_rows, stride):
             for col in range(0, n_cols, stride):
                 _code_corner(unit, first + row * pitch + col)
-        while stride > 1:
-            stride >>= 1
-            coarse = Grid2(first, 2 * stride * pitch, 2 * stride)
-            self._code_rows(unit, stride, unit.out, coarse, _NONE_KNOWN, _NONE_SHARED)
+        if stride > 1:
+            coarse = Grid2(first, 2 * pitch, 2)
+            self._code_rows(unit, stride >> 1, unit.out, coarse, _NONE_KNOWN, _NONE_SHARED)
 
-    def _load_weights(self, unit: _Unit, stride: int) -> None:
-        """Take the weights of the level that has a unit's samples on every `stride`-th row."""
-        depth = self._tables.k_max - unit.spec.level + stride.bit_length() - 1
-        which = min(max(depth, 0), len(self._tables.stencils) - 1)
-        key = which, unit.scale.step
+    def _weights_from(self, level: int, stride: int, scale: Scale) -> NDArray[np.int64]:
+        """Return weights of lattices: each `stride`-th row of a level, half of that, … each row.
+
+        Each has those of the level on whose rows it is.
+        """
+        depth = self._tables.k_max - level
+        key = depth, stride, scale.step
         if key not in self._weights:
-            features = scaled_features(self._tables.features[which], unit.scale)
-            self._weights[key] = arranged_weights(
-                self._tables.stencils[which], features, unit.scale
-            )
-        first = int(WEIGHTS[HH])
-        unit.workspace.m[first : first + len(self._weights[key])] = self._weights[key]
+            last = len(self._tables.stencils) - 1
+            depths = range(depth + stride.bit_length() - 1, depth - 1, -1)
+            classes = [min(max(own, 0), last) for own in depths]
+            weights = {
+                which: arranged_weights(
+                    self._tables.stencils[which],
+                    scaled_features(self._tables.features[which], scale),
+                    scale,
+                )
+                for which in set(classes)
+            }
+            self._weights[key] = np.stack([weights[which] for which in classes])
+        return self._weights[key]
 
     def _code_rows(
         self, unit: _Unit, stride: int, source: Heights, coarse: Grid2, known: Known,
         shared: tuple[NDArray[np.int64], NDArray[np.int64]],
     ) -> None:  # fmt: skip
+        """Code the lattice of every `stride`-th sample, those of half the stride, … all samples.
+
+        `source` has the coarse samples, those of the last lattice where `coarse` says.
+        """
         spec = unit.spec
-        n_rows, n_cols = ((n - 1) // stride + 1 for n in spec.core.shape)
-        assert n_cols <= 2 * MAX_COLS
-        self._load_weights(unit, stride)
-        pitch = spec.region.shape[1]
+        assert spec.core.n_cols <= 2 * MAX_COLS
         code_rows(
             unit.is_encoding, unit.has_void, unit.goal, unit.valid, unit.out, source, *shared,
-            Grid2(_first(spec), stride * pitch, stride), coarse, (n_rows, n_cols), known,
-            unit.origin, unit.workspace, unit.scale, unit.streams,
+            Grid2(_first(spec), spec.region.shape[1], 1), coarse, spec.core.shape, stride,
+            self._weights_from(spec.level, stride, unit.scale), known, unit.origin, unit.workspace,
+            unit.scale, unit.streams,
         )  # fmt: skip
 
 

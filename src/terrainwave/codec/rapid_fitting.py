@@ -31,7 +31,7 @@ from terrainwave.codec.rapid_stencils import COST_UNIT, candidates, stencils_cos
 from terrainwave.codec.rapid_tables import N_FAMILIES, N_STEPS, family_of
 from terrainwave.codec.refiner import GroupSpec, Heights, Mask, Sides
 from terrainwave.codec.windows import spread_windows
-from terrainwave.coding.rans import N_SLOTS
+from terrainwave.coding.rans import N_SLOTS, SYMBOL_BITS
 from terrainwave.grid.quadtree import Grid, Region
 
 # Samples a side of a window, and samples of the raster for one; from 2 to 36 windows in all.
@@ -111,21 +111,21 @@ def _fitted(tables: FileTables, sample: _Sample) -> tuple[FileTables, float]:
 def count(tables: FileTables, windows: Heights, masks: Mask, step: int) -> NDArray[np.int64]:
     """Code windows; return how often each symbol came: shape (N_CONTEXTS, N_SYMBOLS)."""
     refiner = Rapid.with_tables(Tables(tables))
-    symbols = np.zeros(N_CONTEXTS * N_SYMBOLS, dtype=np.int64)
+    counts = np.zeros((2, N_CONTEXTS << SYMBOL_BITS), dtype=np.int64)
     for target, mask in zip(windows, masks, strict=True):
-        found = _coded(refiner, target, mask, tables.k_max, step)[0]
-        symbols += np.bincount(found, minlength=len(symbols))
-    return symbols.reshape(N_CONTEXTS, N_SYMBOLS)
+        _count_window(refiner, target, mask, tables.k_max, step, counts)
+    by_context = counts.sum(0).reshape(N_CONTEXTS, 1 << SYMBOL_BITS)
+    return np.ascontiguousarray(by_context[:, :N_SYMBOLS])
 
 
-def _coded(
-    refiner: Rapid, target: Heights, mask: Mask, level: int, step: int
-) -> tuple[NDArray[np.int64], Heights]:
-    """Code a window as a root block; return contexts and symbols, and the decoded heights."""
+def _count_window(
+    refiner: Rapid, target: Heights, mask: Mask, level: int, step: int, counts: NDArray[np.int64]
+) -> Heights:
+    """Code a window as a root block; count its symbols and return the decoded heights."""
     region = Region(0, 0, *target.shape)
     low, high = int(target.min()), int(target.max())
     spec = GroupSpec(level, region, region, None, _NOT_SHARED, step, low, high, (1, 0), 1, 0)
-    return refiner.log(spec, target, mask)
+    return refiner.count(spec, target, mask, counts)
 
 
 @cache

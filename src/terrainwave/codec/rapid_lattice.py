@@ -22,6 +22,7 @@ from terrainwave.codec.rapid_layout import (
     ROWS_BELOW,
     STRIDE,
     VALID,
+    WEIGHTS,
     place,
 )
 from terrainwave.codec.rapid_magnitude import fill_contexts
@@ -65,22 +66,31 @@ class Known(NamedTuple):
 
 @kernel
 def code_rows(
-    is_encoding, has_void, goal, valid, out, source, corners, lines, grid, coarse, shape, known,
-    origin, workspace, scale, s,
+    is_encoding, has_void, goal, valid, out, source, corners, lines, finest, coarse_of_finest, core,
+    stride, weights, known, origin, workspace, scale, s,
 ):  # fmt: skip
     """Encode or decode shared samples, then a lattice's samples that are not coarse.
+
+    And those of finer lattices one after the other, down to the finest.
 
     Parameters
     ----------
     goal, valid, out : ndarray, flat
         Heights to approximate when encoding, validity where `has_void`, and decoded heights, which
-        take what is coded, the shared samples first; laid out as `grid` says.
+        take what is coded, the shared samples first; the finest lattice is laid out as `finest`
+        says.
     source : ndarray of int32, flat
-        Holds the coarse samples, laid out as `coarse` says.
+        Holds the coarse samples, those of the finest lattice laid out as `coarse_of_finest` says.
     corners, lines : ndarray of int64
         What is shared, as `plan_lines` returns it.
-    shape, known
-        Of the lattice.
+    core
+        Rows and columns of the finest lattice.
+    stride : int
+        Of the first lattice, a power of two: it has each so many of the finest one's samples.
+    weights : ndarray of int64, shape (n, n_weights)
+        `arranged_weights` of each lattice.
+    known
+        Of each lattice.
     origin : int
         What the workspace's heights are less.
 
@@ -89,57 +99,79 @@ def code_rows(
     One loop over rows of all kinds, so that each part of the work is compiled once.
     """
     m = workspace.m
-    n_rows, n_cols = shape
-    n_corner_rows = (corners.shape[0] + MOST_CORNERS - 1) // MOST_CORNERS
-    n_before = n_corner_rows + 2 * lines.shape[0]
-    n_turns = ((n_rows + 1) >> 1) + _TURNS_BEFORE + _TURNS_AFTER
-    base = np.int64(_FIRST_LOADED)
-    for index in range(n_before + 3 * n_turns):
-        is_lattice, is_corner = index >= n_before, index < n_corner_rows
-        t = (index - n_before) // 3 - _TURNS_BEFORE
-        plane = HH + (index - n_before) % 3 if is_lattice else ON_LINE
-        row = t + HH - plane
-        n_own_rows = (n_rows + 1) >> 1 if plane == HL else n_rows >> 1
-        col, lattice_row = np.int64(plane != LH), 2 * row + np.int64(plane != HL)
-        if is_lattice:
-            if plane == HH:
-                base = advance(m, t, base, out, source, grid, coarse, shape, origin, scale)
-            if row < 0 or row >= n_own_rows:
+    first_weight = WEIGHTS[HH]
+    for lattice in range(weights.shape[0]):
+        for k in range(np.uint64(weights.shape[1])):
+            m[first_weight + k] = weights[lattice, k]
+        shape = (core[0] - 1) // stride + 1, (core[1] - 1) // stride + 1
+        grid, coarse = _each(finest, stride), _each(coarse_of_finest, stride)
+        stride >>= 1
+        n_rows, n_cols = shape
+        n_corner_rows = (corners.shape[0] + MOST_CORNERS - 1) // MOST_CORNERS
+        n_before = n_corner_rows + 2 * lines.shape[0]
+        n_turns = ((n_rows + 1) >> 1) + _TURNS_BEFORE + _TURNS_AFTER
+        base = np.int64(_FIRST_LOADED)
+        for index in range(n_before + 3 * n_turns):
+            is_lattice, is_corner = index >= n_before, index < n_corner_rows
+            t = (index - n_before) // 3 - _TURNS_BEFORE
+            plane = HH + (index - n_before) % 3 if is_lattice else ON_LINE
+            row = t + HH - plane
+            n_own_rows = (n_rows + 1) >> 1 if plane == HL else n_rows >> 1
+            col, lattice_row = np.int64(plane != LH), 2 * row + np.int64(plane != HL)
+            if is_lattice:
+                if plane == HH:
+                    base = advance(m, t, base, out, source, grid, coarse, shape, origin, scale)
+                if row < 0 or row >= n_own_rows:
+                    continue
+                start = grid.start + lattice_row * grid.row_step + col * grid.col_step
+                step, stop = 2 * grid.col_step, (n_cols + 1 - col) >> 1
+            else:
+                start, step, stop = prepare_shared(
+                    m, out, source, corners, lines, index, origin, scale
+                )
+            if stop <= 0:
                 continue
-            start = grid.start + lattice_row * grid.row_step + col * grid.col_step
-            step, stop = 2 * grid.col_step, (n_cols + 1 - col) >> 1
-        else:
-            start, step, stop = prepare_shared(m, out, source, corners, lines, index, origin, scale)
-        if stop <= 0:
-            continue
-        n, first, own = np.uint64(stop), np.int64(0), RESULT
-        if is_lattice:
-            at = np.uint64(row - base) * _STRIDE
-            predict_row(m, at, n, plane)
-            own = at + np.uint64(plane * PLANE) + _A
-            first = min((known.left + 1 - col) >> 1, stop)
-            stop = max(stop - ((known.right + 1 - ((n_cols - 1 - col) & 1)) >> 1), first)
-            if lattice_row < known.top or lattice_row >= n_rows - known.bottom:
-                first = stop = np.int64(n)
-            _load_known(m, own, out, start, step, origin, first, stop, np.int64(n), scale)
-        fill_contexts(m, workspace.reals, workspace.bits_of_reals, n, plane, scale)
-        if is_encoding or has_void:
-            for j in range(first, stop):
-                k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
-                if is_encoding:
-                    m[GOAL + np.uint64(j)] = np.int64(goal[k]) - origin
-                if has_void:
-                    m[VALID + np.uint64(j)] = valid[k]
-        if stop > first:
-            code_details(
-                m, np.uint64(first), np.uint64(stop - first), own, is_encoding, has_void, scale, s
-            )
-        if is_lattice:
-            make_readable(m, own, row, n_own_rows, n)
-        else:
-            for j in range(stop):
-                k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
-                out[k] = m[RESULT + np.uint64(j)] + origin
+            n, first, own = np.uint64(stop), np.int64(0), RESULT
+            if is_lattice:
+                at = np.uint64(row - base) * _STRIDE
+                predict_row(m, at, n, plane)
+                own = at + np.uint64(plane * PLANE) + _A
+                first = min((known.left + 1 - col) >> 1, stop)
+                stop = max(stop - ((known.right + 1 - ((n_cols - 1 - col) & 1)) >> 1), first)
+                if lattice_row < known.top or lattice_row >= n_rows - known.bottom:
+                    first = stop = np.int64(n)
+                _load_known(m, own, out, start, step, origin, first, stop, np.int64(n), scale)
+            fill_contexts(m, workspace.reals, workspace.bits_of_reals, n, plane, scale)
+            if is_encoding or has_void:
+                for j in range(first, stop):
+                    k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
+                    if is_encoding:
+                        m[GOAL + np.uint64(j)] = np.int64(goal[k]) - origin
+                    if has_void:
+                        m[VALID + np.uint64(j)] = valid[k]
+            if stop > first:
+                code_details(
+                    m,
+                    np.uint64(first),
+                    np.uint64(stop - first),
+                    own,
+                    is_encoding,
+                    has_void,
+                    scale,
+                    s,
+                )
+            if is_lattice:
+                make_readable(m, own, row, n_own_rows, n)
+            else:
+                for j in range(stop):
+                    k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
+                    out[k] = m[RESULT + np.uint64(j)] + origin
+
+
+@kernel_part
+def _each(grid, stride):
+    """Return where each `stride`-th sample of a lattice lies."""
+    return Grid2(grid.start, grid.row_step * stride, grid.col_step * stride)
 
 
 @kernel

@@ -55,14 +55,18 @@ _WORTH = 1.5
 
 
 class Samples(NamedTuple):
-    """Taps less the core's mean, shape (n, MAX_TAPS), and what they are to predict.
+    """Taps less the core's mean, then what they are to predict: shape (n, MAX_TAPS + 1).
 
     In whole 1/64 steps. Each stands for `every` samples of the windows.
     """
 
-    taps: Reals
-    goals: Reals
+    values: Reals
     every: float
+
+    @property
+    def goals(self) -> Reals:
+        """Return what taps are to predict."""
+        return self.values[:, MAX_TAPS]
 
 
 def candidates(windows: Heights, masks: Mask, step: int, share: float) -> list[Stencils]:
@@ -87,12 +91,13 @@ def candidates(windows: Heights, masks: Mask, step: int, share: float) -> list[S
     noise = _noise(some, best) if step > 1 else 0.0
     tried = [_stencils({key: FileStencil(base) for key, base in best.items()})]
     noises = [times * noise for times in _TIMES_NOISE] if step > 1 else [0.0]
-    for noise, fitted in zip(noises, fit_weights(samples, noises), strict=True):
-        stencils = {
-            key: _cheapest(key[1], own, best[key], fitted.get(key), noise, share)
-            for key, own in some.items()
-        }
-        tried.append(_stencils(stencils))
+    fitted = fit_weights(samples, noises)
+    cheapest = {
+        key: _cheapest(key[1], own, best[key], [found.get(key) for found in fitted], noises, share)
+        for key, own in some.items()
+    }
+    for index in range(len(noises)):
+        tried.append(_stencils({key: found[index] for key, found in cheapest.items()}))
     return tried
 
 
@@ -107,34 +112,36 @@ def _stencils(chosen: dict[tuple[int, int], FileStencil]) -> Stencils:
 def gather(plane: int, windows: Heights, masks: Mask, which: int, step: int) -> Samples | None:
     """Collect samples of a plane and class from windows; None if there are too few."""
     offsets = _offsets(plane)
-    is_core = np.array(core_taps(plane))
+    n_taps = len(offsets)
+    flat, valid = windows.ravel(), masks.ravel()
+    n_cols = windows.shape[2]
     has_void = not masks.all()
-    rows, goals, n_places = [], [], 0
+    found, n_places = [], 0
     for depth in CLASS_DEPTHS[which]:
-        at = np.s_[:, :: 1 << depth, :: 1 << depth]
-        flat = np.ascontiguousarray(windows[at]).ravel()
-        places = _places(plane, windows[at].shape)
-        every = max(1, len(places) // _WANTED[which])
-        n_places += len(places)
-        # One of each `every` places, not always in the same column.
-        picks = np.arange(len(places) // every, dtype=np.int64)
-        places = places[picks * every + (picks * 40503 >> 4) % every]
-        near = places[:, None] + (offsets[:, 0] * windows[at].shape[2] + offsets[:, 1])
+        places, n = _places(plane, windows.shape, depth, _WANTED[which])
+        n_places += n
+        near = np.empty((len(places), n_taps + 1), dtype=np.int64)
+        near[:, :n_taps] = offsets[:, 0] * n_cols + offsets[:, 1] << depth
+        near[:, n_taps] = 0
+        near += places[:, None]
         if has_void:
-            valid = np.ascontiguousarray(masks[at]).ravel()
-            is_valid = valid[near].all(1) & valid[places]
-            near, places = near[is_valid], places[is_valid]
-        values = flat[near].astype(np.int64)
-        total = values[:, is_core].sum(1)
-        rows.append(4 * values - total[:, None])
-        goals.append(4 * flat[places].astype(np.int64) - total)
-    n_found = sum(len(part) for part in goals)
+            near = near[valid.take(near).all(1)]
+        found.append(flat.take(near))
+    n_found = sum(len(part) for part in found)
     if n_found < _MIN_SAMPLES:
         return None
     n_found -= n_found % _AT_A_TIME
-    taps = np.zeros((n_found, MAX_TAPS), dtype=np.float64)
-    taps[:, : len(offsets)] = _in_steps(np.concatenate(rows)[:n_found], step)
-    return Samples(taps, _in_steps(np.concatenate(goals)[:n_found], step), n_places / n_found)
+    near_heights = np.concatenate(found)[:n_found].astype(np.float64)
+    values = np.zeros((n_found, MAX_TAPS + 1), dtype=np.float64)
+    first, second, third, fourth = near_heights[:, np.flatnonzero(core_taps(plane))].T
+    # Quarters of quanta: whole numbers, so that no sum is rounded.
+    near_heights *= 4.0
+    near_heights -= (first + second + third + fourth)[:, None]
+    near_heights *= _FINE / (4.0 * step)
+    values[:, :n_taps], values[:, MAX_TAPS] = near_heights[:, :n_taps], near_heights[:, n_taps]
+    np.rint(values, out=values)
+    np.clip(values, -_MOST, _MOST, out=values)
+    return Samples(values, n_places / n_found)
 
 
 def judged(samples: Samples) -> Samples:
@@ -142,21 +149,31 @@ def judged(samples: Samples) -> Samples:
     every = max(1, len(samples.goals) // _JUDGED)
     n = len(samples.goals) // (every * _AT_A_TIME) * _AT_A_TIME * every
     return Samples(
-        np.ascontiguousarray(samples.taps[:n:every]),
-        samples.goals[:n:every].copy(),
+        np.ascontiguousarray(samples.values[:n:every]),
         samples.every * len(samples.goals) * every / n,
     )
 
 
-def _places(plane: int, shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Return the places in flat windows of a plane's samples with all taps inside."""
-    n, n_rows, n_cols = shape
+def _places(
+    plane: int, shape: tuple[int, ...], depth: int, n_wanted: int
+) -> tuple[NDArray[np.int64], int]:
+    """Return the places in flat windows of some of a plane's samples, and how many it has.
+
+    Only of those with all taps inside. `depth` levels below the full grid.
+    """
+    n, n_rows, n_cols = shape[0], *(-(-size >> depth) for size in shape[1:])
     row, col = parity(plane)
-    rows = np.arange(_MARGIN + row, n_rows - _MARGIN, 2, dtype=np.int64)
-    cols = np.arange(_MARGIN + col, n_cols - _MARGIN, 2, dtype=np.int64)
-    first = np.arange(n, dtype=np.int64) * (n_rows * n_cols)
-    places = first[:, None, None] + (rows * n_cols)[:, None] + cols
-    return places.ravel()
+    rows = len(range(_MARGIN + row, n_rows - _MARGIN, 2))
+    cols = len(range(_MARGIN + col, n_cols - _MARGIN, 2))
+    n_places = n * rows * cols
+    every = max(1, n_places // n_wanted)
+    # One of each `every` places, not always in the same column.
+    picks = np.arange(n_places // every, dtype=np.int64)
+    picks = picks * every + (picks * 40503 >> 4) % every
+    by_row, at_col = np.divmod(picks, max(cols, 1))
+    window, at_row = np.divmod(by_row, max(rows, 1))
+    at_row, at_col = 2 * at_row + _MARGIN + row, 2 * at_col + _MARGIN + col
+    return (window * shape[1] + (at_row << depth)) * shape[2] + (at_col << depth), n_places
 
 
 @cache
@@ -169,35 +186,38 @@ def _offsets(plane: int) -> NDArray[np.int64]:
     )
 
 
-def _in_steps(quarters: NDArray[np.int64], step: int) -> Reals:
-    """Return quarters of quanta in whole 1/64 steps."""
-    return np.clip(np.rint(quarters * (_FINE / (4.0 * step))), -_MOST, _MOST)
-
-
 def _errors(samples: Samples, weights: NDArray[np.int64]) -> Reals:
     """Return the errors of weights, shape (sets, taps), in steps: shape (sets, n)."""
-    parts = samples.taps.reshape(-1, _AT_A_TIME, MAX_TAPS)[:, :, : weights.shape[1]]
-    sums = np.matmul(parts, weights.astype(np.float64).T).reshape(len(samples.goals), -1)
-    return (samples.goals * WHOLE - sums.T) * (1.0 / (WHOLE * _FINE))
+    n_sets, n_taps = weights.shape
+    parts = samples.values.reshape(-1, _AT_A_TIME, MAX_TAPS + 1)
+    sums = np.matmul(weights.astype(np.float64), parts[:, :, :n_taps].transpose(0, 2, 1))
+    errors: Reals = parts[:, None, :, MAX_TAPS] * WHOLE - sums
+    errors *= 1.0 / (WHOLE * _FINE)
+    return errors.transpose(1, 0, 2).reshape(n_sets, -1)
 
 
-def costs_of(samples: Samples, weights: NDArray[np.int64], noise: float) -> NDArray[np.int64]:
-    """Return about what each set of weights makes samples cost, in 1/64 bit.
+def costs_of(samples: Samples, weights: NDArray[np.int64], noises: Reals) -> NDArray[np.int64]:
+    """Return about what each set of weights makes samples cost, in 1/64 bit, with its noise.
 
     Half the logarithm of the squared error, as exponent and mantissa of float32 tell it.
     """
     power = np.cumsum((weights / WHOLE) ** 2, axis=1)[:, -1:]
     errors = _errors(samples, weights)
-    squared = np.minimum(errors * errors + noise * power, _MOST_SQUARED)
+    errors *= errors
+    errors += noises[:, None] * power
+    np.minimum(errors, _MOST_SQUARED, out=errors)
+    errors *= 4.0
+    errors += 1.0
     # One is 2**-23 of an octave above 2**-127.
-    octaves = (1.0 + 4.0 * squared).astype(np.float32).view(np.int32)
+    octaves = errors.astype(np.float32).view(np.int32)
     costs: NDArray[np.int64] = octaves.sum(1, dtype=np.int64) - (_BITS_OF_ONE * errors.shape[1])
     return costs // (1 << 24) * COST_UNIT + costs % (1 << 24) * COST_UNIT // (1 << 24)
 
 
 def _best(plane: int, samples: Samples) -> int:
     """Return the trained set that predicts best."""
-    return int(costs_of(samples, _trained(plane), 0.0).argmin())
+    trained = _trained(plane)
+    return int(costs_of(samples, trained, np.zeros(len(trained))).argmin())
 
 
 def _noise(samples: dict[tuple[int, int], Samples], best: dict[tuple[int, int], int]) -> float:
@@ -239,17 +259,21 @@ def fit_weights(
             systems[index], totals[index] = _normal(samples[key], weights, every)
         middle = noises[len(noises) // 2]
         wanted = _weights(systems, totals * middle, is_core, has_tap)
-    found = []
-    for noise in noises:
-        wanted = _weights(systems, totals * noise, is_core, has_tap)
-        found.append(
-            {
-                key: weights.astype(np.int64)
-                for key, weights in zip(keys, wanted, strict=True)
-                if np.abs(weights).max() < _MAX_WANTED
-            }
-        )
-    return found
+    n = len(noises)
+    of_all = _weights(
+        np.tile(systems, (n, 1, 1)),
+        (totals * np.array(noises)[:, None]).ravel(),
+        np.tile(is_core, (n, 1)),
+        np.tile(has_tap, (n, 1)),
+    )
+    return [
+        {
+            key: weights.astype(np.int64)
+            for key, weights in zip(keys, wanted, strict=True)
+            if np.abs(weights).max() < _MAX_WANTED
+        }
+        for wanted in of_all.reshape(n, len(keys), MAX_TAPS)
+    ]
 
 
 def _normal(samples: Samples, weights: Reals | None, every: int) -> tuple[Reals, float]:
@@ -259,18 +283,19 @@ def _normal(samples: Samples, weights: Reals | None, every: int) -> tuple[Reals,
     """
     every = min(every, len(samples.goals) // _AT_A_TIME)
     n_parts = len(samples.goals) // (_AT_A_TIME * every)
-    picked = slice(0, n_parts * _AT_A_TIME * every, every)
-    some = samples._replace(taps=samples.taps[picked], goals=samples.goals[picked])
+    some = samples._replace(values=samples.values[: n_parts * _AT_A_TIME * every : every])
     if weights is None:
         size = np.abs(some.goals) * (1.0 / _FINE) + 0.5
         influence = 1.0 / size
     else:
+        some = some._replace(values=np.ascontiguousarray(some.values))
         size = np.abs(_errors(some, weights.astype(np.int64)[None])[0]) + 0.5
         influence = 1.0 / (size * np.sqrt(size))
-    both = np.concatenate([some.taps, some.goals[:, None]], axis=1)
-    both *= np.sqrt(influence)[:, None]
-    shift = min(_MOST_SCALED_BITS - int(np.frexp(np.abs(both).max())[1]), _MOST_SCALED_BITS)
-    both = np.rint(np.ldexp(both, shift))
+    both = some.values * np.sqrt(influence)[:, None]
+    largest = max(float(both.max()), -float(both.min()))
+    shift = min(_MOST_SCALED_BITS - int(np.frexp(largest)[1]), _MOST_SCALED_BITS)
+    both *= 2.0**shift
+    np.rint(both, out=both)
     parts = both.reshape(-1, _AT_A_TIME, MAX_TAPS + 1)
     products: Reals = np.matmul(parts[:, :, :MAX_TAPS].transpose(0, 2, 1), parts).sum(0)
     unit = float(np.ldexp(float(_FINE), shift))
@@ -307,9 +332,10 @@ def _solved(systems: Reals) -> Reals:
     size = systems.shape[1]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         for k in range(size):
-            row = systems[:, k] / systems[:, k, k : k + 1]
-            systems -= systems[:, :, k : k + 1] * row[:, None]
-            systems[:, k] = row
+            # Columns before are those of the unit matrix.
+            row = systems[:, k, k:] / systems[:, k, k : k + 1]
+            systems[:, :, k:] -= systems[:, :, k : k + 1] * row[:, None]
+            systems[:, k, k:] = row
     return systems[:, :, size].copy()
 
 
@@ -336,29 +362,36 @@ def _cheapest(
     plane: int,
     samples: Samples,
     base: int,
-    wanted: NDArray[np.int64] | None,
-    noise: float,
+    fitted: list[NDArray[np.int64] | None],
+    noises: list[float],
     share: float,
-) -> FileStencil:
-    """Return the stencil that costs least with its own bits, of the trained and the fitted.
+) -> list[FileStencil]:
+    """Return for each noise the stencil that costs least with its own bits.
 
-    Those near the wanted weights are tried from the finest to the coarsest.
+    Of the trained one and those near the weights that are `fitted`, from the finest to the
+    coarsest.
     """
     trained = _trained(plane)[base]
-    deltas, shifts = np.zeros((1, len(trained)), dtype=np.int64), np.zeros((1, 1), dtype=np.int64)
-    if wanted is not None:
-        rounding = np.array(SHIFTS, dtype=np.int64)[:, None]
-        near = (wanted[: len(trained)] - trained + (1 << rounding >> 1)) >> rounding
-        near[:, missing_tap(plane)] = 0
-        is_other = near.any(1)
-        deltas = np.concatenate([deltas, near[is_other]])
-        shifts = np.concatenate([shifts, rounding[is_other]])
+    rounding = np.array(SHIFTS, dtype=np.int64)[:, None]
+    tried = []
+    for wanted in fitted:
+        deltas = np.zeros((1 + len(rounding), len(trained)), dtype=np.int64)
+        if wanted is not None:
+            near = (wanted[: len(trained)] - trained + (1 << rounding >> 1)) >> rounding
+            near[:, missing_tap(plane)] = 0
+            deltas[1:] = near
+        tried.append(deltas)
+    deltas = np.concatenate(tried)
+    shifts = np.tile(np.concatenate([np.zeros((1, 1), dtype=np.int64), rounding]), (len(tried), 1))
     weights = trained + (deltas << shifts)
     weights[:, missing_tap(plane)] += WHOLE - weights.sum(1)
-    costs = costs_of(samples, weights, noise) * (samples.every * share)
-    n_bits = _bits_of(deltas)
-    n_bits[0] = 0
-    best = int((costs + COST_UNIT * _WORTH * n_bits).argmin())
-    if best == 0:
-        return FileStencil(base)
-    return FileStencil(base, int(shifts[best, 0]), tuple(deltas[best].tolist()))
+    costs = costs_of(samples, weights, np.repeat(noises, len(tried[0]))) * (samples.every * share)
+    # Where no delta is left it is the trained one, which takes none.
+    n_bits = np.where(deltas.any(1), _bits_of(deltas), 0)
+    best = (costs + COST_UNIT * _WORTH * n_bits).reshape(len(tried), -1).argmin(1)
+    return [
+        FileStencil(base, int(shifts[index, 0]), tuple(own[index].tolist()))
+        if own[index].any()
+        else FileStencil(base)
+        for own, index in zip(tried, best.tolist(), strict=True)
+    ]

@@ -25,6 +25,12 @@ _SLOT_MASK, _SLOTS = np.uint64(N_SLOTS - 1), np.uint64(SLOT_BITS)
 _WORD, _REFILL = np.uint64(WORD_BITS), np.uint64(STATE_START)
 # Of a packed frequency: `packed_freqs`.
 _FREQ_BITS, _FREQ_MASK = np.uint64(16), np.uint64(0xFFFF)
+# Quotients of a state and a frequency f by a product: the inverse is at most f / 2**43 of one too
+# large, and a state is below f * 2**21, so that neither the quotient nor 64 bits are exceeded.
+_INVERSE_BITS = np.uint64(43)
+_INVERSES = np.array(
+    [-(-(1 << 43) // max(freq, 1)) for freq in range(N_SLOTS + 1)], dtype=np.uint64
+)
 SYMBOL_BITS = 6
 _SYMBOLS = np.uint64(SYMBOL_BITS)
 
@@ -149,19 +155,29 @@ def encode_symbols(contexts, symbols, n, freqs, n_states, words, states):
     for k in range(N_STATES):
         states[k] = _REFILL
     for i in range(n - 1, -1, -1):
-        packed = freqs[(np.uint64(contexts[i]) << _SYMBOLS) | np.uint64(symbols[i])]
-        freq, before = np.uint32(packed & np.uint32(0xFFFF)), np.uint64(packed >> np.uint32(16))
-        which = i & (n_states - 1)
+        packed = np.uint64(freqs[(np.uint64(contexts[i]) << _SYMBOLS) | np.uint64(symbols[i])])
+        freq, before = packed & _FREQ_MASK, packed >> _FREQ_BITS
+        which = np.uint64(i & (n_states - 1))
         state = states[which]
         # Without a branch, which would often be foretold wrongly: what is written stands or is
         # written over. There is room, as no symbol takes more than a word.
-        is_high = state >= np.uint64(freq) << np.uint64(32 - SLOT_BITS)
+        is_high = state >= freq << np.uint64(32 - SLOT_BITS)
         words[at - 1] = state & np.uint64(0xFFFF)
         at -= np.int64(is_high)
         shifted = state >> _WORD
         state = shifted if is_high else state
-        low = np.uint32(state)
-        quotient = low // freq
-        rest = np.uint64(low - quotient * freq)
-        states[which] = (np.uint64(quotient) << _SLOTS) + rest + before
+        quotient = (state * _INVERSES[freq]) >> _INVERSE_BITS
+        states[which] = (quotient << _SLOTS) + (state - quotient * freq) + before
     return words.shape[0] - at
+
+
+@kernel
+def count_symbols(contexts, symbols, n, counts):
+    """Count logged symbols by context, as `packed_freqs` has them.
+
+    Every second one in the other row of `counts`: most symbols are as the one before, whose count
+    would not have been stored yet.
+    """
+    for i in range(np.uint64(n)):
+        which = (np.uint64(contexts[i]) << _SYMBOLS) | np.uint64(symbols[i])
+        counts[i & np.uint64(1), which] += 1

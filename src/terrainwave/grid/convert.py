@@ -8,6 +8,7 @@ from terrainwave.coding.jit import kernel
 _LARGE = 1 << 29
 # Stands for a void in the input of `push`.
 UNKNOWN = -(1 << 31)
+_ONE = np.uint64(1)
 
 
 @kernel
@@ -73,35 +74,57 @@ def dequantize_floats(quanta, numerator, denominator, base, out):
 
 
 @kernel
-def push(fine, values, known):
+def push(fine, first_row, first_col, lines, values, known):
     """Average what is known of a level around each sample of the level above.
 
-    Sample (i, j) of `values` lies on ``fine[2 i + 1, 2 j + 1]``; weights are (1, 2, 1) both ways.
-    Samples of `fine` (int32) that are UNKNOWN count for nothing; without any other the result is
-    0 and not `known`.
+    Sample (i, j) of `values` lies on ``fine[2 i + first_row, 2 j + first_col]``; weights are
+    (1, 2, 1) both ways, past the edge of `fine` those of its border. Samples of `fine` (int32) that
+    are UNKNOWN count for nothing; without any other the result is 0 and not `known`. `lines` is
+    scratch, int64, two rows as wide as `fine`.
     """
+    n_rows, n_cols = fine.shape
+    unknown, one = np.int32(UNKNOWN), np.uint64(1)
+    parts, shares = np.uint64(0), one
     for i in range(values.shape[0]):
-        above, here, below = fine[2 * i], fine[2 * i + 1], fine[2 * i + 2]
+        row = 2 * i + first_row
+        above, here = np.uint64(max(row - 1, 0)), np.uint64(row)
+        below = np.uint64(min(row + 1, n_rows - 1))
+        for k in range(np.uint64(n_cols)):
+            a, b, c = fine[above, k], fine[here, k], fine[below, k]
+            part = np.int64(0 if a == unknown else a) + np.int64(0 if c == unknown else c)
+            lines[parts, k] = part + 2 * np.int64(0 if b == unknown else b)
+            lines[shares, k] = (
+                np.int64(a != unknown) + np.int64(c != unknown) + 2 * np.int64(b != unknown)
+            )
         for j in range(values.shape[1]):
-            total = weight = np.int64(0)
-            for k in range(3):
-                column = 2 * j + k
-                factor = 1 + (k & 1)
-                part = share = np.int64(0)
-                if above[column] != UNKNOWN:
-                    part += above[column]
-                    share += 1
-                if here[column] != UNKNOWN:
-                    part += 2 * np.int64(here[column])
-                    share += 2
-                if below[column] != UNKNOWN:
-                    part += below[column]
-                    share += 1
-                total += factor * part
-                weight += factor * share
+            col = 2 * j + first_col
+            left, at = np.uint64(max(col - 1, 0)), np.uint64(col)
+            right = np.uint64(min(col + 1, n_cols - 1))
+            total = lines[parts, left] + 2 * lines[parts, at] + lines[parts, right]
+            weight = lines[shares, left] + 2 * lines[shares, at] + lines[shares, right]
             if weight == 16:
                 values[i, j], known[i, j] = total >> 4, True
             elif weight > 0:
                 values[i, j], known[i, j] = total // weight, True
             else:
                 values[i, j], known[i, j] = 0, False
+
+
+@kernel
+def pull(coarse, first_row, first_col, known, values):
+    """Give samples that are not `known` the mean of those around them on the level above, rounded.
+
+    `values` is in place. Its sample (i, j) lies on ``coarse[(i + first_row) / 2, (j + first_col) /
+    2]``, int32, or between samples, the last one counting twice where none follows.
+    """
+    last_row, last_col = np.uint64(coarse.shape[0] - 1), np.uint64(coarse.shape[1] - 1)
+    for i in range(values.shape[0]):
+        row = np.uint64(i + first_row)
+        above, below = row >> _ONE, min((row + _ONE) >> _ONE, last_row)
+        for j in range(values.shape[1]):
+            if not known[i, j]:
+                col = np.uint64(j + first_col)
+                left, right = col >> _ONE, min((col + _ONE) >> _ONE, last_col)
+                total = np.int64(coarse[above, left]) + np.int64(coarse[above, right])
+                total += np.int64(coarse[below, left]) + np.int64(coarse[below, right])
+                values[i, j] = (total + 2) >> 2

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
+from terrainwave.grid.quadtree import Region
 
 Heights = NDArray[np.int32]
 Mask = NDArray[np.bool_]
@@ -55,7 +56,13 @@ def with_outside(heights: Heights, n_rows: int, n_cols: int) -> Heights:
 
 
 def measure_block(
-    heights: Heights, stride: int, originals: Heights, mask: Mask, row: int, col: int
+    heights: Heights,
+    stride: int,
+    originals: Heights,
+    mask: Mask,
+    row: int,
+    col: int,
+    limits: tuple[int, int] | None = None,
 ) -> int:
     """Return the largest distance of valid originals from the block's bilinear surface.
 
@@ -67,69 +74,100 @@ def measure_block(
         Full-grid samples per cell of the block.
     originals, mask : ndarray, shape (n_rows, n_cols)
         Full-grid quanta and validity of a window whose first sample is (`row`, `col`).
+    limits : tuple of int, optional
+        Between which the valid originals are, where that is known.
 
     Returns
     -------
     int
         Error in quanta, rounded up.
     """
-    last_row, last_col = row + originals.shape[0] - 1, col + originals.shape[1] - 1
-    needed = (
-        max(-(-last_row // stride) + 1, heights.shape[0]),
-        max(-(-last_col // stride) + 1, heights.shape[1]),
-    )
-    wide = with_outside(heights, *needed)
+    n_rows, n_cols = originals.shape
     shift = stride.bit_length() - 1
-    lowest = min(int(wide.min()), int(originals.min()))
-    span = max(int(wide.max()), int(originals.max())) - lowest
+    first_cells = row >> shift, col >> shift
+    last_cells = -(-(row + n_rows - 1) // stride), -(-(col + n_cols - 1) // stride)
+    needed = max(last_cells[0] + 1, heights.shape[0]), max(last_cells[1] + 1, heights.shape[1])
+    if heights.shape != needed:
+        heights = with_outside(heights, *needed)
+    rows, cols = (slice(one, other + 1) for one, other in zip(first_cells, last_cells, strict=True))
+    under = np.ascontiguousarray(heights[rows, cols])
+    low, high = limits or (int(originals.min()), int(originals.max()))
+    lowest = min(int(under.min()), low)
+    span = max(int(under.max()), high) - lowest
     # Twice the span in the units of the surface must fit.
     dtype = np.int32 if span << 2 * shift + 1 < 1 << 31 else np.int64
-    n_places = (last_col // stride - col // stride + 1) * stride + 1
-    lines = np.empty((2, n_places), dtype=dtype)
-    scaled = _largest_deviation(wide, shift, originals, mask, row, col, lowest, lines)
+    n_places = ((col + n_cols - 1 >> shift) - first_cells[1] + 1) * stride + 1
+    lines = np.empty(_N_LINES * n_places, dtype=dtype)
+    first = row - first_cells[0] * stride, col - first_cells[1] * stride
+    scaled = _largest_deviation(
+        under,
+        shift,
+        np.ascontiguousarray(originals),
+        np.ascontiguousarray(mask),
+        *first,
+        lowest,
+        lines,
+        n_places,
+    )
     return int(-(-scaled // (stride * stride)))
 
 
+# Of lines that `_largest_deviation` works in: two to halve distances in, then `_UPPER` …
+_UPPER, _RISE, _SURFACE, _N_LINES = 2, 3, 4, 5
+
+
 @kernel
-def _largest_deviation(heights, shift, originals, mask, first_row, first_col, lowest, lines):
+def _largest_deviation(
+    heights, shift, originals, mask, first_row, first_col, lowest, lines, n_places
+):
     """Return the largest deviation times stride^2; the stride is 2^shift.
 
-    `lines` is scratch for two rows of the surface, int32 or int64. Heights less `lowest` are in
-    units of 1 / stride^2: below 2^62, as heights are below 2^31 and strides up to 2^15. Halving the
-    distance of places `shift` times is exact, and a loop that vectorises.
+    The first sample lies in the first cell of `heights`. `lines` is scratch for `_N_LINES` rows of
+    `n_places`, int32 or int64. Heights less `lowest` are in units of 1 / stride^2: below 2^62, as
+    heights are below 2^31 and strides up to 2^15. Halving the distance of places `shift` times is
+    exact, and a loop that vectorises, as is going down from one row of the surface to the next.
     """
     cast = lines.dtype.type
     n_rows, n_cols = originals.shape
-    stride = np.int64(1) << shift
-    first_cell = first_col >> shift
-    n_cells = ((first_col + n_cols - 1) >> shift) - first_cell + 1
-    skipped = first_col - (first_cell << shift)
-    now, then = lines[0], lines[1]
-    largest, twice = cast(0), cast(2 * shift)
-    one, two = np.uint64(1), np.uint64(2)
-    for row in range(n_rows):
-        place = first_row + row
-        above = place >> shift
-        part = place - (above << shift)
-        below = above + 1 if part else above
-        for k in range(n_cells + 1):
-            cell = min(first_cell + k, heights.shape[1] - 1)
-            up = np.int64(heights[above, cell]) - lowest
-            down = np.int64(heights[below, cell]) - lowest
-            now[k] = cast((up * (stride - part) + down * part) << shift)
-        n = n_cells
-        for _ in range(shift):
-            for k in range(np.uint64(n)):
-                then[two * k] = now[k]
-                then[two * k + one] = cast(cast(now[k] + now[k + one]) >> 1)
-            then[2 * n] = now[n]
-            n *= 2
-            now, then = then, now
-        here, is_valid, surface = originals[row], mask[row], now[skipped:]
+    one, two, twice = np.uint64(1), np.uint64(2), cast(2 * shift)
+    n, skipped = np.uint64(n_places), np.uint64(first_col)
+    upper, rise, surface = n * np.uint64(_UPPER), n * np.uint64(_RISE), n * np.uint64(_SURFACE)
+    n_cells = (n_places - 1) >> shift
+    largest = cast(0)
+    for row in range(-1, n_rows):
+        place = first_row + max(row, 0)
+        part = place - ((place >> shift) << shift)
+        if row <= 0 or part == 0:
+            # The row of samples above the first one, then always the one below.
+            cell_row = np.uint64(min((place >> shift) + np.int64(row >= 0), heights.shape[0] - 1))
+            now, then = np.uint64(0), n
+            for k in range(np.uint64(n_cells + 1)):
+                cell = np.uint64(min(np.int64(k), heights.shape[1] - 1))
+                lines[now + k] = cast((np.int64(heights[cell_row, cell]) - lowest) << shift)
+            n_between = np.uint64(n_cells)
+            for _ in range(shift):
+                for k in range(n_between):
+                    left, right = lines[now + k], lines[now + k + one]
+                    lines[then + two * k] = left
+                    lines[then + two * k + one] = cast(cast(left + right) >> 1)
+                lines[then + two * n_between] = lines[now + n_between]
+                n_between = two * n_between
+                now, then = then, now
+            for k in range(n):
+                high, low = lines[upper + k], lines[now + k]
+                lines[rise + k] = low - high
+                lines[surface + k] = cast(high << cast(shift)) + cast(part) * cast(low - high)
+                lines[upper + k] = low
+        else:
+            for k in range(n):
+                lines[surface + k] += lines[rise + k]
+        if row < 0:
+            continue
+        at = np.uint64(row)
         for col in range(np.uint64(n_cols)):
-            height = cast(cast(np.int64(here[col]) - lowest) << twice)
-            deviation = cast(abs(cast(surface[col] - height)))
-            largest = max(largest, deviation if is_valid[col] else cast(0))
+            height = cast(cast(np.int64(originals[at, col]) - lowest) << twice)
+            deviation = cast(abs(cast(lines[surface + skipped + col] - height)))
+            largest = max(largest, deviation if mask[at, col] else cast(0))
     return np.int64(largest)
 
 
@@ -165,20 +203,34 @@ def _twice_as_fine(values: NDArray[np.int64]) -> NDArray[np.int64]:
     return rows
 
 
-def measure_samples(originals: Heights, mask: Mask, decoded: Heights) -> BlockStats:
-    """Return the range of valid originals and their largest distance from `decoded`."""
-    return BlockStats(*(int(number) for number in _range_and_error(originals, mask, decoded)))
+def measure_samples(originals: Heights, mask: Mask, decoded: Heights, at: Region) -> BlockStats:
+    """Return the range of valid originals and their largest distance from `decoded`.
+
+    Those of the region `at` of all three, which begin at sample (0, 0).
+    """
+    low, high, error = _range_and_error(
+        np.ascontiguousarray(originals),
+        np.ascontiguousarray(mask),
+        np.ascontiguousarray(decoded),
+        *at,
+    )
+    return BlockStats() if low > high else BlockStats(int(low), int(high), int(error))
 
 
 @kernel
-def _range_and_error(originals, mask, decoded):
-    """Return (lowest, highest, largest error) of valid samples; 2^31, -2^31, 0 without any."""
-    low, high, error = np.int64(1 << 31), np.int64(-(1 << 31)), np.int64(0)
-    for row in range(originals.shape[0]):
-        here, other, is_valid = originals[row], decoded[row], mask[row]
-        for col in range(originals.shape[1]):
-            height = np.int64(here[col])
-            low = min(low, height if is_valid[col] else low)
-            high = max(high, height if is_valid[col] else high)
-            error = max(error, abs(height - other[col]) if is_valid[col] else np.int64(0))
+def _range_and_error(originals, mask, decoded, first_row, first_col, n_rows, n_cols):
+    """Return (lowest, highest, largest error) of valid samples; without any, lowest > highest.
+
+    Quanta and their differences have 32 bits.
+    """
+    short = np.int32
+    highest, lowest = short((1 << 31) - 1), short(-(1 << 31))
+    low, high, error = highest, lowest, short(0)
+    for row in range(np.uint64(first_row), np.uint64(first_row + n_rows)):
+        for col in range(np.uint64(first_col), np.uint64(first_col + n_cols)):
+            height, is_valid = originals[row, col], mask[row, col]
+            apart = short(abs(short(height - decoded[row, col])))
+            low = min(low, height if is_valid else highest)
+            high = max(high, height if is_valid else lowest)
+            error = max(error, apart if is_valid else short(0))
     return low, high, error

@@ -125,8 +125,7 @@ class TreeEncoder:
         """Encode one unit; return what is to be encoded below it."""
         grid = self._grid
         spec = unit_spec(grid, self._parameters, key)
-        target = self._pyramid.heights(spec.level, spec.region)
-        mask = self._pyramid.mask(spec.level, spec.region)
+        target, mask = self._pyramid.targets(spec.level, spec.region)
         payload, decoded = self.code_unit(key, spec, parent, target, mask)
         self._sink(key, payload)
         if self._on_unit is not None:
@@ -184,13 +183,13 @@ class TreeEncoder:
     ) -> None:
         """Update the statistics of the finest blocks of a unit and of all their ancestors."""
         grid = self._grid
+        heights = decoded.heights[spec.core.slices_in(spec.region)]
         by_block: Stats = {}
         whole = BlockStats()
         for block in blocks:
             region = grid.block_region(block)
-            at = region.slices_in(spec.core)
-            heights = decoded.heights[region.slices_in(spec.region)]
-            by_block[block] = measure_samples(originals[at], mask[at], heights)
+            at = region._replace(row=region.row - spec.core.row, col=region.col - spec.core.col)
+            by_block[block] = measure_samples(originals, mask, heights, at)
             # Blocks share a row or column of samples.
             whole.merge(by_block[block])
         for ancestor in chain:
@@ -199,7 +198,8 @@ class TreeEncoder:
             col = spec.core.col - ancestor.region.col * stride
             error = 0
             if not whole.is_empty:
-                error = measure_block(ancestor.heights, stride, originals, mask, row, col)
+                limits = whole.z_low, whole.z_high
+                error = measure_block(ancestor.heights, stride, originals, mask, row, col, limits)
             by_block[ancestor.block] = BlockStats(whole.z_low, whole.z_high, error)
         with self._lock:
             for block, stats in by_block.items():

@@ -1,6 +1,7 @@
 """Pass C: a finished file, decoded from disk, against the raster it was made of."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terrainwave.errors import BoundViolationError
 from terrainwave.file import TerrainFile
@@ -41,15 +42,33 @@ def compare_window(
         )
     if not valid.any():
         return 0.0
-    errors = np.abs(decoded[valid].astype(np.float64) - raw[valid].astype(np.float64))
-    largest = float(errors.max())
+    largest = _largest_error(raw, decoded, valid)
     if not largest <= allowed:  # a NaN is no height within the bound
+        errors = np.abs(decoded[valid].astype(np.float64) - raw[valid].astype(np.float64))
         at = np.argwhere(valid)[int(errors.argmax())] + (region.row, region.col)
         raise BoundViolationError(
             f"the decoded height at row {at[0]}, column {at[1]} is {largest:g} off, more than"
             f" {allowed:g}; {OUR_FAULT}"
         )
     return largest
+
+
+def _largest_error(
+    raw: NDArray[np.generic], decoded: NDArray[np.generic], valid: NDArray[np.bool_]
+) -> float:
+    """Return the largest difference of valid heights, of which there are some."""
+    is_whole = bool(valid.all())
+    if raw.dtype.kind in "iu" and raw.dtype.itemsize <= 2:
+        # Differences have 17 bits; a mask of what is left is faster than picking what is not.
+        apart = np.subtract(decoded, raw, dtype=np.int32)
+        if not is_whole:
+            np.copyto(apart, 0, where=~valid)
+        return float(max(int(apart.max()), -int(apart.min())))
+    if not is_whole:
+        raw, decoded = raw[valid], decoded[valid]
+    errors = decoded.astype(np.float64)
+    errors -= raw.astype(np.float64)
+    return float(np.abs(errors, out=errors).max())
 
 
 def allowed_error(quantizer: Quantizer, raw_bound: float, error: float) -> float:

@@ -28,14 +28,14 @@ from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.codec.tiles import TileLayout
 from terrainwave.coding.filters import lowpass_analysis
 from terrainwave.coding.lifting53 import lowpass_window
-from terrainwave.grid.convert import UNKNOWN, push
+from terrainwave.grid.convert import UNKNOWN, pull, push
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.grid.remainders import Remainders, remainders
 from terrainwave.raster_io.temporary import Spool
 
 TILE = 512  # samples per side of the windows in which levels are made
-_PUSH_HALO, _LOWPASS_HALO, _LOWPASS53_HALO = 1, 4, 2
+_LOWPASS_HALO, _LOWPASS53_HALO = 4, 2
 # Stands for a void among heights, which are far from it.
 _UNKNOWN = np.int32(UNKNOWN)
 
@@ -244,8 +244,14 @@ class Pyramid:
         if not self._has_voids:
             return np.ones(region.shape, dtype=np.bool_)
         if shift == 0:
-            return self.originals(region)[1]
+            return self._source.read(*region)[1]
         return self._masks[shift].read(region)
+
+    def targets(self, level: int, region: Region) -> tuple[Heights, Mask]:
+        """Return `heights` and `mask` of a region; of the full grid by one look at the source."""
+        if level < self._grid.k_max:
+            return self.heights(level, region), self.mask(level, region)
+        return self._filled_originals(region)
 
     def originals(self, region: Region) -> tuple[Heights, Mask]:
         """Return quanta and validity of the full grid, 0 in voids."""
@@ -280,10 +286,14 @@ class Pyramid:
     def _read_heights(self, shift: int, region: Region) -> Heights:
         if shift:
             return self._heights[shift].read(region)
+        return self._filled_originals(region)[0]
+
+    def _filled_originals(self, region: Region) -> tuple[Heights, Mask]:
+        """Return quanta and validity of the full grid, voids filled."""
         quanta, valid = self.originals(region)
         if self._has_voids and not valid.all():
             self._fill(0, region, quanta, valid)
-        return quanta
+        return quanta, valid
 
     def _around(self, shift: int, region: Region, halo: int) -> Region:
         """Return a region of the level above `shift` on that level, and `halo` samples around."""
@@ -320,7 +330,14 @@ class Pyramid:
 
     def _nested_window(self, shift: int, region: Region) -> Heights:
         fine = Region(2 * region.row, 2 * region.col, 2 * region.n_rows - 1, 2 * region.n_cols - 1)
-        return self._read_heights(shift - 1, fine)[::2, ::2]
+        if shift > 1:
+            return self._read_heights(shift - 1, fine)[::2, ::2]
+        raw, valid = (np.ascontiguousarray(part[::2, ::2]) for part in self._source.read(*fine))
+        quanta = self._quantizer.quantize(raw, valid)
+        if self._has_voids and not valid.all():
+            # These samples lie on those of the level above, whose fills are theirs.
+            np.copyto(quanta, self._fills[shift].read(region), where=~valid)
+        return quanta
 
     def _build_masks(self) -> None:
         for shift in self._level_shifts():
@@ -342,24 +359,23 @@ class Pyramid:
         return mask
 
     def _pushed(self, shift: int, region: Region) -> tuple[Heights, Mask]:
-        def read(window: Region) -> Heights:
-            values, known = self.originals(window) if shift == 1 else self.pushed(shift - 1, window)
-            return np.where(known, values, _UNKNOWN)
-
-        fine = self._gather(read, shift - 1, region, _PUSH_HALO)
+        window = Region(
+            2 * region.row - 1, 2 * region.col - 1, 2 * region.n_rows + 1, 2 * region.n_cols + 1
+        ).intersect(Region(0, 0, *self._shape(shift - 1)))
+        fine, is_known = self.originals(window) if shift == 1 else self.pushed(shift - 1, window)
+        np.copyto(fine, _UNKNOWN, where=~is_known)
         values = np.empty(region.shape, dtype=np.int32)
         known = np.empty(region.shape, dtype=np.bool_)
-        push(fine, values, known)
+        lines = np.empty((2, window.n_cols), dtype=np.int64)
+        first = 2 * region.row - window.row, 2 * region.col - window.col
+        push(fine, *first, lines, values, known)
         return values, known
 
     def _fill(self, shift: int, region: Region, values: Heights, known: Mask) -> None:
         """Interpolate the filled level above where values of a region are not known."""
-        # Flat places: a 2-D mask gives its own, and takes them, at a quarter of the speed.
-        places = np.flatnonzero(~known)
         if shift + 1 not in self._fills:  # a raster of one sample has no level above
-            np.put(values, places, 0)
+            values[~known] = 0
             return
-        rows, cols = np.divmod(places, region.n_cols)
         last_row, last_col = (n - 1 for n in self._shape(shift + 1))
         outer = Region(
             region.row >> 1,
@@ -367,15 +383,7 @@ class Pyramid:
             min(region.row + region.n_rows >> 1, last_row) - (region.row >> 1) + 1,
             min(region.col + region.n_cols >> 1, last_col) - (region.col >> 1) + 1,
         )
-        coarse = self._fills[shift + 1].read(outer)
-        above, left = (rows + region.row >> 1) - outer.row, (cols + region.col >> 1) - outer.col
-        below = np.minimum(rows + region.row + 1 >> 1, last_row) - outer.row
-        right = np.minimum(cols + region.col + 1 >> 1, last_col) - outer.col
-        total = np.full(places.shape, 2, dtype=np.int64)
-        for row in (above * outer.n_cols, below * outer.n_cols):
-            for col in (left, right):
-                total += coarse.take(row + col)
-        np.put(values, places, total >> 2)
+        pull(self._fills[shift + 1].read(outer), region.row & 1, region.col & 1, known, values)
 
     def _gather(
         self,
