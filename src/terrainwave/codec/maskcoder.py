@@ -174,4 +174,4 @@ def _code_mask(mask, coder, ahead, contexts, padded):
             col += 1
         if mask is None and at[2] > stream.shape[0] + 4:
             break  # `finish_decoder` says so
-    put_back(at, state, is_encoder)
+    put_back(at, state)

@@ -12,8 +12,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.detail import MAX_E, N_E_BINS, SHIFT_OF_E, contexts_of, log8
-from terrainwave.codec.nested import in_steps, step_scale
+from terrainwave.codec.detail import (
+    MAX_E,
+    N_E_BINS,
+    SHIFT_OF_E,
+    contexts_of,
+    in_steps,
+    log8,
+    step_scale,
+)
 from terrainwave.coding.filters import MAX_HEIGHT
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
@@ -326,7 +333,7 @@ def code_residuals(
             here[j + FRAME] = west
             here_mags[j + FRAME] = mag
             here_signs[j + FRAME] = sign
-    put_back(at, state, is_encoder)
+    put_back(at, state)
 
 
 @kernel

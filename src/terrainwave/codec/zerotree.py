@@ -271,7 +271,7 @@ def _code_level(goal, field, level, t, bands, nodes, coder):
                     at, state, stream, models, is_encoder, goal, field, t, i, j, steps, limits,
                     offset, plane, sum_1, sum_2, sum_3,
                 )  # fmt: skip
-    put_back(at, state, is_encoder)
+    put_back(at, state)
 
 
 @inlined_kernel
