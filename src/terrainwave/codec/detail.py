@@ -153,6 +153,20 @@ def range_bin_of(reach, e_range, log_range):
 
 
 @inlined_kernel
+def _n_reaching(around, limit):
+    """Return how many known neighbours lie at a distance or beyond."""
+    a, b, c, d, e, f = around
+    return (
+        np.int64(a >= limit)
+        + (b >= limit)
+        + (c >= limit)
+        + (d >= limit)
+        + (e >= limit)
+        + (f >= limit)
+    )
+
+
+@inlined_kernel
 def code_detail(
     at, state, stream, models, is_encoder, mixers, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
     log_range, around, limits, detail,
@@ -161,9 +175,7 @@ def code_detail(
 
     `reach_b` and `reach_a` are the distances to the highest and the lowest core value; `around` the
     heights of the known neighbours less the prediction. `limits` are `cell_limits`, None where each
-    decision has one model only. Inlined into a
-    loop that has all of the arguments at hand, and in one piece, as each piece would count
-    references to its arrays for each detail (a sixth of the time of decoding).
+    decision has one model only. Inlined into a loop that has all of the arguments at hand.
     """
     positive = np.int64(detail > 0)
     if limits is not None:
@@ -186,35 +198,17 @@ def code_detail(
     weights = mixers[0, mixer], mixers[1, mixer]
     # How many known neighbours lie on the detail's side, in this unary step or a later one.
     beyond = np.int64(0)
-    a, b, c, d, e, f = around
     if limits is not None:
         if not positive:
-            a, b, c, d, e, f = -a, -b, -c, -d, -e, -f
-        limit = limits[shift, 0]
-        beyond = (
-            np.int64(a >= limit)
-            + (b >= limit)
-            + (c >= limit)
-            + (d >= limit)
-            + (e >= limit)
-            + (f >= limit)
-        )
+            a, b, c, d, e, f = around
+            around = -a, -b, -c, -d, -e, -f
+        beyond = _n_reaching(around, limits[np.uint64(shift), 0])
     upper = np.int64(0)
     while upper < N_UNARY:
         bit = np.int64(wanted > upper)
         if limits is not None:
-            limit = limits[shift, upper + 1]
-            here, beyond = (
-                beyond,
-                (
-                    np.int64(a >= limit)
-                    + (b >= limit)
-                    + (c >= limit)
-                    + (d >= limit)
-                    + (e >= limit)
-                    + (f >= limit)
-                ),
-            )
+            limit = limits[np.uint64(shift), np.uint64(upper + 1)]
+            here, beyond = beyond, _n_reaching(around, limit)
             here -= beyond
             index_h = first_h + upper * _N_BEYOND + min(beyond, 5) * 3 + min(here, 2)
             bit, at, weights = code_mixed_step(
