@@ -21,6 +21,7 @@ from terrainwave.codec.detail import (
     log8,
     step_scale,
 )
+from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.filters import MAX_HEIGHT
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
@@ -259,7 +260,7 @@ def code_residuals(
     for k in range(n_fractions):
         bin_of_fraction[k] = min(in_steps(np.int64(k), scale_shift, inverse, 3 - BASE_BITS), 3)
         error_of_fraction[k] = in_steps(np.int64(k), scale_shift, inverse, _ERROR_BITS - BASE_BITS)
-    state, stream, models, is_encoder = coder
+    state, stream, models, is_encoder = borrowed(coder)
     at = take_out(state)
     for row in range(n_rows):
         here, above, above2 = errors[row % 3], errors[(row + 2) % 3], errors[(row + 1) % 3]

@@ -21,6 +21,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.coding.status import Status
 
@@ -311,6 +312,7 @@ def code_ones(at, state, stream, models, is_encoder, index, n):
 
     A decoder stops before a zero. The model of a run stays in registers: a third of the time.
     """
+    state, stream = borrowed((state, stream))
     span, point, pos = at
     index = np.uint64(index)
     prob, count = _parts_of(models[index])
