@@ -18,8 +18,12 @@ from terrainwave.codec.detail import (
     N_DETAIL_MODELS,
     N_E_BINS,
     N_MIXERS,
+    SHIFT_OF_E,
+    cell_limits,
     code_detail,
+    in_steps,
     log8,
+    step_scale,
 )
 from terrainwave.codec.lattice import PAD, TAPS, fill_frame, merge, plane_sizes, split
 from terrainwave.codec.nested import fits_narrow
@@ -83,45 +87,54 @@ def test_padding_is_numpys_reflection(shape):
         np.testing.assert_array_equal(got[: expected.shape[0], : expected.shape[1]], expected)
 
 
+@pytest.mark.parametrize("step", [1, 3, 21, 4097, 200_001, (1 << 30) - 1])
+def test_limits_of_cells_are_where_steps_become_more(step):
+    shift, inverse = step_scale(np.int64(step))
+    limits = cell_limits(step)
+    assert len(limits) == SHIFT_OF_E.max() + 1
+    for low, line in enumerate(limits):
+        for k, limit in enumerate(line):
+            if limit > 1 << 32:
+                continue  # no two heights are that far apart
+            least, below = (
+                in_steps(limit + offset + (step >> 1), shift, inverse, 0) for offset in (0, -1)
+            )
+            # FORMAT.md P.7: t > 0 and (t - 1) >> low >= k.
+            assert least > 0
+            assert (least - 1) >> low >= k
+            assert below <= 0 or (below - 1) >> low < k
+
+
 @pytest.mark.parametrize("mixed", [False, True])
 def test_details_of_any_size_survive(mixed):
     rng = np.random.default_rng(6)
     sizes = [1, 2, 5, 14, 15, 100, 10**4, 10**6, (1 << 31) - 1]
     details = [s * sign for s in sizes for sign in (1, -1)]
     contexts = [
-        (int(e), *(int(reach) for reach in rng.integers(0, 5000, 2)), rng.integers(-9, 9, 6))
+        (int(e), *(int(x) for x in rng.integers(0, 5000, 2)), tuple(rng.integers(-9, 9, 6)))
         for e in rng.integers(0, N_E_BINS, len(details))
     ]
     out = np.zeros(10_000, dtype=np.uint8)
     coder, mixers = new_encoder(out, start_models(N_DETAIL_MODELS)), new_mixers(N_MIXERS)
     scale = 100, log8(100)
+    limits = cell_limits(3) if mixed else None
     at = take_out(coder.state)
-    for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
+    for detail, (e_bin, up, down, around) in zip(details, contexts, strict=True):
         coded, at = code_detail(
-            at,
-            *coder,
-            mixers,
-            e_bin,
-            1300,
-            1301,
-            up,
-            down,
-            *scale,
-            spots if mixed else None,
-            detail,
+            at, *coder, mixers, e_bin, 1300, 1301, up, down, *scale, around, limits, detail
         )
         assert coded == detail
-    put_back(at, coder.state, coder.is_encoder)
+    put_back(at, coder.state)
     data = out[: finish_encoder(coder.state, out)].tobytes()
     coder, mixers = new_decoder(data, start_models(N_DETAIL_MODELS)), new_mixers(N_MIXERS)
     at = take_out(coder.state)
-    for detail, (e_bin, up, down, spots) in zip(details, contexts, strict=True):
+    for detail, (e_bin, up, down, around) in zip(details, contexts, strict=True):
         coded, at = code_detail(
-            at, *coder, mixers, e_bin, 1300, 1301, up, down, *scale, spots if mixed else None, 0
+            at, *coder, mixers, e_bin, 1300, 1301, up, down, *scale, around, limits, 0
         )
         assert coded == detail
         assert abs(coded) <= MAX_DETAIL + 1
-    put_back(at, coder.state, coder.is_encoder)
+    put_back(at, coder.state)
     assert finish_decoder(coder.state, coder.stream)[0] == 0
 
 

@@ -100,7 +100,7 @@ def code_runs(bits, coder, coded):
         if i < n:
             coded[i], at = code_step(at, state, stream, models, is_encoder, 0, np.int64(bits[i]))
             i += 1
-    put_back(at, state, is_encoder)
+    put_back(at, state)
 
 
 @settings(deadline=None)  # the first example compiles
@@ -251,7 +251,7 @@ def code_mixed_bits(bits, contexts, renewed_every, coder, mixers, coded):
             at, state, stream, models, is_encoder, first, second, weights, np.int64(bits[i])
         )
         mixers[0, 0], mixers[1, 0] = weights
-    put_back(at, state, is_encoder)
+    put_back(at, state)
 
 
 def encoded_mixed(bits, contexts, n_models, renewed_every=0):

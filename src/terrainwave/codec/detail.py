@@ -4,7 +4,10 @@ One number, the expected magnitude E of a detail, drives everything; where the k
 relative to the prediction is the second opinion.
 """
 
+from functools import lru_cache
+
 import numpy as np
+from numpy.typing import NDArray
 
 from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.coding.rangecoder import (
@@ -37,8 +40,6 @@ _FIRST_LOG = 24
 N_E_BINS = 44
 N_RANGE_BINS = 8
 _N_FRAC_BINS = 4
-# Known neighbours whose places are looked at: four core values, west, north.
-N_SPOTS = 6
 _N_BALANCE = 7 * 4
 _N_BEYOND = 6 * 3
 # Low bits of magnitudes that are not coded, by E bin: magnitudes of about a quarter of E.
@@ -67,20 +68,49 @@ SIGN_MIXERS = 0
 UNARY_MIXERS = N_E_BINS >> 2
 N_MIXERS = 2 * UNARY_MIXERS
 
+# Distances in quanta become steps by multiplication.
+_MAX_DISTANCE = 1 << 40
+INVERSE_BITS = 22
+
 # Largest magnitude any stream can give.
 MAX_DETAIL = 1 << 33
 
 
 @kernel
+def step_scale(step):
+    """Return (shift, inverse): v / step is about ((v >> shift) * inverse) >> 22."""
+    shift = np.int64(0)
+    while step >> shift >= 1 << 12:
+        shift += 1
+    return shift, (np.int64(1) << INVERSE_BITS) // (step >> shift)
+
+
+@kernel
+def in_steps(distance, shift, inverse, bits):
+    """Return a distance >= 0 in quanta as a number of ``2**-bits`` steps, rounded down."""
+    return ((min(distance, _MAX_DISTANCE) >> shift) * inverse) >> (INVERSE_BITS - bits)
+
+
+@lru_cache(64)
+def cell_limits(step: int) -> NDArray[np.int64]:
+    """Return the least distance from a prediction of a neighbour beyond each unary step.
+
+    By the number of low bits and the number of steps: such a neighbour's own detail, less 1 and its
+    low bits, is at least that number.
+    """
+    shift, inverse = (int(part) for part in step_scale(np.int64(step)))
+    cells = [[(k << low) + 1 for k in range(N_UNARY + 1)] for low in range(max(SHIFT_OF_E) + 1)]
+    # Of `in_steps`, the other way.
+    places = [[-(-(c << INVERSE_BITS) // inverse) << shift for c in line] for line in cells]
+    return np.array(places, dtype=np.int64) - (step >> 1)
+
+
+@kernel
 def log8(value):
     """Return floor(8 log2(value)) with 12 bits of `value`; 0 for 0 or less."""
-    if value < 4096:
-        return np.int64(LOG8[np.uint64(max(value, 0))])
-    if value < 1 << 20:
-        return np.int64(LOG8[value >> 8]) + 64
-    if value < 1 << 28:
-        return np.int64(LOG8[value >> 16]) + 128
-    return np.int64(LOG8[min(value >> 24, 4095)]) + 192
+    # Without branches: values around a limit, as on rough ground, would mispredict half of them.
+    shift = (np.int64(value >= 4096) + (value >= 1 << 20) + (value >= 1 << 28)) << 3
+    return np.int64(LOG8[np.uint64(min(max(value, 0) >> shift, 4095))]) + (shift << 3)
 
 
 @kernel
@@ -123,19 +153,32 @@ def range_bin_of(reach, e_range, log_range):
 
 
 @inlined_kernel
+def _n_reaching(around, limit):
+    """Return how many known neighbours lie at a distance or beyond."""
+    a, b, c, d, e, f = around
+    return (
+        np.int64(a >= limit)
+        + (b >= limit)
+        + (c >= limit)
+        + (d >= limit)
+        + (e >= limit)
+        + (f >= limit)
+    )
+
+
+@inlined_kernel
 def code_detail(
     at, state, stream, models, is_encoder, mixers, e_bin, sign_b, sign_h, reach_b, reach_a, e_range,
-    log_range, spots, detail,
+    log_range, around, limits, detail,
 ):  # fmt: skip
     """Code a detail known not to be 0; return (detail, at).
 
-    `reach_b` and `reach_a` are the distances to the highest and the lowest core value; `spots` the
-    indices of the known neighbours, None where each decision has one model only. Inlined into a
-    loop that has all of the arguments at hand, and in one piece, as each piece would count
-    references to its arrays for each detail (a sixth of the time of decoding).
+    `reach_b` and `reach_a` are the distances to the highest and the lowest core value; `around` the
+    heights of the known neighbours less the prediction. `limits` are `cell_limits`, None where each
+    decision has one model only. Inlined into a loop that has all of the arguments at hand.
     """
     positive = np.int64(detail > 0)
-    if spots is not None:
+    if limits is not None:
         mixer = SIGN_MIXERS + (e_bin >> 2)
         weights = mixers[0, mixer], mixers[1, mixer]
         positive, at, weights = code_mixed_step(
@@ -153,16 +196,20 @@ def code_detail(
     first_h = UNARY_H + e_bin * N_UNARY * _N_BEYOND
     mixer = UNARY_MIXERS + (e_bin >> 2)
     weights = mixers[0, mixer], mixers[1, mixer]
-    beyond = cells = np.int64(0)
-    if spots is not None:
-        beyond, cells = cells_beyond(spots, positive, shift)
+    # How many known neighbours lie on the detail's side, in this unary step or a later one.
+    beyond = np.int64(0)
+    if limits is not None:
+        if not positive:
+            a, b, c, d, e, f = around
+            around = -a, -b, -c, -d, -e, -f
+        beyond = _n_reaching(around, limits[np.uint64(shift), 0])
     upper = np.int64(0)
     while upper < N_UNARY:
         bit = np.int64(wanted > upper)
-        if spots is not None:
-            here = cells & 15
-            beyond -= here
-            cells >>= 4
+        if limits is not None:
+            limit = limits[np.uint64(shift), np.uint64(upper + 1)]
+            here, beyond = beyond, _n_reaching(around, limit)
+            here -= beyond
             index_h = first_h + upper * _N_BEYOND + min(beyond, 5) * 3 + min(here, 2)
             bit, at, weights = code_mixed_step(
                 at, state, stream, models, is_encoder, first_b + upper, index_h, weights, bit
@@ -204,20 +251,3 @@ def _code_rest(at, state, stream, models, is_encoder, rest):
         n_bits += 1
     raw, at = code_raw_step(at, state, stream, is_encoder, n_bits, rest)
     return (np.int64(1) << n_bits) | raw, at
-
-
-@kernel
-def cells_beyond(spots, positive, shift):
-    """Return how many known neighbours lie on the detail's side, and how many in each unary cell.
-
-    The cells are packed into one integer, four bits each, the first lowest; the last, N_UNARY, is
-    for all further ones.
-    """
-    beyond = cells = np.int64(0)
-    for k in range(N_SPOTS):
-        spot = np.int64(spots[k]) if positive else -np.int64(spots[k])
-        cell = min((max(spot, 1) - 1) >> shift, N_UNARY)
-        is_beyond = np.int64(1) if spot > 0 else np.int64(0)
-        beyond += is_beyond
-        cells += is_beyond << (4 * cell)
-    return beyond, cells

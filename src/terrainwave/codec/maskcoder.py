@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.refiner import Mask
+from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     code_ones,
@@ -138,6 +139,7 @@ def row_contexts(padded, ahead, row, contexts):
 @kernel
 def _code_mask(mask, coder, ahead, contexts, padded):
     """Encode `mask` in raster order, or decode where it is None; either way into `padded`."""
+    coder, ahead, contexts, padded = borrowed((coder, ahead, contexts, padded))
     n_rows, n_cols = padded.shape[0] - 2, contexts.shape[0]
     state, stream, models, is_encoder = coder
     at = take_out(state)
@@ -174,4 +176,4 @@ def _code_mask(mask, coder, ahead, contexts, padded):
             col += 1
         if mask is None and at[2] > stream.shape[0] + 4:
             break  # `finish_decoder` says so
-    put_back(at, state, is_encoder)
+    put_back(at, state)

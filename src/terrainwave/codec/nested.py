@@ -11,7 +11,6 @@ from terrainwave.codec.detail import (
     E_OFFSET,
     MAX_E,
     N_RANGE_BINS,
-    N_SPOTS,
     SIGN_B,
     SIGN_E_OF_BIN,
     SIGN_H,
@@ -19,11 +18,14 @@ from terrainwave.codec.detail import (
     ZERO_H,
     code_detail,
     contexts_of,
+    in_steps,
     log8,
     middle_bin,
     range_bin_of,
+    step_scale,
 )
 from terrainwave.codec.lattice import PAD, WEIGHT_BITS
+from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.filters import MAX_HEIGHT
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
@@ -39,8 +41,6 @@ VOID, CODED, KNOWN = 0, 1, 2
 # Predictions have 6 fraction bits in contexts, errors are in 1/32 step, at most MAX_ERROR.
 P_BITS = 6
 MAX_ERROR = (1 << 15) - 1
-_MAX_DISTANCE = 1 << 40
-_INVERSE_BITS = 22
 
 # Features of the expected magnitude, weights in 1/512. Errors of prediction in steps: western
 # neighbours; the row above; sums over near and far known ones of this lattice. Distances in quanta,
@@ -56,21 +56,6 @@ E_WEIGHT_BITS = 9
 # Rows of the row buffer.
 (_ACC, _LOWEST, _LOWER, _UPPER, _HIGHEST, _ERRORS, _SPREAD, _FLOOR, _CEILING, _WIDTH) = range(10)
 N_ROW_BUFFERS = 10
-
-
-@kernel
-def step_scale(step):
-    """Return (shift, inverse): v / step is about ((v >> shift) * inverse) >> 22."""
-    shift = np.int64(0)
-    while step >> shift >= 1 << 12:
-        shift += 1
-    return shift, (np.int64(1) << _INVERSE_BITS) // (step >> shift)
-
-
-@kernel
-def in_steps(distance, shift, inverse, bits):
-    """Return a distance >= 0 in quanta as a number of ``2**-bits`` steps, rounded down."""
-    return ((min(distance, _MAX_DISTANCE) >> shift) * inverse) >> (_INVERSE_BITS - bits)
 
 
 @kernel
@@ -243,16 +228,20 @@ def _update_activity(errors, before, n_cols, after):
 @kernel
 def code_pass(
     target, kinds, planes, errors, activity, bends, own, geometry, weights, e_weights, clamp,
-    step, z_min, z_max, rows, spots, coder, mixers,
+    step, z_min, z_max, rows, limits, coder, mixers,
 ):  # fmt: skip
     """Encode a plane of `target`, or decode it where that is None, into ``planes[own]``.
 
     `kinds` (VOID, CODED, KNOWN) and `target` have the plane's size without padding; known samples
     are in place. Fills ``errors[own]`` and ``activity[own]`` as well, whose padding must be 0.
-    `rows` may be int32 where `fits_narrow` says so, for the same result in half the time. `spots`
-    is room for N_SPOTS integers, or None where each decision has one model only. `coder` and
-    `mixers` adapt.
+    `rows` may be int32 where `fits_narrow` says so, for the same result in half the time. `limits`
+    are `detail.cell_limits`, or None where each decision has one model only. `coder` and `mixers`
+    adapt.
     """
+    goal, kinds, planes, errors = borrowed((target, kinds, planes, errors))
+    activity, bends, geometry, rows = borrowed((activity, bends, geometry, rows))
+    weights, e_weights, lent_limits = borrowed((weights, e_weights, limits))
+    coder, mixers = borrowed((coder, mixers))
     n_rows, n_cols = kinds.shape
     plane, own_errors = planes[own], errors[own]
     taps, core = geometry.taps, geometry.core
@@ -352,8 +341,8 @@ def code_pass(
                 + bin_of_fraction[np.uint64(abs(fraction))]
             )
             zero_h = np.int64(0)
-            n_up = n_down = 0
-            if spots is not None:
+            n_up = n_down = np.int64(0)
+            if limits is not None:
                 north = np.int64(northern[j])
                 is_quiet = (
                     max(max(top, west), north) - whole <= half
@@ -364,32 +353,32 @@ def code_pass(
                 else:
                     ceiling, floor = whole + half, whole - half
                     n_up = (
-                        (1 if bottom > ceiling else 0)
-                        + (1 if lower[j] > ceiling else 0)
-                        + (1 if upper[j] > ceiling else 0)
-                        + (1 if top > ceiling else 0)
-                        + (1 if west > ceiling else 0)
-                        + (1 if north > ceiling else 0)
+                        np.int64(bottom > ceiling)
+                        + (lower[j] > ceiling)
+                        + (upper[j] > ceiling)
+                        + (top > ceiling)
+                        + (west > ceiling)
+                        + (north > ceiling)
                     )
                     n_down = (
-                        (1 if bottom < floor else 0)
-                        + (1 if lower[j] < floor else 0)
-                        + (1 if upper[j] < floor else 0)
-                        + (1 if top < floor else 0)
-                        + (1 if west < floor else 0)
-                        + (1 if north < floor else 0)
+                        np.int64(bottom < floor)
+                        + (lower[j] < floor)
+                        + (upper[j] < floor)
+                        + (top < floor)
+                        + (west < floor)
+                        + (north < floor)
                     )
                     n_same = 6 - n_up - n_down
                     zero_h = ZERO_H + (e_bin * 7 + n_same) * 4 + min(min(n_up, n_down), 3)
             detail = np.int64(0)
             if target is not None:
-                off = np.int64(target[row, j]) - whole
+                off = np.int64(goal[row, j]) - whole
                 if abs(off) > half:
                     detail = (abs(off) + half) // step
                     if off < 0:
                         detail = -detail
             bit = np.int64(detail != 0)
-            if spots is not None:
+            if limits is not None:
                 bit, at = code_mean_step(at, state, stream, models, is_encoder, zero_b, zero_h, bit)
             else:
                 bit, at = code_step(at, state, stream, models, is_encoder, zero_b, bit)
@@ -417,16 +406,13 @@ def code_pass(
                 reach_a = in_steps(
                     max(value - (bottom << P_BITS), 0), scale_shift, inverse, E_BITS - P_BITS
                 )
-                if spots is not None:
-                    spots[0], spots[1] = bottom - whole, lower[j] - whole
-                    spots[2], spots[3] = upper[j] - whole, top - whole
-                    spots[4], spots[5] = west - whole, northern[j] - whole
-                    for k in range(N_SPOTS):
-                        distance = in_steps(abs(spots[k]) + half, scale_shift, inverse, 0)
-                        spots[k] = distance if spots[k] > 0 else -distance
+                around = (
+                    bottom - whole, lower[j] - whole, upper[j] - whole, top - whole, west - whole,
+                    northern[j] - whole,
+                )  # fmt: skip
                 detail, at = code_detail(
                     at, state, stream, models, is_encoder, mixers, e_bin, sign_b, sign_h, reach_b,
-                    reach_a, e_range, log_range, spots, detail,
+                    reach_a, e_range, log_range, around, lent_limits, detail,
                 )  # fmt: skip
                 detail = min(max(detail, -most), most)
                 west = min(max(whole + detail * step, z_min), z_max)
@@ -439,7 +425,7 @@ def code_pass(
         _update_activity(
             here_errors, activity[own, row + PAD - 1], n_cols, activity[own, row + PAD]
         )
-    put_back(at, state, is_encoder)
+    put_back(at, state)
 
 
 @kernel

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from terrainwave.codec import tables
 from terrainwave.codec.border import N_BORDER_MODELS, code_border, code_root_sample
-from terrainwave.codec.detail import N_DETAIL_MODELS, N_MIXERS, N_SPOTS
+from terrainwave.codec.detail import N_DETAIL_MODELS, N_MIXERS, cell_limits
 from terrainwave.codec.fitting import features_of, fit_features, fit_tables, windows_of
 from terrainwave.codec.lattice import (
     HH,
@@ -53,13 +53,13 @@ from terrainwave.codec.parameters import (
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask, Sides
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
-    BYTE_POS,
-    PENDING,
+    OUT_POS,
     RANGE,
     Coder,
     code_raw,
     finish_decoder,
     finish_encoder,
+    n_bytes_begun,
     new_decoder,
     new_encoder,
     new_mixers,
@@ -133,7 +133,6 @@ class _Scratch(NamedTuple):
     activity: NDArray[np.int32]
     bends: NDArray[np.int32]
     rows: _Rows
-    spots: NDArray[np.int64]
 
 
 class _Workspace(threading.local):
@@ -161,7 +160,7 @@ class _Workspace(threading.local):
             np.zeros((N_ROW_BUFFERS, n_cols), dtype=np.int32),
             np.zeros((N_ROW_BUFFERS, n_cols), dtype=np.int64),
         )
-        return _Scratch(planes, errors, activity, bends, rows, np.zeros(N_SPOTS, dtype=np.int64))
+        return _Scratch(planes, errors, activity, bends, rows)
 
 
 _WORKSPACE = _Workspace()
@@ -439,11 +438,11 @@ def _run_pass(
     own = geometry.plane
     weights = unit.tables.stencils[own][choice.stencil_set]
     e_weights = unit.tables.e_weights[own][choice.e_class]
+    limits = cell_limits(spec.step) if unit.flags & _MIXED else None
     code_pass(
         goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
         weights, e_weights, bool(unit.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
-        scratch.rows.of(weights, e_weights), scratch.spots if unit.flags & _MIXED else None,
-        unit.coder, unit.mixers,
+        scratch.rows.of(weights, e_weights), limits, unit.coder, unit.mixers,
     )  # fmt: skip
     if unit.seen is not None:
         unit.seen[own].append(
@@ -506,7 +505,7 @@ def _encode_smallest(
     """
     own = geometry.plane
     # Bytes before this one are final.
-    first = max(int(unit.coder.state[BYTE_POS]), 0)
+    first = max(int(unit.coder.state[OUT_POS]), 0)
     arrays = [
         unit.coder.state, unit.coder.models, unit.mixers, unit.coder.stream[first:],
         scratch.planes[own], scratch.errors[own], scratch.activity[own],
@@ -522,12 +521,12 @@ def _encode_smallest(
         code = choice.stencil_set * 4 + choice.e_class
         code_raw(unit.coder, _SET_BITS + 2, code)
         _run_pass(goal, kinds, geometry, choice, spec, scratch, unit)
-        n_bits = 8 * int(unit.coder.state[BYTE_POS] + unit.coder.state[PENDING])
+        n_bits = 8 * int(n_bytes_begun(unit.coder.state))
         n_bits -= int(unit.coder.state[RANGE]).bit_length()
         if n_bits <= smallest:
             smallest, kept = n_bits, []
             if n_left:
-                arrays[3] = unit.coder.stream[first : max(int(unit.coder.state[BYTE_POS]), first)]
+                arrays[3] = unit.coder.stream[first : max(int(unit.coder.state[OUT_POS]), first)]
                 kept = [array.copy() for array in arrays]
     for array, values in zip(arrays, kept, strict=False):
         array[:] = values

@@ -12,8 +12,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.detail import MAX_E, N_E_BINS, SHIFT_OF_E, contexts_of, log8
-from terrainwave.codec.nested import in_steps, step_scale
+from terrainwave.codec.detail import (
+    MAX_E,
+    N_E_BINS,
+    SHIFT_OF_E,
+    contexts_of,
+    in_steps,
+    log8,
+    step_scale,
+)
+from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.filters import MAX_HEIGHT
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
@@ -252,7 +260,7 @@ def code_residuals(
     for k in range(n_fractions):
         bin_of_fraction[k] = min(in_steps(np.int64(k), scale_shift, inverse, 3 - BASE_BITS), 3)
         error_of_fraction[k] = in_steps(np.int64(k), scale_shift, inverse, _ERROR_BITS - BASE_BITS)
-    state, stream, models, is_encoder = coder
+    state, stream, models, is_encoder = borrowed(coder)
     at = take_out(state)
     for row in range(n_rows):
         here, above, above2 = errors[row % 3], errors[(row + 2) % 3], errors[(row + 1) % 3]
@@ -326,7 +334,7 @@ def code_residuals(
             here[j + FRAME] = west
             here_mags[j + FRAME] = mag
             here_signs[j + FRAME] = sign
-    put_back(at, state, is_encoder)
+    put_back(at, state)
 
 
 @kernel

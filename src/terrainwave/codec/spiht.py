@@ -26,12 +26,12 @@ from terrainwave.coding.jit import kernel
 from terrainwave.coding.lifting53 import level_shapes
 from terrainwave.coding.rangecoder import (
     BYTE_POS,
-    PENDING,
     STATE_SIZE,
     Coder,
     code_step,
     finish_decoder,
     finish_encoder,
+    n_bytes_begun,
     new_models,
     put_back,
     reset_encoder,
@@ -200,7 +200,7 @@ def _decide(coder, walk, index, bit):
         if state[IS_STOPPED]:
             return np.int64(0)
     bit, at = code_step(take_out(state), state, stream, models, is_encoder, index, bit)
-    put_back(at, state, is_encoder)
+    put_back(at, state)
     count = state[N_DECISIONS]
     if count < walk.trace.shape[0]:
         walk.trace[count] = bit
@@ -211,7 +211,7 @@ def _decide(coder, walk, index, bit):
 @kernel
 def _n_bytes_decided(state):
     """Return how many bytes of an encoder's stream decode all its decisions so far."""
-    return state[BYTE_POS] + state[PENDING] + 4
+    return n_bytes_begun(state) + 4
 
 
 # Contexts

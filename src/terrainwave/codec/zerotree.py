@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.filters import n_transforms
 from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.coding.rangecoder import (
@@ -229,7 +230,7 @@ def code_tree(goal, field, bands, nodes, coder):
 @kernel
 def _code_level(goal, field, level, t, bands, nodes, coder):
     """Code the nodes of one grid, that of transform `t`, row by row."""
-    state, stream, models, is_encoder = coder
+    state, stream, models, is_encoder = borrowed(coder)
     offsets, labels, rough, mags, spread = nodes
     n_rows, n_cols = field.shape
     rows, cols = ((n_rows - 1) >> (t + 1)) + 1, ((n_cols - 1) >> (t + 1)) + 1
@@ -271,7 +272,7 @@ def _code_level(goal, field, level, t, bands, nodes, coder):
                     at, state, stream, models, is_encoder, goal, field, t, i, j, steps, limits,
                     offset, plane, sum_1, sum_2, sum_3,
                 )  # fmt: skip
-    put_back(at, state, is_encoder)
+    put_back(at, state)
 
 
 @inlined_kernel

@@ -5,7 +5,7 @@ by bytes with carry propagation in the encoder. Departures: the constant first b
 only one of the last four bytes is, and probabilities adapt at 1/(n + 3/2) down to 1/256 instead of
 a fixed 1/32 (0.7 % over entropy instead of 2.5 %).
 
-All quantities are non-negative and below 2**63 (range < 2**32, low < 2**33, products < 2**48), so
+All quantities are non-negative and below 2**63 (range < 2**32, low < 2**57, products < 2**48), so
 signed 64-bit arithmetic is exact and equal in compiled and plain Python.
 
 A *mixed* bit has two models, whose probabilities are added as logits with weights that learn from
@@ -21,14 +21,20 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import inlined_kernel, kernel, rare_kernel
 from terrainwave.coding.status import Status
 
 # Indices into the state array (int64) of an encoder or a decoder. The *point* is an encoder's LOW,
 # the lower end of its range, or a decoder's CODE, how far the code lies above that end.
-RANGE, POINT, CACHE, PENDING, BYTE_POS = 0, 1, 2, 3, 4
+#
+# Bytes leave an encoder _MOST_HELD at a time: POINT has HELD of them above its lowest 32 bits. Its
+# OUT_POS is where the next byte is written, a decoder's BYTE_POS where the next one is read.
+RANGE, POINT, CACHE, PENDING, BYTE_POS, OUT_POS = 0, 1, 2, 3, 4, 5
 LOW = CODE = POINT
-STATE_SIZE = 5
+HELD = BYTE_POS
+STATE_SIZE = 6
+_MOST_HELD = 3
 
 _TOP = 1 << 24
 _MASK32 = (1 << 32) - 1
@@ -121,31 +127,41 @@ def start_encoder() -> NDArray[np.int64]:
 
 def reset_encoder(state: NDArray[np.int64]) -> None:
     """Set `state` to that of an encoder that has written nothing."""
+    state[RANGE], state[LOW], state[CACHE], state[HELD] = _MASK32, 0, 0, 0
     # The first byte out is always 0 and not written: it is "byte -1", and pending.
-    state[:STATE_SIZE] = _MASK32, 0, 0, 1, -1
+    state[PENDING], state[OUT_POS] = 1, -1
 
 
 @kernel
-def _shift_low(low, state, out):
-    """Move the top byte of `low` out and return the rest.
+def n_bytes_begun(state):
+    """Return how many bytes an encoder has put out or holds back: its LOW is what follows."""
+    return state[OUT_POS] + state[PENDING] + state[HELD]
+
+
+@kernel
+def _move_out(point, held, state, out):
+    """Move the `held` bytes above the lowest 32 bits of a point out; return the rest.
 
     Bytes that a carry may still change are held back: one in CACHE, then PENDING - 1 of 255. Bytes
     beyond the end of `out` are counted but not stored; `finish_encoder` reports them.
     """
-    if low < 0xFF000000 or low > _MASK32:
-        carry = low >> 32
-        byte = state[CACHE]
-        pos = state[BYTE_POS]
-        for _ in range(state[PENDING]):
-            if 0 <= pos < out.shape[0]:
-                out[pos] = (byte + carry) & 255
-            pos += 1
-            byte = 255
-        state[BYTE_POS] = pos
-        state[PENDING] = 0
-        state[CACHE] = (low >> 24) & 255
-    state[PENDING] += 1
-    return (low & 0x00FFFFFF) << 8
+    carry = point >> (32 + 8 * held)
+    for k in range(held - 1, -1, -1):
+        byte = (point >> (32 + 8 * k)) & 255
+        if byte < 255 or carry:
+            first, pos = state[CACHE], state[OUT_POS]
+            # Nearly always once. What counts is in the state, so that the loop, which stands in
+            # all that codes, does not become vector code.
+            while state[PENDING] > 0:
+                if 0 <= pos < out.shape[0]:
+                    out[np.uint64(pos)] = (first + carry) & 255
+                pos += 1
+                first = 255
+                state[PENDING] -= 1
+            state[OUT_POS], state[CACHE] = pos, byte
+        state[PENDING] += 1
+        carry = np.int64(0)
+    return point & _MASK32
 
 
 @inlined_kernel
@@ -158,22 +174,29 @@ def _parts_of(model):
 @inlined_kernel
 def _adapted(prob, count, bit):
     """Return the model of a probability and a count after a bit."""
+    rate = RATES[np.uint64(count)]
     if bit:
-        prob += (((1 << _PROB_BITS) - prob) * RATES[count]) >> 16
+        prob += (((1 << _PROB_BITS) - prob) * rate) >> 16
     else:
-        prob -= (prob * RATES[count]) >> 16
-    return (prob << _COUNT_BITS) | min(count + 1, _COUNT_LIMIT)
+        prob -= (prob * rate) >> 16
+    return (prob << _COUNT_BITS) + count + (count < _COUNT_LIMIT)
 
 
 @inlined_kernel
-def _refilled(span, code, pos, data):
-    """Return span, code and pos with bytes of `data` taken in until the range is large enough."""
+def _renewed(span, point, pos, state, stream, is_encoder):
+    """Return `at` after bytes went out or came in until the range is large enough."""
     while span < _TOP:
-        byte = np.int64(data[pos]) if pos < data.shape[0] else np.int64(0)
-        code = ((code << 8) | byte) & _MASK32
         span <<= 8
         pos += 1
-    return span, code, pos
+        if is_encoder is None:
+            byte = np.int64(stream[np.uint64(pos - 1)]) if pos <= stream.shape[0] else np.int64(0)
+            point = ((point << 8) | byte) & _MASK32
+        else:
+            point <<= 8
+            if pos == _MOST_HELD:
+                point = _move_out(point, pos, state, stream)
+                pos = np.int64(0)
+    return span, point, pos
 
 
 @rare_kernel
@@ -184,16 +207,19 @@ def finish_encoder(state, out):
     """
     # Range >= 2**24, so the next multiple of 2**24 is inside: its lower three bytes are zero and
     # not written, the decoder supplies them.
-    low = _shift_low(((state[LOW] + _TOP - 1) >> 24) << 24, state, out)
-    # Now low is 0, so one more shift lets everything held back go.
-    state[LOW] = _shift_low(low, state, out)
-    return state[BYTE_POS]
+    low = ((state[LOW] + _TOP - 1) >> 24) << 24
+    low = _move_out(low << 8, state[HELD] + 1, state, out)
+    # Now low is 0, so one more byte lets everything held back go.
+    state[LOW] = _move_out(low << 8, 1, state, out)
+    state[HELD] = 0
+    return state[OUT_POS]
 
 
 def start_decoder(state: NDArray[np.int64], data: NDArray[np.uint8]) -> None:
     """Set `state` to the start of `data`; bytes past their end count as zero."""
     code = int.from_bytes(data[:4].tobytes().ljust(4, b"\0"), "big")
-    state[:STATE_SIZE] = _MASK32, code, 0, 0, 4
+    state[RANGE], state[CODE], state[CACHE] = _MASK32, code, 0
+    state[PENDING], state[BYTE_POS] = 0, 4
 
 
 def finish_decoder(state: NDArray[np.int64], data: NDArray[np.uint8]) -> tuple[Status, int]:
@@ -226,8 +252,9 @@ def _learned(weight, logit, mixed, bit):
 
 # One text for encoder and decoder: what is to be coded is an argument, which a decoder ignores, and
 # what was coded is returned. Loops unpack their coder, as each look into it counts references, and
-# keep `at`, which is (RANGE, POINT, BYTE_POS), out of the state (half the time); an encoder's
-# BYTE_POS is idle. A one is coded as the lower part of the range, `bound` wide.
+# keep `at`, which is (RANGE, POINT, BYTE_POS or HELD), out of the state (half the time). A one is
+# coded as the lower part of the range, `bound` wide. What codes a bit is inlined: passing arrays
+# and taking `at` back costs more than coding.
 
 
 @inlined_kernel
@@ -237,14 +264,12 @@ def take_out(state):
 
 
 @inlined_kernel
-def put_back(at, state, is_encoder):
+def put_back(at, state):
     """Undo `take_out`."""
-    state[RANGE], state[POINT] = at[0], at[1]
-    if is_encoder is None:
-        state[BYTE_POS] = at[2]
+    state[RANGE], state[POINT], state[BYTE_POS] = at
 
 
-@kernel
+@inlined_kernel
 def code_step(at, state, stream, models, is_encoder, index, bit):
     """Code one bit with ``models[index]``, which adapts; return (bit, at).
 
@@ -262,12 +287,7 @@ def code_step(at, state, stream, models, is_encoder, index, bit):
         point = _raised(point, bound, is_encoder)
         span -= bound
     models[index] = _adapted(prob, count, bit)
-    if is_encoder is None:
-        span, point, pos = _refilled(span, point, pos, stream)
-    else:
-        while span < _TOP:
-            span <<= 8
-            point = _shift_low(point, state, stream)
+    span, point, pos = _renewed(span, point, pos, state, stream, is_encoder)
     return bit, (span, point, pos)
 
 
@@ -277,6 +297,7 @@ def code_ones(at, state, stream, models, is_encoder, index, n):
 
     A decoder stops before a zero. The model of a run stays in registers: a third of the time.
     """
+    state, stream = borrowed((state, stream))
     span, point, pos = at
     index = np.uint64(index)
     prob, count = _parts_of(models[index])
@@ -290,17 +311,12 @@ def code_ones(at, state, stream, models, is_encoder, index, n):
         prob += (((1 << _PROB_BITS) - prob) * RATES[np.uint64(count)]) >> 16
         count = min(count + 1, _COUNT_LIMIT)
         n_coded += 1
-        if is_encoder is None:
-            span, point, pos = _refilled(span, point, pos, stream)
-        else:
-            while span < _TOP:
-                span <<= 8
-                point = _shift_low(point, state, stream)
+        span, point, pos = _renewed(span, point, pos, state, stream, is_encoder)
     models[index] = (prob << _COUNT_BITS) | count
     return n_coded, (span, point, pos)
 
 
-@kernel
+@inlined_kernel
 def code_mean_step(at, state, stream, models, is_encoder, first, second, bit):
     """Code one bit with the mean of two models' probabilities; as `code_step`."""
     span, point, pos = at
@@ -317,12 +333,7 @@ def code_mean_step(at, state, stream, models, is_encoder, first, second, bit):
         span -= bound
     models[first] = _adapted(prob, count, bit)
     models[second] = _adapted(other_prob, other_count, bit)
-    if is_encoder is None:
-        span, point, pos = _refilled(span, point, pos, stream)
-    else:
-        while span < _TOP:
-            span <<= 8
-            point = _shift_low(point, state, stream)
+    span, point, pos = _renewed(span, point, pos, state, stream, is_encoder)
     return bit, (span, point, pos)
 
 
@@ -347,12 +358,7 @@ def code_mixed_step(at, state, stream, models, is_encoder, first, second, weight
     models[second] = _adapted(other_prob, other_count, bit)
     weight = _learned(weight, logit, mixed, bit)
     other_weight = _learned(other_weight, other_logit, mixed, bit)
-    if is_encoder is None:
-        span, point, pos = _refilled(span, point, pos, stream)
-    else:
-        while span < _TOP:
-            span <<= 8
-            point = _shift_low(point, state, stream)
+    span, point, pos = _renewed(span, point, pos, state, stream, is_encoder)
     return bit, (span, point, pos), (weight, other_weight)
 
 
@@ -362,7 +368,7 @@ def _raised(point, distance, is_encoder):
     return point - distance if is_encoder is None else point + distance
 
 
-@kernel
+@inlined_kernel
 def code_raw_step(at, state, stream, is_encoder, n_bits, value):
     """Code the lowest `n_bits` (0 to 62) bits of a value, the highest first, at one bit each.
 
@@ -378,12 +384,7 @@ def code_raw_step(at, state, stream, is_encoder, n_bits, value):
         if bit:
             point = _raised(point, span, is_encoder)
         coded = (coded << 1) | bit
-        if is_encoder is None:
-            span, point, pos = _refilled(span, point, pos, stream)
-        else:
-            while span < _TOP:
-                span <<= 8
-                point = _shift_low(point, state, stream)
+        span, point, pos = _renewed(span, point, pos, state, stream, is_encoder)
     return coded, (span, point, pos)
 
 
@@ -426,7 +427,7 @@ def code_bit(coder, index, bit):
     """Code one bit with ``models[index]``; return it."""
     state, stream, models, is_encoder = coder
     bit, at = code_step(take_out(state), state, stream, models, is_encoder, index, bit)
-    put_back(at, state, is_encoder)
+    put_back(at, state)
     return bit
 
 
@@ -435,7 +436,7 @@ def code_raw(coder, n_bits, value):
     """Code the lowest `n_bits` bits of a value, unpredicted; return them as a number."""
     state, stream, _, is_encoder = coder
     value, at = code_raw_step(take_out(state), state, stream, is_encoder, n_bits, value)
-    put_back(at, state, is_encoder)
+    put_back(at, state)
     return value
 
 
@@ -446,5 +447,5 @@ def code_magnitude(coder, first, prefix, shift, value):
     value, at = code_magnitude_step(
         take_out(state), state, stream, models, is_encoder, first, prefix, shift, value
     )
-    put_back(at, state, is_encoder)
+    put_back(at, state)
     return value

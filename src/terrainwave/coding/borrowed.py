@@ -1,0 +1,53 @@
+"""Arrays that a kernel doesn't count references to.
+
+Numba counts a reference to an array wherever one is passed on, taken from a tuple or sliced, and
+leaves out what it can pair up; around loops it cannot. Each is an atomic addition, together a
+seventh of the time of encoding in `nested.code_pass`. What a kernel is given lives as long as the
+call, so it need not count.
+"""
+
+import os
+from typing import Any, TypeVar
+
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+# As numba reads it.
+_IS_PLAIN = bool(int(os.environ.get("NUMBA_DISABLE_JIT") or 0))
+
+Borrowed = TypeVar("Borrowed")
+
+
+def _without_owner(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    """Return LLVM code for a value whose arrays have no owner to count references of."""
+    if isinstance(kind, types.Array):
+        for name in ("meminfo", "parent"):
+            k = context.data_model_manager[kind].get_field_position(name)
+            nobody = cgutils.get_null_value(value.type.elements[k])
+            value = builder.insert_value(value, nobody, k)
+    if isinstance(kind, types.BaseTuple):
+        inner: Any
+        for k, inner in enumerate(kind):  # type: ignore[arg-type]
+            part = _without_owner(context, builder, inner, builder.extract_value(value, k))
+            value = builder.insert_value(value, part, k)
+    return value
+
+
+def _borrowed(_typing_context: Any, value: Any) -> Any:
+    """Return an argument of a kernel, its arrays or those of a tuple without their owner.
+
+    Only for use within the kernel: nothing that it returns or keeps may come from this.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _without_owner(context, builder, signature.args[0], arguments[0])
+
+    return value(value), generate
+
+
+def _same(value: Borrowed) -> Borrowed:
+    return value
+
+
+borrowed: Any = _same if _IS_PLAIN else intrinsic(_borrowed)
