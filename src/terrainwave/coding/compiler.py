@@ -41,7 +41,7 @@ class Kernel(CPUDispatcher):
     def compile(self, sig: Any) -> Any:
         """Compile for some types, or load what has been compiled for them."""
         with global_compiler_lock, _without_collector():
-            entry = super().compile(sig)
+            entry = _with_room(super().compile, sig)
             # Parts were never made ready to be called: the objects that their code refers to.
             found = self.overloads.get(tuple(getattr(sig, "args", sig)))
             if found is not None and self._cache_misses:
@@ -173,6 +173,21 @@ class _PartLibrary(JITCodeLibrary):
 
 _OF_KERNELS: dict[type, type] = {InlineInlinables: _Inlining}
 _OF_PARTS = {**_OF_KERNELS, NativeLowering: _PartLowering}
+
+
+def _with_room(function: Callable[[Any], Any], argument: Any) -> Any:
+    """Call a function; what it calls finds room for its frames in one piece of memory.
+
+    CPython takes frames from pieces of 16 KiB, and gives one back as soon as it is empty. Where a
+    loop calls across the end of one, each call maps memory anew: a compiler, whose calls lie deep,
+    may lose a tenth of its time to it. A frame that is larger gets a piece of the next power of
+    two, and those after it take the rest.
+    """
+    return function(argument)
+
+
+# In words of 8 bytes: 600 KiB of 1 MiB, of which only what is used takes memory.
+_with_room.__code__ = _with_room.__code__.replace(co_stacksize=75_000)
 
 
 @contextmanager
