@@ -19,8 +19,9 @@ import click
 
 from benchmarks import common
 
-# Seconds of user and system time, medians.
-Row = namedtuple("Row", "raster package command cache n_runs cpu_seconds least most")
+# Seconds of user and system time, medians. `state` is the package and whether its cache is "empty"
+# or "warm".
+Row = namedtuple("Row", "raster command state n_runs cpu_seconds least most")
 START = "from terrainwave.cli import main; main()"
 READ = "import sys, terrainwave; terrainwave.open(sys.argv[1]).read()"
 WINDOW = "import sys, terrainwave; terrainwave.open(sys.argv[1]).read((0, 0, 512, 512))"
@@ -70,7 +71,7 @@ def measure(paths, packages: dict[str, Path], python: str, n_runs: int, folder) 
                         found[name, kind].append(seconds_of(python, source, arguments, cache))
             for (name, kind), seconds in found.items():
                 yield Row(
-                    raster.stem, name, command, kind, n_runs,
+                    raster.stem, command, f"{name}-{kind}", n_runs,
                     *(round(f(seconds), 2) for f in (statistics.median, min, max)),
                 )  # fmt: skip
 
