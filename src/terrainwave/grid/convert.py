@@ -4,8 +4,6 @@ import numpy as np
 
 from terrainwave.coding.jit import kernel
 
-# A base below and a quantum (at most 2**30) fit 32 bits together.
-_LARGE = 1 << 29
 # Stands for a void in the input of `push`.
 UNKNOWN = -(1 << 31)
 _ONE = np.uint64(1)
@@ -48,14 +46,6 @@ def dequantize_integers(quanta, numerator, denominator, base, low, high, out):
 
     The header's limits keep (base + k) * numerator below 2^63.
     """
-    if numerator == 1 and denominator == 1 and -_LARGE < base < _LARGE:
-        # The usual case, in 32 bits: twice as many at a time.
-        short_base, short_low, short_high = np.int32(base), np.int32(low), np.int32(high)
-        for row in range(quanta.shape[0]):
-            for col in range(quanta.shape[1]):
-                height = np.int32(quanta[row, col] + short_base)
-                out[row, col] = min(max(height, short_low), short_high)
-        return
     for row in range(quanta.shape[0]):
         for col in range(quanta.shape[1]):
             height = (np.int64(quanta[row, col]) + base) * numerator

@@ -21,6 +21,8 @@ from terrainwave.names import methods_that
 # Of heights on no grid, in physical units, where no bound is named.
 DEFAULT_MAX_ERROR = 0.01
 MAX_QUANTA = 1 << 30
+# A base below and a quantum fit 32 bits together.
+_LARGE = 1 << 29
 # An exact quotient needs numerators below 2^53 (the float64 significand).
 _MAX_NUMERATOR = 1 << 53
 # Rounding to p = 2^-FINE_BITS * bound costs less than 0.01 bit per sample; COARSE_BITS is the
@@ -155,6 +157,12 @@ class Quantizer:
             out = np.empty(quanta.shape, dtype=self.dtype)
         if out.dtype.kind in "iu":
             limits = np.iinfo(np.dtype(self.dtype))
+            if self.numerator == self.denominator == 1 and abs(self.base) < _LARGE:
+                # The usual case, in 32 bits, which no kernel has to be compiled for.
+                heights = np.add(quanta, self.base, dtype=np.int32)
+                np.clip(heights, limits.min, limits.max, out=heights)
+                out[...] = heights
+                return out
             convert.dequantize_integers(
                 quanta, self.numerator, self.denominator, self.base, limits.min, limits.max, out
             )
