@@ -62,8 +62,11 @@ def _rasters(folder: Path) -> list[tuple[Path, float]]:
     rasters = [(_write(folder / "row.tif", _hills("int16")[:1]), 0.0)]
     for dtype in SUPPORTED_DTYPES:
         bound = 0.5 if np.dtype(dtype).kind == "f" else 0.0
-        for name in (dtype, f"{dtype}-void"):
-            rasters.append((_write(folder / f"{name}.tif", _hills(dtype)), bound))
+        heights = _hills(dtype)
+        rasters.append((_write(folder / f"{dtype}.tif", heights), bound))
+        # In steps of two: a kernel of their own makes whole heights of other quanta than 1.
+        steps = heights - heights % 2 if not bound else heights
+        rasters.append((_write(folder / f"{dtype}-void.tif", steps), bound))
     return rasters
 
 

@@ -157,12 +157,13 @@ class Quantizer:
             out = np.empty(quanta.shape, dtype=self.dtype)
         if out.dtype.kind in "iu":
             limits = np.iinfo(np.dtype(self.dtype))
-            if self.numerator == self.denominator == 1 and abs(self.base) < _LARGE:
-                # The usual case, in 32 bits, which no kernel has to be compiled for.
-                heights = np.add(quanta, self.base, dtype=np.int32)
-                np.clip(heights, limits.min, limits.max, out=heights)
-                out[...] = heights
-                return out
+            is_usual = self.numerator == self.denominator == 1 and abs(self.base) < _LARGE
+            if is_usual and quanta.size:
+                low, high = int(quanta.min()) + self.base, int(quanta.max()) + self.base
+                if limits.min <= low and high <= limits.max:
+                    # No kernel has to be compiled for this.
+                    np.add(quanta, self.base, out=out, casting="unsafe")
+                    return out
             convert.dequantize_integers(
                 quanta, self.numerator, self.denominator, self.base, limits.min, limits.max, out
             )
