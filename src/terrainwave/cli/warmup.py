@@ -50,11 +50,15 @@ def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
     return left_out
 
 
-def _hills(dtype: str) -> NDArray[np.generic]:
-    """Return heights as a GeoTIFF of the Earth would have; of int32, sums need 64 bits."""
+def _hills(dtype: str, step: int = 1) -> NDArray[np.generic]:
+    """Return heights as a GeoTIFF of the Earth would have; of int32, sums need 64 bits.
+
+    Whole ones are multiples of `step`.
+    """
     rows, cols = np.mgrid[: _SHAPE[0], : _SHAPE[1]]
     heights = 100 + 40 * np.sin(rows / 19) * np.cos(cols / 17) + 5 * np.sin(rows * cols / 70)
-    return (heights * (1e6 if dtype == "int32" else 1)).astype(dtype)
+    heights = heights * (1e6 if dtype == "int32" else 1)
+    return (heights if np.dtype(dtype).kind == "f" else heights // step * step).astype(dtype)
 
 
 def _rasters(folder: Path) -> list[tuple[Path, float]]:
@@ -62,11 +66,9 @@ def _rasters(folder: Path) -> list[tuple[Path, float]]:
     rasters = [(_write(folder / "row.tif", _hills("int16")[:1]), 0.0)]
     for dtype in SUPPORTED_DTYPES:
         bound = 0.5 if np.dtype(dtype).kind == "f" else 0.0
-        heights = _hills(dtype)
-        rasters.append((_write(folder / f"{dtype}.tif", heights), bound))
-        # In steps of two: a kernel of their own makes whole heights of other quanta than 1.
-        steps = heights - heights % 2 if not bound else heights
-        rasters.append((_write(folder / f"{dtype}-void.tif", steps), bound))
+        # In steps of two: a kernel makes whole heights of other quanta than 1.
+        for name, step in ((dtype, 1), (f"{dtype}-void", 2)):
+            rasters.append((_write(folder / f"{name}.tif", _hills(dtype, step)), bound))
     return rasters
 
 
