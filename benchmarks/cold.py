@@ -24,8 +24,7 @@ from benchmarks import common
 Row = namedtuple("Row", "raster command state n_runs cpu_seconds least most")
 START = "from terrainwave.cli import main; main()"
 READ = "import sys, terrainwave; terrainwave.open(sys.argv[1]).read()"
-WINDOW = "import sys, terrainwave; terrainwave.open(sys.argv[1]).read((0, 0, 512, 512))"
-COMMANDS = ("read", "read 512²", "compress", "compress rapid, bare", "verify")
+COMMANDS = ("read", "compress", "compress rapid, bare", "verify")
 
 
 def arguments_of(command: str, raster: Path, file: Path) -> list[str]:
@@ -34,7 +33,6 @@ def arguments_of(command: str, raster: Path, file: Path) -> list[str]:
     made += ["--max-error", "1", "--overwrite", "--quiet"]
     return {
         "read": ["-c", READ, str(file)],
-        "read 512²": ["-c", WINDOW, str(file)],
         "compress": made,
         "compress rapid, bare": [*made, "--method", "rapid", "--no-mesh", "--no-verify"],
         "verify": ["-c", START, "verify", str(file), str(raster)],
