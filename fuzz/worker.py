@@ -21,6 +21,8 @@ ROOT = Path(__file__).parents[1]
 # Address space that a target may take beyond what the process has at first.
 _MOST_BYTES = 2 << 30
 _FINDS_OF_A_PLACE = 3
+# What compiles kernels.
+COMPILER = [f"terrainwave.coding.{name}" for name in ("borrowed", "compiler", "jit")]
 
 
 def kernel_modules() -> list[str]:
@@ -35,7 +37,7 @@ def kernel_modules() -> list[str]:
 
 with atheris.instrument_imports(
     include=["terrainwave"],
-    exclude=[*kernel_modules(), "terrainwave.coding.jit"] if IS_COMPILED else [],
+    exclude=[*kernel_modules(), *COMPILER] if IS_COMPILED else [],
 ):
     from fuzz import checksums, targets
 
