@@ -331,8 +331,8 @@ def test_the_same_raster_gives_the_same_tables():
 def test_sums_of_fits_do_not_depend_on_their_order():
     windows = np.stack([terrain((120, 130), seed) for seed in range(2)])
     samples = gather(2, windows, np.ones(windows.shape, dtype=bool), 0, 3)
-    order = np.random.default_rng(3).permutation(len(samples.goals))
-    shuffled = samples._replace(taps=samples.taps[order], goals=samples.goals[order])
+    order = np.random.default_rng(3).permutation(len(samples.values))
+    shuffled = samples._replace(values=samples.values[order])
     weights = rapid_tables.STENCILS[2][0].astype(np.float64)
     weights = np.pad(weights, (0, MAX_TAPS - len(weights)))
     for start in (None, weights):
@@ -347,7 +347,7 @@ def test_a_fitted_stencil_finds_the_weights_that_made_the_heights():
     taps[:, len(TAPS[1]) :] = 0
     true = np.zeros(MAX_TAPS)
     true[[1, 5, 6, 9, 10, 17]] = [-512, 1500, 1400, 1300, 1200, -792]
-    samples = Samples(taps, np.rint(taps @ true / 4096), 1.0)
+    samples = Samples(np.column_stack([taps, np.rint(taps @ true / 4096)]), 1.0)
     (found,) = fit_weights({(0, 1): samples}, [0.0])
     np.testing.assert_allclose(found[0, 1], true, atol=2)
 
