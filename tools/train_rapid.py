@@ -97,7 +97,10 @@ def train_stencils(windows: dict[str, tuple[np.ndarray, np.ndarray]]) -> dict[in
         for weights in pool:
             weights[missing_tap(plane)] += WHOLE - weights.sum()
         costs = np.array(
-            [costs_of(samples, np.array(pool), n) / len(samples.goals) for samples, n in some]
+            [
+                costs_of(samples, np.array(pool), np.full(len(pool), noise)) / len(samples.goals)
+                for samples, noise in some
+            ]
         ).T
         costs = costs / COST_UNIT + LEAST
         # Gains at low rates count as much as those at high ones.
