@@ -97,7 +97,8 @@ def measure_block(
     # Twice the span in the units of the surface must fit.
     dtype = np.int32 if span << 2 * shift + 1 < 1 << 31 else np.int64
     n_places = ((col + n_cols - 1 >> shift) - first_cells[1] + 1) * stride + 1
-    lines = np.empty(_N_LINES * n_places, dtype=dtype)
+    # Not empty: a row of the surface above the first one is worked out, and not used.
+    lines = np.zeros(_N_LINES * n_places, dtype=dtype)
     first = row - first_cells[0] * stride, col - first_cells[1] * stride
     scaled = _largest_deviation(
         under,
