@@ -11,6 +11,7 @@ from terrainwave.codec.rapid_layout import (
     ERROR_SHIFT,
     ERRORS,
     GOAL,
+    N_LOW,
     PLANE,
     PREDICTED,
     SHIFT_MASK,
@@ -167,25 +168,47 @@ def _code_raw(m, at, n, is_encoding, has_void, most, places, raw, n_bits):
     """Write or read the raw bits of a row and complete `DETAIL`, at most `most` in size."""
     cast = m.dtype.type
     start = min(places[BIT_POS], n_bits)
-    bit_pos = start
+    has_escape = False
     for j in range(n):
         k = at + j
-        if has_void and m[VALID + k] == 0:
-            continue
         is_escape = m[SYMBOL + k] == ESCAPE
-        n_low = np.int64(ESCAPE_BITS) if is_escape else np.int64(low_bits(m[CONTEXT + k]))
-        if n_low == 0:
-            continue
-        if is_encoding:
-            bits = np.int64(m[DETAIL + k]) & ((np.int64(1) << n_low) - 1)
-            _write_bits(raw, bit_pos, bits)
-        else:
+        n_low = cast(ESCAPE_BITS) if is_escape else cast(low_bits(m[CONTEXT + k]))
+        m[N_LOW + k] = n_low
+        has_escape |= is_escape
+    if has_void:
+        for j in range(n):
+            k = at + j
+            m[N_LOW + k] = m[N_LOW + k] if m[VALID + k] != 0 else cast(0)
+    bit_pos = start
+    if is_encoding:
+        for j in range(n):
+            k = at + j
+            n_low = np.int64(m[N_LOW + k])
+            if n_low > 0:
+                bits = np.int64(m[DETAIL + k]) & ((np.int64(1) << n_low) - 1)
+                _write_bits(raw, bit_pos, bits)
+                bit_pos += n_low
+    elif not has_escape:
+        for j in range(n):
+            k = at + j
+            n_low = np.int64(m[N_LOW + k])
+            bits = _read_bits(raw, bit_pos, n_low)
+            m[DETAIL + k] = cast(np.int64(m[DETAIL + k]) << n_low | bits)
+            bit_pos += n_low
+    else:
+        for j in range(n):
+            k = at + j
+            n_low = np.int64(m[N_LOW + k])
             bits = _read_bits(raw, bit_pos, n_low)
             sign = np.int64(1) << (ESCAPE_BITS - 1)
             upper = np.int64(m[DETAIL + k]) << n_low
-            detail = (bits ^ sign) - sign if is_escape else upper | bits
+            detail = (bits ^ sign) - sign if n_low == ESCAPE_BITS else upper | bits
             m[DETAIL + k] = cast(min(max(detail, -most), most))
-        bit_pos += n_low
+            bit_pos += n_low
+    if not has_escape:
+        for j in range(n):
+            detail = m[DETAIL + at + j]
+            m[DETAIL + at + j] = min(max(detail, cast(-most)), cast(most))
     places[BIT_POS] += bit_pos - start
 
 

@@ -54,6 +54,7 @@ SYMBOL = _rows.take()
 DETAIL = _rows.take()  # towards `SIDE`
 GOAL = _rows.take()
 VALID = _rows.take()
+N_LOW = _rows.take()  # raw bits of a detail
 LINE = _rows.take()
 RESULT = _rows.take()
 _weights = _rows.take()
