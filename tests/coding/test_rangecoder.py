@@ -103,11 +103,8 @@ def code_runs(bits, coder, coded):
     put_back(at, state)
 
 
-@settings(deadline=None)  # the first example compiles
-@given(st.lists(st.integers(0, 300), max_size=12), st.booleans())
-def test_runs_of_ones_are_coded_as_they_are_one_by_one(runs, ends_with_a_zero):
-    bits = np.array([bit for run in runs for bit in [1] * run + [0]], dtype=np.uint8)
-    bits = bits if ends_with_a_zero else bits[:-1]
+def check_runs(bits):
+    """Check that runs are coded, and decoded, as their bits are one by one."""
     expected = encoded(bits, np.zeros(len(bits), dtype=np.int64), 1)
     out = np.zeros(2 * len(bits) + 16, dtype=np.uint8)
     encoder, decoder = new_encoder(out, new_models(1)), new_decoder(expected, new_models(1))
@@ -116,8 +113,22 @@ def test_runs_of_ones_are_coded_as_they_are_one_by_one(runs, ends_with_a_zero):
     found = np.zeros_like(bits)
     code_runs(found, decoder, found)
     raise_for_status(*finish_decoder(decoder.state, decoder.stream))
-    assert found.tolist() == bits.tolist()
+    assert np.array_equal(found, bits)
     assert decoder.models == encoder.models
+
+
+@settings(deadline=None)  # the first example compiles
+@given(st.lists(st.integers(0, 300), max_size=12), st.booleans())
+def test_runs_of_ones_are_coded_as_they_are_one_by_one(runs, ends_with_a_zero):
+    bits = np.array([bit for run in runs for bit in [1] * run + [0]], dtype=np.uint8)
+    check_runs(bits if ends_with_a_zero else bits[:-1])
+
+
+@pytest.mark.parametrize("n_zeros", [0, 1, 3, 10, 30, 100])
+def test_runs_that_no_longer_move_the_model_are_coded_in_steps(n_zeros):
+    bits = np.ones(60_000, dtype=np.uint8)
+    bits[np.random.default_rng(n_zeros).integers(0, len(bits), n_zeros)] = 0
+    check_runs(bits)
 
 
 def test_the_example_of_the_format():

@@ -33,6 +33,7 @@ N_MASK_MODELS = 64 * _N_AHEAD
 # Where all six neighbours are valid and no void is ahead: what `row_contexts` says, and the model.
 _INSIDE = 29 * _N_AHEAD
 _ALL_VALID = 63 * _N_AHEAD
+_FOUR = np.uint64(_INSIDE * 0x0001_0001_0001_0001)  # four times
 _IMPLIED = -1
 # Start probabilities in 1/256, from tools/train_masks.py; an annex of the format, never edited.
 _STARTS = (
@@ -93,14 +94,15 @@ class _Surroundings(NamedTuple):
     """What `row_contexts` takes and fills, before a sample is coded."""
 
     ahead: NDArray[np.uint8]
-    contexts: NDArray[np.int64]
+    contexts: NDArray[np.int16]
     padded: NDArray[np.bool_]
 
 
 def _surroundings(implied: Mask) -> _Surroundings:
     n_rows, n_cols = implied.shape
     padded = np.zeros((n_rows + 2, n_cols + 3), dtype=np.bool_)
-    return _Surroundings(pad_implied(implied), np.empty(n_cols, dtype=np.int64), padded)
+    contexts = np.empty(-(-n_cols // 4) * 4, dtype=np.int16)
+    return _Surroundings(pad_implied(implied), contexts, padded)
 
 
 def pad_implied(implied: Mask) -> NDArray[np.uint8]:
@@ -120,27 +122,33 @@ def row_contexts(padded, ahead, row, contexts):
     void. `ahead` is what is implied, with one column before, two behind and two rows below that are
     not.
     """
-    n_cols = contexts.shape[0]
     above, above2 = padded[row + 1], padded[row]
     here, below, below2 = ahead[row], ahead[row + 1], ahead[row + 2]
-    for col in range(n_cols):
-        causal = (
-            16 * above[col + 2]
-            + 8 * above[col + 1]
-            + 4 * above[col + 3]
-            + np.int64(above2[col + 2])
+    # All in 16 bits, so that vectors hold many.
+    for col in range(np.uint64(padded.shape[1] - 3)):
+        east, east2 = col + np.uint64(1), col + np.uint64(2)
+        causal = np.int16(
+            np.int16(16 * np.int16(above[east2]))
+            + np.int16(8 * np.int16(above[east]))
+            + np.int16(4 * np.int16(above[col + np.uint64(3)]))
+            + np.int16(above2[east2])
         )
-        near = np.int64(here[col + 2]) + below[col + 1]
-        far = np.int64(here[col + 3]) + below[col] + below[col + 2] + below2[col + 1]
-        context = causal * _N_AHEAD + 3 * near + min(far, _FARTHEST)
-        contexts[col] = _IMPLIED if here[col + 1] else context
+        near = np.int16(np.int16(here[east2]) + np.int16(below[east]))
+        far = np.int16(
+            np.int16(np.int16(here[col + np.uint64(3)]) + np.int16(below[col]))
+            + np.int16(np.int16(below[east2]) + np.int16(below2[east]))
+        )
+        far = min(far, np.int16(_FARTHEST))
+        context = np.int16(np.int16(np.int16(causal * _N_AHEAD) + np.int16(3 * near)) + far)
+        contexts[col] = np.int16(_IMPLIED) if here[east] != 0 else context
 
 
 @kernel
 def _code_mask(mask, coder, ahead, contexts, padded):
     """Encode `mask` in raster order, or decode where it is None; either way into `padded`."""
     coder, ahead, contexts, padded = borrowed((coder, ahead, contexts, padded))
-    n_rows, n_cols = padded.shape[0] - 2, contexts.shape[0]
+    n_rows, n_cols = padded.shape[0] - 2, padded.shape[1] - 3
+    fours = contexts.view(np.uint64)
     state, stream, models, is_encoder = coder
     at = take_out(state)
     for row in range(n_rows):
@@ -150,8 +158,11 @@ def _code_mask(mask, coder, ahead, contexts, padded):
         while col < n_cols:
             if west & west2 and contexts[col] == _INSIDE:
                 end = max(end, col)
-                while end < n_cols and contexts[end] == _INSIDE:
+                while end < n_cols and contexts[np.uint64(end)] == _INSIDE:
                     end += 1
+                    while end & 3 == 0 and end < n_cols and fours[np.uint64(end >> 2)] == _FOUR:
+                        end += 4
+                end = min(end, n_cols)
                 last = end
                 if mask is not None:
                     last = col
@@ -160,9 +171,9 @@ def _code_mask(mask, coder, ahead, contexts, padded):
                 n_ones, at = code_ones(
                     at, state, stream, models, is_encoder, _ALL_VALID, last - col
                 )
-                for _ in range(n_ones):
-                    padded[row + 2, col + 2] = True
-                    col += 1
+                for k in range(np.uint64(col + 2), np.uint64(col + 2 + n_ones)):
+                    padded[np.uint64(row + 2), k] = True
+                col += n_ones
                 if col == n_cols:
                     break
             bit = np.int64(0)

@@ -92,23 +92,31 @@ def code_details(m, at, n, to, is_encoding, has_void, scale, s):
 def _read_symbols(m, at, n, has_void, places, slots, freqs, words, n_words, states, n_states):
     """Decode `SYMBOL`, and `DETAIL` but for raw bits."""
     start, count = min(places[WORD_POS], n_words), places[COUNT]
-    contexts, symbols = at + CONTEXT, at + SYMBOL
-    if not has_void and n_states == N_STATES:
-        end = decode_row(
-            m, contexts, symbols, np.int64(n), slots, freqs, words, start, states, count
-        )
-        count += np.int64(n)
-    else:
-        after = np.uint64(start)
-        for j in range(np.int64(n)):
-            m[symbols + np.uint64(j)] = ZERO
-            if not has_void or m[VALID + at + np.uint64(j)] != 0:
-                which = count & (n_states - 1)
-                after = decode_symbol(
-                    m, contexts, symbols, j, slots, freqs, words, after, states, which
-                )
-                count += 1
-        end = np.int64(after)
+    contexts, symbols, valid = at + CONTEXT, at + SYMBOL, at + VALID
+    if has_void:
+        for j in range(n):
+            m[symbols + j] = ZERO
+    n_all, end, j = np.int64(n), np.int64(start), np.int64(0)
+    while j < n_all:
+        first, j = j, n_all
+        if has_void:
+            while first < n_all and m[valid + np.uint64(first)] == 0:
+                first += 1
+            j = first
+            while j < n_all and m[valid + np.uint64(j)] != 0:
+                j += 1
+        if n_states == N_STATES:
+            skipped = np.uint64(first)
+            end = decode_row(
+                m, contexts + skipped, symbols + skipped, j - first, slots, freqs, words, end,
+                states, count,
+            )  # fmt: skip
+        else:
+            after = np.uint64(end)
+            for k in range(first, j):
+                after = decode_symbol(m, contexts, symbols, k, slots, freqs, words, after, states, 0)
+            end = np.int64(after)
+        count += j - first
     places[COUNT] = count
     places[WORD_POS] += end - start
     for j in range(n):

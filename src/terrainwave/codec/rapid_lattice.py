@@ -152,13 +152,21 @@ def code_rows(
             fill_contexts(
                 m, workspace.reals, workspace.bits_of_reals, _to_whole_loops(n), plane, scale
             )
-            if is_encoding or has_void:
-                for j in range(first, stop):
-                    k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
+            if is_corner:
+                for j in range(stop):
+                    k = np.uint64(corners[start + j, 0])
                     if is_encoding:
                         m[GOAL + np.uint64(j)] = np.int64(goal[k]) - origin
                     if has_void:
                         m[VALID + np.uint64(j)] = valid[k]
+            else:
+                if is_encoding:
+                    for j in range(first, stop):
+                        height = np.int64(goal[np.uint64(start + j * step)])
+                        m[GOAL + np.uint64(j)] = height - origin
+                if has_void:
+                    for j in range(first, stop):
+                        m[VALID + np.uint64(j)] = valid[np.uint64(start + j * step)]
             if stop > first:
                 code_details(
                     m,
