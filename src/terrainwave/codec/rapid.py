@@ -6,7 +6,7 @@ frequencies of contexts, so that all but the symbols themselves runs in vectors.
 """
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -134,7 +134,7 @@ class Rapid:
 
     def __init__(self, parameters: bytes = b"") -> None:
         self.parameters = parameters
-        self._tables = parse_parameters(parameters)
+        self._tables = _tables_of(parameters)
         # By depth, stride and step, as kernels want them.
         self._weights: dict[tuple[int, int, int], NDArray[np.int64]] = {}
 
@@ -433,6 +433,12 @@ def _code_corner(unit: _Unit, place: int) -> None:
     streams.places[BIT_POS] += n_bits
     height = scale.low + index * scale.step + (scale.step >> 1)
     unit.out[place] = min(height, scale.high) + unit.origin
+
+
+@lru_cache(maxsize=8)
+def _tables_of(parameters: bytes) -> Tables:
+    """Return the tables of a file; those who open it again find them, and what decoders made."""
+    return parse_parameters(parameters)
 
 
 def _first(spec: GroupSpec) -> int:

@@ -138,9 +138,9 @@ def _compile(function: Callable[..., Any], *, is_inlined: bool) -> Any:
     return Kernel(function, targetoptions=options)
 
 
-# Seconds that plain Python may take for a rare kernel in a process; those that are rare take about
-# as long to compile.
-_MOST_PLAIN_SECONDS = 1.0
+# Seconds that plain Python may take for a rare kernel in a process: a few files' worth. Then it is
+# compiled, in about a second, for this process and all later ones.
+_MOST_PLAIN_SECONDS = 0.15
 _is_patient = True
 
 
