@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from terrainwave.codec.maskcoder import decode_mask, encode_mask
 from terrainwave.codec.refiner import Decoded, DirectRefiner, GroupSpec, Heights, Mask, Refiner
+from terrainwave.codec.spare import new_heights
 from terrainwave.codec.remaindercoder import decode_remainders, encode_remainders
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
@@ -102,7 +103,7 @@ def decode_unit(
     byte_pos = 1
     if parent is not None and not parent.mask.all():
         mask = ~implied_voids(spec, parent)
-    elif out is not None and not flags & MASK_CODED:
+    elif not flags & MASK_CODED:
         mask = _all_valid(spec.region.shape)
     else:
         mask = np.ones(spec.region.shape, dtype=np.bool_)
@@ -121,7 +122,7 @@ def decode_unit(
     parent_heights = None if parent is None else parent.heights
     direct = _as_direct(refiner)
     if direct is not None:
-        heights = np.empty(spec.region.shape, dtype=np.int32) if out is None else out
+        heights = new_heights(spec.region.shape) if out is None else out
         labels = None
         direct.decode_into(spec, parent_heights, mask, payload[byte_pos:], heights)
     else:

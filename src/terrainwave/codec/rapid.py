@@ -36,7 +36,7 @@ from terrainwave.codec.rapid_layout import (
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS, scale_of, scaled_features
 from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_parameters
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
-from terrainwave.codec.spare import HeightMemory, Spares
+from terrainwave.codec.spare import HeightMemory, Spares, new_heights
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.rans import (
     N_STATES,
@@ -231,7 +231,7 @@ class Rapid:
             contexts_log=logs.contexts,
             symbols_log=logs.symbols,
         )
-        heights = np.empty(spec.region.shape, dtype=np.int32)
+        heights = new_heights(spec.region.shape)
         target = np.ascontiguousarray(target)
         self._code(spec, parent, target, mask, flags, streams, heights, memory)
         return heights, streams
@@ -246,7 +246,7 @@ class Rapid:
         CorruptStreamError
             If the payload contradicts format-rapid.md; `TruncatedStreamError` if it is too short.
         """
-        heights = np.empty(spec.region.shape, dtype=np.int32)
+        heights = new_heights(spec.region.shape)
         self.decode_into(spec, parent, mask, payload, heights)
         return heights, None
 

@@ -4,11 +4,13 @@ What a process has not touched before costs it a page fault every 4 KB: half as 
 what goes there.
 """
 
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Generic, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terrainwave.codec.refiner import Heights
 
@@ -47,3 +49,39 @@ class Spares(Generic[Memory]):
             yield memory
         finally:
             self._spare.append(memory)
+
+
+# Memory that is kept for the next arrays: a window of 512 samples a side needs a dozen units.
+_MOST_KEPT = 1 << 24
+_PIECE = 1 << 16  # sizes are multiples of this, so that what fits one unit fits most
+
+
+class _Recycler:
+    """Arrays whose memory is used again once nothing refers to it any more."""
+
+    def __init__(self) -> None:
+        self._spare: dict[int, list[NDArray[np.uint8]]] = {}
+        self._n_bytes = 0  # about: threads may miscount by a piece
+
+    def heights(self, shape: tuple[int, int]) -> Heights:
+        """Return an array of this shape, whatever is in it."""
+        size = shape[0] * shape[1]
+        n_bytes = -(-4 * size // _PIECE) * _PIECE
+        try:
+            memory = self._spare[n_bytes].pop()
+            self._n_bytes -= n_bytes
+        except (KeyError, IndexError):
+            memory = np.empty(n_bytes, dtype=np.uint8)
+        # All views of it refer to this array, and it refers to no other: numpy looks no further
+        # than to a memoryview.
+        owner = np.frombuffer(memoryview(memory), dtype=np.int32)
+        weakref.finalize(owner, self._take_back, memory).atexit = False
+        return owner[:size].reshape(shape)
+
+    def _take_back(self, memory: NDArray[np.uint8]) -> None:
+        if self._n_bytes + memory.size <= _MOST_KEPT:
+            self._n_bytes += memory.size
+            self._spare.setdefault(memory.size, []).append(memory)
+
+
+new_heights = _Recycler().heights

@@ -4,6 +4,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
@@ -35,10 +36,12 @@ class PageLayout(NamedTuple):
         return [self.keys[row] for row in file_order(self.keys)]
 
 
+@lru_cache(maxsize=32)
 def page_layout(grid: Grid, head: Block | None) -> PageLayout:
     """List the keys on the page of the segment of `head` (FORMAT.md §3.3).
 
-    At most 85 keys, 340 blocks and 256 children, whatever the size of the grid.
+    At most 85 keys, 340 blocks and 256 children, whatever the size of the grid. The lists are
+    shared, and nobody's to change.
     """
     # In one walk, since a key's blocks are the next layer's keys (and the last one's the children).
     if head is None:
@@ -48,7 +51,7 @@ def page_layout(grid: Grid, head: Block | None) -> PageLayout:
     else:
         layers, keys, blocks = [[head]], [], []
         for _ in range(SEGMENT_LEVELS):
-            layers.append([child for block in layers[-1] for child in grid.children(block)])
+            layers.append(grid.all_children(layers[-1]))
     for layer, next_layer in pairwise(layers):
         keys += layer
         blocks += next_layer

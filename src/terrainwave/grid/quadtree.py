@@ -5,7 +5,7 @@ sample of the full grid. A block is N x N cells of a level and shares its border
 neighbours; a group is the four children of one block. Yusov & Turlapov 2010, §2.1.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -142,11 +142,17 @@ class Grid:
 
     def children(self, block: Block) -> list[Block]:
         """Return the blocks one level finer inside `block`, in Morton order; none at `k_max`."""
-        if block.level == self.k_max:
+        return self.all_children([block])
+
+    def all_children(self, blocks: Sequence[Block]) -> list[Block]:
+        """Return the `children` of blocks of one level, one block's after the other's."""
+        if not blocks or blocks[0].level == self.k_max:
             return []
-        rows, cols = self.level_blocks(block.level + 1)
+        level = blocks[0].level + 1
+        rows, cols = self.level_blocks(level)
         return [
-            Block(block.level + 1, row, col)
+            Block(level, row, col)
+            for block in blocks
             for row in (2 * block.row, 2 * block.row + 1)
             for col in (2 * block.col, 2 * block.col + 1)
             if row < rows and col < cols
