@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from reference import level_mask
 from strategies import valid_masks
 
-from terrainwave.codec.group import decode_unit, encode_unit, implied_voids
+from terrainwave.codec.group import decode_unit, encode_unit, implied_voids, voids_below
 from terrainwave.codec.refiner import Decoded
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import block_of_unit, unit_spec
@@ -126,6 +126,28 @@ def test_below_a_void_sample_everything_it_touches_is_implied():
     above[5, 0] = False
     implied = implied_voids(spec, Decoded(np.zeros(above.shape, dtype=np.int32), above, None))
     assert np.argwhere(implied).tolist() == [[r, c] for r in (9, 10, 11) for c in (0, 1)]
+
+
+@given(
+    st.tuples(*[st.integers(0, 9)] * 2), st.tuples(*[st.integers(1, 24)] * 2),
+    st.tuples(*[st.integers(0, 1)] * 4), st.integers(0, 99),
+)  # fmt: skip
+def test_voids_below_are_what_touches_voids_above(corner, shape, aprons, seed):
+    rows, cols = (np.arange(first, first + n) for first, n in zip(corner, shape, strict=True))
+    outer = Region(
+        max((corner[0] >> 1) - aprons[0], 0), max((corner[1] >> 1) - aprons[1], 0),
+        (shape[0] >> 1) + 1 + aprons[2], (shape[1] >> 1) + 1 + aprons[3],
+    )  # fmt: skip
+    valid = np.random.default_rng(seed).random(outer[2:]) < 0.8
+
+    def touched(places, first, n):
+        return [np.clip(places + after - 2 * first >> 1, 0, n - 1) for after in (0, 1)]
+
+    expected = np.zeros(shape, dtype=bool)
+    for above in touched(rows, outer.row, outer.n_rows):
+        for left in touched(cols, outer.col, outer.n_cols):
+            expected |= ~valid[np.ix_(above, left)]
+    assert np.array_equal(voids_below(Region(*corner, *shape), outer, valid), expected)
 
 
 def test_implied_voids_cost_no_mask():

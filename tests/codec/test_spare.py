@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from terrainwave.codec import spare
 from terrainwave.codec.spare import Spares
 
 
@@ -20,3 +21,30 @@ def test_memory_comes_back_after_an_error():
         raise KeyError
     with spares.lent() as second:
         assert second is first
+
+
+def address_of(heights):
+    return heights.__array_interface__["data"][0]
+
+
+def test_memory_of_heights_is_used_again_when_no_view_refers_to_it():
+    recycler = spare._Recycler()
+    first = recycler.heights((513, 513))
+    assert first.shape == (513, 513)
+    assert first.dtype == np.int32
+    assert first.flags.c_contiguous
+    assert first.flags.writeable
+    place, view = address_of(first), first[7:, 3:].T[2]
+    del first
+    other = recycler.heights((513, 513))
+    assert address_of(other) != place
+    del view
+    assert address_of(recycler.heights((512, 513))) == place
+
+
+def test_no_more_memory_of_heights_is_kept_than_said():
+    recycler = spare._Recycler()
+    arrays = [recycler.heights((1024, 1024)) for _ in range(6)]
+    assert recycler._n_bytes == 0
+    arrays.clear()
+    assert recycler._n_bytes == sum(map(len, recycler._spare.values())) << 22 == 1 << 24

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from terrainwave.codec.maskcoder import decode_mask, encode_mask
 from terrainwave.codec.refiner import Decoded, DirectRefiner, GroupSpec, Heights, Mask, Refiner
-from terrainwave.codec.spare import new_heights
 from terrainwave.codec.remaindercoder import decode_remainders, encode_remainders
+from terrainwave.codec.spare import new_heights
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Region
@@ -23,6 +23,7 @@ from terrainwave.grid.remainders import Remainders
 
 MASK_ALL_VALID, MASK_CODED = 0, 1
 _HAS_EXCEPTIONS, _HAS_REMAINDERS = 0b10, 0b100
+_BOTH_BYTES = np.uint16(0x0101)
 
 
 def encode_unit(
@@ -86,8 +87,8 @@ def decode_unit(
 ) -> Decoded:
     """Undo `encode_unit`.
 
-    With memory `out`, contiguous and of the region's shape, the heights may be there, and the mask
-    is not to be written to.
+    With memory `out`, contiguous and of the region's shape, the heights may be there. The mask is
+    not to be written to.
 
     Raises
     ------
@@ -101,15 +102,14 @@ def decode_unit(
     if flags & ~known:
         raise CorruptStreamError(f"a unit's flags are {flags:#04x}; reserved bits must be 0")
     byte_pos = 1
-    if parent is not None and not parent.mask.all():
-        mask = ~implied_voids(spec, parent)
-    elif not flags & MASK_CODED:
-        mask = _all_valid(spec.region.shape)
-    else:
-        mask = np.ones(spec.region.shape, dtype=np.bool_)
+    shape = spec.region.shape
+    has_implied = parent is not None and not parent.mask.all()
+    implied = implied_voids(spec, parent) if has_implied else None
     if flags & MASK_CODED:
         section, byte_pos = _read_section(payload, byte_pos)
-        mask = decode_mask(section, ~mask)
+        mask = decode_mask(section, np.zeros(shape, np.bool_) if implied is None else implied)
+    else:
+        mask = _all_valid(shape) if implied is None else ~implied
     if not mask.any():
         raise CorruptStreamError("a unit without a valid sample has a payload")
     exceptions = b""
@@ -153,22 +153,34 @@ def voids_below(region: Region, outer: Region, outer_mask: Mask) -> Mask:
     if outer_mask.all():
         return np.zeros(region.shape, dtype=np.bool_)
     # By columns while there are half as many rows.
-    by_cols = _spread((~outer_mask).T, region.col, region.n_cols, outer.col).T
-    return _spread(np.ascontiguousarray(by_cols), region.row, region.n_rows, outer.row)
-
-
-def _spread(void: Mask, first: int, n: int, outer_first: int) -> Mask:
-    """Return, for `n` rows from `first` on, where a row of `void` that touches them is set.
-
-    Row i of this level touches rows i >> 1 and i + 1 >> 1 of `void`, which begins at `outer_first`.
-    """
-    n_pairs = (first + n + 1 >> 1) - (first >> 1)
-    places = np.arange(n_pairs + 1) + (first >> 1) - outer_first
-    near = void[np.clip(places, 0, void.shape[0] - 1)]
-    spread = np.empty((2 * n_pairs, void.shape[1]), dtype=np.bool_)
+    n_pairs = (region.col + region.n_cols + 1 >> 1) - (region.col >> 1)
+    touched = _columns(outer_mask, (region.col >> 1) - outer.col, n_pairs + 1)
+    # A sample at an even place and the one after it at a time, as the bytes of a number: the first
+    # touches one coarse sample, the second that and the next.
+    void = np.logical_not(touched, out=touched).view(np.uint8)
+    pairs = void[:, :-1].astype("<u2")
+    pairs *= _BOTH_BYTES
+    pairs |= void[:, 1:].astype("<u2") << np.uint16(8)
+    by_cols = pairs.view(np.bool_)[:, region.col & 1 :][:, : region.n_cols]
+    n_pairs = (region.row + region.n_rows + 1 >> 1) - (region.row >> 1)
+    places = np.arange(n_pairs + 1) + (region.row >> 1) - outer.row
+    near = by_cols[np.clip(places, 0, by_cols.shape[0] - 1)]
+    spread = np.empty((2 * n_pairs, region.n_cols), dtype=np.bool_)
     spread[::2] = near[:-1]
     np.logical_or(near[:-1], near[1:], out=spread[1::2])
-    return spread[first & 1 :][:n]
+    return spread[region.row & 1 :][: region.n_rows]
+
+
+def _columns(mask: Mask, first: int, n: int) -> Mask:
+    """Return a copy of `n` columns from `first` on; outside a mask it goes on as at its edge."""
+    inner = mask[:, max(first, 0) : max(first + n, 0)]
+    left = min(max(-first, 0), n)
+    right = left + inner.shape[1]
+    found = np.empty((mask.shape[0], n), dtype=np.bool_)
+    found[:, :left] = mask[:, :1]
+    found[:, left:right] = inner
+    found[:, right:] = mask[:, -1:]
+    return found
 
 
 def _as_direct(refiner: Refiner) -> DirectRefiner | None:

@@ -82,9 +82,10 @@ def code_details(m, at, n, to, is_encoding, has_void, scale, s):
             m, at, n, has_void, s.places, s.slots, s.freqs, s.words, s.n_words, s.states,
             s.n_states,
         )  # fmt: skip
-    if _needs_raw(m, at, n):
+    has_raw, has_escape = _find_raw(m, at, n)
+    if has_raw:
         most = np.int64(scale.most_detail)
-        _code_raw(m, at, n, is_encoding, has_void, most, s.places, s.raw, s.n_bits)
+        _code_raw(m, at, n, is_encoding, has_escape, most, s.places, s.raw, s.n_bits)
     _fill_heights(m, at, n, to, scale)
 
 
@@ -94,8 +95,10 @@ def _read_symbols(m, at, n, has_void, places, slots, freqs, words, n_words, stat
     start, count = min(places[WORD_POS], n_words), places[COUNT]
     contexts, symbols, valid = at + CONTEXT, at + SYMBOL, at + VALID
     if has_void:
+        # What a void has no symbol for: a detail of 0, and no raw bits.
         for j in range(n):
             m[symbols + j] = ZERO
+            m[contexts + j] = m[contexts + j] if m[valid + j] != 0 else 0
     n_all, end, j = np.int64(n), np.int64(start), np.int64(0)
     while j < n_all:
         first, j = j, n_all
@@ -112,10 +115,12 @@ def _read_symbols(m, at, n, has_void, places, slots, freqs, words, n_words, stat
                 states, count,
             )  # fmt: skip
         else:
-            after = np.uint64(end)
+            place = np.uint64(end)
             for k in range(first, j):
-                after = decode_symbol(m, contexts, symbols, k, slots, freqs, words, after, states, 0)
-            end = np.int64(after)
+                place = decode_symbol(
+                    m, contexts, symbols, k, slots, freqs, words, place, states, 0
+                )
+            end = np.int64(place)
         count += j - first
     places[COUNT] = count
     places[WORD_POS] += end - start
@@ -154,69 +159,55 @@ def _log_symbols(m, at, n, has_void, places, freqs, contexts_log, symbols_log):
         symbol = upper + ZERO if is_near else ESCAPE
         own = freqs[np.uint64(context << SYMBOL_BITS) + np.uint64(symbol)]
         symbol = symbol if (own & _FREQ_MASK) > 0 else ESCAPE
-        m[SYMBOL + k] = symbol
         if not has_void or m[VALID + k] != 0:
+            m[SYMBOL + k] = symbol
             contexts_log[count], symbols_log[count] = context, symbol
             count += 1
+        else:
+            m[SYMBOL + k], m[CONTEXT + k] = ZERO, 0
     places[COUNT] = count
 
 
 @kernel_part
-def _needs_raw(m, at, n):
-    """Return whether a row has raw bits: a context with low bits, or an escape."""
+def _find_raw(m, at, n):
+    """Return whether a row has raw bits, and whether it has an escape."""
     most, least = m[CONTEXT + at], m[SYMBOL + at]
     for j in range(n):
         most = max(most, m[CONTEXT + at + j])
         least = min(least, m[SYMBOL + at + j])
-    return most >= _FIRST_RAW or least == ESCAPE
+    has_escape = least == ESCAPE
+    return has_escape or most >= _FIRST_RAW, has_escape
 
 
 @kernel_part
-def _code_raw(m, at, n, is_encoding, has_void, most, places, raw, n_bits):
-    """Write or read the raw bits of a row and complete `DETAIL`, at most `most` in size."""
+def _code_raw(m, at, n, is_encoding, has_escape, most, places, raw, n_bits):
+    """Write or read the raw bits of a row and complete `DETAIL`; an escape is at most `most`."""
     cast = m.dtype.type
     start = min(places[BIT_POS], n_bits)
-    has_escape = False
     for j in range(n):
         k = at + j
         is_escape = m[SYMBOL + k] == ESCAPE
-        n_low = cast(ESCAPE_BITS) if is_escape else cast(low_bits(m[CONTEXT + k]))
-        m[N_LOW + k] = n_low
-        has_escape |= is_escape
-    if has_void:
-        for j in range(n):
-            k = at + j
-            m[N_LOW + k] = m[N_LOW + k] if m[VALID + k] != 0 else cast(0)
+        m[N_LOW + k] = cast(ESCAPE_BITS) if is_escape else cast(low_bits(m[CONTEXT + k]))
     bit_pos = start
-    if is_encoding:
-        for j in range(n):
-            k = at + j
-            n_low = np.int64(m[N_LOW + k])
+    for j in range(n):
+        k = at + j
+        n_low, detail = np.int64(m[N_LOW + k]), np.int64(m[DETAIL + k])
+        if is_encoding:
             if n_low > 0:
-                bits = np.int64(m[DETAIL + k]) & ((np.int64(1) << n_low) - 1)
-                _write_bits(raw, bit_pos, bits)
-                bit_pos += n_low
-    elif not has_escape:
+                _write_bits(raw, bit_pos, detail & ((np.int64(1) << n_low) - 1))
+        else:
+            # Without a branch, which would often be foretold wrongly.
+            m[DETAIL + k] = cast(detail << n_low | _read_bits(raw, bit_pos, n_low))
+        bit_pos += n_low
+    if has_escape and not is_encoding:
+        after = start
+        sign = np.int64(1) << (ESCAPE_BITS - 1)
         for j in range(n):
             k = at + j
-            n_low = np.int64(m[N_LOW + k])
-            bits = _read_bits(raw, bit_pos, n_low)
-            m[DETAIL + k] = cast(np.int64(m[DETAIL + k]) << n_low | bits)
-            bit_pos += n_low
-    else:
-        for j in range(n):
-            k = at + j
-            n_low = np.int64(m[N_LOW + k])
-            bits = _read_bits(raw, bit_pos, n_low)
-            sign = np.int64(1) << (ESCAPE_BITS - 1)
-            upper = np.int64(m[DETAIL + k]) << n_low
-            detail = (bits ^ sign) - sign if n_low == ESCAPE_BITS else upper | bits
-            m[DETAIL + k] = cast(min(max(detail, -most), most))
-            bit_pos += n_low
-    if not has_escape:
-        for j in range(n):
-            detail = m[DETAIL + at + j]
-            m[DETAIL + at + j] = min(max(detail, cast(-most)), cast(most))
+            if m[SYMBOL + k] == ESCAPE:
+                detail = (_read_bits(raw, after, ESCAPE_BITS) ^ sign) - sign
+                m[DETAIL + k] = cast(min(max(detail, -most), most))
+            after += np.int64(m[N_LOW + k])
     places[BIT_POS] += bit_pos - start
 
 
@@ -225,9 +216,11 @@ def _fill_heights(m, at, n, to, scale):
     """Fill heights from place `to` on, from predictions and details."""
     cast = m.dtype.type
     step, low, high = cast(scale.step), cast(scale.low), cast(scale.high)
+    least, most = cast(-scale.most_detail), cast(scale.most_detail)
     for j in range(n):
         k = at + j
-        detail = -m[DETAIL + k] if m[SIDE + k] < 0 else m[DETAIL + k]
+        detail = min(max(m[DETAIL + k], least), most)
+        detail = -detail if m[SIDE + k] < 0 else detail
         height = cast(m[WHOLE + k] + cast(detail * step))
         m[to + k] = min(max(height, low), high)
 

@@ -7,7 +7,6 @@ below are complete: all that a row needs is still in the fastest caches.
 from typing import NamedTuple
 
 import numpy as np
-from numba.core import config
 
 from terrainwave.codec.lattice import HH, HL, LH
 from terrainwave.codec.rapid_border import MOST_CORNERS, prepare_shared
@@ -47,9 +46,6 @@ _FIRST_LOADED = -3  # row of plane A that the first rows read
 # Rows of HH, HL and LH are coded in turns; so many turns before the first one, rows are loaded, and
 # after the last one, rows are stored.
 _TURNS_BEFORE, _TURNS_AFTER = 6, 3
-# Compiled loops take so many samples at once (four vectors of sixteen); the rest of a row is done
-# one by one, which takes longer than to compute what nobody reads. Plain Python has no such loops.
-_LOOP, _FEW = np.uint64(1 if config.DISABLE_JIT else 64), np.uint64(8)
 
 
 class Grid2(NamedTuple):
@@ -142,16 +138,14 @@ def code_rows(
             n, first, own = np.uint64(stop), np.int64(0), RESULT
             if is_lattice:
                 at = np.uint64(row - base) * _STRIDE
-                predict_row(m, at, _to_whole_loops(n), plane)
+                predict_row(m, at, n, plane)
                 own = at + np.uint64(plane * PLANE) + _A
                 first = min((known.left + 1 - col) >> 1, stop)
                 stop = max(stop - ((known.right + 1 - ((n_cols - 1 - col) & 1)) >> 1), first)
                 if lattice_row < known.top or lattice_row >= n_rows - known.bottom:
                     first = stop = np.int64(n)
                 _load_known(m, own, out, start, step, origin, first, stop, np.int64(n), scale)
-            fill_contexts(
-                m, workspace.reals, workspace.bits_of_reals, _to_whole_loops(n), plane, scale
-            )
+            fill_contexts(m, workspace.reals, workspace.bits_of_reals, n, plane, scale)
             if is_corner:
                 for j in range(stop):
                     k = np.uint64(corners[start + j, 0])
@@ -184,13 +178,6 @@ def code_rows(
                 for j in range(stop):
                     k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
                     out[k] = m[RESULT + np.uint64(j)] + origin
-
-
-@kernel_part
-def _to_whole_loops(n):
-    """Return for how many samples loops of vectors leave few to a loop of single ones."""
-    rest = n % _LOOP
-    return n if rest < _FEW else n + _LOOP - rest
 
 
 @kernel_part

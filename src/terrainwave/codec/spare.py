@@ -74,7 +74,7 @@ class _Recycler:
             memory = np.empty(n_bytes, dtype=np.uint8)
         # All views of it refer to this array, and it refers to no other: numpy looks no further
         # than to a memoryview.
-        owner = np.frombuffer(memoryview(memory), dtype=np.int32)
+        owner = np.frombuffer(memory.data, dtype=np.int32)
         weakref.finalize(owner, self._take_back, memory).atexit = False
         return owner[:size].reshape(shape)
 
