@@ -28,7 +28,10 @@ class _SettledError(Exception):
 
 def windows_of(source: Path, max_error: float, target: Path) -> tuple[int, int, int]:
     """Return the bytes that `predictive` saves in windows, those of `rapid`, and the samples."""
-    with mock.patch.object(choice, "_is_worth", side_effect=_SettledError) as asked:
+    with (
+        mock.patch.object(choice, "_may_be_worth", return_value=True),
+        mock.patch.object(choice, "_is_worth", side_effect=_SettledError) as asked,
+    ):
         try:
             terrainwave.compress(source, target, max_error=max_error, threads=1, mesh="none")
         except _SettledError:
@@ -50,7 +53,7 @@ def measure(rasters: dict[str, Path], results: Path, folder: Path) -> Iterator[R
         rapid, predictive = by_codec[RAPID], by_codec[PREDICTIVE]
         peer = min(by_codec[name] for name in PEERS)
         yield Row(
-            raster, bound, int(choice._is_worth(*args)),
+            raster, bound, int(choice._may_be_worth(*args[1:]) and choice._is_worth(*args)),
             round(100 * n_saved / n_bytes, 2), round(8 * n_saved / n_samples, 4),
             round(100 * (1 - predictive / rapid), 1), round(rapid - predictive, 3),
             round(rapid / peer, 3), round(predictive / peer, 3),

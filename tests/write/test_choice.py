@@ -64,6 +64,18 @@ def test_what_is_saved_counts_by_share_and_by_sample(n_saved, n_bytes, is_worth)
     assert choice._is_worth(n_saved, n_bytes, 25_600) == is_worth
 
 
+@pytest.mark.parametrize(("max_error", "n_tries"), [(1, 1), (40, 0)])
+def test_a_slower_method_is_not_tried_where_files_are_next_to_nothing(
+    monkeypatch, max_error, n_tries
+):
+    tries = []
+    monkeypatch.setattr(choice, "_is_worth", lambda *numbers: tries.append(numbers))
+    compress_to_bytes(smooth((300, 280)), max_error=max_error)
+    assert len(tries) == n_tries
+    for n_bytes, is_worth in ((1000, True), (999, False)):  # a tenth of them, 1/32 bit per sample
+        assert choice._may_be_worth(n_bytes, 25_600) == is_worth
+
+
 @pytest.mark.parametrize("method", ["rapid", "predictive"])
 def test_auto_gives_the_bytes_of_the_method_on_any_number_of_threads(monkeypatch, method):
     raster = terrain_like(140, 130, seed=4)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from terrainwave.codec.refiner import GroupSpec
 from terrainwave.codec.zerotree import BIN_OF_SUM, N_BINS, SUM_LIMIT
 from terrainwave.coding.filters import MAX_HEIGHT, extend_line, synthesise_line
-from terrainwave.coding.jit import kernel
+from terrainwave.coding.jit import kernel, rare_kernel
 from terrainwave.coding.rangecoder import (
     N_PREFIX,
     N_UNARY,
@@ -217,7 +217,7 @@ def _rebuild(prediction, index, step):
     return min(max(height, -MAX_HEIGHT), MAX_HEIGHT)
 
 
-@kernel
+@rare_kernel
 def code_root_sample(goal, is_coded, step, coder):
     """Encode a sample on the fixed grid, or decode it where `goal` is None; return its height."""
     index = np.int64(0)

@@ -6,6 +6,7 @@ row, odd column) and LH (odd row, even column), each from everything before it. 
 planes, every tap of a stencil is a shifted row, so that a pass works on whole rows.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -110,43 +111,29 @@ def parity(plane: int) -> tuple[int, int]:
     return _PASS_PARITY[plane]
 
 
-@kernel
-def take_plane(lattice, row, col, plane):
-    """Copy the samples of `lattice` on every second row and column from (row, col) on."""
-    n_rows, n_cols = plane.shape
-    for i in range(n_rows):
-        line, out = lattice[2 * i + row, col:], plane[i]
-        for j in range(n_cols):
-            out[j] = line[2 * j]
+# Plain copies: what numpy does as fast need not be compiled.
 
 
-@kernel
-def split(lattice, planes):
+def split(lattice: NDArray[np.int32], planes: NDArray[np.int32]) -> None:
     """Copy the samples of `lattice` into the padded planes."""
-    n_rows, n_cols = lattice.shape
-    for i in range(n_rows):
-        line = lattice[i]
-        even = planes[3 * (i & 1), (i >> 1) + PAD, PAD:]
-        odd = planes[2 - (i & 1), (i >> 1) + PAD, PAD:]
-        for j in range((n_cols + 1) >> 1):
-            even[j] = line[2 * j]
-        for j in range(n_cols >> 1):
-            odd[j] = line[2 * j + 1]
+    for plane, part in enumerate(_parts(lattice)):
+        _inside(planes[plane], part.shape)[...] = part
 
 
-@kernel
-def merge(planes, lattice):
+def merge(planes: NDArray[np.int32], lattice: NDArray[np.int32]) -> None:
     """Copy the samples of the padded planes into `lattice`: undo `split`."""
-    n_rows, n_cols = lattice.shape
-    for i in range(n_rows):
-        line = lattice[i]
-        even = planes[3 * (i & 1), (i >> 1) + PAD, PAD:]
-        odd = planes[2 - (i & 1), (i >> 1) + PAD, PAD:]
-        for j in range(n_cols >> 1):
-            line[2 * j] = even[j]
-            line[2 * j + 1] = odd[j]
-        if n_cols & 1:
-            line[n_cols - 1] = even[n_cols >> 1]
+    for plane, part in enumerate(_parts(lattice)):
+        part[...] = _inside(planes[plane], part.shape)
+
+
+def _parts(lattice: NDArray[np.int32]) -> list[NDArray[np.int32]]:
+    """Return the samples of each plane in a lattice."""
+    return [lattice[row::2, col::2] for row, col in _PASS_PARITY.values()]
+
+
+def _inside(plane: NDArray[np.int32], shape: tuple[int, ...]) -> NDArray[np.int32]:
+    """Return a padded plane without its padding."""
+    return plane[PAD : PAD + shape[0], PAD : PAD + shape[1]]
 
 
 @kernel
@@ -159,26 +146,39 @@ def reflect(place, n):
     return np.int64(place)
 
 
-@kernel
-def fill_frame(plane, row_parity, col_parity, n_lattice_rows, n_lattice_cols):
+def fill_frame(
+    plane: NDArray[np.int32],
+    row_parity: int,
+    col_parity: int,
+    n_lattice_rows: int,
+    n_lattice_cols: int,
+) -> None:
     """Fill the padding of a padded plane by symmetry about the lattice's first and last samples."""
     n_rows = (n_lattice_rows + 1 - row_parity) >> 1
     n_cols = (n_lattice_cols + 1 - col_parity) >> 1
     if n_rows == 0 or n_cols == 0:
         return
-    for i in range(n_rows):
-        line = plane[PAD + i]
-        for k in range(PAD):
-            left = reflect(np.int64(2 * (-1 - k) + col_parity), n_lattice_cols)
-            right = reflect(np.int64(2 * (n_cols + k) + col_parity), n_lattice_cols)
-            line[PAD - 1 - k] = line[PAD + (left >> 1)]
-            line[PAD + n_cols + k] = line[PAD + (right >> 1)]
-    for k in range(PAD):
-        above = reflect(np.int64(2 * (-1 - k) + row_parity), n_lattice_rows) >> 1
-        below = reflect(np.int64(2 * (n_rows + k) + row_parity), n_lattice_rows) >> 1
-        for j in range(n_cols + 2 * PAD):
-            plane[PAD - 1 - k, j] = plane[PAD + above, j]
-            plane[PAD + n_rows + k, j] = plane[PAD + below, j]
+    rows = plane[PAD : PAD + n_rows]
+    for to, source in _framed(n_cols, col_parity, n_lattice_cols):
+        rows[:, to] = rows[:, source]
+    cols = plane[:, : n_cols + 2 * PAD]
+    for to, source in _framed(n_rows, row_parity, n_lattice_rows):
+        cols[to] = cols[source]
+
+
+@lru_cache(maxsize=256)
+def _framed(n: int, parity: int, n_lattice: int) -> list[tuple[int, int]]:
+    """Return the places of padding along an axis of a plane, and which sample each one takes."""
+    return [
+        (PAD + k, PAD + (_reflected(2 * k + parity, n_lattice) >> 1))
+        for k in (*range(-PAD, 0), *range(n, n + PAD))
+    ]
+
+
+def _reflected(place: int, n: int) -> int:
+    """Return what `reflect` does."""
+    place %= max(2 * (n - 1), 1)
+    return min(place, 2 * (n - 1) - place)
 
 
 @kernel
@@ -200,32 +200,21 @@ def fill_between(planes):
             planes[3, i, j] = (here + south + 1) >> 1
 
 
-@kernel
-def fill_bends(coarse, most, bends):
+def fill_bends(coarse: NDArray[np.int32], most: int, bends: NDArray[np.int32]) -> None:
     """Fill `bends` with fourth differences of the coarse plane along its row plus its column.
 
     Places nearer than two samples to the rim of the padded plane take their neighbour's. Heights
     lie within +/- `most`; differences above MAX_BEND count as that.
     """
-    n_rows, n_cols = coarse.shape
-    n_inner = n_cols - 4
     is_narrow = most < MAX_BEND >> 4  # then 32 bits do for all of it
-    for i in range(2, n_rows - 2):
-        north_2, north, here = coarse[i - 2, 2:], coarse[i - 1, 2:], coarse[i, 2:]
-        south, south_2, out = coarse[i + 1, 2:], coarse[i + 2, 2:], bends[i, 2:]
-        west_2, west, east, east_2 = coarse[i], coarse[i, 1:], coarse[i, 3:], coarse[i, 4:]
-        if is_narrow:
-            for j in range(n_inner):
-                middle = 6 * here[j]
-                across = west_2[j] + east_2[j] - 4 * (west[j] + east[j]) + middle
-                along = north_2[j] + south_2[j] - 4 * (north[j] + south[j]) + middle
-                out[j] = abs(np.int32(across)) + abs(np.int32(along))
-        else:
-            for j in range(n_inner):
-                middle = 6 * np.int64(here[j])
-                across = np.int64(west_2[j]) + east_2[j] - 4 * (np.int64(west[j]) + east[j])
-                along = np.int64(north_2[j]) + south_2[j] - 4 * (np.int64(north[j]) + south[j])
-                out[j] = min(abs(across + middle) + abs(along + middle), MAX_BEND)
-        bends[i, 1], bends[i, n_cols - 2] = bends[i, 2], bends[i, n_cols - 3]
-    for j in range(n_cols):
-        bends[1, j], bends[n_rows - 2, j] = bends[2, j], bends[n_rows - 3, j]
+    heights = coarse if is_narrow else coarse.astype(np.int64)
+    n_rows, n_cols = coarse.shape
+    rows, cols = slice(2, n_rows - 2), slice(2, n_cols - 2)
+    middle = 6 * heights[rows, cols]
+    across = heights[rows, :-4] + heights[rows, 4:] + middle
+    across -= 4 * (heights[rows, 1:-3] + heights[rows, 3:-1])
+    along = heights[:-4, cols] + heights[4:, cols] + middle
+    along -= 4 * (heights[1:-3, cols] + heights[3:-1, cols])
+    bends[rows, cols] = np.minimum(abs(across) + abs(along), MAX_BEND)
+    bends[rows, 1], bends[rows, n_cols - 2] = bends[rows, 2], bends[rows, n_cols - 3]
+    bends[1], bends[n_rows - 2] = bends[2], bends[n_rows - 3]

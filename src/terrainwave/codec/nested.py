@@ -4,7 +4,10 @@ Per row, everything that does not depend on the row itself is computed first, ov
 does (the western tap and two errors) is added sample by sample while coding.
 """
 
+from functools import lru_cache
+
 import numpy as np
+from numpy.typing import NDArray
 
 from terrainwave.codec.detail import (
     E_BITS,
@@ -428,30 +431,23 @@ def code_pass(
     put_back(at, state)
 
 
-@kernel
-def fits_narrow(most, weights, e_weights):
+def fits_narrow(most: int, weights: NDArray[np.int64], e_weights: NDArray[np.int64]) -> bool:
     """Return whether `code_pass` may use int32 rows where all heights are within +/- `most`.
 
     The bounds are those of the sums of `_add_taps`, `_add_spread` and `_add_errors`: errors are at
     most 2^15, activities 16 times that.
     """
-    taps = np.int64(1 << P_BITS)
-    for t in range(weights.shape[0]):
-        taps += abs(np.int64(weights[t]))
-    lowest = np.int64(0)
-    for k in range(N_FEATURES):
-        lowest = min(lowest, np.int64(e_weights[k]))
-    spread = 128 * e_weights[F_BEND] + 16 * e_weights[F_LINES] + 4 * e_weights[F_TWIST]
-    spread += 2 * e_weights[F_RANGE]
-    near = e_weights[F_N] + e_weights[F_NW] + e_weights[F_NE] + e_weights[F_NN]
-    near += 6 * e_weights[F_NEAR] + 4 * e_weights[F_FAR]
-    near += 16 * (e_weights[F_ACTIVITY] + 2 * e_weights[F_OTHERS])
+    taps = (1 << P_BITS) + sum(map(abs, weights.tolist()))
+    of = e_weights.tolist()
+    spread = 128 * of[F_BEND] + 16 * of[F_LINES] + 4 * of[F_TWIST] + 2 * of[F_RANGE]
+    near = of[F_N] + of[F_NW] + of[F_NE] + of[F_NN] + 6 * of[F_NEAR] + 4 * of[F_FAR]
+    near += 16 * (of[F_ACTIVITY] + 2 * of[F_OTHERS])
     limit = 1 << 30
-    return (
-        lowest >= 0
+    return bool(
+        min(of[:N_FEATURES]) >= 0
         and taps * most < limit
         and spread * most < limit
-        and near * (MAX_ERROR + 1) + e_weights[F_CONST] < limit
+        and near * (MAX_ERROR + 1) + of[F_CONST] < limit
     )
 
 
@@ -485,11 +481,16 @@ def open_loop_cost(target, kinds, planes, own, geometry, weights, step, every, r
     return total, (magnitudes << 8) // max(n_seen, 1), n_seen
 
 
-@kernel
-def fill_noisy(target, plane, step):
+def fill_noisy(target: NDArray[np.int32], plane: NDArray[np.int32], step: int) -> None:
     """Fill a padded plane with `target` plus noise of up to 0.4 steps, a function of the place."""
-    for row in range(target.shape[0]):
-        for j in range(target.shape[1]):
-            noise = (row * 40503 + j * 10007 + 12345) * 2654435761 & 0xFFFFFFFF
-            noise = ((noise >> 8) & 0xFFFF) - 32768
-            plane[row + PAD, j + PAD] = target[row, j] + ((step * 4 // 5 * noise) >> 16)
+    n_rows, n_cols = target.shape
+    noise = (_noise(n_rows, n_cols) * (step * 4 // 5)) >> 16
+    plane[PAD : PAD + n_rows, PAD : PAD + n_cols] = target + noise
+
+
+@lru_cache(maxsize=4)
+def _noise(n_rows: int, n_cols: int) -> NDArray[np.int64]:
+    """Return numbers within 2^15 of 0 by place."""
+    rows, cols = np.arange(n_rows)[:, None], np.arange(n_cols)
+    noise = (rows * 40503 + cols * 10007 + 12345) * 2654435761 & 0xFFFFFFFF
+    return ((noise >> 8) & 0xFFFF) - 32768

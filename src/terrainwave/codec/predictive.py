@@ -30,7 +30,6 @@ from terrainwave.codec.lattice import (
     parity,
     plane_sizes,
     split,
-    take_plane,
 )
 from terrainwave.codec.nested import (
     CODED,
@@ -376,8 +375,7 @@ def _code_lattice(
             continue
         row_parity, col_parity = parity(own)
         stencils = unit.tables.stencils[own]
-        own_kinds = np.empty(sizes[own], dtype=np.uint8)
-        take_plane(kinds, row_parity, col_parity, own_kinds)
+        own_kinds = np.ascontiguousarray(kinds[row_parity::2, col_parity::2])
         own_goal = None
         if goal is not None:
             own_goal = np.ascontiguousarray(goal[row_parity::2, col_parity::2])

@@ -10,10 +10,12 @@ libraries), and by some attributes that are private.
 """
 
 import gc
+import operator
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from numba.core import ir, ir_utils
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, DefaultPassBuilder
 from numba.core.compiler_lock import global_compiler_lock
@@ -22,6 +24,8 @@ from numba.core.inline_closurecall import InlineWorker
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import NativeLowering
 from numba.core.untyped_passes import InlineInlinables
+from numba.cpython.builtins import do_minmax
+from numba.extending import intrinsic
 
 
 class Kernel(CPUDispatcher):
@@ -90,11 +94,66 @@ class _Inliner(InlineWorker):
         return found
 
 
+def _extreme_of(n: int, is_better: Callable[[Any, Any], Any]) -> Any:
+    """Return what `min` or `max` of two or three numbers is, in place where it is called.
+
+    Numba compiles a function for each combination of types, some 30 ms each.
+    """
+
+    def of_all(typing_context: Any, *values: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return do_minmax(context, builder, signature.args, arguments, is_better)
+
+        kind = typing_context.unify_types(*values)
+        return None if kind is None else (kind(*values), generate)
+
+    def of_two(typing_context: Any, first: Any, second: Any) -> Any:
+        return of_all(typing_context, first, second)
+
+    def of_three(typing_context: Any, first: Any, second: Any, third: Any) -> Any:
+        return of_all(typing_context, first, second, third)
+
+    return intrinsic(of_two if n == 2 else of_three)
+
+
+_EXTREMES = {
+    (function, n): _extreme_of(n, is_better)
+    for function, is_better in ((min, operator.lt), (max, operator.gt))
+    for n in (2, 3)
+}
+
+
+def _take_extremes_in_place(func_ir: Any) -> None:
+    """Replace calls of `min` and `max`."""
+    for block in func_ir.blocks.values():
+        body: list[Any] = []
+        for statement in block.body:
+            call = getattr(statement, "value", None)
+            if isinstance(call, ir.Expr) and call.op == "call" and not (call.kws or call.vararg):
+                called = ir_utils.guard(ir_utils.get_definition, func_ir, call.func)
+                function = called.value if isinstance(called, ir.Global) else None
+                if function is min or function is max:
+                    extreme = _EXTREMES.get((function, len(call.args)))
+                    if extreme is not None:
+                        place = ir.Var(block.scope, ir_utils.mk_unique_var("$extreme"), call.loc)
+                        named = ir.Global(function.__name__, extreme, call.loc)
+                        body.append(ir.Assign(named, place, call.loc))
+                        func_ir._definitions[place.name] = [named]
+                        call.func = place
+            body.append(statement)
+        block.body = body
+
+
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Inlining(InlineInlinables):
-    """Inline parts of kernels."""
+    """Inline parts of kernels, and `min` and `max`."""
 
     _name = "part_inlining"
+
+    def run_pass(self, state: Any) -> bool:
+        """Run the pass."""
+        _take_extremes_in_place(state.func_ir)
+        return bool(super().run_pass(state))
 
     def _do_work(self, *arguments: Any) -> Any:
         *others, worker = arguments

@@ -12,12 +12,6 @@ _ONE = np.uint64(1)
 @kernel
 def quantize_integers(raw, valid, numerator, base, quanta):
     """Divide multiples of `numerator`; 2-D arrays."""
-    if numerator == 1:  # the usual case, without a division
-        for row in range(raw.shape[0]):
-            for col in range(raw.shape[1]):
-                quantum = np.int64(raw[row, col]) - base
-                quanta[row, col] = quantum if valid[row, col] else 0
-        return
     for row in range(raw.shape[0]):
         for col in range(raw.shape[1]):
             if valid[row, col]:

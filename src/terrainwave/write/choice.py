@@ -23,6 +23,8 @@ _MOST_SAMPLES_PER_BYTE = 256
 # On rough ground the share is less, but what is saved is not: this is enough without it, 1/9 bit
 # per sample, of files about 1/6. What it costs is time, and that is by the sample too.
 _ENOUGH_SAMPLES_PER_BYTE = 72
+# No slower method has ever saved more than a tenth of windows: what takes little need not be tried.
+_MOST_SAVED = 10
 # Windows are coded with one try for each plane, which is faster and less to compile.
 _EFFORT = EFFORTS.index("fast")
 # Samples a side of a window, samples of the raster for one, and the fewest and most of them.
@@ -46,13 +48,18 @@ def prepared(job: Job, heights: Reader, mask: MaskReader) -> tuple[Job, Refiner,
         windows = _windows(job, heights, mask)
         n_samples = sum(target.size for _, target, _ in windows)
         n_bytes = _n_bytes(refiner, windows)
-        for method in AUTO_METHODS[1:]:
+        for method in AUTO_METHODS[1:] if _may_be_worth(n_bytes, n_samples) else ():
             n_saved = n_bytes - _n_bytes(refiner_by_name(method.name), windows)
             if _is_worth(n_saved, n_bytes, n_samples):
                 settled = job.with_method(method)
                 refiner, tables = _fitted(settled, heights, mask)
                 break
     return settled, refiner, tables
+
+
+def _may_be_worth(n_bytes: int, n_samples: int) -> bool:
+    """Return whether windows take enough for a slower method to save enough of it."""
+    return _MOST_SAMPLES_PER_BYTE * n_bytes >= _MOST_SAVED * n_samples
 
 
 def _is_worth(n_saved: int, n_bytes: int, n_samples: int) -> bool:
