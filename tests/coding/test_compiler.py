@@ -74,6 +74,14 @@ def quadrupled(number):
     return doubled(doubled(number))
 
 
+@kernel
+def extremes(first, second, third):
+    return (
+        min(first, second), max(first, second), min(third, 7), max(first, second, third),
+        min(max(third, second), first, third),
+    )  # fmt: skip
+
+
 def compiled_by(task):
     """Return the kernels, by name, that a task has compiled for Python."""
     with event.install_recorder("numba:compile") as recorder:
@@ -95,6 +103,31 @@ def test_a_kernel_that_kernels_call_is_there_for_python_too():
 def test_kernels_may_call_themselves():
     assert factorial(5) == 120
     assert of_factorials(4) == 24 + 120
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        (np.int32(-5), np.int64(3), np.int16(9)),
+        (np.uint8(200), np.int8(-100), np.int32(-1)),
+        (np.float32(1.5), np.int64(2), np.float64(-0.25)),
+        (np.float64("nan"), np.float64(2), np.float64(1)),
+        (np.float64(2), np.float64("nan"), np.float64(1)),
+        (np.bool_(True), np.int64(2), np.uint16(0)),
+    ],
+)
+def test_the_least_and_the_most_are_pythons(values):
+    np.testing.assert_array_equal(extremes(*values), extremes.py_func(*values))
+
+
+@needs_jit
+def test_the_least_and_the_most_are_no_functions_to_compile(monkeypatch):
+    monkeypatch.setattr(jit, "_CACHE", False)
+    anew = kernel(extremes.py_func)
+    with event.install_recorder("numba:compile") as recorder:
+        anew(np.int32(3), np.int64(4), np.int8(5))
+    starts = [e for _, e in recorder.buffer if e.is_start]
+    assert [e.data["dispatcher"].py_func.__name__ for e in starts] == ["extremes"]
 
 
 def test_parts_may_use_what_numba_brings():
