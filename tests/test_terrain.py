@@ -666,6 +666,16 @@ def test_eight_threads_read_what_one_does(store_data, cache_bytes):
             np.testing.assert_array_equal(heights, HEIGHTS[row : row + 70, col : col + 70])
 
 
+def test_threads_are_as_many_as_the_processors_that_the_process_may_use(store_data, monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {3, 5, 6}, raising=False)
+    with Terrain(store_data) as terrain:
+        assert terrain.n_threads == 3
+    monkeypatch.delattr(os, "sched_getaffinity")
+    monkeypatch.setattr(os, "cpu_count", lambda: None)
+    with Terrain(store_data) as terrain:
+        assert terrain.n_threads == 1
+
+
 @pytest.mark.parametrize("threads", [0, -1])
 def test_fewer_threads_than_one_are_refused(store_data, threads):
     with pytest.raises(InvalidHeightsError, match="expected at least 1"):

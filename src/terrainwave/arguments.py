@@ -151,7 +151,7 @@ def check_mesh_of(mesh: str, method: Method, *, is_faithful: bool) -> None:
 
 
 def checked_threads(threads: int | None) -> int:
-    """Return the number of threads that is meant: all processors where none is given.
+    """Return the number of threads that is meant: all processors it may use where none is given.
 
     Raises
     ------
@@ -160,4 +160,8 @@ def checked_threads(threads: int | None) -> int:
     """
     if threads is not None and threads < 1:
         raise InvalidArgumentError(f"found {threads} threads, expected at least 1")
-    return threads or os.cpu_count() or 1
+    if threads is not None:
+        return threads
+    # A process may be kept on some of the processors, as in a container or by `taskset`.
+    may_use = getattr(os, "sched_getaffinity", None)
+    return (len(may_use(0)) if may_use else os.cpu_count()) or 1

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 import click
 
-from terrainwave.arguments import count_of
+from terrainwave.arguments import checked_threads, count_of
 from terrainwave.cli.output import Bar, message_of, plain, print_error
 from terrainwave.cli.streams import STREAM
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
@@ -116,7 +116,7 @@ def run(
 
     The threads are shared: as many jobs at a time as there are threads, each with its part.
     """
-    n_threads = threads or os.cpu_count() or 1
+    n_threads = checked_threads(threads)
     n_at_once = min(len(jobs), n_threads)
     is_stopped = threading.Event()
 

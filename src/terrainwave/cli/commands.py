@@ -90,7 +90,7 @@ def main() -> None:
 def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of commands that write a file."""
     for option in (
-        click.option("--threads", type=THREADS, help="Threads; all processors by default."),
+        click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use."),
         click.option("--overwrite", is_flag=True, help="Replace an existing file."),
         click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes."),
     ):
@@ -332,7 +332,7 @@ def _print_result(result: Any) -> None:
     help="The raster FILE was made of: keeps the bound where NEW is not, too.",
 )
 @click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
-@click.option("--threads", type=THREADS, help="Threads; all processors by default.")
+@click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> None:
@@ -823,7 +823,7 @@ def _note_unit(units: str | None) -> None:
 @click.option("--band", type=click.IntRange(min=1), default=1, help="Band of ORIGINAL.")
 @click.option("--nodata", type=Nodata(), help="The nodata value that was given to compress.")
 @click.option("--mesh", is_flag=True, help="Check all meshes too: errors, borders, coverage.")
-@click.option("--threads", type=THREADS, help="Threads; all processors by default.")
+@click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing; the exit status tells.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
 def verify(

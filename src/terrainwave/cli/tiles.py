@@ -35,7 +35,7 @@ from terrainwave.errors import InvalidArgumentError
 )
 @click.option("--attribution", default="", help="For the metadata: whose data these are.")
 @click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
-@click.option("--threads", type=THREADS, help="Threads; all processors by default.")
+@click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use.")
 @click.option("--overwrite", is_flag=True, help="Replace an existing target.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
