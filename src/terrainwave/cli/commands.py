@@ -90,7 +90,9 @@ def main() -> None:
 def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of commands that write a file."""
     for option in (
-        click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use."),
+        click.option(
+            "--threads", type=THREADS, help="Threads; by default all processors that it may use."
+        ),
         click.option("--overwrite", is_flag=True, help="Replace an existing file."),
         click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes."),
     ):

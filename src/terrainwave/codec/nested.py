@@ -484,13 +484,14 @@ def open_loop_cost(target, kinds, planes, own, geometry, weights, step, every, r
 def fill_noisy(target: NDArray[np.int32], plane: NDArray[np.int32], step: int) -> None:
     """Fill a padded plane with `target` plus noise of up to 0.4 steps, a function of the place."""
     n_rows, n_cols = target.shape
-    noise = (_noise(n_rows, n_cols) * (step * 4 // 5)) >> 16
-    plane[PAD : PAD + n_rows, PAD : PAD + n_cols] = target + noise
+    inner = plane[PAD : PAD + n_rows, PAD : PAD + n_cols]
+    np.add(target, _noise(n_rows, n_cols, int(step)), out=inner)
 
 
 @lru_cache(maxsize=4)
-def _noise(n_rows: int, n_cols: int) -> NDArray[np.int64]:
-    """Return numbers within 2^15 of 0 by place."""
+def _noise(n_rows: int, n_cols: int, step: int) -> NDArray[np.int32]:
+    """Return noise by place; it is shared."""
     rows, cols = np.arange(n_rows)[:, None], np.arange(n_cols)
     noise = (rows * 40503 + cols * 10007 + 12345) * 2654435761 & 0xFFFFFFFF
-    return ((noise >> 8) & 0xFFFF) - 32768
+    noise = ((noise >> 8) & 0xFFFF) - 32768
+    return ((step * 4 // 5 * noise) >> 16).astype(np.int32)
