@@ -105,6 +105,7 @@ def test_kernels_may_call_themselves():
     assert of_factorials(4) == 24 + 120
 
 
+@needs_jit
 @pytest.mark.parametrize(
     "values",
     [
