@@ -83,12 +83,8 @@ def decode_unit(
     spec: GroupSpec,
     parent: Decoded | None,
     payload: bytes,
-    out: Heights | None = None,
 ) -> Decoded:
-    """Undo `encode_unit`.
-
-    With memory `out`, contiguous and of the region's shape, the heights may be there. The mask is
-    not to be written to.
+    """Undo `encode_unit`. The mask is not to be written to.
 
     Raises
     ------
@@ -103,8 +99,8 @@ def decode_unit(
         raise CorruptStreamError(f"a unit's flags are {flags:#04x}; reserved bits must be 0")
     byte_pos = 1
     shape = spec.region.shape
-    has_implied = parent is not None and not parent.mask.all()
-    implied = implied_voids(spec, parent) if has_implied else None
+    is_whole = parent is None or parent.mask.all()
+    implied = None if is_whole else implied_voids(spec, parent)
     if flags & MASK_CODED:
         section, byte_pos = _read_section(payload, byte_pos)
         mask = decode_mask(section, np.zeros(shape, np.bool_) if implied is None else implied)
@@ -122,7 +118,7 @@ def decode_unit(
     parent_heights = None if parent is None else parent.heights
     direct = _as_direct(refiner)
     if direct is not None:
-        heights = new_heights(spec.region.shape) if out is None else out
+        heights = new_heights(spec.region.shape)
         labels = None
         direct.decode_into(spec, parent_heights, mask, payload[byte_pos:], heights)
     else:

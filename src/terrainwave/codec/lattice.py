@@ -7,7 +7,7 @@ planes, every tap of a stencil is a shifted row, so that a pass works on whole r
 """
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,7 +111,7 @@ def parity(plane: int) -> tuple[int, int]:
     return _PASS_PARITY[plane]
 
 
-# Plain copies: what numpy does as fast need not be compiled.
+# Copies by numpy take some microseconds more for a unit, and need not be compiled.
 
 
 def split(lattice: NDArray[np.int32], planes: NDArray[np.int32]) -> None:
@@ -136,14 +136,16 @@ def _inside(plane: NDArray[np.int32], shape: tuple[int, ...]) -> NDArray[np.int3
     return plane[PAD : PAD + shape[0], PAD : PAD + shape[1]]
 
 
-@kernel
-def reflect(place, n):
+def reflected(place: Any, n: Any) -> Any:
     """Return the place inside 0 … n - 1 that whole-sample symmetry puts at `place`; n >= 1."""
     if n == 1:
         return np.int64(0)
     while place < 0 or place >= n:
         place = -place if place < 0 else 2 * (n - 1) - place
     return np.int64(place)
+
+
+reflect = kernel(reflected)  # for kernels
 
 
 def fill_frame(
@@ -170,15 +172,9 @@ def fill_frame(
 def _framed(n: int, parity: int, n_lattice: int) -> list[tuple[int, int]]:
     """Return the places of padding along an axis of a plane, and which sample each one takes."""
     return [
-        (PAD + k, PAD + (_reflected(2 * k + parity, n_lattice) >> 1))
+        (PAD + k, PAD + int(reflected(2 * k + parity, n_lattice) >> 1))
         for k in (*range(-PAD, 0), *range(n, n + PAD))
     ]
-
-
-def _reflected(place: int, n: int) -> int:
-    """Return what `reflect` does."""
-    place %= max(2 * (n - 1), 1)
-    return min(place, 2 * (n - 1) - place)
 
 
 @kernel

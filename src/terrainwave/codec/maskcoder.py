@@ -118,9 +118,9 @@ def row_contexts(padded, ahead, row, contexts):
 
     That is _IMPLIED where the sample is implied to be void, and not coded.
 
-    `padded` holds the mask behind two rows and columns of voids: samples outside the unit count as
-    void. `ahead` is what is implied, with one column before, two behind and two rows below that are
-    not.
+    `contexts` has room for a row. `padded` holds the mask behind two rows and columns of voids:
+    samples outside the unit count as void. `ahead` is what is implied, with one column before, two
+    behind and two rows below that are not.
     """
     above, above2 = padded[row + 1], padded[row]
     here, below, below2 = ahead[row], ahead[row + 1], ahead[row + 2]

@@ -36,7 +36,7 @@ from terrainwave.codec.rapid_layout import (
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS, scale_of, scaled_features
 from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_parameters
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
-from terrainwave.codec.spare import HeightMemory, Spares, new_heights
+from terrainwave.codec.spare import Spares, new_heights
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.rans import (
     N_STATES,
@@ -80,7 +80,6 @@ class _Memory:
 
     def __init__(self) -> None:
         self._workspaces: dict[bool, Workspace] = {}
-        self._parent = HeightMemory()
         self._logs = _Logs(0)
 
     def logs(self, n: int) -> "_Logs":
@@ -98,14 +97,6 @@ class _Memory:
         if is_wide not in self._workspaces:
             self._workspaces[is_wide] = new_workspace(np.int64 if is_wide else np.int32)
         return self._workspaces[is_wide]
-
-    def contiguous(self, heights: Heights) -> Heights:
-        """Return heights as a flat array, good until the next call."""
-        if heights.flags.c_contiguous:
-            return heights.ravel()
-        copied = self._parent.heights(heights.shape)
-        copied[:] = heights
-        return copied.ravel()
 
 
 _MEMORY = Spares(_Memory)
@@ -353,7 +344,7 @@ class Rapid:
         coarse = Grid2(row * parent.shape[1] + col, parent.shape[1], 1)
         rings = 1 + (spec.rings >> 1)
         known = Known(*(rings if is_shared else 0 for is_shared in spec.shared))
-        self._code_rows(unit, 1, unit.memory.contiguous(parent), coarse, known, plan_lines(spec))
+        self._code_rows(unit, 1, _flat(parent), coarse, known, plan_lines(spec))
 
     def _code_root(self, unit: _Unit) -> None:
         """Code the corners on a fixed grid, then lattices of half the stride each."""
@@ -439,6 +430,14 @@ def _code_corner(unit: _Unit, place: int) -> None:
 def _tables_of(parameters: bytes) -> Tables:
     """Return the tables of a file; those who open it again find them, and what decoders made."""
     return parse_parameters(parameters)
+
+
+def _flat(heights: Heights) -> Heights:
+    """Return heights as a flat array."""
+    if not heights.flags.c_contiguous:
+        heights, views = new_heights(heights.shape), heights
+        heights[:] = views
+    return heights.ravel()
 
 
 def _first(spec: GroupSpec) -> int:

@@ -216,6 +216,7 @@ def _fill_heights(m, at, n, to, scale):
     """Fill heights from place `to` on, from predictions and details."""
     cast = m.dtype.type
     step, low, high = cast(scale.step), cast(scale.low), cast(scale.high)
+    # From one end of the range past the other: a larger detail, of a corrupt file, ends there too.
     least, most = cast(-scale.most_detail), cast(scale.most_detail)
     for j in range(n):
         k = at + j

@@ -1,4 +1,4 @@
-"""Memory that threads take turns with.
+"""Memory that threads take turns with, or that arrays get one after the other.
 
 What a process has not touched before costs it a page fault every 4 KB: half as much as decoding
 what goes there.
@@ -15,20 +15,6 @@ from numpy.typing import NDArray
 from terrainwave.codec.refiner import Heights
 
 Memory = TypeVar("Memory")
-
-
-class HeightMemory:
-    """Memory for the heights of a unit."""
-
-    def __init__(self) -> None:
-        self._heights = np.empty(0, dtype=np.int32)
-
-    def heights(self, shape: tuple[int, int]) -> Heights:
-        """Return an array of this shape, the same memory each time."""
-        size = shape[0] * shape[1]
-        if self._heights.size < size:
-            self._heights = np.empty(size, dtype=np.int32)
-        return self._heights[:size].reshape(shape)
 
 
 class Spares(Generic[Memory]):

@@ -1,7 +1,6 @@
 """Decode units on demand, each from its ancestors alone, through a bounded cache."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +8,6 @@ from numpy.typing import NDArray
 from terrainwave.cache import Cache
 from terrainwave.codec.group import decode_unit
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
-from terrainwave.codec.spare import HeightMemory, Spares
 from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters
@@ -24,9 +22,6 @@ _AT_A_TIME = 64
 
 def _n_bytes(unit: Decoded) -> int:
     return sum(part.nbytes for part in unit if part is not None)
-
-
-_SPARES = Spares(HeightMemory)
 
 
 class TreeDecoder:
@@ -99,14 +94,14 @@ class TreeDecoder:
         """Return the payload of a unit, fetched now unless it has been."""
         return self._fetched.take(key)
 
-    def _decode(self, key: Block, out: Heights | None = None) -> Decoded:
-        """Decode a unit, into memory `out` if there is some."""
+    def _decode(self, key: Block) -> Decoded:
+        """Decode a unit."""
         assert self._refiner is not None
         parent = None if key.is_root_key else self.block(key)
         spec = self._spec(key)
         payload = self._payload(key)
         try:
-            return decode_unit(self._refiner, spec, parent, payload, out)
+            return decode_unit(self._refiner, spec, parent, payload)
         except CorruptStreamError as exc:
             raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
 
@@ -138,9 +133,8 @@ class TreeDecoder:
             None if rest is None else rest[there].copy(),
         )
 
-    @contextmanager
-    def borrowed(self, key: Block, region: Region) -> Iterator[tuple[tuple[slice, slice], Decoded]]:
-        """Lend `part` until the end of the `with` block.
+    def part_once(self, key: Block, region: Region) -> tuple[tuple[slice, slice], Decoded]:
+        """Return `part`, for a reader of a whole region.
 
         A unit of the full grid that is not at hand and lies in the region as a whole is not kept.
         Its last row and column may be missing: whoever reads on beside it needs the next unit's.
@@ -150,11 +144,8 @@ class TreeDecoder:
         n_rows, n_cols = spec.core.shape
         is_whole = here.n_rows >= n_rows - 1 and here.n_cols >= n_cols - 1 and spec.is_finest
         if not is_whole or self._refiner is None or self._cache.get(key) is not None:
-            yield self.part(key, region)
-            return
-        with _SPARES.lent() as spare:
-            unit = self._decode(key, spare.heights(spec.region.shape))
-            yield _part(unit, spec, here, region)
+            return self.part(key, region)
+        return _part(self._decode(key), spec, here, region)
 
     def window(self, level: int, region: Region) -> tuple[Heights, Mask]:
         """Return decoded heights and validity of any region inside a level."""

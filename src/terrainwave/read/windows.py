@@ -70,9 +70,9 @@ class WindowReader:
 
         def fill(key: Block) -> None:
             try:
-                with decoder.borrowed(key, region) as (there, unit):
-                    self._fill(unit, heights[there])
-                    voids.note(there, unit.mask)
+                there, unit = decoder.part_once(key, region)
+                self._fill(unit, heights[there])
+                voids.note(there, unit.mask)
             except CorruptStreamError:
                 if on_error == "raise":
                     raise
