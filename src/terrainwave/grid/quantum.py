@@ -168,7 +168,8 @@ class Quantizer:
             if is_usual and quanta.size:
                 low, high = int(quanta.min()) + self.base, int(quanta.max()) + self.base
                 if limits.min <= low and high <= limits.max:
-                    # No kernel has to be compiled for this.
+                    # No kernel has to be compiled for this. In one step: threads with units beside
+                    # each other fill the samples that both share, and must not add twice.
                     np.add(quanta, self.base, out=out, casting="unsafe")
                     return out
             convert.dequantize_integers(
