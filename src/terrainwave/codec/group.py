@@ -6,7 +6,6 @@ unit without a valid sample.
 """
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import cast
 
 import numpy as np
@@ -17,6 +16,7 @@ from terrainwave.codec.refiner import Decoded, DirectRefiner, GroupSpec, Heights
 from terrainwave.codec.remaindercoder import decode_remainders, encode_remainders
 from terrainwave.codec.spare import new_heights
 from terrainwave.codec.varint import decode_varint, encode_varint
+from terrainwave.codec.whole import all_valid, is_whole
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Region
 from terrainwave.grid.remainders import Remainders
@@ -46,7 +46,7 @@ def encode_unit(
         Returns what decoded heights leave of the originals; with ``spec.remainder_bytes`` only.
     """
     flags, sections = MASK_ALL_VALID, b""
-    if not mask.all():  # else the parent implies no void
+    if not is_whole(mask):  # else the parent implies no void
         if not mask.any():
             return b"", _all_void(spec)
         implied = implied_voids(spec, parent)
@@ -99,14 +99,15 @@ def decode_unit(
         raise CorruptStreamError(f"a unit's flags are {flags:#04x}; reserved bits must be 0")
     byte_pos = 1
     shape = spec.region.shape
-    is_whole = parent is None or parent.mask.all()
-    implied = None if is_whole else implied_voids(spec, parent)
+    implied = None
+    if parent is not None and not is_whole(parent.mask):
+        implied = implied_voids(spec, parent)
     if flags & MASK_CODED:
         section, byte_pos = _read_section(payload, byte_pos)
         mask = decode_mask(section, np.zeros(shape, np.bool_) if implied is None else implied)
     else:
-        mask = _all_valid(shape) if implied is None else ~implied
-    if not mask.any():
+        mask = all_valid(shape) if implied is None else ~implied
+    if not is_whole(mask) and not mask.any():
         raise CorruptStreamError("a unit without a valid sample has a payload")
     exceptions = b""
     if flags & _HAS_EXCEPTIONS:
@@ -146,7 +147,7 @@ def voids_below(region: Region, outer: Region, outer_mask: Mask) -> Mask:
     A coarse sample is valid iff any full-grid sample of the cells touching it is, so below a void
     sample everything within one sample of this level is void as well.
     """
-    if outer_mask.all():
+    if is_whole(outer_mask):
         return np.zeros(region.shape, dtype=np.bool_)
     # By columns while there are half as many rows.
     n_pairs = (region.col + region.n_cols + 1 >> 1) - (region.col >> 1)
@@ -182,14 +183,6 @@ def _columns(mask: Mask, first: int, n: int) -> Mask:
 def _as_direct(refiner: Refiner) -> DirectRefiner | None:
     """Return a refiner that decodes into given memory as such; `isinstance` would take 0.1 ms."""
     return cast(DirectRefiner, refiner) if hasattr(refiner, "decode_into") else None
-
-
-@lru_cache(maxsize=64)
-def _all_valid(shape: tuple[int, int]) -> Mask:
-    """Return the mask of a unit without voids; it is shared, and nobody's to write to."""
-    mask = np.ones(shape, dtype=np.bool_)
-    mask.flags.writeable = False
-    return mask
 
 
 def _all_void(spec: GroupSpec) -> Decoded:

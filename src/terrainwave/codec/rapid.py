@@ -38,6 +38,7 @@ from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_pa
 from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
 from terrainwave.codec.spare import Spares, new_heights
 from terrainwave.codec.varint import decode_varint, encode_varint
+from terrainwave.codec.whole import is_whole
 from terrainwave.coding.rans import (
     N_STATES,
     STATE_START,
@@ -126,8 +127,6 @@ class Rapid:
     def __init__(self, parameters: bytes = b"") -> None:
         self.parameters = parameters
         self._tables = _tables_of(parameters)
-        # By depth, stride and step, as kernels want them.
-        self._weights: dict[tuple[int, int, int], NDArray[np.int64]] = {}
 
     @classmethod
     def with_tables(cls, tables: Tables) -> "Rapid":
@@ -201,7 +200,7 @@ class Rapid:
         return heights
 
     def _flags(self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask) -> int:
-        is_wide = self._is_wide(spec, parent, target if mask.all() else target[mask])
+        is_wide = self._is_wide(spec, parent, target if is_whole(mask) else target[mask])
         return (_WIDE if is_wide else 0) | (_SINGLE if target.size < _MANY_SAMPLES else 0)
 
     def _encode(
@@ -315,7 +314,7 @@ class Rapid:
             low, high = max(low, -limit), min(high, limit)
         if spec.region != spec.core:
             out[:] = 0  # a lattice fills all but the apron, whose lines may not meet
-        has_void = not mask.all()
+        has_void = not is_whole(mask)
         unit = _Unit(
             spec=spec,
             is_encoding=target is not None,
@@ -341,10 +340,11 @@ class Rapid:
         assert spec.parent_region is not None
         row = (spec.core.row >> 1) - spec.parent_region.row
         col = (spec.core.col >> 1) - spec.parent_region.col
-        coarse = Grid2(row * parent.shape[1] + col, parent.shape[1], 1)
+        source, pitch = _flat(parent)
+        coarse = Grid2(row * pitch + col, pitch, 1)
         rings = 1 + (spec.rings >> 1)
         known = Known(*(rings if is_shared else 0 for is_shared in spec.shared))
-        self._code_rows(unit, 1, _flat(parent), coarse, known, plan_lines(spec))
+        self._code_rows(unit, 1, source, coarse, known, plan_lines(spec, pitch))
 
     def _code_root(self, unit: _Unit) -> None:
         """Code the corners on a fixed grid, then lattices of half the stride each."""
@@ -368,7 +368,8 @@ class Rapid:
         """
         depth = self._tables.k_max - level
         key = depth, stride, scale.step
-        if key not in self._weights:
+        arranged = self._tables.arranged
+        if key not in arranged:
             last = len(self._tables.stencils) - 1
             depths = range(depth + stride.bit_length() - 1, depth - 1, -1)
             classes = [min(max(own, 0), last) for own in depths]
@@ -380,8 +381,8 @@ class Rapid:
                 )
                 for which in set(classes)
             }
-            self._weights[key] = np.stack([weights[which] for which in classes])
-        return self._weights[key]
+            arranged[key] = np.stack([weights[which] for which in classes])
+        return arranged[key]
 
     def _code_rows(
         self, unit: _Unit, stride: int, source: Heights, coarse: Grid2, known: Known,
@@ -432,12 +433,26 @@ def _tables_of(parameters: bytes) -> Tables:
     return parse_parameters(parameters)
 
 
-def _flat(heights: Heights) -> Heights:
-    """Return heights as a flat array."""
-    if not heights.flags.c_contiguous:
-        heights, views = new_heights(heights.shape), heights
-        heights[:] = views
-    return heights.ravel()
+def _flat(heights: Heights) -> tuple[Heights, int]:
+    """Return a flat array that begins with heights, and how far apart their rows lie in it.
+
+    A part of a unit is not copied: its memory is that of `new_heights`.
+    """
+    owner = heights.base
+    if heights.flags.c_contiguous:
+        return heights.ravel(), heights.shape[1]
+    if isinstance(owner, np.ndarray) and (owner.ndim, owner.dtype) == (1, heights.dtype):
+        row_step, col_step = (step // owner.itemsize for step in heights.strides)
+        if owner.flags.c_contiguous and col_step == 1:
+            first = (_address(heights) - _address(owner)) // owner.itemsize
+            return owner[first:], row_step
+    copied = new_heights(heights.shape)
+    copied[:] = heights
+    return copied.ravel(), heights.shape[1]
+
+
+def _address(heights: Heights) -> int:
+    return int(heights.__array_interface__["data"][0])
 
 
 def _first(spec: GroupSpec) -> int:
@@ -448,12 +463,13 @@ def _first(spec: GroupSpec) -> int:
 
 def _check_end(streams: Streams) -> None:
     """Raise unless a unit's streams have been used up exactly."""
-    word_pos, bit_pos = int(streams.places[WORD_POS]), int(streams.places[BIT_POS])
+    places, states = streams.places.tolist(), streams.states[: streams.n_states].tolist()
+    word_pos, bit_pos = places[WORD_POS], places[BIT_POS]
     if word_pos > streams.n_words or bit_pos > streams.n_bits:
         raise TruncatedStreamError("the payload ends inside its data")
     if word_pos < streams.n_words or (bit_pos + 7) // 8 < streams.n_bits // 8:
         raise CorruptStreamError("bytes are left over after the last symbol")
-    if (streams.states[: streams.n_states] != STATE_START).any():
+    if states != [STATE_START] * streams.n_states:
         raise CorruptStreamError("the symbols do not end in the state that they began with")
     if bit_pos % 8 and int(streams.raw[bit_pos >> 5]) >> (bit_pos & 31):
         raise CorruptStreamError("the last byte of raw bits is not filled with 0")

@@ -34,10 +34,10 @@ MOST_CORNERS = 64
 _U1, _U2 = np.uint64(1), np.uint64(2)
 
 
-def plan_lines(spec: GroupSpec) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def plan_lines(spec: GroupSpec, pitch: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the shared samples of a group: corners and lines, in coding order.
 
-    Places are those in flat region and flat parent.
+    Places are those in the flat region and in the flat parent, whose rows are `pitch` apart.
     """
     assert spec.parent_region is not None
     core = spec.core.slices_in(spec.region)
@@ -51,6 +51,7 @@ def plan_lines(spec: GroupSpec) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         ),
         spec.shared,
         spec.rings,
+        pitch,
     )
 
 
@@ -62,12 +63,12 @@ def _plan(
     offset: tuple[int, int],
     shared: Sides,
     rings: int,
+    pitch: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     region = Region(0, 0, *shape)
     spec = GroupSpec(1, Region(*core), region, None, shared, 1, 0, 0, (1, 0), rings, 0)
     plan = plan_border(spec)
     last = parent_shape[0] - 1, parent_shape[1] - 1
-    pitch = parent_shape[1]
     corners = []
     for row, col in plan.corners:
         r, c = row + offset[0], col + offset[1]

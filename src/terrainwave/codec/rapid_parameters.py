@@ -82,6 +82,8 @@ class Tables:
     stencils : ndarray of int64, shape (N_CLASSES, 3, MAX_TAPS)
     features : ndarray of int64, shape (N_CLASSES, 4, N_FEATURES)
         Weights in 2**-24 per step: of the planes, then of lines.
+    arranged : dict
+        Where the refiner keeps both as kernels want them: by depth, stride and step.
     """
 
     def __init__(self, file: FileTables | None) -> None:
@@ -96,6 +98,7 @@ class Tables:
                 stencil = FileStencil(0) if file is None else file.stencils[which][index]
                 weights = weights_of(plane, stencil)
                 self.stencils[which, index, : len(weights)] = weights
+        self.arranged: dict[tuple[int, int, int], NDArray[np.int64]] = {}
         self._slots: dict[int, NDArray[np.uint8]] = {}
         self._packed: dict[int, NDArray[np.uint32]] = {}
 

@@ -11,6 +11,7 @@ from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, replace
 from decimal import ROUND_CEILING, Context, Decimal
 from fractions import Fraction
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,6 +155,7 @@ class Quantizer:
     ) -> NDArray[np.generic]:
         """Return the raw heights of `quanta` in `dtype`, clipped to its range; in `out` if given.
 
+        What lies outside of `z_min` … `z_max`, as voids may, can come out as any height.
         Integers are exact; floats are the correctly rounded float64 quotient, cast. Both are the
         same on every machine.
         """
@@ -163,21 +165,26 @@ class Quantizer:
         if out is None:
             out = np.empty(quanta.shape, dtype=self.dtype)
         if out.dtype.kind in "iu":
+            if self._only_shifts:
+                # No kernel has to be compiled for this. In one step, as threads whose units meet
+                # fill the samples of the border that both have: each time with the same.
+                np.add(quanta, self.base, out=out, casting="unsafe")
+                return out
             limits = np.iinfo(np.dtype(self.dtype))
-            is_usual = self.numerator == self.denominator == 1 and abs(self.base) < _LARGE
-            if is_usual and quanta.size:
-                low, high = int(quanta.min()) + self.base, int(quanta.max()) + self.base
-                if limits.min <= low and high <= limits.max:
-                    # No kernel has to be compiled for this. In one step: threads with units beside
-                    # each other fill the samples that both share, and must not add twice.
-                    np.add(quanta, self.base, out=out, casting="unsafe")
-                    return out
             convert.dequantize_integers(
                 quanta, self.numerator, self.denominator, self.base, limits.min, limits.max, out
             )
         else:
             convert.dequantize_floats(quanta, self.numerator, self.denominator, self.base, out)
         return out
+
+    @cached_property
+    def _only_shifts(self) -> bool:
+        """Say whether whole heights are quanta plus `base`, and none is beyond the dtype."""
+        limits = np.iinfo(np.dtype(self.dtype))
+        heights = self.z_min + self.base, self.z_max + self.base
+        is_usual = self.numerator == self.denominator == 1 and abs(self.base) < _LARGE
+        return is_usual and limits.min <= heights[0] and heights[1] <= limits.max
 
     def quanta_of_value(self, value: float | int | None) -> tuple[int, int]:
         """Return the closed interval of quanta that give `value`; (0, -1) if there is none."""

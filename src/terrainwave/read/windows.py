@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.refiner import Decoded
+from terrainwave.codec.whole import is_whole
 from terrainwave.errors import CorruptStreamError, StorageError
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.quadtree import Block, Region
@@ -157,7 +158,7 @@ class _Voids:
     def note(self, there: tuple[slice, slice], valid: NDArray[np.bool_]) -> None:
         """Note which samples of a part of the region are valid."""
         if self.marked is None:
-            if valid.all():
+            if is_whole(valid):
                 return
             with self._lock:
                 if self.marked is None:
