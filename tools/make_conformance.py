@@ -16,7 +16,7 @@ import numpy as np
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "src"))
 
-from terrainwave.codec import rapid_tables, tables, tables97  # noqa: E402
+from terrainwave.codec import rapid_reach_tables, rapid_tables, tables, tables97  # noqa: E402
 
 NAME = "terrainwave-conformance-1.0"
 PLANES = {1: "HH", 2: "HL", 3: "LH"}
@@ -50,6 +50,7 @@ def annexes() -> dict[str, dict]:
             "STENCILS": by_plane(rapid_tables.STENCILS),
             "FEATURES": np.asarray(rapid_tables.FEATURES).tolist(),
             "CODES": numbers(rapid_tables._CODES, "u1", (6, 176, 63)),
+            "REACH_CODES": numbers(rapid_reach_tables._CODES, "u1", (6, 176, 63)),
         },
     }
 

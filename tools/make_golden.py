@@ -42,6 +42,20 @@ def terrain(n_rows, n_cols, amplitude):
     return waves + rough * amplitude // 200
 
 
+def town(n_rows, n_cols, amplitude):
+    """Return hills with houses, whose edges no stencil foretells, by whole numbers alone."""
+    heights = terrain(n_rows, n_cols, amplitude // 4)
+    state = 1
+    for _ in range(n_rows * n_cols // 100):
+        drawn = []
+        for n in (n_rows - 2, n_cols - 2, 4, 4, amplitude):
+            state = state * 6364136223846793005 + 1442695040888963407 & (1 << 64) - 1
+            drawn.append((state >> 33) % n)
+        row, col, rows, cols, tall = drawn
+        heights[row : row + rows + 2, col : col + cols + 2] += tall
+    return heights
+
+
 def voids(n_rows, n_cols):
     """Return validity: a lake, a corner and single samples are void."""
     row, col = np.indices((n_rows, n_cols))
@@ -115,6 +129,22 @@ CASES = {
     ),
     "rapid-float32-exact": (
         (45, 51), "float32", 400, "nan", PLACE, {"max_error": 0, "method": "rapid"},
+    ),
+    # Contexts by reach: steps 1, 3 and 7, and heights so far apart that they take 64 bits.
+    "rapid-reach-int16-lossless": (
+        (50, 47), "int16", 4000, "none", PLACE, {"max_error": 0, "method": "rapid"},
+    ),
+    "rapid-reach-int16-blocks": (
+        (70, 66), "int16", 300, "nodata", PLACE,
+        {"max_error": 1, "method": "rapid", "block": 64, "mesh": "none"},
+    ),
+    "rapid-reach-int16-mask": (
+        (100, 110), "int16", 60, "mask", PLACE,
+        {"max_error": 3, "method": "rapid", "mesh": "none"},
+    ),
+    "rapid-reach-int32-wide": (
+        (50, 46), "int32", 9_000_000, "none", PLACE,
+        {"max_error": 9000, "method": "rapid", "border_rings": 3, "mesh": "none"},
     ),
     "predictive-float64-exact": (
         (34, 36), "float64", 900, "none", PLACE, {"max_error": 0, "mesh": "none"},
@@ -200,6 +230,10 @@ EXERCISES = {
     "rapid-int32-wide": "heights so far apart that predictions count from an offset (R.2)",
     "rapid-float32-nan": "decimals, voids are NaN",
     "rapid-float32-exact": "remainders (§5.3) of 4 bytes, NaN",
+    "rapid-reach-int16-lossless": "contexts by reach (R.7), step 1",
+    "rapid-reach-int16-blocks": "contexts by reach, step 3, blocks of 64, voids by nodata",
+    "rapid-reach-int16-mask": "contexts by reach, a step that is not fine, a mask of its own",
+    "rapid-reach-int32-wide": "contexts by reach, *wide* units, aprons",
     "predictive-float64-exact": "remainders of 8 bytes",
     "cdf53-int16-lossless": "whole streams, masks of tiles",
     "cdf53-int16-nodata-rqt-coefficient": "meshes by coefficients (mesh 6), voids",
@@ -222,7 +256,8 @@ EXERCISES = {
 
 def write_case(path, shape, dtype, amplitude, kind, profile, options):
     """Write one golden file."""
-    heights = terrain(*shape, amplitude).astype(dtype)
+    make = town if "reach" in path.stem else terrain
+    heights = make(*shape, amplitude).astype(dtype)
     if np.dtype(dtype).kind == "f":
         divisor = 3 if path.stem.endswith("exact") else 8  # on no vertical grid, or on one
         heights = heights / np.asarray(divisor, dtype=dtype)

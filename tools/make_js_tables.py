@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from terrainwave.codec import rapid_tables, tables
+from terrainwave.codec import rapid_reach_tables, rapid_tables, tables
 
 OUT = Path(__file__).parents[1] / "js" / "src"
 WIDTH = 100
@@ -43,12 +43,13 @@ def module(section, *constants):
 
 
 def rapid_data():
-    """Return the module of the annex of method rapid."""
+    """Return the module of the annexes of method rapid; the codes of both, one after the other."""
     stencils = [rapid_tables.STENCILS[plane].tolist() for plane in (1, 2, 3)]
     features = [table.tolist() for table in rapid_tables.FEATURES]
-    codes = zlib.decompress(base64.b85decode(rapid_tables._CODES))
+    modules = rapid_tables, rapid_reach_tables
+    codes = b"".join(zlib.decompress(base64.b85decode(one._CODES)) for one in modules)
     return module(
-        "The annex of method rapid (format-rapid.md, R.10)",
+        "The annexes of method rapid (format-rapid.md, R.10)",
         constant("STENCILS", stencils),
         constant("FEATURES", features),
         packed("CODES", codes),

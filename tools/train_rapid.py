@@ -1,6 +1,7 @@
 """Train the tables of the `rapid` method from a directory of rasters.
 
     python tools/train_rapid.py DIRECTORY > src/terrainwave/codec/rapid_tables.py
+    python tools/train_rapid.py DIRECTORY --reach > src/terrainwave/codec/rapid_reach_tables.py
 
 Stencils are fitted to each raster, bound, class of levels and plane, and those kept that together
 serve all of them best; frequencies are counted in windows coded with them. Weights of the expected
@@ -12,11 +13,12 @@ import base64
 import sys
 import zlib
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import rasterio
 
-from terrainwave.codec import rapid_parameters, rapid_tables
+from terrainwave.codec import rapid_parameters, rapid_reach_tables, rapid_tables
 from terrainwave.codec.rapid_fitting import best_tables, codes_for, count
 from terrainwave.codec.rapid_layout import TAPS
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS
@@ -117,8 +119,9 @@ def train_stencils(windows: dict[str, tuple[np.ndarray, np.ndarray]]) -> dict[in
     return chosen
 
 
-def train_codes(windows: dict[str, tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Return codes of frequencies by family, context and symbol."""
+def train_codes(windows: dict[str, tuple[np.ndarray, np.ndarray]], layout: int) -> np.ndarray:
+    """Return codes of frequencies by family of a layout, context and symbol."""
+    first = layout * rapid_tables.N_FAMILIES
     counts = np.zeros((rapid_tables.N_FAMILIES, N_CONTEXTS, 63), dtype=np.float64)
     for name, found in windows.items():
         for bound in BOUNDS:
@@ -128,24 +131,34 @@ def train_codes(windows: dict[str, tuple[np.ndarray, np.ndarray]]) -> np.ndarray
                 rapid_tables.family_of(step), rapid_tables.N_FAMILIES, rapid_tables.N_STEPS
             )
             for family in families:
-                symbols = count(tables._replace(family=family), *found, step).astype(np.float64)
+                own = tables._replace(family=first + family)
+                symbols = count(own, *found, step).astype(np.float64)
                 counts[family] += symbols / max(1.0, symbols.sum()) * 1e6
     codes = np.zeros(counts.shape, dtype=np.int64)
     every = np.arange(N_CONTEXTS)
     for family in range(rapid_tables.N_FAMILIES):
-        trained = rapid_parameters.default_freqs(family) / 2048
+        trained = rapid_parameters.default_freqs(first + family) / 2048
         weights = np.rint(1000 * (counts[family] + 200 * trained)).astype(np.int64)
-        codes[family] = codes_for(weights, family)
-        rest = rapid_parameters.rest_symbols(family)
+        codes[family] = codes_for(weights, first + family)
+        rest = rapid_parameters.rest_symbols(first + family)
         left = rapid_parameters.freqs_of(codes[family], rest)[every, rest].tolist()
         codes[family, every, rest] = [rapid_parameters.code_of(freq) for freq in left]
     return codes
 
 
+def write_codes(codes: np.ndarray) -> None:
+    """Print the codes, one string."""
+    packed = base64.b85encode(zlib.compress(codes.astype(np.uint8).tobytes(), 9)).decode()
+    print("_CODES = (")
+    for k in range(0, len(packed), 96):
+        print(f'    "{packed[k : k + 96]}"')
+    print(")")
+
+
 def write(stencils: dict[int, np.ndarray], codes: np.ndarray) -> None:
     """Print the module of the tables."""
     features = rapid_tables.FEATURES
-    print(HEADER)
+    print(HEADER + IMPORTS)
     print("STENCILS = {")
     for plane, sets in stencils.items():
         rows = ", ".join(str([int(w) for w in row]) for row in sets)
@@ -155,11 +168,7 @@ def write(stencils: dict[int, np.ndarray], codes: np.ndarray) -> None:
     for table in features:
         print(f"    np.array({table.tolist()}, dtype=np.int64),")
     print(")\n")
-    packed = base64.b85encode(zlib.compress(codes.astype(np.uint8).tobytes(), 9)).decode()
-    print("_CODES = (")
-    for k in range(0, len(packed), 96):
-        print(f'    "{packed[k : k + 96]}"')
-    print(")")
+    write_codes(codes)
     print(FOOTER)
 
 
@@ -168,7 +177,15 @@ HEADER = '''"""Tables of the `rapid` method: written by tools/train_rapid.py, ne
 Stencils by plane (HH, HL, LH) and set, in 1/4096; weights of the expected magnitude by table, class
 of levels and plane or line, in 2**-24; codes of frequencies by family, context and symbol.
 """
+'''
 
+REACH_HEADER = '''"""Tables of `rapid` for contexts by reach, by tools/train_rapid.py, never edited.
+
+Codes of frequencies by family, context and symbol.
+"""
+'''
+
+IMPORTS = """
 # fmt: off
 import base64
 import zlib
@@ -176,7 +193,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-'''
+"""
 
 FOOTER = '''# fmt: on
 
@@ -194,23 +211,45 @@ def default_codes() -> NDArray[np.uint8]:
     codes = np.frombuffer(zlib.decompress(base64.b85decode(_CODES)), dtype=np.uint8)
     return codes.reshape(N_FAMILIES, 176, 63)'''
 
+REACH_FOOTER = '''# fmt: on
+
+
+@cache
+def default_codes() -> NDArray[np.uint8]:
+    """Return the trained codes, shape (families, contexts, symbols)."""
+    codes = np.frombuffer(zlib.decompress(base64.b85decode(_CODES)), dtype=np.uint8)
+    return codes.reshape(-1, 176, 63)'''
+
+
+def take(module: ModuleType, codes: np.ndarray) -> None:
+    """Let `best_tables` work with other codes of a module of tables."""
+    module.default_codes = lambda: codes
+    for cached in (
+        rapid_parameters._all_codes,
+        rapid_parameters._all_rests,
+        rapid_parameters.default_freqs,
+    ):
+        cached.cache_clear()
+
 
 def main() -> None:
     """Train and print."""
-    directory = Path(sys.argv[1])
+    directory, is_by_reach = Path(sys.argv[1]), "--reach" in sys.argv[2:]
     found = {name: windows_of(directory / name) for name in RASTERS}
     windows = {name: pair for name, pair in found.items() if pair is not None}
     for name, (heights, _) in windows.items():
         print(name, len(heights), file=sys.stderr)
     for turn in range(2):
-        if turn == 0:
+        if turn == 0 and not is_by_reach:
             rapid_tables.STENCILS = train_stencils(windows)
-        codes = train_codes(windows)
-        rapid_tables.default_codes = lambda codes=codes: codes
-        rapid_parameters.default_codes.cache_clear()
-        rapid_parameters.default_freqs.cache_clear()
-        rapid_parameters.rest_symbols.cache_clear()
-    write(rapid_tables.STENCILS, codes)
+        codes = train_codes(windows, int(is_by_reach))
+        take(rapid_reach_tables if is_by_reach else rapid_tables, codes)
+    if is_by_reach:
+        print(REACH_HEADER + IMPORTS)
+        write_codes(codes)
+        print(REACH_FOOTER)
+    else:
+        write(rapid_tables.STENCILS, codes)
 
 
 if __name__ == "__main__":

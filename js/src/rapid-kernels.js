@@ -145,7 +145,8 @@ class KernelArithmetic {
   fillContexts(m, n, features, scale) {
     m.features.set(features);
     this.run[this.names.fillContexts](n, m.features.byteOffset, m.row, m.nMost, scale.rangeShift,
-      scale.mostRange, scale.isFine ? 1 : 0, scale.sideShift, scale.sideScale, scale.endShift);
+      scale.mostRange, scale.isFine ? 1 : 0, scale.isByReach ? 1 : 0, scale.sideShift, scale.sideScale,
+      scale.farScale, scale.endShift);
   }
 
   /** Read the details of a row; of each, its validity is at every `step`-th place from `valid` on. */

@@ -12,7 +12,7 @@ export const [HH, HL, LH] = [0, 1, 2];
 export const MOST_ERROR = 2 ** 18 - 1;
 /** Set in a context where the detail counts downwards. */
 export const DOWN = 256;
-const MOST_SIDE = 2 ** 20 - 1;
+const MOST_FAR = 2 ** 20 - 1;
 const { abs, clz32, imul, max, min } = Math;
 
 /** Arrays that units are decoded in, one after the other. */
@@ -206,7 +206,7 @@ function predictLH(m, first, n, weights, features) {
 /** Fill whole and contexts of a row; clamp predicted (R.6, R.7). */
 export function fillContexts(m, n, features, scale) {
   const { predicted, least, most, sum, twist, expected, whole, contexts } = m;
-  const { rangeShift, mostRange, isFine, sideShift, sideScale, endShift } = scale;
+  const { rangeShift, mostRange, isFine, isByReach, sideShift, sideScale, farScale, endShift } = scale;
   const ofConst = features[0], ofRange = features[4], ofTwist = features[5];
   for (let j = 0; j < n; j++) {
     const low = least[j];
@@ -224,15 +224,16 @@ export function fillContexts(m, n, features, scale) {
       bin = min(2 * log2 + ((e >> (log2 - 1)) & 1) - 10, 43);
     }
     let context = 4 * bin;
-    let side;
-    if (isFine) {
+    let side = ((sum[j] << 4) - p) | 0;
+    if (isFine && (bin < 16 || !isByReach)) {
       side = (p - (w << 6)) | 0;
       if (bin < 16) context += min(imul(abs(side), sideScale) >> 16, 3);
     } else {
-      side = ((sum[j] << 4) - p) | 0;
-      const x = imul(min(abs(side) >> sideShift, MOST_SIDE), sideScale) >> endShift;
-      // 11 e may pass 2^31: as doubles it stays exact.
-      context += (x > e ? 1 : 0) + (4 * x > 11 * e ? 1 : 0) + (x > 6 * e ? 1 : 0);
+      const far = !isByReach ? abs(side) : side < 0 ? ((high << 6) - p) | 0 : (p - (low << 6)) | 0;
+      const x = imul(min(far >> sideShift, MOST_FAR), farScale) >> endShift;
+      // 11 e and more may pass 2^31: as doubles it stays exact.
+      if (isByReach) context += (x > 2 * e ? 1 : 0) + (x > 6 * e ? 1 : 0) + (x > 12 * e ? 1 : 0);
+      else context += (x > e ? 1 : 0) + (4 * x > 11 * e ? 1 : 0) + (x > 6 * e ? 1 : 0);
     }
     contexts[j] = side < 0 ? context | DOWN : context;
   }

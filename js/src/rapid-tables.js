@@ -10,7 +10,8 @@ export const N_CONTEXTS = 176;
 export const N_SYMBOLS = 63;
 export const SLOT_BITS = 11;
 const TOTAL = 1 << SLOT_BITS;
-const N_FAMILIES = 6;
+const N_FAMILIES = 6; // of each layout
+const LAYOUTS = [1, 3]; // contexts by the mean, by reach
 const N_CLASSES = 4;
 const MOST_CODE = 127;
 
@@ -19,13 +20,14 @@ const CORE_TAPS = [[5, 6, 9, 10], [1, 2, 9, 12], [1, 2, 12, 13]];
 
 let allCodes = null;
 
-/** Return the annex's codes of a family, by context and symbol. */
-function codesOf(family) {
+/** Return the codes of a family of a layout, by context and symbol. */
+function codesOf(layout, family) {
   if (allCodes === null) {
-    allCodes = unpackedTable(CODES, N_FAMILIES * N_CONTEXTS * N_SYMBOLS);
+    allCodes = unpackedTable(CODES, LAYOUTS.length * N_FAMILIES * N_CONTEXTS * N_SYMBOLS);
   }
   const n = N_CONTEXTS * N_SYMBOLS;
-  return allCodes.subarray(family * n, (family + 1) * n);
+  const first = (layout * N_FAMILIES + family) * n;
+  return allCodes.subarray(first, first + n);
 }
 
 function valueOfCode(g) {
@@ -99,17 +101,19 @@ function readCodes(decoder, magnitude, models, trained) {
   return codes;
 }
 
-/** Return { kMax, stencils[class][plane], features[class][row], slots, frequencies, widest }. */
+/** Return { kMax, stencils[class][plane], features[class][row], slots, frequencies, widest, isByReach }. */
 export function readRapidTables(parameters, header) {
   let family = header.step === 1 ? 0 : header.step === 3 ? 1 : 2;
+  let layout = 0;
   let kMax = 0;
   let stencils;
   let codes;
   if (parameters.length === 0) {
     stencils = Array.from({ length: N_CLASSES }, () => STENCILS.map((sets) => sets[0]));
-    codes = codesOf(family);
+    codes = codesOf(layout, family);
   } else {
-    requireKnown(parameters[0] === 1, `layout ${parameters[0]} of the parameters`);
+    layout = LAYOUTS.indexOf(parameters[0]);
+    requireKnown(layout >= 0, `layout ${parameters[0]} of the parameters`);
     const decoder = new RangeDecoder(parameters.subarray(1));
     const models = new Models(370);
     const magnitude = magnitudeReader(decoder, models);
@@ -119,7 +123,7 @@ export function readRapidTables(parameters, header) {
     stencils = Array.from({ length: N_CLASSES }, () =>
       STENCILS.map((_, plane) => readStencil(decoder, magnitude, plane)),
     );
-    codes = readCodes(decoder, magnitude, models, codesOf(family));
+    codes = readCodes(decoder, magnitude, models, codesOf(layout, family));
     decoder.end();
   }
   const sums = stencils.flat().map((one) => one.reduce((sum, w) => sum + Math.abs(w), 0));
@@ -128,7 +132,8 @@ export function readRapidTables(parameters, header) {
     kMax, stencils,
     features: table.map((rows) => rows.map((row) => scaledFeatures(row, header.step))),
     widest: Math.max(...sums),
-    ...decodingTables(codes, codesOf(family)),
+    isByReach: layout === 1,
+    ...decodingTables(codes, codesOf(layout, family)),
   };
 }
 

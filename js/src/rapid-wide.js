@@ -58,7 +58,7 @@ function predict(plane) {
 export const predictRow = [predict(HH), predict(HL), predict(LH)];
 
 export function fillContexts(m, n, features, scale) {
-  const { rangeShift, mostRange, isFine, sideShift, sideScale, endShift } = scale;
+  const { rangeShift, mostRange, isFine, isByReach, sideShift, sideScale, farScale, endShift } = scale;
   const inRange = (x) => Math.min(Math.floor(x / 2 ** rangeShift), mostRange);
   for (let j = 0; j < n; j++) {
     const [low, high] = [m.least[j], m.most[j]];
@@ -71,14 +71,18 @@ export function fillContexts(m, n, features, scale) {
     const e = Math.floor(total / 16);
     const log2 = 31 - Math.clz32(e);
     const bin = e < 32 ? 0 : Math.min(2 * log2 + ((e >> (log2 - 1)) & 1) - 10, 43);
-    const side = isFine ? p - 64 * w : 16 * m.sum[j] - p;
+    let side = 16 * m.sum[j] - p;
     let sigma = 0;
-    if (isFine) {
+    if (isFine && (bin < 16 || !isByReach)) {
+      side = p - 64 * w;
       sigma = bin < 16 ? Math.min((Math.abs(side) * sideScale) >> 16, 3) : 0;
     } else {
-      const far = Math.min(Math.floor(Math.abs(side) / 2 ** sideShift), 2 ** 20 - 1);
-      const x = (far * sideScale) >> endShift;
-      sigma = [x > e, 4 * x > 11 * e, x > 6 * e].filter(Boolean).length;
+      const reach = side < 0 ? 64 * high - p : p - 64 * low;
+      const distance = isByReach ? reach : Math.abs(side);
+      const far = Math.min(Math.floor(distance / 2 ** sideShift), 2 ** 20 - 1);
+      const x = (far * farScale) >> endShift;
+      const marks = isByReach ? [8, 24, 48] : [4, 11, 24];
+      sigma = marks.filter((mark) => 4 * x > mark * e).length;
     }
     m.contexts[j] = (4 * bin + sigma) | (side < 0 ? DOWN : 0);
   }

@@ -32,17 +32,18 @@ function workspaceOf(arithmetic) {
 }
 
 /** What follows from the step and the range of heights. */
-function scaleOf(step, low, high) {
+function scaleOf(step, low, high, isByReach) {
   const log2 = bitLength(step) - 1;
   const isFine = step <= FINE_STEP;
   const sideShift = Math.max(log2 - 5, 0);
   const mostDetail = Math.floor((high - low) / step) + 1;
   return {
-    step, isFine, sideShift,
+    step, isFine, isByReach, sideShift,
     errorShift: log2,
     rangeShift: rangeShift(step),
     mostRange: 2 ** (15 + Math.min(log2, 4)) - 1,
-    sideScale: Math.floor(isFine ? 65536 / (8 * step) : (1024 * 2 ** log2) / step),
+    sideScale: Math.floor(65536 / (8 * step)),
+    farScale: Math.floor((1024 * 2 ** log2) / step),
     endShift: 2 + log2 - sideShift,
     mostDetail,
     isSmall: Math.max(mostDetail, MOST_SYMBOL) * step < 2 ** 30, // with a height: fits 32 bits
@@ -97,7 +98,7 @@ class Coder {
     const { low, high, origin } = limitsOf(header, tables.widest, this.streams.isWide, parent);
     require(low <= high, "heights of a unit that is not wide");
     Object.assign(this, { low: low - origin, high: high - origin, origin });
-    this.scale = scaleOf(header.step, low, high);
+    this.scale = scaleOf(header.step, low, high, tables.isByReach);
     this.isCompiled = kernels.rapid !== null;
     const choice = this.isCompiled ? [compiledNarrow, compiledWide] : [narrow, wide];
     this.arithmetic = choice[this.streams.isWide ? 1 : 0];

@@ -107,7 +107,8 @@ void NAMED(predict_lh)(i32 n, i32 s, const i32 *a, const i32 *hh, const i32 *hl,
 
 EXPORT_OF("fillContexts")
 void NAMED(fill_contexts)(i32 n, const i32 *f, NUMBER *row, i32 m, i32 range_shift, i32 most_range,
-                          i32 is_fine, i32 side_shift, i32 side_scale, i32 end_shift) {
+                          i32 is_fine, i32 is_by_reach, i32 side_shift, i32 side_scale,
+                          i32 far_scale, i32 end_shift) {
   TAKE_ROW(row, m);
   i32 *whole = least + 3 * m, *contexts = whole + m;
   const i32 of_const = f[0], of_range = f[4], of_twist = f[5];
@@ -120,6 +121,7 @@ void NAMED(fill_contexts)(i32 n, const i32 *f, NUMBER *row, i32 m, i32 range_shi
             of_twist * (i32)LEAST(SHIFTED(twist[j], range_shift), most_range);
     expected[j] = e >> 4;
   }
+  i32 first = 0; /* the first bin that has not been dealt with */
   if (is_fine) {
     ROWS for (i32 j = 0; j < n; j++) {
       i32 bin = bin_of(expected[j]);
@@ -127,12 +129,25 @@ void NAMED(fill_contexts)(i32 n, const i32 *f, NUMBER *row, i32 m, i32 range_shi
       i32 near = min((magnitude(side) * side_scale) >> 16, 3);
       contexts[j] = (4 * bin + (bin < 16 ? near : 0)) | (side < 0 ? 256 : 0);
     }
+    if (!is_by_reach) return;
+    first = 16;
+  }
+  if (is_by_reach) {
+    ROWS for (i32 j = 0; j < n; j++) {
+      i32 e = expected[j], bin = bin_of(e); /* e below 2^27: twelve times it fit */
+      NUMBER side = sum[j] * 16 - predicted[j];
+      NUMBER above = (NUMBER)most[j] * 64 - predicted[j], below = predicted[j] - (NUMBER)least[j] * 64;
+      NUMBER far = side < 0 ? above : below;
+      i32 x = ((i32)LEAST(SHIFTED(far, side_shift), (1 << 20) - 1) * far_scale) >> end_shift;
+      i32 reach = (x > 2 * e ? 1 : 0) + (x > 6 * e ? 1 : 0) + (x > 12 * e ? 1 : 0);
+      contexts[j] = bin < first ? contexts[j] : (4 * bin + reach) | (side < 0 ? 256 : 0);
+    }
     return;
   }
   ROWS for (i32 j = 0; j < n; j++) {
     i32 e = expected[j]; /* below 2^27: eleven times it fit */
     NUMBER side = sum[j] * 16 - predicted[j];
-    i32 x = ((i32)LEAST(SHIFTED(MAGNITUDE(side), side_shift), (1 << 20) - 1) * side_scale) >> end_shift;
+    i32 x = ((i32)LEAST(SHIFTED(MAGNITUDE(side), side_shift), (1 << 20) - 1) * far_scale) >> end_shift;
     i32 far = (x > e ? 1 : 0) + (4 * x > 11 * e ? 1 : 0) + (x > 6 * e ? 1 : 0);
     contexts[j] = (4 * bin_of(e) + far) | (side < 0 ? 256 : 0);
   }

@@ -16,7 +16,7 @@ from lone_units import (
     terrain,
 )
 
-from terrainwave.codec import rapid, rapid_tables
+from terrainwave.codec import rapid, rapid_fitting, rapid_tables
 from terrainwave.codec.rapid import Rapid
 from terrainwave.codec.rapid_code import ESCAPE, N_SYMBOLS
 from terrainwave.codec.rapid_fitting import codes_for
@@ -25,6 +25,7 @@ from terrainwave.codec.rapid_magnitude import N_CONTEXTS, scale_of, scaled_featu
 from terrainwave.codec.rapid_parameters import (
     MAX_CODE,
     N_CLASSES,
+    N_FAMILIES,
     PLANES,
     FileStencil,
     FileTables,
@@ -56,6 +57,12 @@ def check(spec, parent, target, mask=None, refiner=None):
     return payload, heights
 
 
+def refiner_of(family):
+    """Return a refiner with nothing of the file's own but the family."""
+    stencils = ((FileStencil(0),) * len(PLANES),) * N_CLASSES
+    return Rapid(pack_parameters(FileTables(0, family, stencils, {})))
+
+
 @pytest.mark.large
 def test_units_with_many_rows_keep_the_bound():
     # More rows than the workspace holds of a plane, and more columns than a vector.
@@ -68,16 +75,18 @@ def test_units_with_many_rows_keep_the_bound():
 # Ranges -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("family", [None, 7])
 @pytest.mark.parametrize("largest", [300, 40_000, 400_000, 1 << 29])
-def test_rows_of_32_bits_give_the_same_bytes_as_rows_of_64(largest, monkeypatch):
+def test_rows_of_32_bits_give_the_same_bytes_as_rows_of_64(family, largest, monkeypatch):
     rng = np.random.default_rng(largest)
     target = rng.integers(-150, 151, (40, 35)).astype(np.int32) + largest - 150
     spec = dataclasses.replace(lone_spec(target.shape, 3), z_min=-largest, z_max=largest)
     parent = coarse_of(target, 3).clip(-largest, largest)
-    payload, heights = check(spec, parent, target)
+    refiner = Rapid() if family is None else refiner_of(family)
+    payload, heights = check(spec, parent, target, refiner=refiner)
     assert not payload[0] & WIDE
     monkeypatch.setattr(Rapid, "_is_wide", lambda *_: True)
-    wide_payload, wide_heights = check(spec, parent, target)
+    wide_payload, wide_heights = check(spec, parent, target, refiner=refiner)
     assert wide_payload[0] & WIDE
     assert payload[1:] == wide_payload[1:]
     np.testing.assert_array_equal(heights, wide_heights)
@@ -94,11 +103,13 @@ def test_sums_of_narrow_units_fit_32_bits():
     widest = Rapid()._widest
     assert rapid._LIMIT32 // widest * widest + 32 < 1 << 31
     for table, step in itertools.product(rapid_tables.FEATURES, (1, 2, 3, 15, 16, 17, 1023, 65537)):
-        scale = scale_of(step, -1000, 1000)
+        scale = scale_of(step, -1000, 1000, False)
         most = [1, *[(1 << 18) - 1] * 3, *[scale.most_range] * 3, *[(1 << 18) - 1] * 2]
         times = np.array([1, 1, 2, 1, 1, 1, 4, 6, 4])
         for features in table.reshape(-1, 9):
-            assert int((scaled_features(features, scale) * most * times).sum()) < 1 << 31
+            total = int((scaled_features(features, scale) * most * times).sum())
+            assert total < 1 << 31
+            assert 12 * (total >> 4) < 1 << 31  # as contexts compare it
 
 
 # Damage -----------------------------------------------------------------------------------------
@@ -195,7 +206,7 @@ def test_frequencies_have_codes_within_a_sixteenth():
     assert [code_of(freq_of(code)) for code in range(MAX_CODE + 1)] == list(range(MAX_CODE + 1))
 
 
-@pytest.mark.parametrize("family", range(rapid_tables.N_FAMILIES))
+@pytest.mark.parametrize("family", range(N_FAMILIES))
 def test_trained_frequencies_fill_all_slots(family):
     freqs = default_freqs(family)
     assert freqs.shape == (N_CONTEXTS, N_SYMBOLS)
@@ -205,7 +216,7 @@ def test_trained_frequencies_fill_all_slots(family):
     assert freqs.max() < 2048
 
 
-def some_tables():
+def some_tables(family=4):
     """Return tables with everything that can be stored."""
     rng = np.random.default_rng(8)
     rows = []
@@ -219,18 +230,20 @@ def some_tables():
                 FileStencil(which, 1, tuple(deltas.tolist())) if is_fitted else FileStencil(plane)
             )
         rows.append(tuple(row))
-    fitted = codes_for(rng.integers(0, 999, (N_CONTEXTS, N_SYMBOLS)) + 1, 4)
+    fitted = codes_for(rng.integers(0, 999, (N_CONTEXTS, N_SYMBOLS)) + 1, family)
     codes = {context: fitted[context] for context in (0, 3, 4, 99, 175)}
-    return FileTables(9, 4, tuple(rows), codes)
+    return FileTables(9, family, tuple(rows), codes)
 
 
-def test_parameters_come_back():
-    tables = some_tables()
+@pytest.mark.parametrize("family", [4, 10])
+def test_parameters_come_back(family):
+    tables = some_tables(family)
     read, wanted = parse_parameters(pack_parameters(tables)), Tables(tables)
     np.testing.assert_array_equal(read.stencils, wanted.stencils)
     np.testing.assert_array_equal(read.features, wanted.features)
     np.testing.assert_array_equal(read.slots(3), wanted.slots(3))
     assert read.k_max == 9
+    assert read.is_by_reach == wanted.is_by_reach == (family == 10)
 
 
 @pytest.mark.large
@@ -243,15 +256,16 @@ def test_every_prefix_of_parameters_is_rejected():
         parse_parameters(section + b"\0")
 
 
-def test_an_unknown_layout_is_unsupported():
-    with pytest.raises(UnsupportedVersionError, match="layout 2"):
-        parse_parameters(b"\2abc")
+@pytest.mark.parametrize("layout", [0, 2, 4])
+def test_an_unknown_layout_is_unsupported(layout):
+    with pytest.raises(UnsupportedVersionError, match=f"layout {layout}"):
+        parse_parameters(bytes([layout]) + b"abc")
 
 
-@given(st.binary(max_size=200))
-def test_any_parameters_give_tables_or_our_own_error(section):
+@given(st.sampled_from([b"\1", b"\3"]), st.binary(max_size=200))
+def test_any_parameters_give_tables_or_our_own_error(layout, section):
     try:
-        tables = parse_parameters(b"\1" + section)
+        tables = parse_parameters(layout + section)
     except CorruptStreamError:
         return
     assert (np.abs(tables.stencils) < 1 << 15).all()
@@ -299,6 +313,32 @@ def test_fitted_tables_make_smaller_payloads_and_are_worth_their_bytes(step):
     fitted, _ = check(spec, None, target, refiner=refiner)
     plain, _ = check(spec, None, target)
     assert len(fitted) + len(refiner.parameters) < 0.97 * len(plain)
+
+
+def houses(shape):
+    """Return smooth heights with blocks on them."""
+    target, rng = terrain(shape, relief=40), np.random.default_rng(6)
+    for row, col, tall in rng.integers(0, (*shape, 60), (shape[0] * shape[1] // 90, 3)):
+        target[row : row + 4, col : col + 5] += tall
+    return target
+
+
+@pytest.mark.parametrize("step", [1, 3, 9])
+def test_contexts_are_by_reach_where_that_makes_payloads_smaller(step, monkeypatch):
+    target = houses((90, 100))
+    spec = lone_spec(target.shape, step, parent=False)
+    refiner = fit(target, step)
+    assert parse_parameters(refiner.parameters).is_by_reach
+    own, _ = check(spec, None, target, refiner=refiner)
+    monkeypatch.setattr(rapid_fitting, "_SAVED_BY_REACH", 1.0)
+    refiner = fit(target, step)
+    assert not parse_parameters(refiner.parameters).is_by_reach
+    other, _ = check(spec, None, target, refiner=refiner)
+    assert len(own) < 0.99 * len(other)
+
+
+def test_smooth_ground_keeps_contexts_by_the_mean():
+    assert not parse_parameters(fit(terrain((90, 100)), 3).parameters).is_by_reach
 
 
 def test_tiny_and_void_rasters_get_plain_tables():

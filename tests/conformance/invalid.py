@@ -371,6 +371,9 @@ CASES = {
     "parameters-rapid-family": Case(
         "rapid", "R.10", "family 7", parameters(b"\1\7\0\0\0\0\0")
     ),
+    "parameters-rapid-reach-family": Case(
+        "rapid", "R.10", "family 7 of layout 3", parameters(b"\3\7\0\0\0\0\0")
+    ),
     # Index pages
     "page-crc": Case("store", "§3.3", "crc of a page", page(flip(0))),
     "page-left-over": Case(

@@ -11,13 +11,17 @@ from reference_decoder.basics import UnsupportedError, clamp, read_varint, requi
 from reference_decoder.predictive import SharedDecoder, fold
 from reference_decoder.range_coder import Models
 
-# The annex (R.10): numbers alone.
+# The annexes (R.10): numbers alone.
+from terrainwave.codec import rapid_reach_tables as reach_annex
 from terrainwave.codec import rapid_tables as annex
 
 PLANES = ("HH", "HL", "LH")
 PARITY = {"A": (0, 0), "HH": (1, 1), "HL": (0, 1), "LH": (1, 0)}
-CODES = np.frombuffer(zlib.decompress(base64.b85decode(annex._CODES)), np.uint8)
-CODES = CODES.reshape(6, 176, 63).tolist()
+CODES = [
+    np.frombuffer(zlib.decompress(base64.b85decode(codes)), np.uint8).reshape(6, 176, 63).tolist()
+    for codes in (annex._CODES, reach_annex._CODES)
+]
+LAYOUTS = [1, 3]
 
 
 def own(plane):
@@ -92,8 +96,9 @@ def read_rapid_tables(parameters, n):
     sets = {plane: annex.STENCILS[i].tolist() for plane, i in numbers.items()}
     if not parameters:
         stencils = [{plane: sets[plane][0] for plane in PLANES}] * 4
-        return tables_of(0, family, stencils, CODES[family])
-    require(parameters[0] == 1, "layout of the parameters", UnsupportedError)
+        return tables_of(0, 0, family, stencils, CODES[0][family])
+    require(parameters[0] in LAYOUTS, "layout of the parameters", UnsupportedError)
+    layout = LAYOUTS.index(parameters[0])
     decoder, models = range_coder.RangeDecoder(parameters[1:]), Models(370)
 
     def magnitude(group, limit):
@@ -122,12 +127,13 @@ def read_rapid_tables(parameters, n):
                 stencil[missing] = 4096 - sum(stencil)
                 require(max(map(abs, stencil)) <= 32_767, "weight of a stencil")
             stencils[-1][plane] = stencil
-    codes, is_own = [list(row) for row in CODES[family]], 0
+    of_family = CODES[layout][family]
+    codes, is_own = [list(row) for row in of_family], 0
     for context in range(176):
         is_own = decoder.bit(models, 368 + is_own)
         if not is_own:
             continue
-        trained, before = CODES[family][context], 0
+        trained, before = of_family[context], 0
         for symbol in range(63):
             g = trained[symbol]
             if symbol != trained.index(max(trained)):
@@ -137,11 +143,11 @@ def read_rapid_tables(parameters, n):
                 require(0 <= codes[context][symbol] <= 127, "code of a frequency")
         frequencies(codes[context], trained.index(max(trained)))
     decoder.end()
-    return tables_of(k_max, family, stencils, codes)
+    return tables_of(k_max, layout, family, stencils, codes)
 
 
-def tables_of(k_max, family, stencils, codes):
-    rests = [row.index(max(row)) for row in CODES[family]]
+def tables_of(k_max, layout, family, stencils, codes):
+    rests = [row.index(max(row)) for row in CODES[layout][family]]
     symbols = []
     for row, rest in zip(codes, rests, strict=True):
         slots = []
@@ -151,7 +157,7 @@ def tables_of(k_max, family, stencils, codes):
     widest = max(sum(map(abs, weights)) for row in stencils for weights in row.values())
     return SimpleNamespace(
         k_max=k_max, stencils=stencils, features=annex.FEATURES[family // 3].tolist(),
-        slots=symbols, widest=widest,
+        slots=symbols, widest=widest, is_by_reach=layout == 1,
     )  # fmt: skip
 
 
@@ -205,8 +211,9 @@ class Streams:
 class Rows:
     """R.6, R.7, R.9 for rows of samples whose surroundings are known."""
 
-    def __init__(self, n, low, high, streams):
+    def __init__(self, n, low, high, is_by_reach, streams):
         self.n, self.low, self.high, self.streams = n, low, high, streams
+        self.is_by_reach = is_by_reach
         self.r = max(lg(n) - 4, 0)
         self.most = (1 << (15 + min(lg(n), 4))) - 1
 
@@ -227,17 +234,23 @@ class Rows:
         """Clamp P, find w, side and the context of a sample."""
         x.p = clamp(x.p, 64 * min(x.core), 64 * max(x.core))
         x.w = (x.p + 32) >> 6
-        n, is_fine = self.n, self.n in (1, 3)
-        x.side = x.p - 64 * x.w if is_fine else 16 * x.sum - x.p
+        n = self.n
         total = sum(a * b for a, b in zip(weights, features, strict=True))
         x.e = e = total >> 4
         b = clamp(2 * lg(e) + (e >> (lg(e) - 1) & 1) - 10, 0, 43) if e >= 32 else 0
-        if is_fine:
+        if n in (1, 3) and (b < 16 or not self.is_by_reach):
+            x.side = x.p - 64 * x.w
             sigma = min((abs(x.side) * (65536 // (8 * n))) >> 16, 3) if b < 16 else 0
         else:
+            x.side = 16 * x.sum - x.p
+            if not self.is_by_reach:
+                far, marks = abs(x.side), (4, 11, 24)
+            else:
+                far = 64 * max(x.core) - x.p if x.side < 0 else x.p - 64 * min(x.core)
+                marks = 8, 24, 48
             s = max(lg(n) - 5, 0)
-            d = min(abs(x.side) >> s, 2**20 - 1) * ((1024 << lg(n)) // n) >> (2 + lg(n) - s)
-            sigma = (d > e) + (4 * d > 11 * e) + (d > 6 * e)
+            d = min(far >> s, 2**20 - 1) * ((1024 << lg(n)) // n) >> (2 + lg(n) - s)
+            sigma = sum(4 * d > mark * e for mark in marks)
         x.context = 4 * b + sigma
 
     def decode(self, row):
@@ -471,7 +484,7 @@ def decode_rapid(file, unit, payload, valid, parent_unit, parent_heights):
     tables, n = file.tables, file.header.step
     streams = Streams(payload, tables.slots)
     low, high = limits(file.header, tables.widest, streams.is_wide, parent_heights)
-    rows = Rows(n, low, high, streams)
+    rows = Rows(n, low, high, tables.is_by_reach, streams)
     level = unit.key[0] + 1
 
     def of_class(stride):

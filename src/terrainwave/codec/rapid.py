@@ -323,7 +323,7 @@ class Rapid:
             has_void=has_void,
             out=out.ravel(),
             origin=origin,
-            scale=scale_of(spec.step, low, high),
+            scale=scale_of(spec.step, low, high, self._tables.is_by_reach),
             memory=memory,
             workspace=memory.workspace(is_wide),
             streams=streams,

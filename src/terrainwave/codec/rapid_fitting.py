@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec import rapid_tables
 from terrainwave.codec.rapid import Rapid
 from terrainwave.codec.rapid_code import ESCAPE, ESCAPE_BITS, N_SYMBOLS, low_bits
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS
@@ -28,7 +29,7 @@ from terrainwave.codec.rapid_parameters import (
     rest_symbols,
 )
 from terrainwave.codec.rapid_stencils import COST_UNIT, candidates, stencils_cost
-from terrainwave.codec.rapid_tables import N_FAMILIES, N_STEPS, family_of
+from terrainwave.codec.rapid_tables import N_STEPS, family_of
 from terrainwave.codec.refiner import GroupSpec, Heights, Mask, Sides
 from terrainwave.codec.windows import spread_windows
 from terrainwave.coding.rans import N_SLOTS, SYMBOL_BITS
@@ -46,6 +47,7 @@ _FREQ_BITS = 3
 # A context starts from its trained frequencies as if it had been seen so often.
 _PRIOR = 24
 _RAREST = N_SLOTS * ESCAPE_BITS * 2 // 3
+_SAVED_BY_REACH = 1 / 256
 _NOT_SHARED = Sides(False, False, False, False)
 
 
@@ -79,10 +81,12 @@ def best_tables(
         cost = _fitted(other, some)[1]
         if cost < least:
             best, least = other, cost
-    for family in range(tables.family + N_STEPS, N_FAMILIES, N_STEPS):
-        other = best._replace(family=family)
-        if _fitted(other, some)[1] < least:
-            best = other
+    # Other features, then other contexts; these take a little longer to decode.
+    for n_families, share_saved in ((N_STEPS, 0.0), (rapid_tables.N_FAMILIES, _SAVED_BY_REACH)):
+        other = best._replace(family=best.family + n_families)
+        cost = _fitted(other, some)[1]
+        if cost < least * (1 - share_saved):
+            best, least = other, cost
     return best
 
 

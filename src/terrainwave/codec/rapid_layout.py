@@ -43,7 +43,7 @@ class _Rows:
 _rows = _Rows()
 PREDICTED = _rows.take()  # in 1/64 quanta
 WHOLE = _rows.take()  # the prediction rounded to quanta
-SIDE = _rows.take()  # towards which side errors are likelier
+SIDE = _rows.take()  # its sign: towards which side errors are likelier
 LEAST = _rows.take()  # of the core
 MOST = _rows.take()
 SUM = _rows.take()
@@ -193,7 +193,9 @@ class Scale(NamedTuple):
     most_range: int
     side_shift: int
     side_scale: int
+    far_scale: int
     is_fine: bool
+    is_by_reach: bool
     most_detail: int
     low: int
     high: int

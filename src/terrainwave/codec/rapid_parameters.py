@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec import rapid_tables
+from terrainwave.codec import rapid_reach_tables, rapid_tables
 from terrainwave.codec.lattice import HH, HL, LH
 from terrainwave.codec.rapid_code import ESCAPE, N_SYMBOLS
 from terrainwave.codec.rapid_layout import CORES, MAX_TAPS, TAPS
@@ -33,7 +33,9 @@ PLANES = (HH, HL, LH)
 WHOLE = 4096
 MAX_WEIGHT = (1 << 15) - 1
 SHIFTS = (0, 2, 3, 4, 5)
-_LAYOUT = 1
+# Layouts of files with contexts by the mean and of those by reach (R.7), with families of each.
+_LAYOUTS = 1, 3
+N_FAMILIES = len(_LAYOUTS) * rapid_tables.N_FAMILIES
 _K_MAX_BITS, _FAMILY_BITS, _BASE_BITS, _SHIFT_BITS = 5, 3, 4, 3
 # Of a stencil's numbers: the set, whether there are deltas, their shift; then the deltas.
 _BASE, _HAS_DELTAS, _SHIFT, _DELTAS = range(4)
@@ -82,6 +84,8 @@ class Tables:
     stencils : ndarray of int64, shape (N_CLASSES, 3, MAX_TAPS)
     features : ndarray of int64, shape (N_CLASSES, 4, N_FEATURES)
         Weights in 2**-24 per step: of the planes, then of lines.
+    is_by_reach : bool
+        Whether contexts are by reach.
     arranged : dict
         Where the refiner keeps both as kernels want them: by depth, stride and step.
     """
@@ -89,9 +93,9 @@ class Tables:
     def __init__(self, file: FileTables | None) -> None:
         self._file = file
         self.k_max = 0 if file is None else file.k_max
-        self.features = rapid_tables.FEATURES[
-            0 if file is None else file.family // rapid_tables.N_STEPS
-        ]
+        layout, family = divmod(0 if file is None else file.family, rapid_tables.N_FAMILIES)
+        self.features = rapid_tables.FEATURES[family // rapid_tables.N_STEPS]
+        self.is_by_reach = layout > 0
         self.stencils = np.zeros((N_CLASSES, len(PLANES), MAX_TAPS), dtype=np.int64)
         for which in range(N_CLASSES):
             for index, plane in enumerate(PLANES):
@@ -212,12 +216,19 @@ def freqs_of(codes: NDArray[np.int64], rests: NDArray[np.int64]) -> NDArray[np.i
 @cache
 def _all_codes() -> NDArray[np.int64]:
     """Return the trained codes of all families and contexts."""
-    return rapid_tables.default_codes().astype(np.int64)
+    both = rapid_tables.default_codes(), rapid_reach_tables.default_codes()
+    return np.concatenate(both).astype(np.int64)
 
 
 @cache
 def _all_rests() -> NDArray[np.int64]:
     return _all_codes().argmax(2).astype(np.int64)
+
+
+def _trained_of(layout: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return the trained codes and rest symbols of the families of a layout."""
+    own = np.s_[layout * rapid_tables.N_FAMILIES : (layout + 1) * rapid_tables.N_FAMILIES]
+    return _all_codes()[own], _all_rests()[own]
 
 
 def default_codes(family: int) -> NDArray[np.int64]:
@@ -246,16 +257,17 @@ def pack_parameters(tables: FileTables) -> bytes:
     out = np.zeros(1 << 16, dtype=np.uint8)
     coder = new_encoder(out, new_models(_N_MODELS))
     numbers = _Numbers.empty()
-    numbers.head[:] = tables.k_max, tables.family
+    layout, family = divmod(tables.family, rapid_tables.N_FAMILIES)
+    numbers.head[:] = tables.k_max, family
     for index, stencil in enumerate(stencil for row in tables.stencils for stencil in row):
         own = numbers.stencils[index]
         own[:_DELTAS] = stencil.base, bool(stencil.deltas), stencil.shift
         own[_DELTAS : _DELTAS + len(stencil.deltas)] = stencil.deltas
     for context, codes in tables.codes.items():
         numbers.is_own[context], numbers.codes[context] = 1, codes
-    _code_tables(coder, *numbers, _tap_kinds(), _all_codes(), _all_rests())
+    _code_tables(coder, *numbers, _tap_kinds(), *_trained_of(layout))
     n_bytes = finish_encoder(coder.state, out)
-    return bytes([_LAYOUT]) + out[:n_bytes].tobytes()
+    return bytes([_LAYOUTS[layout]]) + out[:n_bytes].tobytes()
 
 
 def parse_parameters(section: bytes) -> Tables:
@@ -270,14 +282,15 @@ def parse_parameters(section: bytes) -> Tables:
     """
     if not section:
         return Tables(None)
-    if section[0] != _LAYOUT:
+    if section[0] not in _LAYOUTS:
         raise UnsupportedVersionError(
             f"the tables of the file have layout {section[0]}, which this terrainwave does not"
             " know: install a newer one"
         )
     coder = new_decoder(section[1:], new_models(_N_MODELS))
     numbers = _Numbers.empty()
-    status, which = _code_tables(coder, *numbers, _tap_kinds(), _all_codes(), _all_rests())
+    layout = _LAYOUTS.index(section[0])
+    status, which = _code_tables(coder, *numbers, _tap_kinds(), *_trained_of(layout))
     if status == _BAD_FAMILY:
         raise CorruptStreamError(f"family {which} of frequencies does not exist")
     if status == _BAD_WEIGHT:
@@ -285,6 +298,7 @@ def parse_parameters(section: bytes) -> Tables:
     if status == _BAD_CODE:
         raise CorruptStreamError(f"context {which} has a frequency code that does not exist")
     k_max, family = numbers.head.tolist()
+    family += layout * rapid_tables.N_FAMILIES
     own = np.flatnonzero(numbers.is_own)
     freqs_of(numbers.codes[own], rest_symbols(family)[own])  # checks them
     raise_for_status(*finish_decoder(coder.state, coder.stream))
@@ -308,7 +322,7 @@ class _Numbers(NamedTuple):
     Attributes
     ----------
     head : ndarray of int64, shape (2,)
-        `k_max` and family.
+        `k_max` and family, counted from the layout's first.
     stencils : ndarray of int64, shape (N_CLASSES * 3, _DELTAS + MAX_TAPS)
         By class and plane: the set, whether there are deltas, their shift, the deltas.
     is_own : ndarray of int64, shape (N_CONTEXTS,)
@@ -347,7 +361,7 @@ def _tap_kinds() -> NDArray[np.int64]:
 def _code_tables(coder, head, stencils, is_own, codes, tap_kinds, trained, rests):
     """Code the numbers of a section in place; return what is wrong with them, and where.
 
-    A decoder's need hold nothing. `trained` and `rests` are those of all families.
+    A decoder's need hold nothing. `trained` and `rests` are those of the layout's families.
     """
     head[0] = code_raw(coder, np.int64(_K_MAX_BITS), head[0])
     family = head[1] = code_raw(coder, np.int64(_FAMILY_BITS), head[1])
