@@ -53,11 +53,11 @@ def test_auto_is_the_fast_method_unless_the_other_saves_much(heights, method):
     ("n_saved", "n_bytes", "is_worth"),
     [
         (400, 20_000, True),  # 2 %, 1/8 bit per sample
-        (300, 20_000, False),  # 1.5 %, less than 1/9 bit
-        (120, 2_000, True),  # 6 %, more than 1/32 bit
-        (80, 2_000, False),  # 4 %
-        (90, 900, False),  # 10 %, less than 1/32 bit
-        (-90, 900, False),
+        (300, 20_000, False),  # 1.5 %, less than 1/8 bit
+        (210, 2_500, True),  # 8.4 %, more than 1/16 bit
+        (210, 2_700, False),  # 7.8 %
+        (190, 1_900, False),  # 10 %, less than 1/16 bit
+        (-190, 1_900, False),
     ],
 )
 def test_what_is_saved_counts_by_share_and_by_sample(n_saved, n_bytes, is_worth):
@@ -72,7 +72,7 @@ def test_a_slower_method_is_not_tried_where_files_are_next_to_nothing(
     monkeypatch.setattr(choice, "_is_worth", lambda *numbers: tries.append(numbers))
     compress_to_bytes(smooth((300, 280)), max_error=max_error)
     assert len(tries) == n_tries
-    for n_bytes, is_worth in ((1000, True), (999, False)):  # a tenth of them, 1/32 bit per sample
+    for n_bytes, is_worth in ((1000, True), (999, False)):  # a fifth of them, 1/16 bit per sample
         assert choice._may_be_worth(n_bytes, 25_600) == is_worth
 
 

@@ -190,6 +190,10 @@ class Predictive:
         e_weights = _fit_e_weights(added, windows, step, grid.n_rows * grid.n_cols)
         return Predictive(pack_parameters(added._replace(e_weights=e_weights)))
 
+    def unlearned(self) -> "Predictive":
+        """Return this refiner: each unit starts from trained statistics."""
+        return self
+
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
     ) -> tuple[bytes, Heights, Labels | None]:

@@ -155,6 +155,10 @@ class Rapid:
 
         return Rapid(pack_parameters(fit_tables(grid, step, heights, mask)))
 
+    def unlearned(self) -> "Rapid":
+        """Return a refiner with the trained frequencies alone."""
+        return Rapid.with_tables(self._tables.unlearned())
+
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
     ) -> tuple[bytes, Heights, Labels | None]:

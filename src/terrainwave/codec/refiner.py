@@ -132,3 +132,7 @@ class FittingRefiner(Refiner, Protocol):
         `heights` and `mask` return targets and validity of a region of a level.
         """
         ...
+
+    def unlearned(self) -> "FittingRefiner":
+        """Return a refiner that has learned no statistics: it starts from trained ones."""
+        ...

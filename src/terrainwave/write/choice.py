@@ -14,17 +14,16 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.names import AUTO_METHODS, EFFORTS
 from terrainwave.write.job import Job
 
-# A slower method must take so much less in windows, in percent: of files that is about 8, as each
-# window pays for what a file learns once.
-_LEAST_SAVED = 5
-# And it must save a byte in so many samples, 1/32 bit per sample: the smallest files are a few
+# A slower method must take so much less in windows, in percent.
+_LEAST_SAVED = 8
+# And it must save a byte in so many samples, 1/16 bit per sample: the smallest files are a few
 # hundredths of a bit, and a tenth of them is not worth being read five times slower.
-_MOST_SAMPLES_PER_BYTE = 256
-# On rough ground the share is less, but what is saved is not: this is enough without it, 1/9 bit
-# per sample, of files about 1/6. What it costs is time, and that is by the sample too.
-_ENOUGH_SAMPLES_PER_BYTE = 72
-# No slower method has ever saved more than a tenth of windows: what takes little need not be tried.
-_MOST_SAVED = 10
+_MOST_SAMPLES_PER_BYTE = 128
+# On rough ground the share is less, but what is saved is not: this is enough without it, 1/8 bit
+# per sample. What it costs is time, and that is by the sample too.
+_ENOUGH_SAMPLES_PER_BYTE = 64
+# No slower method has ever saved more than a fifth of windows: what takes little need not be tried.
+_MOST_SAVED = 20
 # Windows are coded with one try for each plane, which is faster and less to compile.
 _EFFORT = EFFORTS.index("fast")
 # Samples a side of a window, samples of the raster for one, and the fewest and most of them.
@@ -47,7 +46,9 @@ def prepared(job: Job, heights: Reader, mask: MaskReader) -> tuple[Job, Refiner,
     if job.n_valid:
         windows = _windows(job, heights, mask)
         n_samples = sum(target.size for _, target, _ in windows)
-        n_bytes = _n_bytes(refiner, windows)
+        # Both start from trained statistics, so that neither has learned what the other has not.
+        unlearned = refiner.unlearned() if isinstance(refiner, FittingRefiner) else refiner
+        n_bytes = _n_bytes(unlearned, windows)
         for method in AUTO_METHODS[1:] if _may_be_worth(n_bytes, n_samples) else ():
             n_saved = n_bytes - _n_bytes(refiner_by_name(method.name), windows)
             if _is_worth(n_saved, n_bytes, n_samples):
@@ -59,7 +60,7 @@ def prepared(job: Job, heights: Reader, mask: MaskReader) -> tuple[Job, Refiner,
 
 def _may_be_worth(n_bytes: int, n_samples: int) -> bool:
     """Return whether windows take enough for a slower method to save enough of it."""
-    return _MOST_SAMPLES_PER_BYTE * n_bytes >= _MOST_SAVED * n_samples
+    return _MOST_SAVED * _MOST_SAMPLES_PER_BYTE * n_bytes >= 100 * n_samples
 
 
 def _is_worth(n_saved: int, n_bytes: int, n_samples: int) -> bool:
