@@ -131,7 +131,7 @@ def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
     default="auto",
     show_default=True,
     help=f"auto: {AUTO_METHODS[0].name}, which is fast, or {AUTO_METHODS[-1].name} where a sample"
-    " of the raster says that it saves about 8 % and a thirtieth of a bit per sample, or a sixth of"
+    " of the raster says that it saves 8 % and a sixteenth of a bit per sample, or an eighth of"
     " a bit.",
 )
 @click.option("--block", type=BlockSide(), default=256, show_default=True, help="Cells per side.")

@@ -110,8 +110,8 @@ def compress(
         mean square error that the file must reach.
     method : str
         ``"rapid"``, ``"predictive"``, ``"cdf97"``, ``"cdf53"``, ``"store"`` or ``"auto"``: rapid,
-        which is fast, or predictive where a sample of the raster says that it saves about 8 % and
-        more than a thirtieth of a bit per sample, or a sixth of a bit.
+        which is fast, or predictive where a sample of the raster says that it saves 8 % and
+        a sixteenth of a bit per sample, or an eighth of a bit.
     block : int
         Cells per side of a block: 32, 64, … 1024.
     effort : str
