@@ -140,6 +140,11 @@ class Rapid:
         """The largest sum of absolute weights of a stencil."""
         return int(np.abs(self._tables.stencils).sum(-1).max())
 
+    @property
+    def is_rough(self) -> bool:
+        """Whether the raster is so rough that its tables have contexts by reach."""
+        return self._tables.is_by_reach
+
     def fitted(
         self,
         grid: Grid,

@@ -120,6 +120,11 @@ class FittingRefiner(Refiner, Protocol):
 
     parameters: bytes
 
+    @property
+    def is_rough(self) -> bool:
+        """Whether the raster that it is fitted to is so rough that it has other contexts."""
+        ...
+
     def fitted(
         self,
         grid: Grid,

@@ -22,8 +22,10 @@ _MOST_SAMPLES_PER_BYTE = 128
 # On rough ground the share is less, but what is saved is not: this is enough without it, 1/8 bit
 # per sample. What it costs is time, and that is by the sample too.
 _ENOUGH_SAMPLES_PER_BYTE = 64
-# No slower method has ever saved more than a fifth of windows: what takes little need not be tried.
+# No slower method has ever saved more than a fifth of windows, or on ground that is not rough more
+# than 1/8 bit of 4 bits: what takes less need not be tried, which takes time, mostly to compile.
 _MOST_SAVED = 20
+_MOST_BITS_OF_SMOOTH = 4
 # Windows are coded with one try for each plane, which is faster and less to compile.
 _EFFORT = EFFORTS.index("fast")
 # Samples a side of a window, samples of the raster for one, and the fewest and most of them.
@@ -49,7 +51,8 @@ def prepared(job: Job, heights: Reader, mask: MaskReader) -> tuple[Job, Refiner,
         # Both start from trained statistics, so that neither has learned what the other has not.
         unlearned = refiner.unlearned() if isinstance(refiner, FittingRefiner) else refiner
         n_bytes = _n_bytes(unlearned, windows)
-        for method in AUTO_METHODS[1:] if _may_be_worth(n_bytes, n_samples) else ():
+        is_rough = isinstance(refiner, FittingRefiner) and refiner.is_rough
+        for method in AUTO_METHODS[1:] if _may_be_worth(n_bytes, n_samples, is_rough) else ():
             n_saved = n_bytes - _n_bytes(refiner_by_name(method.name), windows)
             if _is_worth(n_saved, n_bytes, n_samples):
                 settled = job.with_method(method)
@@ -58,8 +61,10 @@ def prepared(job: Job, heights: Reader, mask: MaskReader) -> tuple[Job, Refiner,
     return settled, refiner, tables
 
 
-def _may_be_worth(n_bytes: int, n_samples: int) -> bool:
+def _may_be_worth(n_bytes: int, n_samples: int, is_rough: bool) -> bool:
     """Return whether windows take enough for a slower method to save enough of it."""
+    if not is_rough:
+        return 8 * n_bytes >= _MOST_BITS_OF_SMOOTH * n_samples
     return _MOST_SAVED * _MOST_SAMPLES_PER_BYTE * n_bytes >= 100 * n_samples
 
 
