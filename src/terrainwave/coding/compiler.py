@@ -13,9 +13,9 @@ import gc
 import operator
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
-from numba.core import ir, ir_utils
+from numba.core import ir, ir_utils, postproc, transforms, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, DefaultPassBuilder
 from numba.core.compiler_lock import global_compiler_lock
@@ -44,7 +44,7 @@ class Kernel(CPUDispatcher):
 
     def compile(self, sig: Any) -> Any:
         """Compile for some types, or load what has been compiled for them."""
-        with global_compiler_lock, _without_collector():
+        with global_compiler_lock, _without_collector(), _with_shortcuts():
             entry = _with_room(super().compile, sig)
             # Parts were never made ready to be called: the objects that their code refers to.
             found = self.overloads.get(tuple(getattr(sig, "args", sig)))
@@ -247,6 +247,83 @@ def _with_room(function: Callable[[Any], Any], argument: Any) -> Any:
 
 # In words of 8 bytes: 600 KiB of 1 MiB, of which only what is used takes memory.
 _with_room.__code__ = _with_room.__code__.replace(co_stacksize=75_000)
+
+
+class _Shortcut(NamedTuple):
+    """A method of numba's, and what does the same of it for kernels in less time."""
+
+    owner: type
+    name: str
+    method: Callable[..., Any]
+    original: Callable[..., Any]
+
+
+_shortcuts: list[_Shortcut] = []
+
+
+def _shortcut(owner: type, name: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Let a function stand for a method while kernels are compiled; it gets the method, too."""
+
+    def taken(function: Callable[..., Any]) -> Callable[..., Any]:
+        original = getattr(owner, name)
+
+        def method(*arguments: Any, **options: Any) -> Any:
+            return function(original, *arguments, **options)
+
+        _shortcuts.append(_Shortcut(owner, name, method, original))
+        return function
+
+    return taken
+
+
+@contextmanager
+def _with_shortcuts() -> Iterator[None]:
+    """Take shortcuts; for who holds the compiler's lock, as all of numba goes by them then."""
+    for shortcut in _shortcuts:
+        setattr(shortcut.owner, shortcut.name, shortcut.method)
+    try:
+        yield
+    finally:
+        for shortcut in _shortcuts:
+            setattr(shortcut.owner, shortcut.name, shortcut.original)
+
+
+_OF_OPERATIONS = types.Number, types.Boolean, types.Array, types.BaseTuple
+_known_operations: dict[Any, Any] = {}
+
+
+@_shortcut(types.Function, "get_call_type")
+def _typed_once(original: Any, function: Any, context: Any, args: Any, kws: Any) -> Any:
+    """Return the signature of an operation on some types, found once.
+
+    Numba asks each of a dozen templates, and does so again for each ``+`` of a kernel.
+    """
+    is_operation = getattr(function.typing_key, "__module__", None) == "_operator" and not kws
+    if not (is_operation and all(isinstance(kind, _OF_OPERATIONS) for kind in args)):
+        return original(function, context, args, kws)
+    key = function, args
+    if key not in _known_operations:
+        _known_operations[key] = original(function, context, args, kws)
+    return _known_operations[key]
+
+
+@_shortcut(postproc.PostProcessor, "run")
+def _processed(
+    original: Any, processor: Any, emit_dels: bool = False, extend_lifetimes: bool = False
+) -> None:
+    """Process IR after a pass, without what only generators and interpreted functions need.
+
+    That is, which variables live at the start of each block. Numba finds it after most passes.
+    """
+    func_ir = processor.func_ir
+    if func_ir.is_generator:
+        original(processor, emit_dels, extend_lifetimes)
+        return
+    func_ir.blocks = transforms.canonicalize_cfg(func_ir.blocks)
+    func_ir.variable_lifetime = postproc.VariableLifetime(func_ir.blocks)
+    func_ir.generator_info = None
+    if emit_dels:
+        processor._insert_var_dels(extend_lifetimes=extend_lifetimes)
 
 
 @contextmanager
