@@ -15,7 +15,7 @@ from terrainwave.write import choice
 
 Row = namedtuple(
     "Row",
-    "raster max_error is_predictive windows_saved_percent windows_saved_bits files_saved_percent"
+    "raster max_error is_tried is_predictive windows_saved_percent windows_saved_bits files_saved_percent"
     " files_saved_bits rapid_over_peer predictive_over_peer",
 )
 PEERS = ("jxl-e9", "sz3", "sz3-interp", "sperr")
@@ -26,16 +26,26 @@ class _SettledError(Exception):
     """Ends a compression."""
 
 
-def windows_of(source: Path, max_error: float, target: Path) -> tuple[int, int, int]:
-    """Return the bytes that `predictive` saves in windows, those of `rapid`, and the samples."""
+def windows_of(source: Path, max_error: float, target: Path) -> tuple[int, int, int, bool]:
+    """Return the bytes that `predictive` saves in windows, those of `rapid`, and the samples.
+
+    And whether `predictive` is tried.
+    """
+    tries = []
+
+    def may_be_worth(*numbers) -> bool:
+        tries.append(is_tried(*numbers))
+        return True
+
+    is_tried = choice._may_be_worth
     with (
-        mock.patch.object(choice, "_may_be_worth", return_value=True),
+        mock.patch.object(choice, "_may_be_worth", may_be_worth),
         mock.patch.object(choice, "_is_worth", side_effect=_SettledError) as asked,
     ):
         try:
             terrainwave.compress(source, target, max_error=max_error, threads=1, mesh="none")
         except _SettledError:
-            return asked.call_args.args
+            return (*asked.call_args.args, tries[0])
     raise AssertionError(f"{source.name} has no windows")
 
 
@@ -48,12 +58,12 @@ def measure(rasters: dict[str, Path], results: Path, folder: Path) -> Iterator[R
     for (raster, bound), by_codec in sorted(bits.items()):
         if raster not in rasters:
             continue
-        args = windows_of(rasters[raster], bound, folder / "choice.twz")
-        n_saved, n_bytes, n_samples = args
+        *saved, is_tried = windows_of(rasters[raster], bound, folder / "choice.twz")
+        n_saved, n_bytes, n_samples = saved
         rapid, predictive = by_codec[RAPID], by_codec[PREDICTIVE]
         peer = min(by_codec[name] for name in PEERS)
         yield Row(
-            raster, bound, int(choice._may_be_worth(*args[1:]) and choice._is_worth(*args)),
+            raster, bound, int(is_tried), int(is_tried and choice._is_worth(*saved)),
             round(100 * n_saved / n_bytes, 2), round(8 * n_saved / n_samples, 4),
             round(100 * (1 - predictive / rapid), 1), round(rapid - predictive, 3),
             round(rapid / peer, 3), round(predictive / peer, 3),

@@ -3,6 +3,7 @@
 import gc
 import os
 
+import numba
 import numpy as np
 import pytest
 from numba.core import event
@@ -16,7 +17,7 @@ from terrainwave.codec.rapid_parameters import (
     pack_parameters,
     parse_parameters,
 )
-from terrainwave.coding import jit
+from terrainwave.coding import compiler, jit
 from terrainwave.coding.jit import all_compiled, inlined_kernel, kernel, kernel_part, rare_kernel
 
 needs_jit = pytest.mark.skipif(
@@ -82,6 +83,30 @@ def extremes(first, second, third):
     )  # fmt: skip
 
 
+@kernel
+def operations(numbers, first, second):
+    return (
+        first + second, first - second, first * second, first // second, first % second,
+        first / second, first < second, -first, numbers[1] + second, numbers[2] * 3, 3 * first,
+        first + 1, first == second, not first,
+    )  # fmt: skip
+
+
+@numba.njit
+def odd_numbers(n):
+    for number in range(n):
+        if number & 1:
+            yield number
+
+
+@kernel
+def of_odd_numbers(n):
+    total = 0
+    for number in odd_numbers(n):
+        total += number * number
+    return total
+
+
 def compiled_by(task):
     """Return the kernels, by name, that a task has compiled for Python."""
     with event.install_recorder("numba:compile") as recorder:
@@ -141,6 +166,35 @@ def test_what_only_kernels_call_is_not_compiled_for_python(monkeypatch):
     monkeypatch.setattr(jit, "_CACHE", False)
     anew = kernel(all_three.py_func)
     assert compiled_by(lambda: anew(np.array([1, 2], dtype=np.int16))) == {"all_three"}
+
+
+@needs_jit
+def test_numba_has_its_own_ways_again_after_a_compilation():
+    def ways():
+        return [getattr(owner, name) for owner, name, *_ in compiler._shortcuts]
+
+    own = [shortcut.original for shortcut in compiler._shortcuts]
+    assert len(own) > 1
+    assert ways() == own
+    all_three(np.array([1, 2], dtype=np.uint32))
+    assert ways() == own
+
+
+@needs_jit
+@pytest.mark.parametrize("kinds", [(np.int32, np.uint8), (np.uint64, np.int64), (np.float32, int)])
+def test_operations_have_the_types_that_numba_gives_them(monkeypatch, kinds):
+    monkeypatch.setattr(jit, "_CACHE", False)
+    first, second = (kind(7) for kind in kinds)
+    numbers = np.arange(5, dtype=kinds[0])
+    quick = kernel(operations.py_func)(numbers, first, second)
+    assert compiler._known_operations
+    own = numba.njit(operations.py_func)(numbers, first, second)
+    assert quick == own
+    assert [type(number) for number in quick] == [type(number) for number in own]
+
+
+def test_kernels_may_call_generators_of_numba():
+    assert of_odd_numbers(5) == 1 + 9
 
 
 @needs_jit

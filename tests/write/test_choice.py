@@ -64,21 +64,36 @@ def test_what_is_saved_counts_by_share_and_by_sample(n_saved, n_bytes, is_worth)
     assert choice._is_worth(n_saved, n_bytes, 25_600) == is_worth
 
 
-@pytest.mark.parametrize(("max_error", "n_tries"), [(1, 1), (40, 0)])
-def test_a_slower_method_is_not_tried_where_files_are_next_to_nothing(
-    monkeypatch, max_error, n_tries
+@pytest.mark.parametrize(
+    ("heights", "max_error", "n_tries"),
+    [(roofs, 1, 1), (smooth, 1, 0), (roofs, 40, 0)],
+)
+def test_a_slower_method_is_tried_where_ground_is_rough_and_files_are_not_next_to_nothing(
+    monkeypatch, heights, max_error, n_tries
 ):
     tries = []
     monkeypatch.setattr(choice, "_is_worth", lambda *numbers: tries.append(numbers))
-    compress_to_bytes(smooth((300, 280)), max_error=max_error)
+    compress_to_bytes(heights((300, 280)), max_error=max_error)
     assert len(tries) == n_tries
-    for n_bytes, is_worth in ((1000, True), (999, False)):  # a fifth of them, 1/16 bit per sample
-        assert choice._may_be_worth(n_bytes, 25_600) == is_worth
+
+
+@pytest.mark.parametrize(
+    ("n_bytes", "is_rough", "may_be"),
+    [
+        (1000, True, True),  # a fifth of them, 1/16 bit per sample
+        (999, True, False),
+        (12_800, False, True),  # 4 bits per sample
+        (12_799, False, False),
+    ],
+)
+def test_smooth_ground_must_take_more_for_a_try(n_bytes, is_rough, may_be):
+    assert choice._may_be_worth(n_bytes, 25_600, is_rough) == may_be
 
 
 @pytest.mark.parametrize("method", ["rapid", "predictive"])
 def test_auto_gives_the_bytes_of_the_method_on_any_number_of_threads(monkeypatch, method):
     raster = terrain_like(140, 130, seed=4)
+    monkeypatch.setattr(choice, "_may_be_worth", lambda *_: True)
     monkeypatch.setattr(choice, "_is_worth", lambda *_: method == "predictive")
     made = {compress_to_bytes(raster, max_error=1, block=32, threads=n) for n in (1, 2)}
     assert made == {compress_to_bytes(raster, max_error=1, block=32, method=method)}

@@ -23,6 +23,7 @@ from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.measure import with_outside
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, Quantizer, as_fraction
+from terrainwave.grid.shares import shares_of
 from terrainwave.mesh.coefficients import BlockCoefficients
 from terrainwave.mesh.trees import ZeroTrees
 from terrainwave.names import UNBOUNDED_MESHES
@@ -395,6 +396,11 @@ def measure_meshes(
                 largest[key] = max(largest.get(key, 0), error)
         on_samples(region.n_rows * region.n_cols)
 
-    for _ in executor.map(measure, grid.blocks(grid.k_max) if blocks is None else blocks):
+    def measure_all(share: list[Block]) -> None:
+        for block in share:
+            measure(block)
+
+    finest = grid.blocks(grid.k_max) if blocks is None else blocks
+    for _ in executor.map(measure_all, shares_of(finest, lambda block: (block.row, block.col))):
         pass
     return largest

@@ -69,6 +69,8 @@ class RasterSource:
         Replaces the declared nodata value.
     warn : bool
         Issue `notes` as warnings; tasks that open the same raster again don't.
+    n_threads : int
+        Threads that decode blocks of a raster that is opened here.
 
     Attributes
     ----------
@@ -103,9 +105,10 @@ class RasterSource:
         band: int = 1,
         nodata: int | float | None = None,
         warn: bool = True,
+        n_threads: int = 1,
     ) -> None:
         self._lock = threading.Lock()
-        self._backend = _open_backend(source, band, nodata)
+        self._backend = _open_backend(source, band, nodata, n_threads)
         self.name: str = self._backend.name
         try:
             notes = list(self._backend.notes())
@@ -245,14 +248,14 @@ def _check_dtype(dtype: np.dtype[Any], name: str) -> None:
 
 
 def _open_backend(
-    source: Any, band: int, nodata: int | float | None
+    source: Any, band: int, nodata: int | float | None, n_threads: int
 ) -> "DatasetBackend | MosaicBackend | ArrayBackend":
     if isinstance(source, list | tuple) and source and all(map(_is_raster, source)):
         if len(source) > 1:
             return MosaicBackend(source, band, nodata)
         source = source[0]
     if isinstance(source, str | os.PathLike):
-        return DatasetBackend(open_dataset(os.fspath(source)), band, owned=True)
+        return DatasetBackend(open_dataset(os.fspath(source), n_threads), band, owned=True)
     if _is_raster(source):
         return DatasetBackend(source, band, owned=False)
     if isinstance(source, np.ndarray):

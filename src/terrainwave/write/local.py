@@ -32,7 +32,7 @@ from terrainwave.write.boxes import enclosing_boxes, error_codes, set_codes
 from terrainwave.write.choice import prepared
 from terrainwave.write.encoder import Stats, TreeEncoder
 from terrainwave.write.job import Job
-from terrainwave.write.proof import allowed_error, compare_window, measured_error, proof_windows
+from terrainwave.write.proof import allowed_error, compare_window, measured_error, proof_shares
 from terrainwave.write.pyramid import Pyramid, SourceWindows
 
 _MESH_CACHE_BYTES = _PROOF_CACHE_BYTES = 64 << 20
@@ -330,18 +330,18 @@ def prove(
         If a sample is further than the bound from the original, or valid where that is void.
     """
     grid = job.grid
-    regions = proof_windows(grid)
+    shares = proof_shares(grid)
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
     largest = 0.0
     with TerrainFile(path, threads=1, cache_bytes=_PROOF_CACHE_BYTES) as terrain:
 
-        def compare(region: Region) -> float:
-            return compare_window(terrain, source, region, allowed)
+        def compare(share: list[Region]) -> float:
+            return max(compare_window(terrain, source, region, allowed) for region in share)
 
         done = 0
-        for region, error in zip(regions, executor.map(compare, regions), strict=True):
+        for share, error in zip(shares, executor.map(compare, shares), strict=True):
             largest = max(largest, error)
-            done += region.n_rows * region.n_cols
+            done += sum(region.n_rows * region.n_cols for region in share)
             n_bytes = done * np.dtype(job.info.dtype).itemsize
             reporter.report("proving", done, grid.n_rows * grid.n_cols, n_bytes)
     return measured_error(largest, job.quantizer)

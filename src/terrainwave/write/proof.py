@@ -7,6 +7,7 @@ from terrainwave.errors import BoundViolationError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Grid, Region
 from terrainwave.grid.quantum import Quantizer
+from terrainwave.grid.shares import shares_of
 from terrainwave.write.pyramid import SourceWindows
 
 OUR_FAULT = (
@@ -19,8 +20,18 @@ _PROOF_SIDE = 512
 
 def proof_windows(grid: Grid, within: Region | None = None) -> list[Region]:
     """Return windows that cover the full grid, or the region `within`, once."""
-    side = max(2 * grid.block, _PROOF_SIDE)
+    side = _side_of(grid)
     return list((within or Region(0, 0, grid.n_rows, grid.n_cols)).tiles(side, side))
+
+
+def proof_shares(grid: Grid) -> list[list[Region]]:
+    """Return `proof_windows` in shares for threads, which decode the levels above them."""
+    side = _side_of(grid)
+    return shares_of(proof_windows(grid), lambda window: (window.row // side, window.col // side))
+
+
+def _side_of(grid: Grid) -> int:
+    return max(2 * grid.block, _PROOF_SIDE)
 
 
 def compare_window(
