@@ -15,8 +15,8 @@ from terrainwave.write import choice
 
 Row = namedtuple(
     "Row",
-    "raster max_error is_tried is_predictive windows_saved_percent windows_saved_bits files_saved_percent"
-    " files_saved_bits rapid_over_peer predictive_over_peer",
+    "raster max_error is_tried is_predictive windows_saved_percent windows_saved_bits"
+    " files_saved_percent files_saved_bits rapid_over_peer predictive_over_peer",
 )
 PEERS = ("jxl-e9", "sz3", "sz3-interp", "sperr")
 RAPID, PREDICTIVE = "terrainwave-rapid", "terrainwave-predictive"

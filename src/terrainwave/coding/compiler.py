@@ -22,7 +22,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import register_pass
 from numba.core.inline_closurecall import InlineWorker
 from numba.core.registry import CPUDispatcher
-from numba.core.typed_passes import NativeLowering
+from numba.core.typed_passes import NativeLowering, NopythonRewrites
 from numba.core.untyped_passes import InlineInlinables
 from numba.cpython.builtins import do_minmax
 from numba.extending import intrinsic
@@ -165,9 +165,10 @@ def _untyped_passes(state: Any) -> Any:
     return _replaced(DefaultPassBuilder.define_untyped_pipeline(state), _OF_KERNELS)
 
 
-def _replaced(passes: Any, others: dict[type, type]) -> Any:
-    """Return a pipeline with some passes replaced, in place."""
-    passes.passes = [(others.get(one, one), text) for one, text in passes.passes]
+def _replaced(passes: Any, others: dict[type, type | None]) -> Any:
+    """Return a pipeline with some passes replaced, or left out, in place."""
+    found = [(others.get(one, one), text) for one, text in passes.passes]
+    passes.passes = [(one, text) for one, text in found if one is not None]
     passes._finalized = False
     passes.finalize()
     return passes
@@ -230,7 +231,8 @@ class _PartLibrary(JITCodeLibrary):
         self._finalized = True
 
 
-_OF_KERNELS: dict[type, type] = {InlineInlinables: _Inlining}
+# What is left out is for operations on whole arrays, which kernels don't have.
+_OF_KERNELS: dict[type, type | None] = {InlineInlinables: _Inlining, NopythonRewrites: None}
 _OF_PARTS = {**_OF_KERNELS, NativeLowering: _PartLowering}
 
 
