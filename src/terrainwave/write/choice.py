@@ -22,8 +22,8 @@ _MOST_SAMPLES_PER_BYTE = 128
 # On rough ground the share is less, but what is saved is not: this is enough without it, 1/8 bit
 # per sample. What it costs is time, and that is by the sample too.
 _ENOUGH_SAMPLES_PER_BYTE = 64
-# No slower method has ever saved more than a fifth of windows, or on ground that is not rough more
-# than 1/8 bit of 4 bits: what takes less need not be tried, which takes time, mostly to compile.
+# No slower method has ever saved more than a fifth of windows; on ground that is not rough none was
+# worth it below 4 bits per sample. What takes less is not tried, which takes time, most to compile.
 _MOST_SAVED = 20
 _MOST_BITS_OF_SMOOTH = 4
 # Windows are coded with one try for each plane, which is faster and less to compile.
