@@ -38,11 +38,8 @@ _DERIVED_TAGS = (
 )  # fmt: skip
 
 
-def open_dataset(path: str, n_threads: int = 1) -> Any:
-    """Open `path` by rasterio; translate each failure into one line that says what to do.
-
-    With more threads GDAL decodes several blocks of a window at a time, where its driver can.
-    """
+def open_dataset(path: str) -> Any:
+    """Open `path` by rasterio; translate each failure into one line that says what to do."""
     local = Path(path)
     is_local = "://" not in path and not path.startswith("/vsi")
     if is_local and _is_twz(local):
@@ -51,7 +48,7 @@ def open_dataset(path: str, n_threads: int = 1) -> Any:
             " (terrainwave decompress makes one of it)"
         )
     try:
-        with bounded_env(GDAL_NUM_THREADS=n_threads), warnings.catch_warnings():
+        with bounded_env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
             dataset = rasterio.open(path)
     except UnicodeEncodeError as error:  # bytes of a name that are no text

@@ -69,8 +69,6 @@ class RasterSource:
         Replaces the declared nodata value.
     warn : bool
         Issue `notes` as warnings; tasks that open the same raster again don't.
-    n_threads : int
-        Threads that decode blocks of a raster that is opened here.
 
     Attributes
     ----------
@@ -105,10 +103,9 @@ class RasterSource:
         band: int = 1,
         nodata: int | float | None = None,
         warn: bool = True,
-        n_threads: int = 1,
     ) -> None:
         self._lock = threading.Lock()
-        self._backend = _open_backend(source, band, nodata, n_threads)
+        self._backend = _open_backend(source, band, nodata)
         self.name: str = self._backend.name
         try:
             notes = list(self._backend.notes())
@@ -248,14 +245,14 @@ def _check_dtype(dtype: np.dtype[Any], name: str) -> None:
 
 
 def _open_backend(
-    source: Any, band: int, nodata: int | float | None, n_threads: int
+    source: Any, band: int, nodata: int | float | None
 ) -> "DatasetBackend | MosaicBackend | ArrayBackend":
     if isinstance(source, list | tuple) and source and all(map(_is_raster, source)):
         if len(source) > 1:
             return MosaicBackend(source, band, nodata)
         source = source[0]
     if isinstance(source, str | os.PathLike):
-        return DatasetBackend(open_dataset(os.fspath(source), n_threads), band, owned=True)
+        return DatasetBackend(open_dataset(os.fspath(source)), band, owned=True)
     if _is_raster(source):
         return DatasetBackend(source, band, owned=False)
     if isinstance(source, np.ndarray):

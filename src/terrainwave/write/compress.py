@@ -214,7 +214,7 @@ def compress(
     refuse_raster(dst)
     with (
         publish(dst, overwrite=overwrite) as part,
-        RasterSource(src, band=band, nodata=nodata, n_threads=options.n_threads) as source,
+        RasterSource(src, band=band, nodata=nodata) as source,
         scratch_directory(temp_dir or Path(dst).absolute().parent, Path(dst).name) as directory,
     ):
         reporter = Reporter(progress)
