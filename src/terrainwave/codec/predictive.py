@@ -174,6 +174,11 @@ class Predictive:
         self.parameters = parameters
         self._tables = all_tables(parse_parameters(parameters))
 
+    @property
+    def is_rough(self) -> bool:
+        """Whether the raster is so rough that it has other contexts: there are none."""
+        return False
+
     def fitted(
         self,
         grid: Grid,
