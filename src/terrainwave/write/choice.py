@@ -48,11 +48,11 @@ def prepared(job: Job, heights: Reader, mask: MaskReader) -> tuple[Job, Refiner,
     if job.n_valid:
         windows = _windows(job, heights, mask)
         n_samples = sum(target.size for _, target, _ in windows)
+        assert isinstance(refiner, FittingRefiner)
         # Both start from trained statistics, so that neither has learned what the other has not.
-        unlearned = refiner.unlearned() if isinstance(refiner, FittingRefiner) else refiner
-        n_bytes = _n_bytes(unlearned, windows)
-        is_rough = isinstance(refiner, FittingRefiner) and refiner.is_rough
-        for method in AUTO_METHODS[1:] if _may_be_worth(n_bytes, n_samples, is_rough) else ():
+        n_bytes = _n_bytes(refiner.unlearned(), windows)
+        is_tried = _may_be_worth(n_bytes, n_samples, refiner.is_rough)
+        for method in AUTO_METHODS[1:] if is_tried else ():
             n_saved = n_bytes - _n_bytes(refiner_by_name(method.name), windows)
             if _is_worth(n_saved, n_bytes, n_samples):
                 settled = job.with_method(method)

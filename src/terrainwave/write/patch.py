@@ -54,7 +54,7 @@ from terrainwave.write.proof import (
     allowed_error,
     compare_window,
     measured_error,
-    proof_windows,
+    proof_shares,
 )
 from terrainwave.write.pyramid import Pyramid
 
@@ -669,7 +669,10 @@ class _Patcher:
                 count(region.n_rows * region.n_cols)
                 return largest
 
-            largest = max(self._executor.map(compare, proof_windows(self._grid)))
+            def compare_all(share: list[Region]) -> float:
+                return max(map(compare, share))
+
+            largest = max(self._executor.map(compare_all, proof_shares(self._grid)))
         return measured_error(largest, quantizer)
 
     def _compare_rest(self, result: TerrainFile, region: Region) -> None:
