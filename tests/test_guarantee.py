@@ -195,7 +195,7 @@ def test_the_bound_and_the_mask_hold_on_several_blocks(case, max_error, options)
 @given(
     cases(tiny | medium),
     st.sampled_from(MAX_ERRORS),
-    st.sampled_from(["auto", "rapid", "predictive"]),
+    st.sampled_from(["rapid", "predictive"]),
     st.sampled_from([1, 3]),
     st.booleans(),
 )

@@ -85,10 +85,9 @@ METHODS = {
         Method(name="store", number=0, refiner="store.Store", is_read_in_browsers=True),
     )
 }  # fmt: skip
-DEFAULT_METHOD = METHODS["rapid"]
-# What "auto" chooses from, once the raster is known: the first, unless another saves much
-# (`write.choice`). They differ in payloads alone, so that all else can begin before.
-AUTO_METHODS = (DEFAULT_METHOD, METHODS["predictive"])
+DEFAULT_METHOD = METHODS["rapid"]  # what "auto" names, whatever the raster (decision 21)
+# For archives: what "auto" with effort "best" names.
+SMALLEST_METHOD = METHODS["predictive"]
 # Takes heights that no method makes smaller.
 PLAIN_METHOD = METHODS["store"]
 

@@ -76,8 +76,8 @@ def test_a_size_of_tasks_is_refused_where_there_are_none(tmp_path):
 
 @pytest.mark.parametrize(
     ("effort", "method", "stored"),
-    [("fast", "rapid", 1), ("default", "auto", 1), ("best", "predictive", 2)],
+    [("fast", "rapid", 1), ("default", "rapid", 1), ("best", "predictive", 2)],
 )
-def test_fast_and_best_say_which_method_auto_is(effort, method, stored):
+def test_auto_is_rapid_and_with_effort_best_predictive(effort, method, stored):
     options = Options(effort=effort)
     assert (options.method, options.effort_number, options.notes) == (method, stored, [])

@@ -57,11 +57,11 @@ from terrainwave.cli.output import (
 )
 from terrainwave.cli.streams import printing_beside, written
 from terrainwave.names import (
-    AUTO_METHODS,
     DEFAULT_METHOD,
     EFFORTS,
     MESH_CHOICES,
     METHODS,
+    SMALLEST_METHOD,
     UNBOUNDED_MESHES,
     Method,
     methods_that,
@@ -74,8 +74,8 @@ CUTTABLE = methods_that(lambda method: method.is_cuttable)
 FAITHFUL = methods_that(lambda method: method.may_be_faithful)
 _EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if method.effort]
 EFFORT = (
-    f"How much is tried: {'; '.join(_EFFORTS)}; auto with fast is {AUTO_METHODS[0].name}, with best"
-    f" {AUTO_METHODS[-1].name}; the others have one way."
+    f"How much is tried: {'; '.join(_EFFORTS)}; the others have one way."
+    f" best without --method is {SMALLEST_METHOD.name}, for archives."
 )
 WARMUP_TASKS = ("compress", "read", "verify", "mesh", "render")
 MESH = click.Choice(["auto", *MESH_CHOICES, "none"])
@@ -130,9 +130,8 @@ def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
     type=METHOD,
     default="auto",
     show_default=True,
-    help=f"auto: {AUTO_METHODS[0].name}, which is fast, or {AUTO_METHODS[-1].name} where a sample"
-    " of the raster says that it saves 8 % and a sixteenth of a bit per sample, or an eighth of"
-    " a bit.",
+    help=f"auto is {DEFAULT_METHOD.name}. For archives: {SMALLEST_METHOD.name}, whose files are"
+    " smaller and read several times more slowly.",
 )
 @click.option("--block", type=BlockSide(), default=256, show_default=True, help="Cells per side.")
 @click.option(

@@ -174,11 +174,6 @@ class Predictive:
         self.parameters = parameters
         self._tables = all_tables(parse_parameters(parameters))
 
-    @property
-    def is_rough(self) -> bool:
-        """Whether the raster is so rough that it has other contexts: there are none."""
-        return False
-
     def fitted(
         self,
         grid: Grid,
@@ -194,10 +189,6 @@ class Predictive:
         windows = windows_of(grid, 0, heights, mask, _WINDOW)
         e_weights = _fit_e_weights(added, windows, step, grid.n_rows * grid.n_cols)
         return Predictive(pack_parameters(added._replace(e_weights=e_weights)))
-
-    def unlearned(self) -> "Predictive":
-        """Return this refiner: each unit starts from trained statistics."""
-        return self
 
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask

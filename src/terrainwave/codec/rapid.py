@@ -140,11 +140,6 @@ class Rapid:
         """The largest sum of absolute weights of a stencil."""
         return int(np.abs(self._tables.stencils).sum(-1).max())
 
-    @property
-    def is_rough(self) -> bool:
-        """Whether the raster is so rough that its tables have contexts by reach."""
-        return self._tables.is_by_reach
-
     def fitted(
         self,
         grid: Grid,
@@ -159,10 +154,6 @@ class Rapid:
         from terrainwave.codec.rapid_fitting import fit_tables
 
         return Rapid(pack_parameters(fit_tables(grid, step, heights, mask)))
-
-    def unlearned(self) -> "Rapid":
-        """Return a refiner with the trained frequencies alone."""
-        return Rapid.with_tables(self._tables.unlearned())
 
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask

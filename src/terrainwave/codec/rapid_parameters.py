@@ -106,10 +106,6 @@ class Tables:
         self._slots: dict[int, NDArray[np.uint8]] = {}
         self._packed: dict[int, NDArray[np.uint32]] = {}
 
-    def unlearned(self) -> "Tables":
-        """Return the same tables without frequencies of the file's own."""
-        return Tables(None if self._file is None else self._file._replace(codes={}))
-
     def slots(self, step: int) -> NDArray[np.uint8]:
         """Return the decoder's table of symbols."""
         family = self._family(step)

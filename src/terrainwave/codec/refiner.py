@@ -120,11 +120,6 @@ class FittingRefiner(Refiner, Protocol):
 
     parameters: bytes
 
-    @property
-    def is_rough(self) -> bool:
-        """Whether the raster that it is fitted to is so rough that it has other contexts."""
-        ...
-
     def fitted(
         self,
         grid: Grid,
@@ -136,8 +131,4 @@ class FittingRefiner(Refiner, Protocol):
 
         `heights` and `mask` return targets and validity of a region of a level.
         """
-        ...
-
-    def unlearned(self) -> "FittingRefiner":
-        """Return a refiner that has learned no statistics: it starts from trained ones."""
         ...

@@ -33,8 +33,7 @@ from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import TreeDecoder
 from terrainwave.tri.stored import STORED_KINDS
 from terrainwave.write.boxes import Box, enclosing_boxes, error_codes, set_codes
-from terrainwave.write.choice import prepared
-from terrainwave.write.encoder import Stats, TreeEncoder
+from terrainwave.write.encoder import Stats, TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
 from terrainwave.write.local import Coded
 from terrainwave.write.proof import measured_error
@@ -181,8 +180,8 @@ class DistributedPasses:
         site = Site(self.raster, self.depot, job, self.level, job.options.method)
         top = self._top_pyramid(site)
         try:
-            job, refiner, tables = prepared(job, *self._targets(site, top))
-            site = replace(site, job=job, tables=tables)
+            refiner, tables = fitted_refiner(job, *self._targets(site, top))
+            site = replace(site, tables=tables)
             sink = SpoolSink(job.grid, site.top_heads(), self.directory)
             encoder = TreeEncoder(
                 job.grid, refiner, job.parameters, top, sink, lambda n_samples: None, self.level

@@ -12,7 +12,15 @@ from functools import partial
 from typing import NamedTuple, Protocol
 
 from terrainwave.codec.group import encode_unit
-from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
+from terrainwave.codec.refiner import (
+    Decoded,
+    FittingRefiner,
+    GroupSpec,
+    Heights,
+    Mask,
+    Refiner,
+)
+from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.grid.measure import (
     BlockStats,
@@ -22,6 +30,7 @@ from terrainwave.grid.measure import (
 )
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.write.job import Job
 from terrainwave.write.pyramid import Pyramid
 
 # The first levels are walked breadth first until there are this many subtrees to share out.
@@ -36,6 +45,23 @@ class PayloadSink(Protocol):
     def __call__(self, key: Block, payload: bytes) -> None:
         """Take the payload of the unit `key`."""
         ...
+
+
+def fitted_refiner(
+    job: Job,
+    heights: Callable[[int, Region], Heights],
+    mask: Callable[[int, Region], Mask],
+) -> tuple[Refiner, bytes]:
+    """Return the refiner of a job's method, and the tables that are fitted to the raster.
+
+    `heights` and `mask` return targets and validity of a region of a level. The tables are empty
+    where the method has none, or no sample is valid.
+    """
+    refiner = refiner_by_name(job.options.coding.name)
+    if not isinstance(refiner, FittingRefiner) or not job.n_valid:
+        return refiner, b""
+    fitted = refiner.fitted(job.grid, job.parameters.step, heights, mask)
+    return fitted, fitted.parameters
 
 
 class _Ancestor(NamedTuple):

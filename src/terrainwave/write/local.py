@@ -29,8 +29,7 @@ from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import MEMORY_LIMIT, Spool
 from terrainwave.read.tiles import make_decoder
 from terrainwave.write.boxes import enclosing_boxes, error_codes, set_codes
-from terrainwave.write.choice import prepared
-from terrainwave.write.encoder import Stats, TreeEncoder
+from terrainwave.write.encoder import Stats, TreeEncoder, fitted_refiner
 from terrainwave.write.job import Job
 from terrainwave.write.proof import allowed_error, compare_window, measured_error, proof_shares
 from terrainwave.write.pyramid import Pyramid, SourceWindows
@@ -230,7 +229,7 @@ def encode(
 
             stats = encode_tiles(job, pyramid, sink, directory, on_samples, executor)
         else:
-            job, section, stats, units = _encode_units(job, pyramid, sink, on_samples, executor)
+            section, stats, units = _encode_units(job, pyramid, sink, on_samples, executor)
         if job.options.is_embedded:
             job = job.with_measured(_finest_error(job, stats))
         errors = error_codes(stats, job.lost, job.recursion_bound)
@@ -249,12 +248,12 @@ def _encode_units(
     sink: SpoolSink,
     on_samples: Callable[[int], None],
     executor: Executor,
-) -> tuple[Job, bytes, Stats, dict[Block, Decoded]]:
-    """Code every unit; return the job with its method, that one's tables, what was measured.
+) -> tuple[bytes, Stats, dict[Block, Decoded]]:
+    """Code every unit; return the tables of the file and what was measured.
 
     And what the units decode to, where meshes are to be made of it and all of it fits in memory.
     """
-    job, refiner, section = prepared(job, pyramid.heights, pyramid.mask)
+    refiner, section = fitted_refiner(job, pyramid.heights, pyramid.mask)
     units: dict[Block, Decoded] = {}
     # Heights and masks of all levels: four thirds of five bytes for each sample.
     is_kept = 20 * job.grid.n_rows * job.grid.n_cols <= 3 * _MESH_CACHE_BYTES
@@ -262,7 +261,7 @@ def _encode_units(
         job.grid, refiner, job.parameters, pyramid, sink, on_samples,
         on_unit=units.__setitem__ if is_kept and job.options.mesh != "none" else None,
     )  # fmt: skip
-    return job, section, encoder.run(executor), units
+    return section, encoder.run(executor), units
 
 
 def _finest_error(job: Job, stats: Stats) -> int:

@@ -14,10 +14,10 @@ from terrainwave.arguments import (
 )
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import (
-    AUTO_METHODS,
     DEFAULT_METHOD,
     EFFORTS,
     METHODS,
+    SMALLEST_METHOD,
     Method,
     methods_that,
     stored_mesh,
@@ -29,8 +29,6 @@ DEFAULT_EFFORT = "default"
 @dataclass(frozen=True, kw_only=True)
 class Options:
     """Options of `compress`, which says what they mean; "auto" has become what it stands for.
-
-    But for method "auto" with the default effort: what that is depends on the raster.
 
     Raises
     ------
@@ -62,17 +60,18 @@ class Options:
         check_mesh(self.mesh, or_none=True)
         check_method(self.method)
         check_effort(self.effort)
-        settled["mesh"] = stored_mesh(self.mesh, self.coding, is_faithful=self.faithful)
-        check_mesh_of(self.mesh, self.coding, is_faithful=self.faithful)
-        if self.is_auto and self.effort != DEFAULT_EFFORT:
-            # Fast and best say which method.
-            method = AUTO_METHODS[0] if self.effort == EFFORTS[0] else AUTO_METHODS[-1]
+        asked = self.method
+        if asked == "auto":
+            method = SMALLEST_METHOD if self.effort == EFFORTS[-1] else DEFAULT_METHOD
             settled["method"] = method.name
             if not method.effort:
                 settled["effort"] = DEFAULT_EFFORT
         for name, value in settled.items():
             object.__setattr__(self, name, value)
-        self._check_goals()
+        check_mesh_of(self.mesh, self.coding, is_faithful=self.faithful)
+        mesh = stored_mesh(self.mesh, self.coding, is_faithful=self.faithful)
+        object.__setattr__(self, "mesh", mesh)
+        self._check_goals(asked)
         if self.block not in BLOCKS:
             raise InvalidArgumentError(
                 f"found `block` {self.block}, expected one of {', '.join(map(str, BLOCKS))}"
@@ -84,16 +83,19 @@ class Options:
                 f"found `border_rings` {self.border_rings} and `method` {self.method}, expected"
                 " `border_rings` 1"
             )
-        if self.faithful and (self.is_auto or not self.coding.may_be_faithful):
+        if self.faithful and not self.coding.may_be_faithful:
             fit = methods_that(lambda method: method.may_be_faithful)
             raise InvalidArgumentError(
-                f"found `faithful` and `method` {self.method}, expected `method` {fit}: the others"
+                f"found `faithful` and `method` {asked}, expected `method` {fit}: the others"
                 " follow no paper to the letter"
             )
         checked_threads(self.threads)
 
-    def _check_goals(self) -> None:
-        """Raise `InvalidArgumentError` unless at most one of three goals is given, and fits."""
+    def _check_goals(self, asked: str) -> None:
+        """Raise `InvalidArgumentError` unless at most one of three goals is given, and fits.
+
+        `asked` is the method as the user named it.
+        """
         goals = {"max_error": self.max_error, "rate": self.rate, "psnr": self.psnr}
         given = [name for name, goal in goals.items() if goal is not None]
         if len(given) > 1:
@@ -114,19 +116,14 @@ class Options:
         if not self.coding.is_cuttable:
             fit = methods_that(lambda method: method.is_cuttable)
             raise InvalidArgumentError(
-                f"found `{name}` and `method` {self.method}, expected `method` {fit}: the others"
+                f"found `{name}` and `method` {asked}, expected `method` {fit}: the others"
                 " keep a bound (`max_error`) instead"
             )
 
     @property
-    def is_auto(self) -> bool:
-        """Say whether the method is still to be chosen (`write.choice`)."""
-        return self.method == "auto"
-
-    @property
     def coding(self) -> Method:
-        """Return the method that `method` names; the likeliest one as long as it is "auto"."""
-        return DEFAULT_METHOD if self.is_auto else METHODS[self.method]
+        """Return the method that `method` names."""
+        return METHODS[self.method]
 
     @property
     def effort_number(self) -> int:
