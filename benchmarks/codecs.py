@@ -1,10 +1,4 @@
-"""Compare codecs at equal error bounds: ``python -m benchmarks.codecs --help``.
-
-`measure_speeds` is the part `speeds` of ``benchmarks.bench``: all codecs in turns, terrainwave and
-COGs through files, the others in memory.
-
-Exit status: 0 good; 1 if a codec broke a bound or failed; 2 wrong usage.
-"""
+"""Sizes, errors and speeds of codecs at equal bounds: what ``benchmarks.bench`` asks for."""
 
 import math
 import time
@@ -17,37 +11,38 @@ import click
 import numpy as np
 
 from benchmarks import common
-from benchmarks.peers import NAMES, Codec, make_codecs, stored_size
+from benchmarks.peers import Codec, stored_size
 from benchmarks.rasters import Forms, Raster, load_raster, make_forms, with_nan, without_nan
 
 BOUNDS = (0.0, 0.1, 0.5, 1.0, 3.0, 10.0)  # of all that docs/benchmarks.md compares
 # Speeds are of rasters of so many samples; larger ones take JPEG XL too long.
 SPEED_SAMPLES = 1_000_000, 20_000_000
 SPEED_BOUNDS = 0.0, 1.0, 10.0
-SPEED_RUNS, SPEED_PATIENCE = 3, 20.0
-PATIENCE = 60.0  # seconds after which no further run is begun
+# Slow codecs take turns among themselves and with a COG, so that the others are run more often.
+SLOW = ("sperr", "jxl", "terrainwave-predictive", "terrainwave-cdf97")
+SPEED_RUNS = {False: 7, True: 2}
 NOT_POSSIBLE = "not possible"
 OWN_MASK = "own mask"
 NAN = "NaN"
 
-# One line of the CSV. Errors are in the raster's units, speeds in 10^6 samples/s. `bits_per_sample`
-# counts every sample of the grid, voids too. `n_runs` is how many runs the speeds are the median
-# of; the first run of each is never among them. `problem` is empty, or says what went wrong; the
-# figures may be missing then.
+# One line of a CSV of sizes; errors are in the raster's units. `bits_per_sample` counts all samples
+# of the grid, voids too. `problem` is empty, or says what went wrong; figures may be missing then.
 Row = namedtuple(
     "Row",
     "raster n_rows n_cols dtype valid_share quantum codec max_error n_bytes bits_per_sample "
-    "measured_error rmse encode_speed decode_speed n_runs fill margin problem",
-    defaults=(None,) * 7 + ("", None, ""),
+    "measured_error rmse fill margin problem",
+    defaults=(None,) * 4 + ("", None, ""),
 )
 # Distance of decoded heights from the originals, over valid samples.
 Errors = namedtuple("Errors", "measured_error rmse problem")
 # One setting of a codec: which fill, which margin, what came of it.
 Trial = namedtuple("Trial", "codec max_error raster fill margin stored n_bytes errors")
-# One line of ``speeds.csv``; speeds in 10^6 samples/s, of processor time where one thread runs.
+# One line of ``speeds.csv``; speeds in 10^6 samples/s, of processor time where one thread runs. The
+# codecs of a raster, a bound, a number of threads and a value of `is_slow` took turns.
 SpeedRow = namedtuple(
     "SpeedRow",
-    "raster max_error codec threads n_samples bits_per_sample encode_speed decode_speed n_runs",
+    "raster max_error codec threads is_slow n_samples bits_per_sample encode_speed decode_speed "
+    "n_runs",
 )
 
 
@@ -56,7 +51,7 @@ def has_failed(row: Row) -> bool:
     return bool(row.problem) and not row.problem.startswith(NOT_POSSIBLE)
 
 
-def measure(codec: Codec, forms: Forms, max_error: float, n_runs: int) -> Row:
+def measure(codec: Codec, forms: Forms, max_error: float) -> Row:
     """Return the row of one case, its bound checked by decoding; it says if the codec raised."""
     raster = forms.raster
     valid_share = round(float(raster.mask.mean()), 6)
@@ -68,47 +63,40 @@ def measure(codec: Codec, forms: Forms, max_error: float, n_runs: int) -> Row:
     if reason:
         return row._replace(problem=f"{NOT_POSSIBLE}: {reason}")
     try:
-        return Row(*row[:8], *_figures(codec, forms, max_error, n_runs))
+        best = best_trial(codec, forms, max_error)
     except Exception as error:  # noqa: BLE001 - one codec's fault must not end the others'
         return row._replace(problem=f"FAILED: {type(error).__name__}: {error}")
-
-
-def _figures(codec: Codec, forms: Forms, max_error: float, n_runs: int) -> tuple:
-    best = best_trial(codec, forms, max_error)
-    encode, decode = time_trials([best], n_runs, patience=PATIENCE, clock=time.perf_counter)
-    n_samples = forms.raster.heights.size
-    speeds = (_round_to(n_samples / timed.seconds / 1e6, 3) for timed in (encode, decode))
-    return (
-        best.n_bytes, round(8 * best.n_bytes / n_samples, 5), best.errors.measured_error,
-        _round_to(best.errors.rmse, 5), *speeds, encode.n_runs, best.fill, best.margin,
+    return Row(
+        *row[:8], best.n_bytes, round(8 * best.n_bytes / raster.heights.size, 5),
+        best.errors.measured_error, float(f"{best.errors.rmse:.5g}"), best.fill, best.margin,
         best.errors.problem,
     )  # fmt: skip
 
 
 def time_trials(trials: Sequence[Trial], n_runs: int, **how) -> list[common.Timed]:
-    """Return what encoding and decoding of each trial take, in turns; all are warm."""
+    """Return what encoding and decoding of each trial take, in turns; all are warm.
+
+    What is timed are a codec's `Calls`; what they start from is made before. `best_trial` has run
+    both, which compiles and loads what they need.
+    """
     tasks = []
-    for codec, max_error, raster, _fill, margin, stored, *_ in trials:
-        codec.prepare(raster)
-        tasks += [
-            partial(codec.encode, raster, max_error, margin),
-            partial(codec.decode, stored, raster, max_error),
-        ]
+    for trial in trials:
+        encode, decode, _ = trial.codec.calls(trial.raster, trial.max_error, trial.margin)
+        # A file may be another trial's by now.
+        stored = trial.stored if isinstance(trial.stored, bytes) else encode()
+        tasks += [encode, partial(decode, stored)]
     return common.take_turns(lambda: tasks, n_runs, **how)
 
 
 def best_trial(codec: Codec, forms: Forms, max_error: float) -> Trial:
-    """Return the smallest trial that keeps the bound; the last one if none does.
-
-    These runs also warm the codec up: they compile and load what it needs.
-    """
+    """Return the smallest trial that keeps the bound; the last one if none does."""
     trials = []
     for fill, filled, extra in _forms_for(codec, forms):
-        codec.prepare(filled)
         for margin in codec.margins:
-            stored = codec.encode(filled, max_error, margin)
-            decoded = codec.decode(stored, filled, max_error)
-            errors = _errors_of(codec, forms.raster, fill, decoded, max_error)
+            encode, decode, heights = codec.calls(filled, max_error, margin)
+            stored = encode()
+            decoded = heights(decode(stored))
+            errors = _errors_of(forms.raster, fill, decoded, max_error)
             n_bytes = stored_size(stored) + extra
             trials.append(Trial(codec, max_error, filled, fill, margin, stored, n_bytes, errors))
             if not errors.problem:
@@ -120,22 +108,21 @@ def best_trial(codec: Codec, forms: Forms, max_error: float) -> Trial:
 def _forms_for(codec: Codec, forms: Forms) -> Iterator[tuple[str, Raster, int]]:
     if codec.knows_voids:
         yield OWN_MASK, forms.raster, 0
-        return
-    for name, filled in forms.fills:
-        yield name, filled, forms.mask_bytes
-    if codec.takes_nan and not forms.raster.mask.all():
+    is_whole = codec.knows_voids and forms.raster.mask.all()
+    if codec.takes_fills and not is_whole:
+        for name, filled in forms.fills:
+            yield name, filled, forms.mask_bytes
+    if codec.takes_nan(forms.raster) and not forms.raster.mask.all():
         yield NAN, with_nan(forms.raster), 0
 
 
-def _errors_of(
-    codec: Codec, raster: Raster, fill: str, decoded: np.ndarray, max_error: float
-) -> Errors:
-    if fill != NAN:
-        return compare(raster, decoded, max_error, check_voids=codec.knows_voids)
-    valid = without_nan(decoded, raster)
-    if valid is None:
-        return Errors(math.inf, math.inf, "MASK DIFFERS")
-    return compare(raster, valid, max_error, check_voids=False)
+def _errors_of(raster: Raster, fill: str, decoded: np.ndarray, max_error: float) -> Errors:
+    if fill == NAN:
+        valid = without_nan(decoded, raster)
+        if valid is None:
+            return Errors(math.inf, math.inf, "MASK DIFFERS")
+        decoded = valid
+    return compare(raster, decoded, max_error, check_voids=fill == OWN_MASK)
 
 
 def compare(raster: Raster, decoded: np.ndarray, max_error: float, *, check_voids: bool) -> Errors:
@@ -160,10 +147,6 @@ def _has_same_voids(raster: Raster, decoded: np.ndarray) -> bool:
     return bool(np.array_equal(is_void, ~raster.mask))
 
 
-def _round_to(number: float, n_digits: int) -> float:
-    return float(f"{number:.{n_digits}g}")
-
-
 def read_cases(path: Path) -> set[tuple[str, float, str]]:
     """Return the (raster, bound, codec) a CSV holds; none if there is no such file."""
     return {(row["raster"], row["max_error"], row["codec"]) for row in common.read_rows(path)}
@@ -177,12 +160,12 @@ def is_worth_trying(raster: Raster, bound: float, bounds: Sequence[float]) -> bo
 
 
 def measure_missing(
-    paths: Sequence[Path], codecs: Sequence[Codec], bounds: Sequence[float], n_runs: int,
-    done: Collection[tuple[str, float, str]] = (), crop: int | None = None,
+    paths: Sequence[Path], codecs: Sequence[Codec], bounds: Sequence[float],
+    done: Collection[tuple[str, float, str]] = (),
 ) -> Iterator[Row]:  # fmt: skip
     """Yield the cases that are not done."""
     for path in paths:
-        raster = load_raster(path, crop)
+        raster = load_raster(path)
         missing = [
             (codec, bound)
             for bound in bounds
@@ -192,7 +175,7 @@ def measure_missing(
         ]
         forms = make_forms(raster) if missing else None  # takes long where there are voids
         for codec, bound in missing:
-            yield measure(codec, forms, bound, n_runs)
+            yield measure(codec, forms, bound)
 
 
 def measure_speeds(
@@ -207,25 +190,33 @@ def measure_speeds(
         for bound in SPEED_BOUNDS:
             if (raster.name, bound) in done or not is_worth_trying(raster, bound, SPEED_BOUNDS):
                 continue
-            # The best trial warms everything up and checks the bound.
+            # The best trial checks the bound.
             able = [codec for codec in codecs if not codec.refuses(raster, bound)]
             trials = [best_trial(codec, forms, bound) for codec in able]
             for threads in sorted({codec.threads for codec in able}):
-                yield from _speeds([trial for trial in trials if trial.codec.threads == threads])
+                here = [trial for trial in trials if trial.codec.threads == threads]
+                fast, slow = (
+                    [trial for trial in here if trial.codec.name.startswith(SLOW) == is_slow]
+                    for is_slow in (False, True)
+                )
+                yield from _speeds(fast, is_slow=False)
+                if slow:
+                    cog = next(trial for trial in fast if trial.codec.name == "cog")
+                    yield from _speeds([cog, *slow], is_slow=True)
 
 
-def _speeds(trials: Sequence[Trial]) -> Iterator[SpeedRow]:
+def _speeds(trials: Sequence[Trial], *, is_slow: bool) -> Iterator[SpeedRow]:
     threads = trials[0].codec.threads
     common.pin_to_cores(threads)
     clock = time.process_time if threads == 1 else time.perf_counter
-    times = iter(time_trials(trials, SPEED_RUNS, patience=SPEED_PATIENCE, clock=clock))
+    times = iter(time_trials(trials, SPEED_RUNS[is_slow], clock=clock))
     common.pin_to_cores()
     for trial, encode, decode in zip(trials, times, times, strict=True):
         if trial.errors.problem:
             raise RuntimeError(f"{trial.raster.name}, {trial.codec.name}: {trial.errors}")
         n = trial.raster.heights.size
         yield SpeedRow(
-            trial.raster.name, trial.max_error, trial.codec.name, threads, n,
+            trial.raster.name, trial.max_error, trial.codec.name, threads, is_slow, n,
             round(8 * trial.n_bytes / n, 5), round(n / encode.seconds / 1e6, 2),
             round(n / decode.seconds / 1e6, 2), encode.n_runs,
         )  # fmt: skip
@@ -238,24 +229,3 @@ def exit_with_failures(rows: Sequence[Row]) -> None:
         click.echo(f"{row.raster} at {row.max_error:g}, {row.codec}: {row.problem}")
     click.echo(f"{len(rows)} cases, {len(failed)} failed")
     raise SystemExit(bool(failed))
-
-
-@common.command("codecs.csv")
-@common.rasters_argument
-@common.bounds_option(0.0, 1.0, 3.0, 10.0)
-@common.option("--codecs", "names", cls=common.ListOption, type=click.Choice(NAMES), default=NAMES)
-@common.option(
-    "--method", "methods", cls=common.ListOption, default=("cdf97", "store"), help="terrainwave's."
-)
-@common.crop_option
-@common.option("--runs", type=common.COUNT, default=3, help="Timed, after one that is not.")
-def main(paths, bounds, names, methods, crop, runs, folder, out) -> None:
-    """Compare codecs."""
-    common.pin_to_cores()
-    codecs = make_codecs(names, methods, folder)
-    cases = measure_missing(paths, codecs, bounds, runs, crop=crop)
-    exit_with_failures(common.write_rows(out, cases))
-
-
-if __name__ == "__main__":
-    main()

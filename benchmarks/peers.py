@@ -1,15 +1,15 @@
 """Codecs, all asked the same: keep |decoded - original| <= max_error.
 
-How others are treated fairly is in ``benchmarks/README.md``; it is worth up to a factor of two to
-them. Fills for voids and margins on bounds are tried in `benchmarks.codecs`.
+Each is timed doing what its own user does, and nothing else: `Calls`. How others are treated fairly
+is in ``benchmarks/README.md``. Fills for voids and margins on bounds are tried in
+`benchmarks.codecs`.
 """
 
-import functools
 import math
-import struct
 from collections import namedtuple
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,11 @@ import terrainwave
 from benchmarks.rasters import Raster, write_geotiff
 
 Stored = bytes | Path
+# The two calls of a codec's user, which are timed, and what makes them comparable, which is not:
+# ``encode()`` takes what the user has, a GeoTIFF on disk or an array, to what is stored;
+# ``decode(stored)`` returns an array of the codec's own type; ``heights(array)`` makes of it
+# heights in the raster's dtype and on its grid.
+Calls = namedtuple("Calls", "encode decode heights")
 
 
 def stored_size(stored: Stored) -> int:
@@ -29,37 +34,46 @@ def stored_size(stored: Stored) -> int:
     return stored.stat().st_size if isinstance(stored, Path) else len(stored)
 
 
-class Codec:
-    """A codec with one setting; each has `encode` and `decode`.
+def as_they_are(heights: np.ndarray) -> np.ndarray:
+    """Return heights of a codec that knows the raster's type and grid."""
+    return heights
 
-    ``encode(raster, max_error, margin)`` returns what is stored; ``decode(stored, raster,
-    max_error)`` heights in the raster's dtype, and uses only shape and grid of `raster`.
-    `knows_voids`: the codec stores the mask itself, decoded voids hold nodata. `takes_nan`: float32
-    heights may hold NaN where the raster has voids, and come back so. `margins`: factors on the
-    bound it is run with, tried in this order until the bound holds.
+
+class Codec:
+    """A codec with one setting.
+
+    `knows_voids`: it may store the mask itself; decoded voids then hold nodata. `takes_fills`: it
+    is tried with voids filled, and pays for the mask. `margins`: factors on the bound it is run
+    with, tried in this order until the bound holds.
     """
 
     name: str
     knows_voids = False
-    takes_nan = False
+    takes_fills = True
     margins: tuple[float, ...] = (1.0,)
     threads = 1
+
+    def takes_nan(self, raster: Raster) -> bool:
+        """Return whether voids may be NaN."""
+        return False
 
     def refuses(self, raster: Raster, max_error: float) -> str:
         """Return why the codec cannot do this case; empty if it can."""
         return ""
 
-    def prepare(self, raster: Raster) -> None:
-        """Write what `encode` reads; not timed. Does nothing for codecs in memory."""
+    def calls(self, raster: Raster, max_error: float, margin: float) -> Calls:
+        """Make what the codec's user has, and return what the user calls."""
+        raise NotImplementedError
 
 
 class Terrainwave(Codec):
-    """The project itself, through real files; the whole command with "+" behind the method.
+    """The project itself, from a GeoTIFF; the whole command with "+" behind the method.
 
     Else without meshes and without the proof at the end of `compress`.
     """
 
     knows_voids = True
+    takes_fills = False
 
     def __init__(self, method: str, folder: Path) -> None:
         """Take a method, or a method and an effort: ``predictive-fast``; "×2": two threads."""
@@ -68,31 +82,92 @@ class Terrainwave(Codec):
         self.threads, self._is_whole = int(threads or 1), method.endswith("+")
         self._method, _, effort = method.rstrip("+").partition("-")
         self._effort = effort or "default"
-        self._source, self._target = folder / "source.tif", folder / f"{self.name}.twz"
+        self._source, self._target = _places(folder, self.name, ".twz")
 
-    def prepare(self, raster: Raster) -> None:
-        """Write the raster as an uncompressed GeoTIFF."""
+    def calls(self, raster: Raster, max_error: float, margin: float) -> Calls:
+        """Write the raster as an uncompressed GeoTIFF; return `compress`, and `open` and read."""
         write_geotiff(raster, self._source)
+        options: dict[str, Any] = {"method": self._method, "effort": self._effort}
+        options |= {} if self._is_whole else {"verify": False, "mesh": "none"}
 
-    def encode(self, raster: Raster, max_error: float, margin: float) -> Path:
-        """Compress the file of `prepare`."""
-        terrainwave.compress(
-            self._source, self._target, max_error=max_error, method=self._method,
-            effort=self._effort, threads=self.threads, verify=self._is_whole,
-            mesh="halves" if self._is_whole else "none", overwrite=True,
-        )  # fmt: skip
-        return self._target
+        def encode() -> Path:
+            terrainwave.compress(
+                self._source, self._target, max_error=max_error, threads=self.threads,
+                overwrite=True, **options,
+            )  # fmt: skip
+            return self._target
 
-    def decode(self, stored: Stored, raster: Raster, max_error: float) -> np.ndarray:
-        """Read the whole raster."""
-        with terrainwave.open(stored, threads=self.threads) as terrain:
-            return terrain.read()
+        def decode(stored: Path) -> np.ndarray:
+            with terrainwave.open(stored, threads=self.threads) as terrain:
+                return terrain.read()
+
+        return Calls(encode, decode, as_they_are)
+
+
+def _places(folder: Path, name: str, ending: str) -> tuple[Path, Path]:
+    """Return where a codec's source and its file lie."""
+    return folder / f"{name}-source.tif", folder / f"{name}{ending}"
+
+
+class _Cog(Codec):
+    """A Cloud Optimized GeoTIFF with overviews, which GDAL makes of a GeoTIFF and reads.
+
+    In the raster's own type, as its user makes it; or as float32 at the widened bound, which is
+    smaller: LERC of integers quantises with 2 * max_error, where 2 * max_error + 1 would do.
+    """
+
+    def __init__(
+        self, folder: Path, *, compress: str = "LERC_ZSTD", as_float: bool = False, threads: int = 1
+    ) -> None:
+        self.name = "cog" + "-float32" * as_float + "-zstd" * (compress == "ZSTD")
+        self.name += f"×{threads}" * (threads > 1)
+        self.knows_voids = not as_float
+        # Where a float is decoded a rounding beyond the bound.
+        self.margins = (1.0, 0.999, 0.99, 0.95)
+        self.threads, self._as_float, self._compress = threads, as_float, compress
+        self._source, self._target = _places(folder, self.name, ".tif")
+
+    def takes_nan(self, raster: Raster) -> bool:
+        return self._as_float or not raster.is_integer
+
+    def refuses(self, raster: Raster, max_error: float) -> str:
+        if self._compress == "ZSTD":
+            return "lossless alone" if max_error else ""
+        if self._as_float and not raster.quantum:
+            return "the same as in the raster's own type"
+        return "" if not self._as_float or float_bound(raster, max_error) > 0 else "below float32"
+
+    def calls(self, raster: Raster, max_error: float, margin: float) -> Calls:
+        bound, heights = max_error, as_they_are
+        if self._as_float:
+            bound, heights = float_bound(raster, max_error), partial(snap_to_grid, raster=raster)
+            raster = replace(raster, heights=raster.heights.astype(np.float32), nodata=None)
+        if np.isnan(raster.heights).any():
+            raster = replace(raster, nodata=math.nan)
+        write_geotiff(raster, self._source)
+        options = {"COMPRESS": self._compress, "BLOCKSIZE": "512", "OVERVIEWS": "AUTO"}
+        options["NUM_THREADS"] = str(self.threads)
+        if self._compress == "ZSTD":
+            options["PREDICTOR"] = "YES"
+        else:
+            error = repr(bound * margin)
+            options |= {"MAX_Z_ERROR": error, "MAX_Z_ERROR_OVERVIEW": error}
+        threads = {"NUM_THREADS": self.threads} if self.threads > 1 else {}
+
+        def encode() -> Path:
+            rasterio.shutil.copy(self._source, self._target, driver="COG", **options)
+            return self._target
+
+        def decode(stored: Path) -> np.ndarray:
+            with rasterio.open(stored, **threads) as source:
+                return source.read(1)
+
+        return Calls(encode, decode, heights)
 
 
 # Codecs of integers: indices of the largest step that keeps the bound.
 # Quantised heights: `first` + (values * `step`) in the raster's units.
 Indices = namedtuple("Indices", "values first step")
-_QUANTIZER = struct.Struct("<dd")
 
 
 def quantize_indices(raster: Raster, max_error: float) -> Indices:
@@ -129,7 +204,7 @@ def _to_dtype(heights: np.ndarray, dtype) -> np.ndarray:
 
 
 class _JpegXl(Codec):
-    """JPEG XL, lossless modular mode, of 16-bit indices; on one thread."""
+    """JPEG XL, lossless modular mode, of an image of indices, 8 or 16 bits; on one thread."""
 
     def __init__(self, effort: int) -> None:
         import imagecodecs
@@ -143,17 +218,15 @@ class _JpegXl(Codec):
         n_indices = quantize_indices(raster, max_error).values.max() + 1
         return "more than 65536 indices" if n_indices > 65536 else ""
 
-    def encode(self, raster: Raster, max_error: float, margin: float) -> bytes:
+    def calls(self, raster: Raster, max_error: float, margin: float) -> Calls:
         values, *quantizer = quantize_indices(raster, max_error)
         image = values.astype(np.uint8 if values.max() < 256 else np.uint16)
-        packed = self._library.jpegxl_encode(
-            image, lossless=True, effort=self._effort, numthreads=1
+        library, dtype = self._library, raster.heights.dtype
+        return Calls(
+            lambda: library.jpegxl_encode(image, lossless=True, effort=self._effort, numthreads=1),
+            lambda stored: library.jpegxl_decode(stored, numthreads=1),
+            lambda decoded: dequantize_indices(decoded, *quantizer, dtype),
         )
-        return _QUANTIZER.pack(*quantizer) + packed
-
-    def decode(self, stored: bytes, raster: Raster, max_error: float) -> np.ndarray:
-        values = self._library.jpegxl_decode(stored[_QUANTIZER.size :], numthreads=1)
-        return dequantize_indices(values, *_QUANTIZER.unpack_from(stored), raster.heights.dtype)
 
 
 def float_bound(raster: Raster, max_error: float) -> float:
@@ -172,27 +245,32 @@ def snap_to_grid(heights: np.ndarray, raster: Raster) -> np.ndarray:
     return _to_dtype(exact, raster.heights.dtype)
 
 
-@dataclass
 class _FloatCodec(Codec):
-    """A codec of float32 with an absolute error bound.
+    """A codec of float32 arrays with an absolute error bound.
 
-    `pack` takes heights and the bound; `unpack` what it returned, and the shape.
+    `pack` takes an array and the bound; `unpack` what it returned, and the shape.
     """
 
-    name: str
-    pack: Callable[[np.ndarray, float], Stored]
-    unpack: Callable[[Any, tuple[int, int]], np.ndarray]
-    takes_nan: bool = False
     margins = (1.0, 0.999, 0.99, 0.95)
+
+    def __init__(
+        self,
+        name: str,
+        pack: Callable[[np.ndarray, float], Any],
+        unpack: Callable[[Any, tuple[int, int]], np.ndarray],
+    ) -> None:
+        self.name, self._pack, self._unpack = name, pack, unpack
 
     def refuses(self, raster: Raster, max_error: float) -> str:
         return "" if float_bound(raster, max_error) > 0 else "bound below float32"
 
-    def encode(self, raster: Raster, max_error: float, margin: float) -> Stored:
-        return self.pack(raster.heights.astype(np.float32), float_bound(raster, max_error) * margin)
-
-    def decode(self, stored: Stored, raster: Raster, max_error: float) -> np.ndarray:
-        return snap_to_grid(self.unpack(stored, raster.heights.shape), raster)
+    def calls(self, raster: Raster, max_error: float, margin: float) -> Calls:
+        array, bound = raster.heights.astype(np.float32), float_bound(raster, max_error) * margin
+        return Calls(
+            lambda: self._pack(array, bound),
+            lambda stored: self._unpack(stored, array.shape),
+            lambda decoded: snap_to_grid(decoded, raster),
+        )
 
 
 def sperr() -> Codec:
@@ -201,7 +279,7 @@ def sperr() -> Codec:
 
     return _FloatCodec(
         "sperr",
-        lambda heights, bound: library.sperr_encode(heights, level=bound, mode="pwe", numthreads=1),
+        lambda array, bound: library.sperr_encode(array, level=bound, mode="pwe", numthreads=1),
         lambda stored, _shape: library.sperr_decode(stored, numthreads=1),
     )
 
@@ -212,7 +290,7 @@ def sz3() -> Codec:
 
     return _FloatCodec(
         "sz3",
-        lambda heights, bound: library.sz3_encode(heights, mode="abs", abs=bound),
+        lambda array, bound: library.sz3_encode(array, mode="abs", abs=bound),
         lambda stored, shape: library.sz3_decode(stored, shape=shape, dtype=np.float32),
     )
 
@@ -221,49 +299,17 @@ def sz3_interpolation() -> Codec:
     """Return SZ3 with its interpolation predictor, which wins at low rates."""
     import pysz as library
 
-    def pack(heights: np.ndarray, bound: float) -> bytes:
-        config = library.szConfig(heights.shape)
+    def pack(array: np.ndarray, bound: float) -> np.ndarray:
+        config = library.szConfig(array.shape)
         config.errorBoundMode = library.szErrorBoundMode.ABS
         config.absErrorBound = bound
         config.cmprAlgo = library.szAlgorithm.INTERP
-        return library.sz.compress(heights, config)[0].tobytes()
+        return library.sz.compress(array, config)[0]
 
-    def unpack(stored: bytes, shape: tuple[int, int]) -> np.ndarray:
-        return library.sz.decompress(np.frombuffer(stored, np.uint8), np.float32, shape)[0]
+    def unpack(stored: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+        return library.sz.decompress(stored, np.float32, shape)[0]
 
     return _FloatCodec("sz3-interp", pack, unpack)
-
-
-def cog_lerc(folder: Path, threads: int = 1) -> Codec:
-    """Return cloud-optimised GeoTIFF with LERC_ZSTD and overviews, what GIS users have today.
-
-    float32 at the widened bound: 15 % smaller at 1 m than LERC on the same heights as
-    int16, which quantises with 2 * max_error instead of 2 * max_error + 1.
-    """
-
-    def pack(heights: np.ndarray, bound: float) -> Path:
-        n_rows, n_cols = heights.shape
-        profile = {"count": 1, "height": n_rows, "width": n_cols, "dtype": "float32"}
-        if np.isnan(heights).any():
-            profile["nodata"] = np.nan
-        with rasterio.MemoryFile() as memory:
-            with memory.open(driver="GTiff", **profile) as sink:
-                sink.write(heights, 1)
-            with memory.open() as source:
-                rasterio.shutil.copy(
-                    source, folder / "cog.tif", driver="COG", COMPRESS="LERC_ZSTD",
-                    MAX_Z_ERROR=repr(bound), MAX_Z_ERROR_OVERVIEW=repr(bound), BLOCKSIZE="512",
-                    OVERVIEWS="AUTO", NUM_THREADS=str(threads),
-                )  # fmt: skip
-        return folder / "cog.tif"
-
-    def unpack(stored: Path, _shape: tuple[int, int]) -> np.ndarray:
-        with rasterio.open(stored, NUM_THREADS=threads) as source:
-            return source.read(1)
-
-    codec = _FloatCodec("cog-overviews" + "×2" * (threads > 1), pack, unpack, takes_nan=True)
-    codec.threads = threads
-    return codec
 
 
 PEERS: dict[str, Callable[[Path], Codec]] = {
@@ -272,10 +318,11 @@ PEERS: dict[str, Callable[[Path], Codec]] = {
     "sz3-interp": lambda _folder: sz3_interpolation(),
     "jxl-e9": lambda _folder: _JpegXl(9),
     "jxl-e7": lambda _folder: _JpegXl(7),
-    "cog-overviews": cog_lerc,
-    "cog-overviews×2": functools.partial(cog_lerc, threads=2),
+    "cog": _Cog,
+    "cog-float32": lambda folder: _Cog(folder, as_float=True),
+    "cog-zstd": lambda folder: _Cog(folder, compress="ZSTD"),
+    "cog×2": lambda folder: _Cog(folder, threads=2),
 }
-NAMES = ("terrainwave", *PEERS)
 
 
 def make_codecs(names: Iterable[str], methods: Iterable[str], folder: Path) -> list[Codec]:

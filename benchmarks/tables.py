@@ -23,11 +23,16 @@ DOCUMENTS = [
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
     if "<!-- table: " in path.read_text(encoding="utf-8")
 ]
+RAPID = "terrainwave-rapid"
 PREDICTIVE = "terrainwave-predictive"
 FAST = f"{PREDICTIVE}-fast"
 BEST = f"{PREDICTIVE}-best"
 CDF97 = "terrainwave-cdf97"
-OUR_CODECS = ("terrainwave-auto", "terrainwave-rapid", PREDICTIVE, FAST, BEST, CDF97)
+OUR_CODECS = (RAPID, PREDICTIVE, FAST, BEST, CDF97)
+# As a raster's own type, as float32 at the widened bound, and without LERC where lossless: sizes
+# are compared with the smallest, speeds with the first, which is what its user makes.
+COGS = ("cog", "cog-float32", "cog-zstd")
+LARGE = 4_000_000  # samples from which speeds are in the row of large rasters
 
 TABLES = tomllib.loads(Path(__file__).with_name("tables.toml").read_text(encoding="utf-8"))
 
@@ -193,11 +198,11 @@ def compared_codecs(results: Path) -> Rows:
     cases = []
     for (raster, bound), peers in sorted(found.items()):
         ours = {name: peers.pop(name, Missing()) for name in OUR_CODECS}
-        cog = peers.pop("cog-overviews", math.nan)
-        if peers and is_measured(ours[PREDICTIVE]):
+        cog = min((peers.pop(name) for name in COGS if name in peers), default=math.nan)
+        if peers and is_measured(ours[RAPID]):
             best, name = min((bits, name) for name, bits in peers.items())
             row = {"raster": raster, "bound": bound, "cog": cog, "best": best, "best_peer": name}
-            cases.append(row | ours | {"ratio": ours[PREDICTIVE] / best})
+            cases.append(row | ours | {"ratio": ours[RAPID] / best})
     return cases
 
 
@@ -219,10 +224,11 @@ def _groups(results: Path) -> dict[str, Rows]:
 
 
 def summarized_cases(results: Path) -> Rows:
-    """Return geometric means of size / best peer of `predictive` over groups of cases."""
+    """Return sizes of the default over the best peer's and over COGs', by groups of cases."""
     return [
-        {"cases": name, "number": len(group), "largest": _ratio(group, PREDICTIVE, of=max)}
-        | {other: _ratio(group, PREDICTIVE, other) for other in ("best", "cog")}
+        {"cases": name, "number": len(group)}
+        | {other: _ratio(group, RAPID, other) for other in ("best", "cog")}
+        | {f"{other} largest": _ratio(group, RAPID, other, of=max) for other in ("best", "cog")}
         for name, group in _groups(results).items()
         if group
     ]
@@ -241,63 +247,137 @@ def summarized_methods(results: Path) -> Rows:
     ]
 
 
+def speed_cases(results: Path) -> Rows:
+    """Return each codec's speeds in each case, and over those of the COG it took turns with."""
+    found: Rows = []
+    turns = pivot(read(results, "speeds"), ("raster", "max_error", "threads", "is_slow"), "codec")
+    for turn in turns:
+        lines = [row for name, row in turn.items() if name.startswith("codec=")]
+        (cog,) = (row for row in lines if row["codec"].split("×")[0] == "cog")
+        for row in lines:
+            if row is cog and row["is_slow"] == "True":
+                continue
+            found.append(
+                row
+                | {"codec": row["codec"].split("×")[0], "is_large": row["n_samples"] >= LARGE}
+                | {"group": "lossy" if row["max_error"] else "lossless"}
+                | {
+                    f"{what} / COG": row[f"{what}_speed"] / cog[f"{what}_speed"]
+                    for what in ("encode", "decode")
+                }
+            )
+    return found  # fmt: skip
+
+
 def compared_speeds(results: Path) -> Rows:
-    """Return geometric means of each codec's speeds, and of those over COGs' by as many threads."""
+    """Return each codec's speeds by threads and size of rasters: geometric means, and the least."""
     found: dict[tuple, Row] = defaultdict(lambda: defaultdict(list))
-    for case in pivot(read(results, "speeds"), ("raster", "max_error", "threads"), "codec"):
-        group = "lossy" if case["max_error"] else "lossless"
-        lines = {name[6:]: row for name, row in case.items() if name.startswith("codec=")}
-        cog = next(row for name, row in lines.items() if name.startswith("cog"))
-        for name, what in itertools.product(lines, ("encode_speed", "decode_speed")):
-            means = found[name.split("×")[0], case["threads"]]
-            means[f"{what} {group}"].append(lines[name][what])
-            means[f"{what} {group} / COG"].append(lines[name][what] / cog[what])
+    for row in speed_cases(results):
+        means = found[row["threads"], row["is_large"], row["codec"]]
+        for what in ("encode", "decode"):
+            means[f"{what} {row['group']}"].append(row[f"{what}_speed"])
+            means[f"{what} {row['group']} / COG"].append(row[f"{what} / COG"])
+    fields = [f"{what} {group}{end}" for what in ("encode", "decode")
+              for group in ("lossless", "lossy") for end in ("", " / COG", " least")]  # fmt: skip
+    lines = []
+    for (threads, is_large, codec), values in found.items():
+        least = {key.replace("/ COG", "least"): min(v) for key, v in values.items() if "/" in key}
+        means = {key: geometric_mean(v) for key, v in values.items()}
+        line = {"codec": codec, "threads": threads, "is_large": is_large}
+        line["rasters"] = "4 Mpx and more" if is_large else "1 to 4 Mpx"
+        lines.append(dict.fromkeys(fields, Missing()) | line | means | least)
+    return sorted(lines, key=lambda line: (line["threads"], not line["is_large"]))
+
+
+def default_reads(results: Path) -> Rows:
+    """Return how fast files of the default are read, by raster and bound, beside the COG."""
+    rows = [row for row in speed_cases(results) if row["threads"] == 1]
+    cogs = {
+        (row["raster"], row["max_error"]): row["decode_speed"]
+        for row in rows
+        if row["codec"] == "cog"
+    }
     return [
-        {"codec": codec, "threads": threads} | {k: geometric_mean(v) for k, v in means.items()}
-        for (codec, threads), means in found.items()
+        row | {"cog_speed": cogs[row["raster"], row["max_error"]], "ratio": row["decode / COG"]}
+        for row in rows
+        if row["codec"] == f"{RAPID}+"
     ]
+
+
+def archives(results: Path) -> Rows:
+    """Return what the smaller methods save of the default's size, and what they cost in time."""
+    cases = compared_codecs(results)
+    speeds = {
+        (row["codec"], row["raster"], row["max_error"]): row
+        for row in speed_cases(results)
+        if row["threads"] == 1
+    }
+    found = []
+    for codec, name in ((PREDICTIVE, "`--method predictive`"), (BEST, "`--effort best`")):
+        sizes = [case[codec] / case[RAPID] for case in cases if is_measured(case[codec])]
+        row = {"codec": name, "cases": len(sizes), "mean": geometric_mean(sizes) if sizes else 0}
+        row |= {"least": min(sizes, default=0), "most": max(sizes, default=0)}
+        for what in ("decode", "encode"):
+            times = [
+                speeds[RAPID, raster, bound][f"{what}_speed"] / line[f"{what}_speed"]
+                for (other, raster, bound), line in speeds.items()
+                if other == codec
+            ]
+            row[what] = geometric_mean(times) if times else Missing()
+            row[f"{what} most"] = max(times, default=Missing())
+        found.append(row)
+    return found if cases else []
 
 
 # What tables that compare call codecs, and theirs in the CSVs of sizes and of speeds.
 SIDE_BY_SIDE = {
-    "terrainwave, default": ("terrainwave-auto", "terrainwave-auto+"),
-    "terrainwave, codec alone": ("terrainwave-auto", "terrainwave-auto"),
-    "`--method rapid`, codec alone": ("terrainwave-rapid", "terrainwave-rapid"),
-    "`--method predictive`, codec alone": (PREDICTIVE, PREDICTIVE),
-    "COG, LERC_ZSTD, overviews": ("cog-overviews", "cog-overviews"),
+    "terrainwave": (RAPID, f"{RAPID}+"),
+    "terrainwave without meshes and proof": (RAPID, RAPID),
+    "terrainwave, `--method predictive`, likewise": (PREDICTIVE, PREDICTIVE),
+    "COG, LERC_ZSTD": ("cog", "cog"),
+    "COG, LERC_ZSTD of float32": ("cog-float32", "cog-float32"),
     "JPEG XL": ("jxl-e9", "jxl-e7"),
     "SZ3": ("sz3", "sz3"),
     "SPERR": ("sperr", "sperr"),
 }
+_SHORT = (RAPID, "cog", "jxl-e9", "sz3", "sperr")  # in README's table, the first line of each
 
 
 def side_by_side(results: Path) -> Rows:
-    """Return sizes over COGs', speeds on one thread, and triangles over greedy Delaunay's."""
+    """Return sizes over the smallest COG's, and speeds on one thread.
+
+    Sizes of all rasters; speeds of those of 4 Mpx and more.
+    """
     sizes: dict[str, dict[tuple, float]] = defaultdict(dict)
     for row in (row for name in ("rapid", "predictive", "peers") for row in read(results, name)):
         is_twice = row["dtype"].startswith("int") and 0 < row["max_error"] < 1
         if not (is_twice or is_measured(row["problem"])):
             sizes[row["codec"]][row["raster"], row["max_error"]] = row["n_bytes"]
-    speeds = {row["codec"]: row for row in compared_speeds(results) if row["threads"] == 1}
-    meshes = read(results, "meshes")
-    if not (sizes and speeds and meshes):
+    speeds = {
+        row["codec"]: row
+        for row in compared_speeds(results)
+        if row["threads"] == 1 and row["is_large"]
+    }
+    if not (sizes and speeds):
         return []
-    found = []
+    cogs = {
+        case: min(sizes[cog][case] for cog in COGS if case in sizes[cog]) for case in sizes["cog"]
+    }
+    found, shown = [], set[str]()
     for name, (codec, timed) in SIDE_BY_SIDE.items():
-        cogs = sizes["cog-overviews"]
-        ratios = {case: size / cogs[case] for case, size in sizes[codec].items() if case in cogs}
-        row = {
-            "codec": name,
-            "cases": len(ratios),
-            "is_first": "alone" not in name or "rapid" in name,
-            "size": geometric_mean(list(ratios.values())),
-            "lossless": geometric_mean([r for (_, bound), r in ratios.items() if not bound]),
-            "lossy": geometric_mean([r for (_, bound), r in ratios.items() if bound]),
-            "triangles": Missing(),
-        } | {key.replace(" ", "_"): value for key, value in speeds[timed].items() if "_" in key}
-        if timed == "terrainwave-auto+":
-            row["triangles"] = geometric_mean([mesh["ratio"] for mesh in meshes])
-        found.append(row)
+        # As float32 alone is not another case: the raster's own type stands for it.
+        known = sizes["cog"] | sizes[codec] if codec in COGS else sizes[codec]
+        ratios = {case: size / cogs[case] for case, size in known.items() if case in cogs}
+        row = {"codec": name, "is_first": codec in _SHORT and codec not in shown}
+        for group, values in (
+            ("all", [*ratios.values()]),
+            ("lossless", [ratio for (_, bound), ratio in ratios.items() if not bound]),
+            ("lossy", [ratio for (_, bound), ratio in ratios.items() if bound]),
+        ):
+            row |= {group: geometric_mean(values), f"{group} largest": max(values)}
+        shown.add(codec)
+        row["cases"] = len(ratios)
+        found.append(row | {key: value for key, value in speeds[timed].items() if " " in key})
     return found
 
 
@@ -359,7 +439,7 @@ def network_faults(results: Path) -> Rows:
     return [{field: sum(row[field] for row in rows) for field in fields}] if rows else []
 
 
-REPORTED = ("summary", "methods", "speeds", "cases")  # in bench.md
+REPORTED = ("summary", "methods", "archives", "speeds", "default_reads", "cases")  # in bench.md
 _SLOT = re.compile(r"<!-- table: (\w+) -->\n.*?<!-- end -->", re.DOTALL)
 
 
