@@ -17,8 +17,9 @@ def run(*args):
     return result
 
 
-def _with_default_interrupt():
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+def _with_default_signals():
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        signal.signal(getattr(signal, name), signal.SIG_DFL)
 
 
 def start(*args, **options):
@@ -30,8 +31,9 @@ def start(*args, **options):
         stderr=subprocess.PIPE,
         text=True,
         encoding="utf-8",
-        # What was started in the background of a shell ignores Ctrl-C, and hands that on.
-        preexec_fn=None if sys.platform == "win32" else _with_default_interrupt,
+        # What was started in the background of a shell ignores Ctrl-C, what nohup started SIGHUP,
+        # and both hand that on.
+        preexec_fn=None if sys.platform == "win32" else _with_default_signals,
         env=os.environ
         | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "PYTHONIOENCODING": "utf-8"},
         **options,

@@ -688,6 +688,7 @@ def test_a_signal_leaves_the_target_and_nothing_else(tmp_path, name, status, wor
 @pytest.mark.skipif(sys.platform == "win32", reason="no such signals")
 def test_signals_that_are_ignored_stay_so_and_a_second_one_does_not_stop_the_clearing_up():
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    terminated = signal.signal(signal.SIGTERM, signal.SIG_DFL)
     try:
         with ending_by_signals():
             assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
@@ -698,6 +699,7 @@ def test_signals_that_are_ignored_stay_so_and_a_second_one_does_not_stop_the_cle
         assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
     finally:
         signal.signal(signal.SIGHUP, before)
+        signal.signal(signal.SIGTERM, terminated)
 
 
 def test_lack_of_memory_is_one_line(tmp_path, dem, monkeypatch):
