@@ -140,7 +140,7 @@ $(VENV)/.installed-release: $(VENV)/.created pyproject.toml
 	@touch $@
 
 release-check: $(VENV)/.installed-release system
-	$(BIN)/python -m benchmarks.reliability.release
+	$(BIN)/python -m tools.release_check
 
 clean:
 	rm -rf $(VENV) demo build dist .numba .pytest_cache .hypothesis .mypy_cache .ruff_cache

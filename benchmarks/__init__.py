@@ -1,1 +1,1 @@
-"""Benchmarks: other codecs at equal bounds, a matrix of cases, memory."""
+"""Benchmarks: see README.md here for which script answers which question."""

@@ -37,8 +37,8 @@ FAMILIES = {
         ["sperr", "sz3", "sz3-interp", "jxl-e9", "cog", "cog-float32", "cog-zstd"], [],
     ),
     "speeds": (
-        ["sperr", "sz3", "jxl-e7", "cog", "cog-float32", "cog-zstd", "cog×2", "terrainwave"],
-        ["rapid+", "rapid", "predictive", "predictive-best", "cdf97", "rapid×2", "rapid+×2"],
+        ["sperr", "sz3", "jxl-e7", "cog", "cog-float32", "cog-zstd", "terrainwave"],
+        ["rapid+", "rapid", "predictive", "predictive-best", "cdf97"],
     ),
 }  # fmt: skip
 PART = click.Choice(FAMILIES)

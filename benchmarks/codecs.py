@@ -20,7 +20,7 @@ SPEED_SAMPLES = 1_000_000, 20_000_000
 SPEED_BOUNDS = 0.0, 1.0, 10.0
 # Slow codecs take turns among themselves and with a COG, so that the others are run more often.
 SLOW = ("sperr", "jxl", "terrainwave-predictive", "terrainwave-cdf97")
-SPEED_RUNS = {False: 7, True: 2}
+SPEED_RUNS = {False: 5, True: 1}
 NOT_POSSIBLE = "not possible"
 OWN_MASK = "own mask"
 NAN = "NaN"
@@ -37,12 +37,11 @@ Row = namedtuple(
 Errors = namedtuple("Errors", "measured_error rmse problem")
 # One setting of a codec: which fill, which margin, what came of it.
 Trial = namedtuple("Trial", "codec max_error raster fill margin stored n_bytes errors")
-# One line of ``speeds.csv``; speeds in 10^6 samples/s, of processor time where one thread runs. The
-# codecs of a raster, a bound, a number of threads and a value of `is_slow` took turns.
+# One line of ``speeds.csv``; speeds in 10^6 samples/s of processor time, on one thread. The codecs
+# of a raster, a bound and a value of `is_slow` took turns.
 SpeedRow = namedtuple(
     "SpeedRow",
-    "raster max_error codec threads is_slow n_samples bits_per_sample encode_speed decode_speed "
-    "n_runs",
+    "raster max_error codec is_slow n_samples bits_per_sample encode_speed decode_speed n_runs",
 )
 
 
@@ -82,9 +81,7 @@ def time_trials(trials: Sequence[Trial], n_runs: int, **how) -> list[common.Time
     tasks = []
     for trial in trials:
         encode, decode, _ = trial.codec.calls(trial.raster, trial.max_error, trial.margin)
-        # A file may be another trial's by now.
-        stored = trial.stored if isinstance(trial.stored, bytes) else encode()
-        tasks += [encode, partial(decode, stored)]
+        tasks += [encode, partial(decode, trial.stored)]
     return common.take_turns(lambda: tasks, n_runs, **how)
 
 
@@ -102,7 +99,10 @@ def best_trial(codec: Codec, forms: Forms, max_error: float) -> Trial:
             if not errors.problem:
                 break
     kept = [trial for trial in trials if not trial.errors.problem]
-    return min(kept, key=lambda trial: trial.n_bytes) if kept else trials[-1]
+    best = min(kept, key=lambda trial: trial.n_bytes) if kept else trials[-1]
+    if best is not trials[-1]:  # its file has been written over
+        best = best._replace(stored=codec.calls(best.raster, max_error, best.margin).encode())
+    return best
 
 
 def _forms_for(codec: Codec, forms: Forms) -> Iterator[tuple[str, Raster, int]]:
@@ -193,30 +193,24 @@ def measure_speeds(
             # The best trial checks the bound.
             able = [codec for codec in codecs if not codec.refuses(raster, bound)]
             trials = [best_trial(codec, forms, bound) for codec in able]
-            for threads in sorted({codec.threads for codec in able}):
-                here = [trial for trial in trials if trial.codec.threads == threads]
-                fast, slow = (
-                    [trial for trial in here if trial.codec.name.startswith(SLOW) == is_slow]
-                    for is_slow in (False, True)
-                )
-                yield from _speeds(fast, is_slow=False)
-                if slow:
-                    cog = next(trial for trial in fast if trial.codec.name == "cog")
-                    yield from _speeds([cog, *slow], is_slow=True)
+            fast, slow = (
+                [trial for trial in trials if trial.codec.name.startswith(SLOW) == is_slow]
+                for is_slow in (False, True)
+            )
+            yield from _speeds(fast, is_slow=False)
+            if slow:
+                cog = next(trial for trial in fast if trial.codec.name == "cog")
+                yield from _speeds([cog, *slow], is_slow=True)
 
 
 def _speeds(trials: Sequence[Trial], *, is_slow: bool) -> Iterator[SpeedRow]:
-    threads = trials[0].codec.threads
-    common.pin_to_cores(threads)
-    clock = time.process_time if threads == 1 else time.perf_counter
-    times = iter(time_trials(trials, SPEED_RUNS[is_slow], clock=clock))
-    common.pin_to_cores()
+    times = iter(time_trials(trials, SPEED_RUNS[is_slow], clock=time.process_time))
     for trial, encode, decode in zip(trials, times, times, strict=True):
         if trial.errors.problem:
             raise RuntimeError(f"{trial.raster.name}, {trial.codec.name}: {trial.errors}")
         n = trial.raster.heights.size
         yield SpeedRow(
-            trial.raster.name, trial.max_error, trial.codec.name, threads, is_slow, n,
+            trial.raster.name, trial.max_error, trial.codec.name, is_slow, n,
             round(8 * trial.n_bytes / n, 5), round(n / encode.seconds / 1e6, 2),
             round(n / decode.seconds / 1e6, 2), encode.n_runs,
         )  # fmt: skip

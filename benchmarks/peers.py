@@ -51,7 +51,6 @@ class Codec:
     knows_voids = False
     takes_fills = True
     margins: tuple[float, ...] = (1.0,)
-    threads = 1
 
     def takes_nan(self, raster: Raster) -> bool:
         """Return whether voids may be NaN."""
@@ -76,10 +75,9 @@ class Terrainwave(Codec):
     takes_fills = False
 
     def __init__(self, method: str, folder: Path) -> None:
-        """Take a method, or a method and an effort: ``predictive-fast``; "×2": two threads."""
+        """Take a method, or a method and an effort: ``predictive-fast``."""
         self.name = f"terrainwave-{method}"
-        method, _, threads = method.partition("×")
-        self.threads, self._is_whole = int(threads or 1), method.endswith("+")
+        self._is_whole = method.endswith("+")
         self._method, _, effort = method.rstrip("+").partition("-")
         self._effort = effort or "default"
         self._source, self._target = _places(folder, self.name, ".twz")
@@ -92,13 +90,13 @@ class Terrainwave(Codec):
 
         def encode() -> Path:
             terrainwave.compress(
-                self._source, self._target, max_error=max_error, threads=self.threads,
+                self._source, self._target, max_error=max_error, threads=1,
                 overwrite=True, **options,
             )  # fmt: skip
             return self._target
 
         def decode(stored: Path) -> np.ndarray:
-            with terrainwave.open(stored, threads=self.threads) as terrain:
+            with terrainwave.open(stored, threads=1) as terrain:
                 return terrain.read()
 
         return Calls(encode, decode, as_they_are)
@@ -117,14 +115,13 @@ class _Cog(Codec):
     """
 
     def __init__(
-        self, folder: Path, *, compress: str = "LERC_ZSTD", as_float: bool = False, threads: int = 1
+        self, folder: Path, *, compress: str = "LERC_ZSTD", as_float: bool = False
     ) -> None:
         self.name = "cog" + "-float32" * as_float + "-zstd" * (compress == "ZSTD")
-        self.name += f"×{threads}" * (threads > 1)
         self.knows_voids = not as_float
         # Where a float is decoded a rounding beyond the bound.
         self.margins = (1.0, 0.999, 0.99, 0.95)
-        self.threads, self._as_float, self._compress = threads, as_float, compress
+        self._as_float, self._compress = as_float, compress
         self._source, self._target = _places(folder, self.name, ".tif")
 
     def takes_nan(self, raster: Raster) -> bool:
@@ -146,20 +143,18 @@ class _Cog(Codec):
             raster = replace(raster, nodata=math.nan)
         write_geotiff(raster, self._source)
         options = {"COMPRESS": self._compress, "BLOCKSIZE": "512", "OVERVIEWS": "AUTO"}
-        options["NUM_THREADS"] = str(self.threads)
         if self._compress == "ZSTD":
             options["PREDICTOR"] = "YES"
         else:
             error = repr(bound * margin)
             options |= {"MAX_Z_ERROR": error, "MAX_Z_ERROR_OVERVIEW": error}
-        threads = {"NUM_THREADS": self.threads} if self.threads > 1 else {}
 
         def encode() -> Path:
             rasterio.shutil.copy(self._source, self._target, driver="COG", **options)
             return self._target
 
         def decode(stored: Path) -> np.ndarray:
-            with rasterio.open(stored, **threads) as source:
+            with rasterio.open(stored) as source:
                 return source.read(1)
 
         return Calls(encode, decode, heights)
@@ -321,7 +316,6 @@ PEERS: dict[str, Callable[[Path], Codec]] = {
     "cog": _Cog,
     "cog-float32": lambda folder: _Cog(folder, as_float=True),
     "cog-zstd": lambda folder: _Cog(folder, compress="ZSTD"),
-    "cog×2": lambda folder: _Cog(folder, threads=2),
 }
 
 

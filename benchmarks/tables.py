@@ -94,11 +94,13 @@ class _Means(dict[str, float]):
 
 
 def read(results: Path, name: str, **derived: Callable[[Row], Any]) -> Rows:
-    """Return the rows of ``NAME.csv`` with fields derived from others; none if it is not there."""
-    rows = [
-        {key: Missing() if value == "" else value for key, value in row.items()}
-        for row in read_rows(results / f"{name}.csv")
-    ]
+    """Return the rows of ``NAME.csv`` with fields derived from others; none if it is not there.
+
+    Those of scripts that are gone lie in ``archive``.
+    """
+    path = results / f"{name}.csv"
+    lines = read_rows(path if path.exists() else results / "archive" / path.name)
+    rows = [{key: Missing() if v == "" else v for key, v in line.items()} for line in lines]
     return [row | {name: make(row) for name, make in derived.items()} for row in rows]
 
 
@@ -250,16 +252,16 @@ def summarized_methods(results: Path) -> Rows:
 def speed_cases(results: Path) -> Rows:
     """Return each codec's speeds in each case, and over those of the COG it took turns with."""
     found: Rows = []
-    turns = pivot(read(results, "speeds"), ("raster", "max_error", "threads", "is_slow"), "codec")
+    turns = pivot(read(results, "speeds"), ("raster", "max_error", "is_slow"), "codec")
     for turn in turns:
         lines = [row for name, row in turn.items() if name.startswith("codec=")]
-        (cog,) = (row for row in lines if row["codec"].split("×")[0] == "cog")
+        (cog,) = (row for row in lines if row["codec"] == "cog")
         for row in lines:
             if row is cog and row["is_slow"] == "True":
                 continue
             found.append(
                 row
-                | {"codec": row["codec"].split("×")[0], "is_large": row["n_samples"] >= LARGE}
+                | {"is_large": row["n_samples"] >= LARGE}
                 | {"group": "lossy" if row["max_error"] else "lossless"}
                 | {
                     f"{what} / COG": row[f"{what}_speed"] / cog[f"{what}_speed"]
@@ -270,28 +272,28 @@ def speed_cases(results: Path) -> Rows:
 
 
 def compared_speeds(results: Path) -> Rows:
-    """Return each codec's speeds by threads and size of rasters: geometric means, and the least."""
+    """Return each codec's speeds by the size of rasters: geometric means, and the least."""
     found: dict[tuple, Row] = defaultdict(lambda: defaultdict(list))
     for row in speed_cases(results):
-        means = found[row["threads"], row["is_large"], row["codec"]]
+        means = found[row["is_large"], row["codec"]]
         for what in ("encode", "decode"):
             means[f"{what} {row['group']}"].append(row[f"{what}_speed"])
             means[f"{what} {row['group']} / COG"].append(row[f"{what} / COG"])
     fields = [f"{what} {group}{end}" for what in ("encode", "decode")
               for group in ("lossless", "lossy") for end in ("", " / COG", " least")]  # fmt: skip
     lines = []
-    for (threads, is_large, codec), values in found.items():
+    for (is_large, codec), values in found.items():
         least = {key.replace("/ COG", "least"): min(v) for key, v in values.items() if "/" in key}
         means = {key: geometric_mean(v) for key, v in values.items()}
-        line = {"codec": codec, "threads": threads, "is_large": is_large}
+        line = {"codec": codec, "is_large": is_large}
         line["rasters"] = "4 Mpx and more" if is_large else "1 to 4 Mpx"
         lines.append(dict.fromkeys(fields, Missing()) | line | means | least)
-    return sorted(lines, key=lambda line: (line["threads"], not line["is_large"]))
+    return sorted(lines, key=lambda line: not line["is_large"])
 
 
 def default_reads(results: Path) -> Rows:
     """Return how fast files of the default are read, by raster and bound, beside the COG."""
-    rows = [row for row in speed_cases(results) if row["threads"] == 1]
+    rows = speed_cases(results)
     cogs = {
         (row["raster"], row["max_error"]): row["decode_speed"]
         for row in rows
@@ -307,11 +309,7 @@ def default_reads(results: Path) -> Rows:
 def archives(results: Path) -> Rows:
     """Return what the smaller methods save of the default's size, and what they cost in time."""
     cases = compared_codecs(results)
-    speeds = {
-        (row["codec"], row["raster"], row["max_error"]): row
-        for row in speed_cases(results)
-        if row["threads"] == 1
-    }
+    speeds = {(row["codec"], row["raster"], row["max_error"]): row for row in speed_cases(results)}
     found = []
     for codec, name in ((PREDICTIVE, "`--method predictive`"), (BEST, "`--effort best`")):
         sizes = [case[codec] / case[RAPID] for case in cases if is_measured(case[codec])]
@@ -353,11 +351,7 @@ def side_by_side(results: Path) -> Rows:
         is_twice = row["dtype"].startswith("int") and 0 < row["max_error"] < 1
         if not (is_twice or is_measured(row["problem"])):
             sizes[row["codec"]][row["raster"], row["max_error"]] = row["n_bytes"]
-    speeds = {
-        row["codec"]: row
-        for row in compared_speeds(results)
-        if row["threads"] == 1 and row["is_large"]
-    }
+    speeds = {row["codec"]: row for row in compared_speeds(results) if row["is_large"]}
     if not (sizes and speeds):
         return []
     cogs = {

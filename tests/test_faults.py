@@ -374,7 +374,7 @@ def test_a_damaged_file_leaves_the_target_of_decompress_as_it_was(tiff, tmp_path
     assert_untouched(tiff)
 
 
-# The trials of benchmarks/reliability, fewer of each: figures are in docs/reliability.md.
+# The trials of faults/, fewer of each: figures are in docs/reliability.md.
 
 
 @pytest.mark.full
@@ -383,7 +383,7 @@ def test_a_damaged_file_leaves_the_target_of_decompress_as_it_was(tiff, tmp_path
 def test_a_few_trials_of_each_kind_find_no_fault(tmp_path):
     few = "--side 200 --kills 4 --disks 2 --pairs 2 --forks 2 --opens 20".split()
     subprocess.run(
-        [sys.executable, "-m", "benchmarks.reliability.faults", *few, "--out", str(tmp_path)],
+        [sys.executable, "-m", "faults.run", *few, "--out", str(tmp_path)],
         check=True,  # its status is 1 where a trial found a fault
         cwd=Path(__file__).parent.parent,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},

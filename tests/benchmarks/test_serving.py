@@ -5,7 +5,7 @@ from click.testing import CliRunner
 from ext.rasters import hills, write_raster
 
 from benchmarks import common
-from benchmarks.reliability import serving
+from faults import serving
 
 
 def test_requests_are_counted_by_kind_and_status():

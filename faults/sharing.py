@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 import terrainwave
-from benchmarks.reliability.commands import Command, Run
-from benchmarks.reliability.faulty_server import FaultyServer
-from benchmarks.reliability.kills import fresh, left_over, measured
+from faults.commands import Command, Run
+from faults.faulty_server import FaultyServer
+from faults.kills import fresh, left_over, measured
 
 # Pairs of runs, and runs that were refused. What lies at the target: what the first writes, or the
 # second; of commands that change what is there, what one makes of the other's; or else.

@@ -1,6 +1,6 @@
-"""The clients of `benchmarks.reliability.serving`, in a process of their own.
+"""The clients of `faults.serving`, in a process of their own.
 
-``python -m benchmarks.reliability.clients ADDRESS CLIENTS SLOW SECONDS`` prints JSON: `requests`,
+``python -m faults.clients ADDRESS CLIENTS SLOW SECONDS`` prints JSON: `requests`,
 each a kind, milliseconds and status, and `slow`: how many connections slow clients had, and how
 many of them the server ended.
 """

@@ -1,4 +1,4 @@
-"""Measure whole commands by raster size: ``python -m benchmarks.reliability.scale dem.tif``.
+"""Measure whole commands by raster size: ``python -m benchmarks.scale dem.tif``.
 
 Each raster mirrors `dem.tif` (windows at a time), so all have the same ground: a square of 4096²
 samples serves best. Each stage is a process of its own with two threads:

@@ -1,4 +1,4 @@
-"""Load `terrainwave serve`: ``python -m benchmarks.reliability.serving dem.tif``.
+"""Load `terrainwave serve`: ``python -m faults.serving dem.tif``.
 
 Serves files made from a raster on a free port of 127.0.0.1, and lets clients in a process of their
 own ask for all there is, a mix of right, wrong and malformed requests, while others are slow.
@@ -91,7 +91,7 @@ def run(
     server = psutil.Process(pid)
     held = [held_by(server, "before")]
     with subprocess.Popen(
-        [sys.executable, "-m", "benchmarks.reliability.clients", address, str(n_clients),
+        [sys.executable, "-m", "faults.clients", address, str(n_clients),
          str(n_slow), str(seconds)],
         stdout=subprocess.PIPE, cwd=common.ROOT,
     ) as clients:  # fmt: skip

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import IO
 
-from benchmarks.reliability.commands import (
+from faults.commands import (
     OLD,
     PATIENCE,
     Command,

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from benchmarks.reliability.commands import Command, Ended, Run, temporary_in
-from benchmarks.reliability.kills import bystanders, contents, fresh, left_over, measured, state
+from faults.commands import Command, Ended, Run, temporary_in
+from faults.kills import bystanders, contents, fresh, left_over, measured, state
 
 # What ran out; trials; how many were refused, with one line and status 1; runs that had room
 # enough; what lay at the target afterwards; files left over; refusals whose last line names no

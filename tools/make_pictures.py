@@ -1,4 +1,4 @@
-"""Draw the pictures of the README and of the documentation: ``python -m benchmarks.pictures DIR``.
+"""Draw the pictures of the README and of the documentation: ``python -m tools.make_pictures DIR``.
 
 DIR has the rasters named below. Views with the renderer, the meshes of all its modes, the shaded
 mesh at three errors, the levels that it mixes, and how far it is from the raster go to docs/images.

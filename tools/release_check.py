@@ -29,7 +29,7 @@ from packaging.utils import canonicalize_name
 from packaging.version import Version
 
 from benchmarks.common import ROOT, ListOption, command, option, write_rows
-from benchmarks.reliability.uses import TYPED, USES
+from tools.release_uses import TYPED, USES
 
 DOCUMENTS = ("README.md", "docs/index.md")
 # What developers install.

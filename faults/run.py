@@ -14,8 +14,8 @@ from typing import Any
 import click
 
 from benchmarks.common import COUNT, EXISTING, ListOption, command, option, write_rows
-from benchmarks.reliability import disk, kills, network, sharing
-from benchmarks.reliability.commands import (
+from faults import disk, kills, network, sharing
+from faults.commands import (
     everything_on_disk,
     make_inputs,
     warm_up,

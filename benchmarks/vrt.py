@@ -1,4 +1,4 @@
-"""Compress one raster as 10,000 files and as one: ``python -m benchmarks.reliability.vrt dem.tif``.
+"""Compress one raster as 10,000 files and as one: ``python -m benchmarks.vrt dem.tif``.
 
 The raster mirrors `dem.tif`: 100 x 100 tiles of 128², each a GeoTIFF of its own. It is compressed
 (`rapid`, --max-error 1, two threads, without proof: the heights are read as often as `auto` reads
@@ -37,7 +37,7 @@ LIMIT = 64
 # Imports rasterio, so it runs in another process.
 _MAKE = """
 import sys
-from benchmarks.reliability import vrt
+from benchmarks import vrt
 vrt.make(*sys.argv[1:])
 """
 # The list of a mosaic is longer than a command line may be elsewhere.

@@ -1,4 +1,4 @@
-"""Golden files in many environments: ``python -m benchmarks.reliability.same_bytes``.
+"""Golden files in many environments: ``python -m benchmarks.same_bytes``.
 
 In each environment (another processor for LLVM, fewer vector instructions, other loops of numpy,
 other numbers of threads, other releases) all files of ``tests/golden`` are decoded wholly, heights,
@@ -57,7 +57,7 @@ ENVIRONMENTS: dict[str, dict[str, str]] = {
 _WORKER = """
 import sys
 sys.path[:0] = ["src", "tests", "tools", "."]
-from benchmarks.reliability import same_bytes_worker
+from benchmarks import same_bytes_worker
 same_bytes_worker.main(*sys.argv[1:])
 """
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import terrainwave
-from benchmarks.reliability.faulty_server import FAULTS, FaultyServer
+from faults.faulty_server import FAULTS, FaultyServer
 from terrainwave.container import url
 from terrainwave.errors import TerrainwaveError
 

@@ -1,4 +1,4 @@
-"""Hold our readers against the set: ``python -m benchmarks.reliability.conformance``.
+"""Hold our readers against the set: ``python -m benchmarks.conformance``.
 
 Files by reader and part: passed, outside of what the reader knows, failed. Needs node.
 """
