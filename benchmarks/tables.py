@@ -327,6 +327,15 @@ def archives(results: Path) -> Rows:
     return found if cases else []
 
 
+def archive_sentence(results: Path) -> str:
+    """Return what README, choosing.md and the help of `compress` say of ``--effort best``."""
+    (best,) = (row for row in archives(results) if "best" in row["codec"])
+    return (
+        f"{best['mean']:.2f} of the default's size ({best['least']:.2f} to {best['most']:.2f}),"
+        f" and are read {best['decode']:.0f} times as slowly"
+    )
+
+
 # What tables that compare call codecs, and theirs in the CSVs of sizes and of speeds.
 SIDE_BY_SIDE = {
     "terrainwave": (RAPID, f"{RAPID}+"),

@@ -112,3 +112,17 @@ def test_tables_of_the_readme_are_those_of_the_results():
         if path.exists():
             text = path.read_text(encoding="utf-8")
             assert fill_in(text) == text, f"{name}: run python -m benchmarks.tables"
+
+
+def test_what_effort_best_saves_and_costs_is_said_as_measured():
+    from benchmarks.common import RESULTS
+    from benchmarks.tables import archive_sentence
+    from terrainwave.cli import main
+
+    (option,) = (option for option in main.commands["compress"].params if option.name == "effort")
+    texts = [option.help]
+    texts += [
+        (ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/choosing.md")
+    ]
+    for text in texts:
+        assert archive_sentence(RESULTS) in " ".join(text.split()), "see docs/benchmarks.md"
