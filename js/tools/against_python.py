@@ -5,8 +5,8 @@ python js/tools/against_python.py speed DIR     processor time of both and of ge
 
 DIR has GeoTIFFs; `--work` keeps the files that are made of them. Each raster is compressed with
 every bound of `--max-error`, by the method that `compress` chooses and, for the comparison, by the
-other of rapid and predictive. Both need node, the comparison Chromium, chromedriver and selenium besides; `speed`
-needs ``npm install --prefix js/testing --no-package-lock``.
+other of rapid and predictive. Both need node, the comparison Chromium, chromedriver and selenium
+besides; `speed` needs ``npm install --prefix js/testing --no-package-lock``.
 
 `speed` opens files that are in memory and reads all of them, or a window of 512 x 512 samples
 anywhere, by one thread on one core: our files in Node and in Python, and in Node with geotiff.js
