@@ -167,15 +167,13 @@ def time_rows(name: str, heights: np.ndarray) -> Iterator[TimeRow]:
                 "swept": partial(by_file, files[1], error, 1),
             }
 
-        runs = [common.take_turns(lambda t=tasks: [*t().values()], 1) for _ in range(N_RUNS)]
-        for mesher, timed in zip(tasks(), zip(*runs, strict=True), strict=True):
-            found = timed[0].result
-            rows, cols, z, triangles = places_of(mesher, heights, found)
-            seconds = sorted(run.seconds for run in timed)
+        times = common.take_turns(lambda t=tasks: [*t().values()], N_RUNS)
+        for mesher, timed in zip(tasks(), times, strict=True):
+            rows, cols, z, triangles = places_of(mesher, heights, timed.result)
             yield TimeRow(
                 name, side, error, mesher, len(triangles),
                 true_error(heights, rows, cols, z, triangles),
-                round(1000 * seconds[len(seconds) // 2], 1), round(1000 * seconds[-1], 1), N_RUNS,
+                round(1000 * timed.seconds, 1), round(1000 * timed.most, 1), N_RUNS,
             )  # fmt: skip
 
 
