@@ -15,7 +15,7 @@ from rasterio.windows import Window
 
 from benchmarks import common, memory, windows
 from benchmarks.rasters import load_raster, write_cog
-from benchmarks.remote import exchanges
+from benchmarks.remote import SETTINGS, exchanges
 from benchmarks.slow_server import SlowServer
 
 JS_TOOL = Path(__file__).parents[2] / "js" / "tools" / "against_python.py"
@@ -102,15 +102,15 @@ def test_meshes_of_peers_are_made_by_their_own_calls_alone(load):
 def test_the_true_error_of_a_mesh_is_the_spike_that_it_misses(load):
     meshes = load_meshes(load, None, None)
     heights = np.zeros((3, 3), np.int32)
-    heights[1, 1], heights[0, 2] = 5, 2
-    # Two triangles on the four corners, by pydelatin's vertices (y upwards) and by pymartini's;
-    # on the diagonal that meets (0, 2), at height 2, the middle is at height 1.
+    heights[0, 1], heights[0, 2], heights[1, 2], heights[1, 1] = 10, 20, 10, 5
+    # Two triangles on the four corners, by pydelatin's vertices (y upwards) and by pymartini's. On
+    # the diagonal, which meets row 0, column 2 at height 20, the middle is at height 10 instead of 5.
     triangles = np.array([[0, 2, 1], [1, 2, 3]])
-    by_delatin = np.array([[0, 2, 0], [2, 2, 2], [0, 0, 0], [2, 0, 0]], np.float32)
+    by_delatin = np.array([[0, 2, 0], [2, 2, 20], [0, 0, 0], [2, 0, 0]], np.float32)
     by_martini = np.array([[0, 0], [2, 0], [0, 2], [2, 2]], np.uint16)
     for mesher, vertices in (("delatin", by_delatin), ("martini", by_martini)):
         rows, cols, z, found = meshes.places_of(mesher, heights, (vertices, triangles))
-        assert meshes.true_error(heights, rows, cols, z, found) == 4
+        assert meshes.true_error(heights, rows, cols, z, found) == 5
         with pytest.raises(click.ClickException, match="cover"):
             meshes.true_error(heights, rows, cols, z, found[:1])
 
@@ -138,9 +138,8 @@ def test_the_process_that_makes_a_cog_has_nothing_of_ours_and_its_own_settings(
     assert cog == small == [
         sys.executable, "-c", memory._COG, str(tmp_path / "a.tif"), str(tmp_path / "b.out"), "0.5"
     ]  # fmt: skip
-    imports = [
-        n.names[0].name for n in ast.walk(ast.parse(memory._COG)) if isinstance(n, ast.Import)
-    ]
+    nodes = [node for node in ast.walk(ast.parse(memory._COG)) if isinstance(node, ast.Import)]
+    imports = [alias.name for node in nodes for alias in node.names]
     assert imports == ["sys", "rasterio.shutil"]
     assert "GDAL_CACHEMAX" not in ran[2][1]["env"]
     assert ran[3][1]["env"]["GDAL_CACHEMAX"] == "64"
@@ -174,22 +173,21 @@ def test_both_readers_of_windows_hold_the_bound_and_give_the_rasters_type(tmp_pa
 
 def test_a_cogs_window_over_http_counts_every_request_of_gdal(tmp_path):
     write_cog(make_dem(tmp_path / "a.tif"), tmp_path / "cog.tif", 1.0)
-    with SlowServer(tmp_path, 0.0) as server:
+    with rasterio.Env(**SETTINGS), SlowServer(tmp_path, 0.0) as server:
         requests, rounds, n_bytes, seconds, cpu_seconds = exchanges(
             server, "cog", "cog.tif", Window(10, 10, 100, 100)
         )
-        paths = {exchange.path for exchange in server.log}
-        heads = [exchange for exchange in server.log if exchange.n_bytes == 0]
-    assert requests == len(server.log) >= 2
-    assert requests >= rounds >= 1
-    assert heads  # GDAL asks how long the file is before all else
-    assert "/cog.tif" in paths
+        asked = [exchange.path for exchange in server.log]
+    assert asked == ["/cog.tif"] * requests  # and nothing about files beside it
+    # GDAL asks how long the file is before all else.
+    assert [exchange.n_bytes for exchange in server.log].index(0) == 0
+    assert requests >= rounds >= 2
     assert n_bytes >= 16_384 or n_bytes == (tmp_path / "cog.tif").stat().st_size
     assert 0 < cpu_seconds <= seconds + 0.1
 
 
 @pytest.mark.filterwarnings("ignore:Numcodecs codecs are not in the Zarr")
-@pytest.mark.parametrize("max_error", [1.0, 2.0, 10.0, 24.0])
+@pytest.mark.parametrize("max_error", [1.0, 10.0, 37.0, 49.0])
 def test_steps_of_fixed_scale_offset_use_the_bound_and_keep_it(load, max_error):
     integrations = load("benchmarks.integrations", rioxarray=SimpleNamespace())
     heights = np.arange(-11_000, 9_000, dtype=np.int16)[: 125 * 160].reshape(125, 160)
