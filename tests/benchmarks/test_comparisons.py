@@ -104,7 +104,7 @@ def test_the_true_error_of_a_mesh_is_the_spike_that_it_misses(load):
     heights = np.zeros((3, 3), np.int32)
     heights[0, 1], heights[0, 2], heights[1, 2], heights[1, 1] = 10, 20, 10, 5
     # Two triangles on the four corners, by pydelatin's vertices (y upwards) and by pymartini's. On
-    # the diagonal, which meets row 0, column 2 at height 20, the middle is at height 10 instead of 5.
+    # the diagonal, which meets row 0, column 2 at height 20, the middle is at 10 instead of 5.
     triangles = np.array([[0, 2, 1], [1, 2, 3]])
     by_delatin = np.array([[0, 2, 0], [2, 2, 20], [0, 0, 0], [2, 0, 0]], np.float32)
     by_martini = np.array([[0, 0], [2, 0], [0, 2], [2, 2]], np.uint16)
