@@ -33,6 +33,7 @@ RESULTS = ROOT / "benchmarks" / "results"
 IMAGES = ROOT / "docs" / "images"
 PACKAGES = (
     "terrainwave", "numpy", "numba", "scipy", "rasterio", "imagecodecs", "pysz", "xarray", "zarr",
+    "numcodecs", "zfpy", "pcodec", "rioxarray", "pydelatin", "pymartini",
 )  # fmt: skip
 
 _CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
@@ -281,8 +282,8 @@ def run_and_measure(
     return Used(seconds, cpu_seconds, resources.ru_maxrss * unit / 2**20)
 
 
-# The median seconds of some runs, how many they were, and what the last one returned.
-Timed = namedtuple("Timed", "seconds n_runs result")
+# The median seconds of some runs, how many they were, what the last one returned, and the most.
+Timed = namedtuple("Timed", "seconds n_runs result most")
 
 
 def take_turns(
@@ -302,5 +303,7 @@ def take_turns(
             results.append(task())
             found.append(clock() - start)
         seconds.append(found)
-    medians = [statistics.median(column) for column in zip(*seconds)]
-    return [Timed(median, len(seconds), result) for median, result in zip(medians, results)]
+    return [
+        Timed(statistics.median(column), len(seconds), result, max(column))
+        for column, result in zip(zip(*seconds), results)
+    ]

@@ -1,8 +1,16 @@
-"""Count triangles beside greedy Delaunay: ``python -m benchmarks.meshes DIR``.
+"""Meshes beside pydelatin's and pymartini's: ``python -m benchmarks.meshes DIR``.
 
-`Terrain.mesh` over blocks of 256 cells beside pydelatin, which sees the whole raster at once, on
-lossless heights. Rasters of more than 2049 samples a side are cropped to their middle, voids set to
-the lowest height for both.
+Triangles, into ``meshes.csv``: `Terrain.mesh` over blocks of 256 cells beside pydelatin (greedy
+Delaunay), which sees the whole raster at once, on lossless heights. Rasters of more than 2049
+samples a side are cropped to their middle, voids set to the lowest height for both.
+
+Times, into ``mesh_times.csv``: the middle 513 or 1025 samples squared of the same rasters, as
+pymartini (right-angled triangulated networks) needs 2^k + 1; one thread on one core, in turns, from
+an array in memory to vertices and triangles in memory. Peers get float32, ours whole numbers.
+"array" is `compress_to_bytes` without loss, with its proof, `open` and `Terrain.mesh`; "file"
+`Terrain.mesh` alone, of a file just opened, which it decodes; "swept" the same with a sweep of
+collapses. What pymartini prepares once for tiles of a size is not timed. The true error of each
+mesh is measured by one function, at all samples. ``--times``: these alone.
 
 ``--papers``: into ``zerotree_mesh.csv``, of crops of 513 x 513 samples as blocks of 256 cells that
 agree on borders: triangles of `zerotree` (Yusov & Turlapov 2010, Algorithm I without zero trees)
@@ -11,22 +19,24 @@ with the bits of its labels, of the restricted quadtree by true errors and by co
 
 import math
 from collections import namedtuple
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
 import click
 import numpy as np
 from pydelatin import Delatin
+from pymartini import Martini
 
 import terrainwave
 from benchmarks import common
 from benchmarks.rasters import coefficients_of, middle, whole_units
-from terrainwave.grid.quadtree import Region
 from terrainwave.tri import agreement, rqt
 from terrainwave.tri.connect import mesh_error, mesh_of_cut
 from terrainwave.tri.guarantee import guaranteed_cut
+from terrainwave.tri.mesh import BlockMesh
 from terrainwave.tri.refinement import encode_refinement
+from terrainwave.tri.surface import largest_deviation
 
 # The rasters, and where the crops of `--papers` begin: on land and away from voids.
 CROPS = {
@@ -38,15 +48,18 @@ CROPS = {
 }
 CROP_SIDE, BLOCK = 513, 256
 ERRORS = (3, 10, 30)
-MAX_SIDE = 2049
+MAX_SIDE, TIMED_SIDES = 2049, (1025, 513)
 N_RUNS = 5
 
-# One line of the table of triangles; angles in degrees, speeds in Msamples/s of one thread.
+# One line of the table of triangles; angles in degrees.
 Row = namedtuple(
     "Row",
-    "raster n_rows n_cols error delatin halves optimised ratio optimised_ratio blocks_speed "
-    "halves_speed optimised_speed halves_min_angle optimised_min_angle optimised_share_below_5",
-)  # fmt: skip
+    "raster n_rows n_cols error delatin halves optimised ratio optimised_ratio halves_min_angle "
+    "optimised_min_angle optimised_share_below_5",
+)
+
+# One line of the table of times: milliseconds of processor time, the median and the most.
+TimeRow = namedtuple("TimeRow", "raster side error mesher triangles true_error ms most_ms n_runs")
 
 # One line about the papers' meshes; bits per sample, metres.
 PaperRow = namedtuple(
@@ -69,35 +82,99 @@ def smallest_angles(mesh: terrainwave.Mesh) -> np.ndarray:
     return np.degrees(np.arccos(np.clip((b * b + c * c - a * a) / (2 * b * c), -1, 1)))
 
 
-def measure(name: str, heights: np.ndarray, folder: Path) -> Iterator[Row]:
+def measure(name: str, heights: np.ndarray) -> Iterator[Row]:
     """Yield the rows of one raster."""
-    path = folder / f"{name}.twz"
+    terrain = terrainwave.open(terrainwave.compress_to_bytes(heights, max_error=0, verify=False))
     for error in ERRORS:
-        terrainwave.compress(
-            heights, path, max_error=0, mesh_error=error, verify=False, overwrite=True
-        )
-        with terrainwave.open(path, threads=1, cache_bytes=1 << 30) as terrain:
-            # So that speeds are those of meshing.
-            terrain.decoder.window(terrain.n_levels - 1, Region(0, 0, *heights.shape))
-            tasks = [partial(terrain.mesh, max_error=error, optimise=n) for n in (0, 1)]
-            tasks.append(partial(derive_blocks, terrain))
-            plain, swept, blocks = common.take_turns(lambda tasks=tasks: tasks, N_RUNS)
-            counts = [found.result.n_triangles for found in (plain, swept)]
-            greedy = n_delatin(heights, error)
-            angles = smallest_angles(swept.result)
-            yield Row(
-                name, *heights.shape, float(error), greedy, *counts,
-                *(round(count / greedy, 4) for count in counts),
-                *(round(heights.size / found.seconds / 1e6, 2) for found in (blocks, plain, swept)),
-                round(float(smallest_angles(plain.result).min()), 2),
-                round(float(angles.min()), 2), round(float((angles < 5).mean()), 5),
+        plain, swept = (terrain.mesh(max_error=error, optimise=sweeps) for sweeps in (0, 1))
+        counts = [mesh.n_triangles for mesh in (plain, swept)]
+        greedy, angles = n_delatin(heights, error), smallest_angles(swept)
+        yield Row(
+            name, *heights.shape, float(error), greedy, *counts,
+            *(round(count / greedy, 4) for count in counts),
+            round(float(smallest_angles(plain).min()), 2),
+            round(float(angles.min()), 2), round(float((angles < 5).mean()), 5),
+        )  # fmt: skip
+
+
+# What each mesher's user calls; all give vertices and triangles.
+def by_delatin(floats: np.ndarray, error: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices and triangles of greedy Delaunay."""
+    tin = Delatin(floats, max_error=error)
+    return tin.vertices, tin.triangles
+
+
+def by_martini(martini: Martini, floats: np.ndarray, error: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices and triangles of a right-angled network."""
+    return martini.create_tile(floats).get_mesh(error)
+
+
+def by_file(terrain: terrainwave.Terrain, error: float, sweeps: int) -> terrainwave.Mesh:
+    """Return the mesh of an opened file."""
+    return terrain.mesh(max_error=error, optimise=sweeps)
+
+
+def by_array(heights: np.ndarray, error: float) -> terrainwave.Mesh:
+    """Return the mesh of an array, by way of a file in memory."""
+    data = terrainwave.compress_to_bytes(heights, max_error=0, threads=1)
+    with terrainwave.open(data, threads=1) as terrain:
+        return by_file(terrain, error, 0)
+
+
+def true_error(heights: np.ndarray, rows, cols, z, triangles: np.ndarray) -> float:
+    """Return the largest distance of whole heights from a mesh of all samples, to 1/16.
+
+    Vertices lie on samples or halfway between two.
+    """
+    rows, cols = (np.rint(2 * np.asarray(places)).astype(np.int32) for places in (rows, cols))
+    corners = np.stack([cols, rows], axis=1)[triangles].astype(np.int64)
+    (dx, dy), (ex, ey) = ((corners[:, k] - corners[:, 0]).T for k in (1, 2))
+    areas = dx * ey - ex * dy
+    if np.abs(areas).sum() != 8 * np.prod(np.subtract(heights.shape, 1), dtype=np.int64):
+        raise click.ClickException("a mesh does not cover all cells once")
+    triangles = np.where((areas < 0)[:, None], triangles[:, ::-1], triangles).astype(np.int32)
+    mesh = BlockMesh(rows, cols, np.rint(16 * np.asarray(z)).astype(np.int64), triangles)
+    return largest_deviation(mesh, 1, heights, np.ones(heights.shape, bool), 0, 0) / 16
+
+
+def places_of(mesher: str, heights: np.ndarray, found) -> tuple:
+    """Return rows, columns, heights and triangles of a mesh as `mesher` gives it."""
+    if isinstance(found, terrainwave.Mesh):
+        x, y, z = found.points.T
+        return y - 0.5, x - 0.5, z, found.triangles  # arrays have rows downwards
+    vertices, triangles = found
+    if mesher == "delatin":  # y upwards
+        cols, rows, z = vertices.T
+        return heights.shape[0] - 1 - rows, cols, z, triangles
+    cols, rows = vertices.T.astype(np.int64)
+    return rows, cols, heights[rows, cols], triangles
+
+
+def time_rows(name: str, heights: np.ndarray) -> Iterator[TimeRow]:
+    """Yield the rows of a square raster."""
+    side, floats = len(heights), heights.astype(np.float32)
+    data = terrainwave.compress_to_bytes(heights, max_error=0)
+    martini = Martini(side)
+    for error in ERRORS:
+
+        def tasks(error=error):
+            files = [terrainwave.open(data, threads=1) for _ in range(2)]
+            return {
+                "delatin": partial(by_delatin, floats, error),
+                "martini": partial(by_martini, martini, floats, error),
+                "array": partial(by_array, heights, error),
+                "file": partial(by_file, files[0], error, 0),
+                "swept": partial(by_file, files[1], error, 1),
+            }
+
+        times = common.take_turns(lambda t=tasks: [*t().values()], N_RUNS)
+        for mesher, timed in zip(tasks(), times, strict=True):
+            rows, cols, z, triangles = places_of(mesher, heights, timed.result)
+            yield TimeRow(
+                name, side, error, mesher, len(triangles),
+                true_error(heights, rows, cols, z, triangles),
+                round(1000 * timed.seconds, 1), round(1000 * timed.most, 1), N_RUNS,
             )  # fmt: skip
-
-
-def derive_blocks(terrain: terrainwave.Terrain) -> None:
-    """Derive the meshes of all blocks of the full grid, which the viewer draws."""
-    for block in terrain.grid.blocks(terrain.n_levels - 1):
-        terrain.block_mesh(block)
 
 
 def measure_papers(name: str, heights, coefficients, error: int) -> PaperRow:
@@ -163,25 +240,31 @@ def paper_rows(directory: Path) -> Iterator[PaperRow]:
             yield measure_papers(name, crop, coefficients, error)
 
 
-def mesh_rows(directory: Path, folder: Path) -> Iterator[Row]:
-    """Yield the rows of all rasters."""
-    terrainwave.compress(np.zeros((300, 300), np.int16), folder / "w.twz", max_error=0)
-    terrainwave.open(folder / "w.twz").mesh(max_error=1, optimise=1)  # compiles
+def crops(directory: Path, sides: Sequence[int]) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield names and middles of the rasters, of the first of `sides` that fits, or all of them."""
     for name in CROPS:
         heights = whole_units(directory / f"{name}.tif")
-        window = middle(heights.shape, MAX_SIDE).toslices()
-        yield from measure(name, np.ascontiguousarray(heights[window]), folder)
+        side = next((side for side in sides if side <= min(heights.shape)), sides[-1])
+        yield name, np.ascontiguousarray(heights[middle(heights.shape, side).toslices()])
 
 
 @common.command("meshes.csv")
 @common.directory_argument
 @click.option("--papers", is_flag=True, help="The papers' meshes, into zerotree_mesh.csv.")
-def main(directory: Path, papers: bool, folder: Path, out: Path) -> None:
+@click.option("--times", is_flag=True, help="Times alone, into mesh_times.csv.")
+def main(directory: Path, papers: bool, times: bool, folder: Path, out: Path) -> None:
     """Measure, print and write the CSVs."""
+    common.pin_to_cores()
     if papers:
         common.write_rows(out.with_name("zerotree_mesh.csv"), paper_rows(directory))
         return
-    common.write_rows(out, mesh_rows(directory, folder))
+    noise = np.random.default_rng(0).integers(0, 99, (513, 513), np.int32)
+    list(time_rows("compiles", noise))
+    rows = (row for found in crops(directory, TIMED_SIDES) for row in time_rows(*found))
+    common.write_rows(out.with_name("mesh_times.csv"), rows)
+    if not times:
+        rows = (row for found in crops(directory, (MAX_SIDE,)) for row in measure(*found))
+        common.write_rows(out, rows)
 
 
 if __name__ == "__main__":

@@ -102,6 +102,23 @@ def write_geotiff(raster: Raster, path: Path) -> None:
         sink.write(raster.heights, 1)
 
 
+def write_cog(source: Path, target: Path, max_error: float) -> Path:
+    """Make a COG of a GeoTIFF as `gdal_translate` does, in its own type, by one thread."""
+    import rasterio.shutil
+
+    rasterio.shutil.copy(
+        source, target, driver="COG", COMPRESS="LERC_ZSTD", MAX_Z_ERROR=repr(max_error),
+        BLOCKSIZE="512", OVERVIEWS="AUTO",
+    )  # fmt: skip
+    return target
+
+
+def largest_error(original: np.ndarray, decoded: np.ndarray, mask: np.ndarray) -> float:
+    """Return how far valid heights are from the original, in float64."""
+    apart = np.abs(decoded.astype(np.float64) - original)
+    return float(apart.max(initial=0.0, where=mask))
+
+
 def make_mirrored(source: Path, target: Path, size: int, layout: str = "tiled") -> None:
     """Write a `size` x `size` raster that repeats `source`, every second time mirrored.
 

@@ -5,21 +5,32 @@ after a delay, as a distant one would, and notes when each request was in flight
 read, and the one in the centre, where four segments meet; each by a newly opened `Terrain`, whose
 opening is not counted. `--reader` tells versions of the code apart in the CSV.
 
+``--cog``: into ``remote_cog.csv``, the same windows of a COG (LERC_ZSTD, blocks of 512, overviews,
+the same bound), which GDAL makes of the same GeoTIFF and rasterio reads by /vsicurl/ with what GDAL
+documents for COGs (`SETTINGS`), beside ours. Each window is opened, read and closed in a process
+forked for it, in turns: no connection, header or cache is at hand on either side.
+
 Exit status: 0 good; 1 a limit was passed; 2 wrong usage.
 """
 
+import multiprocessing
+import time
 from collections import namedtuple
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from math import inf
+from pathlib import Path
 from statistics import median
 
 import click
 import numpy as np
+import rasterio
+from rasterio.windows import Window
 
 import terrainwave
 from benchmarks import common
-from benchmarks.rasters import mirrored_file
+from benchmarks.rasters import load_raster, mirrored_file, write_cog
 from benchmarks.slow_server import SlowServer
+from benchmarks.windows import read_cog, read_terrain
 from terrainwave.grid.quadtree import Region
 from terrainwave.read.decoder import unit_key, units_of
 
@@ -36,6 +47,21 @@ Row = namedtuple(
     "reader raster size max_error method level window n_windows statistic "
     + " ".join(Cost._fields),
 )  # fmt: skip
+# A line of `remote_cog.csv`, likewise; seconds on the wall and of the reader's processor.
+PeerRow = namedtuple(
+    "PeerRow",
+    "reader raster max_error window n_windows delay_s file_bytes statistic requests rounds bytes "
+    "seconds cpu_seconds",
+)
+# What GDAL documents for COGs over http; without its HEAD request windows took longer.
+SETTINGS = {
+    "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
+    "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".tif",
+    "GDAL_INGESTED_BYTES_AT_OPEN": "32768",
+    "GDAL_HTTP_MERGE_CONSECUTIVE_RANGES": "YES",
+    "VSI_CACHE": "TRUE",
+}
+READERS = {"terrainwave": read_terrain, "cog": read_cog}
 
 
 def count_rounds(intervals: Sequence[tuple[float, float]]) -> int:
@@ -73,6 +99,47 @@ def needed_bytes(terrain, window: tuple[int, int, int, int], level: int) -> int:
     return sum(map(len, container.payloads(sorted(keys))))
 
 
+def timed_read(reader: str, address: str, window: Window) -> tuple[float, float]:
+    """Return what it takes to open a file, read a window and close it: wall clock, processor."""
+    start, cpu_start = time.perf_counter(), time.process_time()
+    READERS[reader](address, window)
+    return time.perf_counter() - start, time.process_time() - cpu_start
+
+
+def exchanges(server: SlowServer, reader: str, name: str, window: Window) -> tuple:
+    """Return requests, rounds, bytes and seconds of a window read in a process of its own."""
+    n_before = len(server.log)
+    with multiprocessing.get_context("fork").Pool(1) as pool:
+        seconds = pool.apply(timed_read, (reader, server.url(name), window))
+    log = server.log[n_before:]
+    rounds = count_rounds([(exchange.start, exchange.end) for exchange in log])
+    return len(log), rounds, sum(exchange.n_bytes for exchange in log), *seconds
+
+
+def peer_rows(path: Path, source: Path, windows, delay: float, max_error: float) -> Iterator:
+    """Yield centre, median and worst of both readers; `source` is what `path` was made of."""
+    files = {"terrainwave": path, "cog": path.with_suffix(".cog.tif")}
+    if not files["cog"].exists():
+        write_cog(source, files["cog"], max_error)
+    windows = [Window(col, row, n_cols, n_rows) for row, col, n_rows, n_cols in windows]
+    found: dict[str, list[tuple]] = {reader: [] for reader in READERS}
+    with rasterio.Env(**SETTINGS), SlowServer(path.parent, delay, inf) as server:
+        for window in windows:
+            original = load_raster(source, window=window).heights.astype(np.float64)
+            for reader, read in READERS.items():  # off the clock; kernels get warm, too
+                if np.abs(read(files[reader], window) - original).max() > max_error:
+                    raise click.ClickException(f"{reader} broke the bound in {window}")
+            for reader, costs in found.items():
+                costs.append(exchanges(server, reader, files[reader].name, window))
+    side = windows[0].height
+    for reader, costs in found.items():
+        head = reader, source.stem, max_error, side, len(windows), delay
+        head += (files[reader].stat().st_size,)
+        of_columns = {"centre": lambda column: column[0], "median": median, "worst": max}
+        for name, statistic in of_columns.items():
+            yield PeerRow(*head, name, *(round(statistic(c), 4) for c in zip(*costs, strict=True)))
+
+
 def windows_of(size: int, side: int, n_windows: int) -> list[tuple[int, int, int, int]]:
     """Return the window in the centre and random ones, `n_windows` in all."""
     places = np.random.default_rng(_SEED).integers(0, size - side + 1, (n_windows - 1, 2))
@@ -89,9 +156,15 @@ def windows_of(size: int, side: int, n_windows: int) -> list[tuple[int, int, int
 @common.option("--window", "side", type=common.COUNT, default=512)
 @common.option("--windows", "n_windows", type=common.COUNT, default=100)
 @common.option("--delay", default=0.05, help="Seconds per request.")
-def main(dem, size, max_error, reader, level, side, n_windows, delay, folder, out) -> None:
+@click.option("--cog", is_flag=True, help="Beside a COG, into remote_cog.csv.")
+def main(dem, size, max_error, reader, level, side, n_windows, delay, cog, folder, out) -> None:
     """Append centre, median and worst of each count to a CSV."""
     path = mirrored_file(dem, size, folder, max_error=max_error, mesh="none", threads=2)
+    if cog:
+        windows = windows_of(size, side, n_windows)
+        rows = peer_rows(path, folder / f"{dem.stem}-{size}.tif", windows, delay, max_error)
+        common.write_rows(out.with_name("remote_cog.csv"), rows)
+        return
     with terrainwave.open(path) as terrain:
         method = terrain.info().method
         n_rows, _ = terrain.grid.level_shape(level % terrain.n_levels)

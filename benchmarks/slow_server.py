@@ -82,8 +82,11 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_HEAD(self) -> None:
         """Say how long a file is, as GDAL asks first."""
-        path = self.server.owner.folder / unquote(self.path).lstrip("/")
-        time.sleep(self.server.owner.latency)
+        owner, start = self.server.owner, time.monotonic()
+        path = owner.folder / unquote(self.path).lstrip("/")
+        time.sleep(owner.latency)
+        agent = self.headers.get("User-Agent", "")
+        owner.log.append(Exchange(start, time.monotonic(), 0, self.path, agent))
         self.send_response(200 if path.is_file() else 404)
         self.send_header("Content-Length", str(path.stat().st_size if path.is_file() else 0))
         self.send_header("Accept-Ranges", "bytes")

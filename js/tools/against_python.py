@@ -1,16 +1,21 @@
 """Hold the reader in JavaScript against Python, on real rasters.
 
 python js/tools/against_python.py compare DIR   equal bits of all levels, in Node and in Chromium
-python js/tools/against_python.py speed DIR     samples per second of both, on one thread, in turns
+python js/tools/against_python.py speed DIR     processor time of both and of geotiff.js, in turns
 
 DIR has GeoTIFFs; `--work` keeps the files that are made of them. Each raster is compressed with
-every bound of `--max-error`, by the method that `compress` chooses and by the other of rapid and
-predictive. Both need node, the comparison Chromium, chromedriver and selenium besides.
+every bound of `--max-error`, by the method that `compress` chooses and, for the comparison, by the
+other of rapid and predictive. Both need node, the comparison Chromium, chromedriver and selenium
+besides; `speed` needs ``npm install --prefix js/testing --no-package-lock``.
+
+`speed` opens files that are in memory and reads all of them, or a window of 512 x 512 samples
+anywhere, by one thread on one core: our files in Node and in Python, and in Node with geotiff.js
+and its LERC decoder the COG (LERC_ZSTD, blocks of 512, overviews, the same bound) that GDAL makes
+of the same GeoTIFF. What each gives is compared with what Python, or GDAL, reads of that file.
 """
 
 import argparse
 import contextlib
-import csv
 import hashlib
 import json
 import statistics
@@ -18,16 +23,34 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import namedtuple
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import rasterio
+from rasterio.windows import Window
+
 import terrainwave
 
 JS = Path(__file__).parents[1]
+sys.path.insert(0, str(JS.parent))
+from benchmarks import common  # noqa: E402  (lies beside js, and is not installed)
+from benchmarks.rasters import write_cog  # noqa: E402
+from benchmarks.windows import corners  # noqa: E402
+
 OTHER = {"rapid": "predictive", "predictive": "rapid"}
 N_ROUNDS = 5
 N_WARM = 3  # rounds that don't count: both compile
+SIDE = 512
+WHOLE = "whole"
+
+# Milliseconds of processor time: medians, and the most.
+Row = namedtuple(
+    "Row",
+    "raster max_error method n_samples what python_ms node_ms geotiff_ms python_most_ms "
+    "node_most_ms geotiff_most_ms speed_over_python time_over_geotiff n_runs",
+)
 READ = """
     const [path, done] = [arguments[0], arguments[arguments.length - 1]];
     Promise.all([import("/js/src/index.js"), import("/js/testing/levels.js")])
@@ -36,8 +59,8 @@ READ = """
 """
 
 
-def make_files(rasters: Path, work: Path, bounds: list[float]) -> list[Path]:
-    """Compress what is not in `work` yet; return the files."""
+def make_files(rasters: Path, work: Path, bounds: list[float], others: bool) -> list[Path]:
+    """Compress what is not in `work` yet; return the files, those of other methods if asked."""
     found = []
     for raster in sorted(rasters.glob("*.tif")):
         for bound in bounds:
@@ -45,10 +68,11 @@ def make_files(rasters: Path, work: Path, bounds: list[float]) -> list[Path]:
             other = work / f"{raster.stem}-{bound:g}-other.twz"
             if not chosen.exists():
                 terrainwave.compress(raster, chosen, max_error=bound)
-            if not other.exists():
+            found.append(chosen)
+            if others and not other.exists():
                 method = OTHER[method_of(chosen)]
                 terrainwave.compress(raster, other, max_error=bound, method=method)
-            found += [chosen, other]
+            found += [other] if others else []
     return found
 
 
@@ -77,11 +101,13 @@ class Node:
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
         )
 
-    def ask(self, what: str, path: Path) -> Any:
+    def ask(self, what: str, path: Path, window: dict[str, int] | None = None) -> Any:
         """Return the answer to a question about a file."""
         assert self.process.stdin
         assert self.process.stdout
-        self.process.stdin.write(json.dumps({"what": what, "path": str(path)}) + "\n")
+        self.process.stdin.write(
+            json.dumps({"what": what, "path": str(path), "window": window}) + "\n"
+        )
         self.process.stdin.flush()
         return json.loads(self.process.stdout.readline())
 
@@ -130,47 +156,73 @@ def compare(files: list[Path], work: Path) -> int:
     return n_wrong
 
 
-def seconds_of_python(path: Path) -> tuple[float, int]:
-    """Return the processor time of reading all of a file on one thread, and its samples."""
-    with terrainwave.open(path, threads=1) as terrain:
-        before = time.process_time()
-        heights = terrain.read()
-        return time.process_time() - before, heights.size
+def digest(heights: Any) -> str:
+    """Return the SHA-256 of an array."""
+    return hashlib.sha256(heights.tobytes()).hexdigest()
 
 
-def speed(files: list[Path], out: Path) -> int:
-    """Write a CSV of speeds and print it; return how many are below 0.3 of Python's."""
-    node = Node()
-    times: dict[Path, list[tuple[float, float]]] = {path: [] for path in files}
-    sizes = {}
+def seconds_of_python(data: bytes, window: Window | None) -> tuple[float, str]:
+    """Return the processor time of opening a file and reading it by one thread, and its digest."""
+    place = window and (window.row_off, window.col_off, window.height, window.width)
+    before = time.process_time()
+    with terrainwave.open(data, threads=1) as terrain:
+        heights = terrain.read(place)
+    return time.process_time() - before, digest(heights)
+
+
+def seconds_of_all(node: Node, path: Path, cog: Path, window: Window | None) -> list[float]:
+    """Return what Python, our reader in Node and geotiff.js take; each must give what it should."""
+    python, expected = seconds_of_python(path.read_bytes(), window)
+    with rasterio.open(cog) as dataset:
+        expected_of_cog = digest(dataset.read(1, window=window))
+    place = window and {
+        "row": window.row_off, "col": window.col_off, "nRows": window.height, "nCols": window.width
+    }  # fmt: skip
+    found = [node.ask("terrainwave", path, place), node.ask("geotiff", cog, place)]
+    if [answer["digest"] for answer in found] != [expected, expected_of_cog]:
+        raise SystemExit(f"{path.name}, {window}: not what Python and GDAL read")
+    return [python, *(answer["seconds"] for answer in found)]
+
+
+def speed_rows(rasters: Path, files: list[Path], work: Path) -> Iterator[Row]:
+    """Yield the rows of all files: all of each, and windows of those that are large enough."""
+    node, n_warm = Node(), 4 * N_WARM  # engines of JavaScript take longer to begin with
     for path in files:
-        for number in range(-N_WARM, N_ROUNDS):
-            python, sizes[path] = seconds_of_python(path)
-            taken = node.ask("seconds", path)
-            if number >= 0:
-                times[path].append((python, taken))
+        name, bound, _ = path.stem.rsplit("-", 2)
+        cog = work / f"{name}-{bound}-cog.tif"
+        if not cog.exists():
+            write_cog(rasters / f"{name}.tif", cog, float(bound))
+        with rasterio.open(cog) as dataset:
+            shape = dataset.shape
+        windows: dict[str, list[Window | None]] = {WHOLE: [None] * (n_warm + N_ROUNDS)}
+        if min(shape) >= SIDE:
+            places = corners(shape, SIDE, "any", n_warm + N_ROUNDS)
+            windows[f"{SIDE}²"] = [Window(col, row, SIDE, SIDE) for row, col in places]
+        for what, of_rounds in windows.items():
+            found = [seconds_of_all(node, path, cog, window) for window in of_rounds][n_warm:]
+            columns = list(zip(*found, strict=True))
+            medians = [statistics.median(column) for column in columns]
+            numbers = [1000 * number for number in [*medians, *map(max, columns)]]
+            python, script, peer = medians
+            yield Row(
+                name, bound, method_of(path), shape[0] * shape[1], what,
+                *(round(number, 2) for number in numbers),
+                round(python / script, 3), round(script / peer, 3), N_ROUNDS,
+            )  # fmt: skip
+        n_warm = N_WARM
     node.close()
-    rows = []
-    for path, found in times.items():
-        medians = [statistics.median(taken) for taken in zip(*found, strict=True)]
-        python, script = (sizes[path] / median / 1e6 for median in medians)
-        raster, bound, _ = path.stem.rsplit("-", 2)
-        rows.append({
-            "raster": raster, "max_error": bound, "method": method_of(path),
-            "n_samples": sizes[path],
-            "python_msamples_per_s": round(python, 2), "node_msamples_per_s": round(script, 2),
-            "ratio": round(script / python, 3), "n_runs": N_ROUNDS,
-        })  # fmt: skip
-        print(*rows[-1].values(), flush=True)
-    with out.open("w", newline="") as file:
-        writer = csv.DictWriter(file, rows[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-    for method in OTHER:
-        ratios = [row["ratio"] for row in rows if row["method"] == method]
-        middle = statistics.median(ratios)
-        print(f"{method}: ratios {min(ratios)} to {max(ratios)}, median {middle:.3f}")
-    return sum(row["ratio"] < 0.3 for row in rows)
+
+
+def speed(rasters: Path, files: list[Path], work: Path, out: Path) -> int:
+    """Write a CSV of times and print it; return how many are below 0.3 of Python's speed."""
+    common.pin_to_cores()
+    rows = common.write_rows(out, speed_rows(rasters, files, work))
+    for what in sorted({row.what for row in rows}):
+        for field in ("speed_over_python", "time_over_geotiff"):
+            ratios = [getattr(row, field) for row in rows if row.what == what]
+            middle = statistics.median(ratios)
+            print(f"{what}: {field} {min(ratios)} to {max(ratios)}, median {middle:.3f}")
+    return sum(row.speed_over_python < 0.3 for row in rows if row.what == WHOLE)
 
 
 def main() -> int:
@@ -186,9 +238,10 @@ def main() -> int:
     with contextlib.ExitStack() as stack:
         work = told.work or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         work.mkdir(parents=True, exist_ok=True)
-        files = make_files(told.rasters, work, told.max_error)
-        wrong = compare(files, work) if told.what == "compare" else speed(files, told.out)
-    return min(wrong, 1)
+        files = make_files(told.rasters, work, told.max_error, told.what == "compare")
+        if told.what == "compare":
+            return min(compare(files, work), 1)
+        return min(speed(told.rasters, files, work, told.out), 1)
 
 
 if __name__ == "__main__":

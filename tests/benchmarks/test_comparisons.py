@@ -1,0 +1,224 @@
+"""What is timed of a peer is its own user's call: what it returns comes back untouched."""
+
+import ast
+import importlib
+import importlib.util
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import click
+import numpy as np
+import pytest
+import rasterio
+from rasterio.windows import Window
+
+from benchmarks import common, memory, windows
+from benchmarks.rasters import load_raster, write_cog
+from benchmarks.remote import SETTINGS, exchanges
+from benchmarks.slow_server import SlowServer
+
+JS_TOOL = Path(__file__).parents[2] / "js" / "tools" / "against_python.py"
+
+
+class Recorder:
+    """A library of which only `allowed` calls exist; each is noted and gives the recorder."""
+
+    def __init__(self, *allowed):
+        self.allowed, self.calls = allowed, []
+
+    def __call__(self, *args, **kwargs):
+        self.calls.append((args, kwargs))
+        return self
+
+    def __getattr__(self, name):
+        if name not in self.allowed:
+            raise AttributeError(f"a peer's user does not call {name}")
+        self.calls.append(name)
+        return self
+
+    def __getitem__(self, place):
+        self.calls.append(place)
+        return self
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.calls.append("closed")
+
+
+@pytest.fixture
+def load(monkeypatch):
+    """Return a function that imports a benchmark with stand-ins for libraries."""
+    loaded = []
+
+    def with_stand_ins(name, **libraries):
+        for library, stand_in in libraries.items():
+            monkeypatch.setitem(sys.modules, library, stand_in)
+        sys.modules.pop(name, None)
+        loaded.append(name)
+        return importlib.import_module(name)
+
+    yield with_stand_ins
+    for name in loaded:
+        sys.modules.pop(name, None)
+
+
+def test_a_cogs_window_is_opened_read_and_closed_by_rasterio_alone(monkeypatch):
+    dataset = Recorder("open", "read")
+    monkeypatch.setattr(windows, "rasterio", dataset)
+    window = Window(1, 2, 3, 4)
+    assert windows.read_cog("a.tif", window) is dataset
+    assert dataset.calls == [
+        "open", (("a.tif",), {}), "read", ((1,), {"window": window}), "closed"
+    ]  # fmt: skip
+
+
+def test_a_cogs_window_is_opened_loaded_and_closed_by_rioxarray_alone(load):
+    array = Recorder("open_rasterio", "values")
+    integrations = load("benchmarks.integrations", rioxarray=array)
+    place = (slice(0, 2), slice(3, 5))
+    assert integrations.window_of_cog("a.tif", place) is array
+    assert array.calls == ["open_rasterio", (("a.tif",), {}), 0, place, "values", "closed"]
+
+
+def load_meshes(load, delatin, martini):
+    return load(
+        "benchmarks.meshes",
+        pydelatin=SimpleNamespace(Delatin=delatin), pymartini=SimpleNamespace(Martini=martini),
+    )  # fmt: skip
+
+
+def test_meshes_of_peers_are_made_by_their_own_calls_alone(load):
+    delatin, martini = Recorder("vertices", "triangles"), Recorder("create_tile", "get_mesh")
+    meshes = load_meshes(load, delatin, martini)
+    assert meshes.by_delatin("floats", 3) == (delatin, delatin)
+    assert delatin.calls == [(("floats",), {"max_error": 3}), "vertices", "triangles"]
+    assert meshes.by_martini(martini, "floats", 3) is martini
+    assert martini.calls == ["create_tile", (("floats",), {}), "get_mesh", ((3,), {})]
+
+
+def test_the_true_error_of_a_mesh_is_the_spike_that_it_misses(load):
+    meshes = load_meshes(load, None, None)
+    heights = np.zeros((3, 3), np.int32)
+    heights[0, 1], heights[0, 2], heights[1, 2], heights[1, 1] = 10, 20, 10, 5
+    # Two triangles on the four corners, by pydelatin's vertices (y upwards) and by pymartini's. On
+    # the diagonal, which meets row 0, column 2 at height 20, the middle is at 10 instead of 5.
+    triangles = np.array([[0, 2, 1], [1, 2, 3]])
+    by_delatin = np.array([[0, 2, 0], [2, 2, 20], [0, 0, 0], [2, 0, 0]], np.float32)
+    by_martini = np.array([[0, 0], [2, 0], [0, 2], [2, 2]], np.uint16)
+    for mesher, vertices in (("delatin", by_delatin), ("martini", by_martini)):
+        rows, cols, z, found = meshes.places_of(mesher, heights, (vertices, triangles))
+        assert meshes.true_error(heights, rows, cols, z, found) == 5
+        with pytest.raises(click.ClickException, match="cover"):
+            meshes.true_error(heights, rows, cols, z, found[:1])
+
+
+def test_our_own_mesh_has_the_true_error_that_it_states(load):
+    meshes = load_meshes(load, None, None)
+    heights = np.random.default_rng(1).integers(0, 40, (65, 65)).astype(np.int32)
+    mesh = meshes.by_array(heights, 10.0)
+    found = meshes.true_error(heights, *meshes.places_of("array", heights, mesh))
+    assert 5 < found <= mesh.error <= 10
+
+
+def test_the_process_that_makes_a_cog_has_nothing_of_ours_and_its_own_settings(
+    monkeypatch, tmp_path
+):
+    ran = []
+    monkeypatch.setattr(
+        common, "run_and_measure", lambda command, **options: ran.append((command, options))
+    )
+    for writer in memory.WRITERS:
+        memory.run(writer, tmp_path / "a.tif", tmp_path / "b.out", 0.5, ["--block", "64"])
+    ours, bare, cog, small = [command for command, _ in ran]
+    assert ours[-6:] == ["--max-error", "0.5", "--threads", "1", "--block", "64"]
+    assert bare[-5:] == ["--mesh", "none", "--no-verify", "--block", "64"]
+    assert cog == small == [
+        sys.executable, "-c", memory._COG, str(tmp_path / "a.tif"), str(tmp_path / "b.out"), "0.5"
+    ]  # fmt: skip
+    nodes = [node for node in ast.walk(ast.parse(memory._COG)) if isinstance(node, ast.Import)]
+    imports = [alias.name for node in nodes for alias in node.names]
+    assert imports == ["sys", "rasterio.shutil"]
+    assert "GDAL_CACHEMAX" not in ran[2][1]["env"]
+    assert ran[3][1]["env"]["GDAL_CACHEMAX"] == "64"
+
+
+def make_dem(path, side=600):
+    rows, cols = np.mgrid[:side, :side]
+    heights = (900 + 300 * np.sin(rows / 40) * np.cos(cols / 30)).astype(np.int16)
+    with rasterio.open(
+        path, "w", driver="GTiff", count=1, height=side, width=side, dtype="int16",
+        crs="EPSG:32633", transform=rasterio.Affine(30, 0, 5e5, 0, -30, 5e6),
+    ) as sink:  # fmt: skip
+        sink.write(heights, 1)
+    return path
+
+
+def test_both_readers_of_windows_hold_the_bound_and_give_the_rasters_type(tmp_path):
+    dem = make_dem(tmp_path / "a.tif")
+    rows = list(windows.measure([dem], [2.0], 512, 2, tmp_path))
+    assert [(row.place, row.reader) for row in rows] == [
+        (place, reader) for place in ("aligned", "any") for reader in ("terrainwave", "cog")
+    ]
+    assert all(0 < row.error <= 2 for row in rows)
+    assert all(0 < row.median_ms <= row.most_ms for row in rows)
+    cog = windows.read_cog(tmp_path / "windows.tif")
+    assert cog.dtype == windows.read_terrain(tmp_path / "windows.twz").dtype == np.int16
+    with rasterio.open(tmp_path / "windows.tif") as dataset:
+        assert dataset.compression.name == "lerc_zstd"
+        assert dataset.overviews(1) == [2]
+
+
+def test_a_cogs_window_over_http_counts_every_request_of_gdal(tmp_path):
+    write_cog(make_dem(tmp_path / "a.tif"), tmp_path / "cog.tif", 1.0)
+    with rasterio.Env(**SETTINGS), SlowServer(tmp_path, 0.0) as server:
+        requests, rounds, n_bytes, seconds, cpu_seconds = exchanges(
+            server, "cog", "cog.tif", Window(10, 10, 100, 100)
+        )
+        asked = [exchange.path for exchange in server.log]
+    assert asked == ["/cog.tif"] * requests  # and nothing about files beside it
+    # GDAL asks how long the file is before all else.
+    assert [exchange.n_bytes for exchange in server.log].index(0) == 0
+    assert requests >= rounds >= 2
+    assert n_bytes >= 16_384 or n_bytes == (tmp_path / "cog.tif").stat().st_size
+    assert 0 < cpu_seconds <= seconds + 0.1
+
+
+@pytest.mark.filterwarnings("ignore:Numcodecs codecs are not in the Zarr")
+@pytest.mark.parametrize("max_error", [1.0, 10.0, 37.0, 49.0])
+def test_steps_of_fixed_scale_offset_use_the_bound_and_keep_it(load, max_error):
+    integrations = load("benchmarks.integrations", rioxarray=SimpleNamespace())
+    heights = np.arange(-11_000, 9_000, dtype=np.int16)[: 125 * 160].reshape(125, 160)
+    options = integrations.zarr_codecs(heights.dtype, max_error)["steps, blosc zstd"]
+    array = integrations.fresh_array(options, heights)
+    integrations.write(array, heights)
+    assert np.abs(array[...].astype(np.int64) - heights).max() == max_error
+
+
+def test_heights_in_javascript_that_differ_from_python_stop_the_measurement(tmp_path):
+    spec = importlib.util.spec_from_file_location("against_python", JS_TOOL)
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    dem = make_dem(tmp_path / "a.tif", 64)
+    path = tmp_path / "a.twz"
+    tool.terrainwave.compress(dem, path, max_error=0, mesh="none")
+    right = tool.digest(load_raster(dem).heights)
+
+    def node(of_ours, of_peer):
+        answers = {"terrainwave": of_ours, "geotiff": of_peer}
+        return SimpleNamespace(
+            ask=lambda what, path, place: {"digest": answers[what], "seconds": 1.0}
+        )
+
+    assert tool.seconds_of_all(node(right, right), path, dem, None)[1:] == [1.0, 1.0]
+    for wrong in ((right, "other"), ("other", right)):
+        with pytest.raises(SystemExit, match="not what Python and GDAL read"):
+            tool.seconds_of_all(node(*wrong), path, dem, None)
+
+
+def test_the_most_of_tasks_that_took_turns_is_beside_their_median():
+    clock = iter([0, 1, 1, 9, 9, 12])
+    (timed,) = common.take_turns(lambda: [lambda: None], 3, clock=lambda: next(clock))
+    assert (timed.seconds, timed.most) == (3, 8)
