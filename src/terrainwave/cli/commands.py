@@ -75,7 +75,8 @@ FAITHFUL = methods_that(lambda method: method.may_be_faithful)
 _EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if method.effort]
 EFFORT = (
     f"How much is tried: {'; '.join(_EFFORTS)}; the others have one way."
-    f" best without --method is {SMALLEST_METHOD.name}, for archives."
+    f" For archives: best without --method is {SMALLEST_METHOD.name}, whose files are"
+    " 0.93 of the default's size (0.78 to 0.99), and are read 6 times as slowly."
 )
 WARMUP_TASKS = ("compress", "read", "verify", "mesh", "render")
 MESH = click.Choice(["auto", *MESH_CHOICES, "none"])
@@ -130,8 +131,7 @@ def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
     type=METHOD,
     default="auto",
     show_default=True,
-    help=f"auto is {DEFAULT_METHOD.name}. For archives: {SMALLEST_METHOD.name}, whose files are"
-    " smaller and read several times more slowly.",
+    help=f"auto is {DEFAULT_METHOD.name}; with --effort best it is {SMALLEST_METHOD.name}.",
 )
 @click.option("--block", type=BlockSide(), default=256, show_default=True, help="Cells per side.")
 @click.option(
