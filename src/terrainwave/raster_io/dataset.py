@@ -164,7 +164,7 @@ class DatasetBackend:
         self.crs = dataset.crs
         flags = dataset.mask_flag_enums[band - 1]
         colors = [color.name for color in dataset.colorinterp]
-        # GDAL takes an alpha for a mask in bands of 8 and 16 bits alone, and beside no nodata value.
+        # GDAL takes an alpha for a mask in 8 and 16 bits alone, and beside no nodata value.
         self._alphas = [
             number for number, color in enumerate(colors, 1) if color == "alpha" and number != band
         ]

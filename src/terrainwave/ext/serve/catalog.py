@@ -21,14 +21,18 @@ _ORIGIN = re.compile(
 _N_TAGS, _LONGEST_TAG = 8, 400
 
 
-def describe(name: str, globe: Globe) -> dict[str, Any]:
-    """Return a file's fields for the page; no path. Its tags may hold any text."""
+def describe(name: str, globe: Globe, encoding: str = tiling.MAPBOX) -> dict[str, Any]:
+    """Return a file's fields for the page; no path. Its tags may hold any text.
+
+    `encoding` is that of the terrain-RGB tiles that the page has.
+    """
     info, (lowest, highest) = globe.terrain.info(), globe.height_range
     is_earth = globe.ellipsoid == EARTH
     return {
         "name": name,
         "bounds": list(globe.extent),
         "maxzoom": tiling.max_zoom(globe),
+        "encoding": encoding,
         "lowest": lowest,
         "highest": highest,
         "error": globe.effective_error,
