@@ -5,15 +5,18 @@ All text may come from an untrusted file: it is escaped and stripped of control 
 
 import base64
 import html
+import warnings
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import crs_name, in_one_line
-from terrainwave.errors import TerrainwaveError
+from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.file import TerrainFile
+from terrainwave.render.frame import frame_of
 from terrainwave.render.png import encode_png
 from terrainwave.render.ramps import N_COLORS, ramp_colors
+from terrainwave.render.water import DEEP, find_water, may_have_water, waves_of
 
 # Pixels of the picture's longer side.
 _SIDE = 320
@@ -98,10 +101,30 @@ def picture(terrain: TerrainFile) -> NDArray[np.uint8]:
     if valid.any():
         low, high = float(heights[valid].min()), float(heights[valid].max())
         heights[~valid] = low
-        index = (heights - low) * ((N_COLORS - 1) / ((high - low) or 1.0))
-        colours = ramp_colors("tints", low, high)[index.astype(np.int64)]
+        index = ((heights - low) * ((N_COLORS - 1) / ((high - low) or 1.0))).astype(np.int64)
+        has_depth = _depths(terrain, heights, valid)
+        sea = 0.0 if has_depth.any() else None
+        colours = ramp_colors("tints", low, high, sea)[index]
+        # Land below the sea: as the lowest above it.
+        is_dry = ~has_depth & (heights < 0) & (sea is not None)
+        colours[is_dry] = ramp_colors("tints", 0.0, 1.0, None)[0]
         image[valid] = (colours * _brightness(heights, valid)[:, :, None])[valid]
     return image
+
+
+def _depths(
+    terrain: TerrainFile, heights: NDArray[np.float64], valid: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return where the sea's floor is."""
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore", TerrainwaveWarning
+        )  # a picture shows how its place is meant
+        frame = frame_of(terrain)
+    if not may_have_water(terrain, frame):
+        return np.zeros(heights.shape, dtype=np.bool_)
+    metres = heights * frame.metres[2]
+    return find_water(metres, valid, waves_of(terrain, frame)) == DEEP
 
 
 def _brightness(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:

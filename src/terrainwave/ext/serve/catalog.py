@@ -10,7 +10,7 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.export.frames import EARTH
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
-from terrainwave.render.ramps import RAMPS, ramp_stops
+from terrainwave.render.ramps import AUTO_SEA, RAMPS, ramp_stops
 
 # Names of tags that say where data are from, and whose they are.
 _ORIGIN = re.compile(
@@ -21,13 +21,24 @@ _ORIGIN = re.compile(
 _N_TAGS, _LONGEST_TAG = 8, 400
 
 
-def describe(name: str, globe: Globe, encoding: str = tiling.MAPBOX) -> dict[str, Any]:
+def describe(
+    name: str,
+    globe: Globe,
+    encoding: str = tiling.MAPBOX,
+    sea_level: float | str | None = AUTO_SEA,
+) -> dict[str, Any]:
     """Return a file's fields for the page; no path. Its tags may hold any text.
 
-    `encoding` is that of the terrain-RGB tiles that the page has.
+    Parameters
+    ----------
+    encoding : str
+        Of the terrain-RGB tiles that the page has.
+    sea_level : float, "auto" or None
+        Height in metres below which the Earth's colours are the sea's; None for no sea.
     """
     info, (lowest, highest) = globe.terrain.info(), globe.height_range
     is_earth = globe.ellipsoid == EARTH
+    sea = sea_level if is_earth else None
     return {
         "name": name,
         "bounds": list(globe.extent),
@@ -43,7 +54,7 @@ def describe(name: str, globe: Globe, encoding: str = tiling.MAPBOX) -> dict[str
         "method": info.method,
         "on_earth": is_earth,
         "ramp": "tints" if is_earth else "grey",
-        "ramps": {ramp: ramp_stops(ramp, lowest, highest) for ramp in RAMPS},
+        "ramps": {ramp: ramp_stops(ramp, lowest, highest, sea) for ramp in RAMPS},
         "origin": origin_of({**info.tags, **info.band_tags}),
         "version": __version__,
     }
