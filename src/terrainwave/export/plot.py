@@ -79,7 +79,7 @@ def plot(mesh: Mesh, ax: Any, *, wireframe: bool, cmap: str | None) -> Any:
     heights = corners[:, :, 2].mean(axis=1)
     low, high = float(heights.min()), float(heights.max())
     axis = place.ellipsoid.axis
-    is_earth = mesh.crs is None or _EARTH_RADII[0] <= axis <= _EARTH_RADII[1]
+    is_earth = mesh.crs is not None and _EARTH_RADII[0] <= axis <= _EARTH_RADII[1]
     scale = colours_of_heights(cmap, low, high, unit, is_earth=is_earth)
     colours = scale((heights - low) / ((high - low) or 1.0))
     colours[:, :3] *= brightness[:, np.newaxis]

@@ -23,6 +23,8 @@ from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.polynomials import FittedPlaces, fit_places
 from terrainwave.names import METHODS, methods_that
 from terrainwave.progress import ProgressCallback, Reporter
+from terrainwave.render.colorings import AUTO
+from terrainwave.render.style import check_sea_level
 
 # What every such folder has.
 LIST = "terrains.json"
@@ -59,6 +61,7 @@ def publish_site(
     *,
     radius: float | None = None,
     encoding: str = tiling.MAPBOX,
+    sea_level: str | float = AUTO,
     overwrite: bool = False,
     progress: ProgressCallback | None = None,
 ) -> list[PublishedTerrain]:
@@ -76,6 +79,9 @@ def publish_site(
     encoding : {"mapbox", "terrarium"}
         Of the terrain-RGB tiles that the page makes; a warning names each file with heights that it
         cannot hold.
+    sea_level : {"auto", "none"} or float
+        Of the page's colours: the height in metres below which all is water, or none; by default 0
+        where there are heights below -450 m.
     overwrite : bool
         Replace an existing folder of this kind.
 
@@ -90,6 +96,7 @@ def publish_site(
         If something cannot be read or written.
     """
     tiling.encoding_of(encoding)
+    check_sea_level(sea_level)
     with (
         ExitStack() as opened,
         publish_directory(directory, LIST, overwrite) as new,
@@ -110,7 +117,9 @@ def publish_site(
                     reporter.report("copying", n_done + start, total)
             n_done += source.size
             placed = places.as_json(globe)
-            descriptions.append(describe(name, globe, encoding) | {"file": file, "placed": placed})
+            descriptions.append(
+                describe(name, globe, encoding, sea_level) | {"file": file, "placed": placed}
+            )
             published.append(PublishedTerrain(name, file, source.size, places.error))
         reporter.report("copying", total, total)
         _write_list(new / LIST, descriptions)

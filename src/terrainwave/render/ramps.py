@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.render.colorings import AUTO
+
 # (share of the range, red, green, blue)
 _TINTS = [
     (0.00, 84, 118, 78), (0.12, 112, 140, 86), (0.28, 158, 166, 108), (0.45, 190, 176, 130),
@@ -66,9 +68,6 @@ _LEAST_LAND = 1.0
 DEEPEST_LAND = -450.0
 
 
-AUTO_SEA = "auto"
-
-
 def sea_of(low: float) -> float | None:
     """Return the height of the sea in a raster of the Earth whose lowest height is `low`, metres.
 
@@ -78,7 +77,7 @@ def sea_of(low: float) -> float | None:
 
 
 def ramp_colors(
-    name: str, low: float, high: float, sea: float | str | None = AUTO_SEA
+    name: str, low: float, high: float, sea: float | str | None = AUTO
 ) -> NDArray[np.uint8]:
     """Return `N_COLORS` colours from the lowest to the highest height, in metres; uint8 (n, 3).
 
@@ -95,7 +94,7 @@ def ramp_colors(
 
 
 def ramp_stops(
-    name: str, low: float, high: float, sea: float | str | None = AUTO_SEA
+    name: str, low: float, high: float, sea: float | str | None = AUTO
 ) -> list[tuple[float, str]]:
     """Return (height in metres, colour as #rrggbb) between which `ramp_colors` is linear."""
     sea = _sea_in(name, low, sea)
@@ -112,7 +111,7 @@ def ramp_stops(
 
 def _sea_in(name: str, low: float, sea: float | str | None) -> float | None:
     """Return the height of the sea that a ramp shows; None if it shows none."""
-    level = sea_of(low) if sea == AUTO_SEA else sea
+    level = sea_of(low) if sea == AUTO else sea
     return float(level) if name == "tints" and level is not None and low < float(level) else None
 
 

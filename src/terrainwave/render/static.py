@@ -21,7 +21,7 @@ from terrainwave.export.frames import axis_labels
 from terrainwave.export.plot import add_colour_bar, colours_of_heights, label_axes
 from terrainwave.extras import need
 from terrainwave.grid.affine import IDENTITY
-from terrainwave.render.body import EARTH, UNKNOWN
+from terrainwave.render.body import EARTH
 from terrainwave.render.frame import check_drawable, frame_of
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str | None, shade: float, bou
     x, y = c + a * region.n_cols, f + e * region.n_rows
     low, high = (physical.min(), physical.max()) if physical.count() else (0.0, 1.0)
     norm = colors.Normalize(low, high if high > low else low + 1)
-    is_earth = frame.body in (EARTH, UNKNOWN)
+    is_earth = frame.body == EARTH
     colours = colours_of_heights(cmap, norm.vmin, norm.vmax, frame.metres[2], is_earth=is_earth)
     rgb = colours(norm(physical.filled(low)))
     filled = physical.filled(float(physical.mean()) if physical.count() else 0.0)

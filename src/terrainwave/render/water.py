@@ -23,6 +23,10 @@ LAND, LEVEL, DEEP = 0, 128, 255
 
 _SIDE = 1025
 _MOST_WAVES, _ROUNDED = 1.0, 0.02  # metres
+# Of the sides of an area that is level at 0: if more than this share have lower ground beside them,
+# as where land slopes through 0, it is water only where it is so many samples wide (the sea before
+# polders).
+_MOST_LOWER, _LEAST_WIDTH = 0.25, 32
 # Coasts lie between samples: cells reach so many samples beyond what was found.
 _RIM = 2
 
@@ -88,13 +92,22 @@ def find_water(
 ) -> NDArray[np.uint8]:
     """Return `Water.cells` of heights in metres, with a rim of two samples around all water.
 
-    Level is a sample whose neighbours are all within `waves` of 0, too, or void.
+    Level is a sample that lies in 3 x 3 ones, all within `waves` of 0 or void. Where land slopes
+    through 0 there are such samples, too: an area of them is land if there is much lower ground
+    beside it and it is narrow.
     """
     is_level = valid & (np.abs(heights) <= waves)
     is_low = valid & (heights <= waves)
-    has_depth = _spread(valid & (heights < DEEPEST_LAND), is_low)
+    labels = _labels(is_low)
+    has_depth = _chosen(labels, np.bincount(labels[valid & (heights < DEEPEST_LAND)]) > 0)
+    area = is_level & _grown(is_level & ~_grown(valid & ~is_level, 1), 1)
+    labels = _labels(area)
+    n_samples = np.bincount(labels.ravel())
+    n_beside = _beside(labels, valid & ~is_level)
+    n_lower = _beside(labels, is_low & ~is_level)
+    is_sea = (n_lower <= _MOST_LOWER * n_beside) | (n_samples >= _LEAST_WIDTH * n_lower)
     cells = np.full(heights.shape, LAND, dtype=np.uint8)
-    cells[_grown(is_level & ~_grown(valid & ~is_level, 1), 1 + _RIM)] = LEVEL
+    cells[_grown(_chosen(labels, is_sea), _RIM)] = LEVEL
     cells[_grown(has_depth, _RIM)] = DEEP
     return cells
 
@@ -108,24 +121,52 @@ def _grown(found: NDArray[np.bool_], n_times: int) -> NDArray[np.bool_]:
     return found
 
 
-def _spread(found: NDArray[np.bool_], area: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the parts of an area, connected by sides, that have samples of `found`, in it."""
+def _chosen(labels: NDArray[np.int64], is_chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the samples whose label is chosen; what has the label 0 is not."""
+    table = np.zeros(labels.size + 1, dtype=np.bool_)
+    table[1 : len(is_chosen)] = is_chosen[1:]
+    found: NDArray[np.bool_] = table[labels]
+    return found
+
+
+def _beside(labels: NDArray[np.int64], found: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return how many sides with samples of `found` the areas have, by their labels."""
+    sides = [
+        (labels[:-1], found[1:]), (labels[1:], found[:-1]),
+        (labels[:, :-1], found[:, 1:]), (labels[:, 1:], found[:, :-1]),
+    ]  # fmt: skip
+    n_labels = int(labels.max(initial=0)) + 1
+    counts = [np.bincount(inside[is_found], minlength=n_labels) for inside, is_found in sides]
+    total: NDArray[np.int64] = np.sum(counts, axis=0)
+    return total
+
+
+def _labels(area: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the same number > 0 in samples of an area that are connected by sides, 0 outside."""
+    labels = np.where(area, np.arange(1, area.size + 1).reshape(area.shape), 0)
+    rows, columns = _Runs(area), _Runs(area.T)
     while True:
-        rows = _along_rows(found, area)
-        both = _along_rows(rows.T, area.T).T
-        if (both == found).all():
-            return both
-        found = both
+        joined = columns.least(rows.least(labels).T).T
+        if (joined == labels).all():
+            return joined
+        labels = joined
 
 
-def _along_rows(found: NDArray[np.bool_], area: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the runs of an area's samples in rows that have one of `found`."""
-    n_rows, n_cols = area.shape
-    # A column beside it: no run goes on in the next row.
-    line = np.pad(area, ((0, 0), (0, 1))).ravel()
-    is_first = line.copy()
-    is_first[1:] &= ~line[:-1]
-    runs = np.cumsum(is_first)
-    is_found = np.zeros(runs[-1] + 1, dtype=np.bool_)
-    is_found[runs[np.pad(found, ((0, 0), (0, 1))).ravel()]] = True
-    return (is_found[runs] & line).reshape(n_rows, n_cols + 1)[:, :-1]
+class _Runs:
+    """The runs of an area's samples in its rows."""
+
+    def __init__(self, area: NDArray[np.bool_]) -> None:
+        self._area = area
+        # A column beside it: no run goes on in the next row.
+        line = np.pad(area, ((0, 0), (0, 1))).ravel()
+        is_first = line.copy()
+        is_first[1:] &= ~line[:-1]
+        self._runs = np.cumsum(is_first).reshape(len(area), -1)[:, :-1][area] - 1
+        self._starts = np.flatnonzero(np.diff(self._runs, prepend=-1))
+
+    def least(self, values: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the least value of each run, in all of its samples; 0 outside."""
+        out = np.zeros(values.shape, dtype=np.int64)
+        if len(self._starts):
+            out[self._area] = np.minimum.reduceat(values[self._area], self._starts)[self._runs]
+        return out

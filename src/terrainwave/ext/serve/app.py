@@ -45,6 +45,8 @@ from terrainwave.globe.cesium import MAX_ZOOM as LAST_MESH_ZOOM
 from terrainwave.globe.cesium import TilePyramid
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.terrain_rgb import Look
+from terrainwave.render.colorings import AUTO
+from terrainwave.render.style import check_sea_level
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 # Tiles of a file that are kept: the page asks for the heights and the voids of one place.
@@ -273,6 +275,7 @@ def make_app(
     radius: float | None = None,
     encoding: str = tiling.MAPBOX,
     transparent_voids: bool = False,
+    sea_level: str | float = AUTO,
 ) -> FastAPI:
     """Return the application that serves these files.
 
@@ -293,6 +296,9 @@ def make_app(
         file with heights that it cannot hold.
     transparent_voids : bool
         Give voids of terrain-RGB tiles alpha 0 where a request does not say.
+    sea_level : {"auto", "none"} or float
+        Of the page's colours: the height in metres below which all is water, or none; by default 0
+        where there are heights below -450 m.
 
     Raises
     ------
@@ -301,6 +307,7 @@ def make_app(
     TerrainwaveError
         If no file can be opened; one that cannot beside others is a warning.
     """
+    check_sea_level(sea_level)
     look = Look(tiling.encoding_of(encoding).name, transparent_voids)
     desk = Desk(n_decoding)
     layers = open_layers(paths, radius) if paths else {}
@@ -362,7 +369,9 @@ def make_app(
 
     @cache
     def described() -> bytes:
-        found = [describe(layer.name, layer.globe, encoding) for layer in layers.values()]
+        found = [
+            describe(layer.name, layer.globe, encoding, sea_level) for layer in layers.values()
+        ]
         return bytes(JSONResponse(found).body)
 
     @app.get("/")

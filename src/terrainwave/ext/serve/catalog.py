@@ -10,7 +10,8 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.export.frames import EARTH
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
-from terrainwave.render.ramps import AUTO_SEA, RAMPS, ramp_stops
+from terrainwave.render.colorings import AUTO, NO_SEA
+from terrainwave.render.ramps import RAMPS, ramp_stops
 
 # Names of tags that say where data are from, and whose they are.
 _ORIGIN = re.compile(
@@ -25,7 +26,7 @@ def describe(
     name: str,
     globe: Globe,
     encoding: str = tiling.MAPBOX,
-    sea_level: float | str | None = AUTO_SEA,
+    sea_level: float | str = AUTO,
 ) -> dict[str, Any]:
     """Return a file's fields for the page; no path. Its tags may hold any text.
 
@@ -33,12 +34,12 @@ def describe(
     ----------
     encoding : str
         Of the terrain-RGB tiles that the page has.
-    sea_level : float, "auto" or None
-        Height in metres below which the Earth's colours are the sea's; None for no sea.
+    sea_level : {"auto", "none"} or float
+        Height in metres below which the Earth's colours are the sea's, as in `ramp_colors`.
     """
     info, (lowest, highest) = globe.terrain.info(), globe.height_range
     is_earth = globe.ellipsoid == EARTH
-    sea = sea_level if is_earth else None
+    sea = sea_level if is_earth and sea_level != NO_SEA else None
     return {
         "name": name,
         "bounds": list(globe.extent),
