@@ -142,6 +142,24 @@ def test_value_that_a_tag_calls_missing_is_named(tmp_path, tags, is_noted):
         )
 
 
+@pytest.mark.parametrize("n_tiles", [1, 2])
+def test_overviews_and_statistics_are_noted_without_a_warning(tmp_path, n_tiles):
+    paths = []
+    for number in range(n_tiles):
+        place = {**PLACE, "transform": Affine(10, 0, 5e5 + 400 * number, 0, -10, 5e6)}
+        paths.append(write_geotiff(tmp_path / f"{number}.tif", terrain_like(40, 40), **place))
+        with rasterio.open(paths[-1], "r+") as dataset:
+            dataset.build_overviews([2])
+            dataset.update_tags(1, STATISTICS_MEAN="5.5")
+    with RasterSource(paths) as source:  # warnings are errors
+        (note,) = source.notes
+    more = " and 1 more" if n_tiles == 2 else ""
+    assert note == (
+        f"{paths[0]}{more}: not kept, as the heights give them again: overviews (levels are samples"
+        " of the full grid) and statistics"
+    )
+
+
 def test_other_rasters_of_a_file_are_named(tmp_path):
     path = tmp_path / "a.tif"
     write_geotiff(path, terrain_like(4, 4), **PLACE)

@@ -28,7 +28,7 @@ from terrainwave.raster_io.gdal import (
     bounded_env,
     one_line,
 )
-from terrainwave.raster_io.tags import PLAIN_COLORS, select_tags
+from terrainwave.raster_io.tags import PLAIN_COLORS, is_statistic, select_tags
 
 # What GDAL tells of a file rather than keeps in it.
 _DERIVED_TAGS = (
@@ -214,6 +214,17 @@ class DatasetBackend:
         if dropped:
             what = ", ".join(sorted(dropped))
             yield f"dropped, as a .twz file does not hold them: {what}"
+
+    def asides(self) -> Iterator[str]:
+        """Yield what is left out and can be made of the heights again; no reason for a warning."""
+        band_tags, derived = self._dataset.tags(self._band), []
+        # A VRT would open its sources for that.
+        if self._dataset.driver != "VRT" and self._dataset.overviews(self._band):
+            derived.append("overviews (levels are samples of the full grid)")
+        if any(is_statistic(name) for name in band_tags):
+            derived.append("statistics")
+        if derived:
+            yield f"not kept, as the heights give them again: {' and '.join(derived)}"
 
     def _notes_on_place(self) -> Iterator[str]:
         dataset = self._dataset

@@ -1,7 +1,7 @@
 """Several rasters of one grid as one: what a mosaic or its missing parts read as."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
 from typing import Any, NamedTuple, Self
 
@@ -101,6 +101,7 @@ class _Description(NamedTuple):
     crs: CRS | None
     tags: dict[str, Any]
     remarks: tuple[str, ...]
+    asides: tuple[str, ...]
     turn: _Turn = _Turn()
 
     def on_grid_of(self, first: Self) -> Self:
@@ -190,7 +191,8 @@ class MosaicBackend:
         ]
         regions = np.array([member.region for member in self._members], dtype=np.int64)
         self._corners = regions[:, :2], regions[:, :2] + regions[:, 2:]
-        self._notes = list(_gathered(rasters))
+        self._notes = list(_gathered((one, one.remarks) for one in rasters))
+        self._asides = list(_gathered((one, one.asides) for one in rasters))
         declared = [one.nodata for one in rasters if one.nodata is not None]
         self.nodata = declared[0] if declared else None
         if nodata is None:
@@ -223,6 +225,7 @@ class MosaicBackend:
             crs=backend.crs,
             tags=backend.tags(),
             remarks=tuple(backend.remarks()),
+            asides=tuple(backend.asides()),
         )
 
     def _backend(self, source: Any) -> DatasetBackend:
@@ -252,6 +255,10 @@ class MosaicBackend:
                 f"{self.name} cover {share:.3g} % of the {self.n_rows} x {self.n_cols} samples"
                 " around them; the rest is void"
             )
+
+    def asides(self) -> Iterator[str]:
+        """Yield what is left out and can be made of the heights again."""
+        yield from self._asides
 
     def tags(self) -> dict[str, Any]:
         """Return the fields of RasterInfo that do not bear on the heights."""
@@ -388,11 +395,11 @@ def _grid_text(transform: tuple[float, ...]) -> str:
     return f"{size}, turned by {angle:.6g} degrees" if angle % 180 else size
 
 
-def _gathered(rasters: Sequence[_Description]) -> Iterator[str]:
-    """Yield the rasters' own notes; once what several of them say alike."""
+def _gathered(said: Iterable[tuple[_Description, tuple[str, ...]]]) -> Iterator[str]:
+    """Yield what rasters say of themselves; once what several of them say alike."""
     of_remarks: dict[str, list[_Description]] = {}
-    for one in rasters:
-        for remark in one.remarks:
+    for one, remarks in said:
+        for remark in remarks:
             of_remarks.setdefault(remark, []).append(one)
     for remark, found in of_remarks.items():
         yield f"{_names(found)}: {remark}"
