@@ -110,11 +110,18 @@ def test_an_archive_has_the_encoding_and_says_what_it_cannot_hold(tmp_path, tren
     else:
         (note,) = notes
         assert "heights reach from -10900 to " in note
-        assert "tiles of --encoding mapbox hold -10000 to 1.66772e+06 m" in note
+        assert "tiles of --encoding mapbox hold none below -10000 m, which is shown" in note
         assert note.endswith("; --encoding terrarium holds them")
     tiles, _, metadata = read_archive(target)
     assert metadata["encoding"] == encoding
     assert all(pixels_of(png).shape[-1] == 4 for png in tiles.values())
+
+
+def test_heights_above_what_an_encoding_holds_are_noted(tmp_path):
+    twz = write_twz(tmp_path, np.array([[0, 40_000]] * 2, np.int32), BOUNDS, max_error=0)
+    with terrainwave.open(twz) as terrain:
+        note = tiling.note_on_range(Globe(terrain), "terrarium")
+    assert "hold none above 32767.99609 m, which is shown instead; `encoding` mapbox" in note
 
 
 def test_heights_that_fit_are_not_noted(plain):

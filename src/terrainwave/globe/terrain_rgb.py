@@ -54,6 +54,11 @@ class Encoding(NamedTuple):
         """The height of the last code."""
         return self.lowest + _HIGHEST_CODE * self.step
 
+    def holds(self, low: float, high: float) -> bool:
+        """Say whether heights from `low` to `high` are at most half a step from their codes'."""
+        half = self.step / 2
+        return self.lowest - half <= low and high <= self.highest + half
+
     def codes(self, heights: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the codes that stand for heights, the nearest there are; NaN stays."""
         return np.clip(np.rint((heights - self.lowest) / self.step), 0, _HIGHEST_CODE)
@@ -265,20 +270,17 @@ def check_void_height(height: float, encoding: str) -> None:
 
 def note_on_range(globe: Globe, encoding: str) -> str | None:
     """Say which heights of a terrain an encoding cannot hold; None if it holds all."""
-    pixels, (low, high) = encoding_of(encoding), globe.height_range
-    half = pixels.step / 2
-    if low >= pixels.lowest - half and high <= pixels.highest + half:
+    low, high = globe.height_range
+    pixels = encoding_of(encoding)
+    if pixels.holds(low, high):
         return None
-    others = [
-        one.name
-        for one in ENCODINGS.values()
-        if one.lowest - one.step / 2 <= low and high <= one.highest + one.step / 2
-    ]
+    is_low = low < pixels.lowest
+    end, side = (pixels.lowest, "below") if is_low else (pixels.highest, "above")
+    others = [one.name for one in ENCODINGS.values() if one.holds(low, high)]
     advice = f"; `encoding` {others[0]} holds them" if others else ""
     return (
-        f"heights reach from {low:g} to {high:g} m, tiles of `encoding` {encoding} hold"
-        f" {pixels.lowest:g} to {pixels.highest:g} m: what is beyond is shown as the nearest of"
-        f" these{advice}"
+        f"heights reach from {low:.10g} to {high:.10g} m, and tiles of `encoding` {encoding} hold"
+        f" none {side} {end:.10g} m, which is shown instead{advice}"
     )
 
 
