@@ -80,10 +80,9 @@ def test_several_alpha_bands_all_count_and_are_named(tmp_path):
 
 def test_alpha_band_that_is_taken_itself_names_the_others(tmp_path):
     path = with_alpha(tmp_path / "a.tif", "float32", [np.ones((1, 2))], [np.array([[0.0, 9.0]])])
-    with pytest.warns(TerrainwaveWarning, match=r"found 2 bands; using band 2; left out: band 1$"):
-        source = RasterSource(path, band=2)
-    with source:
+    with RasterSource(path, band=2) as source:  # chosen: no warning
         heights, valid = read_all(source)
+        assert source.notes == (f"{path}: using band 2; left out: band 1",)
     assert (heights.tolist(), valid.tolist()) == ([[0.0, 9.0]], [[True, True]])
 
 
@@ -168,9 +167,16 @@ def test_other_rasters_of_a_file_are_named(tmp_path):
         RasterSource(path).close()
 
 
-def test_each_note_is_printed_once_and_is_in_the_result(tmp_path):
+@pytest.mark.parametrize(("band", "other"), [(1, 2), (2, 1)])
+@pytest.mark.parametrize("as_json", [True, False])
+def test_each_note_is_printed_once_and_is_in_the_result(tmp_path, band, other, as_json):
     path = write_geotiff(tmp_path / "a.tif", np.stack([terrain_like(40, 40)] * 2), **PLACE)
-    done = CliRunner().invoke(main, ["compress", str(path), f"{tmp_path}/a.twz", "--json"])
-    notes = json.loads(done.stdout)["notes"]
-    assert sum("left out: band 2" in note for note in notes) == 1
-    assert done.stderr.count("left out: band 2") == 1
+    args = ["compress", str(path), f"{tmp_path}/a.twz", "--band", str(band)]
+    done = CliRunner().invoke(main, [*args, "--json"] if as_json else args)
+    printed = done.stderr.count(f"left out: band {other}")
+    if as_json:
+        notes = json.loads(done.stdout)["notes"]
+        assert sum(f"left out: band {other}" in note for note in notes) == 1
+        assert printed == (band == 1)  # as a warning
+    else:
+        assert printed == 1

@@ -489,10 +489,9 @@ def test_several_bands_are_noted_and_can_be_chosen(tmp_path):
         "found 3 bands; using band 1 (choose with --band); left out: band 2, band 3"
     ]
     source.close()
-    with pytest.warns(TerrainwaveWarning, match="using band 3; left out: band 1, band 2$"):
-        source = RasterSource(path, band=3)
-    with source:
+    with RasterSource(path, band=3) as source:
         assert read_all(source)[0].max() == 3
+        assert source.notes == (f"{path}: using band 3; left out: band 1, band 2",)
     with pytest.raises(InvalidHeightsError, match="band 4 does not exist, the file has 3 bands"):
         RasterSource(path, band=4)
 

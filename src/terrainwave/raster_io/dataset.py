@@ -182,13 +182,10 @@ class DatasetBackend:
     def remarks(self) -> Iterator[str]:
         """Yield the notes without the raster's name."""
         dataset, band = self._dataset, self._band
-        others = [n for n in range(1, dataset.count + 1) if n not in (band, *self._alphas)]
-        if others:
-            choose = " (choose with --band)" if band == 1 else ""
-            yield (
-                f"found {len(others) + 1} bands; using band {band}{choose}; left out:"
-                f" {_band_names(others, dataset.descriptions)}"
-            )
+        others = self._other_bands()
+        if others and band == 1:
+            n_bands = dataset.count - len(self._alphas)
+            yield f"found {n_bands} bands; using band 1 (choose with --band); left out: {others}"
         if len(self._alphas) > 1:
             numbers = " and ".join(map(str, self._alphas))
             yield f"bands {numbers} are alpha bands: heights are void where one of them is 0"
@@ -215,8 +212,20 @@ class DatasetBackend:
             what = ", ".join(sorted(dropped))
             yield f"dropped, as a .twz file does not hold them: {what}"
 
+    def _other_bands(self) -> str:
+        """Return the names of the bands that are neither taken nor a mask."""
+        dataset, used = self._dataset, (self._band, *self._alphas)
+        others = [number for number in range(1, dataset.count + 1) if number not in used]
+        return _band_names(others, dataset.descriptions)
+
     def asides(self) -> Iterator[str]:
-        """Yield what is left out and can be made of the heights again; no reason for a warning."""
+        """Yield what is no reason for a warning, one sentence each.
+
+        Bands beside one that was chosen, and what can be made of the heights again.
+        """
+        others = self._other_bands()
+        if others and self._band != 1:
+            yield f"using band {self._band}; left out: {others}"
         band_tags, derived = self._dataset.tags(self._band), []
         # A VRT would open its sources for that.
         if self._dataset.driver != "VRT" and self._dataset.overviews(self._band):

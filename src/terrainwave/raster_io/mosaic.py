@@ -257,7 +257,7 @@ class MosaicBackend:
             )
 
     def asides(self) -> Iterator[str]:
-        """Yield what is left out and can be made of the heights again."""
+        """Yield what is no reason for a warning."""
         yield from self._asides
 
     def tags(self) -> dict[str, Any]:

@@ -78,7 +78,7 @@ class RasterSource:
         How messages call the source.
     notes : tuple of str
         What the source left out or chose, one sentence each; issued as `TerrainwaveWarning`, but
-        for what the heights give again.
+        for bands beside one that was chosen, and for what the heights give again.
     is_striped : bool
         True if a narrow window makes the source decode much wider ones: a scan in the order of
         `blocks` is then many times cheaper than small windows.
