@@ -1,8 +1,8 @@
 /** Tiles for MapLibre GL JS, made in the browser. */
 
-import { PublishedTerrain, TileMaker } from "./tiles.js";
+import { Encoding, PublishedTerrain, TileMaker } from "./tiles.js";
 
-export { PublishedTerrain, TileMaker, publishedTerrains } from "./tiles.js";
+export { Encoding, PublishedTerrain, TileMaker, publishedTerrains } from "./tiles.js";
 
 export const SCHEME: "twz";
 
@@ -14,9 +14,12 @@ export function addTerrains(
 ): TileMaker;
 
 /** A raster-dem source for a style. */
-export function demSource(terrain: PublishedTerrain, options?: { rim?: number }): {
+export function demSource(
+  terrain: PublishedTerrain,
+  options?: { rim?: number; encoding?: Encoding },
+): {
   type: "raster-dem";
-  encoding: "mapbox";
+  encoding: Encoding;
   tileSize: 256;
   tiles: string[];
   bounds: [number, number, number, number];

@@ -8,11 +8,12 @@ export const SCHEME = "twz";
 const ADDRESS = /^twz:\/\/([^/?]+)\/(rgb|voids)\/(\d+)\/(\d+)\/(\d+)(?:\?(.*))?$/;
 
 /**
- * Let maps use twz://NAME/rgb/{z}/{x}/{y} as a raster-dem source (encoding "mapbox", 256 pixels)
+ * Let maps use twz://NAME/rgb/{z}/{x}/{y} as a raster-dem source (256 pixels; its encoding is the
+ * terrain's own, that of `publish`, or what ?encoding=mapbox or terrarium asks for)
  * and twz://NAME/voids/{z}/{x}/{y}?color=dbe4e8 as a raster source that paints what is void.
  *
  * `?rim=4` lets heights go on beyond edges and into voids by 4 pixels, so that a surface has no
- * curtain there. `maplibre` is the module; `terrains` are those of `publishedTerrains`.
+ * curtain there. `?voids=transparent` gives pixels without heights alpha 0. `maplibre` is the module; `terrains` are those of `publishedTerrains`.
  */
 export function addTerrains(maplibre, terrains, maker = new TileMaker()) {
   const byName = new Map(terrains.map((terrain) => [terrain.name, terrain]));
@@ -23,9 +24,12 @@ export function addTerrains(maplibre, terrains, maker = new TileMaker()) {
     const [what, z, x, y] = [found[2], ...found.slice(3, 6).map(Number)];
     const told = new URLSearchParams(found[6]);
     const args = [z, x, y, Math.min(Number(told.get("rim")) || 0, 8)];
+    const encoding = told.get("encoding") ?? encodingOf(terrain);
     if (what === "voids") {
       const color = parseInt(told.get("color") ?? "ffffff", 16);
-      args.push([(color >> 16) & 255, (color >> 8) & 255, color & 255]);
+      args.push([(color >> 16) & 255, (color >> 8) & 255, color & 255], { encoding });
+    } else {
+      args.push({ encoding, transparentVoids: told.get("voids") === "transparent" });
     }
     const answer = await maker.ask(terrain, what, args, signal);
     return { data: answer?.image ?? null };
@@ -33,14 +37,18 @@ export function addTerrains(maplibre, terrains, maker = new TileMaker()) {
   return maker;
 }
 
-/** Return a raster-dem source of a terrain, for a style. */
-export function demSource({ name, described }, { rim = 4 } = {}) {
-  const { bounds, maxzoom } = described;
+// Folders of older versions do not name one.
+const encodingOf = ({ described }) => described.encoding ?? "mapbox";
+
+/** Return a raster-dem source of a terrain, for a style; by default in the terrain's encoding. */
+export function demSource(terrain, { rim = 4, encoding = encodingOf(terrain) } = {}) {
+  const { bounds, maxzoom } = terrain.described;
+  const address = `${SCHEME}://${encodeURIComponent(terrain.name)}/rgb/{z}/{x}/{y}`;
   return {
     type: "raster-dem",
-    encoding: "mapbox",
+    encoding,
     tileSize: 256,
-    tiles: [`${SCHEME}://${encodeURIComponent(name)}/rgb/{z}/{x}/{y}?rim=${rim}`],
+    tiles: [`${address}?rim=${rim}&encoding=${encoding}`],
     bounds: bounds[2] > 180 ? [-180, bounds[1], 180, bounds[3]] : bounds,
     maxzoom,
   };

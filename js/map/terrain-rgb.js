@@ -1,7 +1,8 @@
 /**
  * Terrain-RGB tiles in Web Mercator, made of a terrain: those of `terrainwave serve`.
  *
- * height = -10000 + (R * 65536 + G * 256 + B) * 0.1 (Mapbox Terrain-RGB v1).
+ * mapbox: height = -10000 + (R * 65536 + G * 256 + B) * 0.1 (Mapbox Terrain-RGB v1)
+ * terrarium: height = -32768 + R * 256 + G + B / 256 (Mapzen Terrarium)
  */
 
 import { growInto, largestDistance, shareOfVoids, without } from "./surfaces.js";
@@ -10,8 +11,11 @@ export const TILE_SIZE = 256;
 /** Voids lie this many metres below the terrain's lowest height: the format has none. */
 export const VOID_DEPTH = 1;
 const MAX_LATITUDE = (Math.atan(Math.sinh(Math.PI)) * 180) / Math.PI;
-const STEP = 0.1;
-const LOWEST = -10000;
+/** How pixels stand for heights, metres: that of code 0, and from one code to the next. */
+export const ENCODINGS = {
+  mapbox: { lowest: -10000, step: 0.1 },
+  terrarium: { lowest: -32768, step: 1 / 256 },
+};
 const HIGHEST_CODE = 2 ** 24 - 1;
 
 export const longitudeOf = (z, x) => (x / 2 ** z) * 360 - 180;
@@ -26,8 +30,8 @@ function levelFor(globe, z, y) {
   return globe.levelFor(around / (TILE_SIZE * 2 ** z));
 }
 
-function codeOf(height) {
-  const code = (height - LOWEST) / STEP;
+function codeOf(height, { lowest, step }) {
+  const code = (height - lowest) / step;
   const whole = Math.round(code);
   // Halves to even, as Python rounds.
   const even = Math.abs(whole - code) === 0.5 && whole % 2 !== 0 ? whole - 1 : whole;
@@ -40,9 +44,11 @@ function codeOf(height) {
  * `pixels` are RGBA; `voids` says how much of each pixel is void, 0 … 255. In metres, `error`: how
  * far the tile's bilinear surface is from that of the samples, at pixels and halfway between them;
  * `terrainError`: how far originals can be from the latter. By `rim` pixels heights go on into voids
- * and beyond edges, which is not in `error`. null where there is no terrain.
+ * and beyond edges, which is not in `error`. With `transparentVoids`, pixels without heights have
+ * alpha 0. null where there is no terrain.
  */
-export async function rgbTile(globe, z, x, y, rim = 0) {
+export async function rgbTile(globe, z, x, y, rim = 0, look = {}) {
+  const encoding = encodingOf(look);
   const level = levelFor(globe, z, y);
   // Pixel centres are the odd places of a grid twice as fine, which is what errors are taken at.
   const n = 2 * (TILE_SIZE + 2 * rim) - 1;
@@ -59,11 +65,12 @@ export async function rgbTile(globe, z, x, y, rim = 0) {
     for (let j = 0; j < nPixels; j++) centres[i * nPixels + j] = heights[2 * i * n + 2 * j];
   }
   const inner = without(centres, nPixels, rim);
-  const codes = Float64Array.from(inner, (height) => codeOf(height) * STEP + LOWEST);
+  const { lowest, step } = encoding;
+  const codes = Float64Array.from(inner, (height) => codeOf(height, encoding) * step + lowest);
   const drawn = without(growInto(centres, nPixels, rim), nPixels, rim);
   if (drawn.every(Number.isNaN)) return null;
   return {
-    pixels: encode(globe, drawn),
+    pixels: encode(globe, drawn, look),
     voids: shareOfVoids(heights, n, rim),
     error: largestDistance(codes, surface, side),
     terrainError: await globe.heightsError(window),
@@ -72,19 +79,29 @@ export async function rgbTile(globe, z, x, y, rim = 0) {
 }
 
 /** Return the pixels of a tile without terrain. */
-export function voidPixels(globe) {
-  return encode(globe, new Float64Array(TILE_SIZE * TILE_SIZE).fill(NaN));
+export function voidPixels(globe, look = {}) {
+  return encode(globe, new Float64Array(TILE_SIZE * TILE_SIZE).fill(NaN), look);
 }
 
-function encode(globe, heights) {
+function encodingOf({ encoding = "mapbox" }) {
+  if (!Object.hasOwn(ENCODINGS, encoding)) {
+    throw new Error(`found encoding ${encoding}, expected ${Object.keys(ENCODINGS).join(" or ")}`);
+  }
+  return ENCODINGS[encoding];
+}
+
+function encode(globe, heights, look) {
+  const encoding = encodingOf(look);
   const pixels = new Uint8ClampedArray(4 * heights.length);
-  const ofVoids = codeOf(globe.lowest - VOID_DEPTH);
+  const ofVoids = codeOf(globe.lowest - VOID_DEPTH, encoding);
+  const opacityOfVoids = look.transparentVoids ? 0 : 255;
   heights.forEach((height, i) => {
-    const code = Number.isNaN(height) ? ofVoids : codeOf(height);
+    const isVoid = Number.isNaN(height);
+    const code = isVoid ? ofVoids : codeOf(height, encoding);
     pixels[4 * i] = code >> 16;
     pixels[4 * i + 1] = (code >> 8) & 255;
     pixels[4 * i + 2] = code & 255;
-    pixels[4 * i + 3] = 255;
+    pixels[4 * i + 3] = isVoid ? opacityOfVoids : 255;
   });
   return pixels;
 }

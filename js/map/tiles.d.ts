@@ -1,5 +1,8 @@
 /** What both map libraries share. */
 
+/** How pixels of terrain-RGB tiles stand for heights. */
+export type Encoding = "mapbox" | "terrarium";
+
 /** One terrain of a folder that `terrainwave publish` wrote; `described` is its entry. */
 export interface PublishedTerrain {
   name: string;
@@ -10,6 +13,8 @@ export interface PublishedTerrain {
     /** West, south, east, north in degrees; east may be beyond 180. */
     bounds: [number, number, number, number];
     maxzoom: number;
+    /** Of the tiles that nobody asks for in another one; "mapbox" where it is missing. */
+    encoding?: Encoding;
     /** Metres. */
     lowest: number;
     highest: number;
@@ -34,7 +39,10 @@ export class TileMaker {
   constructor(options?: { worker?: Worker });
   ask(terrain: PublishedTerrain, what: "height", args: [lon: number, lat: number],
     signal?: AbortSignal): Promise<{ lon: number; lat: number; height: number | null; max_error: number }>;
-  ask(terrain: PublishedTerrain, what: "rgb", args: [z: number, x: number, y: number, rim: number],
+  /** By default in the encoding "mapbox", with opaque voids. */
+  ask(terrain: PublishedTerrain, what: "rgb",
+    args: [z: number, x: number, y: number, rim: number,
+      look?: { encoding?: Encoding; transparentVoids?: boolean }],
     signal?: AbortSignal): Promise<({ image: ImageBitmap } & TileErrors) | null>;
   ask(terrain: PublishedTerrain, what: "heightmap",
     args: [z: number, x: number, y: number, size: number],

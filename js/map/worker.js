@@ -20,9 +20,10 @@ function openGlobe({ name, url, described }) {
 /** The tiles asked for last, by place: heights and voids of one are asked for apart. */
 const tiles = new Map();
 
-function tileOf(name, globe, z, x, y, rim) {
-  const place = [name, z, x, y, rim].join("/");
-  const found = tiles.get(place) ?? rgbTile(globe, z, x, y, rim);
+function tileOf(name, globe, z, x, y, rim, look = {}) {
+  const { encoding = "mapbox", transparentVoids = false } = look;
+  const place = [name, z, x, y, rim, encoding, transparentVoids].join("/");
+  const found = tiles.get(place) ?? rgbTile(globe, z, x, y, rim, look);
   tiles.delete(place);
   tiles.set(place, found);
   found.catch(() => tiles.delete(place));
@@ -36,18 +37,18 @@ function tileOf(name, globe, z, x, y, rim) {
 /** Return a picture and what must not be changed by whoever shows it. */
 function picture(pixels) {
   const data = new ImageData(pixels, TILE_SIZE, TILE_SIZE);
-  return createImageBitmap(data, { colorSpaceConversion: "none" });
+  return createImageBitmap(data, { colorSpaceConversion: "none", premultiplyAlpha: "none" });
 }
 
 const WORK = {
-  async rgb(globe, name, z, x, y, rim) {
-    const tile = await tileOf(name, globe, z, x, y, rim);
+  async rgb(globe, name, z, x, y, rim, look) {
+    const tile = await tileOf(name, globe, z, x, y, rim, look);
     if (tile === null && rim === 0) return null;
     const { error = null, terrainError = null } = tile ?? {};
-    return { image: await picture(tile?.pixels ?? voidPixels(globe)), error, terrainError };
+    return { image: await picture(tile?.pixels ?? voidPixels(globe, look)), error, terrainError };
   },
-  async voids(globe, name, z, x, y, rim, color) {
-    const tile = await tileOf(name, globe, z, x, y, rim);
+  async voids(globe, name, z, x, y, rim, color, look) {
+    const tile = await tileOf(name, globe, z, x, y, rim, look);
     if (tile !== null && !tile.voids.some((share) => share)) return null;
     const pixels = new Uint8ClampedArray(4 * TILE_SIZE ** 2);
     for (let i = 0; i < TILE_SIZE ** 2; i++) {

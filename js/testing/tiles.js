@@ -1,4 +1,8 @@
-/** Print tiles of a published folder, as JSON: node testing/tiles.js FOLDER NAME RIM rgb/Z/X/Y … */
+/**
+ * Print tiles of a published folder, as JSON: node testing/tiles.js FOLDER NAME RIM rgb/Z/X/Y …
+ *
+ * terrarium/Z/X/Y has that encoding, and transparent voids.
+ */
 
 import { readFile } from "node:fs/promises";
 
@@ -17,8 +21,9 @@ const found = {};
 for (const place of places) {
   const [kind, ...numbers] = place.split("/");
   const at = numbers.map(Number);
-  const tile = kind === "rgb"
-    ? await rgbTile(globe, ...at, Number(rim)) : await heightmap(globe, ...at, 65);
+  const look = kind === "terrarium" ? { encoding: kind, transparentVoids: true } : {};
+  const tile = kind === "map"
+    ? await heightmap(globe, ...at, 65) : await rgbTile(globe, ...at, Number(rim), look);
   for (const array of ["pixels", "voids", "heights"]) {
     if (tile?.[array]) tile[array] = text(tile[array]);
   }

@@ -18,6 +18,8 @@ MESH_CHOICES = (
 )  # fmt: skip
 # Those whose tolerance only selects vertices: their errors are measured, and may be larger.
 UNBOUNDED_MESHES = ("rqt-coefficient",)
+# How pixels of terrain-RGB tiles stand for heights (`globe.terrain_rgb.ENCODINGS`).
+TILE_ENCODINGS = ("mapbox", "terrarium")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -162,7 +162,7 @@ class Terrain(TerrainFile):
         ax: Any = None,
         *,
         bounds: Sequence[float] | None = None,
-        cmap: str = "gist_earth",
+        cmap: str | None = None,
         shade: float = 0.7,
     ) -> Any:
         """Draw a map, coloured by height and hillshaded; needs matplotlib.
@@ -175,8 +175,9 @@ class Terrain(TerrainFile):
             Where to draw; a new figure by default.
         bounds : (left, bottom, right, top), optional
             What to show, in the CRS; by default all. A level fit for the figure is read.
-        cmap : str
-            matplotlib's name of the colours of heights.
+        cmap : str, optional
+            matplotlib's name of the colours of heights; by default those of land, and on the Earth
+            those of the sea below 0 where there are heights below -450 m.
         shade : float
             Share of the hillshade, 0 … 1.
 

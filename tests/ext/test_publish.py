@@ -184,6 +184,28 @@ def test_tiles_made_in_javascript_are_those_of_the_server(tmp_path, name):
 
 
 @pytest.mark.full
+def test_tiles_made_in_javascript_have_the_other_encoding_and_transparent_voids(tmp_path):
+    twz = write_twz(tmp_path, with_hole(hills(200, 220) * 3), BOUNDS, max_error=2, nodata=-9999)
+    publish_site([str(twz)], tmp_path / "site", encoding="terrarium")
+    opacities = set()
+    with terrainwave.open(twz) as terrain:
+        globe = Globe(terrain)
+        for at in tiles_of(globe):
+            place = "terrarium/{}/{}/{}".format(*at)
+            found = json.loads(node("testing/tiles.js", tmp_path / "site", "hills", RIM, place))
+            tile = tiling.rgb_tile(globe, *at, RIM, tiling.Look("terrarium", True))
+            expected = np.asarray(Image.open(io.BytesIO(tile.png)))
+            pixels = decoded(found[place]["pixels"]).reshape(256, 256, 4)
+            # Steps of 1/256 m are 26 times finer than 0.1 m: so many more places cross one.
+            difference = np.abs(codes(expected) - codes(pixels))
+            assert difference.max() <= 2
+            assert (difference != 0).mean() < 0.026
+            assert (expected[..., 3] != pixels[..., 3]).mean() < 0.001
+            opacities |= set(np.unique(pixels[..., 3]).tolist())
+    assert opacities == {0, 255}
+
+
+@pytest.mark.full
 def test_height_maps_state_their_errors(twz, site):
     """The place of a height map in longitude and latitude, its heights and what it states."""
     z, size = 9, 180 / 2**9

@@ -97,7 +97,8 @@ def test_mixed_nodata_become_the_first(tmp_path):
         tile(tmp_path / "a.tif", first, nodata=-1),
         tile(tmp_path / "b.tif", second, 0, 2, nodata=-9999),
     ]
-    info, heights, valid = read_mosaic(paths)
+    with pytest.warns(TerrainwaveWarning, match="nodata values -1, -9999; all voids get -1$"):
+        info, heights, valid = read_mosaic(paths)
     assert info.nodata == -1
     assert heights.tolist() == [[1, -1, 5, -1]]
     assert valid.tolist() == [[True, False, True, False]]
@@ -106,7 +107,10 @@ def test_mixed_nodata_become_the_first(tmp_path):
 def test_height_that_is_another_tiles_nodata_is_refused_with_its_place(tmp_path):
     first = tile(tmp_path / "a.tif", np.array([[7, 0], [0, 7]], np.int16), nodata=0)
     second = tile(tmp_path / "b.tif", np.array([[3, 0], [0, 4]], np.int16), 0, 2, nodata=-1)
-    with pytest.raises(InvalidHeightsError, match=r"b\.tif: the height at row 0, column 1 is 0"):
+    with (
+        pytest.warns(TerrainwaveWarning, match="nodata values 0, -1"),
+        pytest.raises(InvalidHeightsError, match=r"b\.tif: the height at row 0, column 1 is 0"),
+    ):
         read_mosaic([first, second])
 
 
@@ -160,6 +164,70 @@ def test_south_up_and_rotated_grids_fit(tmp_path):
         info, heights, _ = read_mosaic(paths[::-1])
         np.testing.assert_array_equal(heights, whole)
         assert info.transform == pytest.approx(tuple(place)[:6])
+
+
+# The right half of a raster as GDAL would store it in each order of rows and columns: its samples
+# and its transform, by hand. Pixels are 10 wide and 20 high; the half has 6 rows and 4 columns.
+ORDERS = {
+    "south first": (lambda half: half[::-1], Affine(10, 0, 40, 0, 20, 880)),
+    "east first": (lambda half: half[:, ::-1], Affine(-10, 0, 80, 0, -20, 1000)),
+    "turned by 180": (lambda half: half[::-1, ::-1], Affine(-10, 0, 80, 0, 20, 880)),
+    "rows are columns": (lambda half: half.T, Affine(0, 10, 40, -20, 0, 1000)),
+    "turned by 90": (lambda half: np.rot90(half), Affine(0, -10, 80, -20, 0, 1000)),
+    "turned by 270": (lambda half: np.rot90(half, 3), Affine(0, 10, 40, 20, 0, 880)),
+    "both": (lambda half: half[::-1, ::-1].T, Affine(0, -10, 80, 20, 0, 880)),
+}
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("is_first", [False, True])
+def test_rasters_stored_in_another_order_are_turned(tmp_path, order, is_first):
+    whole = terrain_like(6, 8)
+    store, place = ORDERS[order]
+    left = write_geotiff(
+        tmp_path / "left.tif", whole[:, :4], transform=Affine(10, 0, 0, 0, -20, 1000)
+    )
+    right = write_geotiff(tmp_path / "right.tif", store(whole[:, 4:]), transform=place)
+    paths = [right, left] if is_first else [left, right]
+    with pytest.warns(TerrainwaveWarning, match="stored in another order") as noted:
+        info, heights, valid = read_mosaic(paths)
+    assert len(noted) == 1
+    assert valid.all()
+    for (row, col), height in np.ndenumerate(whole):
+        x, y = 10 * col + 5, 1000 - 20 * row - 10
+        at_col, at_row = ~Affine(*info.transform) @ (x, y)
+        assert heights[int(at_row), int(at_col)] == height
+    with pytest.warns(TerrainwaveWarning), RasterSource(paths) as source:
+        part = source.read(1, 2, info.n_rows - 3, info.n_cols - 3)[0]
+    np.testing.assert_array_equal(part, heights[1:-2, 2:-1])
+
+
+def test_raster_turned_by_another_angle_is_refused_with_the_angle(tmp_path):
+    first = tile(tmp_path / "a.tif", terrain_like(4, 4))
+    place = Affine.translation(500_120, 5_000_000) @ Affine.rotation(-30) @ Affine.scale(30, -30)
+    second = write_geotiff(tmp_path / "b.tif", terrain_like(4, 4), transform=place, crs=CRS)
+    with pytest.raises(
+        InvalidHeightsError, match=r"found pixels of 30 x 30, turned by -30 degrees, .*direction"
+    ):
+        RasterSource([first, second])
+
+
+def test_what_several_tiles_say_alike_is_said_once(tmp_path):
+    paths = [
+        tile(tmp_path / f"{col}.tif", np.stack([terrain_like(4, 4)] * 2), 0, col)
+        for col in (0, 4, 8)
+    ]
+    with pytest.warns(TerrainwaveWarning, match=r"0\.tif and 2 more: found 2 bands") as noted:
+        read_mosaic(paths)
+    assert len(noted) == 1
+
+
+def test_what_tiles_do_not_share_is_named(tmp_path):
+    first = tile(tmp_path / "a.tif", terrain_like(4, 4), bands={"descriptions": "ground"})
+    second = tile(tmp_path / "b.tif", terrain_like(4, 4), 0, 4, tags={"AREA_OR_POINT": "Point"})
+    with pytest.warns(TerrainwaveWarning, match="AREA_OR_POINT, the band's description$"):
+        info, _, _ = read_mosaic([first, second])
+    assert (info.description, info.area_or_point) == (None, None)
 
 
 @pytest.mark.parametrize(

@@ -485,10 +485,13 @@ def test_several_bands_are_noted_and_can_be_chosen(tmp_path):
     path = write_geotiff(tmp_path / "a.tif", layers, photometric="MINISBLACK")
     with pytest.warns(TerrainwaveWarning, match=r"3 bands; using band 1 \(choose with --band\)"):
         source = RasterSource(path)
-    assert len(source.notes) == 1
+    assert [note.split(": ", 1)[1] for note in source.notes] == [
+        "found 3 bands; using band 1 (choose with --band); left out: band 2, band 3"
+    ]
     source.close()
     with RasterSource(path, band=3) as source:
         assert read_all(source)[0].max() == 3
+        assert source.notes == (f"{path}: using band 3; left out: band 1, band 2",)
     with pytest.raises(InvalidHeightsError, match="band 4 does not exist, the file has 3 bands"):
         RasterSource(path, band=4)
 

@@ -11,6 +11,7 @@ from click.shell_completion import CompletionItem
 from terrainwave.arguments import ARCHIVE_ENDING, BLOCKS, check_ending
 from terrainwave.cli.streams import STREAM, read_stream
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.render.colorings import AUTO, NO_SEA
 
 TILE_SIZES = tuple(2**n + 1 for n in range(1, 15))
 
@@ -118,6 +119,17 @@ class Finite(click.ParamType):
         if not (math.isfinite(number) and self.holds(number)):
             self.fail(f"found {value}, expected {self.expected}", param, ctx)
         return number
+
+
+class SeaLevel(Finite):
+    """A height of the sea, or a word for one."""
+
+    name = "height"
+    expected = f"{AUTO}, {NO_SEA} or a height"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Return the word or the number."""
+        return value if value in (AUTO, NO_SEA) else super().convert(value, param, ctx)
 
 
 class Bound(Finite):

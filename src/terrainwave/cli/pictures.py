@@ -12,7 +12,7 @@ import click
 
 from terrainwave.arguments import PICTURE_ENDINGS, count_of
 from terrainwave.cli.commands import main
-from terrainwave.cli.options import Input, Numbers, Target
+from terrainwave.cli.options import Input, Numbers, SeaLevel, Target
 from terrainwave.cli.output import Bar, announce_compiling, plain, print_note, reading
 from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.render import DEFAULT_MAX_BYTES
@@ -24,6 +24,8 @@ RAMPS = click.Choice([AUTO, *RAMP_NAMES])
 COLORING_HELP = "What colours say.\n\n\b\n" + "\n".join(
     f"{name}: {meaning}" for name, meaning in MEANINGS.items()
 )
+# Metres: land that is lower is worth a note.
+_SEEN_DEPTH = -1.0
 POSITIVE = click.FloatRange(min=0, min_open=True)
 
 
@@ -73,6 +75,10 @@ def _drawing(command: Callable[..., Any]) -> Callable[..., Any]:
         click.option("--haze", type=click.FloatRange(0, 1), default=0.25, show_default=True),
         click.option("--sun", type=Numbers("azimuth,altitude", float), default="315,38",
                      show_default=True, help="Where the light comes from, degrees."),
+        click.option("--sea-level", type=SeaLevel(), default=AUTO, show_default=True,
+                     help="Of absolute colours: the height in the file's unit up to which all is"
+                     " water, or none. auto: water is what is level at 0, and what lies below 0"
+                     " where that hangs together with depths of more than 450 m."),
         click.option("--ramp", type=RAMPS, default=AUTO, show_default=True,
                      help="Relative colours; by default the body's. cividis is safe for"
                      " colour-blind eyes."),
@@ -130,11 +136,24 @@ def _suggest_exaggeration(frame: Any) -> None:
         )
 
 
+def _note_dry_land(scene: Any, style: Any) -> None:
+    """Say that what lies below the sea is drawn as land, where that is a guess."""
+    frame = scene.scene.frame
+    lowest = min(frame.heights)
+    if not style.is_absolute(frame.body) or style.sea_level != AUTO:
+        return
+    if lowest * frame.metres[2] <= _SEEN_DEPTH and not scene.water.cells.any():
+        print_note(
+            f"heights from {lowest:g} to 0 are drawn as dry land, as none is level at 0 or below"
+            " -450 m: --sea-level 0 draws water there"
+        )
+
+
 def _style(options: dict[str, Any]) -> Any:
     """Return the style of the options, and take them out."""
     from terrainwave.render.style import Style
 
-    names = ("coloring", "ramp", "sun", "haze", "wireframe", "background")
+    names = ("coloring", "ramp", "sea_level", "sun", "haze", "wireframe", "background")
     return Style(**{name: options.pop(name) for name in names})
 
 
@@ -208,6 +227,7 @@ def render(
             )
         style.check_body(scene.scene.frame.body)
         _suggest_exaggeration(scene.scene.frame)
+        _note_dry_land(scene, style)
         if flight is None:
             cameras, n_frames = (
                 [choose_camera(scene.scene.frame, scene.viewport, camera, bounds, within)],

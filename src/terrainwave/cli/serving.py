@@ -13,11 +13,13 @@ import click
 
 from terrainwave.arguments import count_of
 from terrainwave.cli.commands import main, plain_json
-from terrainwave.cli.options import NamedInput, Positive
+from terrainwave.cli.options import NamedInput, Positive, SeaLevel
 from terrainwave.cli.output import announce_compiling, message_of, print_note
 from terrainwave.cli.signals import Terminated
 from terrainwave.errors import StorageError, TerrainwaveError
 from terrainwave.extras import need
+from terrainwave.names import TILE_ENCODINGS
+from terrainwave.render.colorings import AUTO
 
 # A name, an address, all names below one, or any; without a port.
 _HOST_NAME = re.compile(r"(\*\.)?[\w.-]+|\[[0-9A-Fa-f:.]+\]|\*")
@@ -44,6 +46,27 @@ def _host_names(_: Any, __: Any, names: tuple[str, ...]) -> tuple[str, ...]:
 @click.option("--threads", "n_decoding", type=click.IntRange(1, 64), default=2, show_default=True,
               help="Requests that decode at a time.")  # fmt: skip
 @click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
+@click.option(
+    "--encoding",
+    type=click.Choice(TILE_ENCODINGS),
+    default=TILE_ENCODINGS[0],
+    show_default=True,
+    help="Of terrain-RGB tiles, unless ?encoding= says another one:"
+    " mapbox has steps of 0.1 m from -10000 m, terrarium of 1/256 m from -32768 m.",
+)
+@click.option(
+    "--transparent-voids",
+    is_flag=True,
+    help="Voids of terrain-RGB tiles get alpha 0, unless ?voids=height asks for none.",
+)
+@click.option(
+    "--sea-level",
+    type=SeaLevel(),
+    default=AUTO,
+    show_default=True,
+    help="Of the page's colours: the height in metres below which all is water, or none."
+    " auto: 0 where there are heights below -450 m, else none.",
+)
 @click.option("--open", "opens", is_flag=True, help="Open the page in a browser.")
 @click.option("--stdin", "listens", is_flag=True,
               help="For programs: read names of further files from stdin, a line each, answer each"
@@ -57,6 +80,9 @@ def serve(
     cors: bool,
     n_decoding: int,
     radius: float | None,
+    encoding: str,
+    transparent_voids: bool,
+    sea_level: str | float,
     opens: bool,
     listens: bool,
     quiet: bool,
@@ -76,7 +102,16 @@ def serve(
     with _saying_goodbye(quiet=quiet):
         announce_compiling(quiet=quiet)
         named = tuple(name for name in (host, *hosts) if name not in ("0.0.0.0", "::"))
-        app = make_app(list(files), hosts=named, cors=cors, n_decoding=n_decoding, radius=radius)
+        app = make_app(
+            list(files),
+            hosts=named,
+            cors=cors,
+            n_decoding=n_decoding,
+            radius=radius,
+            encoding=encoding,
+            transparent_voids=transparent_voids,
+            sea_level=sea_level,
+        )
         listener = _listen(host, port)
         address = f"http://{_in_url(host)}:{listener.getsockname()[1]}/"
         if not quiet:

@@ -11,6 +11,7 @@ from terrainwave.cli.commands import THREADS, main, print_json
 from terrainwave.cli.options import Directory, Finite, Input, Positive
 from terrainwave.cli.output import Bar, announce_compiling, plain, print_grid, reading
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.names import TILE_ENCODINGS
 
 
 @main.command()
@@ -33,6 +34,13 @@ from terrainwave.errors import InvalidArgumentError
     help="Of voids and what the raster does not cover, in metres above the ellipsoid."
     " Default: 0; in an archive 1 m below the lowest height.",
 )
+@click.option(
+    "--encoding",
+    type=click.Choice(TILE_ENCODINGS),
+    help="Of an archive: how pixels stand for heights. mapbox (default): steps of 0.1 m from"
+    " -10000 m; terrarium: steps of 1/256 m from -32768 m.",
+)
+@click.option("--transparent-voids", is_flag=True, help="Of an archive: voids get alpha 0.")
 @click.option("--attribution", default="", help="For the metadata: whose data these are.")
 @click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
 @click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use.")
@@ -65,10 +73,13 @@ def tiles(
         (_print_archived if is_archive else _print_zooms)(target, summaries)
 
 
-def _write_archive(terrain: Any, target: str, *, min_zoom: int | None, **options: Any) -> list[Any]:
+def _write_archive(
+    terrain: Any, target: str, *, min_zoom: int | None, encoding: str | None, **options: Any
+) -> list[Any]:
     from terrainwave.globe.archive import write_pmtiles
 
     options["rim"] = options["rim"] or 0
+    options["encoding"] = encoding or TILE_ENCODINGS[0]
     return write_pmtiles(terrain, target, min_zoom=min_zoom or 0, **options)
 
 
@@ -78,12 +89,19 @@ def _write_directory(
     *,
     min_zoom: int | None,
     rim: int | None,
+    encoding: str | None,
+    transparent_voids: bool,
     void_height: float | None,
     **options: Any,
 ) -> list[Any]:
     from terrainwave.globe.cesium import write_tiles
 
-    for name, value in (("min_zoom", min_zoom), ("rim", rim)):
+    for name, value in (
+        ("min_zoom", min_zoom),
+        ("rim", rim),
+        ("encoding", encoding),
+        ("transparent_voids", transparent_voids or None),
+    ):
         if value is not None:
             raise InvalidArgumentError(f"`{name}` is for an archive ({ARCHIVE_ENDING})")
     return write_tiles(terrain, target, void_height=void_height or 0.0, **options)

@@ -134,7 +134,7 @@ class Mesh:
 
         return to_pyvista(self)
 
-    def plot(self, ax: Any = None, *, wireframe: bool = False, cmap: str = "terrain") -> Any:
+    def plot(self, ax: Any = None, *, wireframe: bool = False, cmap: str | None = None) -> Any:
         """Draw the mesh from above, coloured by height and shaded; needs matplotlib.
 
         Parameters
@@ -143,8 +143,9 @@ class Mesh:
             Where to draw; a new figure by default.
         wireframe : bool
             Draw the edges too.
-        cmap : str
-            matplotlib's name of the colours of heights.
+        cmap : str, optional
+            matplotlib's name of the colours of heights; by default those of land, and on the Earth
+            those of the sea below 0 where there are heights below -450 m.
 
         Returns
         -------

@@ -25,7 +25,35 @@ _AMBIENT = 0.35
 _EDGE = {"edgecolors": (0, 0, 0, 0.45), "linewidths": 0.25}
 
 
-def plot(mesh: Mesh, ax: Any, *, wireframe: bool, cmap: str) -> Any:
+# Metres: no dry land of the Earth lies lower.
+_DEEPEST_LAND = -450.0
+# Shares of matplotlib's gist_earth where its sea and its land begin and end.
+_SEA_SHARES, _LAND_SHARES = (0.05, 0.28), (0.45, 1.0)
+_N_COLOURS = 256
+_EARTH_RADII = (6.35e6, 6.39e6)
+
+
+def colours_of_heights(
+    cmap: str | None, low: float, high: float, unit: float, *, is_earth: bool
+) -> Any:
+    """Return the colour map of heights from `low` to `high`, of `unit` metres each.
+
+    None as `cmap` is gist_earth: its land alone, or on the Earth its sea below 0 too, where heights
+    are lower than all dry land.
+    """
+    pyplot = need("matplotlib.pyplot", extra="demo")
+    if cmap is not None:
+        return pyplot.get_cmap(cmap)
+    heights, whole = np.linspace(low, high, _N_COLOURS), pyplot.get_cmap("gist_earth")
+    shares = np.interp(heights, (low, high), _LAND_SHARES)
+    if is_earth and low * unit < _DEEPEST_LAND:
+        land = np.interp(heights, (0, max(high, 1.0)), _LAND_SHARES)
+        shares = np.where(heights < 0, np.interp(heights, (low, 0), _SEA_SHARES), land)
+    colors = need("matplotlib.colors", extra="demo")
+    return colors.ListedColormap(whole(shares), name="heights")
+
+
+def plot(mesh: Mesh, ax: Any, *, wireframe: bool, cmap: str | None) -> Any:
     """Draw a mesh; see `Mesh.plot`."""
     pyplot = need("matplotlib.pyplot", extra="demo")
     collections = need("matplotlib.collections", extra="demo")
@@ -50,7 +78,10 @@ def plot(mesh: Mesh, ax: Any, *, wireframe: bool, cmap: str) -> Any:
     brightness = _brightness(corners * (per_x, per_y, unit))
     heights = corners[:, :, 2].mean(axis=1)
     low, high = float(heights.min()), float(heights.max())
-    colours = pyplot.get_cmap(cmap)((heights - low) / ((high - low) or 1.0))
+    axis = place.ellipsoid.axis
+    is_earth = mesh.crs is not None and _EARTH_RADII[0] <= axis <= _EARTH_RADII[1]
+    scale = colours_of_heights(cmap, low, high, unit, is_earth=is_earth)
+    colours = scale((heights - low) / ((high - low) or 1.0))
     colours[:, :3] *= brightness[:, np.newaxis]
     # Edges of the faces' own colour close the hairlines between neighbours.
     edges: dict[str, Any] = _EDGE if wireframe else {"edgecolors": "face", "linewidths": 0.1}
@@ -60,7 +91,7 @@ def plot(mesh: Mesh, ax: Any, *, wireframe: bool, cmap: str) -> Any:
     ax.set_aspect(1 / stretch)
     label_axes(ax, *_labels(mesh))
     norm = need("matplotlib.colors", extra="demo").Normalize(low, high if high > low else low + 1)
-    add_colour_bar(ax, norm, cmap, mesh.units)
+    add_colour_bar(ax, norm, scale, mesh.units)
     return ax
 
 
@@ -80,7 +111,7 @@ def label_axes(ax: Any, x: str, y: str) -> None:
         ax.locator_params(axis="x", nbins=5)  # eastings have many digits
 
 
-def add_colour_bar(ax: Any, norm: Any, cmap: str, units: str | None) -> None:
+def add_colour_bar(ax: Any, norm: Any, cmap: Any, units: str | None) -> None:
     """Say beside axes what colours of heights mean."""
     pyplot = need("matplotlib.pyplot", extra="demo")
     scale = pyplot.cm.ScalarMappable(norm=norm, cmap=cmap)

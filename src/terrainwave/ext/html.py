@@ -5,15 +5,19 @@ All text may come from an untrusted file: it is escaped and stripped of control 
 
 import base64
 import html
+import warnings
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import crs_name, in_one_line
-from terrainwave.errors import TerrainwaveError
+from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.file import TerrainFile
+from terrainwave.render.body import EARTH
+from terrainwave.render.frame import frame_of
 from terrainwave.render.png import encode_png
 from terrainwave.render.ramps import N_COLORS, ramp_colors
+from terrainwave.render.water import DEEP, find_water, may_have_water, waves_of
 
 # Pixels of the picture's longer side.
 _SIDE = 320
@@ -98,10 +102,39 @@ def picture(terrain: TerrainFile) -> NDArray[np.uint8]:
     if valid.any():
         low, high = float(heights[valid].min()), float(heights[valid].max())
         heights[~valid] = low
-        index = (heights - low) * ((N_COLORS - 1) / ((high - low) or 1.0))
-        colours = ramp_colors("tints", low, high)[index.astype(np.int64)]
+        has_depth = _depths(terrain, heights, valid)
+        if has_depth.any():  # land below the sea has the colour of the shore
+            colours = _ramp(heights, 0.0, max(high, 0.0), None)
+            colours[has_depth] = _ramp(heights, low, high, 0.0)[has_depth]
+        else:
+            colours = _ramp(heights, low, high, None)
         image[valid] = (colours * _brightness(heights, valid)[:, :, None])[valid]
     return image
+
+
+def _ramp(
+    heights: NDArray[np.float64], low: float, high: float, sea: float | None
+) -> NDArray[np.uint8]:
+    """Return the colours of heights from `low` to `high`, those of the ends beyond."""
+    share = np.clip((heights - low) / ((high - low) or 1.0), 0, 1)
+    index = (share * (N_COLORS - 1)).astype(np.int64)
+    colours: NDArray[np.uint8] = ramp_colors("tints", low, high, sea)[index]
+    return colours
+
+
+def _depths(
+    terrain: TerrainFile, heights: NDArray[np.float64], valid: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return where the sea's floor is."""
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore", TerrainwaveWarning
+        )  # a picture shows how its place is meant
+        frame = frame_of(terrain)
+    if frame.body != EARTH or not may_have_water(terrain, frame):
+        return np.zeros(heights.shape, dtype=np.bool_)
+    metres, waves = heights * frame.metres[2], waves_of(terrain, frame)
+    return (find_water(metres, valid, waves) == DEEP) & (metres <= waves)
 
 
 def _brightness(heights: NDArray[np.float64], valid: NDArray[np.bool_]) -> NDArray[np.float64]:

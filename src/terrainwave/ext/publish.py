@@ -7,6 +7,7 @@ the browser. What that needs PROJ for is computed here and written into terrains
 import json
 import os
 import shutil
+import warnings
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +15,16 @@ from typing import Any
 
 from terrainwave.container.publish import publish_directory
 from terrainwave.container.spool import storage_errors
-from terrainwave.errors import CorruptStreamError, InvalidHeightsError
+from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveWarning
 from terrainwave.ext.serve.catalog import describe, layer_names
 from terrainwave.file import TerrainFile
+from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
 from terrainwave.globe.polynomials import FittedPlaces, fit_places
 from terrainwave.names import METHODS, methods_that
 from terrainwave.progress import ProgressCallback, Reporter
+from terrainwave.render.colorings import AUTO
+from terrainwave.render.style import check_sea_level
 
 # What every such folder has.
 LIST = "terrains.json"
@@ -56,6 +60,8 @@ def publish_site(
     directory: str | os.PathLike[str],
     *,
     radius: float | None = None,
+    encoding: str = tiling.MAPBOX,
+    sea_level: str | float = AUTO,
     overwrite: bool = False,
     progress: ProgressCallback | None = None,
 ) -> list[PublishedTerrain]:
@@ -70,6 +76,12 @@ def publish_site(
         appears complete or not at all.
     radius : float, optional
         Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
+    encoding : {"mapbox", "terrarium"}
+        Of the terrain-RGB tiles that the page makes; a warning names each file with heights that it
+        cannot hold.
+    sea_level : {"auto", "none"} or float
+        Of the page's colours: the height in metres below which all is water, or none; by default 0
+        where there are heights below -450 m.
     overwrite : bool
         Replace an existing folder of this kind.
 
@@ -83,6 +95,8 @@ def publish_site(
     StorageError
         If something cannot be read or written.
     """
+    tiling.encoding_of(encoding)
+    check_sea_level(sea_level)
     with (
         ExitStack() as opened,
         publish_directory(directory, LIST, overwrite) as new,
@@ -94,6 +108,8 @@ def publish_site(
         _write_page(new)
         descriptions, published = [], []
         for name, (globe, places) in found.items():
+            if note := tiling.note_on_range(globe, encoding):
+                warnings.warn(TerrainwaveWarning(f"{name}: {note}"), stacklevel=2)
             source, file = globe.terrain.container.source, f"{name}.twz"
             with (new / file).open("wb") as copy:
                 for start in range(0, source.size, _PART):
@@ -101,7 +117,9 @@ def publish_site(
                     reporter.report("copying", n_done + start, total)
             n_done += source.size
             placed = places.as_json(globe)
-            descriptions.append(describe(name, globe) | {"file": file, "placed": placed})
+            descriptions.append(
+                describe(name, globe, encoding, sea_level) | {"file": file, "placed": placed}
+            )
             published.append(PublishedTerrain(name, file, source.size, places.error))
         reporter.report("copying", total, total)
         _write_list(new / LIST, descriptions)

@@ -6,6 +6,7 @@ order of the format's curve, so that readers take neighbours in one request.
 
 import math
 import os
+import warnings
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
@@ -17,7 +18,7 @@ from terrainwave._version import __version__
 from terrainwave.arguments import ARCHIVE_ENDING, check_ending, checked_threads
 from terrainwave.container.publish import publish
 from terrainwave.container.spool import storage_errors
-from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
 from terrainwave.extras import need
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
@@ -38,7 +39,7 @@ class ArchivedZoom:
     ----------
     zoom, n_tiles, n_bytes : int
     surface_error : float
-        Of resampling to Web Mercator and of the format's steps of 0.1 m.
+        Of resampling to Web Mercator and of the steps of the encoding.
     terrain_error : float
         What originals can be from the level that the tiles were made from.
     """
@@ -58,6 +59,8 @@ def write_pmtiles(
     max_zoom: int | None = None,
     rim: int = 0,
     void_height: float | None = None,
+    encoding: str = tiling.MAPBOX,
+    transparent_voids: bool = False,
     radius: float | None = None,
     attribution: str = "",
     threads: int | None = None,
@@ -78,6 +81,11 @@ def write_pmtiles(
         Pixels by which heights go on beyond the terrain's edges and into voids (`rgb_tile`).
     void_height : float, optional
         Height in metres of voids, which the format does not have; by default 1 m below the lowest.
+    encoding : {"mapbox", "terrarium"}
+        How pixels stand for heights: in steps of 0.1 m from -10000 m, or of 1/256 m from -32768 m.
+        A warning says which heights it cannot hold.
+    transparent_voids : bool
+        Give pixels of voids alpha 0.
     radius : float, optional
         Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
     attribution : str
@@ -109,6 +117,11 @@ def write_pmtiles(
     zooms = _checked_zooms(globe, min_zoom, max_zoom)
     if not 0 <= rim <= tiling.MAX_RIM:
         raise InvalidArgumentError(f"found `rim` {rim}, expected 0 … {tiling.MAX_RIM}")
+    look = tiling.Look(tiling.encoding_of(encoding).name, transparent_voids)
+    if void_height is not None:
+        tiling.check_void_height(void_height, encoding)
+    if note := tiling.note_on_range(globe, encoding):
+        warnings.warn(note, TerrainwaveWarning, stacklevel=2)
     numbers = {zoom: _numbers(globe, zoom, rim) for zoom in zooms}
     reporter, n_done, total = Reporter(progress), 0, sum(map(len, numbers.values()))
     n_threads = checked_threads(threads)
@@ -124,7 +137,7 @@ def write_pmtiles(
         for zoom in zooms:
             written = []
             for number, tile in _tiles(
-                globe, numbers[zoom], rim, void_height, executor, _AHEAD * n_threads
+                globe, numbers[zoom], rim, look, void_height, executor, _AHEAD * n_threads
             ):
                 if tile is not None:
                     writer.write_tile(number, tile.png)
@@ -138,7 +151,7 @@ def write_pmtiles(
                 )
         if not summaries:
             raise InvalidHeightsError("there is no valid height: an archive would have no tile")
-        writer.finalize(*_description(globe, summaries, attribution))
+        writer.finalize(*_description(globe, summaries, attribution, encoding))
     return summaries
 
 
@@ -183,6 +196,7 @@ def _tiles(
     globe: Globe,
     numbers: list[int],
     rim: int,
+    look: tiling.Look,
     void_height: float | None,
     executor: ThreadPoolExecutor,
     n_ahead: int,
@@ -192,7 +206,7 @@ def _tiles(
 
     def tile(number: int) -> tiling.RgbTile | None:
         z, x, y = place_of(number)
-        return tiling.rgb_tile(globe, z, x, y, rim, void_height=void_height)
+        return tiling.rgb_tile(globe, z, x, y, rim, look, void_height=void_height)
 
     left = iter(numbers)
     while batch := list(islice(left, n_ahead)):
@@ -200,7 +214,7 @@ def _tiles(
 
 
 def _description(
-    globe: Globe, summaries: list[ArchivedZoom], attribution: str
+    globe: Globe, summaries: list[ArchivedZoom], attribution: str, encoding: str
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return an archive's header and its metadata."""
     kinds = need("pmtiles.tile", extra="pmtiles")
@@ -224,7 +238,7 @@ def _description(
     metadata = {
         "type": "baselayer",
         "format": "png",
-        "encoding": "mapbox",
+        "encoding": encoding,
         "tileSize": tiling.TILE_SIZE,
         "generator": f"terrainwave {__version__}",
         "attribution": attribution,

@@ -1,16 +1,21 @@
 """Terrain-RGB tiles in Web Mercator, their errors, and the TileJSON that describes them.
 
-A pixel of a terrain-RGB tile holds a height in steps of 0.1 m:
-height = -10000 + (R * 65536 + G * 256 + B) * 0.1 (Mapbox Terrain-RGB v1).
+A pixel of a terrain-RGB tile holds a height in whole steps above the lowest one (`ENCODINGS`):
+
+mapbox: height = -10000 + (R * 65536 + G * 256 + B) * 0.1 (Mapbox Terrain-RGB v1)
+terrarium: height = -32768 + R * 256 + G + B / 256 (Mapzen Terrarium)
 """
 
 import io
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import one_of
+from terrainwave.errors import InvalidArgumentError
 from terrainwave.extras import need
 from terrainwave.globe.lonlat import Globe
 
@@ -24,9 +29,81 @@ MAX_RIM = 8
 # `RgbTile.voids` where there is no terrain.
 ALL_VOID = np.full((TILE_SIZE, TILE_SIZE), 255, dtype=np.uint8)
 
-_STEP = 0.1
-_LOWEST = -10000.0
 _HIGHEST_CODE = (1 << 24) - 1
+
+
+class Encoding(NamedTuple):
+    """How pixels stand for heights; metres.
+
+    Parameters
+    ----------
+    name : str
+        As TileJSON and MapLibre's sources call it.
+    lowest : float
+        The height of code 0.
+    step : float
+        From one code to the next; R is a code's highest byte, B its lowest.
+    """
+
+    name: str
+    lowest: float
+    step: float
+
+    @property
+    def highest(self) -> float:
+        """The height of the last code."""
+        return self.lowest + _HIGHEST_CODE * self.step
+
+    def holds(self, low: float, high: float) -> bool:
+        """Say whether heights from `low` to `high` are at most half a step from their codes'."""
+        half = self.step / 2
+        return self.lowest - half <= low and high <= self.highest + half
+
+    def codes(self, heights: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the codes that stand for heights, the nearest there are; NaN stays."""
+        return np.clip(np.rint((heights - self.lowest) / self.step), 0, _HIGHEST_CODE)
+
+    def heights(self, codes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the heights that codes stand for."""
+        return codes * self.step + self.lowest
+
+
+ENCODINGS = {
+    one.name: one
+    for one in (Encoding("mapbox", -10000.0, 0.1), Encoding("terrarium", -32768.0, 1 / 256))
+}
+MAPBOX = "mapbox"
+
+
+class Look(NamedTuple):
+    """How tiles show heights and voids.
+
+    Parameters
+    ----------
+    encoding : str
+        One of `ENCODINGS`.
+    transparent_voids : bool
+        Pixels without heights have alpha 0, all others 255. Their colours are the same as without.
+    """
+
+    encoding: str = MAPBOX
+    transparent_voids: bool = False
+
+
+PLAIN = Look()
+
+
+def encoding_of(name: str) -> Encoding:
+    """Return the encoding of a name.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If there is none.
+    """
+    if name not in ENCODINGS:
+        raise InvalidArgumentError(f"found `encoding` {name!r}, expected {one_of([*ENCODINGS])}")
+    return ENCODINGS[name]
 
 
 @dataclass(frozen=True)
@@ -36,11 +113,11 @@ class RgbTile:
     Attributes
     ----------
     png : bytes
-        `TILE_SIZE` pixels square, RGB.
+        `TILE_SIZE` pixels square, RGB; RGBA where voids are transparent.
     error : float
-        Metres. Largest distance found between the tile's bilinear surface, rounded to 0.1 m, and
-        the bilinear surface of the decoded samples it was made from, at the tile's pixels and
-        halfway between them: resampling to Web Mercator and rounding.
+        Metres. Largest distance found between the tile's bilinear surface, in the steps of its
+        encoding, and the bilinear surface of the decoded samples it was made from, at the tile's
+        pixels and halfway between them: resampling to Web Mercator and rounding.
     terrain_error : float
         Metres. No original under the tile is further from the bilinear surface of those decoded
         samples (measured when the file was written, `Terrain.block_error`).
@@ -111,7 +188,14 @@ def level_for(globe: Globe, z: int, y: int) -> int:
 
 
 def rgb_tile(
-    globe: Globe, z: int, x: int, y: int, rim: int = 0, *, void_height: float | None = None
+    globe: Globe,
+    z: int,
+    x: int,
+    y: int,
+    rim: int = 0,
+    look: Look = PLAIN,
+    *,
+    void_height: float | None = None,
 ) -> RgbTile | None:
     """Return the terrain-RGB tile z/x/y (XYZ, Web Mercator), or None where there is no terrain.
 
@@ -123,6 +207,8 @@ def rgb_tile(
     rim : int
         Pixels, 0 … `MAX_RIM`, by which heights go on beyond the terrain's edges and into voids, so
         that surfaces through the pixels don't fall off within the terrain. It is not in `error`.
+    look : Look
+        What the encoding cannot hold becomes the nearest height that it can.
     void_height : float, optional
         Metres, of pixels without heights: the format has no void. By default `VOID_DEPTH` below
         the terrain's lowest.
@@ -141,24 +227,61 @@ def rgb_tile(
     samples, window = globe.heights_at(rows, cols, level)
     around = samples.reshape(longitudes.shape)
     surface = _without(around, 2 * rim)
-    codes = _codes(surface[::2, ::2])
-    drawn = _codes(_without(_grown(around[::2, ::2], rim), rim))
+    pixels = encoding_of(look.encoding)
+    drawn = pixels.codes(_without(_grown(around[::2, ::2], rim), rim))
     if window is None or np.isnan(drawn).all():
         return None
-    void = _codes(np.array(height_of_voids(globe) if void_height is None else void_height))
+    shown = pixels.heights(pixels.codes(surface[::2, ::2]))
     return RgbTile(
-        png=_png(np.where(np.isnan(drawn), void, drawn).astype(np.uint32)),
-        error=_largest_distance(codes * _STEP + _LOWEST, surface),
+        png=_png(drawn, _void_code(globe, pixels, void_height), look),
+        error=_largest_distance(shown, surface),
         terrain_error=globe.heights_error(window),
         level=level,
         voids=_void_shares(np.isnan(around), rim),
     )
 
 
-def void_tile(globe: Globe) -> bytes:
+def void_tile(globe: Globe, look: Look = PLAIN) -> bytes:
     """Return the PNG of a terrain-RGB tile without terrain."""
-    void = int(_codes(np.array(height_of_voids(globe))))
-    return _png(np.full((TILE_SIZE, TILE_SIZE), void, dtype=np.uint32))
+    codes = np.full((TILE_SIZE, TILE_SIZE), np.nan)
+    return _png(codes, _void_code(globe, encoding_of(look.encoding), None), look)
+
+
+def _void_code(globe: Globe, pixels: Encoding, void_height: float | None) -> float:
+    height = height_of_voids(globe) if void_height is None else void_height
+    return float(pixels.codes(np.array(height)))
+
+
+def check_void_height(height: float, encoding: str) -> None:
+    """Refuse a height of voids that an encoding cannot hold.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If it cannot.
+    """
+    pixels = encoding_of(encoding)
+    if not pixels.lowest <= height <= pixels.highest:
+        raise InvalidArgumentError(
+            f"found `void_height` {height:g}, expected {pixels.lowest:g} to {pixels.highest:g} m,"
+            f" which tiles of `encoding` {encoding} can hold"
+        )
+
+
+def note_on_range(globe: Globe, encoding: str) -> str | None:
+    """Say which heights of a terrain an encoding cannot hold; None if it holds all."""
+    low, high = globe.height_range
+    pixels = encoding_of(encoding)
+    if pixels.holds(low, high):
+        return None
+    is_low = low < pixels.lowest
+    end, side = (pixels.lowest, "below") if is_low else (pixels.highest, "above")
+    others = [one.name for one in ENCODINGS.values() if one.holds(low, high)]
+    advice = f"; `encoding` {others[0]} holds them" if others else ""
+    return (
+        f"heights reach from {low:.10g} to {high:.10g} m, and tiles of `encoding` {encoding} hold"
+        f" none {side} {end:.10g} m, which is shown instead{advice}"
+    )
 
 
 def cover_tile(voids: NDArray[np.uint8], color: tuple[int, int, int]) -> bytes:
@@ -174,11 +297,6 @@ def cover_tile(voids: NDArray[np.uint8], color: tuple[int, int, int]) -> bytes:
 def _without(values: NDArray[np.float64], n: int) -> NDArray[np.float64]:
     """Return a square without the `n` outermost rows and columns of each side."""
     return values[n : len(values) - n, n : len(values) - n]
-
-
-def _codes(heights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the numbers that stand for heights; NaN stays."""
-    return np.clip(np.rint((heights - _LOWEST) / _STEP), 0, _HIGHEST_CODE)
 
 
 def _grown(heights: NDArray[np.float64], n_times: int) -> NDArray[np.float64]:
@@ -221,15 +339,22 @@ def _largest_distance(tile: NDArray[np.float64], surface: NDArray[np.float64]) -
     return float(np.nanmax(distances)) if np.isfinite(distances).any() else 0.0
 
 
-def _png(codes: NDArray[np.uint32]) -> bytes:
+def _png(codes: NDArray[np.float64], void: float, look: Look) -> bytes:
+    """Return a PNG of codes; NaN gets the code `void`, and no opacity if voids are transparent."""
     image = need("PIL.Image", extra="serve", purpose="a terrain-RGB tile")
-    pixels = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=-1).astype(np.uint8)
+    is_void = np.isnan(codes)
+    whole = np.where(is_void, void, codes).astype(np.uint32)
+    parts = [whole >> 16, whole >> 8 & 255, whole & 255]
+    if look.transparent_voids:
+        parts.append(np.where(is_void, 0, 255))
+    pixels = np.stack(parts, axis=-1).astype(np.uint8)
     out = io.BytesIO()
-    image.fromarray(pixels, "RGB").save(out, "PNG", compress_level=4)
+    mode = "RGBA" if look.transparent_voids else "RGB"
+    image.fromarray(pixels, mode).save(out, "PNG", compress_level=4)
     return out.getvalue()
 
 
-def tile_json(globe: Globe, url: str, name: str) -> dict[str, object]:
+def tile_json(globe: Globe, url: str, name: str, encoding: str = MAPBOX) -> dict[str, object]:
     """Return the TileJSON 3.0 of a terrain's terrain-RGB tiles.
 
     Parameters
@@ -239,6 +364,8 @@ def tile_json(globe: Globe, url: str, name: str) -> dict[str, object]:
         Of a tile, with ``{z}``, ``{x}`` and ``{y}`` in it.
     name : str
         What clients may show.
+    encoding : str
+        Of the tiles at that URL.
     """
     west, south, east, north = globe.extent
     last = max_zoom(globe)
@@ -254,7 +381,7 @@ def tile_json(globe: Globe, url: str, name: str) -> dict[str, object]:
         "maxzoom": last,
         "bounds": [west, max(south, -MAX_LATITUDE), east, min(north, MAX_LATITUDE)],
         "center": [(middle + 180) % 360 - 180, (south + north) / 2, max(last - 3, 0)],
-        "encoding": "mapbox",
+        "encoding": encoding,
         "tileSize": TILE_SIZE,
         "format": "png",
     }

@@ -62,3 +62,14 @@ def format_crs(crs: CRS | None) -> str | None:
             if CRS.from_wkt(candidates[-1]).to_wkt() == crs.to_wkt():
                 return candidates[-1]
     return candidates[0] if candidates else str(crs.to_wkt())
+
+
+def is_exact(crs: CRS | None) -> bool:
+    """Tell whether `format_crs` gives text from which the same system comes back."""
+    if not crs:
+        return True
+    text = format_crs(crs)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TerrainwaveWarning)
+        back = parse_crs(text)
+    return back is not None and back.to_wkt() == crs.to_wkt()

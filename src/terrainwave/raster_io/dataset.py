@@ -1,6 +1,7 @@
 """A band of anything that rasterio opens."""
 
 import errno
+import math
 import os
 import warnings
 from collections.abc import Iterator
@@ -20,22 +21,24 @@ from terrainwave.errors import (
     StorageError,
     TerrainwaveError,
 )
-from terrainwave.raster_io.crs import format_crs
+from terrainwave.grid.affine import IDENTITY
+from terrainwave.raster_io.crs import format_crs, is_exact
 from terrainwave.raster_io.gdal import (
     GDAL_ERRORS,
     bounded_env,
     one_line,
 )
-from terrainwave.raster_io.tags import PLAIN_COLORS, select_tags
-
-# What to convert an unsupported type to; the narrowest of ours that holds all of its values, or
-
+from terrainwave.raster_io.tags import PLAIN_COLORS, is_statistic, select_tags
 
 # What GDAL tells of a file rather than keeps in it.
 _DERIVED_TAGS = (
     "", "IMAGE_STRUCTURE", "DERIVED_SUBDATASETS", "SUBDATASETS", "RPC", "TIFF", "xml:VRT",
-    "OVERVIEWS", "LocationInfo", "vrt_sources", "new_vrt_sources",
+    "OVERVIEWS", "LocationInfo", "vrt_sources", "new_vrt_sources", "GEOLOCATION",
 )  # fmt: skip
+# Of a band, as netCDF names values that mark voids; GDAL takes one of them as nodata.
+_VOID_TAGS = ("_FillValue", "missing_value")
+# Names that a note lists.
+_N_NAMES = 4
 
 
 def open_dataset(path: str) -> Any:
@@ -108,6 +111,26 @@ def _is_twz(path: Path) -> bool:
         return False
 
 
+def _band_names(numbers: list[int], descriptions: tuple[str | None, ...]) -> str:
+    """Return "band 2 (slope), band 3", or the first and the last of many."""
+    if len(numbers) > 2 * _N_NAMES:
+        return f"{len(numbers)} bands, from {numbers[0]} to {numbers[-1]}"
+    names = [descriptions[number - 1] for number in numbers]
+    return ", ".join(
+        f"band {number} ({name})" if name else f"band {number}"
+        for number, name in zip(numbers, names, strict=True)
+    )
+
+
+def _number(text: str) -> float | None:
+    """Return the number that a tag is; None if it is none, or NaN, which is always void."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return None if math.isnan(value) else value
+
+
 class DatasetBackend:
     """A band of a rasterio dataset."""
 
@@ -140,45 +163,116 @@ class DatasetBackend:
         self.transform = tuple(float(value) for value in dataset.transform[:6])
         self.crs = dataset.crs
         flags = dataset.mask_flag_enums[band - 1]
+        colors = [color.name for color in dataset.colorinterp]
+        # GDAL takes an alpha for a mask in 8 and 16 bits alone, and beside no nodata value.
+        self._alphas = [
+            number for number, color in enumerate(colors, 1) if color == "alpha" and number != band
+        ]
         # Neither flag: a mask band of this band alone.
         is_plain = MaskFlags.all_valid in flags or flags == [MaskFlags.nodata]
-        self.has_mask = not is_plain
+        self._has_own_mask = not is_plain and MaskFlags.alpha not in flags
+        self.has_mask = self._has_own_mask or bool(self._alphas)
         self._tags = select_tags(dataset.tags())
         self._band_tags = select_tags(dataset.tags(band))
 
     def notes(self) -> Iterator[str]:
         """Yield what is left out or was chosen, one sentence each."""
-        dataset = self._dataset
-        n_bands = sum(1 for color in dataset.colorinterp if color.name != "alpha")
-        if n_bands > 1 and self._band == 1:
-            yield f"{self.name} has {n_bands} bands; using band 1 (choose with --band)"
-        dropped = [
-            name
-            for name, value in (("GCPs", dataset.gcps[0]), ("RPCs", getattr(dataset, "rpcs", None)))
-            if value
-        ]
-        if dropped:
-            what = " and ".join(dropped)
-            yield f"{self.name}: {what} are dropped, a .twz file does not hold them"
-        others = {
+        return (f"{self.name}: {remark}" for remark in self.remarks())
+
+    def remarks(self) -> Iterator[str]:
+        """Yield the notes without the raster's name."""
+        dataset, band = self._dataset, self._band
+        others = self._other_bands()
+        if others and band == 1:
+            n_bands = dataset.count - len(self._alphas)
+            yield f"found {n_bands} bands; using band 1 (choose with --band); left out: {others}"
+        if len(self._alphas) > 1:
+            numbers = " and ".join(map(str, self._alphas))
+            yield f"bands {numbers} are alpha bands: heights are void where one of them is 0"
+        yield from self._notes_on_place()
+        yield from self._notes_on_nodata()
+        if dataset.subdatasets:
+            names = ", ".join(dataset.subdatasets[:_N_NAMES])
+            more = ", …" if len(dataset.subdatasets) > _N_NAMES else ""
+            yield (
+                "it holds several rasters, of which only the one that GDAL opens by this name is"
+                f" taken; there are: {names}{more}"
+            )
+        dropped = {
             f"the tags {name}"
-            for name in (*dataset.tag_namespaces(), *dataset.tag_namespaces(self._band))
+            for name in (*dataset.tag_namespaces(), *dataset.tag_namespaces(band))
             if name not in _DERIVED_TAGS
         }
-        if dataset.colorinterp[self._band - 1].name == "palette":
-            others.add("its colour table")
+        if dataset.colorinterp[band - 1].name == "palette":
+            dropped.add("its colour table")
         left_out = [*self._tags.left_out, *self._band_tags.left_out]
         if left_out:
-            others.add(f"the tags {', '.join(left_out)}")
-        if others:
-            what = ", ".join(sorted(others))
-            yield f"{self.name}: dropped, as a .twz file does not hold them: {what}"
-        if dataset.driver == "VRT" and self.nodata is None and not self.has_mask:
+            dropped.add(f"the tags {', '.join(left_out)}")
+        if dropped:
+            what = ", ".join(sorted(dropped))
+            yield f"dropped, as a .twz file does not hold them: {what}"
+
+    def _other_bands(self) -> str:
+        """Return the names of the bands that are neither taken nor a mask."""
+        dataset, used = self._dataset, (self._band, *self._alphas)
+        others = [number for number in range(1, dataset.count + 1) if number not in used]
+        return _band_names(others, dataset.descriptions)
+
+    def asides(self) -> Iterator[str]:
+        """Yield what is no reason for a warning, one sentence each.
+
+        Bands beside one that was chosen, and what can be made of the heights again.
+        """
+        others = self._other_bands()
+        if others and self._band != 1:
+            yield f"using band {self._band}; left out: {others}"
+        band_tags, derived = self._dataset.tags(self._band), []
+        # A VRT would open its sources for that.
+        if self._dataset.driver != "VRT" and self._dataset.overviews(self._band):
+            derived.append("overviews (levels are samples of the full grid)")
+        if any(is_statistic(name) for name in band_tags):
+            derived.append("statistics")
+        if derived:
+            yield f"not kept, as the heights give them again: {' and '.join(derived)}"
+
+    def _notes_on_place(self) -> Iterator[str]:
+        dataset = self._dataset
+        found = [
+            name
+            for name, value in (
+                ("GCPs", dataset.gcps[0]),
+                ("RPCs", getattr(dataset, "rpcs", None)),
+                ("GEOLOCATION arrays", dataset.tags(ns="GEOLOCATION")),
+            )
+            if value
+        ]
+        if found:
+            lost = ""
+            if tuple(self.transform) == IDENTITY:
+                lost = ": the raster's place is lost (gdalwarp makes a raster that has one)"
+            yield f"{' and '.join(found)} are dropped, a .twz file does not hold them{lost}"
+        if not is_exact(self.crs):
             yield (
-                f"{self.name} declares no nodata value: where none of its sources lies, heights are"
-                " 0 and count as such; set it with gdalbuildvrt -vrtnodata, or name the files"
+                "the CRS is kept as WKT that does not say all of it: compare gdalinfo of the raster"
+                " and of what decompress makes"
+            )
+
+    def _notes_on_nodata(self) -> Iterator[str]:
+        if self._dataset.driver == "VRT" and self.nodata is None and not self.has_mask:
+            yield (
+                "the VRT declares no nodata value: where none of its sources lies, heights are 0"
+                " and count as such; set it with gdalbuildvrt -vrtnodata, or name the files"
                 " themselves"
             )
+        tags = self._dataset.tags(self._band)
+        for name in _VOID_TAGS:
+            value = _number(tags.get(name, ""))
+            if value is not None and value != self.nodata:
+                yield (
+                    f"the band's tag {name} is {tags[name]}, its nodata value"
+                    f" {'none' if self.nodata is None else f'{self.nodata:g}'}: heights of"
+                    f" {tags[name]} count as heights (choose with --nodata)"
+                )
 
     def tags(self) -> dict[str, Any]:
         """Return the fields of RasterInfo that do not bear on the heights."""
@@ -202,9 +296,12 @@ class DatasetBackend:
         try:
             with bounded_env():
                 heights = self._dataset.read(self._band, window=window)
-                if not self.has_mask:
-                    return heights, np.ones(heights.shape, dtype=bool)
-                return heights, self._dataset.read_masks(self._band, window=window) != 0
+                valid = np.ones(heights.shape, dtype=bool)
+                if self._has_own_mask:
+                    valid &= self._dataset.read_masks(self._band, window=window) != 0
+                for alpha in self._alphas:
+                    valid &= self._dataset.read(alpha, window=window) > 0
+                return heights, valid
         except GDAL_ERRORS as error:
             raise StorageError(
                 f"{self.name}: rows {row} to {row + n_rows - 1}, columns {col} to"

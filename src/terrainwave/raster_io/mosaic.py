@@ -1,8 +1,9 @@
 """Several rasters of one grid as one: what a mosaic or its missing parts read as."""
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import product
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,59 @@ from terrainwave.raster_io.tags import common_tags
 _TOLERANCE = 0.01
 # Files that are open at a time: a row of tiles, well below what a process may open.
 _MAX_OPEN = 128
+# What a mosaic has where all of its rasters agree in it, and what notes call that.
+_ALIKE = {
+    "area_or_point": "AREA_OR_POINT",
+    "description": "the band's description",
+    "color_interpretation": "the band's colour interpretation",
+}
 # Striped files wider than this are read by whole strips.
 _WIDE = 1024
+
+
+class _Turn(NamedTuple):
+    """How the rows and columns of a raster lie on a grid of another order.
+
+    First rows and columns change places, then the order of rows and of columns is reversed.
+    """
+
+    swap: bool = False
+    flip_rows: bool = False
+    flip_cols: bool = False
+
+    def of_shape(self, shape: tuple[int, int]) -> tuple[int, int]:
+        """Return the number of rows and columns of a turned raster."""
+        return (shape[1], shape[0]) if self.swap else shape
+
+    def of_transform(
+        self, transform: tuple[float, ...], shape: tuple[int, int]
+    ) -> tuple[float, ...]:
+        """Return the transform of a raster of `shape` that is turned."""
+        a, b, c, d, e, f = transform
+        n_rows, n_cols = self.of_shape(shape)
+        if self.swap:
+            a, b, d, e = b, a, e, d
+        if self.flip_rows:
+            b, e, c, f = -b, -e, c + n_rows * b, f + n_rows * e
+        if self.flip_cols:
+            a, d, c, f = -a, -d, c + n_cols * a, f + n_cols * d
+        return a, b, c, d, e, f
+
+    def of_array(self, array: NDArray[Any]) -> NDArray[Any]:
+        """Return a view of a raster's samples that is turned."""
+        turned = array.T if self.swap else array
+        return turned[:: -1 if self.flip_rows else 1, :: -1 if self.flip_cols else 1]
+
+    def before(self, part: Region, shape: tuple[int, int]) -> Region:
+        """Return where a window of the turned raster, of `shape`, lies in the raster itself."""
+        row = shape[0] - part.row - part.n_rows if self.flip_rows else part.row
+        col = shape[1] - part.col - part.n_cols if self.flip_cols else part.col
+        if self.swap:
+            return Region(col, row, part.n_cols, part.n_rows)
+        return Region(row, col, *part.shape)
+
+
+_TURNS = tuple(_Turn(*turn) for turn in product((False, True), repeat=3))
 
 
 class _Member(NamedTuple):
@@ -31,6 +83,7 @@ class _Member(NamedTuple):
     source: Any  # a path, or an open dataset
     name: str
     region: Region
+    turn: _Turn
     nodata: int | float | None
     has_mask: bool
 
@@ -47,11 +100,30 @@ class _Description(NamedTuple):
     block_shape: tuple[int, int]
     crs: CRS | None
     tags: dict[str, Any]
-    notes: tuple[str, ...]
+    remarks: tuple[str, ...]
+    asides: tuple[str, ...]
+    turn: _Turn = _Turn()
+
+    def on_grid_of(self, first: Self) -> Self:
+        """Return the raster in the order of rows and columns that `first` has, if it can be."""
+        pixel, size = _pixel(first.transform), max(*first.shape, *self.shape)
+        for turn in _TURNS:
+            transform = turn.of_transform(self.transform, self.shape)
+            if _difference(first.transform, transform) * size <= _TOLERANCE * pixel:
+                return self._replace(
+                    turn=turn,
+                    transform=transform,
+                    shape=turn.of_shape(self.shape),
+                    block_shape=turn.of_shape(self.block_shape),
+                )
+        return self
 
 
 class MosaicBackend:
     """Several rasters on one grid; where they overlap, the last one's valid heights count.
+
+    Rows and columns lie as those of the first; rasters that are stored in another order (south
+    first, turned by right angles) are turned while they are read.
 
     Parameters
     ----------
@@ -82,6 +154,7 @@ class MosaicBackend:
         self._open: Cache[str, DatasetBackend] = Cache(_MAX_OPEN, drop=DatasetBackend.close)
         rasters = [self._describe(source) for source in sources]
         first = rasters[0]
+        rasters = [one.on_grid_of(first) for one in rasters]
         for other in rasters[1:]:
             _check_alike(first, other)
         self.name = f"{first.name} and {len(rasters) - 1} more"
@@ -92,21 +165,25 @@ class MosaicBackend:
         self.n_cols = max(col + one.shape[1] for (_, col), one in zip(places, rasters)) - left
         self.transform = _corner_transform(rasters, places, top, left)
         self._tags = dict(first.tags)
-        for name in ("area_or_point", "description", "color_interpretation"):
+        self._differing = []
+        for name, words in _ALIKE.items():
             if any(one.tags[name] != first.tags[name] for one in rasters):
                 self._tags[name] = None
+                self._differing.append(words)
         for name in ("tags", "band_tags"):
             self._tags[name] = common_tags(one.tags[name] for one in rasters)
         kept = {name for name, _ in (*self._tags["tags"], *self._tags["band_tags"])}
         found = {
             name for one in rasters for kind in ("tags", "band_tags") for name, _ in one.tags[kind]
         }
-        self._differing = sorted(found - kept)
+        if found - kept:
+            self._differing.append(f"the tags {', '.join(sorted(found - kept))}")
         self._members = [
             _Member(
                 source,
                 one.name,
                 Region(row - top, col - left, *one.shape),
+                one.turn,
                 one.nodata if nodata is None else nodata,
                 one.has_mask,
             )
@@ -114,9 +191,12 @@ class MosaicBackend:
         ]
         regions = np.array([member.region for member in self._members], dtype=np.int64)
         self._corners = regions[:, :2], regions[:, :2] + regions[:, 2:]
-        self._notes = [note for one in rasters for note in one.notes]
+        self._notes = list(_gathered((one, one.remarks) for one in rasters))
+        self._asides = list(_gathered((one, one.asides) for one in rasters))
         declared = [one.nodata for one in rasters if one.nodata is not None]
         self.nodata = declared[0] if declared else None
+        if nodata is None:
+            self._notes += _notes_on_nodata(rasters, self.nodata)
         self._nodata = self.nodata if nodata is None else nodata
         self._n_covered = covered_samples([member.region for member in self._members])
         has_voids = self._has_gaps or any(one.has_mask for one in rasters)
@@ -144,7 +224,8 @@ class MosaicBackend:
             block_shape=backend.block_shape,
             crs=backend.crs,
             tags=backend.tags(),
-            notes=tuple(backend.notes()),
+            remarks=tuple(backend.remarks()),
+            asides=tuple(backend.asides()),
         )
 
     def _backend(self, source: Any) -> DatasetBackend:
@@ -161,13 +242,23 @@ class MosaicBackend:
         yield from self._notes
         if self._differing:
             names = ", ".join(self._differing)
-            yield f"{self.name}: dropped, as the rasters differ there: the tags {names}"
+            yield f"{self.name}: dropped, as the rasters differ there: {names}"
+        turned = [member for member in self._members if member.turn != _Turn()]
+        if turned:
+            yield (
+                f"{_names(turned)}: rows or columns are stored in another order than in"
+                f" {self._members[0].name}; turned to its order"
+            )
         if self._has_gaps:
             share = 100 * self._n_covered / (self.n_rows * self.n_cols)
             yield (
                 f"{self.name} cover {share:.3g} % of the {self.n_rows} x {self.n_cols} samples"
                 " around them; the rest is void"
             )
+
+    def asides(self) -> Iterator[str]:
+        """Yield what is no reason for a warning."""
+        yield from self._asides
 
     def tags(self) -> dict[str, Any]:
         """Return the fields of RasterInfo that do not bear on the heights."""
@@ -204,8 +295,10 @@ class MosaicBackend:
         return math.nan if self.dtype.kind == "f" else 0
 
     def _read_member(self, member: _Member, part: Region) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        place = part.row - member.region.row, part.col - member.region.col
-        heights, valid = self._backend(member.source).read(*place, *part.shape)
+        own, turn = member.region, member.turn
+        place = part.row - own.row, part.col - own.col
+        window = turn.before(Region(*place, *part.shape), own.shape)
+        heights, valid = map(turn.of_array, self._backend(member.source).read(*window))
         if member.nodata is not None and not math.isnan(member.nodata):
             valid &= heights != stored_nodata(member.nodata, self.dtype)
         if self.dtype.kind == "f":
@@ -265,20 +358,13 @@ def _place(first: _Description, other: _Description) -> tuple[int, int]:
         raise InvalidHeightsError(
             f"{first.name} and {other.name}: their transforms do not say where they lie"
         )
-    size = max(*first.shape, *other.shape)
-    pixel = max(abs(a), abs(b), abs(d), abs(e))
-    differences = [
-        abs(mine - theirs)
-        for mine, theirs in zip((a, b, d, e), (*other.transform[:2], *other.transform[3:5]))
-    ]
     resolution = f"{math.hypot(a, d):.10g} {math.hypot(b, e):.10g}"
-    if max(differences) * size > _TOLERANCE * pixel:
-        oa, ob, _, od, oe, _ = other.transform
+    size = max(*first.shape, *other.shape)
+    if _difference(first.transform, other.transform) * size > _TOLERANCE * _pixel(first.transform):
         raise InvalidHeightsError(
-            f"{other.name}: found pixels of {math.hypot(oa, od):.10g} x {math.hypot(ob, oe):.10g},"
-            f" {first.name} has {math.hypot(a, d):.10g} x {math.hypot(b, e):.10g} (or they are"
-            " turned); expected one resolution: resample first, for example gdalwarp -tr"
-            f" {resolution} -tap"
+            f"{other.name}: found {_grid_text(other.transform)}, {first.name} has"
+            f" {_grid_text(first.transform)}; expected one resolution and one direction of rows:"
+            f" resample first, for example gdalwarp -tr {resolution} -tap"
         )
     row, col = places_to_pixels(first.transform, other.transform[2], other.transform[5])
     if max(abs(col - round(col)), abs(row - round(row))) > _TOLERANCE:
@@ -288,6 +374,51 @@ def _place(first: _Description, other: _Description) -> tuple[int, int]:
             f" resample first, for example gdalwarp -tr {resolution} -tap for all of them"
         )
     return round(row), round(col)
+
+
+def _pixel(transform: tuple[float, ...]) -> float:
+    """Return about how large a pixel is."""
+    a, b, _, d, e, _ = transform
+    return max(abs(a), abs(b), abs(d), abs(e))
+
+
+def _difference(mine: tuple[float, ...], theirs: tuple[float, ...]) -> float:
+    """Return by how much the steps from pixel to pixel of two transforms differ."""
+    return max(abs(mine[k] - theirs[k]) for k in (0, 1, 3, 4))
+
+
+def _grid_text(transform: tuple[float, ...]) -> str:
+    """Return the size of pixels, and how far rows are turned from west to east."""
+    a, b, _, d, e, _ = transform
+    size = f"pixels of {math.hypot(a, d):.10g} x {math.hypot(b, e):.10g}"
+    angle = math.degrees(math.atan2(d, a))
+    return f"{size}, turned by {angle:.6g} degrees" if angle % 180 else size
+
+
+def _gathered(said: Iterable[tuple[_Description, tuple[str, ...]]]) -> Iterator[str]:
+    """Yield what rasters say of themselves; once what several of them say alike."""
+    of_remarks: dict[str, list[_Description]] = {}
+    for one, remarks in said:
+        for remark in remarks:
+            of_remarks.setdefault(remark, []).append(one)
+    for remark, found in of_remarks.items():
+        yield f"{_names(found)}: {remark}"
+
+
+def _names(rasters: Sequence[Any]) -> str:
+    """Return the first one's name and how many more there are."""
+    more = f" and {len(rasters) - 1} more" if len(rasters) > 1 else ""
+    return f"{rasters[0].name}{more}"
+
+
+def _notes_on_nodata(rasters: Sequence[_Description], kept: float | None) -> Iterator[str]:
+    """Say where the rasters declare several nodata values, of which the mosaic has one."""
+    values = dict.fromkeys(repr(one.nodata) for one in rasters if one.nodata is not None)
+    if len(values) > 1:
+        yield (
+            f"{_names(rasters)}: found the nodata values {', '.join(values)}; all voids get"
+            f" {kept!r}"
+        )
 
 
 def _corner_transform(

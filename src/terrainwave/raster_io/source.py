@@ -77,7 +77,8 @@ class RasterSource:
     name : str
         How messages call the source.
     notes : tuple of str
-        What the source left out or chose, one sentence each; issued as `TerrainwaveWarning`.
+        What the source left out or chose, one sentence each; issued as `TerrainwaveWarning`, but
+        for bands beside one that was chosen, and for what the heights give again.
     is_striped : bool
         True if a narrow window makes the source decode much wider ones: a scan in the order of
         `blocks` is then many times cheaper than small windows.
@@ -113,7 +114,7 @@ class RasterSource:
         except BaseException:
             self.close()
             raise
-        self.notes = tuple(notes)
+        self.notes = (*notes, *self._asides())
         for note in notes if warn else ():
             warnings.warn(note, TerrainwaveWarning, stacklevel=2)
         self._dtype = np.dtype(self.info.dtype)
@@ -152,6 +153,14 @@ class RasterSource:
             mask_kind=mask_kind,
             **backend.tags(),
         )
+
+    def _asides(self) -> Iterator[str]:
+        """Yield notes that are no reason for a warning."""
+        backend = self._backend
+        if isinstance(backend, DatasetBackend):
+            yield from (f"{self.name}: {aside}" for aside in backend.asides())
+        elif isinstance(backend, MosaicBackend):
+            yield from backend.asides()
 
     @property
     def is_file(self) -> bool:

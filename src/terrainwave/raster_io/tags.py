@@ -50,8 +50,13 @@ def writable_tags(tags: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
             yield name, value
 
 
+def is_statistic(name: str) -> bool:
+    """Tell whether a tag holds what was measured of the heights."""
+    return name.upper().startswith(_MEASURED)
+
+
 def _is_own(name: str) -> bool:
-    return name.upper() in _OWN or name.upper().startswith(_MEASURED)
+    return name.upper() in _OWN or is_statistic(name)
 
 
 def _size(text: str) -> int:

@@ -13,4 +13,5 @@ MEANINGS = {
     "flat": "one colour without light",
 }
 AUTO = "auto"
+NO_SEA = "none"
 RAMP_NAMES = ("tints", "cividis", "grey", "mars")

@@ -16,6 +16,7 @@ from terrainwave.render.scene import Scene
 from terrainwave.render.selection import View
 from terrainwave.render.shaders import SOLID_ALPHA
 from terrainwave.render.solid import build_solid
+from terrainwave.render.water import read_water
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -70,8 +71,8 @@ class Offscreen:
     samples : int
         Per pixel, against jagged edges; 0 none.
     is_late : bool
-        Leave out the block under the terrain until `set_solid`, and the orthophoto until the
-        renderer's `set_drape`: reading them may take long.
+        Leave out the block under the terrain until `set_solid`, the orthophoto until the renderer's
+        `set_drape`, and where water is until its `set_water`: reading them may take long.
     options
         Of `Scene`.
     """
@@ -113,7 +114,10 @@ class Offscreen:
         try:
             solid = None if is_late else build_solid(terrain, self.scene.frame)
             self.has_voids = solid is not None and solid.has_lids
-            self.renderer = Renderer(self.context, self.scene, self.surface, picture, solid)
+            self.water = None if is_late else read_water(terrain, self.scene.frame)
+            self.renderer = Renderer(
+                self.context, self.scene, self.surface, picture, solid, self.water
+            )
             self.resize(size)
         except BaseException:
             self.scene.close()  # else its threads would go on

@@ -1,11 +1,14 @@
 """Colours by height: relative, by the range, or absolute, by metres on the Earth."""
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from terrainwave.render.colorings import AUTO
 
 # (share of the range, red, green, blue)
 _TINTS = [
@@ -27,11 +30,11 @@ _MARS = [
     (1.0, 240, 214, 186),
 ]  # fmt: skip
 
-# (metres, red, green, blue): land and sea of the Earth
+# (metres, red, green, blue): land and sea of the Earth. The lowest dry land lies at -440 m.
 _LAND = [
-    (0, 96, 132, 84), (150, 110, 142, 88), (400, 136, 156, 96), (800, 164, 170, 110),
-    (1400, 188, 176, 128), (2200, 176, 152, 118), (3200, 156, 134, 116), (4500, 152, 142, 136),
-    (6000, 178, 172, 168), (9000, 214, 212, 210),
+    (-440, 62, 98, 68), (0, 96, 132, 84), (150, 110, 142, 88), (400, 136, 156, 96),
+    (800, 164, 170, 110), (1400, 188, 176, 128), (2200, 176, 152, 118), (3200, 156, 134, 116),
+    (4500, 152, 142, 136), (6000, 178, 172, 168), (9000, 214, 212, 210),
 ]  # fmt: skip
 _DEEP = [
     (0, 136, 186, 206), (100, 110, 166, 198), (500, 86, 146, 186), (2000, 58, 114, 162),
@@ -59,36 +62,57 @@ RAMPS = {"tints": _TINTS, "cividis": _CIVIDIS, "grey": _MOON, "mars": _MARS}
 N_COLORS = 512
 # Metres below 0 at which the sea's colours end, so that stops ascend.
 _SHORE = 0.1
+# Metres above the sea that land's colours have at least, of a raster that lies below it.
+_LEAST_LAND = 1.0
+# Metres. The lowest shore, the Dead Sea's, is at -440 (2025) and sinks by one metre each year.
+DEEPEST_LAND = -450.0
 
 
-def ramp_colors(name: str, low: float, high: float) -> NDArray[np.uint8]:
+def sea_of(low: float) -> float | None:
+    """Return the height of the sea in a raster of the Earth whose lowest height is `low`, metres.
+
+    None where no height is below all dry land: then what lies below 0 may be land.
+    """
+    return 0.0 if low < DEEPEST_LAND else None
+
+
+def ramp_colors(
+    name: str, low: float, high: float, sea: float | str | None = AUTO
+) -> NDArray[np.uint8]:
     """Return `N_COLORS` colours from the lowest to the highest height, in metres; uint8 (n, 3).
 
-    ``tints`` has the sea below 0 where a raster reaches well below it.
+    ``tints`` has the sea below `sea`, where that is a height; ``auto`` is `sea_of`.
     """
     heights = np.linspace(low, high, N_COLORS)
-    if _has_sea(name, low, high):
-        land = _mixed(_TINTS, heights / high)
-        sea = _mixed(_SEA, 1 - heights / low)
-        return np.where((heights < 0)[:, None], sea, land).astype(np.uint8)
+    sea = _sea_in(name, low, sea)
+    if sea is not None:
+        land = _mixed(_TINTS, (heights - sea) / max(high - sea, _LEAST_LAND))
+        water = _mixed(_SEA, 1 - (heights - sea) / (low - sea))
+        return np.where((heights < sea)[:, None], water, land).astype(np.uint8)
     span = high - low or 1.0
     return _mixed(RAMPS[name], (heights - low) / span).astype(np.uint8)
 
 
-def ramp_stops(name: str, low: float, high: float) -> list[tuple[float, str]]:
+def ramp_stops(
+    name: str, low: float, high: float, sea: float | str | None = AUTO
+) -> list[tuple[float, str]]:
     """Return (height in metres, colour as #rrggbb) between which `ramp_colors` is linear."""
-    if _has_sea(name, low, high):
-        sea = [(low * (1 - share), rgb) for share, *rgb in _SEA[:-1]]
-        stops = [*sea, (-_SHORE, _SEA[-1][1:])]
-        stops += [(high * share, rgb) for share, *rgb in _TINTS]
+    sea = _sea_in(name, low, sea)
+    if sea is not None:
+        stops = [(sea + (low - sea) * (1 - share), rgb) for share, *rgb in _SEA]
+        stops[-1] = (sea - min(_SHORE, (sea - low) / 100), stops[-1][1])
+        span = max(high - sea, _LEAST_LAND)
+        stops += [(sea + span * share, rgb) for share, *rgb in _TINTS]
     else:
         span = high - low or 1.0
         stops = [(low + span * share, rgb) for share, *rgb in RAMPS[name]]
     return [(height, "#" + bytes(rgb).hex()) for height, rgb in stops]
 
 
-def _has_sea(name: str, low: float, high: float) -> bool:
-    return name == "tints" and low < -300 and high > 300
+def _sea_in(name: str, low: float, sea: float | str | None) -> float | None:
+    """Return the height of the sea that a ramp shows; None if it shows none."""
+    level = sea_of(low) if sea == AUTO else sea
+    return float(level) if name == "tints" and level is not None and low < float(level) else None
 
 
 def _mixed(stops: Sequence[tuple[float, int, int, int]], shares: NDArray[np.float64]) -> NDArray:
@@ -105,18 +129,22 @@ class Palette(NamedTuple):
         Rows from the south to the north; columns: the sea's, then the land's or all.
     ranges : (float, float, float, float)
         Values of the sea's first colour, of its last, of the land's first and of its last.
+    water_from : float
+        The lowest value that a legend shows in the sea's colours.
     """
 
     colors: NDArray[np.uint8]
     ranges: tuple[float, float, float, float]
+    water_from: float = -math.inf
 
     def color_of(self, values: NDArray[np.float64], row: int) -> NDArray[np.uint8]:
         """Return the colours of values at a row's latitude, shape (n, 3)."""
         low, sea, land, high = self.ranges
         below = np.clip((values - low) / max(sea - low, 1e-9), 0, 1)
         above = np.clip((values - land) / max(high - land, 1e-9), 0, 1)
-        place = np.where(values <= sea, below, above) * (N_COLORS - 1)
-        column = np.round(place).astype(np.int64) + N_COLORS * (values > sea)
+        is_water = (values <= sea) & (values >= self.water_from)
+        place = np.where(is_water, below, above) * (N_COLORS - 1)
+        column = np.round(place).astype(np.int64) + N_COLORS * ~is_water
         found: NDArray[np.uint8] = self.colors[row, column]
         return found
 
@@ -131,12 +159,20 @@ def relative_palette(name: str, low: float, high: float) -> Palette:
 
 @lru_cache(maxsize=8)
 def absolute_palette(
-    low: float, high: float, sea: float, latitudes: tuple[float, float] | None
+    low: float,
+    high: float,
+    sea: float,
+    latitudes: tuple[float, float] | None,
+    water_from: float = -math.inf,
 ) -> Palette:
-    """Return the Earth's colours by metres: water up to `sea`, snow above the snow line."""
+    """Return the Earth's colours by metres: water up to `sea`, snow above the snow line.
+
+    Land has colours down to the lowest dry land, as some may lie below the sea.
+    """
     low, high = min(low, sea - 1.0), max(high, sea + 1.0)
-    depths = np.linspace(max(-low, 0.0), 0.0, N_COLORS)
-    heights = np.linspace(sea, high, N_COLORS)
+    first = min(max(low, DEEPEST_LAND), sea)
+    depths = np.linspace(max(sea - low, 0.0), 0.0, N_COLORS)
+    heights = np.linspace(first, high, N_COLORS)
     water, land = _mixed(_DEEP, depths), _mixed(_LAND, heights)
     rows = []
     for share in np.linspace(0, 1, N_LATITUDES):
@@ -145,7 +181,7 @@ def absolute_palette(
             line = snow_line(latitudes[0] * (1 - share) + latitudes[1] * share)
             snow = np.clip((heights - line + _SNOW_BELOW) / (_SNOW_BELOW + _SNOW_ABOVE), 0, 1)
         rows.append(np.concatenate([water, land + (_SNOW - land) * snow[:, None]]))
-    return Palette(np.array(rows).astype(np.uint8), (low, sea, sea, high))
+    return Palette(np.array(rows).astype(np.uint8), (low, sea, first, high), water_from)
 
 
 def snow_line(latitude: float) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from terrainwave.raster_io.drape import Drape
 from terrainwave.render import shaders
 from terrainwave.render.camera import projection_matrix, slant, view_matrix
+from terrainwave.render.colorings import AUTO, NO_SEA
 from terrainwave.render.modes.mode import Frames
 from terrainwave.render.ramps import (
     Palette,
@@ -27,14 +28,15 @@ from terrainwave.render.surface import (
     DETAIL_UNIT,
     DRAPE_UNIT,
     RAMP_UNIT,
+    WATER_UNIT,
     Surface,
     release_all,
     set_uniforms,
 )
+from terrainwave.render.water import EVERYWHERE, NOWHERE, Water, waves_of
 
 _CLIP_DISTANCE_0 = 0x3000
 _NEAREST = 1e-5  # of the farthest
-_MOST_WAVES, _ROUNDED = 1.0, 0.02  # metres
 _GROUND_REACH = 0.38  # of the terrain's diagonal
 
 
@@ -58,6 +60,23 @@ class _DrapeTexture:
         self.texture.release()
 
 
+class _WaterTexture:
+    """Where water is, on the GPU."""
+
+    def __init__(self, context: Any, water: Water) -> None:
+        n_rows, n_cols = water.cells.shape
+        self.lowest = water.lowest
+        self.place = (float(water.step), 1 / n_cols, 1 / n_rows)
+        data = np.ascontiguousarray(water.cells).tobytes()
+        self.texture = context.texture((n_cols, n_rows), 1, data, alignment=1)
+        self.texture.repeat_x = self.texture.repeat_y = False
+        self.texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+
+    def release(self) -> None:
+        """Free the GPU's memory."""
+        self.texture.release()
+
+
 class Renderer:
     """Draws frames of a scene into the framebuffer in use.
 
@@ -71,6 +90,8 @@ class Renderer:
         A picture to lie on the terrain.
     solid : Solid, optional
         The block under it.
+    water : Water, optional
+        Where it shows water; by default everywhere at and below 0.
     """
 
     _HORIZON = (0.80, 0.86, 0.91)
@@ -83,6 +104,7 @@ class Renderer:
         surface: Surface,
         drape: Drape | None = None,
         solid: Solid | None = None,
+        water: Water | None = None,
     ) -> None:
         self._context = context
         self._scene = scene
@@ -98,6 +120,9 @@ class Renderer:
         self._drape, self._detail = (_DrapeTexture(context, None) for _ in range(2))
         if drape is not None:
             self.set_drape(drape)
+        self._found, self._everywhere, self._nowhere = (
+            _WaterTexture(context, one) for one in (water or EVERYWHERE, EVERYWHERE, NOWHERE)
+        )
         self.n_draw_calls = 0
 
     # Parts that last
@@ -111,6 +136,16 @@ class Renderer:
         """Lay a finer part of the picture over it from now on."""
         self._detail.release()
         self._detail = _DrapeTexture(self._context, drape)
+
+    def set_water(self, water: Water) -> None:
+        """Show water there from now on."""
+        self._found.release()
+        self._found = _WaterTexture(self._context, water)
+
+    def _water(self, style: Style) -> _WaterTexture:
+        if style.sea_level == AUTO:
+            return self._found
+        return self._nowhere if style.sea_level == NO_SEA else self._everywhere
 
     def _ramp_texture(self, key: tuple[object, ...], palette: Palette) -> Any:
         if key != self._ramp_key:
@@ -134,9 +169,11 @@ class Renderer:
         low, high = sorted(height * frame.metres[2] for height in frame.heights)
         if not style.is_absolute(frame.body):
             return relative_palette(style.ramp_on(frame.body), low, high)
-        # What decodes to 0 within the bound is water; a float32 on the way has rounded it.
-        error = self._scene.terrain.effective_error * frame.metres[2]
-        return absolute_palette(low, high, min(error, _MOST_WAVES) + _ROUNDED, frame.latitudes)
+        sea = waves_of(self._scene.terrain, frame)
+        water_from = self._water(style).lowest(sea)
+        if not isinstance(style.sea_level, str):
+            sea += style.sea_level * frame.metres[2]
+        return absolute_palette(low, high, sea, frame.latitudes, water_from)
 
     def set_solid(self, solid: Solid) -> None:
         """Draw the block under the terrain from now on."""
@@ -169,10 +206,11 @@ class Renderer:
         own = self._terrain_uniforms(view, palette, style)
         set_uniforms(self.surface.program, values | own)
         # Errors change their range from frame to frame, not their colours.
-        key = (style.coloring, style.ramp)
+        key = (style.coloring, style.ramp, style.sea_level)
         self._ramp_texture(key, palette).use(RAMP_UNIT)
         self._drape.texture.use(DRAPE_UNIT)
         self._detail.texture.use(DETAIL_UNIT)
+        self._water(style).texture.use(WATER_UNIT)
         context.enable_only(moderngl.DEPTH_TEST)
         clips = range(_CLIP_DISTANCE_0, _CLIP_DISTANCE_0 + self.surface.n_clip_distances)
         for clip in clips:
@@ -231,6 +269,8 @@ class Renderer:
             "northwards": (float(view.camera.eye[1] - low[1]) * northwards, northwards),
             "coloring": COLORINGS[style.coloring],
             "ramp": RAMP_UNIT,
+            "water": WATER_UNIT,
+            "water_place": self._water(style).place,
             "drape": DRAPE_UNIT,
             "drape_place": self._drape.place,
             "drape_share": style.drape if self._drape.is_there else 0.0,
@@ -269,4 +309,5 @@ class Renderer:
     def release(self) -> None:
         """Free the GPU's memory."""
         release_all(self.surface, self._solid, self._ramp, self._drape, self._detail)
+        release_all(self._found, self._everywhere, self._nowhere)
         release_all(self._sky_array, self._sky)

@@ -86,6 +86,8 @@ uniform vec4 detail_place;
 uniform float detail_share;
 uniform sampler2D ramp;      // columns: the sea's colours, then the land's; rows: to the north
 uniform vec4 ramp_range;    // values of the sea's first and last colour, of the land's
+uniform sampler2D water;     // where values up to the sea's last colour are water
+uniform vec3 water_place;    // samples per texel; 1 / columns, 1 / rows
 uniform vec2 height_texels;  // metres: of texel 0, per 1
 uniform vec2 northwards;    // share of the way north: at the eye, per metre
 uniform vec3 sun;           // unit vector towards it
@@ -127,6 +129,10 @@ void main() {
         : coloring == 6 ? degrees(atan(length(slope)))
         : height_texels.x + height_texels.y * texel.z;
     bool is_sea = value <= ramp_range.y;
+    if (coloring == 3 && is_sea) {
+        float found = texture(water, (v_grid / water_place.x + 0.5) * water_place.yz).r;
+        is_sea = found > 0.75 || (found > 0.25 && value >= -ramp_range.y);
+    }
     vec2 ends = is_sea ? ramp_range.xy : ramp_range.zw;
     float t = clamp((value - ends.x) / (ends.y - ends.x), 0.0, 1.0);
     float colors = float(textureSize(ramp, 0).x) / 2.0;

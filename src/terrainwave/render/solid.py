@@ -94,7 +94,7 @@ def build_solid(terrain: "TerrainFile", frame: Frame) -> Solid:
 _Part = tuple[NDArray[np.void], NDArray[np.int64]]
 
 
-def _level_within(terrain: "TerrainFile", side: int) -> int:
+def level_within(terrain: "TerrainFile", side: int) -> int:
     """Return the finest level with at most `side` samples a side, or the coarsest."""
     level = terrain.n_levels - 1
     while level and max(terrain.grid.level_shape(level)) > side:
@@ -102,7 +102,7 @@ def _level_within(terrain: "TerrainFile", side: int) -> int:
     return level
 
 
-def _read_metres(
+def read_metres(
     terrain: "TerrainFile", frame: Frame, window: tuple[int, int, int, int] | None, level: int
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return heights in metres, 0 in voids, and which are valid."""
@@ -125,8 +125,8 @@ def _along_axis(n_full: int, stride: int) -> NDArray[np.float64]:
 
 
 def _read_overview(terrain: "TerrainFile", frame: Frame) -> _Overview:
-    level = _level_within(terrain, _LID_SIDE)
-    heights, valid = _read_metres(terrain, frame, None, level)
+    level = level_within(terrain, _LID_SIDE)
+    heights, valid = read_metres(terrain, frame, None, level)
     rows, cols = _places(terrain, level)
     beyond = (0, len(rows) - heights.shape[0]), (0, len(cols) - heights.shape[1])
     heights, valid = np.pad(heights, beyond, mode="edge"), np.pad(valid, beyond, mode="edge")
@@ -175,7 +175,7 @@ def _floor(shape: tuple[int, int]) -> _Part:
 
 def _walls(terrain: "TerrainFile", frame: Frame, overview: _Overview | None) -> list[_Part]:
     """Return the walls on the four sides."""
-    level = _level_within(terrain, _WALL_SIDE)
+    level = level_within(terrain, _WALL_SIDE)
     n_rows, n_cols = terrain.grid.level_shape(level)
     rows, cols = _places(terrain, level)
     corner, across, down = frame.samples_to_local(np.array([0, 0, 1]), np.array([0, 1, 0]))
@@ -187,7 +187,7 @@ def _walls(terrain: "TerrainFile", frame: Frame, overview: _Overview | None) -> 
     ]
     parts = []
     for window, at_cols, at_rows, outwards in sides:
-        read, is_valid = _read_metres(terrain, frame, window, level)
+        read, is_valid = read_metres(terrain, frame, window, level)
         beyond = (0, len(at_cols) - read.size)
         heights = np.pad(read.ravel(), beyond, mode="edge")
         valid = np.pad(is_valid.ravel(), beyond, mode="edge")

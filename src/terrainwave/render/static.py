@@ -18,9 +18,10 @@ from terrainwave.errors import (
     TerrainwaveWarning,
 )
 from terrainwave.export.frames import axis_labels
-from terrainwave.export.plot import add_colour_bar, label_axes
+from terrainwave.export.plot import add_colour_bar, colours_of_heights, label_axes
 from terrainwave.extras import need
 from terrainwave.grid.affine import IDENTITY
+from terrainwave.render.body import EARTH
 from terrainwave.render.frame import check_drawable, frame_of
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ class Picture:
             part.file.write(self._repr_png_())
 
 
-def plot(terrain: "TerrainFile", ax: Any, *, cmap: str, shade: float, bounds: Any) -> Any:
+def plot(terrain: "TerrainFile", ax: Any, *, cmap: str | None, shade: float, bounds: Any) -> Any:
     """Draw a map; see `Terrain.plot`."""
     pyplot = need("matplotlib.pyplot", extra="demo")
     colors = need("matplotlib.colors", extra="demo")
@@ -90,7 +91,9 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str, shade: float, bounds: An
     x, y = c + a * region.n_cols, f + e * region.n_rows
     low, high = (physical.min(), physical.max()) if physical.count() else (0.0, 1.0)
     norm = colors.Normalize(low, high if high > low else low + 1)
-    rgb = pyplot.get_cmap(cmap)(norm(physical.filled(low)))
+    is_earth = frame.body == EARTH
+    colours = colours_of_heights(cmap, norm.vmin, norm.vmax, frame.metres[2], is_earth=is_earth)
+    rgb = colours(norm(physical.filled(low)))
     filled = physical.filled(float(physical.mean()) if physical.count() else 0.0)
     per_x, per_y, per_height = frame.metres
     light = np.ones(region.shape)
@@ -106,7 +109,7 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str, shade: float, bounds: An
     ax.set_aspect(per_y / per_x)
     is_placed = tuple(raster.transform) != IDENTITY
     label_axes(ax, *axis_labels(terrain.crs, is_placed=is_placed))
-    add_colour_bar(ax, norm, cmap, raster.units)
+    add_colour_bar(ax, norm, colours, raster.units)
     return ax
 
 

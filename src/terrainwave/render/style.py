@@ -7,7 +7,7 @@ from terrainwave.errors import (
     InvalidArgumentError,
 )
 from terrainwave.render.body import EARTH, MARS, MOON, OTHER, UNKNOWN
-from terrainwave.render.colorings import AUTO, RAMP_NAMES
+from terrainwave.render.colorings import AUTO, NO_SEA, RAMP_NAMES
 
 # The shader's numbers.
 _RAMP, _LEVEL, _ERROR, _GROUND, _PLAIN, _FLAT, _SLOPE = range(7)
@@ -26,6 +26,21 @@ _NAMES = {MOON: "the Moon", MARS: "Mars", OTHER: "another body"}
 _RAMP_OF_BODY = {EARTH: "tints", UNKNOWN: "tints", MARS: "mars"}
 
 
+def check_sea_level(value: str | float) -> None:
+    """Refuse what is no sea level.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If it is neither a word for one nor a finite number.
+    """
+    is_good = value in (AUTO, NO_SEA) if isinstance(value, str) else math.isfinite(value)
+    if not is_good:
+        raise InvalidArgumentError(
+            f"found `sea_level` {value}, expected {AUTO}, {NO_SEA} or a height"
+        )
+
+
 @dataclass(frozen=True)
 class Style:
     """How the picture looks.
@@ -37,6 +52,10 @@ class Style:
     ramp : {"auto", "tints", "cividis", "grey", "mars"}
         Of relative colours; by default that of the body. With ``auto`` as `coloring`, another one
         than ``tints`` asks for relative colours.
+    sea_level : {"auto", "none"} or float
+        Of absolute colours: the height in the file's unit at and below which all is water, or none.
+        With ``auto``, water is what is level at 0, and what lies below 0 where that hangs together
+        with heights below -450 m, under which there is no dry land (`water`).
     sun : tuple of float
         Azimuth and altitude in degrees.
     haze : float
@@ -55,6 +74,7 @@ class Style:
 
     coloring: str = "auto"
     ramp: str = AUTO
+    sea_level: str | float = AUTO
     sun: tuple[float, float] = (315.0, 38.0)
     haze: float = 0.25
     shade: float = 1.0
@@ -72,6 +92,8 @@ class Style:
             raise InvalidArgumentError(
                 f"found `ramp` {self.ramp!r}, expected one of {', '.join((AUTO, *RAMP_NAMES))}"
             )
+
+        check_sea_level(self.sea_level)
 
     @property
     def has_legend(self) -> bool:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 # Texture units; a mode's own begin at OWN_UNIT.
 RAMP_UNIT, DRAPE_UNIT, OWN_UNIT = 0, 1, 2
-DETAIL_UNIT = 15  # the last that every driver has
+WATER_UNIT, DETAIL_UNIT = 14, 15  # the last that every driver has
 
 
 class Surface(Protocol):

@@ -20,6 +20,7 @@ from terrainwave.render.pictures import choose_camera
 from terrainwave.render.problems import replies_of
 from terrainwave.render.session import Session
 from terrainwave.render.solid import build_solid
+from terrainwave.render.water import may_have_water, read_water
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -189,6 +190,8 @@ class Viewer:
         self._solid_at = self._first_seen = 0.0
         self._wants_solid = True
         self._wants_drape = offscreen.photo is not None
+        scene = offscreen.scene
+        self._wants_water = may_have_water(scene.terrain, scene.frame)
         self._detail: DrapeDetail | None = None
 
     def render(self, frame_time: float) -> None:
@@ -208,6 +211,8 @@ class Viewer:
         )
         if self._wants_solid and started > self._solid_at and self._is_at_rest(frames):
             self._read_solid()
+        if self._wants_water and len(frames.nodes):
+            self._read_water()
         if self._wants_drape and len(frames.nodes):
             self._read_drape()
         if self._detail is not None:
@@ -244,6 +249,19 @@ class Viewer:
                 self._session.note(outcome.problem)
 
         background.start(offscreen.read_drape, take)
+
+    def _read_water(self) -> None:
+        """Look for water in the background."""
+        self._wants_water = False
+        scene, renderer = self._offscreen.scene, self._offscreen.renderer
+
+        def take(outcome: Outcome) -> None:
+            if outcome.problem is None:
+                renderer.set_water(outcome.value)
+            else:
+                self._session.note(outcome.problem)
+
+        self._session.slow.start(lambda: read_water(scene.terrain, scene.frame), take)
 
     def _is_at_rest(self, frames: Frames) -> bool:
         """Say whether reading for the block under the terrain delays no part of the terrain."""

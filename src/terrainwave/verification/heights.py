@@ -246,6 +246,8 @@ class _Comparison:
         self._strict_bound = float(terrain.max_error if max_error is None else max_error)
         flags = dataset.mask_flag_enums[band - 1]
         self._has_mask = MaskFlags.all_valid not in flags and flags != [MaskFlags.nodata]
+        colors = enumerate(dataset.colorinterp, 1)
+        self._alphas = [n for n, color in colors if color.name == "alpha" and n != band]
 
     def run(self, twz: Any, original: Any, progress: ProgressCallback | None) -> VerifyReport:
         terrain = self._terrain
@@ -358,6 +360,8 @@ class _Comparison:
                 valid = ~self._is_nodata(heights)
                 if self._has_mask:
                     valid &= self._dataset.read_masks(self._band, window=window) > 0
+                for alpha in self._alphas:
+                    valid &= self._dataset.read(alpha, window=window) > 0
         except RasterioError as error:
             raise StorageError(
                 f"the original cannot be read: {_place(row, col, n_rows, n_cols)}"

@@ -220,8 +220,7 @@ def compress(
         reporter = Reporter(progress)
         written = _write(part.file, part.path, source, options, directory, reporter, cluster)
         n_bytes = os.path.getsize(part.path)
-    for note in written.marks:
-        warnings.warn(note, TerrainwaveWarning, stacklevel=2)
+    _warn_of(written.marks)
     n_samples = source.info.n_rows * source.info.n_cols
     return CompressResult(
         path=os.fspath(dst),
@@ -271,8 +270,14 @@ def compress_to_bytes(
         RasterSource(src, nodata=nodata) as source,
         system_scratch() as directory,
     ):
-        _write(file, None, source, options, directory, Reporter(None))
+        written = _write(file, None, source, options, directory, Reporter(None))
+    _warn_of(written.marks)
     return file.getvalue()
+
+
+def _warn_of(notes: list[str]) -> None:
+    for note in notes:
+        warnings.warn(note, TerrainwaveWarning, stacklevel=3)
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from functools import cache
 from itertools import chain, count, islice
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
+from urllib.parse import urlencode
 
 import numpy as np
 from fastapi import FastAPI, HTTPException, Query, Request, Response
@@ -43,6 +44,9 @@ from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.cesium import MAX_ZOOM as LAST_MESH_ZOOM
 from terrainwave.globe.cesium import TilePyramid
 from terrainwave.globe.lonlat import Globe
+from terrainwave.globe.terrain_rgb import Look
+from terrainwave.render.colorings import AUTO
+from terrainwave.render.style import check_sea_level
 
 LOCAL_HOSTS = ("127.0.0.1", "localhost", "[::1]")
 # Tiles of a file that are kept: the page asks for the heights and the voids of one place.
@@ -58,6 +62,9 @@ _RANGED = (".tif", ".twz")
 
 Rim = Annotated[int, Query(ge=0, le=tiling.MAX_RIM)]
 
+AskedEncoding = Annotated[str | None, Query(alias="encoding", pattern="^(mapbox|terrarium)$")]
+AskedVoids = Annotated[str | None, Query(alias="voids", pattern="^(height|transparent)$")]
+
 # A page may use what comes with it and nothing else; workers of the map are blobs.
 _CONTENT_POLICY = (
     "default-src 'self'; img-src 'self' data: blob:; style-src 'self' 'unsafe-inline';"
@@ -68,6 +75,12 @@ _CONTENT_POLICY = (
 _CACHE_BYTES, _LEAST_CACHE_BYTES = 512 << 20, 16 << 20
 # Names that an answer lists.
 _N_NAMES = 10
+
+
+def asked_look(look: Look, encoding: str | None, voids: str | None) -> Look:
+    """Return the look that a request asks for, `look` where it does not say."""
+    is_clear = look.transparent_voids if voids is None else voids == "transparent"
+    return Look(encoding or look.encoding, is_clear)
 
 
 class Raster:
@@ -98,19 +111,21 @@ class Layer(Raster):
             except (InvalidHeightsError, CorruptStreamError) as error:
                 raise type(error)(f"{path}: {error}") from error
             stack.pop_all()
-        self._rgb_tiles: Cache[tuple[int, ...], tuple[tiling.RgbTile | None]] = Cache(_N_TILES)
+        self._rgb_tiles: Cache[tuple[Any, ...], tuple[tiling.RgbTile | None]] = Cache(_N_TILES)
 
-    def rgb_tile(self, z: int, x: int, y: int, rim: int) -> tiling.RgbTile | None:
+    def rgb_tile(self, z: int, x: int, y: int, rim: int, look: Look) -> tiling.RgbTile | None:
         """Return a terrain-RGB tile; those asked for last are kept, for their voids."""
+
         # In a tuple: a cache holds no None, which says here that there is no terrain.
-        (tile,) = self._rgb_tiles.get_or_make(
-            (z, x, y, rim), lambda: (tiling.rgb_tile(self.globe, z, x, y, rim),)
-        )
+        def make() -> tuple[tiling.RgbTile | None]:
+            return (tiling.rgb_tile(self.globe, z, x, y, rim, look),)
+
+        (tile,) = self._rgb_tiles.get_or_make((z, x, y, rim, *look), make)
         return tile
 
-    def covering(self, z: int, x: int, y: int, rim: int, color: str) -> bytes | None:
+    def covering(self, z: int, x: int, y: int, rim: int, color: str, look: Look) -> bytes | None:
         """Return the PNG that paints a tile's voids; None if it has none."""
-        tile = self.rgb_tile(z, x, y, rim)
+        tile = self.rgb_tile(z, x, y, rim, look)
         voids = tiling.ALL_VOID if tile is None else tile.voids
         red, green, blue = bytes.fromhex(color)
         return tiling.cover_tile(voids, (red, green, blue)) if voids.any() else None
@@ -258,6 +273,9 @@ def make_app(
     cors: bool = False,
     n_decoding: int = 2,
     radius: float | None = None,
+    encoding: str = tiling.MAPBOX,
+    transparent_voids: bool = False,
+    sea_level: str | float = AUTO,
 ) -> FastAPI:
     """Return the application that serves these files.
 
@@ -273,6 +291,14 @@ def make_app(
         Requests that decode at a time.
     radius : float, optional
         Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
+    encoding : {"mapbox", "terrarium"}
+        Of terrain-RGB tiles where a request names none, and of the page's; a warning names each
+        file with heights that it cannot hold.
+    transparent_voids : bool
+        Give voids of terrain-RGB tiles alpha 0 where a request does not say.
+    sea_level : {"auto", "none"} or float
+        Of the page's colours: the height in metres below which all is water, or none; by default 0
+        where there are heights below -450 m.
 
     Raises
     ------
@@ -281,8 +307,13 @@ def make_app(
     TerrainwaveError
         If no file can be opened; one that cannot beside others is a warning.
     """
+    check_sea_level(sea_level)
+    look = Look(tiling.encoding_of(encoding).name, transparent_voids)
     desk = Desk(n_decoding)
     layers = open_layers(paths, radius) if paths else {}
+    for layer in layers.values():
+        if note := tiling.note_on_range(layer.globe, encoding):
+            warnings.warn(TerrainwaveWarning(f"{layer.name}: {note}"), stacklevel=2)
     shelf = Shelf(layers.values())
 
     @asynccontextmanager
@@ -326,9 +357,11 @@ def make_app(
     def find(name: str) -> Layer:
         return _named(name, layers)
 
-    def tagged(request: Request, layer: Raster) -> dict[str, str]:
-        """Return the headers of a tile; 304 if the client has it."""
-        tag = f'"{layer.tag[:16]}"'
+    def tagged(request: Request, layer: Raster, of: Look | None = None) -> dict[str, str]:
+        """Return the headers of a tile, of a look if it has one; 304 if the client has it."""
+        # A server that begins anew may give another look to the same address.
+        kind = "" if of in (None, tiling.PLAIN) else f"-{'-'.join(map(str, of))}"
+        tag = f'"{layer.tag[:16]}{kind}"'
         headers = {"ETag": tag, "Cache-Control": "max-age=3600"}
         if is_same(request.headers.get("if-none-match", ""), tag):
             raise HTTPException(304, headers=headers)
@@ -336,7 +369,9 @@ def make_app(
 
     @cache
     def described() -> bytes:
-        found = [describe(layer.name, layer.globe) for layer in layers.values()]
+        found = [
+            describe(layer.name, layer.globe, encoding, sea_level) for layer in layers.values()
+        ]
         return bytes(JSONResponse(found).body)
 
     @app.get("/")
@@ -348,19 +383,40 @@ def make_app(
         return Response(described(), media_type="application/json")
 
     @app.get("/{name}/tiles.json")
-    async def tiles(request: Request, name: str, rim: Rim = 0) -> dict[str, object]:
+    async def tiles(
+        request: Request,
+        name: str,
+        rim: Rim = 0,
+        asked_encoding: AskedEncoding = None,
+        voids: AskedVoids = None,
+    ) -> dict[str, object]:
         layer = find(name)
         url = f"{request.base_url}{name}/rgb/{{z}}/{{x}}/{{y}}.png"
-        return tiling.tile_json(layer.globe, f"{url}?rim={rim}" if rim else url, name)
+        asked = {"rim": rim or None, "encoding": asked_encoding, "voids": voids}
+        query = urlencode({key: value for key, value in asked.items() if value is not None})
+        shown = asked_look(look, asked_encoding, voids)
+        return tiling.tile_json(
+            layer.globe, f"{url}?{query}" if query else url, name, shown.encoding
+        )
 
     @app.get("/{name}/rgb/{z}/{x}/{y}.png")
-    async def rgb(request: Request, name: str, z: int, x: int, y: int, rim: Rim = 0) -> Response:
-        layer = find(name)
+    async def rgb(
+        request: Request,
+        name: str,
+        z: int,
+        x: int,
+        y: int,
+        rim: Rim = 0,
+        asked_encoding: AskedEncoding = None,
+        voids: AskedVoids = None,
+    ) -> Response:
+        layer, shown = find(name), asked_look(look, asked_encoding, voids)
         check_tile(z, x, y, tiling.MAX_ZOOM)
-        headers = tagged(request, layer)
-        tile = await desk.do(layer.rgb_tile, z, x, y, rim)
+        headers = tagged(request, layer, shown)
+        tile = await desk.do(layer.rgb_tile, z, x, y, rim, shown)
         if tile is None and rim:
-            return Response(tiling.void_tile(layer.globe), media_type="image/png", headers=headers)
+            png = tiling.void_tile(layer.globe, shown)
+            return Response(png, media_type="image/png", headers=headers)
         if tile is None:
             return Response(status_code=204, headers=headers)
         headers["X-Tile-Error"] = f"{tile.error:.3f}"
@@ -380,7 +436,7 @@ def make_app(
         layer = find(name)
         check_tile(z, x, y, tiling.MAX_ZOOM)
         headers = tagged(request, layer)
-        png = await desk.do(layer.covering, z, x, y, rim, color)
+        png = await desk.do(layer.covering, z, x, y, rim, color, Look(encoding))
         if png is None:
             return Response(status_code=204, headers=headers)
         return Response(png, media_type="image/png", headers=headers)

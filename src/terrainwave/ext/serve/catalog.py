@@ -10,6 +10,7 @@ from terrainwave.errors import InvalidHeightsError
 from terrainwave.export.frames import EARTH
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
+from terrainwave.render.colorings import AUTO, NO_SEA
 from terrainwave.render.ramps import RAMPS, ramp_stops
 
 # Names of tags that say where data are from, and whose they are.
@@ -21,14 +22,29 @@ _ORIGIN = re.compile(
 _N_TAGS, _LONGEST_TAG = 8, 400
 
 
-def describe(name: str, globe: Globe) -> dict[str, Any]:
-    """Return a file's fields for the page; no path. Its tags may hold any text."""
+def describe(
+    name: str,
+    globe: Globe,
+    encoding: str = tiling.MAPBOX,
+    sea_level: float | str = AUTO,
+) -> dict[str, Any]:
+    """Return a file's fields for the page; no path. Its tags may hold any text.
+
+    Parameters
+    ----------
+    encoding : str
+        Of the terrain-RGB tiles that the page has.
+    sea_level : {"auto", "none"} or float
+        Height in metres below which the Earth's colours are the sea's, as in `ramp_colors`.
+    """
     info, (lowest, highest) = globe.terrain.info(), globe.height_range
     is_earth = globe.ellipsoid == EARTH
+    sea = sea_level if is_earth and sea_level != NO_SEA else None
     return {
         "name": name,
         "bounds": list(globe.extent),
         "maxzoom": tiling.max_zoom(globe),
+        "encoding": encoding,
         "lowest": lowest,
         "highest": highest,
         "error": globe.effective_error,
@@ -39,7 +55,7 @@ def describe(name: str, globe: Globe) -> dict[str, Any]:
         "method": info.method,
         "on_earth": is_earth,
         "ramp": "tints" if is_earth else "grey",
-        "ramps": {ramp: ramp_stops(ramp, lowest, highest) for ramp in RAMPS},
+        "ramps": {ramp: ramp_stops(ramp, lowest, highest, sea) for ramp in RAMPS},
         "origin": origin_of({**info.tags, **info.band_tags}),
         "version": __version__,
     }

@@ -1,7 +1,7 @@
 // Colours by height: what MapLibre is told, and the legend.
 
-// The lowest height that a terrain-RGB tile can hold, in metres.
-const LOWEST = -10000;
+// The lowest height that a terrain-RGB tile of an encoding can hold, in metres.
+const LOWEST = { mapbox: -10000, terrarium: -32768 };
 // Tiles have voids this many metres below the terrain's lowest height.
 const VOID_DEPTH = 1;
 const N_TICKS = 4;
@@ -9,11 +9,12 @@ const N_TICKS = 4;
 const NEAR_END = 0.3;
 
 /** Return a color-relief-color expression of [[height, colour], …]; what is below them is clear. */
-export function reliefOf(stops) {
+export function reliefOf(stops, encoding) {
+  const lowest = LOWEST[encoding];
   const below = [stops[0][0] - VOID_DEPTH / 2, "rgba(0, 0, 0, 0)"];
   const all = [below, ...stops];
-  const first = Math.max(all.findLastIndex(([height]) => height <= LOWEST), 0);
-  const held = all.slice(first).map(([height, colour]) => [Math.max(height, LOWEST), colour]);
+  const first = Math.max(all.findLastIndex(([height]) => height <= lowest), 0);
+  const held = all.slice(first).map(([height, colour]) => [Math.max(height, lowest), colour]);
   return ["interpolate", ["linear"], ["elevation"], ...held.flat()];
 }
 

@@ -71,8 +71,11 @@ function boundsWithRim([west, south, east, north]) {
 function styleOf({ terrain, times, shaded }) {
   const addresses = (kind, query) => source.tilesOf(terrain, kind, `rim=${RIM}${query}`);
   const tiles = { tileSize: 256, bounds: boundsWithRim(terrain.bounds), maxzoom: terrain.maxzoom };
+  const { encoding } = terrain;
+  // Voids are painted over; a map reads transparent pixels as the lowest height there is.
+  const asked = `&encoding=${encoding}&voids=height`;
   const heights = () => ({
-    type: "raster-dem", encoding: "mapbox", tiles: addresses("rgb", ""), ...tiles,
+    type: "raster-dem", encoding, tiles: addresses("rgb", asked), ...tiles,
   });
   const paint = `&color=${GROUND.slice(1)}`;
   return {
@@ -89,7 +92,7 @@ function styleOf({ terrain, times, shaded }) {
       { id: "ground", type: "background", paint: { "background-color": GROUND } },
       {
         id: "tints", type: "color-relief", source: "shading",
-        paint: { "color-relief-color": reliefOf(stopsOf(state)) },
+        paint: { "color-relief-color": reliefOf(stopsOf(state), encoding) },
       },
       {
         id: "shading", type: "hillshade", source: "shading",
@@ -119,7 +122,8 @@ function apply() {
   showLegend();
   if (styled === generation) { // otherwise the style on its way gets it
     map.setTerrain({ source: "heights", exaggeration: state.times });
-    map.setPaintProperty("tints", "color-relief-color", reliefOf(stopsOf(state)));
+    const relief = reliefOf(stopsOf(state), state.terrain.encoding);
+    map.setPaintProperty("tints", "color-relief-color", relief);
     map.setLayoutProperty("shading", "visibility", state.shaded ? "visible" : "none");
   }
   keepPermalink();
