@@ -20,6 +20,7 @@ from terrainwave.errors import (
     StorageError,
     TerrainwaveError,
 )
+from terrainwave.grid.affine import IDENTITY
 from terrainwave.raster_io.crs import format_crs
 from terrainwave.raster_io.gdal import (
     GDAL_ERRORS,
@@ -108,15 +109,41 @@ def _is_twz(path: Path) -> bool:
         return False
 
 
+def is_placed(dataset: Any) -> bool:
+    """Say whether a dataset has a transform; rasterio gives the identity where GDAL has none."""
+    if tuple(dataset.transform[:6]) != IDENTITY:
+        return True
+    if _other_places(dataset):
+        return False
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", NotGeoreferencedWarning)
+        try:
+            dataset.read_transform()
+        except NotGeoreferencedWarning:
+            return False
+    return True
+
+
+def _other_places(dataset: Any) -> list[str]:
+    """Return what else than a transform tells places of samples: of rows and columns, or each."""
+    found = {
+        "GCPs": dataset.gcps[0],
+        "RPCs": getattr(dataset, "rpcs", None),
+        "geolocation arrays": "GEOLOCATION" in dataset.tag_namespaces(),
+    }
+    return [name for name, value in found.items() if value]
+
+
 class DatasetBackend:
     """A band of a rasterio dataset."""
 
     is_file = True
 
-    def __init__(self, dataset: Any, band: int, *, owned: bool) -> None:
+    def __init__(self, dataset: Any, band: int, *, owned: bool, georeference: bool = True) -> None:
         self._owned = owned
         self._dataset = dataset
         self._band = band
+        self._georeference = georeference
         try:
             self._check()
         except BaseException:
@@ -139,6 +166,9 @@ class DatasetBackend:
         self.block_shape: tuple[int, int] = dataset.block_shapes[band - 1]
         self.transform = tuple(float(value) for value in dataset.transform[:6])
         self.crs = dataset.crs
+        self._is_lost = not is_placed(dataset)
+        if self._is_lost or not self._georeference:
+            self.transform, self.crs = IDENTITY, None
         flags = dataset.mask_flag_enums[band - 1]
         # Neither flag: a mask band of this band alone.
         is_plain = MaskFlags.all_valid in flags or flags == [MaskFlags.nodata]
@@ -152,14 +182,21 @@ class DatasetBackend:
         n_bands = sum(1 for color in dataset.colorinterp if color.name != "alpha")
         if n_bands > 1 and self._band == 1:
             yield f"{self.name} has {n_bands} bands; using band 1 (choose with --band)"
-        dropped = [
-            name
-            for name, value in (("GCPs", dataset.gcps[0]), ("RPCs", getattr(dataset, "rpcs", None)))
-            if value
-        ]
-        if dropped:
-            what = " and ".join(dropped)
-            yield f"{self.name}: {what} are dropped, a .twz file does not hold them"
+        dropped = " and ".join(_other_places(dataset))
+        if self._georeference and dropped:
+            lost = (
+                ", and nothing else says where its samples lie: place and CRS are lost; gdalwarp"
+                " makes a raster with a transform of it"
+            )
+            yield (
+                f"{self.name}: {dropped} are dropped, a .twz file does not hold them"
+                f"{lost if self._is_lost else ''}"
+            )
+        elif self._georeference and self._is_lost and dataset.crs:
+            yield (
+                f"{self.name}: no transform says where its samples lie, so its CRS is dropped: give"
+                " it one, for example by gdal_edit -a_ullr"
+            )
         others = {
             f"the tags {name}"
             for name in (*dataset.tag_namespaces(), *dataset.tag_namespaces(self._band))
@@ -185,7 +222,7 @@ class DatasetBackend:
         dataset, index = self._dataset, self._band - 1
         color = dataset.colorinterp[index].name
         return {
-            "crs": format_crs(dataset.crs),
+            "crs": format_crs(self.crs),
             "units": dataset.units[index] or None,
             "scale": float(dataset.scales[index]),
             "offset": float(dataset.offsets[index]),
