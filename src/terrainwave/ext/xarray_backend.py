@@ -160,7 +160,8 @@ def terrain_dataset(
                 stacklevel=2,
             )
         attrs |= packing.fields
-    elif heights.dtype == terrain.dtype or packing.fill is not None:
+    elif packing.fields and packing.fill is not None:
+        # Without these the array's own type is written, which has NaN wherever voids can come in.
         encoding |= packing.fields | {"dtype": terrain.dtype}
     variable = xr.Variable(
         ("y", "x"), indexing.LazilyIndexedArray(heights), attrs=attrs, encoding=encoding

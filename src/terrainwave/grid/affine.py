@@ -112,10 +112,13 @@ def bounds(
 
 # Coordinates of arrays: centres of pixels, one number per row and column or, turned, per sample.
 
-# Of a pixel: by so much "even" coordinates may lie beside their grid. They are decimal text turned
-# float32 as often as not.
+# Of a pixel: by so much samples of one grid may lie beside those of another.
 EVEN = 0.01
-# And where float32 is coarser than that; beyond, neighbours could change places.
+# And coordinates beside their own: 64 Gaussian latitudes, which are no grid, lie 0.011 beside one.
+_STRAIGHT = 0.001
+# As their text or type may have rounded them: digits are looked at up to here, and float32 may be
+# coarser than a step allows, but not so much that neighbours could change places.
+_DECIMALS = 10
 _COARSEST = 0.25
 # What the package `affine`, and so rioxarray, takes for 0 in a turned transform.
 _EPSILON = 1e-5
@@ -186,37 +189,47 @@ def _even_axis(centres: NDArray[np.generic]) -> tuple[float, float, float, float
     """Return step, edge of the first pixel, largest deviation from even steps, that allowed."""
     numbers = centres.astype(np.float64)
     first, n_steps = float(numbers[0]), numbers.size - 1
-    step = (float(numbers[-1]) - first) / n_steps if n_steps else 0.0
-    if step == 0 or not math.isfinite(step):
-        is_known = n_steps == 0 and math.isfinite(first)
-        return 0.0, first, 0.0 if is_known else math.inf, EVEN
+    is_finite = bool(np.isfinite(numbers).all())
+    step = (float(numbers[-1]) - first) / n_steps if n_steps and is_finite else 0.0
+    if step == 0:
+        return 0.0, first, 0.0 if n_steps == 0 and is_finite else math.inf, _STRAIGHT
     deviation = float(np.abs(numbers - (first + step * np.arange(numbers.size))).max() / abs(step))
     step, edge = _written_axis(numbers, step)
     return step, edge, deviation, _allowed(centres, abs(step))
 
 
 def _allowed(centres: NDArray[np.generic], step: float) -> float:
-    """Return how far coordinates of a type may lie beside their grid, in pixels."""
-    if centres.dtype.kind != "f":
-        return EVEN
-    spacing = float(np.spacing(np.abs(centres).max())) / step
-    return max(EVEN, min(spacing, _COARSEST))
+    """Return how far coordinates may lie beside their grid, in pixels: what rounding explains."""
+    spacing = 0.0
+    if centres.dtype.kind == "f":
+        spacing = float(np.spacing(np.abs(centres).max()))
+    numbers = centres.astype(np.float64)
+    for decimals in range(_DECIMALS):
+        if np.abs(np.round(numbers, decimals) - numbers).max() <= spacing:
+            return max(_STRAIGHT, min(10.0**-decimals / step, EVEN), min(spacing / step, _COARSEST))
+    return max(_STRAIGHT, min(spacing / step, _COARSEST))
 
 
 def _written_axis(centres: NDArray[np.float64], step: float) -> tuple[float, float]:
     """Return step and edge, such that `coordinates` gives the very numbers where one does.
 
-    A step of few digits that says the same is likelier than one that was computed by their ends.
+    A step of few digits that says the same is likelier than one that was computed by their ends,
+    and so is one part of a whole number: 1/3600.
     """
     first, indices = float(centres[0]), np.arange(centres.size, dtype=np.float64)
     zeros = np.zeros_like(indices)
-    for candidate in (step, *(float(f"{step:.{digits}g}") for digits in _DIGITS)):
+    for candidate in (step, *_few_digits(step), *(1 / part for part in _few_digits(1 / step))):
         edge = first - candidate * 0.5
         for corner in (edge, math.nextafter(edge, -math.inf), math.nextafter(edge, math.inf)):
             transform = (candidate, 0.0, corner, 0.0, 1.0, 0.0)
             if np.array_equal(coordinates(transform, zeros, indices)[0], centres):
                 return candidate, corner
     return step, first - step / 2
+
+
+def _few_digits(number: float) -> list[float]:
+    rounded = (float(f"{number:.{digits}g}") for digits in _DIGITS)
+    return [one for one in rounded if one and math.isfinite(one)]
 
 
 def grid_of_places(
@@ -236,17 +249,18 @@ def grid_of_places(
     transform = (a, b, x - (a + b) / 2, d, e, y - (d + e) / 2)
     area = determinant(transform)
     if area == 0 or not math.isfinite(area):
-        return Fit(transform, math.inf, EVEN)
+        return Fit(transform, math.inf, _STRAIGHT)
     side = min(pixel_size(transform))
     allowed = max(_allowed(z, side) for z in (*top, *bottom))
     deviation = 0.0
     for row in range(0, n_rows, _ROWS):
         places = [z.astype(np.float64) for z in read(row, min(_ROWS, n_rows - row))]
+        if not np.isfinite(places).all():
+            return Fit(transform, math.inf, _STRAIGHT)
         rows, cols = places_to_samples(transform, *places)
         rows -= np.arange(row, row + rows.shape[0])[:, None]
         cols -= np.arange(n_cols)
-        # NaN stays the largest.
-        deviation = float(np.max([deviation, np.abs(rows).max(), np.abs(cols).max()]))
+        deviation = max(deviation, float(np.abs(rows).max()), float(np.abs(cols).max()))
     return Fit(transform, deviation, allowed)
 
 

@@ -32,10 +32,10 @@ from terrainwave.raster_io.tags import PLAIN_COLORS, select_tags
 # What to convert an unsupported type to; the narrowest of ours that holds all of its values, or
 
 
-# What GDAL tells of a file rather than keeps in it.
+# What GDAL tells of a file rather than keeps in it, and places, which have a note of their own.
 _DERIVED_TAGS = (
-    "", "IMAGE_STRUCTURE", "DERIVED_SUBDATASETS", "SUBDATASETS", "RPC", "TIFF", "xml:VRT",
-    "OVERVIEWS", "LocationInfo", "vrt_sources", "new_vrt_sources",
+    "", "IMAGE_STRUCTURE", "DERIVED_SUBDATASETS", "SUBDATASETS", "RPC", "GEOLOCATION", "TIFF",
+    "xml:VRT", "OVERVIEWS", "LocationInfo", "vrt_sources", "new_vrt_sources",
 )  # fmt: skip
 
 

@@ -241,7 +241,7 @@ def _unnamed(array: Any, roles: dict[str, Any], *, may_guess: bool) -> dict[str,
     dims = tuple(dim for dim in array.dims if dim != "band")
     places = _places(array)
     if places is not None:
-        dims = tuple(places[0].dims)
+        dims = tuple(dim for dim in array.dims if dim in places[0].dims)
     elif not may_guess or any(_along(array, dim) for dim in dims) or _stored(array):
         raise InvalidHeightsError(
             f"{_title(array)} has the dimensions {_sizes(array)}, and nothing says which of them"
@@ -520,7 +520,7 @@ def voids_of(array: Any, band: int) -> Voids:
     attrs, encoding = array.attrs, getattr(array, "encoding", {})
     declared: list[Any] = []
     # rioxarray converts to the array's type, which may not hold it.
-    with contextlib.suppress(AttributeError, OverflowError, ValueError, RuntimeError):
+    with contextlib.suppress(AttributeError, OverflowError, RuntimeError, TypeError, ValueError):
         declared.append(array.rio.nodata)
     # Those of an encoding with a scale count in packed numbers: none of these is left.
     is_packed = bool({"scale_factor", "add_offset"} & set(encoding))
