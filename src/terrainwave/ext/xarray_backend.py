@@ -161,8 +161,10 @@ def terrain_dataset(
             )
         attrs |= packing.fields
     elif packing.fields and packing.fill is not None:
-        # Without these the array's own type is written, which has NaN wherever voids can come in.
         encoding |= packing.fields | {"dtype": terrain.dtype}
+    elif heights.dtype.kind == "f":
+        # No number is left for voids in the file's type: the array's own is written, which has NaN.
+        encoding["_FillValue"] = heights.dtype.type(np.nan)
     variable = xr.Variable(
         ("y", "x"), indexing.LazilyIndexedArray(heights), attrs=attrs, encoding=encoding
     )

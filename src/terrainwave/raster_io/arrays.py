@@ -152,7 +152,8 @@ class LabelledBackend(ArrayBackend):
 def _claim(array: Any) -> Claim | None:
     """Return the bound that `terrain_dataset` stated of an array, if it still says so."""
     found = array.attrs.get("max_error")
-    if not isinstance(found, int | float | np.number) or not 0 < found < math.inf:
+    is_number = isinstance(found, int | float | np.number) and not isinstance(found, bool)
+    if not is_number or not 0 < found < math.inf:
         return None
     # Arithmetic keeps attributes and coordinates, and drops the encoding.
     holders = [array, *(coord for coord in array.coords.values() if not getattr(coord, "ndim", 1))]
