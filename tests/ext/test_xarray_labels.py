@@ -25,6 +25,7 @@ N_ROWS, N_COLS = 7, 5
 HEIGHTS = terrain_like(N_ROWS, N_COLS)
 X, Y = 500_005.0 + 10 * np.arange(N_COLS), 4_999_995.0 - 10 * np.arange(N_ROWS)
 TRANSFORM = (10.0, 0.0, 500_000.0, 0.0, -10.0, 5_000_000.0)
+POINTS = [GroundControlPoint(r, c, 10.0 + c, 50.0 - r) for r, c in [(0, 0), (0, 9), (9, 0)]]
 LON, LAT = 10.05 + 0.1 * np.arange(N_COLS), 45.25 - 0.1 * np.arange(N_ROWS)
 
 
@@ -427,7 +428,25 @@ def test_crs_without_a_place_is_dropped_with_a_note():
     array = xr.DataArray(HEIGHTS, dims=("y", "x")).rio.write_crs(32633)
     _, _, info, notes = read(array)
     assert (info.crs, info.transform) == (None, (1, 0, 0, 0, 1, 0))
-    assert "nothing says where the samples" in notes[0]
+    assert "no transform says where the samples" in notes[0]
+
+
+@pytest.mark.parametrize("place", [{}, {"gcps": POINTS}], ids=["nothing", "GCPs"])
+@pytest.mark.parametrize("key", [np.s_[:, :], np.s_[2:, 1:]], ids=["whole", "cut"])
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_crs_of_a_file_without_transform_is_no_place_by_way_of_rioxarray(tmp_path, place, key):
+    path = write_geotiff(tmp_path / "a.tif", terrain_like(10, 10), crs="EPSG:4326", **place)
+    with rioxarray.open_rasterio(path) as array:
+        _, _, info, notes = read(array[0][key])
+    assert (info.crs, info.transform) == (None, (1, 0, 0, 0, 1, 0))
+    assert "no transform says where the samples" in notes[0]
+
+
+def test_coordinates_that_are_the_identity_are_a_place():
+    coords = {"lat": 0.5 + np.arange(N_ROWS), "lon": 0.5 + np.arange(N_COLS)}
+    array = xr.DataArray(HEIGHTS, dims=("lat", "lon"), coords=coords)
+    array = array.rio.set_spatial_dims("lon", "lat").rio.write_crs(4326)
+    assert read(array)[2].crs == "EPSG:4326"
 
 
 def test_stored_transform_is_a_place():
@@ -464,8 +483,6 @@ def test_grid_mapping_that_is_not_there_is_noted():
 
 
 # Files whose place is no transform.
-
-POINTS = [GroundControlPoint(r, c, 10.0 + c, 50.0 - r) for r, c in [(0, 0), (0, 9), (9, 0)]]
 
 
 def geolocated(path, heights):

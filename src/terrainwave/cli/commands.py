@@ -226,6 +226,11 @@ def compress(
         )  # fmt: skip
         return
     sources, target = _sources_and_target(paths)
+    if no_georeference and len(sources) > 1:
+        raise click.UsageError(
+            f"found --no-georeference and {len(sources)} SOURCEs, expected one: a mosaic is put"
+            " together by their places"
+        )
     announce_compiling(quiet=quiet)
     with (
         _cluster(scheduler) as client,

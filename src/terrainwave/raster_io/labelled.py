@@ -94,8 +94,8 @@ def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Layer
     if transform is None:
         if crs is not None:
             notes.append(
-                f"nothing says where the samples of {_title(array)} lie, so its CRS is dropped:"
-                " give it coordinates, or a transform by array.rio.write_transform"
+                f"no transform says where the samples of {_title(array)} lie, so its CRS is"
+                " dropped: give it coordinates, or a transform by array.rio.write_transform"
             )
         return Layer(layer, IDENTITY, None, notes)
     return Layer(layer, transform, format_crs(crs), notes)
@@ -381,7 +381,7 @@ def _transform(array: Any, crs: CRS | None) -> Transform | None:
     places = _places(array)
     if all(centres is None for _, centres in axes):
         if places is None:
-            return stored
+            return None if stored == IDENTITY else stored
         fit = grid_of_places(_reader(places, array.dims), shape)
         for place in places:
             _check_unit(array, str(place.name), place, crs)
@@ -406,7 +406,8 @@ def _transform(array: Any, crs: CRS | None) -> Transform | None:
         _check_even(array, f"{y_name} is", y_fit)
     steps = None if stored is None else steps_on(fit.transform, shape, stored)
     if stored is not None and steps is not None:
-        return of_steps(stored, *steps)
+        # The identity is what rasterio gives where a file has none.
+        return None if stored == IDENTITY else of_steps(stored, *steps)
     for size, dim in zip(shape, array.dims):
         if size == 1:
             raise InvalidHeightsError(
@@ -521,7 +522,8 @@ def voids_of(array: Any, band: int) -> Voids:
     declared: list[Any] = []
     # rioxarray converts to the array's type, which may not hold it.
     with contextlib.suppress(AttributeError, OverflowError, RuntimeError, TypeError, ValueError):
-        declared.append(array.rio.nodata)
+        if array.rio.nodata == array.rio.nodata:  # NaN stands for one of the encoding
+            declared.append(array.rio.nodata)
     # Those of an encoding with a scale count in packed numbers: none of these is left.
     is_packed = bool({"scale_factor", "add_offset"} & set(encoding))
     for fields in (attrs, {} if is_packed else encoding):

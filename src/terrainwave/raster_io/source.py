@@ -271,7 +271,7 @@ def _open_backend(
         return DatasetBackend(source, band, owned=False, georeference=georeference)
     if isinstance(source, np.ndarray):
         return ArrayBackend(source)
-    if hasattr(source, "dims") and hasattr(source, "values"):
+    if hasattr(source, "dims") and hasattr(source, "coords"):
         return LabelledBackend(source, band, override=nodata, georeference=georeference)
     if isinstance(source, list | tuple):
         return ArrayBackend(np.asarray(source))
