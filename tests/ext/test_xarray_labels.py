@@ -684,6 +684,18 @@ def test_valid_range_counts_in_packed_numbers_unless_its_type_is_wider(decoded, 
     np.testing.assert_array_equal(valid, (physical >= 20) & (physical <= 40))
 
 
+def test_valid_range_beyond_the_type_and_voids_in_it_are_no_trouble():
+    heights = HEIGHTS.astype("float32")
+    heights[0, 0] = np.nan
+    _, valid, _, _ = read(labelled(heights=heights, attrs={"valid_range": [100.0, 1e300]}))
+    np.testing.assert_array_equal(valid, heights >= 100)
+
+
+def test_scale_that_is_no_number_is_refused():
+    with pytest.raises(InvalidHeightsError, match="scale_factor is 'half'; expected a number"):
+        read(labelled(attrs={"scale_factor": "half"}))
+
+
 def test_voids_of_every_kind_stay_voids_in_the_file(tmp_path):
     heights = HEIGHTS.copy()
     heights[0, :2] = 500, -7

@@ -10,7 +10,7 @@ from terrainwave.arguments import is_twz_name
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.raster_io.info import fit_nodata, stored_nodata
-from terrainwave.raster_io.labelled import layer_of, variable_of, voids_of
+from terrainwave.raster_io.labelled import layer_of, number_of, variable_of, voids_of
 
 
 class ArrayBackend:
@@ -90,8 +90,8 @@ class LabelledBackend(ArrayBackend):
         tags = {
             "crs": layer.crs,
             "units": None if units in (None, "") else str(units),
-            "scale": float(attrs.get("scale_factor", 1.0)),
-            "offset": float(attrs.get("add_offset", 0.0)),
+            "scale": number_of(attrs, "scale_factor", 1.0),
+            "offset": number_of(attrs, "add_offset", 0.0),
             "area_or_point": str(attrs["AREA_OR_POINT"]) if "AREA_OR_POINT" in attrs else None,
             "description": str(attrs["long_name"]) if "long_name" in attrs else None,
         }
@@ -144,7 +144,9 @@ class LabelledBackend(ArrayBackend):
         for value in self._others:
             valid &= heights != value
         if self._valid_range is not None:
-            low, high = self._valid_range
+            low, high = map(
+                np.float64, self._valid_range
+            )  # not as float32, which may not hold them
             valid &= (heights >= low) & (heights <= high)
         return heights, valid
 

@@ -552,6 +552,24 @@ def _numbers(value: Any) -> list[int | float]:
     return []
 
 
+def number_of(fields: Any, name: str, default: float) -> float:
+    """Return the one number that an attribute has.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If it has another value.
+    """
+    if name not in fields:
+        return default
+    numbers = _numbers(fields[name])
+    if len(numbers) != 1:
+        raise InvalidHeightsError(
+            f"the attribute {name} is {str(fields[name])[:40]!r}; expected a number: correct it"
+        )
+    return float(numbers[0])
+
+
 def _valid_range(
     attrs: Any, encoding: Any, dtype: np.dtype[Any]
 ) -> tuple[tuple[float, float] | None, list[str]]:
@@ -569,8 +587,8 @@ def _valid_range(
     packing = encoding if is_decoded else attrs
     packed_type = np.dtype(encoding.get("dtype", dtype)) if is_decoded else dtype
     is_wide = packed_type.kind in "iu" and any(isinstance(end, float) for end in ends)
-    scale = float(packing.get("scale_factor", 1.0))
-    offset = float(packing.get("add_offset", 0.0))
+    scale = number_of(packing, "scale_factor", 1.0)
+    offset = number_of(packing, "add_offset", 0.0)
     if is_decoded and not is_wide:
         ends = [end * scale + offset for end in ends]
     elif not is_decoded and is_wide and math.isfinite(scale) and scale != 0:
