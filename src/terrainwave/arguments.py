@@ -5,6 +5,7 @@ import os
 import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
+from urllib.parse import urlsplit
 
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import EFFORTS, MESH_CHOICES, METHODS, UNBOUNDED_MESHES, Method, methods_that
@@ -40,6 +41,15 @@ def check_ending(path: str | os.PathLike[str], endings: Sequence[str]) -> None:
             f"{os.fspath(path)}: found {ending or 'no extension'}, expected a name that ends in"
             f" {one_of(endings)}"
         )
+
+
+def is_twz_name(name: object) -> bool:
+    """Say whether a path or the path of a URL ends as those of .twz files do."""
+    if not isinstance(name, str | os.PathLike):
+        return False
+    text = os.fspath(name)
+    path = urlsplit(text).path if isinstance(text, str) and "://" in text else text
+    return str(path).lower().endswith(TWZ_ENDINGS)
 
 
 def in_one_line(text: object) -> str:

@@ -21,7 +21,7 @@ from terrainwave.errors import (
     InvalidHeightsError,
     LimitExceededError,
 )
-from terrainwave.grid.affine import bounds, of_level, pixel_size
+from terrainwave.grid.affine import bounds, coordinates, is_turned, of_level, pixel_size
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.names import EFFORTS, METHODS, methods_that
@@ -44,7 +44,7 @@ class Info:
     `faithful`: the file follows the paper of its method to the letter.
     `float_error` is how much further apart than `max_error` stored floats may be: one spacing,
     where they name decimal numbers and the file is not strict.
-    `moved_error` is the share of `effective_error` that patches have added.
+    `moved_error` is the share of `effective_error` that patches, or a file before, have added.
     `voids` is how voids are told: ``"none"``, by their ``"nodata"`` value, as ``"nan"``, or by a
     ``"mask"``; it is the way of the source, which may have no void at all.
     """
@@ -251,14 +251,15 @@ class TerrainFile:
     def max_error(self) -> float:
         """Return the bound that was asked for, in physical units (after scale and offset).
 
-        Patches add to it how far they have moved heights that they knew no original of.
+        Patches add to it how far they have moved heights that they knew no original of, and heights
+        that came out of a lossy file the bound of that one.
         """
         return self.header.max_error * abs(self._raster.scale)
 
     @property
     def effective_error(self) -> float:
         """Return the bound that holds, in physical units; at most `max_error`."""
-        return self.header.effective_bound * abs(self._raster.scale)
+        return self.header.effective_error * abs(self._raster.scale)
 
     @property
     def quanta_error(self) -> float:
@@ -301,6 +302,38 @@ class TerrainFile:
         if window is not None:
             row, col, _, _ = region_of_window(window, self.grid.level_shape(index))
         return of_level(self._raster.transform, self.grid.stride(index), row, col)
+
+    def is_turned(self, level: int = -1) -> bool:
+        """Say whether a place along a row or a column of a level needs both, x and y."""
+        return is_turned(self.transform(level), self.level_shape(level))
+
+    def coordinates(
+        self, level: int = -1, window: Any = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return x and y of samples' places, to the last bit as rioxarray has them.
+
+        Parameters
+        ----------
+        level : int
+            Resolution level, as in `read`.
+        window : optional
+            A window as in `read`, whose samples are all told: where the level `is_turned`. By
+            default x of columns and y of rows.
+
+        Returns
+        -------
+        x, y : ndarray of float64
+            Of shape (n_cols,) and (n_rows,), or that of the window.
+        """
+        transform = self.transform(level)
+        if window is not None:
+            row, col, n_rows, n_cols = region_of_window(window, self.level_shape(level))
+            rows, cols = np.mgrid[row : row + n_rows, col : col + n_cols].astype(np.float64)
+            return coordinates(transform, rows, cols)
+        rows, cols = (np.arange(size, dtype=np.float64) for size in self.level_shape(level))
+        x, _ = coordinates(transform, np.zeros_like(cols), cols)
+        _, y = coordinates(transform, rows, np.zeros_like(rows))
+        return x, y
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:

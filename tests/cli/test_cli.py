@@ -56,6 +56,17 @@ def twz(tmp_path, dem):
 # --- the main job ------------------------------------------------------------------------------
 
 
+def test_no_georeference_leaves_place_and_crs_out(tmp_path, dem):
+    twz = tmp_path / "out.twz"
+    done = run("compress", dem, twz, "--no-georeference", "--max-error", 0, "--method", "store")
+    assert done.exit_code == 0, done.output
+    info = json.loads(run("info", twz, "--json").stdout)
+    assert (info["crs"], info["transform"]) == (None, [1, 0, 0, 0, 1, 0])
+    done = run("compress", dem, dem, tmp_path / "b.twz", "--no-georeference")
+    assert done.exit_code == 2
+    assert "found --no-georeference and 2 SOURCEs, expected one" in done.stderr
+
+
 def test_compress_verify_decompress_info_work_together(tmp_path, dem):
     twz, back = tmp_path / "out.twz", tmp_path / "back.tif"
     done = run("compress", dem, twz, "--max-error", 1, "--method", "store", "--block", 32)

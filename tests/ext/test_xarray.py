@@ -6,7 +6,7 @@ import pickle
 import dask
 import numpy as np
 import pytest
-import rioxarray  # noqa: F401  (registers .rio)
+import rioxarray  # registers .rio, too
 import xarray as xr
 from rasterio.transform import Affine
 from strategies import terrain_like, write_geotiff
@@ -207,13 +207,16 @@ def test_raster_without_voids_keeps_its_type(tmp_path):
         assert dataset.heights.dtype == np.int16
 
 
-def test_rotated_raster_has_a_transform_and_no_coordinates(tmp_path):
+def test_rotated_raster_has_a_transform_and_places_of_each_sample(tmp_path):
     rotated = Affine(10, 2, 100, 3, -10, 200)
     tif = write_geotiff(tmp_path / "a.tif", terrain_like(20, 20), transform=rotated)
     terrainwave.compress(tif, tmp_path / "a.twz", max_error=0, **QUICK)
     with xr.open_dataset(tmp_path / "a.twz") as dataset:
-        assert set(dataset.coords) == {"spatial_ref"}
+        assert set(dataset.coords) == {"spatial_ref", "xc", "yc"}
         assert dataset.heights.rio.transform() == rotated
+        with rioxarray.open_rasterio(tif) as expected:
+            np.testing.assert_array_equal(dataset.xc, expected.xc)
+            np.testing.assert_array_equal(dataset.yc[3:9, 4], expected.yc[3:9, 4])
 
 
 def test_bytes_and_file_objects_open(terrain_file):

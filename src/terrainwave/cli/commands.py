@@ -139,6 +139,11 @@ def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
 )
 @click.option("--nodata", type=Nodata(), help="Replaces the raster's own nodata value.")
 @click.option("--band", type=click.IntRange(min=1), default=1, show_default=True)
+@click.option(
+    "--no-georeference",
+    is_flag=True,
+    help="Take the heights without place and CRS, whatever the raster says of them.",
+)
 @click.option("--border-rings", type=click.Choice(["1", "3"]), default="1", show_default=True)
 @click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
 @click.option(
@@ -173,6 +178,7 @@ def compress(
     paths: tuple[str, ...],
     to: str | None,
     skip_existing: bool,
+    no_georeference: bool,
     border_rings: str,
     scheduler: str | None,
     no_verify: bool,
@@ -198,6 +204,7 @@ def compress(
             f"found --scheduler and --method {method.name}, expected one of them"
         )
     options |= {
+        "georeference": not no_georeference,
         "border_rings": int(border_rings),
         "mesh": "none" if no_mesh else mesh,
         "verify": not no_verify,
@@ -218,6 +225,11 @@ def compress(
         )  # fmt: skip
         return
     sources, target = _sources_and_target(paths)
+    if no_georeference and len(sources) > 1:
+        raise click.UsageError(
+            f"found --no-georeference and {len(sources)} SOURCEs, expected one: a mosaic is put"
+            " together by their places"
+        )
     announce_compiling(quiet=quiet)
     with (
         _cluster(scheduler) as client,
@@ -779,7 +791,12 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
             "max error",
             f"asked {info.max_error:.6g}, holds {info.effective_error:.6g}{unit}{floats}",
         ),
-        ("moved", f"{info.moved_error:.6g}{unit} of it by patches" if info.moved_error else ""),
+        (
+            "moved",
+            f"{info.moved_error:.6g}{unit} of it by patches, or in a file before"
+            if info.moved_error
+            else "",
+        ),
         ("quantum", f"{info.quantum:.6g}{unit}"),
         ("heights", extent),
         ("unit", info.units or "unknown"),

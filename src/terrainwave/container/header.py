@@ -135,7 +135,10 @@ class Header:
 
     @property
     def moved(self) -> int:
-        """Return how far patches may have moved heights, in quanta: a share of the bound."""
+        """Return by how much patches or a file before may have moved heights, in quanta.
+
+        A share of the bound.
+        """
         found = self.metadata.get("moved")
         return found if isinstance(found, int) else 0
 
@@ -150,7 +153,21 @@ class Header:
 
         That of meshes, which know of no remainders; else the effective bound.
         """
-        return self.quantizer.quanta_error if self.has_remainders else self.effective_bound
+        if self.has_remainders:
+            return self.quantizer.quanta_error + self._moved_error
+        return self.effective_bound
+
+    @property
+    def effective_error(self) -> float:
+        """Return the bound that holds, in raw units.
+
+        Remainders make heights those of the raster, whose own distance `effective_bound` has not.
+        """
+        return self.effective_bound + (self._moved_error if self.has_remainders else 0.0)
+
+    @property
+    def _moved_error(self) -> float:
+        return float(self.moved * self.quantum)
 
     @cached_property
     def quantizer(self) -> Quantizer:

@@ -24,8 +24,10 @@ class TerrainwaveAccessor:
     def to_twz(self, path: str | os.PathLike[str], **options: Any) -> CompressResult:
         """Compress the array to a .twz file; see `terrainwave.compress` for the options.
 
-        CRS and transform are taken from the coordinates, as rioxarray and ``open_dataset`` write
-        them. A lazy array is computed window by window: three times, as `compress` scans, codes
-        and proves, so persist it if that is dear.
+        Place, CRS and voids are taken from coordinates, attributes and encoding, as rioxarray and
+        ``open_dataset`` write them. Heights as they were opened from a .twz file add the bound of
+        that one to the new one. A lazy array is computed window by window: three times, as
+        `compress` scans, codes and proves, and once more where it came from a .twz file, so persist
+        it if that is dear.
         """
         return compress(self._array, path, **options)

@@ -1,9 +1,9 @@
 """The xarray backend ``terrainwave``: .twz files as lazy datasets, their levels as a tree."""
 
 import os
+import warnings
 from collections.abc import Iterable
-from typing import Any
-from urllib.parse import urlsplit
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
 
+from terrainwave.arguments import is_twz_name
+from terrainwave.errors import TerrainwaveWarning
 from terrainwave.file import DEFAULT_CACHE_BYTES, TerrainFile
+from terrainwave.raster_io.info import stored_nodata
 
 VARIABLE = "heights"
 GRID_MAPPING = "spatial_ref"
@@ -36,9 +39,7 @@ class TerrainwaveBackend(BackendEntrypoint):
     def guess_can_open(self, filename_or_obj: Any) -> bool:
         """Tell a .twz by its name, bytes and file objects by their first bytes."""
         if isinstance(filename_or_obj, str | os.PathLike):
-            name = os.fspath(filename_or_obj)
-            path = urlsplit(name).path if isinstance(name, str) and "://" in name else name
-            return str(path).lower().endswith(".twz")
+            return is_twz_name(filename_or_obj)
         if isinstance(filename_or_obj, bytes | bytearray | memoryview):
             return bytes(filename_or_obj[:4]) == _MAGIC
         if hasattr(filename_or_obj, "seek") and hasattr(filename_or_obj, "read"):
@@ -130,10 +131,13 @@ def terrain_dataset(
     """Return a level of an open file as a lazy dataset; it lives as long as `terrain` is open.
 
     Its variable is ``heights(y, x)``; ``spatial_ref`` holds CRS and transform as rioxarray writes
-    them. A rotated raster has no coordinates x and y, as they would be two-dimensional.
+    them. Coordinates are rioxarray's too, to the last bit: x and y of columns and rows, or xc and
+    yc of each sample where the raster is turned. Whatever writes the dataset finds a value for
+    voids in the encoding, or a float type.
     """
     index = terrain.level_index(level)
     raster = terrain.raster_info
+    packing = _packing(terrain)
     heights = _LazyHeights(terrain, index, mask_and_scale=mask_and_scale)
     n_rows, n_cols = heights.shape
     attrs: dict[str, Any] = {"long_name": raster.description or "height"}
@@ -143,30 +147,71 @@ def terrain_dataset(
         attrs["AREA_OR_POINT"] = raster.area_or_point
     if index == terrain.n_levels - 1:
         attrs["max_error"] = terrain.effective_error
-    packing = _packing(terrain)
-    encoding: dict[str, Any] = {
+    encoding = _origin(terrain) | {
         "preferred_chunks": {"y": min(CHUNK, n_rows), "x": min(CHUNK, n_cols)},
         "grid_mapping": GRID_MAPPING,
     }
-    if mask_and_scale:
-        encoding |= packing | {"dtype": terrain.dtype}
-    else:
-        attrs |= packing
+    if not mask_and_scale:
+        if raster.mask_kind == "mask" and packing.fill is None:
+            warnings.warn(
+                f"{terrain.name}: voids read as {raster.void_value}, as any height does, since all"
+                f" numbers of {terrain.dtype} may be heights: mask_and_scale=True has NaN",
+                TerrainwaveWarning,
+                stacklevel=2,
+            )
+        attrs |= packing.fields
+    elif packing.fields and packing.fill is not None:
+        encoding |= packing.fields | {"dtype": terrain.dtype}
+    elif heights.dtype.kind == "f":
+        # No number is left for voids in the file's type: the array's own is written, which has NaN.
+        encoding["_FillValue"] = heights.dtype.type(np.nan)
     variable = xr.Variable(
         ("y", "x"), indexing.LazilyIndexedArray(heights), attrs=attrs, encoding=encoding
     )
     return xr.Dataset({VARIABLE: variable}, coords=_coordinates(terrain, index))
 
 
-def _packing(terrain: TerrainFile) -> dict[str, Any]:
-    """Return the attributes that turn stored into physical values, named by the CF conventions."""
+def _origin(terrain: TerrainFile) -> dict[str, Any]:
+    """Return the encoding that names the file: `max_error` is believed of its heights alone."""
+    if not isinstance(terrain.name, str | os.PathLike) or terrain.name == "<bytes>":
+        return {}
+    name = str(terrain.name)
+    return {"source": name if "://" in name else os.path.abspath(name)}
+
+
+class _Packing(NamedTuple):
+    """How stored values are to be read, named by the CF conventions, and what marks voids."""
+
+    fields: dict[str, Any]
+    fill: np.generic | None
+
+
+def _packing(terrain: TerrainFile) -> _Packing:
     raster = terrain.raster_info
-    packing: dict[str, Any] = {}
+    is_scaled = (raster.scale, raster.offset) != (1.0, 0.0)
+    fields: dict[str, Any] = {}
+    fill = _fill_value(terrain)
+    # An integer type without voids needs no value for them, unless it is read as floats.
+    if fill is not None and (raster.mask_kind != "none" or is_scaled):
+        fields["_FillValue"] = fill
+    if is_scaled:
+        fields |= {"scale_factor": raster.scale, "add_offset": raster.offset}
+    return _Packing(fields, fill)
+
+
+def _fill_value(terrain: TerrainFile) -> np.generic | None:
+    """Return a value that marks voids and that no height has; None if all may be heights."""
+    raster, header, dtype = terrain.raster_info, terrain.header, terrain.dtype
     if raster.nodata is not None:
-        packing["_FillValue"] = terrain.dtype.type(raster.nodata)
-    if (raster.scale, raster.offset) != (1.0, 0.0):
-        packing |= {"scale_factor": raster.scale, "add_offset": raster.offset}
-    return packing
+        return stored_nodata(raster.nodata, dtype)
+    if dtype.kind == "f":
+        return dtype.type(np.nan)
+    low, high = (terrain.quantizer.height_of(quanta) for quanta in (header.z_min, header.z_max))
+    limits = np.iinfo(dtype)
+    for value in (limits.min, limits.max) if limits.min else (limits.max, limits.min):
+        if not low <= value <= high or header.z_min > header.z_max:
+            return dtype.type(value)
+    return None
 
 
 def _coordinates(terrain: TerrainFile, level: int) -> dict[str, xr.Variable]:
@@ -175,14 +220,17 @@ def _coordinates(terrain: TerrainFile, level: int) -> dict[str, xr.Variable]:
     reference: dict[str, Any] = {"GeoTransform": " ".join(map(repr, (c, a, b, f, d, e)))}
     if crs is not None:
         reference |= {"crs_wkt": crs.to_wkt(), "spatial_ref": crs.to_wkt()}
-    coordinates = {GRID_MAPPING: xr.Variable((), np.int64(0), attrs=reference)}
-    if (b, d) != (0, 0):
-        return coordinates
-    n_rows, n_cols = terrain.level_shape(level)
-    x_attrs, y_attrs = _axis_attributes(crs)
-    coordinates["x"] = xr.Variable("x", c + a * (np.arange(n_cols) + 0.5), attrs=x_attrs)
-    coordinates["y"] = xr.Variable("y", f + e * (np.arange(n_rows) + 0.5), attrs=y_attrs)
-    return coordinates
+    found = {GRID_MAPPING: xr.Variable((), np.int64(0), attrs=reference, encoding=_origin(terrain))}
+    attributes = _axis_attributes(crs)
+    if terrain.is_turned(level):
+        for axis, name in enumerate(("xc", "yc")):
+            places = indexing.LazilyIndexedArray(_LazyPlaces(terrain, level, axis))
+            found[name] = xr.Variable(("y", "x"), places, attrs=attributes[axis])
+    else:
+        for axis, name in enumerate("xy"):
+            numbers = terrain.coordinates(level)[axis]
+            found[name] = xr.Variable(name, numbers, attrs=attributes[axis])
+    return found
 
 
 def _axis_attributes(crs: Any) -> tuple[dict[str, str], dict[str, str]]:
@@ -199,22 +247,11 @@ def _axis_attributes(crs: Any) -> tuple[dict[str, str], dict[str, str]]:
     return x_attrs, y_attrs
 
 
-class _LazyHeights(BackendArray):
-    """A level of a file, of which a window is read when it is indexed."""
+class _LazyGrid(BackendArray):
+    """Numbers of a level's samples, of which a window is made when it is indexed."""
 
-    def __init__(self, terrain: TerrainFile, level: int, *, mask_and_scale: bool) -> None:
-        raster = terrain.raster_info
-        self._terrain = terrain
-        self._level = level
-        self._is_scaled = mask_and_scale and (raster.scale, raster.offset) != (1.0, 0.0)
-        self._is_masked = mask_and_scale and raster.mask_kind != "none"
-        self.shape = terrain.level_shape(level)
-        self.dtype = terrain.dtype
-        if self._is_scaled:
-            self.dtype = np.dtype(np.float64)  # float32 would add its rounding to the bound
-        elif self._is_masked and self.dtype.kind != "f":
-            # Whole numbers up to 2^24 are exact in float32.
-            self.dtype = np.dtype(np.float32 if self.dtype.itemsize <= 2 else np.float64)
+    shape: tuple[int, int]
+    dtype: np.dtype[Any]
 
     def __getitem__(self, key: indexing.ExplicitIndexer) -> Any:
         return indexing.explicit_indexing_adapter(
@@ -226,19 +263,54 @@ class _LazyHeights(BackendArray):
         axes = [_Axis(part, size) for part, size in zip(key, self.shape, strict=True)]
         row, col = axes
         if row.n and col.n:
-            window = (row.first, col.first, row.n, col.n)
-            heights = self._physical(*self._terrain.read_with_mask(window, level=self._level))
+            numbers = self._window((row.first, col.first, row.n, col.n))
         else:
-            heights = np.empty((row.n, col.n), dtype=self.dtype)
-        return heights[row.inner, col.inner]
+            numbers = np.empty((row.n, col.n), dtype=self.dtype)
+        return numbers[row.inner, col.inner]
 
-    def _physical(self, heights: NDArray[Any], valid: NDArray[np.bool_]) -> NDArray[Any]:
-        heights = heights.astype(self.dtype, copy=False)
+    def _window(self, window: tuple[int, int, int, int]) -> NDArray[Any]:
+        raise NotImplementedError
+
+
+class _LazyPlaces(_LazyGrid):
+    """x (axis 0) or y (1) of each sample of a turned raster."""
+
+    dtype = np.dtype(np.float64)
+
+    def __init__(self, terrain: TerrainFile, level: int, axis: int) -> None:
+        self._terrain, self._level, self._axis = terrain, level, axis
+        self.shape = terrain.level_shape(level)
+
+    def _window(self, window: tuple[int, int, int, int]) -> NDArray[Any]:
+        return self._terrain.coordinates(self._level, window)[self._axis]
+
+
+class _LazyHeights(_LazyGrid):
+    """A level of a file: as stored, or what scale and voids make of it."""
+
+    def __init__(self, terrain: TerrainFile, level: int, *, mask_and_scale: bool) -> None:
+        raster = terrain.raster_info
+        self._terrain = terrain
+        self._level = level
+        self._is_scaled = mask_and_scale and (raster.scale, raster.offset) != (1.0, 0.0)
+        self._is_masked = mask_and_scale and raster.mask_kind != "none"
+        self.shape = terrain.level_shape(level)
+        self.dtype = terrain.dtype
         if self._is_scaled:
-            heights *= self._terrain.raster_info.scale
-            heights += self._terrain.raster_info.offset
-        if self._is_masked and not valid.all():
-            heights[~valid] = np.nan
+            self.dtype = np.dtype(np.float64)
+        elif self._is_masked and self.dtype.kind != "f":
+            # Whole numbers up to 2^24 are exact in float32.
+            self.dtype = np.dtype(np.float32 if self.dtype.itemsize <= 2 else np.float64)
+        # As stored, what the source has in voids may be any height.
+        self._void = np.nan if self._is_masked else _fill_value(terrain)
+
+    def _window(self, window: tuple[int, int, int, int]) -> NDArray[Any]:
+        heights, valid = self._terrain.read_with_mask(window, level=self._level)
+        if self._is_scaled:
+            heights = self._terrain.raster_info.to_physical(heights)
+        heights = heights.astype(self.dtype, copy=False)
+        if self._void is not None and not valid.all():
+            heights[~valid] = self._void
         return heights
 
 

@@ -10,7 +10,8 @@ metres come back whole. (And its operators are `*` before version 3 and `@` from
 """
 
 import math
-from typing import TypeVar
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,9 +83,15 @@ def of_level(transform: Transform, stride: int, row: float = 0, col: float = 0) 
 
     Samples stay where they are and pixels grow around them: the corner of the first one moves out.
     """
-    shift = (1 - stride) / 2
-    a, b, c, d, e, f = of_window(transform, shift + row * stride, shift + col * stride)
-    return a * stride, b * stride, c, d * stride, e * stride, f
+    return of_steps(transform, row * stride, col * stride, stride, stride)
+
+
+def of_steps(
+    transform: Transform, row: float, col: float, row_step: int, col_step: int
+) -> Transform:
+    """Return the transform of every so many samples of a grid, from one of them on."""
+    a, b, c, d, e, f = of_window(transform, row + (1 - row_step) / 2, col + (1 - col_step) / 2)
+    return a * col_step, b * row_step, c, d * col_step, e * row_step, f
 
 
 def bounds(
@@ -101,3 +108,184 @@ def bounds(
     ]
     xs, ys = zip(*corners, strict=True)
     return min(xs), min(ys), max(xs), max(ys)
+
+
+# Coordinates of arrays: centres of pixels, one number per row and column or, turned, per sample.
+
+# Of a pixel: by so much samples of one grid may lie beside those of another.
+EVEN = 0.01
+# And coordinates beside their own: 64 Gaussian latitudes, which are no grid, lie 0.011 beside one.
+_STRAIGHT = 0.001
+# As their text or type may have rounded them: digits are looked at up to here, and float32 may be
+# coarser than a step allows, but not so much that neighbours could change places.
+_DECIMALS = 10
+_COARSEST = 0.25
+# What the package `affine`, and so rioxarray, takes for 0 in a turned transform.
+_EPSILON = 1e-5
+# Rows that are looked at together.
+_ROWS = 256
+# Significant digits with which somebody may have written a step.
+_DIGITS = range(16, 2, -1)
+
+
+class Fit(NamedTuple):
+    """A transform that coordinates follow, how far they lie beside it and may lie, in pixels."""
+
+    transform: Transform
+    deviation: float
+    allowed: float
+
+    @property
+    def is_even(self) -> bool:
+        """Say whether the coordinates lie on the grid; NaN does not."""
+        return self.deviation <= self.allowed
+
+
+class Steps(NamedTuple):
+    """First row and column of samples on another grid, and the whole steps between them."""
+
+    row: int
+    col: int
+    row_step: int
+    col_step: int
+
+
+def coordinates(transform: Transform, rows: Numbers, cols: Numbers) -> tuple[Numbers, Numbers]:
+    """Return x and y of whole samples, to the last bit as rioxarray computes coordinates.
+
+    Libraries join arrays by equal coordinates, so that `samples_to_places`, which may differ by one
+    ulp, would lose samples. Here the shift to the middle of the first pixel comes first.
+    """
+    a, b, c, d, e, f = transform
+    x, y = a * 0.5 + b * 0.5 + c, d * 0.5 + e * 0.5 + f
+    return cols * a + rows * b + x, cols * d + rows * e + y
+
+
+def is_turned(transform: Transform, shape: tuple[int, int]) -> bool:
+    """Say whether rows and columns of a grid need coordinates of both x and y.
+
+    Not where all of a turn is within `EVEN`, as rounding makes it, and rioxarray sees none either.
+    """
+    a, b, _, d, e, _ = transform
+    if (b, d) == (0, 0):
+        return False
+    n_rows, n_cols = shape
+    is_small = abs(b) * n_rows <= EVEN * abs(a) and abs(d) * n_cols <= EVEN * abs(e)
+    return not is_small or max(abs(b), abs(d)) >= _EPSILON or b == d
+
+
+def grid_of_axes(x: NDArray[np.generic], y: NDArray[np.generic]) -> tuple[Fit, Fit]:
+    """Return the grid of columns at `x` and that of rows at `y`, each for its own axis.
+
+    A single coordinate has no step: its pixel is 0 wide.
+    """
+    a, c, x_deviation, x_allowed = _even_axis(x)
+    e, f, y_deviation, y_allowed = _even_axis(y)
+    transform = (a, 0.0, c, 0.0, e, f)
+    return Fit(transform, x_deviation, x_allowed), Fit(transform, y_deviation, y_allowed)
+
+
+def _even_axis(centres: NDArray[np.generic]) -> tuple[float, float, float, float]:
+    """Return step, edge of the first pixel, largest deviation from even steps, that allowed."""
+    numbers = centres.astype(np.float64)
+    first, n_steps = float(numbers[0]), numbers.size - 1
+    is_finite = bool(np.isfinite(numbers).all())
+    step = (float(numbers[-1]) - first) / n_steps if n_steps and is_finite else 0.0
+    if step == 0:
+        return 0.0, first, 0.0 if n_steps == 0 and is_finite else math.inf, _STRAIGHT
+    deviation = float(np.abs(numbers - (first + step * np.arange(numbers.size))).max() / abs(step))
+    step, edge = _written_axis(numbers, step)
+    return step, edge, deviation, _allowed(centres, abs(step))
+
+
+def _allowed(centres: NDArray[np.generic], step: float) -> float:
+    """Return how far coordinates may lie beside their grid, in pixels: what rounding explains."""
+    spacing = 0.0
+    if centres.dtype.kind == "f":
+        spacing = float(np.spacing(np.abs(centres).max()))
+    numbers = centres.astype(np.float64)
+    for decimals in range(_DECIMALS):
+        if np.abs(np.round(numbers, decimals) - numbers).max() <= spacing:
+            return max(_STRAIGHT, min(10.0**-decimals / step, EVEN), min(spacing / step, _COARSEST))
+    return max(_STRAIGHT, min(spacing / step, _COARSEST))
+
+
+def _written_axis(centres: NDArray[np.float64], step: float) -> tuple[float, float]:
+    """Return step and edge, such that `coordinates` gives the very numbers where one does.
+
+    A step of few digits that says the same is likelier than one that was computed by their ends,
+    and so is one part of a whole number: 1/3600.
+    """
+    first, indices = float(centres[0]), np.arange(centres.size, dtype=np.float64)
+    zeros = np.zeros_like(indices)
+    for candidate in (step, *_few_digits(step), *(1 / part for part in _few_digits(1 / step))):
+        edge = first - candidate * 0.5
+        for corner in (edge, math.nextafter(edge, -math.inf), math.nextafter(edge, math.inf)):
+            transform = (candidate, 0.0, corner, 0.0, 1.0, 0.0)
+            if np.array_equal(coordinates(transform, zeros, indices)[0], centres):
+                return candidate, corner
+    return step, first - step / 2
+
+
+def _few_digits(number: float) -> list[float]:
+    rounded = (float(f"{number:.{digits}g}") for digits in _DIGITS)
+    return [one for one in rounded if one and math.isfinite(one)]
+
+
+def grid_of_places(
+    read: Callable[[int, int], tuple[NDArray[Any], NDArray[Any]]], shape: tuple[int, int]
+) -> Fit:
+    """Return the grid that samples with an x and a y each follow.
+
+    `read` gives both of some rows, from a first one on. A single row or column has no step in one
+    direction: no transform that could be turned back.
+    """
+    n_rows, n_cols = shape
+    top, bottom = read(0, 1), read(n_rows - 1, 1)
+    down, right = max(n_rows - 1, 1), max(n_cols - 1, 1)
+    a, d = ((float(z[0, -1]) - float(z[0, 0])) / right for z in top)
+    b, e = ((float(z[0, 0]) - float(first[0, 0])) / down for first, z in zip(top, bottom))
+    x, y = (float(z[0, 0]) for z in top)
+    transform = (a, b, x - (a + b) / 2, d, e, y - (d + e) / 2)
+    area = determinant(transform)
+    if area == 0 or not math.isfinite(area):
+        return Fit(transform, math.inf, _STRAIGHT)
+    side = min(pixel_size(transform))
+    allowed = max(_allowed(z, side) for z in (*top, *bottom))
+    deviation = 0.0
+    for row in range(0, n_rows, _ROWS):
+        places = [z.astype(np.float64) for z in read(row, min(_ROWS, n_rows - row))]
+        if not np.isfinite(places).all():
+            return Fit(transform, math.inf, _STRAIGHT)
+        rows, cols = places_to_samples(transform, *places)
+        rows -= np.arange(row, row + rows.shape[0])[:, None]
+        cols -= np.arange(n_cols)
+        deviation = max(deviation, float(np.abs(rows).max()), float(np.abs(cols).max()))
+    return Fit(transform, deviation, allowed)
+
+
+def steps_on(transform: Transform, shape: tuple[int, int], other: Transform) -> Steps | None:
+    """Return where all samples of a grid lie on the samples of another one; None if they don't.
+
+    Ends are compared, as a step that is nearly whole goes astray over many. Where there is one row
+    or column only, its step is 1.
+    """
+    if determinant(other) == 0:
+        return None
+    n_rows, n_cols = shape
+    ends = [(0.0, 0.0), (n_rows - 1.0, 0.0), (0.0, n_cols - 1.0)]
+    with np.errstate(all="ignore"):
+        found = [places_to_samples(other, *samples_to_places(transform, *end)) for end in ends]
+    if not all(math.isfinite(number) for place in found for number in place):
+        return None
+    (row, col), (last_row, _), (_, last_col) = found
+    row_step = round((last_row - row) / (n_rows - 1)) if n_rows > 1 else 1
+    col_step = round((last_col - col) / (n_cols - 1)) if n_cols > 1 else 1
+    steps = Steps(round(row), round(col), row_step, col_step)
+    whole = [
+        (steps.row + row_step * end_row, steps.col + col_step * end_col)
+        for end_row, end_col in ends
+    ]
+    if not row_step or not col_step or np.abs(np.subtract(found, whole)).max() > EVEN:
+        return None
+    return steps

@@ -1,18 +1,16 @@
 """Heights from arrays in memory and from xarray."""
 
-import contextlib
+import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from rasterio.crs import CRS
 
-from terrainwave.errors import (
-    InvalidArgumentError,
-    InvalidHeightsError,
-)
+from terrainwave.arguments import is_twz_name
+from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import IDENTITY
-from terrainwave.raster_io.crs import format_crs, parse_crs
+from terrainwave.raster_io.info import fit_nodata, stored_nodata
+from terrainwave.raster_io.labelled import layer_of, number_of, variable_of, voids_of
 
 
 class ArrayBackend:
@@ -65,112 +63,101 @@ class ArrayBackend:
         """Do nothing: the array is the caller's."""
 
 
-_ROW_DIMS = ("y", "lat", "latitude", "northing", "row")
-_COL_DIMS = ("x", "lon", "longitude", "easting", "col")
+class Claim(NamedTuple):
+    """A bound that came with heights, in physical units, and the .twz file that it is of."""
+
+    max_error: float
+    path: str | None
 
 
-def open_data_array(array: Any, band: int) -> ArrayBackend:
-    """Take heights, CRS and transform from an xarray DataArray, by its names alone.
+class LabelledBackend(ArrayBackend):
+    """A layer of heights of xarray's, with all that its names and attributes say.
 
-    Understood: a leading band dimension, dimensions in either order, the coordinate that
-    ``grid_mapping`` names (``spatial_ref``) and rioxarray's ``.rio`` accessor, the attributes
-    ``_FillValue``, ``units``, ``AREA_OR_POINT``, ``scale_factor`` and ``add_offset`` (which are
-    there only while the values are as stored). A lazy array is read in its own chunks.
+    Understood: a Dataset with one variable of heights, a dimension ``band`` and others of length 1,
+    x and y in either order, the coordinate that ``grid_mapping`` names (``spatial_ref``) and
+    rioxarray's ``.rio`` accessor, what marks voids, the attributes ``units``, ``long_name``,
+    ``AREA_OR_POINT``, ``scale_factor`` and ``add_offset`` (which are there only while the values
+    are as stored), and ``max_error``. A lazy array is read in its own chunks.
     """
-    if len(array.dims) == 3 and str(array.dims[0]) == "band":
-        if not 1 <= band <= array.shape[0]:
-            raise InvalidArgumentError(
-                f"`band` {band} does not exist, the DataArray has {array.shape[0]}"
-            )
-        array = array[band - 1]
-    if len(array.dims) != 2:
-        raise InvalidHeightsError(
-            f"the DataArray has dimensions {tuple(map(str, array.dims))}; expected rows and columns"
+
+    def __init__(
+        self, source: Any, band: int, *, override: int | float | None, georeference: bool
+    ) -> None:
+        variable = variable_of(source)
+        layer = layer_of(variable, source, band, georeference=georeference)
+        attrs = variable.attrs
+        units = attrs.get("units")
+        tags = {
+            "crs": layer.crs,
+            "units": None if units in (None, "") else str(units),
+            "scale": number_of(attrs, "scale_factor", 1.0),
+            "offset": number_of(attrs, "add_offset", 0.0),
+            "area_or_point": str(attrs["AREA_OR_POINT"]) if "AREA_OR_POINT" in attrs else None,
+            "description": str(attrs["long_name"]) if "long_name" in attrs else None,
+        }
+        chunks = getattr(layer.array, "chunks", None)
+        super().__init__(
+            layer.array,
+            transform=layer.transform,
+            tags=tags,
+            block_shape=None if chunks is None else (max(chunks[0]), max(chunks[1])),
         )
-    names = [str(dim).lower() for dim in array.dims]
-    if names[0] in _COL_DIMS and names[1] in _ROW_DIMS:
-        array = array.transpose(*array.dims[::-1])
-    attrs = array.attrs
-    nodata = attrs.get("_FillValue", attrs.get("nodata"))
-    units = attrs.get("units")
-    tags = {
-        "crs": format_crs(_data_array_crs(array)),
-        "units": None if units in (None, "") else str(units),
-        "scale": float(attrs.get("scale_factor", 1.0)),
-        "offset": float(attrs.get("add_offset", 0.0)),
-        "area_or_point": str(attrs["AREA_OR_POINT"]) if "AREA_OR_POINT" in attrs else None,
-        "description": str(attrs["long_name"]) if "long_name" in attrs else None,
-    }
-    chunks = getattr(array, "chunks", None)
-    return ArrayBackend(
-        array,
-        nodata=None if nodata is None else np.asarray(nodata).item(),
-        transform=_data_array_transform(array),
-        tags=tags,
-        block_shape=None if chunks is None else (max(chunks[0]), max(chunks[1])),
-    )
+        self._notes = list(layer.notes)
+        self._others: list[Any] = []
+        voids = voids_of(variable, band)
+        self._valid_range = voids.valid_range
+        self._notes += voids.notes
+        if override is None:
+            self._declare(voids.values)
+        if self._valid_range is not None and self.nodata is None and self.dtype.kind != "f":
+            self.has_mask = override is None
+        self.claim = _claim(variable)
+
+    def _declare(self, values: list[int | float]) -> None:
+        """Take the first finite value as nodata; the others are voids as well."""
+        fitting = []
+        for value in values:
+            _, problem = fit_nodata(value, self.dtype)
+            if problem is None:
+                fitting.append(value)
+            elif value == value or len(values) == 1:  # whole numbers are never NaN
+                self._notes.append(f"{problem}, so no sample can equal it: ignored")
+        finite = [value for value in fitting if math.isfinite(value)]
+        if not fitting:
+            return
+        self.nodata = (finite or fitting)[0]
+        others = [value for value in fitting if value != self.nodata and value == value]
+        self._others = [stored_nodata(value, self.dtype) for value in others]
+        if others:
+            found = ", ".join(f"{value:g}" for value in others)
+            self._notes.append(
+                f"{found} marks voids too; the file marks all of them by {self.nodata:g}"
+            )
+
+    def notes(self) -> Iterator[str]:
+        """Yield what is left out or was chosen, one sentence each."""
+        return iter(self._notes)
+
+    def read(self, row: int, col: int, n_rows: int, n_cols: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return heights (a copy) and False where a sample is void."""
+        heights, valid = super().read(row, col, n_rows, n_cols)
+        for value in self._others:
+            valid &= heights != value
+        if self._valid_range is not None:
+            low, high = map(
+                np.float64, self._valid_range
+            )  # not as float32, which may not hold them
+            valid &= (heights >= low) & (heights <= high)
+        return heights, valid
 
 
-def _spatial_ref(array: Any) -> dict[str, Any]:
-    """Return the attributes of the coordinate that holds CRS and transform."""
-    name = "spatial_ref"
-    for fields in (getattr(array, "encoding", {}), array.attrs):
-        name = str(fields.get("grid_mapping", name))
-    return dict(array.coords[name].attrs) if name in array.coords else {}
-
-
-def _data_array_crs(array: Any) -> CRS | None:
-    with contextlib.suppress(AttributeError):
-        crs = array.rio.crs
-        return None if crs is None else CRS.from_user_input(crs)
-    reference = _spatial_ref(array)
-    text = reference.get("crs_wkt", reference.get("spatial_ref"))
-    return parse_crs(None if text is None else str(text))
-
-
-def _data_array_transform(array: Any) -> tuple[float, ...]:
-    """Return where the pixels are, by the stored transform and the coordinates of their centres.
-
-    The stored one is exact, but stays as it was when the array is cut, turned over or thinned
-    out: the centres then tell by how many pixels.
-    """
-    text = str(_spatial_ref(array).get("GeoTransform", "")).split()
-    stored_x = stored_y = None
-    if len(text) == 6:
-        c, a, b, f, d, e = map(float, text)  # GDAL's order
-        if (b, d) != (0, 0):
-            return a, b, c, d, e, f
-        stored_x, stored_y = (a, c), (e, f)
-    x_axis = _axis_transform(array, array.dims[1], stored_x)
-    y_axis = _axis_transform(array, array.dims[0], stored_y)
-    if x_axis is None or y_axis is None:
-        return IDENTITY
-    return x_axis[0], 0.0, x_axis[1], 0.0, y_axis[0], y_axis[1]
-
-
-# Coordinates are decimal text turned float32 as often as not: 1 % of a pixel is "even".
-_EVEN = 0.01
-
-
-def _axis_transform(
-    array: Any, dim: Any, stored: tuple[float, float] | None
-) -> tuple[float, float] | None:
-    """Return (pixel size, edge of the first pixel) along a dimension; None if it is not even."""
-    centres = np.asarray(array.coords[dim].values) if dim in array.coords else np.empty(0)
-    if centres.size == 0 or centres.dtype.kind not in "iuf":
-        return stored
-    first = float(centres[0])
-    if centres.size == 1:
-        size = None if stored is None else stored[0]
-    else:
-        size = (float(centres[-1]) - first) / (centres.size - 1)
-    if not size:
+def _claim(array: Any) -> Claim | None:
+    """Return the bound that `terrain_dataset` stated of an array, if it still says so."""
+    found = array.attrs.get("max_error")
+    is_number = isinstance(found, int | float | np.number) and not isinstance(found, bool)
+    if not is_number or not 0 < found < math.inf:
         return None
-    if np.abs(centres - (first + size * np.arange(centres.size))).max() > _EVEN * abs(size):
-        return None
-    if stored is not None and stored[0]:
-        n_pixels, skipped = size / stored[0], (first - stored[1]) / stored[0] - 0.5
-        whole = round(n_pixels), round(skipped)
-        if whole[0] and max(abs(n_pixels - whole[0]), abs(skipped - whole[1])) <= _EVEN:
-            return stored[0] * whole[0], stored[1] + stored[0] * (whole[1] + (1 - whole[0]) / 2)
-    return size, first - size / 2
+    # Arithmetic keeps attributes and coordinates, and drops the encoding.
+    holders = [array, *(coord for coord in array.coords.values() if not getattr(coord, "ndim", 1))]
+    paths = (getattr(holder, "encoding", {}).get("source") for holder in holders)
+    return Claim(float(found), next((str(path) for path in paths if is_twz_name(path)), None))

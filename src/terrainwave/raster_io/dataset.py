@@ -30,7 +30,7 @@ from terrainwave.raster_io.gdal import (
 )
 from terrainwave.raster_io.tags import PLAIN_COLORS, is_statistic, select_tags
 
-# What GDAL tells of a file rather than keeps in it.
+# What GDAL tells of a file rather than keeps in it, and places, which have a note of their own.
 _DERIVED_TAGS = (
     "", "IMAGE_STRUCTURE", "DERIVED_SUBDATASETS", "SUBDATASETS", "RPC", "TIFF", "xml:VRT",
     "OVERVIEWS", "LocationInfo", "vrt_sources", "new_vrt_sources", "GEOLOCATION",
@@ -131,15 +131,41 @@ def _number(text: str) -> float | None:
     return None if math.isnan(value) else value
 
 
+def is_placed(dataset: Any) -> bool:
+    """Say whether a dataset has a transform; rasterio gives the identity where GDAL has none."""
+    if tuple(dataset.transform[:6]) != IDENTITY:
+        return True
+    if _other_places(dataset):
+        return False
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", NotGeoreferencedWarning)
+        try:
+            dataset.read_transform()
+        except NotGeoreferencedWarning:
+            return False
+    return True
+
+
+def _other_places(dataset: Any) -> list[str]:
+    """Return what else than a transform tells places of samples: of rows and columns, or each."""
+    found = {
+        "GCPs": dataset.gcps[0],
+        "RPCs": getattr(dataset, "rpcs", None),
+        "geolocation arrays": "GEOLOCATION" in dataset.tag_namespaces(),
+    }
+    return [name for name, value in found.items() if value]
+
+
 class DatasetBackend:
     """A band of a rasterio dataset."""
 
     is_file = True
 
-    def __init__(self, dataset: Any, band: int, *, owned: bool) -> None:
+    def __init__(self, dataset: Any, band: int, *, owned: bool, georeference: bool = True) -> None:
         self._owned = owned
         self._dataset = dataset
         self._band = band
+        self._georeference = georeference
         try:
             self._check()
         except BaseException:
@@ -162,6 +188,9 @@ class DatasetBackend:
         self.block_shape: tuple[int, int] = dataset.block_shapes[band - 1]
         self.transform = tuple(float(value) for value in dataset.transform[:6])
         self.crs = dataset.crs
+        self._is_lost = not is_placed(dataset)
+        if self._is_lost or not self._georeference:
+            self.transform, self.crs = IDENTITY, None
         flags = dataset.mask_flag_enums[band - 1]
         colors = [color.name for color in dataset.colorinterp]
         # GDAL takes an alpha for a mask in 8 and 16 bits alone, and beside no nodata value.
@@ -236,21 +265,21 @@ class DatasetBackend:
             yield f"not kept, as the heights give them again: {' and '.join(derived)}"
 
     def _notes_on_place(self) -> Iterator[str]:
-        dataset = self._dataset
-        found = [
-            name
-            for name, value in (
-                ("GCPs", dataset.gcps[0]),
-                ("RPCs", getattr(dataset, "rpcs", None)),
-                ("GEOLOCATION arrays", dataset.tags(ns="GEOLOCATION")),
+        dropped = " and ".join(_other_places(self._dataset))
+        if self._georeference and dropped:
+            lost = (
+                ", and nothing else says where its samples lie: place and CRS are lost; gdalwarp"
+                " makes a raster with a transform of it"
             )
-            if value
-        ]
-        if found:
-            lost = ""
-            if tuple(self.transform) == IDENTITY:
-                lost = ": the raster's place is lost (gdalwarp makes a raster that has one)"
-            yield f"{' and '.join(found)} are dropped, a .twz file does not hold them{lost}"
+            yield (
+                f"{dropped} are dropped, a .twz file does not hold them"
+                f"{lost if self._is_lost else ''}"
+            )
+        elif self._georeference and self._is_lost and self._dataset.crs:
+            yield (
+                "no transform says where its samples lie, so its CRS is dropped: give it one, for"
+                " example by gdal_edit -a_ullr"
+            )
         if not is_exact(self.crs):
             yield (
                 "the CRS is kept as WKT that does not say all of it: compare gdalinfo of the raster"
@@ -279,7 +308,7 @@ class DatasetBackend:
         dataset, index = self._dataset, self._band - 1
         color = dataset.colorinterp[index].name
         return {
-            "crs": format_crs(dataset.crs),
+            "crs": format_crs(self.crs),
             "units": dataset.units[index] or None,
             "scale": float(dataset.scales[index]),
             "offset": float(dataset.offsets[index]),

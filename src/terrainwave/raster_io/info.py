@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from terrainwave.arguments import crs_name
 from terrainwave.errors import CorruptStreamError
@@ -83,6 +84,13 @@ class RasterInfo:
     def n_bytes(self) -> int:
         """Size of the uncompressed samples."""
         return self.n_rows * self.n_cols * np.dtype(self.dtype).itemsize
+
+    def to_physical(self, heights: NDArray[Any]) -> NDArray[Any]:
+        """Return heights after scale and offset, in float64; as they are where there are none."""
+        if (self.scale, self.offset) == (1.0, 0.0):
+            return heights
+        # float32 would add its rounding to the bound.
+        return heights.astype(np.float64) * self.scale + self.offset
 
     def rasterio_crs(self) -> Any:
         """Return the CRS as rasterio's object; None, with a warning, if it cannot be understood."""

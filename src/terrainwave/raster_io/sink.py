@@ -60,7 +60,8 @@ def geotiff_profile(info: RasterInfo) -> dict[str, Any]:
         "blockxsize": TILE,
         "blockysize": TILE,
     }
-    if info.transform != IDENTITY:
+    # With a CRS it is a place as any other: rasters without one have no CRS (dataset.is_placed).
+    if info.transform != IDENTITY or info.crs is not None:
         profile["transform"] = Affine(*info.transform)
     return profile
 

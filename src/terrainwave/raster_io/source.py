@@ -17,7 +17,7 @@ from terrainwave.errors import (
 )
 from terrainwave.grid.affine import IDENTITY
 from terrainwave.grid.quadtree import Region
-from terrainwave.raster_io.arrays import ArrayBackend, open_data_array
+from terrainwave.raster_io.arrays import ArrayBackend, Claim, LabelledBackend
 from terrainwave.raster_io.dataset import DatasetBackend, open_dataset
 from terrainwave.raster_io.gdal import (
     SCAN_SAMPLES,
@@ -60,13 +60,15 @@ class RasterSource:
 
     Parameters
     ----------
-    source : path, rasterio dataset, list of these, ndarray, masked array or xarray DataArray
+    source : path, rasterio dataset, list of these, ndarray, masked array, DataArray or Dataset
         What to read. A list is a mosaic: rasters of one grid, of which the last counts where they
-        overlap. A dataset is not closed; a DataArray may be lazy.
+        overlap. A dataset of rasterio is not closed; those of xarray may be lazy.
     band : int
         Number of the band, from 1. Band 1 of several is noted, as it may not be a choice.
     nodata : int or float, optional
         Replaces the declared nodata value.
+    georeference : bool
+        False leaves place and CRS out, whatever the source says of them.
     warn : bool
         Issue `notes` as warnings; tasks that open the same raster again don't.
 
@@ -103,10 +105,11 @@ class RasterSource:
         *,
         band: int = 1,
         nodata: int | float | None = None,
+        georeference: bool = True,
         warn: bool = True,
     ) -> None:
         self._lock = threading.Lock()
-        self._backend = _open_backend(source, band, nodata)
+        self._backend = _open_backend(source, band, nodata, georeference=georeference)
         self.name: str = self._backend.name
         try:
             notes = list(self._backend.notes())
@@ -161,6 +164,11 @@ class RasterSource:
             yield from (f"{self.name}: {aside}" for aside in backend.asides())
         elif isinstance(backend, MosaicBackend):
             yield from backend.asides()
+
+    @property
+    def claim(self) -> Claim | None:
+        """Return the bound that came with an array, if one did."""
+        return self._backend.claim if isinstance(self._backend, LabelledBackend) else None
 
     @property
     def is_file(self) -> bool:
@@ -254,25 +262,31 @@ def _check_dtype(dtype: np.dtype[Any], name: str) -> None:
 
 
 def _open_backend(
-    source: Any, band: int, nodata: int | float | None
+    source: Any, band: int, nodata: int | float | None, *, georeference: bool
 ) -> "DatasetBackend | MosaicBackend | ArrayBackend":
     if isinstance(source, list | tuple) and source and all(map(_is_raster, source)):
         if len(source) > 1:
+            if not georeference:
+                raise InvalidArgumentError(
+                    f"found `georeference` False and {len(source)} rasters, expected one: a mosaic"
+                    " is put together by their places"
+                )
             return MosaicBackend(source, band, nodata)
         source = source[0]
     if isinstance(source, str | os.PathLike):
-        return DatasetBackend(open_dataset(os.fspath(source)), band, owned=True)
+        dataset = open_dataset(os.fspath(source))
+        return DatasetBackend(dataset, band, owned=True, georeference=georeference)
     if _is_raster(source):
-        return DatasetBackend(source, band, owned=False)
+        return DatasetBackend(source, band, owned=False, georeference=georeference)
     if isinstance(source, np.ndarray):
         return ArrayBackend(source)
-    if hasattr(source, "dims") and hasattr(source, "values"):
-        return open_data_array(source, band)
+    if hasattr(source, "dims") and hasattr(source, "coords"):
+        return LabelledBackend(source, band, override=nodata, georeference=georeference)
     if isinstance(source, list | tuple):
         return ArrayBackend(np.asarray(source))
     raise InvalidHeightsError(
         f"found a {type(source).__name__}; expected a path, a rasterio dataset, a 2-D array, an"
-        " xarray DataArray or a list of paths or datasets"
+        " xarray DataArray or Dataset, or a list of paths or datasets"
     )
 
 

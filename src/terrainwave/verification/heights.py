@@ -28,6 +28,7 @@ from terrainwave.errors import (
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import Progress, ProgressCallback
 from terrainwave.raster_io.crs import parse_crs
+from terrainwave.raster_io.dataset import is_placed
 from terrainwave.verification.metrics import ErrorReport, ErrorSum
 
 if TYPE_CHECKING:
@@ -288,7 +289,9 @@ class _Comparison:
         found, expected = tuple(terrain.transform())[:6], tuple(dataset.transform)[:6]
         if found != expected:
             yield f"the transform is {found}, the original's is {expected}"
-        yield from _compare_crs(terrain.crs, dataset.crs)
+        # Of samples that lie nowhere a file keeps no CRS.
+        if terrain.crs or is_placed(dataset):
+            yield from _compare_crs(terrain.crs, dataset.crs)
 
     def _area_or_point(self) -> str:
         return str(self._dataset.tags().get("AREA_OR_POINT", "Area"))

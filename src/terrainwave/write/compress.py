@@ -37,6 +37,7 @@ from terrainwave.write.cluster import (
     shared_raster,
     task_level,
 )
+from terrainwave.write.earlier import earlier_error
 from terrainwave.write.job import settled
 from terrainwave.write.local import LocalPasses, smaller
 from terrainwave.write.options import Options
@@ -47,7 +48,9 @@ from terrainwave.write.subtrees import RasterPlace
 class CompressResult:
     """What `compress` made; errors in physical units.
 
-    `measured_error` is None where the proof was skipped; `notes` say what a user should know.
+    `measured_error`, from the raster given, is None where the proof was skipped. The other two
+    are what the file states: with the bound that the raster had itself, if it came out of a .twz
+    file. `notes` say what a user should know.
     """
 
     path: str
@@ -75,6 +78,7 @@ def compress(
     effort: str = "default",
     nodata: float | None = None,
     band: int = 1,
+    georeference: bool = True,
     border_rings: int = 1,
     mesh: str = "auto",
     mesh_error: float | None = None,
@@ -92,9 +96,10 @@ def compress(
 
     Parameters
     ----------
-    src : path, rasterio dataset, list of these, ndarray or xarray DataArray
+    src : path, rasterio dataset, list of these, ndarray, xarray DataArray or Dataset
         One band of heights: uint8, int16, uint16, int32, float32 or float64. A list is a mosaic:
-        rasters of one CRS and grid, void where none is; the last counts where they overlap.
+        rasters of one CRS and grid, void where none is; the last counts where they overlap. A
+        Dataset has one variable of heights (docs/integrations.md has what is read from labels).
     dst : path
         The file to make, whose name ends in ``.twz``; never an existing raster. It appears
         complete or not at all.
@@ -121,6 +126,9 @@ def compress(
         Replaces the raster's own nodata value.
     band : int, optional
         Band to take, from 1.
+    georeference : bool
+        False takes the heights without place and CRS: of samples that follow no even grid, as
+        curvilinear ones, which are refused otherwise.
     border_rings : int
         1, or 3 to share one more ring on both sides of every border (Yusov & Turlapov 2010, §2.3).
     mesh : str
@@ -214,7 +222,7 @@ def compress(
     refuse_raster(dst)
     with (
         publish(dst, overwrite=overwrite) as part,
-        RasterSource(src, band=band, nodata=nodata) as source,
+        RasterSource(src, band=band, nodata=nodata, georeference=georeference) as source,
         scratch_directory(temp_dir or Path(dst).absolute().parent, Path(dst).name) as directory,
     ):
         reporter = Reporter(progress)
@@ -245,6 +253,7 @@ def compress_to_bytes(
     block: int = 256,
     effort: str = "default",
     nodata: float | None = None,
+    georeference: bool = True,
     mesh: str = "none",
     strict: bool = False,
     verify: bool = True,
@@ -267,7 +276,7 @@ def compress_to_bytes(
     )
     file = io.BytesIO()
     with (
-        RasterSource(src, nodata=nodata) as source,
+        RasterSource(src, nodata=nodata, georeference=georeference) as source,
         system_scratch() as directory,
     ):
         written = _write(file, None, source, options, directory, Reporter(None))
@@ -310,7 +319,9 @@ def _write(
         with closing(_passes(source, grid, directory, executor, reporter, cluster)) as passes:
             scan = passes.scan()
             marks = note_on_marks(source, scan.minimum, scan.maximum)
-            job, notes = settled(options, scan, source.info)
+            earlier, earlier_notes = earlier_error(source)
+            job, notes = settled(options, scan, source.info, earlier)
+            notes += earlier_notes
             coded = passes.encode(job)
             is_large = coded.n_bytes > source.info.n_bytes
             is_large = is_large and not (options.is_embedded or options.faithful)
@@ -325,10 +336,11 @@ def _write(
                 measured = passes.prove(path or cast(io.BytesIO, file).getvalue(), job)
             coded.close()
     scale = abs(source.info.scale)
+    moved = job.moved_error * scale
     return _Written(
         method=job.options.method,
-        max_error=float(job.bound),
-        effective_error=min(job.effective_error * scale, float(job.bound)),
+        max_error=float(job.bound) + moved,
+        effective_error=min(job.effective_error * scale, float(job.bound)) + moved,
         measured_error=None if measured is None else measured * scale,
         notes=notes,
         marks=marks,

@@ -10,6 +10,7 @@ from fractions import Fraction
 
 from terrainwave._version import __version__
 from terrainwave.container.header import HAS_REMAINDERS, IS_FAITHFUL, Header
+from terrainwave.container.metadata import MAX_MOVED
 from terrainwave.errors import (
     InvalidHeightsError,
 )
@@ -40,6 +41,8 @@ class Job:
     measured : float, optional
         The bound that holds where the quantizer does not tell it, in raw units: of an embedded
         file, once it is known, and where heights give way to the nodata value.
+    earlier : float
+        How far the raster itself may be from an original that it was made of, in physical units.
     """
 
     options: Options
@@ -49,11 +52,27 @@ class Job:
     quantizer: Quantizer
     n_valid: int
     measured: float | None = None
+    earlier: float = 0.0
 
     @property
     def effective_error(self) -> float:
-        """Return the bound that holds, in raw units."""
+        """Return the bound that holds, from the raster, in raw units."""
         return self.quantizer.effective_error if self.measured is None else self.measured
+
+    @property
+    def moved(self) -> int:
+        """Return `earlier` in quanta, rounded up."""
+        quanta = as_fraction(self.earlier) / scale_of(self.info) / self._quantum
+        return int(-(-quanta // 1))
+
+    @property
+    def moved_error(self) -> float:
+        """Return what the file's bounds are larger by than those from the raster, in raw units."""
+        return float(self.moved * self._quantum)
+
+    @property
+    def _quantum(self) -> Fraction:
+        return Fraction(self.quantizer.numerator, self.quantizer.denominator)
 
     def with_measured(self, error: int) -> "Job":
         """Return the job with a measured error, in quanta, as the bound."""
@@ -81,8 +100,8 @@ class Job:
 
     @property
     def lost(self) -> int:
-        """Return the largest loss by rounding to quanta, in quanta, rounded up."""
-        return self.quantizer.lost
+        """Return the largest loss by rounding to quanta, and before, in quanta, rounded up."""
+        return self.quantizer.lost + self.moved
 
     @property
     def recursion_bound(self) -> int | None:
@@ -99,7 +118,7 @@ class Job:
             error = default_mesh_error(quantizer, self.effective_error, scale_of(self.info))
         else:
             error = as_fraction(self.options.mesh_error) / scale_of(self.info)
-        return mesh_tolerance(error, Fraction(quantizer.numerator, quantizer.denominator))
+        return mesh_tolerance(error, self._quantum)
 
     @property
     def parameters(self) -> CodecParameters:
@@ -119,6 +138,8 @@ class Job:
         plain = RasterInfo(info.n_rows, info.n_cols, info.dtype).to_metadata()
         # Only what is not as it would be anyway; size and type are in the header itself.
         metadata = {key: value for key, value in info.to_metadata().items() if value != plain[key]}
+        if self.moved:
+            metadata["moved"] = self.moved
         has_heights = self.n_valid > 0
         return Header(
             n_rows=info.n_rows,
@@ -128,13 +149,15 @@ class Job:
             method=options.method,
             dtype=info.dtype,
             effort=options.effort_number,
-            quantum=Fraction(quantizer.numerator, quantizer.denominator),
+            quantum=self._quantum,
             base=quantizer.base,
             step=quantizer.step,
             z_min=quantizer.z_min if has_heights else 0,
             z_max=quantizer.z_max if has_heights else -1,
-            max_error=self.raw_bound,
-            effective_bound=min(self.effective_error, self.raw_bound),
+            max_error=self.raw_bound + self.moved_error,
+            # That of a file with remainders is 0 (FORMAT.md §4.1).
+            effective_bound=min(self.effective_error, self.raw_bound)
+            + (0.0 if quantizer.remainder_bytes else self.moved_error),
             rho=quantizer.rho,
             features=(HAS_REMAINDERS if quantizer.remainder_bytes else 0)
             | (IS_FAITHFUL if options.faithful else 0),
@@ -161,13 +184,15 @@ def scale_of(info: RasterInfo) -> Fraction:
     return abs(as_fraction(info.scale))
 
 
-def settled(options: Options, scan: HeightScan, info: RasterInfo) -> tuple[Job, list[str]]:
+def settled(
+    options: Options, scan: HeightScan, info: RasterInfo, earlier: float = 0.0
+) -> tuple[Job, list[str]]:
     """Return the job for a raster that has been scanned, and what a user should know of it.
 
     Raises
     ------
     InvalidHeightsError
-        If the bound cannot be kept, or the raster's scale is none.
+        If the bound cannot be kept, or the raster's scale is none, or `earlier` is too large.
     """
     bound, notes = Fraction(0), list[str]()
     if options.is_embedded:
@@ -185,7 +210,14 @@ def settled(options: Options, scan: HeightScan, info: RasterInfo) -> tuple[Job, 
         quantizer, measured = _with_room_for_nodata(quantizer, info)
         measured = None if options.is_embedded else measured
     grid = Grid(info.n_rows, info.n_cols, options.block)
-    return Job(options, info, grid, bound, quantizer, scan.n_valid, measured), notes
+    job = Job(options, info, grid, bound, quantizer, scan.n_valid, measured, earlier)
+    if job.moved > MAX_MOVED:
+        raise InvalidHeightsError(
+            f"the heights are within {earlier:g} of an original by what came with them, which is"
+            f" more than 2^31 steps of {float(job.bound):g}; expected a larger `max_error`, or an"
+            " array without the attribute max_error"
+        )
+    return job, notes
 
 
 def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:

@@ -1,0 +1,77 @@
+"""What heights had lost before: those of an array that came out of a .twz file.
+
+Such an array says how far it may be from the original (``max_error``), and goes on saying so when
+its heights have become others: xarray keeps attributes. So the bound counts only where the heights
+are compared with those of the file, and are the same.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import TerrainwaveError
+from terrainwave.file import TerrainFile
+from terrainwave.grid.affine import steps_on
+from terrainwave.raster_io.source import RasterSource
+
+
+def earlier_error(source: RasterSource) -> tuple[float, list[str]]:
+    """Return how far heights may be from an original already, in physical units, and notes.
+
+    Reads the heights once more, and the file, where something is claimed; else nothing.
+    """
+    claim = source.claim
+    if claim is None:
+        return 0.0, []
+    reason = "and no .twz file to compare them with"
+    if claim.path is not None:
+        try:
+            with TerrainFile(claim.path) as terrain:
+                if _has_same_heights(terrain, source):
+                    return terrain.effective_error, [
+                        f"the heights are those of {claim.path}, within"
+                        f" {terrain.effective_error:.6g} of an original: the file's bound is larger"
+                        " by this"
+                    ]
+            reason = f"and are not those of {claim.path}"
+        except TerrainwaveError as error:
+            reason = f"and cannot be compared: {error}"
+    return 0.0, [
+        f"the heights came with the attribute max_error, {claim.max_error:.6g}, {reason}: the"
+        " file's bound is from the heights as they are now"
+    ]
+
+
+def _has_same_heights(terrain: TerrainFile, source: RasterSource) -> bool:
+    """Say whether all of an array is samples of a file, at the places that it says."""
+    info, theirs = source.info, terrain.raster_info
+    is_stored = (info.scale, info.offset) == (theirs.scale, theirs.offset)
+    if not is_stored and (info.scale, info.offset) != (1.0, 0.0):
+        return False
+    steps = steps_on(info.transform, (info.n_rows, info.n_cols), theirs.transform)
+    if steps is None:
+        return False
+    for region in source.blocks():
+        heights, valid = source.read(*region)
+        rows = _samples(steps.row, steps.row_step, region.row, region.n_rows)
+        cols = _samples(steps.col, steps.col_step, region.col, region.n_cols)
+        if not (_are_within(rows, theirs.n_rows) and _are_within(cols, theirs.n_cols)):
+            return False
+        window = (rows.min(), cols.min(), np.ptp(rows) + 1, np.ptp(cols) + 1)
+        stored, is_valid = terrain.read_with_mask(tuple(map(int, window)))
+        at = np.ix_(rows - rows.min(), cols - cols.min())
+        if not np.array_equal(is_valid[at], valid):
+            return False
+        physical = stored[at] if is_stored else theirs.to_physical(stored[at])
+        # As numbers: an array has them in the type that its voids or its scale need.
+        if not np.array_equal(physical[valid], heights[valid]):
+            return False
+    return True
+
+
+def _samples(first: int, step: int, begin: int, n: int) -> NDArray[np.int64]:
+    """Return the file's rows or columns that a window of the array is of."""
+    return first + step * np.arange(begin, begin + n, dtype=np.int64)
+
+
+def _are_within(samples: NDArray[np.int64], size: int) -> bool:
+    return bool(samples.min() >= 0 and samples.max() < size)
