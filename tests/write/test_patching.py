@@ -1,5 +1,8 @@
 """Files that are patched hold the new raster; what did not change is copied."""
 
+import json
+import re
+
 import numpy as np
 import pytest
 from cases import some
@@ -173,7 +176,7 @@ def test_a_lossy_file_takes_the_change_alone(tmp_path, mesh, old):
     with Terrain(path) as terrain:
         before = terrain.read().astype(int)
     part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
-    result = patch(path, tmp_path / "new.tif")
+    result = patch(path, tmp_path / "new.tif", loosen_bound=True)
     new = merged(changed(HEIGHTS), *MIDDLE, old)
     with Terrain(path) as terrain:
         after, info = terrain.read().astype(int), terrain.info()
@@ -186,6 +189,8 @@ def test_a_lossy_file_takes_the_change_alone(tmp_path, mesh, old):
     report = terrainwave.verify(path, write_whole(new, tmp_path / "all.tif"), mesh=True)
     assert report.ok, report
     assert stated_bounds_problems(path, new) == []
+    error = np.abs(after - new)[new != NODATA].max()
+    assert bound < error <= result.measured_error <= result.effective_error
 
 
 @pytest.mark.large
@@ -194,9 +199,12 @@ def test_the_bound_grows_with_each_patch_until_the_original_is_given(placed, tmp
     for row, col in ((60, 20), (20, 60), (100, 40)):
         new = merged(changed(new, row, col), row, col, 9, 9, new)
         part_of(new, tmp_path / "new.tif", row, col, 9, 9)
-        result = patch(path, tmp_path / "new.tif")
+        result = patch(path, tmp_path / "new.tif", loosen_bound=True)
         moved += result.moved_error
         assert result.effective_error == 2 + moved
+        with Terrain(path) as terrain:
+            error = np.abs(terrain.read().astype(int) - new).max()
+        assert error <= result.measured_error <= result.effective_error
         report = terrainwave.verify(path, write_whole(new, tmp_path / "all.tif"), mesh=True)
         assert report.ok, report
         assert stated_bounds_problems(path, new) == []
@@ -223,11 +231,11 @@ def test_errors_of_meshes_contain_what_earlier_patches_moved(placed, tmp_path, m
 
     path = placed(2)
     part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
-    moved = patch(path, tmp_path / "new.tif").moved_error
+    moved = patch(path, tmp_path / "new.tif", loosen_bound=True).moved_error
     assert moved > 0
     monkeypatch.setattr(patching, "measure_meshes", noted)
     part_of(changed(HEIGHTS, 100, 40), tmp_path / "new.tif", 100, 40, 9, 9)
-    assert patch(path, tmp_path / "new.tif").moved_error > 0
+    assert patch(path, tmp_path / "new.tif", loosen_bound=True).moved_error > 0
     assert added == [0, 2 + moved]
 
 
@@ -242,6 +250,87 @@ def test_with_the_original_the_bound_stays(placed, tmp_path):
     assert report.ok, report
 
 
+@pytest.mark.large
+@pytest.mark.parametrize("method", ["predictive", "rapid"])
+@pytest.mark.parametrize("mesh", ["none", "halves"])
+def test_a_patch_that_would_loosen_the_bound_is_refused(tmp_path, method, mesh):
+    """Without `original` it raised the bound of the whole file, and printed that of the part."""
+    path = tmp_path / "dem.twz"
+    write_whole(HEIGHTS, tmp_path / "old.tif")
+    path.write_bytes(twz_bytes(tmp_path / "old.tif", max_error=2, mesh=mesh, method=method))
+    before = path.read_bytes()
+    part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
+    names = sorted(found.name for found in tmp_path.iterdir())
+    with pytest.raises(
+        BoundViolationError,
+        match=r"up to [12], and raise the bound .* from 2 to [34]\. .* original; .* loosen_bound\.",
+    ):
+        patch(path, tmp_path / "new.tif")
+    assert path.read_bytes() == before
+    assert sorted(found.name for found in tmp_path.iterdir()) == names
+
+
+@pytest.mark.large
+def test_a_patch_that_moves_nothing_more_is_made_whatever_was_allowed_before(placed, tmp_path):
+    """A bound that an earlier patch has loosened does not forbid what loosens it no further."""
+    path = placed(2)
+    part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
+    first = patch(path, tmp_path / "new.tif", loosen_bound=True)
+    again = patch(path, tmp_path / "new.tif")
+    assert (again.n_recoded, again.moved_error) == (0, 0)
+    assert again.effective_error == first.effective_error > 2
+
+
+@pytest.mark.large
+def test_the_command_refuses_to_loosen_the_bound_and_names_both_ways(placed, tmp_path):
+    path = placed(2)
+    before = path.read_bytes()
+    part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
+    result = CliRunner().invoke(main, ["patch", str(path), str(tmp_path / "new.tif"), "-q"])
+    assert (result.exit_code, path.read_bytes()) == (1, before)
+    (line,) = result.stderr.splitlines()
+    assert "as --original; or accept the looser bound with --loosen-bound" in line
+
+
+@pytest.mark.large
+def test_json_has_the_error_of_the_whole_file(placed, tmp_path):
+    path = placed(2)
+    part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
+    arguments = ["patch", str(path), str(tmp_path / "new.tif"), "--loosen-bound", "--json", "-q"]
+    result = json.loads(CliRunner().invoke(main, arguments).stdout)
+    new = merged(changed(HEIGHTS), *MIDDLE)
+    with Terrain(path) as terrain:
+        apart = np.abs(terrain.read().astype(int) - new)
+    assert apart[60:69, 20:29].max() <= 2 < apart.max() <= result["measured_error"]
+    assert result["measured_error"] <= result["effective_error"] == 2 + result["moved_error"]
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("max_error", [0, 2])
+def test_an_original_without_an_earlier_patch_is_refused(placed, tmp_path, max_error):
+    """It undid that patch without a word."""
+    path = placed(max_error)
+    part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
+    patch(path, tmp_path / "new.tif", original=tmp_path / "old.tif")
+    before = path.read_bytes()
+    part_of(changed(HEIGHTS, 100, 40), tmp_path / "other.tif", 100, 40, 9, 9)
+    with pytest.raises(InvalidHeightsError, match=r"the original is .* at row 6\d, column 2\d, .*"):
+        patch(path, tmp_path / "other.tif", original=tmp_path / "old.tif")
+    assert path.read_bytes() == before
+    # The same place again hides what the first patch changed.
+    patch(path, tmp_path / "new.tif", original=tmp_path / "old.tif")
+
+
+def test_an_original_with_other_voids_is_refused(tmp_path):
+    path, old = tmp_path / "dem.twz", with_voids(HEIGHTS)
+    path.write_bytes(twz_bytes(write_whole(old, tmp_path / "old.tif"), max_error=2))
+    other = old.copy()
+    other[90, 90] = NODATA
+    part_of(HEIGHTS, tmp_path / "new.tif", *MIDDLE)
+    with pytest.raises(InvalidHeightsError, match="the original is void at row 90, column 90, "):
+        patch(path, tmp_path / "new.tif", original=write_whole(other, tmp_path / "other.tif"))
+
+
 def test_an_original_of_another_size_is_refused(placed, tmp_path):
     path = placed(2)
     part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
@@ -254,6 +343,7 @@ def test_a_move_that_is_not_stated_is_found(placed, tmp_path, monkeypatch):
     path = placed(2)
     before = path.read_bytes()
     part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
+    # So it is not refused either.
     monkeypatch.setattr(_PatchEncoder, "_largest_move", lambda *arguments: 0)
     with pytest.raises(BoundViolationError, match="has moved by more than 0 quanta"):
         patch(path, tmp_path / "new.tif")
@@ -265,9 +355,13 @@ def test_the_command_tells_what_has_moved(placed, tmp_path):
     path = placed(2)
     part_of(changed(HEIGHTS), tmp_path / "new.tif", *MIDDLE)
     arguments = ["patch", str(path), str(tmp_path / "new.tif")]
-    result = CliRunner().invoke(main, arguments)
+    result = CliRunner().invoke(main, [*arguments, "--loosen-bound"])
     assert result.exit_code == 0, result.output
     words = " ".join(result.output.split())
+    found = re.search(r"max error guaranteed (\d), measured (\d), of the whole file", words)
+    assert found, words
+    # The part alone is within 2: elsewhere there are the error when the file was made and the move.
+    assert 2 < int(found[2]) <= int(found[1]) <= 4
     assert "heights beyond the new raster have moved by up to" in words
     described = CliRunner().invoke(main, ["info", str(path)])
     assert "of it by patches" in described.output
@@ -345,6 +439,65 @@ def test_other_methods_are_refused_with_advice(tmp_path, file, method):
         "only files of method rapid or predictive can be patched: compress the whole"
         in result.stderr
     )
+
+
+LOWEST, HIGHEST = int(SMALL.min()), int(SMALL.max())
+
+
+@pytest.mark.parametrize("max_error", [0, 1])
+@pytest.mark.parametrize(("height", "fits"), [
+    (LOWEST, True), (HIGHEST, True), (LOWEST - 1, False), (HIGHEST + 1, False),
+])  # fmt: skip
+def test_new_heights_must_lie_in_the_range_of_the_file(file, max_error, height, fits):
+    """To the last quantum, whatever the bound: units that are copied are decoded by the range."""
+    path, new = file(SMALL, max_error=max_error), SMALL.copy()
+    new[4, 4] = height
+    if not fits:
+        with pytest.raises(InvalidHeightsError, match=f"file can hold {LOWEST} to {HIGHEST} "):
+            patch(path, new)
+        return
+    assert patch(path, new).measured_error <= max_error
+    with Terrain(path) as terrain:
+        assert np.abs(terrain.read().astype(int) - new).max() <= max_error
+
+
+@pytest.mark.parametrize("max_error", [0, 1])
+def test_a_file_with_voids_takes_new_ones_and_heights_in_their_place(file, max_error):
+    old, new = SMALL.copy(), SMALL.copy()
+    old[2:4, 2:5] = new[6:8, 1:4] = NODATA
+    path = file(old, max_error=max_error, nodata=NODATA)
+    patch(path, new, nodata=NODATA)
+    with Terrain(path) as terrain:
+        found = terrain.read(masked=True)
+    np.testing.assert_array_equal(found.mask, new == NODATA)
+    assert np.abs(found.astype(int) - new).max() <= max_error
+
+
+@pytest.mark.parametrize("max_error", [0, 1])
+@pytest.mark.parametrize("has_void", [False, True])
+def test_a_valid_height_that_is_nodata_in_the_file_is_refused(file, max_error, has_void):
+    """It was a fault of ours in a lossless file; others were moved beside it, without a word."""
+    old = np.arange(72, dtype="int16").reshape(9, 8) - 20
+    old[old == 7] = 8
+    if has_void:
+        old[0, 0] = 7
+    path = file(old, max_error=max_error, nodata=7)
+    before = path.read_bytes()
+    new = old.copy()
+    new[5, 5] = 7
+    with pytest.raises(InvalidHeightsError, match="valid heights of 7, the file's nodata value"):
+        patch(path, new)
+    assert path.read_bytes() == before
+    if has_void:
+        patch(path, new, nodata=7)
+        with Terrain(path) as terrain:
+            np.testing.assert_array_equal(terrain.read(masked=True).mask, new == 7)
+
+
+def test_a_file_of_voids_alone_takes_no_height(file):
+    path = file(np.full((9, 8), NODATA, "int16"), max_error=0, nodata=NODATA)
+    with pytest.raises(InvalidHeightsError, match="the file has voids alone"):
+        patch(path, SMALL, nodata=NODATA)
 
 
 def test_heights_between_the_files_steps_are_refused(file):

@@ -342,7 +342,14 @@ def _print_result(result: Any) -> None:
 @click.option(
     "--original",
     type=Input(),
-    help="The raster FILE was made of: keeps the bound where NEW is not, too.",
+    help="The raster that FILE was made of, with all earlier patches: keeps the bound where NEW is"
+    " not, too.",
+)
+@click.option(
+    "--loosen-bound",
+    is_flag=True,
+    help="Without --original: let heights beyond NEW move, and raise the bound of the whole FILE by"
+    " the largest move. By default such a patch is refused.",
 )
 @click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
 @click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use.")
@@ -364,7 +371,7 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
         )
         click.echo(
             f"max error guaranteed {result.effective_error:.6g}, measured"
-            f" {result.measured_error:.6g}{_unit(result.units)}"
+            f" {result.measured_error:.6g}{_unit(result.units)}, of the whole file"
         )
         if result.moved_error:
             print_note(

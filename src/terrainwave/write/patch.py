@@ -7,8 +7,9 @@ sample whose prediction is as it was gets its old height again, as only one mult
 within the bound. All other payloads are copied.
 
 Beyond the new raster the target is the original, if it is given, else the stored height: a lossy
-file may move it, by its bound at most. The header's bounds grow by what it has moved, and the
-metadata add it up (FORMAT.md §4.2, *moved*; docs/decisions/0011).
+file may move it, by its bound at most. A patch that would move any is refused, unless its caller
+allows it: then the header's bounds grow by what has moved, and the metadata add it up (FORMAT.md
+§4.2, *moved*; docs/decisions/0011).
 """
 
 import os
@@ -69,11 +70,13 @@ _MISALIGNED = 1e-3
 
 @dataclass(frozen=True)
 class PatchResult:
-    """What `patch` did; errors in physical units.
+    """What `patch` did; errors in physical units, of the whole file.
 
-    `measured_error` is that where the new raster is, or everywhere with an original;
-    `moved_error` how far heights beyond it are from those the file had; `effective_error` the
-    bound that the file now states for all.
+    `effective_error` is the bound that the file now states. No height is further than
+    `measured_error` from its original: it is the largest error measured where originals are known
+    (the new raster, and `original`), and of what the file states of its other blocks.
+    `moved_error` is how far this patch moved heights that the new raster does not cover: 0 unless
+    `loosen_bound` allowed it.
     """
 
     path: str
@@ -93,6 +96,7 @@ def patch(
     band: int = 1,
     nodata: float | None = None,
     original: Any = None,
+    loosen_bound: bool = False,
     temp_dir: str | os.PathLike[str] | None = None,
     threads: int | None = None,
     progress: ProgressCallback | None = None,
@@ -106,11 +110,15 @@ def patch(
         the old one. It stays as it is if nothing differs.
     src : path, rasterio dataset, ndarray or xarray DataArray
         The new heights: all or part of the file's area, on its grid and in its CRS and type. An
-        array without a place covers all.
+        array without a place covers all. Its voids become voids of the file.
     band, nodata, temp_dir, threads, progress
         As in `compress`.
     original : path, rasterio dataset, ndarray or xarray DataArray, optional
-        The raster that the file was made of, band 1: heights that `src` does not cover.
+        The raster that the file was made of, with all earlier patches, band 1: heights that `src`
+        does not cover.
+    loosen_bound : bool
+        Without `original`, allow a lossy file to move heights that `src` does not cover, and raise
+        the bound of the whole file by the largest such move. By default such a patch is refused.
 
     Returns
     -------
@@ -120,15 +128,18 @@ def patch(
     Raises
     ------
     InvalidHeightsError
-        If `src` or `original` does not fit the file.
+        If `src` or `original` does not fit the file: heights beyond the file's range, voids in a
+        file that cannot mark them, a valid height that equals the file's nodata value, heights
+        between its vertical steps; or if `original` is not what the file was made of.
     BoundViolationError
-        If the proof fails; the file is untouched.
+        If the patch would loosen the bound and `loosen_bound` is false, or if the proof fails. The
+        file is untouched.
 
     Notes
     -----
-    The proof decodes the whole result: where `src` is, every sample is within the bound of it. A
-    lossless file has exactly the heights it had elsewhere; in a lossy one each is within the bound
-    of the height it had: the bound of the file grows by the largest such move, patch by patch. With
+    The proof decodes the whole result. Where `src` is, every sample is within the bound of it.
+    Elsewhere a lossless file has exactly the heights it had. So has a lossy one without `original`
+    and `loosen_bound`; with `loosen_bound` they move by at most one bound, patch by patch. With
     `original`, every sample is within the bound, whatever the patches before. Takes about the time
     of decoding and measuring the whole file, and that of coding what differs.
     """
@@ -156,7 +167,9 @@ def patch(
         merged.check()
         patcher = _Patcher(terrain, merged, directory, executor, Reporter(progress))
         n_recoded, n_copied = patcher.code()
-        error = 0.0
+        if patcher.moved and not loosen_bound:
+            patcher.close()
+            raise BoundViolationError(_refusal(path, terrain, patcher))
         if patcher.is_changed:
             with publish(final, overwrite=True) as part:
                 assemble(part.file, patcher.header, patcher.sink.spools)
@@ -164,16 +177,35 @@ def patch(
         else:
             error = patcher.prove(final)
         patcher.close()
-        quantum = terrain.quantizer.quantum * abs(terrain.raster_info.scale)
+        scale = abs(terrain.raster_info.scale)
     return PatchResult(
         path=os.fspath(path),
         n_bytes=os.path.getsize(final),
         n_recoded=n_recoded,
         n_copied=n_copied,
-        effective_error=patcher.header.effective_bound * abs(terrain.raster_info.scale),
-        measured_error=error * abs(terrain.raster_info.scale),
-        moved_error=patcher.moved * quantum,
+        effective_error=patcher.header.effective_bound * scale,
+        measured_error=max(error, patcher.stated_error) * scale,
+        moved_error=patcher.moved * terrain.quantizer.quantum * scale,
         units=terrain.raster_info.units,
+    )
+
+
+def _refusal(path: str | os.PathLike[str], terrain: TerrainFile, patcher: "_Patcher") -> str:
+    """Return why a patch that would loosen the bound is not made, and what to do."""
+    scale, unit = abs(terrain.raster_info.scale), terrain.raster_info.units
+    moved, before, after = (
+        f"{error * scale:.6g}" + (f" {unit}" if unit else "")
+        for error in (
+            patcher.moved * terrain.quantizer.quantum,
+            terrain.header.effective_bound,
+            patcher.header.effective_bound,
+        )
+    )
+    return (
+        f"{path}: the patch would move heights that the new raster does not cover by up to {moved},"
+        f" and raise the bound of the whole file from {before} to {after}. Give the raster that the"
+        " file was made of, with all earlier patches, as `original`; or accept the looser bound"
+        " with `loosen_bound`. The file is as it was"
     )
 
 
@@ -280,12 +312,13 @@ class _Merged:
         return self._source.read(row, col, *region.shape)
 
     def check(self) -> None:
-        """Raise `InvalidHeightsError` unless the file's quanta can hold all new heights."""
+        """Raise `InvalidHeightsError` unless the file can hold all new heights."""
         quantizer, info = self._terrain.quantizer, self._terrain.raster_info
         header = self._terrain.header
         low, high = (quantizer.height_of(number) for number in (header.z_min, header.z_max))
         for window in self.place.tiles(_WINDOW, _WINDOW):
             raw, valid = self.read(*window)
+            self._check_original(window, raw, valid)
             if info.mask_kind == "none" and not valid.all():
                 raise InvalidHeightsError(
                     "the new raster has voids, and the file has no way to mark them: compress the"
@@ -294,12 +327,19 @@ class _Merged:
             heights = raw[valid].astype(np.float64)
             if heights.size == 0:
                 continue
+            if info.nodata is not None and (heights == info.nodata).any():
+                raise InvalidHeightsError(
+                    f"the new raster has valid heights of {info.nodata:g}, the file's nodata value:"
+                    " they would be read as voids. If they are voids, say so with `nodata`; else"
+                    " compress the whole raster again"
+                )
+            if header.z_min > header.z_max:
+                raise InvalidHeightsError(
+                    "the new raster has heights, and the file has voids alone, so that it has no"
+                    " range of heights: compress the whole raster again"
+                )
             slack = quantizer.quantum / 2 if quantizer.rho else 0.0
-            if (
-                header.z_min > header.z_max
-                or heights.min() < low - slack
-                or (heights.max() > high + slack)
-            ):
+            if heights.min() < low - slack or heights.max() > high + slack:
                 raise InvalidHeightsError(
                     f"the new raster has heights from {heights.min():g} to {heights.max():g}, the"
                     f" file can hold {low:g} to {high:g} (stored units): compress the whole raster"
@@ -312,6 +352,33 @@ class _Merged:
                     f" {quantizer.quantum:g} (stored units): round them, or compress the whole"
                     " raster again"
                 )
+
+    def _check_original(self, region: Region, raw: NDArray[Any], valid: NDArray[np.bool_]) -> None:
+        """Raise `InvalidHeightsError` if the file was made of another original than is given.
+
+        Most often an earlier patch is missing in it, which would be undone without a word.
+        """
+        if self._original is None:
+            return
+        stored, was_valid = self._terrain.read_with_mask(region)
+        quantizer, bound = self._terrain.quantizer, self._terrain.header.effective_bound
+        allowed = bound + quantizer.float_error + quantizer.quantum / 2
+        both = valid & was_valid
+        apart = np.zeros(region.shape)
+        np.subtract(raw, stored, out=apart, where=both, dtype=np.float64)
+        is_other = (valid != was_valid) | (np.abs(apart) > allowed)
+        part = region.intersect(self._new_place)
+        if part.n_rows and part.n_cols:
+            is_other[part.slices_in(region)] = False
+        if is_other.any():
+            row, col = np.argwhere(is_other)[0]
+            found = raw[row, col] if valid[row, col] else "void"
+            held = stored[row, col] if was_valid[row, col] else "void"
+            raise InvalidHeightsError(
+                f"the original is {found} at row {row + region.row}, column {col + region.col},"
+                f" where the file has {held} (stored units): expected the raster that the file was"
+                f" made of, within {bound:g} of it; bring it up to date with all earlier patches"
+            )
 
 
 class _PatchEncoder(TreeEncoder):
@@ -465,6 +532,8 @@ class _Patcher:
         self.is_changed = False
         # The largest move in quanta of a sample that the new raster does not cover.
         self.moved = 0
+        # What blocks of the full grid state that is not known by originals, in raw units.
+        self.stated_error = 0.0
 
     def code(self) -> tuple[int, int]:
         """Fill the sink; return how many units were coded again, and how many copied."""
@@ -478,6 +547,7 @@ class _Patcher:
         self.moved = max(encoder.moves.values(), default=0)
         self.header = self._bounded_header()
         errors, boxes = self._codes(stats, encoder.changes | encoder.moves)
+        self.stated_error = self._stated_error(errors)
         mesh_errors = self._mesh(encoder.changes, errors)
         is_any_new = self._set_codes(errors, boxes, mesh_errors)
         self.is_changed = bool(encoder.recoded) or is_any_new
@@ -542,6 +612,17 @@ class _Patcher:
                 low, high = max(low - grown, self._whole[0]), min(high + grown, self._whole[1])
                 below[block] = low, high
         return errors, enclosing_boxes(stats, errors, self._whole, below)
+
+    def _stated_error(self, errors: Mapping[Block, int]) -> float:
+        """Return the largest error stated of a block that holds an unknown original, raw units."""
+        grid = self._grid
+        codes = (
+            code
+            for block, code in errors.items()
+            if block.level == grid.k_max and not self._merged.covers(grid.full_region(block))
+        )
+        stated = decode_error(max(codes, default=0)) * self._terrain.quantizer.quantum
+        return min(float(stated), self.header.effective_bound)
 
     def _moved_surface(self, block: Block, change: int) -> int:
         """Return how far a block's surface has moved where its samples have, in quanta."""
