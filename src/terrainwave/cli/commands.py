@@ -783,7 +783,7 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ("moved", f"{info.moved_error:.6g}{unit} of it by patches" if info.moved_error else ""),
         ("quantum", f"{info.quantum:.6g}{unit}"),
         ("heights", extent),
-        ("unit", info.units or "unknown"),
+        ("unit", _unit_in_words(info)),
         ("voids", _voids_in_words(info, n_voids)),
         ("method", f"{info.method}, {way}, border rings {info.border_rings}"),
         ("block", f"{info.block} x {info.block} cells"),
@@ -801,6 +801,14 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ("colour", info.color_interpretation or ""),
     ]
     return [(name, value) for name, value in rows if value != ""]
+
+
+def _unit_in_words(info: Any) -> str:
+    if info.units is None:
+        return "unknown"
+    if info.units_of_crs is not None:
+        return f"{info.units} (from the band; the CRS says {info.units_of_crs})"
+    return f"{info.units} (from the {info.units_from})"
 
 
 def _unit(units: str | None) -> str:

@@ -4,6 +4,7 @@ import io
 import json
 import os
 import re
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,11 +17,13 @@ from terrainwave._version import __version__
 from terrainwave.arguments import check_ending
 from terrainwave.container.publish import check_target, publish, scratch
 from terrainwave.container.spool import storage_errors
-from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
-from terrainwave.export.frames import areas, find_place, metres_per_unit, steepest, to_frame
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
+from terrainwave.export.frames import areas, find_place, steepest, to_frame
 from terrainwave.export.mesh import Mesh
 from terrainwave.export.solid import solidify
 from terrainwave.extras import need
+from terrainwave.place.position import Place
+from terrainwave.place.units import height_unit
 
 # Installs what writes the files.
 _EXTRA = "mesh"
@@ -279,10 +282,10 @@ def _rounding(
     """
     frame = framed.attributes["frame"]
     moved = np.abs(written - framed.vertices).max(axis=0)
-    unit = 1.0 if frame["name"] == "native" else metres_per_unit(mesh.units)
+    unit = 1.0 if frame["name"] == "native" else abs(height_unit(mesh.units, mesh.crs).metres)
     at_joints = framed.attributes.get("solid", {}).get("moved", 0.0) * sum(steepest(mesh))
     if frame["name"] == "ecef":
-        slope = _steepest_on(framed, find_place(mesh, radius=radius, has_frames=True).ellipsoid)
+        slope = _steepest_on(framed, _quiet_place(mesh, radius).globe_ellipsoid)
         rounding = float(np.linalg.norm(moved)) * (1 + slope)
     else:
         # A body's walls and base have none or a negative one.
@@ -319,8 +322,15 @@ def _curvature(mesh: Mesh, framed: Mesh, radius: float | None) -> float:
     """
     if framed.attributes["frame"]["name"] != "ecef":
         return 0.0
-    ellipsoid = find_place(mesh, radius=radius, has_frames=True).ellipsoid
+    ellipsoid = _quiet_place(mesh, radius).globe_ellipsoid
     return longest_edge(framed) ** 2 / (6 * ellipsoid.axis * (1 - ellipsoid.e2))
+
+
+def _quiet_place(mesh: Mesh, radius: float | None) -> Place:
+    """Return `find_place` again, without its warnings."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TerrainwaveWarning)
+        return find_place(mesh, radius=radius)
 
 
 def longest_edge(mesh: Mesh) -> float:

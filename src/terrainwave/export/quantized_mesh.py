@@ -20,16 +20,16 @@ from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.export.files import SavedMesh, longest_edge
 from terrainwave.export.frames import (
-    EARTH,
-    Ellipsoid,
     areas,
     find_place,
     geographic_points,
-    metres_per_unit,
+    globe_triangles,
     steepest,
 )
 from terrainwave.export.mesh import Mesh
 from terrainwave.extras import need
+from terrainwave.place.ellipsoid import Ellipsoid
+from terrainwave.place.units import height_unit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -62,20 +62,16 @@ def on_globe(mesh: Mesh, *, radius: float | None = None) -> GeographicMesh:
     Meshes of the Earth go to WGS 84, which Cesium uses; others stay on their own body. Heights are
     taken as above the ellipsoid.
     """
-    from rasterio.crs import CRS
-
     if not mesh.n_triangles:
         raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
     place = find_place(mesh, radius=radius)
-    is_earth = abs(place.ellipsoid.axis - EARTH.axis) < 2000
-    target = CRS.from_epsg(4326) if is_earth else None
-    points = geographic_points(mesh, place, target)
-    unit = metres_per_unit(mesh.units)
+    place.note_sphere()
     moved = replace(
         mesh,
-        vertices=points,
+        vertices=geographic_points(mesh, place),
+        triangles=globe_triangles(mesh, place),
         origin=(0.0, 0.0, 0.0),
-        error=mesh.error * unit,
+        error=mesh.error * _metres(mesh),
         units="m",
     )
     if not (areas(moved) > 0).all():
@@ -83,7 +79,12 @@ def on_globe(mesh: Mesh, *, radius: float | None = None) -> GeographicMesh:
             "in longitude and latitude some triangles turn over; a mesh across the date line or a"
             " pole cannot be one tile: expected smaller `bounds`"
         )
-    return GeographicMesh(moved, EARTH if is_earth else place.ellipsoid)
+    return GeographicMesh(moved, place.globe_ellipsoid)
+
+
+def _metres(mesh: Mesh) -> float:
+    """Return the length of a unit of heights in metres."""
+    return abs(height_unit(mesh.units, mesh.crs).metres)
 
 
 def encode_tile(globe: GeographicMesh, bounds: "Sequence[float]") -> Tile:
@@ -210,7 +211,7 @@ def save_tile(
     tile = encode_tile(globe, globe.mesh.bounds)
     with publish(path, overwrite) as part, storage_errors(f"cannot write {path}"):
         part.file.write(tile.data)
-    rounding = tile.rounding / metres_per_unit(mesh.units)
+    rounding = tile.rounding / _metres(mesh)
     return SavedMesh(
         path=os.fspath(path),
         n_bytes=len(tile.data),
@@ -229,7 +230,7 @@ def tile_rounding(mesh: Mesh, *, radius: float | None = None) -> float:
     """Return the error that `save_tile` would add to the mesh's, in the file's unit."""
     globe = on_globe(mesh, radius=radius)
     points, triangles = _in_order_of_use(globe.mesh)
-    return _quantize(points, triangles, globe.mesh.bounds)[1] / metres_per_unit(mesh.units)
+    return _quantize(points, triangles, globe.mesh.bounds)[1] / _metres(mesh)
 
 
 def curvature(globe: GeographicMesh) -> float:

@@ -12,6 +12,7 @@ from xarray.backends import BackendArray, BackendEntrypoint
 from xarray.core import indexing
 
 from terrainwave.file import DEFAULT_CACHE_BYTES, TerrainFile
+from terrainwave.place.position import axis_attributes
 
 VARIABLE = "heights"
 GRID_MAPPING = "spatial_ref"
@@ -179,24 +180,10 @@ def _coordinates(terrain: TerrainFile, level: int) -> dict[str, xr.Variable]:
     if (b, d) != (0, 0):
         return coordinates
     n_rows, n_cols = terrain.level_shape(level)
-    x_attrs, y_attrs = _axis_attributes(crs)
+    x_attrs, y_attrs = axis_attributes(terrain.crs)
     coordinates["x"] = xr.Variable("x", c + a * (np.arange(n_cols) + 0.5), attrs=x_attrs)
     coordinates["y"] = xr.Variable("y", f + e * (np.arange(n_rows) + 0.5), attrs=y_attrs)
     return coordinates
-
-
-def _axis_attributes(crs: Any) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the attributes of x and y that the CF conventions ask for."""
-    if crs is not None and crs.is_geographic:
-        return (
-            {"axis": "X", "standard_name": "longitude", "units": "degrees_east"},
-            {"axis": "Y", "standard_name": "latitude", "units": "degrees_north"},
-        )
-    x_attrs = {"axis": "X", "standard_name": "projection_x_coordinate"}
-    y_attrs = {"axis": "Y", "standard_name": "projection_y_coordinate"}
-    if crs is not None and crs.is_projected:
-        x_attrs["units"] = y_attrs["units"] = crs.linear_units
-    return x_attrs, y_attrs
 
 
 class _LazyHeights(BackendArray):

@@ -242,7 +242,6 @@ def tile_json(globe: Globe, url: str, name: str) -> dict[str, object]:
     """
     west, south, east, north = globe.extent
     last = max_zoom(globe)
-    middle = (west + east) / 2
     if east > 180:  # bounds end there: the whole round, of which most tiles are empty
         west, east = -180.0, 180.0
     return {
@@ -253,7 +252,7 @@ def tile_json(globe: Globe, url: str, name: str) -> dict[str, object]:
         "minzoom": 0,
         "maxzoom": last,
         "bounds": [west, max(south, -MAX_LATITUDE), east, min(north, MAX_LATITUDE)],
-        "center": [(middle + 180) % 360 - 180, (south + north) / 2, max(last - 3, 0)],
+        "center": [*globe.extent.centre, max(last - 3, 0)],
         "encoding": "mapbox",
         "tileSize": TILE_SIZE,
         "format": "png",

@@ -17,10 +17,10 @@ from terrainwave.errors import (
     TerrainwaveError,
     TerrainwaveWarning,
 )
-from terrainwave.export.frames import axis_labels
 from terrainwave.export.plot import add_colour_bar, label_axes
 from terrainwave.extras import need
 from terrainwave.grid.affine import IDENTITY
+from terrainwave.place.position import axis_labels
 from terrainwave.render.frame import check_drawable, frame_of
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str, shade: float, bounds: An
     ax.set_aspect(per_y / per_x)
     is_placed = tuple(raster.transform) != IDENTITY
     label_axes(ax, *axis_labels(terrain.crs, is_placed=is_placed))
-    add_colour_bar(ax, norm, cmap, raster.units)
+    add_colour_bar(ax, norm, cmap, terrain.units)
     return ax
 
 

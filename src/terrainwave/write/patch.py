@@ -173,7 +173,7 @@ def patch(
         effective_error=patcher.header.effective_bound * abs(terrain.raster_info.scale),
         measured_error=error * abs(terrain.raster_info.scale),
         moved_error=patcher.moved * quantum,
-        units=terrain.raster_info.units,
+        units=terrain.units,
     )
 
 
