@@ -1,7 +1,6 @@
 """`TerrainFile`: an open .twz file and its heights. Reading starts here."""
 
 import os
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
@@ -21,7 +20,6 @@ from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
     LimitExceededError,
-    TerrainwaveWarning,
 )
 from terrainwave.grid.affine import bounds, of_level, pixel_size
 from terrainwave.grid.quadtree import Block, Region
@@ -244,9 +242,7 @@ class TerrainFile:
 
     @cached_property
     def _height_unit(self) -> HeightUnit:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", TerrainwaveWarning)  # who makes metres of it tells
-            return height_unit(self._raster.units, self._raster.crs)
+        return height_unit(self._raster.units, self._raster.crs)
 
     @property
     def res(self) -> tuple[float, float]:

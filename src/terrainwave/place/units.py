@@ -18,6 +18,8 @@ _METRES = {
     "yd": 0.9144, "yard": 0.9144,
 }  # fmt: skip
 BAND, CRS = "band", "CRS"
+# Relative: the survey foot has several roundings, and differs from the foot by 2e-6.
+_SAME_UNIT = 1e-7
 
 
 class HeightUnit(NamedTuple):
@@ -29,43 +31,56 @@ class HeightUnit(NamedTuple):
         None where nobody names it.
     source : {"band", "CRS"} or None
         Who does.
-    metres : float
-        Per unit; negative where the CRS counts depths, so that the product always goes up.
-    of_crs : str or None
-        What the CRS says instead, where the band says something else.
+    vertical : Vertical or None
+        What the CRS says.
     """
 
     name: str | None
     source: str | None
-    metres: float
-    of_crs: str | None = None
+    vertical: Vertical | None
+
+    @property
+    def metres(self) -> float:
+        """Return the metres per unit, negative where the CRS counts depths: up is positive.
+
+        A name that is not known is warned of and taken for metres.
+        """
+        vertical = self.vertical
+        sign = -1.0 if vertical is not None and vertical.is_down else 1.0
+        if vertical is not None and (self.source == CRS or self._is_the_same_name):
+            return sign * vertical.metres
+        return sign * metres_per_unit(self.name)
+
+    @property
+    def of_crs(self) -> str | None:
+        """Return the CRS's unit where the band names another one."""
+        if self.source != BAND or self.vertical is None or self._is_the_same_name:
+            return None
+        metres = _METRES.get(_plain(self.name or ""))
+        is_same = metres is not None and abs(metres / self.vertical.metres - 1) < _SAME_UNIT
+        return None if is_same else self.vertical.unit
+
+    @property
+    def _is_the_same_name(self) -> bool:
+        other = None if self.vertical is None else self.vertical.unit
+        return other is not None and _plain(other) == _plain(self.name or "")
 
 
 def height_unit(units: str | None, crs_text: str | None) -> HeightUnit:
-    """Return the unit of heights: the band's, else that of the CRS's vertical axis, else metres.
+    """Return the unit of heights: the band's, else that of the CRS's vertical axis.
 
     Parameters
     ----------
     units : str, optional
         What the band says.
     crs_text : str, optional
-
-    Notes
-    -----
-    An unknown name is warned of and taken for metres.
     """
     vertical = vertical_of(crs_text)
-    sign = -1.0 if vertical is not None and vertical.is_down else 1.0
-    name = units.strip() if units else ""
-    if not name:
-        if vertical is None:
-            return HeightUnit(None, None, 1.0)
-        return HeightUnit(vertical.unit, CRS, sign * vertical.metres)
-    if vertical is not None and name.lower() == vertical.unit.lower():
-        return HeightUnit(name, BAND, sign * vertical.metres)
-    metres = metres_per_unit(name)
-    differs = vertical is not None and abs(metres / vertical.metres - 1) > 1e-9
-    return HeightUnit(name, BAND, sign * metres, vertical.unit if vertical and differs else None)
+    if units and units.strip():
+        return HeightUnit(units.strip(), BAND, vertical)
+    if vertical is not None and vertical.unit != "unknown":
+        return HeightUnit(vertical.unit, CRS, vertical)
+    return HeightUnit(None, None, vertical)
 
 
 def vertical_of(crs_text: str | None) -> Vertical | None:
@@ -78,7 +93,7 @@ def metres_per_unit(units: str | None) -> float:
     """Return the metres of one vertical unit; 1 where it is not told, or (warned) not known."""
     if units is None or not units.strip():
         return 1.0
-    name = " ".join(units.lower().replace("[", " ").replace("]", " ").split())
+    name = _plain(units)
     if name not in _METRES:
         warnings.warn(
             f"the vertical unit {units!r} is not known and taken for metres",
@@ -86,6 +101,10 @@ def metres_per_unit(units: str | None) -> float:
             stacklevel=2,
         )
     return _METRES.get(name, 1.0)
+
+
+def _plain(units: str) -> str:
+    return " ".join(units.lower().replace("[", " ").replace("]", " ").split())
 
 
 def unit_text(units: str | None) -> str:
