@@ -46,7 +46,7 @@ MAY_IMPORT = {
     | {"container", "raster_io", "place", "file", "mesh", "export", "write", "globe", "render"},
     "terrain": ROOT | {"grid", "tri", "raster_io", "file", "mesh", "export", "render", "ext"},
     # Knows nothing of what made a file: neither mesh nor write.
-    "verification": GRID | {"raster_io", "terrain"},
+    "verification": GRID | {"raster_io", "place", "terrain"},
 }
 # Entrances: what users start may import all that is above.
 ENTRANCES = {"__init__", "cli", "__main__"}

@@ -140,6 +140,7 @@ def plane(rows, cols):
 FOOT, SURVEY_FOOT = 0.3048, 1200 / 3937
 METRES = 90.0
 DEGREES = 1 / 1200
+ON_MARS, ON_SPHEROID = ({"body": "mars", "globe": globe} for globe in (MARS, MARS_SPHEROID))
 
 CASES = [
     # plain geographic
@@ -187,7 +188,7 @@ CASES = [
     Case("oregon_feet", "EPSG:2913", (-121.2, 44.1), 300.0),
     # equidistant
     Case("plate_carree", "EPSG:4087", (20.2, 10.1), METRES),
-    Case("equidistant_around_a_point", "+proj=aeqd +lat_0=10 +lon_0=20 +datum=WGS84", (20.2, 10.1), METRES),  # fmt: skip
+    Case("around_a_point", "+proj=aeqd +lat_0=10 +lon_0=20 +datum=WGS84", (20.2, 10.1), METRES),
     # polar
     Case("antarctic", "EPSG:3031", (45.0, -75.0), METRES, is_curved=True),
     Case("arctic_nsidc", "EPSG:3413", (-45.0, 72.0), METRES, is_curved=True),
@@ -220,12 +221,12 @@ CASES = [
     Case("lo29_west_south", "EPSG:2053", (29.5, -26.1), METRES),
     Case("lo29_west_south_turned", "EPSG:2053", (29.5, -26.1), METRES, "transposed"),
     Case("krovak_south_west", "EPSG:5513", (15.2, 49.6), METRES, is_curved=True),
-    # other bodies
-    Case("mars_sphere", "IAU_2015:49900", (137.4, -4.6), DEGREES, body="mars", globe=MARS),
-    Case("mars_map", "IAU_2015:49910", (37.4, -4.6), METRES, body="mars", globe=MARS),
-    Case("mars_map_west", "IAU_2015:49911", (37.4, -4.6), METRES, body="mars", globe=MARS_SPHEROID),  # fmt: skip
-    Case("mars_north_west", "IAU_2015:49901", (37.4, -4.6), DEGREES, body="mars", globe=MARS_SPHEROID),  # fmt: skip
-    Case("mars_proj4", MARS_EQC, (37.4, -4.6), METRES, body="mars", globe=MARS),
+    # other bodies; where axes go north and west PROJ leaves them so
+    Case("mars_sphere", "IAU_2015:49900", (137.4, -4.6), DEGREES, **ON_MARS),
+    Case("mars_map", "IAU_2015:49910", (37.4, -4.6), METRES, **ON_MARS),
+    Case("mars_map_west", "IAU_2015:49911", (37.4, -4.6), METRES, **ON_SPHEROID),
+    Case("mars_north_west", "IAU_2015:49901", (37.4, -4.6), DEGREES, **ON_SPHEROID),
+    Case("mars_proj4", MARS_EQC, (37.4, -4.6), METRES, **ON_MARS),
     Case("moon_sphere", "IAU_2015:30100", (3.4, 20.6), DEGREES, body="moon", globe=LUNA),
     Case("moon_map", "IAU_2015:30110", (3.4, 20.6), METRES, body="moon", globe=LUNA),
     Case("moon_wkt1", MOON, (3.4, 20.6), DEGREES, body="moon", globe=LUNA),

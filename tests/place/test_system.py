@@ -17,6 +17,8 @@ from terrainwave.place.position import axis_attributes, axis_labels
 from terrainwave.place.system import system_of
 from terrainwave.raster_io.crs import format_crs
 
+BOUND_TO_A_GRID = "+proj=utm +zone=33 +geoidgrids=a.gtx +vunits=us-ft"
+
 
 def system(crs):
     return system_of(format_crs(CRS.from_user_input(crs)))
@@ -135,11 +137,11 @@ def test_attributes_of_axes_are_those_of_cf():
         ("EPSG:4326+5715", ("MSL depth", 1.0, True, False)),
         ("EPSG:4979", ("Ellipsoidal height", 1.0, False, True)),
         ("EPSG:7415", ("NAP height", 1.0, False, False)),
-        ("+proj=utm +zone=33 +geoidgrids=a.gtx +vunits=us-ft", ("unknown", 1200 / 3937, False, False)),
+        (BOUND_TO_A_GRID, ("unknown", 1200 / 3937, False, False)),
         ('COMPD_CS["c",GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],'
          'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],VERT_CS["Ellipsoid (metre)",'
          'VERT_DATUM["Ellipsoid",2002],UNIT["metre",1],AXIS["Up",UP]]]',
-         ("Ellipsoid (metre)", 1.0, False, True)),
+         ("Ellipsoidal height", 1.0, False, True)),
     ],
 )  # fmt: skip
 def test_the_vertical_part_is_told(crs, expected):

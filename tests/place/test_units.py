@@ -6,7 +6,17 @@ from terrainwave.errors import TerrainwaveWarning
 from terrainwave.place.units import height_unit, metres_per_unit, unit_text
 
 FOOT_US = 1200 / 3937
-NAVD88_FEET = 'COMPD_CS["c",LOCAL_CS["x",UNIT["metre",1]],VERT_CS["NAVD88 height (ftUS)",VERT_DATUM["North American Vertical Datum 1988",2005],UNIT["US survey foot",0.304800609601219],AXIS["Up",UP]]]'  # fmt: skip
+
+
+def compound(vertical):
+    return f'COMPD_CS["c",LOCAL_CS["x",UNIT["metre",1]],VERT_CS[{vertical}]]'
+
+
+NAVD88_FEET = compound(
+    '"NAVD88 height (ftUS)",VERT_DATUM["North American Vertical Datum 1988",2005],'
+    'UNIT["US survey foot",0.304800609601219],AXIS["Up",UP]'
+)
+DEPTH = compound('"MSL depth",VERT_DATUM["Mean Sea Level",2005],UNIT["metre",1],AXIS["Depth",DOWN]')
 
 
 @pytest.mark.parametrize(
@@ -45,13 +55,10 @@ def test_an_unknown_vertical_unit_is_told():
         ("m", NAVD88_FEET, "m", "band", 1.0, "US survey foot"),
         ("m", "EPSG:7415", "m", "band", 1.0, None),
         ("ft", "EPSG:7415", "ft", "band", 0.3048, "metre"),
-        # in the vertical CRS alone
-        (None, "EPSG:5715", "metre", "CRS", -1.0, None),
+        (None, DEPTH, "metre", "CRS", -1.0, None),
     ],
 )  # fmt: skip
 def test_the_band_counts_first_then_the_crs(units, crs, name, source, metres, of_crs):
-    if crs == "EPSG:5715":
-        crs = 'COMPD_CS["c",LOCAL_CS["x",UNIT["metre",1]],VERT_CS["MSL depth",VERT_DATUM["Mean Sea Level",2005],UNIT["metre",1],AXIS["Depth",DOWN]]]'  # fmt: skip
     found = height_unit(units, crs)
     assert (found.name, found.source, found.of_crs) == (name, source, of_crs)
     assert found.metres == pytest.approx(metres, rel=1e-9)

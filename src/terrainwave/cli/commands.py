@@ -55,7 +55,7 @@ from terrainwave.cli.output import (
     print_table,
     reading,
 )
-from terrainwave.cli.streams import printing_beside, written
+from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.names import (
     AUTO_METHODS,
     DEFAULT_METHOD,
@@ -436,6 +436,8 @@ def decompress(
     with reading(source), Bar(quiet=quiet) as bar, written(target, ".tif") as path:
         terrainwave.decompress(source, path, progress=bar, **options)
         n_bytes = Path(path).stat().st_size
+        if target == STREAM and Path(f"{path}.aux.xml").exists():
+            print_note("stdout has no .aux.xml beside it: write to a file to keep the CRS")
     if not quiet:
         with printing_beside(target):
             click.echo(f"{plain(target)}: {n_bytes:,} bytes")

@@ -9,6 +9,7 @@ from typing import Any
 from terrainwave.arguments import GEOTIFF_ENDINGS, HEIGHT_TILE_ENDINGS, check_ending, one_of
 from terrainwave.container.publish import refuse_own_source
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.export.georeference import info_to_write, keep_place
 from terrainwave.export.height_tiles import write_height_tile
 from terrainwave.file import TerrainFile
 from terrainwave.progress import ProgressCallback, Reporter
@@ -102,7 +103,7 @@ def decompress(
                 reporter=reporter,
             )
         info = replace(
-            terrain.raster_info,
+            info_to_write(terrain),
             n_rows=region.n_rows,
             n_cols=region.n_cols,
             transform=terrain.transform(level, region),
@@ -122,4 +123,5 @@ def decompress(
                 sink.write(part.row - region.row, part.col - region.col, heights, valid)
                 done += part.n_rows * part.n_cols
                 reporter.report("decoding", done, total, done * heights.dtype.itemsize)
+        keep_place(dst, info)
     return os.fspath(dst)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
+from terrainwave.export.georeference import info_to_write, warn_of_crs
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.info import stored_nodata
@@ -55,7 +56,10 @@ class VirtualGeoTIFF:
             "TERRAINWAVE_METHOD": terrain.header.method,
             "TERRAINWAVE_OVERVIEWS": "averages of samples, without a bound",
         }
-        return sparse_geotiff(terrain.raster_info, n_overviews, tags)
+        info = info_to_write(terrain)
+        head, planes = sparse_geotiff(info, n_overviews, tags)
+        warn_of_crs(head, info.rasterio_crs())
+        return head, planes
 
     @property
     def size(self) -> int:

@@ -59,6 +59,8 @@ class Vertical(NamedTuple):
         Numbers are depths.
     is_ellipsoidal : bool
         Heights are above the ellipsoid, not above a geoid or a tide.
+    datum : str
+        Its name; empty for a CRS of three axes.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Vertical(NamedTuple):
     metres: float
     is_down: bool
     is_ellipsoidal: bool
+    datum: str = ""
 
 
 class Description(NamedTuple):
@@ -200,15 +203,17 @@ def _vertical(
         if not own:
             return None
         axis, name = _axis(own[0]), str(vertical.get("name", ""))
-        datum = vertical.get("datum") or vertical.get("datum_ensemble") or {}
-        words = f"{name} {datum.get('name', '')}".lower().replace("_", " ").split()
+        about = vertical.get("datum") or vertical.get("datum_ensemble") or {}
+        datum = str(about.get("name", ""))
+        words = f"{name} {datum}".lower().replace("_", " ").split()
         is_ellipsoidal = any(word in words for word in _ELLIPSOIDAL)
     elif len(axes) > 2 and str(axes[2].get("direction")).lower() in ("up", "down"):
         axis = _axis(axes[2])
-        name, is_ellipsoidal = axis.name, True
+        name, datum, is_ellipsoidal = axis.name, "", True
     else:
         return None
-    return Vertical(name, axis.unit, axis.factor, axis.direction == "down", is_ellipsoidal)
+    is_down = axis.direction == "down"
+    return Vertical(name, axis.unit, axis.factor, is_down, is_ellipsoidal, datum)
 
 
 def _iau_code(told: dict[str, Any]) -> int | None:

@@ -225,13 +225,17 @@ class Place:
     def side_latitudes(
         self, bounds: tuple[float, float, float, float]
     ) -> tuple[float, float] | None:
-        """Return the latitudes of the middles of the lower and the upper side of bounds, degrees.
+        """Return the latitudes of the middles of the southern and the northern side of bounds.
 
-        None where they cannot be told.
+        In degrees; of a map around a pole of the lower and the upper one. None where they cannot be
+        told.
         """
         left, bottom, right, top = bounds
-        middle = (left + right) / 2
-        points = np.array([[middle, bottom], [middle, top]])
+        points = np.array([[(left + right) / 2, (bottom + top) / 2]] * 2)
+        axis = 1 if self.directions[1][1] else 0
+        points[:, axis] = bounds[axis], bounds[axis + 2]
+        if self.directions[axis][1] < 0:
+            points = points[::-1]
         try:
             south, north = self.to_lonlat(points)[:, 1].tolist()
         except InvalidHeightsError:

@@ -12,6 +12,7 @@ _METRES = {
     "cm": 0.01, "centimetre": 0.01, "centimetres": 0.01, "centimeter": 0.01, "centimeters": 0.01,
     "dm": 0.1, "mm": 0.001, "km": 1000.0, "kilometre": 1000.0, "kilometer": 1000.0,
     "ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "international foot": 0.3048,
+    "foot (international)": 0.3048,
     "ftus": _SURVEY_FOOT, "us-ft": _SURVEY_FOOT, "us survey foot": _SURVEY_FOOT,
     "us survey feet": _SURVEY_FOOT, "foot_us": _SURVEY_FOOT, "us_survey_foot": _SURVEY_FOOT,
     "survey foot": _SURVEY_FOOT, "foot (us survey)": _SURVEY_FOOT, "sftus": _SURVEY_FOOT,
