@@ -13,9 +13,11 @@ import click
 
 from terrainwave._version import __version__
 from terrainwave.arguments import (
+    AS_IS,
     GEOTIFF_ENDINGS,
     HEIGHT_TILE_ENDINGS,
     TWZ_ENDINGS,
+    VERTICAL,
     check_ending,
     count_of,
     crs_name,
@@ -78,6 +80,14 @@ EFFORT = (
     f" {AUTO_METHODS[-1].name}; the others have one way."
 )
 WARMUP_TASKS = ("compress", "read", "verify", "mesh", "render")
+VERTICAL_OPTION = click.option(
+    "--vertical",
+    type=click.Choice(VERTICAL),
+    default=AS_IS,
+    show_default=True,
+    help="Heights on the globe: taken as above the ellipsoid, or converted from the CRS's vertical"
+    " datum by PROJ's grid.",
+)
 MESH = click.Choice(["auto", *MESH_CHOICES, "none"])
 
 
@@ -385,6 +395,7 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
     metavar="lowest|fill|HEIGHT",
     help="What voids of a height tile become. Default: the lowest height.",
 )
+@VERTICAL_OPTION
 @_batched
 @_writing
 def decompress(
@@ -430,6 +441,10 @@ def decompress(
         raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
     if options["voids"] is not None and not is_tile:
         raise click.UsageError(f"{target}: --voids is for height tiles, expected .r16 or .png")
+    if options["vertical"] != AS_IS and is_tile:
+        raise click.UsageError(
+            f"{target}: a height tile keeps the file's datum, expected no --vertical"
+        )
     if options["cog"] and is_tile:
         raise click.UsageError(f"{target}: a height tile cannot be a COG, expected no --cog")
     announce_compiling(quiet=quiet)
@@ -481,6 +496,7 @@ def decompress(
     help="Make a printable body with a flat base at this height, in the file's unit.",
 )
 @click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
+@VERTICAL_OPTION
 @click.option(
     "--store", is_flag=True, help="Make a copy of FILE with meshes stored in it; TARGET is a .twz."
 )
@@ -556,6 +572,7 @@ def _export_mesh(
     z_scale: float,
     solid: float | None,
     radius: float | None,
+    vertical: str,
     optimise: bool,
     loose: bool,
     overwrite: bool,
@@ -577,7 +594,14 @@ def _export_mesh(
         )
     refuse_own_source(file, target)
     prepare(target, overwrite=overwrite)
-    shape = {"frame": frame, "z_scale": z_scale, "solid": solid, "radius": radius}
+    if vertical == "ellipsoid" and frame != "ecef" and extension != ".terrain":
+        raise click.UsageError(
+            "found --vertical ellipsoid, expected --frame ecef or a .terrain tile with it: other"
+            " coordinates keep the file's datum"
+        )
+    shape = {
+        "frame": frame, "z_scale": z_scale, "solid": solid, "radius": radius, "vertical": vertical,
+    }  # fmt: skip
     announce_compiling(quiet=quiet)
     with (
         reading(file),
@@ -635,13 +659,24 @@ _MESH_ATTEMPTS = 3
 _ROUNDING_SLACK = 1.25
 
 
+def vertical_in_words(about: dict[str, Any]) -> str:
+    """Return what heights on the globe are, as files tell it in a few fields."""
+    if about["heights"] == AS_IS:
+        return f"as they are ({plain(about['datum'])})" if "datum" in about else "as they are"
+    grids = f" by {', '.join(map(plain, about['grids']))}" if about.get("grids") else ""
+    return f"above the ellipsoid{grids}"
+
+
 def _print_saved(saved: Any, kind_of_error: str) -> None:
     click.echo(
         f"{plain(saved.path)}: {count_of(saved.n_triangles, 'triangle')},"
         f" {saved.n_vertices:,} vertices,"
         f" {saved.n_bytes:,} bytes"
     )
-    click.echo(f"{kind_of_error} error {saved.error:.6g}{_unit(saved.units)}, frame {saved.frame}")
+    heights = "" if saved.vertical is None else f", heights {vertical_in_words(saved.vertical)}"
+    click.echo(
+        f"{kind_of_error} error {saved.error:.6g}{_unit(saved.units)}, frame {saved.frame}{heights}"
+    )
     _note_unit(saved.units)
     if saved.curvature:
         print_note(

@@ -1,13 +1,20 @@
 """The command that writes a pyramid of tiles: for globes, or as one archive for maps."""
 
+import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import click
 
-from terrainwave.arguments import ARCHIVE_ENDING, count_of
-from terrainwave.cli.commands import THREADS, main, print_json
+from terrainwave.arguments import ARCHIVE_ENDING, AS_IS, count_of
+from terrainwave.cli.commands import (
+    THREADS,
+    VERTICAL_OPTION,
+    main,
+    print_json,
+    vertical_in_words,
+)
 from terrainwave.cli.options import Directory, Finite, Input, Positive
 from terrainwave.cli.output import Bar, announce_compiling, plain, print_grid, reading
 from terrainwave.errors import InvalidArgumentError
@@ -33,6 +40,7 @@ from terrainwave.errors import InvalidArgumentError
     help="Of voids and what the raster does not cover, in metres above the ellipsoid."
     " Default: 0; in an archive 1 m below the lowest height.",
 )
+@VERTICAL_OPTION
 @click.option("--attribution", default="", help="For the metadata: whose data these are.")
 @click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
 @click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use.")
@@ -65,9 +73,16 @@ def tiles(
         (_print_archived if is_archive else _print_zooms)(target, summaries)
 
 
-def _write_archive(terrain: Any, target: str, *, min_zoom: int | None, **options: Any) -> list[Any]:
+def _write_archive(
+    terrain: Any, target: str, *, min_zoom: int | None, vertical: str, **options: Any
+) -> list[Any]:
     from terrainwave.globe.archive import write_pmtiles
 
+    if vertical != AS_IS:
+        raise InvalidArgumentError(
+            f"found `vertical` {vertical} for an archive ({ARCHIVE_ENDING}), expected a directory"
+            " for Cesium: terrain-RGB tiles keep the file's datum"
+        )
     options["rim"] = options["rim"] or 0
     return write_pmtiles(terrain, target, min_zoom=min_zoom or 0, **options)
 
@@ -109,6 +124,8 @@ def _print_zooms(directory: str, summaries: Any) -> None:
     ]  # fmt: skip
     print_grid(header, rows)
     _print_total(directory, summaries)
+    layer = json.loads((Path(directory) / "layer.json").read_text(encoding="utf-8"))
+    click.echo(f"heights {vertical_in_words(layer['vertical'])}")
 
 
 def _print_total(target: str, summaries: Any) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
-from terrainwave.arguments import check_ending
+from terrainwave.arguments import AS_IS, check_ending
 from terrainwave.container.publish import check_target, publish, scratch
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
@@ -58,6 +58,9 @@ class SavedMesh:
     curvature : float
         Metres that flat triangles can lie below the curved body between their vertices; in
         geocentric coordinates only, and not part of `error`.
+    vertical : dict, optional
+        Of geocentric coordinates: what heights are (``heights``: ``"as-is"`` or ``"ellipsoid"``),
+        the CRS's ``datum``, or PROJ's ``operation`` and its ``grids``.
     """
 
     path: str
@@ -70,6 +73,7 @@ class SavedMesh:
     frame: str
     origin: tuple[float, float, float]
     curvature: float = 0.0
+    vertical: dict[str, Any] | None = None
 
 
 def save_mesh(
@@ -80,6 +84,7 @@ def save_mesh(
     z_scale: float = 1.0,
     solid: float | None = None,
     radius: float | None = None,
+    vertical: str = AS_IS,
     overwrite: bool = False,
 ) -> SavedMesh:
     """Write a mesh; the extension of `path` tells the format.
@@ -92,8 +97,8 @@ def save_mesh(
         ``.glb``, ``.gltf`` hold float32, relative to an origin that is written beside them;
         ``.terrain`` is one Cesium quantized-mesh tile over the mesh's bounds. The file appears
         complete or not at all.
-    frame, z_scale, radius
-        As in `to_frame`.
+    frame, z_scale, radius, vertical
+        As in `to_frame`; a ``.terrain`` tile takes `vertical` too.
     solid : float, optional
         Close the mesh with walls and a flat base at this height, in the file's unit.
     overwrite : bool
@@ -114,11 +119,11 @@ def save_mesh(
         need("quantized_mesh_encoder", extra=_EXTRA)
         from terrainwave.export.quantized_mesh import save_tile
 
-        return save_tile(mesh, path, radius=radius, overwrite=overwrite)
+        return save_tile(mesh, path, radius=radius, vertical=vertical, overwrite=overwrite)
     writer = _WRITERS[extension]
     need(writer.package, extra=_EXTRA)
-    framed, written, rounding = _to_write(mesh, extension, frame, z_scale, solid, radius)
-    about = describe(framed, mesh.error + rounding)
+    framed, written, rounding = _to_write(mesh, extension, frame, z_scale, solid, radius, vertical)
+    about = describe(framed, framed.error + rounding)
     if writer.has_texture and solid is None:
         # A body's walls have no place in a picture from above, and its edges are sharp.
         framed = replace(framed, attributes=framed.attributes | {"uv": _texture_places(mesh)})
@@ -133,9 +138,10 @@ def save_mesh(
         n_bytes=len(data),
         n_vertices=framed.n_vertices,
         n_triangles=framed.n_triangles,
-        error=mesh.error + rounding,
+        error=framed.error + rounding,
         rounding=rounding,
         units=mesh.units,
+        vertical=framed.attributes["frame"].get("vertical"),
         frame=str(framed.attributes["frame"]["name"]),
         origin=framed.origin,
         curvature=_curvature(mesh, framed, radius),
@@ -150,6 +156,7 @@ def file_rounding(
     z_scale: float = 1.0,
     solid: float | None = None,
     radius: float | None = None,
+    vertical: str = AS_IS,
 ) -> float:
     """Return the error that rounding in the file adds to the mesh's, without writing it.
 
@@ -161,8 +168,9 @@ def file_rounding(
         _refuse_frame(frame, z_scale, solid)
         from terrainwave.export.quantized_mesh import tile_rounding
 
-        return tile_rounding(mesh, radius=radius)
-    return _to_write(mesh, extension, frame, z_scale, solid, radius)[2]
+        return tile_rounding(mesh, radius=radius, vertical=vertical)
+    framed, _, rounding = _to_write(mesh, extension, frame, z_scale, solid, radius, vertical)
+    return framed.error - mesh.error + rounding
 
 
 def _refuse_frame(frame: str | None, z_scale: float, solid: float | None) -> None:
@@ -179,10 +187,11 @@ def _to_write(
     z_scale: float,
     solid: float | None,
     radius: float | None,
+    vertical: str,
 ) -> tuple[Mesh, NDArray[np.float64], float]:
     """Return the mesh in its frame, its vertices as the file holds them, and their rounding."""
     whole = mesh if solid is None else solidify(mesh, solid)
-    framed = to_frame(whole, frame, z_scale=z_scale, radius=radius)
+    framed = to_frame(whole, frame, z_scale=z_scale, radius=radius, vertical=vertical)
     if _WRITERS[extension].is_float32:
         framed = _recentred(framed)
         written = framed.vertices.astype(np.float32).astype(np.float64)

@@ -2,15 +2,22 @@
 
 import math
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import AS_IS
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.export.mesh import Mesh
 from terrainwave.place.position import LocalAxes, Place, place_of
 from terrainwave.place.units import height_unit
+from terrainwave.place.vertical import (
+    check_vertical,
+    describe_as_is,
+    note_as_is,
+    onto_wgs84,
+)
 
 FRAMES = ("local", "native", "ecef")
 
@@ -29,6 +36,7 @@ def to_frame(
     *,
     z_scale: float = 1.0,
     radius: float | None = None,
+    vertical: str = AS_IS,
 ) -> Mesh:
     """Return the mesh in a frame; `error` stays in the file's unit.
 
@@ -47,13 +55,18 @@ def to_frame(
         Heights are multiplied by it; > 0.
     radius : float, optional
         Radius of the sphere in metres that degrees lie on, instead of the CRS's ellipsoid.
+    vertical : {"as-is", "ellipsoid"}
+        With ``ecef``: take heights as above the ellipsoid, with a note where the CRS names another
+        datum, or convert them by PROJ's grid; `error` then counts what the geoid bends between
+        vertices too.
 
     Returns
     -------
     mesh : Mesh
         ``attributes["frame"]`` tells what was done: ``name``, ``z_scale``, ``unit`` and, for
         ``local``, ``centre`` in the CRS, ``metres`` per unit of x, y and height, and ``axes``
-        where x does not go east and y north: the directions of the CRS's x and y.
+        where x does not go east and y north: the directions of the CRS's x and y; for ``ecef``
+        ``vertical``, what its heights are.
 
     Raises
     ------
@@ -66,6 +79,11 @@ def to_frame(
         raise InvalidArgumentError(f"found `z_scale` {z_scale}, expected a number > 0")
     if not mesh.n_triangles:
         raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
+    if check_vertical(vertical) and frame != "ecef":
+        raise InvalidArgumentError(
+            f"found `vertical` ellipsoid with `frame` {frame or 'local or native'}, expected ecef:"
+            " other frames keep the file's datum"
+        )
     if frame == "native" and radius is None:
         return _native(mesh, z_scale)
     place = find_place(mesh, radius=radius, has_frames=True)
@@ -74,7 +92,7 @@ def to_frame(
         return _native(mesh, z_scale)
     if frame == "local":
         return _local(mesh, place, z_scale)
-    return _ecef(mesh, place, z_scale)
+    return _ecef(mesh, place, z_scale, vertical)
 
 
 def _native(mesh: Mesh, z_scale: float) -> Mesh:
@@ -115,15 +133,18 @@ def _facing_up(mesh: Mesh, axes: LocalAxes) -> NDArray[np.int32]:
     return mesh.triangles[:, ::-1] if axes.is_mirrored else mesh.triangles
 
 
-def _ecef(mesh: Mesh, place: Place, z_scale: float) -> Mesh:
+def _ecef(mesh: Mesh, place: Place, z_scale: float, vertical: str) -> Mesh:
     place.note_sphere()
-    points = geographic_points(mesh, place)
+    placed = on_ellipsoid(mesh, place, vertical)
+    points = placed.points.copy()
     points[:, 2] *= z_scale
     vertices = place.globe_ellipsoid.geocentric(points)
     centre = np.round((vertices.min(axis=0) + vertices.max(axis=0)) / 2)
     attributes = _attributes(mesh, "ecef", z_scale, "m")
+    attributes["frame"]["vertical"] = placed.about
     return replace(
         mesh,
+        error=mesh.error + placed.error / abs(height_unit(mesh.units, mesh.crs).metres),
         vertices=vertices - centre,
         triangles=globe_triangles(mesh, place),
         origin=(float(centre[0]), float(centre[1]), float(centre[2])),
@@ -134,6 +155,50 @@ def _ecef(mesh: Mesh, place: Place, z_scale: float) -> Mesh:
 def globe_triangles(mesh: Mesh, place: Place) -> NDArray[np.int32]:
     """Return triangles that face outwards on the globe."""
     return _facing_up(mesh, LocalAxes(*place.directions))
+
+
+class PlacedPoints(NamedTuple):
+    """Vertices in longitude, latitude and metres above the ellipsoid; what these heights are.
+
+    `error` in metres is what is between them and the ellipsoid's distance from the datum, which
+    bends under flat triangles.
+    """
+
+    points: NDArray[np.float64]
+    about: dict[str, Any]
+    error: float
+
+
+def on_ellipsoid(mesh: Mesh, place: Place, vertical: str) -> PlacedPoints:
+    """Return the vertices of a mesh on the globe, their heights above the ellipsoid.
+
+    Raises
+    ------
+    InvalidHeightsError
+        As `geographic_points`, or if the heights cannot be converted.
+    """
+    points = geographic_points(mesh, place)
+    if not check_vertical(vertical):
+        note_as_is(mesh.crs)
+        return PlacedPoints(points, describe_as_is(mesh.crs), 0.0)
+    way = onto_wgs84(place, mesh.bounds)
+    x, y = mesh.points[:, 0], mesh.points[:, 1]
+    heights = points[:, 2].copy()
+    points[:, 2] = way.heights(x, y, heights)
+    # How far the converted heights of places inside triangles are from their corners' mean. A
+    # surface of second degree is at most 4/3 of its middles of edges from a triangle's plane.
+    worst = 0.0
+    for weights in _INSIDE:
+        at_x, at_y, before, after = (
+            values[mesh.triangles] @ weights for values in (x, y, heights, points[:, 2])
+        )
+        worst = max(worst, float(np.abs(way.heights(at_x, at_y, before) - after).max()))
+    return PlacedPoints(points, way.describe(), _BENT * worst)
+
+
+# Middles of edges and of the triangle, as weights of the corners; see `on_ellipsoid`.
+_INSIDE = np.array([[1, 1, 0], [0, 1, 1], [1, 0, 1], [2 / 3, 2 / 3, 2 / 3]]) / 2
+_BENT = 4 / 3
 
 
 def geographic_points(mesh: Mesh, place: Place) -> NDArray[np.float64]:

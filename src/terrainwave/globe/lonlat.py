@@ -18,6 +18,7 @@ from terrainwave.grid.quadtree import Block
 from terrainwave.place.ellipsoid import Ellipsoid
 from terrainwave.place.position import place_of
 from terrainwave.place.units import height_unit
+from terrainwave.place.vertical import EllipsoidalHeights, onto_wgs84
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -35,6 +36,9 @@ _MAX_GAP = 256
 _N_ALONG, _N_INSIDE = 129, 17
 # Of an extent: how far a side may bulge between those points.
 _BULGE = 0.01
+# Places along each side that tell how far a datum lies from the ellipsoid, and the share of the
+# difference that may be beyond what they tell.
+_N_OF_DATUM, _DATUM_SLACK = 65, 0.2
 _POLE = 90.0
 
 
@@ -309,14 +313,53 @@ class Globe:
         metres = (known * raster.scale + raster.offset) * self.metres
         return Window(level, top, np.concatenate(columns), metres, mask)
 
-    def places_of(self, window: Window) -> tuple[Places, Numbers]:
+    def places_of(
+        self, window: Window, ellipsoidal: EllipsoidalHeights | None = None
+    ) -> tuple[Places, Numbers]:
         """Return longitudes and latitudes of a window's valid samples, and their heights."""
         stride = self.terrain.grid.stride(window.level)
         rows, cols = np.nonzero(window.valid)
         full_rows = stride * (rows + window.row).astype(np.float64)
         full_cols = stride * window.columns[cols].astype(np.float64)
         places = self.from_samples(full_rows, full_cols)
-        return places, window.heights[rows, cols]
+        heights = window.heights[rows, cols]
+        if ellipsoidal is not None:
+            heights = self.heights_on(ellipsoidal, full_rows, full_cols, heights)
+        return places, heights
+
+    # Above the ellipsoid
+
+    def onto_ellipsoid(self) -> EllipsoidalHeights:
+        """Return the way from the file's heights to those above the globe's ellipsoid.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If the CRS names no vertical datum, or PROJ lacks an operation or a grid.
+        """
+        return onto_wgs84(self._place, self.terrain.bounds)
+
+    def heights_on(
+        self, ellipsoidal: EllipsoidalHeights, rows: Numbers, cols: Numbers, heights: Numbers
+    ) -> Numbers:
+        """Return heights in metres above the ellipsoid of heights at fractional samples."""
+        x, y = samples_to_places(self.terrain.raster_info.transform, rows, cols)
+        return ellipsoidal.heights(x, y, heights)
+
+    def range_on(self, ellipsoidal: EllipsoidalHeights) -> tuple[float, float]:
+        """Return metres above the ellipsoid that no height is below or above."""
+        low, high = self.height_range
+        n_rows, n_cols = self.terrain.shape
+        rows, cols = np.meshgrid(
+            np.linspace(0, n_rows - 1, _N_OF_DATUM), np.linspace(0, n_cols - 1, _N_OF_DATUM)
+        )
+        flat = np.full(rows.size, (low + high) / 2)
+        raised = ellipsoidal.raised(
+            *samples_to_places(self.terrain.raster_info.transform, rows.ravel(), cols.ravel()), flat
+        )
+        most, least = float(np.nanmax(raised)), float(np.nanmin(raised))
+        slack = _DATUM_SLACK * (most - least) + 1.0
+        return low + least - slack, high + most + slack
 
     def heights_error(self, window: Window) -> float:
         """Return how far originals can be from the bilinear surface of a window, in metres."""
