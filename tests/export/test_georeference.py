@@ -91,7 +91,8 @@ def test_a_stale_file_beside_does_not_give_its_crs(tmp_path):
 def test_a_virtual_geotiff_tells_what_it_lacks(tmp_path):
     with terrainwave.open(compressed(tmp_path, CF_POLE)) as terrain:
         with pytest.warns(TerrainwaveWarning, match="there is none"):
-            data = terrain.geotiff().read()
+            stream = terrain.geotiff()
+        data = stream.read()
         with MemoryFile(data) as memory, memory.open() as dataset:
             assert dataset.crs is None
 

@@ -32,7 +32,7 @@ _STEP_AT = (
 )
 
 
-def of_all(every=1):
+def of_all(every=3):
     return pytest.mark.parametrize("case", some(CASES, every), ids=[case.name for case in CASES])
 
 
@@ -156,7 +156,7 @@ def test_bounds_hold_all_samples_and_little_else(case):
         assert east - west == pytest.approx(np.ptp(np.mod(lon - west + 180, 360)), rel=0.01)
 
 
-@of_all(every=4)
+@of_all(every=6)
 def test_terrain_rgb_has_the_heights_of_its_pixels(case):
     from PIL import Image
 
@@ -183,7 +183,7 @@ def test_terrain_rgb_has_the_heights_of_its_pixels(case):
     assert np.abs(found - expected)[within].max() <= 0.05 + 0.01
 
 
-@of_all(every=4)
+@of_all(every=6)
 def test_cesium_tiles_have_the_heights_of_their_vertices(case):
     globe = Globe(terrain_of(case))
     pyramid = TilePyramid(globe, void_height=globe.height_range[0])
@@ -218,14 +218,14 @@ def vertices(case, mesh):
     return rows, cols, z
 
 
-@of_all(every=3)
+@of_all()
 def test_native_meshes_are_in_the_crs(case):
     rows, cols, heights = vertices(case, to_frame(mesh_of(case), "native"))
     assert inside(rows, cols, -1e-3).all()
     np.testing.assert_allclose(heights, plane(rows, cols), atol=0.02)
 
 
-@of_all(every=3)
+@of_all()
 def test_geocentric_meshes_lie_where_proj_s_cartesian_coordinates_do(case):
     mesh = mesh_of(case)
     rows, cols, heights = vertices(case, mesh)
@@ -242,7 +242,7 @@ def test_geocentric_meshes_lie_where_proj_s_cartesian_coordinates_do(case):
     assert ((outwards * corners[:, 0]).sum(axis=1) > 0).all()
 
 
-@of_all(every=3)
+@of_all()
 def test_local_meshes_have_the_earths_distances_and_directions(case):
     mesh = mesh_of(case)
     rows, cols, heights = vertices(case, mesh)
@@ -301,7 +301,7 @@ def test_the_viewer_s_frame_goes_to_the_ground_and_back(case):
         assert frame.latitudes[0] < frame.latitudes[1]
 
 
-@of_all(every=4)
+@of_all(every=6)
 def test_a_camera_comes_back_from_its_line(case):
     frame = frame_of(terrain_of(case))
     camera = home(frame.box, Viewport(640, 480))

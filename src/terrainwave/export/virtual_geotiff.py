@@ -56,10 +56,11 @@ class VirtualGeoTIFF:
             "TERRAINWAVE_METHOD": terrain.header.method,
             "TERRAINWAVE_OVERVIEWS": "averages of samples, without a bound",
         }
-        info = info_to_write(terrain)
-        head, planes = sparse_geotiff(info, n_overviews, tags)
-        warn_of_crs(head, info.rasterio_crs())
-        return head, planes
+        return sparse_geotiff(info_to_write(terrain), n_overviews, tags)
+
+    def warn_of_crs(self) -> None:
+        """Warn of what a GeoTIFF does not hold of the raster's CRS."""
+        warn_of_crs(self._layout[0], self.terrain.raster_info.rasterio_crs())
 
     @property
     def size(self) -> int:
