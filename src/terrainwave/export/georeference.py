@@ -48,7 +48,7 @@ def keep_place(path: str | os.PathLike[str], info: RasterInfo) -> None:
     StorageError
         If the .aux.xml cannot be written.
     """
-    crs = info.rasterio_crs()
+    crs = _crs_of(info)
     if crs is None:
         return
     found = _differences(path, crs, info.units)
@@ -75,6 +75,14 @@ def _differences(path: str | os.PathLike[str], crs: CRS, unit: str | None) -> li
     if unit is not None and found_unit != unit:
         differences.append(f"the unit {unit} becomes {found_unit or 'unknown'}")
     return differences
+
+
+def _crs_of(info: RasterInfo) -> CRS | None:
+    """Return the CRS, without a warning: who wrote the GeoTIFF has told what is wrong with it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TerrainwaveWarning)
+        found: CRS | None = info.rasterio_crs()
+    return found
 
 
 def crs_differences(wanted: CRS, found: CRS | None) -> list[str]:
@@ -135,16 +143,17 @@ def _as_proj4(crs: CRS) -> str:
     return text or str(crs.to_wkt())
 
 
-def warn_of_crs(head: bytes, crs: CRS | None) -> None:
+def warn_of_crs(head: bytes, info: RasterInfo) -> None:
     """Warn of what a GeoTIFF without a file beside it does not say of a CRS.
 
     Parameters
     ----------
     head : bytes
         The GeoTIFF's.
-    crs : rasterio CRS or None
+    info : RasterInfo
         What it ought to say.
     """
+    crs = _crs_of(info)
     found = [] if crs is None else crs_differences(crs, crs_of_geotiff(head))
     if found:
         warnings.warn(

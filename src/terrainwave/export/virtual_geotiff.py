@@ -60,7 +60,7 @@ class VirtualGeoTIFF:
 
     def warn_of_crs(self) -> None:
         """Warn of what a GeoTIFF does not hold of the raster's CRS."""
-        warn_of_crs(self._layout[0], self.terrain.raster_info.rasterio_crs())
+        warn_of_crs(self._layout[0], self.terrain.raster_info)
 
     @property
     def size(self) -> int:

@@ -17,8 +17,6 @@ from terrainwave.place.description import (
     DERIVED,
     GEOGRAPHIC,
     OTHER,
-    Description,
-    describe_crs,
     describe_quietly,
 )
 from terrainwave.place.ellipsoid import EARTH, Ellipsoid
@@ -329,7 +327,7 @@ def axis_labels(crs_text: str | None, *, is_placed: bool = True) -> tuple[str, s
 def axis_attributes(crs_text: str | None) -> tuple[dict[str, str], dict[str, str]]:
     """Return the attributes of x and y that the CF conventions ask for."""
     x_attrs, y_attrs = {"axis": "X"}, {"axis": "Y"}
-    told: Description | None = describe_crs(crs_text)
+    told = describe_quietly(crs_text)
     if told is not None and told.in_degrees:
         names = {"longitude": "degrees_east", "latitude": "degrees_north"}
         if told.kind == DERIVED:
