@@ -272,7 +272,7 @@ class _Comparison:
         pairs = [
             ("size", tuple(terrain.shape), (dataset.height, dataset.width)),
             ("type", np.dtype(terrain.dtype).name, self._dtype.name),
-            ("units", *self._units(dataset.units[index])),
+            ("units", info.units or None, self._unit()),
             ("scale", float(info.scale), self._scale),
             ("offset", float(info.offset), float(dataset.offsets[index])),
             ("description", info.description or None, dataset.descriptions[index] or None),
@@ -289,13 +289,10 @@ class _Comparison:
             yield f"the transform is {found}, the original's is {expected}"
         yield from _compare_crs(terrain.crs, dataset.crs)
 
-    def _units(self, of_band: str | None) -> tuple[str | None, str | None]:
-        """Return the file's unit and the original's: the bands', or the CRS's if one has none."""
-        own, other = self._terrain.raster_info.units or None, of_band or None
-        if own is not None and other is not None:
-            return own, other
-        crs = format_crs(self._dataset.crs)
-        return height_unit(own, self._terrain.crs).name, height_unit(other, crs).name
+    def _unit(self) -> str | None:
+        """Return the original's unit: its band's, else its CRS's, as a file says it."""
+        dataset = self._dataset
+        return height_unit(dataset.units[self._band - 1], format_crs(dataset.crs)).name
 
     def _area_or_point(self) -> str:
         return str(self._dataset.tags().get("AREA_OR_POINT", "Area"))
