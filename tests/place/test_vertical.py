@@ -276,6 +276,20 @@ def test_a_missing_grid_is_named_with_the_command_that_fetches_it(tmp_path):
     assert not (tmp_path / "a.tif").exists()
 
 
+def test_a_second_best_operation_does_not_stand_in_for_the_best(tmp_path, grids):
+    # PROJ's first way from NAP needs two files, its second one the first of them
+    write_geotiff(grids / "nl_nsgi_nlgeo2018.tif")
+    path = tmp_path / "dem.twz"
+    with rasterio.open(
+        "", "w+", driver="MEM", height=N, width=N, count=1, dtype="float32", crs="EPSG:7415",
+        transform=rasterio.Affine(90, 0, 155000, 0, -90, 463000),
+    ) as dataset:  # fmt: skip
+        dataset.write(hills(), 1)
+        path.write_bytes(twz_bytes(dataset, max_error=0))
+    with pytest.raises(InvalidHeightsError, match=r"PROJ's nl_nsgi_rdtrans2018\.tif to become"):
+        terrainwave.decompress(path, tmp_path / "a.tif", vertical="ellipsoid")
+
+
 def test_a_grid_of_one_s_own_that_is_missing_is_named(tmp_path):
     twz = raster(tmp_path, FEET, hills())
     with terrainwave.open(twz) as terrain:
