@@ -361,6 +361,8 @@ def test_a_sphere_taken_for_the_earth_is_told_and_nothing_else_is():
         warnings.simplefilter("error")
         for case in CASES:
             is_sphere = case.name.endswith("_sphere") or case.name in _OTHER_SPHERES
+            if case.metres < 0:
+                continue  # told for another reason
             if is_sphere and case.body == "earth":
                 with pytest.warns(TerrainwaveWarning, match="latitudes are kept as they are"):
                     Globe(terrain_of(case))

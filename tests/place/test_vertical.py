@@ -244,10 +244,23 @@ def test_depths_go_down(tmp_path):
     twz = raster(tmp_path, DEPTH, hills())
     with terrainwave.open(twz) as terrain:
         mesh = terrain.mesh(max_error=1.0)
-        with pytest.warns(TerrainwaveWarning, match="depths below Mean Sea Level .* turned"):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
             found = on_globe(mesh)
+        assert [str(one.message) for one in told] == [
+            "the coordinate reference system counts depths downwards (MSL depth); a depth of 10"
+            " becomes a height of -10",
+            "heights above Mean Sea Level are taken for heights above the ellipsoid; vertical"
+            " ellipsoid converts them",
+        ]
         np.testing.assert_allclose(found.mesh.points[:, 2], -mesh.points[:, 2])
-        assert Globe(terrain).height_range[1] < 0
+        with pytest.warns(TerrainwaveWarning, match="counts depths downwards"):
+            local = to_frame(mesh, "local")
+        np.testing.assert_allclose(local.points[:, 2], -mesh.points[:, 2])
+        with pytest.warns(TerrainwaveWarning, match="counts depths downwards"):
+            assert Globe(terrain).height_range[1] < 0
+        with pytest.raises(InvalidHeightsError, match="counts depths downwards"):
+            mesh.save(tmp_path / "a.stl", frame="local", solid=0.0)
 
 
 def test_depths_become_ellipsoidal_with_their_sign(grids, tmp_path):

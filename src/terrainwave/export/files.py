@@ -190,6 +190,11 @@ def _to_write(
     vertical: str,
 ) -> tuple[Mesh, NDArray[np.float64], float]:
     """Return the mesh in its frame, its vertices as the file holds them, and their rounding."""
+    if solid is not None and frame != "native" and height_unit(mesh.units, mesh.crs).metres < 0:
+        raise InvalidHeightsError(
+            "found `solid` and a coordinate reference system that counts depths downwards: the base"
+            " would lie above the ground; expected `frame` native"
+        )
     whole = mesh if solid is None else solidify(mesh, solid)
     framed = to_frame(whole, frame, z_scale=z_scale, radius=radius, vertical=vertical)
     if _WRITERS[extension].is_float32:

@@ -109,7 +109,9 @@ def _local(mesh: Mesh, place: Place, z_scale: float) -> Mesh:
     left, bottom, right, top = mesh.bounds
     centre = ((left + right) / 2, (bottom + top) / 2)
     axes = place.local_axes(*centre)
-    per_z = height_unit(mesh.units, mesh.crs).metres
+    unit = height_unit(mesh.units, mesh.crs)
+    unit.note_depths()
+    per_z = unit.metres
     # The origin is subtracted last but one: vertices are small numbers, the origin is not.
     shift = np.array([mesh.origin[0] - centre[0], mesh.origin[1] - centre[1], mesh.origin[2]])
     vertices = mesh.vertices + shift
@@ -177,6 +179,7 @@ def on_ellipsoid(mesh: Mesh, place: Place, vertical: str) -> PlacedPoints:
     InvalidHeightsError
         As `geographic_points`, or if the heights cannot be converted.
     """
+    height_unit(mesh.units, mesh.crs).note_depths()
     points = geographic_points(mesh, place)
     if not check_vertical(vertical):
         note_as_is(mesh.crs)

@@ -118,7 +118,9 @@ class Globe:
         self.turn = 360 / (abs(a) * place.unit) if rows_are_parallels else None
         self.is_whole_turn = self.turn is not None and abs(self.turn - terrain.shape[1]) < 0.01
         # Per unit of height; negative where the CRS counts depths.
-        self.metres = height_unit(raster.units, raster.crs).metres
+        unit = height_unit(raster.units, raster.crs)
+        unit.note_depths()
+        self.metres = unit.metres
 
     # Places
 

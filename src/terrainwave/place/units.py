@@ -52,6 +52,16 @@ class HeightUnit(NamedTuple):
             return sign * vertical.metres
         return sign * metres_per_unit(self.name)
 
+    def note_depths(self) -> None:
+        """Warn where numbers are depths and are turned, so that they go down."""
+        if self.vertical is not None and self.vertical.is_down:
+            warnings.warn(
+                f"the coordinate reference system counts depths downwards ({self.vertical.name});"
+                " a depth of 10 becomes a height of -10",
+                TerrainwaveWarning,
+                stacklevel=3,
+            )
+
     @property
     def of_crs(self) -> str | None:
         """Return the CRS's unit where the band names another one."""

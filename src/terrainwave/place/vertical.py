@@ -55,10 +55,9 @@ def note_as_is(crs_text: str | None) -> None:
     told = vertical_of(crs_text)
     if told is None or told.is_ellipsoidal:
         return
-    turned = "depths below" if told.is_down else "heights above"
     warnings.warn(
-        f"{turned} {_reference(told)} are taken for heights above the ellipsoid"
-        f"{', turned upwards' if told.is_down else ''}; `vertical` ellipsoid converts them",
+        f"heights above {_reference(told)} are taken for heights above the ellipsoid; `vertical`"
+        " ellipsoid converts them",
         TerrainwaveWarning,
         stacklevel=3,
     )
