@@ -38,7 +38,7 @@ settings.load_profile("fast")
 # Tests in which no kernel of ours does what is tested: they run once, compiled. All others are
 # marked `kernels`, and run with bounds checked, too.
 WITHOUT_KERNELS = {
-    "benchmarks", "cli", "container", "ext", "raster_io",
+    "benchmarks", "cli", "container", "ext", "place", "raster_io",
     "test_architecture.py", "test_compiler.py", "test_docs.py", "test_examples.py",
     "test_faults.py", "test_format_example.py", "test_javascript_kernels.py", "test_window.py",
     "test_archive.py", "test_polynomials.py",

@@ -33,18 +33,20 @@ MAY_IMPORT = {
     "codec": GRID,
     "tri": ROOT | {"coding"},
     "container": GRID,
-    "raster_io": ROOT | {"grid", "container"},
+    "place": ROOT,
+    "raster_io": ROOT | {"grid", "container", "place"},
     "read": GRID | {"codec", "container"},
-    "file": GRID | {"codec", "container", "raster_io", "read"},
+    "file": GRID | {"codec", "container", "raster_io", "place", "read"},
     "mesh": GRID | {"codec", "tri", "container", "raster_io", "read", "file"},
-    "export": GRID | {"tri", "container", "raster_io", "read", "file"},
-    "write": GRID | {"codec", "tri", "container", "raster_io", "read", "file", "mesh"},
-    "globe": GRID | {"tri", "container", "raster_io", "read", "file", "mesh", "export"},
-    "render": GRID | {"tri", "container", "raster_io", "read", "file", "mesh", "export"},
-    "ext": ROOT | {"container", "raster_io", "file", "mesh", "export", "write", "globe", "render"},
+    "export": GRID | {"tri", "container", "raster_io", "place", "read", "file"},
+    "write": GRID | {"codec", "tri", "container", "raster_io", "place", "read", "file", "mesh"},
+    "globe": GRID | {"tri", "container", "raster_io", "place", "read", "file", "mesh", "export"},
+    "render": GRID | {"tri", "container", "raster_io", "place", "read", "file", "mesh", "export"},
+    "ext": ROOT
+    | {"container", "raster_io", "place", "file", "mesh", "export", "write", "globe", "render"},
     "terrain": ROOT | {"grid", "tri", "raster_io", "file", "mesh", "export", "render", "ext"},
     # Knows nothing of what made a file: neither mesh nor write.
-    "verification": GRID | {"raster_io", "terrain"},
+    "verification": GRID | {"raster_io", "place", "terrain"},
 }
 # Entrances: what users start may import all that is above.
 ENTRANCES = {"__init__", "cli", "__main__"}
@@ -166,6 +168,32 @@ def _is_name_of_refiner(node):
     return isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "name"
 
 
+def test_only_place_asks_a_crs_what_it_is():
+    """Nobody else imports pyproj or asks rasterio's CRS whether it is geographic."""
+    asked = {"is_geographic", "is_projected", "is_geocentric", "linear_units", "units_factor"}
+    for path in modules():
+        if group_of(path) == "place":
+            continue
+        for node in ast.walk(tree_of(path)):
+            is_asked = isinstance(node, ast.Attribute) and node.attr in asked
+            is_imported = "pyproj" in _imported_libraries(node)
+            if is_asked or is_imported:
+                raise AssertionError(f"{path.name}:{node.lineno} is for place/ to ask")
+
+
+def _imported_libraries(node):
+    """Return the packages of others that a node imports, by `need` too."""
+    if isinstance(node, ast.Import):
+        names = [alias.name for alias in node.names]
+    elif isinstance(node, ast.ImportFrom):
+        names = [node.module or ""]
+    elif isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("need", "import_module"):
+        names = [arg.value for arg in node.args if isinstance(arg, ast.Constant)]
+    else:
+        names = []
+    return {str(name).split(".")[0] for name in names}
+
+
 def test_files_are_opened_only_at_the_edge():
     for path in modules():
         if group_of(path) in MAY_OPEN_FILES:
@@ -176,7 +204,7 @@ def test_files_are_opened_only_at_the_edge():
 
 
 @pytest.mark.parametrize(
-    "library", ["moderngl", "fsspec", "xarray", "zarr", "pyvista", "numba", "rasterio"]
+    "library", ["moderngl", "fsspec", "xarray", "zarr", "pyvista", "numba", "rasterio", "pyproj"]
 )
 def test_importing_terrainwave_needs_no_heavy_library(library):
     code = f"import sys, terrainwave; sys.exit({library!r} in sys.modules)"

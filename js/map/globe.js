@@ -7,7 +7,10 @@
 import { ArgumentError } from "../src/index.js";
 import { Places } from "./places.js";
 
-/** `metres` per unit of height, `pixel` metres between samples, `axis` of the ellipsoid. */
+/**
+ * `metres` per unit of height (negative where the file counts depths), `pixel` metres between
+ * samples, `axis` of the ellipsoid.
+ */
 const NUMBERS = ["metres", "pixel", "axis", "error", "lowest", "highest"];
 
 export class Globe {
@@ -63,7 +66,7 @@ export class Globe {
         }
       }
     }
-    return largest * this.metres;
+    return largest * Math.abs(this.metres);
   }
 }
 

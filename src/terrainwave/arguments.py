@@ -66,6 +66,11 @@ def count_of(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'s' * (number != 1)}"
 
 
+# What becomes of heights on the globe, whatever datum they have.
+AS_IS, ELLIPSOID = "as-is", "ellipsoid"
+VERTICAL = (AS_IS, ELLIPSOID)
+
+
 def crs_name(crs: str | None) -> str:
     """Return a CRS in few words: its code, the name that WKT gives, or that there is none."""
     if not crs:

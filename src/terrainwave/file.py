@@ -25,6 +25,8 @@ from terrainwave.grid.affine import bounds, coordinates, is_turned, of_level, pi
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
 from terrainwave.names import EFFORTS, METHODS, methods_that
+from terrainwave.place.position import Turn, longitude_turn
+from terrainwave.place.units import HeightUnit, height_unit
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.read.places import region_of_bounds, region_of_window, to_samples
 from terrainwave.read.resample import RESAMPLING, resample
@@ -35,6 +37,8 @@ if TYPE_CHECKING:
 
 DEFAULT_CACHE_BYTES = 256 << 20
 DEFAULT_MAX_BYTES = 4 << 30
+# Columns by which a raster may miss the whole turn.
+_SAME_COLUMN = 0.01
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,8 @@ class Info:
     `float_error` is how much further apart than `max_error` stored floats may be: one spacing,
     where they name decimal numbers and the file is not strict.
     `moved_error` is the share of `effective_error` that patches, or a file before, have added.
+    `units` is the unit of heights and `units_from` who names it: the ``"band"`` or the ``"CRS"``;
+    `units_of_crs` is what the CRS's vertical axis says where the band says something else.
     `voids` is how voids are told: ``"none"``, by their ``"nodata"`` value, as ``"nan"``, or by a
     ``"mask"``; it is the way of the source, which may have no void at all.
     """
@@ -63,6 +69,8 @@ class Info:
     float_error: float
     moved_error: float
     units: str | None
+    units_from: str | None
+    units_of_crs: str | None
     method: str
     effort: str
     faithful: bool
@@ -229,8 +237,12 @@ class TerrainFile:
 
     @property
     def units(self) -> str | None:
-        """Return the unit of heights as the source names it, if it does."""
-        return self._raster.units
+        """Return the unit of heights: the band's, else that of the CRS's vertical axis."""
+        return self._height_unit.name
+
+    @cached_property
+    def _height_unit(self) -> HeightUnit:
+        return height_unit(self._raster.units, self._raster.crs)
 
     @property
     def res(self) -> tuple[float, float]:
@@ -368,7 +380,9 @@ class TerrainFile:
             rounding_error=self.quantizer.rho * abs(raster.scale),
             float_error=self._float_error() * abs(raster.scale),
             moved_error=header.moved * quantum,
-            units=raster.units,
+            units=self.units,
+            units_from=self._height_unit.source,
+            units_of_crs=self._height_unit.of_crs,
             method=header.method,
             effort=EFFORTS[min(header.effort, len(EFFORTS) - 1)],
             faithful=header.is_faithful,
@@ -656,7 +670,8 @@ class TerrainFile:
         Parameters
         ----------
         points : sequence of (x, y), or array of shape (n_points, 2)
-            Places in the file's CRS.
+            Places in the file's CRS. Longitudes may be of any turn: -170 and 190 are the same, and
+            a raster around the whole globe goes on from its last column to its first.
 
         Returns
         -------
@@ -667,15 +682,60 @@ class TerrainFile:
         listed = points if isinstance(points, np.ndarray) else list(points)
         places = np.asarray(listed, dtype=np.float64).reshape(-1, 2)
         index = self.level_index(level)
-        rows, cols = to_samples(places, self.transform(index))
-        n_rows, n_cols = self.grid.level_shape(index)
+        rows, cols = to_samples(self._of_this_turn(places), self.transform(index))
+        heights = self._heights_at(index, rows, cols)
+        last = self.grid.level_shape(index)[1] - 1
+        beyond = np.isfinite(cols) & ((cols < 0) | (cols > last))
+        if self._is_whole_turn and beyond.any():
+            # Between the last column and the first one of the next turn.
+            turn = self.shape[1] / self.grid.stride(index)
+            across = np.mod(cols[beyond] - last, turn) / (turn - last)
+            ends = [
+                self._heights_at(index, rows[beyond], np.full(across.shape, column))
+                for column in (float(last), 0.0)
+            ]
+            heights[beyond] = ends[0] * (1 - across) + ends[1] * across
+        return heights
+
+    def _heights_at(
+        self, level: int, rows: NDArray[np.float64], cols: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return bilinear heights at fractional samples; NaN outside the outermost and in voids."""
+        n_rows, n_cols = self.grid.level_shape(level)
         inside = (rows >= 0) & (rows <= n_rows - 1) & (cols >= 0) & (cols <= n_cols - 1)
-        heights = np.full(len(places), np.nan)
+        heights = np.full(len(rows), np.nan)
         if inside.any():
-            raw, is_void = self._windows.bilinear(self.decoder, index, rows[inside], cols[inside])
+            raw, is_void = self._windows.bilinear(self.decoder, level, rows[inside], cols[inside])
             physical = raw * self._raster.scale + self._raster.offset
             heights[inside] = np.where(is_void, np.nan, physical)
         return heights
+
+    @cached_property
+    def _turn(self) -> Turn | None:
+        return longitude_turn(self._raster.crs)
+
+    @cached_property
+    def _is_whole_turn(self) -> bool:
+        """Whether rows are parallels and go around the whole globe."""
+        a, b, _, d, _, _ = self._raster.transform
+        turn = self._turn
+        if turn is None or turn.axis != 0 or not b == d == 0:
+            return False
+        return abs(turn.length / abs(a) - self.shape[1]) < _SAME_COLUMN
+
+    def _of_this_turn(self, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return places whose longitudes lie within half a turn of the raster's middle; copies."""
+        turn = self._turn
+        if turn is None:
+            return places
+        left, bottom, right, top = self.bounds
+        middle = ((left + right) / 2, (bottom + top) / 2)[turn.axis]
+        moved = places.copy()
+        with np.errstate(invalid="ignore"):
+            turns = np.rint((places[:, turn.axis] - middle) / turn.length)
+            is_far = np.abs(places[:, turn.axis] - middle) > turn.length / 2
+            moved[is_far, turn.axis] -= turns[is_far] * turn.length
+        return moved
 
     def check(self) -> Iterator[str]:
         """Check all checksums and decode every unit; yield what is wrong, in plain words."""

@@ -148,7 +148,9 @@ class Terrain(TerrainFile):
         from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
         from terrainwave.raster_io.stream import GeoTIFFStream
 
-        return GeoTIFFStream(VirtualGeoTIFF(self))
+        made = VirtualGeoTIFF(self)
+        made.warn_of_crs()  # not while GDAL reads: it cannot pass on an error that a warning may be
+        return GeoTIFFStream(made)
 
     def _repr_html_(self) -> str:
         from terrainwave.ext.html import terrain_html

@@ -4,23 +4,14 @@ import math
 import sys
 
 import numpy as np
-import pyproj
 import pytest
 from rasterio.crs import CRS
 from tri.meshes import grid_mesh, hills
 
 from terrainwave.errors import InvalidHeightsError, TerrainwaveError, TerrainwaveWarning
-from terrainwave.export.frames import (
-    EARTH,
-    areas,
-    ellipsoid_of,
-    find_place,
-    geographic_base,
-    metres_per_unit,
-    steepest,
-    to_frame,
-)
+from terrainwave.export.frames import areas, find_place, steepest, to_frame
 from terrainwave.export.mesh import Mesh
+from terrainwave.place.ellipsoid import EARTH
 
 UTM = (30.0, 0.0, 400000.0, 0.0, -30.0, 4000000.0)
 SECONDS = (1 / 3600, 0.0, 10.0, 0.0, -1 / 3600, 45.0)
@@ -33,17 +24,6 @@ def degrees(**options):
 
 def extent(mesh):
     return mesh.points.max(axis=0) - mesh.points.min(axis=0)
-
-
-def test_radii_at_45_degrees_are_those_of_wgs84():
-    # M and N of WGS 84 at 45 degrees, as tables of the ellipsoid give them
-    assert EARTH.radii(45.0) == pytest.approx((6367381.816, 6388838.290), abs=0.001)
-
-
-def test_a_degree_of_latitude_at_the_equator_is_110_574_m():
-    meridian, normal = EARTH.radii(0.0)
-    assert math.radians(meridian) == pytest.approx(110574.276, abs=0.01)
-    assert math.radians(normal) == pytest.approx(111319.491, abs=0.01)
 
 
 def test_degrees_become_metres_of_east_and_north():
@@ -75,28 +55,6 @@ def test_the_default_is_local_for_degrees_and_native_else(crs, frame):
 def test_native_is_the_crs():
     mesh = grid_mesh(hills(4, 5), UTM, crs="EPSG:32633", units="ft")
     np.testing.assert_allclose(to_frame(mesh, "native").points, mesh.points)
-
-
-@pytest.mark.parametrize(
-    ("units", "metres"),
-    [
-        ("ft", 0.3048),
-        ("foot", 0.3048),
-        ("[ft]", 0.3048),
-        ("US survey foot", FOOT_US),
-        ("ftUS", FOOT_US),
-        ("metre", 1.0),
-        ("", 1.0),
-        (None, 1.0),
-    ],
-)
-def test_vertical_units_are_known(units, metres):
-    assert metres_per_unit(units) == pytest.approx(metres, rel=1e-12)
-
-
-def test_an_unknown_vertical_unit_is_told():
-    with pytest.warns(TerrainwaveWarning, match="'fathom' is not known"):
-        assert metres_per_unit("fathom") == 1
 
 
 @pytest.mark.parametrize("frame", ["local", "ecef"])
@@ -155,13 +113,6 @@ def test_ecef_triangles_face_outwards():
     assert ((normals * corners.mean(axis=1)).sum(axis=1) > 0).all()
 
 
-def test_ecef_of_points_known_by_hand():
-    b = 6356752.314245
-    points = np.array([[0.0, 0.0, 100.0], [90.0, 0.0, 0.0], [7.0, 90.0, 10.0]])
-    expected = [[6378237.0, 0, 0], [0, 6378137.0, 0], [0, 0, b + 10]]
-    np.testing.assert_allclose(EARTH.geocentric(points), expected, rtol=0, atol=1e-5)
-
-
 def test_ecef_agrees_with_proj():
     from rasterio.warp import transform
 
@@ -190,52 +141,6 @@ MOON = (
     'GEOGCS["Moon 2000",DATUM["D_Moon_2000",SPHEROID["Moon_2000_IAU_IAG",1737400,0]],'
     'PRIMEM["Reference_Meridian",0],UNIT["degree",0.0174532925199433]]'
 )
-
-
-def test_the_ellipsoid_comes_from_the_crs():
-    assert ellipsoid_of(CRS.from_wkt(MOON)) == (1737400.0, 0.0)
-    # Clarke 1866 through NAD27: a = 6378206.4 m, b = 6356583.8 m
-    axis, e2 = ellipsoid_of(CRS.from_epsg(4267))
-    assert axis == 6378206.4
-    assert axis * math.sqrt(1 - e2) == pytest.approx(6356583.8, abs=0.01)
-
-
-def test_an_ellipsoid_in_feet_becomes_metres():
-    wkt = (
-        'GEODCRS["in feet",DATUM["D",ELLIPSOID["E",20925832,300,LENGTHUNIT["foot",0.3048]]],'
-        'CS[ellipsoidal,2],AXIS["lat",north],AXIS["lon",east],'
-        'ANGLEUNIT["degree",0.0174532925199433]]'
-    )
-    assert ellipsoid_of(CRS.from_wkt(wkt)).axis == pytest.approx(20925832 * 0.3048, rel=1e-12)
-
-
-TOWGS84 = "+proj=utm +zone=33 +ellps=bessel +towgs84=598.1,73.7,418.2,0.202,0.045,-2.455,6.7"
-
-
-@pytest.mark.parametrize(
-    "crs", [CRS.from_epsg(7415), CRS.from_proj4(TOWGS84)], ids=["compound", "bound"]
-)
-def test_an_ellipsoid_and_a_base_are_found_within_other_systems(crs):
-    # Bessel 1841: a = 6377397.155 m, 1/f = 299.1528128
-    flattening = 1 / 299.1528128
-    assert ellipsoid_of(crs).axis == 6377397.155
-    assert ellipsoid_of(crs).e2 == pytest.approx(flattening * (2 - flattening), rel=1e-9)
-    assert geographic_base(crs).is_geographic
-    assert ellipsoid_of(geographic_base(crs)) == ellipsoid_of(crs)
-
-
-def test_the_base_is_flat_and_in_the_registry_where_the_crs_is():
-    assert geographic_base(CRS.from_epsg(32633)).to_epsg() == 4326
-    assert geographic_base(CRS.from_epsg(27700)).to_epsg() == 4277
-    with_heights = pyproj.CRS.from_epsg(32633).to_3d()
-    assert geographic_base(CRS.from_wkt(with_heights.to_wkt())).to_epsg() == 4326
-
-
-def test_a_local_system_has_the_ellipsoid_of_the_earth_and_no_base():
-    crs = CRS.from_wkt('LOCAL_CS["a quarry",UNIT["metre",1]]')
-    assert ellipsoid_of(crs) == EARTH
-    with pytest.raises(InvalidHeightsError, match="no longitudes and latitudes behind it"):
-        geographic_base(crs)
 
 
 def test_without_pyproj_a_crs_is_one_line_with_what_to_install(monkeypatch):
@@ -282,7 +187,7 @@ def test_a_radius_takes_the_place_of_the_earth():
 )
 def test_what_cannot_be_degrees_is_left_as_it_is(mesh):
     assert to_frame(mesh).attributes["frame"]["name"] == "native"
-    assert not find_place(mesh).is_geographic
+    assert not find_place(mesh).in_degrees
 
 
 def test_the_pole_has_no_local_frame():

@@ -35,7 +35,7 @@ from terrainwave.errors import (
     StorageError,
     TerrainwaveWarning,
 )
-from terrainwave.raster_io.crs import format_crs, parse_crs
+from terrainwave.place.crs import format_crs, parse_crs
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.sink import TILE, RasterSink
 from terrainwave.raster_io.source import RasterSource

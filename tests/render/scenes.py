@@ -33,8 +33,8 @@ def hills(n_rows=150, n_cols=210, seed=1, amplitude=300.0):
 
 
 def terrain_of(heights, *, pixel=30.0, corner=(500000, 5200000), nodata=None, crs="EPSG:32633",
-               **options):  # fmt: skip
-    """Return an open terrain of an array whose pixels are `pixel` wide."""
+               affine=None, **options):  # fmt: skip
+    """Return an open terrain of an array whose pixels are `pixel` wide, or lie as `affine` says."""
     import rasterio
     from rasterio.io import MemoryFile
 
@@ -47,7 +47,7 @@ def terrain_of(heights, *, pixel=30.0, corner=(500000, 5200000), nodata=None, cr
             dtype=heights.dtype,
             crs=crs,
             nodata=nodata,
-            transform=rasterio.Affine(pixel, 0, corner[0], 0, -pixel, corner[1]),
+            transform=affine or rasterio.Affine(pixel, 0, corner[0], 0, -pixel, corner[1]),
         ) as dataset:
             dataset.write(heights, 1)
         with memory.open() as dataset:

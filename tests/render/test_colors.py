@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rasterio.transform import Affine
 from render.scenes import hills, terrain_of
 
 from terrainwave.errors import InvalidArgumentError
@@ -190,3 +191,38 @@ def test_a_coast_is_where_the_samples_have_it_however_coarse_the_mesh(context, m
                 n_right += is_blue(image[y, x].astype(int)) == (near == 0).all()
     assert n_seen > 100
     assert n_right > 0.97 * n_seen
+
+
+# How rasters of 97 x 97 samples hold the same ground: rows and columns turned, and their affine.
+_TURNED = {
+    "south_up": (lambda z: z[::-1], (30, 0, 0, 0, 30, -2910)),
+    "east_left": (lambda z: z[:, ::-1], (-30, 0, 2910, 0, -30, 0)),
+    "turned_180": (lambda z: z[::-1, ::-1], (-30, 0, 2910, 0, 30, -2910)),
+    "transposed": (lambda z: z.T, (0, 30, 0, -30, 0, 0)),
+    "turned_90": (lambda z: z.T[:, ::-1], (0, 30, 0, 30, 0, -2910)),
+    "turned_270": (lambda z: z.T[::-1], (0, -30, 2910, -30, 0, 0)),
+}
+
+
+def seen_from_above(context, heights, affine):
+    style = Style(haze=0.0, solid=False, background=(9, 9, 9))
+    with (
+        terrain_of(heights, max_error=0, affine=Affine(*affine)) as terrain,
+        Offscreen(terrain, (200, 200), samples=0, context=context) as offscreen,
+    ):
+        camera = top_view(offscreen.scene.frame.box, offscreen.viewport)
+        image, _ = offscreen.picture(camera, style, max_pixel_error=0.2)
+    return image.astype(float)[10:-10, 10:-10]
+
+
+@pytest.mark.gl
+@pytest.mark.large
+@pytest.mark.parametrize("turn", _TURNED)
+def test_ridges_are_shaded_alike_however_the_raster_lies(context, turn):
+    heights = np.round(hills(97, 97, 4, 900.0)).astype(np.int16)
+    turned, affine = _TURNED[turn]
+    plain = seen_from_above(context, heights, (30, 0, 0, 0, -30, 0))
+    other = seen_from_above(context, np.ascontiguousarray(turned(heights)), affine)
+    # without ridges transposed rasters differ by several grey levels
+    assert np.abs(other - plain).mean() < 1.0
+    assert plain.std() > 20

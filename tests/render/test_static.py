@@ -55,7 +55,8 @@ def test_axes_and_colours_of_a_map_are_labelled_with_units(crs, labels, ax):
 
 
 def test_an_array_without_a_place_is_in_samples_and_heights_have_their_unit(ax):
-    from terrainwave.export.frames import axis_labels, unit_text
+    from terrainwave.place.position import axis_labels
+    from terrainwave.place.units import unit_text
 
     assert axis_labels(None, is_placed=False) == ("x, samples", "y, samples")
     assert (unit_text(" ft "), unit_text(""), unit_text(None)) == ("ft", *["unit unknown"] * 2)

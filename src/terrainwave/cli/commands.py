@@ -13,9 +13,11 @@ import click
 
 from terrainwave._version import __version__
 from terrainwave.arguments import (
+    AS_IS,
     GEOTIFF_ENDINGS,
     HEIGHT_TILE_ENDINGS,
     TWZ_ENDINGS,
+    VERTICAL,
     check_ending,
     count_of,
     crs_name,
@@ -55,7 +57,7 @@ from terrainwave.cli.output import (
     print_table,
     reading,
 )
-from terrainwave.cli.streams import printing_beside, written
+from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.names import (
     DEFAULT_METHOD,
     EFFORTS,
@@ -79,6 +81,14 @@ EFFORT = (
     " 0.93 of the default's size (0.78 to 0.99), and are read 6 times as slowly."
 )
 WARMUP_TASKS = ("compress", "read", "verify", "mesh", "render")
+VERTICAL_OPTION = click.option(
+    "--vertical",
+    type=click.Choice(VERTICAL),
+    default=AS_IS,
+    show_default=True,
+    help="Heights on the globe: taken as above the ellipsoid, or converted from the CRS's vertical"
+    " datum by PROJ's grid.",
+)
 MESH = click.Choice(["auto", *MESH_CHOICES, "none"])
 
 
@@ -403,6 +413,7 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
     metavar="lowest|fill|HEIGHT",
     help="What voids of a height tile become. Default: the lowest height.",
 )
+@VERTICAL_OPTION
 @_batched
 @_writing
 def decompress(
@@ -448,12 +459,18 @@ def decompress(
         raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
     if options["voids"] is not None and not is_tile:
         raise click.UsageError(f"{target}: --voids is for height tiles, expected .r16 or .png")
+    if options["vertical"] != AS_IS and is_tile:
+        raise click.UsageError(
+            f"{target}: a height tile keeps the file's datum, expected no --vertical"
+        )
     if options["cog"] and is_tile:
         raise click.UsageError(f"{target}: a height tile cannot be a COG, expected no --cog")
     announce_compiling(quiet=quiet)
     with reading(source), Bar(quiet=quiet) as bar, written(target, ".tif") as path:
         terrainwave.decompress(source, path, progress=bar, **options)
         n_bytes = Path(path).stat().st_size
+        if target == STREAM and Path(f"{path}.aux.xml").exists():
+            print_note("stdout has no .aux.xml beside it: write to a file to keep the CRS")
     if not quiet:
         with printing_beside(target):
             click.echo(f"{plain(target)}: {n_bytes:,} bytes")
@@ -497,6 +514,7 @@ def decompress(
     help="Make a printable body with a flat base at this height, in the file's unit.",
 )
 @click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
+@VERTICAL_OPTION
 @click.option(
     "--store", is_flag=True, help="Make a copy of FILE with meshes stored in it; TARGET is a .twz."
 )
@@ -572,6 +590,7 @@ def _export_mesh(
     z_scale: float,
     solid: float | None,
     radius: float | None,
+    vertical: str,
     optimise: bool,
     loose: bool,
     overwrite: bool,
@@ -593,7 +612,14 @@ def _export_mesh(
         )
     refuse_own_source(file, target)
     prepare(target, overwrite=overwrite)
-    shape = {"frame": frame, "z_scale": z_scale, "solid": solid, "radius": radius}
+    if vertical == "ellipsoid" and frame != "ecef" and extension != ".terrain":
+        raise click.UsageError(
+            "found --vertical ellipsoid, expected --frame ecef or a .terrain tile with it: other"
+            " coordinates keep the file's datum"
+        )
+    shape = {
+        "frame": frame, "z_scale": z_scale, "solid": solid, "radius": radius, "vertical": vertical,
+    }  # fmt: skip
     announce_compiling(quiet=quiet)
     with (
         reading(file),
@@ -651,13 +677,24 @@ _MESH_ATTEMPTS = 3
 _ROUNDING_SLACK = 1.25
 
 
+def vertical_in_words(about: dict[str, Any]) -> str:
+    """Return what heights on the globe are, as files tell it in a few fields."""
+    if about["heights"] == AS_IS:
+        return f"as they are ({plain(about['datum'])})" if "datum" in about else "as they are"
+    grids = f" by {', '.join(map(plain, about['grids']))}" if about.get("grids") else ""
+    return f"above the ellipsoid{grids}"
+
+
 def _print_saved(saved: Any, kind_of_error: str) -> None:
     click.echo(
         f"{plain(saved.path)}: {count_of(saved.n_triangles, 'triangle')},"
         f" {saved.n_vertices:,} vertices,"
         f" {saved.n_bytes:,} bytes"
     )
-    click.echo(f"{kind_of_error} error {saved.error:.6g}{_unit(saved.units)}, frame {saved.frame}")
+    heights = "" if saved.vertical is None else f", heights {vertical_in_words(saved.vertical)}"
+    click.echo(
+        f"{kind_of_error} error {saved.error:.6g}{_unit(saved.units)}, frame {saved.frame}{heights}"
+    )
     _note_unit(saved.units)
     if saved.curvature:
         print_note(
@@ -806,7 +843,7 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ),
         ("quantum", f"{info.quantum:.6g}{unit}"),
         ("heights", extent),
-        ("unit", info.units or "unknown"),
+        ("unit", _unit_in_words(info)),
         ("voids", _voids_in_words(info, n_voids)),
         ("method", f"{info.method}, {way}, border rings {info.border_rings}"),
         ("block", f"{info.block} x {info.block} cells"),
@@ -824,6 +861,14 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ("colour", info.color_interpretation or ""),
     ]
     return [(name, value) for name, value in rows if value != ""]
+
+
+def _unit_in_words(info: Any) -> str:
+    if info.units is None:
+        return "unknown"
+    if info.units_of_crs is not None:
+        return f"{info.units} (from the band; the CRS says {info.units_of_crs})"
+    return f"{info.units} (from the {info.units_from})"
 
 
 def _unit(units: str | None) -> str:

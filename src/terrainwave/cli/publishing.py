@@ -10,7 +10,6 @@ from terrainwave.arguments import count_of
 from terrainwave.cli.commands import main, print_json
 from terrainwave.cli.options import Directory, NamedInput, Positive, SeaLevel
 from terrainwave.cli.output import Bar, announce_compiling, plain
-from terrainwave.extras import need
 from terrainwave.names import TILE_ENCODINGS
 from terrainwave.render.colorings import AUTO
 
@@ -45,8 +44,10 @@ def publish(
 
     The page reads the files by byte ranges and makes its tiles in the browser.
     """
-    need("pyproj", extra="publish", purpose="publish")
     from terrainwave.ext.publish import publish_site
+    from terrainwave.place.system import need_pyproj
+
+    need_pyproj(extra="publish", purpose="publish")
 
     announce_compiling(quiet=quiet)
     with Bar(quiet=quiet) as bar:

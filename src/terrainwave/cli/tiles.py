@@ -1,13 +1,20 @@
 """The command that writes a pyramid of tiles: for globes, or as one archive for maps."""
 
+import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import click
 
-from terrainwave.arguments import ARCHIVE_ENDING, count_of
-from terrainwave.cli.commands import THREADS, main, print_json
+from terrainwave.arguments import ARCHIVE_ENDING, AS_IS, count_of
+from terrainwave.cli.commands import (
+    THREADS,
+    VERTICAL_OPTION,
+    main,
+    print_json,
+    vertical_in_words,
+)
 from terrainwave.cli.options import Directory, Finite, Input, Positive
 from terrainwave.cli.output import Bar, announce_compiling, plain, print_grid, reading
 from terrainwave.errors import InvalidArgumentError
@@ -41,6 +48,7 @@ from terrainwave.names import TILE_ENCODINGS
     " -10000 m; terrarium: steps of 1/256 m from -32768 m.",
 )
 @click.option("--transparent-voids", is_flag=True, help="Of an archive: voids get alpha 0.")
+@VERTICAL_OPTION
 @click.option("--attribution", default="", help="For the metadata: whose data these are.")
 @click.option("--radius", type=Positive(), help="Of the planet, in metres, for degrees.")
 @click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use.")
@@ -74,10 +82,21 @@ def tiles(
 
 
 def _write_archive(
-    terrain: Any, target: str, *, min_zoom: int | None, encoding: str | None, **options: Any
+    terrain: Any,
+    target: str,
+    *,
+    min_zoom: int | None,
+    encoding: str | None,
+    vertical: str,
+    **options: Any,
 ) -> list[Any]:
     from terrainwave.globe.archive import write_pmtiles
 
+    if vertical != AS_IS:
+        raise InvalidArgumentError(
+            f"found `vertical` {vertical} for an archive ({ARCHIVE_ENDING}), expected a directory"
+            " for Cesium: terrain-RGB tiles keep the file's datum"
+        )
     options["rim"] = options["rim"] or 0
     options["encoding"] = encoding or TILE_ENCODINGS[0]
     return write_pmtiles(terrain, target, min_zoom=min_zoom or 0, **options)
@@ -127,6 +146,8 @@ def _print_zooms(directory: str, summaries: Any) -> None:
     ]  # fmt: skip
     print_grid(header, rows)
     _print_total(directory, summaries)
+    layer = json.loads((Path(directory) / "layer.json").read_text(encoding="utf-8"))
+    click.echo(f"heights {vertical_in_words(layer['vertical'])}")
 
 
 def _print_total(target: str, summaries: Any) -> None:

@@ -4,6 +4,7 @@ import io
 import json
 import os
 import re
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
-from terrainwave.arguments import check_ending
+from terrainwave.arguments import AS_IS, check_ending
 from terrainwave.container.publish import check_target, publish, scratch
 from terrainwave.container.spool import storage_errors
-from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
-from terrainwave.export.frames import areas, find_place, metres_per_unit, steepest, to_frame
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
+from terrainwave.export.frames import areas, find_place, steepest, to_frame
 from terrainwave.export.mesh import Mesh
 from terrainwave.export.solid import solidify
 from terrainwave.extras import need
+from terrainwave.place.position import Place
+from terrainwave.place.units import height_unit
 
 # Installs what writes the files.
 _EXTRA = "mesh"
@@ -55,6 +58,9 @@ class SavedMesh:
     curvature : float
         Metres that flat triangles can lie below the curved body between their vertices; in
         geocentric coordinates only, and not part of `error`.
+    vertical : dict, optional
+        Of geocentric coordinates: what heights are (``heights``: ``"as-is"`` or ``"ellipsoid"``),
+        the CRS's ``datum``, or PROJ's ``operation`` and its ``grids``.
     """
 
     path: str
@@ -67,6 +73,7 @@ class SavedMesh:
     frame: str
     origin: tuple[float, float, float]
     curvature: float = 0.0
+    vertical: dict[str, Any] | None = None
 
 
 def save_mesh(
@@ -77,6 +84,7 @@ def save_mesh(
     z_scale: float = 1.0,
     solid: float | None = None,
     radius: float | None = None,
+    vertical: str = AS_IS,
     overwrite: bool = False,
 ) -> SavedMesh:
     """Write a mesh; the extension of `path` tells the format.
@@ -89,8 +97,8 @@ def save_mesh(
         ``.glb``, ``.gltf`` hold float32, relative to an origin that is written beside them;
         ``.terrain`` is one Cesium quantized-mesh tile over the mesh's bounds. The file appears
         complete or not at all.
-    frame, z_scale, radius
-        As in `to_frame`.
+    frame, z_scale, radius, vertical
+        As in `to_frame`; a ``.terrain`` tile takes `vertical` too.
     solid : float, optional
         Close the mesh with walls and a flat base at this height, in the file's unit.
     overwrite : bool
@@ -111,11 +119,11 @@ def save_mesh(
         need("quantized_mesh_encoder", extra=_EXTRA)
         from terrainwave.export.quantized_mesh import save_tile
 
-        return save_tile(mesh, path, radius=radius, overwrite=overwrite)
+        return save_tile(mesh, path, radius=radius, vertical=vertical, overwrite=overwrite)
     writer = _WRITERS[extension]
     need(writer.package, extra=_EXTRA)
-    framed, written, rounding = _to_write(mesh, extension, frame, z_scale, solid, radius)
-    about = describe(framed, mesh.error + rounding)
+    framed, written, rounding = _to_write(mesh, extension, frame, z_scale, solid, radius, vertical)
+    about = describe(framed, framed.error + rounding)
     if writer.has_texture and solid is None:
         # A body's walls have no place in a picture from above, and its edges are sharp.
         framed = replace(framed, attributes=framed.attributes | {"uv": _texture_places(mesh)})
@@ -130,9 +138,10 @@ def save_mesh(
         n_bytes=len(data),
         n_vertices=framed.n_vertices,
         n_triangles=framed.n_triangles,
-        error=mesh.error + rounding,
+        error=framed.error + rounding,
         rounding=rounding,
         units=mesh.units,
+        vertical=framed.attributes["frame"].get("vertical"),
         frame=str(framed.attributes["frame"]["name"]),
         origin=framed.origin,
         curvature=_curvature(mesh, framed, radius),
@@ -147,6 +156,7 @@ def file_rounding(
     z_scale: float = 1.0,
     solid: float | None = None,
     radius: float | None = None,
+    vertical: str = AS_IS,
 ) -> float:
     """Return the error that rounding in the file adds to the mesh's, without writing it.
 
@@ -158,8 +168,9 @@ def file_rounding(
         _refuse_frame(frame, z_scale, solid)
         from terrainwave.export.quantized_mesh import tile_rounding
 
-        return tile_rounding(mesh, radius=radius)
-    return _to_write(mesh, extension, frame, z_scale, solid, radius)[2]
+        return tile_rounding(mesh, radius=radius, vertical=vertical)
+    framed, _, rounding = _to_write(mesh, extension, frame, z_scale, solid, radius, vertical)
+    return framed.error - mesh.error + rounding
 
 
 def _refuse_frame(frame: str | None, z_scale: float, solid: float | None) -> None:
@@ -176,10 +187,16 @@ def _to_write(
     z_scale: float,
     solid: float | None,
     radius: float | None,
+    vertical: str,
 ) -> tuple[Mesh, NDArray[np.float64], float]:
     """Return the mesh in its frame, its vertices as the file holds them, and their rounding."""
+    if solid is not None and frame != "native" and height_unit(mesh.units, mesh.crs).metres < 0:
+        raise InvalidHeightsError(
+            "found `solid` and a coordinate reference system that counts depths downwards: the base"
+            " would lie above the ground; expected `frame` native"
+        )
     whole = mesh if solid is None else solidify(mesh, solid)
-    framed = to_frame(whole, frame, z_scale=z_scale, radius=radius)
+    framed = to_frame(whole, frame, z_scale=z_scale, radius=radius, vertical=vertical)
     if _WRITERS[extension].is_float32:
         framed = _recentred(framed)
         written = framed.vertices.astype(np.float32).astype(np.float64)
@@ -279,10 +296,10 @@ def _rounding(
     """
     frame = framed.attributes["frame"]
     moved = np.abs(written - framed.vertices).max(axis=0)
-    unit = 1.0 if frame["name"] == "native" else metres_per_unit(mesh.units)
+    unit = 1.0 if frame["name"] == "native" else abs(height_unit(mesh.units, mesh.crs).metres)
     at_joints = framed.attributes.get("solid", {}).get("moved", 0.0) * sum(steepest(mesh))
     if frame["name"] == "ecef":
-        slope = _steepest_on(framed, find_place(mesh, radius=radius, has_frames=True).ellipsoid)
+        slope = _steepest_on(framed, _quiet_place(mesh, radius).globe_ellipsoid)
         rounding = float(np.linalg.norm(moved)) * (1 + slope)
     else:
         # A body's walls and base have none or a negative one.
@@ -319,8 +336,15 @@ def _curvature(mesh: Mesh, framed: Mesh, radius: float | None) -> float:
     """
     if framed.attributes["frame"]["name"] != "ecef":
         return 0.0
-    ellipsoid = find_place(mesh, radius=radius, has_frames=True).ellipsoid
+    ellipsoid = _quiet_place(mesh, radius).globe_ellipsoid
     return longest_edge(framed) ** 2 / (6 * ellipsoid.axis * (1 - ellipsoid.e2))
+
+
+def _quiet_place(mesh: Mesh, radius: float | None) -> Place:
+    """Return `find_place` again, without its warnings."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TerrainwaveWarning)
+        return find_place(mesh, radius=radius)
 
 
 def longest_edge(mesh: Mesh) -> float:

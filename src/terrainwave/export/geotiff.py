@@ -6,11 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from terrainwave.arguments import GEOTIFF_ENDINGS, HEIGHT_TILE_ENDINGS, check_ending, one_of
+from terrainwave.arguments import AS_IS, GEOTIFF_ENDINGS, HEIGHT_TILE_ENDINGS, check_ending, one_of
 from terrainwave.container.publish import refuse_own_source
 from terrainwave.errors import InvalidArgumentError
+from terrainwave.export.ellipsoidal import above_ellipsoid
+from terrainwave.export.georeference import info_to_write, keep_place
 from terrainwave.export.height_tiles import write_height_tile
 from terrainwave.file import TerrainFile
+from terrainwave.place.vertical import check_vertical
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.sink import RasterSink
 
@@ -29,6 +32,7 @@ def decompress(
     size: int | str | None = None,
     voids: str | float | None = None,
     quality: float | None = None,
+    vertical: str = AS_IS,
     threads: int | None = None,
     overwrite: bool = False,
     progress: ProgressCallback | None = None,
@@ -56,6 +60,10 @@ def decompress(
         them, or a height in physical units.
     quality : float, optional
         Of a file of method cdf53: read only so many bits per sample, as in `Terrain.read_early`.
+    vertical : {"as-is", "ellipsoid"}
+        ``"ellipsoid"`` writes metres above the ellipsoid of the CRS, as float32 or float64,
+        converted from the CRS's vertical datum by PROJ's grid, and the CRS with ellipsoidal
+        heights. The tag TERRAINWAVE_VERTICAL says how, TERRAINWAVE_MAX_ERROR the bound that holds.
     threads : int, optional
         Threads that decode; the number of processors by default.
     overwrite : bool
@@ -64,7 +72,7 @@ def decompress(
     Raises
     ------
     InvalidHeightsError
-        If an option does not fit the kind of file.
+        If an option does not fit the kind of file, or heights cannot be converted.
     CorruptStreamError
         If a block is damaged; `dst` is untouched.
     StorageError
@@ -87,6 +95,12 @@ def decompress(
             f"{os.fspath(dst)}: `size` is for height tiles, expected a name ending in"
             f" {one_of(HEIGHT_TILE_ENDINGS)}"
         )
+    is_converted = check_vertical(vertical)
+    if is_tile and is_converted:
+        raise InvalidArgumentError(
+            f"{os.fspath(dst)}: found `vertical` {vertical} for a height tile, which keeps the"
+            " file's datum; expected a GeoTIFF"
+        )
     refuse_own_source(src, dst)
     with TerrainFile(src, threads=threads) as terrain:
         region = terrain.region(window, bounds=bounds, level=level)
@@ -102,11 +116,15 @@ def decompress(
                 reporter=reporter,
             )
         info = replace(
-            terrain.raster_info,
+            info_to_write(terrain),
             n_rows=region.n_rows,
             n_cols=region.n_cols,
             transform=terrain.transform(level, region),
         )
+        converted = None
+        if is_converted:
+            converted = above_ellipsoid(terrain, info, level)
+            info = converted.info
         total = region.n_rows * region.n_cols
         done = 0
         with RasterSink(dst, info, cog=cog, overwrite=overwrite, n_threads=threads or 1) as sink:
@@ -119,7 +137,10 @@ def decompress(
                     heights, valid = terrain.read_with_mask(part, level=level)
                 else:
                     heights, valid, _ = terrain.read_early(part, level=level, quality=quality)
+                if converted is not None:
+                    heights = converted.heights(part, region, heights, valid)
                 sink.write(part.row - region.row, part.col - region.col, heights, valid)
                 done += part.n_rows * part.n_cols
                 reporter.report("decoding", done, total, done * heights.dtype.itemsize)
+        keep_place(dst, info)
     return os.fspath(dst)

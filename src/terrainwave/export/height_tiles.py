@@ -24,10 +24,10 @@ from terrainwave.errors import (
     TerrainwaveError,
     TerrainwaveWarning,
 )
-from terrainwave.export.frames import place_of
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import IDENTITY, Transform, bounds, pixel_size
 from terrainwave.grid.quadtree import Region
+from terrainwave.place.position import place_of
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 from terrainwave.read.resample import bilinear_sums, weighted_means
@@ -209,7 +209,7 @@ def _describe(
         "offset": tile.offset,
         "minimum": tile.offset,
         "maximum": tile.offset + tile.scale * int(tile.samples.max()),
-        "unit": raster.units,
+        "unit": terrain.units,
         "n_void": int(valid.size - np.count_nonzero(valid)),
         "void": {"lowest": "the lowest height", "fill": "filled from around"}.get(
             str(filling), filling
@@ -238,15 +238,14 @@ def _metres(terrain: TerrainFile, transform: Transform) -> list[float] | None:
         place = place_of(raster.crs, terrain.bounds)
     except TerrainwaveError:  # pyproj is not installed
         return None
-    width, height = pixel_size(transform)
-    if not place.is_geographic:
-        return [width * place.unit, height * place.unit]
-    _, bottom, _, top = terrain.bounds
-    latitude = (bottom + top) / 2 * place.unit
-    meridian, normal = place.ellipsoid.radii(latitude)
-    per_degree = math.radians(place.unit)
-    along = per_degree * normal * math.cos(math.radians(latitude))
-    return [width * along, height * per_degree * meridian]
+    left, bottom, right, top = terrain.bounds
+    try:
+        axes = place.local_axes((left + right) / 2, (bottom + top) / 2)
+    except TerrainwaveError:  # at a pole
+        return None
+    per_x, per_y = axes.lengths
+    a, b, _, d, e, _ = transform
+    return [math.hypot(a * per_x, d * per_y), math.hypot(b * per_x, e * per_y)]
 
 
 def _warn_of_aspect(

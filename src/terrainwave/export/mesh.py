@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import count_of, crs_name, in_one_line
+from terrainwave.arguments import AS_IS, count_of, crs_name, in_one_line
 
 if TYPE_CHECKING:
     from terrainwave.export.files import SavedMesh
@@ -85,6 +85,7 @@ class Mesh:
         z_scale: float = 1.0,
         solid: float | None = None,
         radius: float | None = None,
+        vertical: str = AS_IS,
         overwrite: bool = False,
     ) -> "SavedMesh":
         """Write the mesh to a file; see `terrainwave.export.files.save_mesh`.
@@ -101,6 +102,9 @@ class Mesh:
             Close the mesh with walls and a flat base at this height, in the file's unit.
         radius : float, optional
             Radius in metres of the body that degrees lie on, instead of the CRS's ellipsoid.
+        vertical : {"as-is", "ellipsoid"}
+            Of geocentric coordinates and .terrain: take heights as above the ellipsoid, or convert
+            them from the CRS's vertical datum by PROJ's grid.
         overwrite : bool
             Replace an existing file.
 
@@ -119,6 +123,7 @@ class Mesh:
             z_scale=z_scale,
             solid=solid,
             radius=radius,
+            vertical=vertical,
             overwrite=overwrite,
         )
 

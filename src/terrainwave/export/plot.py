@@ -9,15 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError, TerrainwaveWarning
-from terrainwave.export.frames import (
-    areas,
-    axis_labels,
-    find_place,
-    metres_per_unit,
-    unit_text,
-)
+from terrainwave.export.frames import areas, find_place
 from terrainwave.export.mesh import Mesh
 from terrainwave.extras import need
+from terrainwave.place.position import axis_labels
+from terrainwave.place.units import height_unit, unit_text
 
 # From the north-west, 45 degrees above the horizon, as maps are lit.
 _LIGHT = np.array([-0.5, 0.5, math.sqrt(0.5)])
@@ -65,12 +61,12 @@ def plot(mesh: Mesh, ax: Any, *, wireframe: bool, cmap: str | None) -> Any:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TerrainwaveWarning)
         place = find_place(mesh)
-        unit = metres_per_unit(mesh.units)
+        unit = height_unit(mesh.units, mesh.crs).metres
     left, bottom, right, top = mesh.bounds
     stretch = 1.0
     per_x = per_y = place.unit
-    if place.is_geographic:
-        latitude = (bottom + top) / 2 * place.unit
+    if place.in_degrees:
+        latitude = place.latitude((left + right) / 2, (bottom + top) / 2)
         stretch = math.cos(math.radians(min(abs(latitude), 85.0)))
         per_y = math.radians(place.unit) * place.ellipsoid.axis
         per_x = per_y * stretch

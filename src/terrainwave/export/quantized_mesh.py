@@ -15,21 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
+from terrainwave.arguments import AS_IS
 from terrainwave.container.publish import publish
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.export.files import SavedMesh, longest_edge
 from terrainwave.export.frames import (
-    EARTH,
-    Ellipsoid,
     areas,
     find_place,
-    geographic_points,
-    metres_per_unit,
+    globe_triangles,
+    on_ellipsoid,
     steepest,
 )
 from terrainwave.export.mesh import Mesh
 from terrainwave.extras import need
+from terrainwave.place.ellipsoid import Ellipsoid
+from terrainwave.place.units import height_unit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,34 +57,37 @@ class GeographicMesh:
     ellipsoid: Ellipsoid
 
 
-def on_globe(mesh: Mesh, *, radius: float | None = None) -> GeographicMesh:
+def on_globe(mesh: Mesh, *, radius: float | None = None, vertical: str = AS_IS) -> GeographicMesh:
     """Return the mesh in longitude, latitude (degrees) and metres.
 
     Meshes of the Earth go to WGS 84, which Cesium uses; others stay on their own body. Heights are
-    taken as above the ellipsoid.
+    taken as above the ellipsoid, or converted: `vertical` as in `to_frame`.
     """
-    from rasterio.crs import CRS
-
     if not mesh.n_triangles:
         raise InvalidHeightsError("the mesh is empty: there are no valid heights under it")
     place = find_place(mesh, radius=radius)
-    is_earth = abs(place.ellipsoid.axis - EARTH.axis) < 2000
-    target = CRS.from_epsg(4326) if is_earth else None
-    points = geographic_points(mesh, place, target)
-    unit = metres_per_unit(mesh.units)
+    place.note_sphere()
+    placed = on_ellipsoid(mesh, place, vertical)
     moved = replace(
         mesh,
-        vertices=points,
+        vertices=placed.points,
+        triangles=globe_triangles(mesh, place),
         origin=(0.0, 0.0, 0.0),
-        error=mesh.error * unit,
+        error=mesh.error * _metres(mesh) + placed.error,
         units="m",
+        attributes=mesh.attributes | {"vertical": placed.about},
     )
     if not (areas(moved) > 0).all():
         raise InvalidHeightsError(
             "in longitude and latitude some triangles turn over; a mesh across the date line or a"
             " pole cannot be one tile: expected smaller `bounds`"
         )
-    return GeographicMesh(moved, EARTH if is_earth else place.ellipsoid)
+    return GeographicMesh(moved, place.globe_ellipsoid)
+
+
+def _metres(mesh: Mesh) -> float:
+    """Return the length of a unit of heights in metres."""
+    return abs(height_unit(mesh.units, mesh.crs).metres)
 
 
 def encode_tile(globe: GeographicMesh, bounds: "Sequence[float]") -> Tile:
@@ -99,6 +103,7 @@ def encode_tile(globe: GeographicMesh, bounds: "Sequence[float]") -> Tile:
     points, triangles = _in_order_of_use(globe.mesh)
     quantized, rounding, low, high = _quantize(points, triangles, bounds)
     about = {"bounds": list(bounds), "geometricerror": globe.mesh.error + rounding}
+    about |= {name: globe.mesh.attributes[name] for name in ("vertical",)}
     data = tile_bytes(points, quantized, triangles, (low, high), globe.ellipsoid, about)
     return Tile(data, rounding, len(points), len(triangles))
 
@@ -200,36 +205,39 @@ def save_tile(
     path: str | os.PathLike[str],
     *,
     radius: float | None = None,
+    vertical: str = AS_IS,
     overwrite: bool = False,
 ) -> SavedMesh:
     """Write a mesh as one quantized-mesh tile over its own bounds.
 
     The bounds, which a tile tells by its place in a tile set only, are in its metadata extension.
     """
-    globe = on_globe(mesh, radius=radius)
+    globe = on_globe(mesh, radius=radius, vertical=vertical)
     tile = encode_tile(globe, globe.mesh.bounds)
     with publish(path, overwrite) as part, storage_errors(f"cannot write {path}"):
         part.file.write(tile.data)
-    rounding = tile.rounding / metres_per_unit(mesh.units)
+    rounding = tile.rounding / _metres(mesh)
     return SavedMesh(
         path=os.fspath(path),
         n_bytes=len(tile.data),
         n_vertices=tile.n_vertices,
         n_triangles=tile.n_triangles,
-        error=mesh.error + rounding,
+        error=globe.mesh.error / _metres(mesh) + rounding,
         rounding=rounding,
         units=mesh.units,
         frame="ecef",
         origin=(0.0, 0.0, 0.0),
         curvature=curvature(globe),
+        vertical=globe.mesh.attributes["vertical"],
     )
 
 
-def tile_rounding(mesh: Mesh, *, radius: float | None = None) -> float:
+def tile_rounding(mesh: Mesh, *, radius: float | None = None, vertical: str = AS_IS) -> float:
     """Return the error that `save_tile` would add to the mesh's, in the file's unit."""
-    globe = on_globe(mesh, radius=radius)
+    globe = on_globe(mesh, radius=radius, vertical=vertical)
     points, triangles = _in_order_of_use(globe.mesh)
-    return _quantize(points, triangles, globe.mesh.bounds)[1] / metres_per_unit(mesh.units)
+    rounding = _quantize(points, triangles, globe.mesh.bounds)[1]
+    return (globe.mesh.error + rounding) / _metres(mesh) - mesh.error
 
 
 def curvature(globe: GeographicMesh) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
+from terrainwave.export.georeference import info_to_write, warn_of_crs
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.info import stored_nodata
@@ -55,7 +56,11 @@ class VirtualGeoTIFF:
             "TERRAINWAVE_METHOD": terrain.header.method,
             "TERRAINWAVE_OVERVIEWS": "averages of samples, without a bound",
         }
-        return sparse_geotiff(terrain.raster_info, n_overviews, tags)
+        return sparse_geotiff(info_to_write(terrain), n_overviews, tags)
+
+    def warn_of_crs(self) -> None:
+        """Warn of what a GeoTIFF does not hold of the raster's CRS."""
+        warn_of_crs(self._layout[0], self.terrain.raster_info)
 
     @property
     def size(self) -> int:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from terrainwave.arguments import crs_name, in_one_line
 from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
 from terrainwave.file import TerrainFile
-from terrainwave.render.body import EARTH
+from terrainwave.place.bodies import EARTH
 from terrainwave.render.frame import frame_of
 from terrainwave.render.png import encode_png
 from terrainwave.render.ramps import N_COLORS, ramp_colors

@@ -59,6 +59,6 @@ def read_twz(
         surface.set_active_scalars("heights")
         surface.field_data["origin"] = placed.origin
         surface.field_data["error"] = [mesh.error]
-        surface.field_data["units"] = [terrain.raster_info.units or ""]
+        surface.field_data["units"] = [terrain.units or ""]
         surface.field_data["crs"] = [terrain.crs or ""]
     return surface

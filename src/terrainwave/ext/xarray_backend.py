@@ -14,6 +14,7 @@ from xarray.core import indexing
 from terrainwave.arguments import is_twz_name
 from terrainwave.errors import TerrainwaveWarning
 from terrainwave.file import DEFAULT_CACHE_BYTES, TerrainFile
+from terrainwave.place.position import axis_attributes
 from terrainwave.raster_io.info import stored_nodata
 
 VARIABLE = "heights"
@@ -221,7 +222,7 @@ def _coordinates(terrain: TerrainFile, level: int) -> dict[str, xr.Variable]:
     if crs is not None:
         reference |= {"crs_wkt": crs.to_wkt(), "spatial_ref": crs.to_wkt()}
     found = {GRID_MAPPING: xr.Variable((), np.int64(0), attrs=reference, encoding=_origin(terrain))}
-    attributes = _axis_attributes(crs)
+    attributes = axis_attributes(terrain.crs)
     if terrain.is_turned(level):
         for axis, name in enumerate(("xc", "yc")):
             places = indexing.LazilyIndexedArray(_LazyPlaces(terrain, level, axis))
@@ -231,20 +232,6 @@ def _coordinates(terrain: TerrainFile, level: int) -> dict[str, xr.Variable]:
             numbers = terrain.coordinates(level)[axis]
             found[name] = xr.Variable(name, numbers, attrs=attributes[axis])
     return found
-
-
-def _axis_attributes(crs: Any) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the attributes of x and y that the CF conventions ask for."""
-    if crs is not None and crs.is_geographic:
-        return (
-            {"axis": "X", "standard_name": "longitude", "units": "degrees_east"},
-            {"axis": "Y", "standard_name": "latitude", "units": "degrees_north"},
-        )
-    x_attrs = {"axis": "X", "standard_name": "projection_x_coordinate"}
-    y_attrs = {"axis": "Y", "standard_name": "projection_y_coordinate"}
-    if crs is not None and crs.is_projected:
-        x_attrs["units"] = y_attrs["units"] = crs.linear_units
-    return x_attrs, y_attrs
 
 
 class _LazyGrid(BackendArray):

@@ -219,6 +219,7 @@ def _description(
     """Return an archive's header and its metadata."""
     kinds = need("pmtiles.tile", extra="pmtiles")
     west, south, east, north = globe.extent
+    longitude, latitude = globe.extent.centre
     if east > 180:  # bounds end there: the whole round, of which most tiles are empty
         west, east = -180.0, 180.0
     south, north = (
@@ -232,8 +233,8 @@ def _description(
         "max_lon_e7": round(east * 1e7),
         "max_lat_e7": round(north * 1e7),
         "center_zoom": max(summaries[-1].zoom - 3, summaries[0].zoom),
-        "center_lon_e7": round((west + east) / 2 * 1e7),
-        "center_lat_e7": round((south + north) / 2 * 1e7),
+        "center_lon_e7": round(longitude * 1e7),
+        "center_lat_e7": round(min(max(latitude, south), north) * 1e7),
     }
     metadata = {
         "type": "baselayer",

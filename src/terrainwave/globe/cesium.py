@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import checked_threads
+from terrainwave.arguments import AS_IS, checked_threads
 from terrainwave.container.publish import publish_directory
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import (
@@ -31,6 +31,7 @@ from terrainwave.export.quantized_mesh import STEPS, tile_bytes
 from terrainwave.extras import need
 from terrainwave.globe.lonlat import Extent, Globe, Window
 from terrainwave.mesh.blocks import BlockSamples, SideTolerances, border_lines
+from terrainwave.place.vertical import check_vertical, describe_as_is, note_as_is
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.tri.borders import beside_void
 from terrainwave.tri.halves import triangulate
@@ -138,12 +139,15 @@ class TilePyramid:
         has its own.
     max_zoom : int, optional
         The finest zoom; by default the first one whose cells are no larger than pixels.
+    vertical : {"as-is", "ellipsoid"}
+        Take heights as above the ellipsoid, or convert them from the CRS's vertical datum by PROJ's
+        grid.
 
     Raises
     ------
     InvalidHeightsError
-        If the raster has no place on a globe, heights are beyond ±4000 km, or (when tiles are
-        asked for) `max_zoom` is out of range.
+        If the raster has no place on a globe, heights cannot be converted or are beyond ±4000 km,
+        or (when tiles are asked for) `max_zoom` is out of range.
 
     Notes
     -----
@@ -158,6 +162,7 @@ class TilePyramid:
         cells: int = CELLS,
         radius: float | None = None,
         max_zoom: int | None = None,
+        vertical: str = AS_IS,
     ) -> None:
         if cells < 2 or cells > 1024 or cells & (cells - 1):
             raise InvalidArgumentError(f"found `cells` {cells}, expected a power of two, 2 … 1024")
@@ -167,7 +172,10 @@ class TilePyramid:
             )
         self.globe = terrain if isinstance(terrain, Globe) else Globe(terrain, radius=radius)
         self._cells, self._asked = cells, max_zoom
+        self._ellipsoidal = self.globe.onto_ellipsoid() if check_vertical(vertical) else None
         low, high = self.globe.height_range
+        if self._ellipsoidal is not None:
+            low, high = self.globe.range_on(self._ellipsoidal)
         self._low = math.floor(min(low, void_height) / _UNIT)
         self._high = math.ceil(max(high, void_height) / _UNIT)
         if max(-self._low, self._high) > _MAX_HEIGHT:
@@ -275,7 +283,15 @@ class TilePyramid:
             "maxzoom": self.max_zoom,
             "metadataAvailability": self.max_zoom + 1,
             "available": self._availability(0),
+            "vertical": self.vertical,
         }
+
+    @property
+    def vertical(self) -> dict[str, Any]:
+        """Return what heights in tiles are."""
+        if self._ellipsoidal is not None:
+            return self._ellipsoidal.describe()
+        return describe_as_is(self.globe.terrain.crs)
 
     def _availability(self, first: int) -> list[list[dict[str, int]]]:
         """Return the tiles of each zoom from `first` on, as JSON tells them."""
@@ -335,7 +351,7 @@ class TilePyramid:
         lats = np.where(np.isfinite(lat), lat, 0.0)
         rows, cols = self.globe.to_samples(np.tile(lon, len(lat)), np.repeat(lats, len(lon)))
         rows[~exists.ravel()] = np.nan
-        surface, window = self.globe.heights_at(rows, cols, level)
+        surface, window = self._heights_at(rows, cols, level)
         exact = surface.reshape(shape)
         for row in poles:
             exact[row] = self._pole(float(lat[row]), level)
@@ -348,10 +364,19 @@ class TilePyramid:
             edge[:] = (edge.astype(np.int64) + step // 2) // step * step
         return _Samples(heights, exact, valid, exists, window)
 
+    def _heights_at(
+        self, rows: NDArray[np.float64], cols: NDArray[np.float64], level: int
+    ) -> tuple[NDArray[np.float64], Window | None]:
+        """Return `Globe.heights_at`, above what tiles count from."""
+        heights, window = self.globe.heights_at(rows, cols, level)
+        if self._ellipsoidal is not None:
+            heights = self.globe.heights_on(self._ellipsoidal, rows, cols, heights)
+        return heights, window
+
     def _pole(self, lat: float, level: int) -> float:
         lon = np.linspace(-180.0, 180.0, _N_AT_POLE, endpoint=False)
         rows, cols = self.globe.to_samples(lon, np.full(_N_AT_POLE, lat))
-        heights, _ = self.globe.heights_at(rows, cols, level)
+        heights, _ = self._heights_at(rows, cols, level)
         known = heights[np.isfinite(heights)]
         return float(known.mean()) if len(known) else math.nan
 
@@ -488,7 +513,7 @@ class TilePyramid:
         self, window: Window, zoom: int, x: int, y: int
     ) -> tuple[tuple[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]:
         """Return rows and columns in cells of the samples of a window in a tile; their heights."""
-        (lon, lat), heights = self.globe.places_of(window)
+        (lon, lat), heights = self.globe.places_of(window, self._ellipsoidal)
         size = 180 / (1 << zoom)
         rows = ((y + 1) * size - 90 - lat) / size * self._cells
         cols = np.mod(lon + 180 - x * size, 360) / size * self._cells
@@ -596,6 +621,7 @@ def write_tiles(
     void_height: float = 0.0,
     cells: int = CELLS,
     radius: float | None = None,
+    vertical: str = AS_IS,
     attribution: str = "",
     threads: int | None = None,
     overwrite: bool = False,
@@ -610,7 +636,7 @@ def write_tiles(
         ``{z}/{x}/{y}.terrain`` and ``layer.json``; it appears complete or not at all.
     max_zoom : int, optional
         The finest zoom; by default the first one whose cells are no larger than pixels.
-    void_height, cells, radius
+    void_height, cells, radius, vertical
         As in `TilePyramid`.
     attribution : str
         For ``layer.json``: whose data these are.
@@ -632,8 +658,15 @@ def write_tiles(
     """
     need("quantized_mesh_encoder", extra="mesh")
     pyramid = TilePyramid(
-        terrain, void_height=void_height, cells=cells, radius=radius, max_zoom=max_zoom
+        terrain,
+        void_height=void_height,
+        cells=cells,
+        radius=radius,
+        max_zoom=max_zoom,
+        vertical=vertical,
     )
+    if vertical == AS_IS:
+        note_as_is(terrain.crs)
     last = pyramid.max_zoom
     n_threads = checked_threads(threads)
     total = sum(pyramid.n_tiles(zoom) for zoom in range(last + 1))

@@ -13,20 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.export.frames import (
-    EARTH,
-    Ellipsoid,
-    geographic_base,
-    metres_per_unit,
-    place_of,
-    transform_where_possible,
-)
 from terrainwave.grid.affine import IDENTITY, determinant, places_to_samples, samples_to_places
 from terrainwave.grid.quadtree import Block
+from terrainwave.place.ellipsoid import Ellipsoid
+from terrainwave.place.position import place_of
+from terrainwave.place.units import height_unit
+from terrainwave.place.vertical import EllipsoidalHeights, onto_wgs84
 
 if TYPE_CHECKING:
-    from rasterio.crs import CRS
-
     from terrainwave.file import TerrainFile
 
 Numbers = NDArray[np.float64]
@@ -42,6 +36,9 @@ _MAX_GAP = 256
 _N_ALONG, _N_INSIDE = 129, 17
 # Of an extent: how far a side may bulge between those points.
 _BULGE = 0.01
+# Places along each side that tell how far a datum lies from the ellipsoid, and the share of the
+# difference that may be beyond what they tell.
+_N_OF_DATUM, _DATUM_SLACK = 65, 0.2
 _POLE = 90.0
 
 
@@ -66,6 +63,12 @@ class Extent(NamedTuple):
     east: float
     north: float
 
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Return the longitude, -180 … 180, and the latitude of the middle."""
+        longitude = (self.west + self.east) / 2
+        return (longitude + 180) % 360 - 180, (self.south + self.north) / 2
+
     def holds(self, lon: Numbers, lat: Numbers) -> NDArray[np.bool_]:
         """Say which places are in it or, as its sides may bulge a little, close by."""
         slack = _BULGE * max(self.east - self.west, self.north - self.south)
@@ -80,7 +83,7 @@ class Extent(NamedTuple):
 class Globe:
     """A terrain in longitude and latitude in degrees, heights in metres.
 
-    Rasters of the Earth are on WGS 84, others on the geographic system of their own CRS.
+    Rasters of the Earth are on WGS 84, others on the datum of their own CRS.
 
     Parameters
     ----------
@@ -98,32 +101,26 @@ class Globe:
         raster = terrain.raster_info
         is_placed = raster.transform != IDENTITY
         place = place_of(raster.crs, terrain.bounds, is_placed=is_placed, radius=radius)
-        if not place.is_geographic and place.crs is None:
+        if not place.has_globe:
             raise InvalidHeightsError(
                 "the raster has no coordinate reference system: it has no place on a globe"
             )
         if determinant(raster.transform) == 0:
             raise InvalidHeightsError("the affine transform cannot be inverted")
+        place.note_sphere()
         self.terrain = terrain
         self._place = place
-        is_earth = abs(place.ellipsoid.axis - EARTH.axis) < 2000
-        self.ellipsoid: Ellipsoid = EARTH if is_earth else place.ellipsoid
-        self._crs = place.crs
-        self._globe_crs = self._system(is_earth)
+        self.body = place.body
+        self.ellipsoid: Ellipsoid = place.globe_ellipsoid
         a, b, _, d, _, _ = raster.transform
         # Columns of 360 degrees, where rows are parallels.
-        self.turn = 360 / (abs(a) * place.unit) if place.is_geographic and b == d == 0 else None
+        rows_are_parallels = place.is_plain and place.longitude_axis == 0 and b == d == 0
+        self.turn = 360 / (abs(a) * place.unit) if rows_are_parallels else None
         self.is_whole_turn = self.turn is not None and abs(self.turn - terrain.shape[1]) < 0.01
-        self.metres = metres_per_unit(raster.units)
-
-    def _system(self, is_earth: bool) -> "CRS | None":
-        """Return the geographic system of the globe; None if the raster is in it already."""
-        from rasterio.crs import CRS
-
-        if self._crs is None or (self._place.is_geographic and not is_earth):
-            return None
-        system = CRS.from_epsg(4326) if is_earth else geographic_base(self._crs)
-        return None if self._crs == system else system
+        # Per unit of height; negative where the CRS counts depths.
+        unit = height_unit(raster.units, raster.crs)
+        unit.note_depths()
+        self.metres = unit.metres
 
     # Places
 
@@ -135,7 +132,7 @@ class Globe:
         lon, lat : ndarray of float64, shape (n_places,)
             Degrees; each result depends on its place alone.
         """
-        if self._globe_crs is None:
+        if self._place.is_lonlat:
             return self._to_samples(lon, lat)
         rows, cols = np.full(lon.shape, np.nan), np.full(lon.shape, np.nan)
         near = self.extent.holds(lon, lat)
@@ -149,15 +146,12 @@ class Globe:
         NaN where the raster's system has no place. Of degrees the columns are those of the turn
         that the raster is in the middle of.
         """
-        xy = np.stack([lon, lat], axis=1)
-        if self._globe_crs is not None and self._crs is not None:
-            xy = transform_where_possible(xy, self._globe_crs, self._crs)
-        else:
-            xy = xy / self._place.unit
-        if self._place.is_geographic:
+        xy = self._place.from_lonlat(np.stack([lon, lat], axis=1))
+        axis = self._place.longitude_axis
+        if axis is not None:
             turn = 360 / self._place.unit
-            start = self._centre_x - turn / 2
-            xy[:, 0] = start + np.mod(xy[:, 0] - start, turn)
+            start = self._centre[axis] - turn / 2
+            xy[:, axis] = start + np.mod(xy[:, axis] - start, turn)
         with np.errstate(all="ignore"):
             return places_to_samples(self.terrain.raster_info.transform, xy[:, 0], xy[:, 1])
 
@@ -170,15 +164,15 @@ class Globe:
             else:
                 cols, is_col = _clamped(cols, self.terrain.shape[1])
         inside = is_row & is_col
-        if self._globe_crs is not None and inside.any():
+        if not self._place.is_lonlat and inside.any():
             # Projections give places to points of the other side of the globe too.
             inside[inside] = self._come_back(rows[inside], cols[inside], lon[inside], lat[inside])
         return np.where(inside, rows, np.nan), np.where(inside, cols, np.nan)
 
     @cached_property
-    def _centre_x(self) -> float:
-        left, _, right, _ = self.terrain.bounds
-        return (left + right) / 2
+    def _centre(self) -> tuple[float, float]:
+        left, bottom, right, top = self.terrain.bounds
+        return (left + right) / 2, (bottom + top) / 2
 
     def _come_back(
         self, rows: Numbers, cols: Numbers, lon: Numbers, lat: Numbers
@@ -193,10 +187,8 @@ class Globe:
     def from_samples(self, rows: Numbers, cols: Numbers) -> Places:
         """Return longitudes and latitudes of fractional rows and columns of the full grid."""
         x, y = samples_to_places(self.terrain.raster_info.transform, rows, cols)
-        if self._globe_crs is not None and self._crs is not None:
-            xy = transform_where_possible(np.stack([x, y], axis=1), self._crs, self._globe_crs)
-            return xy[:, 0], xy[:, 1]
-        return x * self._place.unit, y * self._place.unit
+        lonlat = self._place.to_lonlat(np.stack([x, y], axis=1))
+        return lonlat[:, 0], lonlat[:, 1]
 
     @cached_property
     def pixel(self) -> float:
@@ -229,11 +221,11 @@ class Globe:
             raise InvalidHeightsError("the raster has no place in longitude and latitude")
         middle = self.from_samples(np.array([(n_rows - 1) / 2]), np.array([(n_cols - 1) / 2]))[0][0]
         # Longitudes as they go on from the middle, across the antimeridian too.
-        if self._globe_crs is not None:
+        if not self._place.is_lonlat:
             lon = middle + np.mod(lon - middle + 180, 360) - 180
         west, east = float(lon[known].min()), float(lon[known].max())
         south, north = float(lat[known].min()), float(lat[known].max())
-        if not self._place.is_geographic:
+        if not self._place.is_plain:
             rows, _ = self._to_samples(np.zeros(2), np.array([-_POLE, _POLE]))
             has_south, has_north = np.isfinite(rows)
             south, north = (-_POLE if has_south else south), (_POLE if has_north else north)
@@ -249,7 +241,7 @@ class Globe:
     @property
     def effective_error(self) -> float:
         """Return the bound that holds at samples of the full grid, in metres."""
-        return self.terrain.effective_error * self.metres
+        return self.terrain.effective_error * abs(self.metres)
 
     def level_for(self, spacing: float) -> int:
         """Return the coarsest level whose samples are at most `spacing` metres apart."""
@@ -323,14 +315,53 @@ class Globe:
         metres = (known * raster.scale + raster.offset) * self.metres
         return Window(level, top, np.concatenate(columns), metres, mask)
 
-    def places_of(self, window: Window) -> tuple[Places, Numbers]:
+    def places_of(
+        self, window: Window, ellipsoidal: EllipsoidalHeights | None = None
+    ) -> tuple[Places, Numbers]:
         """Return longitudes and latitudes of a window's valid samples, and their heights."""
         stride = self.terrain.grid.stride(window.level)
         rows, cols = np.nonzero(window.valid)
         full_rows = stride * (rows + window.row).astype(np.float64)
         full_cols = stride * window.columns[cols].astype(np.float64)
         places = self.from_samples(full_rows, full_cols)
-        return places, window.heights[rows, cols]
+        heights = window.heights[rows, cols]
+        if ellipsoidal is not None:
+            heights = self.heights_on(ellipsoidal, full_rows, full_cols, heights)
+        return places, heights
+
+    # Above the ellipsoid
+
+    def onto_ellipsoid(self) -> EllipsoidalHeights:
+        """Return the way from the file's heights to those above the globe's ellipsoid.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If the CRS names no vertical datum, or PROJ lacks an operation or a grid.
+        """
+        return onto_wgs84(self._place, self.terrain.bounds)
+
+    def heights_on(
+        self, ellipsoidal: EllipsoidalHeights, rows: Numbers, cols: Numbers, heights: Numbers
+    ) -> Numbers:
+        """Return heights in metres above the ellipsoid of heights at fractional samples."""
+        x, y = samples_to_places(self.terrain.raster_info.transform, rows, cols)
+        return ellipsoidal.heights(x, y, heights)
+
+    def range_on(self, ellipsoidal: EllipsoidalHeights) -> tuple[float, float]:
+        """Return metres above the ellipsoid that no height is below or above."""
+        low, high = self.height_range
+        n_rows, n_cols = self.terrain.shape
+        rows, cols = np.meshgrid(
+            np.linspace(0, n_rows - 1, _N_OF_DATUM), np.linspace(0, n_cols - 1, _N_OF_DATUM)
+        )
+        flat = np.full(rows.size, (low + high) / 2)
+        raised = ellipsoidal.raised(
+            *samples_to_places(self.terrain.raster_info.transform, rows.ravel(), cols.ravel()), flat
+        )
+        most, least = float(np.nanmax(raised)), float(np.nanmin(raised))
+        slack = _DATUM_SLACK * (most - least) + 1.0
+        return low + least - slack, high + most + slack
 
     def heights_error(self, window: Window) -> float:
         """Return how far originals can be from the bilinear surface of a window, in metres."""
@@ -348,7 +379,7 @@ class Globe:
             for row in block_rows
             for col in block_cols
         ]
-        return max(errors) * self.metres
+        return max(errors) * abs(self.metres)
 
     @cached_property
     def height_range(self) -> tuple[float, float]:

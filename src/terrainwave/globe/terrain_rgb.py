@@ -369,7 +369,6 @@ def tile_json(globe: Globe, url: str, name: str, encoding: str = MAPBOX) -> dict
     """
     west, south, east, north = globe.extent
     last = max_zoom(globe)
-    middle = (west + east) / 2
     if east > 180:  # bounds end there: the whole round, of which most tiles are empty
         west, east = -180.0, 180.0
     return {
@@ -380,7 +379,7 @@ def tile_json(globe: Globe, url: str, name: str, encoding: str = MAPBOX) -> dict
         "minzoom": 0,
         "maxzoom": last,
         "bounds": [west, max(south, -MAX_LATITUDE), east, min(north, MAX_LATITUDE)],
-        "center": [(middle + 180) % 360 - 180, (south + north) / 2, max(last - 3, 0)],
+        "center": [*globe.extent.centre, max(last - 3, 0)],
         "encoding": encoding,
         "tileSize": TILE_SIZE,
         "format": "png",

@@ -649,7 +649,7 @@ class _Extractor:
         origin = (*samples_to_places(raster.transform, float(row_0), float(col_0)), 0.0)
         # An array without a place: its columns and rows are no degrees.
         attributes = {"is_placed": raster.transform != IDENTITY}
-        return PlacedMesh(points, triangles, origin, error, crs, raster.units, attributes)
+        return PlacedMesh(points, triangles, origin, error, crs, self._terrain.units, attributes)
 
 
 def _n_bytes(samples: BlockSamples) -> int:

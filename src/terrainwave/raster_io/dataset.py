@@ -22,7 +22,7 @@ from terrainwave.errors import (
     TerrainwaveError,
 )
 from terrainwave.grid.affine import IDENTITY
-from terrainwave.raster_io.crs import format_crs, is_exact
+from terrainwave.place.crs import format_crs, is_exact
 from terrainwave.raster_io.gdal import (
     GDAL_ERRORS,
     bounded_env,

@@ -20,7 +20,7 @@ from rasterio.warp import transform, transform_bounds
 
 from terrainwave.errors import InvalidHeightsError, StorageError, TerrainwaveError
 from terrainwave.grid.affine import Transform, determinant, pixels_to_places, places_to_pixels
-from terrainwave.raster_io.crs import parse_crs
+from terrainwave.place.crs import parse_crs
 from terrainwave.raster_io.dataset import open_dataset
 from terrainwave.raster_io.gdal import GDAL_ERRORS, bounded_env, one_line
 

@@ -95,7 +95,7 @@ class RasterInfo:
     def rasterio_crs(self) -> Any:
         """Return the CRS as rasterio's object; None, with a warning, if it cannot be understood."""
         # Imported here: `terrainwave info` needs no rasterio.
-        from terrainwave.raster_io.crs import parse_crs
+        from terrainwave.place.crs import parse_crs
 
         return parse_crs(self.crs)
 

@@ -27,7 +27,8 @@ from terrainwave.grid.affine import (
     of_steps,
     steps_on,
 )
-from terrainwave.raster_io.crs import format_crs, parse_crs
+from terrainwave.place.crs import crs_of_grid_mapping, format_crs, parse_crs
+from terrainwave.place.description import describe_quietly
 
 # What says that a coordinate is x or y, strongest first: attributes of the CF conventions, names.
 _AXIS = {"x": {"x"}, "y": {"y"}}
@@ -342,9 +343,7 @@ def _crs(array: Any, source: Any) -> tuple[CRS | None, list[str]]:
 def _crs_of_mapping(mapping: dict[str, Any]) -> tuple[CRS | None, list[str]]:
     """Return the CRS of a CF grid mapping without WKT."""
     try:
-        from pyproj import CRS as ProjCRS
-
-        return CRS.from_wkt(ProjCRS.from_cf(mapping).to_wkt()), []
+        return crs_of_grid_mapping(mapping), []
     except ImportError:
         reason = "pyproj is not installed, which reads it"
     except (CRSError, KeyError, RuntimeError, TypeError, ValueError) as error:
@@ -472,10 +471,13 @@ def _check_unit(array: Any, name: str, coord: Any, crs: CRS | None) -> None:
         return
     unit = str(coord.attrs.get("units", "")).lower()
     largest = float(np.abs(np.asarray(coord.values)).max(initial=0))
-    crs_unit, in_metres = ("degree", math.inf) if crs.is_geographic else crs.linear_units_factor
+    said = describe_quietly(format_crs(crs))
+    if said is None:
+        return
+    crs_unit, in_metres = said.x.unit, math.inf if said.in_degrees else said.x.factor
     if _is_degrees(coord):
-        is_other, unit = not crs.is_geographic and largest <= 360, "degrees"
-    elif crs.is_geographic:
+        is_other, unit = not said.in_degrees and largest <= 360, "degrees"
+    elif said.in_degrees:
         is_other = math.isfinite(_METRES.get(unit, math.inf)) and largest > 360
     else:
         is_other = abs(_METRES.get(unit, in_metres) / in_metres - 1) > 1e-5

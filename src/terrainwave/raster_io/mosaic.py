@@ -13,7 +13,7 @@ from terrainwave.cache import Cache
 from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.affine import determinant, of_window, places_to_pixels
 from terrainwave.grid.quadtree import Region
-from terrainwave.raster_io.crs import format_crs
+from terrainwave.place.crs import format_crs
 from terrainwave.raster_io.dataset import DatasetBackend, open_dataset
 from terrainwave.raster_io.info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
 from terrainwave.raster_io.tags import common_tags

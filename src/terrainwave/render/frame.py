@@ -1,6 +1,7 @@
 """Local metres: x east, y north, z up, from the middle of the raster."""
 
 import math
+import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -11,11 +12,12 @@ from numpy.typing import NDArray
 from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
+    TerrainwaveWarning,
 )
-from terrainwave.export.frames import find_place, metres_per_unit
-from terrainwave.export.mesh import Mesh
 from terrainwave.grid.affine import IDENTITY, pixels_to_places, samples_to_places
-from terrainwave.render.body import UNKNOWN, body_of, latitudes_of
+from terrainwave.place.bodies import UNKNOWN
+from terrainwave.place.position import LocalAxes, place_of
+from terrainwave.place.units import height_unit
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -26,6 +28,8 @@ _SEEN_RELIEF = 0.004
 _LEAST_RELIEF, _MOST_DETAIL = 0.02, 1 / 256
 # How far an eye sees, in its heights over the lowest ground; more than in any view of all.
 _SEEN_HEIGHTS = 8.0
+# Degrees: rasters around a pole are drawn by the length of degrees here.
+_MOST_LATITUDE = 89.9
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class Frame:
     centre : tuple of float
         x, y in the CRS of the local origin.
     metres : tuple of float
-        Metres per unit of x, y and height, without exaggeration.
+        Metres per unit of x, y and height, without exaggeration; all > 0.
     sample_matrix : tuple of float
         (a, b, c, d, e, f): local x = a col + b row + c, y = d col + e row + f of full-grid samples.
     shape : tuple of int
@@ -47,9 +51,11 @@ class Frame:
     exaggeration : float
         Local z is the height in metres times this.
     body : str
-        One of `body`'s names.
+        One of `place.bodies`' names.
     latitudes : tuple of float, optional
         Degrees, of the middles of the lower and the upper side.
+    axes : LocalAxes, optional
+        Metres to the east and north of steps along x and y; by default x goes east and y north.
     """
 
     centre: tuple[float, float]
@@ -60,6 +66,7 @@ class Frame:
     exaggeration: float = 1.0
     body: str = UNKNOWN
     latitudes: tuple[float, float] | None = None
+    axes: LocalAxes | None = None
 
     @cached_property
     def box(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -139,15 +146,22 @@ class Frame:
     def to_local(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return local metres of (x, y, height) in the file's CRS and unit."""
         shift = np.array([*self.centre, 0.0])
-        return (points - shift) * self._scales
+        local: NDArray[np.float64] = (points - shift) @ self._matrix.T
+        return local
 
     def to_world(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (x, y, height) in the file's CRS and unit; the inverse of `to_local`."""
-        return points / self._scales + np.array([*self.centre, 0.0])
+        world: NDArray[np.float64] = points @ np.linalg.inv(self._matrix).T
+        return world + np.array([*self.centre, 0.0])
 
-    @property
-    def _scales(self) -> NDArray[np.float64]:
-        return np.array(self.metres) * (1.0, 1.0, self.exaggeration)
+    @cached_property
+    def _matrix(self) -> NDArray[np.float64]:
+        """Return what makes local metres of differences in the file's CRS and unit."""
+        per_x, per_y, per_height = self.metres
+        matrix = np.diag([per_x, per_y, per_height * self.exaggeration])
+        if self.axes is not None:
+            matrix[:2, :2] = self.axes.matrix
+        return matrix
 
     def exaggerated(self, factor: float) -> "Frame":
         """Return the frame with another vertical exaggeration.
@@ -205,42 +219,30 @@ def frame_of(
     rows = np.array([0, 0, n_rows - 1, n_rows - 1], dtype=np.float64)
     cols = np.array([0, n_cols - 1, 0, n_cols - 1], dtype=np.float64)
     x, y = samples_to_places(raster.transform, rows, cols)
-    corners = np.column_stack([x, y, np.zeros(4)])
-    outline = Mesh(
-        corners,
-        np.array([[0, 1, 2], [1, 3, 2]], dtype=np.int32),
-        (0.0, 0.0, 0.0),
-        0.0,
-        terrain.crs,
-        raster.units,
-        {"is_placed": tuple(raster.transform) != IDENTITY},
-    )
-    place = find_place(outline, radius=radius)
-    left, bottom, right, top = outline.bounds
+    outline = float(x.min()), float(y.min()), float(x.max()), float(y.max())
+    is_placed = tuple(raster.transform) != IDENTITY
+    place = place_of(terrain.crs, outline, is_placed=is_placed, radius=radius)
+    left, bottom, right, top = outline
     centre_x, centre_y = (left + right) / 2, (bottom + top) / 2
-    if place.is_geographic:
-        latitude = min(max(centre_y * place.unit, -89.9), 89.9)
-        meridian, normal = place.ellipsoid.radii(latitude)
-        per_x = math.radians(place.unit) * normal * math.cos(math.radians(latitude))
-        per_y = math.radians(place.unit) * meridian
-    else:
-        per_x = per_y = place.unit
+    axes = place.local_axes(centre_x, centre_y, most=_MOST_LATITUDE)
+    linear = axes.matrix @ np.array([[a, b], [d, e]])
+    first = axes.matrix @ np.array([x[0] - centre_x, y[0] - centre_y])
     info = terrain.info()
-    matrix = (
-        a * per_x,
-        b * per_x,
-        (corners[0, 0] - centre_x) * per_x,
-        d * per_y,
-        e * per_y,
-        (corners[0, 1] - centre_y) * per_y,
-    )
+    unit = height_unit(raster.units, raster.crs)
+    if unit.metres < 0:
+        warnings.warn(
+            "the coordinate reference system counts depths downwards; they are drawn as heights",
+            TerrainwaveWarning,
+            stacklevel=2,
+        )
     frame = Frame(
         (centre_x, centre_y),
-        (per_x, per_y, metres_per_unit(raster.units)),
-        matrix,
+        (*axes.lengths, abs(unit.metres)),
+        (*linear[0].tolist(), float(first[0]), *linear[1].tolist(), float(first[1])),
         terrain.shape,
         (info.minimum or 0.0, info.maximum or 0.0),
-        body=body_of(place, radius),
-        latitudes=latitudes_of(place, outline.bounds),
+        body=place.body,
+        latitudes=place.side_latitudes(outline),
+        axes=axes,
     )
     return frame.exaggerated(exaggeration)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.export.frames import unit_text
+from terrainwave.place.units import unit_text
 from terrainwave.render.frame import Frame, round_length
 from terrainwave.render.ramps import N_LATITUDES, Palette
 from terrainwave.render.style import Style

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.export.frames import Place, metres_per_unit, place_of, unit_text
 from terrainwave.grid.affine import IDENTITY
+from terrainwave.place.position import Place, place_of
+from terrainwave.place.units import height_unit, unit_text
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
@@ -89,12 +90,13 @@ class Ruler:
         On an ellipsoid by its radii of curvature halfway.
         """
         steps = np.diff(places, axis=0) * self._place.unit
-        if not self._place.is_geographic:
+        axis = self._place.longitude_axis
+        if axis is None:
             return np.hypot(steps[:, 0], steps[:, 1])
-        middles = (places[:-1, 1] + places[1:, 1]) / 2 * self._place.unit
+        middles = (places[:-1, 1 - axis] + places[1:, 1 - axis]) / 2 * self._place.unit
         radii = np.array([self._place.ellipsoid.radii(latitude) for latitude in middles])
-        east = np.radians(steps[:, 0]) * radii[:, 1] * np.cos(np.radians(middles))
-        return np.hypot(east, np.radians(steps[:, 1]) * radii[:, 0])
+        east = np.radians(steps[:, axis]) * radii[:, 1] * np.cos(np.radians(middles))
+        return np.hypot(east, np.radians(steps[:, 1 - axis]) * radii[:, 0])
 
 
 def read_profile(
@@ -116,7 +118,7 @@ def read_profile(
         parts.append(start + (end - start) * (np.arange(1, n + 1) / n)[:, None])
     places = np.concatenate(parts)
     distances = np.concatenate([[0.0], np.cumsum(ruler.steps(places))])
-    per_height = metres_per_unit(terrain.raster_info.units)
+    per_height = abs(height_unit(terrain.raster_info.units, terrain.crs).metres)
     return Profile(places, distances, terrain.sample(places), per_height)
 
 
@@ -143,7 +145,7 @@ def describe_profile(terrain: "TerrainFile", profile: Profile) -> list[str]:
 
 
 def _unit(terrain: "TerrainFile") -> str:
-    return unit_text(terrain.raster_info.units) if terrain.raster_info.units else ""
+    return unit_text(terrain.units) if terrain.units else ""
 
 
 def distance_text(length: float) -> str:

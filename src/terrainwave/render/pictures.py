@@ -169,7 +169,7 @@ def with_marks(
             style,
             offscreen.renderer.palette(frames, style),
             scene.frame,
-            scene.terrain.raster_info.units,
+            scene.terrain.units,
             has_voids=offscreen.has_voids and style.draws_solid,
         )
     return draw_marks(image, legend=explained, metres_per_pixel=scale)

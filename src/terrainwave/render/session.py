@@ -236,7 +236,7 @@ class Session:
             "memory": f"{n_bytes / 2**20:.0f} of {max_bytes >> 20} MiB on the GPU",
             "threads": f"{scene.n_workers} read and decode",
             "file": f"{scene.terrain.name}, within {scene.terrain.effective_error:g}"
-            f" {scene.terrain.raster_info.units or ''}".rstrip(),
+            f" {scene.terrain.units or ''}".rstrip(),
         }
         found |= {name: f"{value:g}" for name, value in scene.options.items() if value}
         return [(name, str(value)) for name, value in found.items()]

@@ -112,11 +112,15 @@ vec2 slope_at(vec2 beside) {
     return texel_at(beside).xy;
 }
 
-// Ridges positive, gullies negative: the change of slope over two samples.
+// Ridges positive, gullies negative: the change of the slope to the east over two samples
+// eastwards and of that to the north over two northwards, however the raster lies.
 float bend() {
-    float x = slope_at(vec2(-1.0, 0.0)).x - slope_at(vec2(1.0, 0.0)).x;
-    float y = slope_at(vec2(0.0, -1.0)).y - slope_at(vec2(0.0, 1.0)).y;
-    return x * sign(sample_axes.x) + y * sign(sample_axes.w);
+    vec2 by_col = slope_at(vec2(-1.0, 0.0)) - slope_at(vec2(1.0, 0.0));
+    vec2 by_row = slope_at(vec2(0.0, -1.0)) - slope_at(vec2(0.0, 1.0));
+    vec2 east = normalize(vec2(sample_axes.w, -sample_axes.z));
+    vec2 north = normalize(vec2(-sample_axes.y, sample_axes.x));
+    float turned = sign(sample_axes.x * sample_axes.w - sample_axes.y * sample_axes.z);
+    return turned * (dot(vec2(by_col.x, by_row.x), east) + dot(vec2(by_col.y, by_row.y), north));
 }
 
 void main() {

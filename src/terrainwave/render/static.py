@@ -17,11 +17,11 @@ from terrainwave.errors import (
     TerrainwaveError,
     TerrainwaveWarning,
 )
-from terrainwave.export.frames import axis_labels
 from terrainwave.export.plot import add_colour_bar, colours_of_heights, label_axes
 from terrainwave.extras import need
 from terrainwave.grid.affine import IDENTITY
-from terrainwave.render.body import EARTH
+from terrainwave.place.bodies import EARTH
+from terrainwave.place.position import axis_labels
 from terrainwave.render.frame import check_drawable, frame_of
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def plot(terrain: "TerrainFile", ax: Any, *, cmap: str | None, shade: float, bou
     ax.set_aspect(per_y / per_x)
     is_placed = tuple(raster.transform) != IDENTITY
     label_axes(ax, *axis_labels(terrain.crs, is_placed=is_placed))
-    add_colour_bar(ax, norm, colours, raster.units)
+    add_colour_bar(ax, norm, colours, terrain.units)
     return ax
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from terrainwave.errors import (
     InvalidArgumentError,
 )
-from terrainwave.render.body import EARTH, MARS, MOON, OTHER, UNKNOWN
+from terrainwave.place.bodies import EARTH, MARS, MOON, OTHER, UNKNOWN
 from terrainwave.render.colorings import AUTO, NO_SEA, RAMP_NAMES
 
 # The shader's numbers.

@@ -356,7 +356,7 @@ class Viewer:
         under = self._pick(*self.cursor)
         if under is not None:
             x, y, z = scene.frame.to_world(under[None])[0]
-            unit = scene.terrain.raster_info.units or ""
+            unit = scene.terrain.units or ""
             lines.append(f"{x:.10g}, {y:.10g}: {z:.6g} {unit}".rstrip())
         lines += self._session.lines(frames)
         if offscreen.photo is not None and offscreen.photo.credit is not None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.render.body import EARTH, UNKNOWN
+from terrainwave.place.bodies import EARTH, UNKNOWN
 from terrainwave.render.ramps import DEEPEST_LAND
 from terrainwave.render.solid import level_within, read_metres
 

@@ -26,8 +26,9 @@ from terrainwave.errors import (
     TerrainwaveError,
 )
 from terrainwave.grid.quadtree import Region
+from terrainwave.place.crs import format_crs, parse_crs
+from terrainwave.place.units import height_unit
 from terrainwave.progress import Progress, ProgressCallback
-from terrainwave.raster_io.crs import parse_crs
 from terrainwave.raster_io.dataset import is_placed
 from terrainwave.verification.metrics import ErrorReport, ErrorSum
 
@@ -274,7 +275,7 @@ class _Comparison:
         pairs = [
             ("size", tuple(terrain.shape), (dataset.height, dataset.width)),
             ("type", np.dtype(terrain.dtype).name, self._dtype.name),
-            ("units", info.units or None, dataset.units[index] or None),
+            ("units", info.units or None, self._unit()),
             ("scale", float(info.scale), self._scale),
             ("offset", float(info.offset), float(dataset.offsets[index])),
             ("description", info.description or None, dataset.descriptions[index] or None),
@@ -292,6 +293,11 @@ class _Comparison:
         # Of samples that lie nowhere a file keeps no CRS.
         if terrain.crs or is_placed(dataset):
             yield from _compare_crs(terrain.crs, dataset.crs)
+
+    def _unit(self) -> str | None:
+        """Return the original's unit: its band's, else its CRS's, as a file says it."""
+        dataset = self._dataset
+        return height_unit(dataset.units[self._band - 1], format_crs(dataset.crs)).name
 
     def _area_or_point(self) -> str:
         return str(self._dataset.tags().get("AREA_OR_POINT", "Area"))

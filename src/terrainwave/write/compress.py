@@ -26,6 +26,7 @@ from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Grid
 from terrainwave.names import PLAIN_METHOD
+from terrainwave.place.units import height_unit
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.marks import note_on_marks
@@ -239,7 +240,7 @@ def compress(
         max_error=written.max_error,
         effective_error=written.effective_error,
         measured_error=written.measured_error,
-        units=source.info.units,
+        units=height_unit(source.info.units, source.info.crs).name,
         method=written.method,
         notes=[*options.notes, *source.notes, *written.marks, *written.notes],
     )

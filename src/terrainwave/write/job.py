@@ -19,6 +19,7 @@ from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, HeightScan, Quantizer, as_fraction
 from terrainwave.mesh.blocks import default_mesh_error, mesh_tolerance
 from terrainwave.names import Method, mesh_without_coefficients
+from terrainwave.place.units import height_unit
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.write.options import Options
 
@@ -272,7 +273,8 @@ def _choose_bound(
     if max_error is not None:
         return as_fraction(max_error), []
     p = scan.true_quantum()
-    unit = f" {info.units}" if info.units else ""
+    name = height_unit(info.units, info.crs).name
+    unit = f" {name}" if name else ""
     if p is not None:
         physical = float(p * scale_of(info))
         return Fraction(0), [

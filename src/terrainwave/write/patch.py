@@ -186,13 +186,13 @@ def patch(
         effective_error=patcher.header.effective_bound * scale,
         measured_error=max(error, patcher.stated_error) * scale,
         moved_error=patcher.moved * terrain.quantizer.quantum * scale,
-        units=terrain.raster_info.units,
+        units=terrain.units,
     )
 
 
 def _refusal(path: str | os.PathLike[str], terrain: TerrainFile, patcher: "_Patcher") -> str:
     """Return why a patch that would loosen the bound is not made, and what to do."""
-    scale, unit = abs(terrain.raster_info.scale), terrain.raster_info.units
+    scale, unit = abs(terrain.raster_info.scale), terrain.units
     moved, before, after = (
         f"{error * scale:.6g}" + (f" {unit}" if unit else "")
         for error in (

@@ -94,6 +94,7 @@ class Raster:
             raise type(error)(f"{path}: {error}") from error
         self.info = self.terrain.info()
         self.geotiff = VirtualGeoTIFF(self.terrain)
+        self.geotiff.warn_of_crs()
         self.ahead = Ahead(self.geotiff.read_at)
         self.tag = hashlib.sha256(repr((name, self.info.n_bytes, self.info)).encode()).hexdigest()
 

@@ -7,9 +7,9 @@ from typing import Any
 from terrainwave._version import __version__
 from terrainwave.arguments import in_one_line
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.export.frames import EARTH
 from terrainwave.globe import terrain_rgb as tiling
 from terrainwave.globe.lonlat import Globe
+from terrainwave.place.ellipsoid import EARTH
 from terrainwave.render.colorings import AUTO, NO_SEA
 from terrainwave.render.ramps import RAMPS, ramp_stops
 

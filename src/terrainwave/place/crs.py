@@ -3,6 +3,7 @@
 import contextlib
 import re
 import warnings
+from typing import Any
 
 import rasterio
 from rasterio.crs import CRS
@@ -37,6 +38,21 @@ def parse_crs(text: str | None) -> CRS | None:
             stacklevel=2,
         )
         return None
+
+
+def crs_of_grid_mapping(mapping: dict[str, Any]) -> CRS:
+    """Return the CRS of a CF grid mapping that holds no WKT.
+
+    Raises
+    ------
+    ImportError
+        Without pyproj.
+    CRSError, KeyError, RuntimeError, TypeError, ValueError
+        If it does not understand the mapping.
+    """
+    from pyproj import CRS as ProjCRS
+
+    return CRS.from_wkt(ProjCRS.from_cf(mapping).to_wkt())
 
 
 def format_crs(crs: CRS | None) -> str | None:

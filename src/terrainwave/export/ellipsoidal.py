@@ -1,0 +1,117 @@
+"""A raster of heights above the ellipsoid, made of one of heights above a geoid or a tide."""
+
+import math
+import warnings
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rasterio.crs import CRS
+
+from terrainwave.errors import TerrainwaveWarning
+from terrainwave.file import TerrainFile
+from terrainwave.grid.affine import IDENTITY, Transform, samples_to_places
+from terrainwave.grid.quadtree import Region
+from terrainwave.place.crs import format_crs
+from terrainwave.place.position import place_of
+from terrainwave.place.units import height_unit
+from terrainwave.place.vertical import EllipsoidalHeights, on_own_datum
+from terrainwave.raster_io.info import RasterInfo
+
+# Metres per metre by which PROJ's way from one height to another may stretch a difference.
+_STRETCH = 1e-6
+
+
+@dataclass(frozen=True)
+class AboveEllipsoid:
+    """What a GeoTIFF of ellipsoidal heights says, and the heights of its windows.
+
+    Parameters
+    ----------
+    info : RasterInfo
+        In metres, of the CRS with ellipsoidal heights.
+    """
+
+    info: RasterInfo
+    _way: EllipsoidalHeights
+    _source: RasterInfo
+    _metres: float
+
+    def heights(
+        self, part: Region, whole: Region, heights: NDArray[Any], valid: NDArray[np.bool_]
+    ) -> NDArray[Any]:
+        """Return the heights of a window above the ellipsoid; voids hold anything.
+
+        Parameters
+        ----------
+        part, whole : Region
+            The window and the raster, of the same level.
+        heights : ndarray, shape (n_rows, n_cols)
+            As the file stores them.
+        valid : ndarray of bool, same shape
+        """
+        rows, cols = np.nonzero(valid)
+        transform: Transform = self.info.transform
+        x, y = samples_to_places(
+            transform,
+            (rows + part.row - whole.row).astype(np.float64),
+            (cols + part.col - whole.col).astype(np.float64),
+        )
+        stored = heights[rows, cols].astype(np.float64)
+        metres = (stored * self._source.scale + self._source.offset) * self._metres
+        found = np.zeros(heights.shape, dtype=self.info.dtype)
+        found[rows, cols] = self._way.heights(x, y, metres)
+        return found
+
+
+def above_ellipsoid(terrain: TerrainFile, info: RasterInfo, level: int) -> AboveEllipsoid:
+    """Return what a raster becomes above the ellipsoid of its own CRS, and warn how.
+
+    Parameters
+    ----------
+    terrain : TerrainFile
+    info : RasterInfo
+        Of the window that is written, as it would be.
+    level : int
+
+    Raises
+    ------
+    InvalidHeightsError
+        If the CRS names no vertical datum, or PROJ lacks an operation or a grid.
+    """
+    is_placed = tuple(info.transform) != IDENTITY
+    place = place_of(info.crs, terrain.bounds, is_placed=is_placed)
+    way = on_own_datum(place, terrain.bounds)
+    metres = height_unit(info.units, info.crs).metres
+    dtype = "float64" if info.dtype in ("float64", "int32") else "float32"
+    bound = None
+    if terrain.level_index(level) == terrain.n_levels - 1:
+        bound = _bound(terrain, abs(metres), np.dtype(dtype))
+    within = "" if bound is None else f", within {bound:.6g} m of the originals"
+    warnings.warn(f"{way.words}{within}", TerrainwaveWarning, stacklevel=3)
+    tags = dict(info.tags) | {"TERRAINWAVE_VERTICAL": way.words}
+    if bound is not None:
+        tags["TERRAINWAVE_MAX_ERROR"] = repr(bound)
+    target = info.crs if way.target is None else format_crs(CRS.from_wkt(way.target))
+    converted = replace(
+        info,
+        dtype=dtype,
+        # A number could be a converted height.
+        nodata=None if info.nodata is None else math.nan,
+        mask_kind="nan" if info.mask_kind == "nodata" else info.mask_kind,
+        units="metre",
+        scale=1.0,
+        offset=0.0,
+        crs=target,
+        tags=tuple(sorted(tags.items())),
+    )
+    return AboveEllipsoid(converted, way, info, metres)
+
+
+def _bound(terrain: TerrainFile, metres: float, dtype: np.dtype[Any]) -> float:
+    """Return the bound of converted heights, in metres: the file's, and what the type rounds."""
+    summary = terrain.info()
+    largest = max(abs(summary.minimum or 0.0), abs(summary.maximum or 0.0)) * metres
+    spacing = float(np.spacing(dtype.type(2 * largest + 256)))
+    return terrain.effective_error * metres * (1 + _STRETCH) + spacing / 2

@@ -1,0 +1,226 @@
+"""What a coordinate reference system says: axes, units, the vertical part, the body.
+
+Read from its PROJJSON, which GDAL writes; nothing here needs pyproj. GDAL and PROJ order axes as
+maps do: x is the second axis where the first one goes north and the second one east; all other
+orders stay as they are.
+"""
+
+import contextlib
+import math
+import warnings
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+from terrainwave.errors import TerrainwaveWarning
+
+GEOGRAPHIC, DERIVED, PROJECTED, OTHER = "geographic", "derived", "projected", "other"
+_KINDS = {
+    "GeographicCRS": GEOGRAPHIC,
+    "DerivedGeographicCRS": DERIVED,
+    "DerivedGeodeticCRS": DERIVED,
+    "ProjectedCRS": PROJECTED,
+    "DerivedProjectedCRS": PROJECTED,
+}
+# CRSs on the way to the one that has the axes.
+_INNER = ("source_crs", "base_crs")
+# Names of vertical systems and datums that mean the ellipsoid, as GeoTIFF's keys and ESRI say it.
+_ELLIPSOIDAL = ("ellipsoid", "ellipsoidal")
+_HORIZONTAL = {"east": (1.0, 0.0), "west": (-1.0, 0.0), "north": (0.0, 1.0), "south": (0.0, -1.0)}
+_UNIT_LABELS = {"metre": "m", "meter": "m", "degree": "degrees", "unknown": "unit unknown"}
+_CACHED = 64
+
+
+class Axis(NamedTuple):
+    """An axis of x or y: its name, direction and unit, and metres or degrees per unit."""
+
+    name: str
+    direction: str
+    unit: str
+    factor: float
+
+    @property
+    def label(self) -> str:
+        """Return the name and unit for a picture's axis."""
+        name = self.name.split("(")[0].strip().lower().removeprefix("geodetic ")
+        return f"{name or 'coordinate'}, {_UNIT_LABELS.get(self.unit.lower(), self.unit)}"
+
+
+class Vertical(NamedTuple):
+    """The vertical axis of a CRS.
+
+    Parameters
+    ----------
+    name : str
+        Of the vertical CRS, such as ``NAVD88 height``; of a CRS of three axes that of the axis.
+    unit : str
+    metres : float
+        Per unit.
+    is_down : bool
+        Numbers are depths.
+    is_ellipsoidal : bool
+        Heights are above the ellipsoid, not above a geoid or a tide.
+    datum : str
+        Its name; empty for a CRS of three axes.
+    """
+
+    name: str
+    unit: str
+    metres: float
+    is_down: bool
+    is_ellipsoidal: bool
+    datum: str = ""
+
+
+class Description(NamedTuple):
+    """What a CRS says, in plain values.
+
+    Parameters
+    ----------
+    kind : str
+        ``geographic``: plain longitudes and latitudes; ``derived``: those of a turned pole or
+        another derived system; ``projected``; ``other``: local and geocentric ones.
+    x, y : Axis
+        In the order of GDAL's coordinates.
+    vertical : Vertical or None
+    iau_code : int or None
+        The code, where the authority is the IAU.
+    """
+
+    kind: str
+    x: Axis
+    y: Axis
+    vertical: Vertical | None
+    iau_code: int | None
+
+    @property
+    def in_degrees(self) -> bool:
+        """Whether x and y are angles on the body."""
+        return self.kind in (GEOGRAPHIC, DERIVED)
+
+    @property
+    def directions(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return (east, north) of a step along x and along y.
+
+        Around a pole, and where a system does not say, x goes to the right and y up, as on its map.
+        """
+        along_x, along_y = (_HORIZONTAL.get(axis.direction) for axis in (self.x, self.y))
+        if along_x is None or along_y is None or 0 == _cross(along_x, along_y):
+            return (1.0, 0.0), (0.0, 1.0)
+        return along_x, along_y
+
+
+def _cross(a: tuple[float, float], b: tuple[float, float]) -> float:
+    return a[0] * b[1] - a[1] * b[0]
+
+
+def describe_crs(crs_text: str | None) -> Description | None:
+    """Return what a CRS says; None, with `parse_crs`'s warning, where there is none to read.
+
+    Parameters
+    ----------
+    crs_text : str, optional
+        ``AUTH:CODE`` or WKT. It may come from an untrusted file.
+    """
+    if crs_text is None:
+        return None
+    from terrainwave.place.crs import parse_crs
+
+    crs = parse_crs(crs_text)
+    return None if crs is None else _described(crs_text)
+
+
+def describe_quietly(crs_text: str | None) -> Description | None:
+    """As `describe_crs`, without a warning: who opened the file has told it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TerrainwaveWarning)
+        return describe_crs(crs_text)
+
+
+@lru_cache(_CACHED)
+def _described(crs_text: str) -> Description:
+    from rasterio.errors import CRSError
+
+    from terrainwave.place.crs import parse_crs
+
+    crs, told = parse_crs(crs_text), dict[str, Any]()
+    with contextlib.suppress(CRSError, ValueError, TypeError):
+        told = {} if crs is None else crs.to_dict(projjson=True)
+    return read_projjson(told)
+
+
+def read_projjson(told: dict[str, Any]) -> Description:
+    """Return what a PROJJSON document says; what it leaves open is metres to the right and up."""
+    flat, vertical = _parts(told)
+    axes = flat.get("coordinate_system", {}).get("axis", [])
+    x, y = (
+        [_axis(axis) for axis in axes[:2]]
+        if len(axes) > 1
+        else [Axis("easting", "east", "unknown", 1.0), Axis("northing", "north", "unknown", 1.0)]
+    )
+    if _is_north_first(x, y):
+        x, y = y, x
+    kind = _KINDS.get(str(flat.get("type")), OTHER)
+    return Description(kind, x, y, _vertical(flat, vertical, axes), _iau_code(told))
+
+
+def _is_north_first(x: Axis, y: Axis) -> bool:
+    names = x.name.lower().startswith("northing") and y.name.lower().startswith("easting")
+    around_pole = names and x.direction == y.direction
+    return (x.direction, y.direction) == ("north", "east") or around_pole
+
+
+def _parts(told: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """Return the CRS that has x and y, and the vertical one of a compound CRS."""
+    while told.get("type") == "BoundCRS":
+        told = told.get("source_crs", {})
+    if told.get("type") != "CompoundCRS":
+        return told, None
+    components = told.get("components") or [{}]
+    vertical = components[1] if len(components) > 1 else None
+    while vertical is not None and vertical.get("type") == "BoundCRS":
+        vertical = vertical.get("source_crs", {})
+    return _parts(components[0])[0], vertical
+
+
+def _axis(axis: dict[str, Any]) -> Axis:
+    unit = axis.get("unit", "unknown")
+    if isinstance(unit, dict):
+        name, factor = str(unit.get("name", "unknown")), float(unit.get("conversion_factor", 1.0))
+        if unit.get("type") == "AngularUnit":
+            factor = math.degrees(factor)
+    else:
+        name, factor = str(unit), 1.0
+    usable = math.isfinite(factor) and factor > 0
+    direction = str(axis.get("direction", "")).lower()
+    return Axis(str(axis.get("name", "")), direction, name, factor if usable else 1.0)
+
+
+def _vertical(
+    flat: dict[str, Any], vertical: dict[str, Any] | None, axes: list[dict[str, Any]]
+) -> Vertical | None:
+    if vertical is not None:
+        own = vertical.get("coordinate_system", {}).get("axis", [])
+        if not own:
+            return None
+        axis, name = _axis(own[0]), str(vertical.get("name", ""))
+        about = vertical.get("datum") or vertical.get("datum_ensemble") or {}
+        datum = str(about.get("name", ""))
+        words = f"{name} {datum}".lower().replace("_", " ").split()
+        is_ellipsoidal = any(word in words for word in _ELLIPSOIDAL)
+    elif len(axes) > 2 and str(axes[2].get("direction")).lower() in ("up", "down"):
+        axis = _axis(axes[2])
+        name, datum, is_ellipsoidal = axis.name, "", True
+    else:
+        return None
+    is_down = axis.direction == "down"
+    return Vertical(name, axis.unit, axis.factor, is_down, is_ellipsoidal, datum)
+
+
+def _iau_code(told: dict[str, Any]) -> int | None:
+    """Return the code of the first system, from the outside in, that names the IAU."""
+    name = told.get("id") or {}
+    if str(name.get("authority", "")).upper().startswith("IAU"):
+        with contextlib.suppress(TypeError, ValueError):
+            return int(name["code"])
+    inner = [told[key] for key in _INNER if key in told] + told.get("components", [])[:1]
+    return next((code for part in inner if (code := _iau_code(part)) is not None), None)

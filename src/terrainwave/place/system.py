@@ -1,0 +1,196 @@
+"""A coordinate reference system that transforms, by pyproj; made once for each text."""
+
+import contextlib
+import re
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.errors import InvalidHeightsError
+from terrainwave.extras import need
+from terrainwave.place.bodies import EARTH as THE_EARTH
+from terrainwave.place.bodies import body_of
+from terrainwave.place.description import Description, describe_crs
+from terrainwave.place.ellipsoid import EARTH, Ellipsoid
+
+_CODE = re.compile(r"([A-Za-z][A-Za-z0-9_]*):([A-Za-z0-9_.]+)")
+# Longitude and latitude of WGS 84, in that order.
+_WGS_84 = "OGC:CRS84"
+_CACHED = 64
+_LONGITUDE_LATITUDE = {
+    "subtype": "ellipsoidal",
+    "axis": [
+        {"name": "Longitude", "abbreviation": "lon", "direction": "east", "unit": "degree"},
+        {"name": "Latitude", "abbreviation": "lat", "direction": "north", "unit": "degree"},
+    ],
+}
+
+
+def need_pyproj(*, extra: str = "mesh", purpose: str = "a coordinate reference system") -> Any:
+    """Return pyproj.
+
+    Raises
+    ------
+    TerrainwaveError
+        If it is missing; the line names the extra that installs it.
+    """
+    need("pyproj.exceptions", extra=extra, purpose=purpose)
+    return need("pyproj", extra=extra, purpose=purpose)
+
+
+class System:
+    """A CRS: what it says, its ellipsoid and body, and the way to longitude and latitude.
+
+    Parameters
+    ----------
+    crs_text : str
+        ``AUTH:CODE`` or WKT.
+    description : Description
+    """
+
+    def __init__(self, crs_text: str, description: Description) -> None:
+        self.text = crs_text
+        self.description = description
+        self.known = _known_to_pyproj(crs_text)
+        self.ellipsoid = _ellipsoid_of(self.known)
+        self.body = body_of(description, self.ellipsoid)
+
+    @property
+    def is_earth_as_sphere(self) -> bool:
+        """Whether the Earth is meant, and counted on a sphere, as weather models do."""
+        return self.body == THE_EARTH and self.ellipsoid.e2 == 0
+
+    @cached_property
+    def flat(self) -> Any:
+        """Return pyproj's CRS of x and y alone."""
+        known = self.known
+        if known.is_compound:
+            known = known.sub_crs_list[0]
+        return known if len(known.axis_info) < 3 else known.to_2d()
+
+    @cached_property
+    def globe(self) -> Any:
+        """Return pyproj's CRS of longitude and latitude in degrees on the body.
+
+        WGS 84 for the Earth, else the datum that the CRS is based on.
+
+        Raises
+        ------
+        InvalidHeightsError
+            If nothing of that kind is behind the CRS.
+        """
+        pyproj = need_pyproj()
+        base = None if self.known is None else self.known.geodetic_crs
+        if base is None or self.known.is_geocentric:
+            raise InvalidHeightsError(
+                "the coordinate reference system has no longitudes and latitudes behind it"
+            )
+        if self.body == THE_EARTH:
+            return pyproj.CRS.from_user_input(_WGS_84)
+        told = base.to_2d().to_json_dict()
+        while "base_crs" in told:
+            told = told["base_crs"]
+        datum = {key: told[key] for key in ("datum", "datum_ensemble") if key in told}
+        name = {"type": "GeographicCRS", "name": told.get("name", "unnamed")}
+        return pyproj.CRS.from_json_dict(name | datum | {"coordinate_system": _LONGITUDE_LATITUDE})
+
+    @cached_property
+    def _to_globe(self) -> Any:
+        return self._transformer(self.flat, self.globe)
+
+    @cached_property
+    def _from_globe(self) -> Any:
+        return self._transformer(self.globe, self.flat)
+
+    def _transformer(self, source: Any, target: Any) -> Any:
+        pyproj = need_pyproj()
+        try:
+            return pyproj.Transformer.from_crs(source, target, always_xy=True)
+        except pyproj.exceptions.ProjError as error:
+            raise InvalidHeightsError(
+                f"PROJ has no way from the raster's coordinates to longitude and latitude: {error}"
+            ) from error
+
+    def to_globe(self, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return longitudes and latitudes in degrees; NaN where a point has none.
+
+        Parameters
+        ----------
+        xy : ndarray of float64, shape (n_points, 2)
+
+        Returns
+        -------
+        ndarray of float64, shape (n_points, 2)
+        """
+        return moved(self._to_globe, xy)
+
+    def from_globe(self, lonlat: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return x and y of longitudes and latitudes; NaN where there are none."""
+        return moved(self._from_globe, lonlat)
+
+
+def moved(transformer: Any, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return points that a pyproj Transformer has moved, shape (n_points, 2 or 3); NaN for none."""
+    if not len(points):
+        return points
+    # Libraries count on numpy's own settings, which callers may have changed.
+    with np.errstate(all="ignore"):
+        found = np.column_stack(transformer.transform(*points.T, errcheck=False))
+    found[~np.isfinite(found).all(axis=1)] = np.nan
+    return found
+
+
+def system_of(crs_text: str | None) -> System | None:
+    """Return the system of a CRS; None, with a warning, where it is not understood.
+
+    Raises
+    ------
+    TerrainwaveError
+        If pyproj is missing.
+    """
+    description = describe_crs(crs_text)
+    if crs_text is None or description is None:
+        return None
+    need_pyproj()
+    return _made(crs_text)
+
+
+@lru_cache(_CACHED)
+def _made(crs_text: str) -> System:
+    description = describe_crs(crs_text)
+    assert description is not None
+    return System(crs_text, description)
+
+
+def _known_to_pyproj(crs_text: str) -> Any:
+    """Return pyproj's CRS of a text that GDAL understands; None if PROJ does not read it.
+
+    The text first, as GDAL's WKT drops the codes of inner parts, by which PROJ finds its way.
+    """
+    pyproj = need_pyproj()
+    code = _CODE.fullmatch(crs_text)
+    with contextlib.suppress(pyproj.exceptions.CRSError):
+        if code:
+            return pyproj.CRS.from_authority(*code.groups())
+        return pyproj.CRS.from_wkt(crs_text)
+    from rasterio.errors import CRSError
+
+    from terrainwave.place.crs import parse_crs
+
+    crs: Any = parse_crs(crs_text)
+    for version in ("WKT2_2019", "WKT1_GDAL"):
+        with contextlib.suppress(CRSError, pyproj.exceptions.CRSError, AttributeError):
+            return pyproj.CRS.from_wkt(crs.to_wkt(version=version))
+    return None
+
+
+def _ellipsoid_of(known: Any) -> Ellipsoid:
+    """Return the ellipsoid of pyproj's CRS; WGS 84 where it has none."""
+    ellipsoid = None if known is None else known.ellipsoid
+    if ellipsoid is None or not ellipsoid.semi_major_metre > 0:
+        return EARTH
+    inverse = ellipsoid.inverse_flattening  # 0: a sphere
+    flattening = 1 / inverse if inverse > 1 else 0.0
+    return Ellipsoid(ellipsoid.semi_major_metre, flattening * (2 - flattening))

@@ -1,0 +1,123 @@
+"""Vertical units: what they are, where they are told, and how many metres they have."""
+
+import warnings
+from typing import NamedTuple
+
+from terrainwave.errors import TerrainwaveWarning
+from terrainwave.place.description import Vertical, describe_quietly
+
+_SURVEY_FOOT = 1200 / 3937
+_METRES = {
+    "m": 1.0, "metre": 1.0, "metres": 1.0, "meter": 1.0, "meters": 1.0,
+    "cm": 0.01, "centimetre": 0.01, "centimetres": 0.01, "centimeter": 0.01, "centimeters": 0.01,
+    "dm": 0.1, "mm": 0.001, "km": 1000.0, "kilometre": 1000.0, "kilometer": 1000.0,
+    "ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "international foot": 0.3048,
+    "foot (international)": 0.3048,
+    "ftus": _SURVEY_FOOT, "us-ft": _SURVEY_FOOT, "us survey foot": _SURVEY_FOOT,
+    "us survey feet": _SURVEY_FOOT, "foot_us": _SURVEY_FOOT, "us_survey_foot": _SURVEY_FOOT,
+    "survey foot": _SURVEY_FOOT, "foot (us survey)": _SURVEY_FOOT, "sftus": _SURVEY_FOOT,
+    "yd": 0.9144, "yard": 0.9144,
+}  # fmt: skip
+BAND, CRS = "band", "CRS"
+# Relative: the survey foot has several roundings, and differs from the foot by 2e-6.
+_SAME_UNIT = 1e-7
+
+
+class HeightUnit(NamedTuple):
+    """The unit of heights.
+
+    Parameters
+    ----------
+    name : str or None
+        None where nobody names it.
+    source : {"band", "CRS"} or None
+        Who does.
+    vertical : Vertical or None
+        What the CRS says.
+    """
+
+    name: str | None
+    source: str | None
+    vertical: Vertical | None
+
+    @property
+    def metres(self) -> float:
+        """Return the metres per unit, negative where the CRS counts depths: up is positive.
+
+        A name that is not known is warned of and taken for metres.
+        """
+        vertical = self.vertical
+        sign = -1.0 if vertical is not None and vertical.is_down else 1.0
+        if vertical is not None and (self.source == CRS or self._is_the_same_name):
+            return sign * vertical.metres
+        return sign * metres_per_unit(self.name)
+
+    def note_depths(self) -> None:
+        """Warn where numbers are depths and are turned, so that they go down."""
+        if self.vertical is not None and self.vertical.is_down:
+            warnings.warn(
+                f"the coordinate reference system counts depths downwards ({self.vertical.name});"
+                " a depth of 10 becomes a height of -10",
+                TerrainwaveWarning,
+                stacklevel=3,
+            )
+
+    @property
+    def of_crs(self) -> str | None:
+        """Return the CRS's unit where the band names another one."""
+        if self.source != BAND or self.vertical is None or self._is_the_same_name:
+            return None
+        metres = _METRES.get(_plain(self.name or ""))
+        is_same = metres is not None and abs(metres / self.vertical.metres - 1) < _SAME_UNIT
+        return None if is_same else self.vertical.unit
+
+    @property
+    def _is_the_same_name(self) -> bool:
+        other = None if self.vertical is None else self.vertical.unit
+        return other is not None and _plain(other) == _plain(self.name or "")
+
+
+def height_unit(units: str | None, crs_text: str | None) -> HeightUnit:
+    """Return the unit of heights: the band's, else that of the CRS's vertical axis.
+
+    Parameters
+    ----------
+    units : str, optional
+        What the band says.
+    crs_text : str, optional
+    """
+    vertical = vertical_of(crs_text)
+    if units and units.strip():
+        return HeightUnit(units.strip(), BAND, vertical)
+    if vertical is not None and vertical.unit != "unknown":
+        return HeightUnit(vertical.unit, CRS, vertical)
+    return HeightUnit(None, None, vertical)
+
+
+def vertical_of(crs_text: str | None) -> Vertical | None:
+    """Return the vertical part of a CRS, if it has one."""
+    description = describe_quietly(crs_text)
+    return None if description is None else description.vertical
+
+
+def metres_per_unit(units: str | None) -> float:
+    """Return the metres of one vertical unit; 1 where it is not told, or (warned) not known."""
+    if units is None or not units.strip():
+        return 1.0
+    name = _plain(units)
+    if name not in _METRES:
+        warnings.warn(
+            f"the vertical unit {units!r} is not known and taken for metres",
+            TerrainwaveWarning,
+            stacklevel=2,
+        )
+    return _METRES.get(name, 1.0)
+
+
+def _plain(units: str) -> str:
+    return " ".join(units.lower().replace("[", " ").replace("]", " ").split())
+
+
+def unit_text(units: str | None) -> str:
+    """Return a vertical unit as labels have it."""
+    return units.strip() if units and units.strip() else "unit unknown"

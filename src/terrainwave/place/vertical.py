@@ -1,0 +1,270 @@
+"""Heights above the ellipsoid: of heights above a geoid or a tide, by PROJ's grids.
+
+The best operation that PROJ knows for the place is taken, or none: with another one in its stead,
+as PROJ itself would do where a grid is missing, the same command would give other heights on other
+machines. Nothing is fetched.
+"""
+
+import os
+import re
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.arguments import AS_IS, ELLIPSOID, VERTICAL
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
+from terrainwave.place.bodies import EARTH as THE_EARTH
+from terrainwave.place.description import GEOGRAPHIC, Vertical
+from terrainwave.place.position import Place
+from terrainwave.place.system import System, moved, need_pyproj
+from terrainwave.place.units import vertical_of
+
+Numbers = NDArray[np.float64]
+
+# Longitude, latitude in degrees and ellipsoidal height in metres, of WGS 84.
+_WGS_84 = "EPSG:4979"
+# Places along each side of the raster that tell the part of the globe it lies in.
+_N_ALONG = 9
+# In PROJ's definitions and names of operations.
+_GRIDS = re.compile(r"grids=(\S+)")
+_NO_CHANGE = re.compile(r"^axis order change \(2D\) \+ | \+ axis order change \(2D\)")
+# Missing files that a message names.
+_MOST_NAMED = 6
+
+
+def check_vertical(vertical: str) -> bool:
+    """Say whether heights are to be brought onto the ellipsoid.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the word is neither of `VERTICAL`.
+    """
+    if vertical not in VERTICAL:
+        raise InvalidArgumentError(
+            f"found `vertical` {vertical!r}, expected one of {', '.join(VERTICAL)}"
+        )
+    return vertical == ELLIPSOID
+
+
+def note_as_is(crs_text: str | None) -> None:
+    """Warn where heights of a geoid, or depths, are taken for heights above the ellipsoid."""
+    told = vertical_of(crs_text)
+    if told is None or told.is_ellipsoidal:
+        return
+    warnings.warn(
+        f"heights above {_reference(told)} are taken for heights above the ellipsoid; `vertical`"
+        " ellipsoid converts them",
+        TerrainwaveWarning,
+        stacklevel=3,
+    )
+
+
+def _reference(told: Vertical) -> str:
+    return told.datum or told.name
+
+
+def describe_as_is(crs_text: str | None) -> dict[str, str]:
+    """Return what files say of heights that are taken as they are."""
+    told = vertical_of(crs_text)
+    if told is None:
+        return {"heights": AS_IS}
+    return {"heights": AS_IS, "datum": "ellipsoid" if told.is_ellipsoidal else _reference(told)}
+
+
+@dataclass(frozen=True)
+class EllipsoidalHeights:
+    """The way to heights above the ellipsoid.
+
+    Parameters
+    ----------
+    description : str
+        PROJ's name of the operation; empty where heights lie on the ellipsoid already.
+    grids : tuple of str
+        The files it reads.
+    target : str or None
+        Of `on_own_datum`: WKT of the CRS with ellipsoidal heights.
+    """
+
+    description: str
+    grids: tuple[str, ...]
+    target: str | None
+    _transformer: Any
+    _place: Place
+    _metres: float
+
+    def heights(self, x: Numbers, y: Numbers, heights: Numbers) -> Numbers:
+        """Return metres above the ellipsoid of heights in metres, upwards; NaN stays.
+
+        Parameters
+        ----------
+        x, y : ndarray of float64
+            Places in the raster's CRS.
+        heights : ndarray of float64, same shape
+
+        Raises
+        ------
+        InvalidHeightsError
+            If a place with a height is not covered by the grid.
+        """
+        found = np.array(heights, dtype=np.float64)
+        known = np.isfinite(found)
+        if self._transformer is None or not known.any():
+            return found
+        found[known] = self._moved(x[known], y[known], found[known])
+        if not np.isfinite(found[known]).all():
+            grids = ", ".join(self.grids) or self.description
+            raise InvalidHeightsError(
+                f"some heights have no place above the ellipsoid: {grids} does not cover all of the"
+                " raster; expected a part that it covers, or `vertical` as-is"
+            )
+        return found
+
+    def raised(self, x: Numbers, y: Numbers, heights: Numbers) -> Numbers:
+        """Return by how much `heights` grow at places; NaN where the grid has none."""
+        if self._transformer is None:
+            return np.zeros(heights.shape)
+        raised = self._moved(x, y, heights) - heights
+        return raised if np.isfinite(raised).any() else np.zeros(heights.shape)
+
+    def _moved(self, x: Numbers, y: Numbers, heights: Numbers) -> Numbers:
+        places = np.column_stack([x, y, heights / self._metres])
+        axis = self._place.longitude_axis
+        if axis is not None and self._place.kind == GEOGRAPHIC:
+            turn = 360 / self._place.unit
+            places[:, axis] = np.mod(places[:, axis] + turn / 2, turn) - turn / 2
+        new: Numbers = moved(self._transformer, places)[:, 2]
+        return new
+
+    def describe(self) -> dict[str, Any]:
+        """Return what files say of these heights."""
+        about: dict[str, Any] = {"heights": ELLIPSOID}
+        if self.description:
+            about |= {"operation": self.description, "grids": list(self.grids)}
+        return about
+
+    @property
+    def words(self) -> str:
+        """Return what was done, in a sentence's end."""
+        if not self.description:
+            return "heights are above the ellipsoid already"
+        grids = f" with {', '.join(self.grids)}" if self.grids else ""
+        return f"heights are above the ellipsoid, by PROJ's “{self.description}”{grids}"
+
+
+def onto_wgs84(place: Place, bounds: tuple[float, float, float, float]) -> EllipsoidalHeights:
+    """Return the way to heights above the ellipsoid of WGS 84.
+
+    Parameters
+    ----------
+    place : Place
+    bounds : (left, bottom, right, top)
+        Of the raster: PROJ chooses the operation by them.
+
+    Raises
+    ------
+    InvalidHeightsError
+        If the CRS names no vertical system, or PROJ has no operation or not all of its files.
+    """
+    return _way(place, bounds, _WGS_84)
+
+
+def on_own_datum(place: Place, bounds: tuple[float, float, float, float]) -> EllipsoidalHeights:
+    """Return the way to heights above the ellipsoid of the raster's own CRS."""
+    return _way(place, bounds, None)
+
+
+def _way(
+    place: Place, bounds: tuple[float, float, float, float], target: str | None
+) -> EllipsoidalHeights:
+    told = vertical_of(place.system.text if place.system is not None else None)
+    if told is None or place.system is None:
+        raise InvalidHeightsError(
+            "the raster's coordinate reference system names no vertical datum, so that nothing"
+            " tells how far the ellipsoid is from it; expected a compound one, such as"
+            " EPSG:4326+5773 for EGM96, or `vertical` as-is"
+        )
+    system = place.system
+    if told.is_ellipsoidal:
+        return EllipsoidalHeights("", (), system.known.to_wkt(), None, place, 1.0)
+    goal = system.flat.to_3d() if target is None else need_pyproj().CRS.from_user_input(target)
+    if system.body != THE_EARTH and target is not None:
+        goal = system.globe.to_3d()
+    operation = _best_operation(system, goal, _area(place, bounds), told)
+    pyproj = need_pyproj()
+    return EllipsoidalHeights(
+        _NO_CHANGE.sub("", operation.description),
+        tuple(dict.fromkeys(_GRIDS.findall(operation.definition))),
+        goal.to_wkt(),
+        pyproj.Transformer.from_pipeline(operation.definition),
+        place,
+        -told.metres if told.is_down else told.metres,
+    )
+
+
+def _area(place: Place, bounds: tuple[float, float, float, float]) -> Any:
+    """Return the part of the globe that bounds cover, as PROJ wants it."""
+    left, bottom, right, top = bounds
+    x, y = np.meshgrid(np.linspace(left, right, _N_ALONG), np.linspace(bottom, top, _N_ALONG))
+    lonlat = place.to_lonlat(np.column_stack([x.ravel(), y.ravel()]))
+    lonlat = lonlat[np.isfinite(lonlat).all(axis=1)]
+    if not len(lonlat):
+        raise InvalidHeightsError("the raster has no place in longitude and latitude")
+    middle = lonlat[len(lonlat) // 2, 0]
+    lon = middle + np.mod(lonlat[:, 0] - middle + 180, 360) - 180
+    west, east = (float((end + 180) % 360 - 180) for end in (lon.min(), lon.max()))
+    south, north = float(lonlat[:, 1].min()), float(lonlat[:, 1].max())
+    aoi = need_pyproj().aoi.AreaOfInterest
+    return aoi(west, max(south, -90.0), east, min(north, 90.0))
+
+
+def _best_operation(system: System, goal: Any, area: Any, told: Vertical) -> Any:
+    """Return the operation that PROJ puts first, if all of its grids are there.
+
+    Ballpark ones, which return the height unchanged, are none.
+    """
+    pyproj = need_pyproj()
+    _look_where_proj_data_says()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # pyproj's of missing grids, told below
+        try:
+            found = pyproj.transformer.TransformerGroup(
+                system.known, goal, always_xy=True, area_of_interest=area, allow_ballpark=False
+            )
+        except pyproj.exceptions.ProjError as error:
+            raise InvalidHeightsError(f"PROJ cannot convert the heights: {error}") from error
+    if found.best_available and found.transformers:
+        return found.transformers[0]
+    if not found.unavailable_operations:
+        raise InvalidHeightsError(
+            f"PROJ knows no operation from {told.name} to the ellipsoid at this place, other than"
+            " ballpark ones, which leave heights as they are; expected another vertical system in"
+            " the coordinate reference system, or `vertical` as-is"
+        )
+    best = found.unavailable_operations[0]
+    missing = [grid for grid in best.grids if not grid.available]
+    names = [grid.short_name for grid in missing]
+    known = [grid.short_name for grid in missing if grid.url]
+    how = (
+        f"get {'it' if len(known) == 1 else 'them'} with"
+        f" {' && '.join(f'pyproj sync --file {name}' for name in known[:_MOST_NAMED])}"
+        if len(known) == len(names)
+        else f"PROJ says no source; copy {'it' if len(names) == 1 else 'them'}"
+        f" into {pyproj.datadir.get_user_data_dir()}"
+    )
+    raise InvalidHeightsError(
+        f"heights above {_reference(told)} need PROJ's {', '.join(names)} to become ellipsoidal"
+        f" (“{best.name}”), not found; {how}, or take `vertical` as-is"
+    )
+
+
+def _look_where_proj_data_says() -> None:
+    """Let pyproj find grids in PROJ_DATA's directories, after its own: wheels leave them out."""
+    datadir = need_pyproj().datadir
+    own = datadir.get_data_dir().split(os.pathsep)
+    for folder in os.environ.get("PROJ_DATA", "").split(os.pathsep):
+        if folder and folder not in own and os.path.isdir(folder):
+            datadir.append_data_dir(folder)
