@@ -151,6 +151,8 @@ class Rapid:
         step: int,
         heights: Callable[[int, Region], Heights],
         mask: Callable[[int, Region], Mask],
+        *,
+        may_have_reach: bool = True,
     ) -> "Rapid":
         """Return a refiner with tables fitted to a raster.
 
@@ -158,7 +160,8 @@ class Rapid:
         """
         from terrainwave.codec.rapid_fitting import fit_tables
 
-        return Rapid(pack_parameters(fit_tables(grid, step, heights, mask)))
+        tables = fit_tables(grid, step, heights, mask, may_have_reach=may_have_reach)
+        return Rapid(pack_parameters(tables))
 
     def unlearned(self) -> "Rapid":
         """Return a refiner with the trained frequencies alone."""

@@ -79,7 +79,9 @@ def _fitted(job: Job, heights: Reader, mask: MaskReader) -> tuple[Refiner, bytes
     refiner = refiner_by_name(job.options.coding.name)
     if not isinstance(refiner, FittingRefiner) or not job.n_valid:
         return refiner, b""
-    fitted = refiner.fitted(job.grid, job.parameters.step, heights, mask)
+    fitted = refiner.fitted(
+        job.grid, job.parameters.step, heights, mask, may_have_reach=job.options.may_be_new
+    )
     return fitted, fitted.parameters
 
 

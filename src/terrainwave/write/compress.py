@@ -16,6 +16,7 @@ from typing import Any, BinaryIO, NamedTuple, cast
 
 from terrainwave.arguments import TWZ_ENDINGS, check_ending
 from terrainwave.container.depot import Depot
+from terrainwave.container.header import FORMATS
 from terrainwave.container.publish import (
     publish,
     refuse_own_source,
@@ -80,6 +81,7 @@ def compress(
     mesh_error: float | None = None,
     faithful: bool = False,
     strict: bool = False,
+    format: str = FORMATS[-1],
     temp_dir: str | os.PathLike[str] | None = None,
     verify: bool = True,
     threads: int | None = None,
@@ -146,6 +148,10 @@ def compress(
         by one float spacing more. Where the bound leaves no room for that, heights are decoded off
         the grid, and files become larger (docs/reliability.md). Other rasters' files change at
         most in the last digit of a bound.
+    format : str
+        ``"1.1"``, or ``"1.0"``: what the first readers read, too. A file is of format 1.1 only if
+        it uses what is new there: where voids are, it tells which heights of coarse levels are
+        fills; on rough ground, rapid has other contexts, which make it some per cent smaller.
     temp_dir : path, optional
         Where large temporary data go; by default beside `dst`. With `client` a path or a URL that
         fsspec can write to, seen by all workers.
@@ -190,6 +196,7 @@ def compress(
         mesh_error=mesh_error,
         faithful=faithful,
         strict=strict,
+        format=format,
         verify=verify,
         threads=threads,
     )
@@ -248,6 +255,7 @@ def compress_to_bytes(
     nodata: float | None = None,
     mesh: str = "none",
     strict: bool = False,
+    format: str = FORMATS[-1],
     verify: bool = True,
     threads: int | None = None,
 ) -> bytes:
@@ -263,6 +271,7 @@ def compress_to_bytes(
         effort=effort,
         mesh=mesh,
         strict=strict,
+        format=format,
         verify=verify,
         threads=threads,
     )
