@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from terrainwave.arguments import checked_threads, in_one_line
 from terrainwave.codec.registry import check_parameters, has_reach
 from terrainwave.container.codes import decode_error, decode_range
-from terrainwave.container.header import FORMATS, HAS_REACH, Header
+from terrainwave.container.header import HAS_REACH, Header
 from terrainwave.container.parts import Parts, parts_of
 from terrainwave.container.reader import Container
 from terrainwave.container.source import open_source
@@ -24,7 +24,7 @@ from terrainwave.errors import (
 from terrainwave.grid.affine import bounds, of_level, pixel_size
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
-from terrainwave.names import EFFORTS, METHODS, methods_that
+from terrainwave.names import EFFORTS, FORMATS, METHODS, methods_that
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.read.places import region_of_bounds, region_of_window, to_samples
 from terrainwave.read.resample import RESAMPLING, resample

@@ -60,6 +60,7 @@ from terrainwave.names import (
     AUTO_METHODS,
     DEFAULT_METHOD,
     EFFORTS,
+    FORMATS,
     MESH_CHOICES,
     METHODS,
     UNBOUNDED_MESHES,
@@ -166,6 +167,13 @@ def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
     is_flag=True,
     help="Floats with a decimal step (0.01 …): the stored floats are within the bound themselves,"
     " not only the decimal numbers, for a larger file.",
+)
+@click.option(
+    "--format",
+    type=click.Choice(FORMATS),
+    default=FORMATS[-1],
+    show_default=True,
+    help=f"{FORMATS[0]}: write what the first readers read, too.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @_batched
@@ -382,8 +390,11 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
 )
 @click.option(
     "--voids",
-    metavar="lowest|fill|HEIGHT",
-    help="What voids of a height tile become. Default: the lowest height.",
+    metavar="exact|any|lowest|fill|HEIGHT",
+    help="Of a coarse level's GeoTIFF, what is void: exact, each sample where the full grid is"
+    " (default, if the file tells), or any, samples alone around which nothing is valid; the others"
+    " have a height of what is around them. Of a height tile, what voids become: the lowest height"
+    " (default), what is around them (fill) or a height.",
 )
 @_batched
 @_writing
@@ -786,6 +797,7 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ("unit", info.units or "unknown"),
         ("voids", _voids_in_words(info, n_voids)),
         ("method", f"{info.method}, {way}, border rings {info.border_rings}"),
+        ("format", info.format),
         ("block", f"{info.block} x {info.block} cells"),
         ("mesh", info.mesh if info.mesh == "none" else f"{info.mesh}, {tolerance}"),
         ("levels", f"{info.n_levels}: {levels}"),

@@ -19,7 +19,7 @@ from terrainwave.errors import (
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import Quantizer
-from terrainwave.names import MESHES, METHODS, UNBOUNDED_MESHES
+from terrainwave.names import FORMATS, MESHES, METHODS, UNBOUNDED_MESHES
 
 MAGIC = b"\x89TWZ\r\n\x1a\n"  # as PNG's: a text-mode or 7-bit copy damages it visibly
 FORMAT_VERSION = 1
@@ -43,7 +43,6 @@ HAS_FILLS = 16
 KNOWN_FEATURES = HAS_REMAINDERS | IS_FAITHFUL | HAS_REACH | HAS_FILLS
 # What readers of format 1.0 know: all else needs one of 1.1.
 _FIRST_FEATURES = HAS_REMAINDERS | IS_FAITHFUL
-FORMATS = ("1.0", "1.1")
 # Bits that format 1.1 keeps for what nobody has coded yet (FORMAT.md §4.1).
 _RESERVED_FEATURES = {
     32: "a further layout of rapid's tables",

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import VOIDS, one_of
 from terrainwave.codec.refiner import Decoded
 from terrainwave.container.header import Header
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
@@ -21,7 +22,7 @@ from terrainwave.read.decoder import TreeDecoder
 from terrainwave.read.finest import FinestMasks
 from terrainwave.read.windows import WindowReader
 
-EXACT, ANY = VOIDS = ("exact", "any")
+EXACT, ANY = VOIDS
 # To the frame that called a method of an open file.
 _STACK = 4
 
@@ -73,7 +74,7 @@ class LevelReader:
             If `voids` is neither None nor one of `VOIDS`.
         """
         if voids not in (None, *VOIDS):
-            raise InvalidArgumentError(f"found `voids` {voids!r}, expected 'exact' or 'any'")
+            raise InvalidArgumentError(f"found `voids` {voids!r}, expected {one_of(VOIDS)}")
         return voids == EXACT and self._is_untold(level)
 
     def _is_untold(self, level: int) -> bool:

@@ -16,7 +16,6 @@ from typing import Any, BinaryIO, NamedTuple, cast
 
 from terrainwave.arguments import TWZ_ENDINGS, check_ending
 from terrainwave.container.depot import Depot
-from terrainwave.container.header import FORMATS
 from terrainwave.container.publish import (
     publish,
     refuse_own_source,
@@ -26,7 +25,7 @@ from terrainwave.container.publish import (
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Grid
-from terrainwave.names import PLAIN_METHOD
+from terrainwave.names import FORMATS, PLAIN_METHOD
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
 from terrainwave.raster_io.marks import note_on_marks

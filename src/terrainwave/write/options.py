@@ -12,12 +12,12 @@ from terrainwave.arguments import (
     checked_error,
     checked_threads,
 )
-from terrainwave.container.header import FORMATS
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import (
     AUTO_METHODS,
     DEFAULT_METHOD,
     EFFORTS,
+    FORMATS,
     METHODS,
     Method,
     methods_that,
