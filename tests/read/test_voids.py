@@ -1,5 +1,7 @@
 """Samples of coarse levels are void where the full grid is, in files of both formats."""
 
+import json
+import re
 import warnings
 
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 import rasterio
 import reference
 from cases import some
+from click.testing import CliRunner
 from containers import open_container
 from golden_files import GOLDEN
 from reference_decoder.files import read_file
@@ -14,6 +17,7 @@ from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
 import terrainwave
+from terrainwave.cli import main
 from terrainwave.codec.registry import has_reach
 from terrainwave.errors import (
     CorruptStreamError,
@@ -292,3 +296,30 @@ def test_tables_by_reach_without_their_bit_are_of_format_1_1():
     for name in ("rapid-reach-int16-lossless", "rapid-reach-told-int16"):
         with terrainwave.open(GOLDEN / "v1" / f"{name}.twz") as terrain:
             assert terrain.info().format == "1.1"
+
+
+def test_the_command_line_writes_formats_and_shows_voids(tmp_path):
+    source, file, target = tmp_path / "dem.tif", tmp_path / "dem.twz", tmp_path / "level.tif"
+    write_geotiff(source, HEIGHTS, nodata=NODATA)
+
+    def run(*arguments):
+        done = CliRunner().invoke(main, [*map(str, arguments)])
+        assert done.exit_code == 0, done.output + done.stderr
+        return done
+
+    for file_format in ("1.0", "1.1"):
+        more = ["--max-error", 2, "--block", 32, "--no-mesh", "--overwrite"]
+        run("compress", source, file, *more, *(["--format", "1.0"] * (file_format == "1.0")))
+        assert re.search(rf"^format +{re.escape(file_format)}", run("info", file).stdout, re.M)
+        assert json.loads(run("info", file, "--json").stdout)["format"] == file_format
+        for voids in (None, "exact", "any"):
+            options = [] if voids is None else ["--voids", voids]
+            done = run("decompress", file, target, "--level=-2", "--overwrite", *options)
+            is_told = voids is not None or file_format == "1.1"
+            assert ("note: the file is of format 1.0" in done.stderr) != is_told
+            assert ("--voids 'exact'" in done.stderr) != is_told
+            is_exact = voids == "exact" or (voids is None and file_format == "1.1")
+            with rasterio.open(target) as dataset:
+                found = dataset.read_masks(1) > 0
+            expected = VALID[::2, ::2] if is_exact else reference.level_mask(VALID, 1)
+            np.testing.assert_array_equal(found, expected)

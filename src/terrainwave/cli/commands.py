@@ -16,9 +16,11 @@ from terrainwave.arguments import (
     GEOTIFF_ENDINGS,
     HEIGHT_TILE_ENDINGS,
     TWZ_ENDINGS,
+    VOIDS,
     check_ending,
     count_of,
     crs_name,
+    one_of,
 )
 from terrainwave.cli.batch import (
     Done,
@@ -439,8 +441,11 @@ def decompress(
     is_tile = Path(target).suffix.lower() in HEIGHT_TILE_ENDINGS
     if options["size"] and not is_tile:
         raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
-    if options["voids"] is not None and not is_tile:
-        raise click.UsageError(f"{target}: --voids is for height tiles, expected .r16 or .png")
+    if options["voids"] not in (None, *VOIDS) and not is_tile:
+        raise click.UsageError(
+            f"{target}: --voids {options['voids']} is for height tiles, expected"
+            f" {one_of(VOIDS)}, or a name ending in .r16 or .png"
+        )
     if options["cog"] and is_tile:
         raise click.UsageError(f"{target}: a height tile cannot be a COG, expected no --cog")
     announce_compiling(quiet=quiet)
