@@ -6,7 +6,7 @@ A new method is a module in `codec` and a line in `METHODS`; no other module kno
 from collections.abc import Callable
 from dataclasses import dataclass
 
-# Versions of the format that files are of (FORMAT.md §4.1), in the order of their coming.
+# Versions of the format that files are of (FORMAT.md §4.7), in the order of their coming.
 FORMATS = ("1.0", "1.1")
 # In the order in which files number them.
 EFFORTS = ("fast", "default", "best")

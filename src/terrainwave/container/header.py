@@ -43,7 +43,7 @@ HAS_FILLS = 16
 KNOWN_FEATURES = HAS_REMAINDERS | IS_FAITHFUL | HAS_REACH | HAS_FILLS
 # What readers of format 1.0 know: all else needs one of 1.1.
 _FIRST_FEATURES = HAS_REMAINDERS | IS_FAITHFUL
-# Bits that format 1.1 keeps for what nobody has coded yet (FORMAT.md §4.1).
+# Bits that format 1.1 keeps for what nobody has coded yet (FORMAT.md §4.7).
 _RESERVED_FEATURES = {
     32: "a further layout of rapid's tables",
     64: "corrections of patches",
