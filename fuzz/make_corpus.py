@@ -19,10 +19,12 @@ from fuzz.targets import (
     _implied,
     _mesh_samples,
     call,
+    own_place,
 )
 from fuzz.units import N_PARENTS, SPECS, payload_of
 from terrainwave.codec.cdf53 import encode_tile
 from terrainwave.codec.maskcoder import encode_mask
+from terrainwave.codec.ownmask import Validity, encode_validity
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.remaindercoder import encode_remainders
 from terrainwave.codec.tiles import TileLayout
@@ -72,8 +74,9 @@ def _tile(layout: TileLayout, rng: np.random.Generator) -> bytes:
     """Return the payload of a layout's root tile."""
     spec = layout.spec(Block(-1, 0, 0))
     heights = rng.integers(0, 4, spec.region.shape).astype(np.int32)
-    masks = [np.ones(region.shape, dtype=np.bool_) for region in spec.regions]
-    return encode_tile(spec, heights, masks, None).payload()
+    whole = [np.ones(region.shape, dtype=np.bool_) for region in spec.regions]
+    levels = [Validity(mask, mask) for mask in whole]
+    return encode_tile(spec, heights, levels, None).payload()
 
 
 def _of_parts() -> Iterator[tuple[str, bytes]]:
@@ -95,6 +98,20 @@ def _of_parts() -> Iterator[tuple[str, bytes]]:
         yield "remainders", bytes([width >> 3 | 2, 1]) + bytes(range(35))
     for number in (0, 1):
         yield "cdf53", bytes([2 * number, 0]) + _tile(_TILES[number], rng)
+    for kind in range(16):
+        implied, region, above = own_place(kind % 8)
+        place = np.random.default_rng(kind)
+        found = ~implied & (place.random(region.shape) < 0.7)
+        if above is not None:
+            row, col = region.row & 1, region.col & 1
+            part = found[row::2, col::2]
+            first = (region.row + row) // 2 - above.region.row
+            left = (region.col + col) // 2 - above.region.col
+            part[...] = above.own[first:, left:][: part.shape[0], : part.shape[1]]
+        near = Validity(found if kind & 8 else ~implied, found)
+        coded = encode_validity(near, implied, region, above, is_finest=bool(kind & 8))
+        length = b"" if kind & 8 else coded.own
+        yield "own", bytes([kind, len(length)]) + length + coded.mask
     # By a generator of its own: the others' seeds stay.
     yield "cdf53", bytes([4, 0]) + _tile(_TILES[2], np.random.default_rng(3))
     for code, name in enumerate(("zerotree-plain", "rqt")):

@@ -18,8 +18,9 @@ import numpy as np
 from fuzz import IS_COMPILED
 from fuzz.units import N_PARENTS, SMALL_SISTERS, SPECS, parent_of
 from terrainwave.codec import cdf53, registry
-from terrainwave.codec.group import decode_unit
+from terrainwave.codec.group import decode_unit, voids_below
 from terrainwave.codec.maskcoder import decode_mask
+from terrainwave.codec.ownmask import Above, Sections, decode_validity
 from terrainwave.codec.remaindercoder import decode_remainders
 from terrainwave.codec.tiles import TileLayout
 from terrainwave.coding.deflate import deflate
@@ -32,7 +33,7 @@ from terrainwave.container.rounds import RoundReader
 from terrainwave.container.source import BufferSource
 from terrainwave.errors import TerrainwaveError, TruncatedStreamError
 from terrainwave.export.virtual_geotiff import VirtualGeoTIFF
-from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.mesh.blocks import StoredSamples
 from terrainwave.mesh.sections import unpack_section
 from terrainwave.names import METHODS
@@ -226,6 +227,35 @@ def masks(data: bytes) -> None:
     assert not (found & implied).any()
 
 
+def own(data: bytes) -> None:
+    """Decode own samples and a mask of a unit below another, or of the root one."""
+    if len(data) < 2:
+        return
+    implied, region, above = own_place(data[0] % 8)
+    length = data[1]
+    sections = Sections(data[2 + length :], data[2 : 2 + length])
+    is_finest = bool(data[0] & 8)
+    if is_finest:
+        sections = Sections(data[2:], b"")
+    found = decode_validity(sections, implied, region, above, is_finest=is_finest)
+    assert found.mask.shape == found.own.shape == region.shape
+    assert not (found.own & ~found.mask).any()
+    assert not (found.mask & implied).any()
+
+
+@cache
+def own_place(kind: int) -> tuple[np.ndarray, Region, Above | None]:
+    """Return implied voids, region and what is above of a unit."""
+    rng = np.random.default_rng(kind)
+    region = Region(1, 6, 9, 11) if kind & 1 else Region(0, 0, 5, 6)
+    if kind & 2:
+        return np.zeros(region.shape, dtype=np.bool_), region, None
+    outer = Region(0, 3, 7, 7) if kind & 1 else Region(0, 0, 4, 5)
+    mask = rng.random(outer.shape) < (0.8 if kind & 4 else 2)
+    parent = mask & (rng.random(outer.shape) < 0.7)
+    return voids_below(region, outer, mask), region, Above(outer, parent)
+
+
 def remainders(data: bytes) -> None:
     """Decode remainders: as they are, of bytes deflated here, or of as many as they claim."""
     if len(data) < 2:
@@ -396,6 +426,7 @@ TARGETS: dict[str, Target] = {
     "cdf53": tiles,
     "parameters": parameters,
     "masks": masks,
+    "own": own,
     "remainders": remainders,
     "meshes": meshes,
     "planner": planner,

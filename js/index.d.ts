@@ -42,6 +42,14 @@ export interface Window {
   nCols: number;
 }
 
+export interface ReadOptions {
+  /**
+   * Which samples of a coarse level are void: "exact", where the full grid is; "any", those alone
+   * around which nothing is valid. Unless told: exact if the file tells (`hasFills`), else any.
+   */
+  voids?: "exact" | "any";
+}
+
 export interface Read extends Window {
   level: number;
   /** In the file's dtype, row by row; void samples hold nodata, NaN or 0. */
@@ -84,9 +92,11 @@ export class Terrain {
   shape(level?: number): Shape;
   /** a, b, c, d, e, f: x = a·col + b·row + c, y = d·col + e·row + f at the corners of pixels. */
   transform(level?: number): [number, number, number, number, number, number];
-  read(level?: number, window?: Partial<Window>): Promise<Read>;
+  /** Whether the file tells which heights of coarse levels are fills of voids (format 1.1). */
+  readonly hasFills: boolean;
+  read(level?: number, window?: Partial<Window>, options?: ReadOptions): Promise<Read>;
   /** Bilinear, in physical units; NaN outside the samples and beside voids. */
-  sample(x: number, y: number, options?: { level?: number }): Promise<number>;
+  sample(x: number, y: number, options?: { level?: number } & ReadOptions): Promise<number>;
   /** The stored error of a block's surface, in physical units. */
   blockError(level: number, row: number, col: number): Promise<number>;
   /** Rows and columns of blocks. */

@@ -12,7 +12,7 @@ from conformance import invalid, library
 import terrainwave
 
 GOLDEN = Path(__file__).parent / "golden"
-OF_LEVEL = ("rows", "cols", "heights", "mask")
+OF_LEVEL = ("rows", "cols", "heights", "mask", "own")
 
 
 def sha256(path):
@@ -38,7 +38,7 @@ def found(path):
 
 def digests(path):
     """Return size and digests of heights and mask of each level, as js/testing/files.js does."""
-    return [{key: level[key] for key in OF_LEVEL} for level in found(path)["level"]]
+    return [{key: level[key] for key in OF_LEVEL if key in level} for level in found(path)["level"]]
 
 
 def found_invalid(path):

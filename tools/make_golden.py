@@ -201,6 +201,35 @@ CASES = {
         (1100, 2), "int16", 60, "nodata", PLACE,
         {"max_error": 3, "method": "store", "mesh": "none"},
     ),
+    # Format 1.1: fills of coarse levels, and contexts by reach that the header tells.
+    "rapid-fills-int16-nodata": (
+        (70, 51), "int16", 400, "nodata", PLACE,
+        {"max_error": 2, "method": "rapid", "mesh": "none"},
+    ),
+    "predictive-fills-float32-rings": (
+        (45, 70), "float32", 500, "nan", PLACE,
+        {"max_error": 1, "border_rings": 3, "mesh": "none"},
+    ),
+    "rapid-fills-float32-exact": (
+        (40, 44), "float32", 400, "nan", PLACE,
+        {"max_error": 0, "method": "rapid", "mesh": "none"},
+    ),
+    "store-fills-int16-segments": (
+        (1100, 3), "int16", 60, "nodata", PLACE,
+        {"max_error": 9, "method": "store", "mesh": "none"},
+    ),
+    "cdf53-fills-int16-tiles": (
+        (1100, 3), "int16", 300, "mask", PLACE,
+        {"max_error": 9, "method": "cdf53", "mesh": "none"},
+    ),
+    "cdf97-fills-int16-zerotree-layer": (
+        (75, 68), "int16", 150, "nodata", PLACE,
+        {"max_error": 6, "method": "cdf97", "mesh": "zerotree"},
+    ),
+    "rapid-reach-told-int16": (
+        (50, 47), "int16", 4000, "none", PLACE,
+        {"max_error": 9, "method": "rapid", "mesh": "none"},
+    ),
     "one-sample": ((1, 1), "int16", 100, "none", DEGREES, {"max_error": 0}),
     "one-row": ((1, 90), "float32", 100, "none", DEGREES, {"max_error": 0.5}),
     "all-void": ((70, 40), "int16", 100, "all", DEGREES, {"max_error": 1}),
@@ -248,6 +277,13 @@ EXERCISES = {
     "store-int16-nodata-halves": "the smallest method, voids by nodata",
     "store-float64-rqt": "decimals of float64, NaN",
     "store-int16-segments": "six levels: several segments, absent ones (§3.4)",
+    "rapid-fills-int16-nodata": "fills (feature bit 4, §5.4), three levels",
+    "predictive-fills-float32-rings": "fills, aprons, NaN",
+    "rapid-fills-float32-exact": "fills beside remainders",
+    "store-fills-int16-segments": "fills, six levels: several segments",
+    "cdf53-fills-int16-tiles": "fills of tiles of several levels, one below the other (C.4)",
+    "cdf97-fills-int16-zerotree-layer": "fills of filtered levels, meshes that don't know of them",
+    "rapid-reach-told-int16": "contexts by reach that the header tells (feature bit 3)",
     "one-sample": "a raster of one sample",
     "one-row": "a raster of one row",
     "all-void": "no valid sample: z_min 0, z_max −1, empty payloads",

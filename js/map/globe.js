@@ -126,7 +126,9 @@ class Cells {
     last = Math.min(last, this.shape.nRows - 1);
     const place = { row: first, nRows: last - first + 1 };
     const parts = await Promise.all(halves.filter(([low, high]) => low <= high).map(
-      ([low, high]) => this.terrain.read(this.level, { ...place, col: low, nCols: high - low + 1 }),
+      ([low, high]) => this.terrain.read(
+        this.level, { ...place, col: low, nCols: high - low + 1 }, { voids: "any" },
+      ),
     ));
     return { level: this.level, ...place, parts };
   }

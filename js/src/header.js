@@ -5,6 +5,9 @@ import { UnsupportedError, require, requireKnown } from "./errors.js";
 
 export const HEADER_SIZE = 128;
 export const HAS_REMAINDERS = 1;
+export const HAS_REACH = 8; // tables of rapid have contexts by reach
+export const HAS_FILLS = 16; // masks tell fills (§5.4)
+const KNOWN_FEATURES = HAS_REMAINDERS | HAS_REACH | HAS_FILLS;
 const MAGIC = [0x89, 0x54, 0x57, 0x5a, 0x0d, 0x0a, 0x1a, 0x0a];
 const METHODS = ["store", "cdf97", "predictive", "cdf53", "rapid"];
 const MESHES = ["none", "halves", "zerotree-plain", "rqt", "zerotree-layer", "zerotree-coded",
@@ -38,7 +41,7 @@ export function readHeader(bytes, fileSize) {
   require(view.getUint16(10, true) === HEADER_SIZE, "header_size");
   require(uint32(124) === crc32(bytes.subarray(0, 124)), "header_crc");
   requireKnown(bytes[9] === 0, "reserved byte");
-  requireKnown(uint32(12) <= HAS_REMAINDERS, `features ${uint32(12)}`);
+  requireKnown((uint32(12) & ~KNOWN_FEATURES) === 0, `features ${uint32(12)}`);
   requireKnown(bytes[38] === 0 && bytes[39] === 0, "padding");
   requireKnown(bytes[37] < MESHES.length, `mesh ${bytes[37]}`);
   requireKnown(bytes[34] < METHODS.length, `method ${bytes[34]}`);
@@ -96,6 +99,9 @@ function check(h, statedSize) {
   require(Number.isFinite(h.maxError) && h.maxError >= 0, "max_error");
   require(h.effectiveBound >= 0 && h.effectiveBound <= h.maxError, "effective_bound");
   require(Number.isFinite(h.rho) && h.rho >= 0, "rho");
+  require(!(h.features & HAS_REACH) || h.method === "rapid", "contexts by reach of another method");
+  const isOneLevel = Math.max(h.nRows, h.nCols) - 1 <= 2 ** h.blockLog2;
+  require(!(h.features & HAS_FILLS) || !isOneLevel, "fills without coarse levels");
   if (h.features & HAS_REMAINDERS) {
     require(["int32", "float32", "float64"].includes(h.dtype.name) && h.method !== "cdf53",
       "remainders of a dtype or a method");

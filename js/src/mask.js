@@ -1,4 +1,4 @@
-/** Masks (FORMAT.md §5.1, §5.2). */
+/** Masks (FORMAT.md §5.1, §5.2), and own samples (§5.4). */
 
 import { require } from "./errors.js";
 import { kernels } from "./kernels.js";
@@ -108,6 +108,88 @@ export function unmasked(unit, parent) {
   const implied = impliedVoid(unit, parent);
   for (let i = 0; i < valid.length; i++) valid[i] = implied[i] ^ 1;
   return valid;
+}
+
+/** What is known of a sample before a map is read (§5.4). */
+const [UNKNOWN, NO, YES] = [0, 1, 2];
+const N_MAP_MODELS = 1296;
+
+/**
+ * Return { valid, own } of a unit of a file that tells fills; own is null where it is the same.
+ *
+ * Sections are null where there are none. On the finest level there is no section of own samples.
+ */
+export function decodeValidity(mask, own, unit, parent, isFinest) {
+  const { rows, cols } = unit;
+  const implied = impliedVoid(unit, parent);
+  const known = knownOfOwn(unit, parent, implied);
+  if (isFinest) return { valid: decodeMap(mask, known, rows.n, cols.n), own: null };
+  const found = decodeMap(own, known, rows.n, cols.n);
+  const valid = decodeMap(mask, knownOfMask(implied, found, rows.n, cols.n), rows.n, cols.n);
+  return { valid, own: valid.every((bit, i) => bit === found[i]) ? null : found };
+}
+
+/** Voids that are implied, and on even rows and columns what the parent says. */
+function knownOfOwn({ rows, cols }, parent, implied) {
+  const known = Uint8Array.from(implied); // NO is 1
+  if (parent === null) return known;
+  const own = parent.own ?? parent.valid;
+  for (let r = rows.first & 1; r < rows.n; r += 2) {
+    const row = parent.base + (((rows.first + r) >>> 1) - parent.rows.first) * parent.stride;
+    for (let c = cols.first & 1; c < cols.n; c += 2) {
+      const col = ((cols.first + c) >>> 1) - parent.cols.first;
+      known[r * cols.n + c] = own[row + col] ? YES : NO;
+    }
+  }
+  return known;
+}
+
+/** Voids that are implied, and all beside own samples. */
+function knownOfMask(implied, own, nRows, nCols) {
+  const known = new Uint8Array(own.length);
+  for (let r = 0, i = 0; r < nRows; r++) {
+    for (let c = 0; c < nCols; c++, i++) {
+      if (!own[i]) continue;
+      for (let row = Math.max(r - 1, 0); row <= Math.min(r + 1, nRows - 1); row++) {
+        for (let col = Math.max(c - 1, 0); col <= Math.min(c + 1, nCols - 1); col++) {
+          known[row * nCols + col] = YES;
+        }
+      }
+    }
+  }
+  for (let i = 0; i < known.length; i++) if (implied[i]) known[i] = NO;
+  return known;
+}
+
+function decodeMap(section, known, nRows, nCols) {
+  if (section === null) return known.map((what) => (what === NO ? 0 : 1));
+  // A sample of margin on each side stands for what lies outside the region.
+  const stride = nCols + 2;
+  const bits = new Uint8Array((nRows + 2) * stride);
+  const framed = new Uint8Array((nRows + 2) * stride);
+  for (let r = 0; r < nRows; r++) {
+    framed.set(known.subarray(r * nCols, (r + 1) * nCols), (r + 1) * stride + 1);
+  }
+  const decoder = new RangeDecoder(section);
+  const models = new Models(N_MAP_MODELS);
+  const found = new Uint8Array(nRows * nCols);
+  for (let r = 0; r < nRows; r++) {
+    for (let i = (r + 1) * stride + 1, end = i + nCols; i < end; i++) {
+      if (framed[i] !== UNKNOWN) {
+        bits[i] = framed[i] === YES ? 1 : 0;
+        continue;
+      }
+      const before = 8 * bits[i - 1] + 4 * bits[i - stride] + 2 * bits[i - stride - 1] +
+        bits[i - stride + 1];
+      const ahead = 27 * framed[i + 1] + 9 * framed[i + stride] + 3 * framed[i + stride + 1] +
+        framed[i + stride - 1];
+      bits[i] = decoder.bit(models, 81 * before + ahead);
+    }
+    const from = (r + 1) * stride + 1;
+    found.set(bits.subarray(from, from + nCols), r * nCols);
+  }
+  decoder.end();
+  return found;
 }
 
 const START = new Models(MODELS.length, MODELS).cells;

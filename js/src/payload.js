@@ -1,46 +1,53 @@
-/** Payloads of units: mask, exceptions, remainders, heights of a method (FORMAT.md §5). */
+/** Payloads of units: mask, exceptions, remainders, own samples, heights (FORMAT.md §5). */
 
 import { readVarint } from "./bytes.js";
 import { require } from "./errors.js";
-import { HAS_REMAINDERS } from "./header.js";
+import { HAS_FILLS, HAS_REMAINDERS } from "./header.js";
 import { inflateZlib } from "./inflate.js";
-import { decodeMask, unmasked } from "./mask.js";
+import { decodeMask, decodeValidity, unmasked } from "./mask.js";
 
 /**
- * Decode a unit: { unit, heights, valid, hasVoid, remainders }, of its region in raster order.
+ * Decode a unit: { unit, heights, valid, hasVoid, remainders, own }, of its region in raster order.
  *
  * `parent` is null for the root, else the parent heights: { rows, cols, heights, valid, hasVoid,
- * base, stride }. Remainders are null where all are 0.
+ * own, base, stride }. Remainders are null where all are 0, own where all valid samples are own, or
+ * the file does not tell.
  */
 export function decodePayload(file, unit, payload, parent) {
   const { header } = file;
   const n = unit.rows.n * unit.cols.n;
   if (payload.length === 0) {
-    const nothing = { heights: new Int32Array(n), valid: new Uint8Array(n), remainders: null };
+    const nothing = { heights: new Int32Array(n), valid: new Uint8Array(n), remainders: null, own: null };
     return { unit, ...nothing, hasVoid: true };
   }
-  const mayHaveRemainders = header.features & HAS_REMAINDERS && unit.level === file.grid.kMax;
+  const isFinest = unit.level === file.grid.kMax;
+  const hasFills = (header.features & HAS_FILLS) !== 0;
   const flags = payload[0];
-  require(flags < (mayHaveRemainders ? 8 : 4), "flags of a payload");
-  const sections = [null, null, null];
+  const known = 3 | (header.features & HAS_REMAINDERS && isFinest ? 4 : 0) |
+    (hasFills && !isFinest ? 8 : 0);
+  require((flags & ~known) === 0, "flags of a payload");
+  const sections = [null, null, null, null];
   let at = 1;
-  for (let bit = 0; bit < 3; bit++) {
+  for (let bit = 0; bit < 4; bit++) {
     if (!((flags >> bit) & 1)) continue;
     const [length, start] = readVarint(payload, at);
     require(length >= 1 && length <= payload.length - start, "length of a section");
     at = start + length;
     sections[bit] = payload.subarray(start, at);
   }
-  const [mask, exceptions, rest] = sections;
-  const valid = mask ? decodeMask(mask, unit, parent) : unmasked(unit, parent);
-  const hasVoid = (mask !== null || parent?.hasVoid === true) && valid.includes(0);
+  const [mask, exceptions, rest, ownMap] = sections;
+  const mayHaveVoid = mask !== null || parent?.hasVoid === true || Boolean(parent?.own);
+  const { valid, own } = hasFills && (mayHaveVoid || ownMap !== null)
+    ? decodeValidity(mask, ownMap, unit, parent, isFinest)
+    : { valid: mask ? decodeMask(mask, unit, parent) : unmasked(unit, parent), own: null };
+  const hasVoid = mayHaveVoid && valid.includes(0);
   require(!hasVoid || valid.includes(1), "a payload of a unit without valid samples");
   const heights = file.decodeMethod(file, unit, payload.subarray(at), valid, parent, hasVoid);
   // Each height of rapid is within its limits (R.2), which are within these.
   if (header.method !== "rapid") clip(heights, header.zMin, header.zMax);
   moveFromNodata(file.quantaOfNodata, heights, valid, exceptions);
   const remainders = rest && decodeRemainders(rest, n, header.dtype.bytes);
-  return { unit, heights, valid, remainders, hasVoid };
+  return { unit, heights, valid, remainders, hasVoid, own };
 }
 
 /** Step 1 of §5.1. */

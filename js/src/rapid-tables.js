@@ -2,6 +2,7 @@
 
 import { bitLength } from "./bytes.js";
 import { require, requireKnown } from "./errors.js";
+import { HAS_REACH } from "./header.js";
 import { CODES, FEATURES, STENCILS } from "./rapid-data.js";
 import { Models, RangeDecoder } from "./rangecoder.js";
 import { magnitudeReader, readChangedStencil, unpackedTable } from "./stencils.js";
@@ -11,7 +12,8 @@ export const N_SYMBOLS = 63;
 export const SLOT_BITS = 11;
 const TOTAL = 1 << SLOT_BITS;
 const N_FAMILIES = 6; // of each layout
-const LAYOUTS = [1, 3]; // contexts by the mean, by reach
+const REACH = 3;
+const LAYOUTS = [1, REACH]; // contexts by the mean, by reach
 const N_CLASSES = 4;
 const MOST_CODE = 127;
 
@@ -108,6 +110,8 @@ export function readRapidTables(parameters, header) {
   let kMax = 0;
   let stencils;
   let codes;
+  const isTold = (header.features & HAS_REACH) !== 0;
+  require(!isTold || parameters[0] === REACH, "tables that are not by reach");
   if (parameters.length === 0) {
     stencils = Array.from({ length: N_CLASSES }, () => STENCILS.map((sets) => sets[0]));
     codes = codesOf(layout, family);

@@ -4,7 +4,7 @@ import { BlockSource } from "./blocks.js";
 import { Container } from "./container.js";
 import { ArgumentError, LimitExceededError } from "./errors.js";
 import { half, nameOf } from "./grid.js";
-import { requireMethod } from "./header.js";
+import { HAS_FILLS, requireMethod } from "./header.js";
 import { loadKernels } from "./kernels.js";
 import { METHODS } from "./methods.js";
 import { decodePayload } from "./payload.js";
@@ -25,8 +25,8 @@ class Cache {
     this.units = new Map();
   }
 
-  static bytesOf({ heights, remainders }) {
-    return heights.length * (5 + (remainders ? 8 : 0));
+  static bytesOf({ heights, remainders, own }) {
+    return heights.length * (5 + (remainders ? 8 : 0) + (own ? 1 : 0));
   }
 
   get(name) {
@@ -60,15 +60,17 @@ export async function open(from, options = {}) {
 }
 
 /** Return parent heights in arrays of their own. */
-function cutOut({ rows, cols, heights, valid, hasVoid, base, stride }) {
+function cutOut({ rows, cols, heights, valid, hasVoid, own, base, stride }) {
   const part = {
     rows, cols, hasVoid, base: 0, stride: cols.n,
     heights: new Int32Array(rows.n * cols.n), valid: new Uint8Array(rows.n * cols.n),
+    own: own && new Uint8Array(rows.n * cols.n),
   };
   for (let row = 0; row < rows.n; row++) {
     const from = base + row * stride;
     part.heights.set(heights.subarray(from, from + cols.n), row * cols.n);
     part.valid.set(valid.subarray(from, from + cols.n), row * cols.n);
+    if (own) part.own.set(own.subarray(from, from + cols.n), row * cols.n);
   }
   return part;
 }
@@ -106,6 +108,7 @@ export class Terrain {
     this.blockSize = grid.nCells;
     this.dtype = header.dtype.name;
     this.method = header.method;
+    this.hasFills = (header.features & HAS_FILLS) !== 0;
     this.maxError = header.maxError * Math.abs(metadata.scale ?? 1);
     this.effectiveBound = header.effectiveBound * Math.abs(metadata.scale ?? 1);
     this.metadata = metadata;
@@ -124,6 +127,19 @@ export class Terrain {
       throw new ArgumentError(`level ${level}: there are ${this.nLevels}`);
     }
     return found;
+  }
+
+  #checkVoids(voids, level) {
+    if (voids !== "exact" && voids !== "any") {
+      throw new ArgumentError(`voids ${voids}: expected "exact" or "any"`);
+    }
+    const mayHide = level < this.nLevels - 1 && (this.metadata.mask_kind ?? "none") !== "none";
+    if (voids === "exact" && mayHide && !this.hasFills) {
+      throw new ArgumentError(
+        "the file is of format 1.0, which does not tell which heights of coarse levels are fills: " +
+          "read them with voids \"any\", or compress the raster again",
+      );
+    }
   }
 
   /** Return { nRows, nCols } of a level. */
@@ -160,10 +176,15 @@ export class Terrain {
    * `window` is { row, col, nRows, nCols } in samples of the level, by default all of it. Returns
    * { heights, valid, level, row, col, nRows, nCols }: heights in the file's dtype and validity, 1
    * or 0, row by row. Void samples hold `nodata`, or NaN, or 0 in an integer dtype without one.
+   *
+   * `voids` says which samples of a coarse level are void: "exact", where the full grid is, sample
+   * by sample, or "any", those alone around which nothing is valid, while the others have a height
+   * that is a fill. By default exact, if the file tells (`hasFills`), else any.
    */
-  async read(level = -1, window = {}) {
+  async read(level = -1, window = {}, { voids = this.hasFills ? "exact" : "any" } = {}) {
     if (this.#isClosed) throw new ArgumentError("the terrain is closed");
     const found = this.#level(level);
+    this.#checkVoids(voids, found);
     const shape = this.shape(found);
     const { row = 0, col = 0 } = window ?? {};
     const { nRows = shape.nRows - row, nCols = shape.nCols - col } = window ?? {};
@@ -186,7 +207,7 @@ export class Terrain {
     const keys = this.#keysOf(found, place);
     for (let i = 0; i < keys.length; i += UNITS_AT_ONCE) {
       await this.#decode(keys.slice(i, i + UNITS_AT_ONCE), (unit) =>
-        this.#copy(unit, place, heights, valid),
+        this.#copy(unit, place, voids, heights, valid),
       );
     }
     return { heights, valid, level: found, ...place };
@@ -317,7 +338,8 @@ export class Terrain {
     const found = await pool.ask(() => {
       const own = payload.slice(); // or all bytes of its request would be copied
       const part = parent && cutOut(parent);
-      const moved = part ? [own.buffer, part.heights.buffer, part.valid.buffer] : [own.buffer];
+      const arrays = part ? [own, part.heights, part.valid, part.own] : [own];
+      const moved = arrays.filter(Boolean).map(({ buffer }) => buffer);
       return { message: { what: "decode", key, payload: own, parent: part }, moved };
     });
     return { unit: this.#file.grid.unit(key), ...found };
@@ -331,15 +353,16 @@ export class Terrain {
   }
 
   /** Return the parent heights of a group, as methods take them. */
-  #parent(key, { unit, heights, valid, hasVoid }) {
+  #parent(key, { unit, heights, valid, hasVoid, own }) {
     const { rows, cols } = this.#file.grid.parentPlace(key);
     const stride = unit.cols.n;
     const base = (rows.first - unit.rows.first) * stride + cols.first - unit.cols.first;
-    return { rows, cols, heights, valid, hasVoid, base, stride };
+    return { rows, cols, heights, valid, hasVoid, own, base, stride };
   }
 
   /** Copy what lies both in a unit's core and in a window. */
-  #copy(decoded, window, heights, valid) {
+  #copy(decoded, window, voids, heights, valid) {
+    const isValid = voids === "any" ? decoded.valid : decoded.own ?? decoded.valid;
     const { rows, cols } = decoded.unit;
     const top = Math.max(rows.coreFirst, window.row);
     const bottom = Math.min(rows.coreFirst + rows.nCore, window.row + window.nRows);
@@ -349,8 +372,8 @@ export class Terrain {
     for (let row = top; row < bottom; row++) {
       const to = (row - window.row) * window.nCols + left - window.col;
       const from = (row - rows.first) * cols.n + left - cols.first;
-      valid.set(decoded.valid.subarray(from, from + right - left), to);
-      this.#heights.write(heights, to, decoded, from, right - left);
+      valid.set(isValid.subarray(from, from + right - left), to);
+      this.#heights.write(heights, to, { ...decoded, valid: isValid }, from, right - left);
     }
   }
 
@@ -358,7 +381,7 @@ export class Terrain {
    * Return the physical height (raw · scale + offset) at world coordinates, by bilinear
    * interpolation between samples of a level; NaN outside them and where a void sample counts.
    */
-  async sample(x, y, { level = -1 } = {}) {
+  async sample(x, y, { level = -1, voids } = {}) {
     const found = this.#level(level);
     const [a, b, c, d, e, f] = this.transform(found);
     const determinant = a * e - b * d;
@@ -369,7 +392,8 @@ export class Terrain {
     if (!(row >= 0 && col >= 0 && row <= nRows - 1 && col <= nCols - 1)) return NaN;
     const [top, left] = [Math.floor(row), Math.floor(col)];
     const size = { nRows: Math.min(2, nRows - top), nCols: Math.min(2, nCols - left) };
-    const { heights, valid } = await this.read(found, { row: top, col: left, ...size });
+    const { heights, valid } =
+      await this.read(found, { row: top, col: left, ...size }, { voids });
     let [sum, v] = [0, row - top];
     for (let i = 0; i < size.nRows; i++) {
       let u = col - left;

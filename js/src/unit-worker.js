@@ -26,9 +26,9 @@ const WORK = {
     return {};
   },
   decode({ key, payload, parent }) {
-    const { heights, valid, hasVoid, remainders } =
+    const { heights, valid, hasVoid, remainders, own } =
       decodePayload(file, file.grid.unit(key), payload, parent);
-    return { heights, valid, hasVoid, remainders };
+    return { heights, valid, hasVoid, remainders, own };
   },
 };
 
@@ -36,7 +36,8 @@ async function answer({ data }) {
   const { id, what, ...message } = data;
   try {
     const found = await WORK[what](message);
-    const arrays = [found.heights, found.valid, found.remainders?.low, found.remainders?.high];
+    const { heights, valid, remainders, own } = found;
+    const arrays = [heights, valid, remainders?.low, remainders?.high, own];
     port.postMessage({ id, found }, arrays.filter(Boolean).map(({ buffer }) => buffer));
   } catch (error) {
     port.postMessage({ id, error: { name: error.name, message: error.message } });

@@ -11,7 +11,8 @@ import {
 import { DICTIONARY } from "../src/dictionary.js";
 import { Parts, golden } from "../testing/files.js";
 
-const NAMES = ["rapid-int16-lossless-nodata", "rapid-int32-rings", "store-int16-segments"];
+const NAMES = ["rapid-int16-lossless-nodata", "rapid-int32-rings", "store-int16-segments",
+  "predictive-fills-float32-rings"];
 
 function cropped({ heights, valid, nCols }, { row, col, nRows, nCols: n }) {
   const rows = Array.from({ length: nRows }, (_, i) => (row + i) * nCols + col);
@@ -143,4 +144,39 @@ test("samples at centres are the heights, halfway their mean, NaN outside", asyn
   assert.ok(Number.isNaN(await terrain.sample(...at(-0.25, 5))));
   const { left, right, bottom, top } = terrain.bounds;
   assert.ok(left < right && bottom < top);
+});
+
+test("levels are void where the full grid is, if the file tells", async () => {
+  const terrain = await open(await golden("rapid-fills-int16-nodata"));
+  assert.equal(terrain.hasFills, true);
+  const full = await terrain.read();
+  for (let level = 0; level < terrain.nLevels - 1; level++) {
+    const step = 2 ** (terrain.nLevels - 1 - level);
+    const { heights, valid, nRows, nCols } = await terrain.read(level);
+    const any = await terrain.read(level, {}, { voids: "any" });
+    assert.ok(any.valid.some((bit, i) => bit > valid[i]));
+    for (let row = 0; row < nRows; row++) {
+      for (let col = 0; col < nCols; col++) {
+        const i = row * nCols + col;
+        assert.equal(valid[i], full.valid[row * step * full.nCols + col * step]);
+        assert.equal(heights[i], valid[i] ? any.heights[i] : terrain.nodata);
+      }
+    }
+    const at = any.valid.findIndex((bit, i) => bit > valid[i]);
+    const [a, , c, , e, f] = terrain.transform(level);
+    const place = [c + a * ((at % nCols) + 0.5), f + e * (Math.floor(at / nCols) + 0.5)];
+    assert.ok(Number.isNaN(await terrain.sample(...place, { level })));
+    assert.ok(!Number.isNaN(await terrain.sample(...place, { level, voids: "any" })));
+  }
+});
+
+test("files of format 1.0 do not tell fills", async () => {
+  const terrain = await open(await golden("rapid-int16-lossless-nodata"));
+  const any = await terrain.read(0, {}, { voids: "any" });
+  assert.deepEqual(await terrain.read(0), any);
+  await assert.rejects(terrain.read(0, {}, { voids: "exact" }), ArgumentError);
+  await assert.rejects(terrain.read(0, {}, { voids: "all" }), ArgumentError);
+  assert.ok((await terrain.read(-1, {}, { voids: "exact" })).valid.includes(0));
+  const whole = await open(await golden("rapid-int16-halves"));
+  assert.ok(!(await whole.read(0, {}, { voids: "exact" })).valid.includes(0));
 });

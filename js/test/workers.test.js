@@ -7,7 +7,10 @@ import { ArgumentError, CorruptStreamError, TerrainwaveError, open } from "../sr
 import { WorkerPool } from "../src/workers.js";
 import { Parts, digests, golden } from "../testing/files.js";
 
-for (const name of ["store-int16-segments", "predictive-fast-blocks", "rapid-float32-exact"]) {
+const NAMES = ["store-int16-segments", "predictive-fast-blocks", "rapid-float32-exact",
+  "rapid-fills-int16-nodata", "predictive-fills-float32-rings"];
+
+for (const name of NAMES) {
   test(`${name}: the same with 0, 1 and 3 workers`, async () => {
     const bytes = await golden(name);
     const expected = await digests(await open(bytes, { workers: 0 }));

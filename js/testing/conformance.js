@@ -10,7 +10,8 @@ import { digestOfLevel } from "./files.js";
 const PROFILE = {
   name: "terrainwave, JavaScript",
   methods: Object.keys(METHODS),
-  features: 1,
+  features: 25,
+  own: true,
   meshes: [],
   blocks: false,
   verifier: false,

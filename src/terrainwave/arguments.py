@@ -17,6 +17,8 @@ BLOCKS = (32, 64, 128, 256, 512, 1024)
 TWZ_ENDINGS = (".twz",)
 GEOTIFF_ENDINGS = (".tif", ".tiff")
 HEIGHT_TILE_ENDINGS = (".r16", ".png")
+# Which samples of a coarse level are void (`Terrain.read`).
+VOIDS = ("exact", "any")
 PICTURE_ENDINGS = (".png",)
 ARCHIVE_ENDING = ".pmtiles"
 

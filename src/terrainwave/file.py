@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import checked_threads, in_one_line
-from terrainwave.codec.registry import check_parameters
+from terrainwave.codec.registry import check_parameters, has_reach
 from terrainwave.container.codes import decode_error, decode_range
-from terrainwave.container.header import Header
+from terrainwave.container.header import HAS_REACH, Header
 from terrainwave.container.parts import Parts, parts_of
 from terrainwave.container.reader import Container
 from terrainwave.container.source import open_source
@@ -24,7 +24,7 @@ from terrainwave.errors import (
 from terrainwave.grid.affine import bounds, coordinates, is_turned, of_level, pixel_size
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import Quantizer
-from terrainwave.names import EFFORTS, METHODS, methods_that
+from terrainwave.names import EFFORTS, FORMATS, METHODS, methods_that
 from terrainwave.place.position import Turn, longitude_turn
 from terrainwave.place.units import HeightUnit, height_unit
 from terrainwave.raster_io.info import RasterInfo
@@ -33,7 +33,7 @@ from terrainwave.read.resample import RESAMPLING, resample
 
 if TYPE_CHECKING:
     from terrainwave.read.decoder import TreeDecoder
-    from terrainwave.read.windows import WindowReader
+    from terrainwave.read.levels import LevelReader
 
 DEFAULT_CACHE_BYTES = 256 << 20
 DEFAULT_MAX_BYTES = 4 << 30
@@ -45,6 +45,7 @@ _SAME_COLUMN = 0.01
 class Info:
     """What a .twz file says about itself; errors are in physical units.
 
+    `format` is the first version of the format whose readers know all that the file uses.
     `faithful`: the file follows the paper of its method to the letter.
     `float_error` is how much further apart than `max_error` stored floats may be: one spacing,
     where they name decimal numbers and the file is not strict.
@@ -73,6 +74,7 @@ class Info:
     units_of_crs: str | None
     method: str
     effort: str
+    format: str
     faithful: bool
     block: int
     border_rings: int
@@ -146,7 +148,8 @@ class TerrainFile:
         try:
             self.container = Container(self._source)
             header = self.container.header
-            check_parameters(header.method, header.parameters)
+            says_reach = bool(header.features & HAS_REACH)
+            check_parameters(header.method, header.parameters, says_reach=says_reach)
             # Null means the same as a key that is missing (FORMAT.md §4.2).
             known = {name: value for name, value in header.metadata.items() if value is not None}
             known |= {"n_rows": header.n_rows, "n_cols": header.n_cols, "dtype": header.dtype}
@@ -180,8 +183,8 @@ class TerrainFile:
 
     def close(self) -> None:
         """Close the file and stop the threads."""
-        if "_windows" in self.__dict__:
-            self._windows.close()
+        if "_levels" in self.__dict__:
+            self._levels.close()
         self.container.close()
 
     @cached_property
@@ -193,10 +196,16 @@ class TerrainFile:
         return make_decoder(self.header, self.container.payloads, self._cache_bytes)
 
     @cached_property
-    def _windows(self) -> "WindowReader":
-        from terrainwave.read.windows import WindowReader
+    def _levels(self) -> "LevelReader":
+        from terrainwave.read.levels import LevelReader
 
-        return WindowReader(str(self.name), self.quantizer, self.n_threads)
+        return LevelReader(
+            str(self.name),
+            self.header,
+            self.n_threads,
+            self.container.payloads,
+            may_have_voids=self._raster.mask_kind != "none",
+        )
 
     # What the file says.
 
@@ -356,6 +365,12 @@ class TerrainFile:
         is_strict = self.quantizer.is_strict(self.header.max_error, self.header.effective_bound)
         return 0.0 if is_strict else self.quantizer.float_error
 
+    @property
+    def _format(self) -> str:
+        """Return the version of the format; tables by reach are older than their feature bit."""
+        is_newer = has_reach(self.header.method, self.header.parameters)
+        return FORMATS[-1] if is_newer else self.header.format
+
     def info(self) -> Info:
         """Return a summary of the file, from its header alone."""
         header, raster = self.header, self._raster
@@ -385,6 +400,7 @@ class TerrainFile:
             units_of_crs=self._height_unit.of_crs,
             method=header.method,
             effort=EFFORTS[min(header.effort, len(EFFORTS) - 1)],
+            format=self._format,
             faithful=header.is_faithful,
             block=header.block,
             border_rings=header.border_rings,
@@ -495,6 +511,7 @@ class TerrainFile:
         resampling: str = "nearest",
         masked: bool = False,
         on_error: str = "raise",
+        voids: str | None = None,
         max_bytes: int = DEFAULT_MAX_BYTES,
     ) -> NDArray[Any]:
         """Read heights in the file's dtype, the void value in voids.
@@ -523,6 +540,12 @@ class TerrainFile:
             Return a masked array, as rasterio does.
         on_error : str
             ``"raise"``, or ``"mask"``: a damaged block reads as void and the rest is returned.
+        voids : str, optional
+            Which samples of a coarse level are void. ``"exact"``: those where the full grid is
+            void, sample by sample. ``"any"``: those alone around which nothing is valid; the others
+            have a height that is a fill, as meshes need it. By default exact, if the file tells
+            (format 1.1); else any, with one warning. To find exact voids of an older file, the
+            finest payloads of the window are read, too.
         max_bytes : int
             Refuse a larger result.
 
@@ -553,10 +576,12 @@ class TerrainFile:
         region = self.region(window, bounds=bounds, level=level)
         self._check_size(out_shape or region.shape, max_bytes)
         if out_shape is None:
-            heights, voids = self._windows.read_voids(self.decoder, index, region, on_error)
+            heights, void = self._levels.read(self.decoder, index, region, on_error, voids)
         else:
             heights, valid = resample(
-                lambda shift, part: self._windows.read(self.decoder, index - shift, part, on_error),
+                lambda shift, part: _with_valid(
+                    *self._levels.read(self.decoder, index - shift, part, on_error, voids)
+                ),
                 region,
                 out_shape,
                 resampling,
@@ -564,35 +589,53 @@ class TerrainFile:
                 self.grid,
                 max_bytes,
             )
-            voids = None if valid.all() else ~valid
-        if voids is not None:
-            heights[voids] = self._raster.void_value
+            void = None if valid.all() else ~valid
+        if void is not None:
+            heights[void] = self._raster.void_value
         if masked:
             fill = None if self._raster.nodata is None else self.dtype.type(self._raster.nodata)
-            mask = np.zeros(heights.shape, dtype=np.bool_) if voids is None else voids
+            mask = np.zeros(heights.shape, dtype=np.bool_) if void is None else void
             return np.ma.MaskedArray(heights, mask=mask, fill_value=fill)
         return heights
 
     def read_with_mask(
-        self, window: Any = None, *, level: int = -1, on_error: str = "raise"
+        self,
+        window: Any = None,
+        *,
+        level: int = -1,
+        on_error: str = "raise",
+        voids: str | None = None,
     ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """Return heights and validity of a window of a level; arguments as in `read`.
 
         What `read` cannot tell: a raster with a mask of its own may hold any value in its voids.
         """
         region = self.region(window, level=level)
-        heights, valid = self._windows.read(self.decoder, self.level_index(level), region, on_error)
-        heights[~valid] = self._raster.void_value
-        return heights, valid
+        index = self.level_index(level)
+        return self._filled(*self._levels.read(self.decoder, index, region, on_error, voids))
+
+    def _filled(
+        self, heights: NDArray[Any], void: NDArray[np.bool_] | None
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return heights with the void value in voids, and validity."""
+        if void is not None:
+            heights[void] = self._raster.void_value
+        return _with_valid(heights, void)
 
     def read_early(
-        self, window: Any = None, *, quality: float, level: int = -1, on_error: str = "raise"
+        self,
+        window: Any = None,
+        *,
+        quality: float,
+        level: int = -1,
+        on_error: str = "raise",
+        voids: str | None = None,
     ) -> "EarlyHeights":
         """Return the best heights of a window that so many bits per sample give.
 
         Parameters
         ----------
-        window, level, on_error
+        window, level, on_error, voids
             As in `read`.
         quality : float
             Bits per sample of the window to read of payloads; > 0. The heads of all tiles needed
@@ -623,9 +666,8 @@ class TerrainFile:
         decoder = TileDecoder(
             self.grid, header.codec_parameters, payloads, self._cache_bytes, are_prefixes=True
         )
-        heights, valid = self._windows.read(decoder, index, region, on_error)
-        heights[~valid] = self._raster.void_value
-        return EarlyHeights(heights, valid, payloads.n_bytes)
+        found = self._filled(*self._levels.read(decoder, index, region, on_error, voids))
+        return EarlyHeights(*found, payloads.n_bytes)
 
     def region(
         self, window: Any = None, *, bounds: Sequence[float] | None = None, level: int = -1
@@ -663,7 +705,11 @@ class TerrainFile:
         return region
 
     def sample(
-        self, points: Iterable[tuple[float, float]] | NDArray[np.float64], *, level: int = -1
+        self,
+        points: Iterable[tuple[float, float]] | NDArray[np.float64],
+        *,
+        level: int = -1,
+        voids: str | None = None,
     ) -> NDArray[np.float64]:
         """Return bilinear heights at world coordinates, in physical units.
 
@@ -672,6 +718,8 @@ class TerrainFile:
         points : sequence of (x, y), or array of shape (n_points, 2)
             Places in the file's CRS. Longitudes may be of any turn: -170 and 190 are the same, and
             a raster around the whole globe goes on from its last column to its first.
+        level, voids
+            As in `read`.
 
         Returns
         -------
@@ -683,7 +731,7 @@ class TerrainFile:
         places = np.asarray(listed, dtype=np.float64).reshape(-1, 2)
         index = self.level_index(level)
         rows, cols = to_samples(self._of_this_turn(places), self.transform(index))
-        heights = self._heights_at(index, rows, cols)
+        heights = self._heights_at(index, rows, cols, voids)
         last = self.grid.level_shape(index)[1] - 1
         beyond = np.isfinite(cols) & ((cols < 0) | (cols > last))
         if self._is_whole_turn and beyond.any():
@@ -691,21 +739,23 @@ class TerrainFile:
             turn = self.shape[1] / self.grid.stride(index)
             across = np.mod(cols[beyond] - last, turn) / (turn - last)
             ends = [
-                self._heights_at(index, rows[beyond], np.full(across.shape, column))
+                self._heights_at(index, rows[beyond], np.full(across.shape, column), voids)
                 for column in (float(last), 0.0)
             ]
             heights[beyond] = ends[0] * (1 - across) + ends[1] * across
         return heights
 
     def _heights_at(
-        self, level: int, rows: NDArray[np.float64], cols: NDArray[np.float64]
+        self, level: int, rows: NDArray[np.float64], cols: NDArray[np.float64], voids: str | None
     ) -> NDArray[np.float64]:
         """Return bilinear heights at fractional samples; NaN outside the outermost and in voids."""
         n_rows, n_cols = self.grid.level_shape(level)
         inside = (rows >= 0) & (rows <= n_rows - 1) & (cols >= 0) & (cols <= n_cols - 1)
         heights = np.full(len(rows), np.nan)
         if inside.any():
-            raw, is_void = self._windows.bilinear(self.decoder, level, rows[inside], cols[inside])
+            raw, is_void = self._levels.bilinear(
+                self.decoder, level, rows[inside], cols[inside], voids
+            )
             physical = raw * self._raster.scale + self._raster.offset
             heights[inside] = np.where(is_void, np.nan, physical)
         return heights
@@ -750,6 +800,13 @@ class TerrainFile:
                 f"the window holds {shape[0]} x {shape[1]} samples, {n_bytes:,} bytes; more than"
                 f" max_bytes = {max_bytes:,}: read a smaller window or a coarser level"
             )
+
+
+def _with_valid(
+    heights: NDArray[Any], void: NDArray[np.bool_] | None
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return heights and validity, of heights and what is void."""
+    return heights, np.ones(heights.shape, dtype=np.bool_) if void is None else ~void
 
 
 def _in_words(box: Sequence[float]) -> str:

@@ -6,6 +6,8 @@ A new method is a module in `codec` and a line in `METHODS`; no other module kno
 from collections.abc import Callable
 from dataclasses import dataclass
 
+# Versions of the format that files are of (FORMAT.md §4.7), in the order of their coming.
+FORMATS = ("1.0", "1.1")
 # In the order in which files number them.
 EFFORTS = ("fast", "default", "best")
 # Kinds of meshes, in the order in which files number them.
@@ -50,6 +52,8 @@ class Method:
         The file's header may hold tables for all of its units.
     is_read_in_browsers : bool
         The reader in JavaScript decodes it.
+    has_reach : bool
+        Its tables may have contexts by reach, which readers of format 1.0 don't know.
     has_layers : bool
         It codes difference layers, whose zero trees drive its meshes of the kind "zerotree".
     """
@@ -65,6 +69,7 @@ class Method:
     is_patchable: bool = False
     has_parameters: bool = False
     is_read_in_browsers: bool = False
+    has_reach: bool = False
     has_layers: bool = False
 
     @property
@@ -73,12 +78,14 @@ class Method:
         return self.refiner is None
 
 
+# The layout of tables with contexts by reach (format-rapid.md R.10).
+REACH_LAYOUT = 3
 # In the order in which they are named to users; the first is the default.
 METHODS = {
     method.name: method
     for method in (
         Method(name="rapid", number=4, refiner="rapid.Rapid", has_parameters=True,
-               is_patchable=True, is_read_in_browsers=True),
+               has_reach=True, is_patchable=True, is_read_in_browsers=True),
         Method(name="predictive", number=2, refiner="predictive.Predictive", has_parameters=True,
                is_patchable=True, is_read_in_browsers=True, effort="1, 2 or 8 sets of weights"),
         Method(name="cdf97", number=1, refiner="cdf97.Cdf97", pyramid="lowpass",

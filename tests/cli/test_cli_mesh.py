@@ -373,7 +373,7 @@ def test_window_as_size_keeps_the_window(tmp_path, twz):
         ("t.r16", "--size big", "found big, expected 2^n + 1"),
         ("t.png", "--cog", "cannot be a COG"),
         ("t.tif", "--size 65", "--size is for height tiles"),
-        ("t.tif", "--voids fill", "--voids is for height tiles"),
+        ("t.tif", "--voids fill", "--voids fill is for height tiles"),
         ("t.r16", "--voids up", "found --voids up, expected lowest, fill or a height"),
     ],
 )

@@ -8,6 +8,7 @@ from twz import twz_bytes
 
 from terrainwave.codec import tiles
 from terrainwave.codec.cdf53 import PIECE, decode_tile, encode_tile, plane_cut, unpack_head
+from terrainwave.codec.ownmask import Validity
 from terrainwave.codec.tiles import TileLayout
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TruncatedStreamError
 from terrainwave.grid.quadtree import Block, Grid
@@ -36,7 +37,8 @@ def root_tile(heights):
     grid = Grid(*heights.shape, 32)
     spec = TileLayout(grid).spec(Block(-1, 0, 0))
     masks = [np.ones(region.shape, dtype=bool) for region in spec.regions]
-    return spec, encode_tile(spec, heights.astype(np.int32), masks, None)
+    levels = [Validity(mask, mask) for mask in masks]
+    return spec, encode_tile(spec, heights.astype(np.int32), levels, None)
 
 
 # Tiles

@@ -140,6 +140,20 @@ def payload(change, key=ROOT):
     return edited(edit)
 
 
+def own_section(change):
+    """The own samples in the root's payload."""
+
+    def change_payload(data):
+        assert data[0] in (8, 9)
+        at = 1 + (1 + data[1] if data[0] & 1 else 0)  # behind the mask
+        assert data[at] < 128
+        end = at + 1 + data[at]
+        section = change(data[at + 1 : end])
+        return data[:at] + bytes([len(section)]) + section + data[end:]
+
+    return payload(change_payload)
+
+
 def method_bytes(change):
     """The bytes of the method in the root's payload."""
     return payload(lambda data: data[:START] + change(data[START:]))
@@ -222,6 +236,7 @@ def planes_of_zeros(n_planes, n_samples=25):
 
 # Remainders of 0x3d400000 each: from floats of some hundred to beyond the largest.
 HUGE = zlib.compress(bytes(2 * 25) + b"\x80" * 25 + b"\x7a" * 25, 9)
+FILLS = "store-fills-int16-segments"
 LONE = b'{"software":"\\ud800"}'
 NESTED = b'{"x":' + b"[" * 16 + b"]" * 16 + b"}"
 BOMB = b'{"x":"' + b"0" * 2**20 + b'"}'
@@ -242,6 +257,18 @@ CASES = {
     "padding": Case("store", "§1.2", "padding 0, 1", header(padding=b"\0\1"), "unsupported"),
     "feature-4": Case("store", "§4.1", "feature bit 2", header(features=4), "unsupported"),
     "feature-2-31": Case("store", "§4.1", "feature bit 31", header(features=2**31), "unsupported"),
+    "feature-kept-5": Case("store", "§4.1", "feature bit 5", header(features=32), "unsupported"),
+    "feature-kept-6": Case("store", "§4.1", "feature bit 6", header(features=64), "unsupported"),
+    "feature-kept-7": Case("store", "§4.1", "feature bit 7", header(features=128), "unsupported"),
+    "reach-of-store": Case(
+        "store", "§4.1", "feature bit 3 with method store", header(features=8)
+    ),
+    "reach-of-layout-1": Case(
+        "rapid", "§4.1", "feature bit 3 with tables of layout 1", header(features=8)
+    ),
+    "fills-of-one-level": Case(
+        "one-sample", "§4.1", "feature bit 4 with k_max 0", header(features=16)
+    ),
     "remainders-int16": Case("store", "§4.1", "remainders of int16", header(features=1)),
     "remainders-step": Case("exact", "§4.1", "remainders beside step 3", header(step=3)),
     "remainders-bound": Case(
@@ -460,6 +487,27 @@ CASES = {
     ),
     "mask-beyond": Case(
         "store", "§5.1", "a mask section longer than the payload", payload(put(1, 99))
+    ),
+    "own-on-the-finest-level": Case(
+        FILLS, "§5.1", "flag of own samples on level k_max",
+        payload(lambda data: bytes([data[0] | 8]) + data[1:], key=(1, 0, 0)),
+    ),
+    "own-empty": Case(
+        FILLS, "§5.1", "a section of own samples of length 0",
+        own_section(lambda section: b""),
+    ),
+    "own-cut": Case(
+        FILLS, "§6.2", "own samples whose stream is a byte short",
+        own_section(lambda section: section[:-1]),
+    ),
+    "own-left-over": Case(
+        FILLS, "§6.2", "own samples whose stream has a byte too much",
+        own_section(lambda section: section + b"\0"),
+    ),
+    "map-left-over": Case(
+        FILLS, "§6.2", "a mask of level k_max whose stream has a byte too much",
+        payload(lambda data: b"\1" + bytes([data[1] + 1]) + data[2 : 2 + data[1]] + b"\0"
+                + data[2 + data[1] :], key=(1, 0, 0)),
     ),
     "exceptions-unasked": Case(
         "store", "§5.1", "exceptions where no sample has any",

@@ -18,7 +18,8 @@ from terrainwave.names import MESHES, METHODS
 PROFILE = {
     "name": "terrainwave, Python",
     "methods": list(METHODS),
-    "features": 3,
+    "features": 27,
+    "own": True,
     "meshes": list(MESHES[1:]),
     "blocks": True,
     "verifier": True,
@@ -60,9 +61,17 @@ def block_triangles(terrain, level):
         yield vertices[mesh.triangles]
 
 
+def heights_of(terrain, level):
+    """Return heights, with those that are fills, and which are no fills if the file tells."""
+    own = None
+    if terrain.header.has_fills:
+        own = terrain.read_with_mask(level=level, voids="exact")[1]
+    return protocol.heights_and_mask(*terrain.read_with_mask(level=level, voids="any"), own)
+
+
 def level_of(terrain, level):
     """Return all that the set knows of a level."""
-    found = protocol.heights_and_mask(*terrain.read_with_mask(level=level))
+    found = heights_of(terrain, level)
     found |= protocol.blocks(block_codes(terrain, level))
     if terrain.mesh_kind != "none":
         found |= protocol.mesh(block_triangles(terrain, level))
@@ -88,7 +97,7 @@ def answer(question):
             if task == "describe":
                 return describe(terrain)
             if task == "level":
-                return protocol.heights_and_mask(*terrain.read_with_mask(level=question["level"]))
+                return heights_of(terrain, question["level"])
             if task == "blocks":
                 return protocol.blocks(block_codes(terrain, question["level"]))
             if task == "mesh":

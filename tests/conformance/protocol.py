@@ -13,14 +13,16 @@ def digest(array):
     return hashlib.sha256(array.astype(array.dtype.newbyteorder("<")).tobytes()).hexdigest()
 
 
-def heights_and_mask(heights, mask):
-    """Return the answer to `level`."""
+def heights_and_mask(heights, mask, own=None):
+    """Return the answer to `level`; `own` of files that tell fills."""
     n_rows, n_cols = heights.shape
+    found = {} if own is None else {"own": digest(np.asarray(own, dtype=np.uint8))}
     return {
         "rows": n_rows,
         "cols": n_cols,
         "heights": digest(heights),
         "mask": digest(np.asarray(mask, dtype=np.uint8)),
+        **found,
     }
 
 

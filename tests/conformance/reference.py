@@ -8,14 +8,15 @@ if __name__ == "__main__":
 
 from reference_decoder.basics import CorruptError, UnsupportedError
 from reference_decoder.files import DTYPES, METHODS, block_codes, decode_error, read_file
-from reference_decoder.units import decode
+from reference_decoder.units import decode, decode_with_own
 
 from conformance import protocol
 
 PROFILE = {
     "name": "reference decoder",
     "methods": list(METHODS.values()),
-    "features": 3,
+    "features": 27,
+    "own": True,
     "meshes": [],
     "blocks": True,
     "verifier": True,
@@ -48,7 +49,9 @@ def answer(question):
         if task == "describe":
             return describe(file)
         if task == "level":
-            return protocol.heights_and_mask(*decode(data, question["level"]))
+            heights, mask, own = decode_with_own(data, question["level"])
+            has_fills = file.header.features & 16
+            return protocol.heights_and_mask(heights, mask, own if has_fills else None)
         if task == "blocks":
             boxes, blocks = block_codes(data), file.grid.blocks(question["level"])
             return protocol.blocks(

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 from reference_decoder import range_coder
 from reference_decoder.basics import clamp, read_varint, require, zeros
-from reference_decoder.payloads import decode_mask, implied_void, quanta_of_nodata
+from reference_decoder.payloads import decode_valid, quanta_of_nodata
 from reference_decoder.range_coder import Models
 from reference_decoder.spiht import HL, LH, Spiht, Stop
 
@@ -110,14 +110,18 @@ def read_stream(pieces, n_stream):
     return stream
 
 
-def parse_payload(payload, tile):
-    """Return masks by level (empty: those implied), borders, low, planes and stream."""
+def parse_payload(file, payload, tile):
+    """Return masks and own samples by level (None: no section), borders, low, planes and stream."""
     flags, at = payload[0], 1
     require(flags < 2, "flags of a tile")
-    masks = [b""] * len(tile.parts)
-    if flags & 1:
-        for i in range(len(masks)):
-            masks[i], at = section(payload, at)
+    masks = []
+    for part in tile.parts:
+        mask = own = b""
+        if flags & 1:
+            if file.header.features & 16 and part.level < file.grid.k_max:
+                own, at = section(payload, at)
+            mask, at = section(payload, at)
+        masks.append((mask or None, own or None))
     borders, at = section(payload, at)
     require(bool(borders) == any(tile.held), "borders of a tile")
     low, at = read_varint(payload, at)
@@ -182,15 +186,16 @@ def decode_stream(head, shape, n_transforms):
 # Tiles to heights ---------------------------------------------------------------------------------
 
 
-def decode_tile(payload, tile, above, above_valid):
+def decode_tile(file, payload, tile, above, above_valid):
     """Return (heights in steps, mask) of each level of a tile, the coarsest first."""
     if not payload:
+        for part in tile.parts:
+            part.own = zeros(part.rows.n, part.cols.n)
         return [(zeros(p.rows.n, p.cols.n), zeros(p.rows.n, p.cols.n)) for p in tile.parts]
-    head = parse_payload(payload, tile)
+    head = parse_payload(file, payload, tile)
     masks, outer, outer_valid = [], tile.head, above_valid
-    for part, mask in zip(tile.parts, head.masks, strict=True):
-        implied = implied_void(part, outer, outer_valid)
-        valid = decode_mask(mask, implied) if mask else [[int(not x) for x in r] for r in implied]
+    for part, sections in zip(tile.parts, head.masks, strict=True):
+        valid = decode_valid(file, part, *sections, outer, outer_valid)
         masks.append(valid)
         outer, outer_valid = part, valid
     require(any(map(any, masks[0])), "payload of a tile without valid samples")
@@ -237,9 +242,11 @@ def decode_tiles(file, tiles):
                 one for one in found if holds(one[0], tile.first - 1, tile.head)
             )
             above, above_valid = cut(heights, holder, tile.head), cut(valid, holder, tile.head)
-        decoded = decode_tile(file.payloads[tile.key], tile, above, above_valid)
-        for i, (part, one) in enumerate(zip(tile.parts, decoded, strict=True)):
+            tile.head.own = cut(holder.own, holder, tile.head)
+        for i, part in enumerate(tile.parts):
             part.level = tile.first + i
+        decoded = decode_tile(file, file.payloads[tile.key], tile, above, above_valid)
+        for part, one in zip(tile.parts, decoded, strict=True):
             found.append((part, *one))
     return found
 

@@ -41,8 +41,9 @@ def read_header(data):
     require(h.header_size == 128, "header_size")
     require(h.header_crc == zlib.crc32(data[:124]), "header_crc")
     require(h.reserved == 0, "reserved", UnsupportedError)
-    require(h.features <= 3, "features", UnsupportedError)
+    require(not h.features & ~(1 | 2 | 8 | 16), "features", UnsupportedError)
     require(not h.features & 2 or h.method == 1, "a faithful file of another method")
+    require(not h.features & 8 or h.method == 4, "contexts by reach of another method")
     require(h.padding == b"\0\0", "padding", UnsupportedError)
     require(h.mesh <= 6, "mesh", UnsupportedError)
     require(h.mesh != 6 or h.method == 3, "a mesh by coefficients of another method")
@@ -240,9 +241,11 @@ def read_file(data):
     require(zlib.crc32(parameters) == h.parameters_crc, "parameters_crc")
     if METHODS[h.method] not in ("predictive", "rapid"):
         require(not parameters, "the method has no parameters", UnsupportedError)
+    require(not h.features & 8 or parameters[:1] == b"\3", "tables that are not by reach")
     at += h.parameters_length
 
     grid = Grid(h.n_rows, h.n_cols, 2**h.block_log2, h.border_rings)
+    require(not h.features & 16 or grid.k_max > 0, "fills without coarse levels")
     payloads, codes, segment_of_key, segment_of_block = {}, {}, {}, {}
     # The segments of one level in file order: head, length of page, length (None: not known).
     row = [(None, h.top_page_length, None)]

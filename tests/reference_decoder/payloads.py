@@ -3,7 +3,15 @@
 import numpy as np
 
 from reference_decoder import range_coder
-from reference_decoder.basics import ceil_div, clamp, fenced, inflate, read_varint, require
+from reference_decoder.basics import (
+    ceil_div,
+    clamp,
+    fenced,
+    inflate,
+    read_varint,
+    require,
+    zeros,
+)
 from reference_decoder.cdf97 import decode_cdf97
 from reference_decoder.files import DTYPES, METHODS
 from reference_decoder.predictive import decode_predictive
@@ -72,25 +80,100 @@ def decode_mask(section, implied):
     return valid
 
 
+def known_of_own(unit, parent_unit, implied):
+    """Return K of own samples (§5.4): 0 nothing is known, 1 the bit is 0, 2 it is 1."""
+    known = [[int(is_void) for is_void in row] for row in implied]
+    for r in range(unit.rows.n):
+        for c in range(unit.cols.n):
+            row, col = unit.rows.first + r, unit.cols.first + c
+            if parent_unit is not None and row % 2 == 0 and col % 2 == 0:
+                i, j = row // 2 - parent_unit.rows.first, col // 2 - parent_unit.cols.first
+                known[r][c] = 2 if parent_unit.own[i][j] else 1
+    return known
+
+
+def known_of_mask(implied, own):
+    """Return K of the mask of a level that is not the finest (§5.4)."""
+    n_rows, n_cols = len(own), len(own[0])
+
+    def is_beside(r, c):
+        return any(
+            own[i][j]
+            for i in range(max(r - 1, 0), min(r + 2, n_rows))
+            for j in range(max(c - 1, 0), min(c + 2, n_cols))
+        )
+
+    return [
+        [1 if implied[r][c] else 2 * is_beside(r, c) for c in range(n_cols)] for r in range(n_rows)
+    ]
+
+
+def decode_map(section, known):
+    """§5.4."""
+    n_rows, n_cols = len(known), len(known[0])
+    bits = [[0] * n_cols for _ in range(n_rows)]
+
+    def at(grid, i, j):
+        return grid[i][j] if 0 <= i < n_rows and 0 <= j < n_cols else 0
+
+    decoder = None if section is None else range_coder.RangeDecoder(section)
+    models = Models(1296)
+    for i in range(n_rows):
+        for j in range(n_cols):
+            if known[i][j]:
+                bits[i][j] = known[i][j] - 1
+            elif decoder is None:
+                bits[i][j] = 1
+            else:
+                model = 0
+                for di, dj in ((0, -1), (-1, 0), (-1, -1), (-1, 1)):
+                    model = 2 * model + at(bits, i + di, j + dj)
+                for di, dj in ((0, 1), (1, 0), (1, 1), (1, -1)):
+                    model = 3 * model + at(known, i + di, j + dj)
+                bits[i][j] = decoder.bit(models, model)
+    if decoder is not None:
+        decoder.end()
+    return bits
+
+
+def decode_valid(file, unit, mask, own, parent_unit, parent_valid):
+    """Return the mask of a unit, of its sections or None; sets its own samples (§5.2, §5.4)."""
+    implied = implied_void(unit, parent_unit, parent_valid)
+    if not file.header.features & 16:
+        if mask:
+            valid = decode_mask(mask, implied)
+        else:
+            valid = [[int(not is_void) for is_void in row] for row in implied]
+        unit.own = valid
+    elif unit.level == file.grid.k_max:
+        valid = unit.own = decode_map(mask, known_of_own(unit, parent_unit, implied))
+    else:
+        unit.own = decode_map(own, known_of_own(unit, parent_unit, implied))
+        valid = decode_map(mask, known_of_mask(implied, unit.own))
+    return valid
+
+
 def decode_payload(file, unit, payload, parent_unit, parent_heights, parent_valid):
     """Return final heights, mask, remainders (None: all are 0) of a unit's region (§5.1)."""
     h = file.header
     n_rows, n_cols = unit.rows.n, unit.cols.n
     if not payload:
-        return [[0] * n_cols for _ in range(n_rows)], [[0] * n_cols for _ in range(n_rows)], None
-    implied = implied_void(unit, parent_unit, parent_valid)
+        unit.own = zeros(n_rows, n_cols)
+        return zeros(n_rows, n_cols), zeros(n_rows, n_cols), None
     flags, at = payload[0], 1
     may_have_remainders = h.features & 1 and unit.level == file.grid.k_max
-    require(flags < (8 if may_have_remainders else 4), "flags of a payload")
-    sections = [None, None, None]
-    for bit in (0, 1, 2):
+    may_have_own = h.features & 16 and unit.level < file.grid.k_max
+    known = 3 | (4 if may_have_remainders else 0) | (8 if may_have_own else 0)
+    require(not flags & ~known, "flags of a payload")
+    sections = [None] * 4
+    for bit in range(4):
         if flags >> bit & 1:
             n, at = read_varint(payload, at)
             require(1 <= n <= len(payload) - at, "length of a section")
             sections[bit] = payload[at : at + n]
             at += n
-    mask, exceptions, rest = sections
-    valid = decode_mask(mask, implied) if mask else [[int(not x) for x in row] for row in implied]
+    mask, exceptions, rest, own = sections
+    valid = decode_valid(file, unit, mask, own, parent_unit, parent_valid)
     require(any(map(any, valid)), "payload of a unit without valid samples")
     decode_method = DECODERS[METHODS[h.method]]
     heights = decode_method(file, unit, payload[at:], valid, parent_unit, parent_heights)

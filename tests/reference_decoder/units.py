@@ -47,6 +47,7 @@ def decode_units(file, level):
             else:
                 holder, heights, valid, _ = holders[key]
                 place = block_with_apron(grid, key, holder)
+                place.own = cut(holder.own, holder, place)
                 parent = place, cut(heights, holder, place), cut(valid, holder, place)
             decoded.append((unit, *decode_payload(file, unit, file.payloads[key], *parent)))
         holders = {block: one for one in decoded for block in grid.blocks_of_key(one[0].key)}
@@ -54,10 +55,10 @@ def decode_units(file, level):
 
 
 def decode_quanta(file, level):
-    """Return quantum numbers, mask and remainders of a level; None where not seen."""
+    """Return quantum numbers, mask, remainders and own samples; None where not seen."""
     n_rows, n_cols = file.grid.samples(level)
     heights = [[None] * n_cols for _ in range(n_rows)]
-    mask = [[None] * n_cols for _ in range(n_rows)]
+    mask, own = ([[None] * n_cols for _ in range(n_rows)] for _ in range(2))
     remainders = [[0] * n_cols for _ in range(n_rows)]
     is_tiled = METHODS[file.header.method] == "cdf53"
     for unit, unit_heights, valid, *rest in (cdf53.decode_level if is_tiled else decode_units)(
@@ -70,19 +71,28 @@ def decode_quanta(file, level):
                 # §2.4: units that share a sample agree about it.
                 if mask[r][c] is not None:
                     require(mask[r][c] == valid[i][j], "masks of neighbours")
+                    require(own[r][c] == unit.own[i][j], "own samples of neighbours")
                     same = heights[r][c] == unit_heights[i][j]
                     require(same or not valid[i][j], "heights of neighbours")
-                    own = rest[i][j] if rest else 0
-                    require(remainders[r][c] == own or not valid[i][j], "remainders of neighbours")
+                    number = rest[i][j] if rest else 0
+                    require(
+                        remainders[r][c] == number or not valid[i][j], "remainders of neighbours"
+                    )
                 heights[r][c], mask[r][c] = unit_heights[i][j], valid[i][j]
                 remainders[r][c] = rest[i][j] if rest else 0
-    return heights, mask, remainders
+                own[r][c] = unit.own[i][j]
+    return heights, mask, remainders, own
 
 
 def decode(data, level=-1):
     """Return the raw heights and the mask of one level; level 0 is the coarsest, -1 the last."""
+    return decode_with_own(data, level)[:2]
+
+
+def decode_with_own(data, level=-1):
+    """Return the same and own samples, which are the valid ones of a file that tells no fills."""
     file = read_file(data)
-    quanta, mask, remainders = decode_quanta(
+    quanta, mask, remainders, own = decode_quanta(
         file, level if level >= 0 else level + file.grid.k_max + 1
     )
     dtype = np.dtype(DTYPES[file.header.dtype])
@@ -94,4 +104,4 @@ def decode(data, level=-1):
     for r, c in np.argwhere(valid).tolist():
         height = raw_height(file.header, quanta[r][c])
         heights[r, c] = with_remainder(height, remainders[r][c]) if remainders[r][c] else height
-    return heights, valid
+    return heights, valid, np.array(own, bool)

@@ -68,7 +68,7 @@ def test_a_method_of_tiles_refuses_and_names_those_that_can():
 
 def test_heights_of_no_grid_have_no_remainders_unless_they_need_them():
     with terrainwave.open(twz_bytes(off_grid("float32"), max_error=0.01)) as terrain:
-        assert (terrain.header.features, terrain.quantizer.remainder_bytes) == (0, 0)
+        assert (terrain.header.has_remainders, terrain.quantizer.remainder_bytes) == (False, 0)
 
 
 def test_the_file_and_its_meshes_are_proved(tmp_path):

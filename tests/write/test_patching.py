@@ -516,3 +516,28 @@ def test_the_command_prints_both_counts(tmp_path, file):
     assert result.exit_code == 0
     assert "units coded again," in result.output
     assert "max error guaranteed 0, measured 0" in result.output
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("method", ["predictive", "rapid"])
+@pytest.mark.parametrize("file_format", ["1.0", "1.1"])
+@pytest.mark.parametrize("has_less", [False, True])
+def test_own_samples_of_levels_are_those_of_the_new_raster(file, method, file_format, has_less):
+    options = {"max_error": 0, "mesh": "none", "nodata": NODATA, "method": method}
+    old, new = with_voids(HEIGHTS), with_voids(HEIGHTS)
+    # Single samples on places of coarse levels: no mask of these changes.
+    new[96, 16] = new[64, 72] = NODATA
+    if has_less:
+        new[40, 72] = HEIGHTS[40, 72]
+    path = file(old, **options, format=file_format)
+    assert patch(path, new, nodata=NODATA).n_recoded > 0
+    with Terrain(path) as terrain:
+        assert terrain.info().format == file_format
+        for level in range(terrain.n_levels):
+            stride = terrain.grid.stride(level)
+            _, valid = terrain.read_with_mask(level=level, voids="exact")
+            np.testing.assert_array_equal(valid, (new != NODATA)[::stride, ::stride])
+        assert list(terrain.check()) == []
+    # So small a raster has no tables of its own; a unit whose fills alone would differ is copied.
+    if method == "predictive" and has_less:
+        assert path.read_bytes() == twz_bytes(new, **options, format=file_format)

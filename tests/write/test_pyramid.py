@@ -58,6 +58,7 @@ class Levels:
             ]
             self.heights = [pyramid.heights(*at) for at in regions]
             self.masks = [pyramid.mask(*at) for at in regions]
+            self.own = [pyramid.own(*at) for at in regions]
             pyramid.close()
 
 
@@ -137,6 +138,8 @@ def test_masks_are_as_the_definition_says(data, shape):
     levels = Levels(np.zeros(shape, dtype="int16"), valid)
     expected = [reference.level_mask(valid, shift) for shift in range(len(levels.masks))]
     assert_levels_equal(levels.masks, expected)
+    own = [valid[:: 1 << shift, :: 1 << shift] for shift in range(len(levels.own))]
+    assert_levels_equal(levels.own, own)
 
 
 # Fills
@@ -198,6 +201,7 @@ def test_the_size_of_windows_does_not_matter(monkeypatch, tile, has_voids, kind)
     in_parts = Levels(whole_heights(shape), valid, kind, threads=3)
     assert_levels_equal(in_parts.heights, at_once.heights)
     assert_levels_equal(in_parts.masks, at_once.masks)
+    assert_levels_equal(in_parts.own, at_once.own)
 
 
 @pytest.mark.parametrize("limit", [0, 10**9])
@@ -281,14 +285,15 @@ class SplitPyramids:
         heights = self.spool(self.whole.heights(self.level, Region(0, 0, *self.shape)))
         if not self._more["has_voids"]:
             return Base(SPLIT, heights)
-        spools = [self.spool(np.zeros(self.shape, dtype)) for dtype in (bool, np.int32, bool)]
+        dtypes = bool, np.int32, bool, bool
+        spools = [self.spool(np.zeros(self.shape, dtype)) for dtype in dtypes]
         for region in PARTS:
             part = self.pyramid(part=Part(region, SPLIT))
             part.push()
             at = self.coarse(region)
-            for spool, values in zip(
-                spools, (part.mask(self.level, at), *part.pushed(SPLIT, at)), strict=True
-            ):
+            mask, own = part.mask(self.level, at), part.own(self.level, at)
+            found = mask, *part.pushed(SPLIT, at), own
+            for spool, values in zip(spools, found, strict=True):
                 spool.write(at, values)
             part.close()
         return Base(SPLIT, heights, *spools)
@@ -312,6 +317,7 @@ def test_a_base_has_the_same_levels_above_it(split, voids):
             top.heights(level, region), pyramids.whole.heights(level, region)
         )
         np.testing.assert_array_equal(top.mask(level, region), pyramids.whole.mask(level, region))
+        np.testing.assert_array_equal(top.own(level, region), pyramids.whole.own(level, region))
     if voids.any():
         base = Region(0, 0, *pyramids.shape)
         np.testing.assert_array_equal(top.fills(SPLIT, base), pyramids.whole.fills(SPLIT, base))
@@ -338,3 +344,4 @@ def test_a_part_has_the_same_levels(split, voids, region):
             part.heights(level, framed), pyramids.whole.heights(level, framed)
         )
         np.testing.assert_array_equal(part.mask(level, framed), pyramids.whole.mask(level, framed))
+        np.testing.assert_array_equal(part.own(level, framed), pyramids.whole.own(level, framed))

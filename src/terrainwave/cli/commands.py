@@ -18,9 +18,11 @@ from terrainwave.arguments import (
     HEIGHT_TILE_ENDINGS,
     TWZ_ENDINGS,
     VERTICAL,
+    VOIDS,
     check_ending,
     count_of,
     crs_name,
+    one_of,
 )
 from terrainwave.cli.batch import (
     Done,
@@ -61,6 +63,7 @@ from terrainwave.cli.streams import STREAM, printing_beside, written
 from terrainwave.names import (
     DEFAULT_METHOD,
     EFFORTS,
+    FORMATS,
     MESH_CHOICES,
     METHODS,
     SMALLEST_METHOD,
@@ -180,6 +183,13 @@ def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
     is_flag=True,
     help="Floats with a decimal step (0.01 …): the stored floats are within the bound themselves,"
     " not only the decimal numbers, for a larger file.",
+)
+@click.option(
+    "--format",
+    type=click.Choice(FORMATS),
+    default=FORMATS[-1],
+    show_default=True,
+    help=f"{FORMATS[0]}: write what the first readers read, too.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @_batched
@@ -410,8 +420,11 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
 )
 @click.option(
     "--voids",
-    metavar="lowest|fill|HEIGHT",
-    help="What voids of a height tile become. Default: the lowest height.",
+    metavar="exact|any|lowest|fill|HEIGHT",
+    help="Of a coarse level's GeoTIFF, what is void: exact, each sample where the full grid is"
+    " (default, if the file tells), or any, samples alone around which nothing is valid; the others"
+    " have a height of what is around them. Of a height tile, what voids become: the lowest height"
+    " (default), what is around them (fill) or a height.",
 )
 @VERTICAL_OPTION
 @_batched
@@ -457,8 +470,11 @@ def decompress(
     is_tile = Path(target).suffix.lower() in HEIGHT_TILE_ENDINGS
     if options["size"] and not is_tile:
         raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
-    if options["voids"] is not None and not is_tile:
-        raise click.UsageError(f"{target}: --voids is for height tiles, expected .r16 or .png")
+    if options["voids"] not in (None, *VOIDS) and not is_tile:
+        raise click.UsageError(
+            f"{target}: --voids {options['voids']} is for height tiles, expected"
+            f" {one_of(VOIDS)}, or a name ending in .r16 or .png"
+        )
     if options["vertical"] != AS_IS and is_tile:
         raise click.UsageError(
             f"{target}: a height tile keeps the file's datum, expected no --vertical"
@@ -846,6 +862,7 @@ def _info_rows(info: Any, n_voids: int | None) -> list[tuple[str, object]]:
         ("unit", _unit_in_words(info)),
         ("voids", _voids_in_words(info, n_voids)),
         ("method", f"{info.method}, {way}, border rings {info.border_rings}"),
+        ("format", info.format),
         ("block", f"{info.block} x {info.block} cells"),
         ("mesh", info.mesh if info.mesh == "none" else f"{info.mesh}, {tolerance}"),
         ("levels", f"{info.n_levels}: {levels}"),

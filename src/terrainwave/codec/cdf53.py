@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from terrainwave.codec.group import voids_below
 from terrainwave.codec.maskcoder import decode_mask, encode_mask
+from terrainwave.codec.ownmask import Above, Sections, Validity, decode_validity, encode_validity
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.codec.spiht import MAX_PLANES, decode_field, encode_field
 from terrainwave.codec.tileborder import decode_borders, encode_borders
@@ -39,23 +39,36 @@ class LevelHeights(NamedTuple):
     region: Region
     heights: Heights
     mask: Mask
+    # Which samples are valid by themselves (`Decoded.own`).
+    own: Mask | None = None
 
     def part(self, region: Region) -> "LevelHeights":
         """Return a part of it; views."""
         at = region.slices_in(self.region)
-        return LevelHeights(region, self.heights[at], self.mask[at])
+        own = None if self.own is None else self.own[at]
+        return LevelHeights(region, self.heights[at], self.mask[at], own)
+
+    def copy(self) -> "LevelHeights":
+        """Return it in arrays of its own."""
+        own = None if self.own is None else self.own.copy()
+        return LevelHeights(self.region, self.heights.copy(), self.mask.copy(), own)
+
+    @property
+    def validity(self) -> Validity:
+        """Return which samples are valid."""
+        return Validity(self.mask, self.mask if self.own is None else self.own)
 
 
 @dataclass(frozen=True)
 class TileHead:
     """What stands before the stream of a tile: enough to plan how much of that to read.
 
+    `masks` are those of the levels, the coarsest first; empty ones follow from what is known.
     ``ends[i]`` bytes of the stream decode its first i + 1 planes; the last of them is its whole
     length, of which `n_stream` bytes follow. `low` is the LL sample of the root tile.
     """
 
-    has_masks: bool
-    masks: tuple[bytes, ...]
+    masks: tuple[Sections, ...]
     borders: bytes
     low: int
     ends: tuple[int, ...]
@@ -71,20 +84,22 @@ class TileHead:
 class CodedTile:
     """A tile's whole stream, and its head; `payload` makes the bytes of the file."""
 
+    spec: TileSpec
     head: TileHead
     stream: bytes
 
     def payload(self, n_bytes: int | None = None) -> bytes:
         """Return the payload with the first `n_bytes` of the stream; all of it by default."""
         stream = self.stream if n_bytes is None else self.stream[:n_bytes]
-        return pack_head(replace(self.head, n_stream=len(stream))) + _pack_pieces(stream)
+        head = replace(self.head, n_stream=len(stream))
+        return pack_head(self.spec, head) + _pack_pieces(stream)
 
 
 # Encoding
 
 
 def encode_tile(
-    spec: TileSpec, target: Heights, masks: Sequence[Mask], outer_mask: Mask | None
+    spec: TileSpec, target: Heights, levels: Sequence[Validity], outer: Validity | None
 ) -> CodedTile | None:
     """Code a tile without loss.
 
@@ -92,21 +107,21 @@ def encode_tile(
     ----------
     target : ndarray of int32, shape ``spec.region.shape``
         Heights of the finest level, in quanta; voids hold their fill.
-    masks : sequence of ndarray of bool
-        Validity of each level, the coarsest first.
-    outer_mask : ndarray of bool or None
-        Validity of the head's block; None for the root tile.
+    levels : sequence of Validity
+        That of each level, the coarsest first.
+    outer : Validity or None
+        That of the head's block; None for the root tile.
 
     Returns
     -------
     CodedTile or None
         None if nothing is valid.
     """
-    if not masks[0].any():
+    if not levels[0].mask.any():
         return None
     sections = [
-        b"" if np.array_equal(mask, ~implied) else encode_mask(mask, implied)
-        for mask, implied in zip(masks, _implied_by(spec, masks, outer_mask), strict=True)
+        _encode_masks(spec, index, level, outer if index == 0 else levels[index - 1])
+        for index, level in enumerate(levels)
     ]
     field = target.astype(np.int64)
     forward_transform(field, spec.n_transforms, spec.held)
@@ -115,43 +130,46 @@ def encode_tile(
     coded = encode_field(field, spec.n_transforms)
     stream = coded.stream if coded.n_planes else b""
     head = TileHead(
-        has_masks=any(sections),
         masks=tuple(sections),
         borders=borders,
         low=low,
         ends=tuple(int(end) for end in coded.ends[::-1]),
         n_stream=len(stream),
     )
-    return CodedTile(head, stream)
+    return CodedTile(spec, head, stream)
 
 
-def _implied_by(
-    spec: TileSpec, masks: Sequence[Mask], outer_mask: Mask | None
-) -> list[NDArray[np.bool_]]:
-    """Return the voids of each level that the level above implies."""
-    return [
-        _implied(spec, index, outer_mask if index == 0 else masks[index - 1])
-        for index in range(len(masks))
-    ]
+def _encode_masks(spec: TileSpec, index: int, level: Validity, above: Validity | None) -> Sections:
+    """Return the sections of a level's validity; `above` is that of the level above."""
+    implied, outer = _implied(spec, index, above)
+    if spec.has_fills:
+        is_finest = not spec.tells_fills(index)
+        return encode_validity(level, implied, spec.regions[index], outer, is_finest=is_finest)
+    is_implied = np.array_equal(level.mask, ~implied)
+    return Sections(b"" if is_implied else encode_mask(level.mask, implied), b"")
 
 
-def _implied(spec: TileSpec, index: int, above: Mask | None) -> Mask:
+def _implied(spec: TileSpec, index: int, above: Validity | None) -> tuple[Mask, Above | None]:
+    """Return the voids of a level that the level above implies, and its samples."""
     region = spec.regions[index]
     if above is None:
-        return np.zeros(region.shape, dtype=np.bool_)
+        return np.zeros(region.shape, dtype=np.bool_), None
     outer = spec.outer if index == 0 else spec.regions[index - 1]
     assert outer is not None
-    return voids_below(region, outer, above)
+    return voids_below(region, outer, above.mask), Above(outer, above.own)
 
 
 # Bytes
 
 
-def pack_head(head: TileHead) -> bytes:
+def pack_head(spec: TileSpec, head: TileHead) -> bytes:
     """Return the bytes of a head."""
-    out = bytes([HAS_MASKS if head.has_masks else 0])
-    if head.has_masks:
-        out += b"".join(encode_varint(len(mask)) + mask for mask in head.masks)
+    has_masks = any(map(any, head.masks))
+    out = bytes([HAS_MASKS if has_masks else 0])
+    for index, level in enumerate(head.masks if has_masks else ()):
+        if spec.tells_fills(index):
+            out += encode_varint(len(level.own)) + level.own
+        out += encode_varint(len(level.mask)) + level.mask
     out += encode_varint(len(head.borders)) + head.borders
     out += encode_varint(2 * head.low if head.low >= 0 else -2 * head.low - 1)
     out += encode_varint(head.n_planes)
@@ -180,9 +198,13 @@ def unpack_head(spec: TileSpec, payload: bytes) -> tuple[TileHead, int]:
         raise CorruptStreamError(f"a tile's flags are {flags:#04x}; reserved bits must be 0")
     pos = 1
     masks = []
-    for _ in spec.regions if flags & HAS_MASKS else ():
-        mask, pos = _take(payload, pos)
-        masks.append(mask)
+    for index in range(len(spec.regions)):
+        own = mask = b""
+        if flags & HAS_MASKS:
+            if spec.tells_fills(index):
+                own, pos = _take(payload, pos)
+            mask, pos = _take(payload, pos)
+        masks.append(Sections(mask, own))
     borders, pos = _take(payload, pos)
     if bool(borders) != bool(spec.held):
         raise CorruptStreamError(f"a tile has {len(borders)} bytes of borders")
@@ -208,7 +230,7 @@ def unpack_head(spec: TileSpec, payload: bytes) -> tuple[TileHead, int]:
         raise TruncatedStreamError("a tile's head is cut short")
     if zlib.crc32(payload[:pos]) != int.from_bytes(payload[pos : pos + _CRC_BYTES], "little"):
         raise CorruptStreamError("the checksum of a tile's head is wrong")
-    head = TileHead(bool(flags & HAS_MASKS), tuple(masks), borders, low, tuple(ends), n_stream)
+    head = TileHead(tuple(masks), borders, low, tuple(ends), n_stream)
     return head, pos + _CRC_BYTES
 
 
@@ -255,7 +277,7 @@ def prefix_length(n_bytes: int, total: int) -> int:
 def unpack_tile(spec: TileSpec, payload: bytes) -> CodedTile:
     """Undo `CodedTile.payload` of a whole stream."""
     head, start = unpack_head(spec, payload)
-    return CodedTile(head, _unpack_pieces(payload[start:]))
+    return CodedTile(spec, head, _unpack_pieces(payload[start:]))
 
 
 # Decoding
@@ -288,7 +310,7 @@ def decode_tile(
             for region in spec.regions
         ]
     head, start = unpack_head(spec, payload)
-    masks = _decode_masks(spec, head, None if outer is None else outer.mask)
+    valid = decode_masks(spec, head, None if outer is None else outer.validity)
     packed, expected = payload[start:], packed_length(head.n_stream)
     if len(packed) < expected and is_prefix:
         packed = packed[: len(packed) // (PIECE + _CRC_BYTES) * (PIECE + _CRC_BYTES)]
@@ -310,22 +332,37 @@ def decode_tile(
         field[:n_rows, :n_cols] = outer.heights
     levels = inverse_transform(field, spec.n_transforms, spec.held)[-len(spec.regions) :]
     return [
-        LevelHeights(region, np.clip(heights, -_MAX_HEIGHT, _MAX_HEIGHT).astype(np.int32), mask)
-        for region, heights, mask in zip(spec.regions, levels, masks, strict=True)
+        LevelHeights(
+            region,
+            np.clip(heights, -_MAX_HEIGHT, _MAX_HEIGHT).astype(np.int32),
+            mask,
+            None if own is mask else own,
+        )
+        for region, heights, (mask, own) in zip(spec.regions, levels, valid, strict=True)
     ]
 
 
-def _decode_masks(spec: TileSpec, head: TileHead, outer_mask: Mask | None) -> list[Mask]:
-    masks: list[Mask] = []
-    above = outer_mask
-    for index in range(len(spec.regions)):
-        implied = _implied(spec, index, above)
-        section = head.masks[index] if head.has_masks else b""
-        above = decode_mask(section, implied) if section else ~implied
-        masks.append(above)
-    if not masks[0].any():
+def decode_masks(spec: TileSpec, head: TileHead, outer: Validity | None) -> list[Validity]:
+    """Return which samples of each level of a tile are valid, the coarsest first."""
+    levels: list[Validity] = []
+    above = outer
+    for index, sections in enumerate(head.masks):
+        implied, around = _implied(spec, index, above)
+        if spec.has_fills:
+            above = decode_validity(
+                sections,
+                implied,
+                spec.regions[index],
+                around,
+                is_finest=not spec.tells_fills(index),
+            )
+        else:
+            mask = decode_mask(sections.mask, implied) if sections.mask else ~implied
+            above = Validity(mask, mask)
+        levels.append(above)
+    if not levels[0].mask.any():
         raise CorruptStreamError("a tile without a valid sample has a payload")
-    return masks
+    return levels
 
 
 # Cutting

@@ -1,17 +1,18 @@
 """Code one unit: its mask, its heights by a refiner, its exceptions (FORMAT.md §5).
 
-Payload: one byte of flags, then the sections of mask, exceptions and remainders where the flags say
-so (each a varint length and its bytes), then the refiner's bytes to the end. An empty payload is a
-unit without a valid sample.
+Payload: one byte of flags, then the sections of mask, exceptions, remainders and own samples where
+the flags say so (each a varint length and its bytes), then the refiner's bytes to the end. An empty
+payload is a unit without a valid sample.
 """
 
 from collections.abc import Callable
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.maskcoder import decode_mask, encode_mask
+from terrainwave.codec.ownmask import Above, Sections, Validity, decode_validity, encode_validity
 from terrainwave.codec.refiner import Decoded, DirectRefiner, GroupSpec, Heights, Mask, Refiner
 from terrainwave.codec.remaindercoder import decode_remainders, encode_remainders
 from terrainwave.codec.spare import new_heights
@@ -22,7 +23,7 @@ from terrainwave.grid.quadtree import Region
 from terrainwave.grid.remainders import Remainders
 
 MASK_ALL_VALID, MASK_CODED = 0, 1
-_HAS_EXCEPTIONS, _HAS_REMAINDERS = 0b10, 0b100
+_HAS_EXCEPTIONS, _HAS_REMAINDERS, _HAS_OWN = 0b10, 0b100, 0b1000
 _BOTH_BYTES = np.uint16(0x0101)
 
 
@@ -33,6 +34,7 @@ def encode_unit(
     target: Heights,
     mask: Mask,
     remainders: Callable[[Heights], Remainders] | None = None,
+    own: Mask | None = None,
 ) -> tuple[bytes, Decoded]:
     """Return the payload of a unit and what `decode_unit` makes of it.
 
@@ -44,16 +46,23 @@ def encode_unit(
         Which samples are valid. Must be False wherever the parent implies a void.
     remainders : callable, optional
         Returns what decoded heights leave of the originals; with ``spec.remainder_bytes`` only.
+    own : ndarray of bool, optional
+        With ``spec.has_fills`` only: which samples are valid by themselves; all valid ones by
+        default, as on the finest level.
     """
     flags, sections = MASK_ALL_VALID, b""
-    if not is_whole(mask):  # else the parent implies no void
+    is_apart = own is not None and not np.array_equal(own, mask)
+    valid = Validity(mask, own if own is not None and is_apart else mask)
+    if not is_whole(valid.own):  # else the parent implies no void
         if not mask.any():
             return b"", _all_void(spec)
-        implied = implied_voids(spec, parent)
-        if not np.array_equal(mask, ~implied):
-            flags = MASK_CODED
-            coded_mask = encode_mask(mask, implied)
-            sections += encode_varint(len(coded_mask)) + coded_mask
+        coded = _encode_valid(spec, parent, valid)
+        if coded.mask:
+            flags |= MASK_CODED
+            sections += encode_varint(len(coded.mask)) + coded.mask
+        own_section = coded.own
+    else:
+        own_section = b""
     parent_heights = None if parent is None else parent.heights
     body, heights, labels = refiner.encode(spec, parent_heights, target, mask)
     if _as_direct(refiner) is None:
@@ -67,7 +76,7 @@ def encode_unit(
             exceptions = np.packbits(goes_down).tobytes()
             sections += encode_varint(len(exceptions)) + exceptions
         _resolve_collisions(spec, heights, collides, goes_down)
-    decoded = Decoded(heights, mask, labels)
+    decoded = Decoded(heights, mask, labels, own=_apart(valid))
     if remainders is not None:
         rest = remainders(heights)
         coded_rest = encode_remainders(rest)
@@ -75,6 +84,9 @@ def encode_unit(
             flags |= _HAS_REMAINDERS
             sections += encode_varint(len(coded_rest)) + coded_rest
             decoded = decoded._replace(remainders=rest)
+    if own_section:
+        flags |= _HAS_OWN
+        sections += encode_varint(len(own_section)) + own_section
     return bytes([flags]) + sections + body, decoded
 
 
@@ -93,45 +105,98 @@ def decode_unit(
     """
     if not payload:
         return _all_void(spec)
-    flags = payload[0]
-    known = MASK_CODED | _HAS_EXCEPTIONS | (_HAS_REMAINDERS if spec.remainder_bytes else 0)
-    if flags & ~known:
-        raise CorruptStreamError(f"a unit's flags are {flags:#04x}; reserved bits must be 0")
-    byte_pos = 1
-    shape = spec.region.shape
-    implied = None
-    if parent is not None and not is_whole(parent.mask):
-        implied = implied_voids(spec, parent)
-    if flags & MASK_CODED:
-        section, byte_pos = _read_section(payload, byte_pos)
-        mask = decode_mask(section, np.zeros(shape, np.bool_) if implied is None else implied)
-    else:
-        mask = all_valid(shape) if implied is None else ~implied
-    if not is_whole(mask) and not mask.any():
-        raise CorruptStreamError("a unit without a valid sample has a payload")
-    exceptions = b""
-    if flags & _HAS_EXCEPTIONS:
-        exceptions, byte_pos = _read_section(payload, byte_pos)
+    head = read_head(spec, parent, payload)
+    mask = head.valid.mask
     remainders = None
-    if flags & _HAS_REMAINDERS:
-        section, byte_pos = _read_section(payload, byte_pos)
-        remainders = decode_remainders(section, spec.region.shape, spec.remainder_bytes)
+    if head.remainders:
+        remainders = decode_remainders(head.remainders, spec.region.shape, spec.remainder_bytes)
     parent_heights = None if parent is None else parent.heights
     direct = _as_direct(refiner)
     if direct is not None:
         heights = new_heights(spec.region.shape)
         labels = None
-        direct.decode_into(spec, parent_heights, mask, payload[byte_pos:], heights)
+        direct.decode_into(spec, parent_heights, mask, payload[head.n_bytes :], heights)
     else:
-        heights, labels = refiner.decode(spec, parent_heights, mask, payload[byte_pos:])
+        heights, labels = refiner.decode(spec, parent_heights, mask, payload[head.n_bytes :])
         np.clip(heights, spec.z_min, spec.z_max, out=heights)
     if spec.forbidden[0] > spec.forbidden[1]:
-        _decode_exceptions(exceptions, 0)  # raises if there are some
-        return Decoded(heights, mask, labels, remainders)
+        _decode_exceptions(head.exceptions, 0)  # raises if there are some
+        return Decoded(heights, mask, labels, remainders, _apart(head.valid))
     collides = _collisions(spec, heights, mask)
-    goes_down = _decode_exceptions(exceptions, int(np.count_nonzero(collides)))
+    goes_down = _decode_exceptions(head.exceptions, int(np.count_nonzero(collides)))
     _resolve_collisions(spec, heights, collides, goes_down)
-    return Decoded(heights, mask, labels, remainders)
+    return Decoded(heights, mask, labels, remainders, _apart(head.valid))
+
+
+class Head(NamedTuple):
+    """What stands before a unit's heights: which samples are valid, other sections, its length."""
+
+    valid: Validity
+    exceptions: bytes
+    remainders: bytes
+    n_bytes: int
+
+
+def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
+    """Read what stands before the heights of a payload, which is not empty.
+
+    Of the parent the validity is enough.
+
+    Raises
+    ------
+    CorruptStreamError
+        If it contradicts the format.
+    """
+    flags = payload[0]
+    known = MASK_CODED | _HAS_EXCEPTIONS | (_HAS_REMAINDERS if spec.remainder_bytes else 0)
+    if spec.has_fills and not spec.is_finest:
+        known |= _HAS_OWN
+    if flags & ~known:
+        raise CorruptStreamError(f"a unit's flags are {flags:#04x}; reserved bits must be 0")
+    byte_pos = 1
+    sections = {}
+    for flag in (MASK_CODED, _HAS_EXCEPTIONS, _HAS_REMAINDERS, _HAS_OWN):
+        sections[flag] = b""
+        if flags & flag:
+            sections[flag], byte_pos = _read_section(payload, byte_pos)
+    valid = _decode_valid(spec, parent, Sections(sections[MASK_CODED], sections[_HAS_OWN]))
+    if not is_whole(valid.mask) and not valid.mask.any():
+        raise CorruptStreamError("a unit without a valid sample has a payload")
+    return Head(valid, sections[_HAS_EXCEPTIONS], sections[_HAS_REMAINDERS], byte_pos)
+
+
+def _encode_valid(spec: GroupSpec, parent: Decoded | None, valid: Validity) -> Sections:
+    implied = implied_voids(spec, parent)
+    if spec.has_fills:
+        above = _above(spec, parent)
+        return encode_validity(valid, implied, spec.region, above, is_finest=spec.is_finest)
+    if np.array_equal(valid.mask, ~implied):
+        return Sections(b"", b"")
+    return Sections(encode_mask(valid.mask, implied), b"")
+
+
+def _decode_valid(spec: GroupSpec, parent: Decoded | None, sections: Sections) -> Validity:
+    shape = spec.region.shape
+    if not any(sections) and (parent is None or is_whole(parent.own_mask)):
+        whole = all_valid(shape)
+        return Validity(whole, whole)
+    implied = implied_voids(spec, parent)
+    if spec.has_fills:
+        above = _above(spec, parent)
+        return decode_validity(sections, implied, spec.region, above, is_finest=spec.is_finest)
+    mask = decode_mask(sections.mask, implied) if sections.mask else ~implied
+    return Validity(mask, mask)
+
+
+def _above(spec: GroupSpec, parent: Decoded | None) -> Above | None:
+    if parent is None or spec.parent_region is None:
+        return None
+    return Above(spec.parent_region, parent.own_mask)
+
+
+def _apart(valid: Validity) -> Mask | None:
+    """Return the own samples of a unit where some valid ones are not."""
+    return None if valid.own is valid.mask else valid.own
 
 
 def implied_voids(spec: GroupSpec, parent: Decoded | None) -> Mask:

@@ -180,6 +180,8 @@ class Predictive:
         step: int,
         heights: Callable[[int, Region], Heights],
         mask: Callable[[int, Region], Mask],
+        *,
+        may_have_reach: bool = True,
     ) -> "Predictive":
         """Return a refiner with tables fitted to a raster, where they are worth their bytes.
 

@@ -146,6 +146,8 @@ class Rapid:
         step: int,
         heights: Callable[[int, Region], Heights],
         mask: Callable[[int, Region], Mask],
+        *,
+        may_have_reach: bool = True,
     ) -> "Rapid":
         """Return a refiner with tables fitted to a raster.
 
@@ -153,7 +155,8 @@ class Rapid:
         """
         from terrainwave.codec.rapid_fitting import fit_tables
 
-        return Rapid(pack_parameters(fit_tables(grid, step, heights, mask)))
+        tables = fit_tables(grid, step, heights, mask, may_have_reach=may_have_reach)
+        return Rapid(pack_parameters(tables))
 
     def encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask

@@ -56,6 +56,8 @@ def fit_tables(
     step: int,
     heights: Callable[[int, Region], Heights],
     mask: Callable[[int, Region], Mask],
+    *,
+    may_have_reach: bool = True,
 ) -> FileTables:
     """Return the tables for a raster; `heights` and `mask` return a region of a level."""
     n_windows = min(max(grid.n_rows * grid.n_cols // _SHARE, _LEAST_WINDOWS), _MOST_WINDOWS)
@@ -65,12 +67,18 @@ def fit_tables(
     if int(np.count_nonzero(masks)) < _MIN_SAMPLES:
         return tables
     share = grid.n_rows * grid.n_cols / masks.size
-    tables = best_tables(tables, windows, masks, step, share)
+    tables = best_tables(tables, windows, masks, step, share, may_have_reach=may_have_reach)
     return _fitted(tables, _Sample(windows, masks, step, share))[0]
 
 
 def best_tables(
-    tables: FileTables, windows: Heights, masks: Mask, step: int, share: float
+    tables: FileTables,
+    windows: Heights,
+    masks: Mask,
+    step: int,
+    share: float,
+    *,
+    may_have_reach: bool = True,
 ) -> FileTables:
     """Return tables with the stencils, then the family, that make parts of the windows smallest."""
     few = np.s_[:: -(-len(windows) // _MOST_FEW), :_FEW, :_FEW]
@@ -82,7 +90,10 @@ def best_tables(
         if cost < least:
             best, least = other, cost
     # Other features, then other contexts; these take a little longer to decode.
-    for n_families, share_saved in ((N_STEPS, 0.0), (rapid_tables.N_FAMILIES, _SAVED_BY_REACH)):
+    others = [(N_STEPS, 0.0)]
+    if may_have_reach:
+        others.append((rapid_tables.N_FAMILIES, _SAVED_BY_REACH))
+    for n_families, share_saved in others:
         other = best._replace(family=best.family + n_families)
         cost = _fitted(other, some)[1]
         if cost < least * (1 - share_saved):

@@ -27,6 +27,7 @@ from terrainwave.coding.rangecoder import (
 from terrainwave.coding.rans import N_SLOTS, packed_freqs, slots_of
 from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
+from terrainwave.names import REACH_LAYOUT
 
 N_CLASSES = 4  # levels: the finest, the next two, all coarser ones
 PLANES = (HH, HL, LH)
@@ -34,7 +35,7 @@ WHOLE = 4096
 MAX_WEIGHT = (1 << 15) - 1
 SHIFTS = (0, 2, 3, 4, 5)
 # Layouts of files with contexts by the mean and of those by reach (R.7), with families of each.
-_LAYOUTS = 1, 3
+_LAYOUTS = 1, REACH_LAYOUT
 N_FAMILIES = len(_LAYOUTS) * rapid_tables.N_FAMILIES
 _K_MAX_BITS, _FAMILY_BITS, _BASE_BITS, _SHIFT_BITS = 5, 3, 4, 3
 # Of a stencil's numbers: the set, whether there are deltas, their shift; then the deltas.

@@ -50,7 +50,7 @@ class GroupSpec:
     forbidden: tuple[int, int]
     rings: int
     effort: int
-    # For the choices of encoders alone: no decoder may look at it.
+    # For the choices of encoders, and the sections of a payload: no refiner may decode by it.
     is_finest: bool = True
     # Whether `Decoded.labels` are wanted; without them decoding saves about 1 %.
     wants_labels: bool = True
@@ -60,6 +60,8 @@ class GroupSpec:
     # residuals of this level are quantised as the paper prints it for coarse ones.
     is_faithful: bool = False
     has_coarse_residuals: bool = False
+    # Whether the file tells which samples of coarse levels are fills (FORMAT.md §5.4).
+    has_fills: bool = False
 
     @property
     def half(self) -> int:
@@ -74,12 +76,20 @@ class Decoded(NamedTuple):
     a group these are the samples of the parent block inside the raster, without apron. None where
     the method has no details (`store`, raw units) or nothing is valid: nothing is known then.
     `remainders`: what makes the heights exact (`grid.remainders`); None where all are 0.
+    `own`: which samples are valid by themselves, in the full grid, and not only beside valid ones
+    (`codec.ownmask`); None where these are all valid ones, or the file does not tell.
     """
 
     heights: Heights
     mask: Mask
     labels: Labels | None
     remainders: Remainders | None = None
+    own: Mask | None = None
+
+    @property
+    def own_mask(self) -> Mask:
+        """Return which samples are valid by themselves."""
+        return self.mask if self.own is None else self.own
 
 
 class Refiner(Protocol):
@@ -126,9 +136,12 @@ class FittingRefiner(Refiner, Protocol):
         step: int,
         heights: Callable[[int, Region], Heights],
         mask: Callable[[int, Region], Mask],
+        *,
+        may_have_reach: bool = True,
     ) -> "FittingRefiner":
         """Return a refiner with tables fitted to a raster, the same ones on every machine.
 
-        `heights` and `mask` return targets and validity of a region of a level.
+        `heights` and `mask` return targets and validity of a region of a level; `may_have_reach`
+        says whether tables may be such that readers of format 1.0 don't know them.
         """
         ...

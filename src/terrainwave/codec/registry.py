@@ -3,8 +3,8 @@
 from importlib import import_module
 
 from terrainwave.codec.refiner import Refiner
-from terrainwave.errors import UnsupportedVersionError
-from terrainwave.names import METHODS
+from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
+from terrainwave.names import METHODS, REACH_LAYOUT
 
 
 def refiner_by_name(name: str, parameters: bytes = b"") -> Refiner:
@@ -33,14 +33,25 @@ def refiner_by_name(name: str, parameters: bytes = b"") -> Refiner:
     return refiner
 
 
-def check_parameters(name: str, parameters: bytes) -> None:
-    """Refuse parameters of a method that has none.
+def has_reach(name: str, parameters: bytes) -> bool:
+    """Say whether the tables of a file have contexts by reach (format-rapid.md R.10)."""
+    return METHODS[name].has_reach and parameters[:1] == bytes([REACH_LAYOUT])
+
+
+def check_parameters(name: str, parameters: bytes, *, says_reach: bool = False) -> None:
+    """Refuse parameters of a method that has none, or others than the header says.
+
+    Files with contexts by reach that do not say so are older than the feature bit, and sound.
 
     Raises
     ------
     UnsupportedVersionError
-        If there are.
+        If the method has no parameters.
+    CorruptStreamError
+        If the header says that contexts are by reach, and they are not.
     """
+    if says_reach and not has_reach(name, parameters):
+        raise CorruptStreamError("the header says that contexts are by reach, the tables do not")
     if parameters and not METHODS[name].has_parameters:
         raise UnsupportedVersionError(
             f"the file has parameters for method {name}, which this terrainwave does not know:"

@@ -23,7 +23,8 @@ class TileSpec:
 
     `first` … `last` are the levels it holds and `regions` its samples on each; `outer` is its
     head's block; `held` says which of its sides border on other tiles (sum of
-    `lifting53.HELD_TOP` …), `n_below` how many levels are finer than `last`.
+    `lifting53.HELD_TOP` …), `n_below` how many levels are finer than `last`; `has_fills` says
+    whether the file tells which samples of coarse levels are fills.
     """
 
     key: Block
@@ -34,11 +35,16 @@ class TileSpec:
     held: int
     n_transforms: int
     n_below: int
+    has_fills: bool = False
 
     @property
     def region(self) -> Region:
         """Return the samples of the finest level."""
         return self.regions[-1]
+
+    def tells_fills(self, index: int) -> bool:
+        """Say whether the payload tells the fills of a level, counted from the coarsest."""
+        return self.has_fills and self.n_below + len(self.regions) - 1 - index > 0
 
     @property
     def is_root(self) -> bool:
@@ -51,6 +57,7 @@ class TileLayout:
     """How the units of a grid are gathered into tiles."""
 
     grid: Grid
+    has_fills: bool = False
 
     @cached_property
     def depth(self) -> int:
@@ -130,6 +137,7 @@ class TileLayout:
             held=held,
             n_transforms=self._root_transforms() if key.is_root_key else self.depth,
             n_below=grid.k_max - last,
+            has_fills=self.has_fills,
         )
 
     def _root_transforms(self) -> int:

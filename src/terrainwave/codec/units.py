@@ -52,6 +52,7 @@ def unit_spec(grid: Grid, parameters: CodecParameters, key: Block) -> GroupSpec:
         is_faithful=parameters.is_faithful,
         # As printed where the bound is a quantum or more; lossless is lossless on all levels.
         has_coarse_residuals=parameters.is_faithful and level < grid.k_max and parameters.step > 1,
+        has_fills=parameters.has_fills,
     )
 
 
@@ -59,4 +60,5 @@ def block_of_unit(grid: Grid, spec: GroupSpec, decoded: Decoded, block: Block) -
     """Return the part of a decoded unit that is `block`, with its apron if there is one. A view."""
     apron = 1 if spec.rings == 3 else 0
     at = grid.block_region(block, apron).slices_in(spec.region)
-    return Decoded(decoded.heights[at], decoded.mask[at], None)
+    own = None if decoded.own is None else decoded.own[at]
+    return Decoded(decoded.heights[at], decoded.mask[at], None, own=own)

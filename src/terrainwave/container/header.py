@@ -19,7 +19,7 @@ from terrainwave.errors import (
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import Quantizer
-from terrainwave.names import MESHES, METHODS, UNBOUNDED_MESHES
+from terrainwave.names import FORMATS, MESHES, METHODS, UNBOUNDED_MESHES
 
 MAGIC = b"\x89TWZ\r\n\x1a\n"  # as PNG's: a text-mode or 7-bit copy damages it visibly
 FORMAT_VERSION = 1
@@ -35,7 +35,20 @@ DTYPE_CODES = {"uint8": 1, "uint16": 3, "int16": 4, "int32": 6, "float32": 7, "f
 HAS_REMAINDERS = 1
 # The file follows the paper of its method to the letter (FORMAT.md §7.9).
 IS_FAITHFUL = 2
-KNOWN_FEATURES = HAS_REMAINDERS | IS_FAITHFUL
+# Bit 2 stays unused: an invalid file of the conformance set has it.
+# The tables of rapid have contexts by reach (format-rapid.md R.10, layout 3).
+HAS_REACH = 8
+# Payloads tell which samples of coarse levels are fills (FORMAT.md §5.4).
+HAS_FILLS = 16
+KNOWN_FEATURES = HAS_REMAINDERS | IS_FAITHFUL | HAS_REACH | HAS_FILLS
+# What readers of format 1.0 know: all else needs one of 1.1.
+_FIRST_FEATURES = HAS_REMAINDERS | IS_FAITHFUL
+# Bits that format 1.1 keeps for what nobody has coded yet (FORMAT.md §4.7).
+_RESERVED_FEATURES = {
+    32: "a further layout of rapid's tables",
+    64: "corrections of patches",
+    128: "signs of zero",
+}
 
 MAX_SIDE = 2**31
 MAX_SAMPLES = 2**50
@@ -90,7 +103,7 @@ class Header:
     mesh_tolerance : int
         Its tolerance on the finest level, in 1/16 quanta; 0 without meshes.
     features : int
-        Must-understand mask: `HAS_REMAINDERS`, `IS_FAITHFUL`, both or 0.
+        Must-understand mask: a sum of `HAS_REMAINDERS`, `IS_FAITHFUL`, `HAS_REACH`, `HAS_FILLS`.
     metadata : dict
         The JSON metadata (`container.metadata`).
     parameters : bytes
@@ -132,6 +145,16 @@ class Header:
     def is_faithful(self) -> bool:
         """Say whether the file follows the paper of its method to the letter."""
         return bool(self.features & IS_FAITHFUL)
+
+    @property
+    def has_fills(self) -> bool:
+        """Say whether payloads tell which samples of coarse levels are fills."""
+        return bool(self.features & HAS_FILLS)
+
+    @property
+    def format(self) -> str:
+        """Return the first version of the format whose readers know all that the file uses."""
+        return FORMATS[bool(self.features & ~_FIRST_FEATURES)]
 
     @property
     def moved(self) -> int:
@@ -191,7 +214,12 @@ class Header:
         # A string stands for NaN or an infinity, which no quantum gives.
         number = nodata if isinstance(nodata, int | float) else None
         return CodecParameters.of(
-            self.quantizer, number, self.border_rings, self.effort, is_faithful=self.is_faithful
+            self.quantizer,
+            number,
+            self.border_rings,
+            self.effort,
+            is_faithful=self.is_faithful,
+            has_fills=self.has_fills,
         )
 
 
@@ -361,11 +389,11 @@ class _Violation:
 
 def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
     """Yield what is outside the limits of FORMAT.md §4.1 and §10, in the order of the fields."""
-    if header.features & ~KNOWN_FEATURES:
-        yield _Violation(
-            f"unknown features {header.features & ~KNOWN_FEATURES:#x}{NEWER}",
-            UnsupportedVersionError,
-        )
+    unknown = header.features & ~KNOWN_FEATURES
+    if unknown:
+        names = [name for bit, name in _RESERVED_FEATURES.items() if unknown & bit]
+        what = f" ({', '.join(names)})" if names else ""
+        yield _Violation(f"unknown features {unknown:#x}{what}{NEWER}", UnsupportedVersionError)
     for name, side in (("n_rows", header.n_rows), ("n_cols", header.n_cols)):
         if not 1 <= side <= MAX_SIDE:
             yield _Violation(f"{name} is {side}, not 1 ... 2^31")
@@ -398,8 +426,12 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
         yield _Violation("an error bound is negative or not finite")
     if header.effective_bound > header.max_error:
         yield _Violation(f"effective bound {header.effective_bound} exceeds {header.max_error}")
+    if header.features & HAS_REACH and not METHODS[header.method].has_reach:
+        yield _Violation(f"contexts by reach of method {header.method}, which has none")
     if header.is_faithful and not METHODS[header.method].may_be_faithful:
         yield _Violation(f"a faithful file of method {header.method}, which has none")
+    if header.has_fills and header.grid.k_max == 0:
+        yield _Violation("fills of coarse levels in a file without any")
     if header.has_remainders:
         if header.dtype not in ("int32", "float32", "float64"):
             yield _Violation(f"remainders of {header.dtype}, which has none")

@@ -6,7 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from terrainwave.arguments import AS_IS, GEOTIFF_ENDINGS, HEIGHT_TILE_ENDINGS, check_ending, one_of
+from terrainwave.arguments import (
+    AS_IS,
+    GEOTIFF_ENDINGS,
+    HEIGHT_TILE_ENDINGS,
+    VOIDS,
+    check_ending,
+    one_of,
+)
 from terrainwave.container.publish import refuse_own_source
 from terrainwave.errors import InvalidArgumentError
 from terrainwave.export.ellipsoidal import above_ellipsoid
@@ -55,9 +62,10 @@ def decompress(
         Of a height tile: samples on a side, 2ⁿ + 1; the window is resampled bilinearly to that
         square. ``"window"`` writes the window's own samples. By default the largest 2ⁿ + 1 that
         is not larger than the window.
-    voids : {"lowest", "fill"} or float, optional
-        Of a height tile: what voids become: the tile's lowest height (the default), what is around
-        them, or a height in physical units.
+    voids : {"exact", "any", "lowest", "fill"} or float, optional
+        Of a GeoTIFF, ``"exact"`` or ``"any"``: which samples of a coarse level are void, as in
+        `Terrain.read`. Of a height tile: what voids become: the tile's lowest height (the default),
+        what is around them, or a height in physical units.
     quality : float, optional
         Of a file of method cdf53: read only so many bits per sample, as in `Terrain.read_early`.
     vertical : {"as-is", "ellipsoid"}
@@ -85,10 +93,10 @@ def decompress(
         raise InvalidArgumentError(f"{os.fspath(dst)}: a height tile cannot be a COG")
     if is_tile and quality is not None:
         raise InvalidArgumentError(f"{os.fspath(dst)}: a height tile cannot be read in part")
-    if voids is not None and not is_tile:
+    if not is_tile and voids not in (None, *VOIDS):
         raise InvalidArgumentError(
-            f"{os.fspath(dst)}: `voids` is for height tiles, expected a name ending in"
-            f" {one_of(HEIGHT_TILE_ENDINGS)}"
+            f"{os.fspath(dst)}: `voids` {voids} is for height tiles, expected {one_of(VOIDS)}, or a"
+            f" name ending in {one_of(HEIGHT_TILE_ENDINGS)}"
         )
     if size is not None and not is_tile:
         raise InvalidArgumentError(
@@ -126,6 +134,7 @@ def decompress(
             converted = above_ellipsoid(terrain, info, level)
             info = converted.info
         total = region.n_rows * region.n_cols
+        shown = None if voids is None else str(voids)
         done = 0
         with RasterSink(dst, info, cog=cog, overwrite=overwrite, n_threads=threads or 1) as sink:
             side = 2 * terrain.grid.block
@@ -134,9 +143,11 @@ def decompress(
             # Along the borders of groups, so that each is decoded once.
             for part in region.tiles(n_rows, n_cols, is_aligned=True):
                 if quality is None:
-                    heights, valid = terrain.read_with_mask(part, level=level)
+                    heights, valid = terrain.read_with_mask(part, level=level, voids=shown)
                 else:
-                    heights, valid, _ = terrain.read_early(part, level=level, quality=quality)
+                    heights, valid, _ = terrain.read_early(
+                        part, level=level, quality=quality, voids=shown
+                    )
                 if converted is not None:
                     heights = converted.heights(part, region, heights, valid)
                 sink.write(part.row - region.row, part.col - region.col, heights, valid)

@@ -304,7 +304,7 @@ class Globe:
         for part in parts:
             first, n_cols = int(part[0]), int(part[-1] - part[0]) + 1
             samples, is_valid = self.terrain.read_with_mask(
-                (top, first, bottom - top + 1, n_cols), level=level
+                (top, first, bottom - top + 1, n_cols), level=level, voids="any"
             )
             columns.append(np.arange(first, first + n_cols))
             heights.append(samples)

@@ -18,6 +18,7 @@ class CodecParameters:
     effort: int
     remainder_bytes: int = 0
     is_faithful: bool = False
+    has_fills: bool = False
 
     @classmethod
     def of(
@@ -28,6 +29,7 @@ class CodecParameters:
         effort: int,
         *,
         is_faithful: bool = False,
+        has_fills: bool = False,
     ) -> Self:
         """Return the parameters of heights with a nodata value, in raw units, if there is one."""
         return cls(
@@ -39,4 +41,5 @@ class CodecParameters:
             effort=effort,
             remainder_bytes=quantizer.remainder_bytes,
             is_faithful=is_faithful,
+            has_fills=has_fills,
         )

@@ -74,9 +74,9 @@ def _interpolation_error(terrain: Any, level: int, row: int, col: int) -> float:
     )
     if 0 in fine_region.shape:
         return 0.0
-    fine, fine_valid = terrain.read_with_mask(fine_region, level=level + 1)
+    fine, fine_valid = terrain.read_with_mask(fine_region, level=level + 1, voids="any")
     coarse_region = Region(row, col, fine_region.n_rows // 2 + 1, fine_region.n_cols // 2 + 1)
-    coarse, valid = terrain.read_with_mask(coarse_region, level=level)
+    coarse, valid = terrain.read_with_mask(coarse_region, level=level, voids="any")
     surface = _doubled(_doubled(np.where(valid, coarse, 0).astype(np.float64)).T).T
     known = _doubled(_doubled(valid.astype(np.float64)).T).T == 1
     n_rows, n_cols = min(surface.shape[0], fine.shape[0]), min(surface.shape[1], fine.shape[1])

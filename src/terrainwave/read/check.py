@@ -67,7 +67,9 @@ class _Seams:
         other = self._decoder.shared(key, before)
         rests = [0 if part.remainders is None else part.remainders for part in (one, other)]
         is_other = (one.heights != other.heights) | (rests[0] != rests[1])
-        return np.array_equal(one.mask, other.mask) and not bool(is_other[one.mask].any())
+        is_valid_alike = np.array_equal(one.mask, other.mask)
+        is_valid_alike &= np.array_equal(one.own_mask, other.own_mask)
+        return is_valid_alike and not bool(is_other[one.mask].any())
 
 
 def _is_absent(container: Container, block: Block) -> bool:

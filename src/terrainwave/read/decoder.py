@@ -124,13 +124,13 @@ class TreeDecoder:
         """Return a copy of what a unit holds of the samples that another one holds as well."""
         here = self._spec(key).region
         common = here.intersect(self._spec(other).region)
-        heights, mask, _, rest = self.unit(key)
-        there = common.slices_in(here)
+        heights, mask, _, rest, own = _cut(self.unit(key), common.slices_in(here))
         return Decoded(
-            heights[there].copy(),
-            mask[there].copy(),
+            heights.copy(),
+            mask.copy(),
             None,
-            None if rest is None else rest[there].copy(),
+            None if rest is None else rest.copy(),
+            None if own is None else own.copy(),
         )
 
     def part_once(self, key: Block, region: Region) -> tuple[tuple[slice, slice], Decoded]:
@@ -169,6 +169,7 @@ class TreeDecoder:
         unit_cols = np.minimum(cols // side, n_cols - 1)
         shape = 1, rows.size
         heights, mask = np.zeros(shape, dtype=np.int32), np.zeros(shape, dtype=np.bool_)
+        own = np.zeros(shape, dtype=np.bool_)
         rest: Remainders | None = None
         places = sorted(set(zip(unit_rows.tolist(), unit_cols.tolist(), strict=True)))
         for number, (row, col) in enumerate(places):
@@ -180,10 +181,11 @@ class TreeDecoder:
             here = (unit_rows == row) & (unit_cols == col)
             at = rows[here] - spec.region.row, cols[here] - spec.region.col
             heights[0, here], mask[0, here] = unit.heights[at], unit.mask[at]
+            own[0, here] = unit.own_mask[at]
             if unit.remainders is not None:
                 rest = np.zeros(shape, unit.remainders.dtype) if rest is None else rest
                 rest[0, here] = unit.remainders[at]
-        return Decoded(heights, mask, None, rest)
+        return Decoded(heights, mask, None, rest, own)
 
     def block(self, block: Block) -> Decoded:
         """Return the decoded heights of a block, with its apron if the file has one."""
@@ -196,9 +198,14 @@ def _part(
     unit: Decoded, spec: GroupSpec, common: Region, region: Region
 ) -> tuple[tuple[slice, slice], Decoded]:
     """Return where the part `common` of a unit lies in a region, and views of it."""
-    here = common.slices_in(spec.region)
-    rest = None if unit.remainders is None else unit.remainders[here]
-    return common.slices_in(region), Decoded(unit.heights[here], unit.mask[here], None, rest)
+    return common.slices_in(region), _cut(unit, common.slices_in(spec.region))
+
+
+def _cut(unit: Decoded, at: tuple[slice, slice]) -> Decoded:
+    """Return a part of a unit without its labels; views."""
+    rest = None if unit.remainders is None else unit.remainders[at]
+    own = None if unit.own is None else unit.own[at]
+    return Decoded(unit.heights[at], unit.mask[at], None, rest, own)
 
 
 def units_of(grid: Grid, level: int, region: Region) -> list[Block]:

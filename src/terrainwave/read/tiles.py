@@ -43,7 +43,7 @@ class TileDecoder(TreeDecoder):
     ) -> None:
         # Half for units, half for tiles; coefficients, which few ask for, come on top.
         super().__init__(grid, None, parameters, payloads, cache_bytes // 2)
-        self._layout = TileLayout(grid)
+        self._layout = TileLayout(grid, parameters.has_fills)
         self._are_prefixes = are_prefixes
         self._tiles: Cache[Block, Tile] = Cache(cache_bytes // 2, size_of=_n_bytes)
         self._coefficients: Cache[Block, Coefficients] = Cache(
@@ -176,7 +176,8 @@ def _blocks_along(first: int, n: int, side: int) -> range:
 
 
 def _n_bytes(tile: Tile) -> int:
-    return sum(level.heights.nbytes + level.mask.nbytes for level in tile)
+    arrays = [part for level in tile for part in level[1:] if part is not None]
+    return sum(array.nbytes for array in arrays)
 
 
 def final_heights(level: LevelHeights, parameters: CodecParameters) -> Decoded:
@@ -191,4 +192,5 @@ def final_heights(level: LevelHeights, parameters: CodecParameters) -> Decoded:
     if low <= high:
         collides = level.mask & (heights >= low) & (heights <= high)
         heights[collides] = low - 1 if high >= parameters.z_max else high + 1
-    return Decoded(heights, level.mask.copy(), None)
+    own = None if level.own is None else level.own.copy()
+    return Decoded(heights, level.mask.copy(), None, own=own)

@@ -53,19 +53,19 @@ class WindowReader:
             self._executor.shutdown()
 
     def read(
-        self, decoder: TreeDecoder, level: int, region: Region, on_error: str = "raise"
-    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Return raw heights and validity of a region of a level.
-
-        With `on_error` ``"mask"``, damaged units read as void.
-        """
-        heights, voids = self.read_voids(decoder, level, region, on_error)
-        return heights, np.ones(region.shape, dtype=np.bool_) if voids is None else ~voids
-
-    def read_voids(
-        self, decoder: TreeDecoder, level: int, region: Region, on_error: str = "raise"
+        self,
+        decoder: TreeDecoder,
+        level: int,
+        region: Region,
+        on_error: str = "raise",
+        *,
+        is_own: bool,
     ) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
-        """Return raw heights of a region and what is void; None where nothing is."""
+        """Return raw heights of a region of a level and what is void; None where nothing is.
+
+        With `on_error` ``"mask"``, damaged units read as void; with `is_own`, what is not valid by
+        itself is.
+        """
         heights = np.zeros(region.shape, dtype=self._dtype)
         voids = _Voids(region, are_all=on_error == "mask")
 
@@ -73,7 +73,7 @@ class WindowReader:
             try:
                 there, unit = decoder.part_once(key, region)
                 self._fill(unit, heights[there])
-                voids.note(there, unit.mask)
+                voids.note(there, unit.own_mask if is_own else unit.mask)
             except CorruptStreamError:
                 if on_error == "raise":
                     raise
@@ -96,8 +96,12 @@ class WindowReader:
         level: int,
         rows: NDArray[np.float64],
         cols: NDArray[np.float64],
+        valid_of: Callable[[NDArray[np.int64], NDArray[np.int64], Decoded], NDArray[np.bool_]],
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return bilinear raw heights at places inside a level, and where a void takes part."""
+        """Return bilinear raw heights at places inside a level, and where a void takes part.
+
+        `valid_of` returns which of samples are valid, of rows, columns and what they decode to.
+        """
         n_rows, n_cols = decoder.grid.level_shape(level)
         top, left = np.floor(rows).astype(np.int64), np.floor(cols).astype(np.int64)
         down, right = rows - top, cols - left
@@ -105,7 +109,8 @@ class WindowReader:
         for row, row_weight in ((top, 1 - down), (np.minimum(top + 1, n_rows - 1), down)):
             for col, col_weight in ((left, 1 - right), (np.minimum(left + 1, n_cols - 1), right)):
                 samples = decoder.samples(level, row, col)
-                raw, valid = np.zeros((1, rows.size), dtype=self._dtype), samples.mask[0]
+                raw = np.zeros((1, rows.size), dtype=self._dtype)
+                valid = valid_of(row, col, samples)
                 self._fill(samples, raw)
                 weight = row_weight * col_weight
                 total += np.where(valid, raw[0].astype(np.float64), 0.0) * weight

@@ -106,7 +106,7 @@ def read_metres(
     terrain: "TerrainFile", frame: Frame, window: tuple[int, int, int, int] | None, level: int
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return heights in metres, 0 in voids, and which are valid."""
-    raw, valid = terrain.read_with_mask(window, level=level, on_error="mask")
+    raw, valid = terrain.read_with_mask(window, level=level, on_error="mask", voids="any")
     raster = terrain.raster_info
     metres = (raw.astype(np.float64) * raster.scale + raster.offset) * frame.metres[2]
     return np.where(valid, metres, 0.0), valid

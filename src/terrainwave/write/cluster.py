@@ -254,9 +254,10 @@ class DistributedPasses:
 
     def _pushed_base(self, site: Site, heights: Spool) -> Base:
         """Return the base of the top levels, its heights still missing."""
-        names = ("mask", "pushed", "known")
+        names = ("mask", "pushed", "known", "own")
         spools = [
-            Spool(heights.shape, dtype, self.directory) for dtype in (np.bool_, np.int32, np.bool_)
+            Spool(heights.shape, dtype, self.directory)
+            for dtype in (np.bool_, np.int32, np.bool_, np.bool_)
         ]
         for head, _ in run_tasks(self.cluster, push_levels, self._each(site)):
             arrays = site.depot.load(site.name("pushed", head))

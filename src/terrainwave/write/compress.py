@@ -25,7 +25,7 @@ from terrainwave.container.publish import (
 from terrainwave.container.writer import assemble
 from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Grid
-from terrainwave.names import PLAIN_METHOD
+from terrainwave.names import FORMATS, PLAIN_METHOD
 from terrainwave.place.units import height_unit
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.dataset import refuse_raster
@@ -85,6 +85,7 @@ def compress(
     mesh_error: float | None = None,
     faithful: bool = False,
     strict: bool = False,
+    format: str = FORMATS[-1],
     temp_dir: str | os.PathLike[str] | None = None,
     verify: bool = True,
     threads: int | None = None,
@@ -155,6 +156,10 @@ def compress(
         by one float spacing more. Where the bound leaves no room for that, heights are decoded off
         the grid, and files become larger (docs/reliability.md). Other rasters' files change at
         most in the last digit of a bound.
+    format : str
+        ``"1.1"``, or ``"1.0"``: what the first readers read, too. A file is of format 1.1 only if
+        it uses what is new there: where voids are, it tells which heights of coarse levels are
+        fills; on rough ground, rapid has other contexts, which make it some per cent smaller.
     temp_dir : path, optional
         Where large temporary data go; by default beside `dst`. With `client` a path or a URL that
         fsspec can write to, seen by all workers.
@@ -199,6 +204,7 @@ def compress(
         mesh_error=mesh_error,
         faithful=faithful,
         strict=strict,
+        format=format,
         verify=verify,
         threads=threads,
     )
@@ -257,6 +263,7 @@ def compress_to_bytes(
     georeference: bool = True,
     mesh: str = "none",
     strict: bool = False,
+    format: str = FORMATS[-1],
     verify: bool = True,
     threads: int | None = None,
 ) -> bytes:
@@ -272,6 +279,7 @@ def compress_to_bytes(
         effort=effort,
         mesh=mesh,
         strict=strict,
+        format=format,
         verify=verify,
         threads=threads,
     )

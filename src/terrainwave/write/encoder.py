@@ -60,7 +60,9 @@ def fitted_refiner(
     refiner = refiner_by_name(job.options.coding.name)
     if not isinstance(refiner, FittingRefiner) or not job.n_valid:
         return refiner, b""
-    fitted = refiner.fitted(job.grid, job.parameters.step, heights, mask)
+    fitted = refiner.fitted(
+        job.grid, job.parameters.step, heights, mask, may_have_reach=job.options.may_be_new
+    )
     return fitted, fitted.parameters
 
 
@@ -179,7 +181,13 @@ class TreeEncoder:
         """Return the payload of a unit and what it decodes to."""
         assert self._refiner is not None
         rest = partial(self._pyramid.remainders, spec.region) if spec.remainder_bytes else None
-        return encode_unit(self._refiner, spec, parent, target, mask, rest)
+        return encode_unit(self._refiner, spec, parent, target, mask, rest, self.own(spec))
+
+    def own(self, spec: GroupSpec) -> Mask | None:
+        """Return which samples of a unit are valid by themselves, if its payload tells."""
+        if not spec.has_fills or spec.is_finest:
+            return None
+        return self._pyramid.own(spec.level, spec.region)
 
     def measured(self, region: Region, mask: Mask) -> Mask:
         """Return which samples of a region of the full grid are originals: all valid ones."""

@@ -9,7 +9,14 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from terrainwave._version import __version__
-from terrainwave.container.header import HAS_REMAINDERS, IS_FAITHFUL, Header
+from terrainwave.codec.registry import has_reach
+from terrainwave.container.header import (
+    HAS_FILLS,
+    HAS_REACH,
+    HAS_REMAINDERS,
+    IS_FAITHFUL,
+    Header,
+)
 from terrainwave.container.metadata import MAX_MOVED
 from terrainwave.errors import (
     InvalidHeightsError,
@@ -95,6 +102,12 @@ class Job:
         return self.n_valid < self.grid.n_rows * self.grid.n_cols
 
     @property
+    def has_fills(self) -> bool:
+        """Say whether the file tells which samples of coarse levels are fills."""
+        is_mixed = 0 < self.n_valid and self.has_voids
+        return self.options.may_be_new and is_mixed and self.grid.k_max > 0
+
+    @property
     def raw_bound(self) -> float:
         """Return the bound asked for, in raw units."""
         return float(self.bound / scale_of(self.info))
@@ -131,6 +144,7 @@ class Job:
             options.border_rings,
             options.effort_number,
             is_faithful=options.faithful,
+            has_fills=self.has_fills,
         )
 
     def header(self, parameters: bytes) -> Header:
@@ -161,7 +175,9 @@ class Job:
             + (0.0 if quantizer.remainder_bytes else self.moved_error),
             rho=quantizer.rho,
             features=(HAS_REMAINDERS if quantizer.remainder_bytes else 0)
-            | (IS_FAITHFUL if options.faithful else 0),
+            | (IS_FAITHFUL if options.faithful else 0)
+            | (HAS_REACH if has_reach(options.coding.name, parameters) else 0)
+            | (HAS_FILLS if self.has_fills else 0),
             mesh=options.mesh,
             mesh_tolerance=self.mesh_tolerance,
             metadata={**metadata, "software": f"terrainwave {__version__}"},

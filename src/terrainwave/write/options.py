@@ -16,6 +16,7 @@ from terrainwave.errors import InvalidArgumentError
 from terrainwave.names import (
     DEFAULT_METHOD,
     EFFORTS,
+    FORMATS,
     METHODS,
     SMALLEST_METHOD,
     Method,
@@ -47,6 +48,7 @@ class Options:
     mesh_error: float | None = None
     faithful: bool = False
     strict: bool = False
+    format: str = FORMATS[-1]
     verify: bool = True
     threads: int | None = None
 
@@ -75,6 +77,10 @@ class Options:
         if self.block not in BLOCKS:
             raise InvalidArgumentError(
                 f"found `block` {self.block}, expected one of {', '.join(map(str, BLOCKS))}"
+            )
+        if self.format not in FORMATS:
+            raise InvalidArgumentError(
+                f"found `format` {self.format!r}, expected {' or '.join(FORMATS)}"
             )
         if self.border_rings not in (1, 3):
             raise InvalidArgumentError(f"found `border_rings` {self.border_rings}, expected 1 or 3")
@@ -139,6 +145,11 @@ class Options:
     def n_threads(self) -> int:
         """Return how many threads encode."""
         return checked_threads(self.threads)
+
+    @property
+    def may_be_new(self) -> bool:
+        """Return whether files may use what readers of the first format do not know."""
+        return self.format != FORMATS[0]
 
     @property
     def notes(self) -> list[str]:

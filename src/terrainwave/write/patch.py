@@ -36,7 +36,7 @@ from terrainwave.container.writer import assemble
 from terrainwave.errors import BoundViolationError, InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import places_to_pixels
-from terrainwave.grid.quadtree import Block, Grid, Region
+from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.remainders import Remainders
 from terrainwave.mesh.blocks import measure_meshes, mesh_codes
 from terrainwave.mesh.sections import make_meshes
@@ -45,7 +45,6 @@ from terrainwave.names import METHODS, methods_that
 from terrainwave.progress import ProgressCallback, Reporter
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.source import RasterSource
-from terrainwave.raster_io.temporary import Spool
 from terrainwave.read.decoder import unit_key
 from terrainwave.read.tiles import make_decoder
 from terrainwave.write.boxes import Box, enclosing_boxes
@@ -384,12 +383,9 @@ class _Merged:
 class _PatchEncoder(TreeEncoder):
     """Walks a file's units, and codes those again that no longer hold."""
 
-    def __init__(
-        self, terrain: TerrainFile, merged: _Merged, own: "_OwnSamples", *rest: Any
-    ) -> None:
+    def __init__(self, terrain: TerrainFile, merged: _Merged, *rest: Any) -> None:
         self._terrain = terrain
         self._merged = merged
-        self._own = own
         # Largest change of each block's decoded heights, in quanta, where anything changed.
         self.changes: dict[Block, int] = {}
         # The same of the full grid, where the new raster is not.
@@ -419,7 +415,7 @@ class _PatchEncoder(TreeEncoder):
             change = int(changes.max())
             if spec.level == self._grid.k_max:
                 self.moves[block] = self._largest_move(block, spec, changes, after.mask)
-            if change or not np.array_equal(before.mask, after.mask):
+            if change or not _are_alike(before, after):
                 self.changes[block] = change
         return payload, decoded
 
@@ -435,11 +431,14 @@ class _PatchEncoder(TreeEncoder):
         """Say whether a unit decodes to within the bound of the targets."""
         if not np.array_equal(old.mask, mask):
             return False
+        own = self._pyramid.own(spec.level, spec.region)
+        if spec.has_fills and not np.array_equal(old.own_mask, own):
+            return False
         if spec.remainder_bytes:
             rest = self._pyramid.remainders(spec.region, old.heights)
             if not _are_same(rest, old.remainders):
                 return False
-        own = mask & self._own.mask(spec.level, spec.region)
+        own = own & mask
         if (np.abs(target.astype(np.int64) - old.heights) > spec.half)[own].any():
             return False
         # Of a height that was clipped the old multiple of the step is not known.
@@ -449,6 +448,13 @@ class _PatchEncoder(TreeEncoder):
     def measured(self, region: Region, mask: Mask) -> Mask:
         """Return which samples of a region are known originals."""
         return _inside(self._merged, region, mask)
+
+
+def _are_alike(before: Decoded, after: Decoded) -> bool:
+    """Say whether two units have the same valid samples, by themselves too."""
+    return np.array_equal(before.mask, after.mask) and np.array_equal(
+        before.own_mask, after.own_mask
+    )
 
 
 def _are_same(rest: Remainders, stored: Remainders | None) -> bool:
@@ -464,36 +470,6 @@ def _inside(merged: _Merged, region: Region, mask: Mask) -> Mask:
         at = part.slices_in(region)
         known[at] = mask[at]
     return known
-
-
-class _OwnSamples:
-    """Which samples of the levels are valid in the full grid, and not only beside valid ones."""
-
-    def __init__(self, pyramid: Pyramid, grid: Grid, directory: Path, has_voids: bool) -> None:
-        self._grid = grid
-        self._spools: list[Spool] = []
-        if not has_voids:
-            return
-        for level in range(grid.k_max, -1, -1):
-            spool = Spool(grid.level_shape(level), np.bool_, directory)
-            for window in spool.region.tiles(_WINDOW, _WINDOW):
-                if level == grid.k_max:
-                    spool.write(window, pyramid.originals(window)[1])
-                    continue
-                row, col, n_rows, n_cols = window
-                finer = Region(2 * row, 2 * col, 2 * n_rows - 1, 2 * n_cols - 1)
-                spool.write(window, self._spools[-1].read(finer)[::2, ::2])
-            self._spools.append(spool)
-
-    def mask(self, level: int, region: Region) -> Mask:
-        """Return the validity of a region's own samples."""
-        if not self._spools:
-            return np.ones(region.shape, dtype=np.bool_)
-        return self._spools[self._grid.k_max - level].read(region)
-
-    def close(self) -> None:
-        for spool in self._spools:
-            spool.close()
 
 
 class _Patcher:
@@ -527,7 +503,6 @@ class _Patcher:
             directory=directory,
             executor=executor,
         )
-        self._directory = directory
         self.header = terrain.header
         self.is_changed = False
         # The largest move in quanta of a sample that the new raster does not cover.
@@ -538,12 +513,10 @@ class _Patcher:
     def code(self) -> tuple[int, int]:
         """Fill the sink; return how many units were coded again, and how many copied."""
         self._pyramid.build(lambda done, total: None)
-        own = _OwnSamples(self._pyramid, self._grid, self._directory, self._has_voids)
         encoder = _PatchEncoder(
-            self._terrain, self._merged, own, self._pyramid, self.sink, self._count("patching")
+            self._terrain, self._merged, self._pyramid, self.sink, self._count("patching")
         )
         stats = encoder.run(self._executor)
-        own.close()
         self.moved = max(encoder.moves.values(), default=0)
         self.header = self._bounded_header()
         errors, boxes = self._codes(stats, encoder.changes | encoder.moves)

@@ -84,9 +84,10 @@ class Part(NamedTuple):
 
 
 class Base(NamedTuple):
-    """What a pyramid above one level is made of; the last three only where there are voids.
+    """What a pyramid above one level is made of; the last four only where there are voids.
 
-    `pushed` holds the averages of valid samples where there are any: where `known` says so.
+    `pushed` holds the averages of valid samples where there are any: where `known` says so; `own`
+    says which samples are valid by themselves.
     """
 
     shift: int
@@ -94,6 +95,7 @@ class Base(NamedTuple):
     masks: Spool | None = None
     pushed: Spool | None = None
     known: Spool | None = None
+    own: Spool | None = None
 
 
 class Pyramid:
@@ -139,6 +141,7 @@ class Pyramid:
         self._part = part
         self._heights: dict[int, Spool] = {}
         self._masks: dict[int, Spool] = {}
+        self._own: dict[int, Spool] = {}
         self._fills: dict[int, Spool] = {}
         self._known: dict[int, Spool] = {}
         self._first = 0
@@ -146,9 +149,11 @@ class Pyramid:
         if base is not None:
             self._first = base.shift
             self._heights[base.shift] = base.heights
-            if base.masks is not None and base.pushed is not None and base.known is not None:
-                self._masks[base.shift] = base.masks
-                self._fills[base.shift], self._known[base.shift] = base.pushed, base.known
+            levels = self._masks, self._fills, self._known, self._own
+            made = base.masks, base.pushed, base.known, base.own
+            for spools, spool in zip(levels, made, strict=True):
+                if spool is not None:
+                    spools[base.shift] = spool
 
     def build(self, report: Callable[[int, int], None]) -> None:
         """Make every level below the full grid; `report` gets (samples done, samples in all)."""
@@ -219,7 +224,7 @@ class Pyramid:
 
     def close(self) -> None:
         """Delete the spools."""
-        for spools in (self._heights, self._masks, self._fills, self._known):
+        for spools in (self._heights, self._masks, self._own, self._fills, self._known):
             for spool in spools.values():
                 spool.close()
 
@@ -246,6 +251,13 @@ class Pyramid:
         if shift == 0:
             return self._source.read(*region)[1]
         return self._masks[shift].read(region)
+
+    def own(self, level: int, region: Region) -> Mask:
+        """Return which samples of a region of a level are valid by themselves, in the full grid."""
+        shift = self._grid.k_max - level
+        if shift == 0 or not self._has_voids:
+            return self.mask(level, region)
+        return self._own[shift].read(region)
 
     def targets(self, level: int, region: Region) -> tuple[Heights, Mask]:
         """Return `heights` and `mask` of a region; of the full grid by one look at the source."""
@@ -342,6 +354,7 @@ class Pyramid:
     def _build_masks(self) -> None:
         for shift in self._level_shifts():
             spool = self._masks[shift] = self._new_spool(self._heights_region(shift), np.bool_)
+            self._own[shift] = self._new_spool(spool.region, np.bool_)
             # The first step reaches two samples far: a cell of shift 1 spans two full-grid cells.
             reach = 2 if shift == 1 else 1
             self._for_each_window(spool, partial(self._mask_window, shift, reach))
@@ -350,6 +363,13 @@ class Pyramid:
         level = self._grid.k_max - (shift - 1)
         fine = self._gather(lambda window: self.mask(level, window), shift - 1, region, reach)
         rows, cols = (slice(2 * n - 1) for n in region.shape)
+        if shift == 1:
+            own = fine[reach:, reach:][rows, cols][::2, ::2]
+        else:
+            row, col, n_rows, n_cols = region
+            places = Region(2 * row, 2 * col, 2 * n_rows - 1, 2 * n_cols - 1)
+            own = self._own[shift - 1].read(places)[::2, ::2]
+        self._own[shift].write(region, own)
         touched = fine[rows][::2].copy()
         for row in range(1, 2 * reach + 1):
             touched |= fine[row:][rows][::2]

@@ -201,9 +201,9 @@ def push_levels(site: Site, head: Block) -> None:
         pyramid.push()
         region = site.grid.block_region(head)
         pushed, known = pyramid.pushed(site.shift, region)
-        mask = pyramid.mask(site.level, region)
+        mask, own = pyramid.mask(site.level, region), pyramid.own(site.level, region)
         pyramid.close()
-    site.depot.save(site.name("pushed", head), mask=mask, pushed=pushed, known=known)
+    site.depot.save(site.name("pushed", head), mask=mask, own=own, pushed=pushed, known=known)
 
 
 def make_levels(site: Site, head: Block) -> None:

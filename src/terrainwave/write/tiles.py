@@ -19,6 +19,7 @@ from terrainwave.codec.cdf53 import (
     plane_cut,
     unpack_tile,
 )
+from terrainwave.codec.ownmask import Validity
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.tiles import TileLayout, TileSpec
 from terrainwave.container.spool import SegmentSpool
@@ -26,7 +27,7 @@ from terrainwave.errors import (
     InvalidArgumentError,
 )
 from terrainwave.grid.parameters import CodecParameters
-from terrainwave.grid.quadtree import Block, Grid
+from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.read.tiles import final_heights
 from terrainwave.write.encoder import PayloadSink, Stats, TreeEncoder
 from terrainwave.write.job import Job
@@ -55,7 +56,8 @@ def encode_tiles(
     coder = TileCoder(pyramid)
     if not options.is_embedded:
         return TileEncoder(job.grid, parameters, pyramid, coder, sink, on_samples).run(executor)
-    with closing(EmbeddedSource(coder, job.grid, directory)) as source:
+    layout = TileLayout(job.grid, parameters.has_fills)
+    with closing(EmbeddedSource(coder, layout, directory)) as source:
         source.code(executor, on_samples)
         if options.rate is not None:
             source.cut_to_size(_payload_bytes(job, options.rate))
@@ -92,7 +94,7 @@ class TileEncoder(TreeEncoder):
         on_samples: Callable[[int], None],
     ) -> None:
         super().__init__(grid, None, parameters, pyramid, sink, on_samples)
-        self._layout = TileLayout(grid)
+        self._layout = TileLayout(grid, parameters.has_fills)
         self._source = source
         # Decoded tiles with units to come, and how many; the heads of tiles to come.
         self._tiles: dict[Block, list[LevelHeights]] = {}
@@ -124,8 +126,7 @@ class TileEncoder(TreeEncoder):
             self._tiles[key] = levels
             self._n_units[key] = self._layout.n_units(key)
             for head in self._layout.below(key):
-                part = levels[-1].part(self._grid.block_region(head))
-                self._heads[head] = LevelHeights(part.region, part.heights.copy(), part.mask.copy())
+                self._heads[head] = levels[-1].part(self._grid.block_region(head)).copy()
         return payload
 
 
@@ -143,14 +144,15 @@ class TileCoder:
     def code(self, spec: TileSpec) -> CodedTile | None:
         """Return a coded tile; None if nothing in it is valid."""
         levels = range(max(spec.first, 0), spec.last + 1)
-        masks = [
-            self._pyramid.mask(level, region)
+        valid = [
+            self._validity(level, region)
             for level, region in zip(levels, spec.regions, strict=True)
         ]
-        outer_mask = None
-        if spec.outer is not None:
-            outer_mask = self._pyramid.mask(spec.key.level, spec.outer)
-        return encode_tile(spec, self._pyramid.steps(spec.last, spec.region), masks, outer_mask)
+        outer = None if spec.outer is None else self._validity(spec.key.level, spec.outer)
+        return encode_tile(spec, self._pyramid.steps(spec.last, spec.region), valid, outer)
+
+    def _validity(self, level: int, region: Region) -> Validity:
+        return Validity(self._pyramid.mask(level, region), self._pyramid.own(level, region))
 
     def target(self, spec: TileSpec) -> tuple[Heights, Mask]:
         """Return the heights, in quanta, and validity of a tile of full-grid samples."""
@@ -166,10 +168,10 @@ class EmbeddedSource:
     Call `code` first, then set `position` by `cut_to_size` or `cut_to_error`.
     """
 
-    def __init__(self, coder: TileCoder, grid: Grid, directory: Path) -> None:
+    def __init__(self, coder: TileCoder, layout: TileLayout, directory: Path) -> None:
         self._coder = coder
-        self._grid = grid
-        self._layout = TileLayout(grid)
+        self._grid = layout.grid
+        self._layout = layout
         self._spool = SegmentSpool(directory)
         self._streams: dict[Block, tuple[int, tuple[int, ...], int, int]] = {}
         self.position = 0.0

@@ -1,0 +1,154 @@
+"""Which samples of the full grid are valid, of payloads whose heights nobody decodes.
+
+For files that do not tell which samples of coarse levels are fills (FORMAT.md §5.4): the finest
+payloads are read for the masks that stand before their heights.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.codec.cdf53 import LevelHeights, decode_masks, unpack_head
+from terrainwave.codec.group import read_head
+from terrainwave.codec.refiner import Decoded, Heights, Mask
+from terrainwave.container.header import Header
+from terrainwave.errors import CorruptStreamError
+from terrainwave.grid.quadtree import Block, Region
+from terrainwave.names import METHODS
+from terrainwave.read.decoder import TreeDecoder, unit_name
+from terrainwave.read.tiles import Tile, TileDecoder
+
+# Payloads fetched ahead of decoding, in one coalesced request.
+_BATCH = 64
+_CACHE_BYTES = 32 << 20
+
+
+class _MaskDecoder(TreeDecoder):
+    """Units whose heights are all 0, and whose masks are right."""
+
+    def _decode(self, key: Block) -> Decoded:
+        spec, payload = self._spec(key), self._payload(key)
+        heights = _no_heights(spec.region)
+        if not payload:
+            return Decoded(heights, np.zeros(spec.region.shape, dtype=np.bool_), None)
+        try:
+            head = read_head(spec, None if key.is_root_key else self.block(key), payload)
+        except CorruptStreamError as exc:
+            raise type(exc)(f"{unit_name(key)} is damaged: {exc}") from exc
+        return Decoded(heights, head.valid.mask, None)
+
+
+class _TileMaskDecoder(TileDecoder):
+    """The same of files whose units are gathered in tiles."""
+
+    def _decode_tile(self, key: Block) -> Tile:
+        spec, payload = self._layout.spec(key), self._payload(key)
+        if not payload:
+            masks = [np.zeros(region.shape, dtype=np.bool_) for region in spec.regions]
+        else:
+            above = self._layout.above(key)
+            outer = None
+            if above is not None and spec.outer is not None:
+                outer = self._tile(above)[-1].part(spec.outer).validity
+            try:
+                head, _ = unpack_head(spec, payload)
+                masks = [valid.mask for valid in decode_masks(spec, head, outer)]
+            except CorruptStreamError as exc:
+                raise type(exc)(f"the tile of {unit_name(key)} is damaged: {exc}") from exc
+        return [
+            LevelHeights(region, _no_heights(region), mask)
+            for region, mask in zip(spec.regions, masks, strict=True)
+        ]
+
+
+class FinestMasks:
+    """The validity of the full grid where samples of a level lie.
+
+    Parameters
+    ----------
+    payloads : callable
+        Returns the checked payloads of several units, near ones in one request.
+
+    Notes
+    -----
+    For levels above the full grid alone.
+    """
+
+    def __init__(self, header: Header, payloads: Callable[[Sequence[Block]], list[bytes]]) -> None:
+        grid, parameters = header.grid, header.codec_parameters
+        self._grid = grid
+        self._decoder: TreeDecoder
+        if METHODS[header.method].is_tiled:
+            self._decoder = _TileMaskDecoder(grid, parameters, payloads, _CACHE_BYTES)
+        else:
+            self._decoder = _MaskDecoder(grid, None, parameters, payloads, _CACHE_BYTES)
+
+    def own(self, level: int, region: Region, mask: Mask, on_error: str = "raise") -> Mask:
+        """Return which samples of a region of a level are valid by themselves.
+
+        Parameters
+        ----------
+        mask : ndarray of bool, shape ``region.shape``
+            Which are valid; where none is, nothing is read.
+        on_error : str
+            With ``"mask"`` samples in damaged units are void.
+        """
+        grid, stride = self._grid, self._grid.stride(level)
+        n_rows, n_cols = region.shape
+        full = Region(
+            region.row * stride,
+            region.col * stride,
+            (n_rows - 1) * stride + 1,
+            (n_cols - 1) * stride + 1,
+        )
+        own = np.zeros(region.shape, dtype=np.bool_)
+        keys = []
+        for key in self._decoder.keys(grid.k_max, full):
+            here, at = _samples_in(grid.group_region(key), region, stride)
+            if mask[at].any():
+                keys.append((key, here, at))
+        for first in range(0, len(keys), _BATCH):
+            batch = keys[first : first + _BATCH]
+            self._decoder.prefetch([key for key, _, _ in batch])
+            for key, here, at in batch:
+                try:
+                    _, unit = self._decoder.part(key, here)
+                except CorruptStreamError:
+                    if on_error == "raise":
+                        raise
+                    continue
+                own[at] = unit.mask[::stride, ::stride]
+        own &= mask
+        return own
+
+    def samples(self, level: int, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Mask:
+        """Return which single samples of a level are valid by themselves."""
+        stride = self._grid.stride(level)
+        return self._decoder.samples(self._grid.k_max, rows * stride, cols * stride).mask[0]
+
+
+def _samples_in(core: Region, region: Region, stride: int) -> tuple[Region, tuple[slice, slice]]:
+    """Return the full grid's samples of a unit from the first to the last one of a level's region.
+
+    And where these lie in that region.
+    """
+    on_level = Region(
+        -(-core.row // stride),
+        -(-core.col // stride),
+        (core.row + core.n_rows - 1) // stride - -(-core.row // stride) + 1,
+        (core.col + core.n_cols - 1) // stride - -(-core.col // stride) + 1,
+    )
+    part = on_level.intersect(region)
+    here = Region(
+        part.row * stride,
+        part.col * stride,
+        max((part.n_rows - 1) * stride + 1, 0),
+        max((part.n_cols - 1) * stride + 1, 0),
+    )
+    return here, part.slices_in(region)
+
+
+def _no_heights(region: Region) -> Heights:
+    """Return heights that take no memory."""
+    return np.broadcast_to(np.int32(0), region.shape)
