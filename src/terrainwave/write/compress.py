@@ -37,7 +37,7 @@ from terrainwave.write.cluster import (
     shared_raster,
     task_level,
 )
-from terrainwave.write.job import settled
+from terrainwave.write.job import fixed_steps, settled
 from terrainwave.write.local import LocalPasses, smaller
 from terrainwave.write.options import Options
 from terrainwave.write.subtrees import RasterPlace
@@ -80,6 +80,7 @@ def compress(
     mesh_error: float | None = None,
     faithful: bool = False,
     strict: bool = False,
+    stable: bool = False,
     temp_dir: str | os.PathLike[str] | None = None,
     verify: bool = True,
     threads: int | None = None,
@@ -146,6 +147,11 @@ def compress(
         by one float spacing more. Where the bound leaves no room for that, heights are decoded off
         the grid, and files become larger (docs/reliability.md). Other rasters' files change at
         most in the last digit of a bound.
+    stable : bool
+        Round heights to fixed steps first, which follow from `max_error`, type, scale and nodata
+        value alone, and code these exactly: whoever compresses what was decompressed, whole or in
+        parts, with the same bound gets the same heights again. The bound holds as `strict` has it.
+        Files become larger (docs/integrations.md). Not with method cdf53 or `faithful`.
     temp_dir : path, optional
         Where large temporary data go; by default beside `dst`. With `client` a path or a URL that
         fsspec can write to, seen by all workers.
@@ -190,6 +196,7 @@ def compress(
         mesh_error=mesh_error,
         faithful=faithful,
         strict=strict,
+        stable=stable,
         verify=verify,
         threads=threads,
     )
@@ -248,6 +255,7 @@ def compress_to_bytes(
     nodata: float | None = None,
     mesh: str = "none",
     strict: bool = False,
+    stable: bool = False,
     verify: bool = True,
     threads: int | None = None,
 ) -> bytes:
@@ -263,6 +271,7 @@ def compress_to_bytes(
         effort=effort,
         mesh=mesh,
         strict=strict,
+        stable=stable,
         verify=verify,
         threads=threads,
     )
@@ -303,7 +312,7 @@ def _write(
     grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
     with ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor:
         with closing(_passes(source, grid, directory, executor, reporter, cluster)) as passes:
-            scan = passes.scan()
+            scan = passes.scan(fixed_steps(options, source.info))
             marks = note_on_marks(source, scan.minimum, scan.maximum)
             job, notes = settled(options, scan, source.info)
             coded = passes.encode(job)

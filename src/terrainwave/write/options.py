@@ -47,6 +47,7 @@ class Options:
     mesh_error: float | None = None
     faithful: bool = False
     strict: bool = False
+    stable: bool = False
     verify: bool = True
     threads: int | None = None
 
@@ -88,6 +89,17 @@ class Options:
             raise InvalidArgumentError(
                 f"found `faithful` and `method` {asked}, expected `method` {fit}: the others"
                 " follow no paper to the letter"
+            )
+        if self.stable and self.max_error is None:
+            raise InvalidArgumentError(
+                "found `stable` without `max_error`, expected both: fixed steps follow from the bound"
+            )
+        if self.stable and (self.coding.is_tiled or self.faithful):
+            fit = methods_that(lambda method: not method.is_tiled)
+            found = "`faithful`" if self.faithful else f"`method` {asked}"
+            raise InvalidArgumentError(
+                f"found `stable` and {found}, expected `method` {fit}, and not `faithful`: these have"
+                " a way of their own to round heights"
             )
         checked_threads(self.threads)
 
