@@ -172,12 +172,16 @@ class TerrainwaveCodec(ArrayBytesCodec):
     def _encode_sync(self, chunk_data: NDBuffer, chunk_spec: ArraySpec) -> Buffer:
         heights = np.asarray(chunk_data.as_numpy_array()).reshape(_grid_shape(chunk_spec.shape))
         mark = self._mark_of(heights.dtype, chunk_spec.fill_value)
+        is_stepped = self.stable and self.max_error > 0
+        if is_stepped:
+            heights, is_stepped = self._rounded(heights, mark)
         data = compress_to_bytes(
-            self._rounded(heights, mark) if self.stable else heights,
-            max_error=self.max_error,
+            heights,
+            # Beside a height that has no step all are kept as they are now.
+            max_error=self.max_error if is_stepped or not self.stable else 0,
             nodata=_nodata_of(heights, mark),
             effort=self.effort,
-            stable=self.stable,
+            stable=is_stepped,
             threads=_n_threads(heights.size),
         )
         return chunk_spec.prototype.buffer.from_bytes(data)
@@ -213,8 +217,12 @@ class TerrainwaveCodec(ArrayBytesCodec):
             return None
         return fit_nodata(np.asarray(chosen).item(), dtype)[0]
 
-    def _rounded(self, heights: NDArray[Any], mark: float | int | None) -> NDArray[Any]:
-        """Return heights on fixed steps, each sample by itself, whatever else the chunk holds.
+    def _rounded(
+        self, heights: NDArray[Any], mark: float | int | None
+    ) -> tuple[NDArray[Any], bool]:
+        """Return heights on fixed steps, and whether all have one.
+
+        Each sample by itself, whatever else the chunk holds.
 
         Coding rounds them, too, but not where one of a chunk's heights is on no step: the others
         would be stored as they are, and rounded when that one is gone.
@@ -223,7 +231,7 @@ class TerrainwaveCodec(ArrayBytesCodec):
         nodata = None if mark is None or math.isnan(mark) else stored_nodata(mark, dtype).item()
         steps = FixedSteps.of(as_fraction(self.max_error), dtype.name, nodata)
         if steps is None:
-            return heights
+            return heights, False
         rounded = steps.rounded(heights)
         with np.errstate(invalid="ignore"):  # NaN, and infinite ones, which are refused later
             apart = np.abs(rounded.astype(np.float64) - heights.astype(np.float64))
@@ -232,7 +240,10 @@ class TerrainwaveCodec(ArrayBytesCodec):
                 f"a height was rounded by {np.nanmax(apart):g}, more than {self.max_error:g}: this"
                 " is a fault of terrainwave, please report it. Nothing was written"
             )
-        return rounded
+        is_valid = ~np.isnan(rounded) if dtype.kind == "f" else np.ones(rounded.shape, np.bool_)
+        if nodata is not None:
+            is_valid &= rounded != nodata
+        return rounded, steps.hold(rounded[is_valid])
 
 
 def _nodata_of(heights: NDArray[Any], mark: float | int | None) -> float | int | None:

@@ -92,14 +92,15 @@ class Options:
             )
         if self.stable and self.max_error is None:
             raise InvalidArgumentError(
-                "found `stable` without `max_error`, expected both: fixed steps follow from the bound"
+                "found `stable` without `max_error`, expected both: fixed steps follow from the"
+                " bound"
             )
         if self.stable and (self.coding.is_tiled or self.faithful):
             fit = methods_that(lambda method: not method.is_tiled)
             found = "`faithful`" if self.faithful else f"`method` {asked}"
             raise InvalidArgumentError(
-                f"found `stable` and {found}, expected `method` {fit}, and not `faithful`: these have"
-                " a way of their own to round heights"
+                f"found `stable` and {found}, expected `method` {fit}, and not `faithful`: those"
+                " round heights in ways of their own"
             )
         checked_threads(self.threads)
 
