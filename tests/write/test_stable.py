@@ -51,7 +51,7 @@ def test_ten_generations_of_whole_files_are_the_first(dtype, max_error, method):
 
 def test_the_bound_is_of_heights_after_scale(tmp_path):
     heights = heights_of("int16")
-    raster = write_geotiff(tmp_path / "dem.tif", heights, nodata=-9999, bands={"scales": (0.1,)})
+    raster = write_geotiff(tmp_path / "dem.tif", heights, nodata=-9999, bands={"scales": 0.1})
     compress(raster, tmp_path / "dem.twz", max_error=0.5, stable=True, block=32)
     report = verify(tmp_path / "dem.twz", raster, mesh=True)
     assert report.problems == ()

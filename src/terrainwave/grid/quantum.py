@@ -393,7 +393,7 @@ class HeightScan:
         return replace(quantizer, remainder_bytes=np.dtype(self.dtype).itemsize)
 
     def _with_quantum(self, p: Fraction, max_error: Fraction, rho: Fraction) -> Quantizer:
-        # Exact, not as a person would read them: which step is the nearest may hang on the last bit.
+        # Exact, not as a person would read them: the last bit may tell which step is the nearest.
         number = as_fraction if self.steps is None else Fraction
         low, high = (round(number(end) / p) for end in (self.minimum, self.maximum))
         base = low + (high - low) // 2
