@@ -41,7 +41,8 @@ MAY_IMPORT = {
     "write": GRID | {"codec", "tri", "container", "raster_io", "read", "file", "mesh"},
     "globe": GRID | {"tri", "container", "raster_io", "read", "file", "mesh", "export"},
     "render": GRID | {"tri", "container", "raster_io", "read", "file", "mesh", "export"},
-    "ext": ROOT | {"container", "raster_io", "file", "mesh", "export", "write", "globe", "render"},
+    "ext": ROOT
+    | {"grid", "container", "raster_io", "file", "mesh", "export", "write", "globe", "render"},
     "terrain": ROOT | {"grid", "tri", "raster_io", "file", "mesh", "export", "render", "ext"},
     # Knows nothing of what made a file: neither mesh nor write.
     "verification": GRID | {"raster_io", "terrain"},

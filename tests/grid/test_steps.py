@@ -35,9 +35,11 @@ def any_heights(dtype, seed):
 
 def halves(steps, dtype):
     """Return heights between two steps, and the floats next to them: where rounding is hardest."""
-    between = (np.arange(-300, 300) * 37 + 0.5) * float(steps.step)
-    own = between.astype(dtype)
-    return np.r_[own, np.nextafter(own, own - 1), np.nextafter(own, own + 1)]
+    counts = np.arange(-300, 300) * 37 + 0.5
+    # Small ones, and around the largest multiples that are floats, of either type.
+    far = [counts + 2.0**power for power in (17, 19, 21, 23, 38, 40, 45, 48, 51)]
+    own = (np.r_[(counts, *far)] * float(steps.step)).astype(dtype)
+    return np.r_[own, np.nextafter(own, own - own), np.nextafter(own, own + own)]
 
 
 @given(st.sampled_from(RASTER_DTYPES), st.sampled_from(BOUNDS), st.integers(0, 2**32 - 1))
@@ -112,4 +114,4 @@ def test_scans_of_parts_know_whether_all_heights_have_a_step():
     np.testing.assert_array_equal(found.dequantize(found.quantize(near, valid)), [[1, 8]])
     for parts in ((near, far), (far, near)):
         found = scan_of(*parts).quantizer(Fraction(0), may_have_remainders=True)
-        assert (found.steps, found.remainder_bytes) == (None, 4)
+        assert (found.step, found.remainder_bytes) == (1, 4)

@@ -73,8 +73,6 @@ class Quantizer:
         Smallest and largest quantum of the valid samples.
     remainder_bytes : int
         Bytes of a sample where remainders make heights of the full grid exact, else 0.
-    steps : FixedSteps, optional
-        What heights are rounded to before; its step is the quantum. Decoders need none.
     """
 
     dtype: str
@@ -86,7 +84,6 @@ class Quantizer:
     z_min: int
     z_max: int
     remainder_bytes: int = 0
-    steps: FixedSteps | None = None
 
     @property
     def quantum(self) -> float:
@@ -139,8 +136,6 @@ class Quantizer:
         """Return the quanta of `raw`, shape as given; 0 where not `valid`. Copies."""
         from terrainwave.grid import convert
 
-        if self.steps is not None:
-            raw = self.steps.rounded(raw)
         quanta = np.empty(raw.shape, dtype=np.int32)
         # Integers too far apart for their own grid are rounded to a coarser one, as floats are.
         if np.dtype(self.dtype).kind in "iu" and self.rho == 0:
@@ -326,7 +321,7 @@ class HeightScan:
         if self.steps is not None:
             stepped = self._with_quantum(self.steps.step, self.steps.loss, self.steps.loss)
             if stepped.z_max - stepped.z_min < MAX_QUANTA - 1:
-                return replace(stepped, steps=self.steps)
+                return stepped
         span = as_fraction(self.maximum) - as_fraction(self.minimum)
         p = self.true_quantum()
         limit = _rounded_down(max_error, self.dtype) if is_strict else max_error

@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 # themselves, with no rounding. Of float32 5 bits take 0.03 bits per sample on average, nothing of
 # bounds like 0.5, 1 or 3, and reach 2^19 steps to each side.
 _STEP_BITS = {"float32": 5, "float64": 12}
-_FLOAT_BITS = {"float32": 24, "float64": 53}
+# Significant bits of multiples. One less than a float64 has: the middles between steps are floats,
+# too, and then the rounded quotient never lies on another side of a half than the exact one.
+_FLOAT_BITS = {"float32": 24, "float64": 52}
 # Limits of quanta and heights of all files (`grid.quantum`, FORMAT.md §4.1).
 _WIDEST, _FINEST_EXPONENT, _LARGEST_EXPONENT = (1 << 31) - 1, -62, 59
 
@@ -110,12 +112,7 @@ class FixedSteps:
             )
         # Far and infinite heights overflow here, and voids are NaN: none of them has a step.
         with np.errstate(over="ignore", under="ignore", invalid="ignore"):
-            wide = own.astype(np.float64)
-            count = np.rint(wide / step)
-            # The quotient is rounded, too, which can make it a half that it is not.
-            apart = wide - count * step
-            count += (apart > step / 2).astype(np.int8)
-            count -= (apart < -step / 2).astype(np.int8)
+            count = np.rint(own.astype(np.float64) / step)
             has_step = np.abs(count) <= most
             # + 0.0: no height is -0.0, which would be another than 0.0 bit for bit.
             nearest = (count * step + 0.0).astype(own.dtype)

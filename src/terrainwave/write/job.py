@@ -193,7 +193,8 @@ def settled(options: Options, scan: HeightScan, info: RasterInfo) -> tuple[Job, 
             may_have_remainders=not options.coding.is_tiled,
             is_strict=options.strict,
         )
-    if options.stable and quantizer.steps is None and fixed_steps(options, info) is not None:
+    is_exact = quantizer.rho == 0 or quantizer.remainder_bytes > 0
+    if is_exact and scan.n_valid and fixed_steps(options, info) is not None:
         notes.append(
             "some heights lie on no fixed step (floats that are further apart than the bound needs,"
             " or a height whose step is the nodata value): the file keeps all heights exactly"
