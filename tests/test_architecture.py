@@ -43,7 +43,8 @@ MAY_IMPORT = {
     "globe": GRID | {"tri", "container", "raster_io", "place", "read", "file", "mesh", "export"},
     "render": GRID | {"tri", "container", "raster_io", "place", "read", "file", "mesh", "export"},
     "ext": ROOT
-    | {"container", "raster_io", "place", "file", "mesh", "export", "write", "globe", "render"},
+    | {"grid", "container", "raster_io", "place", "file", "mesh", "export", "write", "globe"}
+    | {"render"},
     "terrain": ROOT | {"grid", "tri", "raster_io", "file", "mesh", "export", "render", "ext"},
     # Knows nothing of what made a file: neither mesh nor write.
     "verification": GRID | {"raster_io", "place", "terrain"},

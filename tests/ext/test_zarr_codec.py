@@ -1,6 +1,7 @@
 """The Zarr codec inside zarr itself, found by its entry point."""
 
 import json
+import warnings
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from strategies import terrain_like
 from zarr.storage import MemoryStore
 
 import terrainwave
-from terrainwave.errors import CorruptStreamError, InvalidHeightsError
+from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveWarning
 from terrainwave.ext.zarr_codec import TerrainwaveCodec
 
 
@@ -155,9 +156,10 @@ def test_chunk_of_another_shape_or_type_is_refused(other):
 def test_metadata_name_the_codec_and_only_what_was_chosen():
     _, store = make_array(np.zeros((4, 4), np.int16), (4, 4), max_error=0.25)
     (codec,) = json.loads(store._store_dict["zarr.json"].to_bytes())["codecs"]
-    assert codec == {"name": "terrainwave", "configuration": {"max_error": 0.25}}
-    codec = TerrainwaveCodec(max_error=1, nodata=-1, effort="fast")
-    assert TerrainwaveCodec.from_dict(codec.to_dict()) == codec
+    assert codec == {"name": "terrainwave", "configuration": {"max_error": 0.25, "stable": True}}
+    for stable in (False, True):
+        codec = TerrainwaveCodec(max_error=1, nodata=-1, effort="fast", stable=stable)
+        assert TerrainwaveCodec.from_dict(codec.to_dict()) == codec
 
 
 @pytest.mark.parametrize(
@@ -169,8 +171,169 @@ def test_metadata_name_the_codec_and_only_what_was_chosen():
         {"max_error": 1, "quality": 3},
         {"max_error": 1, "nodata": "x"},
         {"max_error": 1, "effort": "most"},
+        {"max_error": 1, "stable": 1},
     ],
 )
 def test_bad_configuration_is_refused(configuration):
     with pytest.raises(InvalidHeightsError, match="expected"):
         TerrainwaveCodec.from_dict({"name": "terrainwave", "configuration": configuration})
+
+
+# Writes in parts: what they do not touch stays as it is
+
+FILL = -32768
+
+
+def five_kinds():
+    """Return arrays by name: smooth, noisy and decimal floats, doubles, whole numbers."""
+    rng = np.random.default_rng(5)
+    row, col = np.mgrid[0:48, 0:60]
+    smooth = 800 + 300 * np.sin(col / 9) * np.cos(row / 7)
+    noise = rng.normal(size=smooth.shape)
+    return {
+        "smooth": smooth.astype("f4"),
+        "noisy": (smooth + 0.8 * noise).astype("f4"),
+        "decimal": np.round(smooth + noise, 2).astype("f4"),
+        "double": smooth + noise,
+        "whole": (3 * smooth).astype("i2"),
+    }
+
+
+# 0.1 is no float, nor is a multiple of it; 3.7 of whole numbers is 3.
+BOUNDS = {"smooth": (0.5, 3), "noisy": (0.1, 3), "decimal": (0.004, 0.5), "double": (0.1, 7.3)}
+CASES = [(kind, bound) for kind in five_kinds() for bound in BOUNDS.get(kind, (1, 3.7))]
+LAYOUTS = [dict(chunks=(24, 24)), dict(chunks=(12, 20), shards=(24, 60))]
+
+
+def bits(heights):
+    return np.ascontiguousarray(heights).view(f"u{heights.itemsize}")
+
+
+@pytest.mark.parametrize("layout", LAYOUTS, ids=["chunks", "shards"])
+@pytest.mark.parametrize(("kind", "max_error"), CASES)
+def test_25_writes_of_parts_keep_the_bound_and_move_nothing_else(kind, max_error, layout):
+    heights = five_kinds()[kind]
+    array, _ = make_array(heights, max_error=max_error, fill_value=FILL, **layout)
+    rng = np.random.default_rng(7)
+    originals, before = heights.copy(), array[...]
+    for _ in range(25):
+        first, n_rows = int(rng.integers(0, 46)), int(rng.integers(1, 3))
+        part = slice(first, first + n_rows), slice(int(rng.integers(0, 30)), 55)
+        own = heights[part] + 20 * rng.normal(size=heights[part].shape)
+        originals[part] = own.astype(heights.dtype)
+        array[part] = originals[part]
+        before[part], after = array[part], array[...]
+        np.testing.assert_array_equal(bits(after), bits(before))
+    assert 0 < largest_error(array, originals) <= max_error
+
+
+@pytest.mark.parametrize(("kind", "max_error"), CASES)
+def test_appended_rows_move_none_of_the_chunk_they_share(kind, max_error):
+    heights = five_kinds()[kind]
+    array, _ = make_array(heights[:10], (24, 24), max_error=max_error, fill_value=FILL)
+    before = array[...]
+    for first in range(10, 48, 2):
+        array.append(heights[first : first + 2])
+        before = np.concatenate([before, array[first:]])
+        np.testing.assert_array_equal(bits(array[...]), bits(before))
+    assert 0 < largest_error(array, heights) <= max_error
+
+
+@pytest.mark.parametrize(("kind", "max_error"), CASES)
+def test_ten_copies_hold_the_same_heights(kind, max_error):
+    heights = five_kinds()[kind]
+    array, _ = make_array(heights, (24, 24), max_error=max_error, fill_value=FILL)
+    first = array[...]
+    for copy in range(10):
+        chunks = (24 - copy, 30)  # other chunks than before
+        array, _ = make_array(array[...], chunks, max_error=max_error, fill_value=FILL)
+    np.testing.assert_array_equal(bits(array[...]), bits(first))
+    assert 0 < largest_error(array, heights) <= max_error
+
+
+def test_a_height_that_has_no_step_moves_no_other_when_it_comes_and_goes():
+    heights = five_kinds()["noisy"]
+    array, _ = make_array(heights, (24, 24), max_error=0.5, fill_value=FILL)
+    for far in (3e7 + 1, -32767.75, 1e15):  # floats 2 apart; the step is the fill value; far off
+        before = array[...]
+        array[3, 5] = before[3, 5] = far
+        np.testing.assert_array_equal(array[...], before)
+        array[3, 5] = before[3, 5] = 7
+        np.testing.assert_array_equal(array[...], before)
+    array, _ = make_array(heights + np.float32(3e7), (24, 24), max_error=0.5, fill_value=FILL)
+    np.testing.assert_array_equal(array[...], heights + np.float32(3e7))
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "int16", "int32"])
+def test_heights_at_the_ends_of_a_type_stay_within_the_bound(dtype):
+    limits = np.iinfo(dtype)
+    ends = np.r_[limits.min : limits.min + 40, limits.max - 39 : limits.max + 1].astype(dtype)
+    heights = np.tile(ends, (20, 1))
+    for max_error in (1, 2, 5, 6, 9, 300):
+        array, _ = make_array(heights, (20, 80), max_error=max_error)
+        first = array[...]
+        assert largest_error(array, heights) <= max_error
+        array[0, 0] = 17
+        np.testing.assert_array_equal(array[1:], first[1:])
+
+
+def test_no_height_becomes_the_mark_of_voids():
+    heights = np.tile(np.arange(-9, 10, dtype="int16"), (19, 1))
+    codec = TerrainwaveCodec(max_error=3, nodata=0)
+    array, _ = make_array(heights, (19, 19), codec=codec)
+    first = array[...]
+    np.testing.assert_array_equal(first == 0, heights == 0)
+    assert largest_error(array, heights) <= 3
+    array[0] = 5
+    np.testing.assert_array_equal(array[1:], first[1:])
+
+
+def test_nan_that_comes_to_a_chunk_moves_nothing():
+    heights = five_kinds()["noisy"]
+    heights[0, :4] = -1.3, -0.8, -0.6, -0.0  # beside the mark of voids
+    array, _ = make_array(heights, (24, 24), max_error=0.5, fill_value=-1.0)
+    before = array[...]
+    array[5, 5] = before[5, 5] = np.nan
+    np.testing.assert_array_equal(bits(array[...]), bits(before))
+    array[5, 5] = before[5, 5] = 12
+    np.testing.assert_array_equal(bits(array[...]), bits(before))
+
+
+def test_every_bit_stays_where_nothing_may_be_lost():
+    heights = np.round(five_kinds()["noisy"])
+    heights[2, :9] = -0.0
+    array, store = make_array(heights, (24, 24), max_error=0)
+    array[7] = heights[7]
+    np.testing.assert_array_equal(bits(array[...]), bits(heights))
+    (codec,) = json.loads(store._store_dict["zarr.json"].to_bytes())["codecs"]
+    assert codec["configuration"] == {"max_error": 0}  # which version 1.0 understands
+
+
+def test_an_array_of_version_1_0_stays_what_it_was_and_warns_of_parts():
+    heights = five_kinds()["noisy"]
+    codec = TerrainwaveCodec(max_error=0.5, stable=False)
+    array, store = make_array(heights, (24, 24), codec=codec)
+    (written,) = json.loads(store._store_dict["zarr.json"].to_bytes())["codecs"]
+    assert written["configuration"] == {"max_error": 0.5}  # as version 1.0 wrote it
+    first = array[...]
+    old = zarr.open_array(store)
+    np.testing.assert_array_equal(old[...], first)
+    with pytest.warns(TerrainwaveWarning, match=r"up to 0\.5 more; write chunks as a whole"):
+        old[3] = heights[3] + 20
+    assert (old[4:24] != first[4:24]).any()  # what the warning says
+    old.resize((40, 60))
+    assert store._store_dict["zarr.json"].to_bytes().count(b"stable") == 0
+
+
+@pytest.mark.parametrize("layout", LAYOUTS, ids=["chunks", "shards"])
+@pytest.mark.parametrize("stable", [False, True])
+def test_whole_chunks_and_stable_arrays_give_no_warning(stable, layout):
+    heights = five_kinds()["noisy"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        codec = TerrainwaveCodec(max_error=0.5, stable=stable)
+        array, _ = make_array(heights, codec=codec, **layout)
+        array[...]
+        array[24:, :] = heights[24:, :]
+        if stable:
+            array[3] = heights[3]

@@ -36,6 +36,7 @@ class FakeTerrain:
             "description": None,
             "area_or_point": "Area",
             "rounding_error": 0.05,
+            "method": "rapid",
         }
         self._info = SimpleNamespace(**(fields | changes))
 
@@ -301,3 +302,14 @@ def test_errors_are_summed_over_windows_in_any_order():
     assert (report.worst_row, report.worst_col) == (3, 5)
     assert report.rmse == pytest.approx(math.sqrt((3 * 4 + 200**2) / 23) / 2)
     assert report.n_mask_differences == 1
+
+
+@pytest.mark.parametrize(("method", "max_error"), [("cdf53", 0.0), ("rapid", 0.5)])
+def test_the_sign_of_zero_counts_only_where_every_bit_was_promised(compare, method, max_error):
+    heights = np.array([[1.0, -0.0], [0.0, 3.0]], np.float32)
+    unsigned = np.abs(heights)
+    report = compare(heights, FakeTerrain(unsigned, max_error=max_error, method=method))
+    assert report.problems == ()
+    (problem,) = compare(heights, FakeTerrain(unsigned)).problems
+    assert "1 sample is 0.0 in one of the two and -0.0 in the other" in problem
+    assert "row 0, column 1" in problem

@@ -9,7 +9,7 @@ from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
 import terrainwave
-from terrainwave.errors import CorruptStreamError, InvalidHeightsError
+from terrainwave.errors import BoundViolationError, CorruptStreamError, InvalidHeightsError
 from terrainwave.verification.heights import verify
 from terrainwave.write.compress import compress
 from terrainwave.write.patch import patch
@@ -46,6 +46,90 @@ def test_every_bit_of_floats_comes_back(dtype, method):
         row, col = 61, 66  # of one unit and of another, at a sample of the full grid
         x, y = col + 0.5, -(row + 0.5)
         assert terrain.sample([(x, abs(y))])[0] == heights[row, col]
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("method", some(["rapid", "predictive", "store", "cdf97"], 2))
+def test_negative_zeros_of_a_vertical_grid_come_back(dtype, method):
+    heights = terrain_like(75, 68).astype(dtype) - 100
+    heights[20:30, 40:50] = np.nan
+    heights[heights == 0] = -0.0
+    heights[70, 3:9] = 0.0
+    with terrainwave.open(twz_bytes(heights, max_error=0, method=method)) as terrain:
+        assert terrain.header.features == 1  # remainders, which readers of 1.0 know
+        assert_same_bits(terrain.read(), heights)
+    with terrainwave.open(twz_bytes(heights + 0.0, max_error=0, method=method)) as terrain:
+        assert terrain.header.features == 0
+
+
+def test_signs_of_zero_are_kept_where_losslessness_is_the_default_too():
+    heights = terrain_like(40, 40).astype("float32")
+    heights[3, 3:9] = -0.0
+    with terrainwave.open(twz_bytes(heights)) as terrain:
+        assert_same_bits(terrain.read(), heights)
+    with terrainwave.open(twz_bytes(heights, max_error=0.25)) as terrain:  # numbers are promised
+        assert terrain.header.features == 0
+
+
+def test_negative_zeros_in_one_window_of_many_are_found(tmp_path):
+    heights = terrain_like(600, 2000).astype("float32") + 5
+    heights[599, 1999] = -0.0
+    raster = write_geotiff(tmp_path / "dem.tif", heights)
+    compress(raster, tmp_path / "dem.twz", max_error=0, mesh="none")
+    with terrainwave.open(tmp_path / "dem.twz") as terrain:
+        assert_same_bits(terrain.read(), heights)
+    for executor in (None, ThreadPoolExecutor(1)):
+        target = tmp_path / f"{executor is None}.twz"
+        options = {} if executor is None else dict(client=executor, task_samples=1 << 16)
+        compress(raster, target, max_error=0, mesh="none", block=64, **options)
+    assert (tmp_path / "True.twz").read_bytes() == (tmp_path / "False.twz").read_bytes()
+
+
+def test_a_method_of_tiles_says_that_it_drops_the_sign_of_zero(tmp_path):
+    heights = terrain_like(40, 40).astype("float32")
+    raster = write_geotiff(tmp_path / "dem.tif", heights)
+    assert compress(raster, tmp_path / "a.twz", max_error=0, method="cdf53").notes == []
+    heights[3, 3:9] = -0.0
+    raster = write_geotiff(tmp_path / "dem.tif", heights)
+    result = compress(raster, tmp_path / "b.twz", max_error=0, method="cdf53")
+    assert any(note.startswith("-0.0 becomes 0.0: method cdf53") for note in result.notes)
+    assert verify(tmp_path / "b.twz", raster).problems == ()
+
+
+def test_verify_finds_zeros_whose_sign_was_lost(tmp_path):
+    heights = terrain_like(40, 40).astype("float32")
+    raster = write_geotiff(tmp_path / "dem.tif", heights)
+    heights[3, 3:9] = -0.0
+    signed = write_geotiff(tmp_path / "signed.tif", heights)
+    heights[3, 3:9] = 0.0
+    compress(write_geotiff(tmp_path / "dem.tif", heights), tmp_path / "dem.twz", max_error=0)
+    assert verify(tmp_path / "dem.twz", raster).problems == ()
+    (problem,) = verify(tmp_path / "dem.twz", signed).problems
+    assert problem.startswith("6 samples are 0.0 in one of the two and -0.0 in the other")
+    assert "the first at row 3, column 3" in problem
+    compress(signed, tmp_path / "signed.twz", max_error=0)
+    assert verify(tmp_path / "signed.twz", signed).problems == ()
+    compress(raster, tmp_path / "near.twz", max_error=0.4)
+    assert verify(tmp_path / "near.twz", signed).problems == ()  # of numbers within a bound
+
+
+def test_the_proof_finds_a_bit_that_did_not_come_back(monkeypatch):
+    heights = terrain_like(40, 40).astype("float32")
+    heights[3, 3:9] = -0.0
+
+    def without_signs(raw, valid, decoded):
+        return np.zeros(raw.shape, "i4")
+
+    monkeypatch.setattr("terrainwave.write.pyramid.remainders", without_signs)
+    with pytest.raises(BoundViolationError, match="row 3, column 3 has other bits"):
+        twz_bytes(heights, max_error=0)
+
+
+def test_which_nan_marks_a_void_is_not_kept():
+    heights = terrain_like(40, 40).astype("float32")
+    heights.view("u4")[3, 3:5] = 0x7FC12345, 0xFFC00001  # payloads, one with a sign
+    with terrainwave.open(twz_bytes(heights, max_error=0)) as terrain:
+        assert set(terrain.read().view("u4")[3, 3:5].tolist()) == {0x7FC00000}
 
 
 def test_a_bound_too_small_for_quanta_is_kept_by_every_bit():

@@ -191,6 +191,12 @@ def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
     show_default=True,
     help=f"{FORMATS[0]}: write what the first readers read, too.",
 )
+@click.option(
+    "--stable",
+    is_flag=True,
+    help="Round heights to fixed steps that follow from --max-error and the raster's type: what was"
+    " decompressed and is compressed again with the same bound does not change, for a larger file.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 @_batched
 @_writing

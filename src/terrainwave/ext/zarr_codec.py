@@ -6,7 +6,9 @@ chunk is a whole .twz file (FORMAT.md) of its two last dimensions, without meshe
 
 import asyncio
 import math
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterable, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -17,14 +19,24 @@ from zarr.core.array_spec import ArraySpec
 from zarr.core.buffer import Buffer, NDBuffer
 
 from terrainwave.arguments import check_effort
-from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
+from terrainwave.errors import (
+    BoundViolationError,
+    CorruptStreamError,
+    InvalidHeightsError,
+    TerrainwaveError,
+    TerrainwaveWarning,
+)
 from terrainwave.file import TerrainFile
+from terrainwave.grid.quantum import as_fraction
+from terrainwave.grid.steps import FixedSteps
 from terrainwave.raster_io.info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
 from terrainwave.write.compress import compress_to_bytes
 
 CODEC_NAME = "terrainwave"
 # Zarr codes several chunks at a time; a chunk as large as this is worth threads of its own.
 _THREADED_SAMPLES = 1 << 22
+# What a task of zarr's decodes before it encodes are chunks that it writes a part of.
+_has_decoded: ContextVar[bool] = ContextVar("_has_decoded", default=False)
 
 
 @dataclass(frozen=True)
@@ -34,12 +46,18 @@ class TerrainwaveCodec(ArrayBytesCodec):
     Parameters
     ----------
     max_error : float
-        Largest allowed error in the array's units; >= 0. 0 is lossless: every bit comes back.
+        Largest allowed error in the array's units; >= 0. 0 is lossless: every bit of a height
+        comes back, the sign of -0.0 too.
     nodata : float, optional
         Samples of this value come back exactly, and so does NaN. By default the array's fill
         value, unless that is 0, which is Zarr's own default and a height as any other.
     effort : str
         ``"fast"``, ``"default"`` or ``"best"``.
+    stable : bool
+        Keep `max_error` however often chunks are written in parts, appended to or copied: heights
+        are rounded to fixed steps, and what a write does not touch stays as it is, bit for bit.
+        Without it the bound holds for chunks that are written once and as a whole, and these are
+        smaller (docs/integrations.md); so are the chunks of arrays whose metadata do not say it.
 
     Raises
     ------
@@ -49,7 +67,9 @@ class TerrainwaveCodec(ArrayBytesCodec):
     Notes
     -----
     Chunks are two-dimensional, or have further leading dimensions of length 1. Each is decoded
-    and compared before its bytes are returned.
+    and compared before its bytes are returned. Heights that no fixed step can stand for (floats
+    that lie further apart than `max_error`, heights whose step is the nodata value) are kept
+    exactly, and so is what lies in the same chunk.
     """
 
     is_fixed_size = False
@@ -57,9 +77,15 @@ class TerrainwaveCodec(ArrayBytesCodec):
     max_error: float
     nodata: float | None
     effort: str
+    stable: bool
 
     def __init__(
-        self, *, max_error: float, nodata: float | None = None, effort: str = "default"
+        self,
+        *,
+        max_error: float,
+        nodata: float | None = None,
+        effort: str = "default",
+        stable: bool = True,
     ) -> None:
         is_number = isinstance(max_error, int | float) and not isinstance(max_error, bool)
         if not (is_number and math.isfinite(max_error) and max_error >= 0):
@@ -67,21 +93,27 @@ class TerrainwaveCodec(ArrayBytesCodec):
         if nodata is not None and (isinstance(nodata, bool) or not isinstance(nodata, int | float)):
             raise InvalidHeightsError(f"found nodata {nodata!r}, expected a number or None")
         check_effort(effort)
-        for name, value in (("max_error", max_error), ("nodata", nodata), ("effort", effort)):
-            object.__setattr__(self, name, value)
+        if not isinstance(stable, bool):
+            raise InvalidHeightsError(f"found stable {stable!r}, expected True or False")
+        object.__setattr__(self, "max_error", max_error)
+        object.__setattr__(self, "nodata", nodata)
+        object.__setattr__(self, "effort", effort)
+        # Without loss nothing ever moves: arrays say nothing that older versions do not know.
+        object.__setattr__(self, "stable", stable or max_error == 0)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
         """Return the codec that array metadata name."""
         configuration = data.get("configuration") or {}
-        unknown = sorted(set(configuration) - {"max_error", "nodata", "effort"})
+        unknown = sorted(set(configuration) - {"max_error", "nodata", "effort", "stable"})
         if data.get("name") != CODEC_NAME or unknown or "max_error" not in configuration:
             given = f"unknown {', '.join(unknown)}" if unknown else repr(dict(data))
             raise InvalidHeightsError(
                 f"found {given} in the metadata of the codec {CODEC_NAME}, expected max_error and,"
-                " if need be, nodata and effort"
+                " if need be, nodata, effort and stable"
             )
-        return cls(**configuration)
+        # Arrays of version 1.0 have no such key, and keep what they were made with.
+        return cls(**{"stable": False} | configuration)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the codec's entry in array metadata."""
@@ -90,6 +122,8 @@ class TerrainwaveCodec(ArrayBytesCodec):
             configuration["nodata"] = self.nodata
         if self.effort != "default":
             configuration["effort"] = self.effort
+        if self.stable and self.max_error > 0:
+            configuration["stable"] = True
         return {"name": CODEC_NAME, "configuration": configuration}
 
     def validate(self, *, shape: tuple[int, ...], dtype: Any, chunk_grid: Any) -> None:
@@ -106,6 +140,29 @@ class TerrainwaveCodec(ArrayBytesCodec):
                 raise InvalidHeightsError(f"{problem}: choose another nodata")
         _grid_shape(getattr(chunk_grid, "chunk_shape", shape))
 
+    async def decode(
+        self, chunks_and_specs: Iterable[tuple[Buffer | None, ArraySpec]]
+    ) -> Iterable[NDBuffer | None]:
+        """Decode a batch of chunks."""
+        batch = list(chunks_and_specs)
+        if any(chunk is not None for chunk, _ in batch):
+            _has_decoded.set(True)
+        return await super().decode(batch)
+
+    async def encode(
+        self, chunks_and_specs: Iterable[tuple[NDBuffer | None, ArraySpec]]
+    ) -> Iterable[Buffer | None]:
+        """Encode a batch of chunks; warn where parts of them were decoded with a loss before."""
+        if not self.stable and _has_decoded.get():
+            warnings.warn(
+                "a chunk was written in part: the rest of it was decoded and coded again, which can"
+                f" move each of its heights by up to {self.max_error:g} more; write chunks as a"
+                f" whole, or make the array with {type(self).__name__}(..., stable=True)",
+                TerrainwaveWarning,
+                stacklevel=2,
+            )
+        return await super().encode(chunks_and_specs)
+
     async def _encode_single(self, chunk_data: NDBuffer, chunk_spec: ArraySpec) -> Buffer:
         return await asyncio.to_thread(self._encode_sync, chunk_data, chunk_spec)
 
@@ -114,11 +171,17 @@ class TerrainwaveCodec(ArrayBytesCodec):
 
     def _encode_sync(self, chunk_data: NDBuffer, chunk_spec: ArraySpec) -> Buffer:
         heights = np.asarray(chunk_data.as_numpy_array()).reshape(_grid_shape(chunk_spec.shape))
+        mark = self._mark_of(heights.dtype, chunk_spec.fill_value)
+        is_stepped = self.stable and self.max_error > 0
+        if is_stepped:
+            heights, is_stepped = self._rounded(heights, mark)
         data = compress_to_bytes(
             heights,
-            max_error=self.max_error,
-            nodata=self._nodata_of(heights, chunk_spec.fill_value),
+            # Beside a height that has no step all are kept as they are now.
+            max_error=self.max_error if is_stepped or not self.stable else 0,
+            nodata=_nodata_of(heights, mark),
             effort=self.effort,
+            stable=is_stepped,
             threads=_n_threads(heights.size),
         )
         return chunk_spec.prototype.buffer.from_bytes(data)
@@ -147,20 +210,52 @@ class TerrainwaveCodec(ArrayBytesCodec):
         """Refuse: sizes depend on the heights."""
         raise NotImplementedError
 
-    def _nodata_of(self, heights: NDArray[Any], fill_value: Any) -> float | int | None:
-        """Return the value that marks voids in a chunk; None for NaN or none at all."""
+    def _mark_of(self, dtype: np.dtype[Any], fill_value: Any) -> float | int | None:
+        """Return the value that marks voids in an array; None for none but NaN."""
         chosen = fill_value if self.nodata is None else self.nodata
         if chosen is None or (self.nodata is None and chosen == 0):
             return None
-        nodata, _ = fit_nodata(np.asarray(chosen).item(), heights.dtype)
-        if nodata is None or heights.dtype.kind != "f" or not np.isnan(heights).any():
-            return nodata
-        if (heights == stored_nodata(nodata, heights.dtype)).any():
-            raise InvalidHeightsError(
-                f"found both NaN and {nodata:g} in a chunk, expected one mark of voids: replace one"
-                " by the other"
+        return fit_nodata(np.asarray(chosen).item(), dtype)[0]
+
+    def _rounded(
+        self, heights: NDArray[Any], mark: float | int | None
+    ) -> tuple[NDArray[Any], bool]:
+        """Return heights on fixed steps, and whether all have one.
+
+        Each sample by itself, whatever else the chunk holds.
+
+        Coding rounds them, too, but not where one of a chunk's heights is on no step: the others
+        would be stored as they are, and rounded when that one is gone.
+        """
+        dtype = heights.dtype.newbyteorder("=")
+        nodata = None if mark is None or math.isnan(mark) else stored_nodata(mark, dtype).item()
+        steps = FixedSteps.of(as_fraction(self.max_error), dtype.name, nodata)
+        if steps is None:
+            return heights, False
+        rounded = steps.rounded(heights)
+        with np.errstate(invalid="ignore"):  # NaN, and infinite ones, which are refused later
+            apart = np.abs(rounded.astype(np.float64) - heights.astype(np.float64))
+        if (apart > self.max_error).any():
+            raise BoundViolationError(
+                f"a height was rounded by {np.nanmax(apart):g}, more than {self.max_error:g}: this"
+                " is a fault of terrainwave, please report it. Nothing was written"
             )
-        return None
+        is_valid = ~np.isnan(rounded) if dtype.kind == "f" else np.ones(rounded.shape, np.bool_)
+        if nodata is not None:
+            is_valid &= rounded != nodata
+        return rounded, steps.hold(rounded[is_valid])
+
+
+def _nodata_of(heights: NDArray[Any], mark: float | int | None) -> float | int | None:
+    """Return the value that marks voids in a chunk; None for NaN or none at all."""
+    if mark is None or heights.dtype.kind != "f" or not np.isnan(heights).any():
+        return mark
+    if (heights == stored_nodata(mark, heights.dtype)).any():
+        raise InvalidHeightsError(
+            f"found both NaN and {mark:g} in a chunk, expected one mark of voids: replace one"
+            " by the other"
+        )
+    return None
 
 
 def _grid_shape(shape: tuple[int, ...]) -> tuple[int, int]:

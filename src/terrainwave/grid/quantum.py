@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.grid.steps import FixedSteps
 from terrainwave.names import methods_that
 
 # Of heights on no grid, in physical units, where no bound is named.
@@ -219,11 +220,14 @@ _GCD_CHUNK = 4096
 class HeightScan:
     """Range, validity and vertical quantum of a raster, gathered window by window.
 
-    Call `update` with every window once, then `quantizer`.
+    Call `update` with every window once, then `quantizer`. With `steps` the heights are to be
+    rounded to these, if all of them can be.
     """
 
-    def __init__(self, dtype: str) -> None:
+    def __init__(self, dtype: str, steps: FixedSteps | None = None) -> None:
         self.dtype = dtype
+        self.steps = steps
+        self.has_negative_zeros = False
         self.n_valid = 0
         self.n_samples = 0
         self.minimum: float | int = math.inf
@@ -253,6 +257,10 @@ class HeightScan:
                 self._gcd = int(np.gcd(self._gcd, np.gcd.reduce(part)))
         else:
             self._narrow_candidates(heights)
+            if self.minimum <= 0 <= self.maximum and not self.has_negative_zeros:
+                self.has_negative_zeros = bool(np.signbit(heights[heights == 0]).any())
+        if self.steps is not None and not self.steps.hold(heights):
+            self.steps = None
 
     def merge(self, other: "HeightScan") -> None:
         """Take in what another scan has seen of the same raster."""
@@ -261,6 +269,8 @@ class HeightScan:
         self.minimum = min(self.minimum, other.minimum)
         self.maximum = max(self.maximum, other.maximum)
         self._gcd = math.gcd(self._gcd, other._gcd)
+        self.steps = other.steps and self.steps
+        self.has_negative_zeros |= other.has_negative_zeros
         self._candidates = [p for p in self._candidates if p in other._candidates]
 
     def _narrow_candidates(self, heights: NDArray[np.generic]) -> None:
@@ -308,12 +318,18 @@ class HeightScan:
         """
         if self.n_valid == 0:
             return Quantizer(self.dtype, 1, 1, 0, 1, 0.0, 0, 0)
+        if self.steps is not None:
+            stepped = self._with_quantum(self.steps.step, self.steps.loss, self.steps.loss)
+            if stepped.z_max - stepped.z_min < MAX_QUANTA - 1:
+                return stepped
         span = as_fraction(self.maximum) - as_fraction(self.minimum)
         p = self.true_quantum()
         limit = _rounded_down(max_error, self.dtype) if is_strict else max_error
         if p is None or span / p >= MAX_QUANTA or not self._fits(p):
             return self._continuous(span, limit, may_have_remainders)
         plain = self._with_quantum(p, max_error, Fraction(0))
+        if max_error == 0 and self.has_negative_zeros and may_have_remainders:
+            return replace(plain, remainder_bytes=np.dtype(self.dtype).itemsize)
         if not is_strict or plain.is_strict(float(max_error)):
             return plain
         # On the grid a whole quantum is lost at each end of a bin; off it hardly anything, but half
@@ -372,8 +388,9 @@ class HeightScan:
         return replace(quantizer, remainder_bytes=np.dtype(self.dtype).itemsize)
 
     def _with_quantum(self, p: Fraction, max_error: Fraction, rho: Fraction) -> Quantizer:
-        low = round(as_fraction(self.minimum) / p)
-        high = round(as_fraction(self.maximum) / p)
+        # Exact, not as a person would read them: the last bit may tell which step is the nearest.
+        number = as_fraction if self.steps is None else Fraction
+        low, high = (round(number(end) / p) for end in (self.minimum, self.maximum))
         base = low + (high - low) // 2
         # A bound beyond the range buys nothing; the cap keeps the step within its field.
         half = max(min(math.floor((max_error - rho) / p), high - low), 0)

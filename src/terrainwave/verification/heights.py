@@ -26,6 +26,7 @@ from terrainwave.errors import (
     TerrainwaveError,
 )
 from terrainwave.grid.quadtree import Region
+from terrainwave.names import METHODS
 from terrainwave.place.crs import format_crs, parse_crs
 from terrainwave.place.units import height_unit
 from terrainwave.progress import Progress, ProgressCallback
@@ -149,7 +150,9 @@ def verify(
     nearest to k*p, which is not k*p itself: two of them are each up to half an ulp off, so their
     difference may exceed the bound by one ulp of the larger without any sample having left its
     place. One ulp of the stored type is therefore allowed, only for float files on such a grid and
-    a bound above 0; a bound of 0 means equal, and continuous floats get no allowance.
+    a bound above 0; a bound of 0 means equal, and continuous floats get no allowance. A file made
+    with `max_error` 0 has the bits of all valid floats, the sign of -0.0 too (but for method cdf53,
+    which keeps numbers). Which NaN marked a void is not kept and not compared.
     """
     from terrainwave.terrain import Terrain
 
@@ -305,6 +308,7 @@ class _Comparison:
     def _compare_heights(self, progress: ProgressCallback | None) -> tuple[ErrorSum, list[str]]:
         errors = ErrorSum(self._scale)
         beyond = _Worst()
+        signs = _Signs(self._keeps_signs())
         unreadable: list[str] = []
         n_taken = n_done = 0
         total = self._dataset.height * self._dataset.width
@@ -319,6 +323,7 @@ class _Comparison:
             differences = errors.add(row, col, original, heights, valid, decoded_valid)
             allowed = self._allowed(original, heights, valid & decoded_valid)
             beyond.add(row, col, differences, allowed)
+            signs.add(row, col, original, heights, valid & decoded_valid)
             n_taken += int(np.count_nonzero(self._is_nodata(heights) & decoded_valid))
             n_done += n_rows * n_cols
             if progress is not None:
@@ -327,8 +332,15 @@ class _Comparison:
             *_shortened(unreadable),
             *self._mask_problems(errors.report(), n_taken),
             *beyond.problems(self._scale, self._bound),
+            *signs.problems(),
         ]
         return errors, problems
+
+    def _keeps_signs(self) -> bool:
+        """Say whether the file was to keep every bit, that of -0.0 too."""
+        method = METHODS[self._terrain.info().method]
+        is_exact = self._terrain.max_error == 0 == self._bound
+        return self._dtype.kind == "f" and is_exact and not method.is_tiled
 
     def _mask_problems(self, report: ErrorReport, n_taken: int) -> Iterator[str]:
         if report.n_mask_differences:
@@ -398,6 +410,38 @@ class _Comparison:
         else:
             rows = cols = _WINDOW_SIDE
         yield from Region(0, 0, n_rows, n_cols).tiles(rows, cols)
+
+
+class _Signs:
+    """Counts samples that are 0 on both sides, but -0.0 on one of them alone."""
+
+    def __init__(self, counts: bool) -> None:
+        self._counts = counts
+        self._count = 0
+        self._first = 0, 0
+
+    def add(
+        self, row: int, col: int, original: np.ndarray, decoded: np.ndarray, both: np.ndarray
+    ) -> None:
+        if not self._counts:
+            return
+        zeros = both & (original == 0) & (decoded == 0)
+        differ = zeros & (np.signbit(original) != np.signbit(decoded))
+        if not differ.any():
+            return
+        if not self._count:
+            at_row, at_col = np.argwhere(differ)[0]
+            self._first = row + int(at_row), col + int(at_col)
+        self._count += int(np.count_nonzero(differ))
+
+    def problems(self) -> Iterator[str]:
+        if self._count:
+            samples = "1 sample is" if self._count == 1 else f"{self._count} samples are"
+            yield (
+                f"{samples} 0.0 in one of the two and -0.0 in the other, the first at row"
+                f" {self._first[0]}, column {self._first[1]}, though `max_error` 0 keeps every bit:"
+                " files made before version 1.1 kept the number alone; compress the original again"
+            )
 
 
 class _Worst:

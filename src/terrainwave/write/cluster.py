@@ -26,6 +26,7 @@ from terrainwave.errors import ClusterError, InvalidHeightsError
 from terrainwave.grid.measure import BlockStats
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
+from terrainwave.grid.steps import FixedSteps
 from terrainwave.mesh.sections import make_sections
 from terrainwave.progress import Reporter
 from terrainwave.raster_io.source import RasterSource
@@ -165,11 +166,11 @@ class DistributedPasses:
     executor: Executor
     reporter: Reporter
 
-    def scan(self) -> HeightScan:
+    def scan(self, steps: FixedSteps | None = None) -> HeightScan:
         """Return range, validity and vertical quantum of every sample."""
-        whole = HeightScan(self.source.info.dtype)
+        whole = HeightScan(self.source.info.dtype, steps)
         count = self._counter("scanning")
-        tasks = {region: (self.raster, region) for region in self._own_regions()}
+        tasks = {region: (self.raster, region, steps) for region in self._own_regions()}
         for region, part in run_tasks(self.cluster, scan_region, tasks):
             whole.merge(part)
             count(region.n_rows * region.n_cols)

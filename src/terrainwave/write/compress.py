@@ -39,7 +39,7 @@ from terrainwave.write.cluster import (
     task_level,
 )
 from terrainwave.write.earlier import earlier_error
-from terrainwave.write.job import settled
+from terrainwave.write.job import fixed_steps, settled
 from terrainwave.write.local import LocalPasses, smaller
 from terrainwave.write.options import Options
 from terrainwave.write.subtrees import RasterPlace
@@ -85,6 +85,7 @@ def compress(
     mesh_error: float | None = None,
     faithful: bool = False,
     strict: bool = False,
+    stable: bool = False,
     format: str = FORMATS[-1],
     temp_dir: str | os.PathLike[str] | None = None,
     verify: bool = True,
@@ -156,6 +157,11 @@ def compress(
         by one float spacing more. Where the bound leaves no room for that, heights are decoded off
         the grid, and files become larger (docs/reliability.md). Other rasters' files change at
         most in the last digit of a bound.
+    stable : bool
+        Round heights to fixed steps first, which follow from `max_error`, type, scale and nodata
+        value alone, and code these exactly: whoever compresses what was decompressed, whole or in
+        parts, with the same bound gets the same heights again. The bound holds as `strict` has it.
+        Files become larger (docs/integrations.md). Not with method cdf53 or `faithful`.
     format : str
         ``"1.1"``, or ``"1.0"``: what the first readers read, too. A file is of format 1.1 only if
         it uses what is new there: where voids are, it tells which heights of coarse levels are
@@ -204,6 +210,7 @@ def compress(
         mesh_error=mesh_error,
         faithful=faithful,
         strict=strict,
+        stable=stable,
         format=format,
         verify=verify,
         threads=threads,
@@ -263,6 +270,7 @@ def compress_to_bytes(
     georeference: bool = True,
     mesh: str = "none",
     strict: bool = False,
+    stable: bool = False,
     format: str = FORMATS[-1],
     verify: bool = True,
     threads: int | None = None,
@@ -279,6 +287,7 @@ def compress_to_bytes(
         effort=effort,
         mesh=mesh,
         strict=strict,
+        stable=stable,
         format=format,
         verify=verify,
         threads=threads,
@@ -326,7 +335,7 @@ def _write(
     grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
     with ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor:
         with closing(_passes(source, grid, directory, executor, reporter, cluster)) as passes:
-            scan = passes.scan()
+            scan = passes.scan(fixed_steps(options, source.info))
             marks = note_on_marks(source, scan.minimum, scan.maximum)
             earlier, earlier_notes = earlier_error(source)
             job, notes = settled(options, scan, source.info, earlier)

@@ -8,6 +8,8 @@ import sys
 from dataclasses import dataclass, replace
 from fractions import Fraction
 
+import numpy as np
+
 from terrainwave._version import __version__
 from terrainwave.codec.registry import has_reach
 from terrainwave.container.header import (
@@ -24,10 +26,11 @@ from terrainwave.errors import (
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, HeightScan, Quantizer, as_fraction
+from terrainwave.grid.steps import FixedSteps
 from terrainwave.mesh.blocks import default_mesh_error, mesh_tolerance
-from terrainwave.names import Method, mesh_without_coefficients
+from terrainwave.names import Method, mesh_without_coefficients, methods_that
 from terrainwave.place.units import height_unit
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.raster_io.info import RasterInfo, stored_nodata
 from terrainwave.write.options import Options
 
 # Heights on no grid are rounded to their range / 2^18 or so before a stream of them is cut.
@@ -201,6 +204,16 @@ def scale_of(info: RasterInfo) -> Fraction:
     return abs(as_fraction(info.scale))
 
 
+def fixed_steps(options: Options, info: RasterInfo) -> FixedSteps | None:
+    """Return what heights are to be rounded to before all else; None: to nothing."""
+    if not options.stable or options.max_error is None:
+        return None
+    nodata = None
+    if info.nodata is not None and math.isfinite(info.nodata):
+        nodata = stored_nodata(info.nodata, np.dtype(info.dtype)).item()
+    return FixedSteps.of(_raw_bound(as_fraction(options.max_error), info), info.dtype, nodata)
+
+
 def settled(
     options: Options, scan: HeightScan, info: RasterInfo, earlier: float = 0.0
 ) -> tuple[Job, list[str]]:
@@ -218,9 +231,20 @@ def settled(
         bound, notes = _choose_bound(options.max_error, scan, info)
         # Tiles code whole levels at once: nothing of theirs could take remainders.
         quantizer = scan.quantizer(
-            _raw_bound(bound, info),
+            Fraction(0) if options.stable else _raw_bound(bound, info),
             may_have_remainders=not options.coding.is_tiled,
             is_strict=options.strict,
+        )
+    is_exact = quantizer.rho == 0 or quantizer.remainder_bytes > 0
+    if is_exact and scan.n_valid and fixed_steps(options, info) is not None:
+        notes.append(
+            "some heights lie on no fixed step (floats that are further apart than the bound needs,"
+            " or a height whose step is the nodata value): the file keeps all heights exactly"
+        )
+    if scan.has_negative_zeros and bound == 0 and not quantizer.remainder_bytes:
+        notes.append(
+            f"-0.0 becomes 0.0: method {options.method} keeps numbers, not the sign of zero; method"
+            f" {methods_that(lambda method: not method.is_tiled)} keeps both"
         )
     measured = None
     if options.coding.is_tiled:

@@ -21,6 +21,7 @@ from terrainwave.errors import StorageError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import HeightScan
+from terrainwave.grid.steps import FixedSteps
 from terrainwave.mesh.blocks import measure_meshes
 from terrainwave.mesh.sections import make_meshes
 from terrainwave.progress import Reporter
@@ -53,9 +54,9 @@ class LocalPasses:
         assert self._windows is not None
         return self._windows
 
-    def scan(self) -> HeightScan:
+    def scan(self, steps: FixedSteps | None = None) -> HeightScan:
         """Return range, validity and vertical quantum of every sample."""
-        self._windows, scan = scan_source(self.source, self.directory, self.reporter)
+        self._windows, scan = scan_source(self.source, self.directory, self.reporter, steps)
         return scan
 
     def encode(self, job: Job) -> "Coded":
@@ -122,12 +123,12 @@ class Windows(SourceWindows):
 
 
 def scan_source(
-    source: RasterSource, directory: Path, reporter: Reporter
+    source: RasterSource, directory: Path, reporter: Reporter, steps: FixedSteps | None = None
 ) -> tuple[Windows, HeightScan]:
     """Read the source once: range, validity and vertical quantum of every sample."""
     info = source.info
     _check_free_space(info, directory, source.is_striped)
-    scan = HeightScan(info.dtype)
+    scan = HeightScan(info.dtype, steps)
     windows = Windows(source, directory)
     total = info.n_rows * info.n_cols
     for heights, valid in windows.scan():

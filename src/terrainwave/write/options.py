@@ -48,6 +48,7 @@ class Options:
     mesh_error: float | None = None
     faithful: bool = False
     strict: bool = False
+    stable: bool = False
     format: str = FORMATS[-1]
     verify: bool = True
     threads: int | None = None
@@ -94,6 +95,18 @@ class Options:
             raise InvalidArgumentError(
                 f"found `faithful` and `method` {asked}, expected `method` {fit}: the others"
                 " follow no paper to the letter"
+            )
+        if self.stable and self.max_error is None:
+            raise InvalidArgumentError(
+                "found `stable` without `max_error`, expected both: fixed steps follow from the"
+                " bound"
+            )
+        if self.stable and (self.coding.is_tiled or self.faithful):
+            fit = methods_that(lambda method: not method.is_tiled)
+            found = "`faithful`" if self.faithful else f"`method` {asked}"
+            raise InvalidArgumentError(
+                f"found `stable` and {found}, expected `method` {fit}, and not `faithful`: those"
+                " round heights in ways of their own"
             )
         checked_threads(self.threads)
 

@@ -53,6 +53,8 @@ def compare_window(
         )
     if not valid.any():
         return 0.0
+    if terrain.quantizer.remainder_bytes:
+        _compare_bits(raw, decoded, valid, region)
     largest = _largest_error(raw, decoded, valid)
     if not largest <= allowed:  # a NaN is no height within the bound
         errors = np.abs(decoded[valid].astype(np.float64) - raw[valid].astype(np.float64))
@@ -62,6 +64,20 @@ def compare_window(
             f" {allowed:g}; {OUR_FAULT}"
         )
     return largest
+
+
+def _compare_bits(
+    raw: NDArray[np.generic], decoded: NDArray[np.generic], valid: NDArray[np.bool_], region: Region
+) -> None:
+    """Raise `BoundViolationError` unless valid heights are equal bit for bit, -0.0 too."""
+    bits = f"u{raw.itemsize}"
+    differ = valid & (np.ascontiguousarray(raw).view(bits) != decoded.view(bits))
+    if differ.any():
+        row, col = np.argwhere(differ)[0] + (region.row, region.col)
+        raise BoundViolationError(
+            f"the decoded height at row {row}, column {col} has other bits than the source's;"
+            f" {OUR_FAULT}"
+        )
 
 
 def _largest_error(

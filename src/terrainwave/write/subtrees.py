@@ -30,6 +30,7 @@ from terrainwave.file import TerrainFile
 from terrainwave.grid.measure import BlockStats
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
+from terrainwave.grid.steps import FixedSteps
 from terrainwave.mesh.blocks import BlockMesher, measure_meshes
 from terrainwave.mesh.border_states import BorderState, draft_blocks, encode_parts
 from terrainwave.mesh.sections import parts_of_blocks, sections_of_parts
@@ -185,10 +186,10 @@ def _bench(raster: RasterPlace) -> Iterator[_Bench]:
 # Pass A
 
 
-def scan_region(raster: RasterPlace, region: Region) -> HeightScan:
+def scan_region(raster: RasterPlace, region: Region, steps: FixedSteps | None = None) -> HeightScan:
     """Return range, validity and vertical quantum of the heights in a region."""
     with raster.open() as source:
-        scan = HeightScan(source.info.dtype)
+        scan = HeightScan(source.info.dtype, steps)
         for window in region.tiles(_SCAN_SIDE, _SCAN_SIDE):
             scan.update(*source.read(*window))
     return scan
