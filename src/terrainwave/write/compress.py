@@ -80,6 +80,7 @@ def compress(
     mesh_error: float | None = None,
     faithful: bool = False,
     strict: bool = False,
+    keep_origin: bool = False,
     temp_dir: str | os.PathLike[str] | None = None,
     verify: bool = True,
     threads: int | None = None,
@@ -146,6 +147,9 @@ def compress(
         by one float spacing more. Where the bound leaves no room for that, heights are decoded off
         the grid, and files become larger (docs/reliability.md). Other rasters' files change at
         most in the last digit of a bound.
+    keep_origin : bool
+        Keep in the metadata a digest of the heights, and these options: what
+        ``compress --skip-existing`` knows the file again by. The batches of the command do.
     temp_dir : path, optional
         Where large temporary data go; by default beside `dst`. With `client` a path or a URL that
         fsspec can write to, seen by all workers.
@@ -190,6 +194,7 @@ def compress(
         mesh_error=mesh_error,
         faithful=faithful,
         strict=strict,
+        keep_origin=keep_origin,
         verify=verify,
         threads=threads,
     )
@@ -302,7 +307,10 @@ def _write(
     """
     grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
     with ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor:
-        with closing(_passes(source, grid, directory, executor, reporter, cluster)) as passes:
+        has_digest = options.keep_origin
+        with closing(
+            _passes(source, grid, directory, executor, reporter, cluster, has_digest=has_digest)
+        ) as passes:
             scan = passes.scan()
             marks = note_on_marks(source, scan.minimum, scan.maximum)
             job, notes = settled(options, scan, source.info)
@@ -346,11 +354,13 @@ def _passes(
     executor: Executor,
     reporter: Reporter,
     cluster: _Cluster | None,
+    *,
+    has_digest: bool,
 ) -> LocalPasses | DistributedPasses:
     """Return the passes of this process, or of a cluster where there is enough for a task."""
     level = None if cluster is None else task_level(grid, cluster.task_samples)
     if cluster is None or level is None:
-        return LocalPasses(source, directory, executor, reporter)
+        return LocalPasses(source, directory, executor, reporter, has_digest)
     return DistributedPasses(
         cluster.executor,
         cluster.raster,
@@ -361,6 +371,7 @@ def _passes(
         directory,
         executor,
         reporter,
+        has_digest,
     )
 
 

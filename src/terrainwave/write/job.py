@@ -7,12 +7,12 @@ import math
 import sys
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from typing import Any
 
 from terrainwave._version import __version__
 from terrainwave.container.header import HAS_REMAINDERS, IS_FAITHFUL, Header
-from terrainwave.errors import (
-    InvalidHeightsError,
-)
+from terrainwave.container.metadata import ORIGIN
+from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, HeightScan, Quantizer, as_fraction
@@ -40,6 +40,8 @@ class Job:
     measured : float, optional
         The bound that holds where the quantizer does not tell it, in raw units: of an embedded
         file, once it is known, and where heights give way to the nodata value.
+    origin : dict, optional
+        What the file keeps of where it comes from (`origin_of`), if that was asked for.
     """
 
     options: Options
@@ -49,6 +51,7 @@ class Job:
     quantizer: Quantizer
     n_valid: int
     measured: float | None = None
+    origin: dict[str, Any] | None = None
 
     @property
     def effective_error(self) -> float:
@@ -116,9 +119,9 @@ class Job:
     def header(self, parameters: bytes) -> Header:
         """Return the header of the file; `parameters` are the tables of its method."""
         options, quantizer, info = self.options, self.quantizer, self.info
-        plain = RasterInfo(info.n_rows, info.n_cols, info.dtype).to_metadata()
-        # Only what is not as it would be anyway; size and type are in the header itself.
-        metadata = {key: value for key, value in info.to_metadata().items() if value != plain[key]}
+        metadata = metadata_of(info)
+        if self.origin is not None:
+            metadata[ORIGIN] = self.origin
         has_heights = self.n_valid > 0
         return Header(
             n_rows=info.n_rows,
@@ -143,6 +146,21 @@ class Job:
             metadata={**metadata, "software": f"terrainwave {__version__}"},
             parameters=parameters,
         )
+
+
+def metadata_of(info: RasterInfo) -> dict[str, Any]:
+    """Return what a file's metadata say of its raster.
+
+    Only what is not as it would be anyway; size and type are in the header itself.
+    """
+    plain = RasterInfo(info.n_rows, info.n_cols, info.dtype).to_metadata()
+    return {key: value for key, value in info.to_metadata().items() if value != plain[key]}
+
+
+def origin_of(options: Options, scan: HeightScan) -> dict[str, Any]:
+    """Return what a file keeps of where it comes from (FORMAT.md §4.2, *origin*)."""
+    assert scan.digest is not None
+    return {"heights": scan.digest.text, "options": options.to_metadata()}
 
 
 def scale_of(info: RasterInfo) -> Fraction:
@@ -185,7 +203,8 @@ def settled(options: Options, scan: HeightScan, info: RasterInfo) -> tuple[Job, 
         quantizer, measured = _with_room_for_nodata(quantizer, info)
         measured = None if options.is_embedded else measured
     grid = Grid(info.n_rows, info.n_cols, options.block)
-    return Job(options, info, grid, bound, quantizer, scan.n_valid, measured), notes
+    origin = origin_of(options, scan) if options.keep_origin else None
+    return Job(options, info, grid, bound, quantizer, scan.n_valid, measured, origin), notes
 
 
 def _raw_bound(bound: Fraction, info: RasterInfo) -> Fraction:

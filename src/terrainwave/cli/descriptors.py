@@ -1,0 +1,89 @@
+"""stdin, stdout and stderr of the process: closed ones, full ones, and what they cannot show."""
+
+import io
+import os
+import sys
+from contextlib import suppress
+from typing import TextIO
+
+import click
+
+from terrainwave.errors import StorageError
+
+_NAMES = ("stdin", "stdout", "stderr")
+_closed: set[str] = set()
+
+
+class StdoutError(OSError):
+    """Stdout cannot take what a command writes there."""
+
+
+class _Lost(io.TextIOWrapper):
+    """Stands for a closed stdout: a note says once that something was printed there."""
+
+    is_noted = False
+
+    def write(self, text: str) -> int:
+        if text and not self.is_noted:
+            self.is_noted = True
+            click.echo("note: stdout is closed: what is printed there is lost", err=True)
+        return len(text)
+
+
+def prepare_streams() -> None:
+    """Open what is closed, and let stdout and stderr escape what their encoding lacks.
+
+    A closed descriptor would be that of the next file which is opened, into which libraries would
+    write their messages. Python has None for its stream.
+    """
+    for number, name in enumerate(_NAMES):
+        try:
+            os.fstat(number)
+        except OSError:
+            # The lowest free number is this one.
+            os.open(os.devnull, os.O_RDWR)
+        if getattr(sys, name) is None:
+            _closed.add(name)
+            setattr(sys, name, _substitute(name))
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
+            stream.reconfigure(errors="backslashreplace")
+
+
+def _substitute(name: str) -> TextIO:
+    if name == "stdout":
+        return _Lost(io.BufferedWriter(io.FileIO(os.devnull, "w")), encoding="utf-8")
+    return open(os.devnull, "r" if name == "stdin" else "w", encoding="utf-8")
+
+
+def check_open(name: str) -> None:
+    """Raise `StorageError` if stdin or stdout is closed: a file is to be read or written there."""
+    if name in _closed:
+        action = "read" if name == "stdin" else "write"
+        raise StorageError(
+            f"cannot {action} {name}: it is closed; expected a pipe or a file, or a name instead"
+            " of -"
+        )
+
+
+def is_of_stdout(error: BaseException) -> bool:
+    """Say whether an error is stdout's: then what it could not write is still in its buffer."""
+    if isinstance(error, StdoutError) or not isinstance(error, OSError):
+        return isinstance(error, StdoutError)
+    if isinstance(error, StorageError):
+        return False
+    try:
+        sys.stdout.flush()
+    except OSError as again:
+        return again.errno == error.errno
+    except ValueError:  # it has been closed meanwhile
+        return False
+    return False
+
+
+def discard_stdout() -> None:
+    """Send what stdout still holds nowhere: Python would try to write it again at its end."""
+    with suppress(OSError, ValueError):
+        handle = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(handle, sys.stdout.fileno())
+        os.close(handle)
