@@ -23,6 +23,7 @@ from terrainwave.cli.signals import INTERRUPTED, Terminated, ending_by_signals
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidArgumentError,
+    StorageError,
     TerrainwaveError,
     TerrainwaveWarning,
 )
@@ -105,6 +106,10 @@ class Command(click.Command):
             return super().invoke(ctx)
         except InvalidArgumentError as error:
             raise click.UsageError(message_of(error), ctx) from error
+        except BrokenPipeError as error:  # click would end without a word
+            if is_of_stdout(error):
+                raise
+            raise StorageError(line_of(error)) from error
         except click.UsageError as error:
             error.ctx = error.ctx or ctx
             raise
@@ -134,6 +139,9 @@ class Commands(click.Group):
                 f"{command}: {plain(error.format_message())} (see {command} --help)", err=True
             )
             sys.exit(2)
+        except click.ClickException as error:
+            print_error(error.format_message())
+            sys.exit(1)
         except click.Abort as error:
             # click turns Ctrl-C, and what is raised for other signals, into Abort.
             if isinstance(error.__cause__, Terminated):
