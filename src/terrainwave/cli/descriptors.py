@@ -36,24 +36,26 @@ def prepare_streams() -> None:
     A closed descriptor would be that of the next file which is opened, into which libraries would
     write their messages. Python has None for its stream.
     """
-    for number, name in enumerate(_NAMES):
+    for number in range(len(_NAMES)):
         try:
             os.fstat(number)
         except OSError:
-            # The lowest free number is this one.
+            # The lowest free number is this one: those below have been opened before.
             os.open(os.devnull, os.O_RDWR)
+    for number, name in enumerate(_NAMES):
         if getattr(sys, name) is None:
             _closed.add(name)
-            setattr(sys, name, _substitute(name))
+            setattr(sys, name, _substitute(number))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper) and stream.errors == "strict":
             stream.reconfigure(errors="backslashreplace")
 
 
-def _substitute(name: str) -> TextIO:
-    if name == "stdout":
-        return _Lost(io.BufferedWriter(io.FileIO(os.devnull, "w")), encoding="utf-8")
-    return open(os.devnull, "r" if name == "stdin" else "w", encoding="utf-8")
+def _substitute(number: int) -> TextIO:
+    """Return a stream of a descriptor that stays open as long as the process does."""
+    if _NAMES[number] == "stdout":
+        return _Lost(io.BufferedWriter(io.FileIO(number, "w", closefd=False)), encoding="utf-8")
+    return open(number, "r" if number == 0 else "w", encoding="utf-8", closefd=False)
 
 
 def check_open(name: str) -> None:

@@ -185,9 +185,10 @@ def line_of(error: Exception, *, advice: str = "--threads 1, a smaller --block o
             " that terrainwave supports: pip install --upgrade terrainwave"
         )
     if isinstance(error, OSError):
-        name = error.filename if isinstance(error.filename, str | os.PathLike) else None
         reason = plain(error.strerror or reason)
-        return f"{plain(name)}: {reason}" if name else f"the system reports an error: {reason}"
+        if isinstance(error.filename, str | bytes | os.PathLike):
+            return f"{plain(os.fsdecode(error.filename))}: {reason}"
+        return f"the system reports an error: {reason}"
     return (
         f"unexpected {type(error).__name__}: {reason[:200]}; this is a defect of terrainwave:"
         " please report it with what the command prints under TERRAINWAVE_TRACEBACK=1"
