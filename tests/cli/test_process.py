@@ -194,9 +194,12 @@ def test_an_error_of_a_file_does_not_name_stdout(tmp_path, dem, monkeypatch):
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
-@pytest.mark.parametrize("command", ["compress", "decompress"])
-def test_a_full_stdout_is_named(tmp_path, dem, twz, command):
-    done = in_shell(">/dev/full", command, dem if command == "compress" else twz, "-")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("command", ["compress", "decompress", "info", "verify"])
+def test_a_full_stdout_is_named(dem, twz, command, unbuffered):
+    target = ["-"] * (command in ("compress", "decompress"))
+    source = dem if command == "compress" else twz
+    done = in_shell(">/dev/full", command, source, *target, PYTHONUNBUFFERED=unbuffered)
     assert done.returncode == 1
     lines = [line for line in done.stderr.splitlines() if line.startswith("terrainwave")]
     assert lines == ["terrainwave: cannot write stdout: the disk is full"]

@@ -3,6 +3,7 @@
 import io
 import os
 import sys
+import traceback
 from contextlib import suppress
 from typing import TextIO
 
@@ -12,6 +13,12 @@ from terrainwave.errors import StorageError
 
 _NAMES = ("stdin", "stdout", "stderr")
 _closed: set[str] = set()
+# What writes to stdout; where that is not buffered, nothing else tells its errors from others'.
+_PRINTING = {
+    ("click.utils", "echo"),
+    ("rich.console", "_write_buffer"),
+    ("terrainwave.cli.streams", "_write"),
+}
 
 
 class StdoutError(OSError):
@@ -69,11 +76,13 @@ def check_open(name: str) -> None:
 
 
 def is_of_stdout(error: BaseException) -> bool:
-    """Say whether an error is stdout's: then what it could not write is still in its buffer."""
+    """Say whether an error is stdout's: what prints has raised it, or a buffer still holds text."""
     if isinstance(error, StdoutError) or not isinstance(error, OSError):
         return isinstance(error, StdoutError)
     if isinstance(error, StorageError):
         return False
+    if _raised_in(error) in _PRINTING:
+        return True
     try:
         sys.stdout.flush()
     except OSError as again:
@@ -81,6 +90,14 @@ def is_of_stdout(error: BaseException) -> bool:
     except ValueError:  # it has been closed meanwhile
         return False
     return False
+
+
+def _raised_in(error: BaseException) -> tuple[str, str]:
+    """Return module and function of the innermost frame that an error comes from."""
+    module = function = ""
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        module, function = str(frame.f_globals.get("__name__")), frame.f_code.co_name
+    return module, function
 
 
 def discard_stdout() -> None:
