@@ -73,6 +73,21 @@ AS_IS, ELLIPSOID = "as-is", "ellipsoid"
 VERTICAL = (AS_IS, ELLIPSOID)
 
 
+def size_of(n_bytes: int) -> str:
+    """Return a number of bytes in a unit that leaves three digits or so: 12.3 GB, 40.0 kB, 7 bytes.
+
+    Two sizes that look alike in that are so within half a per cent.
+    """
+    for unit, name in ((1e12, "TB"), (1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+        if n_bytes >= unit:
+            return (
+                f"{n_bytes / unit:.1f} {name}"
+                if n_bytes < 100 * unit
+                else (f"{n_bytes / unit:,.0f} {name}")
+            )
+    return count_of(n_bytes, "byte")
+
+
 def crs_name(crs: str | None) -> str:
     """Return a CRS in few words: its code, the name that WKT gives, or that there is none."""
     if not crs:

@@ -69,17 +69,274 @@ def test_nothing_is_left_where_all_fail(tmp_path):
 
 
 def test_what_is_there_is_skipped_kept_or_replaced(tmp_path, dems, files):
-    files[0].write_bytes(b"mine")
+    before = [file.read_bytes() for file in files]
     arguments = ["compress", *dems, "--to", tmp_path / "twz", *QUICK]
     done = run(*arguments, "--skip-existing")
     assert done.exit_code == 0
     assert done.stdout.splitlines()[-1] == "3 files: 0 compressed, 3 skipped"
+    files[0].write_bytes(b"mine")
     done = run(*arguments)
     assert done.exit_code == 1
     assert done.stderr.count("--overwrite replaces it") == 3
     assert files[0].read_bytes() == b"mine"
     assert run(*arguments, "--overwrite").exit_code == 0
-    assert files[0].read_bytes() != b"mine"
+    assert [file.read_bytes() for file in files] == before
+
+
+# --- --skip-existing: what is there counts only if it is what the command would make
+
+
+def batch_of(paths, directory, *options):
+    """Run a batch of `compress` with --skip-existing; return what became of each, and the notes."""
+    done = run("compress", *paths, "--to", directory, "--skip-existing", "--json", *QUICK, *options)
+    assert done.exit_code == 0, done.stderr
+    notes = [line for line in done.stderr.splitlines() if "made again" in line]
+    return [file["status"] for file in json.loads(done.stdout)["files"]], notes
+
+
+@pytest.fixture
+def reads(monkeypatch):
+    """Count the windows that are read of rasters."""
+    from terrainwave.raster_io.source import RasterSource
+
+    counted = []
+    read = RasterSource.read
+
+    def counting(self, *window):
+        counted.append(self.name)
+        return read(self, *window)
+
+    monkeypatch.setattr(RasterSource, "read", counting)
+    return counted
+
+
+def rewrite(path, heights):
+    """Replace a raster by another one of the same size, as old as before."""
+    before = path.stat()
+    write_geotiff(path, heights)
+    assert path.stat().st_size == before.st_size
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+
+
+def test_what_the_manifest_knows_is_not_read(tmp_path, dems, reads):
+    assert batch_of(dems, tmp_path / "out") == (["compressed"] * 3, [])
+    reads.clear()
+    assert batch_of(dems, tmp_path / "out") == (["skipped"] * 3, [])
+    assert reads == []
+
+
+def test_without_a_manifest_heights_are_compared(tmp_path, dems, files, reads):
+    out = tmp_path / "twz"
+    reads.clear()
+    assert batch_of(dems, out) == (["skipped"] * 3, [])
+    assert len(reads) == 3
+    reads.clear()
+    assert batch_of(dems, out) == (["skipped"] * 3, [])
+    assert reads == []
+
+
+@pytest.mark.parametrize("has_manifest", [True, False])
+def test_a_replaced_source_is_done_again(tmp_path, dems, has_manifest):
+    out = tmp_path / "out"
+    batch_of(dems, out)
+    heights = read_geotiff(dems[1])[0]
+    heights[0, :2] = heights[0, 1::-1] + [0, 1]
+    rewrite(dems[1], heights)
+    if not has_manifest:
+        (out / ".terrainwave-manifest.jsonl").unlink()
+    found, notes = batch_of(dems, out)
+    assert found == ["skipped", "compressed", "skipped"]
+    assert notes == [f"note: {out / 'b.twz'} is made again: it was made of other heights"]
+    with terrainwave.open(out / "b.twz") as terrain:
+        assert np.abs(terrain.read().astype(int) - heights).max() <= 1
+    assert batch_of(dems, out)[0] == ["skipped"] * 3
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ["--max-error", 2],
+        ["--max-error", 0],
+        ["--method", "predictive"],
+        ["--block", 64],
+        ["--mesh", "halves"],
+        ["--border-rings", 3],
+        ["--nodata", 7],
+        ["--effort", "fast", "--method", "predictive"],
+        ["--strict"],
+    ],
+    ids=lambda options: "_".join(map(str, options)),
+)
+@pytest.mark.parametrize("has_manifest", [True, False])
+def test_other_options_are_done_again(tmp_path, dems, options, has_manifest):
+    out = tmp_path / "out"
+    quick = [option for option in options if option != "--mesh"]
+    assert batch_of(dems[:1], out)[0] == ["compressed"]
+    if not has_manifest:
+        (out / ".terrainwave-manifest.jsonl").unlink()
+    more = options if quick == options else ["--mesh", "halves"]
+    command = ["compress", dems[0], "--to", out, "--skip-existing", *QUICK]
+    if quick != options:
+        command.remove("--no-mesh")
+    for expected in ("1 compressed", "0 compressed, 1 skipped"):
+        done = run(*command, *more)
+        assert done.exit_code == 0, done.stderr
+        assert done.stdout.splitlines()[-1] == f"1 file: {expected}"
+
+
+def test_a_file_without_proof_is_done_again_where_one_is_wanted(tmp_path, dems):
+    out = tmp_path / "out"
+    assert batch_of(dems, out, "--no-verify")[0] == ["compressed"] * 3
+    found, notes = batch_of(dems, out)
+    assert found == ["compressed"] * 3
+    assert all(note.endswith("it was made with other options") for note in notes)
+
+
+def test_a_source_that_was_only_touched_is_skipped(tmp_path, dems):
+    batch_of(dems, tmp_path / "out")
+    for dem in dems:
+        os.utime(dem)
+    assert batch_of(dems, tmp_path / "out") == (["skipped"] * 3, [])
+
+
+@pytest.mark.parametrize("has_manifest", [True, False])
+def test_another_place_or_tag_is_done_again(tmp_path, dems, has_manifest):
+    import rasterio
+
+    out = tmp_path / "out"
+    batch_of(dems, out)
+    if not has_manifest:
+        (out / ".terrainwave-manifest.jsonl").unlink()
+    with rasterio.open(dems[0], "r+") as dataset:
+        dataset.crs = "EPSG:32633"
+    with rasterio.open(dems[2], "r+") as dataset:
+        dataset.update_tags(SOURCE="another survey")
+    assert batch_of(dems, out)[0] == ["compressed", "skipped", "compressed"]
+    with terrainwave.open(out / "a.twz") as terrain:
+        assert terrain.raster_info.crs == "EPSG:32633"
+
+
+def test_a_target_that_is_no_longer_what_was_made_is_done_again(tmp_path, dems):
+    out = tmp_path / "out"
+    batch_of(dems, out)
+    whole = (out / "a.twz").read_bytes()
+    (out / "a.twz").write_bytes(whole[:-1])
+    (out / "b.twz").write_bytes(b"mine")
+    (out / "c.twz").write_bytes((out / "a.twz").read_bytes() + whole[-1:])
+    assert batch_of(dems, out)[0] == ["compressed"] * 3
+    assert (out / "a.twz").read_bytes() == whole
+
+
+def test_a_patched_file_is_done_again(tmp_path, dems):
+    out = tmp_path / "out"
+    options = ["--max-error", 0, "--method", "rapid"]
+    batch_of(dems, out, *options)
+    heights = read_geotiff(dems[0])[0]
+    heights[3, 3] = heights[3, 4]
+    write_geotiff(tmp_path / "new.tif", heights)
+    done = run("patch", out / "a.twz", tmp_path / "new.tif")
+    assert done.exit_code == 0, done.stderr
+    assert batch_of(dems, out, *options)[0] == ["compressed", "skipped", "skipped"]
+
+
+def test_a_change_below_two_vrts_is_noticed(tmp_path, dems):
+    """GDAL lists the files of a VRT, but not those that its sources are made of."""
+    vrt = (
+        '<VRTDataset rasterXSize="10" rasterYSize="12"><VRTRasterBand dataType="{}" band="1">'
+        "<SimpleSource><SourceFilename>{}</SourceFilename><SourceBand>1</SourceBand>"
+        "</SimpleSource></VRTRasterBand></VRTDataset>"
+    )
+    kind = {"int16": "Int16", "float32": "Float32"}[read_geotiff(dems[0])[0].dtype.name]
+    (tmp_path / "inner.vrt").write_text(vrt.format(kind, dems[0]))
+    (tmp_path / "outer.vrt").write_text(vrt.format(kind, tmp_path / "inner.vrt"))
+    outer = [tmp_path / "outer.vrt"]
+    assert batch_of(outer, tmp_path / "out")[0] == ["compressed"]
+    assert batch_of(outer, tmp_path / "out")[0] == ["skipped"]
+    rewrite(dems[0], read_geotiff(dems[0])[0] + np.int16(3))
+    assert batch_of(outer, tmp_path / "out")[0] == ["compressed"]
+
+
+def test_a_mask_that_is_new_beside_a_raster_is_noticed(tmp_path, dems):
+    import rasterio
+
+    batch_of(dems, tmp_path / "out")
+    valid = np.full(read_geotiff(dems[1])[0].shape, 255, np.uint8)
+    valid[2, 3] = 0
+    outside = rasterio.Env(GDAL_TIFF_INTERNAL_MASK=False)
+    with outside, rasterio.open(dems[1], "r+") as dataset:
+        dataset.write_mask(valid)
+    assert (dems[1].parent / "b.tif.msk").exists()
+    assert batch_of(dems, tmp_path / "out")[0] == ["skipped", "compressed", "skipped"]
+
+
+@pytest.mark.parametrize(
+    "damage", [b"", b"{", b"[1]\n\n{}", b"\xff\x00" * 9, b'{"target": "a.twz"}']
+)
+def test_a_damaged_manifest_is_as_none(tmp_path, dems, damage):
+    out = tmp_path / "out"
+    batch_of(dems, out)
+    manifest = out / ".terrainwave-manifest.jsonl"
+    manifest.write_bytes(damage)
+    assert batch_of(dems, out) == (["skipped"] * 3, [])
+    assert batch_of(dems, out) == (["skipped"] * 3, [])
+
+
+def test_a_line_that_was_cut_off_spoils_no_other(tmp_path, dems, reads):
+    out = tmp_path / "out"
+    batch_of(dems, out)
+    manifest = out / ".terrainwave-manifest.jsonl"
+    manifest.write_bytes(manifest.read_bytes()[:-20])
+    batch_of(dems, out)
+    reads.clear()
+    assert batch_of(dems, out) == (["skipped"] * 3, [])
+    assert reads == []
+
+
+def test_a_manifest_does_not_grow_with_the_number_of_runs(tmp_path, dems):
+    out = tmp_path / "out"
+    batch_of(dems[:1], out)
+    manifest = out / ".terrainwave-manifest.jsonl"
+    line = manifest.read_text().splitlines()[-1]
+    manifest.write_text("\n".join([line] * 500))
+    assert batch_of(dems[:1], out)[0] == ["skipped"]
+    assert len(manifest.read_text().splitlines()) < 10
+
+
+def test_a_directory_without_a_batch_of_this_kind_gets_no_manifest(files):
+    assert [file.name for file in files] == ["a.twz", "b.twz", "c.twz"]
+
+
+def test_rasters_are_skipped_only_if_they_are_of_the_same_file_and_options(tmp_path, dems, files):
+    back = tmp_path / "back"
+
+    def decompressed(*options):
+        done = run("decompress", *files, "--to", back, *options)
+        assert done.exit_code == 0, done.stderr
+        return done.stdout.splitlines()[-1]
+
+    assert decompressed() == "3 files: 3 decompressed"
+    assert decompressed("--skip-existing") == "3 files: 0 decompressed, 3 skipped"
+    some = "3 files: 3 decompressed"
+    assert decompressed("--skip-existing", "--window", "0,0,5,5") == some
+    assert read_geotiff(back / "a.tif")[0].shape == (5, 5)
+    assert decompressed("--skip-existing") == some
+    assert run("compress", dems[0], files[1], *QUICK, "--overwrite").exit_code == 0
+    assert decompressed("--skip-existing") == "3 files: 1 decompressed, 2 skipped"
+    (back / "c.tif").write_bytes(b"mine")
+    assert decompressed("--skip-existing") == "3 files: 1 decompressed, 2 skipped"
+    assert decompressed("--skip-existing") == "3 files: 0 decompressed, 3 skipped"
+
+
+def test_a_raster_of_which_nothing_is_known_is_never_replaced(tmp_path, dems, files):
+    """It may be the original."""
+    before = [dem.read_bytes() for dem in dems]
+    done = run("decompress", *files, "--to", tmp_path / "dems", "--skip-existing")
+    assert done.exit_code == 1
+    assert done.stderr.count("nothing tells what it was made of") == 3
+    assert [dem.read_bytes() for dem in dems] == before
+    dems[0].write_text("no raster")
+    done = run("decompress", *files, "--to", tmp_path / "dems", "--skip-existing")
+    assert done.stdout.splitlines()[-1] == "3 files: 1 decompressed, 2 failed"
 
 
 def test_a_damaged_file_among_many_is_found(files):

@@ -14,7 +14,8 @@ from urllib.parse import urlsplit
 import click
 
 from terrainwave.arguments import checked_threads, count_of
-from terrainwave.cli.output import Bar, message_of, plain, print_error
+from terrainwave.cli.manifest import Manifest
+from terrainwave.cli.output import Bar, line_of, plain, print_error, print_note
 from terrainwave.cli.streams import STREAM
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.progress import Progress, ProgressCallback
@@ -45,11 +46,8 @@ class _Outcome:
 
     @property
     def message(self) -> str:
-        text = "out of memory; try --threads 1"
-        if isinstance(self.error, TerrainwaveError):
-            text = message_of(self.error)
-        elif isinstance(self.error, OSError):
-            text = plain(self.error.strerror or self.error)
+        assert self.error is not None
+        text = line_of(self.error, advice="--threads 1")
         name = plain(self.job.source)
         return text if name in text else f"{name}: {text}"
 
@@ -110,11 +108,12 @@ def run(
     word: str,
     threads: int | None,
     quiet: bool,
-    skips_existing: bool = False,
+    manifest: Manifest | None = None,
 ) -> tuple[list[dict[str, Any]], int]:
     """Do the jobs, tell what came of each, then of all; return both, and the exit status.
 
-    The threads are shared: as many jobs at a time as there are threads, each with its part.
+    The threads are shared: as many jobs at a time as there are threads, each with its part. A job
+    whose target `manifest` knows to be as asked for is skipped.
     """
     n_threads = checked_threads(threads)
     n_at_once = min(len(jobs), n_threads)
@@ -126,11 +125,16 @@ def run(
 
     def attempt(job: Job) -> _Outcome:
         go_on()
-        if skips_existing and os.path.exists(str(job.target)):
-            return _Outcome(job)
         try:
-            return _Outcome(job, done=work(job, n_threads // n_at_once, go_on))
-        except (TerrainwaveError, OSError, MemoryError) as error:
+            if manifest is None:
+                return _Outcome(job, done=work(job, n_threads // n_at_once, go_on))
+            with manifest.checked(job.source, str(job.target), go_on) as difference:
+                if difference is None:
+                    return _Outcome(job)
+                if difference:
+                    print_note(f"{job.target} is made again: {difference}")
+                return _Outcome(job, done=work(job, n_threads // n_at_once, go_on))
+        except Exception as error:  # noqa: BLE001  one file of many: the others go on
             return _Outcome(job, error=error)
 
     outcomes: dict[Job, _Outcome] = {}
@@ -201,6 +205,29 @@ def find_original(file: str, directory: str) -> str:
 
 
 _NO_RASTERS = (".twz", ".json", ".xml", ".txt", ".prj", ".tfw")
+
+
+def refuse_unknown_raster(target: str) -> None:
+    """Refuse to replace a raster of which nothing tells that `decompress` made it.
+
+    It may be the original.
+
+    Raises
+    ------
+    StorageError
+        If GDAL can read the file.
+    """
+    from terrainwave.errors import StorageError
+    from terrainwave.raster_io.dataset import open_dataset
+
+    try:
+        open_dataset(target).close()
+    except TerrainwaveError:
+        return
+    raise StorageError(
+        f"{target} already exists and nothing tells what it was made of; it is left as it is;"
+        " `overwrite` instead of `skip_existing` replaces it"
+    )
 
 
 def refuse_options_of_batches(to: str | None, *, skip_existing: bool, overwrite: bool) -> None:

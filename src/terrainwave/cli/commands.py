@@ -33,8 +33,10 @@ from terrainwave.cli.batch import (
     made,
     plan,
     refuse_options_of_batches,
+    refuse_unknown_raster,
     run,
 )
+from terrainwave.cli.manifest import UNKNOWN, Manifest
 from terrainwave.cli.options import (
     BlockSide,
     Bound,
@@ -117,7 +119,12 @@ def _writing(command: Callable[..., Any]) -> Callable[..., Any]:
 def _batched(command: Callable[..., Any]) -> Callable[..., Any]:
     """Add the options of commands that take many files at once."""
     for option in (
-        click.option("--skip-existing", is_flag=True, help="With --to: leave out what is there."),
+        click.option(
+            "--skip-existing",
+            is_flag=True,
+            help="With --to: leave out what is there already, of the same source and with the same"
+            " options.",
+        ),
         click.option(
             "--to",
             type=Directory(),
@@ -239,15 +246,20 @@ def compress(
         if scheduler is not None:
             raise click.UsageError("found --scheduler and --to, expected one of them")
 
+        if skip_existing:
+            options["overwrite"] = True  # what is there and not the same is made again
+
         def compress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
             result = terrainwave.compress(
-                job.source, str(job.target), progress=progress, **options | {"threads": threads}
-            )
+                job.source, str(job.target), progress=progress,
+                **options | {"threads": threads, "keep_origin": True},
+            )  # fmt: skip
             return Done(_result_line(result), asdict(result))
 
         _run_to(
             paths, to, ".twz", compress_one, "compressed",
-            skips_existing=skip_existing, threads=options["threads"], as_json=as_json, quiet=quiet,
+            manifest=_manifest_of_rasters(to, options) if skip_existing else None,
+            threads=options["threads"], as_json=as_json, quiet=quiet,
         )  # fmt: skip
         return
     sources, target = _sources_and_target(paths)
@@ -284,7 +296,7 @@ def _run_to(
     work: Work,
     word: str,
     *,
-    skips_existing: bool,
+    manifest: Manifest | None,
     threads: int | None,
     as_json: bool,
     quiet: bool,
@@ -297,11 +309,51 @@ def _run_to(
     with made(directory):
         found, status = run(
             jobs, work, word=word, threads=threads, quiet=quiet or as_json,
-            skips_existing=skips_existing,
+            manifest=manifest,
         )  # fmt: skip
     if as_json:
         print_json({"files": found})
     finish(status)
+
+
+def _manifest_of_rasters(directory: str, options: dict[str, Any]) -> Manifest:
+    """Return what tells which files of a batch of `compress` are as asked for."""
+    from terrainwave.raster_io.files import files_of
+    from terrainwave.write.options import Options
+    from terrainwave.write.origin import difference
+
+    unrelated = ("temp_dir", "overwrite", "threads")
+    of_files = {name: value for name, value in options.items() if name not in unrelated}
+    source = {"nodata": repr(of_files["nodata"]), "band": of_files["band"]}
+    asked = Options(**{name: of_files[name] for name in of_files.keys() - source.keys()})
+    return Manifest(
+        directory,
+        {"command": "compress", **asked.to_metadata(), **source},
+        files_of=files_of,
+        # Whatever the manifest says: heights that are the same need no second file.
+        compare=lambda source, target, known, progress: difference(
+            target, source, progress=progress, **of_files
+        ),
+    )
+
+
+def _manifest_of_files(directory: str, options: dict[str, Any], *, skips: bool) -> Manifest:
+    """Return what tells which rasters of a batch of `decompress` are as asked for."""
+    unrelated = ("overwrite", "threads")
+
+    def compare(source: str, target: str, known: str, progress: ProgressCallback) -> str:
+        if known == UNKNOWN:
+            refuse_unknown_raster(target)
+        return known
+
+    return Manifest(
+        directory,
+        {"command": "decompress"}
+        | {name: value for name, value in options.items() if name not in unrelated},
+        files_of=lambda source: [source],
+        compare=compare,
+        skips=skips,
+    )
 
 
 def _sources_and_target(paths: tuple[str, ...]) -> tuple[list[str], str]:
@@ -450,6 +502,8 @@ def decompress(
     if options["window"] and options["bounds"]:
         raise click.UsageError("found both --window and --bounds, expected one of them")
     if to is not None:
+        if skip_existing:
+            options["overwrite"] = True
 
         def decompress_one(job: Job, threads: int, progress: ProgressCallback) -> Done:
             with reading(job.source):
@@ -460,7 +514,8 @@ def decompress(
 
         _run_to(
             paths, to, ".tif", decompress_one, "decompressed",
-            skips_existing=skip_existing, threads=options["threads"], as_json=False, quiet=quiet,
+            manifest=_manifest_of_files(to, options, skips=skip_existing),
+            threads=options["threads"], as_json=False, quiet=quiet,
         )  # fmt: skip
         return
     if len(paths) != 2:

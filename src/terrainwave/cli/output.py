@@ -7,6 +7,7 @@ characters out of whatever is printed, and tables hold rich's `Text`, in which m
 import functools
 import os
 import sys
+import traceback
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -17,10 +18,12 @@ from typing import TYPE_CHECKING, Any, Self
 import click
 
 from terrainwave.arguments import in_one_line
+from terrainwave.cli.descriptors import discard_stdout, is_of_stdout, prepare_streams
 from terrainwave.cli.signals import INTERRUPTED, Terminated, ending_by_signals
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidArgumentError,
+    StorageError,
     TerrainwaveError,
     TerrainwaveWarning,
 )
@@ -103,6 +106,10 @@ class Command(click.Command):
             return super().invoke(ctx)
         except InvalidArgumentError as error:
             raise click.UsageError(message_of(error), ctx) from error
+        except BrokenPipeError as error:  # click would end without a word
+            if is_of_stdout(error):
+                raise
+            raise StorageError(line_of(error)) from error
         except click.UsageError as error:
             error.ctx = error.ctx or ctx
             raise
@@ -118,6 +125,7 @@ class Commands(click.Group):
         run: Any = super().main
         if not standalone_mode:
             return run(*args, standalone_mode=False, **kwargs)
+        prepare_streams()
         try:
             with ending_by_signals(), warnings_as_notes():
                 status = run(*args, standalone_mode=False, **kwargs)
@@ -131,6 +139,9 @@ class Commands(click.Group):
                 f"{command}: {plain(error.format_message())} (see {command} --help)", err=True
             )
             sys.exit(2)
+        except click.ClickException as error:
+            print_error(error.format_message())
+            sys.exit(1)
         except click.Abort as error:
             # click turns Ctrl-C, and what is raised for other signals, into Abort.
             if isinstance(error.__cause__, Terminated):
@@ -138,27 +149,50 @@ class Commands(click.Group):
                 sys.exit(error.__cause__.status)
             print_error("interrupted; the target is untouched")
             sys.exit(INTERRUPTED)
-        except TerrainwaveError as error:
-            print_error(message_of(error))
-            sys.exit(1)
-        except OSError as error:  # of stdout: the library's are TerrainwaveErrors
-            from terrainwave.container.spool import cannot_write
+        except Exception as error:  # noqa: BLE001  whatever comes from below is one line, too
+            if not is_of_stdout(error):
+                print_error(line_of(error))
+            else:
+                discard_stdout()
+                if not isinstance(error, BrokenPipeError):  # head has seen enough
+                    from terrainwave.container.spool import cannot_write
 
-            _discard_stdout()
-            if not isinstance(error, BrokenPipeError):  # head has seen enough
-                print_error(cannot_write("stdout", error))
-            sys.exit(1)
-        except MemoryError:
-            print_error("out of memory; try --threads 1, a smaller --block or a smaller --window")
+                    print_error(cannot_write("stdout", error))
             sys.exit(1)
 
 
-def _discard_stdout() -> None:
-    """Send what stdout still holds nowhere: Python would try to write it again at its end."""
-    with suppress(OSError, ValueError):
-        handle = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(handle, sys.stdout.fileno())
-        os.close(handle)
+def line_of(error: Exception, *, advice: str = "--threads 1, a smaller --block or --window") -> str:
+    """Return what went wrong in one line, whichever library found out.
+
+    `advice` is what to try where memory is short. The traceback of what is not expected is printed
+    before if ``TERRAINWAVE_TRACEBACK=1``.
+    """
+    if isinstance(error, TerrainwaveError):
+        return message_of(error)
+    if isinstance(error, MemoryError):
+        return f"out of memory; try {advice}"
+    if os.environ.get("TERRAINWAVE_TRACEBACK") == "1":
+        traceback.print_exception(error)
+    package = type(error).__module__.partition(".")[0]
+    reason = plain(error) or type(error).__name__
+    if package == "rasterio":
+        from terrainwave.raster_io.gdal import one_line
+
+        return f"GDAL has failed: {plain(one_line(error)) or reason}"
+    if package in ("numba", "llvmlite"):
+        return (
+            f"numba cannot compile for this machine: {reason[:200]}; expected a version of numba"
+            " that terrainwave supports: pip install --upgrade terrainwave"
+        )
+    if isinstance(error, OSError):
+        reason = plain(error.strerror or reason)
+        if isinstance(error.filename, str | bytes | os.PathLike):
+            return f"{plain(os.fsdecode(error.filename))}: {reason}"
+        return f"the system reports an error: {reason}"
+    return (
+        f"unexpected {type(error).__name__}: {reason[:200]}; this is a defect of terrainwave:"
+        " please report it with what the command prints under TERRAINWAVE_TRACEBACK=1"
+    )
 
 
 class Bar:

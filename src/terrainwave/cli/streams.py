@@ -5,11 +5,15 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
+from typing import BinaryIO
 
 import click
 
+from terrainwave.cli.descriptors import StdoutError, check_open
+
 STREAM = "-"
 _KEY = "terrainwave.stdin"
+_PART = 1 << 20
 
 
 def read_stream(ctx: click.Context) -> str:
@@ -25,6 +29,7 @@ def _stdin_file() -> Iterator[Path]:
     # Imported here: help needs no numpy.
     from terrainwave.container.publish import system_scratch
 
+    check_open("stdin")
     with system_scratch() as directory:
         path = directory / "stdin"
         with path.open("wb") as file:
@@ -41,6 +46,7 @@ def written(target: str, ending: str) -> Iterator[str]:
     if target != STREAM:
         yield target
         return
+    check_open("stdout")
     if sys.stdout.isatty():
         raise click.UsageError("found - and a terminal, expected stdout to be a pipe or a file")
     from terrainwave.container.publish import system_scratch
@@ -50,8 +56,20 @@ def written(target: str, ending: str) -> Iterator[str]:
         yield str(path)
         stdout = sys.stdout.buffer
         with path.open("rb") as file:
-            shutil.copyfileobj(file, stdout)
+            while part := file.read(_PART):
+                _write(stdout, part)
+        _write(stdout, b"")
+
+
+def _write(stdout: BinaryIO, part: bytes) -> None:
+    """Write to stdout at once; what it cannot take is its own error, not that of a file."""
+    try:
+        stdout.write(part)
         stdout.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise StdoutError(error.errno, error.strerror) from error
 
 
 @contextmanager

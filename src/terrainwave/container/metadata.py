@@ -11,6 +11,9 @@ from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import MAX_METADATA
 from terrainwave.errors import CorruptStreamError, InvalidHeightsError, TerrainwaveError
 
+# What `compress` knows a file again by, if it keeps that; nothing is decoded by it.
+ORIGIN = "origin"
+
 MAX_NESTING = 16
 MAX_MOVED = 1 << 31
 
@@ -80,6 +83,11 @@ def unpack_metadata(packed: bytes) -> dict[str, object]:
     for problem in _wrong_values(metadata):
         raise CorruptStreamError(f"metadata: {problem}")
     return metadata
+
+
+def without_origin(metadata: dict[str, object]) -> dict[str, object]:
+    """Return the metadata of a file that is no longer what `compress` made."""
+    return {key: value for key, value in metadata.items() if key != ORIGIN}
 
 
 def _nesting(text: str) -> int:

@@ -10,6 +10,7 @@ import shutil
 import stat
 import tempfile
 import time
+import zlib
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
@@ -37,6 +38,9 @@ _ON_WINDOWS = os.name == "nt"
 _RETRIES = 10
 _FIRST_DELAY = 0.05  # seconds; doubles. Virus scanners hold a new file for a moment on Windows
 _LOCKED_BYTE = 2**40  # msvcrt locks forbid reading what they cover: far behind any content
+# Bytes of a name's beginning in those of temporary files: systems take 255, of which the rest, and
+# what GDAL adds for overviews, take 60.
+_LONGEST_NAME = 180
 _RANDOM_PART = re.compile("[0-9a-f]{16}")
 
 
@@ -267,11 +271,21 @@ def _check_directory(final: Path, marker: str, overwrite: bool) -> None:
 
 def _leftovers(directory: Path, name: str, suffix: str) -> Iterator[Path]:
     """Yield the paths in `directory` that look like ``.name.random`` and the suffix."""
-    prefix = f".{name}."
+    prefix = f".{_short(name)}."
     for entry in _listed(directory):
         if entry.startswith(prefix) and entry.endswith(suffix):
             if _RANDOM_PART.fullmatch(entry[len(prefix) : -len(suffix)]):
                 yield directory / entry
+
+
+def _short(name: str) -> str:
+    """Return a name to which a suffix can be added; of a long one its beginning and a checksum."""
+    encoded = os.fsencode(name)
+    if len(encoded) <= _LONGEST_NAME:
+        return name
+    # Cut between characters: some systems refuse names that are no text.
+    kept = encoded[:_LONGEST_NAME].decode(errors="ignore")
+    return f"{kept}~{zlib.crc32(encoded):08x}"
 
 
 def _listed(directory: Path) -> list[str]:
@@ -345,7 +359,7 @@ def _create_locked(final: Path, suffix: str, created: list[Path], action: str) -
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
     flags |= getattr(os, "O_BINARY", 0) | getattr(os, "O_NOFOLLOW", 0)
     for _ in range(_RETRIES):
-        path = final.parent / f".{final.name}.{secrets.token_hex(8)}{suffix}"
+        path = final.parent / f".{_short(final.name)}.{secrets.token_hex(8)}{suffix}"
         created.append(path)
         with storage_errors(action):
             file = os.fdopen(os.open(path, flags, 0o666), "w+b")

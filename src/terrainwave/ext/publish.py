@@ -142,12 +142,25 @@ def _opened(opened: ExitStack, path: str, radius: float | None) -> tuple[Globe, 
 
 
 def _write_page(new: Path) -> None:
-    shutil.copytree(_STATIC, new / "static")
+    _copy_tree(_STATIC, new / "static")
     (new / "static" / "index.html").replace(new / "index.html")
     reader, copy = reader_directory(), new / "terrainwave"
     for name in _READER:
-        shutil.copytree(reader / name, copy / name, ignore=shutil.ignore_patterns("*.d.ts"))
+        _copy_tree(reader / name, copy / name, ignored=".d.ts")
     shutil.copyfile(reader / "LICENSE", copy / "LICENSE")
+
+
+def _copy_tree(source: Path, target: Path, ignored: str | None = None) -> None:
+    """Copy the contents of a folder, with new files' modes: those of the package may be read-only.
+
+    Files whose names end in `ignored` are left out.
+    """
+    target.mkdir(parents=True)
+    for path in sorted(source.iterdir()):
+        if path.is_dir():
+            _copy_tree(path, target / path.name, ignored)
+        elif ignored is None or not path.name.endswith(ignored):
+            shutil.copyfile(path, target / path.name)
 
 
 def _write_list(path: Path, descriptions: list[dict[str, Any]]) -> None:

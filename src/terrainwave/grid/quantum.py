@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.errors import InvalidHeightsError
+from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.names import methods_that
 
@@ -221,12 +222,15 @@ class HeightScan:
     """Range, validity and vertical quantum of a raster, gathered window by window.
 
     Call `update` with every window once, then `quantizer`. With `steps` the heights are to be
-    rounded to these, if all of them can be.
+    rounded to these, if all of them can be. A `digest` is updated with it.
     """
 
-    def __init__(self, dtype: str, steps: FixedSteps | None = None) -> None:
+    def __init__(
+        self, dtype: str, steps: FixedSteps | None = None, digest: HeightDigest | None = None
+    ) -> None:
         self.dtype = dtype
         self.steps = steps
+        self.digest = digest
         self.has_negative_zeros = False
         self.n_valid = 0
         self.n_samples = 0
@@ -240,9 +244,13 @@ class HeightScan:
         """Say whether any sample seen so far is not valid."""
         return self.n_valid < self.n_samples
 
-    def update(self, raw: NDArray[np.generic], valid: NDArray[np.bool_]) -> None:
-        """Take one window into account."""
+    def update(
+        self, raw: NDArray[np.generic], valid: NDArray[np.bool_], row: int = 0, col: int = 0
+    ) -> None:
+        """Take one window into account; only the digest asks where it lies."""
         self.n_samples += raw.size
+        if self.digest is not None:
+            self.digest.update(raw, valid, row, col)
         heights = raw.ravel() if valid.all() else raw[valid]
         self.n_valid += heights.size
         if heights.size == 0:
@@ -265,6 +273,8 @@ class HeightScan:
     def merge(self, other: "HeightScan") -> None:
         """Take in what another scan has seen of the same raster."""
         self.n_samples += other.n_samples
+        if self.digest is not None and other.digest is not None:
+            self.digest.merge(other.digest)
         self.n_valid += other.n_valid
         self.minimum = min(self.minimum, other.minimum)
         self.maximum = max(self.maximum, other.maximum)

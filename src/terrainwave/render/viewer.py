@@ -1,5 +1,6 @@
 """The window of `terrainwave view`."""
 
+import os
 import sys
 import time
 from collections import deque
@@ -36,6 +37,16 @@ _NO_WINDOW = (
 _LEFT, _RIGHT = 1, 2
 
 
+def _display_problem(line: str) -> str:
+    """Return what is wrong with the display; X's own message does not say which it asked for."""
+    if "cannot connect to" not in line.lower():
+        return line[:200]
+    display = os.environ.get("DISPLAY")
+    if not display:
+        return "found no DISPLAY in the environment, expected that of an X server"
+    return f"no X server answers for DISPLAY {display[:100]}"
+
+
 def run(
     terrain: "TerrainFile",
     *,
@@ -67,7 +78,7 @@ def run(
         )
     except Exception as error:
         lines = str(error).strip().splitlines() or [type(error).__name__]
-        raise TerrainwaveError(_NO_WINDOW.format(problem=lines[0][:200])) from error
+        raise TerrainwaveError(_NO_WINDOW.format(problem=_display_problem(lines[0]))) from error
     with Offscreen(
         terrain,
         config.wnd.buffer_size,

@@ -23,6 +23,7 @@ from terrainwave.container.page import N_CODES
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.writer import store_segments
 from terrainwave.errors import ClusterError, InvalidHeightsError
+from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.measure import BlockStats
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
@@ -165,12 +166,17 @@ class DistributedPasses:
     directory: Path
     executor: Executor
     reporter: Reporter
+    has_digest: bool = False
 
     def scan(self, steps: FixedSteps | None = None) -> HeightScan:
         """Return range, validity and vertical quantum of every sample."""
-        whole = HeightScan(self.source.info.dtype, steps)
+        info = self.source.info
+        digest = HeightDigest(info.n_cols) if self.has_digest else None
+        whole = HeightScan(info.dtype, steps, digest)
         count = self._counter("scanning")
-        tasks = {region: (self.raster, region, steps) for region in self._own_regions()}
+        tasks = {
+            region: (self.raster, region, self.has_digest, steps) for region in self._own_regions()
+        }
         for region, part in run_tasks(self.cluster, scan_region, tasks):
             whole.merge(part)
             count(region.n_rows * region.n_cols)

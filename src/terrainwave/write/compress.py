@@ -87,6 +87,7 @@ def compress(
     strict: bool = False,
     stable: bool = False,
     format: str = FORMATS[-1],
+    keep_origin: bool = False,
     temp_dir: str | os.PathLike[str] | None = None,
     verify: bool = True,
     threads: int | None = None,
@@ -166,6 +167,9 @@ def compress(
         ``"1.1"``, or ``"1.0"``: what the first readers read, too. A file is of format 1.1 only if
         it uses what is new there: where voids are, it tells which heights of coarse levels are
         fills; on rough ground, rapid has other contexts, which make it some per cent smaller.
+    keep_origin : bool
+        Keep in the metadata a digest of the heights, and these options: what
+        ``compress --skip-existing`` knows the file again by. The batches of the command do.
     temp_dir : path, optional
         Where large temporary data go; by default beside `dst`. With `client` a path or a URL that
         fsspec can write to, seen by all workers.
@@ -212,6 +216,7 @@ def compress(
         strict=strict,
         stable=stable,
         format=format,
+        keep_origin=keep_origin,
         verify=verify,
         threads=threads,
     )
@@ -334,7 +339,10 @@ def _write(
     """
     grid = Grid(source.info.n_rows, source.info.n_cols, options.block)
     with ThreadPoolExecutor(options.n_threads, thread_name_prefix="terrainwave") as executor:
-        with closing(_passes(source, grid, directory, executor, reporter, cluster)) as passes:
+        has_digest = options.keep_origin
+        with closing(
+            _passes(source, grid, directory, executor, reporter, cluster, has_digest=has_digest)
+        ) as passes:
             scan = passes.scan(fixed_steps(options, source.info))
             marks = note_on_marks(source, scan.minimum, scan.maximum)
             earlier, earlier_notes = earlier_error(source)
@@ -381,11 +389,13 @@ def _passes(
     executor: Executor,
     reporter: Reporter,
     cluster: _Cluster | None,
+    *,
+    has_digest: bool,
 ) -> LocalPasses | DistributedPasses:
     """Return the passes of this process, or of a cluster where there is enough for a task."""
     level = None if cluster is None else task_level(grid, cluster.task_samples)
     if cluster is None or level is None:
-        return LocalPasses(source, directory, executor, reporter)
+        return LocalPasses(source, directory, executor, reporter, has_digest)
     return DistributedPasses(
         cluster.executor,
         cluster.raster,
@@ -396,6 +406,7 @@ def _passes(
         directory,
         executor,
         reporter,
+        has_digest,
     )
 
 

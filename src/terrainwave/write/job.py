@@ -7,6 +7,7 @@ import math
 import sys
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
@@ -19,10 +20,8 @@ from terrainwave.container.header import (
     IS_FAITHFUL,
     Header,
 )
-from terrainwave.container.metadata import MAX_MOVED
-from terrainwave.errors import (
-    InvalidHeightsError,
-)
+from terrainwave.container.metadata import MAX_MOVED, ORIGIN
+from terrainwave.errors import InvalidHeightsError
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import DEFAULT_MAX_ERROR, HeightScan, Quantizer, as_fraction
@@ -54,6 +53,8 @@ class Job:
         file, once it is known, and where heights give way to the nodata value.
     earlier : float
         How far the raster itself may be from an original that it was made of, in physical units.
+    origin : dict, optional
+        What the file keeps of where it comes from (`origin_of`), if that was asked for.
     """
 
     options: Options
@@ -64,6 +65,7 @@ class Job:
     n_valid: int
     measured: float | None = None
     earlier: float = 0.0
+    origin: dict[str, Any] | None = None
 
     @property
     def effective_error(self) -> float:
@@ -153,11 +155,11 @@ class Job:
     def header(self, parameters: bytes) -> Header:
         """Return the header of the file; `parameters` are the tables of its method."""
         options, quantizer, info = self.options, self.quantizer, self.info
-        plain = RasterInfo(info.n_rows, info.n_cols, info.dtype).to_metadata()
-        # Only what is not as it would be anyway; size and type are in the header itself.
-        metadata = {key: value for key, value in info.to_metadata().items() if value != plain[key]}
+        metadata = metadata_of(info)
         if self.moved:
             metadata["moved"] = self.moved
+        if self.origin is not None:
+            metadata[ORIGIN] = self.origin
         has_heights = self.n_valid > 0
         return Header(
             n_rows=info.n_rows,
@@ -186,6 +188,21 @@ class Job:
             metadata={**metadata, "software": f"terrainwave {__version__}"},
             parameters=parameters,
         )
+
+
+def metadata_of(info: RasterInfo) -> dict[str, Any]:
+    """Return what a file's metadata say of its raster.
+
+    Only what is not as it would be anyway; size and type are in the header itself.
+    """
+    plain = RasterInfo(info.n_rows, info.n_cols, info.dtype).to_metadata()
+    return {key: value for key, value in info.to_metadata().items() if value != plain[key]}
+
+
+def origin_of(options: Options, scan: HeightScan) -> dict[str, Any]:
+    """Return what a file keeps of where it comes from (FORMAT.md §4.2, *origin*)."""
+    assert scan.digest is not None
+    return {"heights": scan.digest.text, "options": options.to_metadata()}
 
 
 def scale_of(info: RasterInfo) -> Fraction:
@@ -251,7 +268,8 @@ def settled(
         quantizer, measured = _with_room_for_nodata(quantizer, info)
         measured = None if options.is_embedded else measured
     grid = Grid(info.n_rows, info.n_cols, options.block)
-    job = Job(options, info, grid, bound, quantizer, scan.n_valid, measured, earlier)
+    origin = origin_of(options, scan) if options.keep_origin else None
+    job = Job(options, info, grid, bound, quantizer, scan.n_valid, measured, earlier, origin)
     if job.moved > MAX_MOVED:
         raise InvalidHeightsError(
             f"the heights are within {earlier:g} of an original by what came with them, which is"

@@ -3,7 +3,7 @@
 import os
 import shutil
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from fractions import Fraction
@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.arguments import count_of, size_of
 from terrainwave.codec.refiner import Decoded
 from terrainwave.container.depot import StoredSegment
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.errors import StorageError
 from terrainwave.file import TerrainFile
+from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.grid.quantum import HeightScan
 from terrainwave.grid.steps import FixedSteps
@@ -46,6 +48,7 @@ class LocalPasses:
     directory: Path
     executor: Executor
     reporter: Reporter
+    has_digest: bool = False
     _windows: "Windows | None" = None
 
     @property
@@ -55,9 +58,16 @@ class LocalPasses:
         return self._windows
 
     def scan(self, steps: FixedSteps | None = None) -> HeightScan:
-        """Return range, validity and vertical quantum of every sample."""
-        self._windows, scan = scan_source(self.source, self.directory, self.reporter, steps)
-        return scan
+        """Return range, validity and vertical quantum of every sample, and a digest if wanted."""
+        _check_free_space(self.source.info, self.directory, self.source.is_striped)
+        self._windows = Windows(self.source, self.directory)
+        return scan_windows(
+            self.source.info,
+            self._windows.scan(),
+            self.reporter,
+            has_digest=self.has_digest,
+            steps=steps,
+        )
 
     def encode(self, job: Job) -> "Coded":
         """Code all units into one spool per segment."""
@@ -76,6 +86,10 @@ class LocalPasses:
 # Pass A
 
 
+# Heights, validity, row and column of the first sample.
+Window = tuple[NDArray[Any], NDArray[np.bool_], int, int]
+
+
 class Windows(SourceWindows):
     """The source's windows, spooled during the scan where its own are slow to read.
 
@@ -92,8 +106,8 @@ class Windows(SourceWindows):
         if source.is_striped or (source.is_file and source.info.n_bytes <= MEMORY_LIMIT):
             self._heights = Spool(self._shape, source.info.dtype, directory)
 
-    def scan(self) -> Iterator[tuple[NDArray[Any], NDArray[np.bool_]]]:
-        """Yield (heights, validity), once over the whole raster in the source's order."""
+    def scan(self) -> Iterator[Window]:
+        """Yield (heights, validity, row, column), once over the raster in the source's order."""
         for region in self._source.blocks():
             heights, valid = self._source.read(*region)
             if self._heights is not None:
@@ -102,7 +116,7 @@ class Windows(SourceWindows):
                     self._voids = Spool(self._shape, np.bool_, self._directory)
                 if self._voids is not None:
                     self._voids.write(region, ~valid)
-            yield heights, valid
+            yield heights, valid, region.row, region.col
 
     def read(
         self, row: int, col: int, n_rows: int, n_cols: int
@@ -122,20 +136,22 @@ class Windows(SourceWindows):
                 spool.close()
 
 
-def scan_source(
-    source: RasterSource, directory: Path, reporter: Reporter, steps: FixedSteps | None = None
-) -> tuple[Windows, HeightScan]:
-    """Read the source once: range, validity and vertical quantum of every sample."""
-    info = source.info
-    _check_free_space(info, directory, source.is_striped)
-    scan = HeightScan(info.dtype, steps)
-    windows = Windows(source, directory)
+def scan_windows(
+    info: RasterInfo,
+    windows: Iterable[Window],
+    reporter: Reporter,
+    *,
+    has_digest: bool,
+    steps: FixedSteps | None = None,
+) -> HeightScan:
+    """Return range, validity, vertical quantum and, if wanted, a digest of a raster's windows."""
+    scan = HeightScan(info.dtype, steps, HeightDigest(info.n_cols) if has_digest else None)
     total = info.n_rows * info.n_cols
-    for heights, valid in windows.scan():
-        scan.update(heights, valid)
+    for window in windows:
+        scan.update(*window)
         n_bytes = scan.n_samples * np.dtype(info.dtype).itemsize
         reporter.report("scanning", scan.n_samples, total, n_bytes)
-    return windows, scan
+    return scan
 
 
 def _check_free_space(info: RasterInfo, directory: Path, is_striped: bool) -> None:
@@ -144,9 +160,12 @@ def _check_free_space(info: RasterInfo, directory: Path, is_striped: bool) -> No
     needed = n_samples * 4 // 3 + (info.n_bytes if is_striped else 0)
     free = shutil.disk_usage(directory).free
     if needed > free:
+        sizes = size_of(needed), size_of(free)
+        if sizes[0] == sizes[1]:
+            sizes = count_of(needed, "byte"), count_of(free, "byte")
         raise StorageError(
-            f"temporary data need about {needed / 1e9:.1f} GB, {directory.parent} has"
-            f" {free / 1e9:.1f} GB free: name another directory with `temp_dir`"
+            f"temporary data need about {sizes[0]}, {directory.parent} has {sizes[1]} free:"
+            " name another directory with `temp_dir`"
         )
 
 

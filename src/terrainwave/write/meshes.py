@@ -19,6 +19,7 @@ from terrainwave.arguments import (
     checked_threads,
 )
 from terrainwave.codec.refiner import Heights, Mask
+from terrainwave.container.metadata import without_origin
 from terrainwave.container.page import N_CODES
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.spool import SegmentSpool
@@ -99,6 +100,7 @@ def store_meshes(
         check_mesh_of(mesh, method, is_faithful=is_faithful)
         header = replace(
             container.header,
+            metadata=without_origin(container.header.metadata),
             mesh=stored_mesh(mesh, method, is_faithful=is_faithful),
             mesh_tolerance=_tolerance(terrain, error),
         )

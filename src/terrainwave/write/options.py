@@ -1,6 +1,6 @@
 """`Options`: what `compress` is asked for, checked where it is made and handed on whole."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from terrainwave.arguments import (
@@ -50,6 +50,7 @@ class Options:
     strict: bool = False
     stable: bool = False
     format: str = FORMATS[-1]
+    keep_origin: bool = False
     verify: bool = True
     threads: int | None = None
 
@@ -138,6 +139,16 @@ class Options:
                 f"found `{name}` and `method` {asked}, expected `method` {fit}: the others"
                 " keep a bound (`max_error`) instead"
             )
+
+    def to_metadata(self) -> dict[str, Any]:
+        """Return what files are made differently by, or checked; plain values for JSON."""
+        unrelated = ("threads", "keep_origin")
+        return {
+            name: value
+            for name, value in asdict(self).items()
+            # By identity: a bound of 0 equals False.
+            if name not in unrelated and value is not None and value is not False
+        }
 
     @property
     def coding(self) -> Method:

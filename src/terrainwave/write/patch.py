@@ -30,6 +30,7 @@ from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import block_of_unit
 from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
 from terrainwave.container.header import Header
+from terrainwave.container.metadata import without_origin
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.writer import assemble
@@ -530,6 +531,7 @@ class _Patcher:
     def _bounded_header(self) -> Header:
         """Return the file's header with the bounds that hold after the patch."""
         old = self._terrain.header
+        old = replace(old, metadata=without_origin(old.metadata))
         before = old.moved
         after = before + self.moved
         if self._merged.covers(Region(0, 0, *self._terrain.shape)):

@@ -27,6 +27,7 @@ from terrainwave.container.sink import SpoolSink
 from terrainwave.container.spool import SegmentSpool
 from terrainwave.container.writer import store_segments, stored_places
 from terrainwave.file import TerrainFile
+from terrainwave.grid.digest import HeightDigest
 from terrainwave.grid.measure import BlockStats
 from terrainwave.grid.quadtree import Block, Grid, Region
 from terrainwave.grid.quantum import HeightScan
@@ -186,12 +187,15 @@ def _bench(raster: RasterPlace) -> Iterator[_Bench]:
 # Pass A
 
 
-def scan_region(raster: RasterPlace, region: Region, steps: FixedSteps | None = None) -> HeightScan:
-    """Return range, validity and vertical quantum of the heights in a region."""
+def scan_region(
+    raster: RasterPlace, region: Region, has_digest: bool, steps: FixedSteps | None = None
+) -> HeightScan:
+    """Return range, validity and vertical quantum of the heights in a region; a digest if asked."""
     with raster.open() as source:
-        scan = HeightScan(source.info.dtype, steps)
+        digest = HeightDigest(source.info.n_cols) if has_digest else None
+        scan = HeightScan(source.info.dtype, steps, digest)
         for window in region.tiles(_SCAN_SIDE, _SCAN_SIDE):
-            scan.update(*source.read(*window))
+            scan.update(*source.read(*window), window.row, window.col)
     return scan
 
 

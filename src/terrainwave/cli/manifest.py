@@ -1,0 +1,147 @@
+"""What a batch has made in a directory, so that the next one leaves out what would be the same.
+
+A file of lines, one JSON object for each target; the last one of a name counts. It spares
+reading: a target that it does not know, or whose files have another size or time, is compared with
+its source, or made again.
+"""
+
+import json
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from terrainwave.progress import ProgressCallback
+
+NAME = ".terrainwave-manifest.jsonl"
+# Beyond some for each target, it is written anew.
+_MOST_LINES = 100
+UNKNOWN = "nothing tells what it was made of"
+
+# Source, target, what the manifest says against the target: why it is not what the command makes
+# of the source; None if it is.
+Compare = Callable[[str, str, str, ProgressCallback], str | None]
+
+
+class Manifest:
+    """What lies in a directory of targets, and what it was made of.
+
+    Parameters
+    ----------
+    directory : path
+    asked : dict
+        The command and its options, in values that JSON has.
+    files_of : callable
+        Names the files that a source is read from; none if that cannot be told.
+    compare : callable
+        Is asked about targets that exist and that the manifest does not know as they are.
+    skips : bool
+        Whether what is there may be left out; otherwise targets are only written down.
+    """
+
+    def __init__(
+        self,
+        directory: str,
+        asked: dict[str, Any],
+        *,
+        files_of: Callable[[str], list[str]],
+        compare: Compare,
+        skips: bool = True,
+    ) -> None:
+        self._path = Path(directory) / NAME
+        self._asked = json.loads(json.dumps(asked, default=str))
+        self._files_of = files_of
+        self._compare = compare
+        self._skips = skips
+        self._lock = threading.Lock()
+        self._entries = _read_entries(self._path) if skips else {}
+
+    @contextmanager
+    def checked(self, source: str, target: str, progress: ProgressCallback) -> Iterator[str | None]:
+        """Give why a target has to be made again, "" if there is none; None if it is as asked.
+
+        It is written down when the block ends without exception.
+        """
+        # Before the source is read: what changes meanwhile is noticed by the next run.
+        sources = self._source_states(source)
+        name = os.path.basename(target)
+        before = self._entries.get(name)
+        entry = {"target": name, "asked": self._asked, "sources": sources}
+        difference: str | None = ""
+        if self._skips and os.path.exists(target):
+            known = _difference(before, entry | {"state": _state(target)})
+            difference = known and self._compare(source, target, known, progress)
+        yield difference
+        entry["state"] = _state(target)
+        if sources is not None and entry != before:
+            self._write(entry)
+
+    def _source_states(self, source: str) -> list[list[Any]] | None:
+        """Return name, size and times of each file of a source; None if they cannot be told."""
+        from terrainwave.errors import TerrainwaveError
+
+        try:
+            names = self._files_of(source)
+            # The time of change too: copying tools set that of writing back to the original's.
+            return [
+                [os.path.abspath(name), *_state(name), os.stat(name).st_ctime_ns] for name in names
+            ] or None
+        except (TerrainwaveError, OSError):  # what reads it says so; or it is no file here
+            return None
+
+    def _write(self, entry: dict[str, Any]) -> None:
+        """Add a line; without one, the next run looks at the files themselves."""
+        # The line feed comes first: a line that was cut off spoils no other.
+        line = "\n" + _line(entry)
+        with self._lock:
+            self._entries[entry["target"]] = entry
+            with suppress(OSError), self._path.open("a", encoding="ascii") as file:
+                file.write(line)
+
+
+def _difference(before: dict[str, Any] | None, now: dict[str, Any]) -> str | None:
+    """Return what an entry says against a target that is there; None if nothing."""
+    if before is None:
+        return UNKNOWN
+    if before.get("asked") != now["asked"]:
+        return "it was made with other options"
+    if now["sources"] is None or before.get("sources") != now["sources"]:
+        return "its source has changed"
+    return None if before.get("state") == now["state"] else "it has changed since it was made"
+
+
+def _state(path: str) -> list[int]:
+    found = os.stat(path)
+    return [found.st_size, found.st_mtime_ns]
+
+
+def _read_entries(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the last entry of each target; lines that are none are passed over."""
+    entries: dict[str, dict[str, Any]] = {}
+    try:
+        lines = path.read_text(encoding="ascii", errors="replace").splitlines()
+    except OSError:
+        return entries
+    for line in filter(None, lines):
+        with suppress(ValueError, RecursionError):
+            entry = json.loads(line)
+            if isinstance(entry, dict) and isinstance(entry.get("target"), str):
+                entries[entry["target"]] = entry
+    if len(lines) > _MOST_LINES + 4 * len(entries):
+        _shorten(path, entries)
+    return entries
+
+
+def _shorten(path: Path, entries: dict[str, dict[str, Any]]) -> None:
+    """Leave one line for each target. What another run adds meanwhile is compared once more."""
+    from terrainwave.container.publish import publish
+    from terrainwave.errors import StorageError
+
+    with suppress(StorageError), publish(path, overwrite=True) as part:
+        part.file.write("\n".join(map(_line, entries.values())).encode("ascii"))
+
+
+def _line(entry: dict[str, Any]) -> str:
+    return json.dumps(entry, ensure_ascii=True, sort_keys=True)

@@ -1,0 +1,63 @@
+"""Is a file what `compress` would make of a raster now? Asked before the work is done again."""
+
+import os
+from collections.abc import Iterator
+from typing import Any
+
+from terrainwave.container.metadata import ORIGIN, without_origin
+from terrainwave.errors import TerrainwaveError
+from terrainwave.file import TerrainFile
+from terrainwave.progress import ProgressCallback, Reporter
+from terrainwave.raster_io.source import RasterSource
+from terrainwave.write.job import metadata_of, origin_of
+from terrainwave.write.local import Window, scan_windows
+from terrainwave.write.options import Options
+
+
+def difference(
+    path: str | os.PathLike[str],
+    src: Any,
+    *,
+    band: int = 1,
+    nodata: float | None = None,
+    progress: ProgressCallback | None = None,
+    **options: Any,
+) -> str | None:
+    """Return why the file at `path` is not what `compress` makes of `src`; None if it is.
+
+    The raster is read only where all else is the same. The last words of a sentence: "it …".
+
+    Parameters
+    ----------
+    options : as `Options` has them
+
+    Raises
+    ------
+    TerrainwaveError
+        If the raster cannot be read, or an option cannot be.
+    """
+    asked = Options(**options)
+    try:
+        with TerrainFile(path, threads=1) as terrain:
+            header = terrain.header
+    except TerrainwaveError:
+        return "it is no .twz file that can be read"
+    origin = header.metadata.get(ORIGIN)
+    if not isinstance(origin, dict):
+        return "it does not say what it was made of"
+    if origin.get("options") != asked.to_metadata():
+        return "it was made with other options"
+    with RasterSource(src, band=band, nodata=nodata, warn=False) as source:
+        info = source.info
+        size = info.n_rows, info.n_cols, info.dtype
+        metadata = without_origin(header.metadata)
+        metadata.pop("software", None)
+        if size != (header.n_rows, header.n_cols, header.dtype) or metadata != metadata_of(info):
+            return "it was made of another raster"
+        scan = scan_windows(info, _windows(source), Reporter(progress), has_digest=True)
+    return None if origin == origin_of(asked, scan) else "it was made of other heights"
+
+
+def _windows(source: RasterSource) -> Iterator[Window]:
+    for region in source.blocks():
+        yield (*source.read(*region), region.row, region.col)

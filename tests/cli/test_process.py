@@ -1,0 +1,462 @@
+"""What a process may lack: streams, an encoding, room, rights; and what fails below a command."""
+
+import errno
+import json
+import os
+import re
+import shlex
+import shutil
+import stat
+import subprocess
+import sys
+from collections import namedtuple
+
+import pytest
+from affine import Affine
+from commands import one_line, run
+from numba.core.errors import LoweringError, NumbaError, TypingError
+from rasterio._err import CPLE_AppDefinedError
+from rasterio.errors import RasterioError, RasterioIOError
+from strategies import terrain_like, write_geotiff
+
+import terrainwave
+
+OPTIONS = {"max_error": 1, "method": "store", "block": 32}
+QUICK = ["--method", "store", "--block", 32, "--max-error", 1]
+PROGRAM = "import sys; from terrainwave.cli import main; main(prog_name='terrainwave')"
+
+
+@pytest.fixture
+def dem(tmp_path):
+    return write_geotiff(
+        tmp_path / "dem.tif",
+        terrain_like(40, 36),
+        crs="EPSG:32633",
+        transform=Affine(30, 0, 500_000, 0, -30, 5_000_000),
+    )
+
+
+@pytest.fixture
+def twz(tmp_path, dem):
+    terrainwave.compress(dem, tmp_path / "dem.twz", **OPTIONS)
+    return tmp_path / "dem.twz"
+
+
+def in_shell(redirections, *args, **environment):
+    """Run a command in a process of its own, by a shell that redirects its streams."""
+    command = shlex.join([sys.executable, "-c", PROGRAM, *map(str, args)])
+    return subprocess.run(
+        ["sh", "-c", f"{command} {redirections}"],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+        timeout=300,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)} | environment,
+    )
+
+
+needs_shell = pytest.mark.skipif(sys.platform == "win32", reason="no sh")
+
+
+# --- streams that are closed
+
+
+@needs_shell
+@pytest.mark.parametrize("streams", ["2>&-", "1>&- 2>&-", "0>&- 1>&- 2>&-"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["compress", "dem.tif", "new.twz", *QUICK],
+        ["compress", "dem.tif", "--to", "out", *QUICK],
+        ["decompress", "dem.twz", "new.tif"],
+        ["mesh", "dem.twz", "new.ply"],
+        ["info", "dem.twz"],
+        ["info", "dem.twz", "--json"],
+        ["verify", "dem.twz", "dem.tif"],
+        ["publish", "dem.twz", "site"],
+        ["tiles", "dem.twz", "tiles"],
+    ],
+    ids=lambda command: "_".join(map(str, command[:1] + command[2:3])),
+)
+def test_commands_do_their_work_with_closed_streams(tmp_path, dem, twz, streams, command):
+    paths = [tmp_path / name if "." in str(name) else name for name in command[1:]]
+    paths = [tmp_path / name if name in ("out", "site", "tiles") else name for name in paths]
+    plain = in_shell("", command[0], *paths, *["--overwrite"] * (command[0] in ("publish",)))
+    made = [path for path in tmp_path.iterdir() if path.name not in ("dem.tif", "dem.twz")]
+    for path in made:
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    done = in_shell(streams, command[0], *paths)
+    assert (done.returncode, done.stderr) == (plain.returncode, "")
+    assert done.stdout == (plain.stdout if "1>" not in streams else "")
+    after = sorted(path.name for path in tmp_path.iterdir())
+    assert after == sorted([*(path.name for path in made), "dem.tif", "dem.twz"])
+
+
+@needs_shell
+def test_a_failure_without_stderr_has_its_status(tmp_path):
+    assert in_shell("2>&-", "info", tmp_path / "none.twz").returncode == 1
+    assert in_shell("2>&-", "info").returncode == 2
+
+
+@needs_shell
+def test_what_libraries_print_goes_into_no_file(tmp_path, dem):
+    """The first file that is opened would be stderr to GDAL, numba and the C library."""
+    program = f"""
+import os, sys
+from terrainwave.cli import main
+from terrainwave.cli.descriptors import prepare_streams
+prepare_streams()
+import terrainwave.write.compress as module
+assemble = module.assemble
+def printing(*arguments):
+    os.write(2, b"a library's warning")
+    os.write(1, b"a library's words")
+    assemble(*arguments)
+module.assemble = printing
+main(["compress", {str(dem)!r}, {str(tmp_path / "new.twz")!r}, "--quiet"])
+"""
+    (tmp_path / "program.py").write_text(program)
+    command = f"{sys.executable} {tmp_path / 'program.py'} 0<&- 1>&- 2>&-"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    assert subprocess.run(["sh", "-c", command], env=environment, timeout=300).returncode == 0
+    data = (tmp_path / "new.twz").read_bytes()
+    assert b"library" not in data
+    assert run("verify", tmp_path / "new.twz", dem).exit_code == 0
+
+
+@needs_shell
+def test_a_note_says_that_stdout_is_closed(twz):
+    done = in_shell(">&-", "info", twz)
+    assert (done.returncode, done.stdout) == (0, "")
+    assert done.stderr == "note: stdout is closed: what is printed there is lost\n"
+    assert in_shell(">&-", "verify", twz, "--json").stderr == done.stderr
+
+
+@needs_shell
+def test_a_file_cannot_go_to_a_closed_stdout_or_come_from_a_closed_stdin(tmp_path, dem, twz):
+    for done, words in (
+        (in_shell(">&-", "compress", dem, "-", *QUICK), "cannot write stdout: it is closed"),
+        (in_shell(">&-", "decompress", twz, "-"), "cannot write stdout: it is closed"),
+        (in_shell("<&-", "compress", "-", tmp_path / "a.twz"), "cannot read stdin: it is closed"),
+        (in_shell("<&-", "info", "-"), "cannot read stdin: it is closed"),
+    ):
+        assert (done.returncode, done.stdout) == (1, "")
+        (line,) = done.stderr.splitlines()
+        assert line.startswith(f"terrainwave: {words}; expected")
+
+
+# --- an encoding that lacks letters
+
+
+@needs_shell
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_names_and_units_of_any_letters_are_printed_in_any_encoding(tmp_path, encoding):
+    import rasterio
+
+    path = tmp_path / "høyde 高.tif"
+    write_geotiff(path, terrain_like(40, 36))
+    with rasterio.open(path, "r+") as dataset:
+        dataset.units = ["mètres ↑"]
+        dataset.update_tags(SOURCE="Ærø – 測量")
+    target = tmp_path / "高.twz"
+    for command in (
+        ["compress", path, target, *QUICK],
+        ["info", target],
+        ["info", target, "--json"],
+        ["info", target, "--levels"],
+        ["verify", target, path],
+        ["decompress", target, tmp_path / "тест.tif"],
+        ["decompress", target, tmp_path / "тест.tif"],
+    ):
+        done = in_shell("", *command, PYTHONIOENCODING=encoding, PYTHONUTF8="0")
+        if command[1] != "--levels" and "--levels" not in command:
+            is_second = command[0] == "decompress" and "already exists" in done.stderr
+            assert done.returncode == int(is_second), done.stderr
+        assert "Traceback" not in done.stderr
+        assert "unexpected" not in done.stderr
+        if "--json" in command:
+            assert json.loads(done.stdout)["units"] == "mètres ↑"
+
+
+# --- errors that are not stdout's
+
+
+def test_an_error_of_a_file_does_not_name_stdout(tmp_path, dem, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device", "/somewhere/else")
+
+    monkeypatch.setattr("terrainwave.write.compress.assemble", full)
+    line = one_line(run("compress", dem, tmp_path / "a.twz", *QUICK), 1)
+    assert "stdout" not in line
+    assert "/somewhere/else: No space left on device" in line
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("command", ["compress", "decompress", "info", "verify"])
+def test_a_full_stdout_is_named(dem, twz, command, unbuffered):
+    target = ["-"] * (command in ("compress", "decompress"))
+    source = dem if command == "compress" else twz
+    done = in_shell(">/dev/full", command, source, *target, PYTHONUNBUFFERED=unbuffered)
+    assert done.returncode == 1
+    lines = [line for line in done.stderr.splitlines() if line.startswith("terrainwave")]
+    assert lines == ["terrainwave: cannot write stdout: the disk is full"]
+
+
+# --- sizes
+
+
+@pytest.mark.parametrize("free", [0, 1, 700, 1900, 2**40])
+def test_sizes_that_decide_are_told_apart(tmp_path, dem, monkeypatch, free):
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(1, 1, free))
+    done = run("compress", dem, tmp_path / "a.twz", *QUICK)
+    if free > 40 * 36 * 4 // 3:
+        assert done.exit_code == 0
+        return
+    found = re.search(r"need about (.*?), .* has (.*?) free", one_line(done, 1))
+    assert found, done.stderr
+    assert found[1] != found[2]
+    assert not found[1].startswith("0")
+
+
+def test_sizes_are_in_units_that_show_them():
+    from terrainwave.arguments import size_of
+
+    sizes = [0, 1, 999, 1000, 12_345, 123_456, 5_000_000, 12_300_000_000, 4 * 10**12]
+    assert [size_of(size) for size in sizes] == [
+        "0 bytes", "1 byte", "999 bytes", "1.0 kB", "12.3 kB", "123 kB", "5.0 MB", "12.3 GB",
+        "4.0 TB",
+    ]  # fmt: skip
+
+
+# --- names as long as the system takes
+
+
+@pytest.mark.parametrize("n_bytes", [228, 229, 253, 255])
+@pytest.mark.parametrize("letter", ["a", "高"])
+def test_names_may_be_as_long_as_the_system_takes(tmp_path, dem, n_bytes, letter):
+    def name(ending):
+        room = n_bytes - len(ending)
+        width = len(letter.encode())
+        return tmp_path / (letter * (room // width) + "x" * (room % width) + ending)
+
+    try:
+        name(".twz").touch()
+        name(".twz").unlink()
+    except OSError:
+        pytest.skip("this file system takes no name of that length")
+    for command in (
+        ["compress", dem, name(".twz"), *QUICK],
+        ["compress", dem, name(".twz"), *QUICK, "--overwrite"],
+        ["decompress", name(".twz"), name(".tif")],
+        ["decompress", name(".twz"), name("cog.tif"), "--cog"],
+        ["mesh", name(".twz"), name(".ply")],
+        ["verify", name(".twz"), dem],
+        ["publish", name(".twz"), tmp_path / "site"],
+    ):
+        done = run(*command)
+        assert done.exit_code == 0, (command[0], done.stderr)
+        assert not [found for found in os.listdir(tmp_path) if found.startswith(".")]
+
+
+def test_what_a_killed_run_left_beside_a_long_name_is_removed(tmp_path):
+    from terrainwave.container.publish import publish, scratch_directory
+
+    first, second = (tmp_path / ("a" * 240 + end) for end in ("1.twz", "2.twz"))
+    with publish(first) as part, scratch_directory(tmp_path, first.name) as scratch:
+        left = tmp_path / part.path.name.replace(part.path.name.split(".")[-2], "0" * 16)
+        left.touch()
+        lock = scratch.with_name(scratch.name.replace(scratch.name.split(".")[-2], "1" * 16))
+        lock = lock.with_suffix(".twz-lock")
+        lock.touch()
+    with publish(second), scratch_directory(tmp_path, second.name):
+        assert left.exists()
+        assert lock.exists()
+    with publish(first, overwrite=True), scratch_directory(tmp_path, first.name):
+        assert not left.exists()
+        assert not lock.exists()
+
+
+# --- an installation that cannot be written
+
+
+@needs_shell
+def test_what_is_published_has_the_modes_of_the_umask(tmp_path, twz, monkeypatch):
+    from terrainwave.ext import publish
+
+    package = tmp_path / "package"
+    shutil.copytree(publish._STATIC, package / "static")
+    for name in publish._READER:
+        shutil.copytree(publish.reader_directory() / name, package / "js" / name)
+    shutil.copy(publish.reader_directory() / "LICENSE", package / "js" / "LICENSE")
+    for path in [package, *package.rglob("*")]:
+        path.chmod(0o555 if path.is_dir() else 0o444)
+    monkeypatch.setattr(publish, "_STATIC", package / "static")
+    monkeypatch.setattr(publish, "reader_directory", lambda: package / "js")
+    before = os.umask(0o027)
+    try:
+        done = run("publish", twz, tmp_path / "site")
+    finally:
+        os.umask(before)
+    assert done.exit_code == 0, done.stderr
+    made = [path for path in (tmp_path / "site").rglob("*") if path.name != "site"]
+    assert len(made) > 10
+    for path in made:
+        expected = 0o750 if path.is_dir() else 0o640
+        assert stat.S_IMODE(path.stat().st_mode) == expected, path
+    assert not [name for name in os.listdir(tmp_path) if name.startswith(".")]
+
+
+# --- a display that nobody serves
+
+
+@pytest.mark.parametrize(
+    ("display", "words"),
+    [
+        (None, "found no DISPLAY in the environment"),
+        ("", "found no DISPLAY in the environment"),
+        (":77", "no X server answers for DISPLAY :77"),
+    ],
+)
+def test_a_display_of_nobody_is_named(twz, monkeypatch, display, words):
+    from terrainwave.errors import TerrainwaveError
+    from terrainwave.render import viewer
+
+    class Toolkit:
+        WindowConfig = object
+
+        @staticmethod
+        def create_window_config_instance(*_, **__):
+            raise RuntimeError('Cannot connect to "None"')
+
+    monkeypatch.setattr(viewer, "need", lambda *_, **__: Toolkit)
+    monkeypatch.setattr(viewer, "window_config", lambda *_: None)
+    if display is None:
+        monkeypatch.delenv("DISPLAY", raising=False)
+    else:
+        monkeypatch.setenv("DISPLAY", display)
+    with terrainwave.open(twz) as terrain, pytest.raises(TerrainwaveError, match=words) as caught:
+        viewer.run(terrain, size=(9, 9), camera=None, style=None, max_pixel_error=1.0)
+    assert "None" not in str(caught.value)
+
+
+# --- whatever comes from below is one line
+
+ERRORS = {
+    "full": lambda: OSError(errno.ENOSPC, "No space left on device"),
+    "full_named": lambda: OSError(errno.ENOSPC, "No space left on device", "/x/y"),
+    "io": lambda: OSError(errno.EIO, "Input/output error"),
+    "too_many": lambda: OSError(errno.EMFILE, "Too many open files", "/x/y"),
+    "bare": OSError,
+    "permission": lambda: PermissionError(errno.EACCES, "Permission denied", b"/x/y"),
+    "missing": lambda: FileNotFoundError(errno.ENOENT, "No such file or directory", "/x/y"),
+    "reset": lambda: ConnectionResetError(errno.ECONNRESET, "Connection reset by peer"),
+    "pipe": lambda: BrokenPipeError(errno.EPIPE, "Broken pipe"),
+    "late": lambda: TimeoutError("timed out"),
+    "memory": MemoryError,
+    "rasterio": lambda: RasterioError("GDAL\nsays no"),
+    "rasterio_io": lambda: RasterioIOError("Read failed"),
+    "cpl": lambda: CPLE_AppDefinedError(1, 2, "an error of GDAL"),
+    "numba": lambda: NumbaError("no\nidea"),
+    "typing": lambda: TypingError("Failed in nopython mode pipeline"),
+    "lowering": lambda: LoweringError("Failed to lower"),
+    "unicode": lambda: UnicodeEncodeError("ascii", "é", 0, 1, "ordinal not in range"),
+    "key": lambda: KeyError("x"),
+    "runtime": lambda: RuntimeError("[/link] \x1b[31m two\nlines"),
+    "index": IndexError,
+    "recursion": RecursionError,
+    "system": lambda: SystemError("returned a result with an exception set"),
+}
+LAYERS = {
+    "compress": [
+        "raster_io.source.RasterSource.read",
+        "raster_io.dataset.DatasetBackend.__init__",
+        "grid.quantum.HeightScan.update",
+        "grid.quantum.HeightScan.quantizer",
+        "write.pyramid.Pyramid.build",
+        "write.encoder.TreeEncoder.run",
+        "write.local.measure_meshes",
+        "container.sink.SpoolSink.__init__",
+        "write.compress.assemble",
+        "write.local.compare_window",
+        "container.reader.Container.__init__",
+    ],
+    "decompress": [
+        "container.reader.Container.__init__",
+        "container.reader.Container.payloads",
+        "read.decoder.TreeDecoder.unit",
+        "grid.quantum.Quantizer.dequantize",
+    ],
+    "info": ["container.reader.Container.__init__", "raster_io.info.RasterInfo.from_metadata"],
+    "verify": ["verification.heights._open_original", "read.decoder.TreeDecoder.unit"],
+    "mesh": ["container.reader.Container.payloads", "export.mesh.Mesh.save"],
+}
+
+
+@pytest.mark.parametrize("error", ERRORS)
+@pytest.mark.parametrize(
+    ("command", "layer"), [(name, layer) for name, layers in LAYERS.items() for layer in layers]
+)
+def test_whatever_a_layer_raises_is_one_line_and_status_1(
+    tmp_path, dem, twz, monkeypatch, command, layer, error
+):
+    raised = []
+
+    def raising(*_, **__):
+        raised.append(layer)
+        raise ERRORS[error]()
+
+    before = sorted(os.listdir(tmp_path))
+    monkeypatch.setattr(f"terrainwave.{layer}", raising)
+    arguments = {
+        "compress": [dem, tmp_path / "new.twz", *QUICK],
+        "decompress": [twz, tmp_path / "new.tif"],
+        "info": [twz],
+        "verify": [twz, dem],
+        "mesh": [twz, tmp_path / "new.ply"],
+    }
+    line = one_line(run(command, *arguments[command]), 1)
+    assert raised
+    assert "stdout" not in line
+    assert len(line) > len("terrainwave: ")
+    assert "\x1b" not in line
+    if error.endswith(("named", "many", "permission", "missing")):
+        assert "/x/y" in line or str(tmp_path) in line
+    assert sorted(os.listdir(tmp_path)) == before
+
+
+@pytest.mark.parametrize("error", ERRORS)
+def test_whatever_is_raised_for_one_of_many_files_stops_no_other(tmp_path, dem, monkeypatch, error):
+    for name in "abc":
+        shutil.copy(dem, tmp_path / f"{name}.tif")
+    compress = terrainwave.compress
+
+    def failing(source, *arguments, **options):
+        if source.endswith("b.tif"):
+            raise ERRORS[error]()
+        return compress(source, *arguments, **options)
+
+    monkeypatch.setattr(terrainwave, "compress", failing)
+    sources = [tmp_path / f"{name}.tif" for name in "abc"]
+    done = run("compress", *sources, "--to", tmp_path / "out", *QUICK)
+    assert done.exit_code == 1
+    assert done.stdout.splitlines()[-1] == "3 files: 2 compressed, 1 failed"
+    (line,) = [line for line in done.stderr.splitlines() if line.startswith("terrainwave: ")]
+    assert "b.tif: " in line
+
+
+def test_a_defect_shows_its_traceback_to_who_asks(twz, monkeypatch, capfd):
+    def raising(*_, **__):
+        raise KeyError("x")
+
+    monkeypatch.setattr("terrainwave.container.reader.Container.__init__", raising)
+    assert "TERRAINWAVE_TRACEBACK=1" in one_line(run("info", twz), 1)
+    monkeypatch.setenv("TERRAINWAVE_TRACEBACK", "1")
+    done = run("info", twz)
+    assert done.exit_code == 1
+    assert "Traceback" in done.stderr
+    assert "in raising" in done.stderr
+    assert done.stderr.splitlines()[-1].startswith("terrainwave: unexpected KeyError")
