@@ -209,6 +209,7 @@ def test_another_place_or_tag_is_done_again(tmp_path, dems, has_manifest):
         (out / ".terrainwave-manifest.jsonl").unlink()
     with rasterio.open(dems[0], "r+") as dataset:
         dataset.crs = "EPSG:32633"
+        dataset.transform = rasterio.Affine(30, 0, 5e5, 0, -30, 5e6)
     with rasterio.open(dems[2], "r+") as dataset:
         dataset.update_tags(SOURCE="another survey")
     assert batch_of(dems, out)[0] == ["compressed", "skipped", "compressed"]
@@ -455,3 +456,18 @@ def test_an_original_must_be_one(tmp_path):
         batch.find_original("x/a.twz", str(tmp_path))
     (tmp_path / "a.vrt").unlink()
     assert batch.find_original("x/a.twz", str(tmp_path)) == str(tmp_path / "a.tif")
+
+
+def test_heights_without_a_place_are_not_those_with_one(tmp_path):
+    place = {"crs": "EPSG:32633", "transform": (30, 0, 5e5, 0, -30, 5e6)}
+    source = write_geotiff(tmp_path / "a.tif", terrain_like(40, 40), **place)
+    batch = ("compress", source, "--to", tmp_path / "made", "--quiet", "--skip-existing", "--json")
+    for options, status in (
+        ((), "compressed"),
+        ((), "skipped"),
+        (("--no-georeference",), "compressed"),
+        (("--no-georeference",), "skipped"),
+    ):
+        done = run(*batch, *options)
+        assert done.exit_code == 0, done.output
+        assert status in done.stdout

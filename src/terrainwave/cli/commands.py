@@ -324,7 +324,8 @@ def _manifest_of_rasters(directory: str, options: dict[str, Any]) -> Manifest:
 
     unrelated = ("temp_dir", "overwrite", "threads")
     of_files = {name: value for name, value in options.items() if name not in unrelated}
-    source = {"nodata": repr(of_files["nodata"]), "band": of_files["band"]}
+    source = {"nodata": repr(of_files["nodata"])}
+    source |= {name: of_files[name] for name in ("band", "georeference")}
     asked = Options(**{name: of_files[name] for name in of_files.keys() - source.keys()})
     return Manifest(
         directory,

@@ -20,6 +20,7 @@ def difference(
     *,
     band: int = 1,
     nodata: float | None = None,
+    georeference: bool = True,
     progress: ProgressCallback | None = None,
     **options: Any,
 ) -> str | None:
@@ -47,7 +48,9 @@ def difference(
         return "it does not say what it was made of"
     if origin.get("options") != asked.to_metadata():
         return "it was made with other options"
-    with RasterSource(src, band=band, nodata=nodata, warn=False) as source:
+    with RasterSource(
+        src, band=band, nodata=nodata, georeference=georeference, warn=False
+    ) as source:
         info = source.info
         size = info.n_rows, info.n_cols, info.dtype
         metadata = without_origin(header.metadata)
