@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import valid_masks
 
+from terrainwave.codec import ownmask
 from terrainwave.codec.group import voids_below
 from terrainwave.codec.maskcoder import encode_mask
 from terrainwave.codec.ownmask import (
@@ -15,6 +16,13 @@ from terrainwave.codec.ownmask import (
     Validity,
     decode_validity,
     encode_validity,
+)
+from terrainwave.coding.rangecoder import (
+    SETTLED_ON_ONES,
+    code_step,
+    new_decoder,
+    new_models,
+    take_out,
 )
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.quadtree import Region
@@ -128,3 +136,42 @@ def test_any_bytes_are_decoded_or_refused(mask, own, valid, is_finest):
         return
     assert found.mask.shape == found.own.shape == region.shape
     assert not (found.own & ~found.mask).any()
+
+
+def test_runs_of_settled_models_are_coded_as_sample_by_sample():
+    """Large enough that models settle; with voids that end runs."""
+    rng = np.random.default_rng(3)
+    valid = np.ones((257, 257), dtype=bool)
+    for row, col in rng.integers(0, 250, (9, 2)):
+        valid[row : row + rng.integers(1, 5), col : col + rng.integers(1, 7)] = False
+    levels = Levels(valid, 2)
+    implied, region, above, is_finest = levels.place(1)
+    sections = encode_validity(levels.levels[1], implied, region, above, is_finest=is_finest)
+    # As a reader without runs has it.
+    n_rows, n_cols = region.shape
+    known = ownmask._known_of_own(implied, region, above)
+    models = new_models(ownmask.N_MODELS)
+    coder = new_decoder(sections.mask, models)
+    at, n_settled = take_out(coder.state), 0
+    bits = np.zeros((n_rows + 1, n_cols + 2), dtype=int)
+    ahead = np.zeros((n_rows + 1, n_cols + 2), dtype=int)
+    ahead[:-1, 1:-1] = known
+    for row in range(n_rows):
+        for col in range(n_cols):
+            here, west = col + 1, bits[row + 1, col]
+            if known[row, col] == ownmask.UNKNOWN:
+                north, north_west, north_east = bits[row, here], bits[row, col], bits[row, here + 1]
+                model = 81 * (8 * west + 4 * north + 2 * north_west + north_east)
+                model += 27 * ahead[row, here + 1] + 9 * ahead[row + 1, here]
+                model += 3 * ahead[row + 1, here + 1] + ahead[row + 1, col]
+                n_settled += models[model] == SETTLED_ON_ONES
+                bit, at = code_step(
+                    at, coder.state, coder.stream, models, coder.is_encoder, model, np.int64(0)
+                )
+            else:
+                bit = known[row, col] == ownmask.VALID
+            bits[row + 1, here] = bit
+    assert n_settled > 10_000
+    np.testing.assert_array_equal(bits[1:, 1:-1].astype(bool), valid)
+    found = decode_validity(sections, implied, region, above, is_finest=is_finest)
+    np.testing.assert_array_equal(found.mask, valid)

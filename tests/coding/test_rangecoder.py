@@ -12,6 +12,7 @@ from terrainwave.coding.rangecoder import (
     MODEL_START,
     N_UNARY,
     PROBABILITIES,
+    SETTLED_ON_ONES,
     code_bit,
     code_magnitude,
     code_mixed_step,
@@ -335,3 +336,19 @@ def test_any_bytes_give_mixed_bits_or_our_own_error(data):
     except (CorruptStreamError, TruncatedStreamError):
         return
     assert set(bits.tolist()) <= {0, 1}
+
+
+def test_ones_settle_any_model_on_the_same_numbers():
+    rng = np.random.default_rng(5)
+    models = new_models(40)
+    coder = new_encoder(np.empty(100_000, dtype=np.uint8), models)
+    at = take_out(coder.state)
+    for model in range(40):
+        for bit in rng.random(rng.integers(0, 600)) < rng.random():
+            _, at = code_step(
+                at, coder.state, coder.stream, models, coder.is_encoder, model, np.int64(bit)
+            )
+        _, at = code_ones(
+            at, coder.state, coder.stream, models, coder.is_encoder, model, np.int64(5000)
+        )
+    assert (models == SETTLED_ON_ONES).all()

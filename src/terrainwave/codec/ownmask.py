@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 from terrainwave.codec.refiner import Mask
 from terrainwave.codec.whole import all_valid, is_whole
 from terrainwave.coding.borrowed import borrowed
-from terrainwave.coding.jit import kernel
+from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.coding.rangecoder import (
+    SETTLED_ON_ONES,
+    code_ones,
     code_step,
     finish_decoder,
     finish_encoder,
@@ -38,6 +40,7 @@ _N_AHEAD = 3**4
 _WEST = 8 * _N_AHEAD
 N_MODELS = 2 * _WEST
 _KNOWN = -1
+_INSIDE = 7 * _N_AHEAD  # contexts of samples with ones to the north, north-west and north-east
 # An adaptive bit costs at most 16 bits, so this is room for any mask.
 _BYTES_PER_SAMPLE = 2
 
@@ -189,6 +192,38 @@ def _row_models(padded, known, row, contexts):
         contexts[col] = context if here[middle] == UNKNOWN else np.int16(_KNOWN)
 
 
+@inlined_kernel
+def _is_settled(context, models):
+    """Return whether a sample whose four coded neighbours are ones has a model that ones settled.
+
+    `context` is that of `_row_models`, and the western neighbour is a one.
+    """
+    return context >= _INSIDE and models[np.uint64(context + _WEST)] == SETTLED_ON_ONES
+
+
+@kernel_part
+def _run_of_ones(mask, known, contexts, models, row, col, n_cols):
+    """Return how many samples of a row are to be coded by settled models, and where the run ends.
+
+    All these models are the same numbers, and ones do not move them: one stands for all. Known ones
+    lie between them. When encoding, the run ends before a zero.
+    """
+    n, end = np.int64(0), col
+    while end < n_cols:
+        if contexts[end] == _KNOWN:
+            if known[row, end + 1] != VALID:
+                break
+        elif not _is_settled(contexts[end], models):
+            break
+        else:
+            if mask is not None:
+                if not mask[row, end]:
+                    break
+            n += 1
+        end += 1
+    return n, end
+
+
 @kernel
 def _code_known(mask, coder, known, contexts, padded):
     """Encode what is not known of `mask` in raster order, or decode it; either way to `padded`."""
@@ -198,8 +233,23 @@ def _code_known(mask, coder, known, contexts, padded):
     at = take_out(state)
     for row in range(n_rows):
         _row_models(padded, known, row, contexts)
-        west = np.int64(0)
-        for col in range(n_cols):
+        west, col = np.int64(0), 0
+        while col < n_cols:
+            if west == 1 and _is_settled(contexts[col], models):
+                n, end = _run_of_ones(mask, known, contexts, models, row, col, n_cols)
+                n_ones, at = code_ones(
+                    at, state, stream, models, is_encoder, contexts[col] + _WEST, n
+                )
+                # Up to the zero that stopped it, if one did.
+                while col < end and (n_ones > 0 or n_ones == n or contexts[col] == _KNOWN):
+                    if contexts[col] != _KNOWN:
+                        if n_ones == 0:
+                            break
+                        n_ones, n = n_ones - 1, n - 1
+                    padded[row + 1, col + 1] = True
+                    col += 1
+                if col == n_cols:
+                    break
             if contexts[col] == _KNOWN:
                 west = np.int64(known[row, col + 1] == VALID)
             else:
@@ -209,6 +259,7 @@ def _code_known(mask, coder, known, contexts, padded):
                 model = contexts[col] + _WEST * west
                 west, at = code_step(at, state, stream, models, is_encoder, model, bit)
             padded[row + 1, col + 1] = west == 1
+            col += 1
         if mask is None and at[2] > stream.shape[0] + 4:
             break  # `finish_decoder` says so
     put_back(at, state)

@@ -47,6 +47,8 @@ RATES = np.array([131072 // (2 * n + 3) for n in range(_COUNT_LIMIT + 1)], dtype
 # The last weight is 1 / 2**_LAST_RATE: a probability below _LEAST_REST stays.
 _LAST_RATE = 16 - int(RATES[_COUNT_LIMIT]).bit_length() + 1
 _LEAST_REST = 1 << _LAST_RATE
+# Where ones alone bring a model in the end, whatever it was: there they do not move it.
+SETTLED_ON_ONES = np.uint32(((1 << _PROB_BITS) - (_LEAST_REST - 1)) << _COUNT_BITS | _COUNT_LIMIT)
 
 MODEL_START = np.uint32(1 << 31)  # probability 1/2, nothing seen
 
