@@ -129,7 +129,8 @@ def test_planetocentric_latitudes_are_degrees_beside_longitudes_as_gdal_has_them
     np.testing.assert_allclose(expected, np.column_stack([xy[:, 0], latitudes]), atol=1e-9)
     np.testing.assert_allclose(place.to_lonlat(xy), expected, atol=1e-9)
     np.testing.assert_allclose(place.from_lonlat(expected), xy, atol=1e-9)
-    assert place.in_degrees and place.longitude_axis == 0
+    assert place.in_degrees
+    assert place.longitude_axis == 0
     assert place.local_axes(10.0, 40.0).lengths == pytest.approx((45448, 58992), rel=1e-2)
 
 
