@@ -137,8 +137,8 @@ class MosaicBackend:
     Raises
     ------
     InvalidHeightsError
-        If several have no place, or they differ in CRS, resolution, type, scale, offset or units, or their pixels don't lie
-        on one grid; the message says which and what to do.
+        If several have no place, or they differ in CRS, resolution, type, scale, offset or units,
+        or their pixels don't lie on one grid; the message says which and what to do.
     StorageError
         If one cannot be opened.
 
