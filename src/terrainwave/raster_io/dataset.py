@@ -215,6 +215,8 @@ class DatasetBackend:
         if others and band == 1:
             n_bands = dataset.count - len(self._alphas)
             yield f"found {n_bands} bands; using band 1 (choose with --band); left out: {others}"
+        if band == 1 and dataset.colorinterp[0].name == "alpha":
+            yield "band 1 is an alpha band, whose numbers are taken for heights"
         if len(self._alphas) > 1:
             numbers = " and ".join(map(str, self._alphas))
             yield f"bands {numbers} are alpha bands: heights are void where one of them is 0"
