@@ -91,8 +91,10 @@ def test_alpha_band_that_nobody_chose_is_named(tmp_path):
     path = write_geotiff(tmp_path / "a.tif", bands, **PLACE)
     with rasterio.open(path, "r+") as dataset:
         dataset.colorinterp = (ColorInterp.alpha, ColorInterp.gray)
-    with pytest.warns(TerrainwaveWarning, match="band 1 is an alpha band, whose numbers"):
-        RasterSource(path).close()
+    with RasterSource(path, warn=False) as source:
+        assert (
+            f"{path}: band 1 is an alpha band, whose numbers are taken for heights" in source.notes
+        )
 
 
 def test_bands_that_are_left_out_have_their_names(tmp_path):
