@@ -90,7 +90,7 @@ def test_a_stale_file_beside_does_not_give_its_crs(tmp_path):
 
 def test_a_virtual_geotiff_tells_what_it_lacks(tmp_path):
     with terrainwave.open(compressed(tmp_path, CF_POLE)) as terrain:
-        with pytest.warns(TerrainwaveWarning, match="there is none"):
+        with pytest.warns(TerrainwaveWarning, match="it has none of it"):
             stream = terrain.geotiff()
         data = stream.read()
         with MemoryFile(data) as memory, memory.open() as dataset:

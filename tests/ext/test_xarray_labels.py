@@ -411,6 +411,20 @@ def test_one_dimensional_places_count_before_longitudes_of_each_sample():
     assert read(array.rio.write_crs(32633))[2].transform == TRANSFORM
 
 
+@pytest.mark.parametrize("crs", [None, 4326])
+@pytest.mark.parametrize("unit", ["rad", "radians"])
+def test_radians_are_no_degrees(unit, crs):
+    array = labelled(
+        x_attrs={"units": unit, "standard_name": "longitude"},
+        y_attrs={"units": unit, "standard_name": "latitude"},
+    )
+    array = array if crs is None else array.rio.write_crs(crs)
+    with pytest.raises(
+        InvalidHeightsError, match=f"is in {unit}, (and no CRS|the unit of its CRS is deg)"
+    ):
+        read(array)
+
+
 @pytest.mark.parametrize("unit", ["km", "rad", "ft"])
 def test_coordinates_in_another_unit_than_the_crs_are_refused(unit):
     attrs = {"units": unit, "standard_name": "projection_x_coordinate"}

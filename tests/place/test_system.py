@@ -8,13 +8,14 @@ import pyproj
 import pytest
 from place.crs_cases import CF_POLE, MOON, TOWGS84
 from rasterio.crs import CRS
+from rasterio.warp import transform
 
 from terrainwave.errors import InvalidHeightsError, TerrainwaveError
 from terrainwave.place.bodies import body_of_radius
 from terrainwave.place.crs import format_crs
 from terrainwave.place.description import describe_crs
 from terrainwave.place.ellipsoid import EARTH
-from terrainwave.place.position import axis_attributes, axis_labels
+from terrainwave.place.position import axis_attributes, axis_labels, place_of
 from terrainwave.place.system import system_of
 
 BOUND_TO_A_GRID = "+proj=utm +zone=33 +geoidgrids=a.gtx +vunits=us-ft"
@@ -108,10 +109,29 @@ def test_the_body_is_the_authority_s_or_the_radius_s(crs, body):
         ("EPSG:5513", ("southing, m", "westing, m")),
         (CF_POLE, ("grid longitude, degrees", "grid latitude, degrees")),
         ("IAU_2015:49901", ("latitude, degrees", "longitude, degrees")),
+        (
+            "IAU_2015:49902",
+            ("planetocentric longitude, degrees", "planetocentric latitude, degrees"),
+        ),
     ],
 )
 def test_axes_have_their_own_names(crs, labels):
     assert axis_labels(format_crs(CRS.from_user_input(crs))) == labels
+
+
+def test_planetocentric_latitudes_are_degrees_beside_longitudes_as_gdal_has_them():
+    text, xy = "IAU_2015:49902", np.array([[10.0, 40.0], [-170.0, -60.0]])
+    place = place_of(text, (0, 0, 1, 1))
+    ends = CRS.from_user_input(text), CRS.from_user_input("IAU_2015:49900")
+    expected = np.column_stack(transform(*ends, *xy.T))
+    # GDAL gives them on the spheroid as on the sphere: tan φ = (a/b)² tan of the planetocentric one
+    latitudes = np.degrees(np.arctan((3396190 / 3376200) ** 2 * np.tan(np.radians(xy[:, 1]))))
+    np.testing.assert_allclose(expected, np.column_stack([xy[:, 0], latitudes]), atol=1e-9)
+    np.testing.assert_allclose(place.to_lonlat(xy), expected, atol=1e-9)
+    np.testing.assert_allclose(place.from_lonlat(expected), xy, atol=1e-9)
+    assert place.in_degrees
+    assert place.longitude_axis == 0
+    assert place.local_axes(10.0, 40.0).lengths == pytest.approx((45448, 58992), rel=1e-2)
 
 
 def test_what_has_no_place_has_no_names_of_axes():

@@ -27,6 +27,15 @@ DEPTH = compound('"MSL depth",VERT_DATUM["Mean Sea Level",2005],UNIT["metre",1],
         ("[ft]", 0.3048),
         ("US survey foot", FOOT_US),
         ("ftUS", FOOT_US),
+        ("U.S. Survey Feet", FOOT_US),
+        ("US feet", FOOT_US),
+        ("ft (US)", FOOT_US),
+        ("International feet", 0.3048),
+        ("ft.", 0.3048),
+        ("kilometers", 1000.0),
+        ("millimetres", 0.001),
+        ("yards", 0.9144),
+        ("fathoms", 1.8288),
         ("metre", 1.0),
         ("", 1.0),
         (None, 1.0),
@@ -37,8 +46,8 @@ def test_vertical_units_are_known(units, metres):
 
 
 def test_an_unknown_vertical_unit_is_told():
-    with pytest.warns(TerrainwaveWarning, match="'fathom' is not known"):
-        assert metres_per_unit("fathom") == 1
+    with pytest.warns(TerrainwaveWarning, match="'furlong' is not known"):
+        assert metres_per_unit("furlong") == 1
 
 
 @pytest.mark.parametrize(
@@ -51,6 +60,8 @@ def test_an_unknown_vertical_unit_is_told():
         (None, "EPSG:7415", "metre", "CRS", 1.0, None),
         (None, NAVD88_FEET, "US survey foot", "CRS", FOOT_US, None),
         ("", NAVD88_FEET, "US survey foot", "CRS", FOOT_US, None),
+        ("unspecified", NAVD88_FEET, "US survey foot", "CRS", FOOT_US, None),
+        ("Unknown", "EPSG:32633", None, None, 1.0, None),
         ("us-ft", NAVD88_FEET, "us-ft", "band", FOOT_US, None),
         ("m", NAVD88_FEET, "m", "band", 1.0, "US survey foot"),
         ("m", "EPSG:7415", "m", "band", 1.0, None),

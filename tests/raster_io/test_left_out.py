@@ -86,6 +86,17 @@ def test_alpha_band_that_is_taken_itself_names_the_others(tmp_path):
     assert (heights.tolist(), valid.tolist()) == ([[0.0, 9.0]], [[True, True]])
 
 
+def test_alpha_band_that_nobody_chose_is_named(tmp_path):
+    bands = np.array([[[0, 9]], [[5, 6]]], dtype="uint8")
+    path = write_geotiff(tmp_path / "a.tif", bands, **PLACE)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.colorinterp = (ColorInterp.alpha, ColorInterp.gray)
+    with RasterSource(path, warn=False) as source:
+        assert (
+            f"{path}: band 1 is an alpha band, whose numbers are taken for heights" in source.notes
+        )
+
+
 def test_bands_that_are_left_out_have_their_names(tmp_path):
     path = write_geotiff(tmp_path / "a.tif", np.stack([terrain_like(4, 4)] * 3), **PLACE)
     with rasterio.open(path, "r+") as dataset:

@@ -52,6 +52,12 @@ def test_tiles_are_the_raster_they_were_cut_from(four_tiles):
     assert (info.crs, info.mask_kind, info.nodata) == (CRS, "none", None)
 
 
+def test_rasters_without_a_place_are_not_laid_on_each_other(tmp_path):
+    paths = [write_geotiff(tmp_path / f"{k}.tif", terrain_like(9, 12) + k) for k in range(2)]
+    with pytest.raises(InvalidHeightsError, match=r"0\.tif and 1 more: no transform says where"):
+        read_mosaic(paths)
+
+
 def test_window_across_tiles_is_read(four_tiles):
     whole, paths = four_tiles
     with RasterSource(paths) as source:

@@ -88,7 +88,7 @@ def _crs_of(info: RasterInfo) -> CRS | None:
 def crs_differences(wanted: CRS, found: CRS | None) -> list[str]:
     """Return in what a CRS differs from the one wanted, in a few words each; names don't count."""
     if found is None:
-        return ["there is none"]
+        return ["it has none of it"]
     if found.to_wkt() == wanted.to_wkt():
         return []
     one, other = _described(wanted), _described(found)

@@ -160,6 +160,8 @@ def read_projjson(told: dict[str, Any]) -> Description:
     if _is_north_first(x, y):
         x, y = y, x
     kind = _KINDS.get(str(flat.get("type")), OTHER)
+    if flat.get("coordinate_system", {}).get("subtype") == "spherical" and len(axes) == 2:
+        kind = GEOGRAPHIC  # longitudes and planetocentric latitudes
     return Description(kind, x, y, _vertical(flat, vertical, axes), _iau_code(told))
 
 

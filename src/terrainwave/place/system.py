@@ -68,7 +68,14 @@ class System:
         known = self.known
         if known.is_compound:
             known = known.sub_crs_list[0]
-        return known if len(known.axis_info) < 3 else known.to_2d()
+        known = known if len(known.axis_info) < 3 else known.to_2d()
+        told = known.to_json_dict()
+        axes = told.get("coordinate_system", {})
+        if axes.get("subtype") != "spherical":
+            return known
+        # PROJ puts longitudes first for whoever asks, but not beside planetocentric latitudes.
+        axes["axis"].sort(key=lambda axis: axis["direction"] in ("north", "south"))
+        return need_pyproj().CRS.from_json_dict(told)
 
     @cached_property
     def globe(self) -> Any:

@@ -10,14 +10,23 @@ _SURVEY_FOOT = 1200 / 3937
 _METRES = {
     "m": 1.0, "metre": 1.0, "metres": 1.0, "meter": 1.0, "meters": 1.0,
     "cm": 0.01, "centimetre": 0.01, "centimetres": 0.01, "centimeter": 0.01, "centimeters": 0.01,
-    "dm": 0.1, "mm": 0.001, "km": 1000.0, "kilometre": 1000.0, "kilometer": 1000.0,
+    "dm": 0.1, "decimetre": 0.1, "decimetres": 0.1, "decimeter": 0.1, "decimeters": 0.1,
+    "mm": 0.001, "millimetre": 0.001, "millimetres": 0.001, "millimeter": 0.001,
+    "millimeters": 0.001,
+    "km": 1000.0, "kilometre": 1000.0, "kilometres": 1000.0, "kilometer": 1000.0,
+    "kilometers": 1000.0,
     "ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "international foot": 0.3048,
-    "foot (international)": 0.3048,
+    "international feet": 0.3048, "foot (international)": 0.3048,
     "ftus": _SURVEY_FOOT, "us-ft": _SURVEY_FOOT, "us survey foot": _SURVEY_FOOT,
     "us survey feet": _SURVEY_FOOT, "foot_us": _SURVEY_FOOT, "us_survey_foot": _SURVEY_FOOT,
-    "survey foot": _SURVEY_FOOT, "foot (us survey)": _SURVEY_FOOT, "sftus": _SURVEY_FOOT,
-    "yd": 0.9144, "yard": 0.9144,
+    "survey foot": _SURVEY_FOOT, "survey feet": _SURVEY_FOOT, "foot (us survey)": _SURVEY_FOOT,
+    "feet (us survey)": _SURVEY_FOOT, "us foot": _SURVEY_FOOT, "us feet": _SURVEY_FOOT,
+    "ft (us)": _SURVEY_FOOT, "sftus": _SURVEY_FOOT,
+    "yd": 0.9144, "yard": 0.9144, "yards": 0.9144,
+    "fathom": 1.8288, "fathoms": 1.8288,
 }  # fmt: skip
+# What drivers write where no unit is known.
+_NO_UNIT = ("unspecified", "unknown", "undefined", "none")
 BAND, CRS = "band", "CRS"
 # Relative: the survey foot has several roundings, and differs from the foot by 2e-6.
 _SAME_UNIT = 1e-7
@@ -87,7 +96,7 @@ def height_unit(units: str | None, crs_text: str | None) -> HeightUnit:
     crs_text : str, optional
     """
     vertical = vertical_of(crs_text)
-    if units and units.strip():
+    if units and units.strip() and _plain(units) not in _NO_UNIT:
         return HeightUnit(units.strip(), BAND, vertical)
     if vertical is not None and vertical.unit != "unknown":
         return HeightUnit(vertical.unit, CRS, vertical)
@@ -115,7 +124,7 @@ def metres_per_unit(units: str | None) -> float:
 
 
 def _plain(units: str) -> str:
-    return " ".join(units.lower().replace("[", " ").replace("]", " ").split())
+    return " ".join(units.lower().replace("[", " ").replace("]", " ").replace(".", "").split())
 
 
 def unit_text(units: str | None) -> str:

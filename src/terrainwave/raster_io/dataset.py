@@ -188,8 +188,8 @@ class DatasetBackend:
         self.block_shape: tuple[int, int] = dataset.block_shapes[band - 1]
         self.transform = tuple(float(value) for value in dataset.transform[:6])
         self.crs = dataset.crs
-        self._is_lost = not is_placed(dataset)
-        if self._is_lost or not self._georeference:
+        self.is_lost = not is_placed(dataset)
+        if self.is_lost or not self._georeference:
             self.transform, self.crs = IDENTITY, None
         flags = dataset.mask_flag_enums[band - 1]
         colors = [color.name for color in dataset.colorinterp]
@@ -215,6 +215,8 @@ class DatasetBackend:
         if others and band == 1:
             n_bands = dataset.count - len(self._alphas)
             yield f"found {n_bands} bands; using band 1 (choose with --band); left out: {others}"
+        if band == 1 and dataset.colorinterp[0].name == "alpha":
+            yield "band 1 is an alpha band, whose numbers are taken for heights"
         if len(self._alphas) > 1:
             numbers = " and ".join(map(str, self._alphas))
             yield f"bands {numbers} are alpha bands: heights are void where one of them is 0"
@@ -273,9 +275,9 @@ class DatasetBackend:
             )
             yield (
                 f"{dropped} are dropped, a .twz file does not hold them"
-                f"{lost if self._is_lost else ''}"
+                f"{lost if self.is_lost else ''}"
             )
-        elif self._georeference and self._is_lost and self._dataset.crs:
+        elif self._georeference and self.is_lost and self._dataset.crs:
             yield (
                 "no transform says where its samples lie, so its CRS is dropped: give it one, for"
                 " example by gdal_edit -a_ullr"

@@ -59,6 +59,7 @@ _METRES = (
     | dict.fromkeys(("us_ft", "ftus", "us survey foot", "us survey feet"), 1200 / 3937)
     | dict.fromkeys(("rad", "radian", "radians", "degree", "degrees"), math.inf)
 )
+_RADIANS = ("rad", "radian", "radians")
 _NO_PLACE = "take the heights without place and CRS by georeference=False"
 
 
@@ -467,15 +468,23 @@ def _check_unit(array: Any, name: str, coord: Any, crs: CRS | None) -> None:
 
     Attributes stay when somebody writes another CRS: its numbers have to fit what it says.
     """
-    if crs is None:
-        return
     unit = str(coord.attrs.get("units", "")).lower()
+    if crs is None:
+        if unit in _RADIANS:  # they would pass for degrees
+            raise InvalidHeightsError(
+                f"{_title(array)}: the coordinate {name} is in {unit}, and no CRS says of what;"
+                f" expected degrees or a CRS: assign them, or {_NO_PLACE}"
+            )
+        return
     largest = float(np.abs(np.asarray(coord.values)).max(initial=0))
     said = describe_quietly(format_crs(crs))
     if said is None:
         return
+    counts_radians = said.in_degrees and abs(said.x.factor / math.degrees(1) - 1) < 1e-5
     crs_unit, in_metres = said.x.unit, math.inf if said.in_degrees else said.x.factor
-    if _is_degrees(coord):
+    if said.in_degrees and unit in _RADIANS:
+        is_other = not counts_radians
+    elif _is_degrees(coord):
         is_other, unit = not said.in_degrees and largest <= 360, "degrees"
     elif said.in_degrees:
         is_other = math.isfinite(_METRES.get(unit, math.inf)) and largest > 360

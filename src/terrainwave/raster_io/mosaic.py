@@ -102,6 +102,7 @@ class _Description(NamedTuple):
     tags: dict[str, Any]
     remarks: tuple[str, ...]
     asides: tuple[str, ...]
+    is_lost: bool
     turn: _Turn = _Turn()
 
     def on_grid_of(self, first: Self) -> Self:
@@ -136,8 +137,8 @@ class MosaicBackend:
     Raises
     ------
     InvalidHeightsError
-        If they differ in CRS, resolution, type, scale, offset or units, or their pixels don't lie
-        on one grid; the message says which and what to do.
+        If several have no place, or they differ in CRS, resolution, type, scale, offset or units,
+        or their pixels don't lie on one grid; the message says which and what to do.
     StorageError
         If one cannot be opened.
 
@@ -154,6 +155,13 @@ class MosaicBackend:
         self._open: Cache[str, DatasetBackend] = Cache(_MAX_OPEN, drop=DatasetBackend.close)
         rasters = [self._describe(source) for source in sources]
         first = rasters[0]
+        lost = [one for one in rasters if one.is_lost]
+        if len(lost) > 1:
+            raise InvalidHeightsError(
+                f"{_names(lost)}: no transform says where they lie, so that they would lie on each"
+                " other; expected places to put a mosaic together by: give them one, for example by"
+                " gdal_edit -a_ullr"
+            )
         rasters = [one.on_grid_of(first) for one in rasters]
         for other in rasters[1:]:
             _check_alike(first, other)
@@ -226,6 +234,7 @@ class MosaicBackend:
             tags=backend.tags(),
             remarks=tuple(backend.remarks()),
             asides=tuple(backend.asides()),
+            is_lost=backend.is_lost,
         )
 
     def _backend(self, source: Any) -> DatasetBackend:
