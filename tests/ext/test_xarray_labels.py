@@ -719,3 +719,63 @@ def test_voids_of_every_kind_stay_voids_in_the_file(tmp_path):
     with terrainwave.open(tmp_path / "a.twz") as terrain:
         _, valid = terrain.read_with_mask()
         np.testing.assert_array_equal(valid, (heights <= 300) & (heights != -7))
+
+
+def test_text_of_several_numbers_and_a_value_that_the_type_rounds_are_what_they_mean():
+    heights = (HEIGHTS + 1).astype("float32")
+    heights.ravel()[:3] = -9999, -32768, 1e20
+    array = labelled(heights=heights, attrs={"missing_value": "-9999, -32768"})
+    _, valid, info, notes = read(array.assign_attrs(_FillValue=1e20, nodata=np.float32(1e20)))
+    np.testing.assert_array_equal(np.flatnonzero(~valid), [0, 1, 2])
+    assert info.nodata == 1e20 or info.nodata == float(np.float32(1e20))
+    assert notes[0].startswith("-9999, -32768 marks voids too")
+    _, valid, _, _ = read(labelled(attrs={"valid_range": "100 120"}))
+    np.testing.assert_array_equal(valid, (HEIGHTS >= 100) & (HEIGHTS <= 120))
+
+
+@pytest.mark.parametrize("decoded", [False, True])
+@pytest.mark.parametrize("end", ["valid_min", "valid_max"])
+def test_one_end_of_a_packed_valid_range_counts_in_packed_numbers(decoded, end):
+    packing = {"scale_factor": 0.5, "add_offset": -10.0}
+    array = labelled(
+        heights=(HEIGHTS * 0.5 - 10) if decoded else HEIGHTS, attrs={end: np.int16(80)}
+    )
+    array = encoded(array, dtype=np.dtype("int16"), **packing) if decoded else array
+    array.attrs |= {} if decoded else packing
+    _, valid, _, _ = read(array)
+    np.testing.assert_array_equal(valid, HEIGHTS >= 80 if end == "valid_min" else HEIGHTS <= 80)
+
+
+def test_numbers_without_sign_in_a_type_with_one_are_refused_until_they_are_decoded():
+    attrs = {"_Unsigned": "true", "_FillValue": np.int16(-1), "valid_max": np.int16(-2)}
+    packed = HEIGHTS.astype("int16")
+    packed[0, :3] = -1, -2, -30_000
+    dataset = labelled(heights=packed, attrs=attrs).to_dataset(name="h")
+    with pytest.raises(InvalidHeightsError, match=r"_Unsigned .* int16 have no sign; expected"):
+        read(dataset)
+    heights, valid, info, _ = read(xr.decode_cf(dataset))
+    np.testing.assert_array_equal(np.flatnonzero(~valid), [0])
+    np.testing.assert_array_equal(heights[0, 1:3], [65534, 35536])
+    assert info.nodata is None or info.nodata != -1
+
+
+@pytest.mark.parametrize("georeference", [False, True])
+def test_arrays_without_a_sample_are_refused(georeference):
+    with pytest.raises(InvalidHeightsError, match=r"y \(0\), x \(5\); expected at least one"):
+        read(labelled()[:0], georeference=georeference)
+
+
+@pytest.mark.parametrize(
+    ("x", "y"), [("nav_lon", "nav_lat"), ("XLONG", "XLAT"), ("geolon", "geolat")]
+)
+def test_places_of_each_sample_are_known_by_the_end_of_their_names(x, y):
+    """Dropping them would lose the place without a word."""
+    curved = {name: (("y", "x"), HEIGHTS.astype(float) ** 2) for name in (x, y)}
+    with pytest.raises(InvalidHeightsError, match=f"{x} and {y} are not evenly spaced"):
+        read(xr.DataArray(HEIGHTS, dims=("y", "x"), coords=curved))
+
+
+@pytest.mark.parametrize("nodata", ["-9999", [-9999, 0], object()])
+def test_nodata_that_is_no_number_is_refused(nodata):
+    with pytest.raises(InvalidArgumentError, match="is not a number: choose another"):
+        read(HEIGHTS, nodata=nodata)

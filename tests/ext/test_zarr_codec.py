@@ -337,3 +337,20 @@ def test_whole_chunks_and_stable_arrays_give_no_warning(stable, layout):
         array[24:, :] = heights[24:, :]
         if stable:
             array[3] = heights[3]
+
+
+@pytest.mark.parametrize("stable", [True, False])
+@pytest.mark.parametrize("dtype", ["int16", "float32"])
+def test_a_value_that_looks_like_voids_is_named_before_it_is_rounded(dtype, stable):
+    heights = terrain_like(40, 30).astype(dtype)
+    heights[:3] = -9999  # as xarray's _FillValue, which is an attribute that no codec sees
+    codec = TerrainwaveCodec(max_error=2, stable=stable)
+    with pytest.warns(TerrainwaveWarning, match="90 heights are -9999.* declare the nodata value"):
+        make_array(heights, (40, 30), codec=codec)
+
+
+@pytest.mark.parametrize("number", [np.float32(0.5), np.float64(0.5), np.int64(1)])
+def test_numbers_of_numpy_are_numbers(number):
+    codec = TerrainwaveCodec(max_error=number, nodata=number)
+    assert codec == TerrainwaveCodec(max_error=number.item(), nodata=number.item())
+    assert type(codec.to_dict()["configuration"]["max_error"]) in (int, float)

@@ -13,7 +13,7 @@ from twz import twz_bytes
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.errors import BoundViolationError, InvalidHeightsError
+from terrainwave.errors import BoundViolationError, InvalidArgumentError, InvalidHeightsError
 from terrainwave.grid.quadtree import Region
 from terrainwave.terrain import Terrain
 from terrainwave.write import patch as patching
@@ -290,6 +290,40 @@ def test_the_command_refuses_to_loosen_the_bound_and_names_both_ways(placed, tmp
     assert (result.exit_code, path.read_bytes()) == (1, before)
     (line,) = result.stderr.splitlines()
     assert "as --original; or accept the looser bound with --loosen-bound" in line
+
+
+def test_original_and_leave_to_loosen_the_bound_contradict_each_other(placed, tmp_path):
+    path, new = placed(2), tmp_path / "new.tif"
+    before = path.read_bytes()
+    part_of(changed(HEIGHTS), new, *MIDDLE)
+    with pytest.raises(InvalidArgumentError, match="found original and loosen_bound, expected"):
+        patch(path, new, original=new, loosen_bound=True)
+    arguments = ["patch", str(path), str(new), "--original", str(new), "--loosen-bound"]
+    result = CliRunner().invoke(main, arguments)
+    assert (result.exit_code, path.read_bytes()) == (2, before)
+    assert "found --original and --loosen-bound, expected one of them" in result.stderr
+
+
+@pytest.mark.parametrize(("dtype", "bound"), [("int16", 2), ("float32", 0.3), ("float64", 1.5)])
+@pytest.mark.parametrize("method", ["rapid", "predictive"])
+def test_heights_on_fixed_steps_stay_beyond_the_new_raster(tmp_path, dtype, bound, method):
+    path, old = tmp_path / "dem.twz", HEIGHTS.astype(dtype)
+    write_whole(old, tmp_path / "old.tif")
+    terrainwave.compress(
+        tmp_path / "old.tif", path, max_error=bound, stable=True, method=method, mesh="none"
+    )
+    with Terrain(path) as terrain:
+        before, stated = terrain.read(), terrain.info().effective_error
+    new = merged(changed(HEIGHTS), *MIDDLE).astype(dtype)
+    part_of(new, tmp_path / "new.tif", *MIDDLE)
+    result = patch(path, tmp_path / "new.tif")  # not refused
+    assert (result.moved_error, result.effective_error) == (0, stated)
+    with Terrain(path) as terrain:
+        after = terrain.read()
+    assert (after != before).any()
+    after[60:69, 20:29], apart = before[60:69, 20:29], np.abs(after - new)[60:69, 20:29]
+    np.testing.assert_array_equal(after, before)
+    assert apart.max() <= bound
 
 
 @pytest.mark.large

@@ -30,6 +30,8 @@ from terrainwave.file import TerrainFile
 from terrainwave.grid.quantum import as_fraction
 from terrainwave.grid.steps import FixedSteps
 from terrainwave.raster_io.info import SUPPORTED_DTYPES, fit_nodata, stored_nodata
+from terrainwave.raster_io.marks import note_on_marks
+from terrainwave.raster_io.source import RasterSource
 from terrainwave.write.compress import compress_to_bytes
 
 CODEC_NAME = "terrainwave"
@@ -87,6 +89,7 @@ class TerrainwaveCodec(ArrayBytesCodec):
         effort: str = "default",
         stable: bool = True,
     ) -> None:
+        max_error, nodata = _plain(max_error), _plain(nodata)
         is_number = isinstance(max_error, int | float) and not isinstance(max_error, bool)
         if not (is_number and math.isfinite(max_error) and max_error >= 0):
             raise InvalidHeightsError(f"found max_error {max_error!r}, expected a number >= 0")
@@ -174,7 +177,9 @@ class TerrainwaveCodec(ArrayBytesCodec):
         mark = self._mark_of(heights.dtype, chunk_spec.fill_value)
         is_stepped = self.stable and self.max_error > 0
         if is_stepped:
+            own = heights
             heights, is_stepped = self._rounded(heights, mark)
+            _warn_of_marks(own, heights, _nodata_of(own, mark))
         data = compress_to_bytes(
             heights,
             # Beside a height that has no step all are kept as they are now.
@@ -246,6 +251,11 @@ class TerrainwaveCodec(ArrayBytesCodec):
         return rounded, steps.hold(rounded[is_valid])
 
 
+def _plain(number: Any) -> Any:
+    """Return a number of numpy's as one of Python's, which metadata can hold."""
+    return number.item() if isinstance(number, np.generic) else number
+
+
 def _nodata_of(heights: NDArray[Any], mark: float | int | None) -> float | int | None:
     """Return the value that marks voids in a chunk; None for NaN or none at all."""
     if mark is None or heights.dtype.kind != "f" or not np.isnan(heights).any():
@@ -256,6 +266,19 @@ def _nodata_of(heights: NDArray[Any], mark: float | int | None) -> float | int |
             " by the other"
         )
     return None
+
+
+def _warn_of_marks(own: NDArray[Any], rounded: NDArray[Any], nodata: float | int | None) -> None:
+    """Warn of values that look like voids and are rounded; `compress` does of those that are not.
+
+    The array's attributes, such as xarray's ``_FillValue``, are not the codec's to see.
+    """
+    with RasterSource(own, nodata=nodata) as source:
+        _, valid = source.read(0, 0, *own.shape)
+        ends = [(part[valid].min(), part[valid].max()) for part in (own, rounded) if valid.any()]
+        if ends and ends[0] != ends[1]:
+            for note in note_on_marks(source, *map(float, ends[0])):
+                warnings.warn(note, TerrainwaveWarning, stacklevel=2)
 
 
 def _grid_shape(shape: tuple[int, ...]) -> tuple[int, int]:

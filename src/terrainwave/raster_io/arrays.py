@@ -126,8 +126,11 @@ class LabelledBackend(ArrayBackend):
         if not fitting:
             return
         self.nodata = (finite or fitting)[0]
-        others = [value for value in fitting if value != self.nodata and value == value]
-        self._others = [stored_nodata(value, self.dtype) for value in others]
+        own = stored_nodata(self.nodata, self.dtype)
+        # As stored: 1e20 and what float32 makes of it are one value.
+        stored = {stored_nodata(value, self.dtype): value for value in fitting if value == value}
+        others = [value for number, value in stored.items() if number != own]
+        self._others = [number for number in stored if number != own]
         if others:
             found = ", ".join(f"{value:g}" for value in others)
             self._notes.append(

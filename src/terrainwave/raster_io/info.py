@@ -206,6 +206,8 @@ def _optional_text(value: Any) -> str | None:
 
 def fit_nodata(nodata: int | float, dtype: np.dtype[Any]) -> tuple[int | float | None, str | None]:
     """Return `nodata` as a value that `dtype` can hold, or None and the reason why it can't."""
+    if not isinstance(nodata, int | float | np.integer | np.floating):
+        return None, f"nodata {str(nodata)[:20]!r} is not a number"
     try:
         value = float(nodata)
     except OverflowError:  # an int of more than 308 digits

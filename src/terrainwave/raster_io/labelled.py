@@ -51,6 +51,7 @@ _NAMES = {
         " ydim south_north projection_y_coordinate grid_latitude".split()
     ),
 }
+_LAST_SYLLABLE = re.compile(r"(lat|latitude|lon|long|longitude)$")
 # Metres in units that coordinates of projected systems are in; an angle has none.
 _METRES = (
     dict.fromkeys(("m", "metre", "meter", "metres", "meters"), 1.0)
@@ -89,6 +90,11 @@ def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Layer
     layer, band_notes = _only_layer(array, roles, band)
     if tuple(layer.dims) != (roles["y"], roles["x"]):
         layer = layer.transpose(roles["y"], roles["x"])
+    if 0 in layer.shape:
+        raise InvalidHeightsError(
+            f"{_title(array)} has the dimensions {_sizes(array)}; expected at least one sample"
+            " along each: choose another part"
+        )
     if not georeference:
         return Layer(layer, IDENTITY, None, band_notes)
     transform = _transform(layer, crs)
@@ -230,8 +236,10 @@ def _by_units(name: Any, coord: Any) -> list[str]:
 
 
 def _by_name(name: Any, coord: Any) -> list[str]:
-    """Take a name as it is, or its first word: easting_m."""
-    return _said(name, _NAMES) or _said(re.split(r"[^A-Za-z]", str(name))[0], _NAMES)
+    """Take a name as it is, its first word (easting_m), or its end (nav_lat, XLONG, TLAT)."""
+    first, last = (re.split(r"[^A-Za-z]", str(name))[at] for at in (0, -1))
+    end = _LAST_SYLLABLE.search(last.lower())
+    return _said(name, _NAMES) or _said(first, _NAMES) or _said(end and end[0], _NAMES)
 
 
 def _said(text: Any, table: dict[str, set[str]]) -> list[str]:
@@ -536,7 +544,13 @@ def voids_of(array: Any, band: int) -> Voids:
         if array.rio.nodata == array.rio.nodata:  # NaN stands for one of the encoding
             declared.append(array.rio.nodata)
     # Those of an encoding with a scale count in packed numbers: none of these is left.
-    is_packed = bool({"scale_factor", "add_offset"} & set(encoding))
+    is_packed = bool({"scale_factor", "add_offset"} & set(encoding)) or _is_unsigned(encoding)
+    if _is_unsigned(attrs) and array.dtype.kind == "i":
+        raise InvalidHeightsError(
+            f"{_title(array)}: the attribute _Unsigned says that its numbers of type {array.dtype}"
+            " have no sign; expected them as they are meant: open the file with"
+            f" mask_and_scale=True, or array.astype('u{array.dtype}') without that attribute"
+        )
     for fields in (attrs, {} if is_packed else encoding):
         declared += [fields.get(name) for name in _FILL_NAMES]
         per_band = np.atleast_1d(np.asarray(fields.get("nodatavals", ()), dtype=object))
@@ -548,6 +562,11 @@ def voids_of(array: Any, band: int) -> Voids:
     return Voids(list(values.values()), *_valid_range(attrs, encoding, array.dtype))
 
 
+def _is_unsigned(fields: Any) -> bool:
+    """Tell whether the convention of netCDF-3, which has no types without sign, is followed."""
+    return str(fields.get("_Unsigned", "")).lower() == "true"
+
+
 _FILL_NAMES = ("_FillValue", "missing_value", "fill_value", "nodata")
 
 
@@ -556,7 +575,8 @@ def _numbers(value: Any) -> list[int | float]:
     if value is None or isinstance(value, bool):
         return []
     with contextlib.suppress(TypeError, ValueError):
-        numbers = np.atleast_1d(np.asarray(value))
+        words = re.split(r"[\s,;]+", value.strip("[](){} ")) if isinstance(value, str) else value
+        numbers = np.atleast_1d(np.asarray(words))
         if numbers.dtype.kind not in "iuf":
             numbers = numbers.astype(np.float64)
         return [number.item() for number in numbers.ravel()]
@@ -594,10 +614,13 @@ def _valid_range(
         ends = [low[0] if len(low) == 1 else -math.inf, high[0] if len(high) == 1 else math.inf]
     if ends == [-math.inf, math.inf] or any(end != end for end in ends):
         return None, []
-    is_decoded = bool({"scale_factor", "add_offset"} & set(encoding))
+    is_decoded = bool({"scale_factor", "add_offset"} & set(encoding)) or _is_unsigned(encoding)
     packing = encoding if is_decoded else attrs
     packed_type = np.dtype(encoding.get("dtype", dtype)) if is_decoded else dtype
-    is_wide = packed_type.kind in "iu" and any(isinstance(end, float) for end in ends)
+    stated = [end for end in ends if math.isfinite(end)]
+    is_wide = packed_type.kind in "iu" and any(isinstance(end, float) for end in stated)
+    if is_decoded and _is_unsigned(encoding) and packed_type.kind in "iu" and not is_wide:
+        ends = [end % (1 << 8 * packed_type.itemsize) if end in stated else end for end in ends]
     scale = number_of(packing, "scale_factor", 1.0)
     offset = number_of(packing, "add_offset", 0.0)
     if is_decoded and not is_wide:

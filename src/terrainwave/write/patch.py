@@ -34,7 +34,7 @@ from terrainwave.container.metadata import without_origin
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.writer import assemble
-from terrainwave.errors import BoundViolationError, InvalidHeightsError
+from terrainwave.errors import BoundViolationError, InvalidArgumentError, InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import places_to_pixels
 from terrainwave.grid.quadtree import Block, Region
@@ -144,6 +144,11 @@ def patch(
     of decoding and measuring the whole file, and that of coding what differs.
     """
     n_threads = checked_threads(threads)
+    if original is not None and loosen_bound:
+        raise InvalidArgumentError(
+            "found `original` and `loosen_bound`, expected one of them: with the original the bound"
+            " stays as it is"
+        )
     refuse_own_source(src, path)
     if original is not None:
         refuse_own_source(original, path)
