@@ -11,10 +11,12 @@ from cases import some
 from place.crs_cases import CASES, CF_POLE
 from rasterio.crs import CRS
 from rasterio.io import MemoryFile
+from strategies import write_geotiff
 
 import terrainwave
 from terrainwave.errors import TerrainwaveWarning
 from terrainwave.place.crs import format_crs
+from terrainwave.raster_io.sidecar import read_crs_and_unit, write_beside
 
 # As ENVI's headers have it, without codes: the vertical system becomes another one in a GeoTIFF.
 NO_CODES = CRS.from_user_input("EPSG:2263+6360").to_wkt(version="WKT1_ESRI")
@@ -82,8 +84,8 @@ def test_a_stale_file_beside_does_not_give_its_crs(tmp_path):
     with pytest.warns(TerrainwaveWarning, match="keep both files"):
         terrainwave.decompress(compressed(tmp_path, CF_POLE), tif)
     (tmp_path / "dem.twz").unlink()
-    with pytest.warns(TerrainwaveWarning, match="keep both files"):
-        terrainwave.decompress(compressed(tmp_path, "EPSG:32633"), tif, overwrite=True)
+    terrainwave.decompress(compressed(tmp_path, "EPSG:32633"), tif, overwrite=True)
+    assert not (tmp_path / "back.tif.aux.xml").exists()
     with rasterio.open(tif) as dataset:
         assert dataset.crs == CRS.from_epsg(32633)
 
@@ -103,3 +105,15 @@ def test_stdout_tells_that_the_crs_is_lost(tmp_path):
     done = subprocess.run(command, capture_output=True, check=True)
     assert b"stdout has no .aux.xml beside it" in done.stderr
     assert done.stdout[:2] == b"II"
+
+
+def test_what_told_of_a_raster_that_was_there_goes_with_it(tmp_path):
+    target = tmp_path / "a.tif"
+    target.write_bytes(b"another raster")
+    crs = CRS.from_epsg(32633)
+    write_beside(target, crs, "ft")
+    write_geotiff(tmp_path / "b.tif", np.arange(12, dtype="int16").reshape(3, 4))
+    terrainwave.compress(tmp_path / "b.tif", tmp_path / "b.twz", max_error=0)
+    terrainwave.decompress(tmp_path / "b.twz", target, overwrite=True)
+    assert not (tmp_path / "a.tif.aux.xml").exists()
+    assert read_crs_and_unit(target) == (None, None)

@@ -71,7 +71,8 @@ def described(path):
         return heights, valid, {
             "dtype": dataset.dtypes[0],
             "transform": tuple(dataset.transform),
-            "units": dataset.units,
+            # What the driver of RST writes where there is none.
+            "units": tuple(None if unit == "unspecified" else unit for unit in dataset.units),
             "scale": (dataset.scales, dataset.offsets),
         }  # fmt: skip
 
@@ -93,10 +94,11 @@ def differences(path, twz, back):
         kept = terrain.raster_info.rasterio_crs()
     if kept != crs_of(path):
         wrong["crs"] = (crs_of(path), kept)
-    # The writer of GeoTIFFs takes the codes of some datums for what these are.
+    # The writer of GeoTIFFs takes the codes of some datums for what these are; what it does not
+    # hold lies beside it.
     copy = back.with_name("copy.tif")
     rasterio.shutil.copy(path, copy, driver="GTiff")
-    if crs_of(back) != crs_of(copy):
+    if crs_of(back) not in (crs_of(path), crs_of(copy)):
         wrong["written crs"] = (crs_of(copy), crs_of(back))
     return wrong
 

@@ -19,6 +19,7 @@ from terrainwave.raster_io.sidecar import (
     SIDECAR,
     crs_of_geotiff,
     read_crs_and_unit,
+    remove_beside,
     write_beside,
 )
 
@@ -39,15 +40,16 @@ def keep_place(path: str | os.PathLike[str], info: RasterInfo) -> None:
     Parameters
     ----------
     path : path
-        A finished GeoTIFF.
+        A GeoTIFF that has just been finished: an .aux.xml beside it is an earlier raster's.
     info : RasterInfo
         What it ought to say of the CRS and the unit.
 
     Raises
     ------
     StorageError
-        If the .aux.xml cannot be written.
+        If the .aux.xml cannot be written or removed.
     """
+    remove_beside(path)
     crs = _crs_of(info)
     if crs is None:
         return

@@ -28,6 +28,21 @@ def read_crs_and_unit(path: str | os.PathLike[str]) -> tuple[CRS | None, str | N
             return dataset.crs, dataset.units[0] or None
 
 
+def remove_beside(path: str | os.PathLike[str]) -> None:
+    """Remove the .aux.xml beside a raster that has just been written, as GDAL does.
+
+    It tells of the raster that was there before, and GDAL would read it first.
+
+    Raises
+    ------
+    StorageError
+        If it cannot be removed.
+    """
+    target = Path(f"{os.fspath(path)}{SIDECAR}")
+    with storage_errors(f"cannot remove {target}"):
+        target.unlink(missing_ok=True)
+
+
 def write_beside(path: str | os.PathLike[str], crs: CRS, unit: str | None) -> None:
     """Write the CRS and the unit of a raster's band into the .aux.xml beside it.
 
