@@ -39,8 +39,10 @@ def remove_beside(path: str | os.PathLike[str]) -> None:
         If it cannot be removed.
     """
     target = Path(f"{os.fspath(path)}{SIDECAR}")
-    with storage_errors(f"cannot remove {target}"):
-        target.unlink(missing_ok=True)
+    # Beside a name as long as the system takes there is none.
+    if os.path.lexists(target):
+        with storage_errors(f"cannot remove {target}"):
+            target.unlink(missing_ok=True)
 
 
 def write_beside(path: str | os.PathLike[str], crs: CRS, unit: str | None) -> None:
