@@ -132,6 +132,17 @@ class SeaLevel(Finite):
         return value if value in (AUTO, NO_SEA) else super().convert(value, param, ctx)
 
 
+# Of commands that make the page for browsers.
+PAGE_SEA_LEVEL_OPTION = click.option(
+    "--sea-level",
+    type=SeaLevel(),
+    default=AUTO,
+    show_default=True,
+    help="Of the page's colours: the height in metres below which all is water, or none. auto: 0"
+    " where there are heights below -450 m, else none.",
+)
+
+
 class Bound(Finite):
     """A finite number >= 0."""
 

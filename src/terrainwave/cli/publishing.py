@@ -8,10 +8,9 @@ import click
 
 from terrainwave.arguments import count_of
 from terrainwave.cli.commands import main, print_json
-from terrainwave.cli.options import Directory, NamedInput, Positive, SeaLevel
+from terrainwave.cli.options import PAGE_SEA_LEVEL_OPTION, Directory, NamedInput, Positive
 from terrainwave.cli.output import Bar, announce_compiling, plain
 from terrainwave.names import TILE_ENCODINGS
-from terrainwave.render.colorings import AUTO
 
 
 @main.command()
@@ -26,14 +25,7 @@ from terrainwave.render.colorings import AUTO
     help="Of the tiles that the page makes: mapbox has steps of 0.1 m from -10000 m, terrarium of"
     " 1/256 m from -32768 m.",
 )
-@click.option(
-    "--sea-level",
-    type=SeaLevel(),
-    default=AUTO,
-    show_default=True,
-    help="Of the page's colours: the height in metres below which all is water, or none. auto: 0"
-    " where there are heights below -450 m, else none.",
-)
+@PAGE_SEA_LEVEL_OPTION
 @click.option("--overwrite", is_flag=True, help="Replace an existing published folder.")
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")

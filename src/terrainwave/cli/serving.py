@@ -13,13 +13,12 @@ import click
 
 from terrainwave.arguments import count_of
 from terrainwave.cli.commands import main, plain_json
-from terrainwave.cli.options import NamedInput, Positive, SeaLevel
+from terrainwave.cli.options import PAGE_SEA_LEVEL_OPTION, NamedInput, Positive
 from terrainwave.cli.output import announce_compiling, message_of, print_note
 from terrainwave.cli.signals import Terminated
 from terrainwave.errors import StorageError, TerrainwaveError
 from terrainwave.extras import need
 from terrainwave.names import TILE_ENCODINGS
-from terrainwave.render.colorings import AUTO
 
 # A name, an address, all names below one, or any; without a port.
 _HOST_NAME = re.compile(r"(\*\.)?[\w.-]+|\[[0-9A-Fa-f:.]+\]|\*")
@@ -59,14 +58,7 @@ def _host_names(_: Any, __: Any, names: tuple[str, ...]) -> tuple[str, ...]:
     is_flag=True,
     help="Voids of terrain-RGB tiles get alpha 0, unless ?voids=height asks for none.",
 )
-@click.option(
-    "--sea-level",
-    type=SeaLevel(),
-    default=AUTO,
-    show_default=True,
-    help="Of the page's colours: the height in metres below which all is water, or none."
-    " auto: 0 where there are heights below -450 m, else none.",
-)
+@PAGE_SEA_LEVEL_OPTION
 @click.option("--open", "opens", is_flag=True, help="Open the page in a browser.")
 @click.option("--stdin", "listens", is_flag=True,
               help="For programs: read names of further files from stdin, a line each, answer each"
