@@ -19,6 +19,8 @@ GEOTIFF_ENDINGS = (".tif", ".tiff")
 HEIGHT_TILE_ENDINGS = (".r16", ".png")
 # Which samples of a coarse level are void (`Terrain.read`).
 VOIDS = ("exact", "any")
+# What voids of a height tile become, if no height is given.
+FILLINGS = ("lowest", "fill")
 PICTURE_ENDINGS = (".png",)
 ARCHIVE_ENDING = ".pmtiles"
 
@@ -119,6 +121,20 @@ def checked_error(name: str, error: float | None) -> float | None:
     if not (math.isfinite(number) and number >= 0):
         raise InvalidArgumentError(f"found `{name}` {error}, expected a finite number >= 0")
     return number
+
+
+def check_flags(**flags: object) -> None:
+    """Refuse what is neither true nor false: the text "no" would count as true.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If one of `flags` is no bool; the message begins with its name.
+    """
+    for name, value in flags.items():
+        # NumPy's truth values are no bool.
+        if not isinstance(value, bool) and getattr(value, "dtype", None) != "bool":
+            raise InvalidArgumentError(f"found `{name}` {value!r}, expected True or False")
 
 
 def check_method(name: str) -> None:

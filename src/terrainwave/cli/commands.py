@@ -14,6 +14,7 @@ import click
 from terrainwave._version import __version__
 from terrainwave.arguments import (
     AS_IS,
+    FILLINGS,
     GEOTIFF_ENDINGS,
     HEIGHT_TILE_ENDINGS,
     TWZ_ENDINGS,
@@ -533,9 +534,11 @@ def decompress(
     if options["size"] and not is_tile:
         raise click.UsageError(f"{target}: --size is for height tiles, expected .r16 or .png")
     if options["voids"] not in (None, *VOIDS) and not is_tile:
+        found = f"found --voids {options['voids']}"
+        if options["voids"] in FILLINGS or options["voids"][-1:].isdigit():
+            found = f"{target}: --voids {options['voids']} is for height tiles"
         raise click.UsageError(
-            f"{target}: --voids {options['voids']} is for height tiles, expected"
-            f" {one_of(VOIDS)}, or a name ending in .r16 or .png"
+            f"{found}, expected {one_of(VOIDS)}, or a name ending in .r16 or .png"
         )
     if options["vertical"] != AS_IS and is_tile:
         raise click.UsageError(
