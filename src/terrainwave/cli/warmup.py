@@ -47,11 +47,11 @@ def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
     """
     # Imported here: numba.
     from terrainwave.coding.jit import all_compiled, place_of_kernels
-    from terrainwave.coding.kernel_places import ADVICE, kept
+    from terrainwave.coding.kernel_places import kept
 
     place = place_of_kernels()
     if place.kept_in is None:
-        raise StorageError(f"no kernel was kept: {place.reason}; {ADVICE}")
+        raise StorageError(f"no kernel was kept: {place.reason}")
     left_out = []
     with system_scratch() as folder, warnings.catch_warnings(), all_compiled():
         warnings.simplefilter("ignore", TerrainwaveWarning)
@@ -64,8 +64,7 @@ def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
     n_kept, n_lost, reason = kept()
     if n_lost:
         raise StorageError(
-            f"{n_lost} of {n_kept + n_lost} kernels that were compiled are not kept: {reason};"
-            f" {ADVICE}"
+            f"{n_lost} of {n_kept + n_lost} kernels that were compiled are not kept: {reason}"
         )
     return left_out
 

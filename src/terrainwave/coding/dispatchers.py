@@ -60,7 +60,9 @@ COMPILER, Kernel = _chosen()
 def _keeping() -> tuple[Any, str]:
     """Return the class of caches; or None, and why there are none."""
     if os.environ.get("TERRAINWAVE_NUMBA_CACHE", "1") == "0":
-        return None, "TERRAINWAVE_NUMBA_CACHE is 0"
+        return None, "TERRAINWAVE_NUMBA_CACHE is 0; unset it"
+    if config.DISABLE_JIT:
+        return None, "NUMBA_DISABLE_JIT is set; unset it"
     try:
         from terrainwave.coding import kernel_cache
 
@@ -76,7 +78,7 @@ def _keeping() -> tuple[Any, str]:
         TerrainwaveWarning,
         stacklevel=2,
     )
-    return None, why
+    return None, f"{why}; install a release of numba that terrainwave was tried with"
 
 
 KernelCache, WHY_NOT_KEPT = _keeping()

@@ -13,7 +13,7 @@ from numba.core import caching, config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 from numba.core.registry import CPUDispatcher
 
-from terrainwave.coding.kernel_places import Place, keep, lose, place_of
+from terrainwave.coding.kernel_places import ADVICE, Place, keep, lose, place_of
 from terrainwave.coding.private_names import missing
 
 
@@ -88,7 +88,8 @@ class KernelCache:
             # Now, not when it is compiled: by then others may have replaced the sources.
             self.stamp = stamp_of(source)
         except OSError as error:  # in a zip, for one
-            self._reason = f"{source} cannot be read ({error.strerror or error})"
+            reason = error.strerror or error
+            self._reason = f"{source} cannot be read ({reason}); install the package as files"
 
     @property
     def place(self) -> Place:
@@ -105,7 +106,8 @@ class KernelCache:
         try:
             entries = _Entries(self, None)
         except RuntimeError as error:  # none of them finds a place
-            return Place((), reason=f"NUMBA_CACHE_LOCATOR_CLASSES is set, and {error}"), ()
+            reason = f"NUMBA_CACHE_LOCATOR_CLASSES is set, and {error}; unset it"
+            return Place((), reason=reason), ()
         return Place((entries.cache_path,), entries.cache_path), (entries,)
 
     @property
@@ -135,7 +137,8 @@ class KernelCache:
         try:
             self._found[1][-1].save_overload(signature, data)
         except OSError as error:  # a full disk, for one: the kernel is there all the same
-            lose(f"{self.place.kept_in} cannot be written ({error.strerror or error})")
+            reason = error.strerror or error
+            lose(f"{self.place.kept_in} cannot be written ({reason}); {ADVICE}")
         else:
             keep()
 

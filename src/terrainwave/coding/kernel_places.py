@@ -31,7 +31,7 @@ class Place(NamedTuple):
     # What people know that one by, and which folder cannot be written if it is not the usual one.
     kept_in: str | None = None
     instead_of: str = ""
-    # Why none is kept.
+    # Why none is kept, and what to do.
     reason: str = ""
 
 
@@ -50,7 +50,7 @@ def place_of(source: str) -> Place:
         return Place((usual,), named)
     private = _private_folder()
     if private is None:
-        reason = f"{named} cannot be written ({why}), and there is no private folder instead"
+        reason = f"{named} cannot be written ({why}), nor any private folder instead; {ADVICE}"
         return Place((usual,), reason=reason)
     return Place((usual, os.path.join(private, subfolder)), private, named)
 
@@ -165,8 +165,8 @@ def lose(reason: str) -> None:
     if not _State.reason:
         _State.reason = reason
         warnings.warn(
-            f"compiled kernels are not kept: {reason}; every run compiles them again, which takes"
-            f" some seconds: {ADVICE}",
+            "compiled kernels are not kept, and every run compiles them again, which takes some"
+            f" seconds: {reason}",
             TerrainwaveWarning,
             stacklevel=2,
         )
