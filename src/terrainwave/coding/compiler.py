@@ -341,7 +341,12 @@ def missing_names() -> list[str]:
                 "get_overload(self, sig)",
                 *("is_compiling", "overloads", "_compiler", "_compiling_counter", "_cache_misses"),
             ),
-            CompileResult: ("_find_referenced_environments", "_replace", "entry_point", "fndesc"),
+            CompileResult: (
+                "_find_referenced_environments(self)",
+                "_replace",
+                "entry_point",
+                "fndesc",
+            ),
             Compiler: ("define_pipelines(self)",),
             DefaultPassBuilder: ("define_untyped_pipeline(state, name)",),
             PassManager: ("passes", "_finalized", "finalize(self)"),
@@ -368,7 +373,7 @@ def missing_names() -> list[str]:
             types.Function: ("get_call_type(self, context, args, kws)", "typing_key"),
             postproc.PostProcessor: (
                 "run(self, emit_dels, extend_lifetimes)",
-                *("func_ir", "_insert_var_dels"),
+                *("func_ir", "_insert_var_dels(self, extend_lifetimes)"),
             ),
         }
     )

@@ -158,7 +158,13 @@ def missing_names() -> list[str]:
     """Return the names of numba's that are used here, and are not where they were."""
     return missing(
         {
-            caching.Cache: ("_impl_class", "_index_key", "load_overload", "save_overload", "flush"),
+            caching.Cache: (
+                "_impl_class",
+                "_index_key(self, sig, codegen)",
+                "load_overload(self, sig, target_context)",
+                "save_overload(self, sig, data)",
+                "flush(self)",
+            ),
             caching.CacheImpl: ("_locator_classes", "locator"),
             caching.IndexDataCacheFile: ("_source_stamp",),
             FunctionCache: ("_cache_file", "cache_path"),
