@@ -237,6 +237,25 @@ def test_kernels_that_cannot_be_read_or_are_damaged_are_compiled_again(installed
     assert used(installed, **options)[0] == []
 
 
+@pytest.mark.parametrize(
+    "others", [({"dtype": "int16"}, {"dtype": "float64"}), ({"NUMBA_CPU_NAME": "generic"}, {})]
+)
+def test_files_whose_numbers_two_processes_took_at_once_are_not_taken_for_each_other(
+    installed, tmp_path, others
+):
+    cache = tmp_path / "cache"
+    for other in others:
+        assert used(installed, cache=cache, **other)[0] == ["half_place"]
+    first, second = sorted(cache.rglob("*.nbc"))
+    data = first.read_bytes()
+    first.write_bytes(second.read_bytes())
+    second.write_bytes(data)
+    for other in others:
+        assert used(installed, cache=cache, **other)[:2] == [["half_place"], []]
+    for other in others:
+        assert used(installed, cache=cache, **other)[0] == []
+
+
 @pytest.mark.full
 def test_numba_s_own_locators_have_the_last_word(installed, tmp_path):
     """Also with callees' sources in the stamp."""

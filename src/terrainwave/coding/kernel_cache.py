@@ -11,6 +11,7 @@ from typing import Any
 
 from numba.core import caching, config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+from numba.core.compiler import CompileResult
 from numba.core.registry import CPUDispatcher
 
 from terrainwave.coding.kernel_places import ADVICE, Place, keep, lose, place_of
@@ -43,18 +44,47 @@ class _Locator(_CacheLocator):
         return str(self._line)
 
 
+class _Stored(CompileResultCacheImpl):
+    """What a file of the cache holds: also what it was compiled for.
+
+    Two processes that compile a function at once may give two files one number. Then the index says
+    that a file holds code for certain types and a processor, and it holds other code.
+    """
+
+    def reduce(self, compiled: Any) -> Any:
+        """Return what is stored."""
+        return compiled.codegen.magic_tuple(), super().reduce(compiled)
+
+    def rebuild(self, target_context: Any, stored: Any) -> Any:
+        """Return what was stored, or refuse it."""
+        processor, data = stored
+        if processor != target_context.codegen().magic_tuple():
+            raise ValueError("compiled for another processor")
+        return super().rebuild(target_context, data)
+
+
 class _Entries(FunctionCache):
     """Numba's cache of a function, in the folder that a locator says."""
+
+    _impl_class: Any = _Stored
 
     def __init__(self, kernel: "KernelCache", folder: str | None) -> None:
         self._kernel = kernel
         if folder is not None:
             locator = _Locator(folder, kernel.stamp, kernel.function)
-            impl = type("_Impl", (CompileResultCacheImpl,), {"_locator_classes": [locator]})
-            self._impl_class: Any = impl
+            self._impl_class = type("_Here", (_Stored,), {"_locator_classes": [locator]})
         super().__init__(kernel.function)
         if folder is None:  # where numba finds one, the sources of callees count, too
             self._cache_file._source_stamp = self._cache_file._source_stamp, kernel.stamp
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """Return what has been compiled for some types, or None; refuse what is damaged."""
+        found = super().load_overload(signature, target_context)
+        if found is not None and found.signature.args != tuple(
+            getattr(signature, "args", signature)
+        ):
+            raise ValueError("compiled for other types")
+        return found
 
     def _index_key(self, signature: Any, codegen: Any) -> tuple[Any, ...]:
         return (*super()._index_key(signature, codegen), *self._kernel.key_of(signature))
@@ -165,7 +195,12 @@ def missing_names() -> list[str]:
                 "save_overload(self, sig, data)",
                 "flush(self)",
             ),
-            caching.CacheImpl: ("_locator_classes", "locator"),
+            CompileResultCacheImpl: (
+                "_locator_classes",
+                "reduce(self, cres)",
+                "rebuild(self, target_context, payload)",
+            ),
+            CompileResult: ("codegen", "signature"),
             caching.IndexDataCacheFile: ("_source_stamp",),
             FunctionCache: ("_cache_file", "cache_path"),
             _CacheLocator: ("get_cache_path", "get_source_stamp", "get_disambiguator"),
