@@ -170,6 +170,8 @@ def in_shell(image, folder, text, *, by, **more):
         env=environment, cwd=folder / "home", capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, (text, done.stderr)
+    if "--to" in text:
+        assert done.stdout.endswith(f"NUMBA_CACHE_DIR={image}/kernels\n")
     return [int(number) for number in re.findall("^compiled: ([0-9]+)$", done.stderr, re.MULTILINE)]
 
 

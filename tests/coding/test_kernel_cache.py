@@ -146,7 +146,7 @@ def test_without_a_home_kernels_are_kept_in_a_temporary_folder_of_the_user(shipp
     assert private.stat().st_uid == temporary.stat().st_uid
 
 
-@pytest.mark.parametrize("kind", ["writable", "link", "foreign", "below others"])
+@pytest.mark.parametrize("kind", ["writable", "link", "below others"])
 def test_a_folder_that_others_can_write_is_never_used(shipped, tmp_path, kind):
     """Its entries are pickles, which run code; the next candidate is taken."""
     temporary, spare = own_folder(tmp_path / "temporary"), own_folder(tmp_path / "spare")
@@ -155,22 +155,32 @@ def test_a_folder_that_others_can_write_is_never_used(shipped, tmp_path, kind):
     if kind == "link":
         own_folder(tmp_path / "elsewhere")
         private.symlink_to(tmp_path / "elsewhere")
-    elif kind == "foreign" and is_other_user():
-        private.mkdir()
-        private.chmod(0o755)
     else:
         own_folder(private).chmod(0o777 if kind == "writable" else 0o700)
         if kind != "writable":
             temporary.chmod(0o777)
-    if kind == "foreign" and not is_other_user():  # a folder of root's
-        private.rmdir()
-        private.symlink_to("/usr")
     _, told, where = used(
         shipped / "beside", dtype="float32", by=as_stranger, TMPDIR=str(temporary), TEMP=str(spare)
     )
     assert told == []
     assert where["kept_in"] == str(spare / f"terrainwave-kernels-{number}")
     assert not list(private.rglob("*.nb?"))
+
+
+def test_a_folder_of_another_user_is_not_private_even_to_root(tmp_path):
+    """Root can write it, and so can its owner."""
+    assert kernel_places._is_private(str(own_folder(tmp_path / "own", list)))
+    foreign = own_folder(tmp_path / "foreign") if is_other_user() else Path("/usr")
+    assert not kernel_places._is_private(str(foreign))
+    (tmp_path / "below").mkdir()
+    below = tmp_path / "below" / "own"
+    below.mkdir(mode=0o700)
+    assert kernel_places._is_private(str(below))
+    if is_other_user():
+        os.chown(below.parent, foreign.stat().st_uid, -1)
+        assert not kernel_places._is_private(str(below))
+    below.parent.chmod(0o777)
+    assert not kernel_places._is_private(str(below))
 
 
 def test_where_no_place_is_found_a_note_says_so_once(shipped):

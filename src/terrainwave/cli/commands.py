@@ -1125,10 +1125,11 @@ def warmup(tasks: tuple[str, ...], folder: str | None, quiet: bool) -> None:
     from terrainwave.cli.warmup import compile_kernels, keep_kernels_in
 
     if folder is not None:
-        n_kernels = keep_kernels_in(folder, tasks, quiet=quiet)
+        path = Path(folder).absolute()
+        n_kernels = keep_kernels_in(path, tasks, quiet=quiet)
         if not quiet:
-            click.echo(f"{n_kernels} kernels are in {plain(folder)}; where terrainwave runs, set")
-            click.echo(f"NUMBA_CACHE_DIR={plain(shlex.quote(folder))}")
+            click.echo(f"{n_kernels} kernels are in {plain(path)}; where terrainwave runs, set")
+            click.echo(f"NUMBA_CACHE_DIR={plain(shlex.quote(str(path)))}")
         return
     announce_compiling(quiet=quiet)
     for left_out in compile_kernels(tasks):

@@ -69,7 +69,7 @@ def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
     return left_out
 
 
-def keep_kernels_in(folder: str, tasks: Sequence[str], *, quiet: bool) -> int:
+def keep_kernels_in(path: Path, tasks: Sequence[str], *, quiet: bool) -> int:
     """Compile kernels into a folder, in a process that takes no others; return how many it holds.
 
     Raises
@@ -77,7 +77,6 @@ def keep_kernels_in(folder: str, tasks: Sequence[str], *, quiet: bool) -> int:
     StorageError
         The folder cannot be written, or not all kernels are kept.
     """
-    path = Path(folder).absolute()
     try:
         path.mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=path).close()
