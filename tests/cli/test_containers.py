@@ -119,6 +119,15 @@ def test_warmup_that_can_keep_nothing_ends_at_once_with_status_1(folder):
         assert "no kernel was kept" in line
 
 
+def test_warmup_into_a_folder_with_kernels_of_others_ends_with_status_1(folder):
+    own_folder(folder / "mixed")
+    (folder / "mixed" / "coding_of_others").mkdir(mode=0o555)
+    (folder / "mixed" / "coding_of_others").chmod(0o555)
+    status, (line,), _ = run(folder, "warmup", "--to", folder / "mixed")
+    assert status == 1
+    assert "no kernel was kept (Permission denied)" in line
+
+
 def test_warmup_whose_kernels_are_lost_ends_with_status_1(folder):
     program = """
 import os

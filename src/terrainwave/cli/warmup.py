@@ -79,7 +79,8 @@ def keep_kernels_in(path: Path, tasks: Sequence[str], *, quiet: bool) -> int:
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=path).close()
+        for folder in (path, *filter(Path.is_dir, path.iterdir())):  # it may hold some already
+            tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise StorageError(
             f"{path}: no kernel was kept ({error.strerror or error}); expected a folder that you"

@@ -1,6 +1,6 @@
 """Which of two compilers kernels get: the fast one of `compiler`, or numba's own.
 
-The fast one takes half of the time (docs/decisions/0019-how-kernels-are-compiled.md), and is made
+The fast one takes 0.6 of the time (docs/decisions/0019-how-kernels-are-compiled.md), and is made
 of private parts of numba's. So it is used with the releases of numba that CI has run it with, and
 where all names that it needs are there. With others kernels are as fast, and make the same bytes.
 """
