@@ -2,6 +2,7 @@
 
 import json
 import math
+import shlex
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -1111,11 +1112,28 @@ class Tasks(click.ParamType):
     show_default=True,
     help="What to compile for; compress always is.",
 )
+@click.option(
+    "--to",
+    "folder",
+    type=Directory(),
+    help="Keep the kernels in this folder; NUMBA_CACHE_DIR names it to later runs.",
+)
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
-def warmup(tasks: tuple[str, ...], quiet: bool) -> None:
-    """Compile all kernels now, so that no later run has to (for container images)."""
-    from terrainwave.cli.warmup import compile_kernels
+def warmup(tasks: tuple[str, ...], folder: str | None, quiet: bool) -> None:
+    """Compile all kernels now, so that no later run has to (for container images).
 
+    Kernels are kept beside the package, or in the folder that NUMBA_CACHE_DIR names. Where that
+    cannot be written, they are kept in a folder of your own, and the command says which.
+    """
+    from terrainwave.cli.warmup import compile_kernels, keep_kernels_in
+
+    if folder is not None:
+        path = Path(folder).absolute()
+        n_kernels = keep_kernels_in(path, tasks, quiet=quiet)
+        if not quiet:
+            click.echo(f"{n_kernels} kernels are in {plain(path)}; where terrainwave runs, set")
+            click.echo(f"NUMBA_CACHE_DIR={plain(shlex.quote(str(path)))}")
+        return
     announce_compiling(quiet=quiet)
     for left_out in compile_kernels(tasks):
         print_note(f"left out: {left_out}")

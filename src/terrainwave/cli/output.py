@@ -300,12 +300,18 @@ def announce_compiling(*, quiet: bool = False) -> None:
 @functools.cache
 def _announce_once() -> None:
     from terrainwave.coding.jit import on_first_compilation
+    from terrainwave.coding.kernel_places import Place
 
-    on_first_compilation(
-        lambda: click.echo(
-            "compiling kernels for this machine, once: this takes some seconds", err=True
-        )
-    )
+    def tell(place: Place) -> None:
+        if place.kept_in is None:  # a note says why
+            words = "compiling kernels, for this run alone: this takes some seconds"
+        else:
+            words = "compiling kernels for this machine, once: this takes some seconds"
+        if place.instead_of:
+            words += f"; they are kept in {place.kept_in}, as {place.instead_of} cannot be written"
+        click.echo(plain(words), err=True)
+
+    on_first_compilation(tell)
 
 
 def print_table(rows: list[tuple[str, object]]) -> None:
