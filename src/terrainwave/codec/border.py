@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.refiner import GroupSpec
+from terrainwave.codec.refiner import GroupSpec, Mask
 from terrainwave.codec.zerotree import BIN_OF_SUM, N_BINS, SUM_LIMIT
 from terrainwave.coding.filters import MAX_HEIGHT, extend_line, synthesise_line
 from terrainwave.coding.jit import kernel, rare_kernel
@@ -92,6 +92,22 @@ def plan_border(spec: GroupSpec) -> Plan:
             for p in around(place, size):
                 lines[Line(is_column, p, start, n, first, stop)] = None
     return Plan(list(corners), list(lines))
+
+
+def shared_samples(spec: GroupSpec) -> Mask:
+    """Return which samples of a unit's region are shared: those that neighbours code as well."""
+    shared = np.zeros(spec.region.shape, dtype=np.bool_)
+    reach = spec.rings >> 1
+    core, sides = spec.core.slices_in(spec.region), spec.shared
+    for at, lines, is_first, is_last in (
+        (core[0], shared, sides.top, sides.bottom),
+        (core[1], shared.T, sides.left, sides.right),
+    ):
+        if is_first:
+            lines[max(at.start - reach, 0) : at.start + reach + 1] = True
+        if is_last:
+            lines[max(at.stop - 1 - reach, 0) : at.stop + reach] = True
+    return shared
 
 
 def code_border(

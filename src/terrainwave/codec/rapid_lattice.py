@@ -36,6 +36,7 @@ from terrainwave.codec.rapid_rows import (
     store_rows,
     surround,
 )
+from terrainwave.codec.refiner import FREE, MAX_CORRECTION
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel, kernel_part
 
@@ -68,7 +69,7 @@ class Known(NamedTuple):
 @kernel
 def code_rows(
     is_encoding, has_void, goal, valid, out, source, corners, lines, finest, coarse_of_finest, core,
-    stride, weights, known, origin, workspace, scale, s,
+    stride, weights, known, origin, workspace, scale, s, kept, added,
 ):  # fmt: skip
     """Encode or decode shared samples, then a lattice's samples that are not coarse.
 
@@ -94,6 +95,8 @@ def code_rows(
         Of each lattice.
     origin : int
         What the workspace's heights are less.
+    kept, added : ndarray of int32, flat
+        `Corrections`: both empty where there are none.
 
     Notes
     -----
@@ -102,6 +105,7 @@ def code_rows(
     goal, valid, out, source = borrowed((goal, valid, out, source))
     corners, lines, weights = borrowed((corners, lines, weights))
     workspace, s = borrowed((workspace, s))
+    kept, added = borrowed((kept, added))
     m = workspace.m
     first_weight = WEIGHTS[HH]
     for lattice in range(weights.shape[0]):
@@ -161,6 +165,11 @@ def code_rows(
                     scale,
                     s,
                 )
+                if added.shape[0] > 0:
+                    _correct(
+                        m, own, kept, added, corners, is_corner, start, step, first, stop, origin,
+                        scale,
+                    )  # fmt: skip
             if is_lattice:
                 make_readable(m, own, row, n_own_rows, n)
             else:
@@ -213,6 +222,23 @@ def make_readable(m, own, row, n_rows, n):
     """Note the errors of a row that has been coded; make it readable around."""
     note_errors(m, n, own)
     surround(m, own, row, n_rows, n)
+
+
+@kernel
+def _correct(m, own, kept, added, corners, is_corner, start, step, first, stop, origin, scale):
+    """Put coded samples `first` … ``stop - 1`` of a row back; an encoder finds what that takes."""
+    cast = m.dtype.type
+    is_encoding = kept.shape[0] > 0
+    for j in range(first, stop):
+        k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
+        at = own + np.uint64(j)
+        height = np.int64(m[at])
+        if is_encoding:
+            if kept[k] != FREE:
+                missing = np.int64(kept[k]) - origin - height
+                added[k] = np.int32(min(max(missing, -MAX_CORRECTION), MAX_CORRECTION))
+        height += np.int64(added[k])
+        m[at] = cast(min(max(height, scale.low), scale.high))
 
 
 @kernel_part

@@ -181,7 +181,12 @@ class TreeEncoder:
         """Return the payload of a unit and what it decodes to."""
         assert self._refiner is not None
         rest = partial(self._pyramid.remainders, spec.region) if spec.remainder_bytes else None
-        return encode_unit(self._refiner, spec, parent, target, mask, rest, self.own(spec))
+        kept = self.kept(key, spec, target, mask)
+        return encode_unit(self._refiner, spec, parent, target, mask, rest, self.own(spec), kept)
+
+    def kept(self, key: Block, spec: GroupSpec, target: Heights, mask: Mask) -> Heights | None:
+        """Return which heights of a unit must come back as they are (`encode_unit`)."""
+        return None
 
     def own(self, spec: GroupSpec) -> Mask | None:
         """Return which samples of a unit are valid by themselves, if its payload tells."""

@@ -25,10 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import checked_threads
-from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
+from terrainwave.codec.border import shared_samples
+from terrainwave.codec.group import HAS_CORRECTIONS
+from terrainwave.codec.refiner import FREE, Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import block_of_unit
 from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
+from terrainwave.container.header import HAS_CORRECTIONS as CORRECTIONS_FEATURE
 from terrainwave.container.header import Header
 from terrainwave.container.metadata import without_origin
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
@@ -290,6 +293,22 @@ class _Merged:
         self._original = original
         self.place = new_place if original is None else Region(0, 0, *terrain.shape)
 
+    @property
+    def is_open(self) -> bool:
+        """Say whether heights beyond the new raster are known by the file alone."""
+        return self.place.shape != self._terrain.shape
+
+    def beyond(self, region: Region, stride: int) -> Mask:
+        """Return which samples of a region, `stride` apart, are known by the file alone."""
+        rows, cols = (
+            (stride * np.arange(first, first + n) - start).astype(np.uint64) >= size
+            for first, n, start, size in (
+                (region.row, region.n_rows, self.place.row, self.place.n_rows),
+                (region.col, region.n_cols, self.place.col, self.place.n_cols),
+            )
+        )
+        return rows[:, None] | cols
+
     def covers(self, region: Region) -> bool:
         """Say whether the new raster covers a region of the full grid."""
         return region.intersect(self.place) == region
@@ -399,7 +418,13 @@ class _PatchEncoder(TreeEncoder):
         self.recoded: set[Block] = set()
         header = terrain.header
         refiner = refiner_by_name(header.method, header.parameters)
-        super().__init__(terrain.grid, refiner, header.codec_parameters, *rest)
+        # With the original all heights are known, and none needs to be put back; but corrections of
+        # earlier patches are heights that neighbours have as well.
+        self._corrects = header.step > 1 and (header.has_corrections or merged.is_open)
+        # Whether any unit has corrections.
+        self.has_corrections = False
+        parameters = replace(header.codec_parameters, has_corrections=self._corrects)
+        super().__init__(terrain.grid, refiner, parameters, *rest)
 
     def code_unit(
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
@@ -407,9 +432,10 @@ class _PatchEncoder(TreeEncoder):
         """Return the unit's old payload, or a new one where that no longer holds."""
         old = self._terrain.decoder.unit(key)
         stored = self._terrain.container.payload(key)
-        if key not in self.changes and self._holds(spec, old, target, mask):
-            return stored, old
-        payload, decoded = super().code_unit(key, spec, parent, target, mask)
+        payload, decoded = stored, old
+        if key in self.changes or not self._holds(spec, old, target, mask):
+            payload, decoded = super().code_unit(key, spec, parent, target, mask)
+        self.has_corrections |= bool(payload and payload[0] & HAS_CORRECTIONS)
         if payload == stored and key not in self.changes:
             return stored, old
         self.recoded.add(key)
@@ -424,6 +450,26 @@ class _PatchEncoder(TreeEncoder):
             if change or not _are_alike(before, after):
                 self.changes[block] = change
         return payload, decoded
+
+    def kept(self, key: Block, spec: GroupSpec, target: Heights, mask: Mask) -> Heights | None:
+        """Return the heights of a unit that must come back, `FREE` elsewhere.
+
+        Those that the new raster does not cover, void or not as before. Of samples that neighbours
+        share, which may be copied, all that hold: each of them must find the same heights. There
+        voids have what is predicted, as a neighbour without a valid sample knows no other.
+        """
+        if not self._corrects:
+            return None
+        old = self._terrain.decoder.unit(key)
+        stays = self._merged.beyond(spec.region, self._grid.stride(spec.level))
+        shared = shared_samples(spec)
+        holds = np.abs(target.astype(np.int64) - old.heights) <= spec.half
+        stays |= shared & (holds | ~self._pyramid.own(spec.level, spec.region))
+        stays &= old.mask == mask
+        stays &= mask | ~shared
+        if not old.mask.any():
+            stays &= mask
+        return np.where(stays, old.heights, FREE)
 
     def _largest_move(
         self, block: Block, spec: GroupSpec, changes: NDArray[np.int64], mask: Mask
@@ -525,6 +571,10 @@ class _Patcher:
         stats = encoder.run(self._executor)
         self.moved = max(encoder.moves.values(), default=0)
         self.header = self._bounded_header()
+        features = self.header.features & ~CORRECTIONS_FEATURE
+        if encoder.has_corrections:
+            features |= CORRECTIONS_FEATURE
+        self.header = replace(self.header, features=features)
         errors, boxes = self._codes(stats, encoder.changes | encoder.moves)
         self.stated_error = self._stated_error(errors)
         mesh_errors = self._mesh(encoder.changes, errors)
@@ -613,7 +663,7 @@ class _Patcher:
 
     def _mesh(self, changes: Mapping[Block, int], errors: Mapping[Block, int]) -> dict[Block, int]:
         """Make all meshes again and measure them; return the codes of their errors."""
-        header, grid = self._container.header, self._grid
+        header, grid = self.header, self._grid
         if header.mesh == "none":
             return {}
         decoder = make_decoder(header, self.sink.payloads, _CACHE_BYTES)

@@ -1,0 +1,176 @@
+"""Corrections in the loop: heights that a patch puts back before others read them (FORMAT.md §5.5).
+
+A lossy file reaches multiples of its step from each prediction. Where predictions change, because
+a sample beside has changed, a sample that must stay has its old height no longer among these: the
+correction is what is missing. Refiners add it before the sample is read by others, so that changes
+end within a stencil's reach of what caused them.
+
+The section has an array of the unit's region, nearly all of it 0: pieces of rows that have any, in
+these which samples, and of each sign and magnitude.
+"""
+
+import numpy as np
+
+from terrainwave.codec.refiner import (
+    MAX_CORRECTION,
+    NO_CORRECTIONS,
+    Corrections,
+    GroupSpec,
+    Heights,
+)
+from terrainwave.coding.borrowed import borrowed
+from terrainwave.coding.jit import inlined_kernel, kernel
+from terrainwave.coding.rangecoder import (
+    N_PREFIX,
+    N_UNARY,
+    code_magnitude_step,
+    code_step,
+    finish_decoder,
+    finish_encoder,
+    new_decoder,
+    new_encoder,
+    new_models,
+    put_back,
+    take_out,
+)
+from terrainwave.coding.status import raise_for_status
+from terrainwave.errors import CorruptStreamError
+
+# Columns of a piece, from the region's first column on.
+PIECE = 32
+# By the parity of the row; the piece before, the one above, the one above that.
+_PIECES = 0
+# By the parities of row and column; two neighbours to the west, two to the
+# north, two diagonal ones.
+_SAMPLES = _PIECES + 16
+# By the signs of the nearest two.
+_SIGNS = _SAMPLES + 4 * 64
+_N_SIZES = 3
+_SIZES = _SIGNS + 9
+_PREFIX = _SIZES + _N_SIZES * N_UNARY
+N_MODELS = _PREFIX + N_PREFIX
+# Rows above, columns beside that contexts look at.
+_ABOVE, _LEFT, _RIGHT = 2, 2, 1
+_MOST_BYTES_OF_SAMPLE = 16
+
+
+def encode_corrections(added: Heights, spec: GroupSpec) -> bytes:
+    """Return the section of corrections; empty if all are 0."""
+    if not added.any():
+        return b""
+    n_corrected = int(np.count_nonzero(added))
+    out = np.empty(added.size // 2 + _MOST_BYTES_OF_SAMPLE * n_corrected + 64, dtype=np.uint8)
+    coder = new_encoder(out, new_models(N_MODELS))
+    padded = np.zeros(_padded_shape(added.shape), dtype=np.int32)
+    padded[_ABOVE:, _LEFT:-_RIGHT] = added
+    _code(coder, padded, *_geometry(spec))
+    return out[: finish_encoder(coder.state, out)].tobytes()
+
+
+def decode_corrections(section: bytes, spec: GroupSpec) -> Corrections:
+    """Undo `encode_corrections`.
+
+    Raises
+    ------
+    CorruptStreamError
+        If the bytes are not exactly one array with a correction in it.
+    """
+    coder = new_decoder(section, new_models(N_MODELS))
+    padded = np.zeros(_padded_shape(spec.region.shape), dtype=np.int32)
+    most = _code(coder, padded, *_geometry(spec))
+    raise_for_status(*finish_decoder(coder.state, coder.stream))
+    if not 0 < most <= MAX_CORRECTION:
+        raise CorruptStreamError(
+            f"the largest correction of a unit is {most}, expected 1 to {MAX_CORRECTION}"
+        )
+    return NO_CORRECTIONS._replace(added=np.ascontiguousarray(padded[_ABOVE:, _LEFT:-_RIGHT]))
+
+
+def _padded_shape(shape: tuple[int, ...]) -> tuple[int, int]:
+    return shape[0] + _ABOVE, shape[1] + _LEFT + _RIGHT
+
+
+def _geometry(spec: GroupSpec) -> tuple[int, int, bool, int]:
+    """Return what `_code` takes besides.
+
+    The parities of the region's first row and column, whether samples on even rows and columns are
+    the parent's, and how many low bits of a magnitude are raw.
+    """
+    is_group = spec.parent_region is not None
+    shift = max(spec.step.bit_length() - 4, 0)
+    return spec.region.row & 1, spec.region.col & 1, is_group, shift
+
+
+@inlined_kernel
+def _sign(number):
+    """Return 0, 1 or 2: zero, positive, negative."""
+    return np.int64(number > 0) + 2 * np.int64(number < 0)
+
+
+@kernel
+def _code(coder, padded, first_row, first_col, is_group, shift):
+    """Encode the corrections in `padded`, or decode them into it; return the largest magnitude."""
+    coder, padded = borrowed((coder, padded))
+    state, stream, models, is_encoder = coder
+    n_rows, n_cols = padded.shape[0] - _ABOVE, padded.shape[1] - _LEFT - _RIGHT
+    n_pieces = (n_cols + PIECE - 1) // PIECE
+    had = np.zeros((3, n_pieces + 1), dtype=np.uint8)  # of three rows in turns; one before the row
+    at = take_out(state)
+    largest = np.int64(0)
+    for row in range(n_rows):
+        odd_row = (first_row + row) & 1
+        here, above, above2 = had[row % 3], had[(row + 2) % 3], had[(row + 1) % 3]
+        for piece in range(n_pieces):
+            begin, end = piece * PIECE, min((piece + 1) * PIECE, n_cols)
+            has_any = np.int64(0)
+            if is_encoder is not None:
+                for col in range(begin, end):
+                    if padded[row + _ABOVE, col + _LEFT] != 0:
+                        has_any = np.int64(1)
+            model = 8 * odd_row + 4 * here[piece] + 2 * above[piece + 1] + above2[piece + 1]
+            has_any, at = code_step(at, state, stream, models, is_encoder, _PIECES + model, has_any)
+            here[piece + 1] = has_any
+            if has_any == 0:
+                continue
+            for col in range(begin, end):
+                odd_col = (first_col + col) & 1
+                if is_group and odd_row == 0 and odd_col == 0:
+                    continue
+                r, c = row + _ABOVE, col + _LEFT
+                west, west2 = np.int64(padded[r, c - 1]), np.int64(padded[r, c - 2])
+                north, north2 = np.int64(padded[r - 1, c]), np.int64(padded[r - 2, c])
+                diagonal = np.int64(padded[r - 1, c - 1]), np.int64(padded[r - 1, c + 1])
+                model = (
+                    32 * np.int64(west != 0)
+                    + 16 * np.int64(west2 != 0)
+                    + 8 * np.int64(north != 0)
+                    + 4 * np.int64(north2 != 0)
+                    + 2 * np.int64(diagonal[0] != 0)
+                    + np.int64(diagonal[1] != 0)
+                )
+                value = np.int64(padded[r, c])
+                is_any, at = code_step(
+                    at, state, stream, models, is_encoder,
+                    _SAMPLES + 64 * (2 * odd_row + odd_col) + model, np.int64(value != 0),
+                )  # fmt: skip
+                if is_any == 0:
+                    continue
+                first = west if west != 0 else west2
+                second = north if north != 0 else north2
+                is_negative, at = code_step(
+                    at, state, stream, models, is_encoder,
+                    _SIGNS + 3 * _sign(first) + _sign(second), np.int64(value < 0),
+                )  # fmt: skip
+                around = (abs(first) + abs(second)) >> shift
+                size_class = np.int64(around > 1) + np.int64(around > 5)
+                size, at = code_magnitude_step(
+                    at, state, stream, models, is_encoder, _SIZES + size_class * N_UNARY, _PREFIX,
+                    shift, abs(value) - 1,
+                )  # fmt: skip
+                largest = max(largest, size + 1)
+                size = min(size + 1, np.int64(MAX_CORRECTION))
+                padded[r, c] = -size if is_negative else size
+        if is_encoder is None and at[2] > stream.shape[0] + 4:
+            break  # `finish_decoder` says so
+    put_back(at, state)
+    return largest
