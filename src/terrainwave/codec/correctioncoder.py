@@ -19,11 +19,12 @@ from terrainwave.codec.refiner import (
     Heights,
 )
 from terrainwave.coding.borrowed import borrowed
-from terrainwave.coding.jit import inlined_kernel, kernel
+from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     N_PREFIX,
     N_UNARY,
     code_magnitude_step,
+    code_raw_step,
     code_step,
     finish_decoder,
     finish_encoder,
@@ -40,14 +41,11 @@ from terrainwave.errors import CorruptStreamError
 PIECE = 32
 # By the parity of the row; the piece before, the one above, the one above that.
 _PIECES = 0
-# By the parities of row and column; two neighbours to the west, two to the
-# north, two diagonal ones.
+# By the parities of row and column; how many of two neighbours to the west are corrected, of two to
+# the north, of two beside the nearest of these.
 _SAMPLES = _PIECES + 16
-# By the signs of the nearest two.
-_SIGNS = _SAMPLES + 4 * 64
-_N_SIZES = 3
-_SIZES = _SIGNS + 9
-_PREFIX = _SIZES + _N_SIZES * N_UNARY
+_SIZES = _SAMPLES + 4 * 27
+_PREFIX = _SIZES + N_UNARY
 N_MODELS = _PREFIX + N_PREFIX
 # Rows above, columns beside that contexts look at.
 _ABOVE, _LEFT, _RIGHT = 2, 2, 1
@@ -97,14 +95,8 @@ def _geometry(spec: GroupSpec) -> tuple[int, int, bool, int]:
     the parent's, and how many low bits of a magnitude are raw.
     """
     is_group = spec.parent_region is not None
-    shift = max(spec.step.bit_length() - 4, 0)
+    shift = max(spec.step.bit_length() - 5, 0)
     return spec.region.row & 1, spec.region.col & 1, is_group, shift
-
-
-@inlined_kernel
-def _sign(number):
-    """Return 0, 1 or 2: zero, positive, negative."""
-    return np.int64(number > 0) + 2 * np.int64(number < 0)
 
 
 @kernel
@@ -137,36 +129,20 @@ def _code(coder, padded, first_row, first_col, is_group, shift):
                 if is_group and odd_row == 0 and odd_col == 0:
                     continue
                 r, c = row + _ABOVE, col + _LEFT
-                west, west2 = np.int64(padded[r, c - 1]), np.int64(padded[r, c - 2])
-                north, north2 = np.int64(padded[r - 1, c]), np.int64(padded[r - 2, c])
-                diagonal = np.int64(padded[r - 1, c - 1]), np.int64(padded[r - 1, c + 1])
-                model = (
-                    32 * np.int64(west != 0)
-                    + 16 * np.int64(west2 != 0)
-                    + 8 * np.int64(north != 0)
-                    + 4 * np.int64(north2 != 0)
-                    + 2 * np.int64(diagonal[0] != 0)
-                    + np.int64(diagonal[1] != 0)
-                )
+                west = np.int64(padded[r, c - 1] != 0) + (padded[r, c - 2] != 0)
+                north = np.int64(padded[r - 1, c] != 0) + (padded[r - 2, c] != 0)
+                beside = np.int64(padded[r - 1, c - 1] != 0) + (padded[r - 1, c + 1] != 0)
+                model = 27 * (2 * odd_row + odd_col) + 9 * west + 3 * north + beside
                 value = np.int64(padded[r, c])
                 is_any, at = code_step(
-                    at, state, stream, models, is_encoder,
-                    _SAMPLES + 64 * (2 * odd_row + odd_col) + model, np.int64(value != 0),
-                )  # fmt: skip
+                    at, state, stream, models, is_encoder, _SAMPLES + model, np.int64(value != 0)
+                )
                 if is_any == 0:
                     continue
-                first = west if west != 0 else west2
-                second = north if north != 0 else north2
-                is_negative, at = code_step(
-                    at, state, stream, models, is_encoder,
-                    _SIGNS + 3 * _sign(first) + _sign(second), np.int64(value < 0),
-                )  # fmt: skip
-                around = (abs(first) + abs(second)) >> shift
-                size_class = np.int64(around > 1) + np.int64(around > 5)
+                is_negative, at = code_raw_step(at, state, stream, is_encoder, 1, value < 0)
                 size, at = code_magnitude_step(
-                    at, state, stream, models, is_encoder, _SIZES + size_class * N_UNARY, _PREFIX,
-                    shift, abs(value) - 1,
-                )  # fmt: skip
+                    at, state, stream, models, is_encoder, _SIZES, _PREFIX, shift, abs(value) - 1
+                )
                 largest = max(largest, size + 1)
                 size = min(size + 1, np.int64(MAX_CORRECTION))
                 padded[r, c] = -size if is_negative else size
