@@ -9,9 +9,12 @@ The section has an array of the unit's region, nearly all of it 0: pieces of row
 these which samples, and of each sign and magnitude.
 """
 
+from typing import Any
+
 import numpy as np
 
 from terrainwave.codec.refiner import (
+    FREE,
     MAX_CORRECTION,
     NO_CORRECTIONS,
     Corrections,
@@ -19,7 +22,7 @@ from terrainwave.codec.refiner import (
     Heights,
 )
 from terrainwave.coding.borrowed import borrowed
-from terrainwave.coding.jit import kernel
+from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.coding.rangecoder import (
     N_PREFIX,
     N_UNARY,
@@ -50,6 +53,26 @@ N_MODELS = _PREFIX + N_PREFIX
 # Rows above, columns beside that contexts look at.
 _ABOVE, _LEFT, _RIGHT = 2, 2, 1
 _MOST_BYTES_OF_SAMPLE = 16
+
+
+def correct(height: Any, kept: Any, added: Any, place: Any, limits: Any, shown: Any) -> Any:
+    """Return a height, corrected and within limits if there are corrections; of flat arrays.
+
+    Of what an encoder must keep it finds the correction: none if the height, in the range that is
+    shown, is that already.
+    """
+    if added.shape[0] == 0:
+        return height
+    if kept.shape[0] > 0:
+        goal = np.int64(kept[place])
+        if goal != FREE:
+            is_right = min(max(height, shown[0]), shown[1]) == goal
+            missing = np.int64(0) if is_right else goal - height
+            added[place] = np.int32(min(max(missing, -MAX_CORRECTION), MAX_CORRECTION))
+    return min(max(height + np.int64(added[place]), limits[0]), limits[1])
+
+
+corrected = inlined_kernel(correct)  # for kernels
 
 
 def encode_corrections(added: Heights, spec: GroupSpec) -> bytes:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec.correctioncoder import correct
 from terrainwave.codec.rapid_border import plan_lines
 from terrainwave.codec.rapid_code import (
     BIT_POS,
@@ -36,7 +37,6 @@ from terrainwave.codec.rapid_layout import (
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS, scale_of, scaled_features
 from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_parameters
 from terrainwave.codec.refiner import (
-    FREE,
     NO_CORRECTIONS,
     Corrections,
     GroupSpec,
@@ -464,13 +464,8 @@ def _code_corner(unit: _Unit, place: int) -> None:
 def _put(unit: _Unit, place: int, height: int) -> None:
     """Take the height of a corner of a root block, less the origin, and correct it."""
     height += unit.origin
-    if unit.added.size:
-        if unit.kept.size and unit.kept[place] != FREE:
-            unit.added[place] = int(unit.kept[place]) - height
-        height += int(unit.added[place])
-        low, high = unit.scale.low + unit.origin, unit.scale.high + unit.origin
-        height = min(max(height, low), high)
-    unit.out[place] = height
+    limits = unit.scale.low + unit.origin, unit.scale.high + unit.origin
+    unit.out[place] = correct(height, unit.kept, unit.added, place, limits, limits)
 
 
 @lru_cache(maxsize=8)

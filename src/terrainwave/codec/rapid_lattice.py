@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from terrainwave.codec.correctioncoder import corrected
 from terrainwave.codec.lattice import HH, HL, LH
 from terrainwave.codec.rapid_border import MOST_CORNERS, prepare_shared
 from terrainwave.codec.rapid_code import code_details, note_errors
@@ -36,7 +37,6 @@ from terrainwave.codec.rapid_rows import (
     store_rows,
     surround,
 )
-from terrainwave.codec.refiner import FREE, MAX_CORRECTION
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel, kernel_part
 
@@ -228,17 +228,12 @@ def make_readable(m, own, row, n_rows, n):
 def _correct(m, own, kept, added, corners, is_corner, start, step, first, stop, origin, scale):
     """Put coded samples `first` … ``stop - 1`` of a row back; an encoder finds what that takes."""
     cast = m.dtype.type
-    is_encoding = kept.shape[0] > 0
+    limits = np.int64(scale.low) + origin, np.int64(scale.high) + origin
     for j in range(first, stop):
         k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
         at = own + np.uint64(j)
-        height = np.int64(m[at])
-        if is_encoding:
-            if kept[k] != FREE:
-                missing = np.int64(kept[k]) - origin - height
-                added[k] = np.int32(min(max(missing, -MAX_CORRECTION), MAX_CORRECTION))
-        height += np.int64(added[k])
-        m[at] = cast(min(max(height, scale.low), scale.high))
+        height = corrected(np.int64(m[at]) + origin, kept, added, k, limits, limits)
+        m[at] = cast(height - origin)
 
 
 @kernel_part
