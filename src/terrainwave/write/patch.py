@@ -51,7 +51,7 @@ from terrainwave.raster_io.source import RasterSource
 from terrainwave.read.decoder import unit_key
 from terrainwave.read.tiles import make_decoder
 from terrainwave.write.boxes import Box, enclosing_boxes
-from terrainwave.write.encoder import Stats, TreeEncoder
+from terrainwave.write.encoder import Ancestor, Stats, TreeEncoder, distance_of
 from terrainwave.write.proof import (
     OUR_FAULT,
     allowed_error,
@@ -380,6 +380,9 @@ class _PatchEncoder(TreeEncoder):
         # Largest change of each block's decoded heights, in quanta, where anything changed.
         self.changes: dict[Block, int] = {}
         self.recoded: set[Block] = set()
+        # Of changed coarse blocks, how far finest heights, decoded where nothing else is known, are
+        # from their surfaces, in quanta.
+        self.apart: dict[Block, int] = {}
         header = terrain.header
         refiner = refiner_by_name(header.method, header.parameters)
         # With the original all heights are known, and none needs to be put back; but corrections of
@@ -450,6 +453,25 @@ class _PatchEncoder(TreeEncoder):
         # Of a height that was clipped the old multiple of the step is not known.
         clipped = (old.heights == spec.z_min) | (old.heights == spec.z_max)
         return spec.step == 1 or not (clipped & own & (target != old.heights)).any()
+
+    def _measure(
+        self,
+        spec: GroupSpec,
+        blocks: list[Block],
+        chain: list[Ancestor],
+        originals: Heights,
+        mask: Mask,
+        decoded: Decoded,
+    ) -> None:
+        super()._measure(spec, blocks, chain, originals, mask, decoded)
+        valid = decoded.mask[spec.core.slices_in(spec.region)]
+        if np.array_equal(mask, valid):
+            return
+        for ancestor in chain:
+            if ancestor.block in self.changes:
+                apart = distance_of(ancestor, spec.core, originals, valid, self._grid)
+                with self._lock:
+                    self.apart[ancestor.block] = max(apart, self.apart.get(ancestor.block, 0))
 
     def measured(self, region: Region, mask: Mask) -> Mask:
         """Return which samples of a region are known originals."""
@@ -526,7 +548,7 @@ class _Patcher:
         if encoder.has_corrections:
             features |= CORRECTIONS_FEATURE
         self.header = replace(self.header, features=features)
-        errors, boxes = self._codes(stats, encoder.changes)
+        errors, boxes = self._codes(stats, encoder)
         self.stated_error = self._stated_error(errors)
         mesh_errors = self._mesh(encoder.changes, errors)
         is_any_new = self._set_codes(errors, boxes, mesh_errors)
@@ -563,12 +585,14 @@ class _Patcher:
         return self._reporter.counter(stage, shape, self._terrain.dtype.itemsize)
 
     def _codes(
-        self, stats: Stats, changes: Mapping[Block, int]
+        self, stats: Stats, encoder: _PatchEncoder
     ) -> tuple[dict[Block, int], dict[Block, Box]]:
         """Return error codes and boxes; where originals are not known, the old ones hold as well.
 
-        A surface is nowhere further from originals than it was, and by how much it has moved.
+        A surface is nowhere further from originals than it was, and by how much it has moved; nor
+        than it is from the stored heights, and these are from originals.
         """
+        between = self._terrain.header.coded_error + self._lost
         errors: dict[Block, int] = {}
         below: dict[Block, Box] = {}
         for block, own in stats.items():
@@ -576,8 +600,11 @@ class _Patcher:
             errors[block] = 0 if own.is_empty else encode_error(own.error + self._lost)
             if self._merged.covers(self._grid.full_region(block)):
                 continue
-            moved = self._moved_surface(block, changes)
-            errors[block] = max(errors[block], encode_error(decode_error(old[2]) + moved))
+            moved = self._moved_surface(block, encoder.changes)
+            stated = decode_error(old[2]) + moved
+            if moved and block in encoder.apart:
+                stated = min(stated, encoder.apart[block] + between)
+            errors[block] = max(errors[block], encode_error(stated))
             if any(old[:3]) or moved or not own.is_empty:
                 # Every original and its error lie in the box: it grows as the error does.
                 low, high = self._terrain.box_quanta(block)
