@@ -440,11 +440,9 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
         yield _Violation(f"a faithful file of method {header.method}, which has none")
     if header.has_fills and header.grid.k_max == 0:
         yield _Violation("fills of coarse levels in a file without any")
-    if header.has_corrections:
-        if not METHODS[header.method].is_patchable:
-            yield _Violation(f"corrections of method {header.method}, which has none")
-        if header.step == 1:
-            yield _Violation("corrections beside a step of 1, which needs none")
+    if header.has_corrections and (not METHODS[header.method].is_patchable or header.step == 1):
+        what = f"corrections of method {header.method} and step {header.step}"
+        yield _Violation(f"{what}{NEWER}", UnsupportedVersionError)
     if header.has_remainders:
         if header.dtype not in ("int32", "float32", "float64"):
             yield _Violation(f"remainders of {header.dtype}, which has none")
