@@ -18,11 +18,12 @@ VOID = -9999
 
 
 def ridges(n_rows, n_cols):
-    """Return heights with a lake of voids, single ones and an island, and steps in between."""
+    """Return heights with a lake of voids, an island in it, single ones, and a corner of voids."""
     row, col = np.mgrid[:n_rows, :n_cols]
     heights = 60 * np.sin((row + col) / 19) + 40 * (col // 31 % 2) + (row * 37 + col * 101) % 7
     distance = np.hypot(row - n_rows / 2, col - n_cols / 3)
     heights[(distance < 21) & (distance > 3) | ((row * 53 + col * 29) % 211 == 0)] = VOID
+    heights[62:, 60:] = VOID
     return heights.astype("int16")
 
 
@@ -80,10 +81,16 @@ class Patched:
         part = self.heights[at].astype(float)
         wave = self.change * np.sin(np.arange(size[0])[:, None] / 7 + np.arange(size[1]) / 5)
         part += wave + rng.uniform(-self.change, self.change)
+        is_touched = rng.random() < 0.4
+        if is_touched:  # what is there, but for a sample
+            with Terrain(self.path) as terrain:
+                part = terrain.read((row, col, *size)).astype(float)
+            place = tuple(rng.integers(0, size))
+            part[place] += 2 * self.change * rng.choice([-1, 1])
         part = np.clip(part, self.lowest, self.highest).astype(self.heights.dtype)
         if self.nodata is not None:
             part[self.heights[at] == self.nodata] = self.nodata
-            if rng.random() < 0.3:  # other voids
+            if rng.random() < 0.3 and not is_touched:  # other voids
                 part[: size[0] // 2, size[1] // 3 :] = self.nodata
             if rng.random() < 0.3:  # heights where voids were
                 part[part == self.nodata] = self.highest - 3
