@@ -173,23 +173,24 @@ def corrections(change):
 
 
 def coded_corrections(value):
-    """A section of `PATCHED`'s root, 25 rows of one piece of 23: its first sample has a value."""
+    """A section of `PATCHED`'s root, 20 rows of one piece of 19: its first sample has a value."""
     encoder, models = RangeEncoder(), Models(170)
     has_any = int(value != 0)
     encoder.bit(models, 0, has_any)
-    for col in range(23 if has_any else 0):
+    for col in range(19 if has_any else 0):
         west = int(col in (1, 2))
         encoder.bit(models, 16 + 27 * (col % 2) + 9 * west, int(col == 0))
         if col == 0:
             encoder.raw(0, 1)
             for i in range(14):
                 encoder.bit(models, 124 + i, 1)
-            rest = value - 1 - 13
+            low = 10  # of step 18001
+            rest = value - 1 - (13 << low)
             n_bits = rest.bit_length() - 1
-            for i in range(n_bits + 1):
-                encoder.bit(models, 138 + i, int(i < n_bits))
+            for i in range(n_bits - low + 1):
+                encoder.bit(models, 138 + i, int(i < n_bits - low))
             encoder.raw(rest, n_bits)
-    for row in range(1, 25):
+    for row in range(1, 20):
         above, above_2 = has_any * (row == 1), has_any * (row == 2)
         encoder.bit(models, 8 * (row % 2) + 2 * above + above_2, 0)
     return encoder.end()
