@@ -301,7 +301,7 @@ EXERCISES = {
     "cdf97-fills-int16-zerotree-layer": "fills of filtered levels, meshes that don't know of them",
     "rapid-reach-told-int16": "contexts by reach that the header tells (feature bit 3)",
     "rapid-patched-int16-nodata": "corrections (feature bit 6, §5.5) beside voids",
-    "rapid-patched-int32-wide": "corrections of a root block with raw bits, heights far apart (R.2), aprons",
+    "rapid-patched-int32-wide": "corrections of a root block, heights far apart (R.2), aprons",
     "predictive-patched-int16-rings": "corrections with raw bits of magnitudes, aprons, voids",
     "predictive-patched-float32-nan": "corrections, a large step, voids are NaN",
     "one-sample": "a raster of one sample",

@@ -162,7 +162,9 @@ def _code(coder, padded, first_row, first_col, is_group, shift):
                 )
                 if is_any == 0:
                     continue
-                is_negative, at = code_raw_step(at, state, stream, is_encoder, 1, value < 0)
+                is_negative, at = code_raw_step(
+                    at, state, stream, is_encoder, 1, np.int64(value < 0)
+                )
                 size, at = code_magnitude_step(
                     at, state, stream, models, is_encoder, _SIZES, _PREFIX, shift, abs(value) - 1
                 )
