@@ -57,6 +57,7 @@ class Series:
         return path.stat().st_size
 
     def write(self, path: Path, heights: np.ndarray, row: int, col: int) -> None:
+        """Write a raster whose first sample is that of a row and a column."""
         place = self.profile["transform"]
         profile = {
             "driver": "GTiff", "count": 1, "dtype": heights.dtype, "crs": self.profile["crs"],
@@ -91,6 +92,7 @@ class Series:
         return seconds
 
     def read(self) -> np.ndarray:
+        """Return the heights of the file as it is now."""
         with Terrain(self.path, threads=1) as terrain:
             return terrain.read()
 

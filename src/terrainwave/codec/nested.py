@@ -29,6 +29,7 @@ from terrainwave.codec.detail import (
     step_scale,
 )
 from terrainwave.codec.lattice import PAD, WEIGHT_BITS
+from terrainwave.codec.refiner import FREE
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.filters import MAX_HEIGHT
 from terrainwave.coding.jit import kernel
@@ -490,6 +491,37 @@ def open_loop_cost(target, kinds, planes, own, geometry, weights, step, every, r
             magnitudes += min((error + 128) >> 8, 1 << 20)
             n_seen += 1
     return total, (magnitudes << 8) // max(n_seen, 1), n_seen
+
+
+@kernel
+def n_reached(goal, kinds, kept, planes, own, geometry, weights, clamp, step, z_min, z_max, rows):
+    """Return how many heights that must stay a stencil reaches by whole steps.
+
+    ``planes[own]`` holds `goal`; `kept` is that of `Corrections`, flat.
+    """
+    n_rows, n_cols = goal.shape
+    plane = planes[own]
+    acc, lowest, lower = rows[_ACC], rows[_LOWEST], rows[_LOWER]
+    upper, highest = rows[_UPPER], rows[_HIGHEST]
+    w_west = np.int64(weights[0])
+    p_low, p_high = np.int64(z_min) << P_BITS, np.int64(z_max) << P_BITS
+    n = np.int64(0)
+    for row in range(n_rows):
+        _add_taps(acc, planes, geometry.taps, weights, row, n_cols)
+        _sort_core(planes, geometry.core, row, n_cols, lowest, lower, upper, highest)
+        here = plane[row + PAD]
+        for j in range(n_cols):
+            if kinds[row, j] != CODED or kept[row * n_cols + j] == FREE:
+                continue
+            value = np.int64(acc[j]) + w_west * here[j + PAD - 1]
+            value >>= WEIGHT_BITS - P_BITS
+            if clamp:
+                value = max(value, np.int64(lowest[j]) << P_BITS)
+                value = min(value, np.int64(highest[j]) << P_BITS)
+            value = min(max(value, p_low), p_high)
+            whole = (value + (1 << (P_BITS - 1))) >> P_BITS
+            n += np.int64((np.int64(goal[row, j]) - whole) % step == 0)
+    return n
 
 
 def fill_noisy(target: NDArray[np.int32], plane: NDArray[np.int32], step: int) -> None:

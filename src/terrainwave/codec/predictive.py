@@ -39,6 +39,7 @@ from terrainwave.codec.nested import (
     code_pass,
     fill_noisy,
     fits_narrow,
+    n_reached,
     open_loop_cost,
 )
 from terrainwave.codec.parameters import (
@@ -417,7 +418,7 @@ def _code_lattice(
         choice = Choice(0, _N_CLASSES - 1)
         has_header = shape[0] * shape[1] >= _MIN_CHOICE
         if has_header and own_goal is not None:
-            choices = _choose(own_goal, own_kinds, geometry, spec, scratch, unit)
+            choices = _choose(own_goal, own_kinds, geometry, spec, scratch, unit, changes.kept)
             _encode_smallest(own_goal, own_kinds, geometry, choices, spec, scratch, unit, changes)
         else:
             if has_header:
@@ -502,10 +503,13 @@ def _choose(
     spec: GroupSpec,
     scratch: _Scratch,
     unit: _Unit,
+    kept: Heights,
 ) -> list[Choice]:
     """Return the stencil sets and classes of contexts to try on a plane, the likeliest first.
 
-    Sets are ranked by their errors on some rows; the best few, if close, are worth trying.
+    Sets are ranked by their errors on some rows; the best few, if close, are worth trying. Where
+    heights must stay, the set that they were coded with is: by another one, each would take a
+    correction.
     """
     own, planes = geometry.plane, scratch.planes
     saved = planes[own].copy()
@@ -518,18 +522,50 @@ def _choose(
         )
         for weights in unit.tables.stencils[own]
     ]  # fmt: skip
+    coded_with = _set_of_kept(goal, kinds, kept, geometry, spec, scratch, unit)
     planes[own] = saved
     ranking = sorted(range(len(costs)), key=lambda k: costs[k][0])
     # Costs hold 64, log8(256), for each sample, whatever its error.
     base = 64 * costs[0][2]
     limit = base + (costs[ranking[0]][0] - base) * _CLOSE[spec.effort] // 100
     ranking = [k for k in ranking[: _N_TRIALS[spec.effort]] if costs[k][0] <= limit]
+    if coded_with is not None:
+        ranking = [coded_with]
     # A file's own weights take the place of the last class.
     last = len(unit.tables.e_weights[own]) - 1
     classes = {k: sum(costs[k][1] >= edge for edge in CLASS_LIMITS) for k in ranking}
     return [Choice(k, last if classes[k] == _N_CLASSES - 1 else classes[k]) for k in ranking] or [
         Choice(0, _N_CLASSES - 1)
     ]
+
+
+def _set_of_kept(
+    goal: Heights,
+    kinds: NDArray[np.uint8],
+    kept: Heights,
+    geometry: Pass,
+    spec: GroupSpec,
+    scratch: _Scratch,
+    unit: _Unit,
+) -> int | None:
+    """Return the stencil set that reaches most heights that must stay; None if it reaches none.
+
+    ``scratch.planes`` of the pass are overwritten.
+    """
+    if not kept.size:
+        return None
+    own, n_rows, n_cols = geometry.plane, *goal.shape
+    scratch.planes[own, PAD : PAD + n_rows, PAD : PAD + n_cols] = goal
+    reached = [
+        n_reached(
+            goal, kinds, kept.ravel(), scratch.planes, own, geometry, weights,
+            bool(unit.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
+            scratch.rows.of(weights, unit.tables.e_weights[own][0]),
+        )
+        for weights in unit.tables.stencils[own]
+    ]  # fmt: skip
+    most = int(np.argmax(reached))
+    return most if reached[most] else None
 
 
 def _encode_smallest(
