@@ -52,7 +52,8 @@ _PREFIX = _SIZES + N_UNARY
 N_MODELS = _PREFIX + N_PREFIX
 # Rows above, columns beside that contexts look at.
 _ABOVE, _LEFT, _RIGHT = 2, 2, 1
-_MOST_BYTES_OF_SAMPLE = 16
+# About; of a correction that nothing foretells.
+_BYTES_OF_SAMPLE = 8
 
 
 def correct(height: Any, kept: Any, added: Any, place: Any, limits: Any, shown: Any) -> Any:
@@ -79,13 +80,16 @@ def encode_corrections(added: Heights, spec: GroupSpec) -> bytes:
     """Return the section of corrections; empty if all are 0."""
     if not added.any():
         return b""
-    n_corrected = int(np.count_nonzero(added))
-    out = np.empty(added.size // 2 + _MOST_BYTES_OF_SAMPLE * n_corrected + 64, dtype=np.uint8)
-    coder = new_encoder(out, new_models(N_MODELS))
     padded = np.zeros(_padded_shape(added.shape), dtype=np.int32)
     padded[_ABOVE:, _LEFT:-_RIGHT] = added
-    _code(coder, padded, *_geometry(spec))
-    return out[: finish_encoder(coder.state, out)].tobytes()
+    n_bytes = added.size + _BYTES_OF_SAMPLE * int(np.count_nonzero(added)) + 64
+    while True:  # twice where that was too little, which the coder tells
+        out = np.empty(n_bytes, dtype=np.uint8)
+        coder = new_encoder(out, new_models(N_MODELS))
+        _code(coder, padded, *_geometry(spec))
+        n_bytes = finish_encoder(coder.state, out)
+        if n_bytes <= out.size:
+            return out[:n_bytes].tobytes()
 
 
 def decode_corrections(section: bytes, spec: GroupSpec) -> Corrections:
