@@ -91,7 +91,7 @@ def test_kept_heights_come_back(method, rings, step, has_void):
     """Of all kinds of samples: corners of root blocks, shared lines, lattices; voids too."""
     refiner, rng = registry.refiner_by_name(method), np.random.default_rng(step)
     parent = {}
-    for key in KEYS[:2] + [KEYS[3]]:
+    for key in [*KEYS[:2], KEYS[3]]:
         spec = spec_of(key, rings, step)
         above = None if key.is_root_key else parent[key]
         rows, cols = np.indices(spec.region.shape)
