@@ -11,6 +11,7 @@ import terrainwave
 from terrainwave.codec import group
 from terrainwave.codec.correctioncoder import decode_corrections
 from terrainwave.codec.units import unit_spec
+from terrainwave.grid.quadtree import Block
 from terrainwave.terrain import Terrain
 from terrainwave.write.patch import patch
 
@@ -29,8 +30,8 @@ def ridges(n_rows, n_cols):
 
 # Heights, the options of a file, and by how much patches change them.
 RASTERS = {
-    "hills": (terrain_like(150, 110, seed=3), {"max_error": 2}, 9),
     "voids": (ridges(131, 140), {"max_error": 5, "nodata": VOID, "border_rings": 3}, 20),
+    "hills": (terrain_like(150, 110, seed=3), {"max_error": 2}, 9),
     "floats": (
         (terrain_like(120, 150, "float32", 4) * np.float32(1.7)).astype("float32"),
         {"max_error": 0.75, "mesh": "halves"},
@@ -72,8 +73,8 @@ class Patched:
                 for level in range(terrain.n_levels)
             ]
 
-    def patch(self):
-        """Patch a random place; assert that nothing has moved beside it; return the place."""
+    def patch(self, original=None):
+        """Patch a random place; without the original, assert that nothing has moved beside it."""
         rng, shape = self.rng, self.heights.shape
         size = rng.integers(1, 60, 2)
         row, col = (int(rng.integers(0, n - s + 1)) for n, s in zip(shape, size, strict=True))
@@ -96,8 +97,10 @@ class Patched:
                 part[part == self.nodata] = self.highest - 3
         self.write(self.new, part, row, col)
         before = self.levels()
-        result = patch(self.path, self.new)
+        result = patch(self.path, self.new, original=original)
         self.heights[at] = part
+        if original is not None:
+            return result
         for (old, was_valid, stride), (new, is_valid, _) in zip(before, self.levels(), strict=True):
             rows, cols = (stride * np.arange(n) for n in old.shape)
             beyond = (rows < row) | (rows >= row + size[0])
@@ -138,7 +141,7 @@ class Patched:
 
 
 @pytest.mark.large
-@pytest.mark.parametrize(("name", "method"), some(CASES, 2))
+@pytest.mark.parametrize(("name", "method"), some(CASES, 3))
 def test_fifty_patches_move_nothing_beside_them(tmp_path, name, method):
     patched = Patched(tmp_path, name, method=method)
     for number in range(50):
@@ -152,10 +155,76 @@ def test_fifty_patches_move_nothing_beside_them(tmp_path, name, method):
     patched.write(tmp_path / "all.tif", patched.heights)
     report = terrainwave.verify(patched.path, tmp_path / "all.tif", mesh=True)
     assert report.ok, report
+    with Terrain(patched.path, threads=4, cache_bytes=0) as terrain:
+        whole = terrain.read()
+        for row, col in patched.rng.integers(0, 90, (20, 2)).tolist():
+            part = whole[row : row + 33, col : col + 47]
+            np.testing.assert_array_equal(terrain.read((row, col, *part.shape)), part)
 
 
 @pytest.mark.large
-@pytest.mark.parametrize(("name", "method"), some(CASES, 1))
+@pytest.mark.parametrize("method", ["rapid", "predictive"])
+@pytest.mark.parametrize("mesh", some(["halves", "zerotree-plain", "rqt"], 2))
+def test_errors_of_stored_meshes_hold_after_patches(tmp_path, method, mesh):
+    patched = Patched(tmp_path, "voids", method=method, mesh=mesh)
+    for _ in range(6):
+        patched.check(patched.patch())
+        patched.write(tmp_path / "all.tif", patched.heights)
+        report = terrainwave.verify(patched.path, tmp_path / "all.tif", mesh=True)
+        assert report.ok, report
+
+
+@pytest.mark.large
+def test_errors_of_coarse_blocks_do_not_add_up(tmp_path):
+    """Each patch added the largest change of a block's samples to what the file says of it."""
+    patched = Patched(tmp_path, "hills", mesh="none")
+    heights = patched.heights.copy()
+    for n in range(30):
+        patched.heights[60:69, 20:29] = heights.max() if n % 2 else heights.min()
+        patched.write(patched.new, patched.heights[60:69, 20:29], 60, 20)
+        patch(patched.path, patched.new)
+    with Terrain(patched.path) as terrain:
+        stated = terrain.block_error(Block(0, 0, 0))
+        assert stated <= 2 * (heights.max() - heights.min()) + 4
+
+
+@pytest.mark.large
+def test_with_the_original_no_corrections_are_made(tmp_path):
+    patched = Patched(tmp_path, "hills")
+    new = patched.heights[60:90, 20:50].copy()
+    new[:] = np.clip(new[::-1] + 5, patched.lowest, patched.highest)
+    patched.write(patched.new, new, 60, 20)
+    patch(patched.path, patched.new, original=tmp_path / "old.tif")
+    with Terrain(patched.path) as terrain:
+        assert not terrain.header.has_corrections
+        assert terrain.info().format == "1.0"
+
+
+@pytest.mark.large
+@pytest.mark.parametrize("method", ["rapid", "predictive"])
+def test_units_with_corrections_agree_where_they_meet_with_the_original_too(tmp_path, method):
+    patched = Patched(tmp_path, "floats", method=method)
+    for number in range(14):
+        patched.write(tmp_path / "all.tif", patched.heights)
+        patched.patch(original=tmp_path / "all.tif" if number % 2 else None)
+    decode(patched.path.read_bytes())
+
+
+@pytest.mark.large
+def test_corrections_go_with_what_they_put_back(tmp_path):
+    """A patch of the whole area leaves none but where units meet."""
+    patched = Patched(tmp_path, "hills")
+    patched.patch()
+    patched.patch()
+    before = patched.sections()[0]
+    patched.heights = np.clip(patched.heights + 7, patched.lowest, patched.highest)
+    patched.write(patched.new, patched.heights)
+    patch(patched.path, patched.new)
+    assert patched.sections()[0] < before / 4
+
+
+@pytest.mark.large
+@pytest.mark.parametrize(("name", "method"), some(CASES, 2))
 def test_the_slow_decoder_reads_patched_files(tmp_path, name, method):
     """It is written from docs/FORMAT.md alone, and finds units that disagree where they meet."""
     patched = Patched(tmp_path, name, method=method)
