@@ -47,7 +47,8 @@ class Method:
     may_be_faithful : bool
         Its files may follow its paper to the letter (`write.options.Options.faithful`).
     is_patchable : bool
-        A unit can be coded again so that heights that still hold come back as they were.
+        A unit can be coded again so that heights that still hold come back as they were: its loop
+        takes corrections (`codec.correctioncoder`).
     has_parameters : bool
         The file's header may hold tables for all of its units.
     is_read_in_browsers : bool

@@ -41,9 +41,11 @@ def read_header(data):
     require(h.header_size == 128, "header_size")
     require(h.header_crc == zlib.crc32(data[:124]), "header_crc")
     require(h.reserved == 0, "reserved", UnsupportedError)
-    require(not h.features & ~(1 | 2 | 8 | 16), "features", UnsupportedError)
+    require(not h.features & ~(1 | 2 | 8 | 16 | 64), "features", UnsupportedError)
     require(not h.features & 2 or h.method == 1, "a faithful file of another method")
     require(not h.features & 8 or h.method == 4, "contexts by reach of another method")
+    may_be_corrected = h.method in (2, 4) and h.step > 1
+    require(not h.features & 64 or may_be_corrected, "corrections", UnsupportedError)
     require(h.padding == b"\0\0", "padding", UnsupportedError)
     require(h.mesh <= 6, "mesh", UnsupportedError)
     require(h.mesh != 6 or h.method == 3, "a mesh by coefficients of another method")

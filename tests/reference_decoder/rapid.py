@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from reference_decoder import range_coder
-from reference_decoder.basics import UnsupportedError, clamp, read_varint, require, zeros
+from reference_decoder.basics import UnsupportedError, clamp, corrected, read_varint, require, zeros
 from reference_decoder.predictive import SharedDecoder, fold
 from reference_decoder.range_coder import Models
 
@@ -211,7 +211,8 @@ class Streams:
 class Rows:
     """R.6, R.7, R.9 for rows of samples whose surroundings are known."""
 
-    def __init__(self, n, low, high, is_by_reach, streams):
+    def __init__(self, unit, n, low, high, is_by_reach, streams):
+        self.unit = unit
         self.n, self.low, self.high, self.streams = n, low, high, streams
         self.is_by_reach = is_by_reach
         self.r = max(lg(n) - 4, 0)
@@ -270,6 +271,7 @@ class Rows:
                 d = clamp(d, -most, most)
             x.q = -d if x.side < 0 else d
             x.height = clamp(x.w + x.q * self.n, self.low, self.high)
+            x.height = corrected(self.unit, x.place, x.height, self.low, self.high)
 
 
 # R.3 ---------------------------------------------------------------------------------------------
@@ -484,7 +486,7 @@ def decode_rapid(file, unit, payload, valid, parent_unit, parent_heights):
     tables, n = file.tables, file.header.step
     streams = Streams(payload, tables.slots)
     low, high = limits(file.header, tables.widest, streams.is_wide, parent_heights)
-    rows = Rows(n, low, high, tables.is_by_reach, streams)
+    rows = Rows(unit, n, low, high, tables.is_by_reach, streams)
     level = unit.key[0] + 1
 
     def of_class(stride):
@@ -509,6 +511,7 @@ def decode_rapid(file, unit, payload, valid, parent_unit, parent_heights):
             if valid[i][j]:
                 index = streams.raw(((high - low) // n).bit_length())
                 heights[i][j] = min(low + index * n + (n >> 1), high)
+            heights[i][j] = corrected(unit, (i, j), heights[i][j], low, high)
     while stride > 1:
         stride //= 2
         Lattice(unit, stride, heights, known, valid, rows, *of_class(stride)).decode()

@@ -423,14 +423,8 @@ def _print_result(result: Any) -> None:
 @click.option(
     "--original",
     type=Input(),
-    help="The raster that FILE was made of, with all earlier patches: keeps the bound where NEW is"
-    " not, too.",
-)
-@click.option(
-    "--loosen-bound",
-    is_flag=True,
-    help="Without --original: let heights beyond NEW move, and raise the bound of the whole FILE by"
-    " the largest move. By default such a patch is refused.",
+    help="The raster that FILE was made of, with all earlier patches. Heights beyond NEW are then"
+    " coded towards it; without it they stay as they are in FILE.",
 )
 @click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
 @click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use.")
@@ -454,11 +448,6 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
             f"max error guaranteed {result.effective_error:.6g}, measured"
             f" {result.measured_error:.6g}{_unit(result.units)}, of the whole file"
         )
-        if result.moved_error:
-            print_note(
-                f"heights beyond the new raster have moved by up to {result.moved_error:.6g}, which"
-                " is added to the file's bound; --original keeps it"
-            )
         _note_unit(result.units)
 
 

@@ -1,6 +1,7 @@
 """What `terrainwave warmup` does: run each kind of work once, so that its kernels are compiled."""
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -161,7 +162,9 @@ def _compress(folder: Path) -> None:
 def _files(folder: Path) -> list[Path]:
     """Return the files of whole rasters, without meshes of their own."""
     return sorted(
-        path for path in folder.glob("*.twz") if not path.stem.startswith(("mesh", "row"))
+        path
+        for path in folder.glob("*.twz")
+        if not path.stem.startswith(("mesh", "row", "patched"))
     )
 
 
@@ -186,6 +189,21 @@ def _verify(folder: Path) -> None:
         stem, _, method = path.stem.rpartition("-")
         if method == DEFAULT_METHOD.name:
             terrainwave.verify(path, folder / f"{stem}.tif", mesh=True)
+
+
+def _patch(folder: Path) -> None:
+    """Patch a part of a lossy file of each method that can be, and read the result."""
+    stem = "int16-void"
+    heights = _hills("int16", 2)
+    upside_down = heights.max() + heights.min() - heights[:60, :70]
+    new = _write(folder / "patched-void.tif", upside_down.astype(np.int16))
+    for method in METHODS.values():
+        if method.is_patchable:
+            path = folder / f"patched-{method.name}.twz"
+            shutil.copyfile(folder / f"{stem}-{method.name}.twz", path)
+            terrainwave.patch(path, new)
+            with terrainwave.open(path) as terrain:
+                terrain.read()
 
 
 def _mesh(folder: Path) -> None:
@@ -238,6 +256,7 @@ TASKS: dict[str, Callable[[Path], None]] = {
     "compress": lambda folder: None,
     "read": _read,
     "verify": _verify,
+    "patch": _patch,
     "mesh": _mesh,
     "render": _render,
 }

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec.correctioncoder import correct
 from terrainwave.codec.rapid_border import plan_lines
 from terrainwave.codec.rapid_code import (
     BIT_POS,
@@ -35,7 +36,14 @@ from terrainwave.codec.rapid_layout import (
 )
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS, scale_of, scaled_features
 from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_parameters
-from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
+from terrainwave.codec.refiner import (
+    NO_CORRECTIONS,
+    Corrections,
+    GroupSpec,
+    Heights,
+    Labels,
+    Mask,
+)
 from terrainwave.codec.spare import Spares, new_heights
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.codec.whole import is_whole
@@ -117,6 +125,8 @@ class _Unit(NamedTuple):
     memory: _Memory
     workspace: Workspace
     streams: Streams
+    kept: NDArray[np.int32]
+    added: NDArray[np.int32]
 
 
 class Rapid:
@@ -159,7 +169,12 @@ class Rapid:
         return Rapid(pack_parameters(tables))
 
     def encode(
-        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        target: Heights,
+        mask: Mask,
+        corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and the heights `decode` makes of it."""
         flags = self._flags(spec, parent, target, mask)
@@ -167,7 +182,9 @@ class Rapid:
         freqs = self._tables.packed_freqs(spec.step)
         with _MEMORY.lent() as memory:
             logs = memory.logs(target.size)
-            heights, streams = self._encode(spec, parent, target, mask, flags, freqs, memory, logs)
+            heights, streams = self._encode(
+                spec, parent, target, mask, flags, freqs, memory, logs, corrections
+            )
             n_symbols, n_bits = int(streams.places[COUNT]), int(streams.places[BIT_POS])
             words = logs.words[:n_symbols]
             n_words = encode_symbols(
@@ -209,6 +226,7 @@ class Rapid:
     def _encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask, flags: int,
         freqs: NDArray[np.uint32], memory: _Memory, logs: _Logs,
+        corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Streams]:  # fmt: skip
         """Return decoded heights, and the logs of what is to be written."""
         streams = Streams(
@@ -226,11 +244,16 @@ class Rapid:
         )
         heights = new_heights(spec.region.shape)
         target = np.ascontiguousarray(target)
-        self._code(spec, parent, target, mask, flags, streams, heights, memory)
+        self._code(spec, parent, target, mask, flags, streams, heights, memory, corrections)
         return heights, streams
 
     def decode(
-        self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        mask: Mask,
+        payload: bytes,
+        corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Labels | None]:
         """Rebuild the heights of ``spec.region``.
 
@@ -240,11 +263,17 @@ class Rapid:
             If the payload contradicts format-rapid.md; `TruncatedStreamError` if it is too short.
         """
         heights = new_heights(spec.region.shape)
-        self.decode_into(spec, parent, mask, payload, heights)
+        self.decode_into(spec, parent, mask, payload, heights, corrections)
         return heights, None
 
     def decode_into(
-        self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes, out: Heights
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        mask: Mask,
+        payload: bytes,
+        out: Heights,
+        corrections: Corrections = NO_CORRECTIONS,
     ) -> None:
         """Rebuild the heights of ``spec.region`` in `out`; see `decode`."""
         if not payload:
@@ -254,7 +283,7 @@ class Rapid:
             raise CorruptStreamError(f"payload flags {flags:#x} are not defined")
         streams = self._read_streams(payload, flags, spec.step)
         with _MEMORY.lent() as memory:
-            self._code(spec, parent, None, mask, flags, streams, out, memory)
+            self._code(spec, parent, None, mask, flags, streams, out, memory, corrections)
         _check_end(streams)
 
     def _read_streams(self, payload: bytes, flags: int, step: int) -> Streams:
@@ -306,7 +335,7 @@ class Rapid:
 
     def _code(
         self, spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask,
-        flags: int, streams: Streams, out: Heights, memory: _Memory,
+        flags: int, streams: Streams, out: Heights, memory: _Memory, corrections: Corrections,
     ) -> None:  # fmt: skip
         """Encode `target`, or decode where it is None; fill `out` with the region's heights."""
         is_wide = bool(flags & _WIDE)
@@ -330,6 +359,8 @@ class Rapid:
             memory=memory,
             workspace=memory.workspace(is_wide),
             streams=streams,
+            kept=corrections.kept.ravel(),
+            added=corrections.added.ravel(),
         )
         if parent is None:
             self._code_root(unit)
@@ -401,7 +432,7 @@ class Rapid:
             unit.is_encoding, unit.has_void, unit.goal, unit.valid, unit.out, source, *shared,
             Grid2(_first(spec), spec.region.shape[1], 1), coarse, spec.core.shape, stride,
             self._weights_from(spec.level, stride, unit.scale), known, unit.origin, unit.workspace,
-            unit.scale, unit.streams,
+            unit.scale, unit.streams, unit.kept, unit.added,
         )  # fmt: skip
 
 
@@ -413,7 +444,7 @@ def _code_corner(unit: _Unit, place: int) -> None:
     """
     scale, streams = unit.scale, unit.streams
     if unit.has_void and not unit.valid[place]:
-        unit.out[place] = ((scale.low + scale.high) >> 1) + unit.origin
+        _put(unit, place, (scale.low + scale.high) >> 1)
         return
     n_bits = ((scale.high - scale.low) // scale.step).bit_length()
     bit_pos = min(int(streams.places[BIT_POS]), streams.n_bits)
@@ -427,7 +458,14 @@ def _code_corner(unit: _Unit, place: int) -> None:
         index = both >> shift & ((1 << n_bits) - 1)
     streams.places[BIT_POS] += n_bits
     height = scale.low + index * scale.step + (scale.step >> 1)
-    unit.out[place] = min(height, scale.high) + unit.origin
+    _put(unit, place, min(height, scale.high))
+
+
+def _put(unit: _Unit, place: int, height: int) -> None:
+    """Take the height of a corner of a root block, less the origin, and correct it."""
+    height += unit.origin
+    limits = unit.scale.low + unit.origin, unit.scale.high + unit.origin
+    unit.out[place] = correct(height, unit.kept, unit.added, place, limits, limits)
 
 
 @lru_cache(maxsize=8)

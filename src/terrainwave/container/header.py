@@ -40,13 +40,14 @@ IS_FAITHFUL = 2
 HAS_REACH = 8
 # Payloads tell which samples of coarse levels are fills (FORMAT.md §5.4).
 HAS_FILLS = 16
-KNOWN_FEATURES = HAS_REMAINDERS | IS_FAITHFUL | HAS_REACH | HAS_FILLS
+# Payloads put heights back in the loop, so that patches move no others (FORMAT.md §5.5).
+HAS_CORRECTIONS = 64
+KNOWN_FEATURES = HAS_REMAINDERS | IS_FAITHFUL | HAS_REACH | HAS_FILLS | HAS_CORRECTIONS
 # What readers of format 1.0 know: all else needs one of 1.1.
 _FIRST_FEATURES = HAS_REMAINDERS | IS_FAITHFUL
 # Bits that format 1.1 keeps for what nobody has coded yet (FORMAT.md §4.7).
 _RESERVED_FEATURES = {
     32: "a further layout of rapid's tables",
-    64: "corrections of patches",
     128: "signs of zero",
 }
 
@@ -103,7 +104,8 @@ class Header:
     mesh_tolerance : int
         Its tolerance on the finest level, in 1/16 quanta; 0 without meshes.
     features : int
-        Must-understand mask: a sum of `HAS_REMAINDERS`, `IS_FAITHFUL`, `HAS_REACH`, `HAS_FILLS`.
+        Must-understand mask: a sum of `HAS_REMAINDERS`, `IS_FAITHFUL`, `HAS_REACH`, `HAS_FILLS`,
+        `HAS_CORRECTIONS`.
     metadata : dict
         The JSON metadata (`container.metadata`).
     parameters : bytes
@@ -150,6 +152,11 @@ class Header:
     def has_fills(self) -> bool:
         """Say whether payloads tell which samples of coarse levels are fills."""
         return bool(self.features & HAS_FILLS)
+
+    @property
+    def has_corrections(self) -> bool:
+        """Say whether payloads put heights back in the loop."""
+        return bool(self.features & HAS_CORRECTIONS)
 
     @property
     def format(self) -> str:
@@ -220,6 +227,7 @@ class Header:
             self.effort,
             is_faithful=self.is_faithful,
             has_fills=self.has_fills,
+            has_corrections=self.has_corrections,
         )
 
 
@@ -432,6 +440,9 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
         yield _Violation(f"a faithful file of method {header.method}, which has none")
     if header.has_fills and header.grid.k_max == 0:
         yield _Violation("fills of coarse levels in a file without any")
+    if header.has_corrections and (not METHODS[header.method].is_patchable or header.step == 1):
+        what = f"corrections of method {header.method} and step {header.step}"
+        yield _Violation(f"{what}{NEWER}", UnsupportedVersionError)
     if header.has_remainders:
         if header.dtype not in ("int32", "float32", "float64"):
             yield _Violation(f"remainders of {header.dtype}, which has none")
