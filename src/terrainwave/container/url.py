@@ -211,7 +211,10 @@ class HttpSource(MergingSource):
             raise _changed(self.name)
         expected = ByteRange(wanted.offset, min(wanted.end, size) - wanted.offset)
         if (int(match[1]), int(match[2]) + 1) != (expected.offset, expected.end):
-            raise StorageError(f"{self.name}: the server sent {match[0]} for {expected}")
+            raise StorageError(
+                f"{self.name}: the server sent {match[0]} for"
+                f" bytes {expected.offset}-{expected.end - 1}"
+            )
         self._learn(size, reply.version)
         return reply.body
 
