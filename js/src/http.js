@@ -222,7 +222,8 @@ function addressOf(text) {
   try {
     url = new URL(text, globalThis.document?.baseURI ?? globalThis.location?.href);
   } catch {
-    return { address: text, login: null }; // relative, where there is no page: for the caller's fetch
+    // Relative, where there is no page: for the caller's fetch. Or none that can be asked for.
+    return { address: text, login: null };
   }
   if (!/^https?:$/.test(url.protocol)) return { address: text, login: null };
   const encode = (part) => part.replace(/%(?![0-9a-f]{2})/gi, "%25");
@@ -245,7 +246,9 @@ function decoded(text) {
 
 /** Return a URL for messages: without query, where secrets live. */
 function displayName(address) {
-  return address.startsWith("data:") ? "the data: URL" : address.split(/[?#]/, 1)[0];
+  if (address.startsWith("data:")) return "the data: URL";
+  const shown = URL.canParse?.(address) === false ? address.replace(/\/\/.*@/s, "//") : address;
+  return shown.split(/[?#]/, 1)[0];
 }
 
 /** Compare ETags, weak or strong, or else dates; what was not there is no difference. */

@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
-from urllib.parse import SplitResult, parse_qsl, quote, unquote, urlsplit
+from urllib.parse import SplitResult, parse_qsl, quote, unquote, urljoin, urlsplit
 
 from terrainwave.errors import StorageError
 
@@ -15,6 +15,7 @@ DEFAULT_PORTS = {"http": 80, "https": 443}
 _LINK = re.compile(r"::(?![^\[\]]*\])")
 _URL = re.compile(r"[a-zA-Z][a-zA-Z0-9+.-]*://[^\s'\"<>]+")
 _BARE_PERCENT = re.compile("%(?![0-9a-fA-F]{2})")
+_BAD_PORT = re.compile(r":(?!\d*$)[^\]:]*$")
 # What may stand in a path and a query as it is, besides letters and digits (RFC 3986).
 _PATH, _QUERY = "%/:@!$&'()*+,;=~-._", "%/:@!$&'()*+,;=~-._?"
 # Parameters of a query that is a signature, in small letters: S3, Google Cloud, Azure, CloudFront.
@@ -33,11 +34,14 @@ def split_chain(url: str) -> tuple[str, str]:
 def display_name(url: str) -> str:
     """Return a URL for messages: without login, query and fragment, where secrets live."""
     first, rest = split_chain(url)
-    if "://" in first:
-        scheme, _, address = first.partition("://")
-        address = re.split("[?#]", address, maxsplit=1)[0]
-        netloc, slash, path = address.partition("/")
-        first = f"{scheme}://{netloc.rpartition('@')[2]}{slash}{path}"
+    scheme, mark, address = first.partition("://")
+    if mark:
+        netloc = re.split("[/?#]", address, maxsplit=1)[0]
+        if "@" in netloc:
+            address = netloc.rpartition("@")[2] + address[len(netloc) :]
+        elif _BAD_PORT.search(netloc):  # a password with a letter that ought to be encoded
+            address = address.rpartition("@")[2]
+        first = scheme + mark + re.split("[?#]", address, maxsplit=1)[0]
     return f"{first}::{display_name(rest)}" if rest else first
 
 
@@ -59,11 +63,19 @@ def web_address(url: str) -> SplitResult:
     """
     try:
         parts = urlsplit(url)
-        host, port = parts.hostname or "", parts.port  # the port is looked at when asked for
+        host = parts.hostname or ""
         if not host.isascii():
             host = host.encode("idna").decode()
     except ValueError as error:
-        raise StorageError(f"{display_name(url)} is not a URL: {error}") from error
+        problem = without_secrets(str(error))
+        raise StorageError(f"{display_name(url)} is not a URL: {problem}") from error
+    try:
+        port = parts.port
+    except ValueError as error:  # its words have a part of the password
+        raise StorageError(
+            f"{display_name(url)} is not a URL: expected a number below 65536 as port (/, ? and #"
+            " in a password are written %2F, %3F and %23)"
+        ) from error
     if not host:
         raise StorageError(f"{display_name(url)}: no host in the URL")
     login, at, _ = parts.netloc.rpartition("@")
@@ -95,9 +107,7 @@ def basic_login(parts: SplitResult) -> str | None:
 
 
 def redirected(url: str, location: str) -> str:
-    """Return a Location header as text: servers write UTF-8 there, http.client reads Latin-1."""
-    from urllib.parse import urljoin
-
+    """Return where a Location header leads: servers write UTF-8, http.client reads Latin-1."""
     with suppress(UnicodeError):
         location = location.encode("latin-1").decode()
     return urljoin(url, location)

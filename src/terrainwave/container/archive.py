@@ -5,6 +5,7 @@ one is taken whole, with a warning, a large one refused.
 """
 
 import io
+import struct
 import warnings
 import zipfile
 import zlib
@@ -19,10 +20,12 @@ from terrainwave.container.source import (
     MergingSource,
     open_source,
 )
-from terrainwave.errors import StorageError, TerrainwaveWarning
+from terrainwave.errors import StorageError, TerrainwaveWarning, TruncatedStreamError
 
 _TAIL = 1 << 16  # the directory of small archives, and all that may come after one
 _LOCAL_HEADER = 30
+# What zipfile raises for bytes that are no archive, or one that it cannot read.
+_DAMAGE = (zipfile.BadZipFile, NotImplementedError, EOFError, ValueError, zlib.error, struct.error)
 
 
 class MemberSource(MergingSource):
@@ -86,6 +89,11 @@ def _member(path: str, source: ByteSource) -> ByteSource:
                 raise StorageError(f"{name} is encrypted; unpack the archive and open the file")
             if info.compress_type == zipfile.ZIP_STORED:
                 return MemberSource(name, source, *_place(info, source, name))
+            if info.compress_type != zipfile.ZIP_DEFLATED:
+                raise StorageError(
+                    f"{name} is compressed by method {info.compress_type} of zip; store it without"
+                    " compression (zip -0)"
+                )
             if max(info.file_size, info.compress_size) > MAX_WHOLE:
                 raise StorageError(
                     f"{name} is compressed in its archive, so that no parts of it can be read;"
@@ -94,7 +102,7 @@ def _member(path: str, source: ByteSource) -> ByteSource:
                 )
             with archive.open(info) as file:
                 data = file.read(MAX_WHOLE + 1)
-    except (zipfile.BadZipFile, NotImplementedError, EOFError, ValueError, zlib.error) as error:
+    except (*_DAMAGE, TruncatedStreamError) as error:
         raise StorageError(f"cannot read {name}: {error}") from error
     warnings.warn(
         f"{name} is compressed in its archive, so all of it was read, {size_of(len(data))}",

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 from urllib.parse import SplitResult, urlsplit
 
 import urllib3
-from urllib3.exceptions import HTTPError
+from urllib3.exceptions import HTTPError, LocationParseError
 
 from terrainwave.container.addresses import basic_login, display_name, origin, without_login
 from terrainwave.errors import StorageError
@@ -111,7 +111,10 @@ class Connections:
                 way = url.scheme, proxy_of(url)
                 if way not in self._managers:
                     self._managers[way] = _manager(*way)
-                pool = self._managers[way].connection_from_url(without_login(url))
+                try:
+                    pool = self._managers[way].connection_from_url(without_login(url))
+                except LocationParseError as error:
+                    raise StorageError(f"{without_login(url)}: {error}") from error
                 pool.ConnectionCls = self._watched(pool.ConnectionCls)
                 has_tunnel = url.scheme == "https" or (way[1] or "socks").startswith("socks")
                 self._pools[key] = pool, not has_tunnel
@@ -210,7 +213,8 @@ def proxy_of(url: SplitResult) -> str | None:
 def _is_near(url: SplitResult, no_proxy: str) -> bool:
     """Say whether `no_proxy`, or the system, wants no proxy for a server."""
     _, host, port = origin(url)
-    if any(map(urllib.request.proxy_bypass, (host, f"{host}:{port}", f"[{host}]"))):
+    in_url = f"[{host}]" if ":" in host else host
+    if any(map(urllib.request.proxy_bypass, (host, in_url, f"{in_url}:{port}"))):
         return True
     with suppress(ValueError):
         address = ip_address(host)
@@ -229,12 +233,12 @@ def trusted() -> ssl.SSLContext:
     StorageError
         If a variable names none.
     """
-    return _context(*map(os.environ.get, _CERTIFICATES))
+    return _context(*map(os.environ.get, (*_CERTIFICATES, "SSL_CERT_DIR")))
 
 
 @cache  # reading the system's takes 20 ms
 def _context(*paths: str | None) -> ssl.SSLContext:
-    for (name, is_added), path in zip(_CERTIFICATES.items(), paths, strict=True):
+    for (name, is_added), path in zip(_CERTIFICATES.items(), paths, strict=False):
         if not path:
             continue
         is_folder = os.path.isdir(path)
