@@ -11,6 +11,7 @@ import shutil
 import socket
 import ssl
 import struct
+import sys
 import threading
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -21,7 +22,7 @@ import pytest
 from terrainwave.container import url as module
 from terrainwave.container.addresses import display_name, without_secrets
 from terrainwave.container.source import open_source
-from terrainwave.errors import SourceUnavailableError, StorageError
+from terrainwave.errors import SourceUnavailableError, StorageError, TerrainwaveError
 
 TLS = Path(__file__).parent / "tls"
 AUTHORITY, CERTIFICATE = TLS / "authority.pem", TLS / "server.pem"
@@ -427,9 +428,12 @@ def test_a_socks_proxy_is_used(monkeypatch, server):
 
 
 def test_without_pysocks_the_message_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "urllib3.contrib.socks", None)
-    monkeypatch.setenv("all_proxy", "socks5://127.0.0.1:1")
-    assert "pip install pysocks" in problem("http://example.invalid/a")
+    monkeypatch.setitem(sys.modules, "socks", None)
+    monkeypatch.setenv("all_proxy", "socks5://me:secret@127.0.0.1:1")
+    with pytest.raises(
+        TerrainwaveError, match=r'needs pysocks: pip install "terrainwave\[remote\]"'
+    ):
+        open_source("http://example.invalid/a")
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from urllib3.exceptions import HTTPError, LocationParseError
 
 from terrainwave.container.addresses import basic_login, display_name, origin, without_login
 from terrainwave.errors import StorageError
+from terrainwave.extras import need
 
 T = TypeVar("T")
 
@@ -145,6 +146,7 @@ def _manager(scheme: str, proxy: str | None) -> urllib3.PoolManager:
     try:
         parts = urlsplit(proxy)
         if parts.scheme.startswith("socks"):
+            need("socks", extra="remote", purpose=f"the proxy {display_name(proxy)}")
             from urllib3.contrib.socks import SOCKSProxyManager
 
             return SOCKSProxyManager(proxy, **options)
@@ -155,10 +157,6 @@ def _manager(scheme: str, proxy: str | None) -> urllib3.PoolManager:
             proxy_ssl_context=trusted() if parts.scheme == "https" else None,
             **options,
         )
-    except ImportError as error:
-        raise StorageError(
-            f"the proxy {display_name(proxy)} needs PySocks: pip install pysocks"
-        ) from error
     except (ValueError, HTTPError) as error:
         raise StorageError(
             f"the proxy {display_name(proxy)} has no address that can be asked; expected"
