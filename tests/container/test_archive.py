@@ -24,7 +24,9 @@ def packed(tmp_path):
     path = tmp_path / "all.zip"
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("read.me", bytes(100_000))
-        archive.writestr("dir/höhe 1.twz", data)
+        stored = zipfile.ZipInfo("dir/höhe 1.twz")
+        stored.extra = b"UT\x05\x00\x01\x00\x00\x00\x00"  # a time, as Info-ZIP notes it
+        archive.writestr(stored, data)
         archive.writestr("deflated.twz", data, zipfile.ZIP_DEFLATED)
         archive.writestr("later", bytes(200_000))
     return path, data

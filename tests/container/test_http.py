@@ -28,7 +28,7 @@ TLS = Path(__file__).parent / "tls"
 AUTHORITY, CERTIFICATE = TLS / "authority.pem", TLS / "server.pem"
 DATA = bytes(i * 7 % 251 for i in range(40_000))
 VARIABLES = (
-    "http_proxy", "https_proxy", "all_proxy", "no_proxy",
+    "http_proxy", "https_proxy", "all_proxy", "no_proxy", "ftp_proxy",
     "REQUESTS_CA_BUNDLE", "CURL_CA_BUNDLE", "SSL_CERT_FILE", "SSL_CERT_DIR",
 )  # fmt: skip
 
@@ -83,7 +83,8 @@ class Handler(BaseHTTPRequestHandler):
             self.send(server.tunnel_status, b"")
             return
         host, _, port = self.path.rpartition(":")
-        with socket.create_connection((host.strip("[]"), int(port))) as other:
+        place = server.tunnel_to or (host.strip("[]"), int(port))
+        with socket.create_connection(place) as other:
             self.send_response(200)
             self.end_headers()
             pump(self.connection, other)
@@ -139,6 +140,7 @@ class Server(ThreadingHTTPServer):
         super().__init__((host, 0), handler)
         self.asked, self.logins, self.redirects, self.statuses = [], [], {}, {}
         self.proxy_login, self.tunnel_status, self.resets = None, 200, 0
+        self.tunnel_to = None
         host = f"[{host}]" if ":" in host else host
         self.place = f"{host}:{self.server_port}"
         self.url = f"{'https' if tls else 'http'}://{self.place}"
@@ -261,8 +263,7 @@ def test_what_is_no_address_is_one_clear_line(url):
 # Logins
 
 
-def test_a_login_goes_on_to_the_same_server_and_to_its_https(server, monkeypatch):
-    monkeypatch.setenv("SSL_CERT_FILE", str(AUTHORITY))
+def test_a_login_goes_on_to_the_same_server_and_to_no_other(server):
     basic = "Basic " + base64.b64encode("mé:se@cret".encode()).decode()
     address = server.url.replace("//", "//m%C3%A9:se%40cret@") + "/a"
     server.redirects["/a"] = server.url + "/b"
@@ -272,6 +273,19 @@ def test_a_login_goes_on_to_the_same_server_and_to_its_https(server, monkeypatch
         server.redirects["/a"] = other.url + "/b"
         assert reads(address)
         assert other.logins == [None] * 2
+
+
+def test_a_login_goes_on_to_https_of_the_same_host(proxy, monkeypatch):
+    monkeypatch.setenv("SSL_CERT_FILE", str(AUTHORITY))
+    monkeypatch.setenv("all_proxy", proxy.url)
+    proxy.redirects["http://localhost/a"] = "https://localhost/b"
+    with serving(tls=True) as server:
+        proxy.tunnel_to = server.server_address
+        assert reads("http://me:secret@localhost/a")
+        assert server.logins == ["Basic " + base64.b64encode(b"me:secret").decode()] * 2
+        proxy.redirects["http://127.0.0.1/a"] = "https://localhost/b"
+        assert reads("http://me:secret@127.0.0.1/a")
+        assert server.logins[2:] == [None] * 2
 
 
 SECRET = "http://me:secret@example.org/a b.twz?sig=secret#secret"

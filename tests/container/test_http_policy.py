@@ -175,6 +175,15 @@ def test_an_address_is_asked_for_as_servers_take_it(case, waits):
         assert {request.path for request in server.asked} == {case["asked"]}
 
 
+def test_a_whole_file_in_a_coding_that_is_not_known_is_refused(waits):
+    reply = {"status": 200, "headers": {"Content-Encoding": "zstd"}}
+    error = (
+        "NAME: the server sends the file with Content-Encoding: zstd, which cannot be decoded here;"
+        " store the file there without it"
+    )
+    check({"replies": [reply], "requests": 1, "waits": [], "error": error}, waits)
+
+
 def test_parts_are_asked_for_uncompressed(waits):
     with serving([{}]) as (server, host):
         outcome(host + "/a")
