@@ -205,7 +205,8 @@ def test_files_are_opened_only_at_the_edge():
 
 
 @pytest.mark.parametrize(
-    "library", ["moderngl", "fsspec", "xarray", "zarr", "pyvista", "numba", "rasterio", "pyproj"]
+    "library",
+    ["moderngl", "fsspec", "urllib3", "xarray", "zarr", "pyvista", "numba", "rasterio", "pyproj"],
 )
 def test_importing_terrainwave_needs_no_heavy_library(library):
     code = f"import sys, terrainwave; sys.exit({library!r} in sys.modules)"

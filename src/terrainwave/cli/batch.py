@@ -9,11 +9,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 import click
 
-from terrainwave.arguments import checked_threads, count_of
+from terrainwave.arguments import checked_threads, count_of, path_in_url
 from terrainwave.cli.manifest import Manifest
 from terrainwave.cli.output import Bar, line_of, plain, print_error, print_note
 from terrainwave.cli.streams import STREAM
@@ -76,8 +75,7 @@ def plan(sources: Sequence[str], directory: str, ending: str) -> list[Job]:
     for source in sources:
         if source == STREAM:
             raise click.UsageError("found - and --to, expected names: targets are called by them")
-        path = urlsplit(source).path if "://" in source else source
-        job = Job(source, os.path.join(directory, Path(path).stem + ending))
+        job = Job(source, os.path.join(directory, Path(path_in_url(source)).stem + ending))
         other = jobs.setdefault(os.path.basename(str(job.target)).casefold(), job)
         if other is not job:
             raise click.UsageError(
