@@ -130,7 +130,7 @@ class KernelCache:
     def _found(self) -> tuple[Place, tuple[_Entries, ...]]:
         if self._reason:
             return Place((), reason=self._reason), ()
-        if not config.CACHE_LOCATOR_CLASSES:
+        if not getattr(config, "CACHE_LOCATOR_CLASSES", ""):
             place = place_of(self.function.__code__.co_filename)
             return place, tuple(_Entries(self, folder) for folder in place.folders)
         try:
