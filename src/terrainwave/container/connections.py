@@ -83,8 +83,9 @@ class Connections:
             if self._is_closed:
                 raise OSError("closed")
             pool, is_forwarded = self._pool(url)
-            target = url._replace(scheme="", netloc="").geturl()
-            target = without_login(url) if is_forwarded else target
+            target = url.path + (f"?{url.query}" if url.query else "")
+            if is_forwarded:
+                target = without_login(url)
             for may_be_stale in (True, False):
                 self._here.is_fresh = False
                 try:
