@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from terrainwave.arguments import checked_threads, in_one_line
 from terrainwave.codec.registry import check_parameters, has_reach
+from terrainwave.container.addresses import display_name
 from terrainwave.container.codes import decode_error, decode_range
 from terrainwave.container.header import HAS_REACH, Header
 from terrainwave.container.parts import Parts, parts_of
@@ -158,6 +159,8 @@ class TerrainFile:
             self._source.close()
             raise
         self.name = source if isinstance(source, str | os.PathLike) else "<bytes>"
+        if isinstance(source, str):
+            self.name = display_name(source)
         self.grid = header.grid
         self._cache_bytes = cache_bytes
 

@@ -13,6 +13,8 @@ import ssl
 import struct
 import sys
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -51,6 +53,7 @@ class Handler(BaseHTTPRequestHandler):
     def do_GET(self):
         server = self.server
         server.asked.append(self.path)
+        server.clients.add(self.client_address)
         server.logins.append(self.headers.get("Authorization"))
         if server.proxy_login is not None and not self.has_proxy_login():
             return None
@@ -140,7 +143,7 @@ class Server(ThreadingHTTPServer):
         super().__init__((host, 0), handler)
         self.asked, self.logins, self.redirects, self.statuses = [], [], {}, {}
         self.proxy_login, self.tunnel_status, self.resets = None, 200, 0
-        self.tunnel_to = None
+        self.tunnel_to, self.clients = None, set()
         host = f"[{host}]" if ":" in host else host
         self.place = f"{host}:{self.server_port}"
         self.url = f"{'https' if tls else 'http'}://{self.place}"
@@ -555,6 +558,32 @@ def test_a_connection_that_is_always_reset_may_pass(server):
     server.resets = 100
     with pytest.raises(SourceUnavailableError, match="cannot read"):
         reads(server.url + "/a")
+
+
+def test_many_threads_share_sixteen_connections(server, caplog):
+    source = open_source(server.url + "/a")
+    with ThreadPoolExecutor(40) as pool:
+        reads = [pool.submit(source.read, 20_000 + i, 100) for i in range(200)]
+        assert all(one.result() == DATA[20_000 + i :][:100] for i, one in enumerate(reads))
+    source.close()
+    assert len(server.asked) == 201
+    assert len(server.clients) <= 16
+    assert caplog.text == ""
+
+
+def test_closing_ends_threads_that_wait_for_their_turn():
+    with socket.create_server(("127.0.0.1", 0), backlog=64) as listener, serving() as server:
+        source = open_source(server.url + "/a")
+        server.redirects["/a"] = f"http://127.0.0.1:{listener.getsockname()[1]}/silent"
+        with ThreadPoolExecutor(40) as pool:
+            reads = [pool.submit(source.read, 20_000, 100) for _ in range(40)]
+            while not select.select([listener], [], [], 0.1)[0]:
+                pass
+            start = time.monotonic()
+            source.close()
+            messages = {str(one.exception()) for one in reads}
+        assert messages == {f"{server.url}/a is closed"}
+        assert time.monotonic() - start < 3
 
 
 @pytest.mark.parametrize("status", [400, 401, 403, 404, 410])

@@ -172,7 +172,9 @@ def test_a_server_that_refuses_is_asked_once(status, words, waits):
 def test_an_address_is_asked_for_as_servers_take_it(case, waits):
     with serving([{}]) as (server, host):
         assert outcome(host + case["url"]) == DATA[WHERE : WHERE + LENGTH]
-        assert {request.path for request in server.asked} == {case["asked"]}
+        # As it came: http.server makes one slash of two.
+        targets = {request.requestline.split()[1] for request in server.asked}
+        assert targets == {case["asked"]}
 
 
 def test_a_whole_file_in_a_coding_that_is_not_known_is_refused(waits):

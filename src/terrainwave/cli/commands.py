@@ -64,6 +64,7 @@ from terrainwave.cli.output import (
     reading,
 )
 from terrainwave.cli.streams import STREAM, printing_beside, written
+from terrainwave.container.addresses import display_name
 from terrainwave.names import (
     DEFAULT_METHOD,
     EFFORTS,
@@ -1024,8 +1025,12 @@ def _verify_all(
         if report.errors is not None:
             found += f", {count_of(report.errors.n_valid, 'height')} compared"
             if not report.errors.n_valid:
-                print_note(f"{job.source}: no height was compared: none is valid in both")
-        return Done(f"{plain(job.source)}: {found}", report.to_dict(), is_good=report.ok)
+                print_note(
+                    f"{display_name(job.source)}: no height was compared: none is valid in both"
+                )
+        return Done(
+            f"{plain(display_name(job.source))}: {found}", report.to_dict(), is_good=report.ok
+        )
 
     announce_compiling(quiet=quiet)
     found, status = run(

@@ -54,6 +54,8 @@ def print_note(message: object) -> None:
 @contextmanager
 def reading(path: str) -> Iterator[None]:
     """Name the file in the message of whatever is wrong with it, and say so if it is no .twz."""
+    from terrainwave.container.addresses import display_name
+
     try:
         yield
     except CorruptStreamError as error:
@@ -65,7 +67,7 @@ def reading(path: str) -> Iterator[None]:
                     f"{path}: found {kind}, expected a .twz file; terrainwave compress makes one"
                     " of a raster"
                 ) from error
-        raise type(error)(f"{path}: {error}") from error
+        raise type(error)(f"{display_name(path)}: {error}") from error
 
 
 @contextmanager

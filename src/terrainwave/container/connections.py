@@ -27,8 +27,8 @@ from terrainwave.extras import need
 
 T = TypeVar("T")
 
-# Idle connections that are kept for each server; no more are open than threads ask at a time.
-_N_KEPT = 64
+# Requests of a file at a time; further threads wait for their turn.
+N_CONNECTIONS = 16
 # Where the environment names certificates: in place of the system's, or (OpenSSL's own) added.
 _CERTIFICATES = {"REQUESTS_CA_BUNDLE": False, "CURL_CA_BUNDLE": False, "SSL_CERT_FILE": True}
 _TUNNEL = re.compile(r"Tunnel connection failed: (\d{3})")
@@ -55,6 +55,7 @@ class Connections:
         Those in use are left as they are: their locks may be held.
         """
         self._lock = threading.Lock()
+        self._turns = threading.Semaphore(N_CONNECTIONS)
         self._managers: dict[tuple[str, str | None], urllib3.PoolManager] = {}
         self._pools: dict[tuple[str, str], tuple[Any, bool]] = {}
         self._sockets: weakref.WeakSet[Any] = weakref.WeakSet()
@@ -78,18 +79,23 @@ class Connections:
         ProxyStatus
             If the proxy makes no way to the server.
         """
-        pool, is_forwarded = self._pool(url)
-        target = without_login(url) if is_forwarded else url._replace(scheme="", netloc="").geturl()
-        for may_be_stale in (True, False):
-            self._here.is_fresh = False
-            try:
-                return _exchange(pool, target, headers, timeout, take)
-            except HTTPError as error:
-                cause = _cause(error)
-                if status := _TUNNEL.search(str(cause)):
-                    raise ProxyStatus(int(status[1])) from error
-                if self._here.is_fresh or self._is_closed or not may_be_stale:
-                    raise cause from error
+        with self._turns:
+            if self._is_closed:
+                raise OSError("closed")
+            pool, is_forwarded = self._pool(url)
+            target = url.path + (f"?{url.query}" if url.query else "")
+            if is_forwarded:
+                target = without_login(url)
+            for may_be_stale in (True, False):
+                self._here.is_fresh = False
+                try:
+                    return _exchange(pool, target, headers, timeout, take)
+                except HTTPError as error:
+                    cause = _cause(error)
+                    if status := _TUNNEL.search(str(cause)):
+                        raise ProxyStatus(int(status[1])) from error
+                    if self._here.is_fresh or self._is_closed or not may_be_stale:
+                        raise cause from error
         raise AssertionError("the second attempt returns or raises")
 
     def close(self) -> None:
@@ -138,7 +144,7 @@ class Connections:
 
 
 def _manager(scheme: str, proxy: str | None) -> urllib3.PoolManager:
-    options: dict[str, Any] = {"maxsize": _N_KEPT}
+    options: dict[str, Any] = {"maxsize": N_CONNECTIONS}
     if scheme == "https":
         options["ssl_context"] = trusted()
     if proxy is None:

@@ -40,7 +40,7 @@ from terrainwave.container.addresses import (
     without_secrets,
 )
 from terrainwave.container.archive import open_member
-from terrainwave.container.connections import Connections, ProxyStatus, proxy_of
+from terrainwave.container.connections import N_CONNECTIONS, Connections, ProxyStatus, proxy_of
 from terrainwave.container.ranges import ByteRange
 from terrainwave.container.source import MAX_WHOLE, ByteSource, FileSource, MergingSource
 from terrainwave.errors import (
@@ -54,8 +54,6 @@ from terrainwave.forks import renew_after_fork
 
 FIRST_REQUEST = 16 * 1024
 TIMEOUT = 30.0  # seconds without a byte
-N_CONNECTIONS = 16
-
 _REDIRECTS = {301, 302, 303, 307, 308}
 _MAX_REDIRECTS = 5
 _BUSY = {408, 425, 429, 500, 502, 503, 504}
