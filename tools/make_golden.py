@@ -230,6 +230,22 @@ CASES = {
         (50, 47), "int16", 4000, "none", PLACE,
         {"max_error": 9, "method": "rapid", "mesh": "none"},
     ),
+    # Weights of features of the file's own: of two classes or of all four, contexts of either kind.
+    "rapid-weights-int16-lossless": (
+        (100, 110), "int16", 60, "none", PLACE, {"max_error": 0, "method": "rapid", "mesh": "none"},
+    ),
+    "rapid-weights-float32-fills": (
+        (100, 110), "float32", 500, "nan", PLACE,
+        {"max_error": 0.5, "method": "rapid", "mesh": "none"},
+    ),
+    "rapid-reach-weights-int16": (
+        (140, 130), "int16", 300, "none", PLACE,
+        {"max_error": 1, "method": "rapid", "block": 64, "mesh": "none"},
+    ),
+    "rapid-reach-weights-int32-wide": (
+        (140, 130), "int32", 9_000_000, "none", PLACE,
+        {"max_error": 9000, "method": "rapid", "border_rings": 3, "mesh": "none"},
+    ),
     "one-sample": ((1, 1), "int16", 100, "none", DEGREES, {"max_error": 0}),
     "one-row": ((1, 90), "float32", 100, "none", DEGREES, {"max_error": 0.5}),
     "all-void": ((70, 40), "int16", 100, "all", DEGREES, {"max_error": 1}),
@@ -284,6 +300,10 @@ EXERCISES = {
     "cdf53-fills-int16-tiles": "fills of tiles of several levels, one below the other (C.4)",
     "cdf97-fills-int16-zerotree-layer": "fills of filtered levels, meshes that don't know of them",
     "rapid-reach-told-int16": "contexts by reach that the header tells (feature bit 3)",
+    "rapid-weights-int16-lossless": "weights of features (feature bit 5, R.10) of two classes",
+    "rapid-weights-float32-fills": "weights beside fills, a step that is not fine",
+    "rapid-reach-weights-int16": "weights of all classes, contexts by reach, step 3, blocks of 64",
+    "rapid-reach-weights-int32-wide": "weights, contexts by reach, *wide* units, aprons",
     "one-sample": "a raster of one sample",
     "one-row": "a raster of one row",
     "all-void": "no valid sample: z_min 0, z_max −1, empty payloads",

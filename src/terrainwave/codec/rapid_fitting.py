@@ -36,10 +36,10 @@ from terrainwave.codec.windows import spread_windows
 from terrainwave.coding.rans import N_SLOTS, SYMBOL_BITS
 from terrainwave.grid.quadtree import Grid, Region
 
-# Samples a side of a window, and samples of the raster for one; from 2 to 36 windows in all.
+# Samples a side of a window, and samples of the raster for one; from 2 to 48 windows in all.
 _WINDOW = 257
 _SHARE = 1 << 16
-_LEAST_WINDOWS, _MOST_WINDOWS = 2, 36
+_LEAST_WINDOWS, _MOST_WINDOWS = 2, 48
 # They decide on stencils, features and contexts: where there are more, so many samples a side.
 _MOST_WHOLE, _FEW = 16, 129
 _MIN_SAMPLES = 300
@@ -49,7 +49,7 @@ _FREQ_BITS = 3
 _PRIOR = 120
 _RAREST = N_SLOTS * ESCAPE_BITS * 2 // 3
 _SAVED_BY_REACH = 1 / 256
-_SAVED_BY_WEIGHTS = 1 / 256
+_SAVED_BY_WEIGHTS = 1 / 1024
 _NOT_SHARED = Sides(False, False, False, False)
 
 

@@ -58,11 +58,11 @@ _HEAD_K_MAX, _HEAD_FAMILY, _HEAD_REACH, _HEAD_WEIGHTED = range(4)
 _NO_TAP = -1
 # What can be wrong with the numbers of a section.
 _FINE, _BAD_FAMILY, _BAD_WEIGHT, _BAD_CODE, _BAD_FEATURE = range(5)
-# Models: magnitudes of core taps and of other taps; six groups for frequencies; a flag.
+# Models: magnitudes of core taps and of other taps; six groups for frequencies; one for weights of
+# features; a flag.
 _CORE, _OTHER, _FREQ = 0, MAGNITUDE_MODELS, 2 * MAGNITUDE_MODELS
-_OWN = 8 * MAGNITUDE_MODELS
-_FEATURE = _OWN + 2
-_N_MODELS = _FEATURE + MAGNITUDE_MODELS
+_FEATURE, _OWN = 8 * MAGNITUDE_MODELS, 9 * MAGNITUDE_MODELS
+_N_MODELS = _OWN + 2
 _EXACT = 32  # frequencies below have a code each; above, 16 codes an octave
 MAX_CODE = 127
 # Weights of features that a file brings along: codes of frequencies, shifted by so many bits. Those
@@ -70,9 +70,9 @@ MAX_CODE = 127
 WEIGHT_SHIFTS = np.array([14, 7, 7, 7, 13, 13, 9, 7, 7], dtype=np.int64)
 USUAL_WEIGHTS = np.array(
     [
-        [70, 81, 64, 44, 28, 44, 73, 0, 0],
-        [70, 66, 59, 30, 28, 44, 64, 75, 50],
-        [70, 60, 45, 30, 24, 44, 40, 78, 30],
+        [12, 58, 50, 25, 33, 35, 57, 0, 0],
+        [4, 39, 37, 10, 25, 24, 37, 49, 32],
+        [4, 35, 19, 18, 22, 22, 35, 48, 23],
     ],
     dtype=np.int64,
 )

@@ -56,6 +56,7 @@ LAYOUT_FEATURES = {REACH_LAYOUT: HAS_REACH, WEIGHTS_LAYOUT: HAS_WEIGHTS}
 _FIRST_FEATURES = HAS_REMAINDERS | IS_FAITHFUL
 # Bits that format 1.1 keeps for what nobody has coded yet (FORMAT.md §4.7).
 _RESERVED_FEATURES = {
+    32: "weights of features, of method rapid alone",
     64: "corrections of patches",
     128: "signs of zero",
 }
