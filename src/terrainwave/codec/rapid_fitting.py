@@ -36,10 +36,10 @@ from terrainwave.codec.windows import spread_windows
 from terrainwave.coding.rans import N_SLOTS, SYMBOL_BITS
 from terrainwave.grid.quadtree import Grid, Region
 
-# Samples a side of a window, and samples of the raster for one; from 2 to 48 windows in all.
+# Samples a side of a window, and samples of the raster for one; from 2 to 36 windows in all.
 _WINDOW = 257
 _SHARE = 1 << 16
-_LEAST_WINDOWS, _MOST_WINDOWS = 2, 48
+_LEAST_WINDOWS, _MOST_WINDOWS = 2, 36
 # They decide on stencils, features and contexts: where there are more, so many samples a side.
 _MOST_WHOLE, _FEW = 16, 129
 _MIN_SAMPLES = 300
@@ -117,14 +117,17 @@ def _with_weights(
     if weights is None:
         return tables
     best, reach = tables, rapid_tables.N_FAMILIES
-    if tables.family < reach:  # else the file takes a reader of format 1.1 anyway
-        least *= 1 - _SAVED_BY_WEIGHTS
+    smallest = np.inf
     for family in (tables.family, (tables.family + reach) % (2 * reach)):
+        if tables.family >= reach:  # the file takes a reader of format 1.1 anyway
+            most = least
+        else:
+            most = least * (1 - (_SAVED_BY_REACH if family >= reach else _SAVED_BY_WEIGHTS))
         for n_classes in (N_CLASSES, 2, 1):
             other = tables._replace(family=family, weights=weights[:n_classes])
             cost = _fitted(other, some)[1] + COST_UNIT * weights_bits(other.weights)
-            if cost < least:
-                best, least = other, cost
+            if cost < min(most, smallest):
+                best, smallest = other, cost
     return best
 
 
