@@ -110,24 +110,26 @@ def _with_weights(
 ) -> FileTables:
     """Return tables with weights of features of their own if `some` gets smaller than `least`.
 
-    With contexts of either kind; of all classes, or of the finest alone.
+    With the trained frequencies and contexts that suit them; of all classes, or the finest alone.
     """
     read = Tables(tables)
     weights = fit_magnitude(_decoded(read, windows, masks, some.step), masks, read, some.step)
     if weights is None:
         return tables
-    best, reach = tables, rapid_tables.N_FAMILIES
-    smallest = np.inf
-    for family in (tables.family, (tables.family + reach) % (2 * reach)):
-        if tables.family >= reach:  # the file takes a reader of format 1.1 anyway
-            most = least
-        else:
-            most = least * (1 - (_SAVED_BY_REACH if family >= reach else _SAVED_BY_WEIGHTS))
-        for n_classes in (N_CLASSES, 2, 1):
+    best, smallest, reach = tables, np.inf, rapid_tables.N_FAMILIES
+    first = tables.family % N_STEPS
+    families = [first, first + N_STEPS, first + reach, first + N_STEPS + reach]
+    for n_classes in (N_CLASSES, 2, 1):
+        for family in families:
+            if tables.family >= reach:  # the file takes a reader of format 1.1 anyway
+                most = least
+            else:
+                most = least * (1 - (_SAVED_BY_REACH if family >= reach else _SAVED_BY_WEIGHTS))
             other = tables._replace(family=family, weights=weights[:n_classes])
             cost = _fitted(other, some)[1] + COST_UNIT * weights_bits(other.weights)
             if cost < min(most, smallest):
                 best, smallest = other, cost
+        families = [tables.family if best is tables else best.family]
     return best
 
 
