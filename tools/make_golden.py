@@ -230,6 +230,22 @@ CASES = {
         (50, 47), "int16", 4000, "none", PLACE,
         {"max_error": 9, "method": "rapid", "mesh": "none"},
     ),
+    # Weights of features of the file's own: of two classes or of all four, contexts of either kind.
+    "rapid-weights-int16-lossless": (
+        (100, 110), "int16", 60, "none", PLACE, {"max_error": 0, "method": "rapid", "mesh": "none"},
+    ),
+    "rapid-weights-float32-fills": (
+        (100, 110), "float32", 500, "nan", PLACE,
+        {"max_error": 0.5, "method": "rapid", "mesh": "none"},
+    ),
+    "rapid-reach-weights-int16": (
+        (140, 130), "int16", 300, "none", PLACE,
+        {"max_error": 1, "method": "rapid", "block": 64, "mesh": "none"},
+    ),
+    "rapid-reach-weights-int32-wide": (
+        (110, 105), "int32", 9_000_000, "none", PLACE,
+        {"max_error": 30_000, "method": "rapid", "border_rings": 3, "mesh": "none"},
+    ),
     # Corrections, of files that were patched so often.
     "rapid-patched-int16-nodata": (
         (70, 66), "int16", 400, "nodata", PLACE,
@@ -300,6 +316,10 @@ EXERCISES = {
     "cdf53-fills-int16-tiles": "fills of tiles of several levels, one below the other (C.4)",
     "cdf97-fills-int16-zerotree-layer": "fills of filtered levels, meshes that don't know of them",
     "rapid-reach-told-int16": "contexts by reach that the header tells (feature bit 3)",
+    "rapid-weights-int16-lossless": "weights of features (feature bit 5, R.10) of two classes",
+    "rapid-weights-float32-fills": "weights beside fills, a step that is not fine",
+    "rapid-reach-weights-int16": "weights of all classes, contexts by reach, step 3, blocks of 64",
+    "rapid-reach-weights-int32-wide": "weights, contexts by reach, *wide* units, aprons",
     "rapid-patched-int16-nodata": "corrections (feature bit 6, §5.5) beside voids",
     "rapid-patched-int32-wide": "corrections of a root block, heights far apart (R.2), aprons",
     "predictive-patched-int16-rings": "corrections with raw bits of magnitudes, aprons, voids",

@@ -122,6 +122,31 @@ def parameters(data):
     return edited(lambda editor: setattr(editor, "parameters", data))
 
 
+def weighted(data, features=32):
+    """Parameters of rapid that the header says have weights of features: bytes, or codes."""
+
+    def edit(editor):
+        editor.parameters = data if isinstance(data, bytes) else section_with(data)
+        editor.header = {"features": features}
+
+    return edited(edit)
+
+
+def weights(hl_2, hl_4=30):
+    """Return codes of weights; two of those of HL may be too small or too large."""
+    hl = [10, 60, hl_2, 20, hl_4, 40, 60, 60, 30]
+    return [[10, 60, 50, 20, 30, 40, 60, 0, 0], hl, [10, 60, 50, 20, 30, 40, 60, 60, 30]]
+
+
+def section_with(codes):
+    """Return a parameters section with these codes of weights of the finest class, by plane."""
+    from terrainwave.codec import rapid_parameters
+
+    plain = ((rapid_parameters.FileStencil(0),) * 3,) * 4
+    tables = rapid_parameters.FileTables(0, 1, plain, {}, np.array([codes], dtype=np.int64))
+    return rapid_parameters.pack_parameters(tables)
+
+
 def columns(change_columns):
     """The columns of the top page."""
     return edited(lambda editor: setattr(editor.top, "change_columns", change_columns))
@@ -311,6 +336,24 @@ CASES = {
     ),
     "fills-of-one-level": Case(
         "one-sample", "§4.1", "feature bit 4 with k_max 0", header(features=16)
+    ),
+    "weights-of-layout-1": Case(
+        "rapid", "§4.1", "feature bit 5 with tables of layout 1", header(features=32)
+    ),
+    "weights-not-told": Case(
+        "rapid", "R.10", "layout 5 without feature bit 5", parameters(b"\5\0\0\0\0\0\0")
+    ),
+    "weights-and-reach": Case(
+        "rapid", "§4.1", "feature bits 3 and 5", weighted(b"\5\0\0\0\0\0\0", features=40)
+    ),
+    "parameters-rapid-weights-family": Case(
+        "rapid", "R.10", "family 7 of layout 5", weighted(b"\5\7\0\0\0\0\0")
+    ),
+    "parameters-rapid-weights-code": Case(
+        "rapid", "R.10", "a code of a weight below 0", weighted(weights(hl_2=-1))
+    ),
+    "parameters-rapid-weights-sum": Case(
+        "rapid", "R.10", "weights whose sum may pass 31 bits", weighted(weights(hl_2=120, hl_4=127))
     ),
     "remainders-int16": Case("store", "§4.1", "remainders of int16", header(features=1)),
     "remainders-step": Case("exact", "§4.1", "remainders beside step 3", header(step=3)),

@@ -61,6 +61,7 @@ _WIDE, _SINGLE = 1, 2
 # Units of fewer samples have one state instead of eight: 28 bytes less.
 _MANY_SAMPLES = 1 << 14
 _NONE_KNOWN = Known(0, 0, 0, 0)
+_SIDES_KNOWN = Known(3, 3, 3, 3)
 _NO_GOAL = np.zeros(1, dtype=np.int32)
 _NO_LOG = np.zeros(1, dtype=np.uint8)
 _NONE_SHARED = np.zeros((0, 5), dtype=np.int64), np.zeros((0, 9), dtype=np.int64)
@@ -183,7 +184,7 @@ class Rapid:
         with _MEMORY.lent() as memory:
             logs = memory.logs(target.size)
             heights, streams = self._encode(
-                spec, parent, target, mask, flags, freqs, memory, logs, corrections
+                spec, parent, target, mask, flags, freqs, memory, logs, corrections=corrections
             )
             n_symbols, n_bits = int(streams.places[COUNT]), int(streams.places[BIT_POS])
             words = logs.words[:n_symbols]
@@ -202,18 +203,34 @@ class Rapid:
         return payload, heights, None
 
     def count(
-        self, spec: GroupSpec, target: Heights, mask: Mask, counts: NDArray[np.int64]
+        self,
+        spec: GroupSpec,
+        target: Heights,
+        mask: Mask,
+        counts: NDArray[np.int64],
+        *,
+        is_inner: bool = False,
     ) -> Heights:
-        """Count contexts and symbols of a root block; return its decoded heights.
+        """Count contexts and symbols of a part of a raster, a root block; return decoded heights.
 
-        As if no symbol had the frequency 0. `counts`, shape (2, N_CONTEXTS << SYMBOL_BITS), get
-        one more at ``context << SYMBOL_BITS | symbol``, in either row.
+        If it `is_inner`, three rows and columns at the sides of each lattice are taken as they are,
+        so that it does not seem to end there. As if no symbol had the frequency 0. `counts`, shape
+        (2, N_CONTEXTS << SYMBOL_BITS), get one more at ``context << SYMBOL_BITS | symbol``, in
+        either row.
         """
         flags = self._flags(spec, None, target, mask)
         with _MEMORY.lent() as memory:
             logs = memory.logs(target.size)
             heights, streams = self._encode(
-                spec, None, target, mask, flags, _ANY_SYMBOL, memory, logs
+                spec,
+                None,
+                target,
+                mask,
+                flags,
+                _ANY_SYMBOL,
+                memory,
+                logs,
+                _SIDES_KNOWN if is_inner else _NONE_KNOWN,
             )
             count_symbols(logs.contexts, logs.symbols, int(streams.places[COUNT]), counts)
             memory.put_back(logs, streams)
@@ -225,7 +242,7 @@ class Rapid:
 
     def _encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask, flags: int,
-        freqs: NDArray[np.uint32], memory: _Memory, logs: _Logs,
+        freqs: NDArray[np.uint32], memory: _Memory, logs: _Logs, known: Known = _NONE_KNOWN,
         corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Streams]:  # fmt: skip
         """Return decoded heights, and the logs of what is to be written."""
@@ -244,7 +261,9 @@ class Rapid:
         )
         heights = new_heights(spec.region.shape)
         target = np.ascontiguousarray(target)
-        self._code(spec, parent, target, mask, flags, streams, heights, memory, corrections)
+        if known != _NONE_KNOWN:
+            heights[:] = target
+        self._code(spec, parent, target, mask, flags, streams, heights, memory, corrections, known)
         return heights, streams
 
     def decode(
@@ -336,6 +355,7 @@ class Rapid:
     def _code(
         self, spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask,
         flags: int, streams: Streams, out: Heights, memory: _Memory, corrections: Corrections,
+        known: Known = _NONE_KNOWN,
     ) -> None:  # fmt: skip
         """Encode `target`, or decode where it is None; fill `out` with the region's heights."""
         is_wide = bool(flags & _WIDE)
@@ -363,7 +383,7 @@ class Rapid:
             added=corrections.added.ravel(),
         )
         if parent is None:
-            self._code_root(unit)
+            self._code_root(unit, known)
         else:
             self._code_group(unit, parent)
         if spec.region != spec.core:
@@ -380,7 +400,7 @@ class Rapid:
         known = Known(*(rings if is_shared else 0 for is_shared in spec.shared))
         self._code_rows(unit, 1, source, coarse, known, plan_lines(spec, pitch))
 
-    def _code_root(self, unit: _Unit) -> None:
+    def _code_root(self, unit: _Unit, known: Known) -> None:
         """Code the corners on a fixed grid, then lattices of half the stride each."""
         n_rows, n_cols = unit.spec.core.shape
         stride = 1
@@ -393,7 +413,7 @@ class Rapid:
                 _code_corner(unit, first + row * pitch + col)
         if stride > 1:
             coarse = Grid2(first, 2 * pitch, 2)
-            self._code_rows(unit, stride >> 1, unit.out, coarse, _NONE_KNOWN, _NONE_SHARED)
+            self._code_rows(unit, stride >> 1, unit.out, coarse, known, _NONE_SHARED)
 
     def _weights_from(self, level: int, stride: int, scale: Scale) -> NDArray[np.int64]:
         """Return weights of lattices: each `stride`-th row of a level, half of that, … each row.
