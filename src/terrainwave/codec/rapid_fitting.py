@@ -41,7 +41,7 @@ _WINDOW = 257
 _SHARE = 1 << 16
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 36
 # They decide on stencils, features and contexts: where there are more, so many samples a side.
-_MOST_WHOLE, _FEW = 16, 129
+_MOST_WHOLE, _FEW = 4, 129
 _MIN_SAMPLES = 300
 _COST_OF_NONE = COST_UNIT * (11 + ESCAPE_BITS)  # of a symbol that takes an escape
 _FREQ_BITS = 3
