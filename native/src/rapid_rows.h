@@ -470,10 +470,10 @@ static void NAMED(decode_corners)(NAMED(work) * w, const shared_lines *rows, con
           if (w->known[at]) continue;
           w->known[at] = 1;
           uint32_t row = l->rows.first + (uint32_t)r, col = l->cols.first + (uint32_t)c;
-          int32_t top = ISA(line_above)(row, 0, j->parent.first_row, j->parent.n_rows);
-          int32_t bottom = ISA(line_above)(row, 1, j->parent.first_row, j->parent.n_rows);
-          int32_t left = ISA(line_above)(col, 0, j->parent.first_col, j->parent.n_cols);
-          int32_t right = ISA(line_above)(col, 1, j->parent.first_col, j->parent.n_cols);
+          int32_t top = line_above(row, 0, j->parent.first_row, j->parent.n_rows);
+          int32_t bottom = line_above(row, 1, j->parent.first_row, j->parent.n_rows);
+          int32_t left = line_above(col, 0, j->parent.first_col, j->parent.n_cols);
+          int32_t right = line_above(col, 1, j->parent.first_col, j->parent.n_cols);
           int32_t p = NAMED(above)(w, top, left), q = NAMED(above)(w, top, right);
           if ((row | col) % 2 == 0) {
             w->heights[at] = p + w->unit->scale.origin;
@@ -554,8 +554,8 @@ static void NAMED(decode_shared)(NAMED(work) * w) {
   const axis *rows = &j->out->rows, *cols = &j->out->cols;
   int32_t rings = j->file->grid.rings;
   shared_lines of_rows, of_cols;
-  ISA(find_lines)(&of_rows, rows, rings);
-  ISA(find_lines)(&of_cols, cols, rings);
+  find_shared_lines(&of_rows, rows, rings);
+  find_shared_lines(&of_cols, cols, rings);
   memset(w->known, 0, (size_t)rows->n * (size_t)cols->n);
   NAMED(decode_corners)(w, &of_rows, &of_cols);
   int32_t done = -1; /* lines of both sides may be the same: those behind the last one are new */
@@ -563,8 +563,8 @@ static void NAMED(decode_shared)(NAMED(work) * w) {
     for (int32_t r = max_i32(of_rows.first[side], done + 1); r <= of_rows.last[side]; r++) {
       uint32_t row = rows->first + (uint32_t)r;
       NAMED(decode_line)(w, (size_t)r * (size_t)w->pitch + (size_t)cols->core, 1, cols->n_core, row & 1, 1,
-                         ISA(line_above)(row, 0, p->first_row, p->n_rows), ISA(line_above)(row, 1, p->first_row, p->n_rows),
-                         ISA(line_above)(cols->core_first, 0, p->first_col, p->n_cols));
+                         line_above(row, 0, p->first_row, p->n_rows), line_above(row, 1, p->first_row, p->n_rows),
+                         line_above(cols->core_first, 0, p->first_col, p->n_cols));
       done = r;
     }
   }
@@ -573,8 +573,8 @@ static void NAMED(decode_shared)(NAMED(work) * w) {
     for (int32_t c = max_i32(of_cols.first[side], done + 1); c <= of_cols.last[side]; c++) {
       uint32_t col = cols->first + (uint32_t)c;
       NAMED(decode_line)(w, (size_t)rows->core * (size_t)w->pitch + (size_t)c, (size_t)w->pitch, rows->n_core, col & 1, 0,
-                         ISA(line_above)(col, 0, p->first_col, p->n_cols), ISA(line_above)(col, 1, p->first_col, p->n_cols),
-                         ISA(line_above)(rows->core_first, 0, p->first_row, p->n_rows));
+                         line_above(col, 0, p->first_col, p->n_cols), line_above(col, 1, p->first_col, p->n_cols),
+                         line_above(rows->core_first, 0, p->first_row, p->n_rows));
       done = c;
     }
   }

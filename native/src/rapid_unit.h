@@ -1,4 +1,5 @@
 /* Method rapid, compiled for a set of instructions: ISA(name) names what is its own. */
+#include "border.h"
 #include "kernels.h"
 
 #if defined(__AVX2__) && defined(TWZ_HAVE_X86)
@@ -37,29 +38,6 @@ static ALWAYS_INLINE uint64_t ISA(take_raw)(rapid_streams *z, int n) {
   uint64_t held = load_u64(z->raw + min_size(z->n_bits >> 3, z->n_raw)) >> (z->n_bits & 7);
   z->n_bits += (size_t)n;
   return held & (((uint64_t)1 << n) - 1);
-}
-
-/* The parent's line at or before (after) a line, counted from the first parent height. */
-static int32_t ISA(line_above)(uint32_t line, int is_after, uint32_t first, int32_t n) {
-  uint32_t at = (uint32_t)(((uint64_t)line + (is_after ? 1u : 0u)) >> 1);
-  return min_i32((int32_t)(at - first), n - 1);
-}
-
-/* The region's lines near each shared side of an axis, of one side or two. */
-typedef struct ISA(shared_lines) {
-  int n_sides;
-  int32_t first[2], last[2];
-} ISA(shared_lines);
-#define shared_lines ISA(shared_lines)
-
-static void ISA(find_lines)(shared_lines *l, const axis *a, int32_t rings) {
-  l->n_sides = 0;
-  for (int i = 0; i < 2; i++) {
-    if (!a->shared[i]) continue;
-    int32_t side = i ? a->core + a->n_core - 1 : a->core;
-    l->first[l->n_sides] = max_i32(side - rings, 0);
-    l->last[l->n_sides++] = min_i32(side + rings, a->n - 1);
-  }
 }
 
 #define NUMBER int64_t

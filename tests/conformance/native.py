@@ -1,4 +1,4 @@
-"""Answer the conformance set by the native library: python tests/conformance/native.py TWZ [OPTIONS].
+"""Answer the conformance set by the native library: python native.py TWZ [OPTIONS].
 
 TWZ is the command `twz`; options go to it. Nothing but Python's own library is needed.
 """
@@ -37,7 +37,7 @@ def run(command, *arguments):
 
 
 def digest_of(command, path, level, *what):
-    """Return the digest of what `twz dump` writes: on a little-endian machine, as the set has it."""
+    """Return the digest of what `twz dump` writes, on a little-endian machine as the set has it."""
     dumped = run(command, "dump", path, "--level", str(level), *what)
     return hashlib.sha256(dumped).hexdigest()
 
