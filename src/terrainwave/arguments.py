@@ -19,6 +19,8 @@ GEOTIFF_ENDINGS = (".tif", ".tiff")
 HEIGHT_TILE_ENDINGS = (".r16", ".png")
 # Which samples of a coarse level are void (`Terrain.read`).
 VOIDS = ("exact", "any")
+# What voids of a height tile become, if no height is given.
+FILLINGS = ("lowest", "fill")
 PICTURE_ENDINGS = (".png",)
 ARCHIVE_ENDING = ".pmtiles"
 
@@ -49,9 +51,16 @@ def is_twz_name(name: object) -> bool:
     """Say whether a path or the path of a URL ends as those of .twz files do."""
     if not isinstance(name, str | os.PathLike):
         return False
-    text = os.fspath(name)
-    path = urlsplit(text).path if isinstance(text, str) and "://" in text else text
-    return str(path).lower().endswith(TWZ_ENDINGS)
+    return str(path_in_url(os.fspath(name))).lower().endswith(TWZ_ENDINGS)
+
+
+def path_in_url(name: str) -> str:
+    """Return the path of a URL, in a chain that of its first link; a path as it is."""
+    if not isinstance(name, str) or "://" not in name:
+        return name
+    if name.startswith("zip://"):
+        return name.removeprefix("zip://").partition("::")[0]
+    return urlsplit(name).path
 
 
 def in_one_line(text: object) -> str:
@@ -119,6 +128,20 @@ def checked_error(name: str, error: float | None) -> float | None:
     if not (math.isfinite(number) and number >= 0):
         raise InvalidArgumentError(f"found `{name}` {error}, expected a finite number >= 0")
     return number
+
+
+def check_flags(**flags: object) -> None:
+    """Refuse what is neither true nor false: the text "no" would count as true.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If one of `flags` is no bool; the message begins with its name.
+    """
+    for name, value in flags.items():
+        # NumPy's truth values are no bool.
+        if not isinstance(value, bool) and getattr(value, "dtype", None) != "bool":
+            raise InvalidArgumentError(f"found `{name}` {value!r}, expected True or False")
 
 
 def check_method(name: str) -> None:

@@ -374,6 +374,8 @@ def test_window_as_size_keeps_the_window(tmp_path, twz):
         ("t.png", "--cog", "cannot be a COG"),
         ("t.tif", "--size 65", "--size is for height tiles"),
         ("t.tif", "--voids fill", "--voids fill is for height tiles"),
+        ("t.tif", "--voids -9999", "--voids -9999 is for height tiles"),
+        ("t.tif", "--voids up", "found --voids up, expected exact or any, or a name ending in"),
         ("t.r16", "--voids up", "found --voids up, expected lowest, fill or a height"),
     ],
 )

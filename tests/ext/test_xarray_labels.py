@@ -15,7 +15,7 @@ from strategies import terrain_like, write_geotiff
 
 import terrainwave
 from terrainwave.errors import InvalidArgumentError, InvalidHeightsError, TerrainwaveWarning
-from terrainwave.grid.affine import coordinates
+from terrainwave.grid.affine import IDENTITY, coordinates
 from terrainwave.raster_io.source import RasterSource
 
 # rioxarray 0.19 multiplies transforms, which affine 3 will deprecate.
@@ -49,6 +49,14 @@ def read(source, **options):
         with RasterSource(source, **options) as raster:
             info = raster.info
             return *raster.read(0, 0, info.n_rows, info.n_cols), info, raster.notes
+
+
+@pytest.mark.parametrize("georeference", [True, False])
+def test_depths_are_named(georeference):
+    array = labelled(attrs={"positive": "down"})
+    *_, notes = read(array, georeference=georeference)
+    assert sum("its numbers are depths (positive: down)" in note for note in notes) == 1
+    assert not any("depths" in note for note in read(labelled(attrs={"positive": "up"}))[-1])
 
 
 # Which dimension is x.
@@ -779,3 +787,20 @@ def test_places_of_each_sample_are_known_by_the_end_of_their_names(x, y):
 def test_nodata_that_is_no_number_is_refused(nodata):
     with pytest.raises(InvalidArgumentError, match="is not a number: choose another"):
         read(HEIGHTS, nodata=nodata)
+
+
+@pytest.mark.parametrize(
+    ("transform", "words"),
+    [
+        (Affine(0, 0, 5, 0, -30, 7), "puts all samples on one line or point"),
+        (Affine(2, 1, 5, 4, 2, 7), "puts all samples on one line or point"),
+        (Affine(0, 0, 5, 0, 0, 7), "puts all samples on one line or point"),
+    ],
+)
+def test_a_transform_that_places_nothing_is_named(transform, words):
+    array = xr.DataArray(terrain_like(9, 9), dims=("y", "x"))
+    array = array.rio.write_crs("EPSG:32633").rio.write_transform(transform)
+    with pytest.warns(TerrainwaveWarning, match=words) as warned, RasterSource(array) as source:
+        assert (source.info.transform, source.info.crs) == (IDENTITY, None)
+    assert len(warned) == 1
+    assert "and the CRS with it" in str(warned[0].message)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from strategies import terrain_like, write_geotiff
 
-from terrainwave.errors import InvalidHeightsError
+from terrainwave.errors import InvalidArgumentError, InvalidHeightsError
 from terrainwave.write.compress import compress
 from terrainwave.write.options import Options
 
@@ -33,6 +33,26 @@ from terrainwave.write.options import Options
 def test_what_cannot_be_is_refused_where_options_are_made(options, message):
     with pytest.raises(InvalidHeightsError, match=message):
         Options(**options)
+
+
+@pytest.mark.parametrize("name", ["stable", "faithful", "strict", "keep_origin", "verify"])
+@pytest.mark.parametrize("value", ["no", "False", 0, 1, None])
+def test_what_is_neither_true_nor_false_is_refused(name, value):
+    with pytest.raises(InvalidArgumentError, match=f"^found {name} .*, expected True or False$"):
+        Options(**{"max_error": 1, name: value})
+
+
+@pytest.mark.parametrize("name", ["georeference", "overwrite"])
+def test_texts_are_no_flags_of_compress(tmp_path, name):
+    target = tmp_path / "a.twz"
+    target.write_bytes(b"somebody's")
+    with pytest.raises(InvalidArgumentError, match=f"^found {name} 'no', expected True or False$"):
+        compress(terrain_like(9, 9), target, **{"overwrite": True, name: "no"})
+    assert target.read_bytes() == b"somebody's"
+
+
+def test_truth_values_of_numpy_are_flags():
+    assert Options(max_error=1, verify=np.False_).verify == np.False_
 
 
 def test_options_are_what_names_and_numbers_stand_for():

@@ -18,6 +18,7 @@ from enum import Enum
 from pathlib import Path
 from typing import BinaryIO
 
+from terrainwave.arguments import check_flags
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import StorageError
 
@@ -72,11 +73,14 @@ def publish(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator
 
     Raises
     ------
+    InvalidArgumentError
+        If `overwrite` is neither true nor false.
     StorageError
         Before the block: if the target exists and `overwrite` is false, is no regular file, or
         its directory is missing or not writable. After it: if the disk is full or the target
         cannot be replaced.
     """
+    check_flags(overwrite=overwrite)
     final = Path(os.path.realpath(target))
     _check_target(final, overwrite)
     remove_stale_parts(final)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave._version import __version__
+from terrainwave.arguments import FILLINGS
 from terrainwave.container.publish import publish
 from terrainwave.container.spool import cannot_write, storage_errors
 from terrainwave.errors import (
@@ -274,7 +275,7 @@ def checked_voids(voids: str | float) -> str | float:
     InvalidArgumentError
         If it is neither.
     """
-    if voids in ("lowest", "fill"):
+    if voids in FILLINGS:
         return voids
     try:
         height = float(voids)

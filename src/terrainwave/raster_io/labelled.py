@@ -63,6 +63,11 @@ _METRES = (
 _RADIANS = ("rad", "radian", "radians")
 _NO_PLACE = "take the heights without place and CRS by georeference=False"
 
+_DEPTHS = (
+    "{} says that its numbers are depths (positive: down); they are taken as they are, so terrain"
+    " made of them is upside down: give the array negated, without that attribute"
+)
+
 
 class Layer(NamedTuple):
     """Rows and columns of one array, and what its coordinates, attributes and accessor say."""
@@ -84,6 +89,8 @@ def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Layer
         If there is no such band.
     """
     crs, notes = _crs(array, source)
+    goes_down = str(array.attrs.get("positive", "")).lower() == "down"
+    depth_notes = [_DEPTHS.format(_title(array))] * goes_down
     roles = _roles(array, source)
     if len(roles) < 2:
         roles = _unnamed(array, roles, may_guess=not georeference or crs is None)
@@ -96,9 +103,9 @@ def layer_of(array: Any, source: Any, band: int, *, georeference: bool) -> Layer
             " along each: choose another part"
         )
     if not georeference:
-        return Layer(layer, IDENTITY, None, band_notes)
+        return Layer(layer, IDENTITY, None, [*band_notes, *depth_notes])
     transform = _transform(layer, crs)
-    notes = [*band_notes, *notes]
+    notes = [*band_notes, *depth_notes, *notes]
     if transform is None:
         if crs is not None:
             notes.append(

@@ -10,12 +10,13 @@ from typing import Any, Self
 
 import numpy as np
 
+from terrainwave.arguments import check_flags
 from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
     TerrainwaveWarning,
 )
-from terrainwave.grid.affine import IDENTITY
+from terrainwave.grid.affine import IDENTITY, Transform
 from terrainwave.grid.quadtree import Region
 from terrainwave.raster_io.arrays import ArrayBackend, Claim, LabelledBackend
 from terrainwave.raster_io.dataset import DatasetBackend, open_dataset
@@ -108,6 +109,7 @@ class RasterSource:
         georeference: bool = True,
         warn: bool = True,
     ) -> None:
+        check_flags(georeference=georeference)
         self._lock = threading.Lock()
         self._backend = _open_backend(source, band, nodata, georeference=georeference)
         self.name: str = self._backend.name
@@ -138,9 +140,12 @@ class RasterSource:
         else:
             nodata = None
         transform = backend.transform
-        if not all(math.isfinite(value) for value in transform):
-            notes.append("the affine transform is not finite: ignored")
-            transform = IDENTITY
+        tags = dict(backend.tags())
+        problem = _problem_of(transform)
+        if problem:
+            has_crs = tags["crs"] is not None
+            notes.append(f"{problem}, so it is ignored{', and the CRS with it' * has_crs}")
+            transform, tags["crs"] = IDENTITY, None
         if backend.has_mask:
             mask_kind = "mask"
         elif dtype.kind == "f" and (nodata is None or math.isnan(nodata)):
@@ -154,7 +159,7 @@ class RasterSource:
             nodata=nodata,
             transform=transform,
             mask_kind=mask_kind,
-            **backend.tags(),
+            **tags,
         )
 
     def _asides(self) -> Iterator[str]:
@@ -244,6 +249,16 @@ class RasterSource:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _problem_of(transform: Transform) -> str:
+    """Say why an affine transform places no samples; nothing if it does."""
+    if not all(math.isfinite(value) for value in transform):
+        return "the affine transform is not finite"
+    a, b, _, d, e, _ = transform
+    if a * e == b * d:
+        return "the affine transform puts all samples on one line or point"
+    return ""
 
 
 def _check_dtype(dtype: np.dtype[Any], name: str) -> None:

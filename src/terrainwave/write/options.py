@@ -1,11 +1,12 @@
 """`Options`: what `compress` is asked for, checked where it is made and handed on whole."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from terrainwave.arguments import (
     BLOCKS,
     check_effort,
+    check_flags,
     check_mesh,
     check_mesh_of,
     check_method,
@@ -61,6 +62,8 @@ class Options:
             "psnr": checked_error("psnr", self.psnr),
             "mesh_error": checked_error("mesh_error", self.mesh_error),
         }
+        flags = [field.name for field in fields(self) if isinstance(field.default, bool)]
+        check_flags(**{name: getattr(self, name) for name in flags})
         check_mesh(self.mesh, or_none=True)
         check_method(self.method)
         check_effort(self.effort)
