@@ -112,7 +112,7 @@ def _with_weights(
 ) -> FileTables:
     """Return tables with weights of features of their own if `some` gets smaller than `least`.
 
-    Of all classes, or the finest alone.
+    With the trained frequencies and contexts that suit them; of all classes, or the finest alone.
     """
     read = Tables(tables)
     some_windows = np.s_[:: -(-len(windows) // _MOST_FOR_WEIGHTS)]
@@ -120,14 +120,20 @@ def _with_weights(
     weights = fit_magnitude(decoded, masks[some_windows], read, some.step)
     if weights is None:
         return tables
-    if tables.family < rapid_tables.N_FAMILIES:  # else it takes a reader of format 1.1 anyway
-        least *= 1 - _SAVED_BY_WEIGHTS
-    best = tables
+    best, smallest, reach = tables, np.inf, rapid_tables.N_FAMILIES
+    first = tables.family % N_STEPS
+    families = [first, first + N_STEPS, first + reach, first + N_STEPS + reach]
     for n_classes in (N_CLASSES, 2, 1):
-        other = tables._replace(weights=weights[:n_classes])
-        cost = _fitted(other, some)[1] + COST_UNIT * weights_bits(other.weights)
-        if cost < least:
-            best, least = other, cost
+        for family in families:
+            if tables.family >= reach:  # the file takes a reader of format 1.1 anyway
+                most = least
+            else:
+                most = least * (1 - (_SAVED_BY_REACH if family >= reach else _SAVED_BY_WEIGHTS))
+            other = tables._replace(family=family, weights=weights[:n_classes])
+            cost = _fitted(other, some)[1] + COST_UNIT * weights_bits(other.weights)
+            if cost < min(most, smallest):
+                best, smallest = other, cost
+        families = [tables.family if best is tables else best.family]
     return best
 
 
