@@ -56,12 +56,15 @@ def any_stencil(rng, plane):
 def any_weights(rng):
     """Return codes of weights of one class to all of them, some as large as they may be."""
     shape = int(rng.integers(1, N_CLASSES + 1)), len(PLANES), N_FEATURES
-    codes = rng.integers(0, rng.integers(1, MAX_CODE + 2), shape)
+    codes = rng.integers(0, rng.choice([30, 70, MAX_CODE + 1]), shape)
     codes[:, 0, 7:] = 0  # HH has no planes before it
-    for which in range(len(codes)):
-        while not are_sound(codes[which : which + 1]):  # ends close to what is just sound
-            plane, feature = rng.integers(len(PLANES)), rng.integers(1, N_FEATURES)
-            codes[which, plane, feature] -= codes[which, plane, feature] > 0
+    for which, plane in np.ndindex(codes.shape[:2]):
+        alone = np.zeros_like(codes[:1])
+        alone[0, plane] = own = codes[which, plane]
+        while not are_sound(alone):  # ends close to what is just sound
+            feature = rng.integers(1, N_FEATURES)
+            own[feature] -= own[feature] > 0
+            alone[0, plane] = own
     return codes
 
 

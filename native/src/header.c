@@ -115,6 +115,13 @@ static twz_status check_numbers(const header *h, uint32_t step, uint32_t mesh_to
 }
 
 static twz_status check_features(const header *h, const grid *g, twz_error *error) {
+  int may_be_corrected = (h->method == TWZ_RAPID || h->method == TWZ_PREDICTIVE) && h->step >= 3;
+  REQUIRE((h->features & (REACH | WEIGHTS)) != (REACH | WEIGHTS), error, "feature bits 3 and 5 exclude each other");
+  REQUIRE(!(h->features & REACH) || h->method == TWZ_RAPID, error, "contexts by reach of another method than rapid");
+  REQUIRE(!(h->features & FAITHFUL) || h->method == TWZ_CDF97, error, "a faithful file of another method than cdf97");
+  REQUIRE(!(h->features & FILLS) || g->k_max >= 1, error, "fills in a file of one level");
+  REQUIRE_KNOWN(!(h->features & CORRECTIONS) || may_be_corrected, error,
+                "corrections (feature bit 6) of this method or of step 1, which a newer release may know");
   if (h->features & REMAINDERS) {
     REQUIRE(dtype_is_float(h->dtype) || h->dtype == TWZ_INT32, error, "remainders of 8 or 16 bits");
     REQUIRE(h->method != TWZ_CDF53, error, "remainders with method cdf53");
@@ -122,12 +129,6 @@ static twz_status check_features(const header *h, const grid *g, twz_error *erro
   } else {
     REQUIRE(h->rho <= h->max_error, error, "rho is above max_error");
   }
-  REQUIRE(!(h->features & FAITHFUL) || h->method == TWZ_CDF97, error, "a faithful file of another method than cdf97");
-  REQUIRE(!(h->features & REACH) || h->method == TWZ_RAPID, error, "contexts by reach of another method than rapid");
-  REQUIRE((h->features & (REACH | WEIGHTS)) != (REACH | WEIGHTS), error, "feature bits 3 and 5 exclude each other");
-  REQUIRE_KNOWN(!(h->features & CORRECTIONS) || ((h->method == TWZ_RAPID || h->method == TWZ_PREDICTIVE) && h->step >= 3), error,
-                "corrections (feature bit 6) of this method or of step 1, which a newer release may know");
-  REQUIRE(!(h->features & FILLS) || g->k_max >= 1, error, "fills in a file of one level");
   return TWZ_OK;
 }
 
