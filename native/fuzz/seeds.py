@@ -3,9 +3,11 @@
 Units of few samples decode in microseconds, so that fuzzers try many inputs.
 """
 
+import contextlib
 import sys
 from pathlib import Path
 
+import forced
 import numpy as np
 
 import terrainwave as tw
@@ -27,13 +29,24 @@ def heights_of(n_rows, n_cols, dtype, has_voids):
 
 
 def variants(method):
-    """Yield (name, dtype, has_voids, options of compress)."""
+    """Yield (name, dtype, has_voids, options of compress); `main` knows some of the names."""
     yield "lossless", np.int16, False, {"max_error": 0}
     yield "voids", np.int16, True, {"max_error": 2, "nodata": -9999, "format": "1.0"}
     yield "fills", np.int32, True, {"max_error": 0, "nodata": -9999}
     if method != "cdf53":
         yield "coarse", np.float32, True, {"max_error": 5, "nodata": -9999, "border_rings": 3}
         yield "exact", np.float32, False, {"max_error": 0}
+    if method == "rapid":
+        yield "weights", np.int16, False, {"max_error": 0}
+        yield "wide-weights", np.int32, False, {"max_error": 2e6, "border_rings": 3}
+    if method in ("rapid", "predictive"):
+        yield "corrected", np.int16, True, {"max_error": 2, "nodata": -9999}
+        yield (
+            "wide-corrected",
+            np.int32,
+            True,
+            {"max_error": 2e6, "nodata": -9999, "border_rings": 3},
+        )
 
 
 def main():
@@ -46,8 +59,18 @@ def main():
             for n_rows, n_cols in SIZES:
                 path = folder / f"{method}-{name}-{n_rows}x{n_cols}.twz"
                 heights = heights_of(n_rows, n_cols, dtype, has_voids)
+                if "wide" in name:
+                    heights = np.where(heights == -9999, heights, heights * 10**6 + heights % 7)
                 try:
-                    tw.compress(heights, path, method=method, block=32, overwrite=True, **options)
+                    with contextlib.ExitStack() as stack:
+                        if "weights" in name:
+                            rng = np.random.default_rng(n_rows)
+                            stack.enter_context(forced.tables(rng, has_weights=True))
+                        if "corrected" in name:
+                            stack.enter_context(forced.corrections(0.1, n_rows))
+                        tw.compress(
+                            heights, path, method=method, block=32, overwrite=True, **options
+                        )
                 except tw.TerrainwaveError as error:
                     print(f"{path.name}: {error}")
                     continue

@@ -64,6 +64,8 @@ static twz_status check_known(const uint8_t *bytes, twz_error *error) {
   REQUIRE_KNOWN(bytes[38] == 0 && bytes[39] == 0, error, NEWER, "padding", load_u16(bytes + 38));
   REQUIRE_KNOWN(bytes[37] <= 6, error, NEWER, "mesh", bytes[37]);
   REQUIRE_KNOWN(bytes[34] < N_METHODS, error, NEWER, "method", bytes[34]);
+  REQUIRE_KNOWN(!(features & WEIGHTS) || bytes[34] == TWZ_RAPID, error,
+                "weights of features (bit 5) of another method than rapid, which a newer release may know");
   REQUIRE_KNOWN(dtype_size(bytes[35]) != 0, error, NEWER, "dtype", bytes[35]);
   REQUIRE_KNOWN(bytes[36] <= 9, error, NEWER, "effort", bytes[36]);
   return TWZ_OK;
@@ -113,6 +115,13 @@ static twz_status check_numbers(const header *h, uint32_t step, uint32_t mesh_to
 }
 
 static twz_status check_features(const header *h, const grid *g, twz_error *error) {
+  int may_be_corrected = (h->method == TWZ_RAPID || h->method == TWZ_PREDICTIVE) && h->step >= 3;
+  REQUIRE((h->features & (REACH | WEIGHTS)) != (REACH | WEIGHTS), error, "feature bits 3 and 5 exclude each other");
+  REQUIRE(!(h->features & REACH) || h->method == TWZ_RAPID, error, "contexts by reach of another method than rapid");
+  REQUIRE(!(h->features & FAITHFUL) || h->method == TWZ_CDF97, error, "a faithful file of another method than cdf97");
+  REQUIRE(!(h->features & FILLS) || g->k_max >= 1, error, "fills in a file of one level");
+  REQUIRE_KNOWN(!(h->features & CORRECTIONS) || may_be_corrected, error,
+                "corrections (feature bit 6) of this method or of step 1, which a newer release may know");
   if (h->features & REMAINDERS) {
     REQUIRE(dtype_is_float(h->dtype) || h->dtype == TWZ_INT32, error, "remainders of 8 or 16 bits");
     REQUIRE(h->method != TWZ_CDF53, error, "remainders with method cdf53");
@@ -120,14 +129,6 @@ static twz_status check_features(const header *h, const grid *g, twz_error *erro
   } else {
     REQUIRE(h->rho <= h->max_error, error, "rho is above max_error");
   }
-  REQUIRE(!(h->features & FAITHFUL) || h->method == TWZ_CDF97, error, "a faithful file of another method than cdf97");
-  REQUIRE(!(h->features & REACH) || h->method == TWZ_RAPID, error, "contexts by reach of another method than rapid");
-  REQUIRE_KNOWN(!(h->features & WEIGHTS) || h->method == TWZ_RAPID, error,
-                "weights of features (bit 5) of another method than rapid, which a newer release may know");
-  REQUIRE((h->features & (REACH | WEIGHTS)) != (REACH | WEIGHTS), error, "feature bits 3 and 5 exclude each other");
-  REQUIRE_KNOWN(!(h->features & CORRECTIONS) || ((h->method == TWZ_RAPID || h->method == TWZ_PREDICTIVE) && h->step >= 3), error,
-                "corrections (feature bit 6) of this method or of step 1, which a newer release may know");
-  REQUIRE(!(h->features & FILLS) || g->k_max >= 1, error, "fills in a file of one level");
   return TWZ_OK;
 }
 
