@@ -51,12 +51,13 @@ T Beside(T value) {
 }
 
 /*
- * Average samples 2i, 2i + 1, 2i + 2 down columns and then along rows. Samples lie `stride` pixels of the full grid apart,
- * in the middles of pixels: pixel i of the overview has its centre stride - 1/2 pixels behind sample 2i. The
+ * Average samples 2i, 2i + 1, 2i + 2 down columns and then along rows. Samples lie `stride` pixels of the full grid
+ * apart, in the middles of pixels: pixel i of the overview has its centre stride - 1/2 pixels behind sample 2i. The
  * order of sums is that of virtual_geotiff.py: the same averages to the last bit.
  */
 template <class T>
-void Average(const twz_info &info, uint32_t stride, const Samples &finer, uint32_t n_rows, uint32_t n_cols, const Output &out) {
+void Average(const twz_info &info, uint32_t stride, const Samples &finer, uint32_t n_rows, uint32_t n_cols,
+             const Output &out) {
   const double last = (0.5 - 0.5 / stride) / 2;
   const double weights[3] = {0.5 - last, 0.5, last};
   const T void_value = static_cast<T>(VoidOf(info));
@@ -109,7 +110,8 @@ Area::Area(const SharedFile &file, VSILFILE *handle, const Grid &grid, const twz
       Fail(error);
       return;
     }
-    source_ = {2 * box.row, 2 * box.col, Finer(box.row, box.n_rows, level.n_rows), Finer(box.col, box.n_cols, level.n_cols)};
+    source_ = {2 * box.row, 2 * box.col, Finer(box.row, box.n_rows, level.n_rows),
+               Finer(box.col, box.n_cols, level.n_cols)};
   }
   is_good_ = Decode(handle, n_threads);
 }
@@ -137,17 +139,20 @@ bool Area::Decode(VSILFILE *handle, int n_threads) {
   if (!grid_.stride) return true;
   samples_.resize(n * info.dtype_bytes);
   is_valid_.resize(n);
-  return CopySamples(source_, samples_.data(), static_cast<ptrdiff_t>(source_.n_cols * info.dtype_bytes), is_valid_.data(),
-                     static_cast<ptrdiff_t>(source_.n_cols));
+  return CopySamples(source_, samples_.data(), static_cast<ptrdiff_t>(source_.n_cols * info.dtype_bytes),
+                     is_valid_.data(), static_cast<ptrdiff_t>(source_.n_cols));
 }
 
-bool Area::CopySamples(const twz_box &part, void *heights, ptrdiff_t heights_stride, uint8_t *valid, ptrdiff_t valid_stride) {
+bool Area::CopySamples(const twz_box &part, void *heights, ptrdiff_t heights_stride, uint8_t *valid,
+                       ptrdiff_t valid_stride) {
   twz_error error;
-  if (twz_window_read_part(window_.get(), &part, heights, heights_stride, valid, valid_stride, &error) != TWZ_OK) return Fail(error);
+  if (twz_window_read_part(window_.get(), &part, heights, heights_stride, valid, valid_stride, &error) != TWZ_OK)
+    return Fail(error);
   if (own_.empty()) return true;
   const twz_info &info = file_.Info();
   for (uint32_t row = 0; row < part.n_rows; row++) {
-    const uint8_t *own = own_.data() + static_cast<size_t>(part.row - source_.row + row) * source_.n_cols + (part.col - source_.col);
+    const uint8_t *own =
+        own_.data() + static_cast<size_t>(part.row - source_.row + row) * source_.n_cols + (part.col - source_.col);
     if (valid) memcpy(valid + static_cast<ptrdiff_t>(row) * valid_stride, own, part.n_cols);
     if (!heights) continue;
     char *to = static_cast<char *>(heights) + static_cast<ptrdiff_t>(row) * heights_stride;
@@ -162,7 +167,8 @@ bool Area::CopySamples(const twz_box &part, void *heights, ptrdiff_t heights_str
   return true;
 }
 
-bool Area::Copy(const twz_box &part, void *heights, ptrdiff_t heights_stride, uint8_t *valid, ptrdiff_t valid_stride) {
+bool Area::Copy(const twz_box &part, void *heights, ptrdiff_t heights_stride, uint8_t *valid,
+                ptrdiff_t valid_stride) {
   if (!grid_.stride) return CopySamples(part, heights, heights_stride, valid, valid_stride);
   const twz_info &info = file_.Info();
   const uint32_t row = 2 * part.row - source_.row, col = 2 * part.col - source_.col;
@@ -170,7 +176,8 @@ bool Area::Copy(const twz_box &part, void *heights, ptrdiff_t heights_stride, ui
   const Samples finer = {samples_.data() + at * info.dtype_bytes, is_valid_.data() + at, source_.n_rows - row,
                          std::min(source_.n_cols - col, 2 * part.n_cols + 1), source_.n_cols};
   const Output out = {heights, heights_stride, valid, valid_stride};
-  WithType(info.dtype, [&](auto type) { Average<decltype(type)>(info, grid_.stride, finer, part.n_rows, part.n_cols, out); });
+  WithType(info.dtype,
+           [&](auto type) { Average<decltype(type)>(info, grid_.stride, finer, part.n_rows, part.n_cols, out); });
   return true;
 }
 

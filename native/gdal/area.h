@@ -35,7 +35,8 @@ class Area {
     void operator()(twz_window *window) const { twz_window_free(window); }
   };
   bool Decode(VSILFILE *handle, int n_threads);
-  bool CopySamples(const twz_box &part, void *heights, ptrdiff_t heights_stride, uint8_t *valid, ptrdiff_t valid_stride);
+  bool CopySamples(const twz_box &part, void *heights, ptrdiff_t heights_stride, uint8_t *valid,
+                   ptrdiff_t valid_stride);
   bool Fail(const twz_error &error) const;
 
   const SharedFile &file_;

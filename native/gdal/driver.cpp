@@ -149,8 +149,10 @@ class Dataset final : public GDALPamDataset {
   MaskBand *Mask() const { return mask_.get(); }
   const std::string &UnitOfCrs() const { return unit_of_crs_; }
   int CountOverviews() const { return static_cast<int>(overviews_.size()); }
-  Dataset *Overview(int i) const { return i >= 0 && i < CountOverviews() ? overviews_[static_cast<size_t>(i)].get() : nullptr; }
-  uint32_t BlockSize() const;
+  Dataset *Overview(int i) const {
+    return i >= 0 && i < CountOverviews() ? overviews_[static_cast<size_t>(i)].get() : nullptr;
+  }
+  int BlockSize() const;
 
   CPLErr ReadBlock(GDALRasterBand &band, int col, int row, void *data);
   /* Answer a request where that is faster than block by block; else see that its blocks are in GDAL's cache. */
@@ -177,7 +179,7 @@ class Dataset final : public GDALPamDataset {
   bool Copy(Area &area, const twz_box &part, bool is_mask, void *data, ptrdiff_t stride) const;
 
   std::shared_ptr<SharedFile> file_;
-  VSILFILE *handle_;      /* of the dataset that was opened; its overviews use it, too */
+  VSILFILE *handle_; /* of the dataset that was opened; its overviews use it, too */
   bool owns_handle_ = false;
   const Grid grid_;
   const int n_threads_;
@@ -200,7 +202,8 @@ Dataset::Dataset(std::shared_ptr<SharedFile> file, VSILFILE *handle, const Grid 
   const twz_info &info = Info();
   const bool is_float = info.dtype == TWZ_FLOAT32 || info.dtype == TWZ_FLOAT64;
   const bool has_value = info.has_nodata || (is_float && info.mask_kind == TWZ_MASK_NAN);
-  if (info.mask_kind == TWZ_MASK_MASK || (info.mask_kind != TWZ_MASK_NONE && !has_value)) mask_.reset(new MaskBand(this));
+  if (info.mask_kind == TWZ_MASK_MASK || (info.mask_kind != TWZ_MASK_NONE && !has_value))
+    mask_.reset(new MaskBand(this));
   SetBand(1, new Band(this));
 }
 
@@ -211,7 +214,9 @@ Dataset::~Dataset() {
   if (owns_handle_) VSIFCloseL(handle_);
 }
 
-uint32_t Dataset::BlockSize() const { return std::max(LEAST_BLOCK, std::min(MOST_BLOCK, 2 * Info().block_size)); }
+int Dataset::BlockSize() const {
+  return static_cast<int>(std::max(LEAST_BLOCK, std::min(MOST_BLOCK, 2 * Info().block_size)));
+}
 
 bool Dataset::Copy(Area &area, const twz_box &part, bool is_mask, void *data, ptrdiff_t stride) const {
   if (!is_mask) return area.Copy(part, data, stride, nullptr, 0);
@@ -255,13 +260,15 @@ bool Dataset::ForEachPart(const Request &request, Function function) const {
   const int64_t block = BlockSize();
   const int64_t most = MOST_SAMPLES / (grid_.stride ? 4 : 1);
   const int64_t cols_at_once = std::max(most / block / block, int64_t{1}) * block;
-  const int64_t end_x = static_cast<int64_t>(request.x) + request.n_cols, end_y = static_cast<int64_t>(request.y) + request.n_rows;
+  const int64_t end_x = static_cast<int64_t>(request.x) + request.n_cols,
+                end_y = static_cast<int64_t>(request.y) + request.n_rows;
   for (int64_t x = request.x; x < end_x;) {
     const int64_t next_x = std::min((x / block * block) + cols_at_once, end_x);
     const int64_t rows_at_once = std::max(most / (next_x - x) / block, int64_t{1}) * block;
     for (int64_t y = request.y; y < end_y;) {
       const int64_t next_y = std::min((y / block * block) + rows_at_once, end_y);
-      const twz_box part = {static_cast<uint32_t>(y), static_cast<uint32_t>(x), static_cast<uint32_t>(next_y - y), static_cast<uint32_t>(next_x - x)};
+      const twz_box part = {static_cast<uint32_t>(y), static_cast<uint32_t>(x), static_cast<uint32_t>(next_y - y),
+                            static_cast<uint32_t>(next_x - x)};
       if (!function(part)) return false;
       y = next_y;
     }
@@ -280,7 +287,8 @@ bool Dataset::ReadDirectly(GDALRasterBand &band, const Request &request) {
   return ForEachPart(request, [&](const twz_box &part) {
     Area area(*file_, handle_, grid_, part, n_threads_);
     if (!area.IsGood()) return false;
-    char *to = static_cast<char *>(request.data) + (part.row - static_cast<uint32_t>(request.y)) * request.line_space +
+    char *to = static_cast<char *>(request.data) +
+               (part.row - static_cast<uint32_t>(request.y)) * request.line_space +
                (part.col - static_cast<uint32_t>(request.x)) * request.pixel_space;
     if (is_plain) {
       if (!Copy(area, part, band.IsMaskBand(), to, static_cast<ptrdiff_t>(request.line_space))) return false;
@@ -309,8 +317,10 @@ bool Dataset::FillBlocks(GDALRasterBand &band, const Request &request) {
     int block_cols, block_rows;
     band.GetBlockSize(&block_cols, &block_rows);
     const uint32_t side_x = static_cast<uint32_t>(block_cols), side_y = static_cast<uint32_t>(block_rows);
-    const int left = static_cast<int>(part.col / side_x), right = static_cast<int>((part.col + part.n_cols - 1) / side_x);
-    const int top = static_cast<int>(part.row / side_y), bottom = static_cast<int>((part.row + part.n_rows - 1) / side_y);
+    const int left = static_cast<int>(part.col / side_x),
+              right = static_cast<int>((part.col + part.n_cols - 1) / side_x);
+    const int top = static_cast<int>(part.row / side_y),
+              bottom = static_cast<int>((part.row + part.n_rows - 1) / side_y);
     std::vector<std::pair<int, int>> missing;
     int first_x = right, last_x = left, first_y = bottom, last_y = top;
     for (int row = top; row <= bottom; row++) {
@@ -327,12 +337,14 @@ bool Dataset::FillBlocks(GDALRasterBand &band, const Request &request) {
       }
     }
     if (missing.empty()) return true;
-    Area area(*file_, handle_, grid_, BoxOf(band, grid_, first_x, first_y, last_x - first_x + 1, last_y - first_y + 1), n_threads_);
+    Area area(*file_, handle_, grid_,
+              BoxOf(band, grid_, first_x, first_y, last_x - first_x + 1, last_y - first_y + 1), n_threads_);
     if (!area.IsGood()) return false;
     for (const auto &at : missing) {
       GDALRasterBlock *block = band.GetLockedBlockRef(at.first, at.second, TRUE);
       if (!block) return false;
-      const bool is_good = Copy(area, BoxOf(band, grid_, at.first, at.second, 1, 1), band.IsMaskBand(), block->GetDataRef(), LineOfBlock(band));
+      const bool is_good = Copy(area, BoxOf(band, grid_, at.first, at.second, 1, 1), band.IsMaskBand(),
+                                block->GetDataRef(), LineOfBlock(band));
       block->DropLock();
       if (!is_good) return false;
     }
@@ -345,7 +357,8 @@ CPLErr Dataset::Read(GDALRasterBand &band, const Request &request, bool *is_done
   const bool is_whole = request.n_cols == request.buffer_cols && request.n_rows == request.buffer_rows;
   *is_done = is_whole && n >= DIRECT_SAMPLES;
   if (*is_done) return Guarded([&] { return ReadDirectly(band, request); });
-  const bool shrinks = request.n_cols > LEAST_SHRINKING * request.buffer_cols || request.n_rows > LEAST_SHRINKING * request.buffer_rows;
+  const bool shrinks = request.n_cols > LEAST_SHRINKING * request.buffer_cols ||
+                       request.n_rows > LEAST_SHRINKING * request.buffer_rows;
   const int64_t room = GDALGetCacheMax64() / 4 / GDALGetDataTypeSizeBytes(band.GetRasterDataType());
   if ((shrinks && band.GetOverviewCount() > 0) || n > std::min(room, MOST_SAMPLES)) return CE_None;
   return Guarded([&] { return FillBlocks(band, request); });
@@ -353,31 +366,29 @@ CPLErr Dataset::Read(GDALRasterBand &band, const Request &request, bool *is_done
 
 /* ---- Bands ---- */
 
-template <class AnyBand>
-void SetUp(AnyBand &band, Dataset *dataset, int *block_cols, int *block_rows) {
-  const int side = static_cast<int>(dataset->BlockSize());
-  *block_cols = std::min(side, dataset->GetRasterXSize());
-  *block_rows = std::min(side, dataset->GetRasterYSize());
-  static_cast<void>(band);
-}
-
 MaskBand::MaskBand(Dataset *dataset) {
   poDS = dataset;
   nRasterXSize = dataset->GetRasterXSize();
   nRasterYSize = dataset->GetRasterYSize();
   eDataType = GDT_Byte;
-  SetUp(*this, dataset, &nBlockXSize, &nBlockYSize);
+  nBlockXSize = std::min(dataset->BlockSize(), nRasterXSize);
+  nBlockYSize = std::min(dataset->BlockSize(), nRasterYSize);
 }
 
-CPLErr MaskBand::IReadBlock(int col, int row, void *data) { return static_cast<Dataset *>(poDS)->ReadBlock(*this, col, row, data); }
+CPLErr MaskBand::IReadBlock(int col, int row, void *data) {
+  return static_cast<Dataset *>(poDS)->ReadBlock(*this, col, row, data);
+}
 
-CPLErr MaskBand::IRasterIO(GDALRWFlag flag, int x, int y, int n_cols, int n_rows, void *data, int buffer_cols, int buffer_rows,
-                           GDALDataType type, GSpacing pixel_space, GSpacing line_space, GDALRasterIOExtraArg *extra) {
+CPLErr MaskBand::IRasterIO(GDALRWFlag flag, int x, int y, int n_cols, int n_rows, void *data, int buffer_cols,
+                           int buffer_rows, GDALDataType type, GSpacing pixel_space, GSpacing line_space,
+                           GDALRasterIOExtraArg *extra) {
   bool is_done = false;
-  const Request request = {x, y, n_cols, n_rows, data, buffer_cols, buffer_rows, type, pixel_space, line_space, extra};
+  const Request request = {x,           y,    n_cols,      n_rows,     data, buffer_cols,
+                           buffer_rows, type, pixel_space, line_space, extra};
   const CPLErr result = flag == GF_Read ? static_cast<Dataset *>(poDS)->Read(*this, request, &is_done) : CE_None;
   if (is_done || result != CE_None) return result;
-  return GDALRasterBand::IRasterIO(flag, x, y, n_cols, n_rows, data, buffer_cols, buffer_rows, type, pixel_space, line_space, extra);
+  return GDALRasterBand::IRasterIO(flag, x, y, n_cols, n_rows, data, buffer_cols, buffer_rows, type, pixel_space,
+                                   line_space, extra);
 }
 
 int MaskBand::GetOverviewCount() { return static_cast<Dataset *>(poDS)->CountOverviews(); }
@@ -391,7 +402,8 @@ Band::Band(Dataset *dataset) {
   poDS = dataset;
   nBand = 1;
   eDataType = TypeOf(dataset->Info().dtype);
-  SetUp(*this, dataset, &nBlockXSize, &nBlockYSize);
+  nBlockXSize = std::min(dataset->BlockSize(), dataset->GetRasterXSize());
+  nBlockYSize = std::min(dataset->BlockSize(), dataset->GetRasterYSize());
 }
 
 Dataset &Band::Of() const { return *static_cast<Dataset *>(poDS); }
@@ -399,13 +411,16 @@ const twz_info &Band::Info() const { return Of().Info(); }
 
 CPLErr Band::IReadBlock(int col, int row, void *data) { return Of().ReadBlock(*this, col, row, data); }
 
-CPLErr Band::IRasterIO(GDALRWFlag flag, int x, int y, int n_cols, int n_rows, void *data, int buffer_cols, int buffer_rows,
-                       GDALDataType type, GSpacing pixel_space, GSpacing line_space, GDALRasterIOExtraArg *extra) {
+CPLErr Band::IRasterIO(GDALRWFlag flag, int x, int y, int n_cols, int n_rows, void *data, int buffer_cols,
+                       int buffer_rows, GDALDataType type, GSpacing pixel_space, GSpacing line_space,
+                       GDALRasterIOExtraArg *extra) {
   bool is_done = false;
-  const Request request = {x, y, n_cols, n_rows, data, buffer_cols, buffer_rows, type, pixel_space, line_space, extra};
+  const Request request = {x,           y,    n_cols,      n_rows,     data, buffer_cols,
+                           buffer_rows, type, pixel_space, line_space, extra};
   const CPLErr result = flag == GF_Read ? Of().Read(*this, request, &is_done) : CE_None;
   if (is_done || result != CE_None) return result;
-  return GDALPamRasterBand::IRasterIO(flag, x, y, n_cols, n_rows, data, buffer_cols, buffer_rows, type, pixel_space, line_space, extra);
+  return GDALPamRasterBand::IRasterIO(flag, x, y, n_cols, n_rows, data, buffer_cols, buffer_rows, type, pixel_space,
+                                      line_space, extra);
 }
 
 int Band::GetOverviewCount() {
@@ -433,7 +448,8 @@ double Band::GetNoDataValue(int *is_there) {
 /* Extremes of the original, of which the decoded ones are no further than the bound. */
 double Band::Extreme(bool is_least, int *is_known) {
   const twz_info &info = Info();
-  if (!info.has_valid || !Of().IsFinest()) return is_least ? GDALPamRasterBand::GetMinimum(is_known) : GDALPamRasterBand::GetMaximum(is_known);
+  if (!info.has_valid || !Of().IsFinest())
+    return is_least ? GDALPamRasterBand::GetMinimum(is_known) : GDALPamRasterBand::GetMaximum(is_known);
   if (is_known) *is_known = TRUE;
   return is_least ? info.raw_min : info.raw_max;
 }
@@ -490,7 +506,8 @@ void Dataset::DescribeCrs() {
   }
   if (result != OGRERR_NONE) {
     crs_.Clear();
-    CPLError(CE_Warning, CPLE_AppDefined, "%s: PROJ does not know the coordinate reference system \"%.60s\": the raster has none",
+    CPLError(CE_Warning, CPLE_AppDefined,
+             "%s: PROJ does not know the coordinate reference system \"%.60s\": the raster has none",
              file_->Name().c_str(), text);
     return;
   }
@@ -515,10 +532,12 @@ void Dataset::Describe() {
     GDALMajorObject *object = of_band ? static_cast<GDALMajorObject *>(band) : this;
     const char *key, *value;
     for (size_t i = 0; twz_file_tag(file_->Get(), of_band, i, &key, &value); i++) {
-      if (*key && !strchr(key, '=') && !STARTS_WITH_CI(key, "STATISTICS_")) object->GDALMajorObject::SetMetadataItem(key, value);
+      if (*key && !strchr(key, '=') && !STARTS_WITH_CI(key, "STATISTICS_"))
+        object->GDALMajorObject::SetMetadataItem(key, value);
     }
   }
-  if (info.is_point >= 0) GDALMajorObject::SetMetadataItem(GDALMD_AREA_OR_POINT, info.is_point ? GDALMD_AOP_POINT : GDALMD_AOP_AREA);
+  if (info.is_point >= 0)
+    GDALMajorObject::SetMetadataItem(GDALMD_AREA_OR_POINT, info.is_point ? GDALMD_AOP_POINT : GDALMD_AOP_AREA);
   if (info.description) band->GDALMajorObject::SetDescription(info.description);
   const auto say = [this](const char *key, const std::string &value) {
     GDALMajorObject::SetMetadataItem(key, value.c_str(), "TERRAINWAVE");
@@ -533,7 +552,8 @@ void Dataset::Describe() {
   say("LEVEL", std::to_string(grid_.level - info.n_levels));
   if (!overviews_.empty()) say("OVERVIEWS", "averages of samples, without a bound");
   GDALMajorObject::SetMetadataItem("COMPRESSION", info.method_name, "IMAGE_STRUCTURE");
-  GDALMajorObject::SetMetadataItem("COMPRESSION_REVERSIBILITY", info.effective_bound > 0 ? "LOSSY" : "LOSSLESS", "IMAGE_STRUCTURE");
+  GDALMajorObject::SetMetadataItem("COMPRESSION_REVERSIBILITY", info.effective_bound > 0 ? "LOSSY" : "LOSSLESS",
+                                   "IMAGE_STRUCTURE");
   char *json[] = {const_cast<char *>(info.metadata), nullptr};
   GDALMajorObject::SetMetadata(json, "json:TERRAINWAVE");
 }
@@ -541,7 +561,8 @@ void Dataset::Describe() {
 void Dataset::AddOverviews() {
   const twz_info &info = Info();
   Grid grid = grid_;
-  for (uint32_t shift = 1; std::max(grid.n_rows, grid.n_cols) > SMALLEST_OVERVIEW && static_cast<int>(shift) <= info.n_levels; shift++) {
+  for (uint32_t shift = 1;
+       std::max(grid.n_rows, grid.n_cols) > SMALLEST_OVERVIEW && static_cast<int>(shift) <= info.n_levels; shift++) {
     grid.level = info.n_levels - static_cast<int>(shift);
     grid.stride = uint32_t{1} << (shift - 1);
     grid.n_rows = (grid.n_rows + 1) / 2;
@@ -568,13 +589,15 @@ Name Parse(const char *text) {
       name.file.resize(colon);
     }
   }
-  if (name.file.size() > 1 && name.file.front() == '"' && name.file.back() == '"') name.file = name.file.substr(1, name.file.size() - 2);
+  if (name.file.size() > 1 && name.file.front() == '"' && name.file.back() == '"')
+    name.file = name.file.substr(1, name.file.size() - 2);
   return name;
 }
 
 int Dataset::Identify(GDALOpenInfo *info) {
   if (STARTS_WITH_CI(info->pszFilename, PREFIX)) return TRUE;
-  return info->fpL && info->nHeaderBytes >= static_cast<int>(MAGIC_BYTES) && memcmp(info->pabyHeader, MAGIC, MAGIC_BYTES) == 0;
+  return info->fpL && info->nHeaderBytes >= static_cast<int>(MAGIC_BYTES) &&
+         memcmp(info->pabyHeader, MAGIC, MAGIC_BYTES) == 0;
 }
 
 /* Number a level from 0 on; -1 where there is no such level. */
@@ -589,18 +612,21 @@ GDALDataset *Dataset::Open(GDALOpenInfo *info) {
   if (!Identify(info)) return nullptr;
   const Name name = Parse(info->pszFilename);
   if (info->eAccess == GA_Update) {
-    CPLError(CE_Failure, CPLE_NotSupported, "%s: the TWZ driver only reads: open the file without update access", name.file.c_str());
+    CPLError(CE_Failure, CPLE_NotSupported, "%s: the TWZ driver only reads: open the file without update access",
+             name.file.c_str());
     return nullptr;
   }
   std::unique_ptr<Dataset> dataset;
   Guarded([&] {
     const bool is_named = STARTS_WITH_CI(info->pszFilename, PREFIX);
-    std::unique_ptr<VSILFILE, int (*)(VSILFILE *)> handle(is_named ? VSIFOpenL(name.file.c_str(), "rb") : info->fpL, VSIFCloseL);
+    std::unique_ptr<VSILFILE, int (*)(VSILFILE *)> handle(is_named ? VSIFOpenL(name.file.c_str(), "rb") : info->fpL,
+                                                          VSIFCloseL);
     if (!is_named) info->fpL = nullptr;
     char magic[MAGIC_BYTES];
     if (!handle || VSIFReadL(magic, 1, is_named ? MAGIC_BYTES : 0, handle.get()) != (is_named ? MAGIC_BYTES : 0) ||
         (is_named && memcmp(magic, MAGIC, MAGIC_BYTES) != 0)) {
-      CPLError(CE_Failure, CPLE_OpenFailed, "%s: %s", name.file.c_str(), handle ? "not a .twz file" : "there is no such file, or it cannot be read");
+      CPLError(CE_Failure, CPLE_OpenFailed, "%s: %s", name.file.c_str(),
+               handle ? "not a .twz file" : "there is no such file, or it cannot be read");
       return false;
     }
     std::shared_ptr<SharedFile> file = SharedFile::Open(name.file, handle.get());
@@ -611,13 +637,16 @@ GDALDataset *Dataset::Open(GDALOpenInfo *info) {
     const int level = LevelOf(wanted, told.n_levels);
     twz_level size;
     if (level < 0 || twz_file_level(file->Get(), level, &size, nullptr) != TWZ_OK) {
-      CPLError(CE_Failure, CPLE_IllegalArg, "%s: found level %s, expected 0 (the coarsest) to %d, or -1 (the full grid) to -%d",
-               name.file.c_str(), wanted.c_str(), told.n_levels - 1, told.n_levels);
+      CPLError(CE_Failure, CPLE_IllegalArg,
+               "%s: found level %s, expected 0 (the coarsest) to %d, or -1 (the full grid) to -%d", name.file.c_str(),
+               wanted.c_str(), told.n_levels - 1, told.n_levels);
       return false;
     }
-    if (!GDALCheckDatasetDimensions(static_cast<int>(std::min<uint32_t>(size.n_cols, INT_MAX)), static_cast<int>(std::min<uint32_t>(size.n_rows, INT_MAX))) ||
+    if (!GDALCheckDatasetDimensions(static_cast<int>(std::min<uint32_t>(size.n_cols, INT_MAX)),
+                                    static_cast<int>(std::min<uint32_t>(size.n_rows, INT_MAX))) ||
         size.n_cols > INT_MAX || size.n_rows > INT_MAX) {
-      CPLError(CE_Failure, CPLE_NotSupported, "%s: %u x %u samples are more than GDAL can address", name.file.c_str(), size.n_rows, size.n_cols);
+      CPLError(CE_Failure, CPLE_NotSupported, "%s: %u x %u samples are more than GDAL can address", name.file.c_str(),
+               size.n_rows, size.n_cols);
       return false;
     }
     const int n_threads = ThreadsOf(CSLFetchNameValue(info->papszOpenOptions, "NUM_THREADS"));
@@ -638,12 +667,19 @@ GDALDataset *Dataset::Open(GDALOpenInfo *info) {
 }
 
 GDALDataset *CannotWrite() {
-  CPLError(CE_Failure, CPLE_NotSupported, "the TWZ driver only reads; to make a .twz file: terrainwave compress dem.tif dem.twz --max-error 0.5");
+  CPLError(CE_Failure, CPLE_NotSupported,
+           "the TWZ driver only reads; to make a .twz file: terrainwave compress dem.tif dem.twz --max-error 0.5");
   return nullptr;
 }
 
 GDALDataset *Create(const char *, int, int, int, GDALDataType, char **) { return CannotWrite(); }
 GDALDataset *CreateCopy(const char *, GDALDataset *, int, char **, GDALProgressFunc, void *) { return CannotWrite(); }
+
+/* GDAL deletes what is there under the name of a raster that is made: a file that could not be made again. */
+CPLErr Delete(const char *name) {
+  CPLError(CE_Warning, CPLE_NotSupported, "%s is left as it is: the TWZ driver deletes no files", name);
+  return CE_Failure;
+}
 
 void Unload(GDALDriver *) { EndThreads(); }
 
@@ -666,19 +702,23 @@ void GDALRegister_TWZ(void) {
   driver->SetMetadataItem(GDAL_DMD_EXTENSIONS, "twz");
   driver->SetMetadataItem(GDAL_DMD_MIMETYPE, "application/vnd.terrainwave");
   driver->SetMetadataItem(GDAL_DMD_CONNECTION_PREFIX, twz::PREFIX);
-  driver->SetMetadataItem(GDAL_DMD_OPENOPTIONLIST,
-                          "<OpenOptionList>"
-                          "<Option name='LEVEL' type='int' default='-1' description='Level to read, with its own transform: -1 the full "
-                          "grid, -2 half of it, 0 the coarsest'/>"
-                          "<Option name='NUM_THREADS' type='string' description='Threads that decode, or ALL_CPUS; GDAL_NUM_THREADS if "
-                          "it is not given'/>"
-                          "</OpenOptionList>");
+  driver->SetMetadataItem(
+      GDAL_DMD_OPENOPTIONLIST,
+      "<OpenOptionList>"
+      "<Option name='LEVEL' type='int' default='-1' description='Level to read, with its own transform: -1 the full "
+      "grid, -2 half of it, 0 the coarsest'/>"
+      "<Option name='NUM_THREADS' type='string' description='Threads that decode, or ALL_CPUS; GDAL_NUM_THREADS if "
+      "it is not given'/>"
+      "</OpenOptionList>");
   driver->pfnIdentify = twz::Dataset::Identify;
   driver->pfnOpen = twz::Dataset::Open;
+  driver->pfnDelete = twz::Delete;
   driver->pfnUnloadDriver = twz::Unload;
+  driver->pfnCreate = twz::Create;
+  driver->pfnCreateCopy = twz::CreateCopy;
   GDALDriver *registered = driver.release();
   GetGDALDriverManager()->RegisterDriver(registered);
-  /* Set now, they do not make GDAL list the driver among those that write. */
-  registered->pfnCreate = twz::Create;
-  registered->pfnCreateCopy = twz::CreateCopy;
+  /* Left standing, DCAP_CREATECOPY lets gdal_translate come as far as our line, which says what makes such files.
+   * Without DCAP_CREATE, programs do not offer the format for new rasters. */
+  registered->SetMetadataItem(GDAL_DCAP_CREATE, nullptr);
 }

@@ -51,7 +51,8 @@ bool Fetch(VSILFILE *handle, std::vector<Piece> &pieces) {
     offsets.push_back(piece.offset);
     sizes.push_back(piece.bytes.size());
   }
-  return VSIFReadMultiRangeL(static_cast<int>(pieces.size()), buffers.data(), offsets.data(), sizes.data(), handle) == 0;
+  return VSIFReadMultiRangeL(static_cast<int>(pieces.size()), buffers.data(), offsets.data(), sizes.data(), handle) ==
+         0;
 }
 
 /* twz_fetch, for what is needed to open a file. */
@@ -59,7 +60,8 @@ int FetchAll(void *source, size_t n, const twz_range *ranges, void *const *buffe
   VSILFILE *handle = static_cast<VSILFILE *>(source);
   for (size_t i = 0; i < n; i++) {
     const size_t length = static_cast<size_t>(ranges[i].length);
-    if (VSIFSeekL(handle, ranges[i].offset, SEEK_SET) != 0 || VSIFReadL(buffers[i], 1, length, handle) != length) return 1;
+    if (VSIFSeekL(handle, ranges[i].offset, SEEK_SET) != 0 || VSIFReadL(buffers[i], 1, length, handle) != length)
+      return 1;
   }
   return 0;
 }
@@ -169,7 +171,8 @@ bool SharedFile::Load(vsi_l_offset size) {
   options.locks.unlock = [](void *mutex) { static_cast<std::mutex *>(mutex)->unlock(); };
   options.cache_bytes = std::max(CACHE_BYTES / (n_open + 1), LEAST_CACHE_BYTES);
   twz_error error;
-  if (twz_file_new(&options, size, &file_, &error) != TWZ_OK || twz_file_load(file_, FetchAll, handle_, &error) != TWZ_OK) {
+  if (twz_file_new(&options, size, &file_, &error) != TWZ_OK ||
+      twz_file_load(file_, FetchAll, handle_, &error) != TWZ_OK) {
     Report(name_, error);
     return false;
   }
@@ -179,7 +182,8 @@ bool SharedFile::Load(vsi_l_offset size) {
 
 SharedFile::~SharedFile() { twz_file_free(file_); }
 
-/* Of a remote file what lies behind a page comes with it, and is there when it is asked for; a round is one call of VSI. */
+/* Of a remote file what lies behind a page comes with it, and is there when it is asked for; a round is one call of
+ * VSI. */
 bool LoadWindow(const std::string &name, VSILFILE *handle, twz_window *window, twz_error *error) {
   const bool is_remote = IsRemote(name);
   const uint64_t gap = is_remote ? GAP : 0;
@@ -198,7 +202,8 @@ bool LoadWindow(const std::string &name, VSILFILE *handle, twz_window *window, t
       });
       if (known != ahead.end()) {
         const uint8_t *bytes = known->bytes.data() + (range.offset - known->offset);
-        if (twz_window_feed(window, range.offset, bytes, static_cast<size_t>(range.length), error) != TWZ_OK) return false;
+        if (twz_window_feed(window, range.offset, bytes, static_cast<size_t>(range.length), error) != TWZ_OK)
+          return false;
         continue;
       }
       const uint64_t stop = end + (is_remote ? std::min(range.likely, MOST_AHEAD) : 0);
@@ -217,7 +222,8 @@ bool LoadWindow(const std::string &name, VSILFILE *handle, twz_window *window, t
       return false;
     }
     for (Piece &piece : pieces) {
-      if (twz_window_feed(window, piece.offset, piece.bytes.data(), piece.bytes.size(), error) != TWZ_OK) return false;
+      if (twz_window_feed(window, piece.offset, piece.bytes.data(), piece.bytes.size(), error) != TWZ_OK)
+        return false;
       if (is_remote) ahead.push_back(std::move(piece));
     }
   }
