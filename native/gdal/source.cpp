@@ -126,8 +126,8 @@ const twz_workers *WorkersOf(Pool &pool, int n_threads) {
 
 void SharedFile::Report(const std::string &name, const twz_error &error) {
   if (error.status == TWZ_UNSUPPORTED) {
-    CPLError(CE_Failure, CPLE_NotSupported, "%s: %s (this is release %d.%d.%d of the TWZ driver)", name.c_str(),
-             error.text, TWZ_VERSION_MAJOR, TWZ_VERSION_MINOR, TWZ_VERSION_PATCH);
+    CPLError(CE_Failure, CPLE_NotSupported, "%s: %s; install a terrainwave driver for GDAL newer than %d.%d.%d",
+             name.c_str(), error.text, TWZ_VERSION_MAJOR, TWZ_VERSION_MINOR, TWZ_VERSION_PATCH);
     return;
   }
   const CPLErrorNum number = error.status == TWZ_FETCH_FAILED ? CPLE_FileIO
