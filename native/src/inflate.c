@@ -164,8 +164,10 @@ static int copy_match(inflater *s, size_t length, size_t distance) {
     put(s, s->dictionary[s->n_dictionary - (distance - s->n_out)]);
     length--;
   }
+  if (length == 0) return 1;
   uint8_t *to = s->out + s->n_out;
-  for (size_t i = 0; i < length; i++) to[i] = to[i - distance];
+  const uint8_t *from = to - distance;
+  for (size_t i = 0; i < length; i++) to[i] = from[i];
   s->n_out += length;
   return 1;
 }

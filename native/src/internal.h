@@ -374,10 +374,10 @@ uint64_t unit_bytes(const twz_file *f, place key);
 
 /*
  * Fill out->valid and out->own (mask.c) of a unit with a payload; NULL where all are 1. Sections with bytes
- * NULL are not there. A payload must have a valid sample.
+ * NULL are not there.
  */
 twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int is_finest, const reader *mask,
-                           const reader *own, scratch *s, twz_error *error);
+                           const reader *own, int *has_valid, scratch *s, twz_error *error);
 
 /* Each fills the heights of the whole region from the bytes of the method. */
 twz_status decode_store(const job *j, const reader *bytes, twz_error *error);

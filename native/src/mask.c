@@ -137,7 +137,8 @@ static twz_status keep_field(const twz_file *f, const layer *out, field from, ui
 }
 
 twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int is_finest, const reader *mask,
-                           const reader *own, scratch *s, twz_error *error) {
+                           const reader *own, int *has_valid, scratch *s, twz_error *error) {
+  *has_valid = 1;
   int has_fills = (f->header.features & FILLS) != 0;
   int parent_has_void = p->layer && (p->is_void || p->layer->valid || p->layer->own);
   if (!mask->bytes && !own->bytes && !parent_has_void) return TWZ_OK; /* all valid, all own */
@@ -169,6 +170,6 @@ twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int i
     }
   }
   TRY(keep_field(f, out, valid, &out->valid, &n_valid, error));
-  REQUIRE(n_valid > 0, error, "a payload of a unit without a valid sample");
+  *has_valid = n_valid > 0;
   return TWZ_OK;
 }

@@ -131,7 +131,9 @@ twz_status decode_unit(const twz_file *f, unit *u, const unit *above, const uint
   memset(sections, 0, sizeof sections);
   TRY(read_sections(f, &rest, is_finest, sections, error));
   job j = {f, key, u->first_level, l, parent_of(f, key, above)};
-  TRY(decode_validity(f, l, &j.parent, is_finest, &sections[MASK], &sections[OWN], s, error));
+  int has_valid;
+  TRY(decode_validity(f, l, &j.parent, is_finest, &sections[MASK], &sections[OWN], &has_valid, s, error));
+  REQUIRE(has_valid, error, "a payload of a unit without a valid sample");
   l->heights = twz_allocate(&f->allocator, n * sizeof *l->heights);
   if (!l->heights) return twz_no_memory(error, n * sizeof *l->heights);
   rest.bytes += rest.at;

@@ -6,7 +6,9 @@
 #include <immintrin.h>
 #endif
 
-#if defined(__clang__)
+#if defined(__clang__) && defined(TWZ_SANITIZED)
+#define IVDEP /* checks stand in the way of vectors */
+#elif defined(__clang__)
 #define IVDEP _Pragma("clang loop vectorize(assume_safety) interleave(disable)")
 #elif defined(__GNUC__)
 #define IVDEP _Pragma("GCC ivdep")

@@ -248,9 +248,9 @@ static int ask_page(asked *a, const page_place *page) {
   return 1;
 }
 
-static int lookup(twz_file *f, place key, segment **s, page_place *page, place *missing) {
+static found lookup(twz_file *f, place key, segment **s, page_place *page, place *missing) {
   file_lock(f);
-  int known = find_segment(f, head_of_key(&f->grid, key), s, page, missing);
+  found known = find_segment(f, head_of_key(&f->grid, key), s, page, missing);
   file_unlock(f);
   return known;
 }
@@ -262,17 +262,17 @@ static twz_status place_unit(twz_window *w, slot *one, place key, asked *a, twz_
   int is_known = 1;
   for (size_t i = 0; i < n_keys; i++) {
     place missing, part = key_of(key, i);
-    segment *found;
+    segment *s;
     page_place page;
-    int known = lookup(f, part, &found, &page, &missing);
+    found known = lookup(f, part, &s, &page, &missing);
     if (known == MISSING) {
       is_known = 0;
       if (!ask_page(a, &page)) return TWZ_OK;
     }
-    int m = known == FOUND ? index_of_place(found->keys, found->n_keys, part) : -1;
+    int m = known == FOUND ? index_of_place(s->keys, s->n_keys, part) : -1;
     if (m < 0) continue;
-    if (i == 0) one->place = found->payloads[m];
-    REQUIRE(i == 0 || found->payloads[m].length == 0, error, "a payload at a key that heads no tile");
+    if (i == 0) one->place = s->payloads[m];
+    REQUIRE(i == 0 || s->payloads[m].length == 0, error, "a payload at a key that heads no tile");
   }
   if (!is_known) return TWZ_OK;
   one->state = one->place.length ? PLACED : FED;
@@ -618,7 +618,7 @@ static twz_status find_block(twz_file *f, place block, twz_block *found, twz_err
     place missing;
     page_place page;
     segment *own;
-    int known = lookup(f, key, &own, &page, &missing);
+    int known = (int)lookup(f, key, &own, &page, &missing);
     if (known == MISSING) return twz_fail(error, TWZ_NOT_READY, "the index of the block is missing: load the window first");
     if (known == ABSENT) own = NULL;
     if (n == 0) s = own;
