@@ -28,8 +28,9 @@ constexpr uint32_t SMALLEST_OVERVIEW = 512;
 constexpr uint32_t LEAST_BLOCK = 256, MOST_BLOCK = 1024;
 /* Requests of so many samples go past GDAL's cache of blocks: straight into the caller's array. */
 constexpr int64_t DIRECT_SAMPLES = 1 << 20;
-/* Samples of a level that are decoded at once; 4 to 13 bytes each. */
-constexpr int64_t MOST_SAMPLES = 1 << 24;
+/* Samples of a level that are decoded at once: as many as processors' caches hold, for each thread. Of remote files
+ * more, which takes fewer rounds of requests. */
+constexpr int64_t SAMPLES_AT_ONCE = 1 << 21, MOST_SAMPLES = 1 << 24;
 /* Requests that shrink more than this are for an overview, if there is one. */
 constexpr double LEAST_SHRINKING = 1.6;
 
@@ -53,6 +54,15 @@ std::string TextOf(double number) {
     if (CPLAtof(text) == number) break;
   }
   return text;
+}
+
+/* A text of a file without what terminals take for commands. */
+std::string Printable(const char *text, size_t most) {
+  std::string printable(text, strnlen(text, most));
+  for (char &letter : printable) {
+    if (static_cast<unsigned char>(letter) < ' ' || letter == 127) letter = '?';
+  }
+  return printable;
 }
 
 /* Run what may throw; GDAL is called from C. */
@@ -258,7 +268,8 @@ CPLErr Dataset::ReadBlock(GDALRasterBand &band, int col, int row, void *data) {
 template <class Function>
 bool Dataset::ForEachPart(const Request &request, Function function) const {
   const int64_t block = BlockSize();
-  const int64_t most = MOST_SAMPLES / (grid_.stride ? 4 : 1);
+  const int64_t at_once = file_->IsRemote() ? MOST_SAMPLES : std::min(SAMPLES_AT_ONCE * n_threads_, MOST_SAMPLES);
+  const int64_t most = at_once / (grid_.stride ? 4 : 1);
   const int64_t cols_at_once = std::max(most / block / block, int64_t{1}) * block;
   const int64_t end_x = static_cast<int64_t>(request.x) + request.n_cols,
                 end_y = static_cast<int64_t>(request.y) + request.n_rows;
@@ -507,8 +518,8 @@ void Dataset::DescribeCrs() {
   if (result != OGRERR_NONE) {
     crs_.Clear();
     CPLError(CE_Warning, CPLE_AppDefined,
-             "%s: PROJ does not know the coordinate reference system \"%.60s\": the raster has none",
-             file_->Name().c_str(), text);
+             "%s: PROJ does not know the coordinate reference system \"%s\": the raster has none",
+             file_->Name().c_str(), Printable(text, 60).c_str());
     return;
   }
   crs_.SetAxisMappingStrategy(OAMS_TRADITIONAL_GIS_ORDER);

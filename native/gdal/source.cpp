@@ -2,6 +2,9 @@
 #include "source.h"
 
 #include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <cstdlib>
 #include <map>
 #include <tuple>
 #include <vector>
@@ -14,9 +17,9 @@
 namespace twz {
 namespace {
 
-/* Decoded units of all open files; a file opened beside k others gets a share of 1/(k + 1). Of a large file the
- * units above one window take some ten MiB. */
-constexpr uint64_t CACHE_BYTES = uint64_t{256} << 20;
+/* Decoded units of all open files; a file opened beside k others gets a share of 1/(k + 1). 64 MiB hold a row of 32
+ * units of int16 and those above it; more made whole reads no faster. GDAL caches blocks besides. */
+constexpr uint64_t CACHE_BYTES = uint64_t{64} << 20;
 constexpr uint64_t LEAST_CACHE_BYTES = uint64_t{8} << 20;
 /* Ranges of a remote file that lie closer are one request, and so much is read behind a page of the index. */
 constexpr uint64_t GAP = 16 << 10;
@@ -64,6 +67,69 @@ int FetchAll(void *source, size_t n, const twz_range *ranges, void *const *buffe
       return 1;
   }
   return 0;
+}
+
+/* ---- Memory ---- */
+
+/* Large pieces that were released and will soon be asked for again: units and what they are decoded in. To get fresh
+ * pages from the system costs a sixth of the time of decoding. */
+class Recycler {
+ public:
+  void *Allocate(size_t n) {
+    if (n > SIZE_MAX / 2) return nullptr;
+    const size_t size = SizeFor(n);
+    if (size >= LEAST) {
+      std::lock_guard<std::mutex> lock(mutex_);
+      auto found = kept_.find(size);
+      if (found != kept_.end() && !found->second.empty()) {
+        Head *head = found->second.back();
+        found->second.pop_back();
+        n_kept_ -= size;
+        return head + 1;
+      }
+    }
+    Head *head = static_cast<Head *>(malloc(sizeof(Head) + size));
+    if (!head) return nullptr;
+    head->size = size;
+    return head + 1;
+  }
+
+  void Release(void *memory) {
+    if (!memory) return;
+    Head *head = static_cast<Head *>(memory) - 1;
+    if (head->size >= LEAST) {
+      std::lock_guard<std::mutex> lock(mutex_);
+      if (n_kept_ + head->size <= MOST_KEPT) {
+        kept_[head->size].push_back(head);
+        n_kept_ += head->size;
+        return;
+      }
+    }
+    free(head);
+  }
+
+ private:
+  struct alignas(std::max_align_t) Head {
+    size_t size;
+  };
+  static constexpr size_t LEAST = 32 << 10, MOST_KEPT = 32 << 20;
+
+  /* Sizes in steps of an eighth: pieces of nearly the same size stand for each other. */
+  static size_t SizeFor(size_t n) {
+    size_t step = 16;
+    while (step * 16 < n) step *= 2;
+    return (n + step - 1) / step * step;
+  }
+
+  std::mutex mutex_;
+  std::map<size_t, std::vector<Head *>> kept_;
+  size_t n_kept_ = 0;
+};
+
+/* Never destroyed: files may be closed while the process ends. */
+Recycler &Memory() {
+  static Recycler *memory = new Recycler();
+  return *memory;
 }
 
 /* ---- Files that are open ---- */
@@ -136,6 +202,9 @@ void SharedFile::Report(const std::string &name, const twz_error &error) {
   CPLError(CE_Failure, number, "%s: %s", name.c_str(), error.text);
 }
 
+SharedFile::SharedFile(const std::string &name, VSILFILE *handle)
+    : name_(name), is_remote_(twz::IsRemote(name)), handle_(handle) {}
+
 std::shared_ptr<SharedFile> SharedFile::Open(const std::string &name, VSILFILE *handle) {
   Key key{name, std::string(HEAD_BYTES, '\0'), 0, 0};
   key.head.resize(VSIFSeekL(handle, 0, SEEK_SET) == 0 ? VSIFReadL(&key.head[0], 1, HEAD_BYTES, handle) : 0);
@@ -169,6 +238,14 @@ bool SharedFile::Load(vsi_l_offset size) {
   options.locks.context = &mutex_;
   options.locks.lock = [](void *mutex) { static_cast<std::mutex *>(mutex)->lock(); };
   options.locks.unlock = [](void *mutex) { static_cast<std::mutex *>(mutex)->unlock(); };
+  options.allocator.allocate = [](void *, size_t n) -> void * {
+    try {
+      return Memory().Allocate(n);
+    } catch (const std::exception &) {
+      return nullptr;
+    }
+  };
+  options.allocator.release = [](void *, void *memory) { Memory().Release(memory); };
   options.cache_bytes = std::max(CACHE_BYTES / (n_open + 1), LEAST_CACHE_BYTES);
   twz_error error;
   if (twz_file_new(&options, size, &file_, &error) != TWZ_OK ||
@@ -184,8 +261,7 @@ SharedFile::~SharedFile() { twz_file_free(file_); }
 
 /* Of a remote file what lies behind a page comes with it, and is there when it is asked for; a round is one call of
  * VSI. */
-bool LoadWindow(const std::string &name, VSILFILE *handle, twz_window *window, twz_error *error) {
-  const bool is_remote = IsRemote(name);
+bool LoadWindow(bool is_remote, VSILFILE *handle, twz_window *window, twz_error *error) {
   const uint64_t gap = is_remote ? GAP : 0;
   std::vector<Piece> ahead;
   std::vector<twz_range> ranges(MOST_RANGES);

@@ -24,23 +24,25 @@ class SharedFile {
   const twz_info &Info() const { return *info_; }
   twz_file *Get() const { return file_; }
   const std::string &Name() const { return name_; }
+  bool IsRemote() const { return is_remote_; } /* requests are costly */
 
   /* Tell an error of the library in one line. */
   static void Report(const std::string &name, const twz_error &error);
 
  private:
-  SharedFile(const std::string &name, VSILFILE *handle) : name_(name), handle_(handle) {}
+  SharedFile(const std::string &name, VSILFILE *handle);
   bool Load(vsi_l_offset size);
 
   std::string name_;
+  bool is_remote_;
   VSILFILE *handle_; /* of the dataset that opens the file; not used afterwards */
   std::mutex mutex_;
   twz_file *file_ = nullptr;
   const twz_info *info_ = nullptr;
 };
 
-/* Fetch what a window needs: in few requests where they are costly. */
-bool LoadWindow(const std::string &name, VSILFILE *handle, twz_window *window, twz_error *error);
+/* Fetch what a window needs: in few requests if they are costly. */
+bool LoadWindow(bool is_remote, VSILFILE *handle, twz_window *window, twz_error *error);
 
 /* Threads that the open option, else GDAL_NUM_THREADS, asks for. */
 int ThreadsOf(const char *option);

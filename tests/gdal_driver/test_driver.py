@@ -13,7 +13,7 @@ from gdal_driver.files import KINDS, write_described, write_kind
 from rasterio.windows import Window
 
 import terrainwave
-from terrainwave.raster_io.info import RasterInfo
+from terrainwave.write.job import metadata_of
 
 pytestmark = [pytest.mark.full, pytest.mark.gdal]
 GOLDEN = ROOT / "tests" / "golden" / "v1"
@@ -439,8 +439,9 @@ def test_a_file_of_a_later_format_names_the_release_to_get(kinds, folder):
 
 @pytest.mark.parametrize("crs", ["EPSG:99999", "/vsicurl/http://127.0.0.1:9/wkt", "\x1b[31m", ""])
 def test_an_unknown_crs_is_a_warning_and_heights_are_read(folder, monkeypatch, crs):
-    told_by_terrain = RasterInfo.to_metadata
-    monkeypatch.setattr(RasterInfo, "to_metadata", lambda info: told_by_terrain(info) | {"crs": crs})
+    monkeypatch.setattr(
+        "terrainwave.write.job.metadata_of", lambda info: metadata_of(info) | {"crs": crs}
+    )
     heights = np.arange(2000, dtype=np.int16).reshape(40, 50)
     data = terrainwave.compress_to_bytes(heights, max_error=0, threads=1, verify=False)
     (folder / "crs.twz").write_bytes(data)
