@@ -21,9 +21,10 @@ namespace {
  * units of int16 and those above it; more made whole reads no faster. GDAL caches blocks besides. */
 constexpr uint64_t CACHE_BYTES = uint64_t{64} << 20;
 constexpr uint64_t LEAST_CACHE_BYTES = uint64_t{8} << 20;
-/* Ranges of a remote file that lie closer are one request, and so much is read behind a page of the index. */
-constexpr uint64_t GAP = 16 << 10;
-constexpr uint64_t MOST_AHEAD = 256 << 10;
+/* Of a remote file so much is read behind a page of the index, and ranges with gaps between them are one request, the
+ * shortest gaps first, while gaps are no more than a quarter of what is wanted, or this. */
+constexpr uint64_t MOST_AHEAD = 64 << 10;
+constexpr uint64_t FREE_GAPS = 64 << 10;
 constexpr size_t MOST_RANGES = 512;
 constexpr size_t HEAD_BYTES = 1024;
 
@@ -259,10 +260,41 @@ bool SharedFile::Load(vsi_l_offset size) {
 
 SharedFile::~SharedFile() { twz_file_free(file_); }
 
+namespace {
+
+/* Join pieces with the shortest gaps between them. */
+std::vector<Piece> Joined(std::vector<Piece> pieces) {
+  uint64_t budget = 0;
+  std::vector<std::pair<uint64_t, size_t>> gaps;
+  for (size_t i = 0; i < pieces.size(); i++) {
+    budget += (pieces[i].End() - pieces[i].offset) / 4;
+    if (i > 0) gaps.emplace_back(pieces[i].offset - std::min(pieces[i].offset, pieces[i - 1].End()), i);
+  }
+  budget = std::max(budget, FREE_GAPS);
+  std::sort(gaps.begin(), gaps.end());
+  std::vector<bool> is_joined(pieces.size(), false);
+  for (const auto &gap : gaps) {
+    if (gap.first > budget) break;
+    budget -= gap.first;
+    is_joined[gap.second] = true;
+  }
+  std::vector<Piece> joined;
+  for (size_t i = 0; i < pieces.size(); i++) {
+    if (!is_joined[i]) {
+      joined.push_back(std::move(pieces[i]));
+      continue;
+    }
+    Piece &last = joined.back();
+    last.bytes.resize(static_cast<size_t>(std::max(last.End(), pieces[i].End()) - last.offset));
+  }
+  return joined;
+}
+
+}  // namespace
+
 /* Of a remote file what lies behind a page comes with it, and is there when it is asked for; a round is one call of
  * VSI. */
 bool LoadWindow(bool is_remote, VSILFILE *handle, twz_window *window, twz_error *error) {
-  const uint64_t gap = is_remote ? GAP : 0;
   std::vector<Piece> ahead;
   std::vector<twz_range> ranges(MOST_RANGES);
   for (;;) {
@@ -283,14 +315,10 @@ bool LoadWindow(bool is_remote, VSILFILE *handle, twz_window *window, twz_error 
         continue;
       }
       const uint64_t stop = end + (is_remote ? std::min(range.likely, MOST_AHEAD) : 0);
-      if (!pieces.empty() && range.offset <= pieces.back().End() + gap) {
-        Piece &last = pieces.back();
-        last.bytes.resize(static_cast<size_t>(std::max(last.End(), stop) - last.offset));
-      } else {
-        pieces.push_back({range.offset, std::vector<uint8_t>(static_cast<size_t>(stop - range.offset))});
-      }
+      pieces.push_back({range.offset, std::vector<uint8_t>(static_cast<size_t>(stop - range.offset))});
     }
     if (pieces.empty()) continue;
+    if (is_remote) pieces = Joined(std::move(pieces));
     if (!Fetch(handle, pieces)) {
       error->status = TWZ_FETCH_FAILED;
       CPLsnprintf(error->text, sizeof error->text, "bytes " CPL_FRMT_GUIB " to " CPL_FRMT_GUIB " could not be read",
