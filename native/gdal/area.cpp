@@ -126,7 +126,7 @@ bool Area::Decode(VSILFILE *handle, int n_threads) {
   twz_window *window = nullptr;
   const twz_status begun = twz_window_new(file_.Get(), grid_.level, &source_, &window, &error);
   window_.reset(window);
-  if (begun != TWZ_OK || !LoadWindow(file_.IsRemote(), handle, window, &error) ||
+  if (begun != TWZ_OK || !LoadWindow(file_, handle, window, &error) ||
       DecodeWindow(window, n_threads, &error) != TWZ_OK) {
     return Fail(error);
   }

@@ -21,12 +21,12 @@ namespace {
  * units of int16 and those above it; more made whole reads no faster. GDAL caches blocks besides. */
 constexpr uint64_t CACHE_BYTES = uint64_t{64} << 20;
 constexpr uint64_t LEAST_CACHE_BYTES = uint64_t{8} << 20;
-/* Of a remote file so much is read behind a page of the index, and ranges with gaps between them are one request, the
+/* Of a remote file so much is read behind a page of the index that is read alone, and ranges with gaps between them are one request, the
  * shortest gaps first, while gaps are no more than a quarter of what is wanted, or this. */
 constexpr uint64_t MOST_AHEAD = 64 << 10;
 constexpr uint64_t FREE_GAPS = 64 << 10;
 constexpr size_t MOST_RANGES = 512;
-constexpr size_t HEAD_BYTES = 1024;
+constexpr size_t HEAD_BYTES = 16 << 10; /* as GDAL reads of remote files at a time */
 
 struct Piece {
   uint64_t offset;
@@ -221,6 +221,7 @@ std::shared_ptr<SharedFile> SharedFile::Open(const std::string &name, VSILFILE *
     }
   }
   std::shared_ptr<SharedFile> file(new SharedFile(name, handle));
+  file->head_.assign(key.head.begin(), key.head.end());
   if (!file->Load(key.size)) return nullptr;
   std::lock_guard<std::mutex> lock(registry.mutex);
   std::weak_ptr<SharedFile> &known = registry.files[key];
@@ -294,8 +295,10 @@ std::vector<Piece> Joined(std::vector<Piece> pieces) {
 
 /* Of a remote file what lies behind a page comes with it, and is there when it is asked for; a round is one call of
  * VSI. */
-bool LoadWindow(bool is_remote, VSILFILE *handle, twz_window *window, twz_error *error) {
+bool LoadWindow(const SharedFile &file, VSILFILE *handle, twz_window *window, twz_error *error) {
+  const bool is_remote = file.IsRemote();
   std::vector<Piece> ahead;
+  if (is_remote) ahead.push_back({0, file.Head()});
   std::vector<twz_range> ranges(MOST_RANGES);
   for (;;) {
     size_t n = 0;
@@ -314,7 +317,7 @@ bool LoadWindow(bool is_remote, VSILFILE *handle, twz_window *window, twz_error 
           return false;
         continue;
       }
-      const uint64_t stop = end + (is_remote ? std::min(range.likely, MOST_AHEAD) : 0);
+      const uint64_t stop = end + (is_remote && n == 1 ? std::min(range.likely, MOST_AHEAD) : 0);
       pieces.push_back({range.offset, std::vector<uint8_t>(static_cast<size_t>(stop - range.offset))});
     }
     if (pieces.empty()) continue;

@@ -5,6 +5,7 @@
 #include <memory>
 #include <mutex>
 #include <string>
+#include <vector>
 
 #include "cpl_vsi.h"
 #include "terrainwave.h"
@@ -25,6 +26,7 @@ class SharedFile {
   twz_file *Get() const { return file_; }
   const std::string &Name() const { return name_; }
   bool IsRemote() const { return is_remote_; } /* requests are costly */
+  const std::vector<uint8_t> &Head() const { return head_; } /* how the file begins */
 
   /* Tell an error of the library in one line. */
   static void Report(const std::string &name, const twz_error &error);
@@ -35,6 +37,7 @@ class SharedFile {
 
   std::string name_;
   bool is_remote_;
+  std::vector<uint8_t> head_;
   VSILFILE *handle_; /* of the dataset that opens the file; not used afterwards */
   std::mutex mutex_;
   twz_file *file_ = nullptr;
@@ -42,7 +45,7 @@ class SharedFile {
 };
 
 /* Fetch what a window needs: in few requests if they are costly. */
-bool LoadWindow(bool is_remote, VSILFILE *handle, twz_window *window, twz_error *error);
+bool LoadWindow(const SharedFile &file, VSILFILE *handle, twz_window *window, twz_error *error);
 
 /* Threads that the open option, else GDAL_NUM_THREADS, asks for. */
 int ThreadsOf(const char *option);

@@ -29,7 +29,15 @@ def build():
     with open(FOLDER / "lock", "w", encoding="utf-8") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         for command in (
-            ["cmake", "-S", ROOT / "native", "-B", FOLDER, "-DTWZ_GDAL=ON", "-DTWZ_WARNINGS_ARE_ERRORS=ON"],
+            [
+                "cmake",
+                "-S",
+                ROOT / "native",
+                "-B",
+                FOLDER,
+                "-DTWZ_GDAL=ON",
+                "-DTWZ_WARNINGS_ARE_ERRORS=ON",
+            ],
             ["cmake", "--build", FOLDER, "--target", "gdal_TWZ", "-j", "2"],
         ):
             ended = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -52,7 +60,7 @@ def run(*command, **variables):
 
 
 def good(*command, **variables):
-    """Run one of GDAL's commands, which must succeed and say nothing on stderr; return its output."""
+    """Run one of GDAL's commands, which must succeed in silence; return its output."""
     ended = run(*command, **variables)
     assert (ended.returncode, ended.stderr) == (0, ""), ended
     return ended.stdout

@@ -40,7 +40,12 @@ def heights_of(dtype, shape):
 
 
 def write_kind(folder, kind, **options):
-    """Write a raster of one of `KINDS` and the .twz file of it; return the latter's path."""
+    """Write a raster of one of `KINDS` and the .twz file of it, once; return the latter's path."""
+    name = "-".join([kind, *map(str, options.values())])
+    source = Path(folder) / f"{name}.tif"
+    target = source.with_suffix(".twz")
+    if target.exists():
+        return target
     dtype, voids, shape = KINDS[kind]
     heights, valid = heights_of(dtype, shape)
     nodata = NODATA[dtype] if voids == "nodata" else None
@@ -48,7 +53,6 @@ def write_kind(folder, kind, **options):
         heights[~valid] = nodata
     elif voids == "nan":
         heights[~valid] = np.nan
-    source = Path(folder) / f"{kind}.tif"
     with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(
         source, "w", driver="GTiff", height=shape[0], width=shape[1], count=1, dtype=dtype,
         crs="EPSG:32632", transform=TRANSFORM, nodata=nodata,
@@ -56,7 +60,6 @@ def write_kind(folder, kind, **options):
         raster.write(heights, 1)
         if voids == "mask":
             raster.write_mask(valid)
-    target = source.with_suffix(".twz")
     terrainwave.compress(source, target, max_error=2, threads=1, mesh="none", **options)
     return target
 
@@ -77,3 +80,9 @@ def write_described(folder):
     target = source.with_suffix(".twz")
     terrainwave.compress(source, target, max_error=0.75, threads=1, mesh="none")
     return target
+
+
+def centre(transform, row, col):
+    """Return the place of the centre of a pixel."""
+    a, b, c, d, e, f = transform[:6]
+    return a * (col + 0.5) + b * (row + 0.5) + c, d * (col + 0.5) + e * (row + 0.5) + f

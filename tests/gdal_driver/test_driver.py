@@ -60,7 +60,9 @@ print(0)
 
 def assert_all_levels_are_those_of_terrain(paths, folder):
     targets = [folder / f"{path.stem}-level" for path in paths]
-    by_python(LEVELS, [[str(path), str(target)] for path, target in zip(paths, targets, strict=True)])
+    by_python(
+        LEVELS, [[str(path), str(target)] for path, target in zip(paths, targets, strict=True)]
+    )
     for path, target in zip(paths, targets, strict=True):
         with terrainwave.open(path) as terrain:
             for level in range(-terrain.n_levels, terrain.n_levels):
@@ -187,7 +189,8 @@ for kind, dataset in kinds.items():
     height, width = whole.shape
     for _ in range(12):
         row, col = int(rng.integers(height)), int(rng.integers(width))
-        box = col, row, int(rng.integers(1, width - col + 1)), int(rng.integers(1, height - row + 1))
+        size = rng.integers(1, (width - col + 1, height - row + 1))
+        box = col, row, int(size[0]), int(size[1])
         part = np.s_[row : row + box[3], col : col + box[2]]
         assert (band.ReadAsArray(*box).tobytes() == whole[part].tobytes()), (kind, box)
         assert (band.GetMaskBand().ReadAsArray(*box) == mask[part]).all(), (kind, box)
@@ -199,7 +202,8 @@ for kind, dataset in kinds.items():
     # A line of a buffer is longer than the window, and lines begin at its end.
     buffer = np.zeros((height, width + 3), dtype=whole.dtype)
     raw = dataset.ReadRaster(0, 0, width, height, buf_line_space=buffer.strides[0])
-    strided = np.frombuffer(raw + bytes(buffer.nbytes - len(raw)), whole.dtype).reshape(buffer.shape)
+    raw += bytes(buffer.nbytes - len(raw))
+    strided = np.frombuffer(raw, whole.dtype).reshape(buffer.shape)
     assert strided[:, :width].tobytes() == whole.tobytes()
 print(0)
 """
@@ -357,9 +361,10 @@ def test_a_file_that_is_there_survives_an_attempt_to_write_it(kinds, folder):
     shutil.copy(kinds["int16-none"], path)
     code = """
 told = []
-for make in (lambda driver: driver.Create(asked, 5, 5), lambda driver: driver.CreateCopy(asked, gdal.Open(asked))):
+driver = gdal.GetDriverByName("TWZ")
+for make, what in ((driver.Create, (5, 5)), (driver.CreateCopy, [gdal.Open(asked)])):
     try:
-        make(gdal.GetDriverByName("TWZ"))
+        make(asked, *what)
     except RuntimeError as error:
         told.append(str(error))
 print(json.dumps(told))
@@ -383,7 +388,9 @@ except RuntimeError as error:
 # ---- Files that are wrong ----
 
 
-@pytest.mark.parametrize("path", sorted((GOLDEN / "invalid").glob("*.twz")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path", sorted((GOLDEN / "invalid").glob("*.twz")), ids=lambda path: path.stem
+)
 def test_an_invalid_file_is_one_error_line_at_most(path, folder):
     """Of those that only readers of meshes find wrong nothing may be said."""
     ended = run("gdal_translate", "-q", "-of", "ENVI", path, folder / "invalid.raw")
