@@ -46,7 +46,7 @@ static twz_status read_head(const twz_file *f, const unit *u, reader *r, head *h
   TRY(read_varint(r, &h->n_stream, error));
   REQUIRE(h->n_stream <= h->n_whole, error, "%llu bytes of a stream of %llu", (unsigned long long)h->n_stream,
           (unsigned long long)h->n_whole);
-  REQUIRE(r->n - r->at >= 4 && crc32_of(&f->crc, r->bytes, r->at) == load_u32(r->bytes + r->at), error,
+  REQUIRE(r->n - r->at >= 4 && crc_matches(&f->crc, r->bytes, r->at, load_u32(r->bytes + r->at)), error,
           "the checksum of a tile's head is wrong");
   r->at += 4;
   return TWZ_OK;
@@ -59,7 +59,7 @@ static twz_status join_pieces(const twz_file *f, reader *r, uint64_t n_stream, u
           (unsigned long long)n_stream, (unsigned long long)(r->n - r->at));
   while (n_stream > 0) {
     size_t n = (size_t)min_u64(n_stream, PIECE);
-    REQUIRE(crc32_of(&f->crc, r->bytes + r->at, n) == load_u32(r->bytes + r->at + n), error,
+    REQUIRE(crc_matches(&f->crc, r->bytes + r->at, n, load_u32(r->bytes + r->at + n)), error,
             "the checksum of a piece of a stream is wrong");
     memcpy(stream, r->bytes + r->at, n);
     stream += n;

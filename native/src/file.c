@@ -82,7 +82,7 @@ static uint64_t start_needed(const twz_file *f) {
 static twz_status read_parameters(twz_file *f, const uint8_t *bytes, twz_error *error) {
   const header *h = &f->header;
   uint32_t n = h->parameters_length;
-  REQUIRE(crc32_of(&f->crc, bytes, n) == h->parameters_crc, error, "the checksum of the parameters is wrong");
+  REQUIRE(crc_matches(&f->crc, bytes, n, h->parameters_crc), error, "the checksum of the parameters is wrong");
   REQUIRE_KNOWN(n == 0 || h->method == TWZ_RAPID || h->method == TWZ_PREDICTIVE, error,
                 "parameters of method %s, which a newer release may know", f->info.method_name);
   if (h->method == TWZ_RAPID) return rapid_tables_new(f, bytes, n, error);

@@ -51,7 +51,7 @@ static twz_status read_start(const uint8_t *bytes, const crc_tables *crc, twz_er
   REQUIRE_KNOWN(bytes[8] == 1, error, "format version %d; this release reads version 1: get a newer one",
                 bytes[8]);
   REQUIRE(load_u16(bytes + 10) == HEADER_SIZE, error, "header_size %d instead of 128", load_u16(bytes + 10));
-  REQUIRE(load_u32(bytes + 124) == crc32_of(crc, bytes, 124), error, "the header's checksum is wrong");
+  REQUIRE(crc_matches(crc, bytes, 124, load_u32(bytes + 124)), error, "the header's checksum is wrong");
   return TWZ_OK;
 }
 

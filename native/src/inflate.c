@@ -257,6 +257,6 @@ twz_status inflate_zlib(const uint8_t *bytes, size_t n, uint8_t *out, size_t lim
   }
   const uint8_t *end = bytes + n - 4;
   uint32_t stated = (uint32_t)end[0] << 24 | (uint32_t)end[1] << 16 | (uint32_t)end[2] << 8 | end[3];
-  REQUIRE((b << 16 | a) == stated, error, DAMAGED, name, "Adler-32");
+  REQUIRE(!CHECKSUMS_COUNT || (b << 16 | a) == stated, error, DAMAGED, name, "Adler-32");
   return TWZ_OK;
 }

@@ -102,6 +102,16 @@ typedef struct crc_tables {
 void crc_tables_fill(crc_tables *t);
 uint32_t crc32_of(const crc_tables *t, const uint8_t *bytes, size_t n);
 
+/* Fuzzers would not get past checksums: built for them, every one matches. */
+#if defined(TWZ_FUZZING)
+enum { CHECKSUMS_COUNT = 0 };
+#else
+enum { CHECKSUMS_COUNT = 1 };
+#endif
+static inline int crc_matches(const crc_tables *t, const uint8_t *bytes, size_t n, uint32_t stated) {
+  return !CHECKSUMS_COUNT || crc32_of(t, bytes, n) == stated;
+}
+
 /* A section of bytes that is read from its start. */
 typedef struct reader {
   const uint8_t *bytes;

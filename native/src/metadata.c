@@ -159,13 +159,14 @@ static void fill_info(twz_file *f) {
 
 twz_status read_metadata(twz_file *f, const uint8_t *section, twz_error *error) {
   const header *h = &f->header;
-  REQUIRE(crc32_of(&f->crc, section, h->metadata_length) == h->metadata_crc, error,
+  REQUIRE(crc_matches(&f->crc, section, h->metadata_length, h->metadata_crc), error,
           "the checksum of the metadata is wrong");
-  uint8_t *text = twz_allocate(&f->allocator, MOST_METADATA + 1);
-  if (!text) return twz_no_memory(error, MOST_METADATA + 1);
-  size_t n;
+  /* A deflated byte stands for at most 1032. */
+  size_t n = 0, most = min_size(MOST_METADATA, (size_t)h->metadata_length * 1032);
+  uint8_t *text = twz_allocate(&f->allocator, most);
+  if (!text) return twz_no_memory(error, most);
   twz_status status = inflate_raw(section, h->metadata_length, (const uint8_t *)twz_dictionary, twz_dictionary_size,
-                                  text, MOST_METADATA, &n, "the metadata", error);
+                                  text, most, &n, "the metadata", error);
   if (status == TWZ_OK) {
     f->metadata = twz_allocate(&f->allocator, n + 1);
     if (f->metadata) {

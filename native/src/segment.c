@@ -242,7 +242,7 @@ twz_status read_segment(segment **found, const grid *g, place head, const page_p
                         const uint8_t *page, uint64_t file_size, const crc_tables *crc,
                         const twz_allocator *allocator, twz_error *error) {
   REQUIRE(where->length >= 13, error, "an index page of %u bytes", where->length);
-  REQUIRE(crc32_of(crc, page + 4, where->length - 4) == load_u32(page), error,
+  REQUIRE(crc_matches(crc, page + 4, where->length - 4, load_u32(page)), error,
           "the checksum of an index page is wrong");
   layout l;
   lay_out(&l, g, head);

@@ -365,7 +365,7 @@ static twz_status feed_pages(twz_window *w, uint64_t offset, const uint8_t *byte
 
 static twz_status feed_payload(twz_window *w, slot *one, const uint8_t *bytes, twz_error *error) {
   twz_file *f = w->file;
-  REQUIRE(crc32_of(&f->crc, bytes, one->place.length) == one->place.crc, error,
+  REQUIRE(crc_matches(&f->crc, bytes, one->place.length, one->place.crc), error,
           "the checksum of a payload is wrong (bytes %llu to %llu)", (unsigned long long)one->place.offset,
           (unsigned long long)(one->place.offset + one->place.length - 1));
   size_t n = one->place.length;
