@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-FOLDER = ROOT / "build" / "gdal-tests"
+FOLDER = ROOT / "build" / "native" / "driver-tests"
 PLUGIN = FOLDER / "gdal"
 # What belongs to the Python that runs the tests, whose rasterio has a GDAL of its own.
 OF_THIS_PYTHON = {"PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH", "PYTHONWARNINGS"}
@@ -28,16 +28,10 @@ def build():
     FOLDER.mkdir(parents=True, exist_ok=True)
     with open(FOLDER / "lock", "w", encoding="utf-8") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
+        options = ["-DTWZ_GDAL=ON", "-DTWZ_WARNINGS_ARE_ERRORS=ON", "-DBUILD_TESTING=OFF"]
+        compilers = ["-DCMAKE_C_COMPILER=clang", "-DCMAKE_CXX_COMPILER=clang++"]
         for command in (
-            [
-                "cmake",
-                "-S",
-                ROOT / "native",
-                "-B",
-                FOLDER,
-                "-DTWZ_GDAL=ON",
-                "-DTWZ_WARNINGS_ARE_ERRORS=ON",
-            ],
+            ["cmake", "-S", ROOT / "native", "-B", FOLDER, *options, *compilers],
             ["cmake", "--build", FOLDER, "--target", "gdal_TWZ", "-j", "2"],
         ):
             ended = subprocess.run(command, capture_output=True, text=True, check=False)
