@@ -697,10 +697,14 @@ void Unload(GDALDriver *) { EndThreads(); }
 }  // namespace
 }  // namespace twz
 
+#ifdef _WIN32
+#define TWZ_EXPORT __declspec(dllexport)
+#else
+#define TWZ_EXPORT __attribute__((visibility("default")))
+#endif
+
 /* GDAL calls it when it loads the plugin. */
-CPL_C_START
-void CPL_DLL GDALRegister_TWZ(void);
-CPL_C_END
+extern "C" TWZ_EXPORT void GDALRegister_TWZ(void);
 
 void GDALRegister_TWZ(void) {
   if (!GDAL_CHECK_VERSION("TWZ driver") || GDALGetDriverByName("TWZ")) return;
