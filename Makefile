@@ -144,7 +144,7 @@ fuzz: $(VENV)/.installed-fuzz
 
 # Build in build/native/$(1) with the compiler $(2) and options of CMake $(3), and run its tests.
 built_natively = cmake -S native -B build/native/$(1) -DCMAKE_C_COMPILER=$(2) -DTWZ_WARNINGS_ARE_ERRORS=ON $(3) >/dev/null && \
-	cmake --build build/native/$(1) -j $(WORKERS)
+	cmake --build build/native/$(1) -j $(WORKERS) -- -s --no-print-directory
 tested_natively = ctest --test-dir build/native/$(1) --output-on-failure -j $(WORKERS)
 
 native: native-gcc native-clang native-driver

@@ -357,6 +357,7 @@ struct twz_file {
   table segments, units;
   unit *newest, *oldest;
   uint64_t cached_bytes;
+  scratch idle; /* of the last window that was decoded, for the next one */
 };
 
 /* Parent heights of a group: samples of the layer above, from (row, col) of its region on. */

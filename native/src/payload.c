@@ -140,7 +140,8 @@ twz_status decode_unit(const twz_file *f, unit *u, const unit *above, const uint
   rest.n -= rest.at;
   rest.at = 0;
   TRY(decode_heights(&j, &rest, s, error));
-  clip(l->heights, n, f->header.z_min, f->header.z_max);
+  /* Each height of rapid is within its limits (R.2), which are within these. */
+  if (f->header.method != TWZ_RAPID) clip(l->heights, n, f->header.z_min, f->header.z_max);
   TRY(move_from_nodata(&f->heights, l, n, &sections[EXCEPTIONS], error));
   if (sections[REMAINDER_BYTES].bytes) TRY(decode_remainders(f, l, n, &sections[REMAINDER_BYTES], error));
   u->n_bytes += n * (4 + (l->valid ? 1u : 0u) + (l->own ? 1u : 0u) + (l->remainders ? 8u : 0u));

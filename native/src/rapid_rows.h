@@ -106,7 +106,7 @@ static void NAMED(predict_lh)(int32_t n, ptrdiff_t s, const int32_t *RESTRICT a,
 }
 #undef WEIGHTS
 
-/* R.6, R.7: clamp predictions; fill whole, contexts. */
+/* R.6, R.7: clamp predictions; fill whole, contexts. No branch, or compilers make no vectors. */
 static void NAMED(fill_contexts)(int32_t n, const rapid_scale *c, const int32_t *f, const NAMED(row) * row) {
   NUMBER *RESTRICT predicted = row->predicted;
   const NUMBER *RESTRICT sum = row->sum, *RESTRICT twist = row->twist;
@@ -131,7 +131,7 @@ static void NAMED(fill_contexts)(int32_t n, const rapid_scale *c, const int32_t 
       int32_t side = (int32_t)(predicted[j] - (NUMBER)whole[j] * 64);
       int32_t size = side < 0 ? -side : side;
       int32_t near = min_i32((size * side_scale) >> 16, 3);
-      contexts[j] = (4 * bin + (bin < 16 ? near : 0)) | (side < 0 ? DOWN : 0);
+      contexts[j] = (4 * bin + (near & -(int32_t)(bin < 16))) | ((side >> 31) & DOWN);
     }
     if (!c->is_by_reach) return;
     first = 16;
@@ -144,7 +144,8 @@ static void NAMED(fill_contexts)(int32_t n, const rapid_scale *c, const int32_t 
       NUMBER far = side < 0 ? above : below;
       int32_t x = ((int32_t)NAMED(least)(far >> side_shift, (1 << 20) - 1) * far_scale) >> end_shift;
       int32_t reach = (x > 2 * e) + (x > 6 * e) + (x > 12 * e);
-      contexts[j] = bin < first ? contexts[j] : (4 * bin + reach) | (side < 0 ? DOWN : 0);
+      int32_t context = (4 * bin + reach) | (int32_t)((side >> 31) & DOWN);
+      contexts[j] = bin < first ? contexts[j] : context;
     }
     return;
   }
@@ -153,7 +154,7 @@ static void NAMED(fill_contexts)(int32_t n, const rapid_scale *c, const int32_t 
     NUMBER side = sum[j] * 16 - predicted[j];
     int32_t x = ((int32_t)NAMED(least)(NAMED(magnitude)(side) >> side_shift, (1 << 20) - 1) * far_scale) >> end_shift;
     int32_t far = (x > e) + (4 * x > 11 * e) + (x > 6 * e);
-    contexts[j] = (4 * ISA(bin_of_e)(e) + far) | (side < 0 ? DOWN : 0);
+    contexts[j] = (4 * ISA(bin_of_e)(e) + far) | (int32_t)((side >> 31) & DOWN);
   }
 }
 
@@ -322,6 +323,19 @@ static void NAMED(store_coarse)(NAMED(work) * w, int32_t stride, int32_t n_even,
   }
 }
 
+/* A row of the region: n_even samples of one plane and n_odd of another in turns; a stride of 1. */
+static void NAMED(store_row)(const NAMED(work) * w, int32_t row, const int32_t *RESTRICT even, int32_t n_even,
+                             const int32_t *RESTRICT odd, int32_t n_odd) {
+  const layer *l = w->unit->job->out;
+  int32_t *RESTRICT to = w->heights + (ptrdiff_t)(l->rows.core + row) * w->pitch + l->cols.core;
+  const int32_t origin = w->unit->scale.origin;
+  IVDEP for (int32_t j = 0; j < n_odd; j++) {
+    to[2 * j] = even[j] + origin;
+    to[2 * j + 1] = odd[j] + origin;
+  }
+  if (n_even > n_odd) to[2 * n_odd] = even[n_odd] + origin;
+}
+
 static void NAMED(extend)(int32_t *row, int32_t n) {
   for (int32_t k = 0; k < REACH_OUTSIDE; k++) {
     row[-1 - k] = row[0];
@@ -372,6 +386,7 @@ static void NAMED(surround)(NAMED(work) * w, int plane, int32_t row, int32_t n_r
 typedef struct NAMED(part) {
   int32_t stride, n_rows, n_cols; /* of the lattice */
   int32_t known_rows[2], known_cols[2];
+  int is_whole; /* stride 1 and no plane empty: rows of the region are stored as a whole */
 } NAMED(part);
 
 static void NAMED(decode_row)(NAMED(work) * w, const NAMED(part) * p, int plane, int32_t i, int32_t n) {
@@ -405,17 +420,18 @@ static void NAMED(decode_row)(NAMED(work) * w, const NAMED(part) * p, int plane,
     const uint8_t *valid = w->valid ? w->valid + start : NULL;
     NAMED(read_details)(row, first, stop, valid, (size_t)step, u->tables->slots, c->most_detail, &u->streams);
     NAMED(finish_row)(row, first, stop, c, own, error);
-    for (int32_t j = first; j < stop; j++) heights[j * step] = own[j] + c->origin;
+    for (int32_t j = first; !p->is_whole && j < stop; j++) heights[j * step] = own[j] + c->origin;
   }
   NAMED(note_errors)(row, 0, first, c, own, error);
   NAMED(note_errors)(row, stop, n, c, own, error);
 }
 
-static void NAMED(decode_lattice)(NAMED(work) * w, const NAMED(source) * a, const NAMED(part) * p) {
-  int32_t n_even = (p->n_rows + 1) >> 1, n = (p->n_cols + 1) >> 1;
+static void NAMED(decode_lattice)(NAMED(work) * w, const NAMED(source) * a, NAMED(part) * p) {
+  int32_t n_even = (p->n_rows + 1) >> 1, n = (p->n_cols + 1) >> 1, n_odd = p->n_cols >> 1;
   NAMED(load_coarse)(w, a, p->n_rows, p->n_cols);
   NAMED(bend_coarse)(w, n_even, n);
-  NAMED(store_coarse)(w, p->stride, n_even, n);
+  p->is_whole = p->stride == 1 && p->n_rows > 1 && p->n_cols > 1;
+  if (!p->is_whole) NAMED(store_coarse)(w, p->stride, n_even, n);
   const int32_t sizes[3][2] = {{p->n_rows >> 1, p->n_cols >> 1}, {n_even, p->n_cols >> 1}, {p->n_rows >> 1, n}};
   NAMED(begin_planes)(w, p->n_cols, sizes, n_even);
   for (int32_t t = 0; t < n_even + 2; t++) {
@@ -424,6 +440,10 @@ static void NAMED(decode_lattice)(NAMED(work) * w, const NAMED(source) * a, cons
       if (i < 0 || i >= sizes[plane][0] || sizes[plane][1] == 0) continue;
       NAMED(decode_row)(w, p, plane, i, sizes[plane][1]);
       NAMED(surround)(w, plane, i, sizes[plane][0], sizes[plane][1]);
+      if (!p->is_whole || plane == HH) continue;
+      ptrdiff_t at = NAMED(at)(w, i);
+      const int32_t *even = plane == HL ? w->coarse : w->planes[LH], *odd = w->planes[plane == HL ? HL : HH];
+      NAMED(store_row)(w, 2 * i + (plane == LH), even + at, n, odd + at, n_odd);
     }
   }
 }
@@ -589,7 +609,7 @@ static void NAMED(decode_group)(NAMED(work) * w) {
   NAMED(decode_shared)(w);
   int32_t known = j->file->grid.rings + 1;
   NAMED(part) p = {1, l->rows.n_core, l->cols.n_core, {l->rows.shared[0] ? known : 0, l->rows.shared[1] ? known : 0},
-                   {l->cols.shared[0] ? known : 0, l->cols.shared[1] ? known : 0}};
+                   {l->cols.shared[0] ? known : 0, l->cols.shared[1] ? known : 0}, 0};
   const parent *up = &j->parent;
   ptrdiff_t pitch = up->layer->cols.n;
   ptrdiff_t row = up->row + (ptrdiff_t)(l->rows.core_first / 2 - up->first_row);
@@ -623,7 +643,7 @@ static void NAMED(decode_root)(NAMED(work) * w) {
   for (; stride > 1; log2--) {
     NAMED(source) a = {w->heights + l->rows.core * w->pitch + l->cols.core, stride * w->pitch, stride};
     stride /= 2;
-    NAMED(part) p = {stride, (l->rows.n_core - 1) / stride + 1, (l->cols.n_core - 1) / stride + 1, {0, 0}, {0, 0}};
+    NAMED(part) p = {stride, (l->rows.n_core - 1) / stride + 1, (l->cols.n_core - 1) / stride + 1, {0, 0}, {0, 0}, 0};
     NAMED(take_class)(w, log2 - 1);
     NAMED(decode_lattice)(w, &a, &p);
   }

@@ -29,10 +29,10 @@ static int32_t ISA(fold)(int32_t i, int32_t n) {
 
 /* The bin of e: 2 lg e + its second bit - 10, out of the exponent of a float (R.7); e is below 2^27. */
 static ALWAYS_INLINE int32_t ISA(bin_of_e)(int32_t e) {
-  float number = (float)(e & ~7); /* 24 bits: exact */
+  float number = (float)(max_i32(e, 32) & ~7); /* 24 bits: exact */
   int32_t bits;
   memcpy(&bits, &number, 4);
-  return e < 32 ? 0 : min_i32((bits >> 22) - 264, 43);
+  return min_i32((bits >> 22) - 264, 43);
 }
 
 /* The next n <= 33 raw bits, the first one lowest; whatever lies behind their end (R.1). */

@@ -474,6 +474,16 @@ static twz_status decode_stage(decoding *d, const twz_workers *workers, twz_erro
   return status;
 }
 
+/* Memory of a worker outlives its window: to map it anew takes as long as to decode a unit. */
+static void exchange_idle(twz_file *f, scratch *s) {
+  file_lock(f);
+  scratch idle = f->idle;
+  f->idle = *s;
+  file_unlock(f);
+  idle.allocator = &f->allocator;
+  *s = idle;
+}
+
 twz_status twz_window_decode(twz_window *w, const twz_workers *workers, twz_error *error) {
   if (w->is_decoded) return TWZ_OK;
   if (!w->is_placed) return twz_fail(error, TWZ_NOT_READY, "the window's bytes are missing: need, fetch and feed first");
@@ -487,10 +497,12 @@ twz_status twz_window_decode(twz_window *w, const twz_workers *workers, twz_erro
   twz_status status = TWZ_OK;
   if (!d.todo || !d.scratches || !d.errors) status = twz_no_memory(error, most * sizeof *d.todo);
   for (size_t i = 0; d.scratches && i < n_workers; i++) d.scratches[i].allocator = a;
+  if (d.scratches) exchange_idle(w->file, &d.scratches[0]);
   for (int i = w->n_stages - 1; i >= 0 && status == TWZ_OK; i--) {
     d.stage = &w->stages[i];
     status = decode_stage(&d, workers, error);
   }
+  if (d.scratches) exchange_idle(w->file, &d.scratches[0]);
   for (size_t i = 0; d.scratches && i < n_workers; i++) scratch_free(&d.scratches[i]);
   twz_release(a, d.todo);
   twz_release(a, d.scratches);
