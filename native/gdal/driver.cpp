@@ -24,10 +24,11 @@ constexpr size_t MAGIC_BYTES = 8;
 constexpr char PREFIX[] = "TWZ:";
 /* Samples a side that overviews stop at, as Terrain.geotiff has it. */
 constexpr uint32_t SMALLEST_OVERVIEW = 512;
-/* Blocks are as large as units of decoding, within these: smaller ones cost GDAL more than they spare. */
+/* Blocks are as large as units of decoding, within these. Of 128 to 2048 samples a side, 512 took least, units being
+ * 512: windows of 256 x 256 of a file just opened 3.7 ms, by 1024 5.8; 300 x 300 at any place 1.6 ms, by 128 2.3. */
 constexpr uint32_t LEAST_BLOCK = 256, MOST_BLOCK = 1024;
 /* Requests of so many samples go past GDAL's cache of blocks: straight into the caller's array. */
-constexpr int64_t DIRECT_SAMPLES = 1 << 20;
+constexpr int64_t DIRECT_SAMPLES = 1 << 18;
 /* Samples of a level that are decoded at once: as many as processors' caches hold, for each thread. Of remote files
  * more, which takes fewer rounds of requests. */
 constexpr int64_t SAMPLES_AT_ONCE = 1 << 21, MOST_SAMPLES = 1 << 24;
