@@ -13,6 +13,8 @@ from fuzz.targets import (
     _LAYOUTS,
     _TILES,
     CORPUS,
+    CORRECTED,
+    CORRECTED_SPECS,
     GOLDEN,
     REFINERS,
     VIRTUAL,
@@ -21,8 +23,9 @@ from fuzz.targets import (
     call,
     own_place,
 )
-from fuzz.units import N_PARENTS, SPECS, payload_of
+from fuzz.units import N_PARENTS, SPECS, corrected_payload_of, payload_of
 from terrainwave.codec.cdf53 import encode_tile
+from terrainwave.codec.correctioncoder import encode_corrections
 from terrainwave.codec.maskcoder import encode_mask
 from terrainwave.codec.ownmask import Validity, encode_validity
 from terrainwave.codec.registry import refiner_by_name
@@ -34,6 +37,7 @@ from terrainwave.container.header import HEADER_SIZE, MAX_METADATA
 from terrainwave.container.page import empty_page, pack_columns, pack_page
 from terrainwave.grid.quadtree import Block
 from terrainwave.mesh.sections import pack_section
+from terrainwave.names import METHODS
 from terrainwave.terrain import Terrain
 from terrainwave.tri.stored import STORED_KINDS
 
@@ -68,6 +72,22 @@ def _of_units() -> Iterator[tuple[str, bytes]]:
                     continue
                 payload = payload_of(refiner_by_name(name), number, kind)
                 yield name, bytes([number, kind, 0]) + payload
+        for number in CORRECTED_SPECS if METHODS[name].is_patchable else ():
+            payload = corrected_payload_of(refiner_by_name(name), number, 0)
+            yield name, bytes([number, CORRECTED, 0]) + payload
+
+
+def _of_corrections() -> Iterator[tuple[str, bytes]]:
+    for kind, number in enumerate(CORRECTED_SPECS):
+        spec = SPECS[number]
+        rng = np.random.default_rng(kind)
+        for share in (0.05, 0.5):
+            values = rng.integers(-spec.half, spec.half, spec.region.shape, np.int32, endpoint=True)
+            added = np.where(rng.random(values.shape) < share, values, np.int32(0))
+            added[0, 1] = 1
+            if spec.parent_region is not None:
+                added[spec.region.row & 1 :: 2, spec.region.col & 1 :: 2] = 0
+            yield "corrections", bytes([kind]) + encode_corrections(added, spec)
 
 
 def _tile(layout: TileLayout, rng: np.random.Generator) -> bytes:
@@ -139,7 +159,7 @@ def _of_parts() -> Iterator[tuple[str, bytes]]:
 
 def main() -> None:
     """Write what is not there yet; say how much there is."""
-    for source in (_of_files, _of_units, _of_parts):
+    for source in (_of_files, _of_units, _of_corrections, _of_parts):
         for name, data in source():
             if len(data) <= _MOST_BYTES:
                 folder = CORPUS / name

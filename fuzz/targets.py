@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from fuzz import IS_COMPILED
-from fuzz.units import N_PARENTS, SMALL_SISTERS, SPECS, parent_of
+from fuzz.units import N_PARENTS, SMALL_SISTERS, SPECS, corrected, parent_of
 from terrainwave.codec import cdf53, registry
+from terrainwave.codec.correctioncoder import decode_corrections
 from terrainwave.codec.group import decode_unit, voids_below
 from terrainwave.codec.maskcoder import decode_mask
 from terrainwave.codec.ownmask import Above, Sections, decode_validity
@@ -50,6 +51,9 @@ _MOST_SAMPLES = 1 << 16
 _SIDE = 200
 
 Target = Callable[[bytes], None]
+# In the byte that chooses a parent: the file has corrections.
+CORRECTED = 128
+CORRECTED_SPECS = (0, 1, 3, 4)
 REFINERS = {name: method for name, method in METHODS.items() if method.refiner}
 
 
@@ -151,11 +155,13 @@ def unit_target(name: str) -> Target:
     def decode(data: bytes) -> None:
         if len(data) < 3:
             return
-        number, kind = data[0] % len(SPECS), data[1] % N_PARENTS
+        number, kind = data[0] % len(SPECS), (data[1] & ~CORRECTED) % N_PARENTS
         if not IS_COMPILED:
             number = SMALL_SISTERS.get(number, number)
         refiner = _refiner(name, pick(data[2], _known_parameters(name)))
         spec, parent = SPECS[number], parent_of(number, kind)
+        if data[1] & CORRECTED and METHODS[name].is_patchable:
+            spec = corrected(spec)
         payload = data[3:]
         found = decode_unit(refiner, spec, parent, payload)
         assert found.heights.shape == found.mask.shape == spec.region.shape
@@ -254,6 +260,19 @@ def own_place(kind: int) -> tuple[np.ndarray, Region, Above | None]:
     mask = rng.random(outer.shape) < (0.8 if kind & 4 else 2)
     parent = mask & (rng.random(outer.shape) < 0.7)
     return voids_below(region, outer, mask), region, Above(outer, parent)
+
+
+def corrections(data: bytes) -> None:
+    """Decode corrections of a root block or of a group."""
+    if not data:
+        return
+    spec = SPECS[CORRECTED_SPECS[data[0] % len(CORRECTED_SPECS)]]
+    found = decode_corrections(data[1:], spec).added
+    assert found.shape == spec.region.shape
+    assert found.any()
+    assert found.min() > -(1 << 31)
+    if spec.parent_region is not None:
+        assert not found[spec.region.row & 1 :: 2, spec.region.col & 1 :: 2].any()
 
 
 def remainders(data: bytes) -> None:
@@ -427,6 +446,7 @@ TARGETS: dict[str, Target] = {
     "parameters": parameters,
     "masks": masks,
     "own": own,
+    "corrections": corrections,
     "remainders": remainders,
     "meshes": meshes,
     "planner": planner,

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from terrainwave.codec.group import encode_unit, implied_voids
-from terrainwave.codec.refiner import Decoded, GroupSpec, Refiner, Sides
+from terrainwave.codec.refiner import FREE, Decoded, GroupSpec, Refiner, Sides
 from terrainwave.codec.units import unit_spec
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Block, Grid, Region
@@ -108,3 +108,20 @@ def payload_of(refiner: Refiner, number: int, kind: int) -> bytes:
     target, mask = target_of(number)
     mask = mask & ~implied_voids(spec, parent)
     return encode_unit(refiner, spec, parent, target.copy(), mask)[0]
+
+
+def corrected(spec: GroupSpec) -> GroupSpec:
+    """Return a spec of a file with corrections, if its step has any."""
+    return replace(spec, has_corrections=True) if spec.step > 1 else spec
+
+
+def corrected_payload_of(refiner: Refiner, number: int, kind: int) -> bytes:
+    """Return the same with corrections: some heights must come back a little off their targets."""
+    spec, parent = corrected(SPECS[number]), parent_of(number, kind)
+    target, mask = target_of(number)
+    mask = mask & ~implied_voids(spec, parent)
+    rng = np.random.default_rng(number)
+    apart = rng.integers(-spec.half, spec.half, target.shape, np.int32, endpoint=True)
+    near = np.clip(target.astype(np.int64) + apart, spec.z_min, spec.z_max).astype(np.int32)
+    kept = np.where(rng.random(target.shape) < 0.3, near, FREE)
+    return encode_unit(refiner, spec, parent, target.copy(), mask, kept=kept)[0]

@@ -38,11 +38,11 @@ settings.load_profile("fast")
 # Tests in which no kernel of ours does what is tested: they run once, compiled. All others are
 # marked `kernels`, and run with bounds checked, too.
 WITHOUT_KERNELS = {
-    "benchmarks", "cli", "container", "ext", "gdal_driver", "place",
-    "raster_io",
-    "test_architecture.py", "test_compiler.py", "test_docs.py", "test_examples.py",
+    "benchmarks", "cli", "container", "ext", "gdal_driver", "place", "raster_io",
+    "test_architecture.py", "test_compiler.py", "test_compilers.py", "test_dispatchers.py",
+    "test_docs.py", "test_examples.py",
     "test_faults.py", "test_format_example.py", "test_javascript_kernels.py", "test_window.py",
-    "test_archive.py", "test_polynomials.py",
+    "test_archive.py", "test_kernel_cache.py", "test_polynomials.py",
 }  # fmt: skip
 # Tests of whole files: what their kernels compute has tests of its own. The others with kernels run
 # as plain Python, too, unless they are `large`.

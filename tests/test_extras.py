@@ -75,7 +75,7 @@ def imported_packages():
 def installed_names(requirements):
     """Return the names of requirements as packages are imported."""
     names = (re.match(r"[\w.-]+", requirement)[0].replace("-", "_") for requirement in requirements)
-    return {{"pillow": "PIL"}.get(name, name) for name in names}
+    return {{"pillow": "PIL", "pysocks": "socks"}.get(name, name) for name in names}
 
 
 def test_what_is_imported_is_required_and_the_other_way_round():

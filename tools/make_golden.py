@@ -230,6 +230,38 @@ CASES = {
         (50, 47), "int16", 4000, "none", PLACE,
         {"max_error": 9, "method": "rapid", "mesh": "none"},
     ),
+    # Weights of features of the file's own: of two classes or of all four, contexts of either kind.
+    "rapid-weights-int16-lossless": (
+        (100, 110), "int16", 60, "none", PLACE, {"max_error": 0, "method": "rapid", "mesh": "none"},
+    ),
+    "rapid-weights-float32-fills": (
+        (100, 110), "float32", 500, "nan", PLACE,
+        {"max_error": 0.5, "method": "rapid", "mesh": "none"},
+    ),
+    "rapid-reach-weights-int16": (
+        (140, 130), "int16", 300, "none", PLACE,
+        {"max_error": 1, "method": "rapid", "block": 64, "mesh": "none"},
+    ),
+    "rapid-reach-weights-int32-wide": (
+        (110, 105), "int32", 9_000_000, "none", PLACE,
+        {"max_error": 30_000, "method": "rapid", "border_rings": 3, "mesh": "none"},
+    ),
+    # Corrections, of files that were patched so often.
+    "rapid-patched-int16-nodata": (
+        (70, 66), "int16", 400, "nodata", PLACE,
+        {"max_error": 5, "method": "rapid", "patches": 3},
+    ),
+    "rapid-patched-int32-wide": (
+        (40, 37), "int32", 4_000_000, "none", PLACE,
+        {"max_error": 9000, "method": "rapid", "border_rings": 3, "mesh": "none", "patches": 4},
+    ),
+    "predictive-patched-int16-rings": (
+        (75, 110), "int16", 900, "nodata", PLACE,
+        {"max_error": 40, "border_rings": 3, "mesh": "none", "patches": 4},
+    ),
+    "predictive-patched-float32-nan": (
+        (70, 66), "float32", 500, "nan", PLACE, {"max_error": 0.5, "mesh": "none", "patches": 2},
+    ),
     "one-sample": ((1, 1), "int16", 100, "none", DEGREES, {"max_error": 0}),
     "one-row": ((1, 90), "float32", 100, "none", DEGREES, {"max_error": 0.5}),
     "all-void": ((70, 40), "int16", 100, "all", DEGREES, {"max_error": 1}),
@@ -284,6 +316,14 @@ EXERCISES = {
     "cdf53-fills-int16-tiles": "fills of tiles of several levels, one below the other (C.4)",
     "cdf97-fills-int16-zerotree-layer": "fills of filtered levels, meshes that don't know of them",
     "rapid-reach-told-int16": "contexts by reach that the header tells (feature bit 3)",
+    "rapid-weights-int16-lossless": "weights of features (feature bit 5, R.10) of two classes",
+    "rapid-weights-float32-fills": "weights beside fills, a step that is not fine",
+    "rapid-reach-weights-int16": "weights of all classes, contexts by reach, step 3, blocks of 64",
+    "rapid-reach-weights-int32-wide": "weights, contexts by reach, *wide* units, aprons",
+    "rapid-patched-int16-nodata": "corrections (feature bit 6, §5.5) beside voids",
+    "rapid-patched-int32-wide": "corrections of a root block, heights far apart (R.2), aprons",
+    "predictive-patched-int16-rings": "corrections with raw bits of magnitudes, aprons, voids",
+    "predictive-patched-float32-nan": "corrections, a large step, voids are NaN",
     "one-sample": "a raster of one sample",
     "one-row": "a raster of one row",
     "all-void": "no valid sample: z_min 0, z_max −1, empty payloads",
@@ -310,9 +350,29 @@ def write_case(path, shape, dtype, amplitude, kind, profile, options):
     try:
         write_geotiff(raster, heights, mask=mask, nodata=nodata, units=("m",), **profile)
         options = {"block": 32, "mesh": "halves", "method": "predictive"} | options
+        n_patches = options.pop("patches", 0)
         terrainwave.compress(raster, path, threads=1, overwrite=True, **options)
+        for number in range(n_patches):
+            write_patch(raster, heights, valid if kind != "none" else None, number, nodata, profile)
+            terrainwave.patch(path, raster, threads=1)
     finally:
         raster.unlink(missing_ok=True)
+
+
+def write_patch(raster, heights, valid, number, nodata, profile):
+    """Write a part of a raster whose heights have sunk or risen, within their range."""
+    n_rows, n_cols = heights.shape
+    row, col = (29 * number + 5) % (n_rows - 20), (43 * number + 11) % (n_cols - 20)
+    at = slice(row, row + 17 + 5 * number), slice(col, col + 27 - 4 * number)
+    stays = np.ones(heights.shape, dtype=bool) if valid is None else valid
+    lowest, highest = heights[stays].min(), heights[stays].max()
+    part = np.where(stays, heights, 0)[at].astype(np.float64)
+    step = int(highest - lowest) // 40 * (1 if number % 2 else -1)
+    ramp = np.arange(part.shape[0])[:, None] % 9 + np.arange(part.shape[1]) % 7
+    part = np.clip(part + step + ramp * step // 8, lowest, highest)
+    part = np.where(stays[at], part, heights[at]).astype(heights.dtype)
+    place = profile["transform"] @ Affine.translation(col, row)
+    write_geotiff(raster, part, nodata=nodata, units=("m",), **profile | {"transform": place})
 
 
 def renew_example():

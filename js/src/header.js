@@ -7,7 +7,9 @@ export const HEADER_SIZE = 128;
 export const HAS_REMAINDERS = 1;
 export const HAS_REACH = 8; // tables of rapid have contexts by reach
 export const HAS_FILLS = 16; // masks tell fills (§5.4)
-const KNOWN_FEATURES = HAS_REMAINDERS | HAS_REACH | HAS_FILLS;
+export const HAS_WEIGHTS = 32; // tables of rapid have weights of features
+export const HAS_CORRECTIONS = 64; // heights are put back while units are decoded (§5.5)
+const KNOWN_FEATURES = HAS_REMAINDERS | HAS_REACH | HAS_FILLS | HAS_WEIGHTS | HAS_CORRECTIONS;
 const MAGIC = [0x89, 0x54, 0x57, 0x5a, 0x0d, 0x0a, 0x1a, 0x0a];
 const METHODS = ["store", "cdf97", "predictive", "cdf53", "rapid"];
 const MESHES = ["none", "halves", "zerotree-plain", "rqt", "zerotree-layer", "zerotree-coded",
@@ -99,7 +101,12 @@ function check(h, statedSize) {
   require(Number.isFinite(h.maxError) && h.maxError >= 0, "max_error");
   require(h.effectiveBound >= 0 && h.effectiveBound <= h.maxError, "effective_bound");
   require(Number.isFinite(h.rho) && h.rho >= 0, "rho");
+  requireKnown(!(h.features & HAS_WEIGHTS) || h.method === "rapid", "weights of another method");
   require(!(h.features & HAS_REACH) || h.method === "rapid", "contexts by reach of another method");
+  const mayBeCorrected = ["rapid", "predictive"].includes(h.method) && h.step > 1;
+  requireKnown(!(h.features & HAS_CORRECTIONS) || mayBeCorrected,
+    `features ${h.features}: corrections of method ${h.method} and step ${h.step}`);
+  require(!(h.features & HAS_REACH) || !(h.features & HAS_WEIGHTS), "two layouts of the tables");
   const isOneLevel = Math.max(h.nRows, h.nCols) - 1 <= 2 ** h.blockLog2;
   require(!(h.features & HAS_FILLS) || !isOneLevel, "fills without coarse levels");
   if (h.features & HAS_REMAINDERS) {

@@ -230,7 +230,7 @@ export function inflateZlib(data, limit) {
 }
 
 /** Inflate one raw stream that fills `data` exactly and may refer back to `dictionary`. */
-export function inflateRaw(data, limit, dictionary) {
+export function inflateRaw(data, limit, dictionary = NOTHING) {
   const inflater = new Inflater(data, limit, dictionary);
   const content = inflater.run();
   require(inflater.at === data.length, "bytes after a deflated section");

@@ -1,6 +1,7 @@
 /** Compiled kernels (js/wasm): the loops that take longest, where the engine lets us have them. */
 
-import { KERNELS } from "./kernels-data.js";
+import { inflateRaw } from "./inflate.js";
+import { KERNELS, SIZE } from "./kernels-data.js";
 
 const PAGE = 65536;
 
@@ -37,8 +38,8 @@ let loaded = null;
 
 async function load() {
   try {
-    const bytes = Uint8Array.from(atob(KERNELS), (character) => character.charCodeAt(0));
-    const module = await WebAssembly.compile(bytes);
+    const deflated = Uint8Array.from(atob(KERNELS), (character) => character.charCodeAt(0));
+    const module = await WebAssembly.compile(inflateRaw(deflated, SIZE));
     for (const name of Object.keys(kernels)) {
       kernels[name] = new Kernels(await WebAssembly.instantiate(module));
     }

@@ -1,8 +1,9 @@
-/** Payloads of units: mask, exceptions, remainders, own samples, heights (FORMAT.md §5). */
+/** Payloads of units: mask, exceptions, remainders, own samples, corrections, heights (FORMAT.md §5). */
 
 import { readVarint } from "./bytes.js";
+import { decodeCorrections } from "./corrections.js";
 import { require } from "./errors.js";
-import { HAS_FILLS, HAS_REMAINDERS } from "./header.js";
+import { HAS_CORRECTIONS, HAS_FILLS, HAS_REMAINDERS } from "./header.js";
 import { inflateZlib } from "./inflate.js";
 import { decodeMask, decodeValidity, unmasked } from "./mask.js";
 
@@ -24,25 +25,27 @@ export function decodePayload(file, unit, payload, parent) {
   const hasFills = (header.features & HAS_FILLS) !== 0;
   const flags = payload[0];
   const known = 3 | (header.features & HAS_REMAINDERS && isFinest ? 4 : 0) |
-    (hasFills && !isFinest ? 8 : 0);
+    (hasFills && !isFinest ? 8 : 0) | (header.features & HAS_CORRECTIONS ? 16 : 0);
   require((flags & ~known) === 0, "flags of a payload");
-  const sections = [null, null, null, null];
+  const sections = [null, null, null, null, null];
   let at = 1;
-  for (let bit = 0; bit < 4; bit++) {
+  for (let bit = 0; bit < 5; bit++) {
     if (!((flags >> bit) & 1)) continue;
     const [length, start] = readVarint(payload, at);
     require(length >= 1 && length <= payload.length - start, "length of a section");
     at = start + length;
     sections[bit] = payload.subarray(start, at);
   }
-  const [mask, exceptions, rest, ownMap] = sections;
+  const [mask, exceptions, rest, ownMap, corrected] = sections;
   const mayHaveVoid = mask !== null || parent?.hasVoid === true || Boolean(parent?.own);
   const { valid, own } = hasFills && (mayHaveVoid || ownMap !== null)
     ? decodeValidity(mask, ownMap, unit, parent, isFinest)
     : { valid: mask ? decodeMask(mask, unit, parent) : unmasked(unit, parent), own: null };
   const hasVoid = mayHaveVoid && valid.includes(0);
   require(!hasVoid || valid.includes(1), "a payload of a unit without valid samples");
-  const heights = file.decodeMethod(file, unit, payload.subarray(at), valid, parent, hasVoid);
+  const corrections = corrected && decodeCorrections(corrected, unit, parent !== null, header.step);
+  const heights = file.decodeMethod(file, unit, payload.subarray(at), valid, parent, hasVoid,
+    corrections);
   // Each height of rapid is within its limits (R.2), which are within these.
   if (header.method !== "rapid") clip(heights, header.zMin, header.zMax);
   moveFromNodata(file.quantaOfNodata, heights, valid, exceptions);

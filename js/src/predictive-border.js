@@ -1,13 +1,15 @@
 /** What a unit of method predictive codes before its lattices (P.3, P.4). */
 
+import { corrected } from "./corrections.js";
 import { binOf } from "./predictive-bits.js";
 import { parentLines, sharedLines } from "./rapid-shared.js";
 
 const MOST = 2 ** 30;
 
 export class Border {
-  constructor(decoder, models, unit, parent, heights, valid, { step }, rings) {
-    Object.assign(this, { decoder, models, unit, parent, heights, valid, step, rings });
+  constructor(decoder, models, unit, parent, heights, valid, { step }, rings,
+    corrections) {
+    Object.assign(this, { decoder, models, unit, parent, heights, valid, step, rings, corrections });
     this.known = new Uint8Array(heights.length);
     this.mostDetail = Math.floor((4 * MOST) / step) + 1;
   }
@@ -22,7 +24,8 @@ export class Border {
 
   put(place, prediction, detail) {
     const q = Math.min(Math.max(detail, -this.mostDetail), this.mostDetail);
-    this.heights[place] = Math.min(Math.max(prediction + q * this.step, -MOST), MOST);
+    const height = Math.min(Math.max(prediction + q * this.step, -MOST), MOST);
+    this.heights[place] = corrected(this.corrections, place, height, -MOST, MOST);
     this.known[place] = 1;
   }
 

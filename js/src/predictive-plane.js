@@ -6,6 +6,7 @@
  * more than 32 bits are whole doubles below 2^53.
  */
 
+import { corrected } from "./corrections.js";
 import { lg, meanBit, power } from "./predictive-bits.js";
 import { HH, HL, PARITY } from "./predictive-lattice.js";
 
@@ -201,7 +202,7 @@ export class PlaneDecoder {
   }
 
   decodeRow(i, first, start) {
-    const { lattice, stencil, weights, errors, step, scale, zMin, zMax, known, valid, row } = this;
+    const { lattice, stencil, weights, errors, step, scale, zMin, zMax, known, valid, row, corrections } = this;
     const { heights, values, pitch, errors: allErrors } = lattice;
     const { sum, total, distance } = row;
     const ofWest = stencil[0];
@@ -234,6 +235,7 @@ export class PlaneDecoder {
         const q = this.decodeDetail(e, p, w, c1, c2, c3, c4, west, values[at - 2 * pitch]);
         height = Math.min(Math.max(w + q * step, zMin), zMax);
       }
+      if (!isKnown) height = corrected(corrections, place, height, zMin, zMax);
       heights[place] = height;
       values[at] = height;
       const error = isValid || isKnown ? Math.min(scale.steps(Math.abs(64 * height - p), -1), 32767) : 0;

@@ -13,7 +13,7 @@ import { RangeDecoder } from "./rangecoder.js";
 const SMALL = 1024; // lattices of fewer samples have no headers of planes
 
 /** Return the heights of the region of a unit (P.1). */
-export function decodePredictive(file, unit, payload, valid, parent) {
+export function decodePredictive(file, unit, payload, valid, parent, hasVoid, corrections) {
   require(payload.length >= 1, "a payload of predictive is empty");
   const flags = payload[0];
   require(flags < 4, "flags of predictive");
@@ -21,7 +21,8 @@ export function decodePredictive(file, unit, payload, valid, parent) {
   const decoder = new RangeDecoder(payload.subarray(1));
   const heights = new Int32Array(valid.length);
   const models = startModels();
-  const border = new Border(decoder, models.border, unit, parent, heights, valid, header, grid.rings);
+  const border = new Border(decoder, models.border, unit, parent, heights, valid, header, grid.rings,
+    corrections);
   let stride = 2;
   if (parent === null) {
     stride = border.decodeRootCorners();
@@ -30,7 +31,7 @@ export function decodePredictive(file, unit, payload, valid, parent) {
     border.takeParents();
   }
   const shared = {
-    decoder, valid, known: border.known,
+    decoder, valid, known: border.known, corrections,
     models: models.details, mixers: new Mixers(22), scale: new Scale(header.step),
     isMixed: (flags & 1) !== 0, isClamped: (flags & 2) !== 0,
     step: header.step, zMin: header.zMin, zMax: header.zMax,
@@ -42,7 +43,9 @@ export function decodePredictive(file, unit, payload, valid, parent) {
 
 /** Decode lattices of half the stride, a quarter and so on, into the heights of the region. */
 function decodeLattices(tables, stride, unit, heights, shared) {
-  const compiled = kernels.predictive ? new KernelUnit(unit, heights, shared) : null;
+  // Kernels decode whole planes, and know of no corrections.
+  const isCompiled = kernels.predictive && shared.corrections === null;
+  const compiled = isCompiled ? new KernelUnit(unit, heights, shared) : null;
   const decode = (lattice, plane, stencil, weights) => {
     if (compiled) compiled.decodePlane(lattice, plane, stencil, weights);
     else new PlaneDecoder(lattice, plane, stencil, weights, shared).run();

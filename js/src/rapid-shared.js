@@ -167,6 +167,7 @@ export class SharedRows {
     for (let j = 0; j < n; j++) m.valid[j] = valid[places[j]];
     coder.readLine(n);
     coder.fillHeights(m.result, 0, 0, n);
+    coder.correct(m.result, 0, 0, n, (j) => places[j]);
     for (let j = 0; j < n; j++) {
       heights[places[j]] = m.result[j] + coder.origin;
       known[places[j]] = 1;

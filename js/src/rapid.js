@@ -1,6 +1,7 @@
 /** Method rapid (docs/format-rapid.md, whose sections are cited as R.n). */
 
 import { bitLength } from "./bytes.js";
+import { corrected } from "./corrections.js";
 import { require } from "./errors.js";
 import { kernels } from "./kernels.js";
 import { compiledNarrow, compiledWide } from "./rapid-kernels.js";
@@ -90,10 +91,10 @@ function gather(from, start, step, to, at, n) {
 
 /** Decodes the rows of one unit. */
 class Coder {
-  constructor(file, unit, payload, valid, parent, hasVoid) {
+  constructor(file, unit, payload, valid, parent, hasVoid, corrections) {
     const { header, tables } = file;
     const { rows, cols } = unit;
-    Object.assign(this, { header, tables, unit, valid, parent });
+    Object.assign(this, { header, tables, unit, valid, parent, corrections });
     this.streams = new Streams(payload, tables);
     const { low, high, origin } = limitsOf(header, tables.widest, this.streams.isWide, parent);
     require(low <= high, "heights of a unit that is not wide");
@@ -105,8 +106,9 @@ class Coder {
     const m = this.workspace = workspaceOf(this.arithmetic);
     m.take((rows.nCore + 1) >> 1, (cols.nCore + 1) >> 1, valid, this.streams);
     if (this.isCompiled) this.streams.moveTo(m);
-    // Rows are finished with their errors in one pass, where numbers of the pass hold them.
-    this.finishes = this.isCompiled ? this.streams.isWide || this.scale.isSmall
+    // Rows are finished with their errors in one pass, where numbers of the pass hold them and
+    // nothing is corrected in between.
+    this.finishes = corrections !== null ? false : this.isCompiled ? this.streams.isWide || this.scale.isSmall
       : !this.streams.isWide && this.scale.isSmall;
     this.hasVoid = hasVoid;
     this.heights = m.heights.subarray(0, valid.length);
@@ -149,11 +151,13 @@ class Coder {
     for (let i = 0; i < rows.nCore; i += stride) {
       for (let j = 0; j < cols.nCore; j += stride) {
         const place = (rows.core + i) * cols.n + cols.core + j;
-        heights[place] = Math.floor((low + high) / 2);
-        if (!this.valid[place]) continue;
-        const lowest = streams.bits(Math.min(nBits, 16));
-        const index = lowest + streams.bits(Math.max(nBits - 16, 0)) * 65536;
-        heights[place] = Math.min(low + index * header.step + half, high);
+        let height = Math.floor((low + high) / 2);
+        if (this.valid[place]) {
+          const lowest = streams.bits(Math.min(nBits, 16));
+          const index = lowest + streams.bits(Math.max(nBits - 16, 0)) * 65536;
+          height = Math.min(low + index * header.step + half, high);
+        }
+        heights[place] = corrected(this.corrections, place, height, low, high);
       }
     }
     while (stride > 1) {
@@ -311,6 +315,7 @@ class Coder {
         return;
       }
       this.fillHeights(own, at, first, stop);
+      this.correct(own, at, first, stop, (j) => start + j * step);
       spread(own, at + first, stop - first, heights, start + first * step, step, origin);
     }
     arithmetic.noteErrors(m, plane, at, 0, n, scale);
@@ -353,6 +358,14 @@ class Coder {
     }
   }
 
+  /** Correct samples first … stop - 1 of a row that begins at `at`; `place` is theirs in the region. */
+  correct(row, at, first, stop, place) {
+    if (this.corrections === null) return;
+    for (let j = first; j < stop; j++) {
+      row[at + j] = corrected(this.corrections, place(j), row[at + j], this.low, this.high);
+    }
+  }
+
   /** Write plane A to the region, as it is read: inherited samples are clamped (R.2). */
   storeCoarse(stride, nEven, n) {
     const { workspace: m, unit: { rows, cols }, heights, origin } = this;
@@ -370,8 +383,8 @@ class Coder {
 }
 
 /** Return the heights of the region of a unit. */
-export function decodeRapid(file, unit, payload, valid, parent, hasVoid) {
-  const coder = new Coder(file, unit, payload, valid, parent, hasVoid);
+export function decodeRapid(file, unit, payload, valid, parent, hasVoid, corrections) {
+  const coder = new Coder(file, unit, payload, valid, parent, hasVoid, corrections);
   if (parent === null) coder.decodeRoot();
   else coder.decodeGroup(file.grid.rings);
   coder.streams.end();

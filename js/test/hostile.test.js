@@ -57,7 +57,8 @@ for (const name of ["store-int16-nodata-halves", "rapid-uint8", "rapid-float32-e
 
 for (const name of ["store-float64-rqt", "rapid-uint8", "rapid-int16-states", "rapid-int32-wide",
   "rapid-float32-nan", "rapid-float32-exact", "rapid-int32-rings",
-  "predictive-int32-rings", "predictive-uint8-best", "predictive-int16-lossless"]) {
+  "predictive-int32-rings", "predictive-uint8-best", "predictive-int16-lossless",
+  "rapid-patched-int16-nodata", "predictive-patched-int16-rings"]) {
   test(`${name}: changed, with all checksums mended`, async () => {
     const bytes = await golden(name);
     assert.ok(!(await isRefused(new Parts(bytes).bytes())), "the parts make a good file");

@@ -34,7 +34,8 @@ test("this engine has the kernels", () => {
 });
 
 for (const name of ["rapid-int32-rings", "rapid-int32-wide", "rapid-float32-exact", "predictive-fast-blocks",
-  "predictive-int16-halves-bounded", "predictive-float64-exact"]) {
+  "predictive-int16-halves-bounded", "predictive-float64-exact", "rapid-patched-int16-nodata",
+  "rapid-patched-int32-wide", "predictive-patched-int16-rings"]) {
   test(`${name}: the same by both`, async () => {
     const [compiled, plain] = await both(await golden(name));
     assert.ok(compiled[0].heights);
@@ -43,7 +44,7 @@ for (const name of ["rapid-int32-rings", "rapid-int32-wide", "rapid-float32-exac
 }
 
 for (const name of ["rapid-int32-rings", "rapid-int32-wide", "rapid-int16-states", "predictive-int32-rings",
-  "predictive-uint8-best"]) {
+  "predictive-uint8-best", "rapid-patched-int32-wide", "predictive-patched-float32-nan"]) {
   test(`${name}: the same by both of damaged payloads, checksums mended`, async () => {
     const bytes = await golden(name);
     for (let turn = 0; turn < 12; turn++) {

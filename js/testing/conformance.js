@@ -10,7 +10,7 @@ import { digestOfLevel } from "./files.js";
 const PROFILE = {
   name: "terrainwave, JavaScript",
   methods: Object.keys(METHODS),
-  features: 25,
+  features: 121,
   own: true,
   meshes: [],
   blocks: false,

@@ -58,12 +58,7 @@ static twz_status read_start(const uint8_t *bytes, const crc_tables *crc, twz_er
 static twz_status check_known(const uint8_t *bytes, twz_error *error) {
   static const char NEWER[] = "%s %u, which a newer release may know";
   uint32_t features = load_u32(bytes + 12), others = features & ~(uint32_t)KNOWN_FEATURES;
-  static const struct { uint32_t bit; const char *name; } KEPT[] = {
-      {32, "a further layout of rapid's tables"}, {64, "corrections of patches"}, {128, "signs of zero"}};
-  for (int i = 0; i < 3; i++) {
-    REQUIRE_KNOWN(!(others & KEPT[i].bit), error, "%s (feature bit %d), which a newer release may know",
-                  KEPT[i].name, 5 + i);
-  }
+  REQUIRE_KNOWN(!(others & 128), error, "signs of zero (feature bit 7), which a newer release may know");
   REQUIRE_KNOWN(others == 0, error, NEWER, "feature bits", others);
   REQUIRE_KNOWN(bytes[9] == 0, error, NEWER, "reserved byte", bytes[9]);
   REQUIRE_KNOWN(bytes[38] == 0 && bytes[39] == 0, error, NEWER, "padding", load_u16(bytes + 38));
@@ -127,6 +122,11 @@ static twz_status check_features(const header *h, const grid *g, twz_error *erro
   }
   REQUIRE(!(h->features & FAITHFUL) || h->method == TWZ_CDF97, error, "a faithful file of another method than cdf97");
   REQUIRE(!(h->features & REACH) || h->method == TWZ_RAPID, error, "contexts by reach of another method than rapid");
+  REQUIRE_KNOWN(!(h->features & WEIGHTS) || h->method == TWZ_RAPID, error,
+                "weights of features (bit 5) of another method than rapid, which a newer release may know");
+  REQUIRE((h->features & (REACH | WEIGHTS)) != (REACH | WEIGHTS), error, "feature bits 3 and 5 exclude each other");
+  REQUIRE_KNOWN(!(h->features & CORRECTIONS) || ((h->method == TWZ_RAPID || h->method == TWZ_PREDICTIVE) && h->step >= 3), error,
+                "corrections (feature bit 6) of this method or of step 1, which a newer release may know");
   REQUIRE(!(h->features & FILLS) || g->k_max >= 1, error, "fills in a file of one level");
   return TWZ_OK;
 }

@@ -44,8 +44,8 @@ static uint32_t take(inflater *s, int n) {
   return bits;
 }
 
-/* Returns 0 where the lengths are no code. Only a code of one symbol may leave codes unused. */
-static int make(huffman *h, const uint8_t *lengths, int n) {
+/* Returns 0 where the lengths are no code. Only a code of one symbol may leave codes unused, if it is no code of lengths. */
+static int make(huffman *h, const uint8_t *lengths, int n, int may_be_incomplete) {
   uint16_t next[MOST_BITS + 2] = {0};
   memset(h, 0, sizeof *h);
   for (int i = 0; i < n; i++) h->counts[lengths[i]]++;
@@ -57,7 +57,7 @@ static int make(huffman *h, const uint8_t *lengths, int n) {
     if (left < 0) return 0;
     next[length + 1] = (uint16_t)(next[length] + h->counts[length]);
   }
-  if (left > 0 && !(n - n_unused <= 1 && h->counts[1] == n - n_unused)) return 0;
+  if (left > 0 && !(may_be_incomplete && n - n_unused <= 1 && h->counts[1] == n - n_unused)) return 0;
   uint32_t code = 0;
   uint16_t first[MOST_BITS + 1];
   uint32_t codes[MOST_BITS + 1];
@@ -129,7 +129,7 @@ static twz_status read_codes(inflater *s, const char *name, twz_error *error) {
   int n_lengths = 257 + (int)take(s, 5), n_distances = 1 + (int)take(s, 5), n_codes = 4 + (int)take(s, 4);
   REQUIRE(n_lengths <= N_LENGTHS && n_distances <= N_DISTANCES, error, DAMAGED, name, "number of codes");
   for (int i = 0; i < n_codes; i++) lengths[ORDER[i]] = (uint8_t)take(s, 3);
-  REQUIRE(make(&s->lengths, lengths, 19), error, DAMAGED, name, "code of code lengths");
+  REQUIRE(make(&s->lengths, lengths, 19, 0), error, DAMAGED, name, "code of code lengths");
   memset(lengths, 0, sizeof lengths);
   for (int i = 0; i < n_lengths + n_distances;) {
     int symbol = decode(s, &s->lengths);
@@ -144,8 +144,8 @@ static twz_status read_codes(inflater *s, const char *name, twz_error *error) {
     REQUIRE(i + n <= n_lengths + n_distances, error, DAMAGED, name, "code lengths");
     while (n--) lengths[i++] = repeated;
   }
-  REQUIRE(lengths[256] && make(&s->lengths, lengths, n_lengths) &&
-              make(&s->distances, lengths + n_lengths, n_distances),
+  REQUIRE(lengths[256] && make(&s->lengths, lengths, n_lengths, 1) &&
+              make(&s->distances, lengths + n_lengths, n_distances, 1),
           error, DAMAGED, name, "codes of a block");
   return TWZ_OK;
 }
@@ -153,9 +153,9 @@ static twz_status read_codes(inflater *s, const char *name, twz_error *error) {
 static void fixed_codes(inflater *s) {
   uint8_t lengths[288];
   for (int i = 0; i < 288; i++) lengths[i] = (uint8_t)(i < 144 ? 8 : i < 256 ? 9 : i < 280 ? 7 : 8);
-  make(&s->lengths, lengths, 288);
+  make(&s->lengths, lengths, 288, 1);
   memset(lengths, 5, 32); /* the last two never occur: `block` refuses them */
-  make(&s->distances, lengths, 32);
+  make(&s->distances, lengths, 32, 1);
 }
 
 static int copy_match(inflater *s, size_t length, size_t distance) {

@@ -167,7 +167,9 @@ enum {
   FAITHFUL = 2,
   REACH = 8,
   FILLS = 16,
-  KNOWN_FEATURES = REMAINDERS | FAITHFUL | REACH | FILLS
+  WEIGHTS = 32,
+  CORRECTIONS = 64,
+  KNOWN_FEATURES = REMAINDERS | FAITHFUL | REACH | FILLS | WEIGHTS | CORRECTIONS
 };
 
 typedef struct header {
@@ -376,6 +378,7 @@ typedef struct job {
   int level;
   layer *out; /* axes and validity are there, heights are to be filled */
   parent parent;
+  const int32_t *corrections; /* of the region (§5.5); NULL: all are 0 */
 } job;
 
 twz_status decode_unit(const twz_file *f, unit *u, const unit *above, const uint8_t *payload, size_t n,
@@ -392,6 +395,10 @@ twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int i
 
 /* Each fills the heights of the whole region from the bytes of the method. */
 twz_status decode_store(const job *j, const reader *bytes, twz_error *error);
+/* Methods rapid and predictive correct heights as they decode them (§5.5). */
+static inline int64_t corrected(const job *j, size_t at, int64_t height, int64_t low, int64_t high) {
+  return j->corrections ? clamp_i64(height + j->corrections[at], low, high) : height;
+}
 twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error *error);
 twz_status decode_predictive(const job *j, const reader *bytes, scratch *s, twz_error *error);
 twz_status decode_cdf97(const job *j, const reader *bytes, scratch *s, twz_error *error);

@@ -1,5 +1,5 @@
 /* Payloads of units: sections, then the method, then what holds for all methods (FORMAT §5.1, §5.3). */
-#include "internal.h"
+#include "range.h"
 
 uint64_t unit_bytes(const twz_file *f, place key) {
   uint64_t n = sizeof(unit), a_sample = 5;
@@ -86,13 +86,51 @@ static twz_status decode_remainders(const twz_file *f, layer *l, size_t n, const
   return status;
 }
 
-enum { MASK, EXCEPTIONS, REMAINDER_BYTES, OWN, N_SECTIONS };
+/* §5.5. */
+static twz_status decode_corrections(const job *j, const reader *section, int32_t *corrections, twz_error *error) {
+  enum { PIECE = 32, N_MODELS = 170, FIRST_SAMPLE = 16, UNARY = 124, PREFIX = 138, MOST_PIECES = 2051 / PIECE + 1 };
+  const layer *l = j->out;
+  model models[N_MODELS];
+  for (int i = 0; i < N_MODELS; i++) models[i] = FRESH_MODEL;
+  uint8_t above[MOST_PIECES] = {0}, farther[MOST_PIECES] = {0}; /* bits of the pieces one and two rows up */
+  coder c;
+  coder_start(&c, section->bytes, section->n, j->file->rates);
+  int k = max_i32(bit_length((uint64_t)j->file->header.step) - 5, 0), has_any = 0;
+  ptrdiff_t pitch = l->cols.n;
+  for (int32_t row = 0; row < l->rows.n; row++) {
+    int p = (int)((l->rows.first + (uint32_t)row) & 1), before = 0;
+    for (int32_t first = 0, piece = 0; first < l->cols.n; first += PIECE, piece++) {
+      before = adaptive_bit(&c, &models[8 * p + 4 * before + 2 * above[piece] + farther[piece]]);
+      farther[piece] = above[piece];
+      above[piece] = (uint8_t)before;
+      int32_t stop = before ? min_i32(first + PIECE, l->cols.n) : first;
+      for (int32_t col = first; col < stop; col++) {
+        int q = (int)((l->cols.first + (uint32_t)col) & 1);
+        if (j->parent.layer && !p && !q) continue; /* inherited */
+        int32_t *t = corrections + row * pitch + col;
+        int west = (col > 0 && t[-1]) + (col > 1 && t[-2]), north = (row > 0 && t[-pitch]) + (row > 1 && t[-2 * pitch]);
+        int diagonal = (row > 0 && col > 0 && t[-pitch - 1]) + (row > 0 && col + 1 < l->cols.n && t[1 - pitch]);
+        if (!adaptive_bit(&c, &models[FIRST_SAMPLE + 27 * (2 * p + q) + 9 * west + 3 * north + diagonal])) continue;
+        int is_negative = (int)raw_bits(&c, 1);
+        int64_t size = 1 + magnitude(&c, models + UNARY, models + PREFIX, k);
+        REQUIRE(size <= INT32_MAX, error, "a correction of 2^31 or more");
+        *t = (int32_t)(is_negative ? -size : size);
+        has_any = 1;
+      }
+    }
+  }
+  REQUIRE(has_any, error, "a section of corrections that are all 0");
+  return coder_end(&c, "corrections", error);
+}
+
+enum { MASK, EXCEPTIONS, REMAINDER_BYTES, OWN, CORRECTED, N_SECTIONS };
 
 static twz_status read_sections(const twz_file *f, reader *r, int is_finest, reader *sections, twz_error *error) {
-  static const char *const NAMES[N_SECTIONS] = {"a mask", "exceptions", "remainders", "own samples"};
+  static const char *const NAMES[N_SECTIONS] = {"a mask", "exceptions", "remainders", "own samples", "corrections"};
   int flags = r->bytes[r->at++], known = 1 << MASK | 1 << EXCEPTIONS;
   if ((f->header.features & REMAINDERS) && is_finest) known |= 1 << REMAINDER_BYTES;
   if ((f->header.features & FILLS) && !is_finest) known |= 1 << OWN;
+  if (f->header.features & CORRECTIONS) known |= 1 << CORRECTED;
   REQUIRE((flags & ~known) == 0, error, "flags %d of a payload", flags);
   for (int i = 0; i < N_SECTIONS; i++) {
     if (!(flags >> i & 1)) continue;
@@ -109,6 +147,20 @@ static twz_status decode_heights(const job *j, const reader *rest, scratch *s, t
     case TWZ_PREDICTIVE: return decode_predictive(j, rest, s, error);
     default: return decode_cdf97(j, rest, s, error);
   }
+}
+
+/* Heights, corrected where there is a section that says so. */
+static twz_status decode_corrected(job *j, const reader *section, const reader *rest, scratch *s, twz_error *error) {
+  if (!section->bytes) return decode_heights(j, rest, s, error);
+  size_t n = (size_t)j->out->rows.n * (size_t)j->out->cols.n;
+  int32_t *corrections = twz_allocate_zeros(&j->file->allocator, n * sizeof *corrections);
+  if (!corrections) return twz_no_memory(error, n * sizeof *corrections);
+  j->corrections = corrections;
+  twz_status status = decode_corrections(j, section, corrections, error);
+  if (status == TWZ_OK) status = decode_heights(j, rest, s, error);
+  twz_release(&j->file->allocator, corrections);
+  j->corrections = NULL;
+  return status;
 }
 
 twz_status decode_unit(const twz_file *f, unit *u, const unit *above, const uint8_t *payload, size_t n_payload,
@@ -130,7 +182,7 @@ twz_status decode_unit(const twz_file *f, unit *u, const unit *above, const uint
   reader rest = {payload, n_payload, 0}, sections[N_SECTIONS];
   memset(sections, 0, sizeof sections);
   TRY(read_sections(f, &rest, is_finest, sections, error));
-  job j = {f, key, u->first_level, l, parent_of(f, key, above)};
+  job j = {f, key, u->first_level, l, parent_of(f, key, above), NULL};
   int has_valid;
   TRY(decode_validity(f, l, &j.parent, is_finest, &sections[MASK], &sections[OWN], &has_valid, s, error));
   REQUIRE(has_valid, error, "a payload of a unit without a valid sample");
@@ -139,7 +191,7 @@ twz_status decode_unit(const twz_file *f, unit *u, const unit *above, const uint
   rest.bytes += rest.at;
   rest.n -= rest.at;
   rest.at = 0;
-  TRY(decode_heights(&j, &rest, s, error));
+  TRY(decode_corrected(&j, &sections[CORRECTED], &rest, s, error));
   /* Each height of rapid is within its limits (R.2), which are within these. */
   if (f->header.method != TWZ_RAPID) clip(l->heights, n, f->header.z_min, f->header.z_max);
   TRY(move_from_nodata(&f->heights, l, n, &sections[EXCEPTIONS], error));

@@ -145,7 +145,8 @@ static int is_valid(const decoding *d, size_t at) { return !d->out->valid || d->
 
 static void put(decoding *d, size_t at, int64_t prediction, int64_t q) {
   int64_t most = 4 * MOST / d->n + 1;
-  d->out->heights[at] = (int32_t)clamp_i64(prediction + clamp_i64(q, -most, most) * d->n, -MOST, MOST);
+  int64_t height = clamp_i64(prediction + clamp_i64(q, -most, most) * d->n, -MOST, MOST);
+  d->out->heights[at] = (int32_t)corrected(d->job, at, height, -MOST, MOST);
   d->known[at] = 1;
 }
 
@@ -531,6 +532,7 @@ static ALWAYS_INLINE void decode_row(decoding *d, const plane *p, int which, int
       int64_t most = 2 * MOST / d->n + 2;
       height = clamp_i64(z.w + clamp_i64(q, -most, most) * d->n, d->z_min, d->z_max);
     }
+    if (!known) height = corrected(d->job, place, height, d->z_min, d->z_max);
     heights[place] = *v = (int32_t)height;
     int64_t error = known || valid ? min_i64(steps(&d->scale, abs_i64(64 * height - z.p), -1), 32767) : 0;
     own[j] = d->errors[at] = (int32_t)error;

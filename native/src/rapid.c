@@ -5,7 +5,10 @@
 #include "range.h"
 #include "tables.h"
 
-enum { REACH_LAYOUT = 3, N_FAMILIES = 6, N_CODES = N_CONTEXTS * N_SYMBOLS, MOST_CODE = 127, N_MODELS = 370 };
+enum {
+  REACH_LAYOUT = 3, WEIGHTS_LAYOUT = 5, N_FAMILIES = 6, N_CODES = N_CONTEXTS * N_SYMBOLS, MOST_CODE = 127,
+  N_MODELS = 416, OWN_CODES = 414 /* the first of two models */
+};
 
 static const int TAPS[3] = {19, 19, 23};
 /* Of a stencil: the taps of the core, c_1 first (R.6). */
@@ -83,7 +86,7 @@ twz_status read_changed_stencil(coder *c, model *models, int n_taps, const int *
 static twz_status read_codes(coder *c, model *models, const uint8_t *trained, uint8_t *codes, twz_error *error) {
   int is_own = 0;
   for (int context = 0; context < N_CONTEXTS; context++) {
-    is_own = adaptive_bit(c, &models[368 + is_own]);
+    is_own = adaptive_bit(c, &models[OWN_CODES + is_own]);
     if (!is_own) continue;
     const uint8_t *annex = trained + context * N_SYMBOLS;
     int rest = rest_symbol(annex), before = 0;
@@ -101,12 +104,38 @@ static twz_status read_codes(coder *c, model *models, const uint8_t *trained, ui
   return TWZ_OK;
 }
 
-static void scale_features(rapid_tables *t, int table, int32_t n) {
+/* What the file says of V_k of the classes 0 ... n_classes - 1, rows HH, HL, LH, instead of the table (R.10). */
+static twz_status read_weights(coder *c, model *models, int n_classes, int32_t (*features)[4][9], twz_error *error) {
+  static const uint8_t SHIFTS[9] = {14, 7, 7, 7, 13, 13, 9, 7, 7};
+  static const uint8_t TERMS[3][9] = {{0, 1, 2, 1, 1, 1, 4, 0, 0}, {0, 1, 2, 1, 1, 1, 2, 2, 4}, {0, 1, 2, 1, 1, 1, 2, 6, 4}};
+  int codes[3][9] = {{12, 58, 50, 25, 33, 35, 57, 0, 0}, {4, 39, 37, 10, 25, 24, 37, 49, 32}, {4, 35, 19, 18, 22, 22, 35, 48, 23}};
+  for (int i = 0; i < n_classes * 3; i++) {
+    int class = i / 3, plane = i % 3;
+    int64_t sum = 0;
+    for (int k = 0; k < 9; k++) {
+      int32_t *v = &features[class][plane][k];
+      *v = 0;
+      if (plane == 0 && k > 6) continue; /* HH has no planes before it */
+      int64_t m = read_magnitude(c, models, 8);
+      REQUIRE(m <= MOST_CODE, error, "parameters: a code of a weight changes by more than 127");
+      if (m > 0 && raw_bits(c, 1)) m = -m;
+      codes[plane][k] += (int)m;
+      REQUIRE(codes[plane][k] >= 0 && codes[plane][k] <= MOST_CODE, error, "parameters: code %d of a weight", codes[plane][k]);
+      *v = value_of_code(codes[plane][k]) << SHIFTS[k];
+      sum += (int64_t)TERMS[plane][k] * *v * (k >= 4 && k <= 6 ? 1 : 8);
+    }
+    REQUIRE(sum < (1 << 24) - (1 << 15), error, "parameters: weights of features whose sums do not fit");
+  }
+  return TWZ_OK;
+}
+
+/* Of V_k of each class and row. */
+static void scale_features(rapid_tables *t, const int32_t (*features)[4][9], int32_t n) {
   int log2 = bit_length((uint64_t)n) - 1, range_shift = max_i32(log2 - 4, 0);
   for (int i = 0; i < N_CLASSES * 4 * 9; i++) {
     int class = i / 36, row = i / 9 % 4, k = i % 9;
     int shift = k == 0 ? 0 : k >= 4 && k <= 6 ? range_shift : log2;
-    int64_t scaled = floor_div((int64_t)twz_rapid_features[table][class][row][k] * ((int64_t)1 << shift), k ? n : 1);
+    int64_t scaled = floor_div((int64_t)features[class][row][k] * ((int64_t)1 << shift), k ? n : 1);
     t->features[class][row][k] = (int32_t)shift_right(scaled + 128, 8);
   }
 }
@@ -124,23 +153,33 @@ static twz_status read_tables(twz_file *f, rapid_tables *t, const uint8_t *param
   int family = step == 1 ? 0 : step == 3 ? 1 : 2, layout = n ? parameters[0] : 1;
   REQUIRE(!(f->header.features & REACH) || layout == REACH_LAYOUT, error,
           "feature bit 3 with parameters of layout %d, not 3", layout);
-  REQUIRE_KNOWN(layout == 1 || layout == REACH_LAYOUT, error, "parameters of layout %d, which a newer release may know", layout);
+  REQUIRE((layout == WEIGHTS_LAYOUT) == ((f->header.features & WEIGHTS) != 0), error,
+          "parameters of layout %d %s feature bit 5", layout, f->header.features & WEIGHTS ? "with" : "without");
+  REQUIRE_KNOWN(layout == 1 || layout == REACH_LAYOUT || layout == WEIGHTS_LAYOUT, error, "parameters of layout %d, which a newer release may know", layout);
   t->is_by_reach = layout == REACH_LAYOUT;
   for (int i = 0; i < N_CLASSES * 3; i++) {
     memcpy(t->stencils[i / 3][i % 3], twz_rapid_stencils[i % 3][0], sizeof(int16_t) * N_TAPS);
   }
   coder c;
   model models[N_MODELS];
+  int n_classes = 0; /* that have weights of the file's own */
   if (n) {
     coder_start(&c, parameters + 1, n - 1, f->rates);
     for (int i = 0; i < N_MODELS; i++) models[i] = FRESH_MODEL;
     t->k_max = (int)raw_bits(&c, 5);
     family = (int)raw_bits(&c, 3);
     REQUIRE(family < N_FAMILIES, error, "parameters: family %d of frequencies", family);
+    if (layout == WEIGHTS_LAYOUT) {
+      t->is_by_reach = (int)raw_bits(&c, 1);
+      n_classes = 1 + (int)raw_bits(&c, 2);
+    }
     for (int i = 0; i < N_CLASSES * 3; i++) {
       TRY(read_stencil(&c, models, i % 3, t->stencils[i / 3][i % 3], error));
     }
   }
+  int32_t features[N_CLASSES][4][9];
+  memcpy(features, twz_rapid_features[family / 3], sizeof features);
+  if (n_classes) TRY(read_weights(&c, models, n_classes, features, error));
   TRY(take_codes(trained, t->is_by_reach, family, error));
   memcpy(codes, trained, sizeof codes);
   if (n) {
@@ -152,7 +191,7 @@ static twz_status read_tables(twz_file *f, rapid_tables *t, const uint8_t *param
     for (int k = 0; k < N_TAPS; k++) sum += abs_i64(t->stencils[i / 3][i % 3][k]);
     t->widest = max_i64(t->widest, sum);
   }
-  scale_features(t, family / 3, step);
+  scale_features(t, (const int32_t (*)[4][9])features, step);
   for (int mask = 0; mask < 256; mask++) {
     for (int lane = 0, below = 0; lane < 8; lane++) {
       t->expand[mask][lane] = (uint8_t)below;

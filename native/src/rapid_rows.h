@@ -267,6 +267,12 @@ static ALWAYS_INLINE int32_t NAMED(inside)(const NAMED(work) * w, int32_t height
   return (int32_t)clamp_i64((int64_t)height - c->origin, c->low, c->high);
 }
 
+/* A height less the origin, corrected (FORMAT §5.5). */
+static ALWAYS_INLINE int32_t NAMED(correct)(const NAMED(work) * w, size_t at, int32_t height) {
+  const rapid_scale *c = &w->unit->scale;
+  return (int32_t)corrected(w->unit->job, at, height, c->low, c->high);
+}
+
 static void NAMED(take_class)(NAMED(work) * w, int32_t log2_stride) {
   const rapid_unit *u = w->unit;
   int which = min_i32(max_i32(u->tables->k_max - u->job->level + log2_stride, 0), 3);
@@ -420,6 +426,10 @@ static void NAMED(decode_row)(NAMED(work) * w, const NAMED(part) * p, int plane,
     const uint8_t *valid = w->valid ? w->valid + start : NULL;
     NAMED(read_details)(row, first, stop, valid, (size_t)step, u->tables->slots, c->most_detail, &u->streams);
     NAMED(finish_row)(row, first, stop, c, own, error);
+    if (u->job->corrections) {
+      for (int32_t j = first; j < stop; j++) own[j] = NAMED(correct)(w, (size_t)(start + j * step), own[j]);
+      NAMED(note_errors)(row, first, stop, c, own, error);
+    }
     for (int32_t j = first; !p->is_whole && j < stop; j++) heights[j * step] = own[j] + c->origin;
   }
   NAMED(note_errors)(row, 0, first, c, own, error);
@@ -461,7 +471,7 @@ static void NAMED(decode_places)(NAMED(work) * w, int32_t n) {
   NAMED(read_details)(&w->row, 0, n, w->valid ? w->line_valid : NULL, 1, u->tables->slots, c->most_detail, &u->streams);
   NAMED(finish_row)(&w->row, 0, n, c, w->line_of, w->row.least); /* its errors are nobody's */
   for (int32_t j = 0; j < n; j++) {
-    w->heights[w->places[j]] = w->line_of[j] + c->origin;
+    w->heights[w->places[j]] = NAMED(correct)(w, w->places[j], w->line_of[j]) + c->origin;
     w->known[w->places[j]] = 1;
   }
 }
@@ -634,10 +644,12 @@ static void NAMED(decode_root)(NAMED(work) * w) {
   for (int32_t i = 0; i < l->rows.n_core; i += stride) {
     for (int32_t j = 0; j < l->cols.n_core; j += stride) {
       size_t at = (size_t)(l->rows.core + i) * (size_t)w->pitch + (size_t)(l->cols.core + j);
-      w->heights[at] = (int32_t)shift_right((int64_t)c->low + c->high, 1);
-      if (w->valid && !w->valid[at]) continue;
-      int64_t index = (int64_t)ISA(take_raw)(&u->streams, n_bits);
-      w->heights[at] = (int32_t)min_i64(c->low + index * c->step + half, c->high);
+      int32_t height = (int32_t)shift_right((int64_t)c->low + c->high, 1);
+      if (!w->valid || w->valid[at]) {
+        int64_t index = (int64_t)ISA(take_raw)(&u->streams, n_bits);
+        height = (int32_t)min_i64(c->low + index * c->step + half, c->high);
+      }
+      w->heights[at] = NAMED(correct)(w, at, height);
     }
   }
   for (; stride > 1; log2--) {

@@ -183,6 +183,61 @@ static void bytes_may_come_in_any_portions(memory *m) {
   }
 }
 
+/* ---- Several threads with one file ---- */
+
+#if !defined(_WIN32)
+#include <pthread.h>
+
+static void lock_mutex(void *mutex) { pthread_mutex_lock(mutex); }
+static void unlock_mutex(void *mutex) { pthread_mutex_unlock(mutex); }
+
+typedef struct reading {
+  twz_file *file;
+  const memory *source;
+  const raster *whole;
+  twz_level size;
+  int n_wrong[8]; /* by worker */
+} reading;
+
+static void read_a_part(void *argument, size_t index, size_t worker) {
+  reading *r = argument;
+  memory own = *r->source; /* counts of fetches are its own */
+  raster part;
+  twz_box b;
+  b.row = (uint32_t)(index * 7) % r->size.n_rows;
+  b.col = (uint32_t)(index * 13) % r->size.n_cols;
+  b.n_rows = 1 + (uint32_t)(index * 5) % (r->size.n_rows - b.row);
+  b.n_cols = 1 + (uint32_t)(index * 3) % (r->size.n_cols - b.col);
+  size_t width = twz_file_info(r->file)->dtype_bytes;
+  r->n_wrong[worker] += read_raster(r->file, &own, -1, &b, NULL, &part, NULL) != TWZ_OK;
+  for (uint32_t row = 0; row < b.n_rows; row++) {
+    size_t from = (size_t)(b.row + row) * r->size.n_cols + b.col;
+    r->n_wrong[worker] += memcmp(r->whole->heights + from * width, part.heights + (size_t)row * b.n_cols * width, b.n_cols * width) != 0;
+  }
+  free_raster(&part);
+}
+
+static void threads_may_share_a_file(memory *m, twz_pool *pool) {
+  pthread_mutex_t mutex = PTHREAD_MUTEX_INITIALIZER;
+  raster whole;
+  twz_file *plain = open_memory(m, NULL);
+  CHECK(read_raster(plain, m, -1, NULL, NULL, &whole, NULL) == TWZ_OK);
+  twz_options options = TWZ_OPTIONS;
+  options.locks.context = &mutex;
+  options.locks.lock = lock_mutex;
+  options.locks.unlock = unlock_mutex;
+  options.cache_bytes = 40000; /* units come and go */
+  reading r = {open_memory(m, &options), m, &whole, {0, 0, {0}}, {0}};
+  CHECK(twz_file_level(r.file, -1, &r.size, NULL) == TWZ_OK);
+  const twz_workers *workers = twz_pool_workers(pool);
+  workers->run(workers->context, 60, read_a_part, &r);
+  for (int i = 0; i < 8; i++) CHECK(r.n_wrong[i] == 0);
+  twz_file_free(r.file);
+  twz_file_free(plain);
+  free_raster(&whole);
+}
+#endif
+
 static void a_window_in_the_cache_needs_no_bytes(memory *m) {
   twz_file *file = open_memory(m, NULL);
   raster a, b;
@@ -390,6 +445,9 @@ int main(int n, char **files) {
     windows_are_parts_of_the_whole(&m);
     all_ways_agree(&m, pool);
     bytes_may_come_in_any_portions(&m);
+#if !defined(_WIN32)
+    threads_may_share_a_file(&m, pool);
+#endif
     a_window_in_the_cache_needs_no_bytes(&m);
     no_memory_is_an_error(&m);
     calls_that_are_wrong_say_so(&m);

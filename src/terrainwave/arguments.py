@@ -51,9 +51,16 @@ def is_twz_name(name: object) -> bool:
     """Say whether a path or the path of a URL ends as those of .twz files do."""
     if not isinstance(name, str | os.PathLike):
         return False
-    text = os.fspath(name)
-    path = urlsplit(text).path if isinstance(text, str) and "://" in text else text
-    return str(path).lower().endswith(TWZ_ENDINGS)
+    return str(path_in_url(os.fspath(name))).lower().endswith(TWZ_ENDINGS)
+
+
+def path_in_url(name: str) -> str:
+    """Return the path of a URL, in a chain that of its first link; a path as it is."""
+    if not isinstance(name, str) or "://" not in name:
+        return name
+    if name.startswith("zip://"):
+        return name.removeprefix("zip://").partition("::")[0]
+    return urlsplit(name).path
 
 
 def in_one_line(text: object) -> str:

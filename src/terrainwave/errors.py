@@ -11,7 +11,8 @@ TerrainwaveError
 └── StorageError              (also OSError) a file cannot be read or written
     └── SourceUnavailableError  not now: the server cannot be reached, is busy or hung up
 
-TerrainwaveWarning            (a UserWarning) something of the input is left out, and what
+TerrainwaveWarning            (a UserWarning) something of the input is left out, and what; or
+                              compiled kernels are not kept, or made in another way
 """
 
 import re

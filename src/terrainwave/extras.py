@@ -6,7 +6,7 @@ from typing import Any
 from terrainwave.errors import TerrainwaveError
 
 # Packages that are installed by another name.
-_INSTALLED_AS = {"PIL": "pillow"}
+_INSTALLED_AS = {"PIL": "pillow", "socks": "pysocks"}
 
 
 def need(package: str, *, extra: str, purpose: str = "this") -> Any:

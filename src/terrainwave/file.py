@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import checked_threads, in_one_line
-from terrainwave.codec.registry import check_parameters, has_reach
+from terrainwave.codec.registry import check_layout, check_parameters, newer_layout
+from terrainwave.container.addresses import display_name
 from terrainwave.container.codes import decode_error, decode_range
-from terrainwave.container.header import HAS_REACH, Header
+from terrainwave.container.header import LAYOUT_FEATURES, Header
 from terrainwave.container.parts import Parts, parts_of
 from terrainwave.container.reader import Container
 from terrainwave.container.source import open_source
@@ -148,8 +149,10 @@ class TerrainFile:
         try:
             self.container = Container(self._source)
             header = self.container.header
-            says_reach = bool(header.features & HAS_REACH)
-            check_parameters(header.method, header.parameters, says_reach=says_reach)
+            bits = LAYOUT_FEATURES.items()
+            told = sum(layout for layout, bit in bits if header.features & bit)
+            check_parameters(header.method, header.parameters)
+            check_layout(header.method, header.parameters, told)
             # Null means the same as a key that is missing (FORMAT.md §4.2).
             known = {name: value for name, value in header.metadata.items() if value is not None}
             known |= {"n_rows": header.n_rows, "n_cols": header.n_cols, "dtype": header.dtype}
@@ -158,6 +161,8 @@ class TerrainFile:
             self._source.close()
             raise
         self.name = source if isinstance(source, str | os.PathLike) else "<bytes>"
+        if isinstance(source, str):
+            self.name = display_name(source)
         self.grid = header.grid
         self._cache_bytes = cache_bytes
 
@@ -368,7 +373,7 @@ class TerrainFile:
     @property
     def _format(self) -> str:
         """Return the version of the format; tables by reach are older than their feature bit."""
-        is_newer = has_reach(self.header.method, self.header.parameters)
+        is_newer = newer_layout(self.header.method, self.header.parameters) > 0
         return FORMATS[-1] if is_newer else self.header.format
 
     def info(self) -> Info:

@@ -47,13 +47,15 @@ class Method:
     may_be_faithful : bool
         Its files may follow its paper to the letter (`write.options.Options.faithful`).
     is_patchable : bool
-        A unit can be coded again so that heights that still hold come back as they were.
+        A unit can be coded again so that heights that still hold come back as they were: its loop
+        takes corrections (`codec.correctioncoder`).
     has_parameters : bool
         The file's header may hold tables for all of its units.
     is_read_in_browsers : bool
         The reader in JavaScript decodes it.
     has_reach : bool
-        Its tables may have contexts by reach, which readers of format 1.0 don't know.
+        Its tables may have contexts by reach or weights of features, which readers of format 1.0
+        don't know.
     has_layers : bool
         It codes difference layers, whose zero trees drive its meshes of the kind "zerotree".
     """
@@ -78,8 +80,8 @@ class Method:
         return self.refiner is None
 
 
-# The layout of tables with contexts by reach (format-rapid.md R.10).
-REACH_LAYOUT = 3
+# Layouts of tables: with contexts by reach, and with weights of features (format-rapid.md R.10).
+REACH_LAYOUT, WEIGHTS_LAYOUT = 3, 5
 # In the order in which they are named to users; the first is the default.
 METHODS = {
     method.name: method

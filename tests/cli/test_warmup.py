@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from affine import Affine
 from strategies import terrain_like, write_geotiff
 
 from terrainwave.names import METHODS
@@ -22,6 +23,8 @@ def folder(tmp_path_factory):
     heights = terrain_like(301, 40, seed=3)[:, :250]
     heights[40:50, 7:30] = -32768
     write_geotiff(folder / "whole.tif", heights, nodata=-32768)
+    new = heights[60:180, 9:30] // 2 + heights.max() // 2
+    write_geotiff(folder / "new.tif", new, transform=Affine.translation(9, 60))
     write_geotiff(folder / "real.tif", heights.astype(np.float32) + np.float32(0.125))
     return folder
 
@@ -66,6 +69,9 @@ def commands():
         yield "mesh", twz, f"{stem}.ply", "--level", "-2", "--optimise"
         yield "info", twz
     yield "compress", "whole.tif", "lossless.twz", "--max-error", "0"
+    for method in ("rapid", "predictive"):
+        yield "patch", f"whole-{method}.twz", "new.tif"
+        yield "decompress", f"whole-{method}.twz", f"patched-{method}.tif"
 
 
 @pytest.mark.gl

@@ -16,12 +16,22 @@ from lone_units import (
     terrain,
 )
 
-from terrainwave.codec import rapid, rapid_fitting, rapid_tables
+from terrainwave.codec import rapid, rapid_fitting, rapid_tables, rapid_weights
 from terrainwave.codec.rapid import Rapid
 from terrainwave.codec.rapid_code import ESCAPE, N_SYMBOLS
 from terrainwave.codec.rapid_fitting import codes_for
-from terrainwave.codec.rapid_layout import CORES, MAX_TAPS, TAPS
-from terrainwave.codec.rapid_magnitude import N_CONTEXTS, scale_of, scaled_features
+from terrainwave.codec.rapid_layout import (
+    CORES,
+    F_BEND,
+    F_CONST,
+    F_RANGE,
+    F_TWIST,
+    FEATURE_TAPS,
+    MAX_TAPS,
+    N_FEATURES,
+    TAPS,
+)
+from terrainwave.codec.rapid_magnitude import MOST_ERROR, N_CONTEXTS, scale_of, scaled_features
 from terrainwave.codec.rapid_parameters import (
     MAX_CODE,
     N_CLASSES,
@@ -30,6 +40,7 @@ from terrainwave.codec.rapid_parameters import (
     FileStencil,
     FileTables,
     Tables,
+    are_sound,
     code_of,
     default_codes,
     default_freqs,
@@ -216,7 +227,15 @@ def test_trained_frequencies_fill_all_slots(family):
     assert freqs.max() < 2048
 
 
-def some_tables(family=4):
+def some_weights(n_classes):
+    """Return codes of weights of the finest classes, none of which is too large."""
+    codes = np.random.default_rng(n_classes).integers(0, 50, (n_classes, 3, N_FEATURES))
+    codes[:, 0, 7:] = 0  # HH has no earlier planes
+    assert are_sound(codes)
+    return codes
+
+
+def some_tables(family=4, n_weighted=0):
     """Return tables with everything that can be stored."""
     rng = np.random.default_rng(8)
     rows = []
@@ -232,13 +251,21 @@ def some_tables(family=4):
         rows.append(tuple(row))
     fitted = codes_for(rng.integers(0, 999, (N_CONTEXTS, N_SYMBOLS)) + 1, family)
     codes = {context: fitted[context] for context in (0, 3, 4, 99, 175)}
-    return FileTables(9, family, tuple(rows), codes)
+    weights = some_weights(n_weighted) if n_weighted else None
+    return FileTables(9, family, tuple(rows), codes, weights)
 
 
+@pytest.mark.parametrize("n_weighted", [0, 1, 2, 4])
 @pytest.mark.parametrize("family", [4, 10])
-def test_parameters_come_back(family):
-    tables = some_tables(family)
-    read, wanted = parse_parameters(pack_parameters(tables)), Tables(tables)
+def test_parameters_come_back(family, n_weighted):
+    tables = some_tables(family, n_weighted)
+    section = pack_parameters(tables)
+    assert section[0] == (5 if n_weighted else 1 if family == 4 else 3)
+    own = Tables(tables).features != Tables(some_tables(family)).features
+    assert own[:n_weighted, :3].any((1, 2)).all()
+    assert not own[n_weighted:].any()
+    assert not own[:, 3].any()
+    read, wanted = parse_parameters(section), Tables(tables)
     np.testing.assert_array_equal(read.stencils, wanted.stencils)
     np.testing.assert_array_equal(read.features, wanted.features)
     np.testing.assert_array_equal(read.slots(3), wanted.slots(3))
@@ -247,11 +274,19 @@ def test_parameters_come_back(family):
 
 
 @pytest.mark.large
-def test_every_prefix_of_parameters_is_rejected():
-    section = pack_parameters(some_tables())
+@pytest.mark.parametrize("n_weighted", [0, 2])
+def test_every_prefix_of_parameters_is_rejected(n_weighted):
+    section = pack_parameters(some_tables(n_weighted=n_weighted))
+    accepted = []
     for length in range(1, len(section)):
-        with pytest.raises(CorruptStreamError):
-            parse_parameters(section[:length])
+        try:
+            accepted.append(parse_parameters(section[:length])._file)
+        except CorruptStreamError:
+            continue
+    # Zeros after stencils and some weights are whole tables, as all else is as usual then. Only the
+    # checksum of the section tells.
+    assert len(accepted) <= bool(n_weighted)
+    assert not any(tables.codes for tables in accepted)
     with pytest.raises(CorruptStreamError):
         parse_parameters(section + b"\0")
 
@@ -262,16 +297,59 @@ def test_an_unknown_layout_is_unsupported(layout):
         parse_parameters(bytes([layout]) + b"abc")
 
 
-@given(st.sampled_from([b"\1", b"\3"]), st.binary(max_size=200))
+@given(st.sampled_from([b"\1", b"\3", b"\5"]), st.binary(max_size=200))
 def test_any_parameters_give_tables_or_our_own_error(layout, section):
     try:
         tables = parse_parameters(layout + section)
     except CorruptStreamError:
         return
     assert (np.abs(tables.stencils) < 1 << 15).all()
+    assert all(
+        0 <= total < 1 << 31 for step in (1, 3, 7, 101, 65537) for total in most(tables, step)
+    )
     slots = tables.slots(1)
     assert slots.shape == (N_CONTEXTS << 11,)
     assert slots.max() < N_SYMBOLS
+
+
+def most(tables, step):
+    """Yield the largest sums of weights times features that any heights make (R.7)."""
+    scale = scale_of(step, 0, 0, False)
+    for features in tables.features[:, :3]:
+        for plane, weights in zip(PLANES, features, strict=True):
+            limits = np.zeros(N_FEATURES, dtype=np.int64)
+            limits[[F_CONST, F_RANGE, F_TWIST]] = 1, scale.most_range, scale.most_range
+            for feature, taps in FEATURE_TAPS[plane].items():
+                limits[feature] = len(taps) * (
+                    scale.most_range if feature == F_BEND else MOST_ERROR
+                )
+            yield int((scaled_features(weights, scale) * limits).sum())
+
+
+@pytest.mark.parametrize("feature", range(N_FEATURES))
+def test_weights_are_rejected_just_where_a_sum_may_pass_31_bits(feature):
+    for plane in range(3):
+        codes = np.zeros((1, 3, N_FEATURES), dtype=np.int64)
+        sound = []
+        for code in range(MAX_CODE + 1):
+            codes[0, plane, feature] = code
+            sound.append(are_sound(codes))
+            tables = FileTables(0, 2, ((FileStencil(0),) * 3,) * 4, {}, codes)
+            if sound[-1]:
+                assert max(t for n in (1, 3, 101) for t in most(Tables(tables), n)) < 1 << 31
+            if code == MAX_CODE and not sound[-1]:
+                with pytest.raises(CorruptStreamError, match="out of range"):
+                    parse_parameters(pack_parameters(tables))
+        assert sound == sorted(sound, reverse=True)
+
+
+@pytest.mark.parametrize("code", [-1, MAX_CODE + 1])
+def test_a_code_of_a_weight_outside_its_range_is_rejected(code):
+    weights = some_weights(2)
+    weights[1, 1, 5] = code
+    plain = ((FileStencil(0),) * 3,) * 4
+    with pytest.raises(CorruptStreamError, match="out of range"):
+        parse_parameters(pack_parameters(FileTables(0, 2, plain, {}, weights)))
 
 
 def test_frequencies_that_leave_nothing_or_no_escape_are_rejected():
@@ -327,6 +405,7 @@ def houses(shape):
 def test_contexts_are_by_reach_where_that_makes_payloads_smaller(step, monkeypatch):
     target = houses((90, 100))
     spec = lone_spec(target.shape, step, parent=False)
+    monkeypatch.setattr(rapid_fitting, "_with_weights", lambda tables, *_: tables)
     refiner = fit(target, step)
     assert parse_parameters(refiner.parameters).is_by_reach
     own, _ = check(spec, None, target, refiner=refiner)
@@ -335,6 +414,41 @@ def test_contexts_are_by_reach_where_that_makes_payloads_smaller(step, monkeypat
     assert not parse_parameters(refiner.parameters).is_by_reach
     other, _ = check(spec, None, target, refiner=refiner)
     assert len(own) < 0.99 * len(other)
+
+
+@pytest.mark.parametrize("step", [1, 3, 9])
+def test_weights_of_the_file_make_payloads_smaller(step, monkeypatch):
+    target = houses((230, 240))
+    refiner = fit(target, step)
+    assert refiner.parameters[0] == 5
+    spec = lone_spec(target.shape, step, parent=False)
+    spec = dataclasses.replace(spec, level=parse_parameters(refiner.parameters).k_max)
+    own, _ = check(spec, None, target, refiner=refiner)
+    monkeypatch.setattr(rapid_fitting, "_with_weights", lambda tables, *_: tables)
+    other = fit(target, step)
+    assert other.parameters[0] in (1, 3)
+    plain, _ = check(spec, None, target, refiner=other)
+    assert len(own) + len(refiner.parameters) < len(plain) + len(other.parameters)
+
+
+def test_weights_are_what_non_negative_least_squares_finds():
+    nnls = pytest.importorskip("scipy.optimize").nnls
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        features = rng.exponential(1, (N_FEATURES, 512)).round(3)
+        goal = rng.normal(0.2, 0.5, N_FEATURES) @ features
+        rows = np.rint(np.vstack([features, goal]) * 1000)
+        found = rapid_weights._not_negative(rows @ rows.T)
+        np.testing.assert_allclose(found, nnls(rows[:-1].T, rows[-1])[0], atol=1e-3)
+
+
+def test_weights_are_the_same_from_rows_in_parts():
+    """Sums of whole numbers: exact in whatever order."""
+    rng = np.random.default_rng(6)
+    rows = rng.exponential(1, (N_FEATURES + 1, 4096))
+    first = np.full(N_FEATURES, 0.1)
+    again = rows[:, rng.permutation(4096)]
+    assert rapid_weights._fitted(rows, first) == rapid_weights._fitted(again, first)
 
 
 def test_smooth_ground_keeps_contexts_by_the_mean():

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from reference_decoder.basics import read_varint
 from reference_decoder.files import HEADER, METHODS, NAMES
 from reference_decoder.range_coder import Models, RangeEncoder
 
@@ -121,6 +122,31 @@ def parameters(data):
     return edited(lambda editor: setattr(editor, "parameters", data))
 
 
+def weighted(data, features=32):
+    """Parameters of rapid that the header says have weights of features: bytes, or codes."""
+
+    def edit(editor):
+        editor.parameters = data if isinstance(data, bytes) else section_with(data)
+        editor.header = {"features": features}
+
+    return edited(edit)
+
+
+def weights(hl_2, hl_4=30):
+    """Return codes of weights; two of those of HL may be too small or too large."""
+    hl = [10, 60, hl_2, 20, hl_4, 40, 60, 60, 30]
+    return [[10, 60, 50, 20, 30, 40, 60, 0, 0], hl, [10, 60, 50, 20, 30, 40, 60, 60, 30]]
+
+
+def section_with(codes):
+    """Return a parameters section with these codes of weights of the finest class, by plane."""
+    from terrainwave.codec import rapid_parameters
+
+    plain = ((rapid_parameters.FileStencil(0),) * 3,) * 4
+    tables = rapid_parameters.FileTables(0, 1, plain, {}, np.array([codes], dtype=np.int64))
+    return rapid_parameters.pack_parameters(tables)
+
+
 def columns(change_columns):
     """The columns of the top page."""
     return edited(lambda editor: setattr(editor.top, "change_columns", change_columns))
@@ -152,6 +178,47 @@ def own_section(change):
         return data[:at] + bytes([len(section)]) + section + data[end:]
 
     return payload(change_payload)
+
+
+def corrections(change):
+    """The corrections in the payload of the first unit that has some."""
+
+    def edit(editor):
+        payloads = editor.top.payloads
+        key = min(key for key, data in payloads.items() if data and data[0] & 16)
+        data, at = payloads[key], 1
+        for bit in range(5):
+            if data[0] >> bit & 1:
+                n, start = read_varint(data, at)
+                begin, at = at, start + n
+        section = change(data[start:at])
+        payloads[key] = data[:begin] + varint(len(section)) + section + data[at:]
+
+    return edited(edit)
+
+
+def coded_corrections(value):
+    """A section of `PATCHED`'s root, 20 rows of one piece of 19: its first sample has a value."""
+    encoder, models = RangeEncoder(), Models(170)
+    has_any = int(value != 0)
+    encoder.bit(models, 0, has_any)
+    for col in range(19 if has_any else 0):
+        west = int(col in (1, 2))
+        encoder.bit(models, 16 + 27 * (col % 2) + 9 * west, int(col == 0))
+        if col == 0:
+            encoder.raw(0, 1)
+            for i in range(14):
+                encoder.bit(models, 124 + i, 1)
+            low = 10  # of step 18001
+            rest = value - 1 - (13 << low)
+            n_bits = rest.bit_length() - 1
+            for i in range(n_bits - low + 1):
+                encoder.bit(models, 138 + i, int(i < n_bits - low))
+            encoder.raw(rest, n_bits)
+    for row in range(1, 20):
+        above, above_2 = has_any * (row == 1), has_any * (row == 2)
+        encoder.bit(models, 8 * (row % 2) + 2 * above + above_2, 0)
+    return encoder.end()
 
 
 def method_bytes(change):
@@ -237,6 +304,7 @@ def planes_of_zeros(n_planes, n_samples=25):
 # Remainders of 0x3d400000 each: from floats of some hundred to beyond the largest.
 HUGE = zlib.compress(bytes(2 * 25) + b"\x80" * 25 + b"\x7a" * 25, 9)
 FILLS = "store-fills-int16-segments"
+PATCHED = "rapid-patched-int32-wide"
 LONE = b'{"software":"\\ud800"}'
 NESTED = b'{"x":' + b"[" * 16 + b"]" * 16 + b"}"
 BOMB = b'{"x":"' + b"0" * 2**20 + b'"}'
@@ -268,6 +336,24 @@ CASES = {
     ),
     "fills-of-one-level": Case(
         "one-sample", "§4.1", "feature bit 4 with k_max 0", header(features=16)
+    ),
+    "weights-of-layout-1": Case(
+        "rapid", "§4.1", "feature bit 5 with tables of layout 1", header(features=32)
+    ),
+    "weights-not-told": Case(
+        "rapid", "R.10", "layout 5 without feature bit 5", parameters(b"\5\0\0\0\0\0\0")
+    ),
+    "weights-and-reach": Case(
+        "rapid", "§4.1", "feature bits 3 and 5", weighted(b"\5\0\0\0\0\0\0", features=40)
+    ),
+    "parameters-rapid-weights-family": Case(
+        "rapid", "R.10", "family 7 of layout 5", weighted(b"\5\7\0\0\0\0\0")
+    ),
+    "parameters-rapid-weights-code": Case(
+        "rapid", "R.10", "a code of a weight below 0", weighted(weights(hl_2=-1))
+    ),
+    "parameters-rapid-weights-sum": Case(
+        "rapid", "R.10", "weights whose sum may pass 31 bits", weighted(weights(hl_2=120, hl_4=127))
     ),
     "remainders-int16": Case("store", "§4.1", "remainders of int16", header(features=1)),
     "remainders-step": Case("exact", "§4.1", "remainders beside step 3", header(step=3)),
@@ -508,6 +594,33 @@ CASES = {
         FILLS, "§6.2", "a mask of level k_max whose stream has a byte too much",
         payload(lambda data: b"\1" + bytes([data[1] + 1]) + data[2 : 2 + data[1]] + b"\0"
                 + data[2 + data[1] :], key=(1, 0, 0)),
+    ),
+    "corrections-of-step-1": Case(
+        "predictive-int16-lossless", "§4.7", "feature bit 6 with step 1", header(features=64),
+        "unsupported",
+    ),
+    "corrections-unasked": Case(
+        "rapid", "§5.1", "a flag of corrections without feature bit 6",
+        payload(lambda data: bytes([data[0] | 16]) + data[1:]),
+    ),
+    "corrections-empty": Case(
+        PATCHED, "§5.1", "a section of corrections of length 0", corrections(lambda section: b""),
+    ),
+    "corrections-cut": Case(
+        PATCHED, "§6.2", "corrections whose stream is a byte short",
+        corrections(lambda section: section[:-1]),
+    ),
+    "corrections-left-over": Case(
+        PATCHED, "§6.2", "corrections whose stream has a byte too much",
+        corrections(lambda section: section + b"\0"),
+    ),
+    "corrections-all-0": Case(
+        PATCHED, "§5.5", "a section in which all corrections are 0",
+        corrections(lambda section: coded_corrections(0)),
+    ),
+    "corrections-too-large": Case(
+        PATCHED, "§5.5", "a correction of 2^31",
+        corrections(lambda section: coded_corrections(2**31)),
     ),
     "exceptions-unasked": Case(
         "store", "§5.1", "exceptions where no sample has any",

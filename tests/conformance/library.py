@@ -18,7 +18,7 @@ from terrainwave.names import MESHES, METHODS
 PROFILE = {
     "name": "terrainwave, Python",
     "methods": list(METHODS),
-    "features": 27,
+    "features": 123,
     "own": True,
     "meshes": list(MESHES[1:]),
     "blocks": True,

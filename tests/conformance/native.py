@@ -11,7 +11,7 @@ import sys
 PROFILE = {
     "name": "terrainwave, native",
     "methods": ["store", "cdf97", "predictive", "cdf53", "rapid"],
-    "features": 27,
+    "features": 123,
     "own": True,
     "meshes": [],
     "blocks": True,

@@ -15,7 +15,7 @@ from conformance import protocol
 PROFILE = {
     "name": "reference decoder",
     "methods": list(METHODS.values()),
-    "features": 27,
+    "features": 123,
     "own": True,
     "meshes": [],
     "blocks": True,

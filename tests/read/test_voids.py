@@ -18,7 +18,7 @@ from twz import twz_bytes
 
 import terrainwave
 from terrainwave.cli import main
-from terrainwave.codec.registry import has_reach
+from terrainwave.codec.registry import newer_layout
 from terrainwave.errors import (
     CorruptStreamError,
     InvalidArgumentError,
@@ -266,20 +266,21 @@ def test_geotiffs_of_levels_are_void_where_the_raster_is(tmp_path, kind):
 
 
 def test_format_1_0_has_no_bit_and_no_layout_of_1_1(tmp_path):
-    # Rough ground, whose tables are by reach where they may be.
+    # Rough ground, whose tables have weights or contexts by reach where they may have.
     rough = np.random.default_rng(1).integers(0, 2, (140, 140)).repeat(3, 0)[:140] * 500
     rough += np.indices((140, 140)).sum(0)
     rough[30:60, 70:90] = NODATA
     rough = rough.astype("int16")
     with terrainwave.open(made(heights=rough, max_error=0)) as terrain:
-        assert terrain.header.features == 8 + 16, "the raster is not rough enough for the test"
-        assert has_reach("rapid", terrain.header.parameters)
+        layout = newer_layout("rapid", terrain.header.parameters)
+        assert layout, "the raster is not rough enough for the test"
+        assert terrain.header.features == 16 + {3: 8, 5: 32}[layout]
         assert terrain.info().format == "1.1"
     data = made(heights=rough, max_error=0, format="1.0")
     header = read_file(data).header
     assert header.features == 0
     with terrainwave.open(data) as terrain:
-        assert not has_reach("rapid", terrain.header.parameters)
+        assert newer_layout("rapid", terrain.header.parameters) == 0
         assert terrain.info().format == "1.0"
         np.testing.assert_array_equal(terrain.read(), rough)
     with pytest.raises(InvalidArgumentError, match=r"found format '1\.2', expected 1\.0 or 1\.1"):
@@ -287,7 +288,7 @@ def test_format_1_0_has_no_bit_and_no_layout_of_1_1(tmp_path):
 
 
 def test_kept_bits_are_refused_by_name():
-    for name, word in (("5", "layout"), ("6", "patches"), ("7", "zero")):
+    for name, word in (("5", "weights"), ("6", "patches"), ("7", "zero")):
         with pytest.raises(UnsupportedVersionError, match=f"unknown features .*{word}"):
             terrainwave.open(GOLDEN / "v1" / "invalid" / f"feature-kept-{name}.twz")
 

@@ -29,6 +29,13 @@ def clamp(x, low, high):
     return min(max(x, low), high)
 
 
+def corrected(unit, place, height, low, high):
+    """§5.5."""
+    if not unit.corrections:
+        return height
+    return clamp(height + unit.corrections[place[0]][place[1]], low, high)
+
+
 def ceil_div(a, b):
     return -(-a // b)
 

@@ -41,9 +41,13 @@ def read_header(data):
     require(h.header_size == 128, "header_size")
     require(h.header_crc == zlib.crc32(data[:124]), "header_crc")
     require(h.reserved == 0, "reserved", UnsupportedError)
-    require(not h.features & ~(1 | 2 | 8 | 16), "features", UnsupportedError)
+    require(not h.features & ~(1 | 2 | 8 | 16 | 32 | 64), "features", UnsupportedError)
     require(not h.features & 2 or h.method == 1, "a faithful file of another method")
+    require(not h.features & 32 or h.method == 4, "weights of another method", UnsupportedError)
     require(not h.features & 8 or h.method == 4, "contexts by reach of another method")
+    may_be_corrected = h.method in (2, 4) and h.step > 1
+    require(not h.features & 64 or may_be_corrected, "corrections", UnsupportedError)
+    require(h.features & 40 != 40, "two layouts of the tables")
     require(h.padding == b"\0\0", "padding", UnsupportedError)
     require(h.mesh <= 6, "mesh", UnsupportedError)
     require(h.mesh != 6 or h.method == 3, "a mesh by coefficients of another method")
@@ -242,6 +246,8 @@ def read_file(data):
     if METHODS[h.method] not in ("predictive", "rapid"):
         require(not parameters, "the method has no parameters", UnsupportedError)
     require(not h.features & 8 or parameters[:1] == b"\3", "tables that are not by reach")
+    is_told, has_weights = h.features & 32, h.method == 4 and parameters[:1] == b"\5"
+    require(bool(is_told) == has_weights, "weights that the header does not tell, or no weights")
     at += h.parameters_length
 
     grid = Grid(h.n_rows, h.n_cols, 2**h.block_log2, h.border_rings)

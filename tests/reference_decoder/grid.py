@@ -49,7 +49,7 @@ class Grid:
     def unit(self, key):
         """Level, core, region and shared sides of the unit of a key (§2.4)."""
         k, *place = key
-        unit = SimpleNamespace(key=key, level=k + 1)
+        unit = SimpleNamespace(key=key, level=k + 1, corrections=None)
         n_sides = 1 if k < 0 else 2  # blocks per side
         axes = []
         for i, n_samples, n_blocks in zip(

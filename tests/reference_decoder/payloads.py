@@ -164,17 +164,19 @@ def decode_payload(file, unit, payload, parent_unit, parent_heights, parent_vali
     may_have_remainders = h.features & 1 and unit.level == file.grid.k_max
     may_have_own = h.features & 16 and unit.level < file.grid.k_max
     known = 3 | (4 if may_have_remainders else 0) | (8 if may_have_own else 0)
+    known |= 16 if h.features & 64 else 0
     require(not flags & ~known, "flags of a payload")
-    sections = [None] * 4
-    for bit in range(4):
+    sections = [None] * 5
+    for bit in range(5):
         if flags >> bit & 1:
             n, at = read_varint(payload, at)
             require(1 <= n <= len(payload) - at, "length of a section")
             sections[bit] = payload[at : at + n]
             at += n
-    mask, exceptions, rest, own = sections
+    mask, exceptions, rest, own, corrections = sections
     valid = decode_valid(file, unit, mask, own, parent_unit, parent_valid)
     require(any(map(any, valid)), "payload of a unit without valid samples")
+    unit.corrections = corrections and decode_corrections(corrections, unit, h.step)
     decode_method = DECODERS[METHODS[h.method]]
     heights = decode_method(file, unit, payload[at:], valid, parent_unit, parent_heights)
     # 1.
@@ -211,6 +213,40 @@ def decode_remainders(section, n_rows, n_cols, h):
         number = sum(data[plane * n_rows * n_cols + i] << 8 * plane for plane in range(n))
         remainders.append(-(number + 1 >> 1) if number & 1 else number >> 1)
     return [remainders[r * n_cols : (r + 1) * n_cols] for r in range(n_rows)]
+
+
+def decode_corrections(section, unit, n):
+    """§5.5."""
+    n_rows, n_cols = unit.rows.n, unit.cols.n
+    decoder, models = range_coder.RangeDecoder(section), Models(170)
+    k = max(n.bit_length() - 5, 0)
+    found, pieces = zeros(n_rows, n_cols), {}
+
+    def count(*places):
+        return sum(0 <= i < n_rows and 0 <= j < n_cols and found[i][j] != 0 for i, j in places)
+
+    for i in range(n_rows):
+        p = (unit.rows.first + i) % 2
+        for first in range(0, n_cols, 32):
+            before = [pieces.get(at, 0) for at in ((i, first - 32), (i - 1, first), (i - 2, first))]
+            model = 8 * p + 4 * before[0] + 2 * before[1] + before[2]
+            pieces[i, first] = decoder.bit(models, model)
+            if not pieces[i, first]:
+                continue
+            for j in range(first, min(first + 32, n_cols)):
+                q = (unit.cols.first + j) % 2
+                if unit.key[0] >= 0 and not p and not q:
+                    continue
+                w, north = count((i, j - 1), (i, j - 2)), count((i - 1, j), (i - 2, j))
+                diagonal = count((i - 1, j - 1), (i - 1, j + 1))
+                if decoder.bit(models, 16 + 27 * (2 * p + q) + 9 * w + 3 * north + diagonal):
+                    sign = -1 if decoder.raw(1) else 1
+                    size = decoder.magnitude(models, 124, 138, k) + 1
+                    require(size <= 2**31 - 1, "a correction")
+                    found[i][j] = sign * size
+    decoder.end()
+    require(any(map(any, found)), "corrections that are all 0")
+    return found
 
 
 def with_remainder(height, remainder):

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from reference_decoder import range_coder
-from reference_decoder.basics import UnsupportedError, clamp, require, zeros
+from reference_decoder.basics import UnsupportedError, clamp, corrected, require, zeros
 from reference_decoder.range_coder import M, Mixers, Models, bin_of, lg
 
 # Annex 1 (P.9): numbers alone.
@@ -131,7 +131,10 @@ class SharedDecoder:
     def put(self, place, prediction, q):
         m = 4 * M // self.n + 1
         row, col = place
-        self.heights[row][col] = clamp(prediction + clamp(q, -m, m) * self.n, -M, M)
+        height = clamp(prediction + clamp(q, -m, m) * self.n, -M, M)
+        if self.parent is None or self.is_odd(place):
+            height = corrected(self.unit, place, height, -M, M)
+        self.heights[row][col] = height
         self.known[row][col] = 1
 
     def is_valid(self, place):
@@ -280,6 +283,7 @@ class Lattice:
     """The core's samples on multiples of a stride, and what is known of planes coded before."""
 
     def __init__(self, unit, stride, heights):
+        self.unit = unit
         self.row, self.col = unit.rows.core, unit.cols.core
         self.stride = stride
         self.heights = heights  # of the region
@@ -387,7 +391,7 @@ class PlaneDecoder:
                 e = self.expected(i, j, x, core, p, off)
                 q = self.decode_detail(e, sorted(core), (x[0, -2], x[-2, 0]), p)
                 height = clamp(w + q * n, z_min, z_max)
-            lattice.heights[row][col] = height
+            lattice.heights[row][col] = corrected(lattice.unit, (row, col), height, z_min, z_max)
         if is_valid or is_known:
             distance = abs(64 * lattice.heights[row][col] - p)
             self.errors[i][j] = min(steps(distance, -1), 32_767)

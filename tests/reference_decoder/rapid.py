@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from reference_decoder import range_coder
-from reference_decoder.basics import UnsupportedError, clamp, read_varint, require, zeros
+from reference_decoder.basics import UnsupportedError, clamp, corrected, read_varint, require, zeros
 from reference_decoder.predictive import SharedDecoder, fold
 from reference_decoder.range_coder import Models
 
@@ -21,7 +21,7 @@ CODES = [
     np.frombuffer(zlib.decompress(base64.b85decode(codes)), np.uint8).reshape(6, 176, 63).tolist()
     for codes in (annex._CODES, reach_annex._CODES)
 ]
-LAYOUTS = [1, 3]
+MEAN, REACH, WEIGHTS = 1, 3, 5
 
 
 def own(plane):
@@ -65,6 +65,13 @@ FAR = {
     "LH": of("HH", (-1, -1), (-1, 0), (1, -1), (1, 0)),
 }
 OF_ERRORS, OF_RANGES = (1, 2, 3, 7, 8), (4, 5, 6)
+# R.10: weights of features
+SHIFTS = [14, 7, 7, 7, 13, 13, 9, 7, 7]
+USUAL = {
+    "HH": [12, 58, 50, 25, 33, 35, 57],
+    "HL": [4, 39, 37, 10, 25, 24, 37, 49, 32],
+    "LH": [4, 35, 19, 18, 22, 22, 35, 48, 23],
+}
 
 
 def lg(x):
@@ -96,19 +103,27 @@ def read_rapid_tables(parameters, n):
     sets = {plane: annex.STENCILS[i].tolist() for plane, i in numbers.items()}
     if not parameters:
         stencils = [{plane: sets[plane][0] for plane in PLANES}] * 4
-        return tables_of(0, 0, family, stencils, CODES[0][family])
-    require(parameters[0] in LAYOUTS, "layout of the parameters", UnsupportedError)
-    layout = LAYOUTS.index(parameters[0])
-    decoder, models = range_coder.RangeDecoder(parameters[1:]), Models(370)
+        return tables_of(0, 0, family, stencils, [], CODES[0][family])
+    layout = parameters[0]
+    require(layout in (MEAN, REACH, WEIGHTS), "layout of the parameters", UnsupportedError)
+    decoder, models = range_coder.RangeDecoder(parameters[1:]), Models(416)
 
     def magnitude(group, limit):
         value = decoder.magnitude(models, 46 * group, 46 * group + 14, 0)
         require(value <= limit, "number in the parameters")
         return value
 
+    def changed(code):
+        change = magnitude(8, 127)
+        code += -change if change and decoder.raw(1) else change
+        require(0 <= code <= 127, "code of a weight")
+        return code
+
     k_max, family = decoder.raw(5), decoder.raw(3)
     require(family < 6, "family of frequencies")
-    stencils = []
+    is_by_reach = decoder.raw(1) if layout == WEIGHTS else int(layout == REACH)
+    n_weighted = decoder.raw(2) + 1 if layout == WEIGHTS else 0
+    stencils, weights, before = [], [], USUAL
     for _ in range(4):
         stencils.append({})
         for plane in PLANES:
@@ -127,10 +142,13 @@ def read_rapid_tables(parameters, n):
                 stencil[missing] = 4096 - sum(stencil)
                 require(max(map(abs, stencil)) <= 32_767, "weight of a stencil")
             stencils[-1][plane] = stencil
-    of_family = CODES[layout][family]
+    for _ in range(n_weighted):
+        before = {plane: [changed(code) for code in before[plane]] for plane in PLANES}
+        weights.append({plane: weights_of(before[plane], plane) for plane in PLANES})
+    of_family = CODES[is_by_reach][family]
     codes, is_own = [list(row) for row in of_family], 0
     for context in range(176):
-        is_own = decoder.bit(models, 368 + is_own)
+        is_own = decoder.bit(models, 414 + is_own)
         if not is_own:
             continue
         trained, before = of_family[context], 0
@@ -143,11 +161,22 @@ def read_rapid_tables(parameters, n):
                 require(0 <= codes[context][symbol] <= 127, "code of a frequency")
         frequencies(codes[context], trained.index(max(trained)))
     decoder.end()
-    return tables_of(k_max, layout, family, stencils, codes)
+    return tables_of(k_max, is_by_reach, family, stencils, weights, codes)
 
 
-def tables_of(k_max, layout, family, stencils, codes):
-    rests = [row.index(max(row)) for row in CODES[layout][family]]
+def weights_of(codes, plane):
+    """Return the nine weights of a plane; those of features that it has not are 0."""
+    codes = codes + [0] * (9 - len(codes))
+    weights = [value_of_code(g) << shift for g, shift in zip(codes, SHIFTS, strict=True)]
+    taps = {1: 1, 2: 2, 3: 1, 7: len(NEAR[plane]), 8: len(FAR[plane])}
+    errors = sum(weights[k] * n for k, n in taps.items())
+    ranges = weights[4] + weights[5] + weights[6] * len(BENT[plane])
+    require(8 * errors + ranges < 2**24 - 2**15, "weights of features")
+    return weights
+
+
+def tables_of(k_max, is_by_reach, family, stencils, weights, codes):
+    rests = [row.index(max(row)) for row in CODES[is_by_reach][family]]
     symbols = []
     for row, rest in zip(codes, rests, strict=True):
         slots = []
@@ -155,9 +184,12 @@ def tables_of(k_max, layout, family, stencils, codes):
             slots += [(symbol, f, i) for i in range(f)]
         symbols.append(slots)
     widest = max(sum(map(abs, weights)) for row in stencils for weights in row.values())
+    features = annex.FEATURES[family // 3].tolist()
+    for rows, own in zip(features, weights, strict=False):
+        rows[:3] = [own[plane] for plane in PLANES]
     return SimpleNamespace(
-        k_max=k_max, stencils=stencils, features=annex.FEATURES[family // 3].tolist(),
-        slots=symbols, widest=widest, is_by_reach=layout == 1,
+        k_max=k_max, stencils=stencils, features=features,
+        slots=symbols, widest=widest, is_by_reach=bool(is_by_reach),
     )  # fmt: skip
 
 
@@ -211,7 +243,8 @@ class Streams:
 class Rows:
     """R.6, R.7, R.9 for rows of samples whose surroundings are known."""
 
-    def __init__(self, n, low, high, is_by_reach, streams):
+    def __init__(self, unit, n, low, high, is_by_reach, streams):
+        self.unit = unit
         self.n, self.low, self.high, self.streams = n, low, high, streams
         self.is_by_reach = is_by_reach
         self.r = max(lg(n) - 4, 0)
@@ -270,6 +303,7 @@ class Rows:
                 d = clamp(d, -most, most)
             x.q = -d if x.side < 0 else d
             x.height = clamp(x.w + x.q * self.n, self.low, self.high)
+            x.height = corrected(self.unit, x.place, x.height, self.low, self.high)
 
 
 # R.3 ---------------------------------------------------------------------------------------------
@@ -484,7 +518,7 @@ def decode_rapid(file, unit, payload, valid, parent_unit, parent_heights):
     tables, n = file.tables, file.header.step
     streams = Streams(payload, tables.slots)
     low, high = limits(file.header, tables.widest, streams.is_wide, parent_heights)
-    rows = Rows(n, low, high, tables.is_by_reach, streams)
+    rows = Rows(unit, n, low, high, tables.is_by_reach, streams)
     level = unit.key[0] + 1
 
     def of_class(stride):
@@ -509,6 +543,7 @@ def decode_rapid(file, unit, payload, valid, parent_unit, parent_heights):
             if valid[i][j]:
                 index = streams.raw(((high - low) // n).bit_length())
                 heights[i][j] = min(low + index * n + (n >> 1), high)
+            heights[i][j] = corrected(unit, (i, j), heights[i][j], low, high)
     while stride > 1:
         stride //= 2
         Lattice(unit, stride, heights, known, valid, rows, *of_class(stride)).decode()

@@ -9,14 +9,14 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 import click
 
-from terrainwave.arguments import checked_threads, count_of
+from terrainwave.arguments import checked_threads, count_of, path_in_url
 from terrainwave.cli.manifest import Manifest
 from terrainwave.cli.output import Bar, line_of, plain, print_error, print_note
 from terrainwave.cli.streams import STREAM
+from terrainwave.container.addresses import display_name
 from terrainwave.errors import InvalidArgumentError, TerrainwaveError
 from terrainwave.progress import Progress, ProgressCallback
 
@@ -45,15 +45,19 @@ class _Outcome:
     error: Exception | None = None
 
     @property
+    def name(self) -> str:
+        """Return the source as messages show it."""
+        return plain(display_name(self.job.source))
+
+    @property
     def message(self) -> str:
         assert self.error is not None
         text = line_of(self.error, advice="--threads 1")
-        name = plain(self.job.source)
-        return text if name in text else f"{name}: {text}"
+        return text if self.name in text else f"{self.name}: {text}"
 
     def to_dict(self, word: str) -> dict[str, Any]:
         """Return its fields for --json."""
-        named = {"source": self.job.source, "target": self.job.target}
+        named = {"source": display_name(self.job.source), "target": self.job.target}
         if self.error is not None:
             return named | {"status": "failed", "error": self.message}
         if self.done is None:
@@ -76,13 +80,12 @@ def plan(sources: Sequence[str], directory: str, ending: str) -> list[Job]:
     for source in sources:
         if source == STREAM:
             raise click.UsageError("found - and --to, expected names: targets are called by them")
-        path = urlsplit(source).path if "://" in source else source
-        job = Job(source, os.path.join(directory, Path(path).stem + ending))
+        job = Job(source, os.path.join(directory, Path(path_in_url(source)).stem + ending))
         other = jobs.setdefault(os.path.basename(str(job.target)).casefold(), job)
         if other is not job:
             raise click.UsageError(
-                f"found {other.source} and {source}, which would both be {job.target}; expected"
-                " names that differ"
+                f"found {display_name(other.source)} and {display_name(source)}, which would both"
+                f" be {job.target}; expected names that differ"
             )
     return list(jobs.values())
 
@@ -160,7 +163,7 @@ def _tell(outcome: _Outcome, bar: Bar, *, quiet: bool) -> None:
     if outcome.error is not None:
         print_error(outcome.message)
     elif not quiet:
-        bar.echo(f"{plain(outcome.job.source)}: there is {plain(outcome.job.target)}, skipped"
+        bar.echo(f"{outcome.name}: there is {plain(outcome.job.target)}, skipped"
                  if outcome.done is None else outcome.done.line)  # fmt: skip
 
 

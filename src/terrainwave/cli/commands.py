@@ -2,6 +2,7 @@
 
 import json
 import math
+import shlex
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
@@ -63,6 +64,7 @@ from terrainwave.cli.output import (
     reading,
 )
 from terrainwave.cli.streams import STREAM, printing_beside, written
+from terrainwave.container.addresses import display_name
 from terrainwave.names import (
     DEFAULT_METHOD,
     EFFORTS,
@@ -422,14 +424,8 @@ def _print_result(result: Any) -> None:
 @click.option(
     "--original",
     type=Input(),
-    help="The raster that FILE was made of, with all earlier patches: keeps the bound where NEW is"
-    " not, too.",
-)
-@click.option(
-    "--loosen-bound",
-    is_flag=True,
-    help="Without --original: let heights beyond NEW move, and raise the bound of the whole FILE by"
-    " the largest move. By default such a patch is refused.",
+    help="The raster that FILE was made of, with all earlier patches. Heights beyond NEW are then"
+    " coded towards it; without it they stay as they are in FILE.",
 )
 @click.option("--temp-dir", type=click.Path(), help="Where large temporary data go.")
 @click.option("--threads", type=THREADS, help="Threads; by default all processors that it may use.")
@@ -453,11 +449,6 @@ def patch(file: str, new: str, quiet: bool, as_json: bool, **options: Any) -> No
             f"max error guaranteed {result.effective_error:.6g}, measured"
             f" {result.measured_error:.6g}{_unit(result.units)}, of the whole file"
         )
-        if result.moved_error:
-            print_note(
-                f"heights beyond the new raster have moved by up to {result.moved_error:.6g}, which"
-                " is added to the file's bound; --original keeps it"
-            )
         _note_unit(result.units)
 
 
@@ -1034,8 +1025,12 @@ def _verify_all(
         if report.errors is not None:
             found += f", {count_of(report.errors.n_valid, 'height')} compared"
             if not report.errors.n_valid:
-                print_note(f"{job.source}: no height was compared: none is valid in both")
-        return Done(f"{plain(job.source)}: {found}", report.to_dict(), is_good=report.ok)
+                print_note(
+                    f"{display_name(job.source)}: no height was compared: none is valid in both"
+                )
+        return Done(
+            f"{plain(display_name(job.source))}: {found}", report.to_dict(), is_good=report.ok
+        )
 
     announce_compiling(quiet=quiet)
     found, status = run(
@@ -1111,11 +1106,28 @@ class Tasks(click.ParamType):
     show_default=True,
     help="What to compile for; compress always is.",
 )
+@click.option(
+    "--to",
+    "folder",
+    type=Directory(),
+    help="Keep the kernels in this folder; NUMBA_CACHE_DIR names it to later runs.",
+)
 @click.option("--quiet", "-q", is_flag=True, help="Print nothing but errors and notes.")
-def warmup(tasks: tuple[str, ...], quiet: bool) -> None:
-    """Compile all kernels now, so that no later run has to (for container images)."""
-    from terrainwave.cli.warmup import compile_kernels
+def warmup(tasks: tuple[str, ...], folder: str | None, quiet: bool) -> None:
+    """Compile all kernels now, so that no later run has to (for container images).
 
+    Kernels are kept beside the package, or in the folder that NUMBA_CACHE_DIR names. Where that
+    cannot be written, they are kept in a folder of your own, and the command says which.
+    """
+    from terrainwave.cli.warmup import compile_kernels, keep_kernels_in
+
+    if folder is not None:
+        path = Path(folder).absolute()
+        n_kernels = keep_kernels_in(path, tasks, quiet=quiet)
+        if not quiet:
+            click.echo(f"{n_kernels} kernels are in {plain(path)}; where terrainwave runs, set")
+            click.echo(f"NUMBA_CACHE_DIR={plain(shlex.quote(str(path)))}")
+        return
     announce_compiling(quiet=quiet)
     for left_out in compile_kernels(tasks):
         print_note(f"left out: {left_out}")

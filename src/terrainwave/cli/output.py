@@ -54,6 +54,8 @@ def print_note(message: object) -> None:
 @contextmanager
 def reading(path: str) -> Iterator[None]:
     """Name the file in the message of whatever is wrong with it, and say so if it is no .twz."""
+    from terrainwave.container.addresses import display_name
+
     try:
         yield
     except CorruptStreamError as error:
@@ -65,7 +67,7 @@ def reading(path: str) -> Iterator[None]:
                     f"{path}: found {kind}, expected a .twz file; terrainwave compress makes one"
                     " of a raster"
                 ) from error
-        raise type(error)(f"{path}: {error}") from error
+        raise type(error)(f"{display_name(path)}: {error}") from error
 
 
 @contextmanager
@@ -300,12 +302,18 @@ def announce_compiling(*, quiet: bool = False) -> None:
 @functools.cache
 def _announce_once() -> None:
     from terrainwave.coding.jit import on_first_compilation
+    from terrainwave.coding.kernel_places import Place
 
-    on_first_compilation(
-        lambda: click.echo(
-            "compiling kernels for this machine, once: this takes some seconds", err=True
-        )
-    )
+    def tell(place: Place) -> None:
+        if place.kept_in is None:  # a note says why
+            words = "compiling kernels, for this run alone: this takes some seconds"
+        else:
+            words = "compiling kernels for this machine, once: this takes some seconds"
+        if place.instead_of:
+            words += f"; they are kept in {place.kept_in}, as {place.instead_of} cannot be written"
+        click.echo(plain(words), err=True)
+
+    on_first_compilation(tell)
 
 
 def print_table(rows: list[tuple[str, object]]) -> None:

@@ -1,15 +1,21 @@
 """What `terrainwave warmup` does: run each kind of work once, so that its kernels are compiled."""
 
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
 import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import click
 import numpy as np
 from numpy.typing import NDArray
 
 import terrainwave
 from terrainwave.container.publish import system_scratch
-from terrainwave.errors import TerrainwaveError, TerrainwaveWarning
+from terrainwave.errors import StorageError, TerrainwaveError, TerrainwaveWarning
 from terrainwave.names import (
     DEFAULT_METHOD,
     EFFORTS,
@@ -34,10 +40,19 @@ def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
     ----------
     tasks : sequence of str
         Of `TASKS`. Each needs files, so that what ``compress`` needs is always compiled.
+
+    Raises
+    ------
+    StorageError
+        Kernels are not kept, all or some: found out before they are compiled, if it can be.
     """
     # Imported here: numba.
-    from terrainwave.coding.jit import all_compiled
+    from terrainwave.coding.jit import all_compiled, place_of_kernels
+    from terrainwave.coding.kernel_places import kept
 
+    place = place_of_kernels()
+    if place.kept_in is None:
+        raise StorageError(f"no kernel was kept: {place.reason}")
     left_out = []
     with system_scratch() as folder, warnings.catch_warnings(), all_compiled():
         warnings.simplefilter("ignore", TerrainwaveWarning)
@@ -47,7 +62,46 @@ def compile_kernels(tasks: Sequence[str] = ()) -> list[str]:
                 TASKS[task](folder)
             except TerrainwaveError as error:  # a package or a driver that is not installed
                 left_out.append(f"{task}: {error}")
+    n_kept, n_lost, reason = kept()
+    if n_lost:
+        raise StorageError(
+            f"{n_lost} of {n_kept + n_lost} kernels that were compiled are not kept: {reason}"
+        )
     return left_out
+
+
+def keep_kernels_in(path: Path, tasks: Sequence[str], *, quiet: bool) -> int:
+    """Compile kernels into a folder, in a process that takes no others; return how many it holds.
+
+    Raises
+    ------
+    StorageError
+        The folder cannot be written, or not all kernels are kept.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        for folder in (path, *filter(Path.is_dir, path.iterdir())):  # it may hold some already
+            tempfile.TemporaryFile(dir=folder).close()
+    except OSError as error:
+        raise StorageError(
+            f"{path}: no kernel was kept ({error.strerror or error}); expected a folder that you"
+            " can write"
+        ) from error
+    command = [sys.executable, "-m", "terrainwave", "warmup", "--for", ",".join(tasks)]
+    package = str(Path(terrainwave.__file__).parents[1])
+    settings = os.environ | {
+        "NUMBA_CACHE_DIR": str(path),
+        "PYTHONPATH": os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH")))),
+    }
+    settings.pop("NUMBA_CACHE_LOCATOR_CLASSES", None)
+    status = subprocess.run(command + ["--quiet"] * quiet, env=settings).returncode
+    if status < 0:
+        raise StorageError(
+            f"{path}: no more kernels are kept: signal {-status} ended their process"
+        )
+    if status:  # it has said why
+        raise click.exceptions.Exit(status)
+    return sum(1 for _ in path.rglob("*.nbc"))
 
 
 def _hills(dtype: str, step: int = 1) -> NDArray[np.generic]:
@@ -108,7 +162,9 @@ def _compress(folder: Path) -> None:
 def _files(folder: Path) -> list[Path]:
     """Return the files of whole rasters, without meshes of their own."""
     return sorted(
-        path for path in folder.glob("*.twz") if not path.stem.startswith(("mesh", "row"))
+        path
+        for path in folder.glob("*.twz")
+        if not path.stem.startswith(("mesh", "row", "patched"))
     )
 
 
@@ -133,6 +189,21 @@ def _verify(folder: Path) -> None:
         stem, _, method = path.stem.rpartition("-")
         if method == DEFAULT_METHOD.name:
             terrainwave.verify(path, folder / f"{stem}.tif", mesh=True)
+
+
+def _patch(folder: Path) -> None:
+    """Patch a part of a lossy file of each method that can be, and read the result."""
+    stem = "int16-void"
+    heights = _hills("int16", 2)
+    upside_down = heights.max() + heights.min() - heights[:60, :70]
+    new = _write(folder / "patched-void.tif", upside_down.astype(np.int16))
+    for method in METHODS.values():
+        if method.is_patchable:
+            path = folder / f"patched-{method.name}.twz"
+            shutil.copyfile(folder / f"{stem}-{method.name}.twz", path)
+            terrainwave.patch(path, new)
+            with terrainwave.open(path) as terrain:
+                terrain.read()
 
 
 def _mesh(folder: Path) -> None:
@@ -185,6 +256,7 @@ TASKS: dict[str, Callable[[Path], None]] = {
     "compress": lambda folder: None,
     "read": _read,
     "verify": _verify,
+    "patch": _patch,
     "mesh": _mesh,
     "render": _render,
 }

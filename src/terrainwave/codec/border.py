@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.refiner import GroupSpec
+from terrainwave.codec.correctioncoder import correct, corrected
+from terrainwave.codec.refiner import FREE, NO_CORRECTIONS, Corrections, GroupSpec, Mask
 from terrainwave.codec.zerotree import BIN_OF_SUM, N_BINS, SUM_LIMIT
 from terrainwave.coding.filters import MAX_HEIGHT, extend_line, synthesise_line
 from terrainwave.coding.jit import kernel, rare_kernel
@@ -35,6 +36,7 @@ _EVEN, _ODD, _ROOT = 0, 1, 2
 _ALONE = 16
 
 _SYNTHESIS_BITS = 14
+_LIMITS = -MAX_HEIGHT, MAX_HEIGHT
 
 
 class Line(NamedTuple):
@@ -94,6 +96,22 @@ def plan_border(spec: GroupSpec) -> Plan:
     return Plan(list(corners), list(lines))
 
 
+def shared_samples(spec: GroupSpec) -> Mask:
+    """Return which samples of a unit's region are shared: those that neighbours code as well."""
+    shared = np.zeros(spec.region.shape, dtype=np.bool_)
+    reach = spec.rings >> 1
+    core, sides = spec.core.slices_in(spec.region), spec.shared
+    for at, lines, is_first, is_last in (
+        (core[0], shared, sides.top, sides.bottom),
+        (core[1], shared.T, sides.left, sides.right),
+    ):
+        if is_first:
+            lines[max(at.start - reach, 0) : at.start + reach + 1] = True
+        if is_last:
+            lines[max(at.stop - 1 - reach, 0) : at.stop + reach] = True
+    return shared
+
+
 def code_border(
     spec: GroupSpec,
     parent: NDArray[np.int32] | None,
@@ -104,6 +122,7 @@ def code_border(
     is_known: NDArray[np.bool_],
     *,
     is_nested: bool,
+    corrections: Corrections = NO_CORRECTIONS,
 ) -> None:
     """Encode the shared samples of `target`, or decode them where it is None.
 
@@ -119,7 +138,10 @@ def code_border(
         goal = None if target is None else int(target[row, col])
         prediction, is_inherited = above.predict_corner(row, col)
         is_coded = bool(mask[row, col]) and not is_inherited
-        heights[row, col] = _code_corner(goal, prediction, is_coded, spec.step, coder)
+        height = _code_corner(goal, prediction, is_coded, spec.step, coder)
+        if not is_inherited:
+            height = put_back(height, spec, corrections, row * spec.region.n_cols + col)
+        heights[row, col] = height
         is_known[row, col] = True
     for line in plan.lines:
         if line.first >= line.stop:
@@ -133,11 +155,25 @@ def code_border(
         predicted, is_inherited = above.predict_line(line)
         if is_inherited:
             coded[::2] = False
-        _code_line(goals, predicted, coded, spec.step, line.first, line.stop, coder, decoded)
+        kept, added = (part[index].copy() if part.size else part.ravel() for part in corrections)
+        if is_inherited and added.size:
+            kept[::2] = FREE
+        _code_line(
+            goals, predicted, coded, spec.step, line.first, line.stop, coder, decoded, kept, added,
+            (np.int64(spec.z_min), np.int64(spec.z_max)),
+        )  # fmt: skip
+        if kept.size:
+            corrections.added[index] = added
         inner = slice(line.start + line.first, line.start + line.stop)
         index = (inner, line.place) if line.is_column else (line.place, inner)
         heights[index] = decoded[line.first : line.stop]
         is_known[index] = True
+
+
+def put_back(height: int, spec: GroupSpec, corrections: Corrections, place: int) -> int:
+    """Return a height outside of lattices, corrected; `place` counts the region's samples."""
+    kept, added = corrections.kept.reshape(-1), corrections.added.reshape(-1)
+    return int(correct(height, kept, added, place, _LIMITS, (spec.z_min, spec.z_max)))
 
 
 class _Parent:
@@ -240,11 +276,14 @@ def _code_corner(goal, prediction, is_coded, step, coder):
 
 
 @kernel
-def _code_line(goals, predicted, mask, step, first, stop, coder, decoded):
+def _code_line(
+    goals, predicted, mask, step, first, stop, coder, decoded, kept, added, shown
+):  # fmt: skip
     """Encode samples `first` to `stop` - 1 of a line, or decode where `goals` is None.
 
-    Fills `decoded` (int64). Even samples first, then odd ones, each corrected by what its
-    neighbours' errors of prediction turned out to be.
+    Fills `decoded` (int64). Even samples first, then odd ones, each predicted with what its
+    neighbours' errors of prediction turned out to be. `kept` and `added` are `Corrections` of the
+    line, or empty.
     """
     n = decoded.shape[0]
     for phase in range(2):
@@ -267,7 +306,8 @@ def _code_line(goals, predicted, mask, step, first, stop, coder, decoded):
                 if goals is not None:
                     index = _quantum_index(goals[i] - prediction, step)
                 index = _code_index(index, phase, sums, coder)
-            decoded[i] = _rebuild(prediction, index, step)
+            height = _rebuild(prediction, index, step)
+            decoded[i] = corrected(height, kept, added, i, _LIMITS, shown)
             before_last = last
             last = min(abs(int(index)), 255)
 

@@ -1,8 +1,8 @@
 """Code one unit: its mask, its heights by a refiner, its exceptions (FORMAT.md §5).
 
-Payload: one byte of flags, then the sections of mask, exceptions, remainders and own samples where
-the flags say so (each a varint length and its bytes), then the refiner's bytes to the end. An empty
-payload is a unit without a valid sample.
+Payload: one byte of flags, then the sections of mask, exceptions, remainders, own samples and
+corrections where the flags say so (each a varint length and its bytes), then the refiner's bytes to
+the end. An empty payload is a unit without a valid sample.
 """
 
 from collections.abc import Callable
@@ -11,9 +11,21 @@ from typing import NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec.correctioncoder import decode_corrections, encode_corrections
 from terrainwave.codec.maskcoder import decode_mask, encode_mask
 from terrainwave.codec.ownmask import Above, Sections, Validity, decode_validity, encode_validity
-from terrainwave.codec.refiner import Decoded, DirectRefiner, GroupSpec, Heights, Mask, Refiner
+from terrainwave.codec.refiner import (
+    FREE,
+    NO_CORRECTIONS,
+    CorrectingRefiner,
+    Corrections,
+    Decoded,
+    DirectRefiner,
+    GroupSpec,
+    Heights,
+    Mask,
+    Refiner,
+)
 from terrainwave.codec.remaindercoder import decode_remainders, encode_remainders
 from terrainwave.codec.spare import new_heights
 from terrainwave.codec.varint import decode_varint, encode_varint
@@ -24,6 +36,7 @@ from terrainwave.grid.remainders import Remainders
 
 MASK_ALL_VALID, MASK_CODED = 0, 1
 _HAS_EXCEPTIONS, _HAS_REMAINDERS, _HAS_OWN = 0b10, 0b100, 0b1000
+HAS_CORRECTIONS = 0b10000
 _BOTH_BYTES = np.uint16(0x0101)
 
 
@@ -35,6 +48,7 @@ def encode_unit(
     mask: Mask,
     remainders: Callable[[Heights], Remainders] | None = None,
     own: Mask | None = None,
+    kept: Heights | None = None,
 ) -> tuple[bytes, Decoded]:
     """Return the payload of a unit and what `decode_unit` makes of it.
 
@@ -49,6 +63,9 @@ def encode_unit(
     own : ndarray of bool, optional
         With ``spec.has_fills`` only: which samples are valid by themselves; all valid ones by
         default, as on the finest level.
+    kept : ndarray of int32, optional
+        With ``spec.has_corrections`` only: heights that must come back as they are, `FREE` where
+        any height within the bound of `target` will do.
     """
     flags, sections = MASK_ALL_VALID, b""
     is_apart = own is not None and not np.array_equal(own, mask)
@@ -64,7 +81,14 @@ def encode_unit(
     else:
         own_section = b""
     parent_heights = None if parent is None else parent.heights
-    body, heights, labels = refiner.encode(spec, parent_heights, target, mask)
+    corrections = NO_CORRECTIONS
+    if kept is None:
+        body, heights, labels = refiner.encode(spec, parent_heights, target, mask)
+    else:
+        target = np.where(kept == FREE, target, kept)
+        corrections = Corrections(np.ascontiguousarray(kept), np.zeros_like(kept))
+        correcting = cast(CorrectingRefiner, refiner)
+        body, heights, labels = correcting.encode(spec, parent_heights, target, mask, corrections)
     if _as_direct(refiner) is None:
         np.clip(heights, spec.z_min, spec.z_max, out=heights)
     collides = None if spec.forbidden[0] > spec.forbidden[1] else _collisions(spec, heights, mask)
@@ -87,6 +111,10 @@ def encode_unit(
     if own_section:
         flags |= _HAS_OWN
         sections += encode_varint(len(own_section)) + own_section
+    coded_corrections = encode_corrections(corrections.added, spec)
+    if coded_corrections:
+        flags |= HAS_CORRECTIONS
+        sections += encode_varint(len(coded_corrections)) + coded_corrections
     return bytes([flags]) + sections + body, decoded
 
 
@@ -111,13 +139,20 @@ def decode_unit(
     if head.remainders:
         remainders = decode_remainders(head.remainders, spec.region.shape, spec.remainder_bytes)
     parent_heights = None if parent is None else parent.heights
-    direct = _as_direct(refiner)
+    direct, body = _as_direct(refiner), payload[head.n_bytes :]
+    corrections = NO_CORRECTIONS
+    if head.corrections:
+        corrections = decode_corrections(head.corrections, spec)
     if direct is not None:
         heights = new_heights(spec.region.shape)
         labels = None
-        direct.decode_into(spec, parent_heights, mask, payload[head.n_bytes :], heights)
+        direct.decode_into(spec, parent_heights, mask, body, heights, corrections)
     else:
-        heights, labels = refiner.decode(spec, parent_heights, mask, payload[head.n_bytes :])
+        if head.corrections:
+            correcting = cast(CorrectingRefiner, refiner)
+            heights, labels = correcting.decode(spec, parent_heights, mask, body, corrections)
+        else:
+            heights, labels = refiner.decode(spec, parent_heights, mask, body)
         np.clip(heights, spec.z_min, spec.z_max, out=heights)
     if spec.forbidden[0] > spec.forbidden[1]:
         _decode_exceptions(head.exceptions, 0)  # raises if there are some
@@ -134,6 +169,7 @@ class Head(NamedTuple):
     valid: Validity
     exceptions: bytes
     remainders: bytes
+    corrections: bytes
     n_bytes: int
 
 
@@ -151,18 +187,26 @@ def read_head(spec: GroupSpec, parent: Decoded | None, payload: bytes) -> Head:
     known = MASK_CODED | _HAS_EXCEPTIONS | (_HAS_REMAINDERS if spec.remainder_bytes else 0)
     if spec.has_fills and not spec.is_finest:
         known |= _HAS_OWN
+    if spec.has_corrections:
+        known |= HAS_CORRECTIONS
     if flags & ~known:
         raise CorruptStreamError(f"a unit's flags are {flags:#04x}; reserved bits must be 0")
     byte_pos = 1
     sections = {}
-    for flag in (MASK_CODED, _HAS_EXCEPTIONS, _HAS_REMAINDERS, _HAS_OWN):
+    for flag in (MASK_CODED, _HAS_EXCEPTIONS, _HAS_REMAINDERS, _HAS_OWN, HAS_CORRECTIONS):
         sections[flag] = b""
         if flags & flag:
             sections[flag], byte_pos = _read_section(payload, byte_pos)
     valid = _decode_valid(spec, parent, Sections(sections[MASK_CODED], sections[_HAS_OWN]))
     if not is_whole(valid.mask) and not valid.mask.any():
         raise CorruptStreamError("a unit without a valid sample has a payload")
-    return Head(valid, sections[_HAS_EXCEPTIONS], sections[_HAS_REMAINDERS], byte_pos)
+    return Head(
+        valid,
+        sections[_HAS_EXCEPTIONS],
+        sections[_HAS_REMAINDERS],
+        sections[HAS_CORRECTIONS],
+        byte_pos,
+    )
 
 
 def _encode_valid(spec: GroupSpec, parent: Decoded | None, valid: Validity) -> Sections:

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec.correctioncoder import corrected
 from terrainwave.codec.detail import (
     E_BITS,
     E_OFFSET,
@@ -28,6 +29,7 @@ from terrainwave.codec.detail import (
     step_scale,
 )
 from terrainwave.codec.lattice import PAD, WEIGHT_BITS
+from terrainwave.codec.refiner import FREE
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.filters import MAX_HEIGHT
 from terrainwave.coding.jit import kernel
@@ -231,7 +233,7 @@ def _update_activity(errors, before, n_cols, after):
 @kernel
 def code_pass(
     target, kinds, planes, errors, activity, bends, own, geometry, weights, e_weights, clamp,
-    step, z_min, z_max, rows, limits, coder, mixers,
+    step, z_min, z_max, rows, limits, coder, mixers, kept, added,
 ):  # fmt: skip
     """Encode a plane of `target`, or decode it where that is None, into ``planes[own]``.
 
@@ -239,12 +241,13 @@ def code_pass(
     are in place. Fills ``errors[own]`` and ``activity[own]`` as well, whose padding must be 0.
     `rows` may be int32 where `fits_narrow` says so, for the same result in half the time. `limits`
     are `detail.cell_limits`, or None where each decision has one model only. `coder` and `mixers`
-    adapt.
+    adapt. `kept` and `added` are `Corrections` of the plane, flat, or empty.
     """
     goal, kinds, planes, errors = borrowed((target, kinds, planes, errors))
     activity, bends, geometry, rows = borrowed((activity, bends, geometry, rows))
     weights, e_weights, lent_limits = borrowed((weights, e_weights, limits))
     coder, mixers = borrowed((coder, mixers))
+    kept, added = borrowed((kept, added))
     n_rows, n_cols = kinds.shape
     plane, own_errors = planes[own], errors[own]
     taps, core = geometry.taps, geometry.core
@@ -259,6 +262,8 @@ def code_pass(
     w_west = np.int64(weights[0])
     w_e_west, w_e_west2 = e_weights[F_W], e_weights[F_WW]
     w_median, w_middle, w_mean = e_weights[F_MEDIAN], e_weights[F_MIDDLE], e_weights[F_MEAN]
+    has_corrections = added.shape[0] > 0
+    z_range = np.int64(z_min), np.int64(z_max)
     p_low, p_high = np.int64(z_min) << P_BITS, np.int64(z_max) << P_BITS
     # What follows from a prediction's distance to the nearest integer, at most 32.
     n_fractions = (1 << (P_BITS - 1)) + 1
@@ -312,7 +317,10 @@ def code_pass(
                     error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
                 else:
                     west = whole
-                    samples[j] = whole
+                    if has_corrections:
+                        place = row * n_cols + j
+                        west = corrected(whole, kept, added, place, z_range, z_range)
+                    samples[j] = west
                 sample_errors[j] = error
                 error_west2, error_west = error_west, error
                 continue
@@ -421,6 +429,10 @@ def code_pass(
                 west = min(max(whole + detail * step, z_min), z_max)
                 distance = abs((west << P_BITS) - value)
                 error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
+            if has_corrections:
+                west = corrected(west, kept, added, row * n_cols + j, z_range, z_range)
+                distance = abs((west << P_BITS) - value)
+                error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
             samples[j] = west
             sample_errors[j] = error
             error_west2, error_west = error_west, error
@@ -479,6 +491,37 @@ def open_loop_cost(target, kinds, planes, own, geometry, weights, step, every, r
             magnitudes += min((error + 128) >> 8, 1 << 20)
             n_seen += 1
     return total, (magnitudes << 8) // max(n_seen, 1), n_seen
+
+
+@kernel
+def n_reached(goal, kinds, kept, planes, own, geometry, weights, clamp, step, z_min, z_max, rows):
+    """Return how many heights that must stay a stencil reaches by whole steps.
+
+    ``planes[own]`` holds `goal`; `kept` is that of `Corrections`, flat.
+    """
+    n_rows, n_cols = goal.shape
+    plane = planes[own]
+    acc, lowest, lower = rows[_ACC], rows[_LOWEST], rows[_LOWER]
+    upper, highest = rows[_UPPER], rows[_HIGHEST]
+    w_west = np.int64(weights[0])
+    p_low, p_high = np.int64(z_min) << P_BITS, np.int64(z_max) << P_BITS
+    n = np.int64(0)
+    for row in range(n_rows):
+        _add_taps(acc, planes, geometry.taps, weights, row, n_cols)
+        _sort_core(planes, geometry.core, row, n_cols, lowest, lower, upper, highest)
+        here = plane[row + PAD]
+        for j in range(n_cols):
+            if kinds[row, j] != CODED or kept[row * n_cols + j] == FREE:
+                continue
+            value = np.int64(acc[j]) + w_west * here[j + PAD - 1]
+            value >>= WEIGHT_BITS - P_BITS
+            if clamp:
+                value = max(value, np.int64(lowest[j]) << P_BITS)
+                value = min(value, np.int64(highest[j]) << P_BITS)
+            value = min(max(value, p_low), p_high)
+            whole = (value + (1 << (P_BITS - 1))) >> P_BITS
+            n += np.int64((np.int64(goal[row, j]) - whole) % step == 0)
+    return n
 
 
 def fill_noisy(target: NDArray[np.int32], plane: NDArray[np.int32], step: int) -> None:

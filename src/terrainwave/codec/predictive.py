@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec import tables
-from terrainwave.codec.border import N_BORDER_MODELS, code_border, code_root_sample
+from terrainwave.codec.border import N_BORDER_MODELS, code_border, code_root_sample, put_back
 from terrainwave.codec.detail import N_DETAIL_MODELS, N_MIXERS, cell_limits
 from terrainwave.codec.fitting import features_of, fit_features, fit_tables, windows_of
 from terrainwave.codec.lattice import (
@@ -39,6 +39,7 @@ from terrainwave.codec.nested import (
     code_pass,
     fill_noisy,
     fits_narrow,
+    n_reached,
     open_loop_cost,
 )
 from terrainwave.codec.parameters import (
@@ -49,7 +50,15 @@ from terrainwave.codec.parameters import (
     pack_parameters,
     parse_parameters,
 )
-from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask, Sides
+from terrainwave.codec.refiner import (
+    NO_CORRECTIONS,
+    Corrections,
+    GroupSpec,
+    Heights,
+    Labels,
+    Mask,
+    Sides,
+)
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     OUT_POS,
@@ -193,19 +202,29 @@ class Predictive:
         return Predictive(pack_parameters(added._replace(e_weights=e_weights)))
 
     def encode(
-        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        target: Heights,
+        mask: Mask,
+        corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and the heights `decode` makes of it."""
         flags = _CLAMP | (_MIXED if spec.effort else 0)
         out = np.empty(6 * target.size + 1024, dtype=np.uint8)
         coder = new_encoder(out, tables.start_models(N_DETAIL_MODELS))
         unit = _new_unit(coder, flags, self._tables)
-        heights, trees = _code_unit(spec, parent, target, mask, unit)
+        heights, trees = _code_unit(spec, parent, target, mask, unit, corrections)
         n_bytes = finish_encoder(coder.state, out)
         return bytes([flags]) + out[:n_bytes].tobytes(), heights, trees
 
     def decode(
-        self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        mask: Mask,
+        payload: bytes,
+        corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Labels | None]:
         """Rebuild the heights of ``spec.region``.
 
@@ -220,7 +239,7 @@ class Predictive:
             raise CorruptStreamError(f"payload flags {payload[0]:#x} are not defined")
         coder = new_decoder(payload[1:], tables.start_models(N_DETAIL_MODELS))
         unit = _new_unit(coder, payload[0], self._tables)
-        heights, trees = _code_unit(spec, parent, None, mask, unit)
+        heights, trees = _code_unit(spec, parent, None, mask, unit, corrections)
         raise_for_status(*finish_decoder(coder.state, coder.stream))
         return heights, trees
 
@@ -285,7 +304,12 @@ def _new_unit(coder: Coder, flags: int, all_sets: Tables, seen: _Seen | None = N
 
 
 def _code_unit(
-    spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask, unit: _Unit
+    spec: GroupSpec,
+    parent: Heights | None,
+    target: Heights | None,
+    mask: Mask,
+    unit: _Unit,
+    corrections: Corrections,
 ) -> tuple[Heights, Labels | None]:
     """Encode `target`, or decode where it is None.
 
@@ -294,7 +318,10 @@ def _code_unit(
     heights = np.zeros(spec.region.shape, dtype=np.int32)
     is_known = np.zeros(spec.region.shape, dtype=np.bool_)
     core = spec.core.slices_in(spec.region)
-    code_border(spec, parent, target, mask, unit.border, heights, is_known, is_nested=True)
+    code_border(
+        spec, parent, target, mask, unit.border, heights, is_known, is_nested=True,
+        corrections=corrections,
+    )  # fmt: skip
     inner = np.ascontiguousarray(heights[core])
     kinds = mask[core].astype(np.uint8)  # CODED or VOID
     if any(spec.shared):
@@ -305,13 +332,14 @@ def _code_unit(
         stride = 1
         while stride < max(inner.shape) - 1:
             stride *= 2
-        _code_corners(inner, kinds, goal, stride, spec.step, unit.border)
+        _code_corners(inner, kinds, goal, stride, spec, unit.border, corrections)
         while stride > 1:
             stride >>= 1
             at = slice(None, None, stride)
             part = np.ascontiguousarray(inner[at, at])
             goal_part = None if goal is None else goal[at, at]
-            _code_lattice(part, np.ascontiguousarray(kinds[at, at]), goal_part, spec, unit)
+            changes = _part(corrections, (at, at))
+            _code_lattice(part, np.ascontiguousarray(kinds[at, at]), goal_part, spec, unit, changes)
             inner[at, at] = part
     else:
         assert spec.parent_region is not None
@@ -319,7 +347,7 @@ def _code_unit(
         col = (spec.core.col >> 1) - spec.parent_region.col
         n_rows, n_cols = plane_sizes(inner.shape)[A]
         inner[::2, ::2] = parent[row : row + n_rows, col : col + n_cols]
-        errors = _code_lattice(inner, kinds, goal, spec, unit)
+        errors = _code_lattice(inner, kinds, goal, spec, unit, _part(corrections, core))
         if spec.wants_labels:
             trees = np.empty((n_rows, n_cols), dtype=np.uint8)
             mark_significant(errors, *inner.shape, trees)
@@ -334,15 +362,18 @@ def _code_corners(
     kinds: NDArray[np.uint8],
     goal: Heights | None,
     stride: int,
-    step: int,
+    spec: GroupSpec,
     coder: Coder,
+    corrections: Corrections,
 ) -> None:
     """Code the samples no pass reaches, those on multiples of `stride`, on the fixed grid."""
     for row in range(0, inner.shape[0], stride):
         for col in range(0, inner.shape[1], stride):
             if kinds[row, col] != KNOWN:
                 height = None if goal is None else int(goal[row, col])
-                inner[row, col] = code_root_sample(height, kinds[row, col] == CODED, step, coder)
+                height = code_root_sample(height, kinds[row, col] == CODED, spec.step, coder)
+                place = row * inner.shape[1] + col
+                inner[row, col] = put_back(height, spec, corrections, place)
 
 
 def _code_lattice(
@@ -351,6 +382,7 @@ def _code_lattice(
     goal: Heights | None,
     spec: GroupSpec,
     unit: _Unit,
+    corrections: Corrections = NO_CORRECTIONS,
 ) -> NDArray[np.int32]:
     """Code the three passes of a lattice; `heights` holds the coarse and the known samples.
 
@@ -381,11 +413,13 @@ def _code_lattice(
         own_goal = None
         if goal is not None:
             own_goal = np.ascontiguousarray(goal[row_parity::2, col_parity::2])
+        own_part = slice(row_parity, None, 2), slice(col_parity, None, 2)
+        changes = Corrections(*map(np.ascontiguousarray, _part(corrections, own_part)))
         choice = Choice(0, _N_CLASSES - 1)
         has_header = shape[0] * shape[1] >= _MIN_CHOICE
         if has_header and own_goal is not None:
-            choices = _choose(own_goal, own_kinds, geometry, spec, scratch, unit)
-            _encode_smallest(own_goal, own_kinds, geometry, choices, spec, scratch, unit)
+            choices = _choose(own_goal, own_kinds, geometry, spec, scratch, unit, changes.kept)
+            _encode_smallest(own_goal, own_kinds, geometry, choices, spec, scratch, unit, changes)
         else:
             if has_header:
                 code = int(code_raw(unit.coder, _SET_BITS + 2, 0))
@@ -394,12 +428,19 @@ def _code_lattice(
                     unit.tables.e_weights[own]
                 ):
                     raise CorruptStreamError(f"stencil set and contexts {code} do not exist")
-            _run_pass(own_goal, own_kinds, geometry, choice, spec, scratch, unit)
+            _run_pass(own_goal, own_kinds, geometry, choice, spec, scratch, unit, changes)
+        if changes.kept.size:
+            corrections.added[own_part] = changes.added
         fill_frame(planes[own], row_parity, col_parity, *shape)
         fill_frame(errors[own], row_parity, col_parity, *shape)
         fill_frame(activity[own], row_parity, col_parity, *shape)
     merge(planes, heights)
     return errors
+
+
+def _part(corrections: Corrections, at: tuple[slice, slice]) -> Corrections:
+    """Return the part of corrections of some samples; views. None are none."""
+    return Corrections(*(part[at] if part.size else part for part in corrections))
 
 
 @kernel
@@ -433,6 +474,7 @@ def _run_pass(
     spec: GroupSpec,
     scratch: _Scratch,
     unit: _Unit,
+    corrections: Corrections,
 ) -> None:
     """Encode or decode one plane with the tables chosen."""
     own = geometry.plane
@@ -443,6 +485,7 @@ def _run_pass(
         goal, kinds, scratch.planes, scratch.errors, scratch.activity, scratch.bends, own, geometry,
         weights, e_weights, bool(unit.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
         scratch.rows.of(weights, e_weights), limits, unit.coder, unit.mixers,
+        corrections.kept.ravel(), corrections.added.ravel(),
     )  # fmt: skip
     if unit.seen is not None:
         unit.seen[own].append(
@@ -460,10 +503,13 @@ def _choose(
     spec: GroupSpec,
     scratch: _Scratch,
     unit: _Unit,
+    kept: Heights,
 ) -> list[Choice]:
     """Return the stencil sets and classes of contexts to try on a plane, the likeliest first.
 
-    Sets are ranked by their errors on some rows; the best few, if close, are worth trying.
+    Sets are ranked by their errors on some rows; the best few, if close, are worth trying. Where
+    heights must stay, the set that they were coded with is: by another one, each would take a
+    correction.
     """
     own, planes = geometry.plane, scratch.planes
     saved = planes[own].copy()
@@ -476,18 +522,50 @@ def _choose(
         )
         for weights in unit.tables.stencils[own]
     ]  # fmt: skip
+    coded_with = _set_of_kept(goal, kinds, kept, geometry, spec, scratch, unit)
     planes[own] = saved
     ranking = sorted(range(len(costs)), key=lambda k: costs[k][0])
     # Costs hold 64, log8(256), for each sample, whatever its error.
     base = 64 * costs[0][2]
     limit = base + (costs[ranking[0]][0] - base) * _CLOSE[spec.effort] // 100
     ranking = [k for k in ranking[: _N_TRIALS[spec.effort]] if costs[k][0] <= limit]
+    if coded_with is not None:
+        ranking = [coded_with]
     # A file's own weights take the place of the last class.
     last = len(unit.tables.e_weights[own]) - 1
     classes = {k: sum(costs[k][1] >= edge for edge in CLASS_LIMITS) for k in ranking}
     return [Choice(k, last if classes[k] == _N_CLASSES - 1 else classes[k]) for k in ranking] or [
         Choice(0, _N_CLASSES - 1)
     ]
+
+
+def _set_of_kept(
+    goal: Heights,
+    kinds: NDArray[np.uint8],
+    kept: Heights,
+    geometry: Pass,
+    spec: GroupSpec,
+    scratch: _Scratch,
+    unit: _Unit,
+) -> int | None:
+    """Return the stencil set that reaches most heights that must stay; None if it reaches none.
+
+    ``scratch.planes`` of the pass are overwritten.
+    """
+    if not kept.size:
+        return None
+    own, n_rows, n_cols = geometry.plane, *goal.shape
+    scratch.planes[own, PAD : PAD + n_rows, PAD : PAD + n_cols] = goal
+    reached = [
+        n_reached(
+            goal, kinds, kept.ravel(), scratch.planes, own, geometry, weights,
+            bool(unit.flags & _CLAMP), spec.step, spec.z_min, spec.z_max,
+            scratch.rows.of(weights, unit.tables.e_weights[own][0]),
+        )
+        for weights in unit.tables.stencils[own]
+    ]  # fmt: skip
+    most = int(np.argmax(reached))
+    return most if reached[most] else None
 
 
 def _encode_smallest(
@@ -498,6 +576,7 @@ def _encode_smallest(
     spec: GroupSpec,
     scratch: _Scratch,
     unit: _Unit,
+    corrections: Corrections,
 ) -> None:
     """Encode a plane and the choice it is coded with: the one of `choices` that takes least.
 
@@ -508,7 +587,7 @@ def _encode_smallest(
     first = max(int(unit.coder.state[OUT_POS]), 0)
     arrays = [
         unit.coder.state, unit.coder.models, unit.mixers, unit.coder.stream[first:],
-        scratch.planes[own], scratch.errors[own], scratch.activity[own],
+        scratch.planes[own], scratch.errors[own], scratch.activity[own], corrections.added,
     ]  # fmt: skip
     start = [array.copy() for array in arrays[:3]] if len(choices) > 1 else []
     known = scratch.planes[own].copy() if len(choices) > 1 else scratch.planes[own]
@@ -520,7 +599,7 @@ def _encode_smallest(
             scratch.planes[own] = known
         code = choice.stencil_set * 4 + choice.e_class
         code_raw(unit.coder, _SET_BITS + 2, code)
-        _run_pass(goal, kinds, geometry, choice, spec, scratch, unit)
+        _run_pass(goal, kinds, geometry, choice, spec, scratch, unit, corrections)
         n_bits = 8 * int(n_bytes_begun(unit.coder.state))
         n_bits -= int(unit.coder.state[RANGE]).bit_length()
         if n_bits <= smallest:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec.correctioncoder import correct
 from terrainwave.codec.rapid_border import plan_lines
 from terrainwave.codec.rapid_code import (
     BIT_POS,
@@ -35,7 +36,14 @@ from terrainwave.codec.rapid_layout import (
 )
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS, scale_of, scaled_features
 from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_parameters
-from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
+from terrainwave.codec.refiner import (
+    NO_CORRECTIONS,
+    Corrections,
+    GroupSpec,
+    Heights,
+    Labels,
+    Mask,
+)
 from terrainwave.codec.spare import Spares, new_heights
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.codec.whole import is_whole
@@ -53,6 +61,7 @@ _WIDE, _SINGLE = 1, 2
 # Units of fewer samples have one state instead of eight: 28 bytes less.
 _MANY_SAMPLES = 1 << 14
 _NONE_KNOWN = Known(0, 0, 0, 0)
+_SIDES_KNOWN = Known(3, 3, 3, 3)
 _NO_GOAL = np.zeros(1, dtype=np.int32)
 _NO_LOG = np.zeros(1, dtype=np.uint8)
 _NONE_SHARED = np.zeros((0, 5), dtype=np.int64), np.zeros((0, 9), dtype=np.int64)
@@ -117,6 +126,8 @@ class _Unit(NamedTuple):
     memory: _Memory
     workspace: Workspace
     streams: Streams
+    kept: NDArray[np.int32]
+    added: NDArray[np.int32]
 
 
 class Rapid:
@@ -159,7 +170,12 @@ class Rapid:
         return Rapid(pack_parameters(tables))
 
     def encode(
-        self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        target: Heights,
+        mask: Mask,
+        corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[bytes, Heights, Labels | None]:
         """Return the payload and the heights `decode` makes of it."""
         flags = self._flags(spec, parent, target, mask)
@@ -167,7 +183,9 @@ class Rapid:
         freqs = self._tables.packed_freqs(spec.step)
         with _MEMORY.lent() as memory:
             logs = memory.logs(target.size)
-            heights, streams = self._encode(spec, parent, target, mask, flags, freqs, memory, logs)
+            heights, streams = self._encode(
+                spec, parent, target, mask, flags, freqs, memory, logs, corrections=corrections
+            )
             n_symbols, n_bits = int(streams.places[COUNT]), int(streams.places[BIT_POS])
             words = logs.words[:n_symbols]
             n_words = encode_symbols(
@@ -185,18 +203,34 @@ class Rapid:
         return payload, heights, None
 
     def count(
-        self, spec: GroupSpec, target: Heights, mask: Mask, counts: NDArray[np.int64]
+        self,
+        spec: GroupSpec,
+        target: Heights,
+        mask: Mask,
+        counts: NDArray[np.int64],
+        *,
+        is_inner: bool = False,
     ) -> Heights:
-        """Count contexts and symbols of a root block; return its decoded heights.
+        """Count contexts and symbols of a part of a raster, a root block; return decoded heights.
 
-        As if no symbol had the frequency 0. `counts`, shape (2, N_CONTEXTS << SYMBOL_BITS), get
-        one more at ``context << SYMBOL_BITS | symbol``, in either row.
+        If it `is_inner`, three rows and columns at the sides of each lattice are taken as they are,
+        so that it does not seem to end there. As if no symbol had the frequency 0. `counts`, shape
+        (2, N_CONTEXTS << SYMBOL_BITS), get one more at ``context << SYMBOL_BITS | symbol``, in
+        either row.
         """
         flags = self._flags(spec, None, target, mask)
         with _MEMORY.lent() as memory:
             logs = memory.logs(target.size)
             heights, streams = self._encode(
-                spec, None, target, mask, flags, _ANY_SYMBOL, memory, logs
+                spec,
+                None,
+                target,
+                mask,
+                flags,
+                _ANY_SYMBOL,
+                memory,
+                logs,
+                _SIDES_KNOWN if is_inner else _NONE_KNOWN,
             )
             count_symbols(logs.contexts, logs.symbols, int(streams.places[COUNT]), counts)
             memory.put_back(logs, streams)
@@ -208,7 +242,8 @@ class Rapid:
 
     def _encode(
         self, spec: GroupSpec, parent: Heights | None, target: Heights, mask: Mask, flags: int,
-        freqs: NDArray[np.uint32], memory: _Memory, logs: _Logs,
+        freqs: NDArray[np.uint32], memory: _Memory, logs: _Logs, known: Known = _NONE_KNOWN,
+        corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Streams]:  # fmt: skip
         """Return decoded heights, and the logs of what is to be written."""
         streams = Streams(
@@ -226,11 +261,18 @@ class Rapid:
         )
         heights = new_heights(spec.region.shape)
         target = np.ascontiguousarray(target)
-        self._code(spec, parent, target, mask, flags, streams, heights, memory)
+        if known != _NONE_KNOWN:
+            heights[:] = target
+        self._code(spec, parent, target, mask, flags, streams, heights, memory, corrections, known)
         return heights, streams
 
     def decode(
-        self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        mask: Mask,
+        payload: bytes,
+        corrections: Corrections = NO_CORRECTIONS,
     ) -> tuple[Heights, Labels | None]:
         """Rebuild the heights of ``spec.region``.
 
@@ -240,11 +282,17 @@ class Rapid:
             If the payload contradicts format-rapid.md; `TruncatedStreamError` if it is too short.
         """
         heights = new_heights(spec.region.shape)
-        self.decode_into(spec, parent, mask, payload, heights)
+        self.decode_into(spec, parent, mask, payload, heights, corrections)
         return heights, None
 
     def decode_into(
-        self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes, out: Heights
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        mask: Mask,
+        payload: bytes,
+        out: Heights,
+        corrections: Corrections = NO_CORRECTIONS,
     ) -> None:
         """Rebuild the heights of ``spec.region`` in `out`; see `decode`."""
         if not payload:
@@ -254,7 +302,7 @@ class Rapid:
             raise CorruptStreamError(f"payload flags {flags:#x} are not defined")
         streams = self._read_streams(payload, flags, spec.step)
         with _MEMORY.lent() as memory:
-            self._code(spec, parent, None, mask, flags, streams, out, memory)
+            self._code(spec, parent, None, mask, flags, streams, out, memory, corrections)
         _check_end(streams)
 
     def _read_streams(self, payload: bytes, flags: int, step: int) -> Streams:
@@ -306,7 +354,8 @@ class Rapid:
 
     def _code(
         self, spec: GroupSpec, parent: Heights | None, target: Heights | None, mask: Mask,
-        flags: int, streams: Streams, out: Heights, memory: _Memory,
+        flags: int, streams: Streams, out: Heights, memory: _Memory, corrections: Corrections,
+        known: Known = _NONE_KNOWN,
     ) -> None:  # fmt: skip
         """Encode `target`, or decode where it is None; fill `out` with the region's heights."""
         is_wide = bool(flags & _WIDE)
@@ -330,9 +379,11 @@ class Rapid:
             memory=memory,
             workspace=memory.workspace(is_wide),
             streams=streams,
+            kept=corrections.kept.ravel(),
+            added=corrections.added.ravel(),
         )
         if parent is None:
-            self._code_root(unit)
+            self._code_root(unit, known)
         else:
             self._code_group(unit, parent)
         if spec.region != spec.core:
@@ -349,7 +400,7 @@ class Rapid:
         known = Known(*(rings if is_shared else 0 for is_shared in spec.shared))
         self._code_rows(unit, 1, source, coarse, known, plan_lines(spec, pitch))
 
-    def _code_root(self, unit: _Unit) -> None:
+    def _code_root(self, unit: _Unit, known: Known) -> None:
         """Code the corners on a fixed grid, then lattices of half the stride each."""
         n_rows, n_cols = unit.spec.core.shape
         stride = 1
@@ -362,7 +413,7 @@ class Rapid:
                 _code_corner(unit, first + row * pitch + col)
         if stride > 1:
             coarse = Grid2(first, 2 * pitch, 2)
-            self._code_rows(unit, stride >> 1, unit.out, coarse, _NONE_KNOWN, _NONE_SHARED)
+            self._code_rows(unit, stride >> 1, unit.out, coarse, known, _NONE_SHARED)
 
     def _weights_from(self, level: int, stride: int, scale: Scale) -> NDArray[np.int64]:
         """Return weights of lattices: each `stride`-th row of a level, half of that, … each row.
@@ -401,7 +452,7 @@ class Rapid:
             unit.is_encoding, unit.has_void, unit.goal, unit.valid, unit.out, source, *shared,
             Grid2(_first(spec), spec.region.shape[1], 1), coarse, spec.core.shape, stride,
             self._weights_from(spec.level, stride, unit.scale), known, unit.origin, unit.workspace,
-            unit.scale, unit.streams,
+            unit.scale, unit.streams, unit.kept, unit.added,
         )  # fmt: skip
 
 
@@ -413,7 +464,7 @@ def _code_corner(unit: _Unit, place: int) -> None:
     """
     scale, streams = unit.scale, unit.streams
     if unit.has_void and not unit.valid[place]:
-        unit.out[place] = ((scale.low + scale.high) >> 1) + unit.origin
+        _put(unit, place, (scale.low + scale.high) >> 1)
         return
     n_bits = ((scale.high - scale.low) // scale.step).bit_length()
     bit_pos = min(int(streams.places[BIT_POS]), streams.n_bits)
@@ -427,7 +478,14 @@ def _code_corner(unit: _Unit, place: int) -> None:
         index = both >> shift & ((1 << n_bits) - 1)
     streams.places[BIT_POS] += n_bits
     height = scale.low + index * scale.step + (scale.step >> 1)
-    unit.out[place] = min(height, scale.high) + unit.origin
+    _put(unit, place, min(height, scale.high))
+
+
+def _put(unit: _Unit, place: int, height: int) -> None:
+    """Take the height of a corner of a root block, less the origin, and correct it."""
+    height += unit.origin
+    limits = unit.scale.low + unit.origin, unit.scale.high + unit.origin
+    unit.out[place] = correct(height, unit.kept, unit.added, place, limits, limits)
 
 
 @lru_cache(maxsize=8)

@@ -30,6 +30,7 @@ from terrainwave.codec.rapid_parameters import (
 )
 from terrainwave.codec.rapid_stencils import COST_UNIT, candidates, stencils_cost
 from terrainwave.codec.rapid_tables import N_STEPS, family_of
+from terrainwave.codec.rapid_weights import fit_magnitude, weights_bits
 from terrainwave.codec.refiner import GroupSpec, Heights, Mask, Sides
 from terrainwave.codec.windows import spread_windows
 from terrainwave.coding.rans import N_SLOTS, SYMBOL_BITS
@@ -37,17 +38,18 @@ from terrainwave.grid.quadtree import Grid, Region
 
 # Samples a side of a window, and samples of the raster for one; from 2 to 36 windows in all.
 _WINDOW = 257
-_SHARE = 1 << 17
+_SHARE = 1 << 16
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 36
-# So many samples a side of so many of them decide on stencils and the table of features.
-_FEW, _MOST_FEW = 129, 8
+# They decide on stencils, features and contexts: where there are more, so many samples a side.
+_MOST_WHOLE, _FEW = 16, 129
 _MIN_SAMPLES = 300
 _COST_OF_NONE = COST_UNIT * (11 + ESCAPE_BITS)  # of a symbol that takes an escape
 _FREQ_BITS = 3
 # A context starts from its trained frequencies as if it had been seen so often.
-_PRIOR = 24
+_PRIOR = 120
 _RAREST = N_SLOTS * ESCAPE_BITS * 2 // 3
 _SAVED_BY_REACH = 1 / 256
+_SAVED_BY_WEIGHTS = 1 / 1024
 _NOT_SHARED = Sides(False, False, False, False)
 
 
@@ -81,23 +83,53 @@ def best_tables(
     may_have_reach: bool = True,
 ) -> FileTables:
     """Return tables with the stencils, then the family, that make parts of the windows smallest."""
-    few = np.s_[:: -(-len(windows) // _MOST_FEW), :_FEW, :_FEW]
-    some = _Sample(windows[few], masks[few], step, share * windows.size / windows[few].size)
+    few = np.s_[:, :_FEW, :_FEW] if len(windows) > _MOST_WHOLE else np.s_[:]
+    some = _Sample(windows[few], masks[few], step, share * windows.size / windows[few].size, True)
     least = np.inf
     for stencils in dict.fromkeys(candidates(windows, masks, step, share)):
         other = tables._replace(stencils=stencils)
         cost = _fitted(other, some)[1]
         if cost < least:
             best, least = other, cost
-    # Other features, then other contexts; these take a little longer to decode.
-    others = [(N_STEPS, 0.0)]
-    if may_have_reach:
-        others.append((rapid_tables.N_FAMILIES, _SAVED_BY_REACH))
-    for n_families, share_saved in others:
+    # Other features, then what takes a reader of format 1.1: other contexts, which take a little
+    # longer to decode, and weights of the file's own.
+    reach = rapid_tables.N_FAMILIES
+    others = [(N_STEPS, 0.0), (reach, _SAVED_BY_REACH)]
+    for n_families, share_saved in others if may_have_reach else others[:1]:
         other = best._replace(family=best.family + n_families)
         cost = _fitted(other, some)[1]
         if cost < least * (1 - share_saved):
             best, least = other, cost
+    if may_have_reach:
+        best = _with_weights(best, least, some, windows, masks)
+    return best
+
+
+def _with_weights(
+    tables: FileTables, least: float, some: "_Sample", windows: Heights, masks: Mask
+) -> FileTables:
+    """Return tables with weights of features of their own if `some` gets smaller than `least`.
+
+    With the trained frequencies and contexts that suit them; of all classes, or the finest alone.
+    """
+    read = Tables(tables)
+    weights = fit_magnitude(_decoded(read, windows, masks, some.step), masks, read, some.step)
+    if weights is None:
+        return tables
+    best, smallest, reach = tables, np.inf, rapid_tables.N_FAMILIES
+    first = tables.family % N_STEPS
+    families = [first, first + N_STEPS, first + reach, first + N_STEPS + reach]
+    for n_classes in (N_CLASSES, 2, 1):
+        for family in families:
+            if tables.family >= reach:  # the file takes a reader of format 1.1 anyway
+                most = least
+            else:
+                most = least * (1 - (_SAVED_BY_REACH if family >= reach else _SAVED_BY_WEIGHTS))
+            other = tables._replace(family=family, weights=weights[:n_classes])
+            cost = _fitted(other, some)[1] + COST_UNIT * weights_bits(other.weights)
+            if cost < min(most, smallest):
+                best, smallest = other, cost
+        families = [tables.family if best is tables else best.family]
     return best
 
 
@@ -111,36 +143,62 @@ class _Sample(NamedTuple):
     masks: Mask
     step: int
     share: float
+    is_inner: bool = False
 
 
 def _fitted(tables: FileTables, sample: _Sample) -> tuple[FileTables, float]:
     """Return tables with frequencies, and about what the file costs with them, in 1/64 bit."""
-    symbols = count(tables, sample.windows, sample.masks, sample.step)
-    codes, cost = fit_codes(tables.family, symbols, sample.share)
+    symbols = count(tables, sample.windows, sample.masks, sample.step, is_inner=sample.is_inner)
+    share = sample.share * np.count_nonzero(sample.masks) / max(int(symbols.sum()), 1)
+    codes, cost = fit_codes(tables.family, symbols, share)
     return tables._replace(codes=codes), cost + stencils_cost(tables.stencils)
 
 
 # Counts and frequencies -------------------------------------------------------------------------
 
 
-def count(tables: FileTables, windows: Heights, masks: Mask, step: int) -> NDArray[np.int64]:
+def count(
+    tables: FileTables, windows: Heights, masks: Mask, step: int, *, is_inner: bool = False
+) -> NDArray[np.int64]:
     """Code windows; return how often each symbol came: shape (N_CONTEXTS, N_SYMBOLS)."""
     refiner = Rapid.with_tables(Tables(tables))
-    counts = np.zeros((2, N_CONTEXTS << SYMBOL_BITS), dtype=np.int64)
+    counts = _no_counts()
     for target, mask in zip(windows, masks, strict=True):
-        _count_window(refiner, target, mask, tables.k_max, step, counts)
+        _count_window(refiner, target, mask, tables.k_max, step, counts, is_inner=is_inner)
     by_context = counts.sum(0).reshape(N_CONTEXTS, 1 << SYMBOL_BITS)
     return np.ascontiguousarray(by_context[:, :N_SYMBOLS])
 
 
+def _decoded(tables: Tables, windows: Heights, masks: Mask, step: int) -> Heights:
+    """Return windows as they are after coding."""
+    refiner, counts = Rapid.with_tables(tables), _no_counts()
+    return np.stack(
+        [
+            _count_window(refiner, target, mask, tables.k_max, step, counts, is_inner=True)
+            for target, mask in zip(windows, masks, strict=True)
+        ]
+    )
+
+
+def _no_counts() -> NDArray[np.int64]:
+    return np.zeros((2, N_CONTEXTS << SYMBOL_BITS), dtype=np.int64)
+
+
 def _count_window(
-    refiner: Rapid, target: Heights, mask: Mask, level: int, step: int, counts: NDArray[np.int64]
+    refiner: Rapid,
+    target: Heights,
+    mask: Mask,
+    level: int,
+    step: int,
+    counts: NDArray[np.int64],
+    *,
+    is_inner: bool,
 ) -> Heights:
     """Code a window as a root block; count its symbols and return the decoded heights."""
     region = Region(0, 0, *target.shape)
     low, high = int(target.min()), int(target.max())
     spec = GroupSpec(level, region, region, None, _NOT_SHARED, step, low, high, (1, 0), 1, 0)
-    return refiner.count(spec, target, mask, counts)
+    return refiner.count(spec, target, mask, counts, is_inner=is_inner)
 
 
 @cache

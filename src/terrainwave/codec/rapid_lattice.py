@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from terrainwave.codec.correctioncoder import corrected
 from terrainwave.codec.lattice import HH, HL, LH
 from terrainwave.codec.rapid_border import MOST_CORNERS, prepare_shared
 from terrainwave.codec.rapid_code import code_details, note_errors
@@ -68,7 +69,7 @@ class Known(NamedTuple):
 @kernel
 def code_rows(
     is_encoding, has_void, goal, valid, out, source, corners, lines, finest, coarse_of_finest, core,
-    stride, weights, known, origin, workspace, scale, s,
+    stride, weights, known, origin, workspace, scale, s, kept, added,
 ):  # fmt: skip
     """Encode or decode shared samples, then a lattice's samples that are not coarse.
 
@@ -94,6 +95,8 @@ def code_rows(
         Of each lattice.
     origin : int
         What the workspace's heights are less.
+    kept, added : ndarray of int32, flat
+        `Corrections`: both empty where there are none.
 
     Notes
     -----
@@ -102,6 +105,7 @@ def code_rows(
     goal, valid, out, source = borrowed((goal, valid, out, source))
     corners, lines, weights = borrowed((corners, lines, weights))
     workspace, s = borrowed((workspace, s))
+    kept, added = borrowed((kept, added))
     m = workspace.m
     first_weight = WEIGHTS[HH]
     for lattice in range(weights.shape[0]):
@@ -161,6 +165,11 @@ def code_rows(
                     scale,
                     s,
                 )
+                if added.shape[0] > 0:
+                    _correct(
+                        m, own, kept, added, corners, is_corner, start, step, first, stop, origin,
+                        scale,
+                    )  # fmt: skip
             if is_lattice:
                 make_readable(m, own, row, n_own_rows, n)
             else:
@@ -213,6 +222,18 @@ def make_readable(m, own, row, n_rows, n):
     """Note the errors of a row that has been coded; make it readable around."""
     note_errors(m, n, own)
     surround(m, own, row, n_rows, n)
+
+
+@kernel
+def _correct(m, own, kept, added, corners, is_corner, start, step, first, stop, origin, scale):
+    """Put coded samples `first` … ``stop - 1`` of a row back; an encoder finds what that takes."""
+    cast = m.dtype.type
+    limits = np.int64(scale.low) + origin, np.int64(scale.high) + origin
+    for j in range(first, stop):
+        k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
+        at = own + np.uint64(j)
+        height = corrected(np.int64(m[at]) + origin, kept, added, k, limits, limits)
+        m[at] = cast(height - origin)
 
 
 @kernel_part

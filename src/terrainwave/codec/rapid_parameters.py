@@ -9,7 +9,20 @@ from numpy.typing import NDArray
 from terrainwave.codec import rapid_reach_tables, rapid_tables
 from terrainwave.codec.lattice import HH, HL, LH
 from terrainwave.codec.rapid_code import ESCAPE, N_SYMBOLS
-from terrainwave.codec.rapid_layout import CORES, MAX_TAPS, TAPS
+from terrainwave.codec.rapid_layout import (
+    CORES,
+    F_DIAGONAL,
+    F_FAR,
+    F_NEAR,
+    F_NORTH,
+    F_NORTH_2,
+    F_RANGE,
+    F_TWIST,
+    FEATURE_TAPS,
+    MAX_TAPS,
+    N_FEATURES,
+    TAPS,
+)
 from terrainwave.codec.rapid_magnitude import N_CONTEXTS
 from terrainwave.coding.jit import kernel, rare_kernel
 from terrainwave.coding.rangecoder import (
@@ -27,28 +40,46 @@ from terrainwave.coding.rangecoder import (
 from terrainwave.coding.rans import N_SLOTS, packed_freqs, slots_of
 from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
-from terrainwave.names import REACH_LAYOUT
+from terrainwave.names import REACH_LAYOUT, WEIGHTS_LAYOUT
 
 N_CLASSES = 4  # levels: the finest, the next two, all coarser ones
 PLANES = (HH, HL, LH)
 WHOLE = 4096
 MAX_WEIGHT = (1 << 15) - 1
 SHIFTS = (0, 2, 3, 4, 5)
-# Layouts of files with contexts by the mean and of those by reach (R.7), with families of each.
-_LAYOUTS = 1, REACH_LAYOUT
-N_FAMILIES = len(_LAYOUTS) * rapid_tables.N_FAMILIES
+# Families of contexts by the mean, then those of contexts by reach (R.7).
+N_FAMILIES = 2 * rapid_tables.N_FAMILIES
+_LAYOUTS = _BY_MEAN, _BY_REACH, _WITH_WEIGHTS = 1, REACH_LAYOUT, WEIGHTS_LAYOUT
 _K_MAX_BITS, _FAMILY_BITS, _BASE_BITS, _SHIFT_BITS = 5, 3, 4, 3
+_N_WEIGHTED_BITS = 2
 # Of a stencil's numbers: the set, whether there are deltas, their shift; then the deltas.
 _BASE, _HAS_DELTAS, _SHIFT, _DELTAS = range(4)
+_HEAD_K_MAX, _HEAD_FAMILY, _HEAD_REACH, _HEAD_WEIGHTED = range(4)
 _NO_TAP = -1
 # What can be wrong with the numbers of a section.
-_FINE, _BAD_FAMILY, _BAD_WEIGHT, _BAD_CODE = range(4)
-# Models: magnitudes of core taps and of other taps; six groups for frequencies; a flag.
+_FINE, _BAD_FAMILY, _BAD_WEIGHT, _BAD_CODE, _BAD_FEATURE = range(5)
+# Models: magnitudes of core taps and of other taps; six groups for frequencies; one for weights of
+# features; a flag.
 _CORE, _OTHER, _FREQ = 0, MAGNITUDE_MODELS, 2 * MAGNITUDE_MODELS
-_OWN = 8 * MAGNITUDE_MODELS
+_FEATURE, _OWN = 8 * MAGNITUDE_MODELS, 9 * MAGNITUDE_MODELS
 _N_MODELS = _OWN + 2
 _EXACT = 32  # frequencies below have a code each; above, 16 codes an octave
 MAX_CODE = 127
+# Weights of features that a file brings along: codes of frequencies, shifted by so many bits. Those
+# of the finest class are told as changes of usual ones, those of others of the finer class.
+WEIGHT_SHIFTS = np.array([14, 7, 7, 7, 13, 13, 9, 7, 7], dtype=np.int64)
+USUAL_WEIGHTS = np.array(
+    [
+        [12, 58, 50, 25, 33, 35, 57, 0, 0],
+        [4, 39, 37, 10, 25, 24, 37, 49, 32],
+        [4, 35, 19, 18, 22, 22, 35, 48, 23],
+    ],
+    dtype=np.int64,
+)
+# Of the sum of weights times features, in units of what ranges add: less keeps it below 2**31.
+_MOST_EXPECTED = (1 << 24) - (1 << 15)
+_TIMES_ERROR = 8
+_OF_ERRORS = (F_NORTH, F_DIAGONAL, F_NORTH_2, F_NEAR, F_FAR)
 
 
 class FileStencil(NamedTuple):
@@ -66,13 +97,16 @@ class FileTables(NamedTuple):
     """What a file brings along.
 
     `stencils` by class and plane; `codes` of the frequencies of contexts that have their own, by
-    context; `family` says which trained frequencies they change, and the table of features.
+    context; `family` says which trained frequencies they change, and the table of features;
+    `weights` are codes of the weights of features of the finest classes, shape (n, 3, N_FEATURES),
+    None where all are of the table.
     """
 
     k_max: int
     family: int
     stencils: tuple[tuple[FileStencil, ...], ...]
     codes: dict[int, NDArray[np.int64]]
+    weights: NDArray[np.int64] | None = None
 
 
 class Tables:
@@ -96,6 +130,9 @@ class Tables:
         self.k_max = 0 if file is None else file.k_max
         layout, family = divmod(0 if file is None else file.family, rapid_tables.N_FAMILIES)
         self.features = rapid_tables.FEATURES[family // rapid_tables.N_STEPS]
+        if file is not None and file.weights is not None:
+            self.features = self.features.copy()
+            self.features[: len(file.weights), : len(PLANES)] = weights_of_codes(file.weights)
         self.is_by_reach = layout > 0
         self.stencils = np.zeros((N_CLASSES, len(PLANES), MAX_TAPS), dtype=np.int64)
         for which in range(N_CLASSES):
@@ -169,6 +206,31 @@ def weights_of(plane: int, stencil: FileStencil) -> NDArray[np.int64]:
     return weights
 
 
+def weights_of_codes(codes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the weights of features, in 2**-24 per step, that codes stand for."""
+    weights: NDArray[np.int64] = FREQ_OF_CODE[codes] << WEIGHT_SHIFTS
+    return weights
+
+
+def are_sound(codes: NDArray[np.int64]) -> bool:
+    """Say whether no expected magnitude by weights of these codes can pass 31 bits.
+
+    `codes` have the shape (n, 3, N_FEATURES).
+    """
+    return bool(((weights_of_codes(codes) * _most_features()).sum(-1) < _MOST_EXPECTED).all())
+
+
+@cache
+def _most_features() -> NDArray[np.int64]:
+    """Return how large features can be, by plane, in units of a range's largest."""
+    most = np.zeros((len(PLANES), N_FEATURES), dtype=np.int64)
+    most[:, (F_RANGE, F_TWIST)] = 1
+    for index, plane in enumerate(PLANES):
+        for feature, taps in FEATURE_TAPS[plane].items():
+            most[index, feature] = len(taps) * (_TIMES_ERROR if feature in _OF_ERRORS else 1)
+    return most
+
+
 # Frequencies ------------------------------------------------------------------------------------
 
 
@@ -226,12 +288,6 @@ def _all_rests() -> NDArray[np.int64]:
     return _all_codes().argmax(2).astype(np.int64)
 
 
-def _trained_of(layout: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the trained codes and rest symbols of the families of a layout."""
-    own = np.s_[layout * rapid_tables.N_FAMILIES : (layout + 1) * rapid_tables.N_FAMILIES]
-    return _all_codes()[own], _all_rests()[own]
-
-
 def default_codes(family: int) -> NDArray[np.int64]:
     """Return the trained codes of all contexts."""
     codes: NDArray[np.int64] = _all_codes()[family]
@@ -258,17 +314,21 @@ def pack_parameters(tables: FileTables) -> bytes:
     out = np.zeros(1 << 16, dtype=np.uint8)
     coder = new_encoder(out, new_models(_N_MODELS))
     numbers = _Numbers.empty()
-    layout, family = divmod(tables.family, rapid_tables.N_FAMILIES)
-    numbers.head[:] = tables.k_max, family
+    is_by_reach, family = divmod(tables.family, rapid_tables.N_FAMILIES)
+    layout = _BY_REACH if is_by_reach else _BY_MEAN
+    if tables.weights is not None:
+        layout = _WITH_WEIGHTS
+        numbers.weights[: len(tables.weights)] = tables.weights
+    numbers.head[:] = tables.k_max, family, is_by_reach, _n_weighted(tables)
     for index, stencil in enumerate(stencil for row in tables.stencils for stencil in row):
         own = numbers.stencils[index]
         own[:_DELTAS] = stencil.base, bool(stencil.deltas), stencil.shift
         own[_DELTAS : _DELTAS + len(stencil.deltas)] = stencil.deltas
     for context, codes in tables.codes.items():
         numbers.is_own[context], numbers.codes[context] = 1, codes
-    _code_tables(coder, *numbers, _tap_kinds(), *_trained_of(layout))
+    _code_tables(coder, layout, *numbers, *_annexes())
     n_bytes = finish_encoder(coder.state, out)
-    return bytes([_LAYOUTS[layout]]) + out[:n_bytes].tobytes()
+    return bytes([layout]) + out[:n_bytes].tobytes()
 
 
 def parse_parameters(section: bytes) -> Tables:
@@ -290,16 +350,19 @@ def parse_parameters(section: bytes) -> Tables:
         )
     coder = new_decoder(section[1:], new_models(_N_MODELS))
     numbers = _Numbers.empty()
-    layout = _LAYOUTS.index(section[0])
-    status, which = _code_tables(coder, *numbers, _tap_kinds(), *_trained_of(layout))
+    numbers.head[_HEAD_REACH] = section[0] == _BY_REACH
+    status, which = _code_tables(coder, section[0], *numbers, *_annexes())
     if status == _BAD_FAMILY:
         raise CorruptStreamError(f"family {which} of frequencies does not exist")
     if status == _BAD_WEIGHT:
         raise CorruptStreamError(f"a stencil of plane {which} has a weight beyond 2^15")
     if status == _BAD_CODE:
         raise CorruptStreamError(f"context {which} has a frequency code that does not exist")
-    k_max, family = numbers.head.tolist()
-    family += layout * rapid_tables.N_FAMILIES
+    k_max, family, is_by_reach, n_weighted = numbers.head.tolist()
+    family += is_by_reach * rapid_tables.N_FAMILIES
+    weights = numbers.weights[:n_weighted] if n_weighted else None
+    if status == _BAD_FEATURE or (weights is not None and not are_sound(weights)):
+        raise CorruptStreamError("a weight of what details are expected to be is out of range")
     own = np.flatnonzero(numbers.is_own)
     freqs_of(numbers.codes[own], rest_symbols(family)[own])  # checks them
     raise_for_status(*finish_decoder(coder.state, coder.stream))
@@ -314,7 +377,7 @@ def parse_parameters(section: bytes) -> Tables:
         for first in range(0, len(stencils), len(PLANES))
     )
     codes = {int(context): numbers.codes[context] for context in own}
-    return Tables(FileTables(k_max, family, by_class, codes))
+    return Tables(FileTables(k_max, family, by_class, codes, weights))
 
 
 class _Numbers(NamedTuple):
@@ -322,10 +385,13 @@ class _Numbers(NamedTuple):
 
     Attributes
     ----------
-    head : ndarray of int64, shape (2,)
-        `k_max` and family, counted from the layout's first.
+    head : ndarray of int64, shape (4,)
+        `k_max`; family, counted from the first of its contexts; whether these are by reach; of how
+        many classes there are weights.
     stencils : ndarray of int64, shape (N_CLASSES * 3, _DELTAS + MAX_TAPS)
         By class and plane: the set, whether there are deltas, their shift, the deltas.
+    weights : ndarray of int64, shape (N_CLASSES, 3, N_FEATURES)
+        Codes of the weights of features.
     is_own : ndarray of int64, shape (N_CONTEXTS,)
         Whether a context has codes of its own.
     codes : ndarray of int64, shape (N_CONTEXTS, N_SYMBOLS)
@@ -333,6 +399,7 @@ class _Numbers(NamedTuple):
 
     head: NDArray[np.int64]
     stencils: NDArray[np.int64]
+    weights: NDArray[np.int64]
     is_own: NDArray[np.int64]
     codes: NDArray[np.int64]
 
@@ -340,8 +407,9 @@ class _Numbers(NamedTuple):
     def empty(cls) -> "_Numbers":
         """Return numbers to be filled."""
         return cls(
-            np.zeros(2, dtype=np.int64),
+            np.zeros(4, dtype=np.int64),
             np.zeros((N_CLASSES * len(PLANES), _DELTAS + MAX_TAPS), dtype=np.int64),
+            np.zeros((N_CLASSES, len(PLANES), N_FEATURES), dtype=np.int64),
             np.zeros(N_CONTEXTS, dtype=np.int64),
             np.zeros((N_CONTEXTS, N_SYMBOLS), dtype=np.int64),
         )
@@ -358,16 +426,35 @@ def _tap_kinds() -> NDArray[np.int64]:
     return kinds
 
 
+def _annexes() -> tuple[NDArray[np.int64], ...]:
+    """Return what `_code_tables` knows beforehand."""
+    return _tap_kinds(), USUAL_WEIGHTS, _most_features(), _all_codes(), _all_rests()
+
+
+def _n_weighted(tables: FileTables) -> int:
+    return 0 if tables.weights is None else len(tables.weights)
+
+
 @rare_kernel
-def _code_tables(coder, head, stencils, is_own, codes, tap_kinds, trained, rests):
+def _code_tables(
+    coder, layout, head, stencils, weights, is_own, codes, tap_kinds, usual, most, trained, rests
+):  # fmt: skip
     """Code the numbers of a section in place; return what is wrong with them, and where.
 
-    A decoder's need hold nothing. `trained` and `rests` are those of the layout's families.
+    A decoder's need hold nothing but whether contexts are by reach. `trained` and `rests` are those
+    of all families, `usual` the codes of weights, and features whose `most` is 0 have none.
     """
-    head[0] = code_raw(coder, np.int64(_K_MAX_BITS), head[0])
-    family = head[1] = code_raw(coder, np.int64(_FAMILY_BITS), head[1])
-    if family >= trained.shape[0]:
+    head[_HEAD_K_MAX] = code_raw(coder, np.int64(_K_MAX_BITS), head[_HEAD_K_MAX])
+    family = head[_HEAD_FAMILY] = code_raw(coder, np.int64(_FAMILY_BITS), head[_HEAD_FAMILY])
+    n_families = trained.shape[0] >> 1
+    if family >= n_families:
         return _BAD_FAMILY, family
+    if layout == _WITH_WEIGHTS:
+        head[_HEAD_REACH] = code_raw(coder, np.int64(1), head[_HEAD_REACH])
+        n = code_raw(coder, np.int64(_N_WEIGHTED_BITS), head[_HEAD_WEIGHTED] - 1)
+        head[_HEAD_WEIGHTED] = n + 1
+    if head[_HEAD_REACH]:
+        family += n_families
     for index in range(stencils.shape[0]):
         plane, own = index % tap_kinds.shape[0], stencils[index]
         own[_BASE] = code_raw(coder, np.int64(_BASE_BITS), own[_BASE])
@@ -387,6 +474,9 @@ def _code_tables(coder, head, stencils, is_own, codes, tap_kinds, trained, rests
             if size > 0:
                 is_less = code_raw(coder, np.int64(1), np.int64(delta < 0))
             own[_DELTAS + tap] = -size if is_less else size
+    for which in range(head[_HEAD_WEIGHTED]):
+        if _code_weights(coder, usual if which == 0 else weights[which - 1], most, weights[which]):
+            return _BAD_FEATURE, np.int64(which)
     was_own = np.int64(0)
     for context in range(is_own.shape[0]):
         was_own = code_bit(coder, _OWN + was_own, is_own[context])
@@ -396,6 +486,25 @@ def _code_tables(coder, head, stencils, is_own, codes, tap_kinds, trained, rests
         ):
             return _BAD_CODE, np.int64(context)
     return _FINE, np.int64(0)
+
+
+@kernel
+def _code_weights(coder, usual, most, weights):
+    """Code the weights' codes of a class in place; return whether one is out of range."""
+    for index in range(weights.shape[0]):
+        for feature in range(weights.shape[1]):
+            if feature > 0 and most[index, feature] == 0:
+                continue
+            change = weights[index, feature] - usual[index, feature]
+            size = code_magnitude(coder, _FEATURE, _FEATURE + N_UNARY, np.int64(0), abs(change))
+            is_less = np.int64(0)
+            if size > 0:
+                is_less = code_raw(coder, np.int64(1), np.int64(change < 0))
+            code = usual[index, feature] + (-size if is_less else size)
+            if size > MAX_CODE or code < 0 or code > MAX_CODE:
+                return True
+            weights[index, feature] = code
+    return False
 
 
 @kernel

@@ -62,6 +62,8 @@ class GroupSpec:
     has_coarse_residuals: bool = False
     # Whether the file tells which samples of coarse levels are fills (FORMAT.md §5.4).
     has_fills: bool = False
+    # Whether payloads may put heights back in the loop (FORMAT.md §5.5).
+    has_corrections: bool = False
 
     @property
     def half(self) -> int:
@@ -114,11 +116,60 @@ class Refiner(Protocol):
         ...
 
 
-class DirectRefiner(Refiner, Protocol):
-    """A refiner that decodes into memory it is given, heights within the spec's range."""
+class Corrections(NamedTuple):
+    """What a refiner puts back in its loop; contiguous arrays of a unit's region, or empty ones.
+
+    `kept`: heights that an encoder must give back, `FREE` where it may choose. `added`: what is
+    added to heights before others read them; an encoder fills it, zeros before.
+    """
+
+    kept: Heights
+    added: Heights
+
+
+FREE = np.int32(-(2**31))
+MAX_CORRECTION = 2**31 - 1
+_NONE = np.zeros((0, 0), dtype=np.int32)
+NO_CORRECTIONS = Corrections(_NONE, _NONE)
+
+
+class CorrectingRefiner(Protocol):
+    """A refiner whose loop has corrections (`codec.correctioncoder`)."""
+
+    def encode(
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        target: Heights,
+        mask: Mask,
+        corrections: Corrections = NO_CORRECTIONS,
+    ) -> tuple[bytes, Heights, Labels | None]:
+        """Do as `Refiner.encode`, and give back what is to be kept."""
+        ...
+
+    def decode(
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        mask: Mask,
+        payload: bytes,
+        corrections: Corrections = NO_CORRECTIONS,
+    ) -> tuple[Heights, Labels | None]:
+        """Do as `Refiner.decode`."""
+        ...
+
+
+class DirectRefiner(CorrectingRefiner, Protocol):
+    """One that decodes into memory it is given, heights within the spec's range."""
 
     def decode_into(
-        self, spec: GroupSpec, parent: Heights | None, mask: Mask, payload: bytes, out: Heights
+        self,
+        spec: GroupSpec,
+        parent: Heights | None,
+        mask: Mask,
+        payload: bytes,
+        out: Heights,
+        corrections: Corrections = NO_CORRECTIONS,
     ) -> None:
         """Do as `decode`; `out` is contiguous and has the shape of ``spec.region``."""
         ...

@@ -4,7 +4,7 @@ from importlib import import_module
 
 from terrainwave.codec.refiner import Refiner
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
-from terrainwave.names import METHODS, REACH_LAYOUT
+from terrainwave.names import METHODS, REACH_LAYOUT, WEIGHTS_LAYOUT
 
 
 def refiner_by_name(name: str, parameters: bytes = b"") -> Refiner:
@@ -33,25 +33,44 @@ def refiner_by_name(name: str, parameters: bytes = b"") -> Refiner:
     return refiner
 
 
-def has_reach(name: str, parameters: bytes) -> bool:
-    """Say whether the tables of a file have contexts by reach (format-rapid.md R.10)."""
-    return METHODS[name].has_reach and parameters[:1] == bytes([REACH_LAYOUT])
+def newer_layout(name: str, parameters: bytes) -> int:
+    """Return the layout of a file's tables if readers of format 1.0 don't know it, else 0."""
+    layout = parameters[0] if METHODS[name].has_reach and parameters else 0
+    return layout if layout in (REACH_LAYOUT, WEIGHTS_LAYOUT) else 0
 
 
-def check_parameters(name: str, parameters: bytes, *, says_reach: bool = False) -> None:
-    """Refuse parameters of a method that has none, or others than the header says.
+def check_layout(name: str, parameters: bytes, told: int) -> None:
+    """Refuse tables of another layout than the header says.
 
-    Files with contexts by reach that do not say so are older than the feature bit, and sound.
+    `told` is the layout that a feature bit stands for, 0 without one. Files with contexts by reach
+    that do not say so are older than their bit, and sound.
+
+    Raises
+    ------
+    CorruptStreamError
+        If the header says what the tables are not, or not that they have weights.
+    """
+    layout = newer_layout(name, parameters)
+    if told == REACH_LAYOUT and layout != told:
+        raise CorruptStreamError("the header says that contexts are by reach, the tables do not")
+    if told == WEIGHTS_LAYOUT and layout != told:
+        raise CorruptStreamError(
+            "the header says that the tables have weights of features, and they have none"
+        )
+    if told != WEIGHTS_LAYOUT and layout == WEIGHTS_LAYOUT:
+        raise CorruptStreamError(
+            "the tables have weights of features, and the header does not say so"
+        )
+
+
+def check_parameters(name: str, parameters: bytes) -> None:
+    """Refuse parameters of a method that has none.
 
     Raises
     ------
     UnsupportedVersionError
         If the method has no parameters.
-    CorruptStreamError
-        If the header says that contexts are by reach, and they are not.
     """
-    if says_reach and not has_reach(name, parameters):
-        raise CorruptStreamError("the header says that contexts are by reach, the tables do not")
     if parameters and not METHODS[name].has_parameters:
         raise UnsupportedVersionError(
             f"the file has parameters for method {name}, which this terrainwave does not know:"

@@ -53,6 +53,7 @@ def unit_spec(grid: Grid, parameters: CodecParameters, key: Block) -> GroupSpec:
         # As printed where the bound is a quantum or more; lossless is lossless on all levels.
         has_coarse_residuals=parameters.is_faithful and level < grid.k_max and parameters.step > 1,
         has_fills=parameters.has_fills,
+        has_corrections=parameters.has_corrections,
     )
 
 

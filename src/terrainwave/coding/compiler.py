@@ -6,7 +6,7 @@ Here a kernel has two sides. What Python calls is numba's own; what kernels call
 typed and lowered, and optimised where it ends up: as fast, and two thirds of the time to compile.
 
 The compiler is numba's, put together anew by its documented ways (pipelines of passes, classes for
-libraries), and by some attributes that are private.
+libraries), and by some attributes that are private: `dispatchers` says when it is used.
 """
 
 import gc
@@ -16,16 +16,18 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from numba.core import ir, ir_utils, postproc, transforms, types
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler, DefaultPassBuilder
+from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+from numba.core.compiler import Compiler, CompileResult, DefaultPassBuilder
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.compiler_machinery import register_pass
+from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.inline_closurecall import InlineWorker
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import NativeLowering, NopythonRewrites
 from numba.core.untyped_passes import InlineInlinables
 from numba.cpython.builtins import do_minmax
 from numba.extending import intrinsic
+
+from terrainwave.coding.private_names import missing
 
 
 class Kernel(CPUDispatcher):
@@ -45,7 +47,7 @@ class Kernel(CPUDispatcher):
     def compile(self, sig: Any) -> Any:
         """Compile for some types, or load what has been compiled for them."""
         with global_compiler_lock, _without_collector(), _with_shortcuts():
-            entry = _with_room(super().compile, sig)
+            entry = super().compile(sig)
             # Parts were never made ready to be called: the objects that their code refers to.
             found = self.overloads.get(tuple(getattr(sig, "args", sig)))
             if found is not None and self._cache_misses:
@@ -236,21 +238,6 @@ _OF_KERNELS: dict[type, type | None] = {InlineInlinables: _Inlining, NopythonRew
 _OF_PARTS = {**_OF_KERNELS, NativeLowering: _PartLowering}
 
 
-def _with_room(function: Callable[[Any], Any], argument: Any) -> Any:
-    """Call a function; what it calls finds room for its frames in one piece of memory.
-
-    CPython takes frames from pieces of 16 KiB, and gives one back as soon as it is empty. Where a
-    loop calls across the end of one, each call maps memory anew: a compiler, whose calls lie deep,
-    may lose a tenth of its time to it. A frame that is larger gets a piece of the next power of
-    two, and those after it take the rest.
-    """
-    return function(argument)
-
-
-# In words of 8 bytes: 600 KiB of 1 MiB, of which only what is used takes memory.
-_with_room.__code__ = _with_room.__code__.replace(co_stacksize=75_000)
-
-
 class _Shortcut(NamedTuple):
     """A method of numba's, and what does the same of it for kernels in less time."""
 
@@ -338,3 +325,55 @@ def _without_collector() -> Iterator[None]:
     finally:
         if was_enabled:
             gc.enable()
+
+
+def missing_names() -> list[str]:
+    """Return the names of numba's that this compiler needs, and are not where they were.
+
+    An override of a method that numba has renamed would never be called, without a word.
+    """
+    return missing(
+        {
+            CPUDispatcher: (
+                "__init__(self, py_func, locals, targetoptions, pipeline_class)",
+                "compile(self, sig)",
+                "get_call_template(self, args, kws)",
+                "get_overload(self, sig)",
+                *("is_compiling", "overloads", "_compiler", "_compiling_counter", "_cache_misses"),
+            ),
+            CompileResult: (
+                "_find_referenced_environments(self)",
+                "_replace",
+                "entry_point",
+                "fndesc",
+            ),
+            Compiler: ("define_pipelines(self)",),
+            DefaultPassBuilder: ("define_untyped_pipeline(state, name)",),
+            PassManager: ("passes", "_finalized", "finalize(self)"),
+            InlineInlinables: (
+                "run_pass(self, state)",
+                "_do_work(self, state, work_list, block, i, expr, inline_worker)",
+            ),
+            InlineWorker: (
+                "run_untyped_passes(self, func, enable_ssa)",
+                "_compiler_pipeline",
+            ),
+            NativeLowering: ("run_pass(self, state)",),
+            JITCodeLibrary: (
+                "add_llvm_module(self, ll_module)",
+                "finalize(self)",
+                "_get_module_for_linking(self)",
+                *("_codegen", "_final_module", "_finalized", "_linking_libraries", "_reload_init"),
+            ),
+            JITCPUCodegen: (
+                "_function_pass_manager",
+                "_data_layout",
+                "set_env(self, env_name, env)",
+            ),
+            types.Function: ("get_call_type(self, context, args, kws)", "typing_key"),
+            postproc.PostProcessor: (
+                "run(self, emit_dels, extend_lifetimes)",
+                *("func_ir", "_insert_var_dels(self, extend_lifetimes)"),
+            ),
+        }
+    )

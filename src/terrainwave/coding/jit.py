@@ -14,10 +14,11 @@ from numba import njit, typeof, types
 from numba.core import config, event
 from numba.core.registry import CPUDispatcher
 
-from terrainwave.coding.compiler import Kernel
+from terrainwave.coding.dispatchers import COMPILER, WHY_NOT_KEPT, Kernel, KernelCache
+from terrainwave.coding.kernel_places import Place
 
 # Numba does not notice edits in a callee's file; switch caching off while editing.
-_CACHE = os.environ.get("TERRAINWAVE_NUMBA_CACHE", "1") != "0"
+_CACHE = not WHY_NOT_KEPT
 
 # The directory that holds the package.
 _ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
@@ -78,8 +79,8 @@ def _files_of(module: str, names: str) -> Iterator[str]:
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile `function` with the project's options; plain Python under NUMBA_DISABLE_JIT.
 
-    A stale compiled kernel is a broken bound, and numba's cache key holds only the kernel's own
-    file. The stamp of each cache entry is therefore extended by a digest of `sources_of` that file.
+    A stale compiled kernel is a broken bound, and numba looks at the kernel's own file alone. The
+    stamp of each cache entry is therefore a digest of `sources_of` that file.
     """
     return _compile(function, is_inlined=False)
 
@@ -124,18 +125,10 @@ def _compile(function: Callable[..., Any], *, is_inlined: bool) -> Any:
         # No kernel is called from C: what C would call takes time to compile.
         "no_cfunc_wrapper": True,
     }
+    dispatcher = Kernel(function, targetoptions=options)
     if _CACHE:
-        try:
-            dispatcher = Kernel(function, targetoptions=options)
-            dispatcher.enable_caching()
-            _extend_cache_stamp(dispatcher)
-            return dispatcher
-        except (RuntimeError, AttributeError, OSError):
-            # No writable place for the cache (read-only home), no source to read (a zip), or a
-            # numba that stores its stamp elsewhere: compile in every process rather than risk a
-            # stale kernel.
-            pass
-    return Kernel(function, targetoptions=options)
+        dispatcher._cache = KernelCache(function, _digest, _key_of)
+    return dispatcher
 
 
 # Seconds that plain Python may take for a rare kernel in a process: a few files' worth. Then it is
@@ -158,7 +151,7 @@ def all_compiled() -> Iterator[None]:
 class _RareKernel:
     """What `rare_kernel` returns."""
 
-    def __init__(self, compiled: Kernel) -> None:
+    def __init__(self, compiled: CPUDispatcher) -> None:
         self._compiled = compiled
         self._is_compiled = False
         self._seconds = 0.0
@@ -199,23 +192,13 @@ def _as_plain(compiled: CPUDispatcher, done: dict[Any, Callable[..., Any]]) -> C
     return done[function]
 
 
-def _extend_cache_stamp(dispatcher: Any) -> None:
-    """Let a cache entry hold only while the sources of the kernel do.
+def _key_of(signature: Any) -> tuple[Any, ...]:
+    """Return what makes an entry of the cache another one, besides the types of arguments.
 
     In compiled code the fields of a named tuple are places. A kernel may be given one whose class
-    its own file does not import, so the names of the fields go into the entry's key.
+    its own file does not import, so the names of the fields count.
     """
-    cache = dispatcher._cache
-    cache_file = cache._cache_file
-    digest = _digest(dispatcher.py_func.__code__.co_filename)
-    cache_file._source_stamp = (cache_file._source_stamp, digest)
-    index_key = cache._index_key
-
-    def extended(signature: Any, codegen: Any) -> tuple[Any, ...]:
-        arguments = getattr(signature, "args", signature)
-        return (*index_key(signature, codegen), *_fields_of(arguments))
-
-    cache._index_key = extended
+    return COMPILER, *_fields_of(getattr(signature, "args", signature))
 
 
 def _fields_of(arguments: Iterable[Any]) -> Iterator[tuple[str, ...]]:
@@ -228,21 +211,30 @@ def _fields_of(arguments: Iterable[Any]) -> Iterator[tuple[str, ...]]:
             yield from _fields_of(inner)
 
 
-class _FirstCompilation(event.Listener):
-    """Calls back once, when numba compiles rather than takes a kernel from its cache."""
+def place_of_kernels() -> Place:
+    """Return where this package's kernels are kept, or why they are not."""
+    if not _CACHE:
+        return Place((), reason=WHY_NOT_KEPT)
+    return KernelCache(place_of_kernels, _digest, _key_of).place
 
-    def __init__(self, callback: Callable[[], None]) -> None:
-        self._callback: Callable[[], None] | None = callback
+
+class _FirstCompilation(event.Listener):
+    """Calls back once, when numba compiles a kernel rather than takes it from its cache."""
+
+    def __init__(self, callback: Callable[[Place], None]) -> None:
+        self._callback: Callable[[Place], None] | None = callback
 
     def on_start(self, event: Any) -> None:
+        dispatcher = event.data["dispatcher"]
+        if self._callback is None or not isinstance(dispatcher, Kernel):
+            return
         callback, self._callback = self._callback, None
-        if callback is not None:
-            callback()
+        callback(getattr(dispatcher._cache, "place", Place((), reason=WHY_NOT_KEPT)))
 
     def on_end(self, event: Any) -> None:
         pass
 
 
-def on_first_compilation(callback: Callable[[], None]) -> None:
-    """Call `callback` once, if and when a kernel is compiled in this process."""
+def on_first_compilation(callback: Callable[[Place], None]) -> None:
+    """Call `callback` once, if and when a kernel is compiled, with where it will be kept."""
     event.register("numba:compile", _FirstCompilation(callback))

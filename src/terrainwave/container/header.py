@@ -19,7 +19,14 @@ from terrainwave.errors import (
 from terrainwave.grid.parameters import CodecParameters
 from terrainwave.grid.quadtree import Grid
 from terrainwave.grid.quantum import Quantizer
-from terrainwave.names import FORMATS, MESHES, METHODS, UNBOUNDED_MESHES
+from terrainwave.names import (
+    FORMATS,
+    MESHES,
+    METHODS,
+    REACH_LAYOUT,
+    UNBOUNDED_MESHES,
+    WEIGHTS_LAYOUT,
+)
 
 MAGIC = b"\x89TWZ\r\n\x1a\n"  # as PNG's: a text-mode or 7-bit copy damages it visibly
 FORMAT_VERSION = 1
@@ -40,13 +47,20 @@ IS_FAITHFUL = 2
 HAS_REACH = 8
 # Payloads tell which samples of coarse levels are fills (FORMAT.md §5.4).
 HAS_FILLS = 16
-KNOWN_FEATURES = HAS_REMAINDERS | IS_FAITHFUL | HAS_REACH | HAS_FILLS
+# The tables of rapid have weights of features (format-rapid.md R.10, layout 5).
+HAS_WEIGHTS = 32
+# Payloads put heights back in the loop, so that patches move no others (FORMAT.md §5.5).
+HAS_CORRECTIONS = 64
+KNOWN_FEATURES = (
+    HAS_REMAINDERS | IS_FAITHFUL | HAS_REACH | HAS_FILLS | HAS_WEIGHTS | HAS_CORRECTIONS
+)
+# The bit of each layout of rapid's tables that readers of format 1.0 don't know.
+LAYOUT_FEATURES = {REACH_LAYOUT: HAS_REACH, WEIGHTS_LAYOUT: HAS_WEIGHTS}
 # What readers of format 1.0 know: all else needs one of 1.1.
 _FIRST_FEATURES = HAS_REMAINDERS | IS_FAITHFUL
 # Bits that format 1.1 keeps for what nobody has coded yet (FORMAT.md §4.7).
 _RESERVED_FEATURES = {
-    32: "a further layout of rapid's tables",
-    64: "corrections of patches",
+    32: "weights of features, of method rapid alone",
     128: "signs of zero",
 }
 
@@ -103,7 +117,8 @@ class Header:
     mesh_tolerance : int
         Its tolerance on the finest level, in 1/16 quanta; 0 without meshes.
     features : int
-        Must-understand mask: a sum of `HAS_REMAINDERS`, `IS_FAITHFUL`, `HAS_REACH`, `HAS_FILLS`.
+        Must-understand mask: a sum of `HAS_REMAINDERS`, `IS_FAITHFUL`, `HAS_REACH`, `HAS_FILLS`,
+        `HAS_WEIGHTS`, `HAS_CORRECTIONS`.
     metadata : dict
         The JSON metadata (`container.metadata`).
     parameters : bytes
@@ -150,6 +165,11 @@ class Header:
     def has_fills(self) -> bool:
         """Say whether payloads tell which samples of coarse levels are fills."""
         return bool(self.features & HAS_FILLS)
+
+    @property
+    def has_corrections(self) -> bool:
+        """Say whether payloads put heights back in the loop."""
+        return bool(self.features & HAS_CORRECTIONS)
 
     @property
     def format(self) -> str:
@@ -220,6 +240,7 @@ class Header:
             self.effort,
             is_faithful=self.is_faithful,
             has_fills=self.has_fills,
+            has_corrections=self.has_corrections,
         )
 
 
@@ -390,6 +411,8 @@ class _Violation:
 def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
     """Yield what is outside the limits of FORMAT.md §4.1 and §10, in the order of the fields."""
     unknown = header.features & ~KNOWN_FEATURES
+    if not METHODS[header.method].has_reach:  # kept for whatever such methods may need
+        unknown |= header.features & HAS_WEIGHTS
     if unknown:
         names = [name for bit, name in _RESERVED_FEATURES.items() if unknown & bit]
         what = f" ({', '.join(names)})" if names else ""
@@ -426,12 +449,17 @@ def _violations(header: Header, extents: Extents) -> Iterator[_Violation]:
         yield _Violation("an error bound is negative or not finite")
     if header.effective_bound > header.max_error:
         yield _Violation(f"effective bound {header.effective_bound} exceeds {header.max_error}")
+    if header.features & HAS_REACH and header.features & HAS_WEIGHTS:
+        yield _Violation("two layouts of the tables: contexts by reach and weights")
     if header.features & HAS_REACH and not METHODS[header.method].has_reach:
         yield _Violation(f"contexts by reach of method {header.method}, which has none")
     if header.is_faithful and not METHODS[header.method].may_be_faithful:
         yield _Violation(f"a faithful file of method {header.method}, which has none")
     if header.has_fills and header.grid.k_max == 0:
         yield _Violation("fills of coarse levels in a file without any")
+    if header.has_corrections and (not METHODS[header.method].is_patchable or header.step == 1):
+        what = f"corrections of method {header.method} and step {header.step}"
+        yield _Violation(f"{what}{NEWER}", UnsupportedVersionError)
     if header.has_remainders:
         if header.dtype not in ("int32", "float32", "float64"):
             yield _Violation(f"remainders of {header.dtype}, which has none")

@@ -10,6 +10,9 @@ from terrainwave.container.ranges import ByteRange, merge_ranges, split_merged
 from terrainwave.errors import StorageError, TruncatedStreamError
 from terrainwave.forks import renew_after_fork
 
+# Files up to this size are taken whole from servers, and out of archives, that give no parts.
+MAX_WHOLE = 64 << 20
+
 
 @runtime_checkable
 class ByteSource(Protocol):

@@ -19,6 +19,7 @@ class CodecParameters:
     remainder_bytes: int = 0
     is_faithful: bool = False
     has_fills: bool = False
+    has_corrections: bool = False
 
     @classmethod
     def of(
@@ -30,6 +31,7 @@ class CodecParameters:
         *,
         is_faithful: bool = False,
         has_fills: bool = False,
+        has_corrections: bool = False,
     ) -> Self:
         """Return the parameters of heights with a nodata value, in raw units, if there is one."""
         return cls(
@@ -42,4 +44,5 @@ class CodecParameters:
             remainder_bytes=quantizer.remainder_bytes,
             is_faithful=is_faithful,
             has_fills=has_fills,
+            has_corrections=has_corrections,
         )

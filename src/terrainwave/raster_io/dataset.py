@@ -15,6 +15,7 @@ from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
 from rasterio.windows import Window
 
+from terrainwave.container.addresses import display_name, without_secrets
 from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,
@@ -63,14 +64,15 @@ def open_dataset(path: str) -> Any:
             raise StorageError(f"{path} is a directory; expected a raster file") from error
         if is_local and ":" not in path and not local.exists():
             raise StorageError(f"{path}: no such file") from error
+        problem = without_secrets(one_line(error))
         raise StorageError(
-            f"{path} is not a raster that GDAL can read: {one_line(error)}"
+            f"{display_name(path)} is not a raster that GDAL can read: {problem}"
         ) from error
     if dataset.count == 0:
         parts = ", ".join(dataset.subdatasets[:4])
         dataset.close()
         advice = f"; it holds several rasters, name one of them: {parts}" if parts else ""
-        raise InvalidHeightsError(f"{path} has no raster band{advice}")
+        raise InvalidHeightsError(f"{display_name(path)} has no raster band{advice}")
     return dataset
 
 

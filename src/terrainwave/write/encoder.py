@@ -66,10 +66,27 @@ def fitted_refiner(
     return fitted, fitted.parameters
 
 
-class _Ancestor(NamedTuple):
+class Ancestor(NamedTuple):
+    """A decoded block above a unit, without its apron."""
+
     block: Block
     region: Region
     heights: Heights
+
+
+def distance_of(
+    ancestor: Ancestor,
+    core: Region,
+    originals: Heights,
+    mask: Mask,
+    grid: Grid,
+    limits: tuple[int, int] | None = None,
+) -> int:
+    """Return the largest distance of valid originals of a core from a surface (`measure_block`)."""
+    stride = grid.stride(ancestor.block.level)
+    row = core.row - ancestor.region.row * stride
+    col = core.col - ancestor.region.col * stride
+    return measure_block(ancestor.heights, stride, originals, mask, row, col, limits)
 
 
 class TreeEncoder:
@@ -115,7 +132,7 @@ class TreeEncoder:
 
         Without the finest level nothing of the originals is measured.
         """
-        starts: list[tuple[Block, Decoded | None, list[_Ancestor]]]
+        starts: list[tuple[Block, Decoded | None, list[Ancestor]]]
         starts = [(key, None, []) for key in self._grid.root_keys()]
         try:
             while starts and len(starts) < _MIN_SUBTREES:
@@ -142,14 +159,14 @@ class TreeEncoder:
         self._encode_subtree(head, decoded(head), chain)
         return self._stats
 
-    def _encode_subtree(self, key: Block, parent: Decoded | None, chain: list[_Ancestor]) -> None:
+    def _encode_subtree(self, key: Block, parent: Decoded | None, chain: list[Ancestor]) -> None:
         for start in self._encode_unit(key, parent, chain):
             if not self._is_stopped:
                 self._encode_subtree(*start)
 
     def _encode_unit(
-        self, key: Block, parent: Decoded | None, chain: list[_Ancestor]
-    ) -> list[tuple[Block, Decoded, list[_Ancestor]]]:
+        self, key: Block, parent: Decoded | None, chain: list[Ancestor]
+    ) -> list[tuple[Block, Decoded, list[Ancestor]]]:
         """Encode one unit; return what is to be encoded below it."""
         grid = self._grid
         spec = unit_spec(grid, self._parameters, key)
@@ -181,7 +198,12 @@ class TreeEncoder:
         """Return the payload of a unit and what it decodes to."""
         assert self._refiner is not None
         rest = partial(self._pyramid.remainders, spec.region) if spec.remainder_bytes else None
-        return encode_unit(self._refiner, spec, parent, target, mask, rest, self.own(spec))
+        kept = self.kept(key, spec, target, mask)
+        return encode_unit(self._refiner, spec, parent, target, mask, rest, self.own(spec), kept)
+
+    def kept(self, key: Block, spec: GroupSpec, target: Heights, mask: Mask) -> Heights | None:
+        """Return which heights of a unit must come back as they are (`encode_unit`)."""
+        return None
 
     def own(self, spec: GroupSpec) -> Mask | None:
         """Return which samples of a unit are valid by themselves, if its payload tells."""
@@ -193,13 +215,13 @@ class TreeEncoder:
         """Return which samples of a region of the full grid are originals: all valid ones."""
         return mask
 
-    def _ancestor(self, block: Block, decoded: Decoded) -> _Ancestor:
+    def _ancestor(self, block: Block, decoded: Decoded) -> Ancestor:
         """Return the samples of a decoded block, without its apron."""
         region = self._grid.block_region(block)
         framed = self._grid.block_region(block, 1 if self._parameters.rings == 3 else 0)
-        return _Ancestor(block, region, decoded.heights[region.slices_in(framed)])
+        return Ancestor(block, region, decoded.heights[region.slices_in(framed)])
 
-    def _measure_children(self, spec: GroupSpec, above: _Ancestor, decoded: Decoded) -> None:
+    def _measure_children(self, spec: GroupSpec, above: Ancestor, decoded: Decoded) -> None:
         """Update the statistics of the block that a group refines."""
         core = spec.core.slices_in(spec.region)
         apart = distance_of_children(above.heights, decoded.heights[core], decoded.mask[core])
@@ -210,7 +232,7 @@ class TreeEncoder:
         self,
         spec: GroupSpec,
         blocks: list[Block],
-        chain: list[_Ancestor],
+        chain: list[Ancestor],
         originals: Heights,
         mask: Mask,
         decoded: Decoded,
@@ -227,13 +249,10 @@ class TreeEncoder:
             # Blocks share a row or column of samples.
             whole.merge(by_block[block])
         for ancestor in chain:
-            stride = grid.stride(ancestor.block.level)
-            row = spec.core.row - ancestor.region.row * stride
-            col = spec.core.col - ancestor.region.col * stride
             error = 0
             if not whole.is_empty:
                 limits = whole.z_low, whole.z_high
-                error = measure_block(ancestor.heights, stride, originals, mask, row, col, limits)
+                error = distance_of(ancestor, spec.core, originals, mask, grid, limits)
             by_block[ancestor.block] = BlockStats(whole.z_low, whole.z_high, error)
         with self._lock:
             for block, stats in by_block.items():

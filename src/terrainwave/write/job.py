@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from terrainwave._version import __version__
-from terrainwave.codec.registry import has_reach
+from terrainwave.codec.registry import newer_layout
 from terrainwave.container.header import (
     HAS_FILLS,
-    HAS_REACH,
     HAS_REMAINDERS,
     IS_FAITHFUL,
+    LAYOUT_FEATURES,
     Header,
 )
 from terrainwave.container.metadata import MAX_MOVED, ORIGIN
@@ -181,7 +181,7 @@ class Job:
             rho=quantizer.rho,
             features=(HAS_REMAINDERS if quantizer.remainder_bytes else 0)
             | (IS_FAITHFUL if options.faithful else 0)
-            | (HAS_REACH if has_reach(options.coding.name, parameters) else 0)
+            | LAYOUT_FEATURES.get(newer_layout(options.coding.name, parameters), 0)
             | (HAS_FILLS if self.has_fills else 0),
             mesh=options.mesh,
             mesh_tolerance=self.mesh_tolerance,

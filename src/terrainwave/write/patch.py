@@ -6,10 +6,9 @@ whose parent's decoded heights have changed, are coded again with the file's own
 sample whose prediction is as it was gets its old height again, as only one multiple of the step is
 within the bound. All other payloads are copied.
 
-Beyond the new raster the target is the original, if it is given, else the stored height: a lossy
-file may move it, by its bound at most. A patch that would move any is refused, unless its caller
-allows it: then the header's bounds grow by what has moved, and the metadata add it up (FORMAT.md
-§4.2, *moved*; docs/decisions/0011).
+Beyond the new raster the target is the original, if it is given, else the stored height, which must
+come back as it is: where predictions have changed, corrections put it back (FORMAT.md §5.5,
+docs/decisions/0023).
 """
 
 import os
@@ -25,16 +24,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import checked_threads
-from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask
+from terrainwave.codec.border import shared_samples
+from terrainwave.codec.group import HAS_CORRECTIONS
+from terrainwave.codec.refiner import FREE, Decoded, GroupSpec, Heights, Mask
 from terrainwave.codec.registry import refiner_by_name
 from terrainwave.codec.units import block_of_unit
 from terrainwave.container.codes import decode_error, decode_range, encode_error, encode_range
+from terrainwave.container.header import HAS_CORRECTIONS as CORRECTIONS_FEATURE
 from terrainwave.container.header import Header
 from terrainwave.container.metadata import without_origin
 from terrainwave.container.publish import publish, refuse_own_source, scratch_directory
 from terrainwave.container.sink import SpoolSink
 from terrainwave.container.writer import assemble
-from terrainwave.errors import BoundViolationError, InvalidArgumentError, InvalidHeightsError
+from terrainwave.errors import BoundViolationError, InvalidHeightsError
 from terrainwave.file import TerrainFile
 from terrainwave.grid.affine import places_to_pixels
 from terrainwave.grid.quadtree import Block, Region
@@ -49,7 +51,7 @@ from terrainwave.raster_io.source import RasterSource
 from terrainwave.read.decoder import unit_key
 from terrainwave.read.tiles import make_decoder
 from terrainwave.write.boxes import Box, enclosing_boxes
-from terrainwave.write.encoder import Stats, TreeEncoder
+from terrainwave.write.encoder import Ancestor, Stats, TreeEncoder, distance_of
 from terrainwave.write.proof import (
     OUR_FAULT,
     allowed_error,
@@ -75,8 +77,8 @@ class PatchResult:
     `effective_error` is the bound that the file now states. No height is further than
     `measured_error` from its original: it is the largest error measured where originals are known
     (the new raster, and `original`), and of what the file states of its other blocks.
-    `moved_error` is how far this patch moved heights that the new raster does not cover: 0 unless
-    `loosen_bound` allowed it.
+    `moved_error`, how far heights that the new raster does not cover have moved, is 0: patches of
+    format 1.0 moved them.
     """
 
     path: str
@@ -96,7 +98,6 @@ def patch(
     band: int = 1,
     nodata: float | None = None,
     original: Any = None,
-    loosen_bound: bool = False,
     temp_dir: str | os.PathLike[str] | None = None,
     threads: int | None = None,
     progress: ProgressCallback | None = None,
@@ -116,9 +117,6 @@ def patch(
     original : path, rasterio dataset, ndarray or xarray DataArray, optional
         The raster that the file was made of, with all earlier patches, band 1: heights that `src`
         does not cover.
-    loosen_bound : bool
-        Without `original`, allow a lossy file to move heights that `src` does not cover, and raise
-        the bound of the whole file by the largest such move. By default such a patch is refused.
 
     Returns
     -------
@@ -132,23 +130,16 @@ def patch(
         file that cannot mark them, a valid height that equals the file's nodata value, heights
         between its vertical steps; or if `original` is not what the file was made of.
     BoundViolationError
-        If the patch would loosen the bound and `loosen_bound` is false, or if the proof fails. The
-        file is untouched.
+        If the proof fails. The file is untouched.
 
     Notes
     -----
     The proof decodes the whole result. Where `src` is, every sample is within the bound of it.
-    Elsewhere a lossless file has exactly the heights it had. So has a lossy one without `original`
-    and `loosen_bound`; with `loosen_bound` they move by at most one bound, patch by patch. With
-    `original`, every sample is within the bound, whatever the patches before. Takes about the time
-    of decoding and measuring the whole file, and that of coding what differs.
+    Elsewhere it has exactly the height it had, in a lossy file too, and on coarse levels as well;
+    with `original`, every sample is within the bound, whatever the patches before. Takes about the
+    time of decoding and measuring the whole file, and that of coding what differs.
     """
     n_threads = checked_threads(threads)
-    if original is not None and loosen_bound:
-        raise InvalidArgumentError(
-            "found `original` and `loosen_bound`, expected one of them: with the original the bound"
-            " stays as it is"
-        )
     refuse_own_source(src, path)
     if original is not None:
         refuse_own_source(original, path)
@@ -172,9 +163,6 @@ def patch(
         merged.check()
         patcher = _Patcher(terrain, merged, directory, executor, Reporter(progress))
         n_recoded, n_copied = patcher.code()
-        if patcher.moved and not loosen_bound:
-            patcher.close()
-            raise BoundViolationError(_refusal(path, terrain, patcher))
         if patcher.is_changed:
             with publish(final, overwrite=True) as part:
                 assemble(part.file, patcher.header, patcher.sink.spools)
@@ -190,27 +178,8 @@ def patch(
         n_copied=n_copied,
         effective_error=patcher.header.effective_bound * scale,
         measured_error=max(error, patcher.stated_error) * scale,
-        moved_error=patcher.moved * terrain.quantizer.quantum * scale,
+        moved_error=0.0,
         units=terrain.units,
-    )
-
-
-def _refusal(path: str | os.PathLike[str], terrain: TerrainFile, patcher: "_Patcher") -> str:
-    """Return why a patch that would loosen the bound is not made, and what to do."""
-    scale, unit = abs(terrain.raster_info.scale), terrain.units
-    moved, before, after = (
-        f"{error * scale:.6g}" + (f" {unit}" if unit else "")
-        for error in (
-            patcher.moved * terrain.quantizer.quantum,
-            terrain.header.effective_bound,
-            patcher.header.effective_bound,
-        )
-    )
-    return (
-        f"{path}: the patch would move heights that the new raster does not cover by up to {moved},"
-        f" and raise the bound of the whole file from {before} to {after}. Give the raster that the"
-        " file was made of, with all earlier patches, as `original`; or accept the looser bound"
-        " with `loosen_bound`. The file is as it was"
     )
 
 
@@ -289,6 +258,22 @@ class _Merged:
         self._new_place = new_place
         self._original = original
         self.place = new_place if original is None else Region(0, 0, *terrain.shape)
+
+    @property
+    def is_open(self) -> bool:
+        """Say whether heights beyond the new raster are known by the file alone."""
+        return self.place.shape != self._terrain.shape
+
+    def beyond(self, region: Region, stride: int) -> Mask:
+        """Return which samples of a region, `stride` apart, are known by the file alone."""
+        rows, cols = (
+            (stride * np.arange(first, first + n) - start).astype(np.uint64) >= size
+            for first, n, start, size in (
+                (region.row, region.n_rows, self.place.row, self.place.n_rows),
+                (region.col, region.n_cols, self.place.col, self.place.n_cols),
+            )
+        )
+        return rows[:, None] | cols
 
     def covers(self, region: Region) -> bool:
         """Say whether the new raster covers a region of the full grid."""
@@ -394,12 +379,19 @@ class _PatchEncoder(TreeEncoder):
         self._merged = merged
         # Largest change of each block's decoded heights, in quanta, where anything changed.
         self.changes: dict[Block, int] = {}
-        # The same of the full grid, where the new raster is not.
-        self.moves: dict[Block, int] = {}
         self.recoded: set[Block] = set()
+        # Of changed coarse blocks, how far finest heights, decoded where nothing else is known, are
+        # from their surfaces, in quanta.
+        self.apart: dict[Block, int] = {}
         header = terrain.header
         refiner = refiner_by_name(header.method, header.parameters)
-        super().__init__(terrain.grid, refiner, header.codec_parameters, *rest)
+        # With the original all heights are known, and none needs to be put back; but corrections of
+        # earlier patches are heights that neighbours have as well.
+        self._corrects = header.step > 1 and (header.has_corrections or merged.is_open)
+        # Whether any unit has corrections.
+        self.has_corrections = False
+        parameters = replace(header.codec_parameters, has_corrections=self._corrects)
+        super().__init__(terrain.grid, refiner, parameters, *rest)
 
     def code_unit(
         self, key: Block, spec: GroupSpec, parent: Decoded | None, target: Heights, mask: Mask
@@ -407,9 +399,10 @@ class _PatchEncoder(TreeEncoder):
         """Return the unit's old payload, or a new one where that no longer holds."""
         old = self._terrain.decoder.unit(key)
         stored = self._terrain.container.payload(key)
-        if key not in self.changes and self._holds(spec, old, target, mask):
-            return stored, old
-        payload, decoded = super().code_unit(key, spec, parent, target, mask)
+        payload, decoded = stored, old
+        if key in self.changes or not self._holds(spec, old, target, mask):
+            payload, decoded = super().code_unit(key, spec, parent, target, mask)
+        self.has_corrections |= bool(payload and payload[0] & HAS_CORRECTIONS)
         if payload == stored and key not in self.changes:
             return stored, old
         self.recoded.add(key)
@@ -419,19 +412,29 @@ class _PatchEncoder(TreeEncoder):
             )
             changes = np.abs(after.heights.astype(np.int64) - before.heights)
             change = int(changes.max())
-            if spec.level == self._grid.k_max:
-                self.moves[block] = self._largest_move(block, spec, changes, after.mask)
             if change or not _are_alike(before, after):
                 self.changes[block] = change
         return payload, decoded
 
-    def _largest_move(
-        self, block: Block, spec: GroupSpec, changes: NDArray[np.int64], mask: Mask
-    ) -> int:
-        """Return the largest change of a finest block's valid samples without a known original."""
-        region = self._grid.block_region(block, 1 if spec.rings == 3 else 0)
-        is_open = mask & ~_inside(self._merged, region, np.ones(region.shape, dtype=np.bool_))
-        return int(changes[is_open].max(initial=0))
+    def kept(self, key: Block, spec: GroupSpec, target: Heights, mask: Mask) -> Heights | None:
+        """Return the heights of a unit that must come back, `FREE` elsewhere.
+
+        Those that the new raster does not cover, void or not as before. Of samples that neighbours
+        share, which may be copied, all that hold: each of them must find the same heights. There
+        voids have what is predicted, as a neighbour without a valid sample knows no other.
+        """
+        if not self._corrects:
+            return None
+        old = self._terrain.decoder.unit(key)
+        stays = self._merged.beyond(spec.region, self._grid.stride(spec.level))
+        shared = shared_samples(spec)
+        holds = np.abs(target.astype(np.int64) - old.heights) <= spec.half
+        stays |= shared & (holds | ~self._pyramid.own(spec.level, spec.region))
+        stays &= old.mask == mask
+        stays &= mask | ~shared
+        if not old.mask.any():
+            stays &= mask
+        return np.where(stays, old.heights, FREE)
 
     def _holds(self, spec: GroupSpec, old: Decoded, target: Heights, mask: Mask) -> bool:
         """Say whether a unit decodes to within the bound of the targets."""
@@ -450,6 +453,25 @@ class _PatchEncoder(TreeEncoder):
         # Of a height that was clipped the old multiple of the step is not known.
         clipped = (old.heights == spec.z_min) | (old.heights == spec.z_max)
         return spec.step == 1 or not (clipped & own & (target != old.heights)).any()
+
+    def _measure(
+        self,
+        spec: GroupSpec,
+        blocks: list[Block],
+        chain: list[Ancestor],
+        originals: Heights,
+        mask: Mask,
+        decoded: Decoded,
+    ) -> None:
+        super()._measure(spec, blocks, chain, originals, mask, decoded)
+        valid = decoded.mask[spec.core.slices_in(spec.region)]
+        if np.array_equal(mask, valid):
+            return
+        for ancestor in chain:
+            if ancestor.block in self.changes:
+                apart = distance_of(ancestor, spec.core, originals, valid, self._grid)
+                with self._lock:
+                    self.apart[ancestor.block] = max(apart, self.apart.get(ancestor.block, 0))
 
     def measured(self, region: Region, mask: Mask) -> Mask:
         """Return which samples of a region are known originals."""
@@ -511,8 +533,6 @@ class _Patcher:
         )
         self.header = terrain.header
         self.is_changed = False
-        # The largest move in quanta of a sample that the new raster does not cover.
-        self.moved = 0
         # What blocks of the full grid state that is not known by originals, in raw units.
         self.stated_error = 0.0
 
@@ -523,9 +543,12 @@ class _Patcher:
             self._terrain, self._merged, self._pyramid, self.sink, self._count("patching")
         )
         stats = encoder.run(self._executor)
-        self.moved = max(encoder.moves.values(), default=0)
         self.header = self._bounded_header()
-        errors, boxes = self._codes(stats, encoder.changes | encoder.moves)
+        features = self.header.features & ~CORRECTIONS_FEATURE
+        if encoder.has_corrections:
+            features |= CORRECTIONS_FEATURE
+        self.header = replace(self.header, features=features)
+        errors, boxes = self._codes(stats, encoder)
         self.stated_error = self._stated_error(errors)
         mesh_errors = self._mesh(encoder.changes, errors)
         is_any_new = self._set_codes(errors, boxes, mesh_errors)
@@ -537,24 +560,16 @@ class _Patcher:
         """Return the file's header with the bounds that hold after the patch."""
         old = self._terrain.header
         old = replace(old, metadata=without_origin(old.metadata))
-        before = old.moved
-        after = before + self.moved
-        if self._merged.covers(Region(0, 0, *self._terrain.shape)):
-            after = 0
-        if after == before:
+        if not old.moved or not self._merged.covers(Region(0, 0, *self._terrain.shape)):
             return old
+        # What earlier patches have moved is known again.
         metadata = {key: value for key, value in old.metadata.items() if key != "moved"}
-        if after:
-            metadata["moved"] = after
-        # The bounds without moves; float64 holds their sums to more than the last digit shown.
-        asked = self._asked_bound()
-        moved = float(after * old.quantum)
-        effective = old.quantizer.effective_error + moved
+        bound = old.quantizer.effective_error
         return replace(
             old,
             metadata=metadata,
-            max_error=max(asked + moved, effective),
-            effective_bound=effective,
+            max_error=max(self._asked_bound(), bound),
+            effective_bound=bound,
         )
 
     def _asked_bound(self) -> float:
@@ -570,12 +585,14 @@ class _Patcher:
         return self._reporter.counter(stage, shape, self._terrain.dtype.itemsize)
 
     def _codes(
-        self, stats: Stats, changes: Mapping[Block, int]
+        self, stats: Stats, encoder: _PatchEncoder
     ) -> tuple[dict[Block, int], dict[Block, Box]]:
         """Return error codes and boxes; where originals are not known, the old ones hold as well.
 
-        A surface is nowhere further from originals than it was, and by how much it has moved.
+        A surface is nowhere further from originals than it was, and by how much it has moved; nor
+        than it is from the stored heights, and these are from originals.
         """
+        between = self._terrain.header.coded_error + self._lost
         errors: dict[Block, int] = {}
         below: dict[Block, Box] = {}
         for block, own in stats.items():
@@ -583,8 +600,11 @@ class _Patcher:
             errors[block] = 0 if own.is_empty else encode_error(own.error + self._lost)
             if self._merged.covers(self._grid.full_region(block)):
                 continue
-            moved = self._moved_surface(block, changes.get(block, 0))
-            errors[block] = max(errors[block], encode_error(decode_error(old[2]) + moved))
+            moved = self._moved_surface(block, encoder.changes)
+            stated = decode_error(old[2]) + moved
+            if moved and block in encoder.apart:
+                stated = min(stated, encoder.apart[block] + between)
+            errors[block] = max(errors[block], encode_error(stated))
             if any(old[:3]) or moved or not own.is_empty:
                 # Every original and its error lie in the box: it grows as the error does.
                 low, high = self._terrain.box_quanta(block)
@@ -604,16 +624,18 @@ class _Patcher:
         stated = decode_error(max(codes, default=0)) * self._terrain.quantizer.quantum
         return min(float(stated), self.header.effective_bound)
 
-    def _moved_surface(self, block: Block, change: int) -> int:
-        """Return how far a block's surface has moved where its samples have, in quanta."""
+    def _moved_surface(self, block: Block, changes: Mapping[Block, int]) -> int:
+        """Return how far a block's surface has moved at unknown originals, in quanta."""
         grid = self._grid
+        if block.level == grid.k_max:
+            return 0
         reach = grid.stride(block.level) * grid.block
         ends = (block.row + 1) * reach < grid.n_rows and (block.col + 1) * reach < grid.n_cols
-        return change if ends or block.level == grid.k_max else _CONTINUED * change
+        return changes.get(block, 0) * (1 if ends else _CONTINUED)
 
     def _mesh(self, changes: Mapping[Block, int], errors: Mapping[Block, int]) -> dict[Block, int]:
         """Make all meshes again and measure them; return the codes of their errors."""
-        header, grid = self._container.header, self._grid
+        header, grid = self.header, self._grid
         if header.mesh == "none":
             return {}
         decoder = make_decoder(header, self.sink.payloads, _CACHE_BYTES)
@@ -712,8 +734,8 @@ class _Patcher:
         Raises
         ------
         BoundViolationError
-            If a sample is further than the bound from the new raster, or one elsewhere further
-            from where it was than the header says.
+            If a sample is further than the bound from the new raster, or one elsewhere is not what
+            it was.
         """
         quantizer, bound = self._terrain.quantizer, self._asked_bound()
         allowed = allowed_error(quantizer, bound, quantizer.effective_error)
@@ -737,13 +759,12 @@ class _Patcher:
         return measured_error(largest, quantizer)
 
     def _compare_rest(self, result: TerrainFile, region: Region) -> None:
-        """Raise unless samples that the new raster does not cover are within the move stated."""
+        """Raise unless samples that the new raster does not cover are what they were."""
         level = self._grid.k_max
         (before, was_valid), (after, is_valid) = (
             terrain.decoder.window(level, region) for terrain in (self._terrain, result)
         )
-        moves = np.abs(after.astype(np.int64) - before)
-        is_good = was_valid & is_valid & (moves <= self.moved) | ~was_valid & ~is_valid
+        is_good = was_valid & is_valid & (after == before) | ~was_valid & ~is_valid
         if self._terrain.quantizer.remainder_bytes:
             stored, new = (terrain.read_with_mask(region)[0] for terrain in (self._terrain, result))
             is_good &= (stored == new) | ~is_valid
@@ -752,7 +773,7 @@ class _Patcher:
             row, col = np.argwhere(~is_good)[0] + (region.row, region.col)
             raise BoundViolationError(
                 f"the height at row {row}, column {col}, which the new raster does not cover, has"
-                f" moved by more than {self.moved} quanta; {OUR_FAULT}"
+                f" moved; {OUR_FAULT}"
             )
 
     def close(self) -> None:
