@@ -531,7 +531,8 @@ void Dataset::DescribeCrs() {
 
 void Dataset::Describe() {
   const twz_info &info = Info();
-  has_transform_ = info.has_transform != 0 || info.crs != nullptr;
+  /* A coarse level has one even where the raster has none: rows and columns of the full grid. */
+  has_transform_ = info.has_transform != 0 || info.crs != nullptr || !IsFinest();
   twz_level level;
   if (twz_file_level(file_->Get(), grid_.level, &level, nullptr) == TWZ_OK) {
     const double *t = level.transform;
@@ -629,7 +630,7 @@ GDALDataset *Dataset::Open(GDALOpenInfo *info) {
     return nullptr;
   }
   std::unique_ptr<Dataset> dataset;
-  Guarded([&] {
+  const CPLErr result = Guarded([&] {
     const bool is_named = STARTS_WITH_CI(info->pszFilename, PREFIX);
     std::unique_ptr<VSILFILE, int (*)(VSILFILE *)> handle(is_named ? VSIFOpenL(name.file.c_str(), "rb") : info->fpL,
                                                           VSIFCloseL);
@@ -675,7 +676,7 @@ GDALDataset *Dataset::Open(GDALOpenInfo *info) {
     }
     return true;
   });
-  return dataset.release();
+  return result == CE_None ? dataset.release() : nullptr;
 }
 
 GDALDataset *CannotWrite() {
