@@ -99,7 +99,7 @@ def writing_commands(inputs: Path) -> list[Command]:
     old = (inputs / "meshed.twz").read_bytes()
     return [
         Command("compress", "a.twz", ("compress", dem, "a.twz", *bound, *writing)),
-        Command("patch", "a.twz", ("patch", "a.twz", part, "--loosen-bound", *common), old),
+        Command("patch", "a.twz", ("patch", "a.twz", part, *common), old),
         Command("mesh --store", "a.twz", ("mesh", plain, "a.twz", "--store", *writing)),
         Command("decompress", "a.tif", ("decompress", meshed, "a.tif", *writing)),
         Command("decompress --cog", "a.tif", ("decompress", meshed, "a.tif", "--cog", *writing)),

@@ -37,13 +37,30 @@ def check_ending(path: str | os.PathLike[str], endings: Sequence[str]) -> None:
     Raises
     ------
     InvalidArgumentError
-        If the name has none of the endings, in capital or small letters.
+        If it is a URL, or the name has none of the endings, in capital or small letters.
     """
+    check_local(path)
     ending = Path(path).suffix.lower()
     if ending not in endings:
         raise InvalidArgumentError(
             f"{os.fspath(path)}: found {ending or 'no extension'}, expected a name that ends in"
             f" {one_of(endings)}"
+        )
+
+
+def check_local(target: str | os.PathLike[str]) -> None:
+    """Refuse a URL where a file is written: as a path it would name folders of this machine.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If it is one; the message has neither login nor query.
+    """
+    name = os.fspath(target)
+    if "://" in name:
+        raise InvalidArgumentError(
+            f"found a URL, {name.partition('://')[0]}://…, expected a path: files are written to"
+            " this machine alone; upload the finished file"
         )
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from commands import run
 from container.test_url import running_server
+from strategies import terrain_like, write_geotiff
 
 import terrainwave
 
@@ -57,3 +58,20 @@ def test_a_terrain_tells_no_secrets_and_can_be_pickled(address):
         assert "secret" not in repr(terrain) + str(terrain.name) + terrain.info().path
         with pickle.loads(pickle.dumps(terrain)) as copy:
             assert copy.shape == terrain.shape
+
+
+@pytest.mark.parametrize("verb", ["patch", "compress", "decompress", "mesh"])
+def test_targets_by_url_are_refused_without_their_secrets(tmp_path, verb):
+    tif = write_geotiff(tmp_path / "a.tif", terrain_like(40, 40))
+    twz = tmp_path / "a.twz"
+    terrainwave.compress(tif, twz, max_error=1)
+    ending = {"patch": "twz", "compress": "twz", "decompress": "tif", "mesh": "ply"}[verb]
+    url = f"https://me:secret@host.test/folder/b.{ending}?key=secret"
+    names = {"patch": (url, tif), "compress": (tif, url)}.get(verb, (twz, url))
+    options = ["--max-error", "1"] if verb == "mesh" else []
+    result = run(verb, *names, *options)
+    assert result.exit_code in (1, 2)
+    (line,) = result.stderr.strip().splitlines()
+    assert "secret" not in line
+    assert "expected a path" in line or "expected a name" in line
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.tif", "a.twz"]

@@ -1,5 +1,6 @@
 """Corrections come back exactly, take about their entropy, and bring kept heights back."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ from cases import some
 from hypothesis import given
 from hypothesis import strategies as st
 from reference_decoder import grid as reference_grid
+from reference_decoder.basics import DOCUMENT
 from reference_decoder.payloads import decode_corrections as decode_slowly
 
 from terrainwave.codec import registry
@@ -63,6 +65,17 @@ def test_corrections_come_back_here_and_by_the_slow_decoder(key, rings, seed, sh
         np.testing.assert_array_equal(decode_corrections(section, spec).added, added)
         unit = reference_grid.Grid(90, 75, 32, rings).unit(tuple(key))
         np.testing.assert_array_equal(decode_slowly(section, unit, step), added)
+
+
+def test_the_example_of_the_format_holds():
+    """FORMAT.md §5.5: root block of 3 × 5 samples, n = 5."""
+    text = DOCUMENT[DOCUMENT.index("### 5.5 ") : DOCUMENT.index("## 6. ")]
+    data = bytes.fromhex(re.search(r"are the bytes ((?:[0-9a-f]{2} ?)+)\.", text)[1])
+    parameters = CodecParameters(5, -99, 99, (1, 0), 1, 1, has_corrections=True)
+    spec = unit_spec(Grid(3, 5, 32), parameters, Block(-1, 0, 0))
+    expected = [[0, -1, 0, 0, 0], [0, 2, 0, 0, 0], [0, 0, 0, 0, 0]]
+    np.testing.assert_array_equal(decode_corrections(data, spec).added, expected)
+    assert encode_corrections(np.array(expected, np.int32), spec) == data
 
 
 @pytest.mark.large

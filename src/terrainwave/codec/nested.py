@@ -430,9 +430,11 @@ def code_pass(
                 distance = abs((west << P_BITS) - value)
                 error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
             if has_corrections:
-                west = corrected(west, kept, added, row * n_cols + j, z_range, z_range)
-                distance = abs((west << P_BITS) - value)
-                error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
+                height = corrected(west, kept, added, row * n_cols + j, z_range, z_range)
+                if height != west:
+                    west = height
+                    distance = abs((west << P_BITS) - value)
+                    error = min(in_steps(distance, scale_shift, inverse, 5 - P_BITS), MAX_ERROR)
             samples[j] = west
             sample_errors[j] = error
             error_west2, error_west = error_west, error

@@ -41,7 +41,9 @@ _WINDOW = 257
 _SHARE = 1 << 16
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 36
 # They decide on stencils, features and contexts: where there are more, so many samples a side.
-_MOST_WHOLE, _FEW = 16, 129
+_MOST_WHOLE, _FEW = 4, 129
+# And weights of features are fitted to so many.
+_MOST_FOR_WEIGHTS = 6
 _MIN_SAMPLES = 300
 _COST_OF_NONE = COST_UNIT * (11 + ESCAPE_BITS)  # of a symbol that takes an escape
 _FREQ_BITS = 3
@@ -110,26 +112,22 @@ def _with_weights(
 ) -> FileTables:
     """Return tables with weights of features of their own if `some` gets smaller than `least`.
 
-    With the trained frequencies and contexts that suit them; of all classes, or the finest alone.
+    Of all classes, or the finest alone.
     """
     read = Tables(tables)
-    weights = fit_magnitude(_decoded(read, windows, masks, some.step), masks, read, some.step)
+    some_windows = np.s_[:: -(-len(windows) // _MOST_FOR_WEIGHTS)]
+    decoded = _decoded(read, windows[some_windows], masks[some_windows], some.step)
+    weights = fit_magnitude(decoded, masks[some_windows], read, some.step)
     if weights is None:
         return tables
-    best, smallest, reach = tables, np.inf, rapid_tables.N_FAMILIES
-    first = tables.family % N_STEPS
-    families = [first, first + N_STEPS, first + reach, first + N_STEPS + reach]
+    if tables.family < rapid_tables.N_FAMILIES:  # else it takes a reader of format 1.1 anyway
+        least *= 1 - _SAVED_BY_WEIGHTS
+    best = tables
     for n_classes in (N_CLASSES, 2, 1):
-        for family in families:
-            if tables.family >= reach:  # the file takes a reader of format 1.1 anyway
-                most = least
-            else:
-                most = least * (1 - (_SAVED_BY_REACH if family >= reach else _SAVED_BY_WEIGHTS))
-            other = tables._replace(family=family, weights=weights[:n_classes])
-            cost = _fitted(other, some)[1] + COST_UNIT * weights_bits(other.weights)
-            if cost < min(most, smallest):
-                best, smallest = other, cost
-        families = [tables.family if best is tables else best.family]
+        other = tables._replace(weights=weights[:n_classes])
+        cost = _fitted(other, some)[1] + COST_UNIT * weights_bits(other.weights)
+        if cost < least:
+            best, least = other, cost
     return best
 
 

@@ -228,9 +228,12 @@ def make_readable(m, own, row, n_rows, n):
 def _correct(m, own, kept, added, corners, is_corner, start, step, first, stop, origin, scale):
     """Put coded samples `first` … ``stop - 1`` of a row back; an encoder finds what that takes."""
     cast = m.dtype.type
+    is_encoding = kept.shape[0] > 0
     limits = np.int64(scale.low) + origin, np.int64(scale.high) + origin
     for j in range(first, stop):
         k = np.uint64(corners[start + j, 0] if is_corner else start + j * step)
+        if added[k] == 0 and not is_encoding:
+            continue  # nearly all, in nearly all units
         at = own + np.uint64(j)
         height = corrected(np.int64(m[at]) + origin, kept, added, k, limits, limits)
         m[at] = cast(height - origin)

@@ -18,7 +18,7 @@ from enum import Enum
 from pathlib import Path
 from typing import BinaryIO
 
-from terrainwave.arguments import check_flags
+from terrainwave.arguments import check_flags, check_local
 from terrainwave.container.spool import storage_errors
 from terrainwave.errors import StorageError
 
@@ -74,13 +74,14 @@ def publish(target: str | os.PathLike[str], overwrite: bool = False) -> Iterator
     Raises
     ------
     InvalidArgumentError
-        If `overwrite` is neither true nor false.
+        If `overwrite` is neither true nor false, or `target` is a URL.
     StorageError
         Before the block: if the target exists and `overwrite` is false, is no regular file, or
         its directory is missing or not writable. After it: if the disk is full or the target
         cannot be replaced.
     """
     check_flags(overwrite=overwrite)
+    check_local(target)
     final = Path(os.path.realpath(target))
     _check_target(final, overwrite)
     remove_stale_parts(final)

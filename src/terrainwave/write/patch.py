@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import checked_threads
+from terrainwave.arguments import check_local, checked_threads
 from terrainwave.codec.border import shared_samples
 from terrainwave.codec.group import HAS_CORRECTIONS
 from terrainwave.codec.refiner import FREE, Decoded, GroupSpec, Heights, Mask
@@ -125,6 +125,8 @@ def patch(
 
     Raises
     ------
+    InvalidArgumentError
+        If `path` is a URL.
     InvalidHeightsError
         If `src` or `original` does not fit the file: heights beyond the file's range, voids in a
         file that cannot mark them, a valid height that equals the file's nodata value, heights
@@ -140,6 +142,7 @@ def patch(
     time of decoding and measuring the whole file, and that of coding what differs.
     """
     n_threads = checked_threads(threads)
+    check_local(path)
     refuse_own_source(src, path)
     if original is not None:
         refuse_own_source(original, path)
