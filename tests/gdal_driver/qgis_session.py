@@ -64,6 +64,14 @@ def look_at(path):
     found["sublayers"] = [[one.providerKey(), one.name(), one.uri()] for one in sublayers]
     found["is in the filter of files"] = "*.twz" in registry.fileRasterFilters()
 
+    # The plugin, if it is there, leaves the file to QGIS.
+    sys.path.insert(0, os.environ["PLUGIN"])
+    from terrainwave_plugin.drops import DropHandler
+
+    taken = []
+    handler = DropHandler(taken.append)
+    found["taken by the plugin"] = [handler.handleFileDrop(path), taken]
+
     layer = QgsRasterLayer(path, "dem")
     found["valid"], found["provider"] = layer.isValid(), layer.dataProvider().name()
     found["crs"] = layer.crs().authid()

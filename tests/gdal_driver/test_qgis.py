@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from gdal_driver.built import SYSTEM_PYTHON, build, run
+from gdal_driver.built import ROOT, SYSTEM_PYTHON, build, run
 from gdal_driver.files import TRANSFORM, centre, write_kind
 from PIL import Image
 
@@ -37,6 +37,7 @@ def found(folder, path):
         "HOME": str(folder / "home"),
         "XDG_RUNTIME_DIR": str(folder / "home"),
         "QT_QPA_PLATFORM": "offscreen",
+        "PLUGIN": str(ROOT / "qgis"),
         "PLACE": json.dumps(centre(TRANSFORM, *PLACE)),
     }
     ended = run(SYSTEM_PYTHON, SESSION, path, "", folder, **variables)
@@ -54,6 +55,10 @@ def test_a_dropped_file_is_one_layer_and_needs_no_dialog(found, path):
     assert found["sublayers"] == [["gdal", "int16-nodata", str(path)]]
     assert found["subLayers"] == []
     assert found["is in the filter of files"]
+
+
+def test_the_plugin_leaves_files_to_a_gdal_that_reads_them(found):
+    assert found["taken by the plugin"] == [False, []]
 
 
 def test_the_layer_is_valid_and_gdals(found, decoded):
