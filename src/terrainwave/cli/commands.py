@@ -86,7 +86,7 @@ _EFFORTS = [f"{method.name} {method.effort}" for method in METHODS.values() if m
 EFFORT = (
     f"How much is tried: {'; '.join(_EFFORTS)}; the others have one way."
     f" For archives: best without --method is {SMALLEST_METHOD.name}, whose files are"
-    " 0.94 of the default's size (0.78 to 0.99), and are read 5 times as slowly."
+    " 0.95 of the default's size (0.78 to 0.99), and are read 5 times as slowly."
 )
 WARMUP_TASKS = ("compress", "read", "verify", "mesh", "render")
 VERTICAL_OPTION = click.option(

@@ -134,7 +134,12 @@ def _with_weights(
             if cost < min(most, smallest):
                 best, smallest = other, cost
         families = [tables.family if best is tables else best.family]
-    return best
+    if best is tables or len(windows) > _MOST_WHOLE:
+        return best
+    # A raster of few windows has about their sides, which may cost more than is saved inside.
+    whole = some._replace(is_inner=False)
+    cost, plain = (_fitted(other, whole)[1] for other in (best, tables))
+    return best if cost + COST_UNIT * weights_bits(best.weights) < plain else tables
 
 
 class _Sample(NamedTuple):
@@ -239,8 +244,9 @@ def fit_codes(
     n_bits = 2 + np.where(changes == 0, 1, 1 + _FREQ_BITS + sizes).sum(1)
     after = after + COST_UNIT * n_bits
     is_own = (counts.sum(1) > 0) & (before > after)
-    raw = (counts.sum(1) * _raw_bits()).sum() * COST_UNIT * share
-    cost = float(np.cumsum(np.where(is_own, after, before))[-1] + raw)
+    n_escapes = counts[:, ESCAPE]
+    n_raw = ((counts.sum(1) - n_escapes) * _raw_bits() + n_escapes * ESCAPE_BITS).sum()
+    cost = float(np.cumsum(np.where(is_own, after, before))[-1] + n_raw * COST_UNIT * share)
     return {int(context): codes[context] for context in np.flatnonzero(is_own)}, cost
 
 
