@@ -19,7 +19,7 @@ COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo qgis conformance test test-all system system-full system-native native native-gcc native-clang native-sanitized native-compared native-fuzz lint test-compiled test-full test-bounds test-python coverage docs bench fuzz release-check clean
+.PHONY: help demo qgis conformance test test-all system system-full system-native native native-gcc native-clang native-agrees native-sanitized native-fuzz lint test-compiled test-full test-bounds test-python coverage docs bench fuzz release-check clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -31,7 +31,7 @@ help:
 	@echo "                     AGAIN='predictive speeds' anew, ONLY='cdf97' that alone"
 	@echo "make fuzz SECONDS=60 fuzz each target that long, ONLY='rapid opening' these alone: docs/reliability.md"
 	@echo "make native          the native library and its command \`twz\`, built and tested with gcc and clang"
-	@echo "make native-compared FILES=100  files of any kind, read by the native library and the package"
+	@echo "make native-agrees FILES=100  files of many kinds, read by the native library and the package"
 	@echo "make native-fuzz SECONDS=60  fuzz its files and its units, each half that long"
 	@echo "make docs            the site, as build/site; any warning is an error"
 	@echo "make release-check   sdist and wheel into dist/, built twice, installed without and with each extra"
@@ -95,7 +95,7 @@ test:
 	@$(MAKE) --no-print-directory -j2 lint test-compiled
 
 # What `make test` leaves out.
-test-all: test-full test-bounds test-python native native-sanitized native-compared native-fuzz
+test-all: test-full test-bounds test-python native native-agrees native-sanitized native-fuzz
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
@@ -151,11 +151,13 @@ native: native-gcc native-clang
 native-gcc native-clang: native-%: system-native
 	@$(call built_natively,$*,$*) && $(call tested_natively,$*)
 
+# What the package writes, read by both.
+native-agrees: native-gcc $(VENV)/.installed-dev
+	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/tests/against_python.py build/native/gcc/twz
+	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/fuzz/compare.py build/native/gcc/twz $(FILES)
+
 native-sanitized: system-native
 	@$(call built_natively,sanitized,clang,-DTWZ_SANITIZE=ON) && $(call tested_natively,sanitized)
-
-native-compared: native-sanitized $(VENV)/.installed-dev
-	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/fuzz/compare.py build/native/sanitized/twz $(FILES)
 
 # Small sound files of each method, made by the package that is tested here; what fuzzers find
 # new stays in build/native/fuzz/corpus.

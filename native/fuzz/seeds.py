@@ -1,4 +1,4 @@
-"""Write small sound files of every method, seeds of fuzzers: python native/fuzz/seeds.py FOLDER.
+"""Write small sound files of every method as seeds of fuzzers: python native/fuzz/seeds.py FOLDER.
 
 Units of few samples decode in microseconds, so that fuzzers try many inputs.
 """
