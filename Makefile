@@ -8,6 +8,7 @@ WORKERS ?= 2
 DATA ?=
 SECONDS ?= 60
 FILES ?= 100
+PREFIX ?= $(CURDIR)/build/native/prefix
 
 BIN := $(VENV)/bin
 # Absolute: tests change their directory.
@@ -19,7 +20,7 @@ COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo qgis conformance test test-all system system-full system-native native native-gcc native-clang native-agrees native-sanitized native-fuzz lint test-compiled test-full test-bounds test-python coverage docs bench fuzz release-check clean
+.PHONY: help demo qgis conformance test test-all system system-full system-native native native-gcc native-clang native-agrees native-compared native-sanitized native-fuzz native-driver native-deb lint test-compiled test-full test-bounds test-python coverage docs bench fuzz release-check clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -30,8 +31,10 @@ help:
 	@echo "make bench DATA=DIR  compare with other codecs on the rasters in DIR: what is not measured yet;"
 	@echo "                     AGAIN='predictive speeds' anew, ONLY='cdf97' that alone"
 	@echo "make fuzz SECONDS=60 fuzz each target that long, ONLY='rapid opening' these alone: docs/reliability.md"
-	@echo "make native          the native library and its command \`twz\`, built and tested with gcc and clang"
-	@echo "make native-agrees FILES=100  files of many kinds, read by the native library and the package"
+	@echo "make native          the native library, its command \`twz\` and GDAL's driver, built and tested with gcc"
+	@echo "                     and clang, installed to PREFIX (build/native/prefix)"
+	@echo "make native-deb      the driver as a .deb for this system's GDAL, into dist/"
+	@echo "make native-compared FILES=100  files of any kind, read by the native library and the package"
 	@echo "make native-fuzz SECONDS=60  fuzz its files and its units, each half that long"
 	@echo "make docs            the site, as build/site; any warning is an error"
 	@echo "make release-check   sdist and wheel into dist/, built twice, installed without and with each extra"
@@ -95,7 +98,7 @@ test:
 	@$(MAKE) --no-print-directory -j2 lint test-compiled
 
 # What `make test` leaves out.
-test-all: test-full test-bounds test-python native native-agrees native-sanitized native-fuzz
+test-all: test-full test-bounds test-python native native-sanitized native-agrees native-compared native-fuzz
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
@@ -146,18 +149,34 @@ built_natively = cmake -S native -B build/native/$(1) -DCMAKE_C_COMPILER=$(2) -D
 	cmake --build build/native/$(1) -j $(WORKERS) -- -s --no-print-directory
 tested_natively = ctest --test-dir build/native/$(1) --output-on-failure -j $(WORKERS)
 
-native: native-gcc native-clang
+native: native-gcc native-clang native-driver
 
 native-gcc native-clang: native-%: system-native
 	@$(call built_natively,$*,$*) && $(call tested_natively,$*)
 
+# By clang, whose kernels are faster. The tests are those of tests/gdal_driver.
+native-driver: system-native
+	@$(call built_natively,driver,clang,-DTWZ_GDAL=ON -DCMAKE_CXX_COMPILER=clang++ -DBUILD_TESTING=OFF)
+	@cmake --install build/native/driver --prefix "$(PREFIX)" >/dev/null
+	@folder=$$(dirname $$(find "$(PREFIX)" -name gdal_TWZ.so | head -1)) && \
+		GDAL_DRIVER_PATH=$$folder gdalinfo tests/golden/v1/one-sample.twz >/dev/null && \
+		echo "GDAL reads .twz files where GDAL_DRIVER_PATH is $$folder"
+
+# One for each minor version of GDAL: that of this system.
+native-deb: system-native
+	@$(call built_natively,deb,clang,-DTWZ_GDAL=ON -DCMAKE_CXX_COMPILER=clang++ -DBUILD_TESTING=OFF -DCMAKE_INSTALL_PREFIX=/usr)
+	@mkdir -p dist && cd build/native/deb && cpack -G DEB >/dev/null && cp *.deb "$(CURDIR)/dist/" && \
+		echo "dist/$$(ls -t *.deb | head -1)"
+
 # What the package writes, read by both.
 native-agrees: native-gcc $(VENV)/.installed-dev
 	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/tests/against_python.py build/native/gcc/twz
-	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/fuzz/compare.py build/native/gcc/twz $(FILES)
 
 native-sanitized: system-native
 	@$(call built_natively,sanitized,clang,-DTWZ_SANITIZE=ON) && $(call tested_natively,sanitized)
+
+native-compared: native-sanitized $(VENV)/.installed-dev
+	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/fuzz/compare.py build/native/sanitized/twz $(FILES)
 
 # Small sound files of each method, made by the package that is tested here; what fuzzers find
 # new stays in build/native/fuzz/corpus.

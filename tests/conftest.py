@@ -38,7 +38,7 @@ settings.load_profile("fast")
 # Tests in which no kernel of ours does what is tested: they run once, compiled. All others are
 # marked `kernels`, and run with bounds checked, too.
 WITHOUT_KERNELS = {
-    "benchmarks", "cli", "container", "ext", "place", "raster_io",
+    "benchmarks", "cli", "container", "ext", "gdal_driver", "place", "raster_io",
     "test_architecture.py", "test_compiler.py", "test_compilers.py", "test_dispatchers.py",
     "test_docs.py", "test_examples.py",
     "test_faults.py", "test_format_example.py", "test_javascript_kernels.py", "test_window.py",
@@ -120,6 +120,11 @@ def _lacks_qgis() -> bool:
     return not has_qgis and shutil.which("apt-get") is None
 
 
+def _lacks_gdal() -> bool:
+    """Say whether the system's GDAL is not there and cannot be installed as our targets do."""
+    return shutil.which("gdal-config") is None and shutil.which("apt-get") is None
+
+
 def pytest_collection_modifyitems(config, items):
     """Mark what holds kernels, sort files; leave out what needs what cannot be had here."""
     n_tests = Counter(item.path for item in items)
@@ -131,7 +136,7 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker("large")
     # Then files of many tests before those of few, so that workers end together.
     items.sort(key=lambda item: (_turn(item.path), -n_tests[item.path]))
-    missing = {"gl": bool(_why_no_gl()), "qgis": _lacks_qgis()}
+    missing = {"gl": bool(_why_no_gl()), "qgis": _lacks_qgis(), "gdal": _lacks_gdal()}
     marks = [mark for mark, is_missing in missing.items() if is_missing]
     left_out = [item for item in items if any(map(item.get_closest_marker, marks))]
     if left_out:

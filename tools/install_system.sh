@@ -2,25 +2,28 @@
 # What pictures without a screen need, a screen without a screen for the test of the window, and a
 # browser for the tests of pages: EGL, OpenGL with Mesa's software driver, Xvfb, xdotool, Chromium
 # with its driver, npm; with the argument `qgis` also QGIS without its window, and its Python, for the
-# tests of the plugin; with the argument `native` instead of all these what builds and tests the
-# native library: cmake, gcc, clang with its sanitizers and libFuzzer. Installed where this is Debian or Ubuntu and apt-get may run; elsewhere one
-# line says what is missing, and the tests that need it fail.
+# tests of the plugin, and what builds and tests GDAL's driver; with the argument `native` instead of
+# all these what builds and tests the native library, and that driver: cmake, gcc, clang with its
+# sanitizers and libFuzzer, GDAL. Installed where this is Debian or Ubuntu and apt-get may run;
+# elsewhere one line says what is missing, and the tests that need it fail.
 set -eu
 
 packages="libegl1 libgl1 libgl1-mesa-dri libglu1-mesa xvfb xauth xdotool chromium chromium-driver"
 command -v npm >/dev/null || packages="$packages npm"
 wants_qgis=
+# What builds GDAL's driver, and the system's own GDAL, its commands and Pythons, which use it.
+gdal="cmake make clang g++ libgdal-dev gdal-bin python3-gdal python3-rasterio"
 needs="tests that draw need OpenGL and a browser"
 elsewhere="EGL, OpenGL 3.3 (Mesa), Xvfb, xdotool, Chromium, npm"
 case "${1:-}" in
 qgis)
     wants_qgis=1
-    packages="$packages python3-qgis"
+    packages="$packages python3-qgis $gdal"
     ;;
 native)
-    packages="cmake make gcc libc6-dev clang llvm"
-    needs="the native library needs compilers"
-    elsewhere="cmake, make, gcc, clang with sanitizers and libFuzzer"
+    packages="cmake make gcc libc6-dev clang libclang-rt-dev llvm $gdal"
+    needs="the native library needs compilers, its driver GDAL"
+    elsewhere="cmake, make, gcc, clang with sanitizers and libFuzzer, GDAL with its headers and Python"
     ;;
 esac
 
@@ -41,17 +44,25 @@ is_complete() {
         command -v xvfb-run >/dev/null && command -v xauth >/dev/null &&
         command -v xdotool >/dev/null && command -v chromium >/dev/null &&
         command -v chromedriver >/dev/null && command -v npm >/dev/null &&
-        { [ -z "$wants_qgis" ] || [ -e /usr/lib/python3/dist-packages/qgis/core ]; }
+        { [ -z "$wants_qgis" ] || {
+            [ -e /usr/lib/python3/dist-packages/qgis/core ] && has_gdal; }; }
 }
 
 has_compilers() {
     command -v cmake >/dev/null && command -v make >/dev/null && command -v gcc >/dev/null &&
-        command -v clang >/dev/null && command -v llvm-symbolizer >/dev/null
+        command -v clang >/dev/null && command -v llvm-symbolizer >/dev/null &&
+        ls "$(clang -print-resource-dir)"/lib/*/libclang_rt.fuzzer*.a >/dev/null 2>&1
+}
+
+has_gdal() {
+    command -v cmake >/dev/null && command -v gdal-config >/dev/null && command -v gdalinfo >/dev/null &&
+        command -v clang++ >/dev/null && command -v g++ >/dev/null &&
+        [ -e /usr/lib/python3/dist-packages/osgeo ] && [ -e /usr/lib/python3/dist-packages/rasterio ]
 }
 
 [ "$(uname -s)" = Linux ] || exit 0
 if [ "${1:-}" = native ]; then
-    has_compilers && exit 0
+    has_compilers && has_gdal && exit 0
 elif is_complete; then
     exit 0
 fi

@@ -1,7 +1,7 @@
 /** Where bytes come from: memory, a File or Blob, a URL by range requests, or the caller's own. */
 
 import { ArgumentError, SourceError } from "./errors.js";
-import { UrlSource } from "./http.js";
+import { UrlSource } from "./url.js";
 
 /** Ranges closer together than this are read in one go. */
 const GAP = 8192;

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from typing import Callable
 
+from osgeo import gdal
 from qgis.gui import QgsCustomDropHandler
 
 from terrainwave_plugin.layers import is_terrain
 
 
+def gdal_reads_terrains() -> bool:
+    """Say whether GDAL has the driver: then QGIS opens files without a server."""
+    return gdal.GetDriverByName("TWZ") is not None
+
+
 class DropHandler(QgsCustomDropHandler):
-    """Takes .twz files and addresses of such; all else goes on to QGIS.
+    """Takes .twz files that GDAL does not read, and addresses; all else goes on to QGIS.
 
     Parameters
     ----------
@@ -24,7 +30,7 @@ class DropHandler(QgsCustomDropHandler):
 
     def handleFileDrop(self, file: str) -> bool:
         """Take a local file."""
-        if not is_terrain(file):
+        if not is_terrain(file) or gdal_reads_terrains():
             return False
         self._add(file)
         return True

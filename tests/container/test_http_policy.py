@@ -1,6 +1,6 @@
 """What web servers answer, case by case: the table that both readers are held to.
 
-`tests/http_cases.json` says what each field means; js/test/http.test.js reads it, too.
+`tests/http_cases.json` says what each field means; js/test/url.test.js reads it, too.
 """
 
 import gzip
@@ -155,7 +155,7 @@ def test_a_server_that_may_have_time_later_is_asked_three_times(status, words, w
     reply = {"status": int(status)}
     check({"replies": [reply, {}], "requests": 3, "waits": [0.2]}, waits)
     waits.clear()
-    error = f"cannot read NAME: {status} {words}"
+    error = f"cannot read NAME: HTTP status {status} {words}"
     check({"replies": [reply], "requests": 3, "waits": POLICY["delays"], "error": error}, waits)
     waits.clear()
     # While reading: the opening, and three more.
@@ -164,7 +164,7 @@ def test_a_server_that_may_have_time_later_is_asked_three_times(status, words, w
 
 @pytest.mark.parametrize(("status", "words"), POLICY["final"].items())
 def test_a_server_that_refuses_is_asked_once(status, words, waits):
-    error = f"cannot read NAME: {status} {words}"
+    error = f"cannot read NAME: HTTP status {status} {words}"
     check({"replies": [{"status": int(status)}], "requests": 1, "waits": [], "error": error}, waits)
 
 

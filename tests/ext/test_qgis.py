@@ -62,6 +62,8 @@ def found(folder, raster, plugins):
         "HOME": str(folder / "home"),
         "XDG_RUNTIME_DIR": str(folder / "home"),
         "QT_QPA_PLATFORM": "offscreen",
+        # With GDAL's driver the plugin would leave files to QGIS.
+        "GDAL_SKIP": "TWZ",
     }
     ended = subprocess.run(
         ["/usr/bin/python3", SESSION, plugins, raster, folder / "out"],

@@ -42,6 +42,8 @@ _SHARE = 1 << 16
 _LEAST_WINDOWS, _MOST_WINDOWS = 2, 36
 # They decide on stencils, features and contexts: where there are more, so many samples a side.
 _MOST_WHOLE, _FEW = 4, 129
+# And weights of features are fitted to so many.
+_MOST_FOR_WEIGHTS = 6
 _MIN_SAMPLES = 300
 _COST_OF_NONE = COST_UNIT * (11 + ESCAPE_BITS)  # of a symbol that takes an escape
 _FREQ_BITS = 3
@@ -113,7 +115,9 @@ def _with_weights(
     With the trained frequencies and contexts that suit them; of all classes, or the finest alone.
     """
     read = Tables(tables)
-    weights = fit_magnitude(_decoded(read, windows, masks, some.step), masks, read, some.step)
+    some_windows = np.s_[:: -(-len(windows) // _MOST_FOR_WEIGHTS)]
+    decoded = _decoded(read, windows[some_windows], masks[some_windows], some.step)
+    weights = fit_magnitude(decoded, masks[some_windows], read, some.step)
     if weights is None:
         return tables
     best, smallest, reach = tables, np.inf, rapid_tables.N_FAMILIES

@@ -44,7 +44,7 @@ Reals = NDArray[np.float64]
 _TOP, _BOTTOM, _SIDE = 4, 3, 3
 # Of more than so many windows, the finest class takes so many rows and columns.
 _FEW, _FINEST = 4, 129
-_MOST_SAMPLES = 1 << 15
+_MOST_SAMPLES = 1 << 13
 _AT_A_TIME = 128  # products of so many samples are small enough for BLAS to use one thread
 _MIN_SAMPLES = _AT_A_TIME
 # Scaled to whole numbers of so many bits, products of this many samples have sums below 2**53.

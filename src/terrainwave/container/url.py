@@ -248,7 +248,7 @@ class HttpSource(MergingSource):
 
     def _refused(self, reply: _Reply) -> StorageError:
         """Return the error of a status that brings no bytes."""
-        problem = reply.reason
+        problem = f"HTTP status {reply.reason}"
         if reply.proxy and reply.status == 407:
             has_login = "@" in reply.proxy
             problem = (
@@ -258,13 +258,13 @@ class HttpSource(MergingSource):
                     if has_login
                     else "wants a user and password"
                 )
-                + f" ({problem}); name them in {self._named.scheme}_proxy,"
+                + f" ({reply.reason}); name them in {self._named.scheme}_proxy,"
                 " as http://user:password@host:port"
             )
         elif reply.proxy:
-            problem = f"the proxy {display_name(reply.proxy)} answers {problem}"
+            problem = f"the proxy {display_name(reply.proxy)} answers {reply.reason}"
         elif reply.status in _MAY_EXPIRE and has_expired(reply.url, reply.body.decode("latin-1")):
-            problem = f"the URL has expired ({problem}); get a new one and open it again"
+            problem = f"the URL has expired ({reply.reason}); get a new one and open it again"
         elif reply.status in _MAY_EXPIRE and is_signed(reply.url):
             problem += "; the URL is signed: it may have expired, or be signed for another request"
         elif reply.seconds_to_wait:

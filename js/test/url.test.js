@@ -7,7 +7,7 @@ import { test } from "node:test";
 import { gzipSync } from "node:zlib";
 
 import { SourceError, TerrainwaveError } from "../src/errors.js";
-import { MOST_WHOLE, POLICY, UrlSource } from "../src/http.js";
+import { MOST_WHOLE, POLICY, UrlSource } from "../src/url.js";
 
 const TABLE = JSON.parse(await readFile(new URL("../../tests/http_cases.json", import.meta.url)));
 const DATA = Uint8Array.from({ length: 40000 }, (_, i) => (i * 7) % 251);
@@ -101,7 +101,7 @@ const { retried, final, delays } = TABLE.policy;
 for (const [status, words] of Object.entries(retried)) {
   test(`a server that answers ${status} may have time later: it is asked three times`, async () => {
     const reply = { status: Number(status) };
-    const error = `cannot read NAME: ${status} ${words}`;
+    const error = `cannot read NAME: HTTP status ${status} ${words}`;
     await check({ replies: [reply, {}], requests: 3, waits: [0.2] });
     await check({ replies: [reply], requests: 3, waits: delays, error });
     await check({ replies: [{}, reply], requests: 4, waits: delays, error });
@@ -110,7 +110,7 @@ for (const [status, words] of Object.entries(retried)) {
 
 for (const [status, words] of Object.entries(final)) {
   test(`a server that answers ${status} is asked once`, async () => {
-    const error = `cannot read NAME: ${status} ${words}`;
+    const error = `cannot read NAME: HTTP status ${status} ${words}`;
     await check({ replies: [{ status: Number(status) }], requests: 1, waits: [], error });
   });
 }
@@ -140,7 +140,7 @@ test("parts are asked for uncompressed", () =>
 test("user and password go to the server and into no message", () =>
   serving([{}, { status: 404 }], async (host, asked) => {
     const { error } = await outcome(`${host.replace("//", "//me:se%40cr%C3%A9t@")}/a?token=hidden`);
-    assert.equal(error, `cannot read ${host}/a: 404 Not Found`);
+    assert.equal(error, `cannot read ${host}/a: HTTP status 404 Not Found`);
     const login = `Basic ${Buffer.from("me:se@crét").toString("base64")}`;
     assert.deepEqual(asked.map((request) => request.headers.authorization), [login, login]);
   }));

@@ -1,6 +1,6 @@
 /**
  * A file on a web server, by range requests. What is asked for again, after which waits, and what
- * errors say is the same as in Python: docs/how-to/remote.md, tests/http_cases.json.
+ * errors say is the same as in Python: docs/how-to/remote.md. A table of cases holds both to it.
  */
 
 import { ArgumentError, LimitExceededError, SourceError } from "./errors.js";
@@ -204,7 +204,7 @@ export class UrlSource {
 
   /** Return the error of a status that brings no bytes. */
   refused({ status, reason, asksToWait, body }) {
-    let problem = reason;
+    let problem = `HTTP status ${reason}`;
     if (MAY_EXPIRE.includes(status) && hasExpired(this.url, new TextDecoder().decode(body))) {
       problem = `the URL has expired (${reason}); get a new one and open it again`;
     } else if (MAY_EXPIRE.includes(status) && isSigned(this.url)) {
@@ -225,7 +225,7 @@ function addressOf(text) {
     // Relative, where there is no page: for the caller's fetch. Or none that can be asked for.
     return { address: text, login: null };
   }
-  if (!/^https?:$/.test(url.protocol)) return { address: text, login: null };
+  if (url.host === "") return { address: text, login: null }; // blob:, data:
   const encode = (part) => part.replace(/%(?![0-9a-f]{2})/gi, "%25");
   const named = `${decoded(url.username)}:${decoded(url.password)}`;
   const isNamed = url.username !== "" || url.password !== "";

@@ -1,0 +1,200 @@
+"""The GDAL driver beside a COG and numba: ``python -m benchmarks.gdal_driver DATA --plugin DIR``.
+
+GDAL is the system's, in its own Python, and finds the driver where ``--plugin`` names the folder
+(`make native-driver`). The COG is that GDAL's: LERC_ZSTD with the same bound, blocks of 512,
+overviews. Whole reads of a dataset just opened, by one thread into an array that is there: in
+turns, processor nanoseconds per sample, medians. Then opening, and a window of 512 x 512 samples in
+the raster's middle, where most units meet, of a dataset just opened; the first pixel, by
+`gdallocationinfo`, whose whole process counts: processor time, too. Requests and seconds on the
+wall of that window over http with 50 ms, in a process of its own. `Terrain.read` by one thread is
+measured in this Python, its kernels warm.
+"""
+
+import json
+import os
+import statistics
+import subprocess
+import sys
+import time
+from collections import namedtuple
+from collections.abc import Iterator
+from math import inf
+from pathlib import Path
+
+import click
+import rasterio
+
+import terrainwave
+from benchmarks import common
+from benchmarks.slow_server import SlowServer
+
+# Processor time, medians: nanoseconds per sample, milliseconds, seconds; `http_s` is on the wall.
+Reader = namedtuple(
+    "Reader", "bytes whole_ns whole_ns_least open_ms window_ms first_pixel_s requests http_s"
+)
+Row = namedtuple(
+    "Row", "raster max_error gdal n_samples n_runs reader " + " ".join(Reader._fields)
+)  # fmt: skip
+SYSTEM_PYTHON = "/usr/bin/python3"
+DELAY = 0.05
+SIDE = 512
+OF_THIS_PYTHON = {"PYTHONPATH", "PYTHONHOME", "LD_LIBRARY_PATH", "PYTHONWARNINGS"}
+# As a program of C++ would: a dataset is opened, and its heights are read into an array.
+WORKER = """
+import json, sys, time
+import numpy as np
+from osgeo import gdal
+gdal.UseExceptions()
+paths, n_runs, box = json.loads(sys.argv[1])
+found = {path: {"cpu": [], "open": [], "window": []} for path in paths}
+for _ in range(n_runs):
+    for path in paths:
+        dataset = gdal.Open(path)
+        band = dataset.GetRasterBand(1)
+        heights = np.zeros((band.YSize, band.XSize), gdal.GetDataTypeName(band.DataType).lower())
+        start = time.process_time()
+        band.ReadAsArray(buf_obj=heights)
+        found[path]["cpu"].append(time.process_time() - start)
+        del band, dataset
+for _ in range(n_runs):
+    for path in paths:
+        start = time.process_time()
+        dataset = gdal.Open(path)
+        opened = time.process_time()
+        dataset.ReadAsArray(*box)
+        found[path]["open"].append(opened - start)
+        found[path]["window"].append(time.process_time() - opened)
+        del dataset
+print(json.dumps([gdal.VersionInfo("RELEASE_NAME"), found]))
+"""
+WINDOW = """
+import json, sys
+from osgeo import gdal
+gdal.UseExceptions()
+path, box = json.loads(sys.argv[1])
+gdal.Open(path).ReadAsArray(*box)
+"""
+
+
+def environment_of(plugin: Path) -> dict[str, str]:
+    """Return the variables of the system's programs."""
+    kept = {name: value for name, value in os.environ.items() if name not in OF_THIS_PYTHON}
+    return kept | {
+        "GDAL_DRIVER_PATH": str(plugin),
+        "GDAL_NUM_THREADS": "1",
+        "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",
+    }
+
+
+def run(environment: dict[str, str], *command: object) -> str:
+    """Run one of the system's programs; return what it prints."""
+    ended = subprocess.run(
+        list(map(str, command)), env=environment, capture_output=True, text=True, check=False
+    )
+    if ended.returncode:
+        raise click.ClickException(ended.stderr.strip()[-500:])
+    return ended.stdout
+
+
+def first_pixel(environment: dict[str, str], path: Path, n_runs: int) -> float:
+    """Return the seconds of a process that tells one height."""
+    seconds = []
+    for _ in range(n_runs):
+        before = os.times()
+        run(environment, "gdallocationinfo", "-valonly", path, SIDE // 2, SIDE // 2)
+        after = os.times()
+        seconds.append(after.children_user + after.children_system - sum(before[2:4]))
+    return statistics.median(seconds)
+
+
+def over_http(environment: dict[str, str], path: Path, box: list[int]) -> tuple[int, float]:
+    """Return requests and seconds of a window, by GDAL in a process of its own."""
+    with SlowServer(path.parent, DELAY, inf) as server:
+        asked = json.dumps([f"/vsicurl/{server.url(path.name)}", box])
+        run(environment, SYSTEM_PYTHON, "-c", WINDOW, asked)
+        return server.n_requests, server.log[-1].end - server.log[0].start
+
+
+def terrain_over_http(path: Path, box: list[int]) -> tuple[int, float]:
+    """Return the same of `Terrain.read`."""
+    column, row, width, height = box
+    with SlowServer(path.parent, DELAY, inf) as server:
+        with terrainwave.open(server.url(path.name)) as terrain:
+            terrain.read((row, column, height, width))
+        return server.n_requests, server.log[-1].end - server.log[0].start
+
+
+def terrain_reader(path: Path, box: list[int], n_runs: int) -> Reader:
+    """Return what `Terrain` takes, kernels warm, by one thread."""
+    column, row, width, height = box
+    whole, opened, windows = [], [], []
+    for number in range(n_runs + 1):
+        start = time.process_time()
+        with terrainwave.open(path, threads=1) as terrain:
+            opened.append(time.process_time() - start)
+            start = time.process_time()
+            terrain.read((row, column, height, width))
+            windows.append(time.process_time() - start)
+        with terrainwave.open(path, threads=1) as terrain:
+            cpu = time.process_time()
+            n_samples = terrain.read().size
+            whole.append((time.process_time() - cpu) / n_samples * 1e9)
+        if number == 0:  # it may have compiled
+            for seconds in (whole, opened, windows):
+                seconds.clear()
+    middle = statistics.median
+    times = middle(whole), min(whole), middle(opened) * 1e3, middle(windows) * 1e3
+    return Reader(path.stat().st_size, *times, 0.0, *terrain_over_http(path, box))
+
+
+def measure(paths, bounds, plugin: Path, n_runs: int, folder: Path) -> Iterator[Row]:
+    """Yield a row of each reader for each raster and bound."""
+    environment = environment_of(plugin)
+    for raster in paths:
+        with rasterio.open(raster) as source:
+            n_rows, n_cols = source.shape
+        side = min(SIDE, n_rows, n_cols)
+        box = [(n_cols - side) // 2, (n_rows - side) // 2, side, side]
+        for bound in bounds:
+            name = f"{raster.stem}-{bound:g}"
+            file, cog = folder / f"{name}.twz", folder / f"{name}.cog.tif"
+            if not file.exists():
+                terrainwave.compress(raster, file, max_error=bound, method="rapid", mesh="none")
+            if not cog.exists():
+                run(
+                    environment, "gdal_translate", "-q", "-of", "COG", "-co", "COMPRESS=LERC_ZSTD",
+                    "-co", f"MAX_Z_ERROR={bound}", "-co", "BLOCKSIZE=512", raster, cog,
+                )  # fmt: skip
+            files = {"driver": file, "cog": cog}
+            asked = json.dumps([list(map(str, files.values())), n_runs, box])
+            gdal, found = json.loads(run(environment, SYSTEM_PYTHON, "-c", WORKER, asked))
+            head = raster.stem, bound, gdal, n_rows * n_cols, n_runs
+            for reader, path in files.items():
+                seconds = found[str(path)]
+                ns = [one / (n_rows * n_cols) * 1e9 for one in seconds["cpu"]]
+                yield _row(
+                    head, reader, path.stat().st_size, statistics.median(ns), min(ns),
+                    statistics.median(seconds["open"]) * 1e3,
+                    statistics.median(seconds["window"]) * 1e3,
+                    first_pixel(environment, path, n_runs), *over_http(environment, path, box),
+                )  # fmt: skip
+            yield _row(head, "numba", *terrain_reader(file, box, n_runs))
+
+
+def _row(head: tuple, reader: str, *values: float) -> Row:
+    return Row(*head, reader, *(round(value, 4) for value in values))
+
+
+@common.command("gdal_driver.csv")
+@common.rasters_argument
+@common.bounds_option(1, 10)
+@click.option("--plugin", type=common.FILE, required=True, help="The folder with gdal_TWZ.so.")
+@common.option("--runs", type=common.COUNT, default=9)
+def main(paths, bounds, plugin, runs, folder, out) -> None:
+    """Measure the driver."""
+    common.write_rows(out, measure(paths, bounds, plugin, runs, folder))
+
+
+if __name__ == "__main__":
+    main()
+    sys.exit(0)

@@ -1,0 +1,359 @@
+/* Files that datasets share, fetching through VSI, threads. SPDX-License-Identifier: MIT */
+#include "source.h"
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <cstdlib>
+#include <map>
+#include <tuple>
+#include <vector>
+
+#include "cpl_conv.h"
+#include "cpl_error.h"
+#include "cpl_multiproc.h"
+#include "cpl_string.h"
+
+namespace twz {
+namespace {
+
+/* Decoded units of all open files; a file opened beside k others gets a share of 1/(k + 1). 64 MiB hold a row of 32
+ * units of int16 and those above it; more made whole reads no faster. GDAL caches blocks besides. */
+constexpr uint64_t CACHE_BYTES = uint64_t{64} << 20;
+constexpr uint64_t LEAST_CACHE_BYTES = uint64_t{8} << 20;
+/* Of a remote file so much is read behind a page of the index that is read alone, and ranges with gaps between them are one request, the
+ * shortest gaps first, while gaps are no more than a quarter of what is wanted, or this. */
+constexpr uint64_t MOST_AHEAD = 64 << 10;
+constexpr uint64_t FREE_GAPS = 64 << 10;
+constexpr size_t MOST_RANGES = 512;
+constexpr size_t HEAD_BYTES = 16 << 10; /* as GDAL reads of remote files at a time */
+
+struct Piece {
+  uint64_t offset;
+  std::vector<uint8_t> bytes;
+  uint64_t End() const { return offset + bytes.size(); }
+};
+
+/* Whether requests are costly: of the innermost of names like /vsizip//vsicurl/... */
+bool IsRemote(const std::string &name) {
+  const size_t at = name.rfind("/vsi");
+  return at != std::string::npos && !VSIIsLocal(name.c_str() + at);
+}
+
+/* Read pieces whose sizes are set; a single one by way of GDAL's own cache of remote files. */
+bool Fetch(VSILFILE *handle, std::vector<Piece> &pieces) {
+  if (pieces.size() == 1) {
+    Piece &one = pieces[0];
+    return VSIFSeekL(handle, one.offset, SEEK_SET) == 0 &&
+           VSIFReadL(one.bytes.data(), 1, one.bytes.size(), handle) == one.bytes.size();
+  }
+  std::vector<void *> buffers;
+  std::vector<vsi_l_offset> offsets;
+  std::vector<size_t> sizes;
+  for (Piece &piece : pieces) {
+    buffers.push_back(piece.bytes.data());
+    offsets.push_back(piece.offset);
+    sizes.push_back(piece.bytes.size());
+  }
+  return VSIFReadMultiRangeL(static_cast<int>(pieces.size()), buffers.data(), offsets.data(), sizes.data(), handle) ==
+         0;
+}
+
+/* twz_fetch, for what is needed to open a file. */
+int FetchAll(void *source, size_t n, const twz_range *ranges, void *const *buffers) {
+  VSILFILE *handle = static_cast<VSILFILE *>(source);
+  for (size_t i = 0; i < n; i++) {
+    const size_t length = static_cast<size_t>(ranges[i].length);
+    if (VSIFSeekL(handle, ranges[i].offset, SEEK_SET) != 0 || VSIFReadL(buffers[i], 1, length, handle) != length)
+      return 1;
+  }
+  return 0;
+}
+
+/* ---- Memory ---- */
+
+/* Large pieces that were released and will soon be asked for again: units and what they are decoded in. To get fresh
+ * pages from the system costs a sixth of the time of decoding. */
+class Recycler {
+ public:
+  void *Allocate(size_t n) {
+    if (n > SIZE_MAX / 2) return nullptr;
+    const size_t size = SizeFor(n);
+    if (size >= LEAST) {
+      std::lock_guard<std::mutex> lock(mutex_);
+      auto found = kept_.find(size);
+      if (found != kept_.end() && !found->second.empty()) {
+        Head *head = found->second.back();
+        found->second.pop_back();
+        n_kept_ -= size;
+        return head + 1;
+      }
+    }
+    Head *head = static_cast<Head *>(malloc(sizeof(Head) + size));
+    if (!head) return nullptr;
+    head->size = size;
+    return head + 1;
+  }
+
+  void Release(void *memory) {
+    if (!memory) return;
+    Head *head = static_cast<Head *>(memory) - 1;
+    if (head->size >= LEAST) {
+      std::lock_guard<std::mutex> lock(mutex_);
+      if (n_kept_ + head->size <= MOST_KEPT) {
+        kept_[head->size].push_back(head);
+        n_kept_ += head->size;
+        return;
+      }
+    }
+    free(head);
+  }
+
+ private:
+  struct alignas(std::max_align_t) Head {
+    size_t size;
+  };
+  static constexpr size_t LEAST = 32 << 10, MOST_KEPT = 32 << 20;
+
+  /* Sizes in steps of an eighth: pieces of nearly the same size stand for each other. */
+  static size_t SizeFor(size_t n) {
+    size_t step = 16;
+    while (step * 16 < n) step *= 2;
+    return (n + step - 1) / step * step;
+  }
+
+  std::mutex mutex_;
+  std::map<size_t, std::vector<Head *>> kept_;
+  size_t n_kept_ = 0;
+};
+
+/* Never destroyed: files may be closed while the process ends. */
+Recycler &Memory() {
+  static Recycler *memory = new Recycler();
+  return *memory;
+}
+
+/* ---- Files that are open ---- */
+
+struct Key {
+  std::string name, head; /* a file that was written anew has another head, or another size or time */
+  vsi_l_offset size;
+  int64_t time;
+  bool operator<(const Key &o) const {
+    return std::tie(name, size, time, head) < std::tie(o.name, o.size, o.time, o.head);
+  }
+};
+
+struct Registry {
+  std::mutex mutex;
+  std::map<Key, std::weak_ptr<SharedFile>> files;
+};
+
+Registry &Files() {
+  static Registry registry;
+  return registry;
+}
+
+size_t ForgetClosed(Registry &registry) {
+  for (auto at = registry.files.begin(); at != registry.files.end();) {
+    at = at->second.expired() ? registry.files.erase(at) : std::next(at);
+  }
+  return registry.files.size();
+}
+
+/* ---- Threads: one pool for all; who finds it busy decodes alone ---- */
+
+struct Pool {
+  std::mutex mutex;
+  twz_pool *pool = nullptr;
+  int n_threads = 0;
+  GIntBig process = 0;
+};
+
+Pool &Threads() {
+  static Pool pool;
+  return pool;
+}
+
+/* The workers of the pool, which the caller has locked; NULL if there are none. */
+const twz_workers *WorkersOf(Pool &pool, int n_threads) {
+  const GIntBig process = CPLGetCurrentProcessID();
+  if (pool.process != process) pool.pool = nullptr; /* after a fork its threads are not there */
+  pool.process = process;
+  if (pool.pool && pool.n_threads != n_threads) {
+    twz_pool_free(pool.pool);
+    pool.pool = nullptr;
+  }
+  if (!pool.pool && twz_pool_new(static_cast<size_t>(n_threads), &pool.pool, nullptr) != TWZ_OK) return nullptr;
+  pool.n_threads = n_threads;
+  return twz_pool_workers(pool.pool);
+}
+
+}  // namespace
+
+void SharedFile::Report(const std::string &name, const twz_error &error) {
+  if (error.status == TWZ_UNSUPPORTED) {
+    CPLError(CE_Failure, CPLE_NotSupported, "%s: %s; install a terrainwave driver for GDAL newer than %d.%d.%d",
+             name.c_str(), error.text, TWZ_VERSION_MAJOR, TWZ_VERSION_MINOR, TWZ_VERSION_PATCH);
+    return;
+  }
+  const CPLErrorNum number = error.status == TWZ_FETCH_FAILED ? CPLE_FileIO
+                             : error.status == TWZ_NO_MEMORY  ? CPLE_OutOfMemory
+                                                              : CPLE_AppDefined;
+  CPLError(CE_Failure, number, "%s: %s", name.c_str(), error.text);
+}
+
+SharedFile::SharedFile(const std::string &name, VSILFILE *handle)
+    : name_(name), is_remote_(twz::IsRemote(name)), handle_(handle) {}
+
+std::shared_ptr<SharedFile> SharedFile::Open(const std::string &name, VSILFILE *handle) {
+  Key key{name, std::string(HEAD_BYTES, '\0'), 0, 0};
+  key.head.resize(VSIFSeekL(handle, 0, SEEK_SET) == 0 ? VSIFReadL(&key.head[0], 1, HEAD_BYTES, handle) : 0);
+  if (VSIFSeekL(handle, 0, SEEK_END) == 0) key.size = VSIFTellL(handle);
+  VSIStatBufL stat;
+  if (VSIStatExL(name.c_str(), &stat, VSI_STAT_EXISTS_FLAG | VSI_STAT_SIZE_FLAG) == 0) key.time = stat.st_mtime;
+  Registry &registry = Files();
+  {
+    std::lock_guard<std::mutex> lock(registry.mutex);
+    auto found = registry.files.find(key);
+    if (found != registry.files.end()) {
+      if (auto open = found->second.lock()) return open;
+    }
+  }
+  std::shared_ptr<SharedFile> file(new SharedFile(name, handle));
+  file->head_.assign(key.head.begin(), key.head.end());
+  if (!file->Load(key.size)) return nullptr;
+  std::lock_guard<std::mutex> lock(registry.mutex);
+  std::weak_ptr<SharedFile> &known = registry.files[key];
+  if (auto open = known.lock()) return open; /* another thread was faster */
+  known = file;
+  return file;
+}
+
+bool SharedFile::Load(vsi_l_offset size) {
+  size_t n_open;
+  {
+    std::lock_guard<std::mutex> lock(Files().mutex);
+    n_open = ForgetClosed(Files());
+  }
+  twz_options options = TWZ_OPTIONS;
+  options.locks.context = &mutex_;
+  options.locks.lock = [](void *mutex) { static_cast<std::mutex *>(mutex)->lock(); };
+  options.locks.unlock = [](void *mutex) { static_cast<std::mutex *>(mutex)->unlock(); };
+  options.allocator.allocate = [](void *, size_t n) -> void * {
+    try {
+      return Memory().Allocate(n);
+    } catch (const std::exception &) {
+      return nullptr;
+    }
+  };
+  options.allocator.release = [](void *, void *memory) { Memory().Release(memory); };
+  options.cache_bytes = std::max(CACHE_BYTES / (n_open + 1), LEAST_CACHE_BYTES);
+  twz_error error;
+  if (twz_file_new(&options, size, &file_, &error) != TWZ_OK ||
+      twz_file_load(file_, FetchAll, handle_, &error) != TWZ_OK) {
+    Report(name_, error);
+    return false;
+  }
+  info_ = twz_file_info(file_);
+  return true;
+}
+
+SharedFile::~SharedFile() { twz_file_free(file_); }
+
+namespace {
+
+/* Join pieces with the shortest gaps between them. */
+std::vector<Piece> Joined(std::vector<Piece> pieces) {
+  uint64_t budget = 0;
+  std::vector<std::pair<uint64_t, size_t>> gaps;
+  for (size_t i = 0; i < pieces.size(); i++) {
+    budget += (pieces[i].End() - pieces[i].offset) / 4;
+    if (i > 0) gaps.emplace_back(pieces[i].offset - std::min(pieces[i].offset, pieces[i - 1].End()), i);
+  }
+  budget = std::max(budget, FREE_GAPS);
+  std::sort(gaps.begin(), gaps.end());
+  std::vector<bool> is_joined(pieces.size(), false);
+  for (const auto &gap : gaps) {
+    if (gap.first > budget) break;
+    budget -= gap.first;
+    is_joined[gap.second] = true;
+  }
+  std::vector<Piece> joined;
+  for (size_t i = 0; i < pieces.size(); i++) {
+    if (!is_joined[i]) {
+      joined.push_back(std::move(pieces[i]));
+      continue;
+    }
+    Piece &last = joined.back();
+    last.bytes.resize(static_cast<size_t>(std::max(last.End(), pieces[i].End()) - last.offset));
+  }
+  return joined;
+}
+
+}  // namespace
+
+/* Of a remote file what lies behind a page comes with it, and is there when it is asked for; a round is one call of
+ * VSI. */
+bool LoadWindow(const SharedFile &file, VSILFILE *handle, twz_window *window, twz_error *error) {
+  const bool is_remote = file.IsRemote();
+  std::vector<Piece> ahead;
+  if (is_remote) ahead.push_back({0, file.Head()});
+  std::vector<twz_range> ranges(MOST_RANGES);
+  for (;;) {
+    size_t n = 0;
+    if (twz_window_need(window, ranges.data(), ranges.size(), &n, error) != TWZ_OK) return false;
+    if (n == 0) return true;
+    std::vector<Piece> pieces;
+    for (size_t i = 0; i < n; i++) {
+      const twz_range &range = ranges[i];
+      const uint64_t end = range.offset + range.length;
+      const auto known = std::find_if(ahead.begin(), ahead.end(), [&](const Piece &piece) {
+        return piece.offset <= range.offset && end <= piece.End();
+      });
+      if (known != ahead.end()) {
+        const uint8_t *bytes = known->bytes.data() + (range.offset - known->offset);
+        if (twz_window_feed(window, range.offset, bytes, static_cast<size_t>(range.length), error) != TWZ_OK)
+          return false;
+        continue;
+      }
+      const uint64_t stop = end + (is_remote && n == 1 ? std::min(range.likely, MOST_AHEAD) : 0);
+      pieces.push_back({range.offset, std::vector<uint8_t>(static_cast<size_t>(stop - range.offset))});
+    }
+    if (pieces.empty()) continue;
+    if (is_remote) pieces = Joined(std::move(pieces));
+    if (!Fetch(handle, pieces)) {
+      error->status = TWZ_FETCH_FAILED;
+      CPLsnprintf(error->text, sizeof error->text, "bytes " CPL_FRMT_GUIB " to " CPL_FRMT_GUIB " could not be read",
+                  static_cast<GUIntBig>(pieces.front().offset), static_cast<GUIntBig>(pieces.back().End() - 1));
+      return false;
+    }
+    for (Piece &piece : pieces) {
+      if (twz_window_feed(window, piece.offset, piece.bytes.data(), piece.bytes.size(), error) != TWZ_OK)
+        return false;
+      if (is_remote) ahead.push_back(std::move(piece));
+    }
+  }
+}
+
+int ThreadsOf(const char *option) {
+  const char *text = option ? option : CPLGetConfigOption("GDAL_NUM_THREADS", "1");
+  const int n = EQUAL(text, "ALL_CPUS") ? CPLGetNumCPUs() : atoi(text);
+  return std::max(1, std::min(n, 128));
+}
+
+twz_status DecodeWindow(twz_window *window, int n_threads, twz_error *error) {
+  Pool &pool = Threads();
+  if (n_threads <= 1 || !pool.mutex.try_lock()) return twz_window_decode(window, nullptr, error);
+  std::lock_guard<std::mutex> lock(pool.mutex, std::adopt_lock);
+  return twz_window_decode(window, WorkersOf(pool, n_threads), error);
+}
+
+void EndThreads() {
+  Pool &pool = Threads();
+  std::lock_guard<std::mutex> lock(pool.mutex);
+  if (pool.pool && pool.process == CPLGetCurrentProcessID()) twz_pool_free(pool.pool);
+  pool.pool = nullptr;
+}
+
+}  // namespace twz

@@ -1,0 +1,164 @@
+"""What `terrainwave doctor` finds: whether the system's GDAL reads .twz files, and what to do."""
+
+import os
+import shutil
+import subprocess
+from dataclasses import dataclass
+
+from terrainwave._version import __version__
+
+_COMMAND = "gdalinfo"
+_DRIVER = "TWZ"
+_PLUGIN = "gdal_TWZ"
+_PATIENCE = 60  # seconds
+# The driver's first release of GDAL.
+_OLDEST = (3, 6)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What was found.
+
+    Attributes
+    ----------
+    terrainwave : str
+        The version of this package.
+    command : str or None
+        Where GDAL's command was found; None if nowhere on the PATH.
+    gdal : str or None
+        GDAL's version, as it tells it.
+    reads_twz : bool
+        Whether this GDAL has the driver.
+    advice : tuple of str
+        What to do, a sentence each; empty if nothing.
+    rasterio : str
+        GDAL's version in the rasterio of this Python.
+    rasterio_reads_twz : bool
+        Whether that one has the driver.
+    """
+
+    terrainwave: str
+    command: str | None
+    gdal: str | None
+    reads_twz: bool
+    advice: tuple[str, ...]
+    rasterio: str
+    rasterio_reads_twz: bool
+
+    def lines(self) -> list[str]:
+        """Return what to print."""
+        lines = [f"terrainwave {self.terrainwave}"]
+        if self.gdal:
+            knows = "reads .twz files" if self.reads_twz else "does not read .twz files"
+            lines.append(f"GDAL {self.gdal} ({self.command}) {knows}")
+        lines += self.advice
+        if self.rasterio_reads_twz:
+            lines.append(f"rasterio of this Python, with GDAL {self.rasterio}, reads .twz files")
+        else:
+            lines.append(
+                f"rasterio of this Python, with GDAL {self.rasterio}, does not: open"
+                " `Terrain.geotiff()` by it (a GDAL inside of a wheel cannot load drivers)"
+            )
+        return lines
+
+
+def diagnose() -> Diagnosis:
+    """Ask the GDAL whose commands are on the PATH, and rasterio."""
+    command = shutil.which(_COMMAND)
+    version, problems, has_driver = _ask(command) if command else (None, [], False)
+    of_rasterio, rasterio_has_driver = _ask_rasterio()
+    return Diagnosis(
+        terrainwave=__version__,
+        command=command,
+        gdal=version,
+        reads_twz=has_driver,
+        advice=() if has_driver else tuple(_advice(command, version, problems)),
+        rasterio=of_rasterio,
+        rasterio_reads_twz=rasterio_has_driver,
+    )
+
+
+def _ask(command: str) -> tuple[str | None, list[str], bool]:
+    """Return GDAL's version, its complaints of drivers, and whether ours is there."""
+    told = _output(command, "--version")
+    words = told[0].replace(",", " ").split() if told and told[0].startswith("GDAL ") else []
+    described = _output(command, "--format", _DRIVER)
+    errors = [line for line in described if line.startswith("ERROR")]
+    problems = [line for line in errors if "--format option" not in line]
+    has_driver = any(line.split() == ["Short", "Name:", _DRIVER] for line in described)
+    return (words[1] if len(words) > 1 else None), problems, has_driver
+
+
+def _output(*command: str) -> list[str]:
+    """Return the lines that a command prints; none if it cannot be run."""
+    try:
+        ended = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", timeout=_PATIENCE,
+            check=False, stdin=subprocess.DEVNULL,
+        )  # fmt: skip
+    except (OSError, subprocess.TimeoutExpired):
+        return []
+    return [line.strip() for line in (ended.stdout + "\n" + ended.stderr).splitlines()]
+
+
+def _ask_rasterio() -> tuple[str, bool]:
+    """Return the version of GDAL in this Python's rasterio, and whether the driver is there."""
+    # Imported here: the command's help needs no rasterio.
+    import rasterio
+
+    with rasterio.Env() as environment:
+        return rasterio.__gdal_version__, _DRIVER in environment.drivers()
+
+
+def _advice(command: str | None, version: str | None, problems: list[str]) -> list[str]:
+    """Return what to do where the driver is not there."""
+    if command is None:
+        return [
+            f"found no {_COMMAND} on the PATH: install GDAL's commands (Debian: gdal-bin), or add"
+            " their folder to the PATH, and ask again"
+        ]
+    if version is None:
+        return [f"{command} does not tell GDAL's version: run `{_COMMAND} --version` to see why"]
+    minor = ".".join(version.split(".")[:2])
+    if _is_older(version):
+        return [
+            f"the driver needs GDAL {'.'.join(map(str, _OLDEST))} or newer: install a newer GDAL"
+        ]
+    if problems:
+        return [
+            *(f"GDAL says: {line}" for line in problems),
+            f"install the driver that is built for GDAL {minor}: each minor version has its own",
+        ]
+    folders = [
+        folder for folder in os.environ.get("GDAL_DRIVER_PATH", "").split(os.pathsep) if folder
+    ]
+    if not folders:
+        return [
+            f"install the driver for GDAL {minor}: the package libgdal-twz, or the file {_PLUGIN}"
+            " in a folder that the environment variable GDAL_DRIVER_PATH names"
+        ]
+    with_plugin = [folder for folder in folders if _has_plugin(folder, minor)]
+    if with_plugin:
+        return [
+            f"the driver lies in {with_plugin[0]}, but GDAL does not load it: run"
+            f" `{_COMMAND} --debug on --format {_DRIVER}` to see why"
+        ]
+    return [
+        f"GDAL_DRIVER_PATH names {os.pathsep.join(folders)}, where no {_PLUGIN} is: put the driver"
+        f" for GDAL {minor} there, or unset the variable to have GDAL search its own folder"
+    ]
+
+
+def _is_older(version: str) -> bool:
+    numbers = version.split(".")[:2]
+    return all(part.isdigit() for part in numbers) and tuple(map(int, numbers)) < _OLDEST
+
+
+def _has_plugin(folder: str, minor: str) -> bool:
+    """Say whether a folder has the driver; GDAL prefers a subfolder of its minor version."""
+    own = os.path.join(folder, minor)
+    try:
+        names = os.listdir(own if os.path.isdir(own) else folder)
+    except OSError:
+        return False
+    return any(name.startswith(f"{_PLUGIN}.") for name in names)

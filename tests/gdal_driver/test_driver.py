@@ -1,0 +1,502 @@
+"""The driver gives what Terrain gives: heights, voids, place, overviews. `built` builds it."""
+
+import json
+import shutil
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from gdal_driver.built import ROOT, build, by_python, error_lines, good, run
+from gdal_driver.files import KINDS, write_described, write_kind
+from rasterio.windows import Window
+
+import terrainwave
+from terrainwave.write.job import metadata_of
+
+pytestmark = [pytest.mark.full, pytest.mark.gdal]
+GOLDEN = ROOT / "tests" / "golden" / "v1"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _plugin():
+    build()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("driver")
+
+
+@pytest.fixture(scope="module")
+def kinds(folder):
+    """A .twz file of each of `KINDS`."""
+    return {kind: write_kind(folder, kind) for kind in KINDS}
+
+
+@pytest.fixture(scope="module")
+def described(folder):
+    return write_described(folder)
+
+
+LEVELS = """
+for path, target in asked:
+    n = int(gdal.Open(path).GetMetadataItem("LEVELS", "TERRAINWAVE"))
+    for level in range(-n, n):
+        named = gdal.Open(f"TWZ:{path}:{level}")
+        opened = gdal.OpenEx(path, open_options=[f"LEVEL={level}"])
+        band = named.GetRasterBand(1)
+        found = {
+            "heights": band.ReadAsArray(), "mask": band.GetMaskBand().ReadAsArray(),
+            "same": opened.ReadAsArray(), "transform": named.GetGeoTransform(),
+        }
+        assert opened.GetGeoTransform() == named.GetGeoTransform()
+        assert not named.GetSubDatasets() and not opened.GetSubDatasets()
+        np.savez(f"{target}{level}.npz", **found)
+print(0)
+"""
+
+
+def assert_all_levels_are_those_of_terrain(paths, folder):
+    targets = [folder / f"{path.stem}-level" for path in paths]
+    by_python(
+        LEVELS, [[str(path), str(target)] for path, target in zip(paths, targets, strict=True)]
+    )
+    for path, target in zip(paths, targets, strict=True):
+        with terrainwave.open(path) as terrain:
+            for level in range(-terrain.n_levels, terrain.n_levels):
+                found = np.load(f"{target}{level}.npz")
+                heights, valid = terrain.read_with_mask(level=level)
+                assert found["heights"].dtype == heights.dtype
+                assert found["heights"].tobytes() == heights.tobytes(), (path.name, level)
+                np.testing.assert_array_equal(found["same"], heights)
+                np.testing.assert_array_equal(found["mask"], np.where(valid, 255, 0), path.name)
+                a, b, c, d, e, f = terrain.transform(level)[:6]
+                np.testing.assert_allclose(found["transform"], (c, a, b, f, d, e), rtol=1e-15)
+
+
+@pytest.mark.filterwarnings("ignore:the file is of format 1.0")
+def test_golden_files_open_and_all_their_levels_are_terrains(folder):
+    assert_all_levels_are_those_of_terrain(sorted(GOLDEN.glob("*.twz")), folder)
+
+
+def test_levels_of_every_type_and_kind_of_voids_are_terrains(kinds, folder):
+    assert_all_levels_are_those_of_terrain(list(kinds.values()), folder)
+
+
+def test_levels_of_a_raster_without_a_place_have_rows_and_columns_of_the_full_grid(folder):
+    path = folder / "nowhere.twz"
+    heights = np.add.outer(np.arange(150), np.arange(170)).astype(np.int16)
+    path.write_bytes(terrainwave.compress_to_bytes(heights, max_error=0, block=32, threads=1))
+    assert_all_levels_are_those_of_terrain([path], folder)
+    assert "Origin" not in good("gdalinfo", path)
+
+
+OVERVIEWS = """
+counts = []
+for path, target in asked:
+    dataset = gdal.Open(path)
+    band = dataset.GetRasterBand(1)
+    counts.append(band.GetOverviewCount())
+    mask = band.GetMaskBand()
+    for i in range(band.GetOverviewCount()):
+        overview = band.GetOverview(i)
+        values = overview.ReadAsArray(), overview.GetMaskBand().ReadAsArray()
+        if mask.GetOverviewCount():
+            assert (mask.GetOverview(i).ReadAsArray() == values[1]).all()
+        np.savez(f"{target}{i}.npz", heights=values[0], mask=values[1])
+print(json.dumps(counts))
+"""
+
+
+def test_overviews_are_those_of_terrain_geotiff_to_the_last_bit(kinds, folder):
+    asked = [[str(path), str(folder / f"{kind}-overview")] for kind, path in kinds.items()]
+    counts = by_python(OVERVIEWS, asked)
+    for (path, target), n in zip(asked, counts, strict=True):
+        with terrainwave.open(path) as terrain:
+            with rasterio.open(terrain.geotiff()) as dataset:
+                assert n == len(dataset.overviews(1)) > 0
+            for i in range(n):
+                found = np.load(f"{target}{i}.npz")
+                with rasterio.open(terrain.geotiff(), overview_level=i) as dataset:
+                    assert found["heights"].tobytes() == dataset.read(1).tobytes(), (path, i)
+                    if terrain.raster_info.mask_kind != "nan":
+                        np.testing.assert_array_equal(found["mask"], dataset.read_masks(1))
+
+
+DESCRIPTION = """
+dataset = gdal.Open(asked)
+band = dataset.GetRasterBand(1)
+found = {
+    "transform": dataset.GetGeoTransform(), "wkt": dataset.GetProjection(),
+    "tags": dataset.GetMetadata(), "band tags": band.GetMetadata(), "nodata": band.GetNoDataValue(),
+    "unit": band.GetUnitType(), "scale": band.GetScale(), "offset": band.GetOffset(),
+    "description": band.GetDescription(), "least": band.GetMinimum(), "greatest": band.GetMaximum(),
+    "color": gdal.GetColorInterpretationName(band.GetColorInterpretation()),
+    "own": dataset.GetMetadata("TERRAINWAVE"), "subdatasets": dataset.GetSubDatasets(),
+    "json": dataset.GetMetadata_List("json:TERRAINWAVE"), "flags": band.GetMaskFlags(),
+    "structure": dataset.GetMetadata("IMAGE_STRUCTURE"), "block": band.GetBlockSize(),
+}
+print(json.dumps(found))
+"""
+
+
+def test_a_file_says_what_the_geotiff_of_it_says(described):
+    found = by_python(DESCRIPTION, str(described))
+    with terrainwave.open(described) as terrain, rasterio.open(terrain.geotiff()) as dataset:
+        assert found["transform"] == list(dataset.transform.to_gdal())
+        assert rasterio.CRS.from_wkt(found["wkt"]) == dataset.crs
+        tags = {key: value for key, value in dataset.tags().items() if "TERRAINWAVE" not in key}
+        assert found["tags"] == tags
+        assert tags["AREA_OR_POINT"] == "Point"
+        assert found["band tags"] == dataset.tags(1) == {"SENSOR": "none of them"}
+        assert (found["unit"],) == dataset.units
+        assert ((found["scale"],), (found["offset"],)) == (dataset.scales, dataset.offsets)
+        assert (found["description"],) == dataset.descriptions
+        assert found["nodata"] == dataset.nodata
+        assert found["color"] == "Green"
+        heights = terrain.read()
+    assert (found["least"], found["greatest"]) == (heights.min(), heights.max())
+
+
+def test_the_domain_of_the_format_tells_bound_method_and_levels(kinds, described):
+    own = by_python(DESCRIPTION, str(described))["own"]
+    with terrainwave.open(described) as terrain:
+        assert float(own["MAX_ERROR"]) == terrain.effective_error
+        assert float(own["MAX_ERROR_ASKED"]) == 0.75
+        assert (own["METHOD"], own["LEVELS"]) == (terrain.header.method, str(terrain.n_levels))
+        assert own["SOFTWARE"].startswith("terrainwave")
+    found = by_python(DESCRIPTION, str(kinds["int16-nodata"]))
+    assert "averages" in found["own"]["OVERVIEWS"]
+    assert found["structure"]["COMPRESSION_REVERSIBILITY"] == "LOSSY"
+    assert not found["subdatasets"]
+    (text,) = found["json"]
+    assert json.loads(text)["crs"] == "EPSG:32632"
+
+
+@pytest.mark.parametrize(
+    ("kind", "flags", "nodata"),
+    [("int16-nodata", 8, -32768), ("uint8-mask", 2, None), ("int16-none", 1, None)],
+)
+def test_voids_are_a_nodata_value_or_a_mask_of_the_dataset(kinds, kind, flags, nodata):
+    found = by_python(DESCRIPTION, str(kinds[kind]))
+    assert (found["flags"], found["nodata"]) == (flags, nodata)
+
+
+def test_nan_is_the_nodata_value_where_it_marks_voids(kinds):
+    assert good("gdalinfo", kinds["float32-nan"]).count("NoData Value=nan") == 1
+
+
+WINDOWS = """
+rng = np.random.default_rng(5)
+kinds = {kind: gdal.Open(path) for kind, path in asked.items()}
+for kind, dataset in kinds.items():
+    band = dataset.GetRasterBand(1)
+    whole, mask = band.ReadAsArray(), band.GetMaskBand().ReadAsArray()
+    height, width = whole.shape
+    for _ in range(12):
+        row, col = int(rng.integers(height)), int(rng.integers(width))
+        size = rng.integers(1, (width - col + 1, height - row + 1))
+        box = col, row, int(size[0]), int(size[1])
+        part = np.s_[row : row + box[3], col : col + box[2]]
+        assert (band.ReadAsArray(*box).tobytes() == whole[part].tobytes()), (kind, box)
+        assert (band.GetMaskBand().ReadAsArray(*box) == mask[part]).all(), (kind, box)
+        as_float = band.ReadAsArray(*box, buf_type=gdal.GDT_Float64)
+        np.testing.assert_array_equal(as_float, whole[part].astype(np.float64))
+        dataset.FlushCache()
+    as_float = band.ReadAsArray(buf_type=gdal.GDT_Float64)
+    np.testing.assert_array_equal(as_float, whole.astype(np.float64))
+    # A line of a buffer is longer than the window, and lines begin at its end.
+    buffer = np.zeros((height, width + 3), dtype=whole.dtype)
+    raw = dataset.ReadRaster(0, 0, width, height, buf_line_space=buffer.strides[0])
+    raw += bytes(buffer.nbytes - len(raw))
+    strided = np.frombuffer(raw, whole.dtype).reshape(buffer.shape)
+    assert strided[:, :width].tobytes() == whole.tobytes()
+print(0)
+"""
+
+
+def test_windows_are_parts_of_the_whole_in_any_type_and_stride(kinds):
+    by_python(WINDOWS, {kind: str(path) for kind, path in kinds.items()})
+
+
+def test_threads_and_many_readers_of_one_file_get_the_same(kinds):
+    code = """
+from concurrent.futures import ThreadPoolExecutor
+def read(i):
+    dataset = gdal.Open(asked)
+    band = dataset.GetRasterBand(1)
+    row = 37 * i % 900
+    return (band.ReadAsArray(0, row, 1091, 400) == whole[row : row + 400]).all() and (
+        band.GetOverview(0).ReadAsArray() == half).all()
+dataset = gdal.Open(asked)
+band = dataset.GetRasterBand(1)
+whole, half = band.ReadAsArray(), band.GetOverview(0).ReadAsArray()
+with ThreadPoolExecutor(8) as pool:
+    assert all(pool.map(read, range(60)))
+np.save(asked + ".npy", whole)
+print(0)
+"""
+    path = kinds["int16-nodata"]
+    with terrainwave.open(path) as terrain:
+        expected = terrain.read()
+    for threads in ("1", "3", "ALL_CPUS"):
+        by_python(code, str(path), GDAL_NUM_THREADS=threads)
+        np.testing.assert_array_equal(np.load(f"{path}.npy"), expected)
+
+
+def test_a_process_that_forks_after_threads_were_used_still_reads(kinds):
+    code = """
+import os
+gdal.Open(asked[0]).ReadAsArray()
+child = os.fork()
+if not child:
+    total = float(np.nansum(gdal.Open(asked[1]).ReadAsArray(), dtype=np.float64))
+    os._exit(0 if total == asked[2] else 1)
+print(os.waitpid(child, 0)[1])
+"""
+    with terrainwave.open(kinds["float32-nan"]) as terrain:
+        total = float(np.nansum(terrain.read(), dtype=np.float64))
+    asked = [str(kinds["int16-nodata"]), str(kinds["float32-nan"]), total]
+    assert by_python(code, asked, GDAL_NUM_THREADS="3") == 0
+
+
+def test_a_file_written_anew_is_read_anew(kinds, folder):
+    code = """
+import shutil, os
+name, one, other = asked
+shutil.copy(one, name)
+kept = gdal.Open(name)
+before = kept.ReadAsArray().shape, kept.GetRasterBand(1).DataType
+shutil.copy(other, name + ".part")
+os.replace(name + ".part", name)
+after = gdal.Open(name)
+print(json.dumps([before, [after.ReadAsArray().shape, after.GetRasterBand(1).DataType]]))
+"""
+    one, other = kinds["int16-nodata"], kinds["uint8-mask"]
+    before, after = by_python(code, [str(folder / "again.twz"), str(one), str(other)])
+    assert before[0] == list(KINDS["int16-nodata"][2])
+    assert after[0] == list(KINDS["uint8-mask"][2])
+
+
+def test_rasterio_of_the_system_reads_the_same(kinds, folder):
+    code = """
+import rasterio
+with rasterio.open(asked[0]) as dataset:
+    assert dataset.driver == "TWZ"
+    np.savez(asked[1], heights=dataset.read(1), mask=dataset.read_masks(1),
+             small=dataset.read(1, out_shape=(100, 90)))
+    print(json.dumps([dataset.overviews(1), dataset.crs.to_epsg()]))
+"""
+    path = kinds["uint8-mask"]
+    overviews, epsg = by_python(code, [str(path), str(folder / "rasterio.npz")])
+    found = np.load(folder / "rasterio.npz")
+    with terrainwave.open(path) as terrain:
+        heights, valid = terrain.read_with_mask()
+        np.testing.assert_array_equal(found["heights"], heights)
+        np.testing.assert_array_equal(found["mask"] > 0, valid)
+        with rasterio.open(terrain.geotiff()) as dataset:
+            np.testing.assert_array_equal(found["small"], dataset.read(1, out_shape=(100, 90)))
+    assert (overviews, epsg) == ([2, 4], 32632) or overviews == [2]
+
+
+def test_a_sidecar_appears_only_where_somebody_asks_for_exact_statistics(kinds, folder):
+    path = folder / "alone" / "alone.twz"
+    path.parent.mkdir()
+    shutil.copy(kinds["int16-nodata"], path)
+    good("gdalinfo", path)
+    good("gdalinfo", "-approx_stats", path)
+    good("gdal_translate", "-q", path, folder / "copy.tif")
+    by_python(
+        "dataset = gdal.Open(asked); dataset.GetRasterBand(1).GetHistogram(approx_ok=1); print(0)",
+        str(path),
+    )
+    assert [entry.name for entry in path.parent.iterdir()] == ["alone.twz"]
+    told = good("gdalinfo", "-stats", path)
+    assert [entry.name for entry in sorted(path.parent.iterdir())] == [
+        "alone.twz", "alone.twz.aux.xml",
+    ]  # fmt: skip
+    kept = next(line for line in told.splitlines() if "STATISTICS_MEAN" in line)
+    assert kept in good("gdalinfo", path)
+
+
+def test_names_with_levels_may_hold_colons_and_be_quoted(kinds, folder):
+    path = folder / "a:b.twz"
+    shutil.copy(kinds["int16-none"], path)
+    shapes = by_python(
+        "print(json.dumps([gdal.Open(name).ReadAsArray().shape for name in asked]))",
+        [f"TWZ:{path}:-2", f'TWZ:"{path}":-2', f"twz:{path}", str(path)],
+    )
+    assert shapes == [[350, 1050], [350, 1050], [700, 2100], [700, 2100]]
+
+
+@pytest.mark.parametrize("name", ["TWZ:{}:9", "TWZ:{}:-9"])
+def test_a_level_that_does_not_exist_is_one_line_with_those_that_do(kinds, name):
+    ended = run("gdalinfo", name.format(kinds["int16-none"]))
+    (line,) = error_lines(ended)
+    assert "found level" in line
+    assert "expected 0 (the coarsest) to 4, or -1 (the full grid) to -5" in line
+
+
+@pytest.mark.parametrize("text", ["one", "", "1.5", "99999999999999999999"])
+def test_a_level_that_is_no_number_is_refused(kinds, text):
+    ended = run("gdalinfo", "-oo", f"LEVEL={text}", kinds["int16-none"])
+    assert ended.returncode == 1
+    assert f"found level {text}" in ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("name", "told"), [("missing.twz", "there is no such file"), ("dem.tif", "not a .twz file")]
+)
+def test_what_is_no_file_of_ours_is_told(folder, name, told):
+    (folder / "dem.tif").write_bytes(b"II*\0" + bytes(100))
+    (line,) = error_lines(run("gdalinfo", f"TWZ:{folder / name}"))
+    assert told in line
+
+
+# ---- Writing ----
+
+
+@pytest.mark.parametrize("arguments", [["-of", "TWZ"], []])
+def test_gdal_translate_to_twz_is_one_line_that_names_the_command(kinds, folder, arguments):
+    source = kinds["int16-none"].with_suffix(".tif")
+    ended = run("gdal_translate", "-q", *arguments, source, folder / "made.twz")
+    assert ended.returncode == 1
+    (line,) = ended.stderr.splitlines()
+    assert "terrainwave compress dem.tif dem.twz" in line
+    assert not (folder / "made.twz").exists()
+
+
+def test_a_file_that_is_there_survives_an_attempt_to_write_it(kinds, folder):
+    path = folder / "kept.twz"
+    shutil.copy(kinds["int16-none"], path)
+    code = """
+told = []
+driver = gdal.GetDriverByName("TWZ")
+for make, what in ((driver.Create, (5, 5)), (driver.CreateCopy, [gdal.Open(asked)])):
+    try:
+        make(asked, *what)
+    except RuntimeError as error:
+        told.append(str(error))
+print(json.dumps(told))
+"""
+    told = by_python(code, str(path))
+    assert len(told) == 2
+    assert all("terrainwave compress" in line for line in told)
+    assert path.read_bytes() == kinds["int16-none"].read_bytes()
+
+
+def test_opening_for_update_is_refused_in_one_line(kinds):
+    code = """
+try:
+    gdal.Open(asked, gdal.GA_Update)
+except RuntimeError as error:
+    print(json.dumps(str(error)))
+"""
+    assert "only reads" in by_python(code, str(kinds["int16-none"]))
+
+
+# ---- Files that are wrong ----
+
+
+@pytest.mark.parametrize(
+    "path", sorted((GOLDEN / "invalid").glob("*.twz")), ids=lambda path: path.stem
+)
+def test_an_invalid_file_is_one_error_line_at_most(path, folder):
+    """Of those that only readers of meshes find wrong nothing may be said."""
+    ended = run("gdal_translate", "-q", "-of", "ENVI", path, folder / "invalid.raw")
+    assert ended.returncode in (0, 1), ended.stderr
+    lines = error_lines(ended)
+    assert len(lines) == ended.returncode, ended.stderr
+    assert all(path.name in line for line in lines)
+
+
+DAMAGE = """
+bytes_of = open(asked, "rb").read()
+rng = np.random.default_rng(11)
+gdal.PushErrorHandler("CPLQuietErrorHandler")
+gdal.DontUseExceptions()
+n_opened = 0
+for i in range(600):
+    data = bytearray(bytes_of)
+    if i % 3 == 0:
+        del data[int(rng.integers(len(data))) :]
+    else:
+        for _ in range(1 + i % 4):
+            data[int(rng.integers(len(data)))] = int(rng.integers(256))
+    gdal.FileFromMemBuffer("/vsimem/damaged.twz", bytes(data))
+    dataset = gdal.Open("/vsimem/damaged.twz")
+    if dataset is None:
+        continue
+    n_opened += 1
+    dataset.ReadAsArray()
+    dataset.GetRasterBand(1).GetMaskBand().ReadAsArray()
+    for k in range(dataset.GetRasterBand(1).GetOverviewCount()):
+        dataset.GetRasterBand(1).GetOverview(k).ReadAsArray()
+print(n_opened)
+"""
+
+
+def test_damaged_files_never_end_the_process(folder):
+    small = terrainwave.compress_to_bytes(
+        np.add.outer(np.arange(130), np.arange(600)).astype(np.int16), max_error=0.5, block=32
+    )
+    (folder / "small.twz").write_bytes(small)
+    assert 0 < by_python(DAMAGE, str(folder / "small.twz")) < 600
+
+
+def test_a_file_of_a_later_format_names_the_release_to_get(kinds, folder):
+    data = bytearray(kinds["int16-none"].read_bytes())
+    data[8] = 2
+    (folder / "later.twz").write_bytes(data)
+    (line,) = error_lines(run("gdalinfo", folder / "later.twz"))
+    assert "format version 2" in line
+    assert "newer than" in line
+    assert "terrainwave" in line
+
+
+@pytest.mark.parametrize("crs", ["EPSG:99999", "/vsicurl/http://127.0.0.1:9/wkt", "\x1b[31m", ""])
+def test_an_unknown_crs_is_a_warning_and_heights_are_read(folder, monkeypatch, crs):
+    monkeypatch.setattr(
+        "terrainwave.write.job.metadata_of", lambda info: metadata_of(info) | {"crs": crs}
+    )
+    heights = np.arange(2000, dtype=np.int16).reshape(40, 50)
+    data = terrainwave.compress_to_bytes(heights, max_error=0, threads=1, verify=False)
+    (folder / "crs.twz").write_bytes(data)
+    code = """
+gdal.DontUseExceptions()
+told = []
+gdal.PushErrorHandler(lambda kind, number, text: told.append([kind, text]))
+dataset = gdal.Open(asked)
+print(json.dumps([told, dataset.GetProjection(), int(dataset.ReadAsArray().sum())]))
+"""
+    told, wkt, total = by_python(code, str(folder / "crs.twz"))
+    ((kind, text),) = told
+    assert (kind, wkt, total) == (2, "", int(heights.sum()))
+    assert "does not know the coordinate reference system" in text
+    assert text.isprintable()
+
+
+# ---- Other places than files ----
+
+
+def test_a_file_in_a_zip_is_read(kinds, folder):
+    path = kinds["float32-nodata"]
+    with zipfile.ZipFile(folder / "packed.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.write(path, "inner/dem.twz")
+    code = "np.save(asked[1], gdal.Open(asked[0]).ReadAsArray(700, 5, 300, 400)); print(0)"
+    target = str(folder / "zip.npy")
+    by_python(code, [f"/vsizip/{folder / 'packed.zip'}/inner/dem.twz", target])
+    with terrainwave.open(path) as terrain:
+        expected = terrain.read(Window(700, 5, 300, 400))
+    np.testing.assert_array_equal(np.load(target), expected)
+
+
+def test_the_plugin_is_small_and_exports_nothing_else():
+    plugin = Path(build()) / "gdal_TWZ.so"
+    assert plugin.stat().st_size < 2_000_000
+    ended = run("nm", "-D", "--defined-only", "--extern-only", plugin)
+    names = {line.split()[-1].split("@")[0] for line in ended.stdout.splitlines()}
+    assert "GDALRegister_TWZ" in names
+    assert not {name for name in names if name.startswith("twz_")}

@@ -1,0 +1,77 @@
+"""What `make native` and `make native-deb` make, and the recipes beside them."""
+
+import os
+import re
+import subprocess
+
+import pytest
+import yaml
+from gdal_driver.built import ROOT, error_lines, good, run
+
+pytestmark = [pytest.mark.full, pytest.mark.gdal]
+FILE = ROOT / "tests" / "golden" / "v1" / "rapid-int16-halves.twz"
+
+
+def make(*arguments):
+    """Run make here; return what it prints."""
+    variables = {name: value for name, value in os.environ.items() if "MAKE" not in name}
+    ended = subprocess.run(
+        ["make", "--no-print-directory", *arguments], cwd=ROOT, env=variables, text=True,
+        capture_output=True, check=False,
+    )  # fmt: skip
+    said = ended.stdout[-2000:] + ended.stderr[-2000:]
+    assert ended.returncode == 0, said
+    return ended.stdout
+
+
+def test_the_driver_is_installed_below_a_prefix_and_gdal_finds_it_there(tmp_path):
+    make("native-driver", f"PREFIX={tmp_path / 'prefix'}")
+    (plugin,) = (tmp_path / "prefix").rglob("gdal_TWZ.so")
+    assert plugin.parent.name == "gdalplugins"
+    assert "TWZ/terrainwave" in good("gdalinfo", FILE, GDAL_DRIVER_PATH=str(plugin.parent))
+    assert (tmp_path / "prefix" / "bin" / "twz").exists()
+
+
+def test_the_debian_package_puts_the_driver_where_gdal_looks(tmp_path):
+    told = make("native-deb")
+    (name,) = re.findall(r"^dist/(libgdal-twz_.*\.deb)$", told, re.M)
+    version = good("gdal-config", "--version").strip()
+    assert f"+gdal{'.'.join(version.split('.')[:2])}_" in name
+    package = ROOT / "dist" / name
+    control = good("dpkg-deb", "--info", package)
+    assert "libgdal" in next(line for line in control.splitlines() if "Depends:" in line)
+    good("dpkg-deb", "--extract", package, tmp_path)
+    files = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
+    (plugin,) = (path for path in files if path.endswith("gdalplugins/gdal_TWZ.so"))
+    assert files - {plugin} == {"usr/share/doc/libgdal-twz/copyright"}
+    # The folder that is compiled into GDAL, as its library names it.
+    folder = f"/{os.path.dirname(plugin)}".encode()
+    libraries = re.findall(r"=> (\S*libgdal\.so\S*)", good("ldd", tmp_path / plugin))
+    with open(libraries[0], "rb") as file:
+        assert folder in file.read()
+    assert "TWZ/terrainwave" in good(
+        "gdalinfo", FILE, GDAL_DRIVER_PATH=str(tmp_path / os.path.dirname(plugin))
+    )
+
+
+def test_without_the_driver_gdal_says_that_it_does_not_know_the_file(tmp_path):
+    ended = run("gdalinfo", FILE, GDAL_DRIVER_PATH=str(tmp_path))
+    assert ended.returncode == 1
+    assert error_lines(ended) == [] or "not recognized" in ended.stderr
+
+
+def test_the_conda_recipe_is_of_the_librarys_version():
+    recipe = yaml.safe_load((ROOT / "conda/gdal/recipe.yaml").read_text(encoding="utf-8"))
+    listed = (ROOT / "native/CMakeLists.txt").read_text(encoding="utf-8")
+    (version,) = re.findall(r"project\(terrainwave VERSION ([0-9.]+)", listed)
+    assert recipe["context"]["version"] == version
+    header = (ROOT / "native/include/terrainwave.h").read_text(encoding="utf-8")
+    numbers = re.findall(r"#define TWZ_VERSION_(?:MAJOR|MINOR|PATCH) (\d+)", header)
+    assert ".".join(numbers) == version
+
+
+def test_ci_marks_what_nobody_has_run_as_untried():
+    jobs = yaml.safe_load((ROOT / ".github/workflows/native.yml").read_text(encoding="utf-8"))
+    for job in jobs["jobs"].values():
+        assert job["name"].endswith("(untried)")
+        assert job["continue-on-error"]
