@@ -1,26 +1,27 @@
 """Hold `twz` against the Python library: python native/fuzz/compare.py TWZ [FILES [SEED]].
 
 Files of any rasters and options, some with any tables of rapid and any corrections (`forced`), are
-read by both: all levels, heights and validity, with each kind of kernels. A file that differs stays
-where the message says.
+read by both as `tests/against_python.py` does. A file that differs stays where the message says.
 """
 
 import contextlib
-import subprocess
 import sys
 import tempfile
 from collections import Counter
 from pathlib import Path
 
-import forced
 import numpy as np
 
 import terrainwave as tw
 
+sys.path.append(str(Path(__file__).parents[1] / "tests"))
+
+import forced
+from against_python import disagreements
+
 METHODS = ("rapid", "rapid", "rapid", "predictive", "predictive", "cdf97", "cdf53", "store")
 PATCHABLE = ("rapid", "predictive")
 DTYPES = ("int16", "int32", "float32", "float64", "uint8", "uint16")
-KERNELS = ("baseline", "avx2", "avx512")
 NODATA = -9999
 
 
@@ -79,28 +80,6 @@ def write_any(path, seed):
     return [method, *(f"{method}, feature bit {bit}" for bit in range(8) if features >> bit & 1)]
 
 
-def dumped(twz, path, level, *options):
-    """Return what `twz dump` writes."""
-    command = [twz, "dump", path, "--level", str(level), *options]
-    done = subprocess.run(command, capture_output=True, check=False)
-    if done.returncode:
-        raise RuntimeError(f"{' '.join(map(str, command))}: {done.stderr.decode().strip()}")
-    return done.stdout
-
-
-def differences(twz, path):
-    """Yield what the two do not agree on."""
-    with tw.open(path) as terrain:
-        for level in range(terrain.n_levels):
-            heights, valid = terrain.read_with_mask(level=level, voids="any")
-            if dumped(twz, path, level, "--mask") != valid.astype(np.uint8).tobytes():
-                yield f"validity of level {level}"
-            for kernels in KERNELS:
-                found = np.frombuffer(dumped(twz, path, level, "--kernels", kernels), heights.dtype)
-                if not np.array_equal(found.reshape(heights.shape)[valid], heights[valid]):
-                    yield f"heights of level {level}, {kernels}"
-
-
 def main():
     """Compare files until one differs."""
     twz, *numbers = sys.argv[1:]
@@ -109,9 +88,9 @@ def main():
     for number in range(seed, seed + n_files):
         path = folder / f"{number}.twz"
         met.update(write_any(path, number))
-        found = list(differences(twz, path))
+        found = list(disagreements(twz, str(path)))
         if found:
-            sys.exit(f"{path}: {', '.join(found)}")
+            sys.exit("\n".join(found))
         path.unlink()
     folder.rmdir()
     print(
