@@ -9,7 +9,7 @@ from strategies import terrain_like, write_geotiff
 from twz import twz_bytes
 
 import terrainwave
-from terrainwave.container.header import HAS_FILLS, HAS_REMAINDERS
+from terrainwave.container.header import HAS_REMAINDERS
 from terrainwave.errors import BoundViolationError, CorruptStreamError, InvalidHeightsError
 from terrainwave.verification.heights import verify
 from terrainwave.write.compress import compress
