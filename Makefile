@@ -181,7 +181,7 @@ native-compared: native-sanitized $(VENV)/.installed-dev
 # Small sound files of each method, made by the package that is tested here; what fuzzers find
 # new stays in build/native/fuzz/corpus.
 build/native/fuzz/seeds/files.txt: native/fuzz/seeds.py native/fuzz/forced.py | $(VENV)/.installed-dev
-	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/fuzz/seeds.py build/native/fuzz/seeds
+	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/fuzz/seeds.py "$(CURDIR)/build/native/fuzz/seeds"
 
 native-fuzz: system-native build/native/fuzz/seeds/files.txt
 	@$(call built_natively,fuzz,clang,-DTWZ_SANITIZE=ON -DTWZ_FUZZ=ON)
