@@ -1,5 +1,5 @@
 # make demo | make test | make test-all | make docs | make qgis | make conformance | make bench
-# make fuzz | make release-check | make clean
+# make native | make native-fuzz | make fuzz | make release-check | make clean
 # All targets set up their own virtual environment in .venv; see CONTRIBUTING.md.
 
 PYTHON ?= python3
@@ -18,7 +18,7 @@ COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo qgis conformance test test-all system system-full lint test-compiled test-full test-bounds test-python coverage docs bench fuzz release-check clean
+.PHONY: help demo qgis conformance test test-all system system-full system-native native native-gcc native-clang native-sanitized native-fuzz lint test-compiled test-full test-bounds test-python coverage docs bench fuzz release-check clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -29,6 +29,8 @@ help:
 	@echo "make bench DATA=DIR  compare with other codecs on the rasters in DIR: what is not measured yet;"
 	@echo "                     AGAIN='predictive speeds' anew, ONLY='cdf97' that alone"
 	@echo "make fuzz SECONDS=60 fuzz each target that long, ONLY='rapid opening' these alone: docs/reliability.md"
+	@echo "make native          the native library and its command \`twz\`, built and tested with gcc and clang"
+	@echo "make native-fuzz SECONDS=60  fuzz its files and its units, each half that long"
 	@echo "make docs            the site, as build/site; any warning is an error"
 	@echo "make release-check   sdist and wheel into dist/, built twice, installed without and with each extra"
 	@echo "make qgis            the plugin for QGIS, as dist/terrainwave_plugin.zip"
@@ -77,6 +79,9 @@ system:
 system-full:
 	@sh tools/install_system.sh qgis
 
+system-native:
+	@sh tools/install_system.sh native
+
 # The lock file would name a registry: versions are exact in package.json instead.
 tests/ext/node_modules/.installed: tests/ext/package.json
 	@sh tools/install_system.sh
@@ -88,7 +93,7 @@ test:
 	@$(MAKE) --no-print-directory -j2 lint test-compiled
 
 # What `make test` leaves out.
-test-all: test-full test-bounds test-python
+test-all: test-full test-bounds test-python native native-sanitized native-fuzz
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
@@ -131,6 +136,30 @@ $(VENV)/.installed-fuzz: $(VENV)/.created pyproject.toml
 # Bounds are checked here: kernels have a cache of their own.
 fuzz: $(VENV)/.installed-fuzz
 	NUMBA_CACHE_DIR="$(CURDIR)/build/fuzz/numba" $(BIN)/python -m fuzz.run --seconds $(SECONDS) $(ONLY)
+
+# --- the native library ---
+
+# Build in build/native/$(1) with the compiler $(2) and options of CMake $(3), and run its tests.
+built_natively = cmake -S native -B build/native/$(1) -DCMAKE_C_COMPILER=$(2) -DTWZ_WARNINGS_ARE_ERRORS=ON $(3) >/dev/null && \
+	cmake --build build/native/$(1) -j $(WORKERS) -- -s --no-print-directory
+tested_natively = ctest --test-dir build/native/$(1) --output-on-failure -j $(WORKERS)
+
+native: native-gcc native-clang
+
+native-gcc native-clang: native-%: system-native
+	@$(call built_natively,$*,$*) && $(call tested_natively,$*)
+
+native-sanitized: system-native
+	@$(call built_natively,sanitized,clang,-DTWZ_SANITIZE=ON) && $(call tested_natively,sanitized)
+
+# Small sound files of each method, made by the package that is tested here; what fuzzers find
+# new stays in build/native/fuzz/corpus.
+build/native/fuzz/seeds/files.txt: native/fuzz/seeds.py | $(VENV)/.installed-dev
+	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/fuzz/seeds.py build/native/fuzz/seeds
+
+native-fuzz: system-native build/native/fuzz/seeds/files.txt
+	@$(call built_natively,fuzz,clang,-DTWZ_SANITIZE=ON -DTWZ_FUZZ=ON)
+	@SECONDS_EACH=$$(($(SECONDS) / 2)) sh native/fuzz/run.sh build/native/fuzz
 
 docs: $(VENV)/.installed-dev
 	$(BIN)/mkdocs build --strict

@@ -2,14 +2,27 @@
 # What pictures without a screen need, a screen without a screen for the test of the window, and a
 # browser for the tests of pages: EGL, OpenGL with Mesa's software driver, Xvfb, xdotool, Chromium
 # with its driver, npm; with the argument `qgis` also QGIS without its window, and its Python, for the
-# tests of the plugin. Installed where this is Debian or Ubuntu and apt-get may run; elsewhere one
+# tests of the plugin; with the argument `native` instead of all these what builds and tests the
+# native library: cmake, gcc, clang with its sanitizers and libFuzzer. Installed where this is Debian or Ubuntu and apt-get may run; elsewhere one
 # line says what is missing, and the tests that need it fail.
 set -eu
 
 packages="libegl1 libgl1 libgl1-mesa-dri libglu1-mesa xvfb xauth xdotool chromium chromium-driver"
 command -v npm >/dev/null || packages="$packages npm"
-wants_qgis=${1:-}
-[ -z "$wants_qgis" ] || packages="$packages python3-qgis"
+wants_qgis=
+needs="tests that draw need OpenGL and a browser"
+elsewhere="EGL, OpenGL 3.3 (Mesa), Xvfb, xdotool, Chromium, npm"
+case "${1:-}" in
+qgis)
+    wants_qgis=1
+    packages="$packages python3-qgis"
+    ;;
+native)
+    packages="cmake make gcc libc6-dev clang llvm"
+    needs="the native library needs compilers"
+    elsewhere="cmake, make, gcc, clang with sanitizers and libFuzzer"
+    ;;
+esac
 
 has_library() {
     { ldconfig -p 2>/dev/null || /sbin/ldconfig -p 2>/dev/null || true; } | grep -q "$1"
@@ -31,19 +44,28 @@ is_complete() {
         { [ -z "$wants_qgis" ] || [ -e /usr/lib/python3/dist-packages/qgis/core ]; }
 }
 
+has_compilers() {
+    command -v cmake >/dev/null && command -v make >/dev/null && command -v gcc >/dev/null &&
+        command -v clang >/dev/null && command -v llvm-symbolizer >/dev/null
+}
+
 [ "$(uname -s)" = Linux ] || exit 0
-is_complete && exit 0
+if [ "${1:-}" = native ]; then
+    has_compilers && exit 0
+elif is_complete; then
+    exit 0
+fi
 
 if [ "$(id -u)" -eq 0 ]; then
     as_root=
 elif command -v sudo >/dev/null && sudo -n true 2>/dev/null; then
     as_root="sudo -n"
 else
-    echo "terrainwave: tests that draw need OpenGL and a browser; run: sudo apt-get install $packages" >&2
+    echo "terrainwave: $needs; run: sudo apt-get install $packages" >&2
     exit 0
 fi
 if ! command -v apt-get >/dev/null; then
-    echo "terrainwave: tests that draw need EGL, OpenGL 3.3 (Mesa), Xvfb, xdotool, Chromium, npm" >&2
+    echo "terrainwave: $needs: $elsewhere" >&2
     exit 0
 fi
 echo "terrainwave: installing $packages"

@@ -20,6 +20,7 @@ sys.path[:0] = [str(ROOT / "src"), str(ROOT / "tests")]
 
 import golden_files  # noqa: E402
 from conformance import invalid  # noqa: E402
+from conformance.editor import Editor  # noqa: E402
 from rasterio.transform import Affine  # noqa: E402
 from strategies import write_geotiff  # noqa: E402
 
@@ -324,6 +325,7 @@ EXERCISES = {
     "rapid-patched-int32-wide": "corrections of a root block, heights far apart (R.2), aprons",
     "predictive-patched-int16-rings": "corrections with raw bits of magnitudes, aprons, voids",
     "predictive-patched-float32-nan": "corrections, a large step, voids are NaN",
+    "store-moved-decimal": "`moved` written 3.0 (§4.2; erratum 2)",
     "one-sample": "a raster of one sample",
     "one-row": "a raster of one row",
     "all-void": "no valid sample: z_min 0, z_max −1, empty payloads",
@@ -426,6 +428,17 @@ def write_readme(manifest):
     path.write_text(text, encoding="utf-8")
 
 
+# Made of another golden file by changing its metadata.
+RETOLD = {"store-moved-decimal": ("store-int16-nodata-halves", {"moved": 3.0})}
+
+
+def write_retold(path, name, changes):
+    """Write a golden file that says something else of itself than another."""
+    editor = Editor(path.with_name(f"{name}.twz").read_bytes())
+    editor.set_json(**changes)
+    path.write_bytes(editor.bytes())
+
+
 def main():
     """Write files that are missing, and what the manifest does not say of them yet."""
     directory = golden_files.GOLDEN / f"v{FORMAT_VERSION}"
@@ -434,10 +447,10 @@ def main():
     manifest = {"format_version": FORMAT_VERSION, "files": {}, "invalid": {}}
     if manifest_path.exists():
         manifest = json.loads(manifest_path.read_text(encoding="utf-8"))
-    for name, case in CASES.items():
+    for name, case in (CASES | RETOLD).items():
         path = directory / f"{name}.twz"
         if not path.exists():
-            write_case(path, *case)
+            (write_retold if name in RETOLD else write_case)(path, *case)
             print(f"{path.relative_to(ROOT)}: {path.stat().st_size:,} bytes")
         if path.name not in manifest["files"]:
             found = {"exercises": EXERCISES[name]} | golden_files.found(path)

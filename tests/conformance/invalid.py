@@ -57,6 +57,8 @@ def base(name):
     if name == "tiles":
         ramp = np.tile(np.arange(2100, dtype=np.int16) // 400, (2, 1))
         return twz_bytes(ramp, max_error=0, method="cdf53", mesh="none")
+    if name == "one":
+        return twz_bytes(np.array([[5]], dtype=np.int16), **options_0)
     if name in ("zerotree-plain", "rqt"):
         rough = (row[:9, :9] * 9 + col[:9, :9]) * 37 % 23
         return twz_bytes(rough.astype(np.int16), max_error=0, method="store", mesh=name)
@@ -224,6 +226,12 @@ def coded_corrections(value):
 def method_bytes(change):
     """The bytes of the method in the root's payload."""
     return payload(lambda data: data[:START] + change(data[START:]))
+
+
+def far(editor):
+    """One sample of rapid: heights of 2^29 quanta in a unit of sums of 32 bits, 29 raw bits."""
+    editor.header |= {"method": 4, "z_min": 1 << 29, "z_max": 1 << 29}
+    editor.top.payloads[ROOT] = b"\0\2\0\0\0\1\0\0\0\0\0"
 
 
 def mesh(data):
@@ -641,6 +649,9 @@ CASES = {
     ),
     "predictive-left-over": Case(
         "predictive", "P.1", "a byte after the stream", method_bytes(lambda data: data + b"\0")
+    ),
+    "rapid-low-above-high": Case(
+        "one", "R.2", "a root block that is not wide, and no height within its limits", edited(far)
     ),
     "rapid-flags": Case("rapid", "R.1", "flag bit 2", method_bytes(flip(0, 4))),
     "rapid-words-beyond": Case(

@@ -115,7 +115,7 @@ KINDS = {
     "transform": is_transform,
     "scale": lambda value: is_number(value) and value != 0,
     "offset": is_number,
-    "moved": lambda value: type(value) is int and 0 <= value <= 2**31,
+    "moved": lambda value: is_number(value) and value == int(value) and 0 <= value <= 2**31,
     "mask_kind": lambda value: value in ("none", "nodata", "nan", "mask"),
     "area_or_point": lambda value: value in ("Area", "Point"),
     **dict.fromkeys(

@@ -510,7 +510,9 @@ def limits(header, widest, is_wide, parent):
     o = 0
     if parent is not None and max(-header.z_min, header.z_max) * widest > most:
         o = (min(map(min, parent)) + max(map(max, parent))) >> 1
-    return max(header.z_min, o - most // widest), min(header.z_max, o + most // widest)
+    low, high = max(header.z_min, o - most // widest), min(header.z_max, o + most // widest)
+    require(low <= high, "a unit that is not wide has no heights")
+    return low, high
 
 
 def decode_rapid(file, unit, payload, valid, parent_unit, parent_heights):

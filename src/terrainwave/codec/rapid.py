@@ -364,6 +364,10 @@ class Rapid:
         if not is_wide:
             limit = _LIMIT32 // self._widest
             low, high = max(low, -limit), min(high, limit)
+            if low > high:
+                raise CorruptStreamError(
+                    "all heights of a unit that is not wide are too far from 0"
+                )
         if spec.region != spec.core:
             out[:] = 0  # a lattice fills all but the apron, whose lines may not meet
         has_void = not is_whole(mask)

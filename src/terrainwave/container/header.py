@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
@@ -183,7 +184,7 @@ class Header:
         A share of the bound.
         """
         found = self.metadata.get("moved")
-        return found if isinstance(found, int) else 0
+        return int(cast(float, found)) if found is not None else 0
 
     @property
     def coded_error(self) -> int:

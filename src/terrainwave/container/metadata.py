@@ -139,8 +139,8 @@ def _wrong_values(metadata: dict[str, object]) -> Iterator[str]:
         ):
             yield f"{key} is not an object of strings"
     moved = metadata.get("moved")
-    is_whole = isinstance(moved, int) and not isinstance(moved, bool)
-    if moved is not None and not (is_whole and 0 <= cast(int, moved) <= MAX_MOVED):
+    is_whole = _is_number(moved) and float(cast(float, moved)).is_integer()
+    if moved is not None and not (is_whole and 0 <= cast(float, moved) <= MAX_MOVED):
         yield "moved is not a whole number of quanta from 0 to 2^31"
     if metadata.get("scale") == 0:
         yield "scale is 0"

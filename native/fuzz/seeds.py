@@ -1,0 +1,59 @@
+"""Write small sound files of every method as seeds of fuzzers: python native/fuzz/seeds.py FOLDER.
+
+Units of few samples decode in microseconds, so that fuzzers try many inputs.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import terrainwave as tw
+
+SIZES = ((5, 5), (4, 34), (35, 3), (2, 67), (34, 34))
+METHODS = ("rapid", "predictive", "cdf97", "cdf53", "store")
+
+
+def heights_of(n_rows, n_cols, dtype, has_voids):
+    """Return a hill with a step in it, and a hole if asked for."""
+    row, col = np.mgrid[:n_rows, :n_cols]
+    heights = 300 + 7 * row - 3 * col + (row * col) % 5 + 40 * (col > n_cols // 2)
+    if np.issubdtype(dtype, np.floating):
+        heights = heights * np.sqrt(2) + 0.37 * row
+    heights = heights.astype(dtype)
+    if has_voids:
+        heights[n_rows // 2 :, n_cols // 3 : n_cols // 2 + 1] = -9999
+    return heights
+
+
+def variants(method):
+    """Yield (name, dtype, has_voids, options of compress)."""
+    yield "lossless", np.int16, False, {"max_error": 0}
+    yield "voids", np.int16, True, {"max_error": 2, "nodata": -9999, "format": "1.0"}
+    yield "fills", np.int32, True, {"max_error": 0, "nodata": -9999}
+    if method != "cdf53":
+        yield "coarse", np.float32, True, {"max_error": 5, "nodata": -9999, "border_rings": 3}
+        yield "exact", np.float32, False, {"max_error": 0}
+
+
+def main():
+    """Write the files, and `files.txt` that names them."""
+    folder = Path(sys.argv[1])
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for method in METHODS:
+        for name, dtype, has_voids, options in variants(method):
+            for n_rows, n_cols in SIZES:
+                path = folder / f"{method}-{name}-{n_rows}x{n_cols}.twz"
+                heights = heights_of(n_rows, n_cols, dtype, has_voids)
+                try:
+                    tw.compress(heights, path, method=method, block=32, overwrite=True, **options)
+                except tw.TerrainwaveError as error:
+                    print(f"{path.name}: {error}")
+                    continue
+                paths.append(str(path))
+    (folder / "files.txt").write_text("\n".join(paths) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

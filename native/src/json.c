@@ -1,0 +1,430 @@
+/* Strict JSON (FORMAT §4.2): keys once, finite numbers, whole characters, nesting of at most 16. */
+#include <float.h>
+#include <math.h>
+#include <stdlib.h>
+
+#include "internal.h"
+
+enum { DEEPEST = 16, PAGE_BYTES = 4096 };
+
+typedef struct json_page {
+  struct json_page *next;
+  size_t used, size;
+} json_page;
+
+typedef struct parser {
+  json_document *document;
+  const char *text;
+  size_t n, at;
+  twz_error *error;
+} parser;
+
+/* Memory that json_free releases as a whole; NULL: none. */
+static void *keep(json_document *d, size_t n) {
+  n = (n + 15) / 16 * 16;
+  json_page *page = d->pages;
+  if (!page || n > page->size - page->used) {
+    size_t size = n > PAGE_BYTES ? n : PAGE_BYTES;
+    size_t head = (sizeof(json_page) + 15) / 16 * 16;
+    page = twz_allocate(d->allocator, head + size);
+    if (!page) return NULL;
+    page->next = d->pages;
+    page->size = head + size;
+    page->used = head;
+    d->pages = page;
+  }
+  void *kept = (char *)page + page->used;
+  page->used += n;
+  return kept;
+}
+
+void json_free(json_document *d) {
+  while (d->pages) {
+    json_page *page = d->pages;
+    d->pages = page->next;
+    twz_release(d->allocator, page);
+  }
+  d->root = NULL;
+}
+
+const json_value *json_member(const json_value *object, const char *key) {
+  for (const json_value *m = object->first; m; m = m->next) {
+    if (strcmp(m->key, key) == 0) return m->kind == JSON_NULL ? NULL : m;
+  }
+  return NULL;
+}
+
+#define BAD(p, what) \
+  twz_fail((p)->error, TWZ_CORRUPT, "metadata, byte %llu: %s", (unsigned long long)(p)->at, what)
+
+static int peek(parser *p) {
+  while (p->at < p->n && strchr(" \t\n\r", p->text[p->at]) && p->text[p->at]) p->at++;
+  return p->at < p->n ? (unsigned char)p->text[p->at] : -1;
+}
+
+/* ---- Numbers ---- */
+
+/* A natural number in digits of 32 bits, the lowest first. */
+enum { MOST_DIGITS = 800, BIG = 160 };
+typedef struct big {
+  uint32_t digit[BIG];
+  int n;
+} big;
+
+static void big_multiply_add(big *b, uint32_t factor, uint32_t sum) {
+  uint64_t carry = sum;
+  for (int i = 0; i < b->n; i++) {
+    carry += (uint64_t)b->digit[i] * factor;
+    b->digit[i] = (uint32_t)carry;
+    carry >>= 32;
+  }
+  if (carry && b->n < BIG) b->digit[b->n++] = (uint32_t)carry;
+}
+
+static int big_bits(const big *b) { return b->n ? 32 * (b->n - 1) + bit_length(b->digit[b->n - 1]) : 0; }
+
+static void big_shift(big *b, int n) {
+  int words = n / 32, bits = n % 32;
+  if (!b->n || b->n + words + 1 > BIG) return;
+  for (int i = b->n; i >= 0; i--) {
+    uint64_t high = i < b->n ? b->digit[i] : 0, low = i > 0 ? b->digit[i - 1] : 0;
+    b->digit[i + words] = (uint32_t)((high << 32 | low) << bits >> 32);
+  }
+  memset(b->digit, 0, sizeof(uint32_t) * (size_t)words);
+  b->n += words + 1;
+  while (b->n && !b->digit[b->n - 1]) b->n--;
+}
+
+static int big_compare(const big *a, const big *b) {
+  if (a->n != b->n) return a->n < b->n ? -1 : 1;
+  for (int i = a->n - 1; i >= 0; i--) {
+    if (a->digit[i] != b->digit[i]) return a->digit[i] < b->digit[i] ? -1 : 1;
+  }
+  return 0;
+}
+
+static void big_subtract(big *a, const big *b) { /* a >= b */
+  int64_t borrow = 0;
+  for (int i = 0; i < a->n; i++) {
+    int64_t d = (int64_t)a->digit[i] - (i < b->n ? b->digit[i] : 0) + borrow;
+    a->digit[i] = (uint32_t)d;
+    borrow = d < 0 ? -1 : 0;
+  }
+  while (a->n && !a->digit[a->n - 1]) a->n--;
+}
+
+/* mantissa * 2^exponent, where that is a double. */
+static double scaled_by_2(uint64_t mantissa, int exponent) {
+  double x = (double)mantissa;
+  while (exponent != 0) {
+    int n = exponent > 1000 ? 1000 : exponent < -1000 ? -1000 : exponent;
+    uint64_t bits = (uint64_t)(1023 + n) << 52;
+    double factor;
+    memcpy(&factor, &bits, 8);
+    x *= factor;
+    exponent -= n;
+  }
+  return x;
+}
+
+/*
+ * The double nearest to 0.d1 d2 d3 ... * 10^point, ties to even; infinite where it is too large.
+ * is_cut: other digits follow that are not all 0. No strtod: it reads the point of the locale.
+ */
+static double nearest_double(const char *digits, int n_digits, int is_cut, int64_t point) {
+  if (n_digits == 0 || point < -330) return 0;
+  if (point > 310) return HUGE_VAL;
+  int exponent = (int)point - n_digits;
+  if (n_digits <= 15 && exponent >= -22 && exponent <= 22) { /* both are exact: one rounding */
+    static const double POWERS[23] = {1e0,  1e1,  1e2,  1e3,  1e4,  1e5,  1e6,  1e7,
+                                      1e8,  1e9,  1e10, 1e11, 1e12, 1e13, 1e14, 1e15,
+                                      1e16, 1e17, 1e18, 1e19, 1e20, 1e21, 1e22};
+    int64_t whole = 0;
+    for (int i = 0; i < n_digits; i++) whole = whole * 10 + (digits[i] - '0');
+    return exponent < 0 ? (double)whole / POWERS[-exponent] : (double)whole * POWERS[exponent];
+  }
+  big a = {{0}, 0}, b = {{1}, 1};
+  for (int i = 0; i < n_digits; i++) big_multiply_add(&a, 10, (uint32_t)(digits[i] - '0'));
+  if (is_cut) {
+    big_multiply_add(&a, 10, 1);
+    exponent--;
+  }
+  for (; exponent > 0; exponent--) big_multiply_add(&a, 10, 0);
+  for (; exponent < 0; exponent++) big_multiply_add(&b, 10, 0);
+  /* a 2^shift / b has 64 bits; long division gives them, the first one a 1. */
+  int shift = 64 - (big_bits(&a) - big_bits(&b));
+  big_shift(shift > 0 ? &a : &b, shift > 0 ? shift : -shift);
+  big c = b;
+  big_shift(&c, 64);
+  if (big_compare(&a, &c) >= 0) {
+    big_shift(&b, 1);
+    shift--;
+  }
+  big_shift(&b, 63);
+  uint64_t quotient = 0;
+  for (int k = 0; k < 64; k++) {
+    int bit = big_compare(&a, &b) >= 0;
+    if (bit) big_subtract(&a, &b);
+    quotient = quotient << 1 | (uint64_t)bit;
+    big_shift(&a, 1);
+  }
+  /* A double has 53 bits, and fewer below 2^-1022. */
+  int high = 63 - shift;
+  int drop = high < -1022 ? 11 + (-1022 - high) : 11;
+  if (drop > 64) return 0;
+  if (high > 1023) return HUGE_VAL;
+  uint64_t kept = drop == 64 ? 0 : quotient >> drop;
+  uint64_t rest = drop == 64 ? quotient : quotient & (((uint64_t)1 << drop) - 1);
+  uint64_t half = (uint64_t)1 << (drop - 1);
+  if (rest > half || (rest == half && (a.n || (kept & 1)))) kept++;
+  return scaled_by_2(kept, drop - shift); /* 2^1024 becomes infinite */
+}
+
+static int is_digit(const parser *p) {
+  return p->at < p->n && p->text[p->at] >= '0' && p->text[p->at] <= '9';
+}
+
+static twz_status read_number(parser *p, json_value *value) {
+  char digits[MOST_DIGITS];
+  int n_digits = 0, is_cut = 0, is_negative = 0;
+  int64_t point = 0; /* the value is 0.digits * 10^point */
+  if (p->text[p->at] == '-') {
+    is_negative = 1;
+    p->at++;
+  }
+  if (!is_digit(p)) return BAD(p, "a number has no digit");
+  int starts_with_0 = p->text[p->at] == '0', n_whole = 0, is_fraction = 0;
+  value->is_integer = 1;
+  for (;; p->at++) {
+    if (!is_fraction && p->at < p->n && p->text[p->at] == '.') {
+      is_fraction = 1;
+      value->is_integer = 0;
+      p->at++;
+      if (!is_digit(p)) return BAD(p, "no digit after a point");
+    }
+    if (!is_digit(p)) break;
+    char digit = p->text[p->at];
+    n_whole += !is_fraction && n_whole < 2;
+    if (starts_with_0 && n_whole > 1) return BAD(p, "a number begins with 0");
+    if (n_digits == 0 && digit == '0') { /* a leading 0 */
+      point -= is_fraction;
+    } else if (n_digits < MOST_DIGITS) {
+      digits[n_digits++] = digit;
+      point += !is_fraction;
+    } else {
+      is_cut |= digit != '0';
+      point += !is_fraction;
+    }
+  }
+  if (p->at < p->n && (p->text[p->at] == 'e' || p->text[p->at] == 'E')) {
+    value->is_integer = 0;
+    p->at++;
+    int is_down = p->at < p->n && p->text[p->at] == '-';
+    if (is_down || (p->at < p->n && p->text[p->at] == '+')) p->at++;
+    if (!is_digit(p)) return BAD(p, "an exponent has no digit");
+    int64_t exponent = 0;
+    for (; is_digit(p); p->at++) {
+      if (exponent < 10000000) exponent = exponent * 10 + (p->text[p->at] - '0');
+    }
+    point += is_down ? -exponent : exponent;
+  }
+  while (n_digits > 0 && !is_cut && digits[n_digits - 1] == '0') n_digits--;
+  double x = nearest_double(digits, n_digits, is_cut, point);
+  if (x > DBL_MAX) return BAD(p, "a number without finite binary64 value");
+  value->kind = JSON_NUMBER;
+  value->number = is_negative ? -x : x;
+  /* 2^64 = 18446744073709551616: by digits, as the double of 2^64 + 1 is 2^64. */
+  static const char MOST[] = "18446744073709551616";
+  if (value->is_integer && point >= 20 && n_digits > 0) {
+    int n = n_digits < 20 ? n_digits : 20, order = memcmp(digits, MOST, (size_t)n);
+    value->is_beyond_u64 = point > 20 || order > 0 || (order == 0 && n_digits > 20);
+  }
+  return TWZ_OK;
+}
+
+/* ---- Strings ---- */
+
+static int hex4(const parser *p, size_t at, uint32_t *code) {
+  *code = 0;
+  if (p->n - at < 4) return 0;
+  for (size_t i = at; i < at + 4; i++) {
+    char c = p->text[i];
+    uint32_t digit = c >= '0' && c <= '9'   ? (uint32_t)(c - '0')
+                     : c >= 'a' && c <= 'f' ? (uint32_t)(c - 'a' + 10)
+                     : c >= 'A' && c <= 'F' ? (uint32_t)(c - 'A' + 10)
+                                            : 16;
+    if (digit == 16) return 0;
+    *code = *code * 16 + digit;
+  }
+  return 1;
+}
+
+static char *put_utf8(char *to, uint32_t code) {
+  if (code < 0x80) {
+    *to++ = (char)code;
+  } else if (code < 0x800) {
+    *to++ = (char)(0xC0 | code >> 6);
+    *to++ = (char)(0x80 | (code & 63));
+  } else if (code < 0x10000) {
+    *to++ = (char)(0xE0 | code >> 12);
+    *to++ = (char)(0x80 | (code >> 6 & 63));
+    *to++ = (char)(0x80 | (code & 63));
+  } else {
+    *to++ = (char)(0xF0 | code >> 18);
+    *to++ = (char)(0x80 | (code >> 12 & 63));
+    *to++ = (char)(0x80 | (code >> 6 & 63));
+    *to++ = (char)(0x80 | (code & 63));
+  }
+  return to;
+}
+
+/* Decode a string; *length is without the NUL behind it. */
+static twz_status read_string(parser *p, const char **string, size_t *length) {
+  if (peek(p) != '"') return BAD(p, "no string");
+  size_t first = ++p->at, stop = first;
+  while (stop < p->n && p->text[stop] != '"') stop += p->text[stop] == '\\' ? 2 : 1;
+  if (stop >= p->n) return BAD(p, "a string without end");
+  char *start = keep(p->document, stop - first + 1); /* escapes are longer than what they stand for */
+  if (!start) return twz_no_memory(p->error, stop - first + 1);
+  char *to = start;
+  while (p->at < stop) {
+    char c = p->text[p->at++];
+    if ((unsigned char)c < 0x20) return BAD(p, "a control character in a string");
+    if (c != '\\') {
+      *to++ = c;
+      continue;
+    }
+    c = p->text[p->at++];
+    static const char NAMES[] = "\"\\/bfnrt", VALUES[] = "\"\\/\b\f\n\r\t";
+    const char *found = c ? strchr(NAMES, c) : NULL;
+    if (found) {
+      *to++ = VALUES[found - NAMES];
+      continue;
+    }
+    uint32_t code, low;
+    if (c != 'u' || !hex4(p, p->at, &code)) return BAD(p, "an escape that JSON does not have");
+    p->at += 4;
+    if (code >= 0xD800 && code < 0xE000) {
+      int is_pair = code < 0xDC00 && p->n - p->at >= 6 && p->text[p->at] == '\\' &&
+                    p->text[p->at + 1] == 'u' && hex4(p, p->at + 2, &low) && low >= 0xDC00 && low < 0xE000;
+      if (!is_pair) return BAD(p, "a lone surrogate");
+      p->at += 6;
+      code = 0x10000 + ((code - 0xD800) << 10) + (low - 0xDC00);
+    }
+    to = put_utf8(to, code);
+  }
+  *to = 0;
+  p->at = stop + 1;
+  *string = start;
+  *length = (size_t)(to - start);
+  return TWZ_OK;
+}
+
+/* ---- Values ---- */
+
+static twz_status read_value(parser *p, int depth, json_value **found);
+
+static twz_status read_members(parser *p, int depth, json_value *parent) {
+  char close = parent->kind == JSON_OBJECT ? '}' : ']';
+  if (depth > DEEPEST) return BAD(p, "brackets nested deeper than 16");
+  p->at++;
+  if (peek(p) == close) {
+    p->at++;
+    return TWZ_OK;
+  }
+  json_value **next = &parent->first;
+  for (;;) {
+    const char *key = NULL;
+    size_t length = 0;
+    if (parent->kind == JSON_OBJECT) {
+      TRY(read_string(p, &key, &length));
+      if (peek(p) != ':') return BAD(p, "no colon after a key");
+      p->at++;
+    }
+    TRY(read_value(p, depth, next));
+    (*next)->key = key;
+    (*next)->key_length = length;
+    next = &(*next)->next;
+    int c = peek(p);
+    p->at++;
+    if (c == close) return TWZ_OK;
+    if (c != ',') return BAD(p, "no comma between values");
+  }
+}
+
+static twz_status read_value(parser *p, int depth, json_value **found) {
+  json_value *value = keep(p->document, sizeof *value);
+  if (!value) return twz_no_memory(p->error, sizeof *value);
+  memset(value, 0, sizeof *value);
+  *found = value;
+  int c = peek(p);
+  if (c == '{' || c == '[') {
+    value->kind = c == '{' ? JSON_OBJECT : JSON_ARRAY;
+    return read_members(p, depth + 1, value);
+  }
+  if (c == '"') {
+    value->kind = JSON_STRING;
+    size_t length;
+    return read_string(p, &value->string, &length);
+  }
+  if (c == '-' || (c >= '0' && c <= '9')) return read_number(p, value);
+  static const char *const WORDS[] = {"null", "true", "false"};
+  for (int i = 0; i < 3; i++) {
+    size_t n = strlen(WORDS[i]);
+    if (p->n - p->at >= n && memcmp(p->text + p->at, WORDS[i], n) == 0) {
+      p->at += n;
+      value->kind = i ? JSON_BOOL : JSON_NULL;
+      return TWZ_OK;
+    }
+  }
+  return BAD(p, "no value");
+}
+
+static int compare_keys(const void *a, const void *b) {
+  const json_value *x = *(const json_value *const *)a, *y = *(const json_value *const *)b;
+  if (x->key_length != y->key_length) return x->key_length < y->key_length ? -1 : 1;
+  return memcmp(x->key, y->key, x->key_length);
+}
+
+/* No key twice, in this value and those in it; sorting bounds the time of a million keys. */
+static twz_status check_keys(parser *p, const json_value *value) {
+  size_t n = 0;
+  for (const json_value *m = value->first; m; m = m->next) {
+    n++;
+    TRY(check_keys(p, m));
+  }
+  if (value->kind != JSON_OBJECT || n < 2) return TWZ_OK;
+  const json_value **sorted = twz_allocate(p->document->allocator, n * sizeof *sorted);
+  if (!sorted) return twz_no_memory(p->error, n * sizeof *sorted);
+  n = 0;
+  for (const json_value *m = value->first; m; m = m->next) sorted[n++] = m;
+  qsort(sorted, n, sizeof *sorted, compare_keys);
+  int is_twice = 0;
+  for (size_t i = 1; i < n; i++) is_twice |= compare_keys(&sorted[i - 1], &sorted[i]) == 0;
+  twz_release(p->document->allocator, sorted);
+  return is_twice ? twz_fail(p->error, TWZ_CORRUPT, "metadata: a key occurs twice in one object") : TWZ_OK;
+}
+
+static int is_utf8(const unsigned char *s, size_t n) {
+  for (size_t i = 0; i < n;) {
+    unsigned char c = s[i++];
+    if (c < 0x80) continue;
+    int more = c >= 0xC2 && c < 0xE0 ? 1 : c >= 0xE0 && c < 0xF0 ? 2 : c >= 0xF0 && c < 0xF5 ? 3 : 0;
+    if (!more || n - i < (size_t)more) return 0;
+    unsigned char low = c == 0xE0 ? 0xA0 : c == 0xF0 ? 0x90 : 0x80;
+    unsigned char high = c == 0xED ? 0x9F : c == 0xF4 ? 0x8F : 0xBF; /* no surrogates, at most 10FFFF */
+    for (; more; more--, i++, low = 0x80, high = 0xBF) {
+      if (s[i] < low || s[i] > high) return 0;
+    }
+  }
+  return 1;
+}
+
+twz_status json_parse(json_document *document, const char *text, size_t n, twz_error *error) {
+  parser p = {document, text, n, 0, error};
+  if (!is_utf8((const unsigned char *)text, n)) return BAD(&p, "no UTF-8");
+  TRY(read_value(&p, 0, &document->root));
+  if (peek(&p) >= 0) return BAD(&p, "text after the end");
+  if (document->root->kind != JSON_OBJECT) return BAD(&p, "no JSON object");
+  return check_keys(&p, document->root);
+}

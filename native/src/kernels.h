@@ -1,0 +1,20 @@
+/* Kernels for each set of instructions: the same source, compiled for each; equal results. */
+#ifndef TWZ_KERNELS_H
+#define TWZ_KERNELS_H
+
+#include "rapid.h"
+
+typedef struct row_kernels {
+  twz_kernels kind;
+  rapid_decoder decode_rapid;
+} row_kernels;
+
+extern const row_kernels kernels_baseline;
+#ifdef TWZ_HAVE_X86
+extern const row_kernels kernels_avx2, kernels_avx512;
+#endif
+
+/* What was asked for, or the best; NULL: this processor or build has it not. */
+const row_kernels *find_kernels(twz_kernels kind);
+
+#endif

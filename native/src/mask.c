@@ -1,0 +1,175 @@
+/* Which samples are valid, and which are the raster's own (FORMAT §5.1, §5.2, §5.4). */
+#include "range.h"
+#include "tables.h"
+
+/* Bytes of the region with a margin of zeros, so that neighbours can be read without asking. */
+typedef struct field {
+  uint8_t *at; /* sample (0, 0) */
+  size_t stride;
+} field;
+
+enum { EDGE = 2, N_MASK_MODELS = 576, N_FILL_MODELS = 1296 };
+
+static size_t field_bytes(const layer *out) {
+  return (size_t)(out->rows.n + 2 * EDGE) * (size_t)(out->cols.n + 2 * EDGE);
+}
+
+static field take_field(scratch *s, const layer *out) {
+  field f;
+  size_t n = field_bytes(out);
+  uint8_t *memory = scratch_take(s, n);
+  memset(memory, 0, n);
+  f.stride = (size_t)(out->cols.n + 2 * EDGE);
+  f.at = memory + EDGE * f.stride + EDGE;
+  return f;
+}
+
+/* The parent's line at or before (after) line i of a region, counted from the first parent height. */
+static int32_t parent_line(uint32_t line, int is_after, uint32_t first, int32_t n) {
+  int64_t at = (int64_t)(((uint64_t)line + (is_after ? 1u : 0u)) >> 1) - first;
+  return (int32_t)clamp_i64(at, 0, n - 1);
+}
+
+static void imply_voids(const layer *out, const parent *p, field implied) {
+  if (!p->layer || (!p->is_void && !p->layer->valid)) return;
+  for (int32_t r = 0; r < out->rows.n; r++) {
+    uint8_t *row = implied.at + (size_t)r * implied.stride;
+    if (p->is_void) {
+      memset(row, 1, (size_t)out->cols.n);
+      continue;
+    }
+    uint32_t line = out->rows.first + (uint32_t)r;
+    const uint8_t *valid = p->layer->valid + p->col;
+    size_t pitch = (size_t)p->layer->cols.n;
+    const uint8_t *above = valid + pitch * (size_t)(p->row + parent_line(line, 0, p->first_row, p->n_rows));
+    const uint8_t *below = valid + pitch * (size_t)(p->row + parent_line(line, 1, p->first_row, p->n_rows));
+    for (int32_t c = 0; c < out->cols.n; c++) {
+      uint32_t place = out->cols.first + (uint32_t)c;
+      int32_t left = parent_line(place, 0, p->first_col, p->n_cols);
+      int32_t right = parent_line(place, 1, p->first_col, p->n_cols);
+      row[c] = !(above[left] & above[right] & below[left] & below[right]);
+    }
+  }
+}
+
+/* §5.2: valid from the samples that are not implied void. */
+static twz_status decode_plain(const twz_file *f, const layer *out, field implied, const reader *section, field valid,
+                               twz_error *error) {
+  model models[N_MASK_MODELS];
+  for (int i = 0; i < N_MASK_MODELS; i++) models[i] = MODEL((uint32_t)twz_mask_starts[i] << 14, 2);
+  coder c;
+  coder_start(&c, section->bytes, section->n, f->rates);
+  ptrdiff_t s = (ptrdiff_t)valid.stride;
+  for (int32_t row = 0; row < out->rows.n; row++) {
+    uint8_t *v = valid.at + row * s;
+    const uint8_t *m = implied.at + row * s;
+    for (int32_t col = 0; col < out->cols.n; col++, v++, m++) {
+      if (*m) continue;
+      int near = 32 * v[-1] + 16 * v[-s] + 8 * v[-s - 1] + 4 * v[1 - s] + 2 * v[-2] + v[-2 * s];
+      int far = m[2 * s] + m[2] + m[s - 1] + m[s + 1];
+      *v = (uint8_t)adaptive_bit(&c, &models[(near * 3 + m[s] + m[1]) * 3 + min_i32(far, 2)]);
+    }
+  }
+  return coder_end(&c, "a mask", error);
+}
+
+/* §5.4: a map, where K is 0; without a section these bits are 1. */
+static twz_status decode_map(const twz_file *f, const layer *out, field known, const reader *section, field map,
+                             twz_error *error) {
+  model models[N_FILL_MODELS];
+  for (int i = 0; i < N_FILL_MODELS; i++) models[i] = FRESH_MODEL;
+  coder c;
+  coder_start(&c, section->bytes, section->n, f->rates);
+  ptrdiff_t s = (ptrdiff_t)map.stride;
+  for (int32_t row = 0; row < out->rows.n; row++) {
+    uint8_t *v = map.at + row * s;
+    const uint8_t *k = known.at + row * s;
+    for (int32_t col = 0; col < out->cols.n; col++, v++, k++) {
+      if (*k || !section->bytes) {
+        *v = *k != 1;
+        continue;
+      }
+      int bits = 8 * v[-1] + 4 * v[-s] + 2 * v[-s - 1] + v[1 - s];
+      *v = (uint8_t)adaptive_bit(&c, &models[81 * bits + 27 * k[1] + 9 * k[s] + 3 * k[s + 1] + k[s - 1]]);
+    }
+  }
+  return section->bytes ? coder_end(&c, "a map of own samples", error) : TWZ_OK;
+}
+
+/* K of own samples: inherited ones are as the parent's, others void where that is implied. */
+static void know_own(const layer *out, const parent *p, field implied, field known) {
+  for (int32_t r = 0; r < out->rows.n; r++) {
+    uint8_t *k = known.at + (size_t)r * known.stride;
+    memcpy(k, implied.at + (size_t)r * implied.stride, (size_t)out->cols.n);
+    uint32_t row = out->rows.first + (uint32_t)r;
+    if (!p->layer || row % 2) continue;
+    int32_t above = parent_line(row, 0, p->first_row, p->n_rows);
+    for (int32_t c = (int32_t)(out->cols.first % 2); c < out->cols.n; c += 2) {
+      k[c] = parent_own(p, above, parent_line(out->cols.first + (uint32_t)c, 0, p->first_col, p->n_cols)) ? 2 : 1;
+    }
+  }
+}
+
+/* K of masks of coarse levels: samples beside own ones are valid. */
+static void know_valid(const layer *out, field implied, field own, field known) {
+  ptrdiff_t s = (ptrdiff_t)own.stride;
+  for (int32_t r = 0; r < out->rows.n; r++) {
+    for (int32_t c = 0; c < out->cols.n; c++) {
+      const uint8_t *o = own.at + r * s + c;
+      int beside = o[0] | o[-1] | o[1] | o[-s] | o[s] | o[-s - 1] | o[1 - s] | o[s - 1] | o[s + 1];
+      known.at[r * s + c] = implied.at[r * s + c] ? 1 : beside ? 2 : 0;
+    }
+  }
+}
+
+/* Keep a field as bytes of the region; NULL where all are 1. */
+static twz_status keep_field(const twz_file *f, const layer *out, field from, uint8_t **to, int *n_set, twz_error *error) {
+  size_t n_rows = (size_t)out->rows.n, n_cols = (size_t)out->cols.n, n = 0;
+  for (size_t r = 0; r < n_rows; r++) {
+    for (size_t c = 0; c < n_cols; c++) n += from.at[r * from.stride + c];
+  }
+  *n_set = n == 0 ? 0 : n == n_rows * n_cols ? 2 : 1;
+  if (*n_set == 2) return TWZ_OK;
+  *to = twz_allocate(&f->allocator, n_rows * n_cols);
+  if (!*to) return twz_no_memory(error, n_rows * n_cols);
+  for (size_t r = 0; r < n_rows; r++) memcpy(*to + r * n_cols, from.at + r * from.stride, n_cols);
+  return TWZ_OK;
+}
+
+twz_status decode_validity(const twz_file *f, layer *out, const parent *p, int is_finest, const reader *mask,
+                           const reader *own, int *has_valid, scratch *s, twz_error *error) {
+  *has_valid = 1;
+  int has_fills = (f->header.features & FILLS) != 0;
+  int parent_has_void = p->layer && (p->is_void || p->layer->valid || p->layer->own);
+  if (!mask->bytes && !own->bytes && !parent_has_void) return TWZ_OK; /* all valid, all own */
+  TRY(scratch_reserve(s, 4 * (field_bytes(out) + SCRATCH_ALIGN), error));
+  field implied = take_field(s, out), valid = take_field(s, out);
+  imply_voids(out, p, implied);
+  int n_valid, n_own;
+  if (!has_fills) {
+    if (mask->bytes) {
+      TRY(decode_plain(f, out, implied, mask, valid, error));
+    } else {
+      for (int32_t r = 0; r < out->rows.n; r++) {
+        for (int32_t c = 0; c < out->cols.n; c++) {
+          size_t at = (size_t)r * valid.stride + (size_t)c;
+          valid.at[at] = !implied.at[at];
+        }
+      }
+    }
+  } else {
+    field known = take_field(s, out), own_map = take_field(s, out);
+    know_own(out, p, implied, known);
+    if (is_finest) {
+      TRY(decode_map(f, out, known, mask, valid, error));
+    } else {
+      TRY(decode_map(f, out, known, own, own_map, error));
+      know_valid(out, implied, own_map, known);
+      TRY(decode_map(f, out, known, mask, valid, error));
+      TRY(keep_field(f, out, own_map, &out->own, &n_own, error));
+    }
+  }
+  TRY(keep_field(f, out, valid, &out->valid, &n_valid, error));
+  *has_valid = n_valid > 0;
+  return TWZ_OK;
+}

@@ -1,0 +1,671 @@
+/* Windows: which units they need, which bytes these need, decoding and copying out (FORMAT §11). */
+#include <stdlib.h>
+
+#include "internal.h"
+
+enum { MOST_STAGES = 28 };
+
+typedef enum state { UNUSED, WANTED, PLACED, FED, DECODED } state;
+
+typedef struct slot {
+  state state;
+  section_place place;
+  uint8_t *payload;
+  unit *unit;
+} slot;
+
+/* The units of one level of keys, a rectangle of them; the finest stage is the first. */
+typedef struct stage {
+  int level; /* of the keys */
+  uint32_t row, col, n_rows, n_cols;
+  slot *slots;
+} stage;
+
+struct twz_window {
+  twz_file *file;
+  int level;
+  twz_box box;
+  int n_stages, is_planned, is_placed, is_decoded;
+  stage stages[MOST_STAGES];
+  uint64_t n_bytes; /* decoded units and payloads */
+  /* Slots that wait for payloads, by offset. */
+  slot **waiting;
+  size_t n_waiting, first_waiting;
+};
+
+static size_t n_slots(const stage *s) { return (size_t)s->n_rows * s->n_cols; }
+
+static place key_at(const stage *s, size_t i) {
+  place key = {s->level, s->row + (uint32_t)(i / s->n_cols), s->col + (uint32_t)(i % s->n_cols)};
+  return key;
+}
+
+static slot *slot_at(const stage *s, place key) {
+  return &s->slots[(size_t)(key.row - s->row) * s->n_cols + (key.col - s->col)];
+}
+
+/* The number of the unit that holds a line of a level, along an axis of n samples of the full grid. */
+static uint32_t unit_of_line(const grid *g, uint32_t n, int key_level, int level, uint32_t line) {
+  if (key_level < 0) return 0;
+  int shift = g->block_log2 + level - key_level;
+  return min_u32(line >> shift, n_blocks(g, n, key_level) - 1);
+}
+
+/* ---- Beginning ---- */
+
+static void plan_stages(twz_window *w) {
+  const grid *g = &w->file->grid;
+  stage *s = w->stages;
+  const twz_box *b = &w->box;
+  s->level = key_level_of(g, w->level);
+  s->row = unit_of_line(g, g->n_rows, s->level, w->level, b->row);
+  s->col = unit_of_line(g, g->n_cols, s->level, w->level, b->col);
+  s->n_rows = unit_of_line(g, g->n_rows, s->level, w->level, b->row + b->n_rows - 1) - s->row + 1;
+  s->n_cols = unit_of_line(g, g->n_cols, s->level, w->level, b->col + b->n_cols - 1) - s->col + 1;
+  w->n_stages = 1;
+  while (s->level >= 0) {
+    place first = {s->level, s->row, s->col};
+    place last = {s->level, s->row + s->n_rows - 1, s->col + s->n_cols - 1};
+    first = parent_unit(g, first);
+    last = parent_unit(g, last);
+    s++;
+    s->level = first.level;
+    s->row = first.row;
+    s->col = first.col;
+    s->n_rows = last.row - first.row + 1;
+    s->n_cols = last.col - first.col + 1;
+    w->n_stages++;
+  }
+}
+
+twz_status twz_window_new(twz_file *file, int level, const twz_box *box, twz_window **window, twz_error *error) {
+  *window = NULL;
+  TRY(level_number(file, level, &level, error));
+  const grid *g = &file->grid;
+  uint32_t n_rows = level_size(g, g->n_rows, level), n_cols = level_size(g, g->n_cols, level);
+  twz_box all = {0, 0, n_rows, n_cols};
+  if (!box) box = &all;
+  if (box->n_rows == 0 || box->n_cols == 0 || box->row >= n_rows || box->col >= n_cols ||
+      box->n_rows > n_rows - box->row || box->n_cols > n_cols - box->col) {
+    return twz_fail(error, TWZ_BAD_ARGUMENT,
+                    "a window of %u x %u samples from row %u, column %u on; level %d has %u x %u", box->n_rows,
+                    box->n_cols, box->row, box->col, level, n_rows, n_cols);
+  }
+  twz_window *w = twz_allocate_zeros(&file->allocator, sizeof *w);
+  if (!w) return twz_no_memory(error, sizeof *w);
+  w->file = file;
+  w->level = level;
+  w->box = *box;
+  plan_stages(w);
+  for (int i = 0; i < w->n_stages; i++) {
+    stage *s = &w->stages[i];
+    uint64_t n = (uint64_t)s->n_rows * s->n_cols;
+    twz_status status = TWZ_OK;
+    w->n_bytes += n * sizeof(slot);
+    if (w->n_bytes > file->max_bytes || n > SIZE_MAX / sizeof(slot)) {
+      status = twz_fail(error, TWZ_LIMIT, "a window of %llu units: read it in parts", (unsigned long long)n);
+    } else {
+      s->slots = twz_allocate_zeros(&file->allocator, n_slots(s) * sizeof(slot));
+      if (!s->slots) status = twz_no_memory(error, n_slots(s) * sizeof(slot));
+    }
+    if (status != TWZ_OK) {
+      twz_window_free(w);
+      return status;
+    }
+  }
+  *window = w;
+  return TWZ_OK;
+}
+
+void twz_window_free(twz_window *w) {
+  if (!w) return;
+  twz_file *f = w->file;
+  for (int i = 0; i < w->n_stages; i++) {
+    stage *s = &w->stages[i];
+    for (size_t k = 0; s->slots && k < n_slots(s); k++) {
+      if (s->slots[k].unit) cache_leave(f, s->slots[k].unit);
+      twz_release(&f->allocator, s->slots[k].payload);
+    }
+    twz_release(&f->allocator, s->slots);
+  }
+  twz_release(&f->allocator, w->waiting);
+  twz_release(&f->allocator, w);
+}
+
+/* ---- What is needed ---- */
+
+/* Find which units must be decoded: those that the cache lacks, and what they follow from. */
+static twz_status plan_units(twz_window *w, twz_error *error) {
+  twz_file *f = w->file;
+  for (int i = 0; i < w->n_stages; i++) {
+    stage *s = &w->stages[i];
+    for (size_t k = 0; k < n_slots(s); k++) {
+      slot *one = &s->slots[k];
+      if (i == 0) one->state = WANTED;
+      if (one->state != WANTED) continue;
+      place key = key_at(s, k);
+      one->unit = cache_take(f, key);
+      if (one->unit) {
+        one->state = DECODED;
+        continue;
+      }
+      w->n_bytes += unit_bytes(f, key);
+      if (w->n_bytes > f->max_bytes) {
+        return twz_fail(error, TWZ_LIMIT, "a window that takes more than %llu bytes of memory: read it in parts",
+                        (unsigned long long)f->max_bytes);
+      }
+      if (i + 1 < w->n_stages) {
+        slot *above = slot_at(s + 1, parent_unit(&f->grid, key));
+        if (above->state == UNUSED) above->state = WANTED;
+      }
+    }
+  }
+  w->is_planned = 1;
+  return TWZ_OK;
+}
+
+/* What is known of a segment: itself, that it is absent, or whose page must be read first. */
+typedef enum found { FOUND, ABSENT, MISSING } found;
+
+static found find_segment(const twz_file *f, place head, segment **s, page_place *page, place *missing) {
+  *s = (segment *)table_find(&f->segments, head);
+  if (*s) return FOUND;
+  place parent = parent_of_head(&f->grid, head);
+  found above = find_segment(f, parent, s, page, missing);
+  if (above != FOUND) return above;
+  const segment *p = *s;
+  int i = index_of_place(p->heads, p->n_heads, head);
+  if (i < 0 || p->children[i].length == 0) return ABSENT;
+  page->offset = p->children[i].offset;
+  page->length = p->children[i].page_length;
+  page->end = page->offset + p->children[i].length;
+  page->siblings_end = p->children_end;
+  *missing = head;
+  return MISSING;
+}
+
+static int compare_slots(const void *a, const void *b) {
+  const slot *x = *(const slot *const *)a, *y = *(const slot *const *)b;
+  return x->place.offset < y->place.offset ? -1 : x->place.offset > y->place.offset;
+}
+
+static twz_status wait_for_payloads(twz_window *w, twz_error *error) {
+  size_t n = 0;
+  for (int i = 0; i < w->n_stages; i++) {
+    for (size_t k = 0; k < n_slots(&w->stages[i]); k++) n += w->stages[i].slots[k].state == PLACED;
+  }
+  w->waiting = twz_allocate(&w->file->allocator, n * sizeof *w->waiting);
+  if (!w->waiting) return twz_no_memory(error, n * sizeof *w->waiting);
+  for (int i = 0; i < w->n_stages; i++) {
+    for (size_t k = 0; k < n_slots(&w->stages[i]); k++) {
+      slot *one = &w->stages[i].slots[k];
+      if (one->state == PLACED) w->waiting[w->n_waiting++] = one;
+    }
+  }
+  qsort(w->waiting, n, sizeof *w->waiting, compare_slots);
+  w->is_placed = 1;
+  return TWZ_OK;
+}
+
+/*
+ * The keys whose pages a unit needs: its own, and of a tile (C.1) those of the units in it, whose payloads
+ * must be empty. Number 0 is its own; keys past the raster's edge are in no segment.
+ */
+static size_t n_keys_of(const grid *g, place key) {
+  if (g->tile_levels == 0) return 1;
+  int n_levels = key.level < 0 ? g->first_tiles : g->tile_levels;
+  return (((size_t)1 << (2 * n_levels)) - 1) / 3 + (key.level < 0);
+}
+
+static place key_of(place key, size_t i) {
+  if (i == 0) return key;
+  if (key.level < 0) {
+    place root = {0, 0, 0};
+    key = root;
+    i--;
+  }
+  int up = 0;
+  for (size_t n = 1; i >= n; n *= 4, up++) i -= n;
+  place below = {key.level + up, (key.row << up) + (uint32_t)(i >> up), (key.col << up) + (uint32_t)(i & (((size_t)1 << up) - 1))};
+  return below;
+}
+
+typedef struct asked {
+  twz_range *ranges;
+  size_t capacity, n;
+} asked;
+
+/* Ask for a page; returns 0 where there is no room. */
+static int ask_page(asked *a, const page_place *page) {
+  size_t m = 0;
+  while (m < a->n && a->ranges[m].offset != page->offset) m++;
+  if (m < a->n) return 1;
+  if (m == a->capacity) return 0;
+  a->ranges[m].offset = page->offset;
+  a->ranges[m].length = page->length;
+  a->ranges[m].likely = page->end - page->offset - page->length;
+  a->n++;
+  return 1;
+}
+
+static found lookup(twz_file *f, place key, segment **s, page_place *page, place *missing) {
+  file_lock(f);
+  found known = find_segment(f, head_of_key(&f->grid, key), s, page, missing);
+  file_unlock(f);
+  return known;
+}
+
+/* Find the place of a unit's payload, or ask for the pages that tell it. */
+static twz_status place_unit(twz_window *w, slot *one, place key, asked *a, twz_error *error) {
+  twz_file *f = w->file;
+  size_t n_keys = n_keys_of(&f->grid, key);
+  int is_known = 1;
+  for (size_t i = 0; i < n_keys; i++) {
+    place missing, part = key_of(key, i);
+    segment *s;
+    page_place page;
+    found known = lookup(f, part, &s, &page, &missing);
+    if (known == MISSING) {
+      is_known = 0;
+      if (!ask_page(a, &page)) return TWZ_OK;
+    }
+    int m = known == FOUND ? index_of_place(s->keys, s->n_keys, part) : -1;
+    if (m < 0) continue;
+    if (i == 0) one->place = s->payloads[m];
+    REQUIRE(i == 0 || s->payloads[m].length == 0, error, "a payload at a key that heads no tile");
+  }
+  if (!is_known) return TWZ_OK;
+  one->state = one->place.length ? PLACED : FED;
+  w->n_bytes += one->place.length;
+  if (w->n_bytes <= f->max_bytes) return TWZ_OK;
+  return twz_fail(error, TWZ_LIMIT, "a window that takes more than %llu bytes of memory: read it in parts",
+                  (unsigned long long)f->max_bytes);
+}
+
+/* Find the places of payloads; where pages are missing, write their ranges. */
+static twz_status place_units(twz_window *w, twz_range *ranges, size_t capacity, size_t *n, twz_error *error) {
+  asked a = {ranges, capacity, 0};
+  for (int i = w->n_stages - 1; i >= 0; i--) {
+    stage *s = &w->stages[i];
+    for (size_t k = 0; k < n_slots(s) && a.n < capacity; k++) {
+      if (s->slots[k].state == WANTED) TRY(place_unit(w, &s->slots[k], key_at(s, k), &a, error));
+    }
+  }
+  *n = a.n;
+  if (*n == 0) return wait_for_payloads(w, error);
+  /* Ranges are in order of offset. */
+  for (size_t i = 1; i < *n; i++) {
+    twz_range moved = ranges[i];
+    size_t k = i;
+    for (; k > 0 && ranges[k - 1].offset > moved.offset; k--) ranges[k] = ranges[k - 1];
+    ranges[k] = moved;
+  }
+  return TWZ_OK;
+}
+
+twz_status twz_window_need(twz_window *w, twz_range *ranges, size_t capacity, size_t *n, twz_error *error) {
+  *n = 0;
+  if (capacity == 0) return twz_fail(error, TWZ_BAD_ARGUMENT, "no room for a range");
+  if (!w->is_planned) TRY(plan_units(w, error));
+  if (!w->is_placed) TRY(place_units(w, ranges, capacity, n, error));
+  if (*n) return TWZ_OK;
+  /* Payloads, those that follow each other as one range. */
+  for (size_t i = w->first_waiting; i < w->n_waiting; i++) {
+    const slot *one = w->waiting[i];
+    if (one->state != PLACED) continue;
+    twz_range *last = *n ? &ranges[*n - 1] : NULL;
+    if (last && last->offset + last->length == one->place.offset && last->length < (uint64_t)1 << 24) {
+      last->length += one->place.length;
+      continue;
+    }
+    if (*n == capacity) break;
+    ranges[*n].offset = one->place.offset;
+    ranges[*n].length = one->place.length;
+    ranges[*n].likely = 0;
+    ++*n;
+  }
+  return TWZ_OK;
+}
+
+/* ---- Feeding ---- */
+
+/* Take the page of a key's segment, or of one above it, if it lies in the bytes and is missing. */
+static twz_status feed_page(twz_file *f, place key, uint64_t offset, const uint8_t *bytes, size_t n, twz_error *error) {
+  for (;;) {
+    segment *known, *read;
+    page_place page;
+    place missing;
+    if (lookup(f, key, &known, &page, &missing) != MISSING || page.offset < offset || page.offset - offset > n ||
+        page.length > n - (page.offset - offset)) {
+      return TWZ_OK;
+    }
+    TRY(read_segment(&read, &f->grid, missing, &page, bytes + (page.offset - offset), f->file_size, &f->crc,
+                     &f->allocator, error));
+    file_lock(f);
+    int is_new = !table_find(&f->segments, missing);
+    int is_kept = is_new && table_insert(&f->segments, &f->allocator, &read->entry);
+    file_unlock(f);
+    if (!is_kept) twz_release(&f->allocator, read);
+    if (is_new && !is_kept) return twz_no_memory(error, sizeof *read);
+  }
+}
+
+static twz_status feed_pages(twz_window *w, uint64_t offset, const uint8_t *bytes, size_t n, twz_error *error) {
+  for (int i = w->n_stages - 1; i >= 0; i--) {
+    stage *s = &w->stages[i];
+    for (size_t k = 0; k < n_slots(s); k++) {
+      if (s->slots[k].state != WANTED) continue;
+      place key = key_at(s, k);
+      size_t n_keys = n_keys_of(&w->file->grid, key);
+      for (size_t m = 0; m < n_keys; m++) TRY(feed_page(w->file, key_of(key, m), offset, bytes, n, error));
+    }
+  }
+  return TWZ_OK;
+}
+
+static twz_status feed_payload(twz_window *w, slot *one, const uint8_t *bytes, twz_error *error) {
+  twz_file *f = w->file;
+  REQUIRE(crc_matches(&f->crc, bytes, one->place.length, one->place.crc), error,
+          "the checksum of a payload is wrong (bytes %llu to %llu)", (unsigned long long)one->place.offset,
+          (unsigned long long)(one->place.offset + one->place.length - 1));
+  size_t n = one->place.length;
+  one->payload = twz_allocate(&f->allocator, n + PAYLOAD_SLACK);
+  if (!one->payload) return twz_no_memory(error, n + PAYLOAD_SLACK);
+  memcpy(one->payload, bytes, n);
+  memset(one->payload + n, 0, PAYLOAD_SLACK);
+  one->state = FED;
+  return TWZ_OK;
+}
+
+twz_status twz_window_feed(twz_window *w, uint64_t offset, const void *bytes, size_t n, twz_error *error) {
+  if (!w->is_planned || offset > w->file->file_size || n > w->file->file_size - offset) {
+    return twz_fail(error, TWZ_BAD_ARGUMENT, "bytes beyond the end of the file, or before any were needed");
+  }
+  if (!w->is_placed) return feed_pages(w, offset, bytes, n, error);
+  size_t low = w->first_waiting, high = w->n_waiting;
+  while (low < high) { /* the first slot at or after offset */
+    size_t middle = low + (high - low) / 2;
+    if (w->waiting[middle]->place.offset < offset) low = middle + 1; else high = middle;
+  }
+  for (; low < w->n_waiting; low++) {
+    slot *one = w->waiting[low];
+    uint64_t at = one->place.offset - offset;
+    if (at >= n) break;
+    if (one->state == PLACED && one->place.length <= n - at) {
+      TRY(feed_payload(w, one, (const uint8_t *)bytes + at, error));
+    }
+  }
+  while (w->first_waiting < w->n_waiting && w->waiting[w->first_waiting]->state != PLACED) w->first_waiting++;
+  return TWZ_OK;
+}
+
+static twz_status window_need(void *w, twz_range *ranges, size_t capacity, size_t *n, twz_error *error) {
+  return twz_window_need(w, ranges, capacity, n, error);
+}
+static twz_status window_feed(void *w, uint64_t offset, const void *bytes, size_t n, twz_error *error) {
+  return twz_window_feed(w, offset, bytes, n, error);
+}
+
+twz_status twz_window_load(twz_window *w, twz_fetch fetch, void *source, twz_error *error) {
+  return load_all(&w->file->allocator, window_need, window_feed, w, fetch, source, error);
+}
+
+/* ---- Decoding ---- */
+
+typedef struct decoding {
+  twz_window *window;
+  stage *stage;
+  size_t *todo; /* slots of the stage */
+  scratch *scratches;
+  twz_error *errors; /* one a worker; the first is kept */
+} decoding;
+
+static void decode_one(void *argument, size_t index, size_t worker) {
+  decoding *d = argument;
+  twz_file *f = d->window->file;
+  if (d->errors[worker].status != TWZ_OK) return;
+  slot *one = &d->stage->slots[d->todo[index]];
+  place key = key_at(d->stage, d->todo[index]);
+  const unit *above = NULL;
+  if (key.level >= 0) above = slot_at(d->stage + 1, parent_unit(&f->grid, key))->unit;
+  unit *u = twz_allocate_zeros(&f->allocator, sizeof *u);
+  if (!u) {
+    twz_no_memory(&d->errors[worker], sizeof *u);
+    return;
+  }
+  u->entry.at = key;
+  u->n_users = 1;
+  twz_status status = decode_unit(f, u, above, one->payload, one->place.length, &d->scratches[worker], &d->errors[worker]);
+  if (status == TWZ_OK) {
+    one->unit = u;
+  } else {
+    unit_free(f, u);
+  }
+}
+
+static twz_status decode_stage(decoding *d, const twz_workers *workers, twz_error *error) {
+  stage *s = d->stage;
+  size_t n = 0;
+  for (size_t k = 0; k < n_slots(s); k++) {
+    state state = s->slots[k].state;
+    if (state == WANTED || state == PLACED) {
+      return twz_fail(error, TWZ_NOT_READY, "bytes of the window are missing: need, fetch and feed first");
+    }
+    if (state == FED) d->todo[n++] = k;
+  }
+  if (n == 0) return TWZ_OK;
+  if (workers && n > 1) {
+    workers->run(workers->context, n, decode_one, d);
+  } else {
+    for (size_t i = 0; i < n; i++) decode_one(d, i, 0);
+  }
+  twz_status status = TWZ_OK;
+  for (size_t i = 0; i < (workers ? workers->n_workers : 1) && status == TWZ_OK; i++) {
+    if (d->errors[i].status != TWZ_OK) status = twz_fail(error, d->errors[i].status, "%s", d->errors[i].text);
+  }
+  for (size_t i = 0; i < n; i++) {
+    slot *one = &s->slots[d->todo[i]];
+    if (!one->unit) continue;
+    one->unit = cache_give(d->window->file, one->unit);
+    twz_release(&d->window->file->allocator, one->payload);
+    one->payload = NULL;
+    one->state = DECODED;
+  }
+  return status;
+}
+
+/* Memory of a worker outlives its window: to map it anew takes as long as to decode a unit. */
+static void exchange_idle(twz_file *f, scratch *s) {
+  file_lock(f);
+  scratch idle = f->idle;
+  f->idle = *s;
+  file_unlock(f);
+  idle.allocator = &f->allocator;
+  *s = idle;
+}
+
+twz_status twz_window_decode(twz_window *w, const twz_workers *workers, twz_error *error) {
+  if (w->is_decoded) return TWZ_OK;
+  if (!w->is_placed) return twz_fail(error, TWZ_NOT_READY, "the window's bytes are missing: need, fetch and feed first");
+  const twz_allocator *a = &w->file->allocator;
+  size_t n_workers = workers ? workers->n_workers : 1, most = 1;
+  for (int i = 0; i < w->n_stages; i++) most = n_slots(&w->stages[i]) > most ? n_slots(&w->stages[i]) : most;
+  decoding d = {w, NULL, NULL, NULL, NULL};
+  d.todo = twz_allocate(a, most * sizeof *d.todo);
+  d.scratches = twz_allocate_zeros(a, n_workers * sizeof *d.scratches);
+  d.errors = twz_allocate_zeros(a, n_workers * sizeof *d.errors);
+  twz_status status = TWZ_OK;
+  if (!d.todo || !d.scratches || !d.errors) status = twz_no_memory(error, most * sizeof *d.todo);
+  for (size_t i = 0; d.scratches && i < n_workers; i++) d.scratches[i].allocator = a;
+  if (d.scratches) exchange_idle(w->file, &d.scratches[0]);
+  for (int i = w->n_stages - 1; i >= 0 && status == TWZ_OK; i--) {
+    d.stage = &w->stages[i];
+    status = decode_stage(&d, workers, error);
+  }
+  if (d.scratches) exchange_idle(w->file, &d.scratches[0]);
+  for (size_t i = 0; d.scratches && i < n_workers; i++) scratch_free(&d.scratches[i]);
+  twz_release(a, d.todo);
+  twz_release(a, d.scratches);
+  twz_release(a, d.errors);
+  w->is_decoded = status == TWZ_OK;
+  return status;
+}
+
+/* ---- Copying out ---- */
+
+/* What is wanted of a window: arrays from the first sample of a box on. */
+typedef struct output {
+  uint8_t *heights, *valid, *own;
+  ptrdiff_t heights_stride, valid_stride, own_stride;
+} output;
+
+/* Copy the part of a unit's core that lies in the box. */
+static twz_status copy_unit(const twz_window *w, const unit *u, const twz_box *b, const twz_box *part,
+                            const output *out, twz_error *error) {
+  const twz_file *f = w->file;
+  const layer *l = &u->layers[w->level - u->first_level];
+  size_t size = dtype_size(f->header.dtype);
+  for (uint32_t row = part->row; row < part->row + part->n_rows; row++) {
+    size_t at = (size_t)(row - l->rows.first) * (size_t)l->cols.n + (part->col - l->cols.first);
+    ptrdiff_t to_row = (ptrdiff_t)(row - b->row);
+    size_t to_col = part->col - b->col;
+    if (out->heights) {
+      TRY(write_raw(&f->heights, out->heights + to_row * out->heights_stride + to_col * size,
+                    u->is_void ? NULL : l->heights + at, l->valid ? l->valid + at : NULL,
+                    l->remainders ? l->remainders + at : NULL, part->n_cols, error));
+    }
+    const uint8_t *own = l->own ? l->own : l->valid;
+    struct { uint8_t *to; const uint8_t *from; } copies[2] = {
+        {out->valid ? out->valid + to_row * out->valid_stride + to_col : NULL, l->valid},
+        {out->own ? out->own + to_row * out->own_stride + to_col : NULL, own}};
+    for (int i = 0; i < 2; i++) {
+      if (!copies[i].to) continue;
+      if (u->is_void || !copies[i].from) {
+        memset(copies[i].to, !u->is_void, part->n_cols);
+      } else {
+        memcpy(copies[i].to, copies[i].from + at, part->n_cols);
+      }
+    }
+  }
+  return TWZ_OK;
+}
+
+/* The lines from `first` on, of n, that unit number i of an axis gives: up to the next unit's first. */
+static void part_of_axis(const stage *s, int level, const grid *g, uint32_t i, int is_last, uint32_t *first, uint32_t *n) {
+  if (s->level < 0) return;
+  int shift = g->block_log2 + level - s->level;
+  uint64_t begin = (uint64_t)i << shift, end = is_last ? UINT64_MAX : ((uint64_t)i + 1) << shift;
+  uint64_t stop = min_u64((uint64_t)*first + *n, end);
+  if (begin < *first) begin = *first;
+  *first = (uint32_t)begin;
+  *n = (uint32_t)(stop - begin);
+}
+
+static twz_status read_box(const twz_window *w, const twz_box *b, const output *out, twz_error *error) {
+  if (!w->is_decoded) return twz_fail(error, TWZ_NOT_READY, "the window is not decoded yet");
+  const twz_box *all = &w->box;
+  if (b->n_rows == 0 || b->n_cols == 0 || b->row < all->row || b->col < all->col ||
+      (uint64_t)b->row + b->n_rows > (uint64_t)all->row + all->n_rows ||
+      (uint64_t)b->col + b->n_cols > (uint64_t)all->col + all->n_cols) {
+    return twz_fail(error, TWZ_BAD_ARGUMENT, "a part that is empty or not in the window");
+  }
+  const grid *g = &w->file->grid;
+  const stage *s = &w->stages[0];
+  uint32_t top = unit_of_line(g, g->n_rows, s->level, w->level, b->row);
+  uint32_t bottom = unit_of_line(g, g->n_rows, s->level, w->level, b->row + b->n_rows - 1);
+  uint32_t left = unit_of_line(g, g->n_cols, s->level, w->level, b->col);
+  uint32_t right = unit_of_line(g, g->n_cols, s->level, w->level, b->col + b->n_cols - 1);
+  for (uint32_t i = top; i <= bottom; i++) {
+    for (uint32_t j = left; j <= right; j++) {
+      place key = {s->level, i, j};
+      twz_box part = *b;
+      part_of_axis(s, w->level, g, i, i == bottom, &part.row, &part.n_rows);
+      part_of_axis(s, w->level, g, j, j == right, &part.col, &part.n_cols);
+      TRY(copy_unit(w, slot_at(s, key)->unit, b, &part, out, error));
+    }
+  }
+  return TWZ_OK;
+}
+
+twz_status twz_window_read_part(const twz_window *w, const twz_box *part, void *heights, ptrdiff_t heights_stride,
+                                uint8_t *valid, ptrdiff_t valid_stride, twz_error *error) {
+  output out = {heights, valid, NULL, heights_stride, valid_stride, 0};
+  if (!heights_stride) out.heights_stride = (ptrdiff_t)(part->n_cols * dtype_size(w->file->header.dtype));
+  if (!valid_stride) out.valid_stride = (ptrdiff_t)part->n_cols;
+  return read_box(w, part, &out, error);
+}
+
+twz_status twz_window_read(const twz_window *w, void *heights, ptrdiff_t heights_stride, uint8_t *valid,
+                           ptrdiff_t valid_stride, twz_error *error) {
+  return twz_window_read_part(w, &w->box, heights, heights_stride, valid, valid_stride, error);
+}
+
+twz_status twz_window_read_own(const twz_window *w, uint8_t *own, ptrdiff_t own_stride, twz_error *error) {
+  const twz_file *f = w->file;
+  if (!(f->header.features & FILLS) && w->level < f->grid.k_max) {
+    return twz_fail(error, TWZ_UNSUPPORTED, "this file does not tell fills of coarse levels: feature bit 4 is not set");
+  }
+  output out = {NULL, NULL, own, 0, 0, own_stride ? own_stride : (ptrdiff_t)w->box.n_cols};
+  return read_box(w, &w->box, &out, error);
+}
+
+/* ---- Codes of blocks (§4.4) ---- */
+
+static uint64_t decoded_error(int code) { return code ? ((uint64_t)(8 + code % 8) << (code / 8)) / 8 : 0; }
+
+/* The box of a block; the segment of the unit that holds it must be known. */
+static twz_status find_block(twz_file *f, place block, twz_block *found, twz_error *error) {
+  place keys[32];
+  int n = 0;
+  place at = block;
+  /* Up to the head of the segment, whose box is the file's; then down again. */
+  segment *s = NULL;
+  for (;;) {
+    place key = {-1, 0, 0};
+    if (at.level > 0) {
+      key.level = at.level - 1;
+      key.row = at.row >> 1;
+      key.col = at.col >> 1;
+    }
+    place missing;
+    page_place page;
+    segment *own;
+    int known = (int)lookup(f, key, &own, &page, &missing);
+    if (known == MISSING) return twz_fail(error, TWZ_NOT_READY, "the index of the block is missing: load the window first");
+    if (known == ABSENT) own = NULL;
+    if (n == 0) s = own;
+    if (!s || own != s || index_of_place(s->blocks, s->n_blocks, at) < 0) break;
+    keys[n++] = at;
+    if (at.level == 0) break;
+    at = key; /* the key's block */
+  }
+  int64_t low = f->header.z_min, high = f->header.z_max;
+  memset(found, 0, sizeof *found);
+  for (int i = n - 1; i >= 0; i--) {
+    const block_codes *c = &s->codes[index_of_place(s->blocks, s->n_blocks, keys[i])];
+    int64_t size = high - low, below = low;
+    low = below + floor_div(c->z_min * size, 255);
+    high -= floor_div(c->z_max * size, 255);
+    found->error = decoded_error(c->error);
+    found->mesh_error = decoded_error(c->mesh_error);
+  }
+  found->z_min = (int32_t)low;
+  found->z_max = (int32_t)high;
+  found->raw_min = raw_of_quantum(&f->heights, low);
+  found->raw_max = raw_of_quantum(&f->heights, high);
+  found->raw_error = (double)found->error * f->info.quantum;
+  return TWZ_OK;
+}
+
+twz_status twz_window_block(const twz_window *w, uint32_t row, uint32_t col, twz_block *found, twz_error *error) {
+  const grid *g = &w->file->grid;
+  const twz_box *b = &w->box;
+  uint64_t size = (uint64_t)1 << g->block_log2;
+  if (row >= n_blocks(g, g->n_rows, w->level) || col >= n_blocks(g, g->n_cols, w->level) ||
+      row * size >= (uint64_t)b->row + b->n_rows || (row + 1) * size < b->row ||
+      col * size >= (uint64_t)b->col + b->n_cols || (col + 1) * size < b->col) {
+    return twz_fail(error, TWZ_BAD_ARGUMENT, "block %u, %u has no sample in the window", row, col);
+  }
+  place block = {w->level, row, col};
+  return find_block(w->file, block, found, error);
+}

@@ -1,0 +1,460 @@
+/*
+ * Tests of the library with the files it is given: test_library FILE ... What files decode to is held against the
+ * conformance set elsewhere (CMakeLists.txt); here ways to the same heights are compared, and what must fail fails.
+ */
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "internal.h"
+
+static int n_failed;
+static const char *path;
+
+#define CHECK(condition) \
+  do { \
+    if (!(condition)) { \
+      fprintf(stderr, "%s:%d: %s: not true: %s\n", __FILE__, __LINE__, path ? path : "", #condition); \
+      n_failed++; \
+    } \
+  } while (0)
+
+/* ---- A file in memory ---- */
+
+typedef struct memory {
+  uint8_t *bytes;
+  size_t n;
+  size_t n_fetches, n_fetched;
+  int is_broken;
+} memory;
+
+static int fetch(void *source, size_t n, const twz_range *ranges, void *const *buffers) {
+  memory *m = source;
+  m->n_fetches++;
+  for (size_t i = 0; i < n; i++) {
+    CHECK(i == 0 || ranges[i].offset >= ranges[i - 1].offset + ranges[i - 1].length);
+    CHECK(ranges[i].length > 0 && ranges[i].offset + ranges[i].length <= m->n);
+    CHECK(ranges[i].likely <= m->n - ranges[i].offset - ranges[i].length);
+    memcpy(buffers[i], m->bytes + ranges[i].offset, (size_t)ranges[i].length);
+    m->n_fetched += (size_t)ranges[i].length;
+  }
+  return m->is_broken;
+}
+
+static memory read_memory(const char *name) {
+  memory m = {NULL, 0, 0, 0, 0};
+  FILE *file = fopen(name, "rb");
+  if (!file || fseek(file, 0, SEEK_END) != 0) exit(2);
+  m.n = (size_t)ftell(file);
+  rewind(file);
+  m.bytes = malloc(m.n);
+  if (!m.bytes || fread(m.bytes, 1, m.n, file) != m.n) exit(2);
+  fclose(file);
+  return m;
+}
+
+static twz_file *open_memory(memory *m, const twz_options *options) {
+  twz_file *file;
+  twz_error error;
+  if (twz_file_new(options, m->n, &file, &error) != TWZ_OK) return NULL;
+  CHECK(twz_file_info(file) == NULL);
+  CHECK(twz_file_load(file, fetch, m, &error) == TWZ_OK);
+  CHECK(twz_file_info(file) != NULL);
+  return file;
+}
+
+/* Heights and validity of a box; the caller frees them. */
+typedef struct raster {
+  uint8_t *heights, *valid;
+  size_t n_bytes, n;
+} raster;
+
+static twz_status read_raster(twz_file *file, memory *m, int level, const twz_box *box, const twz_workers *workers,
+                              raster *r, twz_error *error) {
+  twz_level size;
+  twz_window *window;
+  memset(r, 0, sizeof *r);
+  TRY(twz_file_level(file, level, &size, error));
+  r->n = box ? (size_t)box->n_rows * box->n_cols : (size_t)size.n_rows * size.n_cols;
+  r->n_bytes = r->n * twz_file_info(file)->dtype_bytes;
+  TRY(twz_window_new(file, level, box, &window, error));
+  twz_status status = twz_window_load(window, fetch, m, error);
+  if (status == TWZ_OK) status = twz_window_decode(window, workers, error);
+  r->heights = malloc(r->n_bytes);
+  r->valid = malloc(r->n);
+  if (status == TWZ_OK) status = twz_window_read(window, r->heights, 0, r->valid, 0, error);
+  twz_window_free(window);
+  return status;
+}
+
+static void free_raster(raster *r) {
+  free(r->heights);
+  free(r->valid);
+}
+
+static int is_same(const raster *a, const raster *b) {
+  return a->n == b->n && memcmp(a->heights, b->heights, a->n_bytes) == 0 && memcmp(a->valid, b->valid, a->n) == 0;
+}
+
+/* ---- Ways to the same heights ---- */
+
+static uint32_t random_state = 1;
+static uint32_t below(uint32_t n) { /* a number below n */
+  random_state = random_state * 1664525u + 1013904223u;
+  return (uint32_t)(((uint64_t)random_state * n) >> 32);
+}
+
+static void windows_are_parts_of_the_whole(memory *m) {
+  twz_file *file = open_memory(m, NULL);
+  size_t width = twz_file_info(file)->dtype_bytes;
+  for (int level = 0; level < twz_file_info(file)->n_levels; level++) {
+    raster whole, part;
+    twz_level size;
+    CHECK(twz_file_level(file, level, &size, NULL) == TWZ_OK);
+    CHECK(read_raster(file, m, level, NULL, NULL, &whole, NULL) == TWZ_OK);
+    for (int i = 0; i < 20; i++) {
+      twz_box b;
+      b.row = below(size.n_rows);
+      b.col = below(size.n_cols);
+      b.n_rows = 1 + below(size.n_rows - b.row);
+      b.n_cols = 1 + below(size.n_cols - b.col);
+      CHECK(read_raster(file, m, level - twz_file_info(file)->n_levels, &b, NULL, &part, NULL) == TWZ_OK);
+      int same = 1;
+      for (uint32_t row = 0; row < b.n_rows; row++) {
+        size_t from = (size_t)(b.row + row) * size.n_cols + b.col, to = (size_t)row * b.n_cols;
+        same &= memcmp(whole.heights + from * width, part.heights + to * width, b.n_cols * width) == 0;
+        same &= memcmp(whole.valid + from, part.valid + to, b.n_cols) == 0;
+      }
+      CHECK(same);
+      free_raster(&part);
+    }
+    free_raster(&whole);
+  }
+  twz_file_free(file);
+}
+
+/* Each kind of kernels, caches of several sizes and several threads decode to the same. */
+static void all_ways_agree(memory *m, twz_pool *pool) {
+  twz_file *first = open_memory(m, NULL);
+  for (int way = 0; way < 6; way++) {
+    twz_options options = TWZ_OPTIONS;
+    if (way < 3) options.kernels = (twz_kernels)(TWZ_KERNELS_BASELINE + way);
+    if (way == 3) options.cache_bytes = 0;
+    if (way == 4) options.cache_bytes = 30000;
+    twz_file *file = open_memory(m, &options);
+    if (!file) continue; /* kernels that this processor has not */
+    for (int level = twz_file_info(file)->n_levels - 1; level >= 0; level--) {
+      raster a, b;
+      CHECK(read_raster(first, m, level, NULL, NULL, &a, NULL) == TWZ_OK);
+      CHECK(read_raster(file, m, level, NULL, way == 5 ? twz_pool_workers(pool) : NULL, &b, NULL) == TWZ_OK);
+      CHECK(is_same(&a, &b));
+      CHECK(file->cached_bytes <= file->cache_bytes);
+      free_raster(&a);
+      free_raster(&b);
+    }
+    twz_file_free(file);
+  }
+  twz_file_free(first);
+}
+
+/* Bytes may come one by one, and more of them than were asked for. */
+static void bytes_may_come_in_any_portions(memory *m) {
+  for (size_t portion = 1; portion <= m->n; portion = portion * 7 + 2) {
+    twz_file *file;
+    twz_error error;
+    twz_range range;
+    size_t n;
+    CHECK(twz_file_new(NULL, m->n, &file, &error) == TWZ_OK);
+    while (twz_file_need(file, &range, 1, &n, &error) == TWZ_OK && n > 0) {
+      size_t given = min_size(portion, m->n - (size_t)range.offset);
+      CHECK(twz_file_feed(file, range.offset, m->bytes + range.offset, given, &error) == TWZ_OK);
+    }
+    CHECK(twz_file_info(file) != NULL);
+    twz_window *window;
+    CHECK(twz_window_new(file, -1, NULL, &window, &error) == TWZ_OK);
+    CHECK(twz_window_decode(window, NULL, &error) == TWZ_NOT_READY);
+    while (twz_window_need(window, &range, 1, &n, &error) == TWZ_OK && n > 0) {
+      CHECK(twz_window_feed(window, 0, m->bytes, m->n, &error) == TWZ_OK); /* the whole file */
+    }
+    CHECK(twz_window_decode(window, NULL, &error) == TWZ_OK);
+    twz_window_free(window);
+    twz_file_free(file);
+  }
+}
+
+/* ---- Several threads with one file ---- */
+
+#if !defined(_WIN32)
+#include <pthread.h>
+
+static void lock_mutex(void *mutex) { pthread_mutex_lock(mutex); }
+static void unlock_mutex(void *mutex) { pthread_mutex_unlock(mutex); }
+
+typedef struct reading {
+  twz_file *file;
+  const memory *source;
+  const raster *whole;
+  twz_level size;
+  int n_wrong[8]; /* by worker */
+} reading;
+
+static void read_a_part(void *argument, size_t index, size_t worker) {
+  reading *r = argument;
+  memory own = *r->source; /* counts of fetches are its own */
+  raster part;
+  twz_box b;
+  b.row = (uint32_t)(index * 7) % r->size.n_rows;
+  b.col = (uint32_t)(index * 13) % r->size.n_cols;
+  b.n_rows = 1 + (uint32_t)(index * 5) % (r->size.n_rows - b.row);
+  b.n_cols = 1 + (uint32_t)(index * 3) % (r->size.n_cols - b.col);
+  size_t width = twz_file_info(r->file)->dtype_bytes;
+  r->n_wrong[worker] += read_raster(r->file, &own, -1, &b, NULL, &part, NULL) != TWZ_OK;
+  for (uint32_t row = 0; row < b.n_rows; row++) {
+    size_t from = (size_t)(b.row + row) * r->size.n_cols + b.col;
+    r->n_wrong[worker] += memcmp(r->whole->heights + from * width, part.heights + (size_t)row * b.n_cols * width, b.n_cols * width) != 0;
+  }
+  free_raster(&part);
+}
+
+static void threads_may_share_a_file(memory *m, twz_pool *pool) {
+  pthread_mutex_t mutex = PTHREAD_MUTEX_INITIALIZER;
+  raster whole;
+  twz_file *plain = open_memory(m, NULL);
+  CHECK(read_raster(plain, m, -1, NULL, NULL, &whole, NULL) == TWZ_OK);
+  twz_options options = TWZ_OPTIONS;
+  options.locks.context = &mutex;
+  options.locks.lock = lock_mutex;
+  options.locks.unlock = unlock_mutex;
+  options.cache_bytes = 40000; /* units come and go */
+  reading r = {open_memory(m, &options), m, &whole, {0, 0, {0}}, {0}};
+  CHECK(twz_file_level(r.file, -1, &r.size, NULL) == TWZ_OK);
+  const twz_workers *workers = twz_pool_workers(pool);
+  workers->run(workers->context, 60, read_a_part, &r);
+  for (int i = 0; i < 8; i++) CHECK(r.n_wrong[i] == 0);
+  twz_file_free(r.file);
+  twz_file_free(plain);
+  free_raster(&whole);
+}
+#endif
+
+static void a_window_in_the_cache_needs_no_bytes(memory *m) {
+  twz_file *file = open_memory(m, NULL);
+  raster a, b;
+  CHECK(read_raster(file, m, -1, NULL, NULL, &a, NULL) == TWZ_OK);
+  size_t n = m->n_fetches;
+  CHECK(read_raster(file, m, -1, NULL, NULL, &b, NULL) == TWZ_OK);
+  CHECK(m->n_fetches == n && is_same(&a, &b));
+  free_raster(&a);
+  free_raster(&b);
+  twz_file_free(file);
+}
+
+/* ---- What must fail ---- */
+
+typedef struct counter {
+  size_t n_left, n_held;
+} counter;
+
+static void *counted_allocate(void *context, size_t n) {
+  counter *c = context;
+  if (c->n_left == 0) return NULL;
+  c->n_left--;
+  c->n_held++;
+  return malloc(n);
+}
+
+static void counted_release(void *context, void *memory) {
+  ((counter *)context)->n_held--;
+  free(memory);
+}
+
+/* Wherever memory ends, that is said, and all of it comes back. */
+static void no_memory_is_an_error(memory *m) {
+  twz_status status = TWZ_NO_MEMORY;
+  for (size_t n = 0; status == TWZ_NO_MEMORY && n < 5000; n += 1 + n / 16) {
+    counter c = {n, 0};
+    twz_options options = TWZ_OPTIONS;
+    options.allocator.context = &c;
+    options.allocator.allocate = counted_allocate;
+    options.allocator.release = counted_release;
+    twz_file *file;
+    twz_error error;
+    raster r = {NULL, NULL, 0, 0};
+    status = twz_file_new(&options, m->n, &file, &error);
+    if (status == TWZ_OK) status = twz_file_load(file, fetch, m, &error);
+    if (status == TWZ_OK) status = read_raster(file, m, -1, NULL, NULL, &r, &error);
+    CHECK(status == TWZ_OK || (status == TWZ_NO_MEMORY && error.status == TWZ_NO_MEMORY && error.text[0]));
+    free_raster(&r);
+    twz_file_free(file);
+    CHECK(c.n_held == 0);
+  }
+  CHECK(status == TWZ_OK);
+}
+
+static void calls_that_are_wrong_say_so(memory *m) {
+  twz_file *file = open_memory(m, NULL);
+  twz_level size;
+  twz_error error;
+  twz_window *window;
+  int n = twz_file_info(file)->n_levels;
+  CHECK(twz_file_level(file, n, &size, &error) == TWZ_BAD_ARGUMENT);
+  CHECK(twz_file_level(file, -n - 1, &size, &error) == TWZ_BAD_ARGUMENT);
+  CHECK(twz_file_level(file, -n, &size, &error) == TWZ_OK);
+  const twz_box boxes[] = {{0, 0, 0, 1}, {0, 0, 1, 0}, {0, 0, size.n_rows + 1, 1}, {size.n_rows, 0, 1, 1},
+                           {0, 1, 1, size.n_cols}, {UINT32_MAX, 0, 2, 1}, {0, 0, UINT32_MAX, UINT32_MAX}};
+  for (size_t i = 0; i < sizeof boxes / sizeof *boxes; i++) {
+    CHECK(twz_window_new(file, 0, &boxes[i], &window, &error) == TWZ_BAD_ARGUMENT && window == NULL);
+  }
+  CHECK(twz_window_new(file, 0, NULL, &window, &error) == TWZ_OK);
+  uint8_t byte;
+  twz_box part = {0, 0, 1, 1};
+  CHECK(twz_window_read_part(window, &part, NULL, 0, &byte, 0, &error) == TWZ_NOT_READY);
+  m->is_broken = 1;
+  twz_status status = twz_window_load(window, fetch, m, &error);
+  CHECK(status == TWZ_FETCH_FAILED || (status == TWZ_OK && !twz_file_info(file)->has_valid));
+  m->is_broken = 0;
+  CHECK(twz_window_load(window, fetch, m, &error) == TWZ_OK); /* a window outlives a failed fetch */
+  CHECK(twz_window_decode(window, NULL, &error) == TWZ_OK);
+  part.row = size.n_rows;
+  CHECK(twz_window_read_part(window, &part, NULL, 0, &byte, 0, &error) == TWZ_BAD_ARGUMENT);
+  twz_block block;
+  CHECK(twz_window_block(window, 0, 0, &block, &error) == TWZ_OK);
+  CHECK(twz_window_block(window, 1, 0, &block, &error) == TWZ_BAD_ARGUMENT); /* level 0 has one */
+  twz_window_free(window);
+  twz_file_free(file);
+  twz_options options = TWZ_OPTIONS;
+  options.max_bytes = 500;
+  file = open_memory(m, &options);
+  raster r;
+  CHECK(read_raster(file, m, -1, NULL, NULL, &r, &error) == TWZ_LIMIT);
+  free_raster(&r);
+  twz_file_free(file);
+}
+
+/* No file that was cut or changed is read as if it were whole: all bytes are under a checksum. */
+static void damage_is_noticed(memory *m) {
+  uint8_t *whole = m->bytes;
+  size_t n = m->n, step = n / 200 + 1;
+  for (size_t i = 0; i < 2 * n; i += step) {
+    memory damaged = {malloc(n), n, 0, 0, 0};
+    memcpy(damaged.bytes, whole, n);
+    if (i < n) damaged.bytes[i] ^= (uint8_t)(1 << (i % 8)); else damaged.n = i - n;
+    twz_file *file;
+    twz_error error = {TWZ_OK, ""};
+    twz_status status = twz_file_new(NULL, damaged.n, &file, &error);
+    if (status == TWZ_OK) status = twz_file_load(file, fetch, &damaged, &error);
+    for (int level = 0; status == TWZ_OK && level < twz_file_info(file)->n_levels; level++) {
+      raster r;
+      status = read_raster(file, &damaged, level, NULL, NULL, &r, &error);
+      free_raster(&r);
+    }
+    /* Bytes of meshes are not looked at. */
+    int has_mesh = file && twz_file_info(file) && strcmp(twz_file_info(file)->mesh_name, "none") != 0;
+    CHECK(status == TWZ_CORRUPT || status == TWZ_UNSUPPORTED || (status == TWZ_OK && has_mesh && i < n));
+    CHECK(status == TWZ_OK || error.text[0]);
+    twz_file_free(file);
+    free(damaged.bytes);
+  }
+}
+
+/* ---- Parts that need no file ---- */
+
+static const crc_tables *tables(void) {
+  static crc_tables t;
+  crc_tables_fill(&t);
+  return &t;
+}
+
+static void checksums_are_those_of_the_format(void) {
+  CHECK(crc32_of(tables(), (const uint8_t *)"123456789", 9) == 0xCBF43926u); /* FORMAT §1.3 */
+  CHECK(crc32_of(tables(), NULL, 0) == 0);
+}
+
+/* The number in a text as json.c reads it; NAN: refused. */
+static double number_of(const char *text) {
+  char whole[2000];
+  twz_allocator plain = {0, 0, 0};
+  json_document d = {&plain, NULL, NULL};
+  snprintf(whole, sizeof whole, "{\"x\":%s}", text);
+  double x = json_parse(&d, whole, strlen(whole), NULL) == TWZ_OK ? json_member(d.root, "x")->number : NAN;
+  json_free(&d);
+  return x;
+}
+
+static void numbers_are_the_nearest_ones(void) {
+  static const char *const HARD[] = {"0.1", "1e22", "1e23", "9007199254740993", "9007199254740992.99999", "4.9e-324", "2.4703282292062327e-324",
+                                     "2.4703282292062328e-324", "2.2250738585072011e-308", "2.2250738585072014e-308", "1.7976931348623157e308",
+                                     "123456789012345678901234567890", "0.000001e-300", "-0.0", "6.0221409e+23", "0e999999999",
+                                     "0.50000000000000011102230246251565404236316680908203125", "8.98846567431158e307"};
+  for (size_t i = 0; i < sizeof HARD / sizeof *HARD; i++) CHECK(number_of(HARD[i]) == strtod(HARD[i], NULL));
+  for (int i = 0; i < 30000; i++) { /* whatever digits and exponents */
+    char text[80];
+    int n = 0;
+    if (below(2)) text[n++] = '-';
+    n += snprintf(text + n, sizeof text - (size_t)n, "%u", 1 + below(9));
+    for (uint32_t k = below(25); k > 0; k--) text[n++] = (char)('0' + below(10));
+    text[n++] = '.';
+    for (uint32_t k = 1 + below(25); k > 0; k--) text[n++] = (char)('0' + below(10));
+    snprintf(text + n, sizeof text - (size_t)n, "e%d", (int)below(620) - 330);
+    double x = strtod(text, NULL), y = number_of(text);
+    if (isinf(x) ? !isnan(y) : x != y) {
+      fprintf(stderr, "%s: %.17g instead of %.17g\n", text, y, x);
+      n_failed++;
+    }
+  }
+  char long_one[1900] = "0.";
+  memset(long_one + 2, '0', 1800);
+  strcpy(long_one + 1802, "5e1800");
+  CHECK(number_of(long_one) == 0.5);
+  memset(long_one + 2, '5', 1800);
+  CHECK(number_of(long_one) == strtod(long_one, NULL) || isinf(strtod(long_one, NULL)));
+  static const char *const WRONG[] = {"01", "1.", ".5", "-", "+1", "1e", "1e400", "-1e999999999999999999999", "NaN", "Infinity", "0x1", "1 1"};
+  for (size_t i = 0; i < sizeof WRONG / sizeof *WRONG; i++) CHECK(isnan(number_of(WRONG[i])));
+}
+
+static void texts_are_checked(void) {
+  static const struct { const char *text; int is_good; } CASES[] = {
+      {"{}", 1}, {" { } ", 1}, {"{\"a\":[1,{\"b\":null}],\"c\":\"\\u00e9\\ud83d\\ude00\"}", 1}, {"[]", 0}, {"{", 0}, {"{\"a\"}", 0},
+      {"{\"a\":1,}", 0}, {"{\"a\":1,\"a\":2}", 0}, {"{\"a\":{\"b\":1,\"b\":1}}", 0}, {"{\"a\":1,\"\\u0061\":2}", 0}, {"{\"a\":\"\\ud800\"}", 0},
+      {"{\"a\":\"\x01\"}", 0}, {"{\"a\":\"\\x\"}", 0}, {"{\"a\":\"\xff\"}", 0}, {"{\"a\":\"\xc0\x80\"}", 0}, {"{\"a\":\"\xed\xa0\x80\"}", 0},
+      {"{\"a\":\"\xf4\x90\x80\x80\"}", 0}, {"{\"a\":\"\xf4\x8f\xbf\xbf\"}", 1}, {"{\"a\":truex}", 0}, {"{\"a\":tru}", 0}, {"{}{}", 0}, {"", 0},
+      {"{\"a\":[[[[[[[[[[[[[[[1]]]]]]]]]]]]]]]}", 1}, {"{\"a\":[[[[[[[[[[[[[[[[1]]]]]]]]]]]]]]]]}", 0}, {"{\"a\":\"b", 0}, {"{\"a\":\"b\\", 0}};
+  twz_allocator plain = {0, 0, 0};
+  for (size_t i = 0; i < sizeof CASES / sizeof *CASES; i++) {
+    json_document d = {&plain, NULL, NULL};
+    int is_good = json_parse(&d, CASES[i].text, strlen(CASES[i].text), NULL) == TWZ_OK;
+    json_free(&d);
+    if (is_good != CASES[i].is_good) {
+      fprintf(stderr, "case %u: %s\n", (unsigned)i, CASES[i].text);
+      n_failed++;
+    }
+  }
+}
+
+int main(int n, char **files) {
+  twz_pool *pool;
+  CHECK(twz_pool_new(3, &pool, NULL) == TWZ_OK);
+  CHECK(twz_version() == TWZ_VERSION_MAJOR * 10000 + TWZ_VERSION_MINOR * 100 + TWZ_VERSION_PATCH);
+  checksums_are_those_of_the_format();
+  numbers_are_the_nearest_ones();
+  texts_are_checked();
+  for (int i = 1; i < n; i++) {
+    path = files[i];
+    memory m = read_memory(path);
+    windows_are_parts_of_the_whole(&m);
+    all_ways_agree(&m, pool);
+    bytes_may_come_in_any_portions(&m);
+#if !defined(_WIN32)
+    threads_may_share_a_file(&m, pool);
+#endif
+    a_window_in_the_cache_needs_no_bytes(&m);
+    no_memory_is_an_error(&m);
+    calls_that_are_wrong_say_so(&m);
+    damage_is_noticed(&m);
+    free(m.bytes);
+  }
+  twz_pool_free(pool);
+  if (n_failed) fprintf(stderr, "%d checks failed\n", n_failed);
+  return n_failed != 0;
+}

@@ -1,0 +1,160 @@
+"""Write the annexes of the format as data of the native library: native/src/tables.c.
+
+python tools/make_native_tables.py
+
+The dictionary, the models of masks and the mixer's functions come from the text of the format.
+"""
+
+import base64
+import re
+import zlib
+from decimal import Decimal, localcontext
+from pathlib import Path
+
+from terrainwave.codec import rapid_reach_tables, rapid_tables, tables, tables97
+
+ROOT = Path(__file__).parents[1]
+OUT = ROOT / "native" / "src" / "tables.c"
+WIDTH = 100
+N_FAMILIES = 6
+OF_A_FAMILY = 176 * 63
+HEAD = "/* The annexes of the format as data: written by tools/make_native_tables.py. */\n"
+
+
+def block_of(name):
+    """Return the lines of a block of FORMAT.md that is fenced as `name`."""
+    text = (ROOT / "docs" / "FORMAT.md").read_text(encoding="utf-8")
+    return re.search(rf"```{name}\n(.*?)\n```", text, re.DOTALL)[1].splitlines()
+
+
+def nested(values, depth):
+    """Return numbers as an initialiser with braces `depth` deep."""
+    if depth == 0:
+        return str(int(values))
+    return "{" + ", ".join(nested(value, depth - 1) for value in values) + "}"
+
+
+def wrapped(text):
+    """Return text broken at blanks into lines that fit."""
+    lines, line = [], "   "
+    for word in text.split(" "):
+        if len(line) + 1 + len(word) > WIDTH:
+            lines.append(line)
+            line = "   "
+        line += " " + word
+    return "\n".join([*lines, line])
+
+
+def array(declared, values, depth=1):
+    """Return a constant array of numbers."""
+    return f"const {declared} =\n{wrapped(nested(values, depth))};\n"
+
+
+def packed(name, data):
+    """Return bytes as a zlib stream, and how many it has."""
+    stream = zlib.compress(data, 9)
+    return array(f"uint8_t {name}[{len(stream)}]", stream), len(stream)
+
+
+def text_of(name, lines):
+    """Return a constant of characters."""
+    parts = "\n".join('    "' + re.sub(r'([\\"])', r"\\\1", line) + '"' for line in lines)
+    return f"const char {name}[] =\n{parts};\nconst size_t {name}_size = {sum(map(len, lines))};\n"
+
+
+def stencils(name, annex):
+    """Return the stencils of a method by plane; taps that a plane lacks are 0."""
+    sets = [[[*row, *[0] * (24 - len(row))] for row in annex[p].tolist()] for p in (1, 2, 3)]
+    return array(f"int16_t {name}[3][{len(sets[0])}][24]", sets, 3)
+
+
+def nearest(x):
+    """Return the whole number nearest to a decimal; none lies near a half (P.1)."""
+    assert abs(x - x.to_integral_value(rounding="ROUND_FLOOR") - Decimal("0.5")) > Decimal("1e-7")
+    return int(x.to_integral_value(rounding="ROUND_HALF_EVEN"))
+
+
+def mixer():
+    """Return S and T of P.1."""
+    with localcontext() as context:
+        context.prec = 40
+        s = [nearest(256 * (Decimal(2 * k + 1) / Decimal(2047 - 2 * k)).ln()) for k in range(1024)]
+        t = [nearest(65536 / (1 + (Decimal(703 - 2 * k) / 64).exp())) for k in range(704)]
+    return array("int16_t twz_logits[1024]", s), array("uint16_t twz_mixed[704]", t)
+
+
+def codes():
+    """Return the codes of rapid's frequencies, a stream for each layout and family."""
+    parts, names, sizes = [], [], []
+    for layout, annex in enumerate((rapid_tables, rapid_reach_tables)):
+        data = zlib.decompress(base64.b85decode(annex._CODES))
+        assert len(data) == N_FAMILIES * OF_A_FAMILY
+        for family in range(N_FAMILIES):
+            name = f"codes_{layout}_{family}"
+            first = family * OF_A_FAMILY
+            text, size = packed(name, data[first : first + OF_A_FAMILY])
+            parts.append("static " + text)
+            names.append(name)
+            sizes.append(size)
+    listed = "{" + ", ".join(names) + "}"
+    parts.append(f"const uint8_t *const twz_rapid_codes[12] =\n{wrapped(listed)};\n")
+    parts.append(array("size_t twz_rapid_codes_size[12]", sizes))
+    return parts
+
+
+def check_features():
+    """Raise unless sums of rapid's weighted features fit 32 bits, whatever the step (R.7)."""
+    errors = 2**18 - 1
+    for log2 in range(31):
+        range_shift, most_range = max(log2 - 4, 0), 2 ** (15 + min(log2, 4)) - 1
+        most = [1, errors, 2 * errors, errors, most_range, most_range, 4 * most_range]
+        most += [6 * errors, 4 * errors]
+        shifts = [0, log2, log2, log2, range_shift, range_shift, range_shift, log2, log2]
+        divisors = [1] + 8 * [2**log2]
+        for table in rapid_tables.FEATURES:
+            for row in table.reshape(-1, 9).tolist():
+                weights = [
+                    (((v << s) // d) + 128) >> 8
+                    for v, s, d in zip(row, shifts, divisors, strict=True)
+                ]
+                assert all(weight >= 0 for weight in weights)
+                assert sum(w * m for w, m in zip(weights, most, strict=True)) < 2**31, row
+
+
+def main():
+    """Write the file."""
+    starts = [int(word) for line in block_of("starts") for word in line.split()]
+    starts97 = base64.b85decode(tables97._STARTS)
+    parts = [
+        HEAD + '#include "tables.h"\n',
+        text_of("twz_dictionary", block_of("dictionary")),
+        array("uint8_t twz_mask_starts[576]", starts),
+        stencils("twz_rapid_stencils", rapid_tables.STENCILS),
+        array(
+            "int32_t twz_rapid_features[2][4][4][9]",
+            [table.tolist() for table in rapid_tables.FEATURES],
+            4,
+        ),
+        *codes(),
+        stencils("twz_predictive_stencils", tables.STENCILS),
+        array(
+            "int16_t twz_predictive_weights[3][3][18]",
+            [tables.E_WEIGHTS[plane].tolist() for plane in (1, 2, 3)],
+            3,
+        ),
+        *mixer(),
+        array("int16_t twz_cdf97_terms[16][4][19]", tables97.TERM_WEIGHTS.tolist(), 3),
+        array("int16_t twz_cdf97_weights[8]", tables97.E_WEIGHTS.tolist()),
+    ]
+    for name, data in (
+        ("twz_predictive_starts", zlib.decompress(base64.b85decode(tables._STARTS))),
+        ("twz_cdf97_starts", zlib.decompress(starts97)),
+    ):
+        text, size = packed(name, data)
+        parts += [text, f"const size_t {name}_size = {size};\n"]
+    OUT.write_text("\n".join(parts), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    check_features()
+    main()
