@@ -18,7 +18,7 @@ COMPILED := $(PYTEST) --dist loadfile --no-loadscope-reorder
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help demo qgis conformance test test-all system system-full system-native native native-gcc native-clang native-sanitized native-fuzz lint test-compiled test-full test-bounds test-python coverage docs bench fuzz release-check clean
+.PHONY: help demo qgis conformance test test-all system system-full system-native native native-gcc native-clang native-agrees native-sanitized native-fuzz lint test-compiled test-full test-bounds test-python coverage docs bench fuzz release-check clean
 
 help:
 	@echo "make demo            compress a real terrain, check and draw it, into demo/"
@@ -93,7 +93,7 @@ test:
 	@$(MAKE) --no-print-directory -j2 lint test-compiled
 
 # What `make test` leaves out.
-test-all: test-full test-bounds test-python native native-sanitized native-fuzz
+test-all: test-full test-bounds test-python native native-agrees native-sanitized native-fuzz
 
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff format --check .
@@ -148,6 +148,10 @@ native: native-gcc native-clang
 
 native-gcc native-clang: native-%: system-native
 	@$(call built_natively,$*,$*) && $(call tested_natively,$*)
+
+# What the package writes, read by both.
+native-agrees: native-gcc $(VENV)/.installed-dev
+	@NUMBA_CACHE_DIR="$(CURDIR)/.numba/seeds" $(BIN)/python native/tests/against_python.py build/native/gcc/twz
 
 native-sanitized: system-native
 	@$(call built_natively,sanitized,clang,-DTWZ_SANITIZE=ON) && $(call tested_natively,sanitized)

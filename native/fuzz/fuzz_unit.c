@@ -97,18 +97,19 @@ int LLVMFuzzerInitialize(int *n, char ***arguments) {
 }
 
 static uint64_t decode(const target *t, const uint8_t *payload, size_t n, twz_kernels kind) {
-  static scratch work;
+  static scratch work[2];
   twz_allocator plain = {0, 0, 0};
   twz_file *f = t->file;
   const row_kernels *kernels = find_kernels(kind);
   if (!kernels) return 0;
   f->kernels = kernels;
-  work.allocator = &f->allocator;
+  work[0].allocator = work[1].allocator = &f->allocator;
   unit *u = twz_allocate_zeros(&plain, sizeof *u);
   if (!u) abort();
   u->entry.at = t->unit->entry.at;
   twz_error error;
-  twz_status status = decode_unit(f, u, t->above, payload, n, &work, &error);
+  order o = {u, t->above, payload, n};
+  twz_status status = decode_units(f, &o, 1, work, &error);
   uint64_t found = 1469598103934665603u + (uint64_t)status;
   for (int i = 0; status == TWZ_OK && i < u->n_layers && !u->is_void; i++) {
     const layer *l = &u->layers[i];

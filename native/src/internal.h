@@ -381,8 +381,16 @@ typedef struct job {
   const int32_t *corrections; /* of the region (§5.5); NULL: all are 0 */
 } job;
 
-twz_status decode_unit(const twz_file *f, unit *u, const unit *above, const uint8_t *payload, size_t n,
-                       scratch *s, twz_error *error);
+/* A unit to be decoded: its key is in `unit`, the rest of which is filled. */
+typedef struct order {
+  unit *unit;
+  const unit *above; /* the one that holds the key's block; NULL: none */
+  const uint8_t *payload; /* with PAYLOAD_SLACK behind it */
+  size_t n;
+} order;
+
+/* Decode one unit or two, with as many scratches. */
+twz_status decode_units(const twz_file *f, const order *orders, int n, scratch *s, twz_error *error);
 /* How many bytes a unit takes, decoded. */
 uint64_t unit_bytes(const twz_file *f, place key);
 
@@ -400,6 +408,8 @@ static inline int64_t corrected(const job *j, size_t at, int64_t height, int64_t
   return j->corrections ? clamp_i64(height + j->corrections[at], low, high) : height;
 }
 twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error *error);
+/* Of two units, with memory of their own: in lockstep where they are alike. */
+twz_status decode_rapid_two(const job *const *jobs, const reader *bytes, scratch *s, twz_error *error);
 twz_status decode_predictive(const job *j, const reader *bytes, scratch *s, twz_error *error);
 twz_status decode_cdf97(const job *j, const reader *bytes, scratch *s, twz_error *error);
 /* A tile: all its levels, masks included. */

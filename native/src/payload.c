@@ -149,53 +149,86 @@ static twz_status decode_heights(const job *j, const reader *rest, scratch *s, t
   }
 }
 
-/* Heights, corrected where there is a section that says so. */
-static twz_status decode_corrected(job *j, const reader *section, const reader *rest, scratch *s, twz_error *error) {
-  if (!section->bytes) return decode_heights(j, rest, s, error);
-  size_t n = (size_t)j->out->rows.n * (size_t)j->out->cols.n;
-  int32_t *corrections = twz_allocate_zeros(&j->file->allocator, n * sizeof *corrections);
-  if (!corrections) return twz_no_memory(error, n * sizeof *corrections);
-  j->corrections = corrections;
-  twz_status status = decode_corrections(j, section, corrections, error);
-  if (status == TWZ_OK) status = decode_heights(j, rest, s, error);
-  twz_release(&j->file->allocator, corrections);
-  j->corrections = NULL;
-  return status;
-}
+/* A unit between its sections and its heights. */
+typedef struct begun {
+  job job;
+  reader sections[N_SECTIONS], rest;
+  int is_done; /* void, or a tile of cdf53 */
+} begun;
 
-twz_status decode_unit(const twz_file *f, unit *u, const unit *above, const uint8_t *payload, size_t n_payload,
-                       scratch *s, twz_error *error) {
+static twz_status begin_unit(const twz_file *f, const order *o, begun *b, scratch *s, twz_error *error) {
+  unit *u = o->unit;
   place key = u->entry.at;
+  memset(b, 0, sizeof *b);
   u->first_level = first_level_of(key);
   u->n_layers = last_level_of(&f->grid, key) - u->first_level + 1;
   for (int i = 0; i < u->n_layers; i++) {
     unit_axes(&f->grid, key, u->first_level + i, &u->layers[i].rows, &u->layers[i].cols);
   }
   u->n_bytes = sizeof *u;
-  u->is_void = n_payload == 0;
+  u->is_void = o->n == 0;
+  b->is_done = u->is_void || f->header.method == TWZ_CDF53;
   if (u->is_void) return TWZ_OK;
-  if (f->header.method == TWZ_CDF53) return decode_cdf53(f, u, above, payload, n_payload, s, error);
+  if (b->is_done) return decode_cdf53(f, u, o->above, o->payload, o->n, s, error);
 
   layer *l = &u->layers[0];
   size_t n = (size_t)l->rows.n * (size_t)l->cols.n;
-  int is_finest = u->first_level == f->grid.k_max;
-  reader rest = {payload, n_payload, 0}, sections[N_SECTIONS];
-  memset(sections, 0, sizeof sections);
-  TRY(read_sections(f, &rest, is_finest, sections, error));
-  job j = {f, key, u->first_level, l, parent_of(f, key, above), NULL};
-  int has_valid;
-  TRY(decode_validity(f, l, &j.parent, is_finest, &sections[MASK], &sections[OWN], &has_valid, s, error));
+  int is_finest = u->first_level == f->grid.k_max, has_valid;
+  reader rest = {o->payload, o->n, 0};
+  TRY(read_sections(f, &rest, is_finest, b->sections, error));
+  const job j = {f, key, u->first_level, l, parent_of(f, key, o->above), NULL};
+  b->job = j;
+  TRY(decode_validity(f, l, &b->job.parent, is_finest, &b->sections[MASK], &b->sections[OWN], &has_valid, s, error));
   REQUIRE(has_valid, error, "a payload of a unit without a valid sample");
   l->heights = twz_allocate(&f->allocator, n * sizeof *l->heights);
   if (!l->heights) return twz_no_memory(error, n * sizeof *l->heights);
-  rest.bytes += rest.at;
-  rest.n -= rest.at;
-  rest.at = 0;
-  TRY(decode_corrected(&j, &sections[CORRECTED], &rest, s, error));
+  b->rest.bytes = rest.bytes + rest.at;
+  b->rest.n = rest.n - rest.at;
+  return TWZ_OK;
+}
+
+/* Heights, corrected where there is a section that says so. */
+static twz_status decode_corrected(begun *b, scratch *s, twz_error *error) {
+  const reader *section = &b->sections[CORRECTED];
+  if (!section->bytes) return decode_heights(&b->job, &b->rest, s, error);
+  const layer *l = b->job.out;
+  const twz_allocator *a = &b->job.file->allocator;
+  size_t n = (size_t)l->rows.n * (size_t)l->cols.n;
+  int32_t *corrections = twz_allocate_zeros(a, n * sizeof *corrections);
+  if (!corrections) return twz_no_memory(error, n * sizeof *corrections);
+  b->job.corrections = corrections;
+  twz_status status = decode_corrections(&b->job, section, corrections, error);
+  if (status == TWZ_OK) status = decode_heights(&b->job, &b->rest, s, error);
+  twz_release(a, corrections);
+  b->job.corrections = NULL;
+  return status;
+}
+
+static twz_status end_unit(const twz_file *f, unit *u, begun *b, twz_error *error) {
+  layer *l = &u->layers[0];
+  size_t n = (size_t)l->rows.n * (size_t)l->cols.n;
   /* Each height of rapid is within its limits (R.2), which are within these. */
   if (f->header.method != TWZ_RAPID) clip(l->heights, n, f->header.z_min, f->header.z_max);
-  TRY(move_from_nodata(&f->heights, l, n, &sections[EXCEPTIONS], error));
-  if (sections[REMAINDER_BYTES].bytes) TRY(decode_remainders(f, l, n, &sections[REMAINDER_BYTES], error));
+  TRY(move_from_nodata(&f->heights, l, n, &b->sections[EXCEPTIONS], error));
+  if (b->sections[REMAINDER_BYTES].bytes) TRY(decode_remainders(f, l, n, &b->sections[REMAINDER_BYTES], error));
   u->n_bytes += n * (4 + (l->valid ? 1u : 0u) + (l->own ? 1u : 0u) + (l->remainders ? 8u : 0u));
+  return TWZ_OK;
+}
+
+twz_status decode_units(const twz_file *f, const order *orders, int n, scratch *s, twz_error *error) {
+  begun begun[2];
+  for (int k = 0; k < n; k++) TRY(begin_unit(f, &orders[k], &begun[k], &s[k], error));
+  int are_two = n == 2 && f->header.method == TWZ_RAPID && !begun[0].is_done && !begun[1].is_done &&
+                !begun[0].sections[CORRECTED].bytes && !begun[1].sections[CORRECTED].bytes;
+  if (are_two) {
+    const job *const jobs[2] = {&begun[0].job, &begun[1].job};
+    const reader rests[2] = {begun[0].rest, begun[1].rest};
+    TRY(decode_rapid_two(jobs, rests, s, error));
+  }
+  for (int k = 0; k < n; k++) {
+    if (begun[k].is_done) continue;
+    if (!are_two) TRY(decode_corrected(&begun[k], &s[k], error));
+    TRY(end_unit(f, orders[k].unit, &begun[k], error));
+  }
   return TWZ_OK;
 }

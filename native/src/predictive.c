@@ -486,7 +486,7 @@ static ALWAYS_INLINE int64_t total_of(const decoding *d, const plane *p, int whi
   return total;
 }
 
-static ALWAYS_INLINE void order(int64_t *x, int a, int b) {
+static ALWAYS_INLINE void sort_two(int64_t *x, int a, int b) {
   int64_t low = min_i64(x[a], x[b]), high = max_i64(x[a], x[b]);
   x[a] = low;
   x[b] = high;
@@ -510,11 +510,11 @@ static ALWAYS_INLINE void decode_row(decoding *d, const plane *p, int which, int
     for (int k = 0; k < n_taps; k++) z.p += (int64_t)p->stencil[k] * v[p->taps[k]];
     z.p = shift_right(z.p, 6);
     for (int k = 0; k < 4; k++) z.six[k] = v[p->core[k]];
-    order(z.six, 0, 1);
-    order(z.six, 2, 3);
-    order(z.six, 0, 2);
-    order(z.six, 1, 3);
-    order(z.six, 1, 2);
+    sort_two(z.six, 0, 1);
+    sort_two(z.six, 2, 3);
+    sort_two(z.six, 0, 2);
+    sort_two(z.six, 1, 3);
+    sort_two(z.six, 1, 2);
     int64_t off = abs_i64(z.p - 16 * (z.six[0] + z.six[1] + z.six[2] + z.six[3]));
     if (d->is_clamped) z.p = clamp_i64(z.p, 64 * z.six[0], 64 * z.six[3]);
     z.p = clamp_i64(z.p, 64 * (int64_t)d->z_min, 64 * (int64_t)d->z_max);

@@ -263,23 +263,22 @@ static void find_limits(rapid_unit *u, int is_wide) {
   c->origin = (int32_t)origin;
 }
 
-twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error *error) {
-  rapid_unit u;
-  memset(&u, 0, sizeof u);
-  u.job = j;
-  u.tables = j->file->rapid;
-  u.scratch = s;
-  TRY(open_streams(&u.streams, bytes, error));
-  u.streams.expand = u.tables->expand;
+static twz_status open_unit(rapid_unit *u, const job *j, const reader *bytes, scratch *s, twz_error *error) {
+  memset(u, 0, sizeof *u);
+  u->job = j;
+  u->tables = j->file->rapid;
+  u->scratch = s;
+  TRY(open_streams(&u->streams, bytes, error));
+  u->streams.expand = u->tables->expand;
   int is_wide = bytes->bytes[0] & 1;
-  find_limits(&u, is_wide);
-  rapid_scale *c = &u.scale;
+  find_limits(u, is_wide);
+  rapid_scale *c = &u->scale;
   REQUIRE(c->low <= c->high, error, "a unit whose heights lie outside of what it can hold: it is not wide");
   int32_t n = j->file->header.step;
   c->step = n;
   c->log2 = bit_length((uint64_t)n) - 1;
   c->is_fine = n <= 3;
-  c->is_by_reach = u.tables->is_by_reach;
+  c->is_by_reach = u->tables->is_by_reach;
   c->side_shift = max_i32(c->log2 - 5, 0);
   c->range_shift = max_i32(c->log2 - 4, 0);
   c->most_range = (1 << (15 + min_i32(c->log2, 4))) - 1;
@@ -288,7 +287,34 @@ twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error
   c->end_shift = 2 + c->log2 - c->side_shift;
   c->most_detail = ((int64_t)c->high - c->low) / n + 1;
   /* Sums of details times steps must fit 32 bits, too, or 64 are used: the heights are the same. */
-  u.is_wide = is_wide || max_i64(c->most_detail, ZERO_SYMBOL) * n >= (int64_t)1 << 30;
+  u->is_wide = is_wide || max_i64(c->most_detail, ZERO_SYMBOL) * n >= (int64_t)1 << 30;
+  return TWZ_OK;
+}
+
+twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error *error) {
+  rapid_unit u;
+  TRY(open_unit(&u, j, bytes, s, error));
   TRY(j->file->kernels->decode_rapid(&u, error));
   return close_streams(&u.streams, error);
+}
+
+/* Groups of one size without voids, of eight states each, whose sums fit 32 bits. */
+static int may_be_paired(const rapid_unit *a, const rapid_unit *b) {
+  const layer *l = a->job->out, *m = b->job->out;
+  return a->job->file->kernels->decode_rapid_pair && a->job->parent.layer && b->job->parent.layer && !a->is_wide && !b->is_wide &&
+         !l->valid && !m->valid && a->streams.n_states == 8 && b->streams.n_states == 8 &&
+         l->rows.n_core == m->rows.n_core && l->cols.n_core == m->cols.n_core;
+}
+
+twz_status decode_rapid_two(const job *const *jobs, const reader *bytes, scratch *s, twz_error *error) {
+  rapid_unit units[2], *const both[2] = {&units[0], &units[1]};
+  const row_kernels *kernels = jobs[0]->file->kernels;
+  for (int k = 0; k < 2; k++) TRY(open_unit(&units[k], jobs[k], &bytes[k], &s[k], error));
+  if (may_be_paired(&units[0], &units[1])) {
+    TRY(kernels->decode_rapid_pair(both, error));
+  } else {
+    for (int k = 0; k < 2; k++) TRY(kernels->decode_rapid(&units[k], error));
+  }
+  for (int k = 0; k < 2; k++) TRY(close_streams(&units[k].streams, error));
+  return TWZ_OK;
 }

@@ -55,5 +55,7 @@ typedef struct rapid_unit {
 
 /* Decode a unit whose streams are set up. */
 typedef twz_status (*rapid_decoder)(rapid_unit *u, twz_error *error);
+/* Two that may_be_paired. */
+typedef twz_status (*rapid_pair_decoder)(rapid_unit *const *units, twz_error *error);
 
 #endif

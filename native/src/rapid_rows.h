@@ -189,8 +189,12 @@ static void NAMED(read_details)(const NAMED(row) * row, int32_t first, int32_t s
   int has_raw = 0;
   int32_t j = first;
 #ifdef READ_VECTORS
-  if (!valid && last == 7) j = READ_VECTORS(row, first, stop, slots, words, &n_taken, z, &has_raw);
-  k += (size_t)(j - first);
+  if (!valid && last == 7) {
+    span s = {row->details + first, row->contexts + first, stop - first, z, 0};
+    READ_VECTORS(&s, 1, slots);
+    if (s.has_raw) NAMED(read_raw)(row, first, stop, valid, step, most, z);
+    return;
+  }
 #endif
   for (; j < stop; j++) {
     if (valid && !valid[(size_t)j * step]) {
@@ -253,6 +257,7 @@ typedef struct NAMED(work) {
   const uint8_t *valid;
   ptrdiff_t pitch;
   uint8_t *known; /* of the region: lines and corners that are decoded */
+  int32_t sizes[3][2]; /* rows and columns of the planes of the lattice */
   int32_t *line, *line_of;
   size_t *places;
   uint8_t *line_valid;
@@ -395,8 +400,15 @@ typedef struct NAMED(part) {
   int is_whole; /* stride 1 and no plane empty: rows of the region are stored as a whole */
 } NAMED(part);
 
-static void NAMED(decode_row)(NAMED(work) * w, const NAMED(part) * p, int plane, int32_t i, int32_t n) {
-  rapid_unit *u = w->unit;
+/* A row between its prediction and its heights: samples first ... stop - 1 have symbols. */
+typedef struct NAMED(span_of_row) {
+  int32_t n, first, stop;
+  ptrdiff_t start, step; /* of its samples in the region */
+  int32_t *own, *error;
+} NAMED(span_of_row);
+
+static void NAMED(begin_row)(NAMED(work) * w, const NAMED(part) * p, int plane, int32_t i, int32_t n, NAMED(span_of_row) * r) {
+  const rapid_unit *u = w->unit;
   const rapid_scale *c = &u->scale;
   const layer *l = u->job->out;
   const NAMED(row) *row = &w->row;
@@ -422,38 +434,61 @@ static void NAMED(decode_row)(NAMED(work) * w, const NAMED(part) * p, int plane,
   int32_t *heights = w->heights + start;
   for (int32_t j = 0; j < first; j++) own[j] = NAMED(inside)(w, heights[j * step]);
   for (int32_t j = stop; j < n; j++) own[j] = NAMED(inside)(w, heights[j * step]);
-  if (first < stop) {
-    const uint8_t *valid = w->valid ? w->valid + start : NULL;
-    NAMED(read_details)(row, first, stop, valid, (size_t)step, u->tables->slots, c->most_detail, &u->streams);
-    NAMED(finish_row)(row, first, stop, c, own, error);
-    if (u->job->corrections) {
-      for (int32_t j = first; j < stop; j++) own[j] = NAMED(correct)(w, (size_t)(start + j * step), own[j]);
-      NAMED(note_errors)(row, first, stop, c, own, error);
-    }
-    for (int32_t j = first; !p->is_whole && j < stop; j++) heights[j * step] = own[j] + c->origin;
-  }
-  NAMED(note_errors)(row, 0, first, c, own, error);
-  NAMED(note_errors)(row, stop, n, c, own, error);
+  r->n = n;
+  r->first = first;
+  r->stop = stop;
+  r->start = start;
+  r->step = step;
+  r->own = own;
+  r->error = error;
 }
 
-static void NAMED(decode_lattice)(NAMED(work) * w, const NAMED(source) * a, NAMED(part) * p) {
-  int32_t n_even = (p->n_rows + 1) >> 1, n = (p->n_cols + 1) >> 1, n_odd = p->n_cols >> 1;
+static void NAMED(read_row)(NAMED(work) * w, const NAMED(span_of_row) * r) {
+  if (r->first >= r->stop) return;
+  rapid_unit *u = w->unit;
+  const uint8_t *valid = w->valid ? w->valid + r->start : NULL;
+  NAMED(read_details)(&w->row, r->first, r->stop, valid, (size_t)r->step, u->tables->slots, u->scale.most_detail, &u->streams);
+}
+
+static void NAMED(end_row)(NAMED(work) * w, const NAMED(part) * p, int plane, int32_t i, const NAMED(span_of_row) * r) {
+  const rapid_scale *c = &w->unit->scale;
+  NAMED(finish_row)(&w->row, r->first, r->stop, c, r->own, r->error);
+  if (w->unit->job->corrections) {
+    for (int32_t j = r->first; j < r->stop; j++) r->own[j] = NAMED(correct)(w, (size_t)(r->start + j * r->step), r->own[j]);
+    NAMED(note_errors)(&w->row, r->first, r->stop, c, r->own, r->error);
+  }
+  int32_t *heights = w->heights + r->start;
+  for (int32_t j = r->first; !p->is_whole && j < r->stop; j++) heights[j * r->step] = r->own[j] + c->origin;
+  NAMED(note_errors)(&w->row, 0, r->first, c, r->own, r->error);
+  NAMED(note_errors)(&w->row, r->stop, r->n, c, r->own, r->error);
+  NAMED(surround)(w, plane, i, w->sizes[plane][0], r->n);
+  if (!p->is_whole || plane == HH) return;
+  ptrdiff_t at = NAMED(at)(w, i);
+  const int32_t *even = plane == HL ? w->coarse : w->planes[LH], *odd = w->planes[plane == HL ? HL : HH];
+  NAMED(store_row)(w, 2 * i + (plane == LH), even + at, (p->n_cols + 1) >> 1, odd + at, p->n_cols >> 1);
+}
+
+static void NAMED(begin_lattice)(NAMED(work) * w, const NAMED(source) * a, NAMED(part) * p) {
+  int32_t n_even = (p->n_rows + 1) >> 1, n = (p->n_cols + 1) >> 1;
   NAMED(load_coarse)(w, a, p->n_rows, p->n_cols);
   NAMED(bend_coarse)(w, n_even, n);
   p->is_whole = p->stride == 1 && p->n_rows > 1 && p->n_cols > 1;
   if (!p->is_whole) NAMED(store_coarse)(w, p->stride, n_even, n);
   const int32_t sizes[3][2] = {{p->n_rows >> 1, p->n_cols >> 1}, {n_even, p->n_cols >> 1}, {p->n_rows >> 1, n}};
+  memcpy(w->sizes, sizes, sizeof sizes);
   NAMED(begin_planes)(w, p->n_cols, sizes, n_even);
-  for (int32_t t = 0; t < n_even + 2; t++) {
+}
+
+static void NAMED(decode_lattice)(NAMED(work) * w, const NAMED(source) * a, NAMED(part) * p) {
+  NAMED(begin_lattice)(w, a, p);
+  for (int32_t t = 0; t < ((p->n_rows + 1) >> 1) + 2; t++) {
     for (int plane = HH; plane <= LH; plane++) {
       int32_t i = t - plane;
-      if (i < 0 || i >= sizes[plane][0] || sizes[plane][1] == 0) continue;
-      NAMED(decode_row)(w, p, plane, i, sizes[plane][1]);
-      NAMED(surround)(w, plane, i, sizes[plane][0], sizes[plane][1]);
-      if (!p->is_whole || plane == HH) continue;
-      ptrdiff_t at = NAMED(at)(w, i);
-      const int32_t *even = plane == HL ? w->coarse : w->planes[LH], *odd = w->planes[plane == HL ? HL : HH];
-      NAMED(store_row)(w, 2 * i + (plane == LH), even + at, n, odd + at, n_odd);
+      if (i < 0 || i >= w->sizes[plane][0] || w->sizes[plane][1] == 0) continue;
+      NAMED(span_of_row) r;
+      NAMED(begin_row)(w, p, plane, i, w->sizes[plane][1], &r);
+      NAMED(read_row)(w, &r);
+      NAMED(end_row)(w, p, plane, i, &r);
     }
   }
 }
@@ -612,20 +647,23 @@ static void NAMED(decode_shared)(NAMED(work) * w) {
 
 /* ---- Units ---- */
 
-static void NAMED(decode_group)(NAMED(work) * w) {
+/* Decode what units share, and find the lattice that is left. */
+static void NAMED(begin_group)(NAMED(work) * w, NAMED(source) * a, NAMED(part) * p) {
   const job *j = w->unit->job;
   const layer *l = j->out;
   NAMED(take_class)(w, 0);
   NAMED(decode_shared)(w);
   int32_t known = j->file->grid.rings + 1;
-  NAMED(part) p = {1, l->rows.n_core, l->cols.n_core, {l->rows.shared[0] ? known : 0, l->rows.shared[1] ? known : 0},
-                   {l->cols.shared[0] ? known : 0, l->cols.shared[1] ? known : 0}, 0};
+  const NAMED(part) found = {1, l->rows.n_core, l->cols.n_core, {l->rows.shared[0] ? known : 0, l->rows.shared[1] ? known : 0},
+                             {l->cols.shared[0] ? known : 0, l->cols.shared[1] ? known : 0}, 0};
+  *p = found;
   const parent *up = &j->parent;
   ptrdiff_t pitch = up->layer->cols.n;
   ptrdiff_t row = up->row + (ptrdiff_t)(l->rows.core_first / 2 - up->first_row);
   ptrdiff_t col = up->col + (ptrdiff_t)(l->cols.core_first / 2 - up->first_col);
-  NAMED(source) a = {up->layer->heights + row * pitch + col, pitch, 1};
-  NAMED(decode_lattice)(w, &a, &p);
+  a->start = up->layer->heights + row * pitch + col;
+  a->row_step = pitch;
+  a->col_step = 1;
 }
 
 /* R.4. */
@@ -661,7 +699,8 @@ static void NAMED(decode_root)(NAMED(work) * w) {
   }
 }
 
-static twz_status NAMED(decode)(rapid_unit *u, twz_error *error) {
+/* Lay out the memory of a unit. */
+static twz_status NAMED(begin)(NAMED(work) * w, rapid_unit *u, twz_error *error) {
   const layer *l = u->job->out;
   size_t n_even = (size_t)(l->rows.n_core + 1) / 2, n = (size_t)(l->cols.n_core + 1) / 2;
   size_t stride = (n + 2 * MARGIN + 15) / 16 * 16, n_plane = (n_even + 2 * MARGIN) * stride;
@@ -669,31 +708,75 @@ static twz_status NAMED(decode)(rapid_unit *u, twz_error *error) {
   size_t n_region = (size_t)l->rows.n * (size_t)l->cols.n;
   size_t bytes = 8 * n_plane * 4 + n_row * (6 * sizeof(NUMBER) + 6 * 4 + sizeof(size_t) + 1) + n_region;
   TRY(scratch_reserve(u->scratch, bytes + 24 * SCRATCH_ALIGN, error));
-  NAMED(work) w;
-  memset(&w, 0, sizeof w);
-  w.unit = u;
-  w.stride = (ptrdiff_t)stride;
-  w.heights = l->heights;
-  w.valid = l->valid;
-  w.pitch = l->cols.n;
+  memset(w, 0, sizeof *w);
+  w->unit = u;
+  w->stride = (ptrdiff_t)stride;
+  w->heights = l->heights;
+  w->valid = l->valid;
+  w->pitch = l->cols.n;
   scratch *s = u->scratch;
-  w.coarse = scratch_take(s, n_plane * 4);
-  w.bends = scratch_take(s, n_plane * 4);
-  for (int i = 0; i < 3; i++) w.planes[i] = scratch_take(s, n_plane * 4);
-  for (int i = 0; i < 3; i++) w.errors[i] = scratch_take(s, n_plane * 4);
-  NUMBER **numbers[4] = {&w.row.predicted, &w.row.sum, &w.row.twist, &w.row.details};
-  int32_t **whole[5] = {&w.row.least, &w.row.most, &w.row.expected, &w.row.whole, &w.row.contexts};
+  w->coarse = scratch_take(s, n_plane * 4);
+  w->bends = scratch_take(s, n_plane * 4);
+  for (int i = 0; i < 3; i++) w->planes[i] = scratch_take(s, n_plane * 4);
+  for (int i = 0; i < 3; i++) w->errors[i] = scratch_take(s, n_plane * 4);
+  NUMBER **numbers[4] = {&w->row.predicted, &w->row.sum, &w->row.twist, &w->row.details};
+  int32_t **whole[5] = {&w->row.least, &w->row.most, &w->row.expected, &w->row.whole, &w->row.contexts};
   for (int i = 0; i < 4; i++) *numbers[i] = scratch_take(s, n_row * sizeof(NUMBER));
   for (int i = 0; i < 5; i++) *whole[i] = scratch_take(s, n_row * 4);
-  w.line = scratch_take(s, n_row * sizeof(NUMBER));
-  w.line_of = scratch_take(s, n_row * 4);
-  w.places = scratch_take(s, n_row * sizeof(size_t));
-  w.line_valid = scratch_take(s, n_row);
-  w.known = scratch_take(s, n_region);
+  w->line = scratch_take(s, n_row * sizeof(NUMBER));
+  w->line_of = scratch_take(s, n_row * 4);
+  w->places = scratch_take(s, n_row * sizeof(size_t));
+  w->line_valid = scratch_take(s, n_row);
+  w->known = scratch_take(s, n_region);
+  return TWZ_OK;
+}
+
+static twz_status NAMED(decode)(rapid_unit *u, twz_error *error) {
+  NAMED(work) w;
+  TRY(NAMED(begin)(&w, u, error));
   if (u->job->parent.layer) {
-    NAMED(decode_group)(&w);
+    NAMED(source) a;
+    NAMED(part) p;
+    NAMED(begin_group)(&w, &a, &p);
+    NAMED(decode_lattice)(&w, &a, &p);
   } else {
     NAMED(decode_root)(&w);
   }
   return TWZ_OK;
 }
+
+#ifdef READ_VECTORS
+/* Two groups of one size, row by row: symbols of one are read while those of the other wait for theirs. */
+static twz_status NAMED(decode_pair)(rapid_unit *const *units, twz_error *error) {
+  NAMED(work) works[2];
+  NAMED(source) sources[2];
+  NAMED(part) parts[2];
+  for (int k = 0; k < 2; k++) {
+    TRY(NAMED(begin)(&works[k], units[k], error));
+    NAMED(begin_group)(&works[k], &sources[k], &parts[k]);
+    NAMED(begin_lattice)(&works[k], &sources[k], &parts[k]);
+  }
+  for (int32_t t = 0; t < ((parts[0].n_rows + 1) >> 1) + 2; t++) {
+    for (int plane = HH; plane <= LH; plane++) {
+      int32_t i = t - plane, n = works[0].sizes[plane][1];
+      if (i < 0 || i >= works[0].sizes[plane][0] || n == 0) continue;
+      NAMED(span_of_row) rows[2];
+      span spans[2];
+      for (int k = 0; k < 2; k++) {
+        NAMED(begin_row)(&works[k], &parts[k], plane, i, n, &rows[k]);
+        const span s = {works[k].row.details + rows[k].first, works[k].row.contexts + rows[k].first,
+                        rows[k].stop - rows[k].first, &units[k]->streams, 0};
+        spans[k] = s;
+      }
+      READ_VECTORS(spans, 2, units[0]->tables->slots);
+      for (int k = 0; k < 2; k++) {
+        if (spans[k].has_raw) {
+          NAMED(read_raw)(&works[k].row, rows[k].first, rows[k].stop, NULL, 1, units[k]->scale.most_detail, &units[k]->streams);
+        }
+        NAMED(end_row)(&works[k], &parts[k], plane, i, &rows[k]);
+      }
+    }
+  }
+  return TWZ_OK;
+}
+#endif

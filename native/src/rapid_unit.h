@@ -84,32 +84,75 @@ static ALWAYS_INLINE __m256i ISA(step)(__m256i x, __m256i active, const int32_t 
   return _mm256_blendv_epi8(x, next, active);
 }
 
-static int32_t ISA(read_vectors)(int32_t *details, const int32_t *contexts, int32_t first, int32_t stop, const uint32_t *slots,
-                                 const uint8_t *words, size_t *n_taken, rapid_streams *z, int *has_raw) {
+/* A span of details to be read, without voids, of eight states. */
+typedef struct ISA(span) {
+  int32_t *details;
+  const int32_t *contexts;
+  int32_t n;
+  rapid_streams *streams;
+  int has_raw;
+} ISA(span);
+#define span ISA(span)
+
+/* Where a stream is: its states, the first sample's first, the words taken, and which samples have raw bits. */
+typedef struct ISA(lanes) {
+  __m256i x, raw;
+  const uint8_t *words, *at;
+} ISA(lanes);
+
+static ALWAYS_INLINE __m256i ISA(rotated)(const rapid_streams *z, int sign) {
   const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
-  int rotation = (int)(z->n_symbols & 7);
-  __m256i own = _mm256_and_si256(_mm256_add_epi32(lanes, _mm256_set1_epi32(rotation)), _mm256_set1_epi32(7));
-  __m256i x = _mm256_permutevar8x32_epi32(_mm256_loadu_si256((const __m256i *)z->states), own);
-  __m256i raw = _mm256_setzero_si256(), all = _mm256_set1_epi32(-1);
-  const uint8_t *at = words;
-  int32_t j = first;
-  for (; j + 8 <= stop; j += 8) x = ISA(step)(x, all, contexts + j, details + j, slots, &at, z, &raw);
-  if (j < stop) {
-    __m256i active = _mm256_cmpgt_epi32(_mm256_set1_epi32(stop - j), lanes);
-    x = ISA(step)(x, active, contexts + j, details + j, slots, &at, z, &raw);
-  }
-  __m256i back = _mm256_and_si256(_mm256_sub_epi32(lanes, _mm256_set1_epi32(rotation)), _mm256_set1_epi32(7));
-  _mm256_storeu_si256((__m256i *)z->states, _mm256_permutevar8x32_epi32(x, back));
-  *has_raw |= !_mm256_testz_si256(raw, raw);
-  *n_taken += (size_t)(at - words) / 2;
-  return stop;
+  int rotation = sign * (int)(z->n_symbols & 7);
+  return _mm256_and_si256(_mm256_add_epi32(lanes, _mm256_set1_epi32(rotation)), _mm256_set1_epi32(7));
 }
-#define READ_VECTORS(row, ...) ISA(read_vectors)((row)->details, (row)->contexts, __VA_ARGS__)
+
+static ALWAYS_INLINE void ISA(begin_lanes)(ISA(lanes) * l, const rapid_streams *z) {
+  l->x = _mm256_permutevar8x32_epi32(_mm256_loadu_si256((const __m256i *)z->states), ISA(rotated)(z, 1));
+  l->raw = _mm256_setzero_si256();
+  l->words = l->at = z->words + 2 * min_size(z->n_words_used, z->n_words); /* a row takes a word a sample: PAYLOAD_SLACK */
+}
+
+/* Samples j ... n - 1 of a span, and its end. */
+static ALWAYS_INLINE void ISA(end_lanes)(ISA(lanes) * l, span *s, int32_t j, const uint32_t *slots) {
+  const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7), all = _mm256_set1_epi32(-1);
+  rapid_streams *z = s->streams;
+  for (; j + 8 <= s->n; j += 8) l->x = ISA(step)(l->x, all, s->contexts + j, s->details + j, slots, &l->at, z, &l->raw);
+  if (j < s->n) {
+    __m256i active = _mm256_cmpgt_epi32(_mm256_set1_epi32(s->n - j), lanes);
+    l->x = ISA(step)(l->x, active, s->contexts + j, s->details + j, slots, &l->at, z, &l->raw);
+  }
+  _mm256_storeu_si256((__m256i *)z->states, _mm256_permutevar8x32_epi32(l->x, ISA(rotated)(z, -1)));
+  s->has_raw = !_mm256_testz_si256(l->raw, l->raw);
+  z->n_words_used += (size_t)(l->at - l->words) / 2;
+  z->n_symbols += (size_t)s->n;
+}
+
+/* Read one span or two, of two units, in turns: each step waits for the one before it in its own stream. */
+static void ISA(read_vectors)(span *s, int n, const uint32_t *slots) {
+  const __m256i all = _mm256_set1_epi32(-1);
+  ISA(lanes) a, b;
+  int32_t j = 0;
+  ISA(begin_lanes)(&a, s->streams);
+  if (n == 2) {
+    ISA(begin_lanes)(&b, s[1].streams);
+    for (; j + 8 <= min_i32(s[0].n, s[1].n); j += 8) {
+      a.x = ISA(step)(a.x, all, s[0].contexts + j, s[0].details + j, slots, &a.at, s[0].streams, &a.raw);
+      b.x = ISA(step)(b.x, all, s[1].contexts + j, s[1].details + j, slots, &b.at, s[1].streams, &b.raw);
+    }
+    ISA(end_lanes)(&b, &s[1], j, slots);
+  }
+  ISA(end_lanes)(&a, &s[0], j, slots);
+}
+#define READ_VECTORS ISA(read_vectors)
 #endif
 
 #include "rapid_rows.h"
-#undef NUMBER
-#undef NAMED
+
+#ifdef READ_VECTORS
+#define DECODE_PAIR NAMED(decode_pair)
+#else
+#define DECODE_PAIR NULL
+#endif
 
 static twz_status ISA(decode_unit_rapid)(rapid_unit *u, twz_error *error) {
   return u->is_wide ? ISA(wide_decode)(u, error) : ISA(narrow_decode)(u, error);

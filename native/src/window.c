@@ -415,31 +415,44 @@ twz_status twz_window_load(twz_window *w, twz_fetch fetch, void *source, twz_err
 typedef struct decoding {
   twz_window *window;
   stage *stage;
-  size_t *todo; /* slots of the stage */
-  scratch *scratches;
-  twz_error *errors; /* one a worker; the first is kept */
+  size_t *todo, n_todo; /* slots of the stage */
+  size_t n_at_once;     /* 1 or 2: units that are decoded by one task */
+  scratch *scratches;   /* two a worker */
+  twz_error *errors;    /* one a worker; the first is kept */
 } decoding;
 
-static void decode_one(void *argument, size_t index, size_t worker) {
+static void decode_some(void *argument, size_t index, size_t worker) {
   decoding *d = argument;
   twz_file *f = d->window->file;
-  if (d->errors[worker].status != TWZ_OK) return;
-  slot *one = &d->stage->slots[d->todo[index]];
-  place key = key_at(d->stage, d->todo[index]);
-  const unit *above = NULL;
-  if (key.level >= 0) above = slot_at(d->stage + 1, parent_unit(&f->grid, key))->unit;
-  unit *u = twz_allocate_zeros(&f->allocator, sizeof *u);
-  if (!u) {
-    twz_no_memory(&d->errors[worker], sizeof *u);
-    return;
+  twz_error *error = &d->errors[worker];
+  if (error->status != TWZ_OK) return;
+  slot *slots[2];
+  order orders[2];
+  size_t first = index * d->n_at_once, n = min_size(d->n_at_once, d->n_todo - first);
+  twz_status status = TWZ_OK;
+  memset(orders, 0, sizeof orders);
+  for (size_t k = 0; k < n && status == TWZ_OK; k++) {
+    slots[k] = &d->stage->slots[d->todo[first + k]];
+    place key = key_at(d->stage, d->todo[first + k]);
+    order *o = &orders[k];
+    if (key.level >= 0) o->above = slot_at(d->stage + 1, parent_unit(&f->grid, key))->unit;
+    o->payload = slots[k]->payload;
+    o->n = slots[k]->place.length;
+    o->unit = twz_allocate_zeros(&f->allocator, sizeof *o->unit);
+    if (!o->unit) {
+      status = twz_no_memory(error, sizeof *o->unit);
+      break;
+    }
+    o->unit->entry.at = key;
+    o->unit->n_users = 1;
   }
-  u->entry.at = key;
-  u->n_users = 1;
-  twz_status status = decode_unit(f, u, above, one->payload, one->place.length, &d->scratches[worker], &d->errors[worker]);
-  if (status == TWZ_OK) {
-    one->unit = u;
-  } else {
-    unit_free(f, u);
+  if (status == TWZ_OK) status = decode_units(f, orders, (int)n, d->scratches + 2 * worker, error);
+  for (size_t k = 0; k < n && orders[k].unit; k++) {
+    if (status == TWZ_OK) {
+      slots[k]->unit = orders[k].unit;
+    } else {
+      unit_free(f, orders[k].unit);
+    }
   }
 }
 
@@ -454,13 +467,18 @@ static twz_status decode_stage(decoding *d, const twz_workers *workers, twz_erro
     if (state == FED) d->todo[n++] = k;
   }
   if (n == 0) return TWZ_OK;
-  if (workers && n > 1) {
-    workers->run(workers->context, n, decode_one, d);
+  size_t n_workers = workers ? workers->n_workers : 1;
+  d->n_todo = n;
+  /* Two units in lockstep, unless a worker would have nothing to do. */
+  d->n_at_once = d->window->file->header.method == TWZ_RAPID && n >= 2 * n_workers ? 2 : 1;
+  size_t n_tasks = (n + d->n_at_once - 1) / d->n_at_once;
+  if (workers && n_tasks > 1) {
+    workers->run(workers->context, n_tasks, decode_some, d);
   } else {
-    for (size_t i = 0; i < n; i++) decode_one(d, i, 0);
+    for (size_t i = 0; i < n_tasks; i++) decode_some(d, i, 0);
   }
   twz_status status = TWZ_OK;
-  for (size_t i = 0; i < (workers ? workers->n_workers : 1) && status == TWZ_OK; i++) {
+  for (size_t i = 0; i < n_workers && status == TWZ_OK; i++) {
     if (d->errors[i].status != TWZ_OK) status = twz_fail(error, d->errors[i].status, "%s", d->errors[i].text);
   }
   for (size_t i = 0; i < n; i++) {
@@ -490,20 +508,20 @@ twz_status twz_window_decode(twz_window *w, const twz_workers *workers, twz_erro
   const twz_allocator *a = &w->file->allocator;
   size_t n_workers = workers ? workers->n_workers : 1, most = 1;
   for (int i = 0; i < w->n_stages; i++) most = n_slots(&w->stages[i]) > most ? n_slots(&w->stages[i]) : most;
-  decoding d = {w, NULL, NULL, NULL, NULL};
+  decoding d = {w, NULL, NULL, 0, 1, NULL, NULL};
   d.todo = twz_allocate(a, most * sizeof *d.todo);
-  d.scratches = twz_allocate_zeros(a, n_workers * sizeof *d.scratches);
+  d.scratches = twz_allocate_zeros(a, 2 * n_workers * sizeof *d.scratches);
   d.errors = twz_allocate_zeros(a, n_workers * sizeof *d.errors);
   twz_status status = TWZ_OK;
   if (!d.todo || !d.scratches || !d.errors) status = twz_no_memory(error, most * sizeof *d.todo);
-  for (size_t i = 0; d.scratches && i < n_workers; i++) d.scratches[i].allocator = a;
+  for (size_t i = 0; d.scratches && i < 2 * n_workers; i++) d.scratches[i].allocator = a;
   if (d.scratches) exchange_idle(w->file, &d.scratches[0]);
   for (int i = w->n_stages - 1; i >= 0 && status == TWZ_OK; i--) {
     d.stage = &w->stages[i];
     status = decode_stage(&d, workers, error);
   }
   if (d.scratches) exchange_idle(w->file, &d.scratches[0]);
-  for (size_t i = 0; d.scratches && i < n_workers; i++) scratch_free(&d.scratches[i]);
+  for (size_t i = 0; d.scratches && i < 2 * n_workers; i++) scratch_free(&d.scratches[i]);
   twz_release(a, d.todo);
   twz_release(a, d.scratches);
   twz_release(a, d.errors);

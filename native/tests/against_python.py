@@ -1,0 +1,79 @@
+"""Hold `twz` against the Python package on more than the conformance set has: python … TWZ.
+
+Rasters of many equal units, which the library decodes two at a time, with and without voids: all
+levels, each kind of kernels, one thread and three.
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import terrainwave as tw
+
+WAYS = (["--kernels", "baseline"], ["--kernels", "avx2"], [], ["--threads", "3"])
+OPTIONS = (
+    {"max_error": 0},
+    {"max_error": 3},
+    {"max_error": 40, "border_rings": 3},
+    {"max_error": 1, "method": "predictive"},
+    {"max_error": 1, "method": "cdf97"},
+    {"max_error": 0, "method": "cdf53"},
+)
+
+
+def terrain(has_voids):
+    """Return hills with rough ground on them; with a hole, a float raster."""
+    row, col = np.mgrid[:530, :771]
+    rough = np.random.default_rng(7).integers(-9, 9, row.shape) * (col > 300)
+    heights = (900 * np.sin(row / 60) * np.cos(col / 45)).astype(np.int64) + rough + row * 2
+    if not has_voids:
+        return heights.astype(np.int16)
+    heights = heights.astype(np.float32) / 8
+    heights[200:260, 100:400] = np.nan
+    return heights
+
+
+def is_readable(twz, way, path):
+    """Say whether this processor has what a way asks for."""
+    done = subprocess.run([twz, "info", path, *way], capture_output=True, check=False)
+    return done.returncode == 0
+
+
+def disagreements(twz, path):
+    """Yield what is read otherwise."""
+    with tw.open(path, threads=1) as terrain_file:
+        for level in range(terrain_file.n_levels):
+            heights, valid = terrain_file.read_with_mask(level=level, voids="any")
+            expected = {(): heights, ("--mask",): np.asarray(valid, dtype=np.uint8)}
+            for way in WAYS:
+                if not is_readable(twz, way, path):
+                    continue
+                for what, array in expected.items():
+                    command = [twz, "dump", path, "--level", str(level), *what, *way]
+                    done = subprocess.run(command, capture_output=True, check=False)
+                    if done.stdout != np.ascontiguousarray(array).tobytes():
+                        yield f"{path} level {level} {what} {way}: {done.stderr.decode()}"
+
+
+def main():
+    """Compare all, and say by the status whether they agree."""
+    twz = str(Path(sys.argv[1]).resolve())
+    n_files, found = 0, []
+    with tempfile.TemporaryDirectory() as folder:
+        for has_voids in (False, True):
+            for number, options in enumerate(OPTIONS):
+                path = str(Path(folder) / f"{has_voids}-{number}.twz")
+                tw.compress(terrain(has_voids), path, block=64, mesh="none", **options)
+                found += disagreements(twz, path)
+                n_files += 1
+    for line in found:
+        print(line)
+    print(f"{n_files} files, {len(found)} disagreements")
+    sys.exit(bool(found))
+
+
+if __name__ == "__main__":
+    main()
