@@ -220,7 +220,7 @@ def test_payloads_take_as_many_requests(with_library, tmp_path):
 @pytest.mark.full
 def test_invalid_files_are_refused_in_the_same_words(with_library):
     for name in sorted(MANIFEST["invalid"]):
-        data = (GOLDEN / "v1" / name).read_bytes()
+        data = (GOLDEN / "v1" / "invalid" / name).read_bytes()
 
         def everything(data, is_native):
             with terrainwave.open(data, threads=1, native=is_native) as terrain:
