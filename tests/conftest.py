@@ -120,10 +120,10 @@ def _lacks_qgis() -> bool:
     return not has_qgis and shutil.which("apt-get") is None
 
 
-def _lacks_compiler() -> bool:
-    """Say whether what builds the native library is missing, and cannot be installed."""
+def _lacks_compilers() -> bool:
+    """Say whether the native library cannot be built as our targets do, or was never tried here."""
     has_tools = all(map(shutil.which, ("cmake", "cc")))
-    return not has_tools and shutil.which("apt-get") is None
+    return sys.platform != "linux" or (not has_tools and shutil.which("apt-get") is None)
 
 
 def pytest_collection_modifyitems(config, items):
@@ -137,7 +137,7 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker("large")
     # Then files of many tests before those of few, so that workers end together.
     items.sort(key=lambda item: (_turn(item.path), -n_tests[item.path]))
-    missing = {"gl": bool(_why_no_gl()), "qgis": _lacks_qgis(), "native": _lacks_compiler()}
+    missing = {"gl": bool(_why_no_gl()), "qgis": _lacks_qgis(), "native": _lacks_compilers()}
     marks = [mark for mark, is_missing in missing.items() if is_missing]
     left_out = [item for item in items if any(map(item.get_closest_marker, marks))]
     if left_out:

@@ -3,7 +3,6 @@
 Those marked `native` build it first, as the wheel terrainwave-native has it.
 """
 
-import fcntl
 import json
 import os
 import pickle
@@ -63,6 +62,8 @@ def found_at(folder):
 @pytest.fixture(scope="session")
 def site(tmp_path_factory):
     """Return a folder with the package terrainwave_native in it."""
+    import fcntl
+
     sys.path.append(str(PROJECT))
     import hatch_build
 
@@ -330,14 +331,14 @@ def test_a_first_read_imports_no_compiler(site):
         "    terrain.sample([terrain.bounds[:2]])\n"
         "print(*sorted({'numba', 'llvmlite', 'pyproj'} & set(sys.modules)))\n"
     )
-    for name, (n_before, n_after) in {"0": (2, 2), "1": (0, 0)}.items():
+    for switch, imported in {"0": "llvmlite numba", "1": ""}.items():
         run = subprocess.run(
             [sys.executable, "-c", code, GOLDEN / "v1" / "rapid-weights-int16-lossless.twz"],
             env={**os.environ, "PYTHONPATH": f"{ROOT / 'src'}{os.pathsep}{site}",
-                 native.SWITCH: name},
+                 native.SWITCH: switch},
             capture_output=True, text=True, check=True,
         )  # fmt: skip
-        assert n_before <= len(run.stdout.split()) <= max(n_after, n_before), run.stdout
+        assert run.stdout.strip() == imported
 
 
 # ---- Whether it is used ----
@@ -408,9 +409,7 @@ def fake_package(folder, library):
 def test_what_cannot_be_loaded_is_told_once_and_not_used(tmp_path):
     fake_package(tmp_path, b"no library")
     with found_at(tmp_path):
-        assert re.search(
-            r"cannot be loaded \(.*lib\.so.*terrainwave decodes by itself", warned_once()
-        )
+        assert re.search(r"cannot be loaded \(.*\): terrainwave decodes by itself", warned_once())
 
 
 @pytest.mark.native

@@ -119,6 +119,7 @@ class Library:
         self.free_pool = self._plain("twz_pool_free", None, _POINTER)
         self.workers_of = self._plain("twz_pool_workers", _POINTER, _POINTER)
         self.new_locks = self._plain("twz_python_locks_new", _POINTER)
+        self.allocator = self._plain("twz_python_allocator", _POINTER)()
         self.free_locks = self._plain("twz_python_locks_free", None, _POINTER)
 
     def _plain(self, name: str, result: Any, *arguments: Any) -> Callable[..., Any]:
@@ -203,6 +204,7 @@ class _Handles:
             if self.locks is None:
                 raise MemoryError("no memory for locks")
             options = _Options(ctypes.sizeof(_Options))
+            options.allocator = (ctypes.c_void_p * 3).from_address(library.allocator)
             options.locks = (ctypes.c_void_p * 3).from_address(self.locks)
             options.cache_bytes, options.max_bytes = max(cache_bytes, 0), _MAX_BYTES
             self.file = library.make("twz_file_new", ctypes.byref(options), size)
