@@ -31,8 +31,12 @@ ABI = 1  # PYTHON_ABI of native/python/shim.c
 
 _OK, _CORRUPT, _UNSUPPORTED = 0, 1, 2
 _MAX_BYTES = 4 << 30
-# Samples of the parts that a window is read in, which the library holds at a time.
-_MOST_SAMPLES = 1 << 24
+# Samples of the parts whose payloads are fetched in one call, and of those that are decoded in one:
+# few, so that memory serves again and again; but more where many threads are to have work.
+_MOST_FETCHED, _MOST_DECODED = 1 << 24, 1 << 22
+_MANY_THREADS = 5
+# What is kept of decoded units while a region of several parts is read: not the region itself.
+_KEPT_OF_LARGE = 48 << 20
 # Units of scattered samples whose payloads are fetched in one call.
 _AT_A_TIME = 64
 # Ranges that are asked for in one call.
@@ -119,6 +123,7 @@ class Library:
         self.free_pool = self._plain("twz_pool_free", None, _POINTER)
         self.workers_of = self._plain("twz_pool_workers", _POINTER, _POINTER)
         self.new_locks = self._plain("twz_python_locks_new", _POINTER)
+        self.limit_cache = self._plain("twz_python_limit_cache", None, _POINTER, ctypes.c_uint64)
         self.allocator = self._plain("twz_python_allocator", _POINTER)()
         self.free_locks = self._plain("twz_python_locks_free", None, _POINTER)
 
@@ -197,7 +202,8 @@ class _Handles:
         self.library = library
         self.file = self.pool = self.workers = None
         self.pool_lock = threading.Lock()
-        self.n_users = 0
+        self.n_users = self.n_large = 0
+        self.cache_bytes = max(cache_bytes, 0)
         self._process = os.getpid()
         self.locks = library.new_locks()
         try:
@@ -206,7 +212,7 @@ class _Handles:
             options = _Options(ctypes.sizeof(_Options))
             options.allocator = (ctypes.c_void_p * 3).from_address(library.allocator)
             options.locks = (ctypes.c_void_p * 3).from_address(self.locks)
-            options.cache_bytes, options.max_bytes = max(cache_bytes, 0), _MAX_BYTES
+            options.cache_bytes, options.max_bytes = self.cache_bytes, _MAX_BYTES
             self.file = library.make("twz_file_new", ctypes.byref(options), size)
             if n_threads > 1:
                 self.pool = library.make("twz_pool_new", n_threads)
@@ -214,6 +220,11 @@ class _Handles:
         except BaseException:
             self.free()
             raise
+
+    def limit_cache(self) -> None:
+        """Tell the library how much to keep from now on."""
+        most = min(self.cache_bytes, _KEPT_OF_LARGE) if self.n_large else self.cache_bytes
+        self.library.limit_cache(self.file, most)
 
     def free(self) -> None:
         """Free all; nobody uses any of it. In a child of a fork it stays: threads are missing."""
@@ -272,18 +283,25 @@ class NativeFile:
         return self._container.header
 
     @contextmanager
-    def _opened(self) -> Iterator[_Handles]:
-        """Lend the open file; it stays until the end of the `with` block."""
+    def _opened(self, *, is_large: bool = False) -> Iterator[_Handles]:
+        """Lend the open file; it stays until the end of the `with` block.
+
+        While some read a large region, fewer units are kept.
+        """
         with self._lock:
             if self._handles is None:
                 self._handles = self._open()
             handles = self._handles
             handles.n_users += 1
+            handles.n_large += is_large
+            handles.limit_cache()
         try:
             yield handles
         finally:
             with self._lock:
                 handles.n_users -= 1
+                handles.n_large -= is_large
+                handles.limit_cache()
                 self._free_if_unused()
 
     def _open(self) -> _Handles:
@@ -298,7 +316,7 @@ class NativeFile:
         self._finalizer = weakref.finalize(self, handles.free)
         self._finalizer.atexit = False
         try:
-            self._fetch([handles.file], "twz_file_need", "twz_file_feed")
+            self._fetch(_Rounds(self._container), "file", [handles.file])
         except NativeError as error:
             self._finalizer()
             self._refusal = error
@@ -308,18 +326,17 @@ class NativeFile:
             raise
         return handles
 
-    def _fetch(self, handles: Sequence[Any], need: str, feed: str) -> None:
+    def _fetch(self, rounds: "_Rounds", kind: str, handles: Sequence[Any]) -> None:
         """Give files or windows the bytes they need, all in one request a round."""
-        reader, known = self._container.rounds(), list[ByteRange]()
+        need, feed = f"twz_{kind}_need", f"twz_{kind}_feed"
         while wanted := [(one, self._library.needed(need, one)) for one in handles]:
             missing = list(dict.fromkeys(part for _, parts in wanted for part in parts))
             if not missing:
                 return
-            known += missing
-            reader.fetch(known)
+            rounds.fetch(missing)
             for one, parts in wanted:
                 for part in parts:
-                    self._library.call(feed, one, part.offset, reader.take(part), part.length)
+                    self._library.call(feed, one, part.offset, rounds.take(part), part.length)
 
     def read(
         self, level: int, region: Region, *, is_own: bool
@@ -327,13 +344,24 @@ class NativeFile:
         """Return raw heights of a region of a level and what is void, as `WindowReader.read`."""
         heights = np.empty(region.shape, dtype=np.dtype(self._header.dtype))
         void: NDArray[np.bool_] | None = None
-        for part in self._parts(level, region):
-            at = part.slices_in(region)
-            (valid,) = self._read_parts(level, [(part, heights[at])], is_own=is_own)
-            if void is None and not valid.all():
-                void = np.zeros(region.shape, dtype=np.bool_)
-            if void is not None:
-                np.logical_not(valid, out=void[at])
+        most = _MOST_DECODED if self._n_threads < _MANY_THREADS else _MOST_FETCHED
+        is_large = region.n_rows * region.n_cols > most
+        with self._opened(is_large=is_large) as handles:
+            for whole in self._parts(level, region, _MOST_FETCHED):
+                parts = list(self._parts(level, whole, most))
+                rounds = _Rounds(self._container)
+                if len(parts) > 1:
+                    with self._window(handles, level, whole) as window:
+                        self._fetch(rounds, "window", [window])
+                for part in parts:
+                    at = part.slices_in(region)
+                    with self._window(handles, level, part) as window:
+                        self._fetch(rounds, "window", [window])
+                        valid = self._decode(handles, window, level, heights[at], is_own=is_own)
+                    if void is None and not valid.all():
+                        void = np.zeros(region.shape, dtype=np.bool_)
+                    if void is not None:
+                        np.logical_not(valid, out=void[at])
         return heights, void
 
     def samples(
@@ -353,69 +381,96 @@ class NativeFile:
             for here in batch:
                 box = _box_around(rows[here], cols[here])
                 parts.append((box, np.empty(box.shape, dtype=found.dtype)))
-            masks = self._read_parts(level, parts, is_own=is_own)
+            masks = self._read_apart(level, parts, is_own=is_own)
             for here, (box, heights), mask in zip(batch, parts, masks, strict=True):
                 at = rows[here] - box.row, cols[here] - box.col
                 found[here], valid[here] = heights[at], mask[at]
         return found, valid
+
+    def _read_apart(
+        self, level: int, parts: Sequence[tuple[Region, NDArray[Any]]], *, is_own: bool
+    ) -> list[NDArray[np.bool_]]:
+        """Fill the arrays of regions far from each other; return what is valid of each."""
+        with self._opened() as handles, ExitStack() as stack:
+            windows = [
+                stack.enter_context(self._window(handles, level, region)) for region, _ in parts
+            ]
+            self._fetch(_Rounds(self._container), "window", windows)
+            return [
+                self._decode(handles, window, level, heights, is_own=is_own)
+                for window, (_, heights) in zip(windows, parts, strict=True)
+            ]
 
     def _side(self, level: int) -> int:
         """Return the samples on a side of a unit."""
         block = self._header.grid.block
         return block if level == 0 else 2 * block
 
-    def _parts(self, level: int, region: Region) -> Iterator[Region]:
-        """Yield parts of a region of some units each, which fill it."""
+    def _parts(self, level: int, region: Region, most: int) -> Iterator[Region]:
+        """Yield parts of a region, of about `most` samples or one unit, which fill it.
+
+        They end where those of any region do: between them they have few units above in common.
+        """
         side = self._side(level)
+        while 4 * side**2 <= most:
+            side *= 2
         last_row, last_col = region.row + region.n_rows, region.col + region.n_cols
-        most = max(_MOST_SAMPLES // side**2, 1)
-        n_across = min((last_col - 1) // side - region.col // side + 1, most)
-        n_down = most // n_across
         row = region.row
         while row < last_row:
-            below = min((row // side + n_down) * side, last_row)
+            below = min((row // side + 1) * side, last_row)
             col = region.col
             while col < last_col:
-                right = min((col // side + n_across) * side, last_col)
+                right = min((col // side + 1) * side, last_col)
                 yield Region(row, col, below - row, right - col)
                 col = right
             row = below
 
-    def _read_parts(
-        self, level: int, parts: Sequence[tuple[Region, NDArray[Any]]], *, is_own: bool
-    ) -> list[NDArray[np.bool_]]:
-        """Fill the arrays of some regions of a level with raw heights; return what is valid."""
+    @contextmanager
+    def _window(self, handles: _Handles, level: int, region: Region) -> Iterator[int]:
+        """Make a window, and free it at the end of the `with` block."""
+        box = _Box(region.row, region.col, region.n_rows, region.n_cols)
+        window = self._library.make("twz_window_new", handles.file, level, ctypes.byref(box))
+        try:
+            yield window
+        finally:
+            self._library.free_window(window)
+
+    def _decode(
+        self, handles: _Handles, window: int, level: int, heights: NDArray[Any], *, is_own: bool
+    ) -> NDArray[np.bool_]:
+        """Decode a window that has its bytes; fill `heights` and return what is valid."""
         library = self._library
+        if handles.workers is not None and handles.pool_lock.acquire(blocking=False):
+            try:
+                library.call("twz_window_decode", window, handles.workers)
+            finally:
+                handles.pool_lock.release()
+        else:
+            library.call("twz_window_decode", window, None)
         # On the full grid, and where the file does not tell fills, what is valid is so by itself.
         is_own &= self._header.has_fills and level < self._header.grid.k_max
-        masks = []
-        with self._opened() as handles, ExitStack() as windows:
-            made = []
-            for region, _ in parts:
-                box = _Box(region.row, region.col, region.n_rows, region.n_cols)
-                window = library.make("twz_window_new", handles.file, level, ctypes.byref(box))
-                windows.callback(library.free_window, window)
-                made.append(window)
-            self._fetch(made, "twz_window_need", "twz_window_feed")
-            for window, (region, heights) in zip(made, parts, strict=True):
-                self._decode(handles, window)
-                valid = np.empty(region.shape, dtype=np.bool_)
-                to, stride = heights.ctypes.data, heights.strides[0]
-                mask = None if is_own else valid.ctypes.data
-                library.call("twz_window_read", window, to, stride, mask, 0)
-                if is_own:
-                    library.call("twz_window_read_own", window, valid.ctypes.data, 0)
-                masks.append(valid)
-        return masks
+        valid = np.empty(heights.shape, dtype=np.bool_)
+        to, stride = heights.ctypes.data, heights.strides[0]
+        library.call(
+            "twz_window_read", window, to, stride, None if is_own else valid.ctypes.data, 0
+        )
+        if is_own:
+            library.call("twz_window_read_own", window, valid.ctypes.data, 0)
+        return valid
 
-    def _decode(self, handles: _Handles, window: int) -> None:
-        if handles.workers is None or not handles.pool_lock.acquire(blocking=False):
-            self._library.call("twz_window_decode", window, None)
-            return
-        try:
-            self._library.call("twz_window_decode", window, handles.workers)
-        finally:
-            handles.pool_lock.release()
+
+class _Rounds:
+    """Bytes of a file that are fetched in rounds, and stay until the last."""
+
+    def __init__(self, container: Container) -> None:
+        self._reader = container.rounds()
+        self._known: list[ByteRange] = []
+        self.take = self._reader.take
+
+    def fetch(self, wanted: Sequence[ByteRange]) -> None:
+        """Fetch what is not here yet of what is wanted."""
+        self._known += wanted
+        self._reader.fetch(self._known)
 
 
 def _box_around(rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Region:
