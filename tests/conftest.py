@@ -15,6 +15,10 @@ from hypothesis import HealthCheck, settings
 
 from terrainwave.coding.jit import all_compiled
 
+# What is tested is this package's own decoder, also where terrainwave-native is installed: that has
+# tests that switch it on (tests/read/test_native.py).
+os.environ["TERRAINWAVE_NATIVE"] = "0"
+
 # A silent overflow in an encoder is a broken bound in a file.
 np.seterr(all="raise")
 
