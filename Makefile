@@ -115,7 +115,7 @@ with_cache = digest=$$(find src tests -name '*.py' -type f -exec sha256sum {} + 
 test-compiled: $(VENV)/.installed-dev system
 	@$(call with_cache,compiled) $(COMPILED) -m "not (full or slow_compile)"
 
-test-full: $(VENV)/.installed-dev system-full tests/ext/node_modules/.installed
+test-full: $(VENV)/.installed-dev system-full system-native tests/ext/node_modules/.installed
 	@$(call with_cache,compiled) $(COMPILED) -m "not kernels and (full or slow_compile or hypothesis)" --hypothesis-profile=full
 
 test-bounds: $(VENV)/.installed-dev system

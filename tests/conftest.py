@@ -15,6 +15,10 @@ from hypothesis import HealthCheck, settings
 
 from terrainwave.coding.jit import all_compiled
 
+# What is tested is this package's own decoder, also where terrainwave-native is installed: that has
+# tests that switch it on (tests/read/test_native.py).
+os.environ["TERRAINWAVE_NATIVE"] = "0"
+
 # A silent overflow in an encoder is a broken bound in a file.
 np.seterr(all="raise")
 
@@ -125,6 +129,12 @@ def _lacks_gdal() -> bool:
     return shutil.which("gdal-config") is None and shutil.which("apt-get") is None
 
 
+def _lacks_compilers() -> bool:
+    """Say whether the native library cannot be built as our targets do, or was never tried here."""
+    has_tools = all(map(shutil.which, ("cmake", "cc")))
+    return sys.platform != "linux" or (not has_tools and shutil.which("apt-get") is None)
+
+
 def pytest_collection_modifyitems(config, items):
     """Mark what holds kernels, sort files; leave out what needs what cannot be had here."""
     n_tests = Counter(item.path for item in items)
@@ -136,7 +146,12 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker("large")
     # Then files of many tests before those of few, so that workers end together.
     items.sort(key=lambda item: (_turn(item.path), -n_tests[item.path]))
-    missing = {"gl": bool(_why_no_gl()), "qgis": _lacks_qgis(), "gdal": _lacks_gdal()}
+    missing = {
+        "gl": bool(_why_no_gl()),
+        "qgis": _lacks_qgis(),
+        "gdal": _lacks_gdal(),
+        "native": _lacks_compilers(),
+    }
     marks = [mark for mark, is_missing in missing.items() if is_missing]
     left_out = [item for item in items if any(map(item.get_closest_marker, marks))]
     if left_out:

@@ -130,6 +130,14 @@ def built_twice(folder: Path) -> Iterator[Built]:
         yield Built(path.name, len(found), path.stat().st_size, same)
 
 
+def build_native() -> None:
+    """Make the wheel of the native library into ``dist/``, for the environments."""
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "wheel", "--quiet"]
+    subprocess.run(
+        [*pip, "--no-deps", "--wheel-dir", ROOT / "dist", ROOT / "native" / "python"], check=True
+    )
+
+
 # --- environments ---
 
 
@@ -181,7 +189,9 @@ class Environment:
             "--disable-pip-version-check",
             "install",
         ]
-        subprocess.run([*pip, "--quiet", "--upgrade", *self.limits, *arguments], check=True)
+        # The wheel of the native library is not of the same release yet elsewhere.
+        own = ["--find-links", ROOT / "dist"]
+        subprocess.run([*pip, "--quiet", "--upgrade", *own, *self.limits, *arguments], check=True)
 
     def run(self, line: str, folder: Path, seconds: float = 900) -> subprocess.CompletedProcess:
         """Run a line of a shell with this environment's programs and none of its caller's."""
@@ -405,6 +415,7 @@ def main(
 ) -> None:
     """Build, install, use; exit 1 if anything failed."""
     files = write_rows(out.with_name(f"{out.stem}_files.csv"), built_twice(folder))
+    build_native()
     dist = {Path(row.file).suffix: ROOT / "dist" / row.file for row in files}
     do = functools.partial(check, python=python, dist=dist, folder=folder, tests=tests)
     rows = write_rows(out, (do(name) for name in only), append=append)

@@ -74,6 +74,20 @@ import subprocess
 subprocess.run(["terrainwave", "tiles", "dem.twz", "dem.pmtiles"], check=True)
 assert open("dem.pmtiles", "rb").read(7) == b"PMTiles"
 """,
+    "native": """
+import os, subprocess, sys
+read = '''import sys, terrainwave
+with terrainwave.open("dem.twz") as terrain:
+    print(terrain.read().sum(), terrain.read(level=0).sum(), "numba" in sys.modules)
+'''
+found = {}
+for switch in ("0", "1"):
+    environment = {**os.environ, "TERRAINWAVE_NATIVE": switch}
+    run = [sys.executable, "-W", "error", "-c", read]
+    found[switch] = subprocess.check_output(run, env=environment, text=True).split()
+assert found["0"][:2] == found["1"][:2]
+assert [one[2] for one in found.values()] == ["True", "False"]
+""",
     "xarray": """
 import xarray as xr
 import terrainwave as tw

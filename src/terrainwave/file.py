@@ -35,6 +35,7 @@ from terrainwave.read.resample import RESAMPLING, resample
 if TYPE_CHECKING:
     from terrainwave.read.decoder import TreeDecoder
     from terrainwave.read.levels import LevelReader
+    from terrainwave.read.native import NativeFile
 
 DEFAULT_CACHE_BYTES = 256 << 20
 DEFAULT_MAX_BYTES = 4 << 30
@@ -125,6 +126,9 @@ class TerrainFile:
         Decoded heights kept in memory, least recently used dropped first.
     threads : int, optional
         Threads that decode; the number of processors by default.
+    native : bool
+        Read heights by the native library where the package terrainwave-native is installed; the
+        heights are the same. ``TERRAINWAVE_NATIVE=0`` in the environment is False for all files.
 
     Raises
     ------
@@ -141,10 +145,16 @@ class TerrainFile:
     """
 
     def __init__(
-        self, source: Any, *, cache_bytes: int = DEFAULT_CACHE_BYTES, threads: int | None = None
+        self,
+        source: Any,
+        *,
+        cache_bytes: int = DEFAULT_CACHE_BYTES,
+        threads: int | None = None,
+        native: bool = True,
     ) -> None:
         self.n_threads = checked_threads(threads)
-        self._arguments = (source, cache_bytes, threads)
+        self._arguments = (source, cache_bytes, threads, native)
+        self.is_native = native
         self._source = open_source(source)
         try:
             self.container = Container(self._source)
@@ -181,10 +191,11 @@ class TerrainFile:
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        source, cache_bytes, threads = self._arguments
+        source, cache_bytes, threads, native = self._arguments
         if not isinstance(source, str | os.PathLike):
             raise TypeError("only what was opened by path or URL can be pickled")
-        return partial(type(self), cache_bytes=cache_bytes, threads=threads), (source,)
+        made = partial(type(self), cache_bytes=cache_bytes, threads=threads, native=native)
+        return made, (source,)
 
     def close(self) -> None:
         """Close the file and stop the threads."""
@@ -209,7 +220,20 @@ class TerrainFile:
             self.header,
             self.n_threads,
             self.container.payloads,
+            lambda: self.decoder,
+            self._native(),
             may_have_voids=self._raster.mask_kind != "none",
+        )
+
+    def _native(self) -> "NativeFile | None":
+        """Return what reads the file by the native library; None where that is not to be used."""
+        from terrainwave.read import native
+
+        library = native.installed() if self.is_native and native.is_wanted() else None
+        if library is None:
+            return None
+        return native.NativeFile(
+            library, self.container, cache_bytes=self._cache_bytes, n_threads=self.n_threads
         )
 
     # What the file says.
@@ -581,11 +605,11 @@ class TerrainFile:
         region = self.region(window, bounds=bounds, level=level)
         self._check_size(out_shape or region.shape, max_bytes)
         if out_shape is None:
-            heights, void = self._levels.read(self.decoder, index, region, on_error, voids)
+            heights, void = self._levels.read(index, region, on_error, voids)
         else:
             heights, valid = resample(
                 lambda shift, part: _with_valid(
-                    *self._levels.read(self.decoder, index - shift, part, on_error, voids)
+                    *self._levels.read(index - shift, part, on_error, voids)
                 ),
                 region,
                 out_shape,
@@ -617,7 +641,7 @@ class TerrainFile:
         """
         region = self.region(window, level=level)
         index = self.level_index(level)
-        return self._filled(*self._levels.read(self.decoder, index, region, on_error, voids))
+        return self._filled(*self._levels.read(index, region, on_error, voids))
 
     def _filled(
         self, heights: NDArray[Any], void: NDArray[np.bool_] | None
@@ -671,7 +695,7 @@ class TerrainFile:
         decoder = TileDecoder(
             self.grid, header.codec_parameters, payloads, self._cache_bytes, are_prefixes=True
         )
-        found = self._filled(*self._levels.read(decoder, index, region, on_error, voids))
+        found = self._filled(*self._levels.read(index, region, on_error, voids, decoder))
         return EarlyHeights(*found, payloads.n_bytes)
 
     def region(
@@ -758,9 +782,7 @@ class TerrainFile:
         inside = (rows >= 0) & (rows <= n_rows - 1) & (cols >= 0) & (cols <= n_cols - 1)
         heights = np.full(len(rows), np.nan)
         if inside.any():
-            raw, is_void = self._levels.bilinear(
-                self.decoder, level, rows[inside], cols[inside], voids
-            )
+            raw, is_void = self._levels.bilinear(level, rows[inside], cols[inside], voids)
             physical = raw * self._raster.scale + self._raster.offset
             heights[inside] = np.where(is_void, np.nan, physical)
         return heights

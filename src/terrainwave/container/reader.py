@@ -214,7 +214,7 @@ class Container:
         for key, head in heads.items():
             wanted.setdefault(head, set()).add(key)
         known = self._known_segments(wanted)
-        reader = RoundReader(self.source, self._start)
+        reader = self.rounds()
         pages: list[ByteRange] = []
         with self._blaming_change():
             while missing := self._next_segments(wanted, known):
@@ -238,6 +238,10 @@ class Container:
                 crcs = known[head].page.payload_crcs
                 check_crc(payloads[key], crcs[known[head].key_rows[key]], "payload", key)
         return [payloads[key] for key in keys]
+
+    def rounds(self) -> RoundReader:
+        """Return what fetches ranges of the file in rounds, and has its beginning already."""
+        return RoundReader(self.source, self._start)
 
     def _known_segments(self, heads: Iterable[Block | None]) -> dict[Block | None, Segment]:
         """Return those of the segments and of the ones above them that need not be read."""

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.cache import Cache
-from terrainwave.codec.group import decode_unit
 from terrainwave.codec.refiner import Decoded, GroupSpec, Heights, Mask, Refiner
 from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
@@ -96,6 +95,8 @@ class TreeDecoder:
 
     def _decode(self, key: Block) -> Decoded:
         """Decode a unit."""
+        from terrainwave.codec.group import decode_unit  # numba, which not every reader needs
+
         assert self._refiner is not None
         parent = None if key.is_root_key else self.block(key)
         spec = self._spec(key)

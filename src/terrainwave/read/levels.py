@@ -8,21 +8,28 @@ and meshes work with: *any*. Where the full-grid sample at its place is void, it
 import warnings
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.arguments import VOIDS, one_of
-from terrainwave.codec.refiner import Decoded
 from terrainwave.container.header import Header
-from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
+from terrainwave.errors import CorruptStreamError, InvalidArgumentError, TerrainwaveWarning
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.read.decoder import TreeDecoder
-from terrainwave.read.finest import FinestMasks
-from terrainwave.read.windows import WindowReader
+from terrainwave.read.native import NativeError, NativeFile
+from terrainwave.read.windows import WindowReader, bilinear
+
+if TYPE_CHECKING:
+    from terrainwave.read.finest import FinestMasks
 
 EXACT, ANY = VOIDS
+# Raw heights, and what is void; None where nothing is.
+_Heights = tuple[NDArray[Any], NDArray[np.bool_] | None]
+# Raw heights, and which are valid.
+_Samples = tuple[NDArray[Any], NDArray[np.bool_]]
+_Found = TypeVar("_Found")
 # To the frame that called a method of an open file.
 _STACK = 4
 
@@ -34,6 +41,10 @@ class LevelReader:
     ----------
     name : str
         What messages call the file.
+    decoder : callable
+        Returns the decoder of the file's units, made when it is first needed.
+    native : NativeFile, optional
+        What reads the file by the native library, as far as that can.
     may_have_voids : bool
         Whether the file has a way to mark voids.
     n_threads : int
@@ -48,9 +59,14 @@ class LevelReader:
         header: Header,
         n_threads: int,
         payloads: Callable[[Sequence[Block]], list[bytes]],
+        decoder: Callable[[], TreeDecoder],
+        native: NativeFile | None,
         *,
         may_have_voids: bool,
     ) -> None:
+        self._name = name
+        self._decoder = decoder
+        self._native = native
         self._windows = WindowReader(name, header.quantizer, n_threads)
         self._header = header
         self._payloads = payloads
@@ -60,9 +76,13 @@ class LevelReader:
     def close(self) -> None:
         """Stop the threads."""
         self._windows.close()
+        if self._native is not None:
+            self._native.close()
 
     @cached_property
-    def _finest(self) -> FinestMasks:
+    def _finest(self) -> "FinestMasks":
+        from terrainwave.read.finest import FinestMasks  # numba, which not every reader needs
+
         return FinestMasks(self._header, self._payloads)
 
     def _is_by_finest(self, level: int, voids: str | None) -> bool:
@@ -97,15 +117,28 @@ class LevelReader:
 
     def read(
         self,
-        decoder: TreeDecoder,
         level: int,
         region: Region,
         on_error: str,
         voids: str | None,
+        decoder: TreeDecoder | None = None,
     ) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
-        """Return raw heights of a region of a level and what is void; None where nothing is."""
-        is_by_finest = self._is_by_finest(level, voids)
-        heights, void = self._windows.read(decoder, level, region, on_error, is_own=voids != ANY)
+        """Return raw heights of a region of a level and what is void; None where nothing is.
+
+        `decoder` decodes them, where it is not the file's own.
+        """
+        is_by_finest, is_own = self._is_by_finest(level, voids), voids != ANY
+
+        def by_library(native: NativeFile) -> _Heights:
+            return native.read(level, region, is_own=is_own)
+
+        def by_units(units: TreeDecoder) -> _Heights:
+            return self._windows.read(units, level, region, on_error, is_own=is_own)
+
+        if decoder is not None:
+            heights, void = by_units(decoder)
+        else:
+            heights, void = self._either(by_library, by_units, on_error)
         if is_by_finest:
             valid = np.ones(region.shape, dtype=np.bool_) if void is None else ~void
             own = self._finest.own(level, region, valid, on_error)
@@ -114,26 +147,55 @@ class LevelReader:
             self._tell()
         return heights, void
 
+    def _either(
+        self,
+        by_library: Callable[[NativeFile], _Found],
+        by_units: Callable[[TreeDecoder], _Found],
+        on_error: str = "raise",
+    ) -> _Found:
+        """Read by the native library; where it is missing or fails, by the file's decoder.
+
+        That decoder has the last word, and the words, on what is damaged.
+        """
+        if self._native is None:
+            return by_units(self._decoder())
+        contradicts = ""
+        try:
+            return by_library(self._native)
+        except NativeError as error:
+            contradicts = str(error) if error.is_damage and on_error == "raise" else ""
+        except CorruptStreamError:
+            pass
+        found = by_units(self._decoder())
+        if contradicts:
+            warnings.warn(
+                f"the native library cannot read {self._name} ({contradicts}), and terrainwave"
+                " itself can: heights are good; please report it with the file",
+                TerrainwaveWarning,
+                stacklevel=_STACK,
+            )
+        return found
+
     def bilinear(
         self,
-        decoder: TreeDecoder,
         level: int,
         rows: NDArray[np.float64],
         cols: NDArray[np.float64],
         voids: str | None,
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Return bilinear raw heights at places inside a level, and where a void takes part."""
-        is_by_finest = self._is_by_finest(level, voids)
+        is_by_finest, is_own = self._is_by_finest(level, voids), voids != ANY
         may_tell = voids is None and self._is_untold(level)
 
-        def valid_of(
-            row: NDArray[np.int64], col: NDArray[np.int64], samples: Decoded
-        ) -> NDArray[np.bool_]:
+        def samples(row: NDArray[np.int64], col: NDArray[np.int64]) -> _Samples:
+            raw, valid = self._either(
+                lambda native: native.samples(level, row, col, is_own=is_own),
+                lambda decoder: self._windows.samples(decoder, level, row, col, is_own=is_own),
+            )
             if is_by_finest:
-                return self._finest.samples(level, row, col)
-            valid = (samples.mask if voids == ANY else samples.own_mask)[0]
+                return raw, self._finest.samples(level, row, col)
             if may_tell and not valid.all():
                 self._tell()
-            return valid
+            return raw, valid
 
-        return self._windows.bilinear(decoder, level, rows, cols, valid_of)
+        return bilinear(self._header.grid.level_shape(level), rows, cols, samples)

@@ -90,32 +90,20 @@ class WindowReader:
                 self._run(_fill_or_decode(decoder, set(batch), fill), needed)
         return heights, voids.marked
 
-    def bilinear(
+    def samples(
         self,
         decoder: TreeDecoder,
         level: int,
-        rows: NDArray[np.float64],
-        cols: NDArray[np.float64],
-        valid_of: Callable[[NDArray[np.int64], NDArray[np.int64], Decoded], NDArray[np.bool_]],
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Return bilinear raw heights at places inside a level, and where a void takes part.
-
-        `valid_of` returns which of samples are valid, of rows, columns and what they decode to.
-        """
-        n_rows, n_cols = decoder.grid.level_shape(level)
-        top, left = np.floor(rows).astype(np.int64), np.floor(cols).astype(np.int64)
-        down, right = rows - top, cols - left
-        total, is_void = np.zeros(rows.size), np.zeros(rows.size, dtype=np.bool_)
-        for row, row_weight in ((top, 1 - down), (np.minimum(top + 1, n_rows - 1), down)):
-            for col, col_weight in ((left, 1 - right), (np.minimum(left + 1, n_cols - 1), right)):
-                samples = decoder.samples(level, row, col)
-                raw = np.zeros((1, rows.size), dtype=self._dtype)
-                valid = valid_of(row, col, samples)
-                self._fill(samples, raw)
-                weight = row_weight * col_weight
-                total += np.where(valid, raw[0].astype(np.float64), 0.0) * weight
-                is_void |= ~valid & (weight > 0)
-        return total, is_void
+        rows: NDArray[np.int64],
+        cols: NDArray[np.int64],
+        *,
+        is_own: bool,
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return raw heights of single samples of a level, and which are valid."""
+        found = decoder.samples(level, rows, cols)
+        raw = np.zeros((1, rows.size), dtype=self._dtype)
+        self._fill(found, raw)
+        return raw[0], (found.own_mask if is_own else found.mask)[0]
 
     def _fill(self, unit: Decoded, out: NDArray[Any]) -> None:
         """Fill `out` with the raw heights of a part of a unit."""
@@ -147,6 +135,31 @@ class WindowReader:
             submit, self._n_threads + 1, keys,
             lambda key: None if key.is_root_key else unit_key(key), work,
         )  # fmt: skip
+
+
+def bilinear(
+    shape: tuple[int, int],
+    rows: NDArray[np.float64],
+    cols: NDArray[np.float64],
+    samples: Callable[
+        [NDArray[np.int64], NDArray[np.int64]], tuple[NDArray[Any], NDArray[np.bool_]]
+    ],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return bilinear raw heights at places inside a level, and where a void takes part.
+
+    `samples` returns raw heights at rows and columns, and which are valid.
+    """
+    n_rows, n_cols = shape
+    top, left = np.floor(rows).astype(np.int64), np.floor(cols).astype(np.int64)
+    down, right = rows - top, cols - left
+    total, is_void = np.zeros(rows.size), np.zeros(rows.size, dtype=np.bool_)
+    for row, row_weight in ((top, 1 - down), (np.minimum(top + 1, n_rows - 1), down)):
+        for col, col_weight in ((left, 1 - right), (np.minimum(left + 1, n_cols - 1), right)):
+            raw, valid = samples(row, col)
+            weight = row_weight * col_weight
+            total += np.where(valid, raw.astype(np.float64), 0.0) * weight
+            is_void |= ~valid & (weight > 0)
+    return total, is_void
 
 
 class _Voids:

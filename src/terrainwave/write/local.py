@@ -352,7 +352,7 @@ def prove(
     shares = proof_shares(grid)
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
     largest = 0.0
-    with TerrainFile(path, threads=1, cache_bytes=_PROOF_CACHE_BYTES) as terrain:
+    with TerrainFile(path, threads=1, cache_bytes=_PROOF_CACHE_BYTES, native=False) as terrain:
 
         def compare(share: list[Region]) -> float:
             return max(compare_window(terrain, source, region, allowed) for region in share)

@@ -148,7 +148,7 @@ def patch(
         refuse_own_source(original, path)
     final = Path(os.path.realpath(path))
     with (
-        TerrainFile(final, threads=1) as terrain,
+        TerrainFile(final, threads=1, native=False) as terrain,
         RasterSource(src, band=band, nodata=nodata) as source,
         nullcontext() if original is None else RasterSource(original) as whole,
         scratch_directory(temp_dir or final.parent, final.name) as directory,
@@ -743,7 +743,7 @@ class _Patcher:
         quantizer, bound = self._terrain.quantizer, self._asked_bound()
         allowed = allowed_error(quantizer, bound, quantizer.effective_error)
         count = self._count("proving")
-        with TerrainFile(path, threads=1) as result:
+        with TerrainFile(path, threads=1, native=False) as result:
 
             def compare(region: Region) -> float:
                 part = region.intersect(self._merged.place)

@@ -434,7 +434,7 @@ def prove_region(site: Site, path: str | os.PathLike[str], region: Region) -> fl
     """
     job = site.job
     allowed = allowed_error(job.quantizer, job.raw_bound, job.effective_error)
-    with site.raster.open() as source, TerrainFile(path, threads=1) as terrain:
+    with site.raster.open() as source, TerrainFile(path, threads=1, native=False) as terrain:
         return max(
             compare_window(terrain, source, window, allowed)
             for window in proof_windows(site.grid, region)

@@ -1,0 +1,478 @@
+"""Windows decoded by the native library, where the package terrainwave-native is installed.
+
+It decodes the same heights as `read.decoder` does, without kernels that have to be compiled. What
+it cannot read, and what is damaged, is left to that one: it says what is wrong, in its own words.
+"""
+
+import ctypes
+import importlib
+import os
+import threading
+import warnings
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from terrainwave.container.header import KNOWN_FEATURES, Header
+from terrainwave.container.ranges import ByteRange
+from terrainwave.container.reader import Container
+from terrainwave.errors import TerrainwaveWarning
+from terrainwave.forks import renew_after_fork
+from terrainwave.grid.quadtree import Region
+
+PACKAGE = "terrainwave_native"
+SWITCH = "TERRAINWAVE_NATIVE"  # 0 in the environment: not used
+ABI = 1  # PYTHON_ABI of native/python/shim.c
+
+_OK, _CORRUPT, _UNSUPPORTED = 0, 1, 2
+_MAX_BYTES = 4 << 30
+# Samples of the parts whose payloads are fetched in one call, and of those that are decoded in one:
+# few, so that memory serves again and again; but more where many threads are to have work.
+_MOST_FETCHED, _MOST_DECODED = 1 << 24, 1 << 22
+_MANY_THREADS = 5
+# What is kept of decoded units while a region of several parts is read: not the region itself.
+_KEPT_OF_LARGE = 48 << 20
+# Units of scattered samples whose payloads are fetched in one call.
+_AT_A_TIME = 64
+# Ranges that are asked for in one call.
+_MOST_RANGES = 256
+
+
+class _Error(ctypes.Structure):
+    _fields_ = [("status", ctypes.c_int), ("text", ctypes.c_char * 240)]
+
+
+class _Options(ctypes.Structure):
+    _fields_ = [
+        ("size", ctypes.c_size_t),
+        ("allocator", ctypes.c_void_p * 3),
+        ("locks", ctypes.c_void_p * 3),
+        ("cache_bytes", ctypes.c_uint64),
+        ("max_bytes", ctypes.c_uint64),
+        ("kernels", ctypes.c_int),
+    ]
+
+
+class _Range(ctypes.Structure):
+    _fields_ = [
+        ("offset", ctypes.c_uint64),
+        ("length", ctypes.c_uint64),
+        ("likely", ctypes.c_uint64),
+    ]
+
+
+class _Box(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_uint32) for name in ("row", "col", "n_rows", "n_cols")]
+
+
+class NativeError(Exception):
+    """The library has returned an error."""
+
+    def __init__(self, error: _Error) -> None:
+        super().__init__(error.text.decode("utf-8", "replace"))
+        self.is_damage = error.status == _CORRUPT
+
+
+_POINTER, _SIZE, _STRIDE = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_ssize_t
+_HANDLE = ctypes.POINTER(ctypes.c_void_p)
+_N = ctypes.POINTER(ctypes.c_size_t)
+_RANGES, _BOX, _FAILURE = map(ctypes.POINTER, (_Range, _Box, _Error))
+# Of functions that return a status, all but the last argument, which is the error.
+_SIGNATURES: dict[str, tuple[Any, ...]] = {
+    "twz_file_new": (ctypes.POINTER(_Options), ctypes.c_uint64, _HANDLE),
+    "twz_file_need": (_POINTER, _RANGES, _SIZE, _N),
+    "twz_file_feed": (_POINTER, ctypes.c_uint64, ctypes.c_char_p, _SIZE),
+    "twz_window_new": (_POINTER, ctypes.c_int, _BOX, _HANDLE),
+    "twz_window_need": (_POINTER, _RANGES, _SIZE, _N),
+    "twz_window_feed": (_POINTER, ctypes.c_uint64, ctypes.c_char_p, _SIZE),
+    "twz_window_decode": (_POINTER, _POINTER),
+    "twz_window_read": (_POINTER, _POINTER, _STRIDE, _POINTER, _STRIDE),
+    "twz_window_read_own": (_POINTER, _POINTER, _STRIDE),
+    "twz_pool_new": (_SIZE, _HANDLE),
+}
+
+
+class Library:
+    """The functions of a shared library; those that can fail raise.
+
+    Raises
+    ------
+    OSError
+        If it cannot be loaded.
+    AttributeError
+        If a function is missing.
+    """
+
+    def __init__(self, path: str) -> None:
+        self._library = ctypes.CDLL(path)  # lets other threads run during each call
+        self.abi: int = self._plain("twz_python_abi", ctypes.c_int)()
+        self.features: int = self._plain("twz_python_features", ctypes.c_uint32)()
+        if self.abi != ABI:
+            return
+        self._functions = {
+            name: self._plain(name, ctypes.c_int, *arguments, _FAILURE)
+            for name, arguments in _SIGNATURES.items()
+        }
+        self.free_window = self._plain("twz_window_free", None, _POINTER)
+        self.free_file = self._plain("twz_file_free", None, _POINTER)
+        self.free_pool = self._plain("twz_pool_free", None, _POINTER)
+        self.workers_of = self._plain("twz_pool_workers", _POINTER, _POINTER)
+        self.new_locks = self._plain("twz_python_locks_new", _POINTER)
+        self.limit_cache = self._plain("twz_python_limit_cache", None, _POINTER, ctypes.c_uint64)
+        self.allocator = self._plain("twz_python_allocator", _POINTER)()
+        self.free_locks = self._plain("twz_python_locks_free", None, _POINTER)
+
+    def _plain(self, name: str, result: Any, *arguments: Any) -> Callable[..., Any]:
+        """Return a function of the library."""
+        function = self._library[name]
+        function.restype, function.argtypes = result, arguments
+        return function
+
+    def call(self, name: str, *arguments: Any) -> None:
+        """Call a function of `_SIGNATURES`; raise what it says is wrong."""
+        error = _Error()
+        if self._functions[name](*arguments, ctypes.byref(error)) != _OK:
+            raise NativeError(error)
+
+    def make(self, name: str, *arguments: Any) -> int:
+        """Call a function that makes something, and return its address."""
+        made = ctypes.c_void_p()
+        self.call(name, *arguments, ctypes.byref(made))
+        assert made.value is not None
+        return made.value
+
+    def needed(self, name: str, handle: int) -> list[ByteRange]:
+        """Return which bytes a file or a window needs next."""
+        ranges, n = (_Range * _MOST_RANGES)(), ctypes.c_size_t()
+        self.call(name, handle, ranges, _MOST_RANGES, ctypes.byref(n))
+        return [ByteRange(part.offset, part.length) for part in ranges[: n.value]]
+
+
+@cache
+def installed() -> Library | None:
+    """Return the library of the package terrainwave-native; None where there is none that fits.
+
+    One that is there and does not fit is told in one warning.
+    """
+    try:
+        path = str(importlib.import_module(PACKAGE).LIBRARY)
+    except ImportError:
+        return None
+    try:
+        library = Library(path)
+    except (OSError, AttributeError) as error:
+        _tell(f"the library of terrainwave-native cannot be loaded ({error})")
+        return None
+    if library.abi != ABI:
+        _tell(
+            f"terrainwave-native has an interface of version {library.abi}, expected version {ABI}"
+        )
+        return None
+    unknown = KNOWN_FEATURES & ~library.features
+    if unknown:
+        _tell(f"terrainwave-native does not know features {unknown:#x} of the format")
+        return None
+    return library
+
+
+def _tell(found: str) -> None:
+    warnings.warn(
+        f"{found}: terrainwave decodes by itself, at the same heights. Install the terrainwave"
+        " and terrainwave-native of one release, or set TERRAINWAVE_NATIVE=0: pip install -U"
+        ' "terrainwave[native]"',
+        TerrainwaveWarning,
+        stacklevel=3,
+    )
+
+
+def is_wanted() -> bool:
+    """Say whether the environment lets the library be used."""
+    return os.environ.get(SWITCH, "1") != "0"
+
+
+class _Handles:
+    """What the library has allocated for one open file."""
+
+    def __init__(self, library: Library, size: int, cache_bytes: int, n_threads: int) -> None:
+        self.library = library
+        self.file = self.pool = self.workers = None
+        self.pool_lock = threading.Lock()
+        self.n_users = self.n_large = 0
+        self.cache_bytes = max(cache_bytes, 0)
+        self._process = os.getpid()
+        self.locks = library.new_locks()
+        try:
+            if self.locks is None:
+                raise MemoryError("no memory for locks")
+            options = _Options(ctypes.sizeof(_Options))
+            options.allocator = (ctypes.c_void_p * 3).from_address(library.allocator)
+            options.locks = (ctypes.c_void_p * 3).from_address(self.locks)
+            options.cache_bytes, options.max_bytes = self.cache_bytes, _MAX_BYTES
+            self.file = library.make("twz_file_new", ctypes.byref(options), size)
+            if n_threads > 1:
+                self.pool = library.make("twz_pool_new", n_threads)
+                self.workers = library.workers_of(self.pool)
+        except BaseException:
+            self.free()
+            raise
+
+    def limit_cache(self) -> None:
+        """Tell the library how much to keep from now on."""
+        most = min(self.cache_bytes, _KEPT_OF_LARGE) if self.n_large else self.cache_bytes
+        self.library.limit_cache(self.file, most)
+
+    def free(self) -> None:
+        """Free all; nobody uses any of it. In a child of a fork it stays: threads are missing."""
+        if os.getpid() == self._process:
+            self.library.free_pool(self.pool)
+            self.library.free_file(self.file)
+            self.library.free_locks(self.locks)
+        self.file = self.pool = self.locks = None
+
+
+class NativeFile:
+    """Windows and samples of an open file, as raw heights. Thread-safe.
+
+    Parameters
+    ----------
+    cache_bytes : int
+        Decoded heights that the library keeps.
+    n_threads : int
+        Threads that decode.
+
+    Notes
+    -----
+    A window takes the time of one thread where another window is being decoded: the library's
+    threads work at one at a time.
+    """
+
+    def __init__(
+        self, library: Library, container: Container, *, cache_bytes: int, n_threads: int
+    ) -> None:
+        self._library = library
+        self._container = container
+        self._cache_bytes, self._n_threads = cache_bytes, n_threads
+        self._is_closed = False
+        self.renew()
+        renew_after_fork(self)
+
+    def renew(self) -> None:
+        """Begin anew after a fork: threads are gone, and locks may be held for ever."""
+        self._lock = threading.Lock()
+        self._handles: _Handles | None = None
+        self._refusal: Exception | None = None
+
+    def close(self) -> None:
+        """Free what the library has allocated, as soon as nobody reads."""
+        with self._lock:
+            self._is_closed = True
+            self._free_if_unused()
+
+    def _free_if_unused(self) -> None:
+        if self._is_closed and self._handles is not None and self._handles.n_users == 0:
+            self._finalizer()
+            self._handles = None
+
+    @property
+    def _header(self) -> Header:
+        return self._container.header
+
+    @contextmanager
+    def _opened(self, *, is_large: bool = False) -> Iterator[_Handles]:
+        """Lend the open file; it stays until the end of the `with` block.
+
+        While some read a large region, fewer units are kept.
+        """
+        with self._lock:
+            if self._handles is None:
+                self._handles = self._open()
+            handles = self._handles
+            handles.n_users += 1
+            handles.n_large += is_large
+            handles.limit_cache()
+        try:
+            yield handles
+        finally:
+            with self._lock:
+                handles.n_users -= 1
+                handles.n_large -= is_large
+                handles.limit_cache()
+                self._free_if_unused()
+
+    def _open(self) -> _Handles:
+        if self._refusal is not None:
+            raise self._refusal
+        size = self._container.source.size
+        try:
+            handles = _Handles(self._library, size, self._cache_bytes, self._n_threads)
+        except NativeError as error:
+            self._refusal = error
+            raise
+        self._finalizer = weakref.finalize(self, handles.free)
+        self._finalizer.atexit = False
+        try:
+            self._fetch(_Rounds(self._container), "file", [handles.file])
+        except NativeError as error:
+            self._finalizer()
+            self._refusal = error
+            raise
+        except BaseException:
+            self._finalizer()
+            raise
+        return handles
+
+    def _fetch(self, rounds: "_Rounds", kind: str, handles: Sequence[Any]) -> None:
+        """Give files or windows the bytes they need, all in one request a round."""
+        need, feed = f"twz_{kind}_need", f"twz_{kind}_feed"
+        while wanted := [(one, self._library.needed(need, one)) for one in handles]:
+            missing = list(dict.fromkeys(part for _, parts in wanted for part in parts))
+            if not missing:
+                return
+            rounds.fetch(missing)
+            for one, parts in wanted:
+                for part in parts:
+                    self._library.call(feed, one, part.offset, rounds.take(part), part.length)
+
+    def read(
+        self, level: int, region: Region, *, is_own: bool
+    ) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
+        """Return raw heights of a region of a level and what is void, as `WindowReader.read`."""
+        heights = np.empty(region.shape, dtype=np.dtype(self._header.dtype))
+        void: NDArray[np.bool_] | None = None
+        most = _MOST_DECODED if self._n_threads < _MANY_THREADS else _MOST_FETCHED
+        is_large = region.n_rows * region.n_cols > most
+        with self._opened(is_large=is_large) as handles:
+            for whole in self._parts(level, region, _MOST_FETCHED):
+                parts = list(self._parts(level, whole, most))
+                rounds = _Rounds(self._container)
+                if len(parts) > 1:
+                    with self._window(handles, level, whole) as window:
+                        self._fetch(rounds, "window", [window])
+                for part in parts:
+                    at = part.slices_in(region)
+                    with self._window(handles, level, part) as window:
+                        self._fetch(rounds, "window", [window])
+                        valid = self._decode(handles, window, level, heights[at], is_own=is_own)
+                    if void is None and not valid.all():
+                        void = np.zeros(region.shape, dtype=np.bool_)
+                    if void is not None:
+                        np.logical_not(valid, out=void[at])
+        return heights, void
+
+    def samples(
+        self, level: int, rows: NDArray[np.int64], cols: NDArray[np.int64], *, is_own: bool
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return raw heights of single samples of a level, and which are valid."""
+        found = np.zeros(rows.size, dtype=np.dtype(self._header.dtype))
+        valid = np.zeros(rows.size, dtype=np.bool_)
+        side = self._side(level)
+        units = np.stack([rows // side, cols // side], axis=1)
+        places, numbers = np.unique(units, axis=0, return_inverse=True)
+        order = np.argsort(numbers.ravel(), kind="stable")
+        members = np.split(order, np.cumsum(np.bincount(numbers.ravel()))[:-1])
+        for first in range(0, len(places), _AT_A_TIME):
+            batch = members[first : first + _AT_A_TIME]
+            parts = []
+            for here in batch:
+                box = _box_around(rows[here], cols[here])
+                parts.append((box, np.empty(box.shape, dtype=found.dtype)))
+            masks = self._read_apart(level, parts, is_own=is_own)
+            for here, (box, heights), mask in zip(batch, parts, masks, strict=True):
+                at = rows[here] - box.row, cols[here] - box.col
+                found[here], valid[here] = heights[at], mask[at]
+        return found, valid
+
+    def _read_apart(
+        self, level: int, parts: Sequence[tuple[Region, NDArray[Any]]], *, is_own: bool
+    ) -> list[NDArray[np.bool_]]:
+        """Fill the arrays of regions far from each other; return what is valid of each."""
+        with self._opened() as handles, ExitStack() as stack:
+            windows = [
+                stack.enter_context(self._window(handles, level, region)) for region, _ in parts
+            ]
+            self._fetch(_Rounds(self._container), "window", windows)
+            return [
+                self._decode(handles, window, level, heights, is_own=is_own)
+                for window, (_, heights) in zip(windows, parts, strict=True)
+            ]
+
+    def _side(self, level: int) -> int:
+        """Return the samples on a side of a unit."""
+        block = self._header.grid.block
+        return block if level == 0 else 2 * block
+
+    def _parts(self, level: int, region: Region, most: int) -> Iterator[Region]:
+        """Yield parts of a region, of about `most` samples or one unit, which fill it.
+
+        They end where those of any region do: between them they have few units above in common.
+        """
+        side = self._side(level)
+        while 4 * side**2 <= most:
+            side *= 2
+        last_row, last_col = region.row + region.n_rows, region.col + region.n_cols
+        row = region.row
+        while row < last_row:
+            below = min((row // side + 1) * side, last_row)
+            col = region.col
+            while col < last_col:
+                right = min((col // side + 1) * side, last_col)
+                yield Region(row, col, below - row, right - col)
+                col = right
+            row = below
+
+    @contextmanager
+    def _window(self, handles: _Handles, level: int, region: Region) -> Iterator[int]:
+        """Make a window, and free it at the end of the `with` block."""
+        box = _Box(region.row, region.col, region.n_rows, region.n_cols)
+        window = self._library.make("twz_window_new", handles.file, level, ctypes.byref(box))
+        try:
+            yield window
+        finally:
+            self._library.free_window(window)
+
+    def _decode(
+        self, handles: _Handles, window: int, level: int, heights: NDArray[Any], *, is_own: bool
+    ) -> NDArray[np.bool_]:
+        """Decode a window that has its bytes; fill `heights` and return what is valid."""
+        library = self._library
+        if handles.workers is not None and handles.pool_lock.acquire(blocking=False):
+            try:
+                library.call("twz_window_decode", window, handles.workers)
+            finally:
+                handles.pool_lock.release()
+        else:
+            library.call("twz_window_decode", window, None)
+        # On the full grid, and where the file does not tell fills, what is valid is so by itself.
+        is_own &= self._header.has_fills and level < self._header.grid.k_max
+        valid = np.empty(heights.shape, dtype=np.bool_)
+        to, stride = heights.ctypes.data, heights.strides[0]
+        library.call(
+            "twz_window_read", window, to, stride, None if is_own else valid.ctypes.data, 0
+        )
+        if is_own:
+            library.call("twz_window_read_own", window, valid.ctypes.data, 0)
+        return valid
+
+
+class _Rounds:
+    """Bytes of a file that are fetched in rounds, and stay until the last."""
+
+    def __init__(self, container: Container) -> None:
+        self._reader = container.rounds()
+        self._known: list[ByteRange] = []
+        self.take = self._reader.take
+
+    def fetch(self, wanted: Sequence[ByteRange]) -> None:
+        """Fetch what is not here yet of what is wanted."""
+        self._known += wanted
+        self._reader.fetch(self._known)
+
+
+def _box_around(rows: NDArray[np.int64], cols: NDArray[np.int64]) -> Region:
+    row, col = int(rows.min()), int(cols.min())
+    return Region(row, col, int(rows.max()) - row + 1, int(cols.max()) - col + 1)
