@@ -12,6 +12,7 @@ from click.testing import CliRunner
 from strategies import terrain_like, write_geotiff
 
 from terrainwave.cli import main
+from terrainwave.codec import group
 from terrainwave.codec.refiner import Decoded
 from terrainwave.container.spool import SegmentSpool, cannot_write
 from terrainwave.errors import (
@@ -23,7 +24,6 @@ from terrainwave.errors import (
 from terrainwave.export.geotiff import decompress
 from terrainwave.raster_io.source import RasterSource
 from terrainwave.raster_io.temporary import Spool
-from terrainwave.read import decoder
 from terrainwave.terrain import Terrain
 from terrainwave.write import compress as compression
 from terrainwave.write.compress import compress
@@ -287,12 +287,12 @@ def test_after_a_kill_the_target_is_as_it_was_and_the_next_run_cleans_up(stage, 
 
 def wrong_by(monkeypatch, change):
     """Make every decoder return units changed by `change`; encoders stay right."""
-    decode = decoder.decode_unit
+    decode = group.decode_unit
 
     def wrong(*arguments):
         return change(decode(*arguments))
 
-    monkeypatch.setattr(decoder, "decode_unit", wrong)
+    monkeypatch.setattr(group, "decode_unit", wrong)
 
 
 def higher(unit):
