@@ -32,6 +32,13 @@ static int32_t parent_line(uint32_t line, int is_after, uint32_t first, int32_t 
 
 static void imply_voids(const layer *out, const parent *p, field implied) {
   if (!p->layer || (!p->is_void && !p->layer->valid)) return;
+  enum { MOST = 2 * 1024 + 4 }; /* samples of a region along an axis (§2.4) */
+  uint8_t both[MOST];
+  int16_t left[MOST], right[MOST];
+  for (int32_t c = 0; c < out->cols.n; c++) {
+    left[c] = (int16_t)parent_line(out->cols.first + (uint32_t)c, 0, p->first_col, p->n_cols);
+    right[c] = (int16_t)parent_line(out->cols.first + (uint32_t)c, 1, p->first_col, p->n_cols);
+  }
   for (int32_t r = 0; r < out->rows.n; r++) {
     uint8_t *row = implied.at + (size_t)r * implied.stride;
     if (p->is_void) {
@@ -43,12 +50,8 @@ static void imply_voids(const layer *out, const parent *p, field implied) {
     size_t pitch = (size_t)p->layer->cols.n;
     const uint8_t *above = valid + pitch * (size_t)(p->row + parent_line(line, 0, p->first_row, p->n_rows));
     const uint8_t *below = valid + pitch * (size_t)(p->row + parent_line(line, 1, p->first_row, p->n_rows));
-    for (int32_t c = 0; c < out->cols.n; c++) {
-      uint32_t place = out->cols.first + (uint32_t)c;
-      int32_t left = parent_line(place, 0, p->first_col, p->n_cols);
-      int32_t right = parent_line(place, 1, p->first_col, p->n_cols);
-      row[c] = !(above[left] & above[right] & below[left] & below[right]);
-    }
+    for (int32_t k = 0; k < p->n_cols; k++) both[k] = above[k] & below[k];
+    for (int32_t c = 0; c < out->cols.n; c++) row[c] = !(both[left[c]] & both[right[c]]);
   }
 }
 
@@ -57,8 +60,9 @@ static twz_status decode_plain(const twz_file *f, const layer *out, field implie
                                twz_error *error) {
   model models[N_MASK_MODELS];
   for (int i = 0; i < N_MASK_MODELS; i++) models[i] = MODEL((uint32_t)twz_mask_starts[i] << 14, 2);
-  coder c;
-  coder_start(&c, section->bytes, section->n, f->rates);
+  coder start, c; /* c is in registers, as no function is given its place */
+  coder_start(&start, section->bytes, section->n, f->rates);
+  c = start;
   ptrdiff_t s = (ptrdiff_t)valid.stride;
   for (int32_t row = 0; row < out->rows.n; row++) {
     uint8_t *v = valid.at + row * s;
@@ -67,10 +71,11 @@ static twz_status decode_plain(const twz_file *f, const layer *out, field implie
       if (*m) continue;
       int near = 32 * v[-1] + 16 * v[-s] + 8 * v[-s - 1] + 4 * v[1 - s] + 2 * v[-2] + v[-2 * s];
       int far = m[2 * s] + m[2] + m[s - 1] + m[s + 1];
-      *v = (uint8_t)adaptive_bit(&c, &models[(near * 3 + m[s] + m[1]) * 3 + min_i32(far, 2)]);
+      *v = (uint8_t)foreseen_bit(&c, &models[(near * 3 + m[s] + m[1]) * 3 + min_i32(far, 2)]);
     }
   }
-  return coder_end(&c, "a mask", error);
+  start = c;
+  return coder_end(&start, "a mask", error);
 }
 
 /* §5.4: a map, where K is 0; without a section these bits are 1. */
@@ -78,22 +83,32 @@ static twz_status decode_map(const twz_file *f, const layer *out, field known, c
                              twz_error *error) {
   model models[N_FILL_MODELS];
   for (int i = 0; i < N_FILL_MODELS; i++) models[i] = FRESH_MODEL;
-  coder c;
-  coder_start(&c, section->bytes, section->n, f->rates);
   ptrdiff_t s = (ptrdiff_t)map.stride;
+  for (int32_t row = 0; !section->bytes && row < out->rows.n; row++) {
+    uint8_t *v = map.at + row * s;
+    const uint8_t *k = known.at + row * s;
+    for (int32_t col = 0; col < out->cols.n; col++) v[col] = k[col] != 1;
+  }
+  if (!section->bytes) return TWZ_OK;
+  coder start, c; /* c is in registers, as no function is given its place */
+  coder_start(&start, section->bytes, section->n, f->rates);
+  c = start;
   for (int32_t row = 0; row < out->rows.n; row++) {
     uint8_t *v = map.at + row * s;
     const uint8_t *k = known.at + row * s;
+    int west = 0;
     for (int32_t col = 0; col < out->cols.n; col++, v++, k++) {
-      if (*k || !section->bytes) {
-        *v = *k != 1;
-        continue;
+      if (*k) {
+        west = *k != 1;
+      } else {
+        int bits = 8 * west + 4 * v[-s] + 2 * v[-s - 1] + v[1 - s];
+        west = foreseen_bit(&c, &models[81 * bits + 27 * k[1] + 9 * k[s] + 3 * k[s + 1] + k[s - 1]]);
       }
-      int bits = 8 * v[-1] + 4 * v[-s] + 2 * v[-s - 1] + v[1 - s];
-      *v = (uint8_t)adaptive_bit(&c, &models[81 * bits + 27 * k[1] + 9 * k[s] + 3 * k[s + 1] + k[s - 1]]);
+      *v = (uint8_t)west;
     }
   }
-  return section->bytes ? coder_end(&c, "a map of own samples", error) : TWZ_OK;
+  start = c;
+  return coder_end(&start, "a map of own samples", error);
 }
 
 /* K of own samples: inherited ones are as the parent's, others void where that is implied. */
