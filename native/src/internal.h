@@ -33,6 +33,7 @@ static inline int64_t abs_i64(int64_t a) { return a < 0 ? -a : a; }
 static inline uint64_t min_u64(uint64_t a, uint64_t b) { return a < b ? a : b; }
 static inline uint32_t min_u32(uint32_t a, uint32_t b) { return a < b ? a : b; }
 static inline size_t min_size(size_t a, size_t b) { return a < b ? a : b; }
+static inline size_t max_size(size_t a, size_t b) { return a > b ? a : b; }
 
 /* floor(a / 2^n), also of negative numbers: what every compiler named here makes of >>. */
 static inline int64_t shift_right(int64_t a, int n) { return a >> n; }
@@ -389,7 +390,9 @@ typedef struct order {
   size_t n;
 } order;
 
-/* Decode one unit or two, with as many scratches. */
+enum { MOST_TOGETHER = 4 };
+
+/* Decode up to MOST_TOGETHER units, with as many scratches. */
 twz_status decode_units(const twz_file *f, const order *orders, int n, scratch *s, twz_error *error);
 /* How many bytes a unit takes, decoded. */
 uint64_t unit_bytes(const twz_file *f, place key);
@@ -408,8 +411,8 @@ static inline int64_t corrected(const job *j, size_t at, int64_t height, int64_t
   return j->corrections ? clamp_i64(height + j->corrections[at], low, high) : height;
 }
 twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error *error);
-/* Of two units, with memory of their own: in lockstep where they are alike. */
-twz_status decode_rapid_two(const job *const *jobs, const reader *bytes, scratch *s, twz_error *error);
+/* Of up to MOST_TOGETHER units, with memory of their own: in lockstep where they are alike. */
+twz_status decode_rapid_units(const job *const *jobs, const reader *bytes, int n, scratch *s, twz_error *error);
 twz_status decode_predictive(const job *j, const reader *bytes, scratch *s, twz_error *error);
 twz_status decode_cdf97(const job *j, const reader *bytes, scratch *s, twz_error *error);
 /* A tile: all its levels, masks included. */

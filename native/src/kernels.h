@@ -7,7 +7,7 @@
 typedef struct row_kernels {
   twz_kernels kind;
   rapid_decoder decode_rapid;
-  rapid_pair_decoder decode_rapid_pair; /* NULL: one after the other */
+  rapid_groups_decoder decode_rapid_groups; /* NULL: one after the other */
 } row_kernels;
 
 extern const row_kernels kernels_baseline;

@@ -1,4 +1,4 @@
 #define ISA(name) name##_avx2
 #include "rapid_unit.h"
 
-const row_kernels kernels_avx2 = {TWZ_KERNELS_AVX2, ISA(decode_unit_rapid), DECODE_PAIR};
+const row_kernels kernels_avx2 = {TWZ_KERNELS_AVX2, ISA(decode_unit_rapid), DECODE_GROUPS};

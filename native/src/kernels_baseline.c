@@ -1,4 +1,4 @@
 #define ISA(name) name##_baseline
 #include "rapid_unit.h"
 
-const row_kernels kernels_baseline = {TWZ_KERNELS_BASELINE, ISA(decode_unit_rapid), DECODE_PAIR};
+const row_kernels kernels_baseline = {TWZ_KERNELS_BASELINE, ISA(decode_unit_rapid), DECODE_GROUPS};

@@ -216,18 +216,22 @@ static twz_status end_unit(const twz_file *f, unit *u, begun *b, twz_error *erro
 }
 
 twz_status decode_units(const twz_file *f, const order *orders, int n, scratch *s, twz_error *error) {
-  begun begun[2];
+  begun begun[MOST_TOGETHER];
+  const job *jobs[MOST_TOGETHER];
+  reader rests[MOST_TOGETHER];
+  int n_together = 0;
   for (int k = 0; k < n; k++) TRY(begin_unit(f, &orders[k], &begun[k], &s[k], error));
-  int are_two = n == 2 && f->header.method == TWZ_RAPID && !begun[0].is_done && !begun[1].is_done &&
-                !begun[0].sections[CORRECTED].bytes && !begun[1].sections[CORRECTED].bytes;
-  if (are_two) {
-    const job *const jobs[2] = {&begun[0].job, &begun[1].job};
-    const reader rests[2] = {begun[0].rest, begun[1].rest};
-    TRY(decode_rapid_two(jobs, rests, s, error));
+  for (int k = 0; k < n; k++) {
+    if (begun[k].is_done || f->header.method != TWZ_RAPID || begun[k].sections[CORRECTED].bytes) continue;
+    jobs[n_together] = &begun[k].job;
+    rests[n_together++] = begun[k].rest;
   }
+  int are_together = n_together > 1;
+  if (are_together) TRY(decode_rapid_units(jobs, rests, n_together, s, error));
   for (int k = 0; k < n; k++) {
     if (begun[k].is_done) continue;
-    if (!are_two) TRY(decode_corrected(&begun[k], &s[k], error));
+    int is_decoded = are_together && !begun[k].sections[CORRECTED].bytes;
+    if (!is_decoded) TRY(decode_corrected(&begun[k], &s[k], error));
     TRY(end_unit(f, orders[k].unit, &begun[k], error));
   }
   return TWZ_OK;

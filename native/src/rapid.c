@@ -298,23 +298,25 @@ twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error
   return close_streams(&u.streams, error);
 }
 
-/* Groups of one size without voids, of eight states each, whose sums fit 32 bits. */
-static int may_be_paired(const rapid_unit *a, const rapid_unit *b) {
+/* Groups of one size, of eight states each, whose sums fit 32 bits. */
+static int are_alike(const rapid_unit *a, const rapid_unit *b) {
   const layer *l = a->job->out, *m = b->job->out;
-  return a->job->file->kernels->decode_rapid_pair && a->job->parent.layer && b->job->parent.layer && !a->is_wide && !b->is_wide &&
-         !l->valid && !m->valid && a->streams.n_states == 8 && b->streams.n_states == 8 &&
-         l->rows.n_core == m->rows.n_core && l->cols.n_core == m->cols.n_core;
+  return a->job->parent.layer && b->job->parent.layer && !a->is_wide && !b->is_wide && a->streams.n_states == 8 &&
+         b->streams.n_states == 8 && l->rows.n_core == m->rows.n_core && l->cols.n_core == m->cols.n_core;
 }
 
-twz_status decode_rapid_two(const job *const *jobs, const reader *bytes, scratch *s, twz_error *error) {
-  rapid_unit units[2], *const both[2] = {&units[0], &units[1]};
+twz_status decode_rapid_units(const job *const *jobs, const reader *bytes, int n, scratch *s, twz_error *error) {
+  rapid_unit units[MOST_TOGETHER];
   const row_kernels *kernels = jobs[0]->file->kernels;
-  for (int k = 0; k < 2; k++) TRY(open_unit(&units[k], jobs[k], &bytes[k], &s[k], error));
-  if (may_be_paired(&units[0], &units[1])) {
-    TRY(kernels->decode_rapid_pair(both, error));
-  } else {
-    for (int k = 0; k < 2; k++) TRY(kernels->decode_rapid(&units[k], error));
+  for (int k = 0; k < n; k++) TRY(open_unit(&units[k], jobs[k], &bytes[k], &s[k], error));
+  for (int k = 0, stop; k < n; k = stop) {
+    for (stop = k + 1; kernels->decode_rapid_groups && stop < n && are_alike(&units[k], &units[stop]);) stop++;
+    if (stop == k + 1) {
+      TRY(kernels->decode_rapid(&units[k], error));
+    } else {
+      TRY(kernels->decode_rapid_groups(&units[k], stop - k, error));
+    }
   }
-  for (int k = 0; k < 2; k++) TRY(close_streams(&units[k].streams, error));
+  for (int k = 0; k < n; k++) TRY(close_streams(&units[k].streams, error));
   return TWZ_OK;
 }

@@ -55,7 +55,7 @@ typedef struct rapid_unit {
 
 /* Decode a unit whose streams are set up. */
 typedef twz_status (*rapid_decoder)(rapid_unit *u, twz_error *error);
-/* Two that may_be_paired. */
-typedef twz_status (*rapid_pair_decoder)(rapid_unit *const *units, twz_error *error);
+/* Up to MOST_TOGETHER that are_alike. */
+typedef twz_status (*rapid_groups_decoder)(rapid_unit *units, int n, twz_error *error);
 
 #endif

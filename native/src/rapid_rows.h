@@ -7,6 +7,8 @@
 typedef struct NAMED(row) {
   NUMBER *predicted, *sum, *twist, *details;
   int32_t *least, *most, *expected, *whole, *contexts;
+  NUMBER *packed_details; /* of valid samples, one behind the other */
+  int32_t *packed_contexts;
 } NAMED(row);
 
 static ALWAYS_INLINE NUMBER NAMED(magnitude)(NUMBER a) { return a < 0 ? -a : a; }
@@ -158,50 +160,82 @@ static void NAMED(fill_contexts)(int32_t n, const rapid_scale *c, const int32_t 
   }
 }
 
-/* R.9: the raw bits of details first ... stop - 1; `valid` is at every step-th place, NULL: all are. */
-static void NAMED(read_raw)(const NAMED(row) * row, int32_t first, int32_t stop, const uint8_t *valid, size_t step,
-                            int64_t most, rapid_streams *z) {
-  for (int32_t j = first; j < stop; j++) {
-    if (valid && !valid[(size_t)j * step]) continue;
-    int n = ((row->contexts[j] & (DOWN - 1)) >> 3) - 8;
-    int64_t detail = (int64_t)row->details[j];
+/* R.9: the raw bits of n details. */
+static void NAMED(read_raw)(const int32_t *contexts, NUMBER *details, int32_t n, int64_t most, rapid_streams *z) {
+  for (int32_t j = 0; j < n; j++) {
+    int n_bits = ((contexts[j] & (DOWN - 1)) >> 3) - 8;
+    int64_t detail = (int64_t)details[j];
     if (detail == -ZERO_SYMBOL) {
       uint64_t bits = ISA(take_raw)(z, 33);
       detail = (int64_t)(bits & 0xFFFFFFFFu) - (int64_t)(bits >> 32 << 32);
-    } else if (n > 0) {
-      detail = detail * ((int64_t)1 << n) + (int64_t)ISA(take_raw)(z, n);
+    } else if (n_bits > 0) {
+      detail = detail * ((int64_t)1 << n_bits) + (int64_t)ISA(take_raw)(z, n_bits);
     } else {
       continue;
     }
-    row->details[j] = (NUMBER)clamp_i64(detail, -most, most);
+    details[j] = (NUMBER)clamp_i64(detail, -most, most);
   }
 }
 
-/* R.8: the details first ... stop - 1 of a row, towards the side of their contexts. */
-static void NAMED(read_details)(const NAMED(row) * row, int32_t first, int32_t stop, const uint8_t *valid, size_t step,
-                                const uint32_t *slots, int64_t most, rapid_streams *z) {
-  NUMBER *details = row->details;
-  const int32_t *contexts = row->contexts;
+/* Details of a row that are read without voids between them: the row's own, or those of its valid samples. */
+typedef struct NAMED(span) {
+  NUMBER *details;
+  const int32_t *contexts;
+  int32_t n;
+  rapid_streams *streams;
+  int has_raw;
+} NAMED(span);
+
+#ifdef READ_VECTORS
+#include "rapid_vectors.h"
+#endif
+
+/* Details first ... stop - 1 of a row; `valid` is at every step-th place, NULL: all are. */
+static NAMED(span) NAMED(begin_span)(const NAMED(row) * row, int32_t first, int32_t stop, const uint8_t *valid, size_t step,
+                                     rapid_streams *z) {
+  NAMED(span) s = {row->details + first, row->contexts + first, stop - first, z, 0};
+  if (!valid) return s;
+  int32_t n = 0;
+  for (int32_t j = first; j < stop; j++) {
+    row->packed_contexts[n] = row->contexts[j];
+    n += valid[(size_t)j * step];
+  }
+  if (n == s.n) return s;
+  s.details = row->packed_details;
+  s.contexts = row->packed_contexts;
+  s.n = n;
+  return s;
+}
+
+static void NAMED(end_span)(const NAMED(row) * row, int32_t first, int32_t stop, const uint8_t *valid, size_t step,
+                            int64_t most, const NAMED(span) * s) {
+  if (s->has_raw) NAMED(read_raw)(s->contexts, s->details, s->n, most, s->streams);
+  if (s->details == row->details + first) return;
+  int32_t n = 0;
+  row->packed_details[s->n] = 0;
+  for (int32_t j = first; j < stop; j++) {
+    int is_valid = valid[(size_t)j * step];
+    row->details[j] = row->packed_details[n] & -is_valid;
+    n += is_valid;
+  }
+}
+
+/* R.8: a span's details, towards the side of their contexts. */
+static void NAMED(read_span)(NAMED(span) * s, const uint32_t *slots) {
+  rapid_streams *z = s->streams;
+#ifdef READ_VECTORS
+  if (z->n_states == 8) {
+    READ_VECTORS(s, 1, slots);
+    return;
+  }
+#endif
   uint32_t last = z->n_states - 1;
   size_t before = min_size(z->n_words_used, z->n_words);
   const uint8_t *words = z->words + 2 * before; /* a row takes at most a word a sample: PAYLOAD_SLACK */
   size_t k = z->n_symbols, n_taken = 0;
   int has_raw = 0;
-  int32_t j = first;
-#ifdef READ_VECTORS
-  if (!valid && last == 7) {
-    span s = {row->details + first, row->contexts + first, stop - first, z, 0};
-    READ_VECTORS(&s, 1, slots);
-    if (s.has_raw) NAMED(read_raw)(row, first, stop, valid, step, most, z);
-    return;
-  }
-#endif
-  for (; j < stop; j++) {
-    if (valid && !valid[(size_t)j * step]) {
-      details[j] = 0;
-      continue;
-    }
-    uint32_t context = (uint32_t)contexts[j] & (DOWN - 1);
+  for (int32_t j = 0; j < s->n; j++) {
+    uint32_t context = (uint32_t)s->contexts[j] & (DOWN - 1);
     uint32_t x = z->states[k & last], entry = slots[context << 11 | (x & (SLOTS - 1))];
     uint32_t next = (entry >> 6 & 4095) * (x >> 11) + (entry >> 18);
     /* Whether a word follows is hard to foresee: no branch. */
@@ -210,12 +244,19 @@ static void NAMED(read_details)(const NAMED(row) * row, int32_t first, int32_t s
     n_taken += takes;
     k++;
     uint32_t symbol = entry & 63;
-    details[j] = (NUMBER)symbol - ZERO_SYMBOL;
+    s->details[j] = (NUMBER)symbol - ZERO_SYMBOL;
     has_raw |= (symbol == 0) | (context >= FIRST_RAW);
   }
+  s->has_raw = has_raw;
   z->n_symbols = k;
   z->n_words_used += n_taken;
-  if (has_raw) NAMED(read_raw)(row, first, stop, valid, step, most, z);
+}
+
+static void NAMED(read_details)(const NAMED(row) * row, int32_t first, int32_t stop, const uint8_t *valid, size_t step,
+                                const uint32_t *slots, int64_t most, rapid_streams *z) {
+  NAMED(span) s = NAMED(begin_span)(row, first, stop, valid, step, z);
+  NAMED(read_span)(&s, slots);
+  NAMED(end_span)(row, first, stop, valid, step, most, &s);
 }
 
 /* R.6: heights and errors of samples first ... stop - 1 of a row. */
@@ -443,11 +484,14 @@ static void NAMED(begin_row)(NAMED(work) * w, const NAMED(part) * p, int plane, 
   r->error = error;
 }
 
+static const uint8_t *NAMED(valid_of)(const NAMED(work) * w, const NAMED(span_of_row) * r) {
+  return w->valid ? w->valid + r->start : NULL;
+}
+
 static void NAMED(read_row)(NAMED(work) * w, const NAMED(span_of_row) * r) {
   if (r->first >= r->stop) return;
   rapid_unit *u = w->unit;
-  const uint8_t *valid = w->valid ? w->valid + r->start : NULL;
-  NAMED(read_details)(&w->row, r->first, r->stop, valid, (size_t)r->step, u->tables->slots, u->scale.most_detail, &u->streams);
+  NAMED(read_details)(&w->row, r->first, r->stop, NAMED(valid_of)(w, r), (size_t)r->step, u->tables->slots, u->scale.most_detail, &u->streams);
 }
 
 static void NAMED(end_row)(NAMED(work) * w, const NAMED(part) * p, int plane, int32_t i, const NAMED(span_of_row) * r) {
@@ -706,7 +750,7 @@ static twz_status NAMED(begin)(NAMED(work) * w, rapid_unit *u, twz_error *error)
   size_t stride = (n + 2 * MARGIN + 15) / 16 * 16, n_plane = (n_even + 2 * MARGIN) * stride;
   size_t n_row = (n_even > n ? n_even : n) + CORNER_ROW + 2 * MARGIN;
   size_t n_region = (size_t)l->rows.n * (size_t)l->cols.n;
-  size_t bytes = 8 * n_plane * 4 + n_row * (6 * sizeof(NUMBER) + 6 * 4 + sizeof(size_t) + 1) + n_region;
+  size_t bytes = 8 * n_plane * 4 + n_row * (6 * sizeof(NUMBER) + 7 * 4 + sizeof(size_t) + 1) + n_region;
   TRY(scratch_reserve(u->scratch, bytes + 24 * SCRATCH_ALIGN, error));
   memset(w, 0, sizeof *w);
   w->unit = u;
@@ -723,6 +767,8 @@ static twz_status NAMED(begin)(NAMED(work) * w, rapid_unit *u, twz_error *error)
   int32_t **whole[5] = {&w->row.least, &w->row.most, &w->row.expected, &w->row.whole, &w->row.contexts};
   for (int i = 0; i < 4; i++) *numbers[i] = scratch_take(s, n_row * sizeof(NUMBER));
   for (int i = 0; i < 5; i++) *whole[i] = scratch_take(s, n_row * 4);
+  w->row.packed_details = scratch_take(s, n_row * sizeof(NUMBER));
+  w->row.packed_contexts = scratch_take(s, n_row * 4);
   w->line = scratch_take(s, n_row * sizeof(NUMBER));
   w->line_of = scratch_take(s, n_row * 4);
   w->places = scratch_take(s, n_row * sizeof(size_t));
@@ -746,33 +792,31 @@ static twz_status NAMED(decode)(rapid_unit *u, twz_error *error) {
 }
 
 #ifdef READ_VECTORS
-/* Two groups of one size, row by row: symbols of one are read while those of the other wait for theirs. */
-static twz_status NAMED(decode_pair)(rapid_unit *const *units, twz_error *error) {
-  NAMED(work) works[2];
-  NAMED(source) sources[2];
-  NAMED(part) parts[2];
-  for (int k = 0; k < 2; k++) {
-    TRY(NAMED(begin)(&works[k], units[k], error));
-    NAMED(begin_group)(&works[k], &sources[k], &parts[k]);
-    NAMED(begin_lattice)(&works[k], &sources[k], &parts[k]);
+/* Groups of one size, row by row: symbols of one are read while those of the others wait for theirs. */
+static twz_status NAMED(decode_groups)(rapid_unit *units, int n_units, twz_error *error) {
+  NAMED(work) works[MOST_TOGETHER];
+  NAMED(part) parts[MOST_TOGETHER];
+  for (int k = 0; k < n_units; k++) {
+    NAMED(source) a;
+    TRY(NAMED(begin)(&works[k], &units[k], error));
+    NAMED(begin_group)(&works[k], &a, &parts[k]);
+    NAMED(begin_lattice)(&works[k], &a, &parts[k]);
   }
   for (int32_t t = 0; t < ((parts[0].n_rows + 1) >> 1) + 2; t++) {
     for (int plane = HH; plane <= LH; plane++) {
       int32_t i = t - plane, n = works[0].sizes[plane][1];
       if (i < 0 || i >= works[0].sizes[plane][0] || n == 0) continue;
-      NAMED(span_of_row) rows[2];
-      span spans[2];
-      for (int k = 0; k < 2; k++) {
+      NAMED(span_of_row) rows[MOST_TOGETHER];
+      NAMED(span) spans[MOST_TOGETHER];
+      for (int k = 0; k < n_units; k++) {
         NAMED(begin_row)(&works[k], &parts[k], plane, i, n, &rows[k]);
-        const span s = {works[k].row.details + rows[k].first, works[k].row.contexts + rows[k].first,
-                        rows[k].stop - rows[k].first, &units[k]->streams, 0};
-        spans[k] = s;
+        spans[k] = NAMED(begin_span)(&works[k].row, rows[k].first, rows[k].stop, NAMED(valid_of)(&works[k], &rows[k]),
+                                     (size_t)rows[k].step, &units[k].streams);
       }
-      READ_VECTORS(spans, 2, units[0]->tables->slots);
-      for (int k = 0; k < 2; k++) {
-        if (spans[k].has_raw) {
-          NAMED(read_raw)(&works[k].row, rows[k].first, rows[k].stop, NULL, 1, units[k]->scale.most_detail, &units[k]->streams);
-        }
+      READ_VECTORS(spans, n_units, units[0].tables->slots);
+      for (int k = 0; k < n_units; k++) {
+        NAMED(end_span)(&works[k].row, rows[k].first, rows[k].stop, NAMED(valid_of)(&works[k], &rows[k]), (size_t)rows[k].step,
+                        units[k].scale.most_detail, &spans[k]);
         NAMED(end_row)(&works[k], &parts[k], plane, i, &rows[k]);
       }
     }
