@@ -80,6 +80,9 @@ void *twz_allocate_zeros(const twz_allocator *a, size_t n_bytes);
 void twz_release(const twz_allocator *a, void *memory);
 twz_status twz_no_memory(twz_error *error, size_t n_bytes);
 
+/* Much memory, that is soon written: of large pages, where the system has them and the caller has no allocator. */
+void *twz_allocate_pages(const twz_allocator *a, size_t n_bytes);
+
 /* Memory for one worker, kept from unit to unit: laid out anew by each. */
 typedef struct scratch {
   const twz_allocator *allocator;
@@ -313,6 +316,12 @@ typedef struct layer {
 
 enum { MOST_LAYERS = 10 };
 
+/* Memory that units share: those that are decoded together. */
+typedef struct heap {
+  size_t n_users;
+  int32_t *heights;
+} heap;
+
 typedef struct unit {
   entry entry; /* the key */
   struct unit *newer, *older; /* in the cache, by use */
@@ -320,6 +329,7 @@ typedef struct unit {
   int is_cached;
   int is_void; /* no valid sample: layers have no arrays, heights are 0 */
   int first_level, n_layers;
+  heap *heap; /* where heights of the first layer are; NULL: they are an array of its own */
   layer layers[MOST_LAYERS];
 } unit;
 
@@ -437,7 +447,7 @@ twz_status load_all(const twz_allocator *a, need_function need, feed_function fe
 unit *cache_take(twz_file *f, place key); /* NULL: not there */
 unit *cache_give(twz_file *f, unit *u);
 void cache_leave(twz_file *f, unit *u);
-void unit_free(twz_file *f, unit *u);
+void unit_free(twz_file *f, unit *u); /* takes the lock */
 
 /* What the parent heights of a key are (§2.4), out of the unit that holds its block. */
 parent parent_of(const twz_file *f, place key, const unit *above);
