@@ -263,6 +263,19 @@ static void find_limits(rapid_unit *u, int is_wide) {
   c->origin = (int32_t)origin;
 }
 
+/* Stencils sum to 4096: heights less another origin are predicted the same. */
+static void find_short(rapid_unit *u) {
+  rapid_scale *c = &u->scale;
+  if (!u->job->parent.layer || u->job->parent.is_void || (int64_t)c->high - c->low > 65535) return;
+  int32_t middle = (int32_t)shift_right((int64_t)c->low + c->high + 1, 1);
+  int64_t origin = (int64_t)c->origin + middle;
+  if (origin < INT32_MIN || origin > INT32_MAX) return;
+  c->low -= middle;
+  c->high -= middle;
+  c->origin = (int32_t)origin;
+  u->is_short = 1;
+}
+
 static twz_status open_unit(rapid_unit *u, const job *j, const reader *bytes, scratch *s, twz_error *error) {
   memset(u, 0, sizeof *u);
   u->job = j;
@@ -288,6 +301,7 @@ static twz_status open_unit(rapid_unit *u, const job *j, const reader *bytes, sc
   c->most_detail = ((int64_t)c->high - c->low) / n + 1;
   /* Sums of details times steps must fit 32 bits, too, or 64 are used: the heights are the same. */
   u->is_wide = is_wide || max_i64(c->most_detail, ZERO_SYMBOL) * n >= (int64_t)1 << 30;
+  if (!u->is_wide && j->file->kernels->decode_rapid_groups) find_short(u);
   return TWZ_OK;
 }
 

@@ -14,6 +14,7 @@ enum {
   FIRST_RAW = 72,    /* contexts from here on have raw bits */
   ZERO_SYMBOL = 31,
   MARGIN = 4,        /* rows and columns around a plane */
+  HELD_ROWS = 32,    /* of a plane, at most: so they stay in caches */
   REACH_OUTSIDE = 3, /* of them so many hold samples */
   CORNER_ROW = 64,
   SHARED = 3         /* row of features of shared samples */
@@ -50,7 +51,8 @@ typedef struct rapid_unit {
   rapid_scale scale;
   rapid_streams streams;
   scratch *scratch;
-  int is_wide; /* sums need 64 bits */
+  int is_wide;  /* sums need 64 bits */
+  int is_short; /* heights less the origin fit 16 bits; of groups only */
 } rapid_unit;
 
 /* Decode a unit whose streams are set up. */

@@ -96,3 +96,56 @@ static void ISA(read_vectors)(NAMED(span) * s, int n, const uint32_t *slots) {
     default: ISA(read_in_turns)(s, MOST_TOGETHER, slots);
   }
 }
+
+/* Two taps side by side: where the row of pairs begins, and their weights. */
+typedef struct ISA(pair_of_taps) {
+  const int32_t *at;
+  int16_t first, second;
+} ISA(pair_of_taps);
+
+#if defined(__AVX512F__)
+#define VECTOR __m512i
+#define V(name) _mm512_##name
+#define LOAD(at) _mm512_loadu_si512(at)
+#define STORE(at, v) _mm512_storeu_si512(at, v)
+#else
+#define VECTOR __m256i
+#define V(name) _mm256_##name
+#define LOAD(at) _mm256_loadu_si256((const __m256i *)(at))
+#define STORE(at, v) _mm256_storeu_si256((__m256i *)(at), v)
+#endif
+#if defined(__AVX512VNNI__)
+#define ADD_PRODUCTS(sum, a, b) _mm512_dpwssd_epi32(sum, a, b)
+#else
+#define ADD_PRODUCTS(sum, a, b) V(add_epi32)(sum, V(madd_epi16)(a, b))
+#endif
+
+/* A whole vector is written: rows end with room for one. */
+static ALWAYS_INLINE void ISA(predict_taps)(int32_t n, const ISA(pair_of_taps) * taps, int n_taps, int32_t *predicted) {
+  enum { LANES = sizeof(VECTOR) / 4 };
+  VECTOR weights[14];
+  for (int k = 0; k < n_taps; k++) {
+    weights[k] = V(set1_epi32)((int)(((uint32_t)(uint16_t)taps[k].first) | (uint32_t)(uint16_t)taps[k].second << 16));
+  }
+  for (int32_t j = 0; j < n; j += LANES) {
+    VECTOR sum = V(set1_epi32)(32), other = V(set1_epi32)(0);
+    for (int k = 0; k < n_taps; k += 2) {
+      sum = ADD_PRODUCTS(sum, LOAD(taps[k].at + j), weights[k]);
+      other = ADD_PRODUCTS(other, LOAD(taps[k + 1].at + j), weights[k + 1]);
+    }
+    STORE(predicted + j, V(srai_epi32)(V(add_epi32)(sum, other), 6));
+  }
+}
+
+static void ISA(predict_pairs)(int32_t n, const ISA(pair_of_taps) * taps, int n_taps, int32_t *predicted) {
+  switch (n_taps) {
+    case 10: ISA(predict_taps)(n, taps, 10, predicted); break;
+    case 12: ISA(predict_taps)(n, taps, 12, predicted); break;
+    default: ISA(predict_taps)(n, taps, 14, predicted);
+  }
+}
+#undef VECTOR
+#undef V
+#undef LOAD
+#undef STORE
+#undef ADD_PRODUCTS
