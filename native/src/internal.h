@@ -286,7 +286,10 @@ twz_status read_segment(segment **found, const grid *g, place head, const page_p
 
 /* ---- Raw heights (heights.c) ---------------------------------------------------------------- */
 
+struct row_kernels;
+
 typedef struct heights {
+  const struct row_kernels *kernels;
   int dtype, is_float, has_nodata, is_exact;
   int64_t base;
   uint64_t num, den;
@@ -297,7 +300,7 @@ typedef struct heights {
   int is_cdf53;
 } heights;
 
-void heights_init(heights *h, const header *of, int has_nodata, double nodata);
+void heights_init(heights *h, const struct row_kernels *kernels, const header *of, int has_nodata, double nodata);
 double raw_of_quantum(const heights *h, int64_t k);
 /* Write n raw heights. valid NULL: all are. remainders NULL: all are 0. */
 twz_status write_raw(const heights *h, void *out, const int32_t *quanta, const uint8_t *valid,
@@ -340,7 +343,6 @@ static inline layer *layer_of(unit *u, int level) { return &u->layers[level - u-
 struct rapid_tables;
 struct predictive_tables;
 struct cdf97_tables;
-struct row_kernels;
 
 /* Bytes behind a payload that may be read, whatever they are: loads of a row need no check (R.11). */
 enum { PAYLOAD_SLACK = 4096 };
