@@ -463,11 +463,5 @@ static inline int parent_valid(const parent *p, int32_t row, int32_t col) {
   const uint8_t *valid = p->layer->valid;
   return !valid || valid[(size_t)(p->row + row) * (size_t)p->layer->cols.n + (size_t)(p->col + col)];
 }
-static inline int parent_own(const parent *p, int32_t row, int32_t col) {
-  if (p->is_void) return 0;
-  const uint8_t *own = p->layer->own;
-  if (!own) return parent_valid(p, row, col);
-  return own[(size_t)(p->row + row) * (size_t)p->layer->cols.n + (size_t)(p->col + col)];
-}
 
 #endif
