@@ -77,7 +77,7 @@ void twz_file_free(twz_file *f) {
   twz_release(&f->allocator, f->rapid);
   twz_release(&f->allocator, f->predictive);
   twz_release(&f->allocator, f->cdf97);
-  twz_release(&f->allocator, f->idle.memory);
+  for (int i = 0; i < MOST_TOGETHER; i++) twz_release(&f->allocator, f->idle[i].memory);
   twz_allocator allocator = f->allocator;
   twz_release(&allocator, f);
 }

@@ -344,6 +344,9 @@ struct rapid_tables;
 struct predictive_tables;
 struct cdf97_tables;
 
+/* Units that one worker decodes in turns. */
+enum { MOST_TOGETHER = 4 };
+
 /* Bytes behind a payload that may be read, whatever they are: loads of a row need no check (R.11). */
 enum { PAYLOAD_SLACK = 4096 };
 
@@ -372,7 +375,7 @@ struct twz_file {
   table segments, units;
   unit *newest, *oldest;
   uint64_t cached_bytes;
-  scratch idle; /* of the last window that was decoded, for the next one */
+  scratch idle[MOST_TOGETHER]; /* of the last window that was decoded, for the next one */
 };
 
 /* Parent heights of a group: samples of the layer above, from (row, col) of its region on. */
@@ -401,8 +404,6 @@ typedef struct order {
   const uint8_t *payload; /* with PAYLOAD_SLACK behind it */
   size_t n;
 } order;
-
-enum { MOST_TOGETHER = 4 };
 
 /* Decode up to MOST_TOGETHER units, with as many scratches. */
 twz_status decode_units(const twz_file *f, const order *orders, int n, scratch *s, twz_error *error);

@@ -496,11 +496,13 @@ static twz_status decode_stage(decoding *d, const twz_workers *workers, twz_erro
 /* Memory of a worker outlives its window: to map it anew takes as long as to decode a unit. */
 static void exchange_idle(twz_file *f, scratch *s) {
   file_lock(f);
-  scratch idle = f->idle;
-  f->idle = *s;
+  for (int i = 0; i < MOST_TOGETHER; i++) {
+    scratch idle = f->idle[i];
+    f->idle[i] = s[i];
+    s[i] = idle;
+    s[i].allocator = &f->allocator;
+  }
   file_unlock(f);
-  idle.allocator = &f->allocator;
-  *s = idle;
 }
 
 twz_status twz_window_decode(twz_window *w, const twz_workers *workers, twz_error *error) {
