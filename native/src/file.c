@@ -33,6 +33,17 @@ twz_status twz_file_new(const twz_options *options, uint64_t file_size, twz_file
 }
 
 void unit_free(twz_file *f, unit *u) {
+  heap *h = u->heap;
+  if (h) {
+    file_lock(f);
+    int is_last = --h->n_users == 0;
+    file_unlock(f);
+    if (is_last) {
+      twz_release(&f->allocator, h->heights);
+      twz_release(&f->allocator, h);
+    }
+    u->layers[0].heights = NULL;
+  }
   for (int i = 0; i < u->n_layers; i++) {
     twz_release(&f->allocator, u->layers[i].heights);
     twz_release(&f->allocator, u->layers[i].valid);
@@ -66,7 +77,7 @@ void twz_file_free(twz_file *f) {
   twz_release(&f->allocator, f->rapid);
   twz_release(&f->allocator, f->predictive);
   twz_release(&f->allocator, f->cdf97);
-  twz_release(&f->allocator, f->idle.memory);
+  for (int i = 0; i < MOST_TOGETHER; i++) twz_release(&f->allocator, f->idle[i].memory);
   twz_allocator allocator = f->allocator;
   twz_release(&allocator, f);
 }
@@ -245,17 +256,27 @@ static void link_newest(twz_file *f, unit *u) {
   f->newest = u;
 }
 
-/* Release the oldest units that nobody uses until what is kept fits. */
-static void trim(twz_file *f) {
-  unit *u = f->oldest;
+/* Take the oldest units that nobody uses out, until what is kept fits; returns them, to be released without the lock. */
+static unit *trim(twz_file *f) {
+  unit *u = f->oldest, *out = NULL;
   while (u && f->cached_bytes > f->cache_bytes) {
     unit *next = u->newer;
     if (u->n_users == 0) {
       unlink_unit(f, u);
       table_remove(&f->units, &u->entry);
       f->cached_bytes -= u->n_bytes;
-      unit_free(f, u);
+      u->older = out;
+      out = u;
     }
+    u = next;
+  }
+  return out;
+}
+
+static void free_units(twz_file *f, unit *u) {
+  while (u) {
+    unit *next = u->older;
+    unit_free(f, u);
     u = next;
   }
 }
@@ -275,16 +296,17 @@ unit *cache_take(twz_file *f, place key) {
 /* Give a decoded unit, with one user; returns the one to use, as another thread may have been first. */
 unit *cache_give(twz_file *f, unit *u) {
   file_lock(f);
-  unit *found = (unit *)table_find(&f->units, u->entry.at);
+  unit *out = NULL, *found = (unit *)table_find(&f->units, u->entry.at);
   if (found) {
     found->n_users++;
   } else if (table_insert(&f->units, &f->allocator, &u->entry)) {
     u->is_cached = 1;
     link_newest(f, u);
     f->cached_bytes += u->n_bytes;
-    trim(f);
+    out = trim(f);
   }
   file_unlock(f);
+  free_units(f, out);
   if (!found) return u;
   unit_free(f, u);
   return found;
@@ -293,7 +315,8 @@ unit *cache_give(twz_file *f, unit *u) {
 void cache_leave(twz_file *f, unit *u) {
   file_lock(f);
   int is_last = --u->n_users == 0 && !u->is_cached;
-  trim(f);
+  unit *out = trim(f);
   file_unlock(f);
+  free_units(f, out);
   if (is_last) unit_free(f, u);
 }

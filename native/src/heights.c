@@ -1,7 +1,7 @@
 /* Quanta to raw heights (FORMAT §2.3, §5.3), and which quanta would become nodata (§5.1). */
 #include <math.h>
 
-#include "internal.h"
+#include "kernels.h"
 
 /* What a float dtype makes of a number. */
 static double rounded_to(int dtype, double x) { return dtype == TWZ_FLOAT32 ? (double)(float)x : x; }
@@ -46,8 +46,9 @@ static int32_t first_reaching(const heights *h, int is_above) {
   return (int32_t)low;
 }
 
-void heights_init(heights *h, const header *of, int has_nodata, double nodata) {
+void heights_init(heights *h, const row_kernels *kernels, const header *of, int has_nodata, double nodata) {
   memset(h, 0, sizeof *h);
+  h->kernels = kernels;
   h->dtype = of->dtype;
   h->is_float = dtype_is_float(of->dtype);
   h->base = of->base;
@@ -91,28 +92,11 @@ static int is_in_range(const heights *h) {
 static void write_plain(const heights *h, void *out, const int32_t *quanta, size_t n) {
   int is_small = h->base > -((int64_t)1 << 31) && h->base < (int64_t)1 << 31;
   if (!h->is_float && h->num == 1 && h->den == 1 && is_small && is_in_range(h)) {
-    uint32_t base = (uint32_t)h->base; /* sums fit 32 bits, as the dtype does */
-    if (h->dtype == TWZ_INT16 || h->dtype == TWZ_UINT16) {
-      uint16_t *to = out;
-      for (size_t i = 0; i < n; i++) to[i] = (uint16_t)(base + (uint32_t)quanta[i]);
-    } else if (h->dtype == TWZ_UINT8) {
-      uint8_t *to = out;
-      for (size_t i = 0; i < n; i++) to[i] = (uint8_t)(base + (uint32_t)quanta[i]);
-    } else {
-      uint32_t *to = out;
-      for (size_t i = 0; i < n; i++) to[i] = base + (uint32_t)quanta[i];
-    }
+    h->kernels->write_sums(h->dtype, out, quanta, n, (uint32_t)h->base); /* sums fit 32 bits, as the dtype does */
     return;
   }
   if (h->is_float && h->is_exact) {
-    double base = (double)h->base, num = (double)h->num, den = (double)h->den;
-    if (h->dtype == TWZ_FLOAT32) {
-      float *to = out;
-      for (size_t i = 0; i < n; i++) to[i] = (float)((base + quanta[i]) * num / den);
-    } else {
-      double *to = out;
-      for (size_t i = 0; i < n; i++) to[i] = (base + quanta[i]) * num / den;
-    }
+    h->kernels->write_products(h->dtype, out, quanta, n, (double)h->base, (double)h->num, (double)h->den);
     return;
   }
   for (size_t i = 0; i < n; i++) {

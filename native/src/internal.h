@@ -33,6 +33,7 @@ static inline int64_t abs_i64(int64_t a) { return a < 0 ? -a : a; }
 static inline uint64_t min_u64(uint64_t a, uint64_t b) { return a < b ? a : b; }
 static inline uint32_t min_u32(uint32_t a, uint32_t b) { return a < b ? a : b; }
 static inline size_t min_size(size_t a, size_t b) { return a < b ? a : b; }
+static inline size_t max_size(size_t a, size_t b) { return a > b ? a : b; }
 
 /* floor(a / 2^n), also of negative numbers: what every compiler named here makes of >>. */
 static inline int64_t shift_right(int64_t a, int n) { return a >> n; }
@@ -78,6 +79,9 @@ void *twz_allocate(const twz_allocator *a, size_t n_bytes); /* NULL: none; 0 byt
 void *twz_allocate_zeros(const twz_allocator *a, size_t n_bytes);
 void twz_release(const twz_allocator *a, void *memory);
 twz_status twz_no_memory(twz_error *error, size_t n_bytes);
+
+/* Much memory, that is soon written: of large pages, where the system has them and the caller has no allocator. */
+void *twz_allocate_pages(const twz_allocator *a, size_t n_bytes);
 
 /* Memory for one worker, kept from unit to unit: laid out anew by each. */
 typedef struct scratch {
@@ -282,7 +286,10 @@ twz_status read_segment(segment **found, const grid *g, place head, const page_p
 
 /* ---- Raw heights (heights.c) ---------------------------------------------------------------- */
 
+struct row_kernels;
+
 typedef struct heights {
+  const struct row_kernels *kernels;
   int dtype, is_float, has_nodata, is_exact;
   int64_t base;
   uint64_t num, den;
@@ -293,7 +300,7 @@ typedef struct heights {
   int is_cdf53;
 } heights;
 
-void heights_init(heights *h, const header *of, int has_nodata, double nodata);
+void heights_init(heights *h, const struct row_kernels *kernels, const header *of, int has_nodata, double nodata);
 double raw_of_quantum(const heights *h, int64_t k);
 /* Write n raw heights. valid NULL: all are. remainders NULL: all are 0. */
 twz_status write_raw(const heights *h, void *out, const int32_t *quanta, const uint8_t *valid,
@@ -312,6 +319,12 @@ typedef struct layer {
 
 enum { MOST_LAYERS = 10 };
 
+/* Memory that units share: those that are decoded together. */
+typedef struct heap {
+  size_t n_users;
+  int32_t *heights;
+} heap;
+
 typedef struct unit {
   entry entry; /* the key */
   struct unit *newer, *older; /* in the cache, by use */
@@ -319,6 +332,7 @@ typedef struct unit {
   int is_cached;
   int is_void; /* no valid sample: layers have no arrays, heights are 0 */
   int first_level, n_layers;
+  heap *heap; /* where heights of the first layer are; NULL: they are an array of its own */
   layer layers[MOST_LAYERS];
 } unit;
 
@@ -329,7 +343,9 @@ static inline layer *layer_of(unit *u, int level) { return &u->layers[level - u-
 struct rapid_tables;
 struct predictive_tables;
 struct cdf97_tables;
-struct row_kernels;
+
+/* Units that one worker decodes in turns. */
+enum { MOST_TOGETHER = 4 };
 
 /* Bytes behind a payload that may be read, whatever they are: loads of a row need no check (R.11). */
 enum { PAYLOAD_SLACK = 4096 };
@@ -359,7 +375,7 @@ struct twz_file {
   table segments, units;
   unit *newest, *oldest;
   uint64_t cached_bytes;
-  scratch idle; /* of the last window that was decoded, for the next one */
+  scratch idle[MOST_TOGETHER]; /* of the last window that was decoded, for the next one */
 };
 
 /* Parent heights of a group: samples of the layer above, from (row, col) of its region on. */
@@ -389,7 +405,7 @@ typedef struct order {
   size_t n;
 } order;
 
-/* Decode one unit or two, with as many scratches. */
+/* Decode up to MOST_TOGETHER units, with as many scratches. */
 twz_status decode_units(const twz_file *f, const order *orders, int n, scratch *s, twz_error *error);
 /* How many bytes a unit takes, decoded. */
 uint64_t unit_bytes(const twz_file *f, place key);
@@ -408,8 +424,8 @@ static inline int64_t corrected(const job *j, size_t at, int64_t height, int64_t
   return j->corrections ? clamp_i64(height + j->corrections[at], low, high) : height;
 }
 twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error *error);
-/* Of two units, with memory of their own: in lockstep where they are alike. */
-twz_status decode_rapid_two(const job *const *jobs, const reader *bytes, scratch *s, twz_error *error);
+/* Of up to MOST_TOGETHER units, with memory of their own: in lockstep where they are alike. */
+twz_status decode_rapid_units(const job *const *jobs, const reader *bytes, int n, scratch *s, twz_error *error);
 twz_status decode_predictive(const job *j, const reader *bytes, scratch *s, twz_error *error);
 twz_status decode_cdf97(const job *j, const reader *bytes, scratch *s, twz_error *error);
 /* A tile: all its levels, masks included. */
@@ -434,7 +450,7 @@ twz_status load_all(const twz_allocator *a, need_function need, feed_function fe
 unit *cache_take(twz_file *f, place key); /* NULL: not there */
 unit *cache_give(twz_file *f, unit *u);
 void cache_leave(twz_file *f, unit *u);
-void unit_free(twz_file *f, unit *u);
+void unit_free(twz_file *f, unit *u); /* takes the lock */
 
 /* What the parent heights of a key are (§2.4), out of the unit that holds its block. */
 parent parent_of(const twz_file *f, place key, const unit *above);
@@ -447,12 +463,6 @@ static inline int parent_valid(const parent *p, int32_t row, int32_t col) {
   if (p->is_void) return 0;
   const uint8_t *valid = p->layer->valid;
   return !valid || valid[(size_t)(p->row + row) * (size_t)p->layer->cols.n + (size_t)(p->col + col)];
-}
-static inline int parent_own(const parent *p, int32_t row, int32_t col) {
-  if (p->is_void) return 0;
-  const uint8_t *own = p->layer->own;
-  if (!own) return parent_valid(p, row, col);
-  return own[(size_t)(p->row + row) * (size_t)p->layer->cols.n + (size_t)(p->col + col)];
 }
 
 #endif

@@ -14,14 +14,14 @@ static int keeps(unsigned bits) { return has_bit(1, 2, 27) && ((unsigned)_xgetbv
 static int has_avx2(void) { return keeps(6) && has_bit(7, 1, 5) && has_bit(7, 1, 8); }
 static int has_avx512(void) {
   return has_avx2() && keeps(0xE6) && has_bit(7, 1, 16) && has_bit(7, 1, 17) && has_bit(7, 1, 30) &&
-         has_bit(7, 1, 31) && has_bit(7, 2, 6);
+         has_bit(7, 1, 31) && has_bit(7, 2, 6) && has_bit(7, 2, 11);
 }
 #else
 static int has_avx2(void) { return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2"); }
 static int has_avx512(void) {
   return has_avx2() && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
          __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") &&
-         __builtin_cpu_supports("avx512vbmi2");
+         __builtin_cpu_supports("avx512vbmi2") && __builtin_cpu_supports("avx512vnni");
 }
 #endif
 #endif

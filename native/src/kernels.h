@@ -7,7 +7,9 @@
 typedef struct row_kernels {
   twz_kernels kind;
   rapid_decoder decode_rapid;
-  rapid_pair_decoder decode_rapid_pair; /* NULL: one after the other */
+  rapid_groups_decoder decode_rapid_groups; /* NULL: one after the other */
+  void (*write_sums)(int dtype, void *out, const int32_t *quanta, size_t n, uint32_t base);
+  void (*write_products)(int dtype, void *out, const int32_t *quanta, size_t n, double base, double num, double den);
 } row_kernels;
 
 extern const row_kernels kernels_baseline;

@@ -1,4 +1,6 @@
 #define ISA(name) name##_avx2
 #include "rapid_unit.h"
+#include "heights_rows.h"
 
-const row_kernels kernels_avx2 = {TWZ_KERNELS_AVX2, ISA(decode_unit_rapid), DECODE_PAIR};
+const row_kernels kernels_avx2 = {
+    TWZ_KERNELS_AVX2, ISA(decode_unit_rapid), DECODE_GROUPS, ISA(write_sums), ISA(write_products)};

@@ -1,4 +1,6 @@
 #define ISA(name) name##_baseline
 #include "rapid_unit.h"
+#include "heights_rows.h"
 
-const row_kernels kernels_baseline = {TWZ_KERNELS_BASELINE, ISA(decode_unit_rapid), DECODE_PAIR};
+const row_kernels kernels_baseline = {
+    TWZ_KERNELS_BASELINE, ISA(decode_unit_rapid), DECODE_GROUPS, ISA(write_sums), ISA(write_products)};

@@ -8,6 +8,7 @@ typedef struct field {
   size_t stride;
 } field;
 
+enum { MOST = 2 * 1024 + 4 }; /* samples of a region along an axis, or more (§2.4) */
 enum { EDGE = 2, N_MASK_MODELS = 576, N_FILL_MODELS = 1296 };
 
 static size_t field_bytes(const layer *out) {
@@ -32,8 +33,10 @@ static int32_t parent_line(uint32_t line, int is_after, uint32_t first, int32_t 
 
 static void imply_voids(const layer *out, const parent *p, field implied) {
   if (!p->layer || (!p->is_void && !p->layer->valid)) return;
+  uint8_t both[MOST];
+  int32_t n = out->cols.n, odd = (int32_t)(out->cols.first & 1); /* 1: the first column lies between two of the parent's */
   for (int32_t r = 0; r < out->rows.n; r++) {
-    uint8_t *row = implied.at + (size_t)r * implied.stride;
+    uint8_t *RESTRICT row = implied.at + (size_t)r * implied.stride;
     if (p->is_void) {
       memset(row, 1, (size_t)out->cols.n);
       continue;
@@ -43,12 +46,21 @@ static void imply_voids(const layer *out, const parent *p, field implied) {
     size_t pitch = (size_t)p->layer->cols.n;
     const uint8_t *above = valid + pitch * (size_t)(p->row + parent_line(line, 0, p->first_row, p->n_rows));
     const uint8_t *below = valid + pitch * (size_t)(p->row + parent_line(line, 1, p->first_row, p->n_rows));
-    for (int32_t c = 0; c < out->cols.n; c++) {
-      uint32_t place = out->cols.first + (uint32_t)c;
-      int32_t left = parent_line(place, 0, p->first_col, p->n_cols);
-      int32_t right = parent_line(place, 1, p->first_col, p->n_cols);
-      row[c] = !(above[left] & above[right] & below[left] & below[right]);
+    int32_t n_pairs = (n - odd) / 2;
+    for (int32_t k = 0; k < n_pairs + 2; k++) {
+      int32_t at = parent_line(out->cols.first + (uint32_t)(odd + 2 * k), 0, p->first_col, p->n_cols);
+      both[k] = above[at] & below[at];
     }
+    if (odd) {
+      int32_t left = parent_line(out->cols.first, 0, p->first_col, p->n_cols);
+      row[0] = !(above[left] & below[left] & both[0]);
+    }
+    uint8_t *RESTRICT to = row + odd;
+    for (int32_t k = 0; k < n_pairs; k++) {
+      to[2 * k] = !both[k];
+      to[2 * k + 1] = !(both[k] & both[k + 1]);
+    }
+    if (odd + 2 * n_pairs < n) row[n - 1] = !both[n_pairs];
   }
 }
 
@@ -57,8 +69,9 @@ static twz_status decode_plain(const twz_file *f, const layer *out, field implie
                                twz_error *error) {
   model models[N_MASK_MODELS];
   for (int i = 0; i < N_MASK_MODELS; i++) models[i] = MODEL((uint32_t)twz_mask_starts[i] << 14, 2);
-  coder c;
-  coder_start(&c, section->bytes, section->n, f->rates);
+  coder start, c; /* c is in registers, as no function is given its place */
+  coder_start(&start, section->bytes, section->n, f->rates);
+  c = start;
   ptrdiff_t s = (ptrdiff_t)valid.stride;
   for (int32_t row = 0; row < out->rows.n; row++) {
     uint8_t *v = valid.at + row * s;
@@ -67,10 +80,11 @@ static twz_status decode_plain(const twz_file *f, const layer *out, field implie
       if (*m) continue;
       int near = 32 * v[-1] + 16 * v[-s] + 8 * v[-s - 1] + 4 * v[1 - s] + 2 * v[-2] + v[-2 * s];
       int far = m[2 * s] + m[2] + m[s - 1] + m[s + 1];
-      *v = (uint8_t)adaptive_bit(&c, &models[(near * 3 + m[s] + m[1]) * 3 + min_i32(far, 2)]);
+      *v = (uint8_t)foreseen_bit(&c, &models[(near * 3 + m[s] + m[1]) * 3 + min_i32(far, 2)]);
     }
   }
-  return coder_end(&c, "a mask", error);
+  start = c;
+  return coder_end(&start, "a mask", error);
 }
 
 /* §5.4: a map, where K is 0; without a section these bits are 1. */
@@ -78,34 +92,54 @@ static twz_status decode_map(const twz_file *f, const layer *out, field known, c
                              twz_error *error) {
   model models[N_FILL_MODELS];
   for (int i = 0; i < N_FILL_MODELS; i++) models[i] = FRESH_MODEL;
-  coder c;
-  coder_start(&c, section->bytes, section->n, f->rates);
   ptrdiff_t s = (ptrdiff_t)map.stride;
-  for (int32_t row = 0; row < out->rows.n; row++) {
+  const int32_t n = out->cols.n;
+  for (int32_t row = 0; !section->bytes && row < out->rows.n; row++) {
     uint8_t *v = map.at + row * s;
     const uint8_t *k = known.at + row * s;
-    for (int32_t col = 0; col < out->cols.n; col++, v++, k++) {
-      if (*k || !section->bytes) {
-        *v = *k != 1;
-        continue;
-      }
-      int bits = 8 * v[-1] + 4 * v[-s] + 2 * v[-s - 1] + v[1 - s];
-      *v = (uint8_t)adaptive_bit(&c, &models[81 * bits + 27 * k[1] + 9 * k[s] + 3 * k[s + 1] + k[s - 1]]);
+    for (int32_t col = 0; col < n; col++) v[col] = k[col] != 1;
+  }
+  if (!section->bytes) return TWZ_OK;
+  coder start, c; /* c is in registers, as no function is given its place */
+  coder_start(&start, section->bytes, section->n, f->rates);
+  c = start;
+  uint16_t contexts[MOST];
+  for (int32_t row = 0; row < out->rows.n; row++) {
+    uint8_t *RESTRICT v = map.at + row * s;
+    const uint8_t *RESTRICT above = v - s, *RESTRICT k = known.at + row * s;
+    for (int32_t col = 0; col < n; col++) { /* all but the bit to the left */
+      int bits = 4 * above[col] + 2 * above[col - 1] + above[col + 1];
+      contexts[col] = (uint16_t)(81 * bits + 27 * k[col + 1] + 9 * k[col + s] + 3 * k[col + s + 1] + k[col + s - 1]);
+    }
+    int west = 0;
+    for (int32_t col = 0; col < n; col++) {
+      west = k[col] ? k[col] != 1 : foreseen_bit(&c, &models[81 * 8 * west + contexts[col]]);
+      v[col] = (uint8_t)west;
     }
   }
-  return section->bytes ? coder_end(&c, "a map of own samples", error) : TWZ_OK;
+  start = c;
+  return coder_end(&start, "a map of own samples", error);
 }
 
 /* K of own samples: inherited ones are as the parent's, others void where that is implied. */
 static void know_own(const layer *out, const parent *p, field implied, field known) {
+  const int32_t n = out->cols.n, odd = (int32_t)(out->cols.first % 2);
+  int16_t places[MOST]; /* parent's columns */
+  for (int32_t c = odd; p->layer && c < n; c += 2) {
+    places[c] = (int16_t)parent_line(out->cols.first + (uint32_t)c, 0, p->first_col, p->n_cols);
+  }
   for (int32_t r = 0; r < out->rows.n; r++) {
     uint8_t *k = known.at + (size_t)r * known.stride;
     memcpy(k, implied.at + (size_t)r * implied.stride, (size_t)out->cols.n);
     uint32_t row = out->rows.first + (uint32_t)r;
     if (!p->layer || row % 2) continue;
     int32_t above = parent_line(row, 0, p->first_row, p->n_rows);
-    for (int32_t c = (int32_t)(out->cols.first % 2); c < out->cols.n; c += 2) {
-      k[c] = parent_own(p, above, parent_line(out->cols.first + (uint32_t)c, 0, p->first_col, p->n_cols)) ? 2 : 1;
+    const uint8_t *own = p->is_void ? NULL : p->layer->own ? p->layer->own : p->layer->valid;
+    if (own) own += (size_t)(p->row + above) * (size_t)p->layer->cols.n + (size_t)p->col;
+    int is_own = !p->is_void;
+    for (int32_t c = odd; c < n; c += 2) {
+      if (own) is_own = own[places[c]] != 0;
+      k[c] = is_own ? 2 : 1;
     }
   }
 }
@@ -113,11 +147,14 @@ static void know_own(const layer *out, const parent *p, field implied, field kno
 /* K of masks of coarse levels: samples beside own ones are valid. */
 static void know_valid(const layer *out, field implied, field own, field known) {
   ptrdiff_t s = (ptrdiff_t)own.stride;
+  const int32_t n = out->cols.n;
   for (int32_t r = 0; r < out->rows.n; r++) {
-    for (int32_t c = 0; c < out->cols.n; c++) {
-      const uint8_t *o = own.at + r * s + c;
-      int beside = o[0] | o[-1] | o[1] | o[-s] | o[s] | o[-s - 1] | o[1 - s] | o[s - 1] | o[s + 1];
-      known.at[r * s + c] = implied.at[r * s + c] ? 1 : beside ? 2 : 0;
+    const uint8_t *RESTRICT void_row = implied.at + r * s, *RESTRICT own_row = own.at + r * s;
+    uint8_t *RESTRICT to = known.at + r * s;
+    for (int32_t c = 0; c < n; c++) {
+      const uint8_t *o = own_row + c;
+      uint8_t beside = o[0] | o[-1] | o[1] | o[-s] | o[s] | o[-s - 1] | o[1 - s] | o[s - 1] | o[s + 1];
+      to[c] = void_row[c] ? 1 : beside ? 2 : 0;
     }
   }
 }

@@ -184,7 +184,7 @@ twz_status read_metadata(twz_file *f, const uint8_t *section, twz_error *error) 
   TRY(take_all(f, &nodata, error));
   f->info.metadata = f->metadata;
   f->info.metadata_length = n;
-  heights_init(&f->heights, h, f->info.has_nodata, nodata);
+  heights_init(&f->heights, f->kernels, h, f->info.has_nodata, nodata);
   fill_info(f);
   return TWZ_OK;
 }

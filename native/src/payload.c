@@ -156,15 +156,47 @@ typedef struct begun {
   int is_done; /* void, or a tile of cdf53 */
 } begun;
 
-static twz_status begin_unit(const twz_file *f, const order *o, begun *b, scratch *s, twz_error *error) {
-  unit *u = o->unit;
+static void lay_out(const twz_file *f, unit *u) {
   place key = u->entry.at;
-  memset(b, 0, sizeof *b);
   u->first_level = first_level_of(key);
   u->n_layers = last_level_of(&f->grid, key) - u->first_level + 1;
   for (int i = 0; i < u->n_layers; i++) {
     unit_axes(&f->grid, key, u->first_level + i, &u->layers[i].rows, &u->layers[i].cols);
   }
+}
+
+/* Give heights of several units one piece of memory. */
+static twz_status share_memory(const twz_file *f, const order *orders, int n, twz_error *error) {
+  size_t n_heights = 0, n_users = 0;
+  for (int k = 0; k < n; k++) {
+    if (orders[k].n == 0 || f->header.method == TWZ_CDF53) continue;
+    n_heights += (size_t)orders[k].unit->layers[0].rows.n * (size_t)orders[k].unit->layers[0].cols.n;
+    n_users++;
+  }
+  if (n_users < 2) return TWZ_OK;
+  heap *h = twz_allocate_zeros(&f->allocator, sizeof *h);
+  if (!h) return twz_no_memory(error, sizeof *h);
+  h->heights = twz_allocate_pages(&f->allocator, n_heights * sizeof *h->heights);
+  if (!h->heights) {
+    twz_release(&f->allocator, h);
+    return twz_no_memory(error, n_heights * sizeof *h->heights);
+  }
+  int32_t *next = h->heights;
+  for (int k = 0; k < n; k++) {
+    if (orders[k].n == 0) continue;
+    layer *l = &orders[k].unit->layers[0];
+    orders[k].unit->heap = h;
+    h->n_users++;
+    l->heights = next;
+    next += (size_t)l->rows.n * (size_t)l->cols.n;
+  }
+  return TWZ_OK;
+}
+
+static twz_status begin_unit(const twz_file *f, const order *o, begun *b, scratch *s, twz_error *error) {
+  unit *u = o->unit;
+  place key = u->entry.at;
+  memset(b, 0, sizeof *b);
   u->n_bytes = sizeof *u;
   u->is_void = o->n == 0;
   b->is_done = u->is_void || f->header.method == TWZ_CDF53;
@@ -180,7 +212,7 @@ static twz_status begin_unit(const twz_file *f, const order *o, begun *b, scratc
   b->job = j;
   TRY(decode_validity(f, l, &b->job.parent, is_finest, &b->sections[MASK], &b->sections[OWN], &has_valid, s, error));
   REQUIRE(has_valid, error, "a payload of a unit without a valid sample");
-  l->heights = twz_allocate(&f->allocator, n * sizeof *l->heights);
+  if (!u->heap) l->heights = twz_allocate(&f->allocator, n * sizeof *l->heights);
   if (!l->heights) return twz_no_memory(error, n * sizeof *l->heights);
   b->rest.bytes = rest.bytes + rest.at;
   b->rest.n = rest.n - rest.at;
@@ -216,18 +248,24 @@ static twz_status end_unit(const twz_file *f, unit *u, begun *b, twz_error *erro
 }
 
 twz_status decode_units(const twz_file *f, const order *orders, int n, scratch *s, twz_error *error) {
-  begun begun[2];
+  begun begun[MOST_TOGETHER];
+  const job *jobs[MOST_TOGETHER];
+  reader rests[MOST_TOGETHER];
+  int n_together = 0;
+  for (int k = 0; k < n; k++) lay_out(f, orders[k].unit);
+  TRY(share_memory(f, orders, n, error));
   for (int k = 0; k < n; k++) TRY(begin_unit(f, &orders[k], &begun[k], &s[k], error));
-  int are_two = n == 2 && f->header.method == TWZ_RAPID && !begun[0].is_done && !begun[1].is_done &&
-                !begun[0].sections[CORRECTED].bytes && !begun[1].sections[CORRECTED].bytes;
-  if (are_two) {
-    const job *const jobs[2] = {&begun[0].job, &begun[1].job};
-    const reader rests[2] = {begun[0].rest, begun[1].rest};
-    TRY(decode_rapid_two(jobs, rests, s, error));
+  for (int k = 0; k < n; k++) {
+    if (begun[k].is_done || f->header.method != TWZ_RAPID || begun[k].sections[CORRECTED].bytes) continue;
+    jobs[n_together] = &begun[k].job;
+    rests[n_together++] = begun[k].rest;
   }
+  int are_together = n_together > 1;
+  if (are_together) TRY(decode_rapid_units(jobs, rests, n_together, s, error));
   for (int k = 0; k < n; k++) {
     if (begun[k].is_done) continue;
-    if (!are_two) TRY(decode_corrected(&begun[k], &s[k], error));
+    int is_decoded = are_together && !begun[k].sections[CORRECTED].bytes;
+    if (!is_decoded) TRY(decode_corrected(&begun[k], &s[k], error));
     TRY(end_unit(f, orders[k].unit, &begun[k], error));
   }
   return TWZ_OK;

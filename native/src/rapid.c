@@ -263,6 +263,19 @@ static void find_limits(rapid_unit *u, int is_wide) {
   c->origin = (int32_t)origin;
 }
 
+/* Stencils sum to 4096: heights less another origin are predicted the same. */
+static void find_short(rapid_unit *u) {
+  rapid_scale *c = &u->scale;
+  if (!u->job->parent.layer || u->job->parent.is_void || (int64_t)c->high - c->low > 65535) return;
+  int32_t middle = (int32_t)shift_right((int64_t)c->low + c->high + 1, 1);
+  int64_t origin = (int64_t)c->origin + middle;
+  if (origin < INT32_MIN || origin > INT32_MAX) return;
+  c->low -= middle;
+  c->high -= middle;
+  c->origin = (int32_t)origin;
+  u->is_short = 1;
+}
+
 static twz_status open_unit(rapid_unit *u, const job *j, const reader *bytes, scratch *s, twz_error *error) {
   memset(u, 0, sizeof *u);
   u->job = j;
@@ -288,6 +301,7 @@ static twz_status open_unit(rapid_unit *u, const job *j, const reader *bytes, sc
   c->most_detail = ((int64_t)c->high - c->low) / n + 1;
   /* Sums of details times steps must fit 32 bits, too, or 64 are used: the heights are the same. */
   u->is_wide = is_wide || max_i64(c->most_detail, ZERO_SYMBOL) * n >= (int64_t)1 << 30;
+  if (!u->is_wide && j->file->kernels->decode_rapid_groups) find_short(u);
   return TWZ_OK;
 }
 
@@ -298,23 +312,25 @@ twz_status decode_rapid(const job *j, const reader *bytes, scratch *s, twz_error
   return close_streams(&u.streams, error);
 }
 
-/* Groups of one size without voids, of eight states each, whose sums fit 32 bits. */
-static int may_be_paired(const rapid_unit *a, const rapid_unit *b) {
+/* Groups of one size, of eight states each, whose sums fit 32 bits. */
+static int are_alike(const rapid_unit *a, const rapid_unit *b) {
   const layer *l = a->job->out, *m = b->job->out;
-  return a->job->file->kernels->decode_rapid_pair && a->job->parent.layer && b->job->parent.layer && !a->is_wide && !b->is_wide &&
-         !l->valid && !m->valid && a->streams.n_states == 8 && b->streams.n_states == 8 &&
-         l->rows.n_core == m->rows.n_core && l->cols.n_core == m->cols.n_core;
+  return a->job->parent.layer && b->job->parent.layer && !a->is_wide && !b->is_wide && a->streams.n_states == 8 &&
+         b->streams.n_states == 8 && l->rows.n_core == m->rows.n_core && l->cols.n_core == m->cols.n_core;
 }
 
-twz_status decode_rapid_two(const job *const *jobs, const reader *bytes, scratch *s, twz_error *error) {
-  rapid_unit units[2], *const both[2] = {&units[0], &units[1]};
+twz_status decode_rapid_units(const job *const *jobs, const reader *bytes, int n, scratch *s, twz_error *error) {
+  rapid_unit units[MOST_TOGETHER];
   const row_kernels *kernels = jobs[0]->file->kernels;
-  for (int k = 0; k < 2; k++) TRY(open_unit(&units[k], jobs[k], &bytes[k], &s[k], error));
-  if (may_be_paired(&units[0], &units[1])) {
-    TRY(kernels->decode_rapid_pair(both, error));
-  } else {
-    for (int k = 0; k < 2; k++) TRY(kernels->decode_rapid(&units[k], error));
+  for (int k = 0; k < n; k++) TRY(open_unit(&units[k], jobs[k], &bytes[k], &s[k], error));
+  for (int k = 0, stop; k < n; k = stop) {
+    for (stop = k + 1; kernels->decode_rapid_groups && stop < n && are_alike(&units[k], &units[stop]);) stop++;
+    if (stop == k + 1) {
+      TRY(kernels->decode_rapid(&units[k], error));
+    } else {
+      TRY(kernels->decode_rapid_groups(&units[k], stop - k, error));
+    }
   }
-  for (int k = 0; k < 2; k++) TRY(close_streams(&units[k].streams, error));
+  for (int k = 0; k < n; k++) TRY(close_streams(&units[k].streams, error));
   return TWZ_OK;
 }

@@ -14,6 +14,7 @@ enum {
   FIRST_RAW = 72,    /* contexts from here on have raw bits */
   ZERO_SYMBOL = 31,
   MARGIN = 4,        /* rows and columns around a plane */
+  HELD_ROWS = 32,    /* of a plane, at most: so they stay in caches */
   REACH_OUTSIDE = 3, /* of them so many hold samples */
   CORNER_ROW = 64,
   SHARED = 3         /* row of features of shared samples */
@@ -50,12 +51,13 @@ typedef struct rapid_unit {
   rapid_scale scale;
   rapid_streams streams;
   scratch *scratch;
-  int is_wide; /* sums need 64 bits */
+  int is_wide;  /* sums need 64 bits */
+  int is_short; /* heights less the origin fit 16 bits; of groups only */
 } rapid_unit;
 
 /* Decode a unit whose streams are set up. */
 typedef twz_status (*rapid_decoder)(rapid_unit *u, twz_error *error);
-/* Two that may_be_paired. */
-typedef twz_status (*rapid_pair_decoder)(rapid_unit *const *units, twz_error *error);
+/* Up to MOST_TOGETHER that are_alike. */
+typedef twz_status (*rapid_groups_decoder)(rapid_unit *units, int n, twz_error *error);
 
 #endif

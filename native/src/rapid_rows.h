@@ -7,6 +7,8 @@
 typedef struct NAMED(row) {
   NUMBER *predicted, *sum, *twist, *details;
   int32_t *least, *most, *expected, *whole, *contexts;
+  NUMBER *packed_details; /* of valid samples, one behind the other */
+  int32_t *packed_contexts;
 } NAMED(row);
 
 static ALWAYS_INLINE NUMBER NAMED(magnitude)(NUMBER a) { return a < 0 ? -a : a; }
@@ -26,15 +28,10 @@ static void NAMED(fill_bends)(int32_t n, ptrdiff_t s, const int32_t *RESTRICT a,
 
 #define WEIGHTS(n_taps) \
   NUMBER w[n_taps]; \
-  int32_t f[9]; \
-  for (int k = 0; k < n_taps; k++) w[k] = weights[k]; \
-  for (int k = 0; k < 9; k++) f[k] = features[k]; \
-  NUMBER *RESTRICT predicted = row->predicted, *RESTRICT sum = row->sum, *RESTRICT twist = row->twist; \
-  int32_t *RESTRICT least = row->least, *RESTRICT most = row->most, *RESTRICT expected = row->expected
+  for (int k = 0; k < n_taps; k++) w[k] = weights[k]
 
 static void NAMED(predict_hh)(int32_t n, ptrdiff_t s, const int32_t *RESTRICT a, const int32_t *RESTRICT own,
-                              const int32_t *RESTRICT error, const int32_t *RESTRICT bends,
-                              const int16_t *weights, const int32_t *features, const NAMED(row) * row) {
+                              const int16_t *weights, NUMBER *RESTRICT predicted) {
   WEIGHTS(19);
   IVDEP for (int32_t j = 0; j < n; j++) {
     const int32_t *up = a + j - s, *at = a + j, *down = a + j + s, *low = a + j + 2 * s;
@@ -44,6 +41,52 @@ static void NAMED(predict_hh)(int32_t n, ptrdiff_t s, const int32_t *RESTRICT a,
     p += w[12] * low[-1] + w[13] * low[0] + w[14] * low[1] + w[15] * low[2];
     p += w[16] * own[j - s - 1] + w[17] * own[j - s] + w[18] * own[j - s + 1];
     predicted[j] = p >> 6;
+  }
+}
+
+static void NAMED(predict_hl)(int32_t n, ptrdiff_t s, const int32_t *RESTRICT a, const int32_t *RESTRICT hh,
+                              const int32_t *RESTRICT own, const int16_t *weights, NUMBER *RESTRICT predicted) {
+  WEIGHTS(19);
+  IVDEP for (int32_t j = 0; j < n; j++) {
+    const int32_t *at = a + j, *h = hh + j, *up = hh + j - s;
+    NUMBER p = 32 + w[0] * at[-1] + w[1] * at[0] + w[2] * at[1] + w[3] * at[2];
+    p += w[4] * at[-s] + w[5] * at[1 - s] + w[6] * at[s] + w[7] * at[s + 1];
+    p += w[8] * up[-1] + w[9] * up[0] + w[10] * up[1] + w[11] * h[-1] + w[12] * h[0];
+    p += w[13] * h[1] + w[14] * up[-s] + w[15] * h[s];
+    p += w[16] * own[j - s - 1] + w[17] * own[j - s] + w[18] * own[j - s + 1];
+    predicted[j] = p >> 6;
+  }
+}
+
+static void NAMED(predict_lh)(int32_t n, ptrdiff_t s, const int32_t *RESTRICT a, const int32_t *RESTRICT hh,
+                              const int32_t *RESTRICT hl, const int32_t *RESTRICT own, const int16_t *weights,
+                              NUMBER *RESTRICT predicted) {
+  WEIGHTS(23);
+  IVDEP for (int32_t j = 0; j < n; j++) {
+    const int32_t *at = a + j, *down = a + j + s, *h = hh + j, *l = hl + j, *mine = own + j - s;
+    NUMBER p = 32 + w[0] * at[-s] + w[1] * at[0] + w[2] * down[0] + w[3] * down[s];
+    p += w[4] * at[-1] + w[5] * at[1] + w[6] * down[-1] + w[7] * down[1];
+    p += w[8] * mine[-1] + w[9] * mine[0] + w[10] * mine[1] + w[11] * h[-2];
+    p += w[12] * h[-1] + w[13] * h[0] + w[14] * h[1] + w[15] * h[-s - 1] + w[16] * h[-s];
+    p += w[17] * h[s - 1] + w[18] * h[s] + w[19] * l[-1] + w[20] * l[0];
+    p += w[21] * l[s - 1] + w[22] * l[s];
+    predicted[j] = p >> 6;
+  }
+}
+#undef WEIGHTS
+
+/* What surrounds samples (R.6, R.7). */
+#define FEATURES_OF_ROW \
+  int32_t f[9]; \
+  for (int k = 0; k < 9; k++) f[k] = features[k]; \
+  NUMBER *RESTRICT sum = row->sum, *RESTRICT twist = row->twist; \
+  int32_t *RESTRICT least = row->least, *RESTRICT most = row->most, *RESTRICT expected = row->expected
+
+static void NAMED(look_around_hh)(int32_t n, ptrdiff_t s, const int32_t *RESTRICT a, const int32_t *RESTRICT error,
+                                  const int32_t *RESTRICT bends, const int32_t *features, const NAMED(row) * row) {
+  FEATURES_OF_ROW;
+  IVDEP for (int32_t j = 0; j < n; j++) {
+    const int32_t *at = a + j, *down = a + j + s;
     int32_t b = at[1], c = down[0], d = down[1];
     least[j] = min_i32(min_i32(at[0], b), min_i32(c, d));
     most[j] = max_i32(max_i32(at[0], b), max_i32(c, d));
@@ -55,19 +98,12 @@ static void NAMED(predict_hh)(int32_t n, ptrdiff_t s, const int32_t *RESTRICT a,
   }
 }
 
-static void NAMED(predict_hl)(int32_t n, ptrdiff_t s, const int32_t *RESTRICT a, const int32_t *RESTRICT hh,
-                              const int32_t *RESTRICT own, const int32_t *RESTRICT error_hh,
-                              const int32_t *RESTRICT error, const int32_t *RESTRICT bends,
-                              const int16_t *weights, const int32_t *features, const NAMED(row) * row) {
-  WEIGHTS(19);
+static void NAMED(look_around_hl)(int32_t n, ptrdiff_t s, const int32_t *RESTRICT a, const int32_t *RESTRICT hh,
+                                  const int32_t *RESTRICT error_hh, const int32_t *RESTRICT error,
+                                  const int32_t *RESTRICT bends, const int32_t *features, const NAMED(row) * row) {
+  FEATURES_OF_ROW;
   IVDEP for (int32_t j = 0; j < n; j++) {
     const int32_t *at = a + j, *h = hh + j, *up = hh + j - s;
-    NUMBER p = 32 + w[0] * at[-1] + w[1] * at[0] + w[2] * at[1] + w[3] * at[2];
-    p += w[4] * at[-s] + w[5] * at[1 - s] + w[6] * at[s] + w[7] * at[s + 1];
-    p += w[8] * up[-1] + w[9] * up[0] + w[10] * up[1] + w[11] * h[-1] + w[12] * h[0];
-    p += w[13] * h[1] + w[14] * up[-s] + w[15] * h[s];
-    p += w[16] * own[j - s - 1] + w[17] * own[j - s] + w[18] * own[j - s + 1];
-    predicted[j] = p >> 6;
     NUMBER across = (NUMBER)at[0] + at[1], along = (NUMBER)up[0] + h[0];
     least[j] = min_i32(min_i32(at[0], at[1]), min_i32(up[0], h[0]));
     most[j] = max_i32(max_i32(at[0], at[1]), max_i32(up[0], h[0]));
@@ -79,21 +115,13 @@ static void NAMED(predict_hl)(int32_t n, ptrdiff_t s, const int32_t *RESTRICT a,
   }
 }
 
-static void NAMED(predict_lh)(int32_t n, ptrdiff_t s, const int32_t *RESTRICT a, const int32_t *RESTRICT hh,
-                              const int32_t *RESTRICT hl, const int32_t *RESTRICT own,
-                              const int32_t *RESTRICT error_hh, const int32_t *RESTRICT error_hl,
-                              const int32_t *RESTRICT error, const int32_t *RESTRICT bends, const int16_t *weights,
-                              const int32_t *features, const NAMED(row) * row) {
-  WEIGHTS(23);
+static void NAMED(look_around_lh)(int32_t n, ptrdiff_t s, const int32_t *RESTRICT a, const int32_t *RESTRICT hh,
+                                  const int32_t *RESTRICT error_hh, const int32_t *RESTRICT error_hl,
+                                  const int32_t *RESTRICT error, const int32_t *RESTRICT bends, const int32_t *features,
+                                  const NAMED(row) * row) {
+  FEATURES_OF_ROW;
   IVDEP for (int32_t j = 0; j < n; j++) {
-    const int32_t *at = a + j, *down = a + j + s, *h = hh + j, *l = hl + j, *mine = own + j - s;
-    NUMBER p = 32 + w[0] * at[-s] + w[1] * at[0] + w[2] * down[0] + w[3] * down[s];
-    p += w[4] * at[-1] + w[5] * at[1] + w[6] * down[-1] + w[7] * down[1];
-    p += w[8] * mine[-1] + w[9] * mine[0] + w[10] * mine[1] + w[11] * h[-2];
-    p += w[12] * h[-1] + w[13] * h[0] + w[14] * h[1] + w[15] * h[-s - 1] + w[16] * h[-s];
-    p += w[17] * h[s - 1] + w[18] * h[s] + w[19] * l[-1] + w[20] * l[0];
-    p += w[21] * l[s - 1] + w[22] * l[s];
-    predicted[j] = p >> 6;
+    const int32_t *at = a + j, *down = a + j + s, *h = hh + j;
     NUMBER across = (NUMBER)at[0] + down[0], along = (NUMBER)h[-1] + h[0];
     least[j] = min_i32(min_i32(at[0], down[0]), min_i32(h[-1], h[0]));
     most[j] = max_i32(max_i32(at[0], down[0]), max_i32(h[-1], h[0]));
@@ -104,7 +132,7 @@ static void NAMED(predict_lh)(int32_t n, ptrdiff_t s, const int32_t *RESTRICT a,
                   f[7] * (e[-1] + e[0] + g[-1] + g[0] + g[s - 1] + g[s]) + f[8] * (e[-s - 1] + e[-s] + e[s - 1] + e[s]);
   }
 }
-#undef WEIGHTS
+#undef FEATURES_OF_ROW
 
 /* R.6, R.7: clamp predictions; fill whole, contexts. No branch, or compilers make no vectors. */
 static void NAMED(fill_contexts)(int32_t n, const rapid_scale *c, const int32_t *f, const NAMED(row) * row) {
@@ -158,50 +186,82 @@ static void NAMED(fill_contexts)(int32_t n, const rapid_scale *c, const int32_t 
   }
 }
 
-/* R.9: the raw bits of details first ... stop - 1; `valid` is at every step-th place, NULL: all are. */
-static void NAMED(read_raw)(const NAMED(row) * row, int32_t first, int32_t stop, const uint8_t *valid, size_t step,
-                            int64_t most, rapid_streams *z) {
-  for (int32_t j = first; j < stop; j++) {
-    if (valid && !valid[(size_t)j * step]) continue;
-    int n = ((row->contexts[j] & (DOWN - 1)) >> 3) - 8;
-    int64_t detail = (int64_t)row->details[j];
+/* R.9: the raw bits of n details. */
+static void NAMED(read_raw)(const int32_t *contexts, NUMBER *details, int32_t n, int64_t most, rapid_streams *z) {
+  for (int32_t j = 0; j < n; j++) {
+    int n_bits = ((contexts[j] & (DOWN - 1)) >> 3) - 8;
+    int64_t detail = (int64_t)details[j];
     if (detail == -ZERO_SYMBOL) {
       uint64_t bits = ISA(take_raw)(z, 33);
       detail = (int64_t)(bits & 0xFFFFFFFFu) - (int64_t)(bits >> 32 << 32);
-    } else if (n > 0) {
-      detail = detail * ((int64_t)1 << n) + (int64_t)ISA(take_raw)(z, n);
+    } else if (n_bits > 0) {
+      detail = detail * ((int64_t)1 << n_bits) + (int64_t)ISA(take_raw)(z, n_bits);
     } else {
       continue;
     }
-    row->details[j] = (NUMBER)clamp_i64(detail, -most, most);
+    details[j] = (NUMBER)clamp_i64(detail, -most, most);
   }
 }
 
-/* R.8: the details first ... stop - 1 of a row, towards the side of their contexts. */
-static void NAMED(read_details)(const NAMED(row) * row, int32_t first, int32_t stop, const uint8_t *valid, size_t step,
-                                const uint32_t *slots, int64_t most, rapid_streams *z) {
-  NUMBER *details = row->details;
-  const int32_t *contexts = row->contexts;
+/* Details of a row that are read without voids between them: the row's own, or those of its valid samples. */
+typedef struct NAMED(span) {
+  NUMBER *details;
+  const int32_t *contexts;
+  int32_t n;
+  rapid_streams *streams;
+  int has_raw;
+} NAMED(span);
+
+#ifdef READ_VECTORS
+#include "rapid_vectors.h"
+#endif
+
+/* Details first ... stop - 1 of a row; `valid` is at every step-th place, NULL: all are. */
+static NAMED(span) NAMED(begin_span)(const NAMED(row) * row, int32_t first, int32_t stop, const uint8_t *valid, size_t step,
+                                     rapid_streams *z) {
+  NAMED(span) s = {row->details + first, row->contexts + first, stop - first, z, 0};
+  if (!valid) return s;
+  int32_t n = 0;
+  for (int32_t j = first; j < stop; j++) {
+    row->packed_contexts[n] = row->contexts[j];
+    n += valid[(size_t)j * step];
+  }
+  if (n == s.n) return s;
+  s.details = row->packed_details;
+  s.contexts = row->packed_contexts;
+  s.n = n;
+  return s;
+}
+
+static void NAMED(end_span)(const NAMED(row) * row, int32_t first, int32_t stop, const uint8_t *valid, size_t step,
+                            int64_t most, const NAMED(span) * s) {
+  if (s->has_raw) NAMED(read_raw)(s->contexts, s->details, s->n, most, s->streams);
+  if (s->details == row->details + first) return;
+  int32_t n = 0;
+  row->packed_details[s->n] = 0;
+  for (int32_t j = first; j < stop; j++) {
+    int is_valid = valid[(size_t)j * step];
+    row->details[j] = row->packed_details[n] & -is_valid;
+    n += is_valid;
+  }
+}
+
+/* R.8: a span's details, towards the side of their contexts. */
+static void NAMED(read_span)(NAMED(span) * s, const uint32_t *slots) {
+  rapid_streams *z = s->streams;
+#ifdef READ_VECTORS
+  if (z->n_states == 8) {
+    READ_VECTORS(s, 1, slots);
+    return;
+  }
+#endif
   uint32_t last = z->n_states - 1;
   size_t before = min_size(z->n_words_used, z->n_words);
   const uint8_t *words = z->words + 2 * before; /* a row takes at most a word a sample: PAYLOAD_SLACK */
   size_t k = z->n_symbols, n_taken = 0;
   int has_raw = 0;
-  int32_t j = first;
-#ifdef READ_VECTORS
-  if (!valid && last == 7) {
-    span s = {row->details + first, row->contexts + first, stop - first, z, 0};
-    READ_VECTORS(&s, 1, slots);
-    if (s.has_raw) NAMED(read_raw)(row, first, stop, valid, step, most, z);
-    return;
-  }
-#endif
-  for (; j < stop; j++) {
-    if (valid && !valid[(size_t)j * step]) {
-      details[j] = 0;
-      continue;
-    }
-    uint32_t context = (uint32_t)contexts[j] & (DOWN - 1);
+  for (int32_t j = 0; j < s->n; j++) {
+    uint32_t context = (uint32_t)s->contexts[j] & (DOWN - 1);
     uint32_t x = z->states[k & last], entry = slots[context << 11 | (x & (SLOTS - 1))];
     uint32_t next = (entry >> 6 & 4095) * (x >> 11) + (entry >> 18);
     /* Whether a word follows is hard to foresee: no branch. */
@@ -210,12 +270,19 @@ static void NAMED(read_details)(const NAMED(row) * row, int32_t first, int32_t s
     n_taken += takes;
     k++;
     uint32_t symbol = entry & 63;
-    details[j] = (NUMBER)symbol - ZERO_SYMBOL;
+    s->details[j] = (NUMBER)symbol - ZERO_SYMBOL;
     has_raw |= (symbol == 0) | (context >= FIRST_RAW);
   }
+  s->has_raw = has_raw;
   z->n_symbols = k;
   z->n_words_used += n_taken;
-  if (has_raw) NAMED(read_raw)(row, first, stop, valid, step, most, z);
+}
+
+static void NAMED(read_details)(const NAMED(row) * row, int32_t first, int32_t stop, const uint8_t *valid, size_t step,
+                                const uint32_t *slots, int64_t most, rapid_streams *z) {
+  NAMED(span) s = NAMED(begin_span)(row, first, stop, valid, step, z);
+  NAMED(read_span)(&s, slots);
+  NAMED(end_span)(row, first, stop, valid, step, most, &s);
 }
 
 /* R.6: heights and errors of samples first ... stop - 1 of a row. */
@@ -246,10 +313,24 @@ static void NAMED(note_errors)(const NAMED(row) * row, int32_t first, int32_t st
 
 /* ---- A unit ---- */
 
+/* Where plane A lies: sample (i, j) at start + i * row_step + j * col_step. */
+typedef struct NAMED(source) {
+  const int32_t *start; /* NULL: a void unit's heights, 0 */
+  ptrdiff_t row_step, col_step;
+} NAMED(source);
+
+/* A row of a plane of a lattice. */
+typedef struct NAMED(part) {
+  int32_t stride, n_rows, n_cols; /* of the lattice */
+  int32_t known_rows[2], known_cols[2];
+  int is_whole; /* stride 1 and no plane empty: rows of the region are stored as a whole */
+} NAMED(part);
+
 typedef struct NAMED(work) {
   rapid_unit *unit;
   NAMED(row) row;
   int32_t *coarse, *bends, *planes[3], *errors[3];
+  int32_t *pairs[4]; /* of units whose heights fit 16 bits: a sample and the next one, of the planes and of A */
   ptrdiff_t stride;
   const int16_t (*stencils)[N_TAPS];
   const int32_t (*features)[9];
@@ -258,13 +339,16 @@ typedef struct NAMED(work) {
   ptrdiff_t pitch;
   uint8_t *known; /* of the region: lines and corners that are decoded */
   int32_t sizes[3][2]; /* rows and columns of the planes of the lattice */
+  NAMED(source) source; /* of plane A */
+  /* Arrays of planes hold so many rows from `base` on; rows of A before `loaded` are there, bends before `bent`. */
+  int32_t capacity, base, loaded, bent;
   int32_t *line, *line_of;
   size_t *places;
   uint8_t *line_valid;
 } NAMED(work);
 
 static ALWAYS_INLINE ptrdiff_t NAMED(at)(const NAMED(work) * w, int32_t row) {
-  return (row + MARGIN) * w->stride + MARGIN;
+  return (row - w->base) * w->stride + MARGIN;
 }
 
 static ALWAYS_INLINE int32_t NAMED(inside)(const NAMED(work) * w, int32_t height) {
@@ -285,53 +369,47 @@ static void NAMED(take_class)(NAMED(work) * w, int32_t log2_stride) {
   w->features = u->tables->features[which];
 }
 
-/* Where plane A lies: sample (i, j) at start + i * row_step + j * col_step. */
-typedef struct NAMED(source) {
-  const int32_t *start; /* NULL: a void unit's heights, 0 */
-  ptrdiff_t row_step, col_step;
-} NAMED(source);
+static void NAMED(pair_row)(const NAMED(work) * w, int plane, ptrdiff_t at, int32_t n);
 
-/* Fill plane A and what lies around it, mirrored where the lattice ends. */
-static void NAMED(load_coarse)(NAMED(work) * w, const NAMED(source) * a, int32_t n_rows, int32_t n_cols) {
+/* A row of plane A and what lies around it, mirrored where the lattice ends. */
+static void NAMED(load_coarse)(NAMED(work) * w, int32_t row, int32_t n_rows, int32_t n_cols) {
   const rapid_scale *c = &w->unit->scale;
-  int32_t n_even = (n_rows + 1) >> 1, n = (n_cols + 1) >> 1;
+  const NAMED(source) *a = &w->source;
+  int32_t n = (n_cols + 1) >> 1;
   const NUMBER low = c->low, high = c->high, origin = c->origin;
-  for (int32_t row = -MARGIN; row < n_even + MARGIN; row++) {
-    const int32_t *from = a->start + (ISA(fold)(2 * row, n_rows) >> 1) * a->row_step;
-    int32_t *RESTRICT to = w->coarse + NAMED(at)(w, row);
-    if (a->col_step == 1) {
-      IVDEP for (int32_t j = 0; j < n; j++) to[j] = (int32_t)NAMED(least)(NAMED(most)((NUMBER)from[j] - origin, low), high);
-    } else {
-      for (int32_t j = 0; j < n; j++) to[j] = NAMED(inside)(w, from[j * a->col_step]);
-    }
-    for (int32_t k = 1; k <= REACH_OUTSIDE; k++) {
-      to[-k] = to[ISA(fold)(-2 * k, n_cols) >> 1];
-      to[n - 1 + k] = to[ISA(fold)(2 * (n - 1 + k), n_cols) >> 1];
-    }
+  const int32_t *from = a->start + (ISA(fold)(2 * row, n_rows) >> 1) * a->row_step;
+  int32_t *RESTRICT to = w->coarse + NAMED(at)(w, row);
+  if (a->col_step == 1) {
+    IVDEP for (int32_t j = 0; j < n; j++) to[j] = (int32_t)NAMED(least)(NAMED(most)((NUMBER)from[j] - origin, low), high);
+  } else {
+    for (int32_t j = 0; j < n; j++) to[j] = NAMED(inside)(w, from[j * a->col_step]);
   }
+  for (int32_t k = 1; k <= REACH_OUTSIDE; k++) {
+    to[-k] = to[ISA(fold)(-2 * k, n_cols) >> 1];
+    to[n - 1 + k] = to[ISA(fold)(2 * (n - 1 + k), n_cols) >> 1];
+  }
+  NAMED(pair_row)(w, 3, NAMED(at)(w, row), n);
 }
 
-/* Curvatures of plane A, and one sample beyond it (R.7). */
-static void NAMED(bend_coarse)(NAMED(work) * w, int32_t n_even, int32_t n) {
+/* Curvatures of a row of plane A, and one sample beyond it (R.7). */
+static void NAMED(bend_coarse)(NAMED(work) * w, int32_t row, int32_t n_even, int32_t n) {
   const rapid_scale *c = &w->unit->scale;
-  for (int32_t row = 0; row < n_even; row++) {
-    ptrdiff_t at = NAMED(at)(w, row);
-    NAMED(fill_bends)(n, w->stride, w->coarse + at, w->bends + at, c->range_shift, c->most_range);
-    w->bends[at + n] = w->bends[at + n - 1];
+  int32_t *bends = w->bends + NAMED(at)(w, row);
+  if (row < n_even) {
+    NAMED(fill_bends)(n, w->stride, w->coarse + NAMED(at)(w, row), bends, c->range_shift, c->most_range);
+    bends[n] = bends[n - 1];
+  } else {
+    memcpy(bends, bends - w->stride, sizeof *bends * (size_t)(n + 1));
   }
-  int32_t *last = w->bends + NAMED(at)(w, n_even - 1);
-  memcpy(last + w->stride, last, sizeof *last * (size_t)(n + 1));
 }
 
 /* Plane A goes to the region as it is read: inherited samples are clamped (R.2). */
-static void NAMED(store_coarse)(NAMED(work) * w, int32_t stride, int32_t n_even, int32_t n) {
+static void NAMED(store_coarse)(NAMED(work) * w, int32_t stride, int32_t row, int32_t n) {
   const layer *l = w->unit->job->out;
   int32_t origin = w->unit->scale.origin;
-  for (int32_t row = 0; row < n_even; row++) {
-    const int32_t *from = w->coarse + NAMED(at)(w, row);
-    int32_t *to = w->heights + (l->rows.core + 2 * row * stride) * w->pitch + l->cols.core;
-    for (int32_t j = 0; j < n; j++) to[(ptrdiff_t)2 * j * stride] = from[j] + origin;
-  }
+  const int32_t *from = w->coarse + NAMED(at)(w, row);
+  int32_t *to = w->heights + (l->rows.core + 2 * row * stride) * w->pitch + l->cols.core;
+  for (int32_t j = 0; j < n; j++) to[(ptrdiff_t)2 * j * stride] = from[j] + origin;
 }
 
 /* A row of the region: n_even samples of one plane and n_odd of another in turns; a stride of 1. */
@@ -364,41 +442,57 @@ static void NAMED(fill_means)(NAMED(work) * w, int plane, int32_t row, int32_t f
     to[j] = (int32_t)((sum + 2) >> 2);
   }
   NAMED(extend)(to, n);
+  NAMED(pair_row)(w, plane, NAMED(at)(w, row), n);
 }
 
-/* Errors above the first rows are 0 and heights there are means; so are planes without samples (R.5). */
-static void NAMED(begin_planes)(NAMED(work) * w, int32_t n_cols, const int32_t (*sizes)[2], int32_t n_even) {
+static int NAMED(is_empty)(const NAMED(work) * w, int plane) { return w->sizes[plane][0] == 0 || w->sizes[plane][1] == 0; }
+
+/* Errors above the first rows are 0 and heights there are means (R.5). */
+static void NAMED(begin_planes)(NAMED(work) * w) {
   for (int plane = HH; plane <= LH; plane++) {
-    int is_empty = sizes[plane][0] == 0 || sizes[plane][1] == 0;
-    int32_t n = is_empty ? (plane == HH ? max_i32(n_cols >> 1, 1) : 1) : sizes[plane][1];
-    int32_t n_rows = is_empty ? n_even + 2 * MARGIN : MARGIN;
-    memset(w->errors[plane], 0, sizeof(int32_t) * (size_t)(n_rows * w->stride));
-    if (!is_empty) {
-      NAMED(fill_means)(w, plane, -1, 0, n);
-      continue;
-    }
-    for (int32_t row = -REACH_OUTSIDE; row < n_even + REACH_OUTSIDE; row++) NAMED(fill_means)(w, plane, row, row, n);
+    memset(w->errors[plane], 0, sizeof(int32_t) * (size_t)(MARGIN * w->stride));
+    if (!NAMED(is_empty)(w, plane)) NAMED(fill_means)(w, plane, -1, 0, w->sizes[plane][1]);
   }
+}
+
+/* Rows that the lattice's row t of HH, row t - 1 of HL and row t - 2 of LH need: of A, its bends, of empty planes. */
+static void NAMED(advance)(NAMED(work) * w, const NAMED(part) * p, int32_t t) {
+  int32_t n_even = (p->n_rows + 1) >> 1, n = (p->n_cols + 1) >> 1, stop = min_i32(t + 4, n_even + MARGIN);
+  if (stop - w->base > w->capacity) {
+    int32_t first = t - 5;
+    size_t n_bytes = sizeof(int32_t) * (size_t)((w->loaded - first) * w->stride);
+    int32_t *arrays[12] = {w->coarse, w->bends, w->planes[0], w->planes[1], w->planes[2], w->errors[0], w->errors[1], w->errors[2],
+                           w->pairs[0], w->pairs[1], w->pairs[2], w->pairs[3]};
+    for (int i = 0; i < 12 && arrays[i]; i++) memmove(arrays[i], arrays[i] + (first - w->base) * w->stride, n_bytes);
+    w->base = first;
+  }
+  for (; w->loaded < stop; w->loaded++) {
+    int32_t row = w->loaded;
+    NAMED(load_coarse)(w, row, p->n_rows, p->n_cols);
+    if (!p->is_whole && row >= 0 && row < n_even) NAMED(store_coarse)(w, p->stride, row, n);
+    for (int plane = HH; row > -MARGIN && plane <= LH; plane++) {
+      if (!NAMED(is_empty)(w, plane)) continue; /* means, without errors */
+      memset(w->errors[plane] + NAMED(at)(w, row - 1) - MARGIN, 0, sizeof(int32_t) * (size_t)w->stride);
+      NAMED(fill_means)(w, plane, row - 1, row - 1, plane == HH ? max_i32(p->n_cols >> 1, 1) : 1);
+    }
+  }
+  for (; w->bent <= min_i32(t + 1, n_even); w->bent++) NAMED(bend_coarse)(w, w->bent, n_even, n);
 }
 
 /* Make a row readable beside it, and above and below the plane. */
 static void NAMED(surround)(NAMED(work) * w, int plane, int32_t row, int32_t n_rows, int32_t n) {
-  int32_t *arrays[2] = {w->planes[plane], w->errors[plane]};
-  for (int i = 0; i < 2; i++) {
-    int32_t *at = arrays[i] + NAMED(at)(w, row);
+  ptrdiff_t start = NAMED(at)(w, row);
+  NAMED(extend)(w->planes[plane] + start, n);
+  NAMED(extend)(w->errors[plane] + start, n);
+  NAMED(pair_row)(w, plane, start, n);
+  int32_t *arrays[3] = {w->planes[plane], w->errors[plane], w->pairs[plane]};
+  for (int i = 0; i < 2 + w->unit->is_short; i++) {
+    int32_t *at = arrays[i] + start;
     size_t n_bytes = sizeof(int32_t) * (size_t)(n + 2 * REACH_OUTSIDE);
-    NAMED(extend)(at, n);
     for (int32_t k = 1; row == 0 && k <= 3; k++) memcpy(at - k * w->stride - REACH_OUTSIDE, at - REACH_OUTSIDE, n_bytes);
     for (int32_t k = 1; row == n_rows - 1 && k <= 2; k++) memcpy(at + k * w->stride - REACH_OUTSIDE, at - REACH_OUTSIDE, n_bytes);
   }
 }
-
-/* A row of a plane of a lattice. */
-typedef struct NAMED(part) {
-  int32_t stride, n_rows, n_cols; /* of the lattice */
-  int32_t known_rows[2], known_cols[2];
-  int is_whole; /* stride 1 and no plane empty: rows of the region are stored as a whole */
-} NAMED(part);
 
 /* A row between its prediction and its heights: samples first ... stop - 1 have symbols. */
 typedef struct NAMED(span_of_row) {
@@ -406,6 +500,53 @@ typedef struct NAMED(span_of_row) {
   ptrdiff_t start, step; /* of its samples in the region */
   int32_t *own, *error;
 } NAMED(span_of_row);
+
+#ifdef READ_VECTORS
+/* Row `at` of pairs of plane A (3) or another one, of a unit whose heights fit 16 bits. */
+static void NAMED(pair_row)(const NAMED(work) * w, int plane, ptrdiff_t at, int32_t n) {
+  if (!w->unit->is_short) return;
+  const int32_t *RESTRICT from = (plane == 3 ? w->coarse : w->planes[plane]) + at;
+  int32_t *RESTRICT to = w->pairs[plane] + at;
+  IVDEP for (int32_t j = -REACH_OUTSIDE; j < n + REACH_OUTSIDE; j++) {
+    to[j] = (int32_t)(((uint32_t)from[j] & 65535) | (uint32_t)from[j + 1] << 16);
+  }
+}
+
+/* Predict a row by products of pairs; returns 0 where heights do not fit 16 bits. */
+static int NAMED(predict_short)(const NAMED(work) * w, int plane, int32_t n, ptrdiff_t at, const int16_t *v) {
+  if (!w->unit->is_short) return 0;
+  const ptrdiff_t s = w->stride;
+  const int32_t *a = w->pairs[3] + at, *hh = w->pairs[HH] + at, *hl = w->pairs[HL] + at, *own = w->pairs[plane] + at - s;
+  if (plane == HH) {
+    const ISA(pair_of_taps) t[10] = {
+        {a - s - 1, v[0], v[1]}, {a - s + 1, v[2], v[3]}, {a - 1, v[4], v[5]}, {a + 1, v[6], v[7]},
+        {a + s - 1, v[8], v[9]}, {a + s + 1, v[10], v[11]}, {a + 2 * s - 1, v[12], v[13]}, {a + 2 * s + 1, v[14], v[15]},
+        {own - 1, v[16], v[17]}, {own + 1, v[18], 0}};
+    ISA(predict_pairs)(n, t, 10, w->row.predicted);
+  } else if (plane == HL) {
+    const ISA(pair_of_taps) t[12] = {
+        {a - 1, v[0], v[1]}, {a + 1, v[2], v[3]}, {a - s, v[4], v[5]}, {a + s, v[6], v[7]}, {hh - s - 1, v[8], v[9]},
+        {hh - s + 1, v[10], 0}, {hh - 1, v[11], v[12]}, {hh + 1, v[13], 0}, {hh - 2 * s, v[14], 0}, {hh + s, v[15], 0},
+        {own - 1, v[16], v[17]}, {own + 1, v[18], 0}};
+    ISA(predict_pairs)(n, t, 12, w->row.predicted);
+  } else {
+    const ISA(pair_of_taps) t[14] = {
+        {a - s, v[0], 0}, {a - 1, v[4], v[1]}, {a + 1, v[5], 0}, {a + s - 1, v[6], v[2]}, {a + s + 1, v[7], 0},
+        {a + 2 * s, v[3], 0}, {own - 1, v[8], v[9]}, {own + 1, v[10], 0}, {hh - 2, v[11], v[12]}, {hh, v[13], v[14]},
+        {hh - s - 1, v[15], v[16]}, {hh + s - 1, v[17], v[18]}, {hl - 1, v[19], v[20]}, {hl + s - 1, v[21], v[22]}};
+    ISA(predict_pairs)(n, t, 14, w->row.predicted);
+  }
+  return 1;
+}
+#else
+static void NAMED(pair_row)(const NAMED(work) * w, int plane, ptrdiff_t at, int32_t n) {
+  (void)w, (void)plane, (void)at, (void)n;
+}
+static int NAMED(predict_short)(const NAMED(work) * w, int plane, int32_t n, ptrdiff_t at, const int16_t *v) {
+  (void)w, (void)plane, (void)at, (void)n, (void)v;
+  return 0;
+}
+#endif
 
 static void NAMED(begin_row)(NAMED(work) * w, const NAMED(part) * p, int plane, int32_t i, int32_t n, NAMED(span_of_row) * r) {
   const rapid_unit *u = w->unit;
@@ -416,14 +557,16 @@ static void NAMED(begin_row)(NAMED(work) * w, const NAMED(part) * p, int plane, 
   const int16_t *weights = w->stencils[plane];
   const int32_t *f = w->features[plane];
   int32_t *own = w->planes[plane] + at, *error = w->errors[plane] + at;
-  if (plane == HH) {
-    NAMED(predict_hh)(n, s, w->coarse + at, own, error, w->bends + at, weights, f, row);
-  } else if (plane == HL) {
-    NAMED(predict_hl)(n, s, w->coarse + at, w->planes[HH] + at, own, w->errors[HH] + at, error, w->bends + at, weights, f, row);
-  } else {
-    NAMED(predict_lh)(n, s, w->coarse + at, w->planes[HH] + at, w->planes[HL] + at, own, w->errors[HH] + at,
-                      w->errors[HL] + at, error, w->bends + at, weights, f, row);
+  const int32_t *coarse = w->coarse + at, *hh = w->planes[HH] + at, *hl = w->planes[HL] + at, *bends = w->bends + at;
+  const int32_t *error_hh = w->errors[HH] + at, *error_hl = w->errors[HL] + at;
+  if (!NAMED(predict_short)(w, plane, n, at, weights)) {
+    if (plane == HH) NAMED(predict_hh)(n, s, coarse, own, weights, row->predicted);
+    if (plane == HL) NAMED(predict_hl)(n, s, coarse, hh, own, weights, row->predicted);
+    if (plane == LH) NAMED(predict_lh)(n, s, coarse, hh, hl, own, weights, row->predicted);
   }
+  if (plane == HH) NAMED(look_around_hh)(n, s, coarse, error, bends, f, row);
+  if (plane == HL) NAMED(look_around_hl)(n, s, coarse, hh, error_hh, error, bends, f, row);
+  if (plane == LH) NAMED(look_around_lh)(n, s, coarse, hh, error_hh, error_hl, error, bends, f, row);
   NAMED(fill_contexts)(n, c, f, row);
   int32_t lattice_row = 2 * i + (plane == HL ? 0 : 1), col = plane == LH ? 0 : 1;
   ptrdiff_t start = (l->rows.core + (ptrdiff_t)lattice_row * p->stride) * w->pitch + l->cols.core + (ptrdiff_t)col * p->stride;
@@ -443,11 +586,14 @@ static void NAMED(begin_row)(NAMED(work) * w, const NAMED(part) * p, int plane, 
   r->error = error;
 }
 
+static const uint8_t *NAMED(valid_of)(const NAMED(work) * w, const NAMED(span_of_row) * r) {
+  return w->valid ? w->valid + r->start : NULL;
+}
+
 static void NAMED(read_row)(NAMED(work) * w, const NAMED(span_of_row) * r) {
   if (r->first >= r->stop) return;
   rapid_unit *u = w->unit;
-  const uint8_t *valid = w->valid ? w->valid + r->start : NULL;
-  NAMED(read_details)(&w->row, r->first, r->stop, valid, (size_t)r->step, u->tables->slots, u->scale.most_detail, &u->streams);
+  NAMED(read_details)(&w->row, r->first, r->stop, NAMED(valid_of)(w, r), (size_t)r->step, u->tables->slots, u->scale.most_detail, &u->streams);
 }
 
 static void NAMED(end_row)(NAMED(work) * w, const NAMED(part) * p, int plane, int32_t i, const NAMED(span_of_row) * r) {
@@ -470,18 +616,20 @@ static void NAMED(end_row)(NAMED(work) * w, const NAMED(part) * p, int plane, in
 
 static void NAMED(begin_lattice)(NAMED(work) * w, const NAMED(source) * a, NAMED(part) * p) {
   int32_t n_even = (p->n_rows + 1) >> 1, n = (p->n_cols + 1) >> 1;
-  NAMED(load_coarse)(w, a, p->n_rows, p->n_cols);
-  NAMED(bend_coarse)(w, n_even, n);
   p->is_whole = p->stride == 1 && p->n_rows > 1 && p->n_cols > 1;
-  if (!p->is_whole) NAMED(store_coarse)(w, p->stride, n_even, n);
   const int32_t sizes[3][2] = {{p->n_rows >> 1, p->n_cols >> 1}, {n_even, p->n_cols >> 1}, {p->n_rows >> 1, n}};
   memcpy(w->sizes, sizes, sizeof sizes);
-  NAMED(begin_planes)(w, p->n_cols, sizes, n_even);
+  w->source = *a;
+  w->base = w->loaded = -MARGIN;
+  w->bent = 0;
+  NAMED(advance)(w, p, 0);
+  NAMED(begin_planes)(w);
 }
 
 static void NAMED(decode_lattice)(NAMED(work) * w, const NAMED(source) * a, NAMED(part) * p) {
   NAMED(begin_lattice)(w, a, p);
   for (int32_t t = 0; t < ((p->n_rows + 1) >> 1) + 2; t++) {
+    NAMED(advance)(w, p, t);
     for (int plane = HH; plane <= LH; plane++) {
       int32_t i = t - plane;
       if (i < 0 || i >= w->sizes[plane][0] || w->sizes[plane][1] == 0) continue;
@@ -703,14 +851,16 @@ static void NAMED(decode_root)(NAMED(work) * w) {
 static twz_status NAMED(begin)(NAMED(work) * w, rapid_unit *u, twz_error *error) {
   const layer *l = u->job->out;
   size_t n_even = (size_t)(l->rows.n_core + 1) / 2, n = (size_t)(l->cols.n_core + 1) / 2;
-  size_t stride = (n + 2 * MARGIN + 15) / 16 * 16, n_plane = (n_even + 2 * MARGIN) * stride;
+  size_t stride = (n + 2 * MARGIN + 15) / 16 * 16, n_held = min_size(n_even + 2 * MARGIN, HELD_ROWS), n_plane = n_held * stride;
   size_t n_row = (n_even > n ? n_even : n) + CORNER_ROW + 2 * MARGIN;
   size_t n_region = (size_t)l->rows.n * (size_t)l->cols.n;
-  size_t bytes = 8 * n_plane * 4 + n_row * (6 * sizeof(NUMBER) + 6 * 4 + sizeof(size_t) + 1) + n_region;
+  size_t n_planes = u->is_short ? 12 : 8;
+  size_t bytes = n_planes * n_plane * 4 + n_row * (6 * sizeof(NUMBER) + 7 * 4 + sizeof(size_t) + 1) + n_region;
   TRY(scratch_reserve(u->scratch, bytes + 24 * SCRATCH_ALIGN, error));
   memset(w, 0, sizeof *w);
   w->unit = u;
   w->stride = (ptrdiff_t)stride;
+  w->capacity = (int32_t)n_held;
   w->heights = l->heights;
   w->valid = l->valid;
   w->pitch = l->cols.n;
@@ -719,10 +869,13 @@ static twz_status NAMED(begin)(NAMED(work) * w, rapid_unit *u, twz_error *error)
   w->bends = scratch_take(s, n_plane * 4);
   for (int i = 0; i < 3; i++) w->planes[i] = scratch_take(s, n_plane * 4);
   for (int i = 0; i < 3; i++) w->errors[i] = scratch_take(s, n_plane * 4);
+  for (int i = 0; u->is_short && i < 4; i++) w->pairs[i] = scratch_take(s, n_plane * 4);
   NUMBER **numbers[4] = {&w->row.predicted, &w->row.sum, &w->row.twist, &w->row.details};
   int32_t **whole[5] = {&w->row.least, &w->row.most, &w->row.expected, &w->row.whole, &w->row.contexts};
   for (int i = 0; i < 4; i++) *numbers[i] = scratch_take(s, n_row * sizeof(NUMBER));
   for (int i = 0; i < 5; i++) *whole[i] = scratch_take(s, n_row * 4);
+  w->row.packed_details = scratch_take(s, n_row * sizeof(NUMBER));
+  w->row.packed_contexts = scratch_take(s, n_row * 4);
   w->line = scratch_take(s, n_row * sizeof(NUMBER));
   w->line_of = scratch_take(s, n_row * 4);
   w->places = scratch_take(s, n_row * sizeof(size_t));
@@ -746,33 +899,32 @@ static twz_status NAMED(decode)(rapid_unit *u, twz_error *error) {
 }
 
 #ifdef READ_VECTORS
-/* Two groups of one size, row by row: symbols of one are read while those of the other wait for theirs. */
-static twz_status NAMED(decode_pair)(rapid_unit *const *units, twz_error *error) {
-  NAMED(work) works[2];
-  NAMED(source) sources[2];
-  NAMED(part) parts[2];
-  for (int k = 0; k < 2; k++) {
-    TRY(NAMED(begin)(&works[k], units[k], error));
-    NAMED(begin_group)(&works[k], &sources[k], &parts[k]);
-    NAMED(begin_lattice)(&works[k], &sources[k], &parts[k]);
+/* Groups of one size, row by row: symbols of one are read while those of the others wait for theirs. */
+static twz_status NAMED(decode_groups)(rapid_unit *units, int n_units, twz_error *error) {
+  NAMED(work) works[MOST_TOGETHER];
+  NAMED(part) parts[MOST_TOGETHER];
+  for (int k = 0; k < n_units; k++) {
+    NAMED(source) a;
+    TRY(NAMED(begin)(&works[k], &units[k], error));
+    NAMED(begin_group)(&works[k], &a, &parts[k]);
+    NAMED(begin_lattice)(&works[k], &a, &parts[k]);
   }
   for (int32_t t = 0; t < ((parts[0].n_rows + 1) >> 1) + 2; t++) {
+    for (int k = 0; k < n_units; k++) NAMED(advance)(&works[k], &parts[k], t);
     for (int plane = HH; plane <= LH; plane++) {
       int32_t i = t - plane, n = works[0].sizes[plane][1];
       if (i < 0 || i >= works[0].sizes[plane][0] || n == 0) continue;
-      NAMED(span_of_row) rows[2];
-      span spans[2];
-      for (int k = 0; k < 2; k++) {
+      NAMED(span_of_row) rows[MOST_TOGETHER];
+      NAMED(span) spans[MOST_TOGETHER];
+      for (int k = 0; k < n_units; k++) {
         NAMED(begin_row)(&works[k], &parts[k], plane, i, n, &rows[k]);
-        const span s = {works[k].row.details + rows[k].first, works[k].row.contexts + rows[k].first,
-                        rows[k].stop - rows[k].first, &units[k]->streams, 0};
-        spans[k] = s;
+        spans[k] = NAMED(begin_span)(&works[k].row, rows[k].first, rows[k].stop, NAMED(valid_of)(&works[k], &rows[k]),
+                                     (size_t)rows[k].step, &units[k].streams);
       }
-      READ_VECTORS(spans, 2, units[0]->tables->slots);
-      for (int k = 0; k < 2; k++) {
-        if (spans[k].has_raw) {
-          NAMED(read_raw)(&works[k].row, rows[k].first, rows[k].stop, NULL, 1, units[k]->scale.most_detail, &units[k]->streams);
-        }
+      READ_VECTORS(spans, n_units, units[0].tables->slots);
+      for (int k = 0; k < n_units; k++) {
+        NAMED(end_span)(&works[k].row, rows[k].first, rows[k].stop, NAMED(valid_of)(&works[k], &rows[k]), (size_t)rows[k].step,
+                        units[k].scale.most_detail, &spans[k]);
         NAMED(end_row)(&works[k], &parts[k], plane, i, &rows[k]);
       }
     }

@@ -416,8 +416,8 @@ typedef struct decoding {
   twz_window *window;
   stage *stage;
   size_t *todo, n_todo; /* slots of the stage */
-  size_t n_at_once;     /* 1 or 2: units that are decoded by one task */
-  scratch *scratches;   /* two a worker */
+  size_t n_at_once;     /* units that are decoded by one task */
+  scratch *scratches;   /* MOST_TOGETHER a worker */
   twz_error *errors;    /* one a worker; the first is kept */
 } decoding;
 
@@ -426,8 +426,8 @@ static void decode_some(void *argument, size_t index, size_t worker) {
   twz_file *f = d->window->file;
   twz_error *error = &d->errors[worker];
   if (error->status != TWZ_OK) return;
-  slot *slots[2];
-  order orders[2];
+  slot *slots[MOST_TOGETHER];
+  order orders[MOST_TOGETHER];
   size_t first = index * d->n_at_once, n = min_size(d->n_at_once, d->n_todo - first);
   twz_status status = TWZ_OK;
   memset(orders, 0, sizeof orders);
@@ -446,7 +446,7 @@ static void decode_some(void *argument, size_t index, size_t worker) {
     o->unit->entry.at = key;
     o->unit->n_users = 1;
   }
-  if (status == TWZ_OK) status = decode_units(f, orders, (int)n, d->scratches + 2 * worker, error);
+  if (status == TWZ_OK) status = decode_units(f, orders, (int)n, d->scratches + MOST_TOGETHER * worker, error);
   for (size_t k = 0; k < n && orders[k].unit; k++) {
     if (status == TWZ_OK) {
       slots[k]->unit = orders[k].unit;
@@ -469,8 +469,9 @@ static twz_status decode_stage(decoding *d, const twz_workers *workers, twz_erro
   if (n == 0) return TWZ_OK;
   size_t n_workers = workers ? workers->n_workers : 1;
   d->n_todo = n;
-  /* Two units in lockstep, unless a worker would have nothing to do. */
-  d->n_at_once = d->window->file->header.method == TWZ_RAPID && n >= 2 * n_workers ? 2 : 1;
+  /* Units in lockstep, unless a worker would have nothing to do. */
+  int is_rapid = d->window->file->header.method == TWZ_RAPID;
+  d->n_at_once = is_rapid ? min_size(max_size(n / n_workers, 1), MOST_TOGETHER) : 1;
   size_t n_tasks = (n + d->n_at_once - 1) / d->n_at_once;
   if (workers && n_tasks > 1) {
     workers->run(workers->context, n_tasks, decode_some, d);
@@ -495,11 +496,13 @@ static twz_status decode_stage(decoding *d, const twz_workers *workers, twz_erro
 /* Memory of a worker outlives its window: to map it anew takes as long as to decode a unit. */
 static void exchange_idle(twz_file *f, scratch *s) {
   file_lock(f);
-  scratch idle = f->idle;
-  f->idle = *s;
+  for (int i = 0; i < MOST_TOGETHER; i++) {
+    scratch idle = f->idle[i];
+    f->idle[i] = s[i];
+    s[i] = idle;
+    s[i].allocator = &f->allocator;
+  }
   file_unlock(f);
-  idle.allocator = &f->allocator;
-  *s = idle;
 }
 
 twz_status twz_window_decode(twz_window *w, const twz_workers *workers, twz_error *error) {
@@ -510,18 +513,18 @@ twz_status twz_window_decode(twz_window *w, const twz_workers *workers, twz_erro
   for (int i = 0; i < w->n_stages; i++) most = n_slots(&w->stages[i]) > most ? n_slots(&w->stages[i]) : most;
   decoding d = {w, NULL, NULL, 0, 1, NULL, NULL};
   d.todo = twz_allocate(a, most * sizeof *d.todo);
-  d.scratches = twz_allocate_zeros(a, 2 * n_workers * sizeof *d.scratches);
+  d.scratches = twz_allocate_zeros(a, MOST_TOGETHER * n_workers * sizeof *d.scratches);
   d.errors = twz_allocate_zeros(a, n_workers * sizeof *d.errors);
   twz_status status = TWZ_OK;
   if (!d.todo || !d.scratches || !d.errors) status = twz_no_memory(error, most * sizeof *d.todo);
-  for (size_t i = 0; d.scratches && i < 2 * n_workers; i++) d.scratches[i].allocator = a;
+  for (size_t i = 0; d.scratches && i < MOST_TOGETHER * n_workers; i++) d.scratches[i].allocator = a;
   if (d.scratches) exchange_idle(w->file, &d.scratches[0]);
   for (int i = w->n_stages - 1; i >= 0 && status == TWZ_OK; i--) {
     d.stage = &w->stages[i];
     status = decode_stage(&d, workers, error);
   }
   if (d.scratches) exchange_idle(w->file, &d.scratches[0]);
-  for (size_t i = 0; d.scratches && i < 2 * n_workers; i++) scratch_free(&d.scratches[i]);
+  for (size_t i = 0; d.scratches && i < MOST_TOGETHER * n_workers; i++) scratch_free(&d.scratches[i]);
   twz_release(a, d.todo);
   twz_release(a, d.scratches);
   twz_release(a, d.errors);

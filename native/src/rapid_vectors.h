@@ -1,0 +1,151 @@
+/* Eight states of method rapid at once, of one unit or several in turns: included by rapid_rows.h where there is AVX2. */
+
+/* Where a stream is: its states, the first sample's first, the words taken, and which samples have raw bits. */
+typedef struct ISA(lanes) {
+  __m256i x, raw;
+  const uint8_t *words, *at;
+} ISA(lanes);
+
+/*
+ * Symbols of eight samples (R.8): symbol number k is of state k mod 8. Lanes from the first sample's state on;
+ * of the last samples less than eight are active.
+ */
+static ALWAYS_INLINE void ISA(step)(ISA(lanes) * l, const NAMED(span) * s, int32_t j, int is_full, __m256i active,
+                                    const uint32_t *slots) {
+  const __m256i x = l->x;
+  __m256i c = is_full ? _mm256_loadu_si256((const __m256i *)(s->contexts + j)) : _mm256_maskload_epi32(s->contexts + j, active);
+  c = _mm256_and_si256(c, _mm256_set1_epi32(DOWN - 1));
+  __m256i slot = _mm256_or_si256(_mm256_slli_epi32(c, 11), _mm256_and_si256(x, _mm256_set1_epi32(SLOTS - 1)));
+  __m256i entry = _mm256_i32gather_epi32((const int *)slots, slot, 4);
+  __m256i symbol = _mm256_and_si256(entry, _mm256_set1_epi32(63));
+  __m256i frequency = _mm256_and_si256(_mm256_srli_epi32(entry, 6), _mm256_set1_epi32(4095));
+  __m256i next = _mm256_add_epi32(_mm256_mullo_epi32(frequency, _mm256_srli_epi32(x, 11)), _mm256_srli_epi32(entry, 18));
+  __m256i detail = _mm256_sub_epi32(symbol, _mm256_set1_epi32(ZERO_SYMBOL));
+  __m256i raw = _mm256_or_si256(_mm256_cmpgt_epi32(c, _mm256_set1_epi32(FIRST_RAW - 1)),
+                                _mm256_cmpeq_epi32(symbol, _mm256_setzero_si256()));
+  if (is_full) {
+    _mm256_storeu_si256((__m256i *)(s->details + j), detail);
+  } else {
+    _mm256_maskstore_epi32(s->details + j, active, detail);
+    raw = _mm256_and_si256(raw, active);
+  }
+  l->raw = _mm256_or_si256(l->raw, raw);
+  __m128i words = _mm_loadu_si128((const __m128i *)l->at);
+#if defined(__AVX512VBMI2__) && defined(__AVX512VL__)
+  __mmask8 takes = _mm256_cmplt_epu32_mask(next, _mm256_set1_epi32(65536));
+  if (!is_full) takes &= _mm256_movepi32_mask(active);
+  __m256i word = _mm256_cvtepu16_epi32(_mm_maskz_expand_epi16(takes, words));
+  next = _mm256_mask_or_epi32(next, takes, _mm256_slli_epi32(next, 16), word);
+  unsigned mask = takes;
+#else
+  __m256i takes = _mm256_cmpeq_epi32(_mm256_srli_epi32(next, 16), _mm256_setzero_si256());
+  if (!is_full) takes = _mm256_and_si256(takes, active);
+  unsigned mask = (unsigned)_mm256_movemask_ps(_mm256_castsi256_ps(takes));
+  __m256i order = _mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i *)s->streams->expand[mask]));
+  __m256i word = _mm256_permutevar8x32_epi32(_mm256_cvtepu16_epi32(words), order);
+  next = _mm256_blendv_epi8(next, _mm256_or_si256(_mm256_slli_epi32(next, 16), word), takes);
+#endif
+  l->at += 2 * (unsigned)_mm_popcnt_u32(mask);
+  l->x = is_full ? next : _mm256_blendv_epi8(x, next, active);
+}
+
+static ALWAYS_INLINE __m256i ISA(rotated)(const rapid_streams *z, int sign) {
+  const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
+  int rotation = sign * (int)(z->n_symbols & 7);
+  return _mm256_and_si256(_mm256_add_epi32(lanes, _mm256_set1_epi32(rotation)), _mm256_set1_epi32(7));
+}
+
+static ALWAYS_INLINE void ISA(begin_lanes)(ISA(lanes) * l, const rapid_streams *z) {
+  l->x = _mm256_permutevar8x32_epi32(_mm256_loadu_si256((const __m256i *)z->states), ISA(rotated)(z, 1));
+  l->raw = _mm256_setzero_si256();
+  l->words = l->at = z->words + 2 * min_size(z->n_words_used, z->n_words); /* a row takes a word a sample: PAYLOAD_SLACK */
+}
+
+/* Samples j ... n - 1 of a span, and its end. */
+static ALWAYS_INLINE void ISA(end_lanes)(ISA(lanes) * l, NAMED(span) * s, int32_t j, const uint32_t *slots) {
+  const __m256i lanes = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7), all = _mm256_set1_epi32(-1);
+  rapid_streams *z = s->streams;
+  for (; j + 8 <= s->n; j += 8) ISA(step)(l, s, j, 1, all, slots);
+  if (j < s->n) ISA(step)(l, s, j, 0, _mm256_cmpgt_epi32(_mm256_set1_epi32(s->n - j), lanes), slots);
+  _mm256_storeu_si256((__m256i *)z->states, _mm256_permutevar8x32_epi32(l->x, ISA(rotated)(z, -1)));
+  s->has_raw = !_mm256_testz_si256(l->raw, l->raw);
+  z->n_words_used += (size_t)(l->at - l->words) / 2;
+  z->n_symbols += (size_t)s->n;
+}
+
+static ALWAYS_INLINE void ISA(read_in_turns)(NAMED(span) * s, int n, const uint32_t *slots) {
+  const __m256i all = _mm256_set1_epi32(-1);
+  ISA(lanes) l[MOST_TOGETHER];
+  int32_t j = 0, least = s[0].n;
+  for (int k = 0; k < n; k++) {
+    ISA(begin_lanes)(&l[k], s[k].streams);
+    least = min_i32(least, s[k].n);
+  }
+  for (; n > 1 && j + 8 <= least; j += 8) {
+    for (int k = 0; k < n; k++) ISA(step)(&l[k], &s[k], j, 1, all, slots);
+  }
+  for (int k = 0; k < n; k++) ISA(end_lanes)(&l[k], &s[k], j, slots);
+}
+
+/* Read spans of n units in turns: each step waits for the one before it in its own stream. */
+static void ISA(read_vectors)(NAMED(span) * s, int n, const uint32_t *slots) {
+  switch (n) {
+    case 1: ISA(read_in_turns)(s, 1, slots); break;
+    case 2: ISA(read_in_turns)(s, 2, slots); break;
+    case 3: ISA(read_in_turns)(s, 3, slots); break;
+    default: ISA(read_in_turns)(s, MOST_TOGETHER, slots);
+  }
+}
+
+/* Two taps side by side: where the row of pairs begins, and their weights. */
+typedef struct ISA(pair_of_taps) {
+  const int32_t *at;
+  int16_t first, second;
+} ISA(pair_of_taps);
+
+#if defined(__AVX512F__)
+#define VECTOR __m512i
+#define V(name) _mm512_##name
+#define LOAD(at) _mm512_loadu_si512(at)
+#define STORE(at, v) _mm512_storeu_si512(at, v)
+#else
+#define VECTOR __m256i
+#define V(name) _mm256_##name
+#define LOAD(at) _mm256_loadu_si256((const __m256i *)(at))
+#define STORE(at, v) _mm256_storeu_si256((__m256i *)(at), v)
+#endif
+#if defined(__AVX512VNNI__)
+#define ADD_PRODUCTS(sum, a, b) _mm512_dpwssd_epi32(sum, a, b)
+#else
+#define ADD_PRODUCTS(sum, a, b) V(add_epi32)(sum, V(madd_epi16)(a, b))
+#endif
+
+/* A whole vector is written: rows end with room for one. */
+static ALWAYS_INLINE void ISA(predict_taps)(int32_t n, const ISA(pair_of_taps) * taps, int n_taps, int32_t *predicted) {
+  enum { LANES = sizeof(VECTOR) / 4 };
+  VECTOR weights[14];
+  for (int k = 0; k < n_taps; k++) {
+    weights[k] = V(set1_epi32)((int)(((uint32_t)(uint16_t)taps[k].first) | (uint32_t)(uint16_t)taps[k].second << 16));
+  }
+  for (int32_t j = 0; j < n; j += LANES) {
+    VECTOR sum = V(set1_epi32)(32), other = V(set1_epi32)(0);
+    for (int k = 0; k < n_taps; k += 2) {
+      sum = ADD_PRODUCTS(sum, LOAD(taps[k].at + j), weights[k]);
+      other = ADD_PRODUCTS(other, LOAD(taps[k + 1].at + j), weights[k + 1]);
+    }
+    STORE(predicted + j, V(srai_epi32)(V(add_epi32)(sum, other), 6));
+  }
+}
+
+static void ISA(predict_pairs)(int32_t n, const ISA(pair_of_taps) * taps, int n_taps, int32_t *predicted) {
+  switch (n_taps) {
+    case 10: ISA(predict_taps)(n, taps, 10, predicted); break;
+    case 12: ISA(predict_taps)(n, taps, 12, predicted); break;
+    default: ISA(predict_taps)(n, taps, 14, predicted);
+  }
+}
+#undef VECTOR
+#undef V
+#undef LOAD
+#undef STORE
+#undef ADD_PRODUCTS
