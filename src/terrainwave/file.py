@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.arguments import checked_threads, in_one_line
+from terrainwave.arguments import check_flags, checked_threads, in_one_line
 from terrainwave.codec.registry import check_layout, check_parameters, newer_layout
 from terrainwave.container.addresses import display_name
 from terrainwave.container.codes import decode_error, decode_range
@@ -152,6 +152,7 @@ class TerrainFile:
         threads: int | None = None,
         native: bool = True,
     ) -> None:
+        check_flags(native=native)
         self.n_threads = checked_threads(threads)
         self._arguments = (source, cache_bytes, threads, native)
         self.is_native = native

@@ -460,3 +460,28 @@ def test_a_defect_shows_its_traceback_to_who_asks(twz, monkeypatch, capfd):
     assert "Traceback" in done.stderr
     assert "in raising" in done.stderr
     assert done.stderr.splitlines()[-1].startswith("terrainwave: unexpected KeyError")
+
+
+SWALLOWED = """
+import os, signal, sys, time, weakref
+from terrainwave.cli.signals import Terminated, ending_by_signals
+class Thing: pass
+def callback(_):
+    os.kill(os.getpid(), signal.SIGTERM)  # Python drops what is raised here
+try:
+    with ending_by_signals():
+        thing = Thing()
+        reference = weakref.ref(thing, callback)
+        del thing
+        time.sleep(20)
+except Terminated as ended:
+    sys.exit(ended.status)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM there")
+def test_a_signal_that_python_drops_is_sent_again():
+    done = subprocess.run(
+        [sys.executable, "-c", SWALLOWED], capture_output=True, text=True, timeout=15
+    )
+    assert (done.returncode, done.stderr) == (143, "")

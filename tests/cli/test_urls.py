@@ -75,3 +75,12 @@ def test_targets_by_url_are_refused_without_their_secrets(tmp_path, verb):
     assert "secret" not in line
     assert "expected a path" in line or "expected a name" in line
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.tif", "a.twz"]
+
+
+@pytest.mark.parametrize("login", ["bob:p@ssw0rd/x", "bob:pass/w@rd?y", "bob:p@ss#word"])
+def test_a_password_with_bare_marks_is_neither_printed_nor_looked_up(login):
+    result = run("info", f"http://{login}@127.0.0.1:9/a.twz")
+    assert result.exit_code == 1
+    for part in ("ssw0rd", "w@rd", "word", "p@ss"):
+        assert part not in result.output.replace("password", "")
+    assert "%40" in result.output or "%2F" in result.output

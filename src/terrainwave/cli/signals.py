@@ -1,12 +1,17 @@
 """Signals that end a program, handled as Ctrl-C: whatever is unfinished is removed."""
 
+import os
 import signal
+import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
 # Of schedulers and containers, and of a terminal that is closed; Windows has no such thing.
 _SIGNALS = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+_AGAIN = 0.05  # seconds
 INTERRUPTED = 128 + signal.SIGINT
 
 
@@ -31,7 +36,18 @@ def ending_by_signals() -> Iterator[None]:
             signal.signal(other, signal.SIG_IGN)
         raise Terminated(number)
 
+    def again(lost: Any) -> None:
+        """Send a signal once more that Python has dropped, as in what a weak reference calls."""
+        if not isinstance(lost.exc_value, Terminated):
+            report(lost)
+            return
+        for other in changed:
+            signal.signal(other, end)
+        number = lost.exc_value.status - 128
+        threading.Timer(_AGAIN, os.kill, (os.getpid(), number)).start()
+
     changed: list[int] = []
+    report, sys.unraisablehook = sys.unraisablehook, again
     try:
         for number in _SIGNALS:
             if signal.getsignal(number) is signal.SIG_DFL:
@@ -42,5 +58,6 @@ def ending_by_signals() -> Iterator[None]:
     try:
         yield
     finally:
+        sys.unraisablehook = report
         for number in changed:
             signal.signal(number, signal.SIG_DFL)

@@ -79,6 +79,12 @@ def web_address(url: str) -> SplitResult:
     if not host:
         raise StorageError(f"{display_name(url)}: no host in the URL")
     login, at, _ = parts.netloc.rpartition("@")
+    if at and "@" in parts.path + parts.query + parts.fragment:
+        # What follows the first @ may be the rest of a password, and no host.
+        raise StorageError(
+            f"{parts.scheme.lower()}://… has a user and password and one @ more; expected @, /, ?"
+            " and # in them to be written %40, %2F, %3F and %23, and @ in the path %40"
+        )
     host = f"[{host}]" if ":" in host else host
     netloc = login + at + host + (f":{port}" if port is not None else "")
     path, query = (

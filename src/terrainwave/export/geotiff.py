@@ -12,6 +12,7 @@ from terrainwave.arguments import (
     HEIGHT_TILE_ENDINGS,
     VOIDS,
     check_ending,
+    check_flags,
     one_of,
 )
 from terrainwave.container.publish import refuse_own_source
@@ -86,6 +87,7 @@ def decompress(
     StorageError
         If `dst` cannot be written or is `src`; it is untouched.
     """
+    check_flags(cog=cog, overwrite=overwrite)
     reporter = Reporter(progress)
     check_ending(dst, (*GEOTIFF_ENDINGS, *HEIGHT_TILE_ENDINGS))
     is_tile = Path(dst).suffix.lower() in HEIGHT_TILE_ENDINGS

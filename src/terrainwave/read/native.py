@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from terrainwave.container.header import KNOWN_FEATURES, Header
 from terrainwave.container.ranges import ByteRange
 from terrainwave.container.reader import Container
-from terrainwave.errors import TerrainwaveWarning
+from terrainwave.errors import InvalidArgumentError, TerrainwaveWarning
 from terrainwave.forks import renew_after_fork
 from terrainwave.grid.quadtree import Region
 
@@ -191,8 +191,17 @@ def _tell(found: str) -> None:
 
 
 def is_wanted() -> bool:
-    """Say whether the environment lets the library be used."""
-    return os.environ.get(SWITCH, "1") != "0"
+    """Say whether the environment lets the library be used.
+
+    Raises
+    ------
+    InvalidArgumentError
+        If the variable is neither 0 nor 1.
+    """
+    word = os.environ.get(SWITCH) or "1"
+    if word not in ("0", "1"):
+        raise InvalidArgumentError(f"found {SWITCH}={word}, expected 0 or 1")
+    return word == "1"
 
 
 class _Handles:

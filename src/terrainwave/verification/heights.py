@@ -20,6 +20,7 @@ from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError, RasterioIOError
 from rasterio.windows import Window
 
+from terrainwave.arguments import check_flags
 from terrainwave.errors import (
     InvalidArgumentError,
     StorageError,
@@ -154,6 +155,7 @@ def verify(
     with `max_error` 0 has the bits of all valid floats, the sign of -0.0 too (but for method cdf53,
     which keeps numbers). Which NaN marked a void is not kept and not compared.
     """
+    check_flags(mesh=mesh)
     from terrainwave.terrain import Terrain
 
     with Terrain(twz, threads=threads) as terrain:
