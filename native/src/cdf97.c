@@ -137,16 +137,12 @@ static void rebuild(decoding *d, size_t at, int64_t h, int64_t q) {
   d->known[at] = 1;
 }
 
-static void decode_corner(decoding *d, int32_t r, int32_t c) {
-  const parent *p = &d->job->parent;
+static void decode_corner(void *decoding_, int32_t r, int32_t c) {
+  decoding *d = decoding_;
   size_t at = (size_t)r * d->pitch + (size_t)c;
   if (d->known[at]) return;
-  uint32_t row = d->out->rows.first + (uint32_t)r, col = d->out->cols.first + (uint32_t)c;
-  int32_t top = line_above(row, 0, p->first_row, p->n_rows), bottom = line_above(row, 1, p->first_row, p->n_rows);
-  int32_t left = line_above(col, 0, p->first_col, p->n_cols), right = line_above(col, 1, p->first_col, p->n_cols);
-  int64_t sum = (int64_t)parent_height(p, top, left) + parent_height(p, top, right) + parent_height(p, bottom, left) +
-                parent_height(p, bottom, right);
-  rebuild(d, at, shift_right(sum + 2, 2), is_valid(d, at) ? border_symbol(d, 0, 16) : 0);
+  int64_t predicted = corner_above(&d->job->parent, d->out->rows.first + (uint32_t)r, d->out->cols.first + (uint32_t)c);
+  rebuild(d, at, predicted, is_valid(d, at) ? border_symbol(d, 0, 16) : 0);
 }
 
 /* Samples f ... g - 1 of a line from `start` on, every step-th; its predictions are in d->result. */
@@ -173,46 +169,14 @@ static void decode_line(decoding *d, size_t start, size_t step, int32_t length, 
   }
 }
 
-static void decode_lines(decoding *d, const shared_lines *lines, int are_rows) {
-  const parent *p = &d->job->parent;
-  const axis *across = are_rows ? &d->out->rows : &d->out->cols, *along = are_rows ? &d->out->cols : &d->out->rows;
-  uint32_t first_across = are_rows ? p->first_row : p->first_col, first_along = are_rows ? p->first_col : p->first_row;
-  int32_t n_across = are_rows ? p->n_rows : p->n_cols, n_along = are_rows ? p->n_cols : p->n_rows, done = -1;
-  int32_t from = line_above(along->core_first, 0, first_along, n_along), m = (along->n_core + 1) >> 1;
-  int32_t rings = d->job->file->grid.rings, length = along->n_core;
-  int32_t f = along->shared[0] ? rings + 1 : 0, g = along->shared[1] ? length - rings - 1 : length;
-  for (int side = 0; side < lines->n_sides && f < g; side++) {
-    for (int32_t line = max_i32(lines->first[side], done + 1); line <= lines->last[side]; line++) {
-      uint32_t number = across->first + (uint32_t)line;
-      int32_t before = line_above(number, 0, first_across, n_across), after = line_above(number, 1, first_across, n_across);
-      int64_t *x = d->line + EDGE;
-      for (int32_t k = 0; k < m; k++) {
-        x[k] = are_rows ? (int64_t)parent_height(p, before, from + k) + parent_height(p, after, from + k)
-                        : (int64_t)parent_height(p, from + k, before) + parent_height(p, from + k, after);
-      }
-      extend(x, 1, m);
-      for (int32_t i = 0; i < length; i++) d->result[i] = shift_right(synthesised(x, 1, i) + (1 << 14), 15);
-      size_t start = are_rows ? (size_t)line * d->pitch + (size_t)along->core : (size_t)along->core * d->pitch + (size_t)line;
-      decode_line(d, start, are_rows ? 1 : d->pitch, length, f, g);
-      done = line;
-    }
-  }
-}
-
-static void decode_border(decoding *d) {
-  shared_lines rows, cols;
-  int32_t rings = d->job->file->grid.rings;
-  find_shared_lines(&rows, &d->out->rows, rings);
-  find_shared_lines(&cols, &d->out->cols, rings);
-  for (int side = 0; side < rows.n_sides; side++) {
-    for (int other = 0; other < cols.n_sides; other++) {
-      for (int32_t r = rows.first[side]; r <= rows.last[side]; r++) {
-        for (int32_t c = cols.first[other]; c <= cols.last[other]; c++) decode_corner(d, r, c);
-      }
-    }
-  }
-  decode_lines(d, &rows, 1);
-  decode_lines(d, &cols, 0);
+static void decode_border_line(void *decoding_, const border_line *l) {
+  decoding *d = decoding_;
+  int32_t rings = d->job->file->grid.rings, length = l->along->n_core;
+  int32_t f = l->along->shared[0] ? rings + 1 : 0, g = l->along->shared[1] ? length - rings - 1 : length;
+  if (f >= g) return;
+  extend(d->line + EDGE, 1, l->n_sums);
+  for (int32_t i = 0; i < length; i++) d->result[i] = shift_right(synthesised(d->line + EDGE, 1, i) + (1 << 14), 15);
+  decode_line(d, l->start, l->step, length, f, g);
 }
 
 /* ---- Raw heights (§7.4) ---- */
@@ -608,7 +572,7 @@ twz_status decode_cdf97(const job *j, const reader *bytes, scratch *s, twz_error
   coder_start(&d.coder, r.bytes + r.at, r.n - r.at, f->rates);
   if (j->parent.layer) {
     predict_region(&d);
-    decode_border(&d);
+    walk_shared(d.out, &d.job->parent, d.job->file->grid.rings, d.line + EDGE, decode_corner, decode_border_line, &d);
   }
   if (given.flags == RAW) {
     decode_raw(&d, given.n_bits, given.base);

@@ -150,17 +150,13 @@ static void put(decoding *d, size_t at, int64_t prediction, int64_t q) {
   d->known[at] = 1;
 }
 
-static void decode_corner(decoding *d, int32_t r, int32_t c) {
-  const parent *p = &d->job->parent;
+static void decode_corner(void *decoding_, int32_t r, int32_t c) {
+  decoding *d = decoding_;
   size_t at = (size_t)r * d->pitch + (size_t)c;
   if (d->known[at]) return;
   uint32_t row = d->out->rows.first + (uint32_t)r, col = d->out->cols.first + (uint32_t)c;
-  int32_t top = line_above(row, 0, p->first_row, p->n_rows), bottom = line_above(row, 1, p->first_row, p->n_rows);
-  int32_t left = line_above(col, 0, p->first_col, p->n_cols), right = line_above(col, 1, p->first_col, p->n_cols);
-  int64_t sum = (int64_t)parent_height(p, top, left) + parent_height(p, top, right) + parent_height(p, bottom, left) +
-                parent_height(p, bottom, right);
   int64_t q = is_valid(d, at) && (row | col) % 2 ? border_symbol(d, 0, 16) : 0;
-  put(d, at, shift_right(sum + 2, 2), q);
+  put(d, at, corner_above(&d->job->parent, row, col), q);
 }
 
 /* The predictions of a line from the sums v of its parent's lines. */
@@ -206,42 +202,10 @@ static void decode_line(decoding *d, size_t start, size_t step, int32_t length, 
   }
 }
 
-static void decode_lines(decoding *d, const shared_lines *lines, int are_rows) {
-  const parent *p = &d->job->parent;
-  const axis *across = are_rows ? &d->out->rows : &d->out->cols, *along = are_rows ? &d->out->cols : &d->out->rows;
-  uint32_t first_across = are_rows ? p->first_row : p->first_col, first_along = are_rows ? p->first_col : p->first_row;
-  int32_t n_across = are_rows ? p->n_rows : p->n_cols, n_along = are_rows ? p->n_cols : p->n_rows, done = -1;
-  int32_t from = line_above(along->core_first, 0, first_along, n_along), m = (along->n_core + 1) >> 1;
-  for (int side = 0; side < lines->n_sides; side++) {
-    for (int32_t line = max_i32(lines->first[side], done + 1); line <= lines->last[side]; line++) {
-      uint32_t number = across->first + (uint32_t)line;
-      int32_t before = line_above(number, 0, first_across, n_across), after = line_above(number, 1, first_across, n_across);
-      for (int32_t k = 0; k < m; k++) {
-        d->line[k] = are_rows ? (int64_t)parent_height(p, before, from + k) + parent_height(p, after, from + k)
-                              : (int64_t)parent_height(p, from + k, before) + parent_height(p, from + k, after);
-      }
-      predict_line(d->line, along->n_core, d->predicted);
-      size_t start = are_rows ? (size_t)line * d->pitch + (size_t)along->core : (size_t)along->core * d->pitch + (size_t)line;
-      decode_line(d, start, are_rows ? 1 : d->pitch, along->n_core, number & 1);
-      done = line;
-    }
-  }
-}
-
-static void decode_shared(decoding *d) {
-  shared_lines rows, cols;
-  int32_t rings = d->job->file->grid.rings;
-  find_shared_lines(&rows, &d->out->rows, rings);
-  find_shared_lines(&cols, &d->out->cols, rings);
-  for (int side = 0; side < rows.n_sides; side++) {
-    for (int other = 0; other < cols.n_sides; other++) {
-      for (int32_t r = rows.first[side]; r <= rows.last[side]; r++) {
-        for (int32_t c = cols.first[other]; c <= cols.last[other]; c++) decode_corner(d, r, c);
-      }
-    }
-  }
-  decode_lines(d, &rows, 1);
-  decode_lines(d, &cols, 0);
+static void decode_border_line(void *decoding_, const border_line *l) {
+  decoding *d = decoding_;
+  predict_line(d->line, l->along->n_core, d->predicted);
+  decode_line(d, l->start, l->step, l->along->n_core, l->number & 1);
 }
 
 static size_t place_of(const decoding *d, int32_t row, int32_t col) {
@@ -656,7 +620,7 @@ twz_status decode_predictive(const job *j, const reader *bytes, scratch *s, twz_
 
   int32_t stride = 2;
   if (j->parent.layer) {
-    decode_shared(&d);
+    walk_shared(d.out, &d.job->parent, d.job->file->grid.rings, d.line, decode_corner, decode_border_line, &d);
     take_parents(&d);
   } else {
     stride = decode_root_corners(&d);
