@@ -126,7 +126,7 @@ def train_codes(windows: dict[str, tuple[np.ndarray, np.ndarray]], layout: int) 
     for name, found in windows.items():
         for bound in BOUNDS:
             step = 2 * bound * (10 if "lidar" in name else 1) + 1
-            tables = best_tables(plain_tables(step), *found, step, 20.0)
+            _, tables = best_tables(plain_tables(step), *found, step, 20.0)
             families = range(
                 rapid_tables.family_of(step), rapid_tables.N_FAMILIES, rapid_tables.N_STEPS
             )

@@ -66,13 +66,20 @@ def fit_tables(
     """Return the tables for a raster; `heights` and `mask` return a region of a level."""
     n_windows = min(max(grid.n_rows * grid.n_cols // _SHARE, _LEAST_WINDOWS), _MOST_WINDOWS)
     windows, masks = spread_windows(grid, heights, mask, _WINDOW, n_windows)
-    plain = ((FileStencil(0),) * len(PLANES),) * N_CLASSES
-    tables = FileTables(grid.k_max, family_of(step), plain, {})
+    trained = ((FileStencil(0),) * len(PLANES),) * N_CLASSES
+    tables = FileTables(grid.k_max, family_of(step), trained, {})
     if int(np.count_nonzero(masks)) < _MIN_SAMPLES:
         return tables
     share = grid.n_rows * grid.n_cols / masks.size
-    tables = best_tables(tables, windows, masks, step, share, may_have_reach=may_have_reach)
-    return _fitted(tables, _Sample(windows, masks, step, share))[0]
+    best, plain = best_tables(tables, windows, masks, step, share, may_have_reach=may_have_reach)
+    whole = _Sample(windows, masks, step, share)
+    fitted, cost = _fitted(best, whole)
+    # A raster of few windows has about their sides, which may cost more than is saved inside.
+    if best is not plain and len(windows) <= _MOST_WHOLE:
+        other, cost_of_plain = _fitted(plain, whole)
+        if cost + COST_UNIT * weights_bits(best.weights) >= cost_of_plain:
+            return other
+    return fitted
 
 
 def best_tables(
@@ -83,8 +90,11 @@ def best_tables(
     share: float,
     *,
     may_have_reach: bool = True,
-) -> FileTables:
-    """Return tables with the stencils, then the family, that make parts of the windows smallest."""
+) -> tuple[FileTables, FileTables]:
+    """Return tables with the stencils, then the family, that make parts of the windows smallest.
+
+    And the best of those without weights of features of their own, which may be the same.
+    """
     few = np.s_[:, :_FEW, :_FEW] if len(windows) > _MOST_WHOLE else np.s_[:]
     some = _Sample(windows[few], masks[few], step, share * windows.size / windows[few].size, True)
     least = np.inf
@@ -102,9 +112,9 @@ def best_tables(
         cost = _fitted(other, some)[1]
         if cost < least * (1 - share_saved):
             best, least = other, cost
-    if may_have_reach:
-        best = _with_weights(best, least, some, windows, masks)
-    return best
+    if not may_have_reach:
+        return best, best
+    return _with_weights(best, least, some, windows, masks), best
 
 
 def _with_weights(
@@ -134,12 +144,7 @@ def _with_weights(
             if cost < min(most, smallest):
                 best, smallest = other, cost
         families = [tables.family if best is tables else best.family]
-    if best is tables or len(windows) > _MOST_WHOLE:
-        return best
-    # A raster of few windows has about their sides, which may cost more than is saved inside.
-    whole = some._replace(is_inner=False)
-    cost, plain = (_fitted(other, whole)[1] for other in (best, tables))
-    return best if cost + COST_UNIT * weights_bits(best.weights) < plain else tables
+    return best
 
 
 class _Sample(NamedTuple):
