@@ -22,6 +22,8 @@ MESH_CHOICES = (
 UNBOUNDED_MESHES = ("rqt-coefficient",)
 # How pixels of terrain-RGB tiles stand for heights (`globe.terrain_rgb.ENCODINGS`).
 TILE_ENCODINGS = ("mapbox", "terrarium")
+# What kernels can be compiled for ahead of use (`cli.warmup.TASKS`).
+WARMUP_TASKS = ("compress", "read", "verify", "patch", "mesh", "render")
 
 
 @dataclass(frozen=True, kw_only=True)

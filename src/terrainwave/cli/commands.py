@@ -73,6 +73,7 @@ from terrainwave.names import (
     METHODS,
     SMALLEST_METHOD,
     UNBOUNDED_MESHES,
+    WARMUP_TASKS,
     Method,
     methods_that,
 )
@@ -88,7 +89,6 @@ EFFORT = (
     f" For archives: best without --method is {SMALLEST_METHOD.name}, whose files are"
     " 0.95 of the default's size (0.78 to 0.99), and are read 5 times as slowly."
 )
-WARMUP_TASKS = ("compress", "read", "verify", "mesh", "render")
 VERTICAL_OPTION = click.option(
     "--vertical",
     type=click.Choice(VERTICAL),
