@@ -328,7 +328,7 @@ def archives(results: Path) -> Rows:
 
 
 def archive_sentence(results: Path) -> str:
-    """Return what README, choosing.md and the help of `compress` say of ``--effort best``."""
+    """Return what choosing.md and the help of `compress` say of ``--effort best``."""
     (best,) = (row for row in archives(results) if "best" in row["codec"])
     return (
         f"{best['mean']:.2f} of the default's size ({best['least']:.2f} to {best['most']:.2f}),"
