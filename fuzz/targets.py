@@ -17,13 +17,14 @@ import numpy as np
 
 from fuzz import IS_COMPILED
 from fuzz.units import N_PARENTS, SMALL_SISTERS, SPECS, corrected, parent_of
-from terrainwave.codec import cdf53, registry
-from terrainwave.codec.correctioncoder import decode_corrections
+from terrainwave.codec import registry
+from terrainwave.codec.cdf53 import refiner as cdf53
+from terrainwave.codec.cdf53.tiles import TileLayout
+from terrainwave.codec.corrections import decode_corrections
 from terrainwave.codec.group import decode_unit, voids_below
-from terrainwave.codec.maskcoder import decode_mask
-from terrainwave.codec.ownmask import Above, Sections, decode_validity
-from terrainwave.codec.remaindercoder import decode_remainders
-from terrainwave.codec.tiles import TileLayout
+from terrainwave.codec.masks import decode_mask
+from terrainwave.codec.own_masks import Above, Sections, decode_validity
+from terrainwave.codec.remainders import decode_remainders
 from terrainwave.coding.deflate import deflate
 from terrainwave.container.dictionary import DICTIONARY
 from terrainwave.container.header import HEADER_SIZE, MAX_METADATA, pack_header, unpack_header

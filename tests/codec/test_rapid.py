@@ -16,23 +16,11 @@ from lone_units import (
     terrain,
 )
 
-from terrainwave.codec import rapid, rapid_fitting, rapid_tables, rapid_weights
-from terrainwave.codec.rapid import Rapid
-from terrainwave.codec.rapid_code import ESCAPE, N_SYMBOLS
-from terrainwave.codec.rapid_fitting import codes_for
-from terrainwave.codec.rapid_layout import (
-    CORES,
-    F_BEND,
-    F_CONST,
-    F_RANGE,
-    F_TWIST,
-    FEATURE_TAPS,
-    MAX_TAPS,
-    N_FEATURES,
-    TAPS,
-)
-from terrainwave.codec.rapid_magnitude import MOST_ERROR, N_CONTEXTS, scale_of, scaled_features
-from terrainwave.codec.rapid_parameters import (
+from terrainwave.codec.rapid import fit as rapid_fitting
+from terrainwave.codec.rapid import fit_weights as rapid_weights
+from terrainwave.codec.rapid import refiner as rapid
+from terrainwave.codec.rapid import trained as rapid_tables
+from terrainwave.codec.rapid.file_tables import (
     MAX_CODE,
     N_CLASSES,
     N_FAMILIES,
@@ -50,7 +38,22 @@ from terrainwave.codec.rapid_parameters import (
     parse_parameters,
     rest_symbols,
 )
-from terrainwave.codec.rapid_stencils import Samples, _normal, _solved, fit_weights, gather
+from terrainwave.codec.rapid.fit import codes_for
+from terrainwave.codec.rapid.fit_stencils import Samples, _normal, _solved, fit_weights, gather
+from terrainwave.codec.rapid.layout import (
+    CORES,
+    F_BEND,
+    F_CONST,
+    F_RANGE,
+    F_TWIST,
+    FEATURE_TAPS,
+    MAX_TAPS,
+    N_FEATURES,
+    TAPS,
+)
+from terrainwave.codec.rapid.magnitude import MOST_ERROR, N_CONTEXTS, scale_of, scaled_features
+from terrainwave.codec.rapid.refiner import Rapid
+from terrainwave.codec.rapid.symbols import ESCAPE, N_SYMBOLS
 from terrainwave.codec.refiner import Sides
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 from terrainwave.grid.quadtree import Grid

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from terrainwave.codec.rapid import _flat
-from terrainwave.codec.spare import new_heights
+from terrainwave.codec.memory import new_heights
+from terrainwave.codec.rapid.refiner import _flat
 from terrainwave.codec.whole import all_valid, is_whole
 
 

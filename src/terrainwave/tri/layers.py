@@ -19,7 +19,7 @@ from terrainwave.tri.mesh import FRACTION_BITS
 # A coefficient is significant from this share of Err_Tri on, in 1/16.
 SHARE_BITS = 4
 SHARE = 14
-# Fraction bits of the layer, as in `codec.cdf97`.
+# Fraction bits of the layer, as in `codec.cdf97.refiner`.
 _LAYER_BITS = 6
 # Predictions reach this many of the block's samples far.
 _REACH = 2

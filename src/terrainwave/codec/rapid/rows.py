@@ -1,14 +1,14 @@
 """Rows of the planes of a lattice: filled, predicted, made readable (format-rapid.md, R.5, R.6).
 
-`at` is the corner of a row's neighbourhood in the workspace `m` (`rapid_layout`): the row's own
+`at` is the corner of a row's neighbourhood in the workspace `m` (`layout`): the row's own
 samples are ``at + place(plane, 0, column)``. Heights are less than the unit's origin. Numbers of
 samples and places are unsigned, so that no index needs to be checked for a sign.
 """
 
 import numpy as np
 
-from terrainwave.codec.lattice import HH, HL, LH, A, reflect
-from terrainwave.codec.rapid_layout import (
+from terrainwave.codec.planes import HH, HL, LH, A, reflect
+from terrainwave.codec.rapid.layout import (
     BENDS,
     CORE_PLACES,
     ERRORS,

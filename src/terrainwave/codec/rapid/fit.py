@@ -1,7 +1,7 @@
 """Choose and fit the tables of a file of method `rapid` (encoder only).
 
 A few windows of the full grid, chosen by position alone, stand for the raster. Stencils follow from
-them open loop (`rapid_stencils`); then they are coded as if each were a file of its own, and the
+them open loop (`fit_stencils`); then they are coded as if each were a file of its own, and the
 symbols counted. All in whole numbers: the same raster gives the same tables everywhere.
 """
 
@@ -12,11 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec import rapid_tables
-from terrainwave.codec.rapid import Rapid
-from terrainwave.codec.rapid_code import ESCAPE, ESCAPE_BITS, N_SYMBOLS, low_bits
-from terrainwave.codec.rapid_magnitude import N_CONTEXTS
-from terrainwave.codec.rapid_parameters import (
+from terrainwave.codec.rapid import trained
+from terrainwave.codec.rapid.file_tables import (
     CODE_OF_FREQ,
     FREQ_OF_CODE,
     N_CLASSES,
@@ -28,11 +25,14 @@ from terrainwave.codec.rapid_parameters import (
     default_freqs,
     rest_symbols,
 )
-from terrainwave.codec.rapid_stencils import COST_UNIT, candidates, stencils_cost
-from terrainwave.codec.rapid_tables import N_STEPS, family_of
-from terrainwave.codec.rapid_weights import fit_magnitude, weights_bits
+from terrainwave.codec.rapid.fit_stencils import COST_UNIT, candidates, stencils_cost
+from terrainwave.codec.rapid.fit_weights import fit_magnitude, weights_bits
+from terrainwave.codec.rapid.fit_windows import spread_windows
+from terrainwave.codec.rapid.magnitude import N_CONTEXTS
+from terrainwave.codec.rapid.refiner import Rapid
+from terrainwave.codec.rapid.symbols import ESCAPE, ESCAPE_BITS, N_SYMBOLS, low_bits
+from terrainwave.codec.rapid.trained import N_STEPS, family_of
 from terrainwave.codec.refiner import GroupSpec, Heights, Mask, Sides
-from terrainwave.codec.windows import spread_windows
 from terrainwave.coding.rans import N_SLOTS, SYMBOL_BITS
 from terrainwave.grid.quadtree import Grid, Region
 
@@ -66,8 +66,8 @@ def fit_tables(
     """Return the tables for a raster; `heights` and `mask` return a region of a level."""
     n_windows = min(max(grid.n_rows * grid.n_cols // _SHARE, _LEAST_WINDOWS), _MOST_WINDOWS)
     windows, masks = spread_windows(grid, heights, mask, _WINDOW, n_windows)
-    trained = ((FileStencil(0),) * len(PLANES),) * N_CLASSES
-    tables = FileTables(grid.k_max, family_of(step), trained, {})
+    defaults = ((FileStencil(0),) * len(PLANES),) * N_CLASSES
+    tables = FileTables(grid.k_max, family_of(step), defaults, {})
     if int(np.count_nonzero(masks)) < _MIN_SAMPLES:
         return tables
     share = grid.n_rows * grid.n_cols / masks.size
@@ -105,7 +105,7 @@ def best_tables(
             best, least = other, cost
     # Other features, then what takes a reader of format 1.1: other contexts, which take a little
     # longer to decode, and weights of the file's own.
-    reach = rapid_tables.N_FAMILIES
+    reach = trained.N_FAMILIES
     others = [(N_STEPS, 0.0), (reach, _SAVED_BY_REACH)]
     for n_families, share_saved in others if may_have_reach else others[:1]:
         other = best._replace(family=best.family + n_families)
@@ -130,7 +130,7 @@ def _with_weights(
     weights = fit_magnitude(decoded, masks[some_windows], read, some.step)
     if weights is None:
         return tables
-    best, smallest, reach = tables, np.inf, rapid_tables.N_FAMILIES
+    best, smallest, reach = tables, np.inf, trained.N_FAMILIES
     first = tables.family % N_STEPS
     families = [first, first + N_STEPS, first + reach, first + N_STEPS + reach]
     for n_classes in (N_CLASSES, 2, 1):
@@ -236,14 +236,14 @@ def fit_codes(
 
     The cost is about that of the whole file in 1/64 bit, `share` times what was counted.
     """
-    trained = default_freqs(family)
-    codes = codes_for(counts * N_SLOTS + _PRIOR * trained, family)
+    usual = default_freqs(family)
+    codes = codes_for(counts * N_SLOTS + _PRIOR * usual, family)
     freqs = FREQ_OF_CODE[codes]
     rest = rest_symbols(family)
     every = np.arange(N_CONTEXTS)
     freqs[every, rest] = 0
     freqs[every, rest] = N_SLOTS - freqs.sum(1)
-    before, after = ((counts * _cost_table()[f]).sum(1) * share for f in (trained, freqs))
+    before, after = ((counts * _cost_table()[f]).sum(1) * share for f in (usual, freqs))
     changes = np.abs(codes - default_codes(family))
     sizes = np.frexp(changes.astype(np.float64))[1]  # bits of each change
     n_bits = 2 + np.where(changes == 0, 1, 1 + _FREQ_BITS + sizes).sum(1)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.rapid_layout import (
+from terrainwave.codec.rapid.layout import (
     CONTEXT,
     DETAIL,
     ERROR_SHIFT,
@@ -21,7 +21,7 @@ from terrainwave.codec.rapid_layout import (
     VALID,
     WHOLE,
 )
-from terrainwave.codec.rapid_magnitude import MOST_ERROR
+from terrainwave.codec.rapid.magnitude import MOST_ERROR
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.coding.rans import N_STATES, SYMBOL_BITS, decode_row, decode_symbol
 

@@ -7,11 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from terrainwave.codec import parameters as parameters_module
-from terrainwave.codec.fitting import fit_non_negative, fit_tables, fit_weights
-from terrainwave.codec.lattice import CORES, TAPS
-from terrainwave.codec.nested import N_FEATURES
-from terrainwave.codec.parameters import (
+from terrainwave.codec.planes import CORES, TAPS
+from terrainwave.codec.predictive import file_tables as parameters_module
+from terrainwave.codec.predictive.file_tables import (
     MAX_SETS,
     NO_TABLES,
     PLANES,
@@ -23,10 +21,12 @@ from terrainwave.codec.parameters import (
     parse_parameters,
     weights_of,
 )
-from terrainwave.codec.predictive import Predictive
+from terrainwave.codec.predictive.fit import fit_non_negative, fit_tables, fit_weights
+from terrainwave.codec.predictive.passes import N_FEATURES
+from terrainwave.codec.predictive.refiner import Predictive
+from terrainwave.codec.predictive.trained import E_WEIGHTS, STENCILS
 from terrainwave.codec.refiner import GroupSpec, Sides
 from terrainwave.codec.registry import refiner_by_name
-from terrainwave.codec.tables import E_WEIGHTS, STENCILS
 from terrainwave.errors import CorruptStreamError, UnsupportedVersionError
 from terrainwave.grid.quadtree import Grid, Region
 

@@ -9,10 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec import tables97
-from terrainwave.codec.border import code_border
-from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
-from terrainwave.codec.residual import (
+from terrainwave.codec.cdf97 import trained
+from terrainwave.codec.cdf97.residual import (
     BASE_BITS,
     CODED,
     FRAME,
@@ -25,8 +23,7 @@ from terrainwave.codec.residual import (
     open_loop_costs,
     rounding_of,
 )
-from terrainwave.codec.varint import decode_varint, encode_varint
-from terrainwave.codec.zerotree import (
+from terrainwave.codec.cdf97.zerotree import (
     FRAME_COLS,
     FRAME_ROWS,
     HH,
@@ -41,6 +38,9 @@ from terrainwave.codec.zerotree import (
     measure_roughness,
     node_offsets,
 )
+from terrainwave.codec.refiner import GroupSpec, Heights, Labels, Mask
+from terrainwave.codec.shared_lines import code_border
+from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.filters import (
     BAND_GAINS,
     MAX_HEIGHT,
@@ -152,7 +152,7 @@ class Cdf97:
             If the payload contradicts FORMAT.md; `TruncatedStreamError` if it is too short.
         """
         coding, start = _read_header(payload)
-        border = new_decoder(payload[start:], tables97.start_border_models())
+        border = new_decoder(payload[start:], trained.start_border_models())
         heights, is_known = _predict(spec, parent)
         core = spec.core.slices_in(spec.region)
         prediction = heights[core].copy()  # as it is before shared lines are written
@@ -170,7 +170,7 @@ class Cdf97:
             _no_labels(work.nodes.labels)
             if coding.flags & _HAS_COEFFS:
                 bands = _bands(spec.step, coding, n_transforms(*inner.shape))
-                coder = border._replace(models=tables97.start_tree_models())
+                coder = border._replace(models=trained.start_tree_models())
                 code_tree(None, work.field, bands, work.nodes, coder)
                 inverse_transform(work.field, work.low, work.high)
             _fill_base(prediction, work.field, work.base)
@@ -181,8 +181,8 @@ class Cdf97:
                 code_residuals(
                     None, inner, _kinds(mask[core], is_known[core]), work.base, spec.step,
                     rounding_of(spec.step, is_coarse=spec.has_coarse_residuals),
-                    tables97.TERM_WEIGHTS[coding.term_set], tables97.E_WEIGHTS, work.rows,
-                    border._replace(models=tables97.start_residual_models()),
+                    trained.TERM_WEIGHTS[coding.term_set], trained.E_WEIGHTS, work.rows,
+                    border._replace(models=trained.start_residual_models()),
                 )  # fmt: skip
             else:
                 _round_base(work.base, is_known[core], inner)
@@ -202,7 +202,7 @@ class _Encoder:
         self.core = core = spec.core.slices_in(spec.region)
         self.prediction = self.heights[core].copy()  # as it is before shared lines are written
         self.out = np.empty(5 * target.size + 1024, dtype=np.uint8)
-        self.coder = new_encoder(self.out, tables97.start_border_models())
+        self.coder = new_encoder(self.out, trained.start_border_models())
         code_border(spec, parent, target, mask, self.coder, self.heights, is_known, is_nested=False)
         self.border_state = self.coder.state.copy()
         self.is_known = np.ascontiguousarray(is_known[core])
@@ -269,7 +269,7 @@ class _Encoder:
             if mark_labels(self.quants, work.nodes.offsets, labels) or self.quants[0, 0]:
                 coding = coding._replace(flags=_HAS_COEFFS, along=choose_along(self.quants))
                 bands = bands._replace(along=coding.along)
-                coder = self.coder._replace(models=tables97.start_tree_models())
+                coder = self.coder._replace(models=trained.start_tree_models())
                 code_tree(self.quants, work.field, bands, work.nodes, coder)
                 inverse_transform(work.field, work.low, work.high)
         inner = self.start.copy()
@@ -284,8 +284,8 @@ class _Encoder:
             code_residuals(
                 self.target, inner, self.kinds, work.base, spec.step,
                 rounding_of(spec.step, is_coarse=spec.has_coarse_residuals),
-                tables97.TERM_WEIGHTS[coding.term_set], tables97.E_WEIGHTS, work.rows,
-                self.coder._replace(models=tables97.start_residual_models()),
+                trained.TERM_WEIGHTS[coding.term_set], trained.E_WEIGHTS, work.rows,
+                self.coder._replace(models=trained.start_residual_models()),
             )  # fmt: skip
         n_bytes = finish_encoder(state, self.out)
         header = _write_header(coding)
@@ -302,7 +302,7 @@ class _Encoder:
 
     def _choose_terms(self) -> int:
         """Return the set of weights that suits the framed base best, by errors on some rows."""
-        sets = tables97.TERM_WEIGHTS
+        sets = trained.TERM_WEIGHTS
         costs = np.zeros(sets.shape[0], dtype=np.int64)
         every = 8 if self.target.size > 16384 else 2
         open_loop_costs(
@@ -441,7 +441,7 @@ def _read_header(payload: bytes) -> tuple[Coding, int]:
     if flags & _HAS_RESIDUALS:
         if pos >= len(payload):
             raise TruncatedStreamError("the payload ends inside its header")
-        if payload[pos] >= tables97.TERM_WEIGHTS.shape[0]:
+        if payload[pos] >= trained.TERM_WEIGHTS.shape[0]:
             raise CorruptStreamError(f"set {payload[pos]} of residual weights does not exist")
         coding = coding._replace(term_set=payload[pos])
         pos += 1

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import valid_masks
 
-from terrainwave.codec.maskcoder import decode_mask, encode_mask, start_models
+from terrainwave.codec.masks import decode_mask, encode_mask, start_models
 from terrainwave.errors import CorruptStreamError
 
 shapes = st.tuples(st.integers(1, 12), st.integers(1, 12))

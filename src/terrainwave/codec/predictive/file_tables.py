@@ -1,7 +1,7 @@
 """Tables of `predictive` that a file brings along: their bytes (FORMAT.md: predictive, P.10).
 
-A file's stencils stand after the trained ones of `tables.STENCILS`, its weights of the expected
-magnitude after those of `tables.E_WEIGHTS`.
+A file's stencils stand after the trained ones of `trained.STENCILS`, its weights of the expected
+magnitude after those of `trained.E_WEIGHTS`.
 """
 
 from functools import cache
@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec import tables
-from terrainwave.codec.lattice import CORES, TAPS
-from terrainwave.codec.nested import N_FEATURES
+from terrainwave.codec.planes import CORES, TAPS
+from terrainwave.codec.predictive import trained
+from terrainwave.codec.predictive.passes import N_FEATURES
 from terrainwave.coding.rangecoder import (
     MAGNITUDE_MODELS,
     N_UNARY,
@@ -80,10 +80,10 @@ def weights_of(plane: int, stencil: FileStencil) -> NDArray[np.int64]:
     CorruptStreamError
         If a weight is out of range.
     """
-    trained = tables.STENCILS[plane]
-    if stencil.base >= len(trained):
+    sets = trained.STENCILS[plane]
+    if stencil.base >= len(sets):
         raise CorruptStreamError(f"a stencil builds on set {stencil.base}, which does not exist")
-    weights = trained[stencil.base] + (np.array(stencil.deltas, dtype=np.int64) << stencil.shift)
+    weights = sets[stencil.base] + (np.array(stencil.deltas, dtype=np.int64) << stencil.shift)
     missing = missing_tap(plane)
     weights[missing] = 0
     weights[missing] = _WHOLE - weights.sum()
@@ -96,12 +96,12 @@ def all_tables(added: FileTables) -> Tables:
     """Return trained and file tables together."""
     stencils, e_weights = {}, {}
     for plane in PLANES:
-        trained = tables.STENCILS[plane]
+        sets = trained.STENCILS[plane]
         own = [weights_of(plane, stencil) for stencil in added.stencils[plane]]
-        stencils[plane] = np.vstack([trained, *own])
+        stencils[plane] = np.vstack([sets, *own])
         features = added.e_weights[plane]
         own = [] if features is None else [features]
-        e_weights[plane] = np.vstack([tables.E_WEIGHTS[plane], *own])
+        e_weights[plane] = np.vstack([trained.E_WEIGHTS[plane], *own])
     return Tables(stencils, e_weights)
 
 
@@ -165,7 +165,7 @@ def parse_parameters(section: bytes) -> FileTables:
     added = FileTables({plane: [] for plane in PLANES}, dict.fromkeys(PLANES))
     for plane in PLANES:
         n_sets = int(code_raw(coder, 4, 0))
-        if n_sets + len(tables.STENCILS[plane]) > MAX_SETS:
+        if n_sets + len(trained.STENCILS[plane]) > MAX_SETS:
             raise CorruptStreamError(f"{n_sets} stencils for plane {plane} are too many")
         for _ in range(n_sets):
             stencil = _parse_stencil(coder, plane)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from terrainwave.codec import spare
-from terrainwave.codec.spare import Spares
+from terrainwave.codec import memory as spare
+from terrainwave.codec.memory import Spares
 
 
 def test_memory_is_lent_to_one_at_a_time_and_then_again():

@@ -10,10 +10,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec import tables
-from terrainwave.codec.detail import log8
-from terrainwave.codec.lattice import CORES, PAD, TAPS, WEIGHT_BITS, Pass
-from terrainwave.codec.nested import (
+from terrainwave.codec.magnitudes import log8
+from terrainwave.codec.planes import CORES, PAD, TAPS, WEIGHT_BITS, Pass
+from terrainwave.codec.predictive import trained
+from terrainwave.codec.predictive.file_tables import (
+    MAX_FEATURE_WEIGHT,
+    MAX_SETS,
+    PLANES,
+    FileStencil,
+    FileTables,
+    missing_tap,
+    weights_of,
+)
+from terrainwave.codec.predictive.passes import (
     CODED,
     E_WEIGHT_BITS,
     F_ACTIVITY,
@@ -35,15 +44,6 @@ from terrainwave.codec.nested import (
     F_W,
     F_WW,
     N_FEATURES,
-)
-from terrainwave.codec.parameters import (
-    MAX_FEATURE_WEIGHT,
-    MAX_SETS,
-    PLANES,
-    FileStencil,
-    FileTables,
-    missing_tap,
-    weights_of,
 )
 from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.coding.jit import kernel
@@ -108,7 +108,7 @@ def fit_tables(
             stencil = _fit_stencil(plane, samples, noise)
             if (
                 stencil is not None
-                and len(tables.STENCILS[plane]) + len(stencils[plane]) < MAX_SETS
+                and len(trained.STENCILS[plane]) + len(stencils[plane]) < MAX_SETS
             ):
                 stencils[plane].append(stencil)
     return FileTables(stencils, dict.fromkeys(PLANES))
@@ -224,16 +224,16 @@ def _fit_stencil(plane: int, samples: _Samples, noise: float) -> FileStencil | N
     wanted = 4096 * (solution + is_core * (rest / 4))
     if not (np.abs(wanted) < _MAX_WANTED).all():
         return None
-    trained = tables.STENCILS[plane]
+    sets = trained.STENCILS[plane]
     every = max(1, len(samples.goals) // _MAX_JUDGED)
     judged = np.ascontiguousarray(samples.taps[::every]), samples.goals[::every].copy()
-    costs = [stencil_cost(*judged, weights, noise) for weights in trained]
+    costs = [stencil_cost(*judged, weights, noise) for weights in sets]
     base = min(range(len(costs)), key=costs.__getitem__)
     missing = missing_tap(plane)
     scale = samples.n_in_file / (_COST_PER_BIT * len(judged[1]))
     best, most_saved = None, 0.0
     for shift in _SHIFTS:
-        deltas = np.floor((wanted - trained[base]) / 2**shift + 0.5).astype(np.int64)
+        deltas = np.floor((wanted - sets[base]) / 2**shift + 0.5).astype(np.int64)
         deltas[missing] = 0
         stencil = FileStencil(base, shift, tuple(deltas.tolist()))
         cost = stencil_cost(*judged, weights_of(plane, stencil), noise)
@@ -351,7 +351,7 @@ def features_of(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return (features, |detail|) in steps of a coded plane's samples away from its rim.
 
-    Shapes (n, N_FEATURES) and (n,). As `nested.code_pass` computes them, but for rounding.
+    Shapes (n, N_FEATURES) and (n,). As `passes.code_pass` computes them, but for rounding.
     """
     n_rows, n_cols = kinds.shape
     own = geometry.plane

@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from terrainwave.codec.cdf53.spiht import MAX_PLANES, decode_field, encode_field
+from terrainwave.codec.cdf53.tile_border import decode_borders, encode_borders
+from terrainwave.codec.cdf53.tiles import TileSpec
 from terrainwave.codec.group import voids_below
-from terrainwave.codec.maskcoder import decode_mask, encode_mask
-from terrainwave.codec.ownmask import Above, Sections, Validity, decode_validity, encode_validity
+from terrainwave.codec.masks import decode_mask, encode_mask
+from terrainwave.codec.own_masks import Above, Sections, Validity, decode_validity, encode_validity
 from terrainwave.codec.refiner import Heights, Mask
-from terrainwave.codec.spiht import MAX_PLANES, decode_field, encode_field
-from terrainwave.codec.tileborder import decode_borders, encode_borders
-from terrainwave.codec.tiles import TileSpec
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.coding.lifting53 import forward_transform, inverse_transform
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError

@@ -12,9 +12,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.correctioncoder import correct
-from terrainwave.codec.rapid_border import plan_lines
-from terrainwave.codec.rapid_code import (
+from terrainwave.codec.corrections import correct
+from terrainwave.codec.memory import Spares, new_heights
+from terrainwave.codec.rapid.file_tables import Tables, pack_parameters, parse_parameters
+from terrainwave.codec.rapid.layout import (
+    MAX_COLS,
+    Scale,
+    Workspace,
+    arranged_weights,
+    new_workspace,
+)
+from terrainwave.codec.rapid.magnitude import N_CONTEXTS, scale_of, scaled_features
+from terrainwave.codec.rapid.shared_lines import plan_lines
+from terrainwave.codec.rapid.symbols import (
     BIT_POS,
     COUNT,
     SPARE_BITS,
@@ -22,20 +32,11 @@ from terrainwave.codec.rapid_code import (
     WORD_POS,
     Streams,
 )
-from terrainwave.codec.rapid_lattice import (
+from terrainwave.codec.rapid.wavefront import (
     Grid2,
     Known,
     code_rows,
 )
-from terrainwave.codec.rapid_layout import (
-    MAX_COLS,
-    Scale,
-    Workspace,
-    arranged_weights,
-    new_workspace,
-)
-from terrainwave.codec.rapid_magnitude import N_CONTEXTS, scale_of, scaled_features
-from terrainwave.codec.rapid_parameters import Tables, pack_parameters, parse_parameters
 from terrainwave.codec.refiner import (
     NO_CORRECTIONS,
     Corrections,
@@ -44,7 +45,6 @@ from terrainwave.codec.refiner import (
     Labels,
     Mask,
 )
-from terrainwave.codec.spare import Spares, new_heights
 from terrainwave.codec.varint import decode_varint, encode_varint
 from terrainwave.codec.whole import is_whole
 from terrainwave.coding.rans import (
@@ -164,7 +164,7 @@ class Rapid:
 
         `heights` and `mask` return targets and validity of a region of a level.
         """
-        from terrainwave.codec.rapid_fitting import fit_tables
+        from terrainwave.codec.rapid.fit import fit_tables
 
         tables = fit_tables(grid, step, heights, mask, may_have_reach=may_have_reach)
         return Rapid(pack_parameters(tables))

@@ -6,10 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec import rapid_reach_tables, rapid_tables
-from terrainwave.codec.lattice import HH, HL, LH
-from terrainwave.codec.rapid_code import ESCAPE, N_SYMBOLS
-from terrainwave.codec.rapid_layout import (
+from terrainwave.codec.planes import HH, HL, LH
+from terrainwave.codec.rapid import trained, trained_reach
+from terrainwave.codec.rapid.layout import (
     CORES,
     F_DIAGONAL,
     F_FAR,
@@ -23,7 +22,8 @@ from terrainwave.codec.rapid_layout import (
     N_FEATURES,
     TAPS,
 )
-from terrainwave.codec.rapid_magnitude import N_CONTEXTS
+from terrainwave.codec.rapid.magnitude import N_CONTEXTS
+from terrainwave.codec.rapid.symbols import ESCAPE, N_SYMBOLS
 from terrainwave.coding.jit import kernel, rare_kernel
 from terrainwave.coding.rangecoder import (
     MAGNITUDE_MODELS,
@@ -48,7 +48,7 @@ WHOLE = 4096
 MAX_WEIGHT = (1 << 15) - 1
 SHIFTS = (0, 2, 3, 4, 5)
 # Families of contexts by the mean, then those of contexts by reach (R.7).
-N_FAMILIES = 2 * rapid_tables.N_FAMILIES
+N_FAMILIES = 2 * trained.N_FAMILIES
 _LAYOUTS = _BY_MEAN, _BY_REACH, _WITH_WEIGHTS = 1, REACH_LAYOUT, WEIGHTS_LAYOUT
 _K_MAX_BITS, _FAMILY_BITS, _BASE_BITS, _SHIFT_BITS = 5, 3, 4, 3
 _N_WEIGHTED_BITS = 2
@@ -128,8 +128,8 @@ class Tables:
     def __init__(self, file: FileTables | None) -> None:
         self._file = file
         self.k_max = 0 if file is None else file.k_max
-        layout, family = divmod(0 if file is None else file.family, rapid_tables.N_FAMILIES)
-        self.features = rapid_tables.FEATURES[family // rapid_tables.N_STEPS]
+        layout, family = divmod(0 if file is None else file.family, trained.N_FAMILIES)
+        self.features = trained.FEATURES[family // trained.N_STEPS]
         if file is not None and file.weights is not None:
             self.features = self.features.copy()
             self.features[: len(file.weights), : len(PLANES)] = weights_of_codes(file.weights)
@@ -159,7 +159,7 @@ class Tables:
         return self._packed[family]
 
     def _family(self, step: int) -> int:
-        return rapid_tables.family_of(step) if self._file is None else self._file.family
+        return trained.family_of(step) if self._file is None else self._file.family
 
     def _freqs(self, family: int) -> NDArray[np.int64]:
         freqs = default_freqs(family)
@@ -192,10 +192,10 @@ def weights_of(plane: int, stencil: FileStencil) -> NDArray[np.int64]:
     CorruptStreamError
         If the set does not exist or a weight is out of range.
     """
-    trained = rapid_tables.STENCILS[plane]
-    if stencil.base >= len(trained):
+    sets = trained.STENCILS[plane]
+    if stencil.base >= len(sets):
         raise CorruptStreamError(f"a stencil builds on set {stencil.base}, which does not exist")
-    weights: NDArray[np.int64] = trained[stencil.base].astype(np.int64)
+    weights: NDArray[np.int64] = sets[stencil.base].astype(np.int64)
     if stencil.deltas:
         weights += np.array(stencil.deltas, dtype=np.int64) << stencil.shift
         missing = missing_tap(plane)
@@ -279,7 +279,7 @@ def freqs_of(codes: NDArray[np.int64], rests: NDArray[np.int64]) -> NDArray[np.i
 @cache
 def _all_codes() -> NDArray[np.int64]:
     """Return the trained codes of all families and contexts."""
-    both = rapid_tables.default_codes(), rapid_reach_tables.default_codes()
+    both = trained.default_codes(), trained_reach.default_codes()
     return np.concatenate(both).astype(np.int64)
 
 
@@ -314,7 +314,7 @@ def pack_parameters(tables: FileTables) -> bytes:
     out = np.zeros(1 << 16, dtype=np.uint8)
     coder = new_encoder(out, new_models(_N_MODELS))
     numbers = _Numbers.empty()
-    is_by_reach, family = divmod(tables.family, rapid_tables.N_FAMILIES)
+    is_by_reach, family = divmod(tables.family, trained.N_FAMILIES)
     layout = _BY_REACH if is_by_reach else _BY_MEAN
     if tables.weights is not None:
         layout = _WITH_WEIGHTS
@@ -359,7 +359,7 @@ def parse_parameters(section: bytes) -> Tables:
     if status == _BAD_CODE:
         raise CorruptStreamError(f"context {which} has a frequency code that does not exist")
     k_max, family, is_by_reach, n_weighted = numbers.head.tolist()
-    family += is_by_reach * rapid_tables.N_FAMILIES
+    family += is_by_reach * trained.N_FAMILIES
     weights = numbers.weights[:n_weighted] if n_weighted else None
     if status == _BAD_FEATURE or (weights is not None and not are_sound(weights)):
         raise CorruptStreamError("a weight of what details are expected to be is out of range")

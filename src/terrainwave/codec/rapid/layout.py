@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.lattice import HH, HL, LH, A
+from terrainwave.codec.planes import HH, HL, LH, A
 
 PAD = 4  # samples kept free beside each row; taps reach at most 3 past its end
 ROWS_ABOVE, ROWS_BELOW = 4, 3  # rows that stay reachable above and below the one at hand

@@ -9,8 +9,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.correctioncoder import corrected
-from terrainwave.codec.detail import (
+from terrainwave.codec.corrections import corrected
+from terrainwave.codec.magnitudes import (
     E_BITS,
     E_OFFSET,
     MAX_E,
@@ -28,7 +28,7 @@ from terrainwave.codec.detail import (
     range_bin_of,
     step_scale,
 )
-from terrainwave.codec.lattice import PAD, WEIGHT_BITS
+from terrainwave.codec.planes import PAD, WEIGHT_BITS
 from terrainwave.codec.refiner import FREE
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.filters import MAX_HEIGHT
@@ -240,8 +240,8 @@ def code_pass(
     `kinds` (VOID, CODED, KNOWN) and `target` have the plane's size without padding; known samples
     are in place. Fills ``errors[own]`` and ``activity[own]`` as well, whose padding must be 0.
     `rows` may be int32 where `fits_narrow` says so, for the same result in half the time. `limits`
-    are `detail.cell_limits`, or None where each decision has one model only. `coder` and `mixers`
-    adapt. `kept` and `added` are `Corrections` of the plane, flat, or empty.
+    are `magnitudes.cell_limits`, or None where each decision has one model only. `coder` and
+    `mixers` adapt. `kept` and `added` are `Corrections` of the plane, flat, or empty.
     """
     goal, kinds, planes, errors = borrowed((target, kinds, planes, errors))
     activity, bends, geometry, rows = borrowed((activity, bends, geometry, rows))

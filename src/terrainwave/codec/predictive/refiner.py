@@ -11,11 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec import tables
-from terrainwave.codec.border import N_BORDER_MODELS, code_border, code_root_sample, put_back
-from terrainwave.codec.detail import N_DETAIL_MODELS, N_MIXERS, cell_limits
-from terrainwave.codec.fitting import features_of, fit_features, fit_tables, windows_of
-from terrainwave.codec.lattice import (
+from terrainwave.codec.magnitudes import N_DETAIL_MODELS, N_MIXERS, cell_limits
+from terrainwave.codec.planes import (
     HH,
     HL,
     LH,
@@ -31,7 +28,17 @@ from terrainwave.codec.lattice import (
     plane_sizes,
     split,
 )
-from terrainwave.codec.nested import (
+from terrainwave.codec.predictive import trained
+from terrainwave.codec.predictive.file_tables import (
+    PLANES,
+    FileTables,
+    Tables,
+    all_tables,
+    pack_parameters,
+    parse_parameters,
+)
+from terrainwave.codec.predictive.fit import features_of, fit_features, fit_tables, windows_of
+from terrainwave.codec.predictive.passes import (
     CODED,
     KNOWN,
     N_ROW_BUFFERS,
@@ -42,14 +49,6 @@ from terrainwave.codec.nested import (
     n_reached,
     open_loop_cost,
 )
-from terrainwave.codec.parameters import (
-    PLANES,
-    FileTables,
-    Tables,
-    all_tables,
-    pack_parameters,
-    parse_parameters,
-)
 from terrainwave.codec.refiner import (
     NO_CORRECTIONS,
     Corrections,
@@ -59,6 +58,7 @@ from terrainwave.codec.refiner import (
     Mask,
     Sides,
 )
+from terrainwave.codec.shared_lines import N_BORDER_MODELS, code_border, code_root_sample, put_back
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.rangecoder import (
     OUT_POS,
@@ -212,7 +212,7 @@ class Predictive:
         """Return the payload and the heights `decode` makes of it."""
         flags = _CLAMP | (_MIXED if spec.effort else 0)
         out = np.empty(6 * target.size + 1024, dtype=np.uint8)
-        coder = new_encoder(out, tables.start_models(N_DETAIL_MODELS))
+        coder = new_encoder(out, trained.start_models(N_DETAIL_MODELS))
         unit = _new_unit(coder, flags, self._tables)
         heights, trees = _code_unit(spec, parent, target, mask, unit, corrections)
         n_bytes = finish_encoder(coder.state, out)
@@ -237,7 +237,7 @@ class Predictive:
             raise TruncatedStreamError("the payload is empty")
         if payload[0] & ~(_MIXED | _CLAMP):
             raise CorruptStreamError(f"payload flags {payload[0]:#x} are not defined")
-        coder = new_decoder(payload[1:], tables.start_models(N_DETAIL_MODELS))
+        coder = new_decoder(payload[1:], trained.start_models(N_DETAIL_MODELS))
         unit = _new_unit(coder, payload[0], self._tables)
         heights, trees = _code_unit(spec, parent, None, mask, unit, corrections)
         raise_for_status(*finish_decoder(coder.state, coder.stream))
@@ -250,11 +250,11 @@ def _fit_e_weights(
     """Return feature weights by plane fitted to coded windows, None where not worth storing."""
     none: dict[int, NDArray[np.int64] | None] = dict.fromkeys(PLANES)
     seen: _Seen = {plane: [] for plane in PLANES}
-    trained = all_tables(added)
+    tables = all_tables(added)
     # Windows of one colour of a chessboard are fitted to, the others judge.
     judges = windows[1::2]
     for window in windows[::2]:
-        _code_window(*window, step, trained, seen)
+        _code_window(*window, step, tables, seen)
         coded = [part[1] for parts in seen.values() for part in parts]
         n_coded = sum(sizes.size for sizes in coded)
         if 256 * sum(int(sizes.sum()) for sizes in coded) < CLASS_LIMITS[-1] * max(n_coded, 1):
@@ -269,7 +269,7 @@ def _fit_e_weights(
     if not judges or all(weights[plane] is None for plane in PLANES):
         return none
     both = added._replace(e_weights=weights)
-    n_bits = sum(_code_window(*window, step, trained, None) for window in judges)
+    n_bits = sum(_code_window(*window, step, tables, None) for window in judges)
     n_bits -= sum(_code_window(*window, step, all_tables(both), None) for window in judges)
     n_stored = 8 * (len(pack_parameters(both)) - len(pack_parameters(added)))
     n_judged = sum(mask.size for _, mask in judges)
@@ -286,7 +286,7 @@ def _code_window(
         1, region, region, None, Sides(False, False, False, False), step, low, high, (1, 0), 1, 0
     )
     out = np.empty(6 * target.size + 1024, dtype=np.uint8)
-    coder = new_encoder(out, tables.start_models(N_DETAIL_MODELS))
+    coder = new_encoder(out, trained.start_models(N_DETAIL_MODELS))
     unit = _new_unit(coder, _CLAMP | _MIXED, all_sets, seen)
     kinds = np.where(mask, CODED, VOID).astype(np.uint8)
     coarse = np.ascontiguousarray(target[::2, ::2])
@@ -299,7 +299,7 @@ def _code_window(
 
 
 def _new_unit(coder: Coder, flags: int, all_sets: Tables, seen: _Seen | None = None) -> _Unit:
-    border = coder._replace(models=tables.start_border_models(N_BORDER_MODELS))
+    border = coder._replace(models=trained.start_border_models(N_BORDER_MODELS))
     return _Unit(coder, new_mixers(N_MIXERS), border, flags, all_sets, seen)
 
 
@@ -386,7 +386,7 @@ def _code_lattice(
 ) -> NDArray[np.int32]:
     """Code the three passes of a lattice; `heights` holds the coarse and the known samples.
 
-    Return the errors of prediction, in planes as `lattice.split` makes them; they are gone when the
+    Return the errors of prediction, in planes as `planes.split` makes them; they are gone when the
     next lattice is coded.
     """
     shape = heights.shape

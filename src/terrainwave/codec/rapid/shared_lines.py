@@ -1,7 +1,7 @@
 """Lines that neighbouring units share, coded from the line alone (format-rapid.md, R.3).
 
-As `codec.border` does for the other methods, but by rows like everything of `rapid`: no sample
-waits for the one before it.
+As `codec.shared_lines` does for the other methods, but by rows like everything of `rapid`: no
+sample waits for the one before it.
 """
 
 from functools import lru_cache
@@ -9,8 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.border import plan_border
-from terrainwave.codec.rapid_layout import (
+from terrainwave.codec.rapid.layout import (
     EXPECTED,
     LEAST,
     LINE,
@@ -20,6 +19,7 @@ from terrainwave.codec.rapid_layout import (
     TWIST,
 )
 from terrainwave.codec.refiner import GroupSpec, Sides
+from terrainwave.codec.shared_lines import plan_border
 from terrainwave.coding.jit import kernel, kernel_part
 from terrainwave.grid.quadtree import Region
 

@@ -8,11 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from terrainwave.codec.correctioncoder import corrected
-from terrainwave.codec.lattice import HH, HL, LH
-from terrainwave.codec.rapid_border import MOST_CORNERS, prepare_shared
-from terrainwave.codec.rapid_code import code_details, note_errors
-from terrainwave.codec.rapid_layout import (
+from terrainwave.codec.corrections import corrected
+from terrainwave.codec.planes import HH, HL, LH
+from terrainwave.codec.rapid.layout import (
     GOAL,
     N_ROWS,
     ON_LINE,
@@ -26,8 +24,8 @@ from terrainwave.codec.rapid_layout import (
     WEIGHTS,
     place,
 )
-from terrainwave.codec.rapid_magnitude import fill_contexts
-from terrainwave.codec.rapid_rows import (
+from terrainwave.codec.rapid.magnitude import fill_contexts
+from terrainwave.codec.rapid.rows import (
     copy_row,
     fill_bends,
     fill_means,
@@ -37,6 +35,8 @@ from terrainwave.codec.rapid_rows import (
     store_rows,
     surround,
 )
+from terrainwave.codec.rapid.shared_lines import MOST_CORNERS, prepare_shared
+from terrainwave.codec.rapid.symbols import code_details, note_errors
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import kernel, kernel_part
 

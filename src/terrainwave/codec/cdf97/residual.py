@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.detail import (
+from terrainwave.codec.magnitudes import (
     MAX_E,
     N_E_BINS,
     SHIFT_OF_E,

@@ -8,8 +8,20 @@ the same raster gives the same weights on every machine.
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.lattice import HH, A, parity
-from terrainwave.codec.rapid_layout import (
+from terrainwave.codec.planes import HH, A, parity
+from terrainwave.codec.rapid.file_tables import (
+    CODE_OF_FREQ,
+    FREQ_OF_CODE,
+    MAX_CODE,
+    N_CLASSES,
+    PLANES,
+    USUAL_WEIGHTS,
+    WEIGHT_SHIFTS,
+    Tables,
+    are_sound,
+)
+from terrainwave.codec.rapid.fit_stencils import CLASS_DEPTHS
+from terrainwave.codec.rapid.layout import (
     BENDS,
     CORES,
     ERRORS,
@@ -23,19 +35,7 @@ from terrainwave.codec.rapid_layout import (
     TAPS,
     Scale,
 )
-from terrainwave.codec.rapid_magnitude import MOST_ERROR, scale_of
-from terrainwave.codec.rapid_parameters import (
-    CODE_OF_FREQ,
-    FREQ_OF_CODE,
-    MAX_CODE,
-    N_CLASSES,
-    PLANES,
-    USUAL_WEIGHTS,
-    WEIGHT_SHIFTS,
-    Tables,
-    are_sound,
-)
-from terrainwave.codec.rapid_stencils import CLASS_DEPTHS
+from terrainwave.codec.rapid.magnitude import MOST_ERROR, scale_of
 from terrainwave.codec.refiner import Heights, Mask
 
 Reals = NDArray[np.float64]

@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import valid_masks
 
-from terrainwave.codec import ownmask
+from terrainwave.codec import own_masks as ownmask
 from terrainwave.codec.group import voids_below
-from terrainwave.codec.maskcoder import encode_mask
-from terrainwave.codec.ownmask import (
+from terrainwave.codec.masks import encode_mask
+from terrainwave.codec.own_masks import (
     Above,
     Sections,
     Validity,

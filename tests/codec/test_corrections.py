@@ -13,10 +13,10 @@ from reference_decoder.basics import DOCUMENT
 from reference_decoder.payloads import decode_corrections as decode_slowly
 
 from terrainwave.codec import registry
-from terrainwave.codec.border import plan_border, shared_samples
-from terrainwave.codec.correctioncoder import decode_corrections, encode_corrections
+from terrainwave.codec.corrections import decode_corrections, encode_corrections
 from terrainwave.codec.group import decode_unit, encode_unit, implied_voids
 from terrainwave.codec.refiner import FREE
+from terrainwave.codec.shared_lines import plan_border, shared_samples
 from terrainwave.codec.units import block_of_unit, unit_spec
 from terrainwave.errors import CorruptStreamError
 from terrainwave.grid.parameters import CodecParameters

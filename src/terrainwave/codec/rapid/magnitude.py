@@ -8,7 +8,7 @@ features come in units of about the step, so that no sum passes 2**31.
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.rapid_layout import (
+from terrainwave.codec.rapid.layout import (
     CONTEXT,
     END_SHIFT,
     EXPECTED,

@@ -12,10 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec import rapid_tables
-from terrainwave.codec.lattice import parity
-from terrainwave.codec.rapid_layout import MAX_TAPS, TAPS
-from terrainwave.codec.rapid_parameters import (
+from terrainwave.codec.planes import parity
+from terrainwave.codec.rapid import trained
+from terrainwave.codec.rapid.file_tables import (
     N_CLASSES,
     PLANES,
     SHIFTS,
@@ -24,6 +23,7 @@ from terrainwave.codec.rapid_parameters import (
     core_taps,
     missing_tap,
 )
+from terrainwave.codec.rapid.layout import MAX_TAPS, TAPS
 from terrainwave.codec.refiner import Heights, Mask
 
 Reals = NDArray[np.float64]
@@ -216,8 +216,8 @@ def costs_of(samples: Samples, weights: NDArray[np.int64], noises: Reals) -> NDA
 
 def _best(plane: int, samples: Samples) -> int:
     """Return the trained set that predicts best."""
-    trained = _trained(plane)
-    return int(costs_of(samples, trained, np.zeros(len(trained))).argmin())
+    sets = _trained(plane)
+    return int(costs_of(samples, sets, np.zeros(len(sets))).argmin())
 
 
 def _noise(samples: dict[tuple[int, int], Samples], best: dict[tuple[int, int], int]) -> float:
@@ -355,7 +355,7 @@ def _bits_of(deltas: NDArray[np.int64]) -> NDArray[np.int64]:
 @cache
 def _trained(plane: int) -> NDArray[np.int64]:
     """Return the trained weights of a plane."""
-    return rapid_tables.STENCILS[plane].astype(np.int64)
+    return trained.STENCILS[plane].astype(np.int64)
 
 
 def _cheapest(
@@ -371,19 +371,19 @@ def _cheapest(
     Of the trained one and those near the weights that are `fitted`, from the finest to the
     coarsest.
     """
-    trained = _trained(plane)[base]
+    known = _trained(plane)[base]
     rounding = np.array(SHIFTS, dtype=np.int64)[:, None]
     tried = []
     for wanted in fitted:
-        deltas = np.zeros((1 + len(rounding), len(trained)), dtype=np.int64)
+        deltas = np.zeros((1 + len(rounding), len(known)), dtype=np.int64)
         if wanted is not None:
-            near = (wanted[: len(trained)] - trained + (1 << rounding >> 1)) >> rounding
+            near = (wanted[: len(known)] - known + (1 << rounding >> 1)) >> rounding
             near[:, missing_tap(plane)] = 0
             deltas[1:] = near
         tried.append(deltas)
     deltas = np.concatenate(tried)
     shifts = np.tile(np.concatenate([np.zeros((1, 1), dtype=np.int64), rounding]), (len(tried), 1))
-    weights = trained + (deltas << shifts)
+    weights = known + (deltas << shifts)
     weights[:, missing_tap(plane)] += WHOLE - weights.sum(1)
     costs = costs_of(samples, weights, np.repeat(noises, len(tried[0]))) * (samples.every * share)
     # Where no delta is left it is the trained one, which takes none.
