@@ -37,8 +37,8 @@ from terrainwave.render.modes.front import eye_of
 from terrainwave.render.offscreen import Offscreen
 from terrainwave.render.selection import View
 from terrainwave.render.style import Style
-from terrainwave.tri.dynamic import DynamicMesh
-from terrainwave.tri.rqt_view import RestrictedMesh
+from terrainwave.tri.dynamic.dynamic import DynamicMesh
+from terrainwave.tri.rqt.view import RestrictedMesh
 
 # The papers' figures; "ours" are format strings.
 PAPERS = Path(__file__).with_name("papers.csv")

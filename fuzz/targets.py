@@ -42,7 +42,7 @@ from terrainwave.names import METHODS
 from terrainwave.raster_io.info import RasterInfo
 from terrainwave.raster_io.stream import GeoTIFFStream
 from terrainwave.terrain import Terrain
-from terrainwave.tri.borders import beside_void
+from terrainwave.tri.halves.borders import beside_void
 from terrainwave.tri.stored import STORED_KINDS
 
 GOLDEN = Path(__file__).parents[1] / "tests" / "golden" / "v1"

@@ -12,14 +12,14 @@ from terrainwave.render.modes.front import eye_of
 from terrainwave.render.selection import View
 from terrainwave.render.shaders import TERRAIN_FRAGMENT
 from terrainwave.render.surface import OWN_UNIT, release_all, set_uniforms
-from terrainwave.tri.dynamic import DynamicMesh
-from terrainwave.tri.haar import FIRST, HIGH, LOW, N_COLS, N_ROWS, HaarTree
+from terrainwave.tri.dynamic.dynamic import DynamicMesh
+from terrainwave.tri.dynamic.haar import FIRST, HIGH, LOW, N_COLS, N_ROWS, HaarTree
 
 if TYPE_CHECKING:
     from terrainwave.render.modes.front import FrontPatch, Sides
     from terrainwave.render.modes.mode import Frames
     from terrainwave.render.scene import Scene
-    from terrainwave.tri.dynamic import Eye, Followed
+    from terrainwave.tri.dynamic.dynamic import Eye, Followed
 
 _SLOPES, _HEIGHTS, _BOUNDS, _MARKS = OWN_UNIT, OWN_UNIT + 1, OWN_UNIT + 2, OWN_UNIT + 3
 _VOID = np.float32(-1e38)
@@ -55,7 +55,7 @@ vec2 across(vec2 place) {
     return in_tree.xy + vec2(dot(level_axes.xy, place), dot(level_axes.zw, place));
 }
 
-// As `tri.dynamic.screen_error`; all places are relative to the eye.
+// As `tri.dynamic.dynamic.screen_error`; all places are relative to the eye.
 float screen_error(int h, ivec2 node, vec2 middle) {
     vec3 b = texelFetch(bounds, node, h - 1).xyz;
     float low = b.y * z_scale - eye_z, high = b.z * z_scale - eye_z;

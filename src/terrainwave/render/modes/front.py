@@ -32,9 +32,9 @@ from terrainwave.render.scales import (
     Texels,
 )
 from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
-from terrainwave.tri.budget import Pressure
-from terrainwave.tri.dynamic import Eye, Followed
-from terrainwave.tri.rqt_errors import twist_of
+from terrainwave.tri.dynamic.budget import Pressure
+from terrainwave.tri.dynamic.dynamic import Eye, Followed
+from terrainwave.tri.rqt.errors import twist_of
 from terrainwave.tri.scratch import Scratch
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.render.modes.dynamic import Dynamic
-from terrainwave.tri.dynamic import Eye
+from terrainwave.tri.dynamic.dynamic import Eye
 
 if TYPE_CHECKING:
     from terrainwave.render.vertex_texture_surface import VertexTextureSurface

@@ -7,9 +7,9 @@ ratios of weights: its program. Triangles without one take divisions at every sa
 import numpy as np
 
 from terrainwave.coding.jit import inlined_kernel, kernel
-from terrainwave.tri.certificates import NO_TEST, ring_pair, write_refusal
-from terrainwave.tri.fit import fit_triangle
-from terrainwave.tri.workspace import (
+from terrainwave.tri.halves.certificates import NO_TEST, ring_pair, write_refusal
+from terrainwave.tri.halves.fit import fit_triangle
+from terrainwave.tri.halves.workspace import (
     COL_MASK,
     FREE,
     HEIGHT,

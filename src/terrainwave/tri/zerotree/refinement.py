@@ -25,7 +25,9 @@ from terrainwave.coding.rangecoder import (
 )
 from terrainwave.coding.status import raise_for_status
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
-from terrainwave.tri.labels import (
+from terrainwave.tri.mesh import FRACTION_BITS
+from terrainwave.tri.triangle import check_block, check_tolerance
+from terrainwave.tri.zerotree.labels import (
     Cut,
     Trees,
     axis_nodes,
@@ -37,8 +39,6 @@ from terrainwave.tri.labels import (
     top_height,
     void_edges,
 )
-from terrainwave.tri.mesh import FRACTION_BITS
-from terrainwave.tri.triangle import check_block, check_tolerance
 
 BY_HEIGHT, BY_ROUGHNESS = 0, 1
 

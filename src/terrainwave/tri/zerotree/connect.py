@@ -14,10 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.labels import Cut, Keep, Trees, promote, root_along, set_node, void_edges
-from terrainwave.tri.labels import zero_tree_cut as _zero_tree_cut
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.triangle import area_of, check_block, deviation
+from terrainwave.tri.zerotree.labels import (
+    Cut,
+    Keep,
+    Trees,
+    promote,
+    root_along,
+    set_node,
+    void_edges,
+)
+from terrainwave.tri.zerotree.labels import zero_tree_cut as _zero_tree_cut
 
 
 class LooseMesh(NamedTuple):

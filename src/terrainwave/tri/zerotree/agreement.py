@@ -31,7 +31,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.tri.labels import Cut, Keep, root_along
+from terrainwave.tri.zerotree.labels import Cut, Keep, root_along
 
 Flags = NDArray[np.bool_]
 Result = TypeVar("Result")

@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.labels import (
+from terrainwave.tri.triangle import check_block, check_tolerance, fits
+from terrainwave.tri.zerotree.labels import (
     Cut,
     Keep,
     Trees,
@@ -32,7 +33,6 @@ from terrainwave.tri.labels import (
     top_height,
     void_edges,
 )
-from terrainwave.tri.triangle import check_block, check_tolerance, fits
 
 _ROW_SHIFT = 16
 _COL_MASK = (1 << _ROW_SHIFT) - 1
@@ -65,7 +65,7 @@ def guaranteed_cut(
     Returns
     -------
     cut : ndarray of uint8, same shape
-        See `tri.labels`.
+        See `tri.zerotree.labels`.
 
     Raises
     ------

@@ -7,7 +7,7 @@ places on the ring around it don't grow, whatever else merges.
 import numpy as np
 
 from terrainwave.coding.jit import inlined_kernel
-from terrainwave.tri.workspace import PLANES, REFUSAL, SWEEP
+from terrainwave.tri.halves.workspace import PLANES, REFUSAL, SWEEP
 
 NO_TEST = 0
 _LEVEL_BITS = 8

@@ -16,19 +16,19 @@ Two selections, by
 Blocks of any size: triangles live on a virtual grid of 2**n + 1, n the least that will do, whose
 rows and columns are laid over the samples' monotonically, some twice. Triangles that become
 degenerate are dropped; where one that exists has three different corners on a line, it is split. A
-block of 2**n + 1 samples is its own virtual grid. Voids as in `labels`. All rules have the form
-"where these vertices are, so is that", and so has keeping more of them (`agreement`): there is a
-least selection that obeys them, whatever the order.
+block of 2**n + 1 samples is its own virtual grid. Voids as in `zerotree.labels`. All rules have the
+form "where these vertices are, so is that", and so has keeping more of them (`zerotree.agreement`):
+there is a least selection that obeys them, whatever the order.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.connect import build_mesh, corner_of_quad, triangles_of_quad
-from terrainwave.tri.labels import Keep, top_height, void_edges
 from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh
 from terrainwave.tri.triangle import area_of, check_block, check_tolerance, fits
+from terrainwave.tri.zerotree.connect import build_mesh, corner_of_quad, triangles_of_quad
+from terrainwave.tri.zerotree.labels import Keep, top_height, void_edges
 
 Selection = NDArray[np.uint8]
 

@@ -2,9 +2,9 @@
 
 X. Zheng, Y. Wang, X. Wang, on massive terrain with integer wavelets and restricted quadtrees: a
 vertex is split where its coefficient exceeds a threshold that grows with the distance, and all that
-it depends on with it; it is merged where nothing depends on it any more. `rqt` has the triangles,
-the dependencies and the sources; here the grid is a row of squares of `tile` cells, whose corners
-always are vertices.
+it depends on with it; it is merged where nothing depends on it any more. `stored` has the
+triangles, the dependencies and the sources; here the grid is a row of squares of `tile` cells,
+whose corners always are vertices.
 
 Three errors of a vertex, all made no smaller than those of the vertices that depend on it, so that
 a front from coarse to fine finds all:
@@ -23,7 +23,7 @@ between τ / λ and τ. Vertices are split above τ / λ; one with the error ε 
 (ε - τ / λ) / (τ - τ / λ) of the thresholds, and lies where the others' triangles have it for the
 rest. So it begins on the edge that it splits and reaches its own height at τ. That changes nothing
 in what is promised: each of these surfaces is within its own threshold, so their mean is within τ.
-All of them are linear on the triangles drawn, so the mean is made at vertices alone (`rqt_morph`).
+All of them are linear on the triangles drawn, so the mean is made at vertices alone (`morph`).
 
 Where a mesh ends, at voids and the raster's outline, it ends with whole triangles: a vertex whose
 triangles hold samples and voids has their size as its error. Such errors are stored negative.
@@ -36,18 +36,18 @@ from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.tri.budget import Pressure, check_budget
-from terrainwave.tri.dynamic import Eye, Followed, check_update
-from terrainwave.tri.haar import CLOSED
-from terrainwave.tri.rqt import neighbours
-from terrainwave.tri.rqt_errors import (
+from terrainwave.tri.dynamic.budget import Pressure, check_budget
+from terrainwave.tri.dynamic.dynamic import Eye, Followed, check_update
+from terrainwave.tri.dynamic.haar import CLOSED
+from terrainwave.tri.rqt.errors import (
     is_corner,
     measure_tile,
     needs_of,
     rounding_of,
     widen_everywhere,
 )
-from terrainwave.tri.rqt_morph import number_vertices, place_vertices
+from terrainwave.tri.rqt.morph import number_vertices, place_vertices
+from terrainwave.tri.rqt.stored import neighbours
 from terrainwave.tri.scratch import Scratch
 from terrainwave.tri.triangle import area_of
 

@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
-from terrainwave.tri.certificates import refusal_stands, test_of
-from terrainwave.tri.fit import scale_of
-from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
-from terrainwave.tri.star import MAX_PROGRAM_HEIGHT, fit_rest, fit_star
-from terrainwave.tri.workspace import (
+from terrainwave.tri.halves.certificates import refusal_stands, test_of
+from terrainwave.tri.halves.fit import scale_of
+from terrainwave.tri.halves.star import MAX_PROGRAM_HEIGHT, fit_rest, fit_star
+from terrainwave.tri.halves.workspace import (
     FREE,
     HEIGHT,
     HIGH,
@@ -36,6 +35,7 @@ from terrainwave.tri.workspace import (
     fill_workspace,
     finished_mesh,
 )
+from terrainwave.tri.mesh import FRACTION_BITS, BlockMesh, no_mesh
 
 # More than any interval of heights: no condition.
 _FAR = np.int64(1) << 40

@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 
 from terrainwave.coding.jit import inlined_kernel, kernel
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.tri.budget import Pressure, check_budget
-from terrainwave.tri.haar import (
+from terrainwave.tri.dynamic.budget import Pressure, check_budget
+from terrainwave.tri.dynamic.haar import (
     CLOSED,
     ERROR,
     FIRST,

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from terrainwave.coding.filters import BAND_GAINS, forward_transform, synthesise
 from terrainwave.coding.jit import kernel
 from terrainwave.coding.zerotrees import mark_zero_trees
-from terrainwave.tri.labels import Trees
 from terrainwave.tri.mesh import FRACTION_BITS
+from terrainwave.tri.zerotree.labels import Trees
 
 # A coefficient is significant from this share of Err_Tri on, in 1/16.
 SHARE_BITS = 4

@@ -1,4 +1,4 @@
-"""Where the vertices of a restricted quadtree are drawn between two thresholds (`rqt_view`).
+"""Where the vertices of a restricted quadtree are drawn between two thresholds (`view`).
 
 Each vertex has the share of the thresholds for which it is there, no larger than the shares of
 those it depends on. For each threshold the vertices that are there have a triangulation of their
@@ -13,7 +13,7 @@ that of v and of its places on these triangles, weighted by the differences of s
 import numpy as np
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.rqt import own_neighbours
+from terrainwave.tri.rqt.stored import own_neighbours
 
 
 @kernel

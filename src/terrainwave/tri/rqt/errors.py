@@ -1,4 +1,4 @@
-"""Errors of vertices of a restricted quadtree, and what vertices depend on (`rqt_view`)."""
+"""Errors of vertices of a restricted quadtree, and what vertices depend on (`view`)."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.rqt import neighbours, own_neighbours
+from terrainwave.tri.rqt.stored import neighbours, own_neighbours
 from terrainwave.tri.triangle import area_of
 
 _ROUNDING = 2.0**-22

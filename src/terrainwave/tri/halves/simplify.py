@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.coding.jit import kernel
-from terrainwave.tri.fit import fit_triangle, scaled_heights
+from terrainwave.tri.halves.fit import fit_triangle, scaled_heights
 from terrainwave.tri.mesh import BlockMesh
 
 _MAX_DEGREE = 24
