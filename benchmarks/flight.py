@@ -27,13 +27,13 @@ from benchmarks import common
 from benchmarks.rasters import mirrored_file
 from benchmarks.render import CountingFile
 from benchmarks.slow_server import SlowServer
-from terrainwave.render.camera import Camera, Viewport
-from terrainwave.render.frame import frame_of
+from terrainwave.render.gpu.offscreen import Offscreen
+from terrainwave.render.look.style import Style
 from terrainwave.render.modes import mode_class
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.scene import Scene
-from terrainwave.render.selection import View
-from terrainwave.render.style import Style
+from terrainwave.render.paging.scene import Scene
+from terrainwave.render.scene.camera import Camera, Viewport
+from terrainwave.render.scene.frame import frame_of
+from terrainwave.render.scene.selection import View
 
 HERTZ = 60
 # Frames after which a flight has begun: the first picture is not a part of it.

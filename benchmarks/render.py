@@ -21,10 +21,10 @@ import numpy as np
 import terrainwave
 from benchmarks import common
 from benchmarks.rasters import mirrored_file
-from terrainwave.render.camera import Camera, along, home, look, top_view
-from terrainwave.render.frame import Frame
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.style import Style
+from terrainwave.render.gpu.offscreen import Offscreen
+from terrainwave.render.look.style import Style
+from terrainwave.render.scene.camera import Camera, along, home, look, top_view
+from terrainwave.render.scene.frame import Frame
 
 # Keys of the flight: places as shares of the extent, heights above the highest as shares of it,
 # headings and pitches. Turns of up to 170 degrees between two keys.

@@ -31,12 +31,12 @@ import terrainwave
 from benchmarks import common
 from benchmarks.rasters import coefficients_of, load_raster
 from benchmarks.render import SMALL_BLOCK, camera_at_key
-from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed, home, look, project
+from terrainwave.render.gpu.offscreen import Offscreen
+from terrainwave.render.look.style import Style
 from terrainwave.render.modes import MODES
 from terrainwave.render.modes.front import eye_of
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.selection import View
-from terrainwave.render.style import Style
+from terrainwave.render.scene.camera import Camera, Viewport, gamma_guaranteed, home, look, project
+from terrainwave.render.scene.selection import View
 from terrainwave.tri.dynamic.dynamic import DynamicMesh
 from terrainwave.tri.rqt.view import RestrictedMesh
 

@@ -17,10 +17,10 @@ import terrainwave
 from benchmarks import common
 from benchmarks.rasters import load_raster
 from benchmarks.systems import TAU, camera_of
+from terrainwave.render.gpu.offscreen import Offscreen
+from terrainwave.render.look.style import Style
 from terrainwave.render.modes import MODES
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.pictures import choose_camera, with_marks
-from terrainwave.render.style import Style
+from terrainwave.render.window.pictures import choose_camera, with_marks
 
 SIZE, MODE_SIZE = (1200, 675), (400, 300)
 # Picture: raster, bound, camera (the first view without), style, options of the scene

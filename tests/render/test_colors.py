@@ -6,11 +6,9 @@ from rasterio.transform import Affine
 from render.scenes import hills, terrain_of
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.render.camera import top_view
-from terrainwave.render.colorings import MEANINGS, RAMP_NAMES
-from terrainwave.render.frame import Frame, frame_of
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.ramps import (
+from terrainwave.render.gpu.offscreen import Offscreen
+from terrainwave.render.look.colorings import MEANINGS, RAMP_NAMES
+from terrainwave.render.look.ramps import (
     N_LATITUDES,
     RAMPS,
     absolute_palette,
@@ -19,8 +17,10 @@ from terrainwave.render.ramps import (
     slope_palette,
     snow_line,
 )
-from terrainwave.render.scales import HeightScale, HeightTexels, Texels
-from terrainwave.render.style import COLORINGS, Style
+from terrainwave.render.look.style import COLORINGS, Style
+from terrainwave.render.scene.camera import top_view
+from terrainwave.render.scene.frame import Frame, frame_of
+from terrainwave.render.scene.scales import HeightScale, HeightTexels, Texels
 
 MOON_RADIUS = 1_737_400.0
 

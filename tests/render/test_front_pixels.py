@@ -6,11 +6,11 @@ from render.scenes import LOUD, eroded, hills, loud, terrain_of
 from render.test_fronts import cameras, low_flight
 from tri.slow_dynamic import drawn_samples
 
-from terrainwave.render.camera import Camera, top_view
+from terrainwave.render.gpu.offscreen import Offscreen
+from terrainwave.render.gpu.vertex_texture_surface import VERTEX_SHADER
+from terrainwave.render.look.style import Style
 from terrainwave.render.modes.front import eye_of
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.style import Style
-from terrainwave.render.vertex_texture_surface import VERTEX_SHADER
+from terrainwave.render.scene.camera import Camera, top_view
 
 # What these modes compile takes a minute.
 pytestmark = [

@@ -5,13 +5,13 @@ import pytest
 from render.scenes import hills, terrain_of
 
 from terrainwave.errors import InvalidArgumentError
-from terrainwave.render.camera import Camera, home, top_view
-from terrainwave.render.frame import Frame
-from terrainwave.render.marks import check_marks, draw_marks, legend_of, length_text
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.pictures import with_marks
-from terrainwave.render.ramps import absolute_palette, relative_palette, slope_palette
-from terrainwave.render.style import Style
+from terrainwave.render.gpu.offscreen import Offscreen
+from terrainwave.render.look.marks import check_marks, draw_marks, legend_of, length_text
+from terrainwave.render.look.ramps import absolute_palette, relative_palette, slope_palette
+from terrainwave.render.look.style import Style
+from terrainwave.render.scene.camera import Camera, home, top_view
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.window.pictures import with_marks
 
 FRAME = Frame((0, 0), (1.0, 1.0, 1.0), (1, 0, 0, 0, -1, 0), (9, 9), (-1000.0, 3000.0))
 FEET = Frame((0, 0), (1.0, 1.0, 0.3048), (1, 0, 0, 0, -1, 0), (9, 9), (0.0, 1000.0))

@@ -13,10 +13,10 @@ from render.scenes import LOUD, eroded, hills, loud, terrain_of, terrain_with_ho
 
 from terrainwave.errors import TerrainwaveError
 from terrainwave.raster_io.drape import Drape
-from terrainwave.render import patch_surface
-from terrainwave.render.camera import Camera, home, project, top_view
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.style import Style
+from terrainwave.render.gpu import patch_surface
+from terrainwave.render.gpu.offscreen import Offscreen
+from terrainwave.render.look.style import Style
+from terrainwave.render.scene.camera import Camera, home, project, top_view
 
 pytestmark = [pytest.mark.gl, pytest.mark.large, pytest.mark.usefixtures("no_gl_errors")]
 

@@ -16,12 +16,10 @@ from terrainwave.ext.publish import publish_site
 from terrainwave.ext.serve.app import make_app
 from terrainwave.ext.serve.catalog import describe
 from terrainwave.globe.lonlat import Globe
-from terrainwave.render.camera import top_view
-from terrainwave.render.frame import frame_of
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.ramps import absolute_palette, ramp_colors, ramp_stops
-from terrainwave.render.style import Style
-from terrainwave.render.water import (
+from terrainwave.render.gpu.offscreen import Offscreen
+from terrainwave.render.look.ramps import absolute_palette, ramp_colors, ramp_stops
+from terrainwave.render.look.style import Style
+from terrainwave.render.look.water import (
     DEEP,
     LAND,
     LEVEL,
@@ -30,6 +28,8 @@ from terrainwave.render.water import (
     may_have_water,
     read_water,
 )
+from terrainwave.render.scene.camera import top_view
+from terrainwave.render.scene.frame import frame_of
 
 SIDE = 120
 COLS = np.broadcast_to(np.arange(SIDE, dtype=float), (SIDE, SIDE))

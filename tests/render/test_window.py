@@ -124,10 +124,10 @@ def test_drawing_for_long_keeps_memory_flat(file, mode):
     code = f"""
 import resource
 import terrainwave
-from terrainwave.render.arena import Arena
-from terrainwave.render.camera import Camera
-from terrainwave.render.offscreen import Offscreen
-from terrainwave.render.style import Style
+from terrainwave.render.gpu.arena import Arena
+from terrainwave.render.scene.camera import Camera
+from terrainwave.render.gpu.offscreen import Offscreen
+from terrainwave.render.look.style import Style
 sizes, drops = [], []
 with terrainwave.open({str(file)!r}, cache_bytes=1 << 20, threads=1) as terrain:
     with Offscreen(terrain, (160, 120), samples=0, max_bytes=64 << 20, mode={mode!r}) as offscreen:

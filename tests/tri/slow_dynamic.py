@@ -5,8 +5,8 @@ from collections import Counter
 
 import numpy as np
 
-from terrainwave.render.camera import Camera, Viewport, project
-from terrainwave.render.frustum import frustum_planes
+from terrainwave.render.scene.camera import Camera, Viewport, project
+from terrainwave.render.scene.frustum import frustum_planes
 from terrainwave.tri.dynamic.dynamic import Eye, screen_error
 from terrainwave.tri.dynamic.haar import N_ROWS
 

@@ -6,7 +6,7 @@ from cases import some
 from tri.slow_dynamic import NORTH_UP, VIEWPORT, areas, cameras, eye_of, surfaces_at
 
 from terrainwave.errors import InvalidHeightsError
-from terrainwave.render.camera import Camera, project
+from terrainwave.render.scene.camera import Camera, project
 from terrainwave.tri.rqt.stored import neighbours
 from terrainwave.tri.rqt.view import RestrictedMesh
 

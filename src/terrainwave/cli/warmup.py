@@ -227,10 +227,10 @@ def _mesh(folder: Path) -> None:
 
 def _render(folder: Path) -> None:
     """Draw a picture in each mode."""
+    from terrainwave.render.gpu.offscreen import Offscreen
+    from terrainwave.render.look.style import Style
     from terrainwave.render.modes import MODES
-    from terrainwave.render.offscreen import Offscreen
-    from terrainwave.render.pictures import choose_camera
-    from terrainwave.render.style import Style
+    from terrainwave.render.window.pictures import choose_camera
 
     for stem in ("int16-void", "float32"):
         path = folder / f"{stem}-{DEFAULT_METHOD.name}.twz"

@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from terrainwave.mesh.level_errors import recursive_errors
 from terrainwave.progress import ProgressCallback, Reporter
-from terrainwave.render.frame import Frame
 from terrainwave.render.modes.bounded import BoundedMode
-from terrainwave.render.patches import Patch, PatchBuilder
-from terrainwave.render.selection import NodeInfo, Piece
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.patches import Patch, PatchBuilder
+from terrainwave.render.scene.selection import NodeInfo, Piece
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
-    from terrainwave.render.patch_surface import PatchSurface
+    from terrainwave.render.gpu.patch_surface import PatchSurface
 
 
 class Adaptive(BoundedMode):
@@ -74,6 +74,6 @@ class Adaptive(BoundedMode):
     @staticmethod
     def surface(context: Any, side: int, *, max_bytes: int) -> "PatchSurface":
         """Return buffers for patches and the program that draws them."""
-        from terrainwave.render.patch_surface import PatchSurface
+        from terrainwave.render.gpu.patch_surface import PatchSurface
 
         return PatchSurface(context, side, max_bytes=max_bytes)

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback
-from terrainwave.render.frame import Frame
 from terrainwave.render.modes.front import (
     MORPH,
     Drawn,
@@ -20,7 +19,8 @@ from terrainwave.render.modes.front import (
     PatchFrame,
     Sides,
 )
-from terrainwave.render.selection import Piece
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.selection import Piece
 from terrainwave.tri.dynamic.dynamic import DynamicMesh, Eye, Followed
 
 if TYPE_CHECKING:

@@ -22,16 +22,16 @@ from numpy.typing import NDArray
 from terrainwave.grid.quadtree import Block, Region
 from terrainwave.progress import ProgressCallback
 from terrainwave.read.decoder import units_of
-from terrainwave.render.camera import Camera, focal_length, slant
-from terrainwave.render.frame import Frame
 from terrainwave.render.modes.mode import Frames, Mode
-from terrainwave.render.patches import Cancelled
-from terrainwave.render.scales import (
+from terrainwave.render.scene.camera import Camera, focal_length, slant
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.patches import Cancelled
+from terrainwave.render.scene.scales import (
     FLOAT32_ROUNDING,
     HeightScale,
     Texels,
 )
-from terrainwave.render.selection import NodeInfo, NodeTable, Piece, Selection, View
+from terrainwave.render.scene.selection import NodeInfo, NodeTable, Piece, Selection, View
 from terrainwave.tri.dynamic.budget import Pressure
 from terrainwave.tri.dynamic.dynamic import Eye, Followed
 from terrainwave.tri.rqt.errors import twist_of
@@ -524,7 +524,7 @@ class FrontMode(Mode):
     @staticmethod
     def surface(context: Any, side: int, *, max_bytes: int) -> Any:
         """Return a buffer for the mesh of a frame, and the program that draws it."""
-        from terrainwave.render.front_surface import FrontSurface
+        from terrainwave.render.gpu.front_surface import FrontSurface
 
         return FrontSurface(context, max_bytes=max_bytes)
 

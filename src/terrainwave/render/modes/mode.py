@@ -8,7 +8,7 @@ A mode has three parts, and `Scene` knows no more of it:
   they are drawn.
 
 `Mode.surface` makes the half on the GPU: a store for what `build` returns and the program that
-draws it (`terrainwave.render.surface`).
+draws it (`terrainwave.render.gpu.surface`).
 """
 
 from abc import ABC, abstractmethod
@@ -22,13 +22,13 @@ from terrainwave.errors import (
     InvalidArgumentError,
 )
 from terrainwave.progress import ProgressCallback
-from terrainwave.render.camera import Camera, Viewport, gamma_guaranteed, gamma_paper
-from terrainwave.render.frame import Frame
-from terrainwave.render.selection import Built, NodeInfo, NodeTable, Piece, Selection, View
+from terrainwave.render.scene.camera import Camera, Viewport, gamma_guaranteed, gamma_paper
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.selection import Built, NodeInfo, NodeTable, Piece, Selection, View
 
 if TYPE_CHECKING:
     from terrainwave.file import TerrainFile
-    from terrainwave.render.surface import Surface
+    from terrainwave.render.gpu.surface import Surface
 
 ERRORS = ("measured", "paper")
 MAX_TRIANGLES = 20_000_000

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from terrainwave.grid.quadtree import Region
 from terrainwave.progress import ProgressCallback
 from terrainwave.read.tiles import TileDecoder, with_coefficients
-from terrainwave.render.frame import Frame
 from terrainwave.render.modes.front import Drawn, FrontMode, FrontPatch, PatchFrame, Sides
 from terrainwave.render.modes.mode import ERRORS
-from terrainwave.render.selection import Piece
+from terrainwave.render.scene.frame import Frame
+from terrainwave.render.scene.selection import Piece
 from terrainwave.tri.dynamic.dynamic import Eye, Followed
 from terrainwave.tri.rqt.view import RestrictedMesh
 

@@ -16,7 +16,7 @@ from terrainwave.render.modes.dynamic import Dynamic
 from terrainwave.tri.dynamic.dynamic import Eye
 
 if TYPE_CHECKING:
-    from terrainwave.render.vertex_texture_surface import VertexTextureSurface
+    from terrainwave.render.gpu.vertex_texture_surface import VertexTextureSurface
 
 
 class VertexTexture(Dynamic):
@@ -40,6 +40,6 @@ class VertexTexture(Dynamic):
     @staticmethod
     def surface(context: Any, side: int, *, max_bytes: int) -> "VertexTextureSurface":
         """Return the textures and the program that draws full grids."""
-        from terrainwave.render.vertex_texture_surface import VertexTextureSurface
+        from terrainwave.render.gpu.vertex_texture_surface import VertexTextureSurface
 
         return VertexTextureSurface(context, max_bytes=max_bytes)
