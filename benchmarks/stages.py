@@ -33,7 +33,7 @@ STAGES = (
     ("pass", "terrainwave.codec.predictive.refiner", "code_pass"),
     ("unit", "terrainwave.codec.predictive.refiner", "_code_unit"),
     ("fit", "terrainwave.codec.rapid.fit", "fit_tables"),
-    ("rows", "terrainwave.codec.rapid.refiner", "code_rows encode_symbols"),
+    ("rows", "terrainwave.codec.rapid.coder", "code_rows encode_symbols"),
     ("unit", "terrainwave.write.encoder", "encode_unit"),
     ("unit", "terrainwave.read.decoder", "decode_unit"),
     ("write", "terrainwave.write.compress", "assemble"),

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from terrainwave.codec import memory as spare
-from terrainwave.codec.memory import Spares
+from terrainwave.codec.memory import Spares, new_heights
+from terrainwave.codec.rapid.coder import _flat
 
 
 def test_memory_is_lent_to_one_at_a_time_and_then_again():
@@ -48,3 +49,22 @@ def test_no_more_memory_of_heights_is_kept_than_said():
     assert recycler._n_bytes == 0
     arrays.clear()
     assert recycler._n_bytes == sum(map(len, recycler._spare.values())) << 22 == 1 << 24
+
+
+@pytest.mark.parametrize("part", [np.s_[:, :], np.s_[2:5, 1:6], np.s_[3:, 4:]])
+def test_a_part_of_a_unit_is_seen_in_its_memory(part):
+    heights = new_heights((7, 9))
+    heights[:] = np.arange(63).reshape(7, 9)
+    views = heights[part]
+    flat, pitch = _flat(views)
+    assert np.shares_memory(flat, heights)
+    seen = [flat[row * pitch : row * pitch + views.shape[1]] for row in range(views.shape[0])]
+    assert np.array_equal(seen, views)
+
+
+def test_parts_of_other_arrays_are_copied():
+    heights = np.arange(63, dtype=np.int32).reshape(7, 9).copy()
+    for views in (heights[1:, 2:], heights[::2, ::2], heights.T):
+        flat, pitch = _flat(views)
+        assert not np.shares_memory(flat, heights)
+        assert np.array_equal(flat.reshape(-1, pitch), views)

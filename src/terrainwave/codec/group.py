@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.corrections import decode_corrections, encode_corrections
-from terrainwave.codec.masks import decode_mask, encode_mask
+from terrainwave.codec.masks import all_valid, decode_mask, encode_mask, is_whole
 from terrainwave.codec.memory import new_heights
 from terrainwave.codec.own_masks import Above, Sections, Validity, decode_validity, encode_validity
 from terrainwave.codec.refiner import (
@@ -29,7 +29,6 @@ from terrainwave.codec.refiner import (
 )
 from terrainwave.codec.remainders import decode_remainders, encode_remainders
 from terrainwave.codec.varint import decode_varint, encode_varint
-from terrainwave.codec.whole import all_valid, is_whole
 from terrainwave.errors import CorruptStreamError, TruncatedStreamError
 from terrainwave.grid.quadtree import Region
 from terrainwave.grid.remainders import Remainders

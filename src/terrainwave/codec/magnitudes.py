@@ -52,6 +52,22 @@ SIGN_E_OF_BIN = np.array(
     dtype=np.int64,
 )
 
+# Weighted sums of magnitudes are in 1/16 of the expected magnitude and fall into third-octave bins.
+SUM_LIMIT = 4095
+
+
+def _third_octave_bins() -> np.ndarray:
+    sums = np.arange(SUM_LIMIT + 1)
+    # Thresholds 2**p, 2**p * 1.26 and 2**p * 1.59, in integers.
+    edges = sorted(
+        {max(1, (1 << power) * third >> 6) for power in range(12) for third in (64, 81, 102)}
+    )
+    return np.searchsorted(edges, sums, side="right").astype(np.uint8)
+
+
+BIN_OF_SUM = _third_octave_bins()
+N_BINS = 36
+
 _N_MIDDLE = 9
 ZERO_B = 0
 ZERO_H = ZERO_B + N_E_BINS * N_RANGE_BINS * _N_FRAC_BINS

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec.masks import all_valid, is_whole
 from terrainwave.codec.refiner import Mask
-from terrainwave.codec.whole import all_valid, is_whole
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.jit import inlined_kernel, kernel, kernel_part
 from terrainwave.coding.rangecoder import (

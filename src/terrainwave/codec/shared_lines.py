@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from terrainwave.codec.cdf97.zerotree import BIN_OF_SUM, N_BINS, SUM_LIMIT
 from terrainwave.codec.corrections import correct, corrected
+from terrainwave.codec.magnitudes import BIN_OF_SUM, N_BINS, SUM_LIMIT
 from terrainwave.codec.refiner import FREE, NO_CORRECTIONS, Corrections, GroupSpec, Mask
 from terrainwave.coding.filters import MAX_HEIGHT, extend_line, synthesise_line
 from terrainwave.coding.jit import kernel, rare_kernel

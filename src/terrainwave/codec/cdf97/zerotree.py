@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from terrainwave.codec.magnitudes import BIN_OF_SUM, N_BINS, SUM_LIMIT
 from terrainwave.coding.borrowed import borrowed
 from terrainwave.coding.filters import n_transforms
 from terrainwave.coding.jit import inlined_kernel, kernel
@@ -37,21 +38,6 @@ from terrainwave.coding.zerotrees import JS, JZTC, JZTR
 FRAME_ROWS, FRAME_COLS = 3, 4
 MAX_MAG = 255
 
-# Weighted sums of magnitudes are in 1/16 of the expected magnitude and fall into third-octave bins.
-SUM_LIMIT = 4095
-
-
-def _third_octave_bins() -> np.ndarray:
-    sums = np.arange(SUM_LIMIT + 1)
-    # Thresholds 2**p, 2**p * 1.26 and 2**p * 1.59, in integers.
-    edges = sorted(
-        {max(1, (1 << power) * third >> 6) for power in range(12) for third in (64, 81, 102)}
-    )
-    return np.searchsorted(edges, sums, side="right").astype(np.uint8)
-
-
-BIN_OF_SUM = _third_octave_bins()
-N_BINS = 36
 # Magnitudes are coded without their lowest bits where large ones are expected: mean >= 8 * 2**k.
 SHIFT_OF_BIN = np.array([max(0, b // 3 - 6) for b in range(N_BINS)], dtype=np.int64)
 

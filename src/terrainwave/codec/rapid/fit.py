@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from terrainwave.codec.rapid import trained
+from terrainwave.codec.rapid.coder import UnitCoder
 from terrainwave.codec.rapid.file_tables import (
     CODE_OF_FREQ,
     FREQ_OF_CODE,
@@ -27,14 +28,13 @@ from terrainwave.codec.rapid.file_tables import (
 )
 from terrainwave.codec.rapid.fit_stencils import COST_UNIT, candidates, stencils_cost
 from terrainwave.codec.rapid.fit_weights import fit_magnitude, weights_bits
-from terrainwave.codec.rapid.fit_windows import spread_windows
 from terrainwave.codec.rapid.magnitude import N_CONTEXTS
-from terrainwave.codec.rapid.refiner import Rapid
 from terrainwave.codec.rapid.symbols import ESCAPE, ESCAPE_BITS, N_SYMBOLS, low_bits
 from terrainwave.codec.rapid.trained import N_STEPS, family_of
 from terrainwave.codec.refiner import GroupSpec, Heights, Mask, Sides
 from terrainwave.coding.rans import N_SLOTS, SYMBOL_BITS
 from terrainwave.grid.quadtree import Grid, Region
+from terrainwave.grid.windows import spread_windows
 
 # Samples a side of a window, and samples of the raster for one; from 2 to 36 windows in all.
 _WINDOW = 257
@@ -175,20 +175,20 @@ def count(
     tables: FileTables, windows: Heights, masks: Mask, step: int, *, is_inner: bool = False
 ) -> NDArray[np.int64]:
     """Code windows; return how often each symbol came: shape (N_CONTEXTS, N_SYMBOLS)."""
-    refiner = Rapid.with_tables(Tables(tables))
+    coder = UnitCoder(Tables(tables))
     counts = _no_counts()
     for target, mask in zip(windows, masks, strict=True):
-        _count_window(refiner, target, mask, tables.k_max, step, counts, is_inner=is_inner)
+        _count_window(coder, target, mask, tables.k_max, step, counts, is_inner=is_inner)
     by_context = counts.sum(0).reshape(N_CONTEXTS, 1 << SYMBOL_BITS)
     return np.ascontiguousarray(by_context[:, :N_SYMBOLS])
 
 
 def _decoded(tables: Tables, windows: Heights, masks: Mask, step: int) -> Heights:
     """Return windows as they are after coding."""
-    refiner, counts = Rapid.with_tables(tables), _no_counts()
+    coder, counts = UnitCoder(tables), _no_counts()
     return np.stack(
         [
-            _count_window(refiner, target, mask, tables.k_max, step, counts, is_inner=True)
+            _count_window(coder, target, mask, tables.k_max, step, counts, is_inner=True)
             for target, mask in zip(windows, masks, strict=True)
         ]
     )
@@ -199,7 +199,7 @@ def _no_counts() -> NDArray[np.int64]:
 
 
 def _count_window(
-    refiner: Rapid,
+    coder: UnitCoder,
     target: Heights,
     mask: Mask,
     level: int,
@@ -212,7 +212,7 @@ def _count_window(
     region = Region(0, 0, *target.shape)
     low, high = int(target.min()), int(target.max())
     spec = GroupSpec(level, region, region, None, _NOT_SHARED, step, low, high, (1, 0), 1, 0)
-    return refiner.count(spec, target, mask, counts, is_inner=is_inner)
+    return coder.count(spec, target, mask, counts, is_inner=is_inner)
 
 
 @cache

@@ -1,11 +1,15 @@
 """Windows of the full grid that stand for a raster, chosen by position alone (encoder only)."""
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from terrainwave.codec.refiner import Heights, Mask
 from terrainwave.grid.quadtree import Grid, Region
+
+Heights: TypeAlias = NDArray[np.int32]
+Mask: TypeAlias = NDArray[np.bool_]
 
 # Places are looked through for windows that are not mostly void.
 _PLACES_PER_WINDOW = 4
