@@ -14,9 +14,9 @@ from terrainwave.codec.registry import check_layout, check_parameters, newer_lay
 from terrainwave.container.addresses import display_name
 from terrainwave.container.codes import decode_error, decode_range
 from terrainwave.container.header import LAYOUT_FEATURES, Header
+from terrainwave.container.opening import open_source
 from terrainwave.container.parts import Parts, parts_of
 from terrainwave.container.reader import Container
-from terrainwave.container.source import open_source
 from terrainwave.errors import (
     InvalidArgumentError,
     InvalidHeightsError,

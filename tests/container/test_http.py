@@ -23,7 +23,7 @@ import pytest
 
 from terrainwave.container import url as module
 from terrainwave.container.addresses import display_name, without_secrets
-from terrainwave.container.source import open_source
+from terrainwave.container.opening import open_source
 from terrainwave.errors import SourceUnavailableError, StorageError, TerrainwaveError
 
 TLS = Path(__file__).parent / "tls"

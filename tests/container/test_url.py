@@ -14,9 +14,9 @@ from container.toys import forge, paths_to_corner, toy_file, toy_header, toy_pay
 from containers import open_container
 from forks import holds_in_a_fork
 
+from terrainwave.container.opening import open_source
 from terrainwave.container.page import empty_page, page_layout
 from terrainwave.container.ranges import ByteRange
-from terrainwave.container.source import open_source
 from terrainwave.errors import (
     StorageError,
     TerrainwaveError,

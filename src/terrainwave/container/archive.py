@@ -18,7 +18,6 @@ from terrainwave.container.source import (
     BufferSource,
     ByteSource,
     MergingSource,
-    open_source,
 )
 from terrainwave.errors import StorageError, TerrainwaveWarning, TruncatedStreamError
 
@@ -59,15 +58,14 @@ class MemberSource(MergingSource):
         return MemberSource, (self.name, self._archive, self._start, self.size)
 
 
-def open_member(path: str, archive: str) -> ByteSource:
-    """Return the source of the file `path` in a zip at a path or URL.
+def open_member(path: str, source: ByteSource) -> ByteSource:
+    """Return the source of the file `path` in a zip; closes the zip's where that fails.
 
     Raises
     ------
     StorageError
         If the archive or the file in it cannot be read.
     """
-    source = open_source(archive)
     try:
         return _member(path.lstrip("/"), source)
     except BaseException:

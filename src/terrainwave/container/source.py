@@ -4,7 +4,7 @@ import io
 import os
 import threading
 from collections.abc import Callable, Sequence
-from typing import BinaryIO, Protocol, TypeAlias, runtime_checkable
+from typing import BinaryIO, Protocol, runtime_checkable
 
 from terrainwave.container.ranges import ByteRange, merge_ranges, split_merged
 from terrainwave.errors import StorageError, TruncatedStreamError
@@ -45,9 +45,6 @@ class ByteSource(Protocol):
     def close(self) -> None:
         """Let go of files and connections; reading afterwards raises `StorageError`."""
         ...
-
-
-SourceLike: TypeAlias = str | os.PathLike[str] | bytes | BinaryIO | ByteSource
 
 
 class MergingSource:
@@ -199,26 +196,3 @@ def _read_fully(read_at: Callable[[int, int], bytes], offset: int, length: int) 
         offset += len(part)
         length -= len(part)
     return parts[0] if len(parts) == 1 else b"".join(parts)
-
-
-def open_source(source: SourceLike) -> ByteSource:
-    """Return a byte source for a path, a URL, bytes or a binary file object.
-
-    Raises
-    ------
-    StorageError
-        If it cannot be opened or does not serve byte ranges.
-    """
-    if isinstance(source, bytes | bytearray | memoryview):
-        return BufferSource(bytes(source))
-    if isinstance(source, str) and "://" in source:
-        from terrainwave.container.url import open_url
-
-        return open_url(source)
-    if isinstance(source, str | os.PathLike):
-        return FileSource(source)
-    if isinstance(source, ByteSource):
-        return source
-    if hasattr(source, "read") and hasattr(source, "seek"):
-        return BufferSource(source)
-    raise StorageError(f"cannot read bytes from a {type(source).__name__}")

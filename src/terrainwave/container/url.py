@@ -80,7 +80,7 @@ def open_url(url: str) -> ByteSource:
     if scheme.lower() == "file":
         return FileSource(urllib.request.url2pathname(urlsplit(url).path))
     if scheme.lower() == "zip" and rest:
-        return open_member(name, rest)
+        return open_member(name, open_url(rest) if "://" in rest else FileSource(rest))
     return FsspecSource(url)
 
 
